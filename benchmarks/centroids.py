@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.tables import Table, report
-from sameas.simulate.frames import Camera, Gaussian, Moffat, Profile, SimulatedFrame, Trail, frame_of
+from sameas.simulate.frames import Camera, GaussianProfile, Moffat, Profile, SimulatedFrame, Trail, frame_of
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.measurements import Detection
 
@@ -28,7 +28,7 @@ COLUMNS = ("frame", "by", "found %", "S/N 5–15, px", "15–100, px", "above 10
 def frames(size: int) -> list[tuple[str, SimulatedFrame]]:
     """Frames of stars on a loose grid, at random places within their pixels."""
     cases: list[tuple[str, Profile, Trail]] = [
-        ("Gaussian 3 px", Gaussian(3.0), Trail()),
+        ("Gaussian 3 px", GaussianProfile(3.0), Trail()),
         ("Moffat 3 px", Moffat(3.0), Trail()),
         ("Moffat 5 px", Moffat(5.0), Trail()),
         ("Moffat 1.5 px", Moffat(1.5), Trail()),

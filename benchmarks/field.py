@@ -29,7 +29,7 @@ from sameas.score.pairs import is_true_pair, reliability
 from sameas.simulate.catalogues import (
     BlendedField,
     Counterparts,
-    Exposure,
+    FrameAndCatalogue,
     Sky,
     blended_field,
     counterparts,
@@ -197,7 +197,7 @@ PHOTON = Sky(
 )  # fmt: skip
 
 
-def with_floor(rng: np.random.Generator, simulated: Exposure) -> tuple[Exposure, Exposure]:
+def with_floor(rng: np.random.Generator, simulated: FrameAndCatalogue) -> tuple[FrameAndCatalogue, FrameAndCatalogue]:
     """The frame with an error floor that its errors do not include; the same with errors that do."""
     first = simulated.scene.first
     displaced_first = replace(

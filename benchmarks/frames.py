@@ -20,7 +20,7 @@ from sameas import Identification, identify
 from sameas.estimate.match import Estimate, match
 from sameas.evidence import Magnitudes
 from sameas.score.pairs import is_true_pair, score_probabilities
-from sameas.simulate.catalogues import Exposure, Sky, exposure, misquoted, with_outliers
+from sameas.simulate.catalogues import FrameAndCatalogue, Sky, exposure, misquoted, with_outliers
 from sameas.simulate.scenes import SimulatedScene
 
 Pairs = tuple[np.ndarray, np.ndarray]
@@ -84,7 +84,7 @@ def one_band(brightness: tuple[Magnitudes, Magnitudes]) -> tuple[Magnitudes, Mag
     return first, second
 
 
-def frames(options: argparse.Namespace, seed: int, change: Change | None = None) -> Iterator[Exposure]:
+def frames(options: argparse.Namespace, seed: int, change: Change | None = None) -> Iterator[FrameAndCatalogue]:
     """Frames of one kind."""
     for number in range(options.frames):
         rng = np.random.default_rng([seed, number])
@@ -123,7 +123,7 @@ def contest(options: argparse.Namespace) -> Table:
     return Table(f"Frame and catalogue: {sizes}", columns, lines, notes)
 
 
-def by_sameas(simulated: Exposure) -> Iterator[tuple[str, Identification, Estimate | None]]:
+def by_sameas(simulated: FrameAndCatalogue) -> Iterator[tuple[str, Identification, Estimate | None]]:
     """Results and estimates of `sameas`."""
     first, second = simulated.scene.first, simulated.scene.second
     yield TRUE, identify(first, second, rule=true_rule(simulated)), None
@@ -132,7 +132,7 @@ def by_sameas(simulated: Exposure) -> Iterator[tuple[str, Identification, Estima
     yield TWO_BANDS, *match(first, second, brightness=simulated.brightness)
 
 
-def others(simulated: Exposure, options: argparse.Namespace, missing: set[str]) -> Iterator[tuple[str, Pairs]]:
+def others(simulated: FrameAndCatalogue, options: argparse.Namespace, missing: set[str]) -> Iterator[tuple[str, Pairs]]:
     """The pairs of the other methods."""
     yield "nearest within 3σ", accuracy.nearest(simulated.scene)
     yield "mutual nearest within 3σ", accuracy.mutual(simulated.scene)

@@ -13,10 +13,10 @@ from sameas import PoissonField
 from sameas.estimate.match import Estimate, match
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Magnitudes
-from sameas.simulate.catalogues import Exposure, Sky, exposure, misquoted, with_outliers
+from sameas.simulate.catalogues import FrameAndCatalogue, Sky, exposure, misquoted, with_outliers
 from sameas.space import displaced
 
-Change = Callable[[np.random.Generator, Exposure], Exposure]
+Change = Callable[[np.random.Generator, FrameAndCatalogue], FrameAndCatalogue]
 SPARSE = Sky(stars_per_deg2=5_000.0)
 #: A catalogue with negligible position errors, before its stars are displaced.
 EXACT = replace(SPARSE, catalogue_sigma_arcsec=(1e-3, 1e-3), gap_yr=0.0)
@@ -62,12 +62,12 @@ class Kind:
             yield from curve_deviations(estimate, simulated)
 
 
-def quoted_too_small(rng: np.random.Generator, simulated: Exposure) -> Exposure:
+def quoted_too_small(rng: np.random.Generator, simulated: FrameAndCatalogue) -> FrameAndCatalogue:
     """All errors are quoted too small."""
     return replace(simulated, scene=misquoted(simulated.scene, BOTH))
 
 
-def misquoted_with_floor(rng: np.random.Generator, simulated: Exposure) -> Exposure:
+def misquoted_with_floor(rng: np.random.Generator, simulated: FrameAndCatalogue) -> FrameAndCatalogue:
     """The frame's errors quoted too small, and a floor under the catalogue's."""
     first, second = simulated.scene.first, simulated.scene.second
     moved = displaced(second.features, FLOOR_ARCSEC * rng.standard_normal((len(second), 2)))
@@ -75,7 +75,7 @@ def misquoted_with_floor(rng: np.random.Generator, simulated: Exposure) -> Expos
     return replace(simulated, scene=replace(simulated.scene, first=first, second=second))
 
 
-def uniform_errors(rng: np.random.Generator, simulated: Exposure) -> Exposure:
+def uniform_errors(rng: np.random.Generator, simulated: FrameAndCatalogue) -> FrameAndCatalogue:
     """One error for all of the catalogue; the frame's errors quoted too small, and a floor under the catalogue's."""
     second = simulated.scene.second
     covariance = np.tile([ALIKE_ARCSEC**2, 0.0, ALIKE_ARCSEC**2], (len(second), 1))
@@ -84,12 +84,12 @@ def uniform_errors(rng: np.random.Generator, simulated: Exposure) -> Exposure:
     return misquoted_with_floor(rng, replace(simulated, scene=replace(simulated.scene, second=second)))
 
 
-def displaced_records(rng: np.random.Generator, simulated: Exposure) -> Exposure:
+def displaced_records(rng: np.random.Generator, simulated: FrameAndCatalogue) -> FrameAndCatalogue:
     """Some records of each source are displaced."""
     return replace(simulated, scene=with_outliers(rng, simulated.scene, DISPLACED))
 
 
-def unrelated_magnitudes(rng: np.random.Generator, simulated: Exposure) -> Exposure:
+def unrelated_magnitudes(rng: np.random.Generator, simulated: FrameAndCatalogue) -> FrameAndCatalogue:
     """Some of the frame's magnitudes are those of other stars of it."""
     frame, catalogue = simulated.brightness
     values = np.array(frame.values)
@@ -167,7 +167,7 @@ def _chance(trials: int) -> float:
 # ---- true values ----
 
 
-def true_rule(simulated: Exposure) -> PoissonField:
+def true_rule(simulated: FrameAndCatalogue) -> PoissonField:
     """The positions' rule with the parameters that made the frame."""
     sky = simulated.sky
     magnitude = np.linspace(sky.brightest, sky.faintest, 4001)
@@ -182,7 +182,7 @@ def true_rule(simulated: Exposure) -> PoissonField:
     )
 
 
-def truths(simulated: Exposure) -> dict[str, float]:
+def truths(simulated: FrameAndCatalogue) -> dict[str, float]:
     """The true values of the estimates if errors and magnitudes are as quoted."""
     rule, sky = true_rule(simulated), simulated.sky
     only_1, only_2, common = (float(x) for x in (rule.only_1, rule.only_2, rule.common))  # type: ignore[arg-type]
@@ -196,7 +196,7 @@ def truths(simulated: Exposure) -> dict[str, float]:
     }  # fmt: skip
 
 
-def true_colour_terms(estimate: Estimate, simulated: Exposure) -> dict[str, float]:
+def true_colour_terms(estimate: Estimate, simulated: FrameAndCatalogue) -> dict[str, float]:
     """Slopes of the frame's magnitude, free of errors and scatter, on the measured colours of the true pairs.
 
     Not the frame's colour term, which is the slope on true colours: see :class:`sameas.evidence.Relation`. By weighted
@@ -226,7 +226,7 @@ def quantities(estimate: Estimate) -> Iterator[tuple[str, Quantity]]:
         yield from model.terms.items()
 
 
-def curve_deviations(estimate: Estimate, simulated: Exposure) -> Iterator[tuple[str, float]]:
+def curve_deviations(estimate: Estimate, simulated: FrameAndCatalogue) -> Iterator[tuple[str, float]]:
     """Bins of P_d(m) of the catalogue, in standard errors, where the error of a magnitude does not matter."""
     curve, sky = estimate.detection_2, simulated.sky
     if curve is None:

@@ -25,7 +25,7 @@ from astropy.time import Time
 
 from sameas.io import read_table, replacing, write_table
 from sameas.io.catalogues import bright
-from sameas.simulate import Camera, Gaussian, Lens, SimulatedFrame, frame_of_sky
+from sameas.simulate import Camera, GaussianProfile, Lens, SimulatedFrame, frame_of_sky
 from sameas.sky import Cone, Pointing, StarField
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
@@ -59,7 +59,7 @@ def simulated(seed: int = SEED) -> tuple[SimulatedFrame, StarField]:
         zero_point=17.5,
         lens=Lens(corner_px=CORNER_PX),
         camera=Camera(shape=(SIDE_PX, SIDE_PX), sky_e=400.0, read_noise_e=9.0, hot_pixels=1500, cosmics=40),
-        psf=Gaussian(fwhm_px=FWHM_PX),
+        psf=GaussianProfile(fwhm_px=FWHM_PX),
         exposure_s=EXPOSURE_S,
     )
     return seen, stars

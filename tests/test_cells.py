@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sameas import Plane, Records, Sphere
-from sameas.estimate.cells import Outline
+from sameas.estimate.cells import ConvexRegion
 from sameas.estimate.coverage import Coverage
 
 LOW, HIGH = np.zeros(2), np.full(2, 10.0)
@@ -29,7 +29,7 @@ def test_the_area_of_a_convex_field_is_found_without_bias(draw, area, n):
     found = []
     for seed in range(60):
         points = draw(np.random.default_rng([seed, n]), n)
-        outline = Outline.of(points, points.min(axis=0), points.max(axis=0), n)
+        outline = ConvexRegion.of(points, points.min(axis=0), points.max(axis=0), n)
         assert outline is not None
         found.append(outline.area / area)
     error = np.std(found) / np.sqrt(len(found))
@@ -40,18 +40,18 @@ def test_rectangles_and_a_few_points_have_no_outline():
     rng = np.random.default_rng(1)
     for n in (99, 100, 1000, 20_000):
         points = rng.uniform(0.0, 10.0, (n, 2))
-        assert Outline.of(points, LOW, HIGH, n) is None
-    assert Outline.of(disc(rng, 99), LOW, HIGH, 99) is None
+        assert ConvexRegion.of(points, LOW, HIGH, n) is None
+    assert ConvexRegion.of(disc(rng, 99), LOW, HIGH, 99) is None
     line = np.column_stack([rng.uniform(0.0, 10.0, 200), np.full(200, 5.0)])
-    assert Outline.of(line, line.min(axis=0), line.max(axis=0), 200) is None
+    assert ConvexRegion.of(line, line.min(axis=0), line.max(axis=0), 200) is None
     diagonal = np.repeat(rng.uniform(0.0, 10.0, (200, 1)), 2, axis=1)
-    assert Outline.of(diagonal, LOW, HIGH, 200) is None or Outline.of(diagonal, LOW, HIGH, 200).area < 1.0
+    assert ConvexRegion.of(diagonal, LOW, HIGH, 200) is None or ConvexRegion.of(diagonal, LOW, HIGH, 200).area < 1.0
 
 
 @pytest.mark.parametrize("cells", [1, 3, 16, 50])
 def test_the_covered_parts_of_cells_agree_with_random_points(cells):
     rng = np.random.default_rng(2)
-    outline = Outline.of(disc(rng, 5000), LOW, HIGH, 5000)
+    outline = ConvexRegion.of(disc(rng, 5000), LOW, HIGH, 5000)
     i, j = np.divmod(np.arange(cells**2), cells)
     low = np.column_stack([i, j]) * (10.0 / cells)
     part = outline.part(low, low + 10.0 / cells)
@@ -83,6 +83,6 @@ def test_densities_in_a_cone_field_are_unbiased(space):
 def test_the_order_of_the_records_does_not_matter():
     rng = np.random.default_rng(4)
     points = disc(rng, 700)
-    one, two = (Outline.of(at, LOW, HIGH, 700) for at in (points, points[::-1]))
+    one, two = (ConvexRegion.of(at, LOW, HIGH, 700) for at in (points, points[::-1]))
     assert one.area == pytest.approx(two.area, rel=1e-12)
     np.testing.assert_allclose(one.x, two.x, rtol=1e-12)

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from sameas import Radius, Records
 from sameas.errors import InputError
 from sameas.evidence import Heights
-from sameas.evidence.heights import HeightTuning
+from sameas.evidence.heights import HeightEvidenceTuning
 
 
 def pairs(n: int, m: int):
@@ -21,7 +21,7 @@ def pairs(n: int, m: int):
 
 def test_the_ratio_of_two_heights_agrees_with_its_integral() -> None:
     """One object of a height anywhere in 13 km, against two: the rule's normal law is the integral within 1 %."""
-    tuning = HeightTuning(wrong=1e-9)
+    tuning = HeightEvidenceTuning(wrong=1e-9)
     for h, k, s, t in ((5000.0, 5030.0, 20.0, 40.0), (3000.0, 3200.0, 60.0, 60.0)):
         found = Heights({"a": np.array([[h, s]]), "b": np.array([[k, t]])}, tuning)(pairs(1, 1)).log_ratio[0]
 

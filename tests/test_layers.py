@@ -1,7 +1,9 @@
 """Import rules: every module has a layer, none imports a layer above it, and start-up imports little."""
 
+import ast
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -93,6 +95,16 @@ def test_a_module_with_one_importer_belongs_inside_it():
 
 
 @pytest.mark.slow
+def test_a_class_name_stands_for_one_thing():
+    homes = defaultdict(list)
+    for path in MODULES:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes[node.name].append(name_of(path))
+    del homes["Tuning"]  # of each stage
+    assert {name: where for name, where in homes.items() if len(where) > 1} == {}
+
+
 def test_very_short_modules_have_many_importers():
     assert too_small() == []
 

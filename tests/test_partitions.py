@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 
 from sameas.cli.app import app
 from sameas.estimate import places as of_places
-from sameas.estimate.places import Counts, Places
+from sameas.estimate.places import CellCounts, Places
 from sameas.io import read_table
 from sameas.io.atomic import held
 from sameas.partitions import healpix, run
@@ -621,7 +621,7 @@ def test_a_cell_counts_by_its_area_within_the_field(part):
     """Records in a part of 1 024 cells, eight per cell on average; the sparser source follows the denser."""
     rng, n = np.random.default_rng(2), 1_024
     rich, poor = (rng.integers(0, int(part * n), int(mean * part * n)) for mean in (8.0, 2.0))
-    counts = Counts.of(rich, poor)
+    counts = CellCounts.of(rich, poor)
     places = Places.of(counts, 1.0)
     assert places.steps == 0 and places.within(counts, np.array([0]), 5) == pytest.approx(part * n, rel=0.03)
     at = places.at(rich)
@@ -642,7 +642,7 @@ def cells_of_two_sources(seed, n):
 @pytest.mark.parametrize("seed", range(3))
 def test_densities_in_nested_cells_agree_with_the_definition(seed, n):
     one, two = cells_of_two_sources(seed, n) if n > 3 else (np.array([7] * n), np.array([7, 9]))
-    counts = Counts.of(one, two)
+    counts = CellCounts.of(one, two)
     places = Places.of(counts, 0.3)
     counts = counts.coarser(places.steps)
     seen, density = naive.nested_densities(counts.cells, counts.numbers, places.levels, places.volume)
@@ -656,9 +656,9 @@ def test_a_sample_of_cells_determines_the_smoothing(monkeypatch):
     """A uniform field with a dense cluster: one cell in twenty gives nearly the smoothing of all cells."""
     rng = np.random.default_rng(3)
     one, two = (np.concatenate([rng.integers(0, 1 << 14, 60_000), rng.integers(0, 1 << 10, 30_000)]) for _ in "12")
-    every = Places.of(Counts.of(one, two), 1.0)
+    every = Places.of(CellCounts.of(one, two), 1.0)
     monkeypatch.setattr(of_places, "SMOOTHING_CELLS", len(every.cells) // 20)
-    some = Places.of(Counts.of(one, two), 1.0)
+    some = Places.of(CellCounts.of(one, two), 1.0)
     apart = np.log(some.density / every.density)
     assert 0.0 < float(np.sqrt(np.mean(apart**2))) < 0.03
 

@@ -18,7 +18,7 @@ from sameas.kernels import threads
 from sameas.ragged import Ragged
 from sameas.representation import in_short
 
-Places = NDArray[np.int32]
+PlaceArray = NDArray[np.int32]
 
 
 @in_short
@@ -106,7 +106,7 @@ def groups(pairs: Pairs) -> Groups:
     return laid_out(pairs.place_1, pairs.place_2, pairs.i, pairs.j, len(pairs.first), len(pairs.second))
 
 
-def laid_out(place_1: Places, place_2: Places, i: Places, j: Places, n_1: int, n_2: int) -> Groups:
+def laid_out(place_1: PlaceArray, place_2: PlaceArray, i: PlaceArray, j: PlaceArray, n_1: int, n_2: int) -> Groups:
     """The connected components of pairs of records i and j, (m,) each, of n₁ and n₂.
 
     The places, (m,) each, number the records so that neighbours in the list are neighbours in memory; pairs of a record

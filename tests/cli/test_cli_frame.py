@@ -24,7 +24,7 @@ from sameas.errors import InputError
 from sameas.io import read_provenance, read_table, write_table
 from sameas.io.catalogues import COLUMNS, GaiaArchive, catalogue, rounded
 from sameas.report.frame import frame_lines
-from sameas.simulate.frames import Camera, Gaussian, Lens, frame_of_sky
+from sameas.simulate.frames import Camera, GaussianProfile, Lens, frame_of_sky
 from sameas.sky.catalogue import CatalogueOptions
 from sameas.sky.frame.field import Cone
 from sameas.sky.frame.plate import Pointing
@@ -66,7 +66,7 @@ def sky(n: int = 400) -> Table:
 def picture(path: Path, table: Table, seed: int = 3, *, solved: bool = True, **cards: object) -> Path:
     seen = frame_of_sky(
         np.random.default_rng(seed), ra_deg=table["ra"], dec_deg=table["dec"], magnitude=table["phot_g_mean_mag"],
-        wcs=pointing().to_wcs((SIDE, SIDE)), zero_point=19.0, lens=Lens(0.6), psf=Gaussian(2.6),
+        wcs=pointing().to_wcs((SIDE, SIDE)), zero_point=19.0, lens=Lens(0.6), psf=GaussianProfile(2.6),
         camera=Camera(shape=(SIDE, SIDE), hot_pixels=20),
     )  # fmt: skip
     header = pointing().to_wcs((SIDE, SIDE)).to_header() if solved else fits.Header()

@@ -11,7 +11,7 @@ from astropy.table import Table
 import sameas
 from sameas import InputError
 from sameas.io import read_provenance, read_table
-from sameas.simulate.frames import Camera, Gaussian, Lens, frame_of_sky
+from sameas.simulate.frames import Camera, GaussianProfile, Lens, frame_of_sky
 from sameas.sky.frame.plate import Pointing
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
@@ -39,7 +39,7 @@ def made(tmp_path_factory):
     stars = stars_of(300)
     seen = frame_of_sky(
         np.random.default_rng(3), ra_deg=stars["ra"], dec_deg=stars["dec"], magnitude=stars["phot_g_mean_mag"],
-        wcs=pointing().to_wcs((SIDE, SIDE)), zero_point=19.0, lens=Lens(0.3), psf=Gaussian(2.6),
+        wcs=pointing().to_wcs((SIDE, SIDE)), zero_point=19.0, lens=Lens(0.3), psf=GaussianProfile(2.6),
         camera=Camera(shape=(SIDE, SIDE)),
     )  # fmt: skip
     path = tmp_path_factory.mktemp("frame") / "m.fits"

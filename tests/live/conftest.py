@@ -92,7 +92,7 @@ def served(keeper, access=None):
     thread.start()
     try:
         end = time.monotonic() + 120.0  # kernels may have to be compiled
-        while keeper.frame is None or not server.started:
+        while keeper.situation is None or not server.started:
             assert time.monotonic() < end and thread.is_alive(), "it never ticked"
             time.sleep(0.02)
         yield f"http://127.0.0.1:{made.getsockname()[1]}"

@@ -6,8 +6,8 @@ import pytest
 from tests.browser import CHROMIUM, Browser
 from tests.live.conftest import EVIL, served
 
-from sameas.live.frame import Frame
 from sameas.live.server import Access
+from sameas.live.situation import Situation
 from sameas.picture.live import Registered
 from sameas.registration import Parameter
 from sameas.tracks.registration import SourceBiases
@@ -19,14 +19,14 @@ def test_the_map_updates_shows_the_past_and_runs_no_markup_in_names(keeper, tmp_
     with served(keeper) as url:
         page = Browser(tmp_path / "profile", url)
         try:
-            page.until("mapPage.live && mapPage.live.tick > 8 && document.body.dataset.live === 'yes'")
-            first = page.js("mapPage.live.tick")
-            page.until(f"mapPage.live.tick > {first + 4}")
+            page.until("mapPage.live && mapPage.live.situation > 8 && document.body.dataset.live === 'yes'")
+            first = page.js("mapPage.live.situation")
+            page.until(f"mapPage.live.situation > {first + 4}")
             assert page.js("mapPage.now.time") == pytest.approx(page.js("mapPage.live.present.t"), abs=21.0)
             # A name with markup stays text.
             page.until(f"[...document.querySelectorAll('#rows .label')].some(e => e.textContent === {EVIL!r})")
             assert page.js("document.querySelectorAll('img').length") == 0
-            number = next(n for n, row in keeper.frame.object_rows.items() if EVIL in row)
+            number = next(n for n, row in keeper.situation.object_rows.items() if EVIL in row)
             page.js(f"mapPage.pick({number})")
             page.until(f"document.querySelector('#object h2')?.textContent === {EVIL!r}")
             assert len(page.js("mapPage.now.marks.length && [...mapPage.now.members.values()].map(m => m.length)")) == 5
@@ -34,8 +34,8 @@ def test_the_map_updates_shows_the_past_and_runs_no_markup_in_names(keeper, tmp_
             page.until("document.getElementById('slider').max > 3")
             page.js("(s => { s.value = 0; s.dispatchEvent(new Event('input')); })(document.getElementById('slider'))")
             held = page.js("mapPage.now.time")
-            tick = page.js("mapPage.live.tick")
-            page.until(f"mapPage.live.tick > {tick + 3}")
+            tick = page.js("mapPage.live.situation")
+            page.until(f"mapPage.live.situation > {tick + 3}")
             assert page.js("mapPage.now.time") == held and page.js("document.body.dataset.live") == "back"
             page.js("document.getElementById('play').click()")
             page.until("document.body.dataset.live === 'yes' && mapPage.now.time > " + str(held))
@@ -88,18 +88,18 @@ def test_ranges_are_from_own_ship_and_an_approach_at_the_limit_is_one_alarm(keep
     keeper.settings.watch.__dict__.update(cpa_m=500.0, tcpa_s=1200.0)
     metres = {"now": 450.0}
 
-    def approach(frame):
-        numbers, mmsi = frame.objects["object"].tolist(), frame.objects["mmsi"].tolist()
+    def approach(situation):
+        numbers, mmsi = situation.objects["object"].tolist(), situation.objects["mmsi"].tolist()
         return {n: (metres["now"], 300.0) for n, m in zip(numbers, mmsi, strict=True) if m == "235000111"}
 
-    monkeypatch.setattr(Frame, "cpa", property(approach))
+    monkeypatch.setattr(Situation, "cpa", property(approach))
     with served(keeper) as url:
         page = Browser(tmp_path / "profile", url)
         try:
             page.until("mapPage.live && document.querySelectorAll('#alarms li.current').length === 1", 60.0)
             # Ranges and bearings are from own ship, unless the user chooses another centre.
             assert page.js("document.getElementById('ring').value") == "own"
-            number = next(n for n, row in keeper.frame.object_rows.items() if EVIL in row)
+            number = next(n for n, row in keeper.situation.object_rows.items() if EVIL in row)
             page.js(f"mapPage.pick({number})")
             page.until("document.querySelector('#object')?.textContent.includes('From own ship')")
             facts = "document.querySelector('#object').textContent"
@@ -113,15 +113,15 @@ def test_ranges_are_from_own_ship_and_an_approach_at_the_limit_is_one_alarm(keep
             # Within 1.2 times the limit an active alarm stays; beyond, it ends.
             metres["now"] = 580.0
             page.until(f"{cells}.filter(e => e).join() === '0.31'")
-            tick = page.js("mapPage.live.tick")
-            page.until(f"mapPage.live.tick > {tick + 6}")
+            tick = page.js("mapPage.live.situation")
+            page.until(f"mapPage.live.situation > {tick + 6}")
             assert page.js("document.querySelectorAll('#alarms li.current').length") == 1
             metres["now"] = 620.0
             page.until("document.querySelectorAll('#alarms li.current').length === 0")
             # It is not raised again before the limit itself.
             metres["now"] = 580.0
-            tick = page.js("mapPage.live.tick")
-            page.until(f"mapPage.live.tick > {tick + 6}")
+            tick = page.js("mapPage.live.situation")
+            page.until(f"mapPage.live.situation > {tick + 6}")
             assert page.js("document.querySelectorAll('#alarms li.current').length") == 0
             assert len([one for one in keeper.alarm_list() if one["kind"] == "cpa"]) == 1 and page.errors == []
         finally:

@@ -23,41 +23,43 @@ from tests.live.conftest import START_S, harbour, replay, settings
 
 from sameas.errors import InputError
 from sameas.io import read_table
-from sameas.live.frame import Alarm
 from sameas.live.journal import LAYOUT, Journal, load_state
 from sameas.live.keeper import Delta, Keeper
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings, read_settings
+from sameas.live.situation import Alarm
 from sameas.tracks import Description
 from sameas.tracks.reports import Reports
 
 
-def numbers(frame):
+def numbers(situation):
     """{MMSI: object number}."""
-    return {m: n for m, n in zip(frame.objects["mmsi"].tolist(), frame.objects["object"].tolist(), strict=True) if m}
+    return {
+        m: n for m, n in zip(situation.objects["mmsi"].tolist(), situation.objects["object"].tolist(), strict=True) if m
+    }
 
 
 def ticked(keeper, until_s, since_s=0.0, every_s=2.0):
     for t in np.arange(since_s + every_s, until_s + 1e-9, every_s):
-        frame = keeper.tick(START_S + t)
-    return frame
+        situation = keeper.tick(START_S + t)
+    return situation
 
 
 @pytest.mark.slow
 def test_ships_are_matched_with_their_radar_targets_in_the_journal(keeper, tmp_path):
-    frame = ticked(keeper, 60.0)
-    assert len(numbers(frame)) == 5
-    assert all(len(its) == 2 for its in frame.members.values())
+    situation = ticked(keeper, 60.0)
+    assert len(numbers(situation)) == 5
+    assert all(len(its) == 2 for its in situation.members.values())
     keeper.close()
     base = sqlite3.connect(tmp_path / "state" / "journal.sqlite")
     rows = base.execute("SELECT object, source, track FROM identities WHERE event = 'joined'").fetchall()
     assert base.execute("PRAGMA journal_mode").fetchone() == ("wal",)
     base.close()
     number_of = {(source, track): number for number, source, track in rows}
-    for number, its in frame.members.items():
+    for number, its in situation.members.items():
         assert all(number_of[member] == number for member in its)
     [path] = (tmp_path / "state" / "archive").iterdir()
     archive = read_table(path)
-    assert set(archive["object"]) == set(frame.objects["object"].tolist()) and len(set(archive["time_s"])) >= 5
+    assert set(archive["object"]) == set(situation.objects["object"].tolist()) and len(set(archive["time_s"])) >= 5
 
 
 @pytest.mark.slow
@@ -102,15 +104,15 @@ def test_identities_survive_a_kill(tmp_path):
 def test_deltas_add_up_to_the_frame(keeper):
     objects, records = {}, {}
     for k in range(1, 20):
-        frame = keeper.tick(START_S + 2.0 * k)
+        situation = keeper.tick(START_S + 2.0 * k)
         delta = keeper.deltas[-1]
         objects = {n: r for n, r in objects.items() if n not in delta.removed_objects} | {
             row[0]: row for row in delta.objects
         }
         records = {n: r for n, r in records.items() if n not in delta.removed_records}
         records |= {f"{row[1]}:{row[2]}": row for row in delta.records}
-        assert objects == frame.object_rows and records == frame.record_rows
-    assert Delta.between(frame, frame).objects == [] and Delta.between(None, frame).objects
+        assert objects == situation.object_rows and records == situation.record_rows
+    assert Delta.between(situation, situation).objects == [] and Delta.between(None, situation).objects
     keeper.close()
 
 
@@ -227,9 +229,9 @@ def test_a_close_approach_is_an_alarm_until_it_has_passed(tmp_path):
         for one in (ship, own):
             row = {name: column[k : k + 1] for name, column in one.items()}
             keeper.picture.add("ais", Reports.of("ais", "ais", row))
-        frame = keeper.tick(START_S + time_s)
-        said.append([alarm.kind for alarm in frame.alarms])
-    assert said[20] == ["cpa"] and frame.alarms == ()
+        situation = keeper.tick(START_S + time_s)
+        said.append([alarm.kind for alarm in situation.alarms])
+    assert said[20] == ["cpa"] and situation.alarms == ()
     [one] = keeper.alarm_list()
     assert (
         "will pass at 100 m" in one["text"]
@@ -258,7 +260,7 @@ def test_a_replay_skips_nothing_while_kernels_are_compiled(tmp_path, monkeypatch
     monkeypatch.setattr(keeper, "tick", kept)
     monkeypatch.setattr("sameas.live.keeper.asyncio.sleep", stalled)
     asyncio.run(keeper.run(until=lambda: len(ticks) >= 8))
-    steps_s = np.diff([frame.time_s for frame in ticks])
+    steps_s = np.diff([situation.time_s for situation in ticks])
     assert keeper.waited_s > 1.4 and steps_s.max() < 20.0 * 1.0
 
 
@@ -333,7 +335,7 @@ def test_the_contents_of_states_match_the_layout_version(keeper):
     names.dump(keeper.picture)
     held = sorted((kind, sorted(found)) for kind, found in names.found.items())
     # Where this fails, states that others have saved cannot be read any more: raise LAYOUT, and take the new digest.
-    assert (LAYOUT, hashlib.sha256(repr(held).encode()).hexdigest()[:12]) == (14, "d24d81c9d1ce")
+    assert (LAYOUT, hashlib.sha256(repr(held).encode()).hexdigest()[:12]) == (15, "a1e962829d11")
 
 
 def test_settings_are_read_and_unknown_ones_refused(tmp_path):
@@ -381,13 +383,13 @@ def test_a_watch_with_a_long_interval_stops_at_once(tmp_path):
     async def stopped():
         keeper, over = Keeper(settings(every_s=3600.0), tmp_path, replay=replay()), asyncio.Event()
         running = asyncio.create_task(keeper.run(until=over.is_set, stop=over))
-        while keeper.frame is None:
+        while keeper.situation is None:
             await asyncio.sleep(0.01)
         over.set()
         await asyncio.wait_for(running, 60.0)
         return keeper
 
-    assert asyncio.run(stopped()).frame is not None and load_state(tmp_path)["tick"] == 1
+    assert asyncio.run(stopped()).situation is not None and load_state(tmp_path)["tick"] == 1
 
 
 @pytest.mark.long
@@ -404,7 +406,7 @@ def test_memory_stays_constant_over_an_hour_at_hundredfold_pace(tmp_path):
             keeper._add("radar", flood, time.time())
         sizes.append(process.memory_info().rss / 1e6)
     assert sizes[-1] - sizes[360] < 30.0
-    assert len(numbers(keeper.frame)) == 5 and keeper.counters["faults"] == 0
+    assert len(numbers(keeper.situation)) == 5 and keeper.counters["faults"] == 0
     keeper.close()
 
 
@@ -427,8 +429,8 @@ def test_a_full_disk_is_an_alarm_and_missing_entries_are_written_later(tmp_path)
     two.journal._base.execute(f"PRAGMA max_page_count = {pages}")
     big = Alarm("flood", "source", "x" * 100_000)
     assert two._try_journal(lambda journal: journal.alarm(big, 0.0)) is None
-    frame = two.tick(START_S + 22.0)
-    assert [alarm.text for alarm in frame.alarms if alarm.key == "folder"] == [
+    situation = two.tick(START_S + 22.0)
+    assert [alarm.text for alarm in situation.alarms if alarm.key == "folder"] == [
         f"{tmp_path / 'two'} cannot be written; events are not saved: database or disk is full"
     ]
     listed = {alarm["key"]: alarm["id"] for alarm in two.alarm_list()}
@@ -447,8 +449,8 @@ def test_ticks_not_written_to_the_journal_are_written_later(tmp_path, monkeypatc
     one, two = (Keeper(settings(), tmp_path / name, replay=replay()) for name in ("one", "two"))
     written = Journal._write_identities
 
-    def full(journal, frame):
-        written(journal, frame)
+    def full(journal, situation):
+        written(journal, situation)
         raise sqlite3.OperationalError("database or disk is full")
 
     ticked(one, 60.0)
@@ -467,8 +469,8 @@ def test_a_deleted_folder_does_not_stop_the_keeper_and_is_reported_at_the_end(tm
     keeper = Keeper(settings(save_every_s=2.0), tmp_path / "state", replay=replay())
     ticked(keeper, 10.0)
     shutil.rmtree(tmp_path / "state")
-    frame = ticked(keeper, 20.0, 10.0)
-    assert any(alarm.key == "folder" for alarm in frame.alarms)
+    situation = ticked(keeper, 20.0, 10.0)
+    assert any(alarm.key == "folder" for alarm in situation.alarms)
     with pytest.raises(InputError, match=r"the last state of the watch is not saved: .*make room, or give a folder"):
         keeper.close()
 
@@ -519,20 +521,20 @@ def test_deception_and_source_faults_are_alarms_that_can_be_acknowledged(source,
             for name, one in made.items():
                 arrival_s = arrivals_s[name][: len(one)] if change != "ended" else one.time_s
                 keeper.picture.add(name, one.where((arrival_s > t) & (arrival_s <= t + 5.0)))
-            frame = keeper.tick(t + 5.0)
-        return frame
+            situation = keeper.tick(t + 5.0)
+        return situation
 
     goes_on(0.0, 300.0)
     keeper.search()
     goes_on(300.0, 310.0)
     assert not [alarm for alarm in keeper.alarm_list() if alarm["kind"] in ("source", "deception")]
     keeper.search()
-    frame = goes_on(310.0, 320.0)
+    situation = goes_on(310.0, 320.0)
     found = [alarm for alarm in keeper.alarm_list() if alarm["kind"] in ("source", "deception")]
     assert [alarm["kind"] for alarm in found] == ([kind] if kind else [])
     if kind:
         assert words in found[0]["text"] and "probability" in found[0]["text"]
         assert keeper.acknowledge(found[0]["id"], "mate") and keeper.alarm_list()[0]["acknowledged_by"] == "mate"
     if kind == "deception":
-        assert any(numbers(frame)["235002111"] in alarm.objects for alarm in frame.alarms)
+        assert any(numbers(situation)["235002111"] in alarm.objects for alarm in situation.alarms)
     keeper.close()

@@ -13,15 +13,15 @@ from tests.live.conftest import EVIL, SITE, START_S, replay, settings
 
 from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
-from sameas.live.frame import OwnShipState
 from sameas.live.keeper import Keeper
 from sameas.live.outputs import FORMATS, Sink, TargetNumbers, geojson, metrics, nmea, sinks_of
+from sameas.live.situation import OwnShipState
 from sameas.tracks.heights import GEOMETRIC, PRESSURE, HeightModel, _Line
 
 
 @pytest.fixture(scope="module")
-def frame(tmp_path_factory):
-    """One frame, shared read-only by all tests."""
+def situation(tmp_path_factory):
+    """One situation, shared read-only by all tests."""
     keeper = Keeper(settings(), tmp_path_factory.mktemp("outputs") / "state", replay=replay(until_s=2400.0))
     for k in range(1, 30):
         made = keeper.tick(START_S + 2.0 * k)
@@ -29,36 +29,36 @@ def frame(tmp_path_factory):
     return made
 
 
-def read_back(frame, format, stream_format):
+def read_back(situation, format, stream_format):
     stream = ReportStream("out", stream_format)
-    for part in FORMATS[format](frame):
-        stream.feed(part, frame.time_s, last=True)
+    for part in FORMATS[format](situation):
+        stream.feed(part, situation.time_s, last=True)
     return stream.reports()
 
 
-def placed(frame):
-    return {one["object"]: one for one in frame.listed()}
+def placed(situation):
+    return {one["object"]: one for one in situation.listed()}
 
 
 @pytest.mark.slow
-def test_asterix_062_round_trips(frame):
-    [reports] = read_back(frame, "asterix", "asterix")
-    truth = placed(frame)
+def test_asterix_062_round_trips(situation):
+    [reports] = read_back(situation, "asterix", "asterix")
+    truth = placed(situation)
     assert reports.kind == "asterix 062" and len(reports) == 5
     for k, number in enumerate(reports.track_id.tolist()):
         one = truth[int(number)]
         assert reports.lat_deg[k] == pytest.approx(one["lat_deg"], abs=1e-5)
         assert reports.lon_deg[k] == pytest.approx(one["lon_deg"], abs=1e-5)
         assert np.hypot(reports.vx_m_per_s[k], reports.vy_m_per_s[k]) == pytest.approx(one["speed_m_per_s"], abs=0.4)
-        assert reports.time_s[k] == pytest.approx(frame.time_s, abs=0.01)
+        assert reports.time_s[k] == pytest.approx(situation.time_s, abs=0.01)
         assert np.sqrt(reports.covariance_m2[k, 0]) == pytest.approx(np.sqrt(one["var_x_m2"]), abs=0.5)
 
 
-def test_ttm_and_tll_round_trip(frame):
-    lines = b"".join(FORMATS["nmea"](frame)).decode()
+def test_ttm_and_tll_round_trip(situation):
+    lines = b"".join(FORMATS["nmea"](situation)).decode()
     assert lines.count("$RATTM") == 5 == lines.count("$RATLL")
-    [reports] = read_back(frame, "nmea", "nmea")
-    truth = placed(frame)
+    [reports] = read_back(situation, "nmea", "nmea")
+    truth = placed(situation)
     for k, number in enumerate(reports.track_id.tolist()):
         one = truth[int(number)]
         assert reports.range_m[k] == pytest.approx(np.hypot(one["x_m"], one["y_m"]), abs=2.0)
@@ -66,7 +66,7 @@ def test_ttm_and_tll_round_trip(frame):
 
 
 def ships(numbers, x_m=None):
-    """A frame with these confirmed objects, at these distances east of own ship."""
+    """A situation with these confirmed objects, at these distances east of own ship."""
     places = x_m or {n: 1000.0 + n for n in numbers}
     listed = [
         {"object": n, "stage": "confirmed", "x_m": places[n], "y_m": 0.0, "speed_m_per_s": 1.0, "course_deg": 0.0}
@@ -113,16 +113,16 @@ def test_of_more_than_a_hundred_targets_the_nearest_have_numbers():
     assert lost == []  # its number is in use again at once
 
 
-def test_signal_k_deltas_round_trip(frame):
-    [reports] = read_back(frame, "signalk", "signalk")
-    truth = {one["mmsi"]: one for one in frame.listed()}
+def test_signal_k_deltas_round_trip(situation):
+    [reports] = read_back(situation, "signalk", "signalk")
+    truth = {one["mmsi"]: one for one in situation.listed()}
     assert set(reports.mmsi) == set(truth)
     for k, mmsi in enumerate(reports.mmsi):
         assert reports.lat_deg[k] == pytest.approx(truth[mmsi]["lat_deg"])
 
 
-def test_cursor_on_target_is_valid_xml_for_any_ship_name(frame):
-    found = [ET.fromstring(part) for part in FORMATS["cot"](frame)]
+def test_cursor_on_target_is_valid_xml_for_any_ship_name(situation):
+    found = [ET.fromstring(part) for part in FORMATS["cot"](situation)]
     assert len(found) == 5 and EVIL in {one.find("detail/contact").get("callsign") for one in found}
     assert all(one.get("type") == "a-u-S" and 0.0 < float(one.find("point").get("ce")) < 200.0 for one in found)
     assert all(abs(float(one.find("point").get("lat")) - SITE[0]) < 0.2 for one in found)
@@ -136,13 +136,13 @@ def test_cursor_on_target_is_valid_xml_for_any_ship_name(frame):
         (HeightModel(PRESSURE, _Line(50.0, 0.02, 15.0, 40)), 3110.0, np.hypot(1.02 * 20.0, 15.0)),
     ],
 )
-def test_cursor_on_target_has_the_height_above_the_ellipsoid(frame, model, hae, sigma):
-    count = len(frame.objects["object"])
+def test_cursor_on_target_has_the_height_above_the_ellipsoid(situation, model, hae, sigma):
+    count = len(situation.objects["object"])
     height = np.ma.masked_all(count)
     height[0] = 3000.0
     flying = replace(
-        frame, heights=model,
-        objects=frame.objects | {"height_m": height, "sigma_height_m": np.ma.where(height.mask, np.nan, 20.0)},
+        situation, heights=model,
+        objects=situation.objects | {"height_m": height, "sigma_height_m": np.ma.where(height.mask, np.nan, 20.0)},
     )  # fmt: skip
     points = [ET.fromstring(part).find("point") for part in FORMATS["cot"](flying)]
     [known] = [point for point in points if point.get("hae") != "9999999.0"]
@@ -151,27 +151,27 @@ def test_cursor_on_target_has_the_height_above_the_ellipsoid(frame, model, hae, 
     assert all(point.get("le") == "9999999.0" for point in points if point is not known)
 
 
-def test_an_aircraft_has_no_closest_approach_to_a_ship(frame):
-    assert frame.cpa
-    number = next(iter(frame.cpa))
-    icao = np.where(frame.objects["object"] == number, "400801", frame.objects["icao"])
-    flying = replace(frame, objects=frame.objects | {"icao": icao})
-    assert set(frame.cpa) - set(flying.cpa) == {number}
+def test_an_aircraft_has_no_closest_approach_to_a_ship(situation):
+    assert situation.cpa
+    number = next(iter(situation.cpa))
+    icao = np.where(situation.objects["object"] == number, "400801", situation.objects["icao"])
+    flying = replace(situation, objects=situation.objects | {"icao": icao})
+    assert set(situation.cpa) - set(flying.cpa) == {number}
 
 
-def test_lines_and_geojson_contain_every_object(frame):
-    lines = [json.loads(line) for line in b"".join(FORMATS["jsonl"](frame)).splitlines()]
-    assert {one["object"] for one in lines} == set(frame.objects["object"].tolist())
-    assert all(set(one["sources"]) and one["time_s"] == frame.time_s for one in lines)
-    assert len(geojson(frame)["features"]) == 5
+def test_lines_and_geojson_contain_every_object(situation):
+    lines = [json.loads(line) for line in b"".join(FORMATS["jsonl"](situation)).splitlines()]
+    assert {one["object"] for one in lines} == set(situation.objects["object"].tolist())
+    assert all(set(one["sources"]) and one["time_s"] == situation.time_s for one in lines)
+    assert len(geojson(situation)["features"]) == 5
 
 
-def test_a_sink_sends_what_fits_in_datagrams(frame):
+def test_a_sink_sends_what_fits_in_datagrams(situation):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
         made.bind(("127.0.0.1", 0))
         made.settimeout(5.0)
         sink = Sink(f"udp://127.0.0.1:{made.getsockname()[1]}", "nmea")
-        sink.send(frame)
+        sink.send(situation)
         came = made.recv(65536)
         sink.close()
     assert came.startswith(b"$RATTM") and len(came) <= 1400 and came.endswith(b"\r\n")
@@ -180,24 +180,24 @@ def test_a_sink_sends_what_fits_in_datagrams(frame):
             sinks_of([wrong])
 
 
-def test_sentences_have_82_characters_at_most(frame, monkeypatch):
-    listed = [one | {"name": "ABCDEFGHIJKLMNOPQRST", "x_m": 100_000.0} for one in frame.listed()]
-    monkeypatch.setattr(type(frame), "listed", lambda self: listed)
-    monkeypatch.setattr(type(frame), "cpa", {one["object"]: (99_999.0, 9_999.0) for one in listed})
-    sentences = list(FORMATS["nmea"](frame))
+def test_sentences_have_82_characters_at_most(situation, monkeypatch):
+    listed = [one | {"name": "ABCDEFGHIJKLMNOPQRST", "x_m": 100_000.0} for one in situation.listed()]
+    monkeypatch.setattr(type(situation), "listed", lambda self: listed)
+    monkeypatch.setattr(type(situation), "cpa", {one["object"]: (99_999.0, 9_999.0) for one in listed})
+    sentences = list(FORMATS["nmea"](situation))
     assert max(map(len, sentences)) == 82 and all(b",ABCDEFG" in sentence for sentence in sentences)
 
 
-def test_no_transponder_text_stops_an_output(frame, monkeypatch):
+def test_no_transponder_text_stops_an_output(situation, monkeypatch):
     """A six-letter address that is no hexadecimal number once stopped the ASTERIX output."""
     hostile = {"icao": "zzzzzz", "mmsi": "=cmd()", "name": 'a*00\r\n$GPGLL,"/><x', "label": "]]>\x1b[31m\u2028"}
-    listed = [one | hostile for one in frame.listed()]
-    monkeypatch.setattr(type(frame), "listed", lambda self: listed)
+    listed = [one | hostile for one in situation.listed()]
+    monkeypatch.setattr(type(situation), "listed", lambda self: listed)
     one = {"reports": 1, "late": 0, "repeated": 0, "jumps": 0, "refused": 0}
     health = {"ok": True, "tick": 1, "faults": 0, "objects": 1, "sources": {hostile["name"]: one}, "wires": {}}
     lines = metrics(health, []).split("\n")[:-1]
     assert all(re.fullmatch(r'#.*|[a-z_]+(\{[a-z]+="([^"\\\n]|\\.)*"\})? [0-9.]+', line) for line in lines), lines
-    parts = {name: list(FORMATS[name](frame)) for name in FORMATS}
+    parts = {name: list(FORMATS[name](situation)) for name in FORMATS}
     assert all(parts.values())
     for part in parts["cot"]:
         assert ET.fromstring(part).find("detail/contact").get("callsign").isprintable()

@@ -139,9 +139,11 @@ def test_a_token_has_its_role(token, role):
 
 
 def test_no_name_breaks_an_event_stream(keeper):
-    frame = keeper.tick(START_S + 2.0)
-    delta = Delta(frame.tick, frame.time_s, objects=[(1, 'a\n\nevent: whole\r\ndata: {}\u2028</script>\x1b[31m"')])
-    event = _event("delta", keeper, frame, delta)
+    situation = keeper.tick(START_S + 2.0)
+    delta = Delta(
+        situation.tick, situation.time_s, objects=[(1, 'a\n\nevent: whole\r\ndata: {}\u2028</script>\x1b[31m"')]
+    )
+    event = _event("delta", keeper, situation, delta)
     head, data, end, rest = event.split("\n", 1)[1].split("\n")
     assert head == "event: delta" and end == rest == "" and event.isascii()
     assert json.loads(data.removeprefix("data: "))["objects"] == [list(row) for row in delta.objects]

@@ -71,28 +71,28 @@ def test_sensors_over_sockets_make_one_picture_and_a_dead_one_raises_an_alarm(tm
         out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         await until(lambda: writers and all(wire.state.connected for wire in keeper.wires.values()))
         for k in range(3000):  # kernels may have to be compiled first, which takes minutes on a busy machine
-            if k >= 20 and keeper.frame is not None and len(keeper.frame.members) >= 5:
+            if k >= 20 and keeper.situation is not None and len(keeper.situation.members) >= 5:
                 break
             now = time.time()
             for line in lines(at(made["ais"], min(k // 3, 9)), now):
                 out.sendto(line, ("127.0.0.1", ports["udp"]))
             writers[-1].write(b"no line of any format\n" + b"".join(lines(at(made["radar"], min(k, 19)), now)))
             await asyncio.sleep(0.1)
-        assert keeper.frame is not None and len(keeper.frame.members) >= 5
-        frame, health = keeper.frame, keeper.health()
+        assert keeper.situation is not None and len(keeper.situation.members) >= 5
+        situation, health = keeper.situation, keeper.health()
         writers[-1].close()
         server.close()
-        await until(lambda: any(alarm.key == "silent radar" for alarm in keeper.frame.alarms), 10.0)
+        await until(lambda: any(alarm.key == "silent radar" for alarm in keeper.situation.alarms), 10.0)
         out.sendto(b"x" * 60000, ("127.0.0.1", ports["udp"]))
         await asyncio.sleep(0.5)
         ticking = keeper.health()["ok"]
         over.set()
         await task
         out.close()
-        return frame, health, ticking, keeper
+        return situation, health, ticking, keeper
 
-    frame, health, ticking, keeper = asyncio.run(run())
-    assert {source for its in frame.members.values() for source, _ in its} == {"ais", "radar"}
+    situation, health, ticking, keeper = asyncio.run(run())
+    assert {source for its in situation.members.values() for source, _ in its} == {"ais", "radar"}
     assert health["sources"]["ais"]["reports"] >= 50 and abs(health["sources"]["ais"]["delay_s"]) < 5.0
     assert health["wires"][f"tcp://127.0.0.1:{keeper_port(keeper)}"]["damaged"] >= 10
     assert ticking and keeper.counters["faults"] == 0

@@ -11,7 +11,7 @@ import pytest
 import naive
 from sameas.errors import InputError
 from sameas.kernels.linear import best_motion
-from sameas.simulate.frames import Camera, Gaussian, frame_of
+from sameas.simulate.frames import Camera, GaussianProfile, frame_of
 from sameas.sky.movers.below_limit import Plan, _normalised, search_below_limit
 from sameas.sky.movers.search import search
 from sameas.sky.movers.stack import stack
@@ -33,7 +33,7 @@ def series(seed, magnitude=None, *, count=10, rate=(-0.4, 0.15), listed=False, s
     for k in range(count):
         xy = np.vstack([at, track[k : k + len(flux)]])
         made = frame_of(
-            rng, x_px=xy[:, 0], y_px=xy[:, 1], flux_e=np.append(light, flux), psf=Gaussian(FWHM),
+            rng, x_px=xy[:, 0], y_px=xy[:, 1], flux_e=np.append(light, flux), psf=GaussianProfile(FWHM),
             camera=Camera(shape=(SIDE, SIDE), sky_e=300.0, read_noise_e=5.0, hot_pixels=0), name=f"f{k}",
         )  # fmt: skip
         frames.append(made.frame)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from sameas.errors import InputError
-from sameas.simulate.frames import Camera, Gaussian, Moffat, Trail, frame_of
+from sameas.simulate.frames import Camera, GaussianProfile, Moffat, Trail, frame_of
 from sameas.sky.frame.centroid import Background
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.image import Frame, MasterFrames, read
@@ -41,7 +41,7 @@ def robust(values):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("psf", "trail"),
-    [(Gaussian(3.0), None), (Moffat(3.0), None), (Moffat(1.5), None), (Moffat(2.5), Trail(8.0, 30.0))],
+    [(GaussianProfile(3.0), None), (Moffat(3.0), None), (Moffat(1.5), None), (Moffat(2.5), Trail(8.0, 30.0))],
     ids=["gaussian", "moffat", "undersampled", "trailed"],
 )
 def test_normalised_errors_have_unit_variance(psf, trail):

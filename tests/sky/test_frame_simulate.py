@@ -5,12 +5,12 @@ import pytest
 from astropy.wcs import WCS
 
 from sameas.errors import InputError
-from sameas.simulate.frames import Camera, Gaussian, Lens, Moffat, Trail, frame_of, frame_of_sky
+from sameas.simulate.frames import Camera, GaussianProfile, Lens, Moffat, Trail, frame_of, frame_of_sky
 
 QUIET = Camera(shape=(101, 101), sky_e=0.0, read_noise_e=0.0, gain_e_per_adu=1.0, bias_adu=0.0, saturation_e=1e9)
 
 
-@pytest.mark.parametrize("psf", [Gaussian(1.5), Gaussian(4.0), Moffat(2.0, 4.0)])
+@pytest.mark.parametrize("psf", [GaussianProfile(1.5), GaussianProfile(4.0), Moffat(2.0, 4.0)])
 @pytest.mark.parametrize("trail", [None, Trail(15.0, 70.0)])
 def test_all_flux_of_a_star_is_around_its_position(psf, trail):
     rng = np.random.default_rng(1)

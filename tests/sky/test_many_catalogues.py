@@ -269,7 +269,7 @@ def test_candidates_of_two_catalogues_stay_candidates_of_all(monkeypatch: pytest
     records: Any = [range(30)] * 3
     moving: Any = [SimpleNamespace(moving=np.ones(30, bool))] * 3
     matches: Any = matched
-    made = many_match.Candidates.of(matches, records, moving)
+    made = many_match.PairwiseGate.of(matches, records, moving)
     for two, (i, j, _) in matched.items():
         kept = np.column_stack(made.indices[two]).tolist()
         assert {*zip(i.tolist(), j.tolist(), strict=True)} <= set(map(tuple, kept))

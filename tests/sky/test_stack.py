@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from browser import CHROMIUM, Browser
-from sameas.simulate.frames import Camera, Gaussian, frame_of
+from sameas.simulate.frames import Camera, GaussianProfile, frame_of
 from sameas.sky.movers.search import search
 from sameas.sky.movers.stack import TUNING, _evidence, confirmed, stack
 from sameas.sky.series import Exposure, tie
@@ -29,7 +29,7 @@ def series(seed, flux_e=4000.0, *, seen=None, count=6, rate=(0.5, -0.1), hidden_
     for k in range(count):
         xy = np.vstack([star, track[k]])
         made = frame_of(
-            rng, x_px=xy[:, 0], y_px=xy[:, 1], flux_e=np.append(light, flux_e), psf=Gaussian(3.0),
+            rng, x_px=xy[:, 0], y_px=xy[:, 1], flux_e=np.append(light, flux_e), psf=GaussianProfile(3.0),
             camera=Camera(shape=(SIDE, SIDE), sky_e=300.0, read_noise_e=5.0), name=f"f{k}",
         )  # fmt: skip
         frames.append(made.frame)

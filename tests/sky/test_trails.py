@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sameas.simulate.frames import Camera, Gaussian, frame_of
+from sameas.simulate.frames import Camera, GaussianProfile, frame_of
 from sameas.sky.frame.detect import detect
 from sameas.sky.movers.search import search
 from sameas.sky.movers.stack import _Pixels, with_trails
@@ -38,7 +38,7 @@ def frames(seed, *, rate=None, flux=2e4, count=6, stars=90, extra=None):
             parts.append(extra(k, rng))
         xy, each = (np.concatenate(one) for one in zip(*parts, strict=True))
         made = frame_of(
-            rng, x_px=xy[:, 0], y_px=xy[:, 1], flux_e=each, psf=Gaussian(FWHM),
+            rng, x_px=xy[:, 0], y_px=xy[:, 1], flux_e=each, psf=GaussianProfile(FWHM),
             camera=Camera(shape=(SIDE, SIDE), sky_e=300.0, read_noise_e=5.0), name=f"f{k}",
         ).frame  # fmt: skip
         m = detect(made)
@@ -62,7 +62,7 @@ def test_ends_and_errors_of_a_trail_are_right():
         angle, length, middle = rng.uniform(0, np.pi), rng.uniform(6, 30), rng.uniform(40, 60, 2)
         half = 0.5 * length * np.array([np.cos(angle), np.sin(angle)])
         at, light = line(middle - half, middle + half, 15000.0)
-        made = frame_of(rng, x_px=at[:, 0], y_px=at[:, 1], flux_e=light, psf=Gaussian(FWHM),
+        made = frame_of(rng, x_px=at[:, 0], y_px=at[:, 1], flux_e=light, psf=GaussianProfile(FWHM),
                         camera=Camera(shape=(100, 100), sky_e=300.0, read_noise_e=5.0)).frame  # fmt: skip
         pixels = _Pixels.of(made, np.empty((0, 2)), np.empty(0), FWHM)
         ((_, ends),) = pixels.candidates((middle + 0.2 * half)[None])

@@ -159,7 +159,7 @@ def test_a_fast_target_keeps_its_number():
 
 
 def test_a_stream_remembers_the_numbers_that_were_lost():
-    ship = arpa.OwnShip()
+    ship = arpa.ArpaState()
     first = reports(ZDA, ttm(), ship=ship)
     with pytest.raises(InputError):
         reports(ZDA, ttm(status="L", time="130217.00"), ship=ship)

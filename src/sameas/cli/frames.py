@@ -24,7 +24,7 @@ from sameas.front.framing import CLOSE, FrameRequest, fulfil
 from sameas.io.atomic import end_with_parent
 
 if TYPE_CHECKING:
-    from sameas.front.series import Identified
+    from sameas.front.series import IdentifiedFrame
 
 
 def two_numbers(text: str, option: str, what: str) -> tuple[float, float]:
@@ -85,11 +85,11 @@ class Outcome:
     seconds: float = 0.0
 
 
-def identified(outcomes: Sequence[Outcome]) -> tuple[list[Identified], list[tuple[str, str]]]:
+def identified(outcomes: Sequence[Outcome]) -> tuple[list[IdentifiedFrame], list[tuple[str, str]]]:
     """The identified frames; and the names of the others, with their errors."""
-    from sameas.front.series import Identified
+    from sameas.front.series import IdentifiedFrame
 
-    done = [Identified(one.request, one.summary) for one in outcomes if one.summary is not None]
+    done = [IdentifiedFrame(one.request, one.summary) for one in outcomes if one.summary is not None]
     return done, [(one.request.name, one.error) for one in outcomes if one.summary is None]
 
 

@@ -80,7 +80,7 @@ DEFAULT_BLENDS = BlendTuning()
 
 @in_short
 @dataclass(frozen=True)
-class Candidates:
+class BlendCandidates:
     """The candidates of records of the coarse source, o in number, those of one object first.
 
     i, j, k : (o,) record of source 1, of source 2, and the second one of a blend, −1 if none.
@@ -96,7 +96,7 @@ class Candidates:
     couples: IntArray
     blended: FloatArray
 
-    def part(self, kept: BoolArray) -> Candidates:
+    def part(self, kept: BoolArray) -> BlendCandidates:
         """The candidates of a mask (o,)."""
         return replace(
             self, i=self.i[kept], j=self.j[kept], k=self.k[kept], log_density=self.log_density[kept],
@@ -124,7 +124,7 @@ class Blends:
     other: np.ma.MaskedArray
     p_match: FloatArray
     p_blend: FloatArray
-    candidates: Candidates = field(repr=False)
+    candidates: BlendCandidates = field(repr=False)
     p: FloatArray = field(repr=False)
     share: float
     shares: tuple[float, ...]
@@ -248,7 +248,7 @@ def suspected_blends(
 
 def candidates_of(
     first: Records, second: Records, resolution: float, errors: Errors, flux: FloatArray | None, tuning: BlendTuning
-) -> Candidates:
+) -> BlendCandidates:
     """All candidates of records of the coarse source, one object or two."""
     by_model = errors.records(first, second)
     sigma = math.sqrt(sum(float(np.einsum("ndd->nd", one.full_covariance()).max()) for one in by_model))
@@ -278,7 +278,7 @@ def candidates_of(
         between = part[:, None] * residual[e] + (1.0 - part[:, None]) * residual[f]
         log_n = _log_densities(between, covariance[np.where(part >= 0.5, e, f)], errors)
         density = np.logaddexp(density, log_n - math.log(parts.shape[1]))
-    return Candidates(
+    return BlendCandidates(
         np.concatenate([i, i[e]]), np.concatenate([j, j[e]]), np.concatenate([np.full(len(i), -1), j[f]]),
         np.concatenate([single, density]), np.concatenate([np.full(len(i), -1), which.reshape(-1)]), couples,
         blended[at],
@@ -389,7 +389,7 @@ class DetectionOdds:
 
 
 def log_odds_of(
-    candidates: Candidates, detection: DetectionOdds, shares: FloatArray, rho: FloatArray
+    candidates: BlendCandidates, detection: DetectionOdds, shares: FloatArray, rho: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(o,) ln of N / ρ₁ of each candidate, and (o,) ln of its odds against no partner if no other record has one.
 
@@ -417,7 +417,7 @@ class Summed:
 
 
 def hypotheses(
-    candidates: Candidates,
+    candidates: BlendCandidates,
     log_density: FloatArray,
     log_odds: FloatArray,
     detection: DetectionOdds,
@@ -451,7 +451,7 @@ def hypotheses(
     return Summed(p, chosen, exact)
 
 
-def _groups(candidates: Candidates, n1: int, cluster: IntArray) -> IntArray:
+def _groups(candidates: BlendCandidates, n1: int, cluster: IntArray) -> IntArray:
     """(o,) group of each candidate: of records that compete, or whose objects may merge."""
     objects = n1 + cluster[candidates.j]
     return _components(candidates.i, objects, int(objects.max()) + 1)[candidates.i]
@@ -467,7 +467,7 @@ def _components(one: IntArray, other: IntArray, n: int) -> IntArray:
 
 
 def _enumerate(
-    candidates: Candidates, rows: IntArray, log_density: FloatArray, detection: DetectionOdds
+    candidates: BlendCandidates, rows: IntArray, log_density: FloatArray, detection: DetectionOdds
 ) -> tuple[FloatArray, BoolArray]:
     """Probabilities of the candidates ``rows`` of one group, and which are in its most probable hypothesis."""
     options: dict[int, list[int]] = {}
@@ -502,7 +502,7 @@ def _enumerate(
     return p, chosen
 
 
-def _to_blends(candidates: Candidates, solution: Summed, n1: int, share: float, shares: FloatArray) -> Blends:
+def _to_blends(candidates: BlendCandidates, solution: Summed, n1: int, share: float, shares: FloatArray) -> Blends:
     """The result by record of the coarse source."""
     partner, other = (np.ma.array(np.zeros(n1, np.int64), mask=True) for _ in range(2))
     p_match: FloatArray = np.clip(1.0 - np.bincount(candidates.i, solution.p, n1), 0.0, 1.0)

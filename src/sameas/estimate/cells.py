@@ -1,8 +1,8 @@
 """The field of two sources: cells of equal size, coarse to fine, the part of each within the field, and lists of discs.
 
-A field is outlined by a convex polygon (:class:`Outline`), because surveys are often cones, and cameras rotated, while
-cells fill a rectangle. Without the outline, cells at the border would count as whole: the density of a disc would be
-underestimated by a quarter, most at its border, and chance pairs there too.
+A field is outlined by a convex polygon (:class:`ConvexRegion`), because surveys are often cones, and cameras rotated,
+while cells fill a rectangle. Without the outline, cells at the border would count as whole: the density of a disc would
+be underestimated by a quarter, most at its border, and chance pairs there too.
 
 A field may also be discs (:class:`Discs`): one source, or both, were queried within a radius around each of a list of
 targets, the records of the other source or in neither of the two. Such discs (cone searches) may hold two or three
@@ -46,7 +46,7 @@ LEAST = 1e-3
 
 
 @dataclass(frozen=True)
-class Outline:
+class ConvexRegion:
     """A convex region in the plane.
 
     x : (v,) ascending. lower, upper : (v,) its border there, straight in between. area : its area.
@@ -58,7 +58,7 @@ class Outline:
     area: float
 
     @classmethod
-    def of(cls, points: FloatArray, low: FloatArray, high: FloatArray, records: int) -> Outline | None:
+    def of(cls, points: FloatArray, low: FloatArray, high: FloatArray, records: int) -> ConvexRegion | None:
         """The outline of points (n, 2) in a rectangle; None if that is the rectangle itself, or with too few points.
 
         records : least number of objects that the points represent.
@@ -290,7 +290,7 @@ class _SphereCells:
     high: float
     west: float
     arc: float
-    outline: Outline | None = None
+    outline: ConvexRegion | None = None
 
     @classmethod
     def over(cls, first: Records, second: Records) -> _SphereCells:
@@ -316,7 +316,7 @@ class _SphereCells:
         south_west, north_east = (
             np.array([x, math.sin(math.radians(latitude))]) for x, latitude in ((0.0, low), (arc, high))
         )
-        return cls(low, high, west, arc, Outline.of(points, south_west, north_east, max(len(first), len(second))))
+        return cls(low, high, west, arc, ConvexRegion.of(points, south_west, north_east, max(len(first), len(second))))
 
     @property
     def area(self) -> float:
@@ -362,7 +362,7 @@ class _BoxCells:
 
     low: FloatArray
     extent: FloatArray
-    outline: Outline | None = None
+    outline: ConvexRegion | None = None
 
     @classmethod
     def over(cls, first: Records, second: Records) -> _BoxCells:
@@ -370,7 +370,7 @@ class _BoxCells:
         low, high = both.min(axis=0), both.max(axis=0)
         margin = _margin(high - low, first, second)
         low, high = low - margin, high + margin
-        outline = Outline.of(both, low, high, max(len(first), len(second))) if len(low) == 2 else None
+        outline = ConvexRegion.of(both, low, high, max(len(first), len(second))) if len(low) == 2 else None
         return cls(low, high - low, outline)
 
     @property

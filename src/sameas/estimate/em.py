@@ -18,7 +18,7 @@ from sameas.errors import InputError
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.companions import DEFAULT_COMPANIONS, Companions, CompanionsTuning, clustering
 from sameas.estimate.coverage import local_share
-from sameas.estimate.error_grid import Average, Averaged, Solution, without_positions
+from sameas.estimate.error_grid import Average, Averaged, HypothesisSums, without_positions
 from sameas.estimate.error_model import DEFAULT_SCALES, ScalesTuning, fit_errors
 from sameas.estimate.grades import Grades
 from sameas.estimate.photometry import LearningPairs, Photometry
@@ -246,7 +246,9 @@ class Estimates:
         evidence = self.rule()(pairs)
         if self.average is None:
             log_ratio = evidence.log_ratio
-            p_pair = Solution.of(pairs, log_ratio, by_messages, companion_log_odds, self.tuning.min_log_odds).p_pair
+            p_pair = HypothesisSums.of(
+                pairs, log_ratio, by_messages, companion_log_odds, self.tuning.min_log_odds
+            ).p_pair
             if companion_log_odds is not None:
                 log_ratio = Averaged.one(pairs, p_pair, log_ratio).log_ratio
             return self, p_pair, log_ratio

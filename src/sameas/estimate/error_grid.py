@@ -476,7 +476,9 @@ class Average:
         assumed = _count_terms(expected, n_records)
         for log_prior, log_density, number in zip(self.average.log_prior, self.log_density, self.n_common, strict=True):
             own = _count_terms(number, n_records)
-            solution = Solution.of(pairs, others + log_density + (own.odds - assumed.odds), solver, companion_log_odds)
+            solution = HypothesisSums.of(
+                pairs, others + log_density + (own.odds - assumed.odds), solver, companion_log_odds
+            )
             p_pairs.append(solution.p_pair)
             log_weight.append(log_prior + solution.log_evidence + own.log_records)
             # With a uniform prior of the share in common.
@@ -504,7 +506,7 @@ def _count_terms(number: float, n_records: tuple[int, int]) -> _CountTerms:
 
 
 @dataclass(frozen=True)
-class Solution:
+class HypothesisSums:
     """Sums over all one-to-one hypotheses of one list of candidates.
 
     p_pair : (m,) probabilities that pairs are one object. grouped : groups of the pairs that are not dropped; best :
@@ -524,7 +526,7 @@ class Solution:
         solver: Solver,
         companion_log_odds: FloatArray | None = None,
         least: float = MIN_LOG_ODDS,
-    ) -> Solution:
+    ) -> HypothesisSums:
         """From (m,) ln odds of the pairs, before one-to-one, to be one object and (optional) two companions, against
         unrelated objects.
 
@@ -597,7 +599,9 @@ def identify_averaged(
     evidence = rule(pairs)
     if average is None:
         replaced, rest, log_ratio = "companions", without_term(evidence, "companions"), evidence.log_ratio
-        averaged = Averaged.one(pairs, Solution.of(pairs, log_ratio, posterior, companion_log_odds).p_pair, log_ratio)
+        averaged = Averaged.one(
+            pairs, HypothesisSums.of(pairs, log_ratio, posterior, companion_log_odds).p_pair, log_ratio
+        )
     else:
         replaced, rest = "position", without_positions(evidence)
         _, averaged = average.posterior(

@@ -3,7 +3,7 @@
 Sources too large for one machine are identified in parts. If each part made its own estimates, shares would scatter by
 a per cent, and decisions near a border would depend on the part. Therefore the estimates are
 
-- counts in cells, by every part, and summed (:class:`Counts`): local densities, and where a source does not observe;
+- counts in cells, by every part, and summed (:class:`CellCounts`): local densities, and where a source sees nothing;
 - fitted to a sample of cells with all competing records (:func:`learn`), by the EM iterations of ``estimate.match``;
 - given to all parts as one value (:class:`Learned`), whose rule depends only on a pair and its positions.
 
@@ -57,7 +57,7 @@ _EMPTY = np.empty(0)
 
 @in_short
 @dataclass(frozen=True)
-class Counts:
+class CellCounts:
     """Records of both sources in occupied cells.
 
     cells : (u,) their numbers, ascending. numbers : (u, 2) records of each source.
@@ -67,19 +67,19 @@ class Counts:
     numbers: AnyIntArray
 
     @classmethod
-    def of(cls, cells_1: IntArray, cells_2: IntArray) -> Counts:
+    def of(cls, cells_1: IntArray, cells_2: IntArray) -> CellCounts:
         """From the cells of records, (n₁,) and (n₂,)."""
         numbers = np.zeros((len(cells_1) + len(cells_2), 2), np.int32)
         numbers[: len(cells_1), 0] = numbers[len(cells_1) :, 1] = 1
         return cls._summed(np.concatenate([cells_1, cells_2]), numbers)
 
     @classmethod
-    def sum(cls, parts: Sequence[Counts]) -> Counts:
+    def sum(cls, parts: Sequence[CellCounts]) -> CellCounts:
         """The sum of several parts."""
         return cls._summed(np.concatenate([part.cells for part in parts]), np.concatenate([p.numbers for p in parts]))
 
     @classmethod
-    def _summed(cls, cells: IntArray, numbers: AnyIntArray) -> Counts:
+    def _summed(cls, cells: IntArray, numbers: AnyIntArray) -> CellCounts:
         if not len(cells):
             return cls(cells, numbers)
         if np.any(cells[1:] < cells[:-1]):
@@ -88,7 +88,7 @@ class Counts:
         start = np.flatnonzero(np.append(True, cells[1:] != cells[:-1]))
         return cls(cells[start], np.add.reduceat(numbers, start, axis=0))
 
-    def coarser(self, steps: int) -> Counts:
+    def coarser(self, steps: int) -> CellCounts:
         """The counts in cells ``4 ** steps`` times as large."""
         return self._summed(self.cells >> (2 * steps), self.numbers.astype(np.int64))
 
@@ -118,7 +118,7 @@ class Places:
     volume: float
 
     @classmethod
-    def of(cls, counts: Counts, volume: float) -> Places:
+    def of(cls, counts: CellCounts, volume: float) -> Places:
         """From the counts of all records, in cells of this volume; shares are NaN.
 
         Raises
@@ -147,7 +147,7 @@ class Places:
         """Indices of records into ``cells``, from the cells in which they were counted."""
         return np.minimum(np.searchsorted(self.cells, counted >> (2 * self.steps)), len(self.cells) - 1)
 
-    def within(self, counts: Counts, cells: IntArray, steps: int) -> float:
+    def within(self, counts: CellCounts, cells: IntArray, steps: int) -> float:
         """The volume of ``cells`` inside the field; they are ``steps`` steps above the cells of ``counts``."""
         if steps < self.steps:
             return len(cells) * self.volume / 4.0 ** (self.steps - steps)
@@ -242,7 +242,7 @@ def _field_volume(cells: IntArray, numbers: AnyIntArray, steps: int, volume: flo
     return volume * float(covered[:number].sum())
 
 
-def drawn(counts: Counts, sampling: Sampling = Sampling()) -> tuple[int, IntArray]:  # noqa: B008
+def drawn(counts: CellCounts, sampling: Sampling = Sampling()) -> tuple[int, IntArray]:  # noqa: B008
     """A sample of cells with enough records of both sources: steps to their size, and their numbers.
 
     The sample depends only on the positions of the records.
@@ -426,4 +426,4 @@ def _without_grades(grades: Grades) -> Grades:
     return replace(grades, grades=(none, none), cells=(none, none), rule=rule)
 
 
-__all__ = ["Counts", "Learned", "Places", "drawn", "learn"]
+__all__ = ["CellCounts", "Learned", "Places", "drawn", "learn"]

@@ -50,15 +50,15 @@ from sameas.evidence.columns import (
 )
 from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
 from sameas.evidence.heights import Heights
-from sameas.evidence.identity import MODELS, Alarm, Category, Code, Identity, Model, Size, alarms
+from sameas.evidence.identity import MODELS, Category, Code, Identity, IdentityConflict, Model, Size, alarms
 from sameas.evidence.rule import Errors, Evidence, Rule, Sum
 from sameas.evidence.universal import Displacement, Flat, GaussianMixture, Samples, Universal
 
 __all__ = [
-    "MODELS", "Alarm", "Association", "Brightness", "Category", "Chain", "CloseObjects", "Code", "CodedColumn",
+    "MODELS", "Association", "Brightness", "Category", "Chain", "CloseObjects", "Code", "CodedColumn",
     "Column", "Columns", "Comparison", "Comparisons", "ConstantCost", "DetectionField", "Displacement", "Errors",
-    "Evidence", "Field", "Flat", "GaussianMixture", "Heights", "Identity", "MagnitudeDensity", "Magnitudes",
-    "MeasuredMagnitudes", "Model", "OddsTable", "PartnerTilt", "Pattern", "PoissonField", "Precision", "Regressors",
-    "Related", "Relation", "Rule", "Samples", "Size", "SourceMagnitudes", "Sum", "TrainingPairs", "Universal", "alarms",
-    "comparisons_of", "log_neighbour_density", "log_surface_density",
+    "Evidence", "Field", "Flat", "GaussianMixture", "Heights", "Identity", "IdentityConflict", "MagnitudeDensity",
+    "Magnitudes", "MeasuredMagnitudes", "Model", "OddsTable", "PartnerTilt", "Pattern", "PoissonField", "Precision",
+    "Regressors", "Related", "Relation", "Rule", "Samples", "Size", "SourceMagnitudes", "Sum", "TrainingPairs",
+    "Universal", "alarms", "comparisons_of", "log_neighbour_density", "log_surface_density",
 ]  # fmt: skip

@@ -26,7 +26,7 @@ from sameas.representation import in_short
 
 
 @dataclass(frozen=True)
-class HeightTuning:
+class HeightEvidenceTuning:
     """The constants of the evidence of heights (chosen).
 
     wrong : probability that one of two heights is an outlier.
@@ -40,7 +40,7 @@ class HeightTuning:
     bandwidth_m: float = 150.0
 
 
-DEFAULT_TUNING = HeightTuning()
+DEFAULT_TUNING = HeightEvidenceTuning()
 
 
 @in_short
@@ -65,7 +65,7 @@ class Heights(Rule):
     """
 
     heights: Mapping[str, FloatArray] = field(repr=False)
-    tuning: HeightTuning = DEFAULT_TUNING
+    tuning: HeightEvidenceTuning = DEFAULT_TUNING
 
     def __post_init__(self) -> None:
         for source, values in self.heights.items():

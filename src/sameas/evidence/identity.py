@@ -335,7 +335,7 @@ def _has_value(values: NDArray[Any]) -> BoolArray:
 
 
 @dataclass(frozen=True)
-class Alarm:
+class IdentityConflict:
     """Two records with the same identity at positions too far apart for one object.
 
     first, second : name of the source and row of its table. distance : in the unit of the features. chi_sq : Δᵀ Σ⁻¹ Δ.
@@ -363,7 +363,7 @@ def alarms(
     *,
     unique: Sequence[str] = ("mmsi", "imo", "icao"),
     gate: ChiSquare | None = None,
-) -> list[Alarm]:
+) -> list[IdentityConflict]:
     """Records of one instant with the same identity and contradicting positions, in one source or in two.
 
     The gate excludes such pairs, so that :class:`Identity` never compares them.
@@ -402,7 +402,7 @@ class _SourceValues:
         order = np.argsort(values[at], kind="stable")
         return cls(records, values[at][order], at[order])
 
-    def against(self, other: _SourceValues, name: str, gate: ChiSquare) -> list[Alarm]:
+    def against(self, other: _SourceValues, name: str, gate: ChiSquare) -> list[IdentityConflict]:
         """Alarms between records of this source and of ``other``, which may be the same."""
         low, high = (np.searchsorted(other.values, self.values, side) for side in ("left", "right"))
         i, j = ranges(low, high - low)
@@ -418,7 +418,7 @@ class _SourceValues:
         chi_sq = mahalanobis_sq(delta, total)
         distance = np.linalg.norm(delta[:, :2], axis=1)
         return [
-            Alarm(name, str(self.values[i[k]]), (one.source, int(one.rows[a[k]])), (two.source, int(two.rows[b[k]])),
-                  float(distance[k]), float(chi_sq[k]))
+            IdentityConflict(name, str(self.values[i[k]]), (one.source, int(one.rows[a[k]])),
+                             (two.source, int(two.rows[b[k]])), float(distance[k]), float(chi_sq[k]))
             for k in np.flatnonzero(chi_sq > gate.limit(one.d))
         ]  # fmt: skip

@@ -40,7 +40,7 @@ from sameas.sky.movers.search import Movers, find_movers, search
 if TYPE_CHECKING:
     from astropy.table import Table
 
-    from sameas.front.series import FieldSeries, Identified
+    from sameas.front.series import FieldSeries, IdentifiedFrame
     from sameas.sky.movers.below_limit import BelowLimit
     from sameas.sky.movers.stack import Stack
     from sameas.sky.series import Series
@@ -289,7 +289,7 @@ class SeriesMovers:
 
 
 def series_movers(
-    frames: Sequence[Identified],
+    frames: Sequence[IdentifiedFrame],
     options: MoverOptions,
     *,
     failed: Sequence[tuple[str, str]] = (),
@@ -366,7 +366,7 @@ def _centre(one: FieldSeries) -> str:
     return f"{ra:.2f} {dec:+.2f}°"
 
 
-def _site(members: Sequence[Identified]) -> Site | None:
+def _site(members: Sequence[IdentifiedFrame]) -> Site | None:
     """Latitude, longitude and height of the observatory in the first frame's header."""
     from sameas.sky.frame.image import read
 

@@ -72,7 +72,7 @@ def _shows_sky(path: Path) -> bool:
 
 
 @dataclass(frozen=True)
-class Identified:
+class IdentifiedFrame:
     """An identified frame: its request and its summary."""
 
     request: FrameRequest
@@ -115,11 +115,11 @@ class FieldSeries:
 
     name: str
     series: Series
-    members: tuple[Identified, ...]
+    members: tuple[IdentifiedFrame, ...]
     filter: str
 
 
-def series_of(done: Sequence[Identified], *, by_filter: bool = True) -> tuple[list[FieldSeries], list[str]]:
+def series_of(done: Sequence[IdentifiedFrame], *, by_filter: bool = True) -> tuple[list[FieldSeries], list[str]]:
     """The series among identified frames, the longest first, and the reasons why other frames are in none.
 
     by_filter : one series per filter; False for the search of movers, which uses all frames of a field.
@@ -148,13 +148,15 @@ def series_of(done: Sequence[Identified], *, by_filter: bool = True) -> tuple[li
     return each, reasons
 
 
-def _fields(frames: Sequence[tuple[Identified, Exposure]], by_filter: bool) -> list[list[tuple[Identified, Exposure]]]:
+def _fields(
+    frames: Sequence[tuple[IdentifiedFrame, Exposure]], by_filter: bool
+) -> list[list[tuple[IdentifiedFrame, Exposure]]]:
     """Groups of frames with nearby centres, and of one filter if ``by_filter``."""
 
-    def together(one: Identified, other: Identified) -> bool:
+    def together(one: IdentifiedFrame, other: IdentifiedFrame) -> bool:
         return (not by_filter or one.filter == other.filter) and _near(one, other)
 
-    groups: list[list[tuple[Identified, Exposure]]] = []
+    groups: list[list[tuple[IdentifiedFrame, Exposure]]] = []
     for frame in frames:
         group = next((g for g in groups if together(g[0][0], frame[0])), None)
         if group is None:
@@ -164,7 +166,7 @@ def _fields(frames: Sequence[tuple[Identified, Exposure]], by_filter: bool) -> l
     return groups
 
 
-def _near(one: Identified, other: Identified) -> bool:
+def _near(one: IdentifiedFrame, other: IdentifiedFrame) -> bool:
     a, b = one.summary["place"], other.summary["place"]
     north = b["middle_dec_deg"] - a["middle_dec_deg"]
     east = ((b["middle_ra_deg"] - a["middle_ra_deg"] + 180.0) % 360.0 - 180.0) * math.cos(
@@ -212,8 +214,8 @@ def write_folder(
 
 
 def folder_of_series(
-    done: Sequence[Identified], failed: Sequence[tuple[str, str]], folder: Path, title: str, facts: Mapping[str, Any],
-    *, say: Callable[[Iterable[str]], object] = lambda lines: None,
+    done: Sequence[IdentifiedFrame], failed: Sequence[tuple[str, str]], folder: Path, title: str,
+    facts: Mapping[str, Any], *, say: Callable[[Iterable[str]], object] = lambda lines: None,
 ) -> list[str]:  # fmt: skip
     """Makes series of identified frames, and writes them with :func:`write_folder`; returns the file names.
 

@@ -21,7 +21,7 @@ import sameas
 from sameas.errors import InputError, reading
 from sameas.io.atomic import held, replacing
 from sameas.io.saved import dumps, loads
-from sameas.live.frame import Alarm, Frame
+from sameas.live.situation import Alarm, Situation
 from sameas.picture.picture import Columns, gathered
 
 _TABLES = """
@@ -39,7 +39,7 @@ ARCHIVE_ROWS, ARCHIVE_S = 200_000, 600.0
 #: At most this many rows are kept in memory while the disk refuses them; the oldest are dropped first.
 WAITING_ROWS = 4 * ARCHIVE_ROWS
 #: Version of the layout of a saved state, raised with every change of it (``tests/live/test_keeper.py`` checks).
-LAYOUT = 14
+LAYOUT = 15
 _TEXTS = ("label", "mmsi", "icao", "callsign", "name", "type")
 
 
@@ -93,7 +93,7 @@ class Journal:
                 tracks.pop((source, track), None)
         return tracks
 
-    def write(self, frame: Frame) -> None:
+    def write(self, situation: Situation) -> None:
         """Writes one tick in one transaction.
 
         Raises
@@ -103,8 +103,8 @@ class Journal:
         tracks = self._tracks
         self._base.execute("BEGIN IMMEDIATE")
         try:
-            self._write_objects(frame)
-            self._write_identities(frame)
+            self._write_objects(situation)
+            self._write_identities(situation)
             self._base.execute("COMMIT")
         except BaseException:
             # The next tick writes what this one could not.
@@ -112,27 +112,27 @@ class Journal:
             if self._base.in_transaction:
                 self._base.execute("ROLLBACK")
             raise
-        due = self.archive_every_s > 0.0 and frame.time_s - self._archived_s >= self.archive_every_s
-        if due and len(frame.objects["object"]):
-            self._archived_s = frame.time_s
-            self._archive.append(frame.objects)
+        due = self.archive_every_s > 0.0 and situation.time_s - self._archived_s >= self.archive_every_s
+        if due and len(situation.objects["object"]):
+            self._archived_s = situation.time_s
+            self._archive.append(situation.objects)
             waiting = sum(len(part["object"]) for part in self._archive)
             while waiting > WAITING_ROWS and len(self._archive) > 1:
                 waiting -= len(self._archive.pop(0)["object"])
-            if waiting >= ARCHIVE_ROWS or frame.time_s - float(self._archive[0]["time_s"][0]) >= ARCHIVE_S:
+            if waiting >= ARCHIVE_ROWS or situation.time_s - float(self._archive[0]["time_s"][0]) >= ARCHIVE_S:
                 self.flush()
 
-    def _write_objects(self, frame: Frame) -> None:
-        o, rows = frame.objects, []
+    def _write_objects(self, situation: Situation) -> None:
+        o, rows = situation.objects, []
         stages = o["stage"].tolist()
         attributes = list(zip(*(o[name].tolist() for name in _TEXTS), strict=True)) if len(stages) else []
         for number, stage, texts in zip(o["object"].tolist(), stages, attributes, strict=True):
             known = self._known.get(number)
             confirmed = int(stage in ("confirmed", "coasting")) or (known[0] if known else 0)
             # Unchanged objects get a new last_s once a minute.
-            current = (confirmed, texts, int(frame.time_s // 60.0))
+            current = (confirmed, texts, int(situation.time_s // 60.0))
             if known != current:
-                rows.append((number, frame.time_s, frame.time_s, confirmed, *texts))
+                rows.append((number, situation.time_s, situation.time_s, confirmed, *texts))
                 self._known[number] = current
             if stage == "ended":
                 self._known.pop(number, None)
@@ -144,24 +144,24 @@ class Journal:
             rows,
         )
 
-    def _write_identities(self, frame: Frame) -> None:
+    def _write_identities(self, situation: Situation) -> None:
         tracks = {
-            (source, track): number for number, members in frame.members.items() for source, track in members
+            (source, track): number for number, members in situation.members.items() for source, track in members
             if not track.startswith("plot ")
         }  # fmt: skip
-        probabilities = np.ma.filled(frame.objects["probability"], np.nan).tolist()
-        p_object = dict(zip(frame.objects["object"].tolist(), probabilities, strict=True))
+        probabilities = np.ma.filled(situation.objects["probability"], np.nan).tolist()
+        p_object = dict(zip(situation.objects["object"].tolist(), probabilities, strict=True))
         rows: list[tuple[Any, ...]] = []
         for (source, track), number in tracks.items():
             before = self._tracks.get((source, track))
             if before != number:
                 if before is not None:
-                    rows.append((frame.time_s, before, source, track, "left", None))
+                    rows.append((situation.time_s, before, source, track, "left", None))
                 p = p_object.get(number, np.nan)
-                rows.append((frame.time_s, number, source, track, "joined", None if p != p else p))
+                rows.append((situation.time_s, number, source, track, "joined", None if p != p else p))
         for key, number in self._tracks.items():
             if key not in tracks:
-                rows.append((frame.time_s, number, *key, "left", None))
+                rows.append((situation.time_s, number, *key, "left", None))
         self._tracks = tracks
         self._base.executemany("INSERT INTO identities VALUES (?,?,?,?,?,?)", rows)
 

@@ -24,11 +24,11 @@ import numpy as np
 
 from sameas.errors import InputError, reading
 from sameas.io.sensors.stream import ReportStream
-from sameas.live.frame import Alarm, Frame, OwnShipState
 from sameas.live.inputs import Replay, Wire
 from sameas.live.journal import Journal, load_state, save_state
 from sameas.live.outputs import sinks_of
 from sameas.live.settings import Settings
+from sameas.live.situation import Alarm, OwnShipState, Situation
 from sameas.picture.deception import Fault
 from sameas.picture.live import LivePicture, estimated, faults_of
 from sameas.picture.picture_state import PictureState
@@ -73,15 +73,16 @@ class Delta:
     removed_records: list[str] = field(default_factory=list)
 
     @classmethod
-    def between(cls, previous: Frame | None, frame: Frame) -> Delta:
-        """The changes from one frame to the next; all rows of the frame where there was none before."""
+    def between(cls, previous: Situation | None, situation: Situation) -> Delta:
+        """The changes from one situation to the next; all rows where there was none before."""
         old_objects = {} if previous is None else previous.object_rows
         old_records = {} if previous is None else previous.record_rows
         return cls(
-            frame.tick, frame.time_s, [row for n, row in frame.object_rows.items() if old_objects.get(n) != row],
-            [n for n in old_objects if n not in frame.object_rows],
-            [row for key, row in frame.record_rows.items() if old_records.get(key) != row],
-            [key for key in old_records if key not in frame.record_rows],
+            situation.tick, situation.time_s,
+            [row for n, row in situation.object_rows.items() if old_objects.get(n) != row],
+            [n for n in old_objects if n not in situation.object_rows],
+            [row for key, row in situation.record_rows.items() if old_records.get(key) != row],
+            [key for key in old_records if key not in situation.record_rows],
         )  # fmt: skip
 
 
@@ -109,9 +110,9 @@ class Keeper:
         self.settings, self.folder, self.replay, self.clock = settings, folder, replay, clock
         self.wires = _wires(settings, clock) if replay is None else {}
         self.sources = {name: SourceState() for name in settings.sources}
-        self.frame: Frame | None = None
+        self.situation: Situation | None = None
         self.deltas: deque[Delta] = deque(maxlen=KEPT_DELTAS)
-        self.history: deque[Frame] = deque()
+        self.history: deque[Situation] = deque()
         #: Alarms that began, with their times, for the terminal, which takes them.
         self.begun: deque[tuple[float, Alarm]] = deque(maxlen=KEPT_DELTAS)
         self.counters: Counter[str] = Counter()
@@ -153,8 +154,8 @@ class Keeper:
         now_s = clock_s if self.replay is None else self.replay.now_s(clock_s)
         return now_s - self.settings.watch.behind_s
 
-    def tick(self, now_s: float | None = None) -> Frame | None:
-        """Processes the new reports and returns the frame of this time; None, and a log entry, where this failed."""
+    def tick(self, now_s: float | None = None) -> Situation | None:
+        """Processes the new reports and returns the situation then; None, and a log entry, where this failed."""
         began = time.perf_counter()
         instant_s = max(self.now_s() if now_s is None else now_s, self.picture.instant_s)
         self._take_reports(instant_s)
@@ -171,26 +172,26 @@ class Keeper:
         with self.lock:
             self._tick += 1
             own_ship = self._own_ship(instant_s, state)
-            frame = Frame.of(self._tick, state, self.picture.plane, (), own_ship, self.picture.height_model)
-            alarms = [*_identity_alarms(state), *self._source_alarms(instant_s), *self._fault_alarms(frame),
-                      *self._cpa_alarms(frame), *self._folder_alarms()]  # fmt: skip
-            frame = replace(frame, alarms=tuple(alarms))
+            situation = Situation.of(self._tick, state, self.picture.plane, (), own_ship, self.picture.height_model)
+            alarms = [*_identity_alarms(state), *self._source_alarms(instant_s), *self._fault_alarms(situation),
+                      *self._cpa_alarms(situation), *self._folder_alarms()]  # fmt: skip
+            situation = replace(situation, alarms=tuple(alarms))
             self._raise_alarms(alarms, instant_s)
-            self.deltas.append(Delta.between(self.frame, frame))
-            self.frame = frame
-            self._keep_history(frame)
-            self._try_journal(lambda journal: journal.write(frame))
+            self.deltas.append(Delta.between(self.situation, situation))
+            self.situation = situation
+            self._keep_history(situation)
+            self._try_journal(lambda journal: journal.write(situation))
             if self.journal is not None and instant_s - self._saved_s >= self.settings.watch.save_every_s:
                 self._try_journal(lambda journal: self.save())
         self.durations_s.append(time.perf_counter() - began)
         self.counters["ticks"] += 1
-        return frame
+        return situation
 
     def _tick_and_send(self) -> None:
-        frame = self.tick()
-        if frame is not None:
+        situation = self.tick()
+        if situation is not None:
             for sink in self.sinks:
-                sink.send(frame)
+                sink.send(situation)
 
     def save(self) -> None:
         """Saves the state."""
@@ -263,12 +264,12 @@ class Keeper:
             # Older ones may have waited in the queue.
             state.delay_s = received_s - float(np.median(np.sort(reports.time_s)[-5:]))
 
-    def _keep_history(self, frame: Frame) -> None:
-        """Keeps a frame every 10 s, or every tick where these are longer, for the history that pages show."""
+    def _keep_history(self, situation: Situation) -> None:
+        """Keeps a situation every 10 s, or every tick where these are longer, for the history that pages show."""
         every_s = max(10.0, self.settings.watch.every_s)
-        if not self.history or frame.time_s - self.history[-1].time_s >= every_s:
-            self.history.append(frame)
-        while self.history and frame.time_s - self.history[0].time_s > self.settings.watch.history_s:
+        if not self.history or situation.time_s - self.history[-1].time_s >= every_s:
+            self.history.append(situation)
+        while self.history and situation.time_s - self.history[0].time_s > self.settings.watch.history_s:
             self.history.popleft()
 
     # ---- own ship and alarms ----
@@ -306,17 +307,17 @@ class Keeper:
         slope = np.polynomial.polynomial.polyfit(times - times[-1], np.column_stack([east, north]), 1)[1]
         return float(slope[0]), float(slope[1])
 
-    def _cpa_alarms(self, frame: Frame) -> list[Alarm]:
-        watch, out, ship = self.settings.watch, [], frame.own_ship
+    def _cpa_alarms(self, situation: Situation) -> list[Alarm]:
+        watch, out, ship = self.settings.watch, [], situation.own_ship
         cpa_m = watch.cpa_m
         if cpa_m is None:
             under_way = ship is not None and math.hypot(ship.vx_m_per_s, ship.vy_m_per_s) > UNDER_WAY_M_PER_S
             cpa_m = CPA_M if under_way else 0.0
         own = watch.own_ship.mmsi if watch.own_ship else None
-        stages = dict(zip(frame.objects["object"].tolist(), frame.objects["stage"].tolist(), strict=True))
-        label = dict(zip(frame.objects["object"].tolist(), frame.objects["label"].tolist(), strict=True))
-        mmsi = dict(zip(frame.objects["object"].tolist(), frame.objects["mmsi"].tolist(), strict=True))
-        for number, (metres, seconds) in frame.cpa.items():
+        stages = dict(zip(situation.objects["object"].tolist(), situation.objects["stage"].tolist(), strict=True))
+        label = dict(zip(situation.objects["object"].tolist(), situation.objects["label"].tolist(), strict=True))
+        mmsi = dict(zip(situation.objects["object"].tolist(), situation.objects["mmsi"].tolist(), strict=True))
+        for number, (metres, seconds) in situation.cpa.items():
             # An alarm that is active holds a little longer, so that one approach is not many alarms.
             holds = CPA_HOLDS if f"cpa {number}" in self._alarms else 1.0
             if (
@@ -396,13 +397,13 @@ class Keeper:
         self._refusal = ""
         return value
 
-    def _fault_alarms(self, frame: Frame) -> list[Alarm]:
+    def _fault_alarms(self, situation: Situation) -> list[Alarm]:
         """Alarms of the last search: deception of tracks, faults of sources."""
         out = []
         for key, fault in self._faults.items():
             where = (fault.source, fault.track)
             objects = (
-                tuple(number for number, tracks in frame.members.items() if where in tracks) if fault.track else ()
+                tuple(number for number, tracks in situation.members.items() if where in tracks) if fault.track else ()
             )
             out.append(Alarm(key, "deception" if fault.track else "source", str(fault), objects))
         return out
@@ -516,7 +517,7 @@ class Keeper:
         """The alarms, the newest first, with their ids and whether they are active."""
         with self.lock:
             journalled = self._try_journal(Journal.alarms) or []
-            active = [] if self.frame is None else self.frame.alarms
+            active = [] if self.situation is None else self.situation.alarms
             others = [
                 {"id": self._alarms[a.key][0], "key": a.key, "kind": a.kind, "text": a.text, "objects": list(a.objects),
                  "active": 1, "first_s": self._alarms[a.key][1], "last_s": self._alarms[a.key][1],
@@ -543,7 +544,7 @@ class Keeper:
 
     def health(self) -> dict[str, Any]:
         """Whether the picture advances, and the counters of every source and wire."""
-        age_s = None if self.frame is None else self.now_s() - self.frame.time_s
+        age_s = None if self.situation is None else self.now_s() - self.situation.time_s
         late_s = max(10.0 * self.settings.watch.every_s * (self.replay.pace if self.replay else 1.0), 10.0)
         ticking = age_s is not None and age_s < late_s
         counts, biases = self.picture.counts, self.biases()
@@ -566,8 +567,9 @@ class Keeper:
             for url, wire in self.wires.items()
         }  # fmt: skip
         return {
-            "ok": bool(ticking), "tick": self._tick, "time_s": None if self.frame is None else self.frame.time_s,
-            "objects": 0 if self.frame is None else len(self.frame.objects["object"]),
+            "ok": bool(ticking), "tick": self._tick,
+            "time_s": None if self.situation is None else self.situation.time_s,
+            "objects": 0 if self.situation is None else len(self.situation.objects["object"]),
             "faults": self.counters["faults"], "sources": sources, "wires": wires,
             "outputs": {f"{sink.format} {sink.url}": {"failed": sink.failed, "unnumbered": sink.numbers.unnumbered}
                         for sink in self.sinks},

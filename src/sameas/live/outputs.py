@@ -1,4 +1,4 @@
-"""Outputs: frames encoded for other programs, and the sinks to which they are sent.
+"""Outputs: situations encoded for other programs, and the sinks to which they are sent.
 
 :data:`FORMATS`: ``jsonl`` one line per object, ``nmea`` TTM (with own ship) and TLL sentences, ``cot`` Cursor on Target
 events, ``signalk`` one delta per object, ``asterix`` blocks of category 062. Only confirmed and coasting objects are
@@ -25,7 +25,7 @@ import numpy as np
 
 from sameas.errors import InputError, reading
 from sameas.io.sensors.format import KNOT_M_PER_S, MILE_M
-from sameas.live.frame import Frame
+from sameas.live.situation import Situation
 
 #: Seconds after which a Cursor on Target event is stale.
 STALE_S = 15.0
@@ -37,25 +37,25 @@ _DATAGRAM = 1400
 _SENTENCE = 82 - len("$*hh\r\n")
 
 
-def geojson(frame: Frame) -> dict[str, Any]:
+def geojson(situation: Situation) -> dict[str, Any]:
     """A FeatureCollection (RFC 7946) of the objects as points; empty where the plane has no geographic origin."""
     features = [
         {
             "type": "Feature", "id": one["object"],
             "geometry": {"type": "Point", "coordinates": [one["lon_deg"], one["lat_deg"]]},
             "properties": {
-                "time": _iso(frame.time_s), **{k: v for k, v in one.items() if k not in ("lat_deg", "lon_deg")},
+                "time": _iso(situation.time_s), **{k: v for k, v in one.items() if k not in ("lat_deg", "lon_deg")},
             },
         }
-        for one in frame.listed() if one.get("lat_deg") is not None
+        for one in situation.listed() if one.get("lat_deg") is not None
     ]  # fmt: skip
     return {"type": "FeatureCollection", "features": features}
 
 
-def jsonl(frame: Frame) -> Iterator[bytes]:
+def jsonl(situation: Situation) -> Iterator[bytes]:
     """One JSON line per object."""
-    for one in frame.listed():
-        yield json.dumps({"time_s": frame.time_s, **one}, ensure_ascii=False, allow_nan=False).encode() + b"\n"
+    for one in situation.listed():
+        yield json.dumps({"time_s": situation.time_s, **one}, ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
 
 #: Targets that TTM and TLL can number: two digits (IEC 61162-1).
@@ -76,9 +76,9 @@ class TargetNumbers:
     unnumbered: int = 0
     _free: list[int] = field(default_factory=lambda: list(range(_NUMBERS)))
 
-    def update(self, frame: Frame) -> list[int]:
-        """Numbers the confirmed objects of a frame; the numbers whose objects ended or lost theirs to nearer ones."""
-        own, confirmed = frame.own_ship, _confirmed(frame)
+    def update(self, situation: Situation) -> list[int]:
+        """Numbers the confirmed objects of a situation; those whose objects ended or lost theirs to nearer ones."""
+        own, confirmed = situation.own_ship, _confirmed(situation)
         rank: dict[int, float] = {}
         for one in confirmed:
             placed = own is not None and one["x_m"] is not None
@@ -95,18 +95,18 @@ class TargetNumbers:
         return [number for number in lost if number in self._free]
 
 
-def nmea(frame: Frame, numbers: TargetNumbers | None = None) -> Iterator[bytes]:
+def nmea(situation: Situation, numbers: TargetNumbers | None = None) -> Iterator[bytes]:
     """TTM of every object where own ship is known, and TLL where latitudes are known.
 
     The name is the object's, else its MMSI, else its label. A number whose object has ended is sent once with status L.
     numbers : of the targets before; updated.
     """
-    own, clock = frame.own_ship, datetime.fromtimestamp(frame.time_s, UTC).strftime("%H%M%S.%f")[:9]
+    own, clock = situation.own_ship, datetime.fromtimestamp(situation.time_s, UTC).strftime("%H%M%S.%f")[:9]
     numbers = TargetNumbers() if numbers is None else numbers
-    for lost in numbers.update(frame):
+    for lost in numbers.update(situation):
         yield sentence(f"RATTM,{lost:02d},,,T,,,T,,,N,,L,,{clock},A")
         yield sentence(f"RATLL,{lost:02d},,,,,,{clock},L,")
-    for one in _confirmed(frame):
+    for one in _confirmed(situation):
         if one["object"] not in numbers.by_object:
             continue
         number, name = (
@@ -116,7 +116,7 @@ def nmea(frame: Frame, numbers: TargetNumbers | None = None) -> Iterator[bytes]:
         if own is not None and one["x_m"] is not None:
             east, north = one["x_m"] - own.x_m, one["y_m"] - own.y_m
             bearing, range_nm = math.degrees(math.atan2(east, north)) % 360.0, math.hypot(east, north) / MILE_M
-            cpa, tcpa = frame.cpa.get(one["object"], (math.nan, math.nan))
+            cpa, tcpa = situation.cpa.get(one["object"], (math.nan, math.nan))
             speed, course = one["speed_m_per_s"], one["course_deg"]
             fields = [
                 "RATTM", number, f"{range_nm:.3f}", f"{bearing:.1f}", "T",
@@ -145,15 +145,15 @@ def sentence(body: str) -> bytes:
     return f"${body}*{checksum:02X}\r\n".encode("ascii")
 
 
-def cot(frame: Frame) -> Iterator[bytes]:
+def cot(situation: Situation) -> Iterator[bytes]:
     """One event per object: type ``a-u-S`` at sea, ``a-u-A`` in the air.
 
     ``hae`` is the height above the ellipsoid where a height is known; a pressure height is converted, or taken as it is
     with the error of an unknown atmosphere. ``ce`` and ``le`` are errors of 90 % probability, as TAK reads them:
     the radius of a circle, and half the interval of the height. 9999999 is unknown.
     """
-    start, stale = _iso(frame.time_s), _iso(frame.time_s + STALE_S)
-    for one in _confirmed(frame):
+    start, stale = _iso(situation.time_s), _iso(situation.time_s + STALE_S)
+    for one in _confirmed(situation):
         if one.get("lat_deg") is None:
             continue
         kind = "a-u-A" if one.get("icao") else "a-u-S"
@@ -174,9 +174,9 @@ def cot(frame: Frame) -> Iterator[bytes]:
         ).encode()
 
 
-def signalk(frame: Frame) -> Iterator[bytes]:
+def signalk(situation: Situation) -> Iterator[bytes]:
     """One delta per object, for the vessel with its MMSI, else for ``urn:mrn:sameas:object:NUMBER``."""
-    for one in _confirmed(frame):
+    for one in _confirmed(situation):
         if one.get("lat_deg") is None:
             continue
         values: list[dict[str, Any]] = [
@@ -191,23 +191,23 @@ def signalk(frame: Frame) -> Iterator[bytes]:
             values.append({"path": "", "value": {"name": one["name"]}})
         mmsi = str(one.get("mmsi", ""))
         who = f"mrn:imo:mmsi:{mmsi}" if mmsi.isdigit() else f"mrn:sameas:object:{one['object']}"
-        update = {"$source": "sameas", "timestamp": _iso(frame.time_s), "values": values}
+        update = {"$source": "sameas", "timestamp": _iso(situation.time_s), "values": values}
         delta = {"context": f"vessels.urn:{who}", "updates": [update]}
         yield json.dumps(delta, ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
 
-def asterix(frame: Frame) -> Iterator[bytes]:
+def asterix(situation: Situation) -> Iterator[bytes]:
     """Blocks of category 062, edition 1.18, of up to forty tracks each, with accuracies (item 500).
 
     Items 010, 070, 105, 185, 380 (the address, where there is one), 040, 080 and 500.
     """
-    records = [_record(frame, one) for one in _confirmed(frame) if one.get("lat_deg") is not None]
+    records = [_record(situation, one) for one in _confirmed(situation) if one.get("lat_deg") is not None]
     for first in range(0, len(records), 40):
         data = b"".join(records[first : first + 40])
         yield bytes([62]) + (len(data) + 3).to_bytes(2, "big") + data
 
 
-def _record(frame: Frame, one: Mapping[str, Any]) -> bytes:
+def _record(situation: Situation, one: Mapping[str, Any]) -> bytes:
     unit = 180.0 / 2**25
     lat, lon = round(one["lat_deg"] / unit), round(one["lon_deg"] / unit)
     course, speed, icao = one["course_deg"], one["speed_m_per_s"], str(one.get("icao", ""))
@@ -215,7 +215,7 @@ def _record(frame: Frame, one: Mapping[str, Any]) -> bytes:
     # A presence bit for each item in the order of the standard; the lowest bit of an octet says that one follows.
     octets = [0b10011001 | (0b00000010 if moving else 0), 0b00001101 | (0b00010000 if named else 0), 0b1, 0b00000100]
     out: bytes = bytes(octets) + bytes([0, 0])
-    out += (round(frame.time_s % 86400.0 * 128.0) % (86400 * 128)).to_bytes(3, "big")
+    out += (round(situation.time_s % 86400.0 * 128.0) % (86400 * 128)).to_bytes(3, "big")
     out += lat.to_bytes(4, "big", signed=True) + lon.to_bytes(4, "big", signed=True)
     if moving:
         velocity = speed * math.sin(math.radians(course)), speed * math.cos(math.radians(course))
@@ -233,13 +233,13 @@ def _record(frame: Frame, one: Mapping[str, Any]) -> bytes:
     return bytes(out + root.to_bytes(2, "big", signed=True))
 
 
-FORMATS: Mapping[str, Callable[[Frame], Iterator[bytes]]] = {
+FORMATS: Mapping[str, Callable[[Situation], Iterator[bytes]]] = {
     "jsonl": jsonl, "nmea": nmea, "cot": cot, "signalk": signalk, "asterix": asterix,
 }  # fmt: skip
 
 
-def _confirmed(frame: Frame) -> list[dict[str, Any]]:
-    return [one for one in frame.listed() if one["stage"] in ("confirmed", "coasting")]
+def _confirmed(situation: Situation) -> list[dict[str, Any]]:
+    return [one for one in situation.listed() if one["stage"] in ("confirmed", "coasting")]
 
 
 def _iso(time_s: float) -> str:
@@ -263,7 +263,7 @@ def _degrees(value: float, digits: int, sides: str) -> str:
 
 @dataclass
 class Sink:
-    """Where frames are sent: ``udp://HOST:PORT`` or ``stdout:``. failed : datagrams that could not be sent."""
+    """Where situations are sent: ``udp://HOST:PORT`` or ``stdout:``. failed : datagrams that could not be sent."""
 
     url: str
     format: str
@@ -289,14 +289,14 @@ class Sink:
             if group is not None and group.is_multicast:
                 self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 1)
 
-    def send(self, frame: Frame) -> None:
-        """Encodes and sends a frame."""
+    def send(self, situation: Situation) -> None:
+        """Encodes and sends a situation."""
         if self._socket is None:
-            for part in self._encode(frame):
+            for part in self._encode(situation):
                 sys.stdout.buffer.write(part)
             sys.stdout.buffer.flush()
             return
-        for datagram in _datagrams(self._encode(frame), joined=self.format in ("nmea", "jsonl", "signalk")):
+        for datagram in _datagrams(self._encode(situation), joined=self.format in ("nmea", "jsonl", "signalk")):
             try:
                 self._socket.sendto(datagram, self._address)
             except OSError:

@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sameas.errors import InputError
-from sameas.live.frame import OBJECT, RECORD, Frame
 from sameas.live.keeper import Delta, Keeper
 from sameas.live.outputs import geojson, metrics
+from sameas.live.situation import OBJECT, RECORD, Situation
 from sameas.maps.outline import read_coast
 from sameas.maps.sheet import MapSensor, MapSheet
 from sameas.pages.map import map_page
@@ -144,19 +144,19 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
 
     async def history(request: Request, role: str) -> Response:
         with keeper.lock:
-            frames = list(keeper.history)
+            situations = list(keeper.history)
         return answer({"frames": [
-            {"t": frame.time_s, "objects": list(frame.object_rows.values())} for frame in frames
+            {"t": situation.time_s, "objects": list(situation.object_rows.values())} for situation in situations
         ]})  # fmt: skip
 
     async def objects(request: Request, role: str) -> Response:
-        frame = keeper.frame
-        listed = [] if frame is None else frame.listed()
-        return answer({"time_s": None if frame is None else frame.time_s, "objects": listed})
+        situation = keeper.situation
+        listed = [] if situation is None else situation.listed()
+        return answer({"time_s": None if situation is None else situation.time_s, "objects": listed})
 
     async def objects_geojson(request: Request, role: str) -> Response:
-        frame = keeper.frame
-        content = {"type": "FeatureCollection", "features": []} if frame is None else geojson(frame)
+        situation = keeper.situation
+        content = {"type": "FeatureCollection", "features": []} if situation is None else geojson(situation)
         return Response(json.dumps(content, allow_nan=False), media_type="application/geo+json", headers=_HEADERS)
 
     async def alarms(request: Request, role: str) -> Response:
@@ -190,22 +190,22 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
 
 
 async def _events(keeper: Keeper, clients: Clients, since: int | None) -> AsyncIterator[str]:
-    """Server-sent events: the whole frame, or the deltas missed since tick ``since``; then one delta per tick."""
+    """Server-sent events: the whole situation, or the deltas missed since tick ``since``; then one delta per tick."""
     listener, sent = keeper.listen(), since
     clients.now += 1
     try:
         while True:
             with keeper.lock:
-                frame, deltas = keeper.frame, list(keeper.deltas)
-            if frame is not None:
+                situation, deltas = keeper.situation, list(keeper.deltas)
+            if situation is not None:
                 missed = [] if sent is None else [delta for delta in deltas if delta.tick > sent]
-                known = sent is not None and (missed[0].tick == sent + 1 if missed else sent == frame.tick)
+                known = sent is not None and (missed[0].tick == sent + 1 if missed else sent == situation.tick)
                 if not known:
-                    yield _event("whole", keeper, frame, Delta.between(None, frame))
+                    yield _event("whole", keeper, situation, Delta.between(None, situation))
                 else:
                     for delta in missed:
-                        yield _event("delta", keeper, frame, delta)
-                sent = frame.tick
+                        yield _event("delta", keeper, situation, delta)
+                sent = situation.tick
             listener.clear()
             try:
                 await asyncio.wait_for(listener.wait(), SIGN_OF_LIFE_S)
@@ -216,20 +216,20 @@ async def _events(keeper: Keeper, clients: Clients, since: int | None) -> AsyncI
         keeper.leave(listener)
 
 
-def _event(kind: str, keeper: Keeper, frame: Frame, delta: Delta) -> str:
-    own = frame.own_ship
+def _event(kind: str, keeper: Keeper, situation: Situation, delta: Delta) -> str:
+    own = situation.own_ship
     content = {
         "tick": delta.tick, "t": delta.time_s, "whole": kind == "whole", "objects": delta.objects,
         "gone": delta.removed_objects, "records": delta.records, "lost": delta.removed_records,
     }  # fmt: skip
-    if delta.tick == frame.tick:
+    if delta.tick == situation.tick:
         content |= {
             "own": None if own is None else {
                 "x": round(own.x_m, 1), "y": round(own.y_m, 1), "vx": round(own.vx_m_per_s, 2),
                 "vy": round(own.vy_m_per_s, 2),
                 "heading": None if math.isnan(own.heading_deg) else round(own.heading_deg, 1),
             },
-            "cpa": {n: [round(metres), round(seconds)] for n, (metres, seconds) in frame.cpa.items()},
+            "cpa": {n: [round(metres), round(seconds)] for n, (metres, seconds) in situation.cpa.items()},
             "alarms": keeper.alarm_list()[:100],
             "biases": {name: [found["text"], found["established"]] for name, found in keeper.biases().items()},
         }  # fmt: skip
@@ -240,14 +240,14 @@ def live_page(keeper: Keeper, operator: bool) -> str:
     """The map page with the current picture; the event stream continues from it."""
     watch, plane = keeper.settings.watch, keeper.picture.plane
     with keeper.lock:
-        frame = keeper.frame
+        situation = keeper.situation
     empty: Mapping[str, Any] = {}
-    objects, records = (empty, empty) if frame is None else (frame.objects, frame.records)
+    objects, records = (empty, empty) if situation is None else (situation.objects, situation.records)
     sensors = [MapSensor.of(source.description, plane) for source in keeper.settings.sources.values()
                if source.description.site is None or _same_plane(source.description.site, plane)]  # fmt: skip
     sensors += [MapSensor(name, source.description.kind) for name, source in keeper.settings.sources.items()
                 if name not in {sensor.name for sensor in sensors}]  # fmt: skip
-    instant_s = keeper.now_s() if frame is None else frame.time_s
+    instant_s = keeper.now_s() if situation is None else situation.time_s
     sheet = MapSheet.of(
         "Live picture", _filled(objects), records, instants_s=np.array([instant_s]), sensors=sensors, plane=plane,
         summary=[*(str(one) for one in keeper.picture.biases.values()), *keeper.picture.errors],

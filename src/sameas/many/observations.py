@@ -40,7 +40,7 @@ from sameas.representation import in_short
 from sameas.space import Plane, Sphere, displaced, on_axes_of
 
 
-class Part(Protocol):
+class StatePart(Protocol):
     """The part of a state that a source observes."""
 
     @property
@@ -120,7 +120,7 @@ class Observations:
     """
 
     records: Records
-    part: Part
+    part: StatePart
 
     def __post_init__(self) -> None:
         if not isinstance(self.records, Records):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from sameas.sky.movers.known import KnownObjects
     from sameas.sky.movers.search import Movers
     from sameas.sky.movers.stack import Stack
-    from sameas.sky.series import Series, Stars
+    from sameas.sky.series import Series, SeriesStars
 
 #: Maximum number of candidates per measurement on the page, and their minimum probability (chosen).
 COMPETITORS, LEAST = 6, 1e-6
@@ -358,7 +358,7 @@ def series_field(
     }  # fmt: skip
 
 
-def _shown(stars: Stars) -> IntArray:
+def _shown(stars: SeriesStars) -> IntArray:
     """Rows of the stars on the page: all, or the least constant and the brightest."""
     usable = np.flatnonzero(np.isfinite(stars.mean) & np.isfinite(stars.scatter_mag))
     if len(usable) <= MAX_STARS:

@@ -19,7 +19,7 @@ from sameas._identify import identify
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.assignment import Hypothesis, assign
 from sameas.estimate.columns import ColumnEvidence
-from sameas.estimate.places import Counts, Learned
+from sameas.estimate.places import CellCounts, Learned
 from sameas.evidence import Column, Magnitudes, Related, Rule
 from sameas.gate import Pairs
 from sameas.groups import Groups, groups, laid_out
@@ -184,7 +184,7 @@ class Rows:
 class Counted:
     """The counts of a partition: records by cell, number of rows, and the stored cells (f,) of its far records."""
 
-    counts: Counts
+    counts: CellCounts
     rows: int
     far: IntArray
 
@@ -217,14 +217,14 @@ class Work:
     def count(self, side: int, cell: Cell) -> Counted:
         """The counts of a partition of catalogue 1 or 2."""
         one, none = self.sides[side - 1], np.empty(0, np.int64)
-        counts, number, far_cells = [Counts.of(none, none)], 0, [none]
+        counts, number, far_cells = [CellCounts.of(none, none)], 0, [none]
         for table in one.stored.pieces(cell, self.columns(side), self.tuning.counted_at_once):
             rows = one.rows(table)
             far = (rows.moved_arcsec > self.far_arcsec) | (rows.sigma_arcsec * 10.0 > self.far_arcsec)
-            counts.append(Counts.of(rows.cells, none) if side == 1 else Counts.of(none, rows.cells))
+            counts.append(CellCounts.of(rows.cells, none) if side == 1 else CellCounts.of(none, rows.cells))
             number += len(rows.catalogue)
             far_cells.append(rows.stored[rows.records.rows[far]])
-        return Counted(Counts.sum(counts), number, np.sort(np.concatenate(far_cells)))
+        return Counted(CellCounts.sum(counts), number, np.sort(np.concatenate(far_cells)))
 
     def read(self, side: int, stretch: IntArray, near: FloatArray, columns: list[str] | None = None) -> Rows:
         """The rows in stretches of cells, and the far records whose errors reach a disc.
@@ -246,7 +246,7 @@ class Work:
                 )
         return one.rows(table)
 
-    def decide(self, cells: Sequence[Cell]) -> list[Part]:
+    def decide(self, cells: Sequence[Cell]) -> list[DecidedPart]:
         """The parts of a piece, some cells of one order.
 
         The first part is the piece without the small cells of doubtful records; the next part has these cells and a
@@ -261,7 +261,7 @@ class Work:
             parts += [previous.without(doubtful_patch), self.decide_patch(doubtful_patch, 2.0 * previous.halo_arcsec)]
         return parts
 
-    def decide_patch(self, patch: Patch, halo_arcsec: float) -> Part:
+    def decide_patch(self, patch: Patch, halo_arcsec: float) -> DecidedPart:
         """The cells of a patch decided with a halo of at least this width."""
         halo = Halo.around(patch, halo_arcsec, self.tuning.finer)
         disc = halo.disc()
@@ -284,7 +284,7 @@ class Work:
         result = Identification(pairs, grouped, evidence, best, summed)
         touching = competing.in_groups(competing.groups_of(*edge))
         doubtful = own[0] & (touching[0] | unsummed[0]), own[1] & (touching[1] | unsummed[1])
-        return Part(halo.width_arcsec, one, two, result, stored, doubtful)
+        return DecidedPart(halo.width_arcsec, one, two, result, stored, doubtful)
 
     def identified(self, one: Rows, two: Rows) -> Identification:
         """All records of both identified by the estimates, without parts."""
@@ -505,7 +505,7 @@ class Halo:
 
 @in_short
 @dataclass(frozen=True)
-class Part:
+class DecidedPart:
     """A decided part.
 
     own : (n_table,) for either catalogue, the rows stored in the part's cells. doubtful_records : (n,) for either, the
@@ -531,7 +531,7 @@ class Part:
                 for rows, mask in zip((self.one, self.two), self.doubtful_records, strict=True)]  # fmt: skip
         return np.unique(np.concatenate(cells))
 
-    def without(self, patch: Patch) -> Part:
+    def without(self, patch: Patch) -> DecidedPart:
         """The part without the cells of a patch, and with no record doubtful: the patch has them all."""
         own_1, own_2 = (own & ~healpix.within(patch.stretch, rows.stored)
                         for own, rows in zip(self.own, (self.one, self.two), strict=True))  # fmt: skip

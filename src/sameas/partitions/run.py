@@ -29,7 +29,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError, reading
-from sameas.estimate.places import Counts, Learned, Places, drawn, learn
+from sameas.estimate.places import CellCounts, Learned, Places, drawn, learn
 from sameas.estimate.sample import Sampling
 from sameas.evidence import Related
 from sameas.io.atomic import end_with_parent, held, refused_by_disk, together
@@ -143,7 +143,7 @@ class Estimated:
     """
 
     work: Work
-    counts: Counts = field(repr=False)
+    counts: CellCounts = field(repr=False)
     catalogues: tuple[Catalogue, Catalogue]
     moved: str
     rows: tuple[int, int]
@@ -219,7 +219,7 @@ def estimate(
     work = replace(work, sides=tuple(_with_far(s, counted[k], work) for k, s in enumerate(work.sides)))  # type: ignore[arg-type]
     rows = tuple(sum(one.rows for one in side) for side in counted)
     progress("sample")
-    counts = Counts.sum([one.counts for side in counted for one in side])
+    counts = CellCounts.sum([one.counts for side in counted for one in side])
     del counted
     places = Places.of(counts, healpix.area_arcsec2(order))
     steps, cells = drawn(counts, TUNING.sampling)
@@ -802,7 +802,7 @@ def output_cells(work: Work) -> list[Cell]:
     return sorted(cells, key=sky_order)
 
 
-def divide(cells: Sequence[Cell], counts: Counts, order: int, max_records: int) -> Iterator[Task]:
+def divide(cells: Sequence[Cell], counts: CellCounts, order: int, max_records: int) -> Iterator[Task]:
     """The output's cells in tasks of pieces of at most ``max_records`` records of both catalogues, in HEALPix order; a
     piece may have more if it is as small as the cells of the counts, which are of ``order``."""
     begins = counts.cells << 2 * (healpix.FINEST - order)

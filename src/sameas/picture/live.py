@@ -31,7 +31,7 @@ from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.heights import HeightModel
-from sameas.tracks.live_feed import Counts, LiveFeed, unbiased_now
+from sameas.tracks.live_feed import LiveFeed, ReportCounts, unbiased_now
 from sameas.tracks.registration import SourceBiases, with_delay_prior
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import POSITION, Scene
@@ -128,7 +128,7 @@ class LivePicture:
         return self._last_s
 
     @property
-    def counts(self) -> Mapping[str, Counts]:
+    def counts(self) -> Mapping[str, ReportCounts]:
         """By source, the counts of its reports."""
         return {name: feed.counts for name, feed in self._feeds.items()}
 

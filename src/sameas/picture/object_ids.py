@@ -259,7 +259,7 @@ class ExistenceOdds:
 
 @in_short
 @dataclass(frozen=True)
-class Detections:
+class UnnumberedObjects:
     """The objects of an instant, (n,) each, before they have numbers.
 
     states : of the objects. tracks : (n, S) numbers of their named tracks, −1 for none. unique : (n, S) whether the
@@ -315,7 +315,7 @@ class NamedObjects(PictureObjects):
     def advance(
         self,
         instant_s: float,
-        detections: Detections,
+        detections: UnnumberedObjects,
         density_per_m2: float,
         stages: Stages,
         tuning: Tuning = DEFAULT_TUNING,
@@ -336,7 +336,7 @@ class NamedObjects(PictureObjects):
         objects = replace(parts[0].in_order(*parts[1:]), instant_s=instant_s, n_numbers=n_numbers)
         return objects._with_history(self, detections, tuning)
 
-    def _matches(self, detections: Detections, density_per_m2: float, tuning: Tuning) -> IntArray:
+    def _matches(self, detections: UnnumberedObjects, density_per_m2: float, tuning: Tuning) -> IntArray:
         """(n,) the row of each object of the instant among these, −1 for none."""
         out = np.full(len(detections), -1)
         if not len(detections) or not len(self):
@@ -353,7 +353,7 @@ class NamedObjects(PictureObjects):
         out[matches.rows_2] = matches.rows_1
         return out
 
-    def _common_tracks(self, detections: Detections, tuning: Tuning) -> CommonTracks:
+    def _common_tracks(self, detections: UnnumberedObjects, tuning: Tuning) -> CommonTracks:
         """The common tracks of these objects and those of the instant."""
         at, column = np.nonzero(detections.tracks >= 0)
         track_place, row = self.history.of(detections.tracks[at, column])
@@ -363,7 +363,7 @@ class NamedObjects(PictureObjects):
         unique = detections.unique[at, column][track_place]
         return CommonTracks.of(object_place[is_alive], at[track_place], self.history.share[row], unique, tuning)
 
-    def _new_numbers(self, detections: Detections, new: IntArray) -> IntArray:
+    def _new_numbers(self, detections: UnnumberedObjects, new: IntArray) -> IntArray:
         """(k,) numbers of the objects ``new`` without a match: that of an ended object with the same unique id, else
         a new one."""
         number = np.zeros(len(new), np.int64)
@@ -380,13 +380,13 @@ class NamedObjects(PictureObjects):
         number[is_new] = self.n_numbers + 1 + np.arange(np.count_nonzero(is_new))
         return number
 
-    def _split_off(self, detections: Detections, new: IntArray) -> BoolArray:
+    def _split_off(self, detections: UnnumberedObjects, new: IntArray) -> BoolArray:
         """(k,) whether a new object split off one of these: it has a track whose last object is one of them."""
         tracks = detections.tracks[new]
         owner = places_in(self.number, self.history.last_of(tracks.ravel())).reshape(tracks.shape)
         return np.asarray((owner >= 0).any(axis=1))
 
-    def _detected(self, detections: Detections, which: IntArray, stages: Stages, tuning: Tuning) -> NamedObjects:
+    def _detected(self, detections: UnnumberedObjects, which: IntArray, stages: Stages, tuning: Tuning) -> NamedObjects:
         """These objects, updated by their matches ``which`` of the instant."""
         states, new_report = detections.states, detections.new_report[which]
         state, covariance = states.state[which], states.covariance[which]
@@ -427,7 +427,7 @@ class NamedObjects(PictureObjects):
 
     @classmethod
     def _new(
-        cls, detections: Detections, which: IntArray, number: IntArray, split_off: BoolArray, stages: Stages
+        cls, detections: UnnumberedObjects, which: IntArray, number: IntArray, split_off: BoolArray, stages: Stages
     ) -> NamedObjects:
         """The objects ``which`` of the instant as new or returning objects.
 
@@ -446,7 +446,7 @@ class NamedObjects(PictureObjects):
             walk_m2_per_s3=detections.walk_m2_per_s3[which], speed_m_per_s=detections.speed_m_per_s[which],
         )  # fmt: skip
 
-    def _undetected(self, detections: Detections, density_per_m2: float, stages: Stages) -> NamedObjects:
+    def _undetected(self, detections: UnnumberedObjects, density_per_m2: float, stages: Stages) -> NamedObjects:
         """These objects at an instant at which no source detects them."""
         tentative = self.stage == TENTATIVE
         n_missing = self.n_missing + (tentative & bool(detections.new_report.any()))
@@ -459,7 +459,7 @@ class NamedObjects(PictureObjects):
         stage = np.where(ended, ENDED, np.where(tentative, TENTATIVE, COASTING))
         return replace(self.undetected(stage), n_missing=n_missing)
 
-    def _with_history(self, before: NamedObjects, detections: Detections, tuning: Tuning) -> NamedObjects:
+    def _with_history(self, before: NamedObjects, detections: UnnumberedObjects, tuning: Tuning) -> NamedObjects:
         """These objects with the history after the instant."""
         has_track = detections.tracks >= 0
         number, alive = self.numbers(len(detections))[np.nonzero(has_track)[0]], self.number[self.stage != ENDED]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.evidence.identity import Alarm
+from sameas.evidence.identity import IdentityConflict
 from sameas.many.objects import Name, ObjectExplanation, Objects
 from sameas.many.observations import records_of
 from sameas.picture.bernoulli import KNOWN
@@ -360,7 +360,7 @@ class PictureState(Generic[W]):
         return np.asarray(self.probability < self.scan.tuning.ambiguous_below)
 
     @cached_property
-    def alarms(self) -> tuple[Alarm, ...]:
+    def alarms(self) -> tuple[IdentityConflict, ...]:
         """Alarms on identities at two places too far apart for one object; rows are of the sources' reports."""
         start = dict(zip((d.name for d in self.scan.now.descriptions), range(len(self.scan.start)), strict=False))
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.evidence.identity import Alarm
+from sameas.evidence.identity import IdentityConflict
 from sameas.picture.deception import Fault
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotObjects
@@ -41,7 +41,7 @@ class Tally:
     due: FloatArray
     missed: FloatArray
     aged: tuple[IntArray, ...]
-    alarms: tuple[Alarm, ...]
+    alarms: tuple[IdentityConflict, ...]
 
     @classmethod
     def of(cls, state: PictureState[Carried]) -> Tally:
@@ -106,7 +106,7 @@ class MissCount:
 
 
 @dataclass(frozen=True)
-class Places:
+class PositionErrors:
     """Median 1σ per axis of the positions of confirmed objects; None if there are none.
 
     shown_m : of detected objects. coasting_m : of coasting objects. coasting : mean number of these per instant.
@@ -117,7 +117,7 @@ class Places:
     coasting: float
 
     @classmethod
-    def of(cls, objects: Mapping[str, NDArray[Any]], instants: int) -> Places:
+    def of(cls, objects: Mapping[str, NDArray[Any]], instants: int) -> PositionErrors:
         """Of the columns of a picture's objects."""
         sigma = np.ma.sqrt(0.5 * (np.ma.asarray(objects["var_x_m2"]) + objects["var_y_m2"]))
         coasts = objects["stage"] == "coasting"
@@ -142,7 +142,7 @@ class Alarmed:
     """An alarm over time: its first and last instant, their number, and the source and line of its first two
     reports."""
 
-    alarm: Alarm
+    alarm: IdentityConflict
     where: tuple[str, str]
     first_s: float
     last_s: float
@@ -182,7 +182,7 @@ class Summary:
     detected: float
     expected_wrong: float
     ambiguous_groups: float
-    places: Places
+    places: PositionErrors
     misses: tuple[MissCount, ...]
     biases: tuple[str, ...]
     alarms: tuple[Alarmed, ...]
@@ -212,7 +212,7 @@ class Summary:
             len(tallies), tallies[0].instant_s, tallies[-1].instant_s, by_sources, unconfirmed,
             float(np.mean([tally.objects for tally in tallies])),
             float(np.mean([tally.expected_wrong for tally in tallies])),
-            float(np.mean([tally.ambiguous_groups for tally in tallies])), Places.of(objects, len(tallies)),
+            float(np.mean([tally.ambiguous_groups for tally in tallies])), PositionErrors.of(objects, len(tallies)),
             tuple(_misses(scene.feeds, tallies, tuning)), tuple(biases), tuple(_alarms(scene.feeds, tallies)), assumed,
             tuple(_notes(scene.feeds, tallies)), tuple(faults), tuple(errors),
         )  # fmt: skip
@@ -298,7 +298,7 @@ def share_error(due: FloatArray, missed: FloatArray, blocks: int = DEFAULT_TUNIN
 
 
 def _alarms(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> list[Alarmed]:
-    by_identity: dict[tuple[str, str, str, str], list[tuple[float, Alarm]]] = {}
+    by_identity: dict[tuple[str, str, str, str], list[tuple[float, IdentityConflict]]] = {}
     for tally in tallies:
         for alarm in tally.alarms:
             key = (alarm.attribute, alarm.value, alarm.first[0], alarm.second[0])

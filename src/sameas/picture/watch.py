@@ -29,7 +29,7 @@ from sameas.many.pooled import PooledRecords
 from sameas.many.rules import PoissonObjects, SetRule
 from sameas.many.sets import ManyTuning, Sets
 from sameas.picture.memory import TrackMemory
-from sameas.picture.object_ids import Detections, ExistenceOdds, NamedObjects, Stages
+from sameas.picture.object_ids import ExistenceOdds, NamedObjects, Stages, UnnumberedObjects
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
 from sameas.picture.tables import Scan, object_states, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
@@ -254,7 +254,7 @@ class Watch:
         identification: Objects | None,
         memory: TrackMemory,
         texts: Mapping[str, NDArray[Any]],
-    ) -> Detections:
+    ) -> UnnumberedObjects:
         """The objects of an instant with the properties that identify them over time."""
         states = object_states(scan, members, identification)
         is_member = members >= 0
@@ -268,7 +268,7 @@ class Watch:
         new_report, new_plot = (np.asarray(column[members].any(axis=1)) for column in (is_new, new_plot))
         walk = np.append(scan.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
         speed = np.append(scan.speed_m_per_s, 0.0)[members].max(axis=1, initial=0.0)
-        return Detections(
+        return UnnumberedObjects(
             states,
             track,
             has_unique_id & is_member,

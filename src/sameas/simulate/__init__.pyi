@@ -2,7 +2,7 @@
 
 from .catalogues import BlendedField as BlendedField
 from .catalogues import Counterparts as Counterparts
-from .catalogues import Exposure as Exposure
+from .catalogues import FrameAndCatalogue as FrameAndCatalogue
 from .catalogues import Sky as Sky
 from .catalogues import blended_field as blended_field
 from .catalogues import counterparts as counterparts
@@ -13,7 +13,7 @@ from .catalogues import growing_field as growing_field
 from .catalogues import misquoted as misquoted
 from .catalogues import with_outliers as with_outliers
 from .frames import Camera as Camera
-from .frames import Gaussian as Gaussian
+from .frames import GaussianProfile as GaussianProfile
 from .frames import Lens as Lens
 from .frames import Moffat as Moffat
 from .frames import SimulatedFrame as SimulatedFrame

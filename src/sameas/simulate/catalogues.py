@@ -72,7 +72,7 @@ class Sky:
 
 @in_short
 @dataclass(frozen=True)
-class Exposure:
+class FrameAndCatalogue:
     """A frame (source 1) and the catalogue of its field (source 2), at the frame's epoch.
 
     scene : records and truth. brightness : magnitudes of both, the catalogue's in two bands. sky : the parameters.
@@ -90,7 +90,7 @@ class Exposure:
 
 def exposure(
     rng: np.random.Generator, sky: Sky | None = None, *, side_deg: float = 0.1, missing: float = 0.0
-) -> Exposure:
+) -> FrameAndCatalogue:
     """A square frame of ``side_deg`` and its catalogue; missing : share of the magnitudes missing in each band.
 
     Example
@@ -113,7 +113,9 @@ def exposure(
         frame, catalogue, truth_1, truth_2, truth_1 >= len(stars.magnitude), np.zeros(len(truth_2), np.bool_)
     )
     area = (side_deg * 3600.0) ** 2
-    return Exposure(scene, (frame_magnitudes, magnitudes), sky, area, all_objects.magnitude, all_objects.colour)
+    return FrameAndCatalogue(
+        scene, (frame_magnitudes, magnitudes), sky, area, all_objects.magnitude, all_objects.colour
+    )
 
 
 @dataclass(frozen=True)

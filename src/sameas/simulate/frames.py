@@ -1,8 +1,9 @@
 """Simulated CCD frames of known stars, with the truth.
 
 Use :func:`frame_of` for stars at known pixels, :func:`frame_of_sky` for a catalogue projected by a WCS (with its SIP
-terms, if any) and, optionally, a lens with distortion. The PSF is a :class:`Gaussian` or a :class:`Moffat` profile,
-averaged over each pixel; photon noise, read-out noise, hot pixels and cosmic rays come from the caller's Generator.
+terms, if any) and, optionally, a lens with distortion. The PSF is a :class:`GaussianProfile` or a :class:`Moffat`
+profile, averaged over each pixel; photon noise, read-out noise, hot pixels and cosmic rays come from the caller's
+Generator.
 
 >>> rng = np.random.default_rng(1)
 >>> seen = frame_of(rng, x_px=[20.3, 44.0], y_px=[31.5, 12.2], flux_e=[5e3, 2e4], camera=Camera(shape=(64, 64)))
@@ -50,7 +51,7 @@ class Profile(Protocol):
 
 
 @dataclass(frozen=True)
-class Gaussian:
+class GaussianProfile:
     """exp(−r²/2σ²) / 2πσ²: the profile of most formulas, and of few real stars."""
 
     fwhm_px: float = 3.0
@@ -206,7 +207,7 @@ def frame_of(
         raise InputError(f"{name}: stars have positions and fluxes that are finite, fluxes zero or more")
     rows, columns = camera.shape
     inside = np.flatnonzero((np.abs(xy - [(columns - 1) / 2, (rows - 1) / 2]) < [columns / 2, rows / 2]).all(axis=1))
-    light = _light(camera, Gaussian() if psf is None else psf, trail, xy, flux)
+    light = _light(camera, GaussianProfile() if psf is None else psf, trail, xy, flux)
     hot = _scattered(rng, camera.shape, camera.hot_pixels)
     light[hot] += rng.exponential(camera.hot_e, int(hot.sum()))
     struck_e = _tracks(rng, camera)

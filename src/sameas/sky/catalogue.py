@@ -24,7 +24,7 @@ from sameas.sky.column_choice import (
     GUESSED,
     SECONDS_OF_RA,
     CatalogueOptions,
-    Column,
+    ChosenColumn,
     ColumnChoice,
     Epoch,
     PositionError,
@@ -620,7 +620,7 @@ def _errors(
     return floored, correlation * ratio[:, :, None] * ratio[:, None, :]
 
 
-def _degrees(table: Table, column: Column, source: str) -> FloatArray:
+def _degrees(table: Table, column: ChosenColumn, source: str) -> FloatArray:
     if column.parts:
         return column_values.of_parts(table, column.parts, source) * (15.0 if column.unit.startswith("hours") else 1.0)
     if column.unit.startswith("sexagesimal"):
@@ -686,7 +686,7 @@ def _position_sigmas(
     return east, north, None
 
 
-def _motion_numbers(table: Table, column: Column | None, unit: str, source: str) -> FloatArray | None:
+def _motion_numbers(table: Table, column: ChosenColumn | None, unit: str, source: str) -> FloatArray | None:
     if column is None:
         return None
     return column_values.numbers(table, column.name, source) * column_values.factor(column.unit, unit)

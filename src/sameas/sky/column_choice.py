@@ -186,7 +186,7 @@ class CatalogueOptions:
 
 
 @dataclass(frozen=True)
-class Column:
+class ChosenColumn:
     """A column: its name, the unit of its numbers, and the origin of the unit.
 
     parts : the columns of hours (or sign and degrees), minutes and seconds, if an angle is split over several.
@@ -210,7 +210,7 @@ class PositionError:
     """
 
     kind: Literal["circle", "axes", "ellipse", "variances", "number", "survey", "unknown"]
-    columns: tuple[Column, ...] = ()
+    columns: tuple[ChosenColumn, ...] = ()
     sigma_arcsec: float = np.nan
     correlation: str = ""
     covariance: str = ""
@@ -246,13 +246,13 @@ class ColumnChoice:
     """
 
     convention: str
-    ra: Column
-    dec: Column
+    ra: ChosenColumn
+    dec: ChosenColumn
     error: PositionError
     epoch: Epoch
     id: str | None = None
-    motion: tuple[Column | None, ...] = (None,) * 4
-    motion_errors: tuple[Column | None, ...] = (None,) * 4
+    motion: tuple[ChosenColumn | None, ...] = (None,) * 4
+    motion_errors: tuple[ChosenColumn | None, ...] = (None,) * 4
     correlations: Correlations = ()
     weights: tuple[str, ...] = ()
     magnitude: str | None = None
@@ -313,7 +313,7 @@ def in_years(epoch: float) -> str:
     return text + "0" if text.endswith(".") else text
 
 
-def _listed(*columns: Column) -> str:
+def _listed(*columns: ChosenColumn) -> str:
     """Column names with unit and reason, grouped by both."""
     groups: dict[tuple[str, str], list[str]] = {}
     for column in columns:

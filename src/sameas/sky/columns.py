@@ -25,7 +25,7 @@ from sameas.sky.column_choice import (
     GUESSED,
     SECONDS_OF_RA,
     CatalogueOptions,
-    Column,
+    ChosenColumn,
     ColumnChoice,
     Epoch,
     PositionError,
@@ -122,16 +122,16 @@ class ColumnSearch:
             raise InputError(message, f"give {count} with commas")
         return tuple(self.required(part, option) for part in parts)
 
-    def column(self, name: str, unit: str, option: str = "") -> Column:
+    def column(self, name: str, unit: str, option: str = "") -> ChosenColumn:
         """A column with its unit: the option's, the column's own, that of the name's suffix, or ``unit``."""
         own = column_values.unit_of(self.table, name)
         if option:
-            return Column(name, option, "option")
+            return ChosenColumn(name, option, "option")
         if own is not None:
-            return Column(name, own.to_string(), "unit of the column")
-        return Column(name, _suffix_unit(name) or unit, "by its name" if _suffix_unit(name) else "by convention")
+            return ChosenColumn(name, own.to_string(), "unit of the column")
+        return ChosenColumn(name, _suffix_unit(name) or unit, "by its name" if _suffix_unit(name) else "by convention")
 
-    def angles(self, names: tuple[str, ...], unit: str, *, of_ra: bool = False) -> tuple[Column, ...]:
+    def angles(self, names: tuple[str, ...], unit: str, *, of_ra: bool = False) -> tuple[ChosenColumn, ...]:
         """Columns of small angles, such as the errors of both axes, with their units; one unit is guessed for all
         columns without.
 
@@ -156,7 +156,7 @@ class ColumnSearch:
         moving = self.find_all(("pmra", "pmdec")) or self.find_all(("pmRA", "pmDE"))
         return "mas" if moving or middle > _LARGEST_IN_ARCSEC else "arcsec"
 
-    def checked(self, column: Column, target: str, words: str, name: str = "") -> Column:
+    def checked(self, column: ChosenColumn, target: str, words: str, name: str = "") -> ChosenColumn:
         """The column, refused if its unit cannot be converted to ``target``. name : the column's name in messages."""
         try:
             column_values.factor(column.unit, target)
@@ -165,7 +165,7 @@ class ColumnSearch:
             raise InputError(Message(f"{self.source}: ", name or repr(column.name), unfit)) from None
         return column
 
-    def motion_column(self, name: str, unit: str) -> Column:
+    def motion_column(self, name: str, unit: str) -> ChosenColumn:
         """A column of parallax, proper motion or radial velocity."""
         return self.checked(self.column(name, unit), unit, f"convertible to {unit}")
 
@@ -383,17 +383,17 @@ def _own_error(search: ColumnSearch, convention: Convention) -> ErrorNames | Non
     return next((e for e in convention.errors if search.find_all(e.names)), None)
 
 
-def _direction(search: ColumnSearch, name: str, convention: Convention, axis: int) -> Column:
+def _direction(search: ColumnSearch, name: str, convention: Convention, axis: int) -> ChosenColumn:
     """The column of right ascension or longitude (axis 0), declination or latitude (axis 1)."""
     right_ascension, unit = axis == 0 and convention.frame in ("icrs", "B1950"), convention.unit
     if convention.parts:
         parts = tuple(found for part in convention.parts[axis] if (found := search.find(part)))
         unit_text = f"{'hours' if right_ascension else 'degrees'} in {', '.join(parts)}"
-        return Column(name, unit_text, "by convention", parts)
+        return ChosenColumn(name, unit_text, "by convention", parts)
     if column_values.is_sexagesimal(search.table, name):
         own = column_values.unit_of(search.table, name)
         hours = right_ascension and own != u.deg
-        return Column(name, "sexagesimal hours" if hours else "sexagesimal degrees", "by its notation")
+        return ChosenColumn(name, "sexagesimal hours" if hours else "sexagesimal degrees", "by its notation")
     column = search.column(name, unit)
     if column.unit in ("h", "hourangle"):
         return replace(column, unit="hourangle")
@@ -459,7 +459,7 @@ def _error_of_option(search: ColumnSearch, sigma: float | str, convention: Conve
 
 
 def _number_of_option(search: ColumnSearch, number: float, unit: str) -> PositionError:
-    unit_column = Column("sigma", unit, "option")
+    unit_column = ChosenColumn("sigma", unit, "option")
     search.checked(unit_column, "arcsec", "an angle; give arcsec, mas, deg", naming("'{sigma}'"))
     if not number > 0:
         message = Message(f"{search.source}: ", Argument("sigma", f"{number:g}"), " is not positive")

@@ -33,7 +33,7 @@ from sameas.gaussian import inverse
 from sameas.records import Records
 from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.column_choice import GUESSED, Column, ColumnChoice, PositionError, in_years
+from sameas.sky.column_choice import GUESSED, ChosenColumn, ColumnChoice, PositionError, in_years
 from sameas.sky.column_values import to_icrs
 from sameas.sky.conventions import SkyFrame
 from sameas.sky.frame.plate import directions_deg
@@ -157,7 +157,7 @@ def _with_likelier_unit(catalogues: Sequence[Catalogue], k: int, tuning: CommonE
     return catalogue.with_error(replace(error, columns=columns, guessed_unit=False)), doubt
 
 
-def _is_guessed(column: Column) -> bool:
+def _is_guessed(column: ChosenColumn) -> bool:
     return column.reason == GUESSED
 
 

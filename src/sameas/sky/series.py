@@ -1,7 +1,7 @@
 """A series of frames of one field: each star once with its measurements in all frames, and the unexplained rest.
 
-Identified frames (:class:`Exposure`) become a :class:`Series`; its stationary sources become :class:`Stars`, with zero
-points and differential magnitudes. The rest is searched for movers (:mod:`sameas.sky.movers.search`).
+Identified frames (:class:`Exposure`) become a :class:`Series`; its stationary sources become :class:`SeriesStars`, with
+zero points and differential magnitudes. The rest is searched for movers (:mod:`sameas.sky.movers.search`).
 
 Stationary sources are known from the catalogue and from the series itself: repeated measurements at one position on the
 sky (stars missing in the catalogue) or on the chip (hot pixels). These sources also tie the frames to each other, far
@@ -193,7 +193,7 @@ class Series:
     floor_arcsec: FloatArray
     shift_arcsec: FloatArray
     ties: IntArray
-    stars: Stars
+    stars: SeriesStars
     notes: tuple[str, ...] = ()
     trails: Trails | None = None
 
@@ -550,7 +550,7 @@ STAR_TUNING = StarTuning()
 
 @in_short
 @dataclass(frozen=True)
-class Stars:
+class SeriesStars:
     """The stars of a series, (s,) each, in its (f,) frames.
 
     Attributes
@@ -603,7 +603,7 @@ def gather(
     magnitude: FloatArray,
     frames: int,
     blur_arcsec: float,
-) -> Stars:
+) -> SeriesStars:
     """The stars among the measurements of a series.
 
     place : (n, 2) in the common system. frame : (n,). sigma : (n,) error per axis. name : (n,) catalogue star.
@@ -627,7 +627,7 @@ def gather(
     light = np.where(whole[at], raw + zero, np.nan)
     error = np.where(np.isfinite(light), np.hypot(error, floor), np.nan)
     mean, mean_error, scatter, p = _constancy(light, error)
-    return Stars(
+    return SeriesStars(
         names, middle, 1.0 / np.sqrt(np.maximum(total, 1e-30)), rows, residual, light, error, mean, mean_error, scatter,
         p, zero, zero_error, ensemble, floor, scale,
     )  # fmt: skip

@@ -43,7 +43,7 @@ from sameas.gate import ChiSquare
 from sameas.gaussian import Gaussian, mahalanobis_sq, symmetric
 from sameas.kernels.compiled import runs_compiled
 from sameas.kernels.kalman import states_moved
-from sameas.many.observations import Part
+from sameas.many.observations import StatePart
 from sameas.ragged import Ragged
 from sameas.representation import counted
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
@@ -140,7 +140,7 @@ class Earlier:
     [[0.0]]
     """
 
-    part: Part
+    part: StatePart
     age_s: float
 
     @property

@@ -40,7 +40,7 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
 @dataclass(frozen=True)
-class ErrorFit:
+class TrackErrorFit:
     """The feeds with estimated errors, and the common error of all.
 
     feeds : all, in their order, unchanged where not estimated. fitted : names of the sources with estimates.
@@ -119,7 +119,9 @@ class _Model:
         return np.asarray(np.log(real) - np.log1p(-real) + np.where(pairs.placed, log_ratio[0], 0.0) + log_ratio[1])
 
 
-def fit_errors(feeds: Sequence[Feed], plane: LocalPlane | None = None, tuning: Tuning = DEFAULT_TUNING) -> ErrorFit:
+def fit_errors(
+    feeds: Sequence[Feed], plane: LocalPlane | None = None, tuning: Tuning = DEFAULT_TUNING
+) -> TrackErrorFit:
     """The errors of sources of plots without ids, from the differences between sources.
 
     Estimates what the descriptions do not give: errors of ranges and bearings, wander over a hull, clutter, and the
@@ -129,7 +131,7 @@ def fit_errors(feeds: Sequence[Feed], plane: LocalPlane | None = None, tuning: T
     at = [k for k, feed in enumerate(feeds) if _is_fittable(feed)]
     fittable = [feeds[k] for k in at]
     if len(fittable) < 2 or all(isinstance(feed.reports, Directions) for feed in fittable):
-        return ErrorFit(tuple(feeds))
+        return TrackErrorFit(tuple(feeds))
     prior = _Prior.of([feed.description for feed in fittable], tuning)
     fits = _fits(fittable, prior, tuning)
     for k, feed in enumerate(fittable):
@@ -144,12 +146,12 @@ def fit_errors(feeds: Sequence[Feed], plane: LocalPlane | None = None, tuning: T
     mean, latency_s = _averaged(fits)
     p_pair = expit(mean.model.log_odds(mean.pairs))
     if float(p_pair @ mean.pairs.weight) < tuning.fit_pairs:
-        return ErrorFit(tuple(feeds))
+        return TrackErrorFit(tuple(feeds))
     out = list(feeds)
     for k, feed, description in zip(at, mean.feeds, _described(mean, latency_s, p_pair), strict=True):
         out[k] = _rebuilt(feed, description, plane)
     shared = math.sqrt(tuning.shared_hull) * math.exp(float(mean.model.logs[2].mean()))
-    return ErrorFit(tuple(out), tuple(feed.description.name for feed in fittable), shared)
+    return TrackErrorFit(tuple(out), tuple(feed.description.name for feed in fittable), shared)
 
 
 def _is_fittable(feed: Feed) -> bool:

@@ -66,7 +66,7 @@ class LiveTuning:
 
 
 @dataclass
-class Counts:
+class ReportCounts:
     """Counts of a source's reports. taken : all. late : older than the lag. repeated : with the position of an earlier
     report. jumps : ignored as outliers of their ids. newest_s : latest time of a report."""
 
@@ -107,7 +107,7 @@ class LiveFeed:
     to_tracks: bool | None = None
     tuning: Tuning = DEFAULT_TUNING
     live: LiveTuning = field(default_factory=LiveTuning)
-    counts: Counts = field(default_factory=Counts)
+    counts: ReportCounts = field(default_factory=ReportCounts)
 
     def __post_init__(self) -> None:
         self._numbers: dict[str, int] = {}

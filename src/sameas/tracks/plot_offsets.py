@@ -99,7 +99,7 @@ def _sight(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 @dataclass(frozen=True)
-class Candidates:
+class PlotPairs:
     """Pairs of a plot and a track that are possible under any allowed biases, (m,) each.
 
     plot, track : their numbers. residual : (m, 2) range (m) and azimuth (as metres across) of the plot minus that of
@@ -120,7 +120,7 @@ class Candidates:
     frame: FloatArray
 
 
-def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tuning) -> Candidates:
+def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tuning) -> PlotPairs:
     """The candidate pairs of all plots and all tracks of the partners."""
     widths = bias_widths(feed)
     reach_deg = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0)
@@ -157,14 +157,14 @@ def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tunin
             scans.append(float(np.sum(known[scan_starts])))
     if not sum(len(part[0]) for part in parts):
         none, empty = np.empty(0, np.int64), np.empty((0, 2))
-        return Candidates(
+        return PlotPairs(
             none, none, empty, np.empty((0, 2, 4)), empty, np.empty(0), np.empty(0), lasting, np.empty((0, 2, 2))
         )
     plot, track, residual, jacobian, variance, frame = (np.concatenate(part) for part in zip(*parts, strict=True))
     in_gate = np.unique(plot)
     background = np.zeros(len(plots))
     background[in_gate] = _background(plots, in_gate, tuning)
-    return Candidates(
+    return PlotPairs(
         plot, track, residual, jacobian, variance, background[plot], np.array(scans), lasting, frame
     )  # fmt: skip
 
@@ -253,7 +253,7 @@ class AzimuthSearch:
     log_likelihood: FloatArray
 
 
-def search_azimuth(pairs: Candidates, widths: FloatArray, tuning: Tuning) -> AzimuthSearch:
+def search_azimuth(pairs: PlotPairs, widths: FloatArray, tuning: Tuning) -> AzimuthSearch:
     """ln L of each track at each azimuth, with the other biases integrated over their priors."""
     reach = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0)
     grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / tuning.azimuth_step_deg)) + 1)
@@ -367,7 +367,7 @@ def _peaks(log_density: FloatArray, tuning: Tuning) -> list[tuple[int, int]]:
 
 
 def _refined(
-    pairs: Candidates, widths: FloatArray, start: FloatArray, scale: float, plots: Plots, tuning: Tuning
+    pairs: PlotPairs, widths: FloatArray, start: FloatArray, scale: float, plots: Plots, tuning: Tuning
 ) -> BiasFit:
     """The biases near a start, by EM over plots and tracks, with a constant place of the echo on each hull."""
     fitted = [p for p, k in enumerate(FITTED) if widths[k] > 0.0]
@@ -419,7 +419,7 @@ def _refined(
     )  # fmt: skip
 
 
-def _design(pairs: Candidates, jacobian: FloatArray) -> FloatArray:
+def _design(pairs: PlotPairs, jacobian: FloatArray) -> FloatArray:
     """(m, 2, p + 2 t) derivatives of the residuals by p biases, then by east and north of t echoes on their hulls."""
     rows, p = np.arange(len(pairs.plot)), jacobian.shape[2]
     design = np.zeros((len(rows), 2, p + 2 * len(pairs.scans)))
@@ -430,7 +430,7 @@ def _design(pairs: Candidates, jacobian: FloatArray) -> FloatArray:
 
 
 def _probabilities(
-    pairs: Candidates, residual: FloatArray, variance: FloatArray, rate: FloatArray, plots: int
+    pairs: PlotPairs, residual: FloatArray, variance: FloatArray, rate: FloatArray, plots: int
 ) -> FloatArray:
     """(m,) probability of each pair of a plot and a track, with residuals and their variances (m, 2).
 

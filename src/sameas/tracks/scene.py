@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.heights import Heights
-from sameas.evidence.identity import Alarm, Identity, alarms
+from sameas.evidence.identity import Identity, IdentityConflict, alarms
 from sameas.many.observations import Region, Source, records_of
 from sameas.many.rules import PoissonObjects
 from sameas.records import Records
@@ -38,7 +38,7 @@ from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.doubts import doubts, too_far_apart
-from sameas.tracks.error_fit import ErrorFit, fit_errors
+from sameas.tracks.error_fit import TrackErrorFit, fit_errors
 from sameas.tracks.feed import Feed, need_filtering
 from sameas.tracks.heights import HeightModel, HeightReports, heights_of
 from sameas.tracks.placement import PlacedReports
@@ -113,7 +113,7 @@ class Scene:
         feeds, biases = registered(self.feeds, references, self._plot_fits)
         return replace(self, feeds=feeds), biases
 
-    def with_fitted_errors(self) -> tuple[Scene, ErrorFit]:
+    def with_fitted_errors(self) -> tuple[Scene, TrackErrorFit]:
         """The scene with errors, clutter and latencies estimated from its bare plots, and the fit.
 
         Values given by the user are kept; see :mod:`sameas.tracks.error_fit`. To be called before :meth:`registered`.
@@ -227,7 +227,7 @@ class Instant:
         given = zip(self.feeds, self.heights, strict=True)
         return Heights({feed.description.name: heights[:, :2] for feed, heights in given if heights is not None})
 
-    def alarms(self) -> list[Alarm]:
+    def alarms(self) -> list[IdentityConflict]:
         """Identities reported at two places too far apart for one object: forged, duplicate or wrong."""
         return alarms([source for source in self.sources if isinstance(source, Records)], self.identity())
 

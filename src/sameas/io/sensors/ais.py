@@ -116,7 +116,7 @@ _SHIP_TYPES = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 
 
 
 @dataclass(frozen=True)
-class Message:
+class AisMessage:
     """One message decoded by pyais. line : of its last sentence. index : of that sentence in the log."""
 
     line: int
@@ -205,7 +205,7 @@ def own_ship(sentence: Sentence) -> dict[str, float | None]:
         decoded = _decoder()(sentence.text)
     except Exception as error:
         raise ValueError(f"cannot be decoded ({type(error).__name__})") from error
-    message = Message(sentence.line, 0, True, decoded)
+    message = AisMessage(sentence.line, 0, True, decoded)
     if message.type not in _POSITIONS or _unusable(message):
         return {}
     fields: dict[str, float | None] = {"lat": float(decoded.lat), "lon": float(decoded.lon)}
@@ -213,10 +213,10 @@ def own_ship(sentence: Sentence) -> dict[str, float | None]:
     return fields if heading is None else fields | {"heading": heading}
 
 
-def _messages(log: Log, state: ReceiverState | None) -> tuple[list[Message], list[tuple[int, str]]]:
+def _messages(log: Log, state: ReceiverState | None) -> tuple[list[AisMessage], list[tuple[int, str]]]:
     """The decoded messages, multi-part ones joined, and the damaged lines."""
     decode = _decoder()
-    messages: list[Message] = []
+    messages: list[AisMessage] = []
     damaged = list(log.damaged)
     waiting: dict[tuple[str, ...], list[Sentence]] = {} if state is None else state.waiting
     for index, sentence in enumerate(log.sentences):
@@ -237,7 +237,7 @@ def _messages(log: Log, state: ReceiverState | None) -> tuple[list[Message], lis
             # pyais raises many kinds of errors; each is one damaged message.
             damaged += [(part.line, f"cannot be decoded ({type(error).__name__})") for part in parts]
             continue
-        messages.append(Message(sentence.line, index, sentence.kind == "VDO", decoded))
+        messages.append(AisMessage(sentence.line, index, sentence.kind == "VDO", decoded))
     for parts in waiting.values() if state is None else ():
         damaged += [(part.line, "part of a message without the others") for part in parts]
     return messages, damaged
@@ -273,7 +273,7 @@ def _decoder() -> Callable[..., Any]:
     return decode
 
 
-def _unusable(message: Message) -> str:
+def _unusable(message: AisMessage) -> str:
     """Why a position report or static data cannot be used, "" where they can; starts with "AIS" where not damaged."""
     decoded = message.decoded
     if message.type in _STATICS + _POSITIONS and getattr(decoded, "mmsi", None) is None:
@@ -295,7 +295,7 @@ COUNTED = "the seconds in the messages, counted on from the start that was given
 
 
 def _times(
-    log: Log, messages: Sequence[Message], positions: Sequence[Message], source: str, start_s: float | None
+    log: Log, messages: Sequence[AisMessage], positions: Sequence[AisMessage], source: str, start_s: float | None
 ) -> tuple[FloatArray, str]:
     """The time of each position, and the description of the clock."""
     second = np.array([_available(getattr(message.decoded, "second", None), 60) for message in positions], float)
@@ -328,7 +328,7 @@ def _base_station(decoded: Any) -> float:
     return moment.timestamp()
 
 
-def _rows(positions: Sequence[Message], statics: Mapping[str, list[Static]]) -> list[dict[str, Any]]:
+def _rows(positions: Sequence[AisMessage], statics: Mapping[str, list[Static]]) -> list[dict[str, Any]]:
     rows = []
     for message in positions:
         decoded = message.decoded
@@ -362,7 +362,7 @@ def _available(value: Any, limit: float) -> float | None:
     return None if value is None or not 0 <= float(value) < limit else float(value)
 
 
-def _statics(messages: Sequence[Message], state: ReceiverState | None) -> dict[str, list[Static]]:
+def _statics(messages: Sequence[AisMessage], state: ReceiverState | None) -> dict[str, list[Static]]:
     """The static data of each ship in the order of lines; each entry includes the earlier values."""
     by_ship: dict[str, list[Static]] = {}
     if state is not None:

@@ -69,7 +69,7 @@ class Target:
 
 
 @dataclass
-class OwnShip:
+class ArpaState:
     """Own ship before these lines. has_ttm : whether TTM sentences have occurred. targets : by number."""
 
     heading: float = math.nan
@@ -79,7 +79,7 @@ class OwnShip:
     targets: dict[str, Target] = field(default_factory=dict)
 
 
-def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | None = None) -> Reports:
+def read(log: Log, source: str, start_s: float | None = None, ship: ArpaState | None = None) -> Reports:
     """The targets of a ship's radar.
 
     Parameters
@@ -93,7 +93,7 @@ def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | No
     ------
     InputError : no target; no time.
     """
-    ship = OwnShip() if ship is None else ship
+    ship = ArpaState() if ship is None else ship
     ship.has_ttm |= any(s.kind == "TTM" for s in log.sentences)
     kind = "TTM" if ship.has_ttm else "TLL"
     damaged = list(log.damaged)
@@ -172,7 +172,7 @@ def _track_ids(
     return out
 
 
-def _own_ship(log: Log, ship: OwnShip) -> dict[str, FloatArray]:
+def _own_ship(log: Log, ship: ArpaState) -> dict[str, FloatArray]:
     """Heading and position of own ship at each sentence: the latest values, NaN before the first."""
     columns = {name: np.full(len(log.sentences), np.nan) for name in ("heading", "lat", "lon")}
     for name, values in columns.items():

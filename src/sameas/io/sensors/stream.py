@@ -84,7 +84,7 @@ class ReportStream:
         self._rest: dict[int, bytes] = {}
         self._lines: list[tuple[float, str]] = []
         self._datagrams: list[tuple[float, bytes]] = []
-        self._ais_state, self._ship, self._vessels = ais.ReceiverState(), arpa.OwnShip(), signalk.Vessels()
+        self._ais_state, self._ship, self._vessels = ais.ReceiverState(), arpa.ArpaState(), signalk.Vessels()
         self._latest: sbs.Latest = {}
         self._aircraft: dict[str, object] = {}
         self._blocks: set[tuple[int, bytes]] = set()

@@ -204,7 +204,7 @@ def brightest_per_cell(vectors: FloatArray, rank: IntArray, side_rad: float, n: 
 
 
 @dataclass(frozen=True)
-class SearchTuning:
+class PointingTuning:
     """Parameters of the search for a pointing, tuned on simulated frames.
 
     Attributes
@@ -234,7 +234,7 @@ class SearchTuning:
     verified: int = 20
 
 
-TUNING = SearchTuning()
+TUNING = PointingTuning()
 
 
 @in_short

@@ -125,7 +125,7 @@ Matches = Mapping[tuple[int, int], SkyMatch]
 
 @in_short
 @dataclass(frozen=True)
-class Candidates:
+class PairwiseGate:
     """Candidate pairs of every two catalogues; a gate for :func:`sameas.many.pooled.pooled`, by the sources' names.
 
     Every two catalogues are matched first (:func:`sameas.sky.crossmatch.match`), because the residuals determine the
@@ -139,7 +139,9 @@ class Candidates:
     indices: Mapping[tuple[int, int], tuple[IntArray, IntArray]]
 
     @classmethod
-    def of(cls, matches: Matches, records: Sequence[Records], astrometric: Sequence[AstrometricRecords]) -> Candidates:
+    def of(
+        cls, matches: Matches, records: Sequence[Records], astrometric: Sequence[AstrometricRecords]
+    ) -> PairwiseGate:
         """The candidates of the ``matches`` of every two catalogues, and those implied by moving stars."""
         links = {}
         for (a, b), match in matches.items():
@@ -201,7 +203,7 @@ def _indices_of_table_rows(records: Records) -> IntArray:
 
 
 def _plausible(links: Mapping[tuple[int, int], csr_array], a: int, b: int) -> csr_array:
-    """Candidates of catalogues a and b above :data:`PLAUSIBLE`, in either order, as a sparse matrix of ones."""
+    """Candidate pairs of catalogues a and b above :data:`PLAUSIBLE`, in either order, as a sparse matrix of ones."""
     # A copy: eliminate_zeros moves the indices in place, and csr_array shares them.
     plausible = csr_array(links[a, b] if a < b else links[b, a].T, copy=True)
     plausible.data = np.where(plausible.data > 1.0 + PLAUSIBLE, 1.0, 0.0)
@@ -324,7 +326,7 @@ def match_many(
     progress("candidates of all")
     records = [by_position(catalogue.records(epoch)) for catalogue in ordered]
     astrometric = tuple(AstrometricRecords.of(c, r, epoch) for c, r in zip(ordered, records, strict=True))
-    candidates = Candidates.of(matches, records, astrometric)
+    candidates = PairwiseGate.of(matches, records, astrometric)
     records_as_given = [records[order.index(k)] for k in range(len(order))]
     pooled_records = pooled(records_as_given, candidates)
     coverages = {(a, b): _coverage_of(match, records[a], records[b]) for (a, b), match in matches.items()}

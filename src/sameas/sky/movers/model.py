@@ -165,7 +165,7 @@ class Surroundings:
     log_crowding: FloatArray
     reference: FloatArray
     log_brightness: FloatArray
-    coverage: Coverage
+    coverage: ExposureCoverage
     cell: IntArray
     trail: FloatArray
 
@@ -176,7 +176,7 @@ class Surroundings:
         minutes = (detections.mjd_utc - detections.mjd_utc.min()) * 1440.0
         elongation = axes.longitude_deg - sun_longitude_deg(detections.mjd_utc)
         density, wide = _densities(detections, axes, (tuning.neighbours, tuning.wide * tuning.neighbours))
-        coverage = Coverage.of(detections, axes, density)
+        coverage = ExposureCoverage.of(detections, axes, density)
         return cls(
             detections, axes, minutes, axes.rotated(detections.covariance), np.log(density),
             np.log(np.maximum(density / (tuning.crowded * wide), 1.0)), reference_rate(elongation),
@@ -239,7 +239,7 @@ def _brightness(detections: Detections) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Coverage:
+class ExposureCoverage:
     """Which exposures cover which cell of the sky.
 
     An exposure covers a cell if it has a detection there or in one of the eight neighbouring cells. The cell size is
@@ -254,7 +254,7 @@ class Coverage:
     before: IntArray
 
     @classmethod
-    def of(cls, detections: Detections, axes: EclipticAxes, density: FloatArray) -> Coverage:
+    def of(cls, detections: Detections, axes: EclipticAxes, density: FloatArray) -> ExposureCoverage:
         """The coverage of some detections. density : (n,) local densities, per arcsec²."""
         side = math.sqrt(5.0 / 9.0 / float(np.median(density))) / 3600.0
         row, longitude = _rows(axes.unit, side)

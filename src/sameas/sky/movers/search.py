@@ -464,7 +464,7 @@ def _linear_fits(detections: Detections, members: IntArray) -> tuple[FloatArray,
 
 
 @dataclass(frozen=True)
-class SearchTuning:
+class MoverTuning:
     """Parameters of the search in a series of frames.
 
     Attributes
@@ -486,7 +486,7 @@ class SearchTuning:
     counts: float = 300.0
 
 
-SERIES_TUNING = SearchTuning()
+SERIES_TUNING = MoverTuning()
 #: Few detections are left over in a series, and three frames must agree: links too fast for the main belt are tried
 #: too. With −6, the limit for alerts, no injected mover faster than 2″/min was found, bright or faint; with −14 most
 #: are.
@@ -528,7 +528,7 @@ def search(
     *,
     least: int = 3,
     min_probability: float = 0.5,
-    tuning: SearchTuning = SERIES_TUNING,
+    tuning: MoverTuning = SERIES_TUNING,
     motion: Tuning = MOTION_TUNING,
 ) -> tuple[Movers, Series]:
     """The movers of a series of frames, and the series with newly found stationary and fixed detections marked.
@@ -557,7 +557,7 @@ def search(
     return found.only(wanted), series
 
 
-def _stationary_and_fixed(found: Movers, series: Series, tuning: SearchTuning) -> tuple[BoolArray, BoolArray]:
+def _stationary_and_fixed(found: Movers, series: Series, tuning: MoverTuning) -> tuple[BoolArray, BoolArray]:
     """(k,) masks of the tracklets that are stationary on the sky, and of those that may be fixed on the chip."""
     over_sky = _moved_arcsec(found) / series.scale_arcsec_per_px
     rows = found.detections.rows[found.members[:, 0]], found.detections.rows[_last(found)]

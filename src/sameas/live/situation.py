@@ -1,6 +1,6 @@
-"""A frame: one tick of the picture as plain rows of objects and records, with the alarms.
+"""A situation: one tick of the picture as plain rows of objects and records, with the alarms.
 
-Journal, outputs and web page are made from frames only; none of them accesses the picture itself.
+Journal, outputs and web page are made from situations only; none of them accesses the picture itself.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class OwnShipState:
 
 
 @dataclass(frozen=True)
-class Frame:
-    """One tick.
+class Situation:
+    """The picture at one tick.
 
     Attributes
     ----------
@@ -87,8 +87,8 @@ class Frame:
         alarms: Sequence[Alarm] = (),
         own_ship: OwnShipState | None = None,
         heights: HeightModel | None = None,
-    ) -> Frame:
-        """The frame of a state."""
+    ) -> Situation:
+        """The situation of a state."""
         objects, records = object_columns(state), record_columns(state)
         members: dict[int, list[tuple[str, str]]] = {}
         for number, source, track, row in zip(
