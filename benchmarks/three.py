@@ -76,7 +76,7 @@ _COLUMNS = (
 
 def _astrometry(catalogue: Catalogue, rows: np.ndarray) -> list[np.ndarray]:
     """The astrometry of rows of a catalogue, in the order of ``_COLUMNS``; NaN for unknown motions."""
-    from sameas.sky.many.population import moving_rows
+    from sameas.sky.population import moving_rows
 
     a = catalogue.astrometry[rows]
     has_motion = moving_rows(catalogue)[rows]

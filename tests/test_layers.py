@@ -14,8 +14,9 @@ from modules import belong_inside, circles, imported, name_of, too_small
 HOME = Path(sameas.__file__).parent
 #: The modules and packages of ``sameas`` from the lowest layer up; those of one line do not import each other.
 FLOORS = """
-arrays errors kernels representation times
-bounds gaussian ragged
+errors representation
+arrays bounds
+gaussian kernels
 space
 records
 gate

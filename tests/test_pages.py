@@ -11,8 +11,8 @@ from astropy.table import Table
 
 from browser import CHROMIUM, Browser
 from charted import charted
+from sameas.pages import asset, page_of, script_safe
 from sameas.pages.map import map_page
-from sameas.pages.template import asset, page_of, script_safe
 from sameas.plots import frame as frame_plots
 
 HOSTILE = '</script><script>document.title="taken"</script><img src=x onerror="document.title=1">{{js}}{{policy}}'

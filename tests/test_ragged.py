@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import naive
-from sameas.ragged import Ragged, ordered_by, places_in, ranges, spans_in
+from sameas.arrays import Ragged, ordered_by, places_in, ranges, spans_in
 
 quickly = settings(max_examples=100, deadline=None, derandomize=True)
 rows = st.lists(st.tuples(st.integers(-9, 9), st.integers(0, 4)), max_size=9)

@@ -20,12 +20,12 @@ from sameas.errors import InputError
 from sameas.gate import Radius
 from sameas.io import read_provenance, read_table, write_table
 from sameas.simulate.scenes import Cap, crowded_sky
+from sameas.sky import many as many_match
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import at_common_epoch, match
 from sameas.sky.joins import joined_many
 from sameas.sky.many import ManyMatch, ManyOptions, match_many
-from sameas.sky.many import match as many_match
-from sameas.sky.many.population import AstrometricRecords, degrees_of_freedom, fitted, pairs_within, patterns_of
+from sameas.sky.population import AstrometricRecords, degrees_of_freedom, fitted, pairs_within, patterns_of
 from sameas.space import displaced, sphere_offset
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

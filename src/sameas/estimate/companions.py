@@ -21,13 +21,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, places_in, ranges
 from sameas.estimate.cells import GridLevel, finest
 from sameas.estimate.coverage import typical_error
 from sameas.estimate.sample import Setting
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs, Radius
-from sameas.ragged import places_in, ranges
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, unit_vectors

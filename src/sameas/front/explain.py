@@ -21,7 +21,7 @@ from sameas.errors import InputError, reading
 from sameas.report.explain import source_numbers, texts_of
 from sameas.report.prose import Lines, entry, moment
 from sameas.representation import count
-from sameas.result.explanation import probability_text
+from sameas.result import probability_text
 
 if TYPE_CHECKING:
     from astropy.table import Table

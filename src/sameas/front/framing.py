@@ -273,7 +273,7 @@ def write(
 
 def frame_of(request: FrameRequest, progress: Progress) -> Frame:
     """The frame of a request, read and calibrated."""
-    from sameas.times import Time
+    from sameas.sky.times import Time
 
     progress("reading")
     moment = None if request.time is None else _moment(request.time, Time)
@@ -349,7 +349,7 @@ def _write(
     if "copy" in paths:
         write_copy(found.plate, request.path, paths["copy"])
     if "page" in paths:
-        from sameas.pages import write_frame_page
+        from sameas.pages.frame import write_frame_page
 
         write_frame_page(found, frame, paths["page"], brightest=request.brightest, facts=facts)
     if "picture" in paths:

@@ -107,7 +107,7 @@ class MatchMany(Result):
         import numpy as np
 
         from sameas.records import Records
-        from sameas.result.explanation import row_of
+        from sameas.result import row_of
 
         names = [catalogue.name for catalogue in self.sky.catalogues]
         number = names.index(source) if isinstance(source, str) and source in names else source
@@ -255,7 +255,7 @@ def identified(
     request: Request[ManyOptions], catalogues: Sequence[Catalogue], *, progress: Callable[[str], None]
 ) -> ManyMatch:
     """The match of the catalogues of a request, which are read already."""
-    from sameas.sky.many.match import match_many as identify
+    from sameas.sky.many import match_many as identify
 
     found: ManyMatch = request.naming_sides(lambda: identify(catalogues, request.options, progress=progress))
     return found

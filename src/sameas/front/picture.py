@@ -521,7 +521,7 @@ def _sources(sources: Any, described: Mapping[str, SourceOptions], start: str | 
 
 def _cells(data: Any, name: str) -> TableText:
     """The cells of an in-memory table, with times in seconds since 1970."""
-    from sameas.times import Time
+    from sameas.sky.times import Time
 
     table = table_of(data, name)
     columns: dict[str, Sequence[Any]] = {}

@@ -94,7 +94,7 @@ class IdentifiedFrame:
         ------
         InputError : the header has no time of the exposure.
         """
-        from sameas.times import Time
+        from sameas.sky.times import Time
 
         summary = self.summary
         if summary["exposure"]["mid_time"] is None:

@@ -152,7 +152,7 @@ class Observation:
     ) -> Observation:
         """An observation from MJD (UTC), right ascension and declination in degrees, and the covariance (3,) east-east,
         east-north, north-north in arcsec². measured : other fields, by name."""
-        from sameas.times import Time
+        from sameas.sky.times import Time
 
         east, both, north = covariance
         return cls(

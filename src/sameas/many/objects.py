@@ -4,7 +4,7 @@ Members are rows of the sources' own tables, in the order in which the sources w
 are numbered by the content of their records, so their numbers do not depend on the order of sources or rows.
 
 :meth:`Objects.explain` compares the terms of an object with those of every other set that one of its records could
-belong to. For two sources, :mod:`sameas.result.explanation` also has the cost of every other answer for the group.
+belong to. For two sources, :mod:`sameas.result` also has the cost of every other answer for the group.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Terms, pairs_of
 from sameas.many.sets import Sets
 from sameas.representation import in_short
-from sameas.result.explanation import probability_text
+from sameas.result import probability_text
 
 #: Least probability of a listed rival (chosen).
 MIN_PROBABILITY = 1e-9

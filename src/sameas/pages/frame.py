@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, IntArray
 from sameas.io.atomic import replacing
-from sameas.pages.template import asset, column, page_of, png, rounded, script_safe
+from sameas.pages import asset, column, page_of, png, rounded, script_safe
 from sameas.plots.frame import binned, binning, stretched
 from sameas.report.frame import reasons
 from sameas.sky.frame.identified import EXPECTED, FrameIdentification

@@ -20,7 +20,7 @@ from sameas.errors import InputError
 from sameas.io.atomic import replacing
 from sameas.maps.outline import Outline, outline
 from sameas.maps.sheet import STAGES, Columns, MapSheet, ellipse_axes, members_of
-from sameas.pages.template import POLICY, SERVED_POLICY, asset, page_of, script_safe
+from sameas.pages import POLICY, SERVED_POLICY, asset, page_of, script_safe
 
 # Packed columns of numbers, small in the file and unpacked by a few lines of script (map-table.js).
 #

@@ -66,12 +66,11 @@ from functools import cached_property
 import numpy as np
 from scipy.special import log_softmax, logsumexp
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import FloatArray, IntArray, ordered_by
 from sameas.gaussian import inverse, log_density, mahalanobis_sq
 from sameas.kernels.kalman import add_evidence, correlated_shifts, update_in_plane
 from sameas.picture.tables import RANGE_BANDS, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
-from sameas.ragged import ordered_by
 from sameas.tracks.alignment import moved
 from sameas.tracks.kinds import KINDS
 

@@ -46,7 +46,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, taken
+from sameas.arrays import BoolArray, FloatArray, IntArray, places_in, taken
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
@@ -57,7 +57,6 @@ from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan, objects_per_m2
 from sameas.picture.track_pairs import MIN_SWAP, Rivals, SwapRates, TrackPairs, by_source_order, keys, with_manoeuvres
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
-from sameas.ragged import places_in
 from sameas.representation import in_short
 from sameas.tracks.kinds import KINDS
 

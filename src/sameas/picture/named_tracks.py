@@ -27,12 +27,11 @@ from itertools import repeat
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, places_in
 from sameas.gate import ChiSquare
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
 from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors, error_update, evenly, growth
 from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan
-from sameas.ragged import places_in
 
 #: At most this many reports of an instant are used to estimate correlation times; more add no information.
 MAX_REPORTS = 256

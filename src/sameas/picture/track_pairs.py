@@ -37,14 +37,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, taken
+from sameas.arrays import BoolArray, FloatArray, IntArray, places_in, taken
 from sameas.gaussian import LOG_2PI, distance_and_log_determinant, log_density, mahalanobis_sq
 from sameas.kernels.track_pairs import COVARIANCE, MEAN, WIDTH, best_others, mix, new_pair_errors, pairs_stepped
 from sameas.picture.error_factors import MIN_M2, ErrorCorrelation
 from sameas.picture.named_tracks import Step
 from sameas.picture.tables import ColumnTable, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
-from sameas.ragged import places_in
 from sameas.tracks.kinds import KINDS
 
 

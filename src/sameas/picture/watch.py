@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, places_in
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.kernels.components import label_components
@@ -33,7 +33,6 @@ from sameas.picture.object_ids import ExistenceOdds, NamedObjects, Stages, Unnum
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
 from sameas.picture.tables import Scan, object_states, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
-from sameas.ragged import places_in
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.scene import Instant

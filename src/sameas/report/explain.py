@@ -19,12 +19,12 @@ from sameas.arrays import BoolArray, IntArray
 from sameas.errors import InputError
 from sameas.report.prose import WIDTH, entry, moment
 from sameas.representation import count
-from sameas.result.explanation import probability_text
+from sameas.result import probability_text
 
 if TYPE_CHECKING:
     from astropy.table import Table
 
-    from sameas.result.explanation import Competitor, Explanation
+    from sameas.result import Competitor, Explanation
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import SkyMatch
 

@@ -27,8 +27,7 @@ from sameas.kernels import threads
 from sameas.records import Records
 from sameas.report.prose import DOUBT, LABEL, entry, figures, percent, times
 from sameas.representation import count, counted
-from sameas.result import Answers, Identification
-from sameas.result.identification import AMBIGUOUS
+from sameas.result import AMBIGUOUS, Answers, Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import in_years
 from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch, area_and_densities

@@ -47,7 +47,7 @@ from sameas.space import Sphere
 
 if TYPE_CHECKING:
     from sameas.estimate.blends import Blends
-    from sameas.sky.many.match import ManyMatch
+    from sameas.sky.many import ManyMatch
 
 #: Row of a partner, or number of an object, that does not exist; within this module only, tables carry masks.
 NO_PARTNER = -1

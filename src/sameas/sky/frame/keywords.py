@@ -301,7 +301,7 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
 
 def _time_of(day: float, scale: str, how: str, lines: tuple[str, ...]) -> tuple[Time, tuple[str, ...]]:
     """The time of an MJD on a scale (TT before UTC existed), and the lines, with one on its origin ``how``."""
-    from sameas.times import Time
+    from sameas.sky.times import Time
 
     year = 1858.8 + day / 365.25
     if scale == "utc" and year < _FIRST_UTC_YEAR:

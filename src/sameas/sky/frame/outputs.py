@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.result.identification import AMBIGUOUS
+from sameas.result import AMBIGUOUS
 from sameas.sky.frame.identified import EXPECTED, FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag

@@ -345,7 +345,7 @@ def _mjd(column: Any, name: str, label: str) -> tuple[FloatArray, str]:
         days = np.asarray(np.ma.filled(values.astype(np.float64), np.nan))
         julian = bool(np.nanmedian(days) > _JULIAN) if np.isfinite(days).any() else False
         return (days - 2400000.5, "JD") if julian else (days, "MJD")
-    from sameas.times import Time
+    from sameas.sky.times import Time
 
     texts = np.ma.filled(values.astype(str), "")
     out = np.full(len(texts), np.nan)

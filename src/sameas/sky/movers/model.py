@@ -10,8 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import betaln
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.ragged import places_in
+from sameas.arrays import BoolArray, FloatArray, IntArray, places_in
 from sameas.representation import in_short
 from sameas.sky.movers.detections import Detections
 from sameas.sky.movers.rates import (

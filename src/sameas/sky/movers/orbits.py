@@ -271,7 +271,7 @@ class Ephemeris:
 
 def states(elements: Elements, mjd_utc: float) -> FloatArray:
     """(2, 3, n) heliocentric positions, au, and velocities, au/day, of the objects at a time, on ICRS axes."""
-    from sameas.times import Time
+    from sameas.sky.times import Time
 
     planets = _planets()
     planets.check(np.array([mjd_utc]))
@@ -307,7 +307,7 @@ def ephemeris(
     the time by MPC's U (the middle of its class of runoff in longitude, 648000″^(U − ½)/9 in ten years; 0.05″ per year
     for U = 0 and if U is not known); this sets the scale of the gate.
     """
-    from sameas.times import Time
+    from sameas.sky.times import Time
 
     planets = _planets()
     planets.check(np.asarray(mjd_utc))
@@ -592,7 +592,7 @@ def geocentric_km(lat_deg: float, lon_deg: float, height_m: float, mjd_utc: Floa
     from astropy import units as u
     from astropy.coordinates import EarthLocation
 
-    from sameas.times import Time, installed_rotation
+    from sameas.sky.times import Time, installed_rotation
 
     place = EarthLocation.from_geodetic(
         lon_deg * u.deg, lat_deg * u.deg, (height_m if height_m == height_m else 0) * u.m

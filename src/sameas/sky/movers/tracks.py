@@ -21,10 +21,9 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged, ranges
 from sameas.many.marginals import additive_answer
 from sameas.many.sets import Sets
-from sameas.ragged import Ragged, ranges
 from sameas.sky.movers.links import CHUNK, Links, rates_of
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
 from sameas.sky.movers.rates import log_normal

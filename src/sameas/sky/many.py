@@ -1,8 +1,22 @@
-"""Joint crossmatch of several catalogues: every object, its record in each catalogue, and the probabilities.
+"""Many catalogues at once: :func:`match_many` finds the objects of two catalogues or more, jointly.
 
 Data flow: catalogues → pairwise crossmatches → candidates → astrometry of each record → candidate sets of one star →
-population, estimated together with the probabilities of the sets (:mod:`sameas.sky.many.population`) → the best
+population, estimated together with the probabilities of the sets (:mod:`sameas.sky.population`) → the best
 partition into stars. The result does not depend on the order of the catalogues.
+
+>>> import numpy as np
+>>> from sameas.sky.catalogue import Catalogue, CatalogueOptions
+>>> rng = np.random.default_rng(1)
+>>> ra, dec = rng.uniform(10.0, 11.0, 200), rng.uniform(40.0, 41.0, 200)
+>>> def observed(name, rows):
+...     scatter = 0.1 / 3600.0 * rng.standard_normal((2, len(rows)))
+...     positions = {"ra": ra[rows] + scatter[0] / np.cos(np.radians(dec[rows])), "dec": dec[rows] + scatter[1]}
+...     return Catalogue.of(positions, name, options=CatalogueOptions(sigma=0.1))
+>>> radio, optical = observed("radio", np.arange(150)), observed("optical", np.arange(200))
+>>> xray = observed("xray", np.arange(60))
+>>> result = match_many([radio, optical, xray])
+>>> np.bincount(result.objects.n_members).tolist()
+[0, 50, 90, 60]
 """
 
 from __future__ import annotations
@@ -34,7 +48,7 @@ from sameas.sky.catalogue import Catalogue
 from sameas.sky.crossmatch import OFF, MatchOptions, SkyMatch, at_common_epoch, by_position
 from sameas.sky.crossmatch import match as match_two
 from sameas.sky.doubts import completed
-from sameas.sky.many.population import (
+from sameas.sky.population import (
     TUNING,
     AstrometricRecords,
     Coverages,
