@@ -116,9 +116,8 @@ def test_links_of_a_long_series_agree_with_those_among_all_pairs(monkeypatch):
     quick = candidate_links(around, model)
     every = np.column_stack(np.triu_indices(n, 1))
     monkeypatch.setattr("sameas.sky.movers.links._pairs", lambda *_: every)
-    monkeypatch.setattr("sameas.sky.movers.links.CHUNK", 10_000)
     monkeypatch.setattr("sameas.sky.movers.links.Reach.__call__", lambda _, minutes: np.full(len(minutes), 1e9))
-    slow = candidate_links(around, model)
+    slow = candidate_links(around, model, Tuning(pairs_at_once=10_000))
     assert len(quick) > 100 and (set(zip(quick.i, quick.j, strict=True)) == set(zip(slow.i, slow.j, strict=True)))
 
 

@@ -37,18 +37,6 @@ from sameas.space import chord_angle_deg
 
 #: Error in magnitudes per relative error of the flux.
 POGSON = 2.5 / math.log(10.0)
-#: With fewer pairs the root mean square is used instead of the robust scatter (chosen).
-FEW = 20
-#: Quantile of the identified magnitudes taken as the limit of the catalogue, and the minimum share of all measurements
-#: that are fainter and unidentified in a shallow catalogue (both chosen).
-REACHED, SHALLOW = 0.98, 0.2
-#: Quantile of magnitude above which the stars of a catalogue are its faintest (chosen).
-FAINTEST = 0.8
-#: Minimum detection probability of a star that is reported as missing if not identified.
-EXPECTED = 0.5
-#: Minimum deviation from the catalogued magnitude that is reported, in robust standard deviations of the pairs and in
-#: magnitudes (both chosen): a variable, a wrong identification, light of another star.
-ODD_SIGMAS, ODD_MAG = 5.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -62,6 +50,17 @@ class RefinementTuning:
     pairs_beyond_linear : with more pairs than this the first plate may have an order above 1.
     saturated_mag : standard error of the magnitude of a saturated star, which loses part of its light.
     min_p_detect : minimum detection probability of a candidate star.
+    few_pairs : with fewer pairs the root mean square is used instead of the robust scatter.
+    limit_quantile, shallow_share : quantile of the identified magnitudes taken as the limit of the catalogue, and the
+        minimum share of all measurements that are fainter and unidentified in a shallow catalogue.
+    faintest_quantile : quantile of magnitude above which the stars of a catalogue are its faintest.
+    p_expected : minimum detection probability of a star that is reported as missing if not identified.
+    odd_sigmas, odd_mag : minimum deviation from the catalogued magnitude that is reported, in robust standard
+        deviations of the pairs and in magnitudes: a variable, a wrong identification, light of another star.
+    room : radius of the star field over that of the frame, to allow for a change of rotation and scale.
+    least_common_px, largest_common_px, common_steps : grid of the common error of stars.
+    p_sure : minimum probability of the pairs used for it. tail_share, tail_factor : share of outliers (doubles, blends)
+        among them, and the factor on their errors.
     """
 
     margin_px: float = 2.0
@@ -69,6 +68,20 @@ class RefinementTuning:
     saturated_mag: float = 0.5
     pairs_beyond_linear: int = 30
     min_p_detect: float = 0.01
+    few_pairs: int = 20
+    limit_quantile: float = 0.98
+    shallow_share: float = 0.2
+    faintest_quantile: float = 0.8
+    p_expected: float = 0.5
+    odd_sigmas: float = 5.0
+    odd_mag: float = 0.5
+    room: float = 1.1
+    least_common_px: float = 1e-3
+    largest_common_px: float = 10.0
+    common_steps: int = 200
+    p_sure: float = 0.9
+    tail_share: float = 0.05
+    tail_factor: float = 5.0
 
 
 TUNING = RefinementTuning()
@@ -145,7 +158,7 @@ class FrameIdentification:
         """Rows of the stars that should be detected but are not identified."""
         identified = np.zeros(len(self.stars), np.bool_)
         identified[self.pairs[1]] = True
-        return np.flatnonzero(self.inside & ~identified & (self.p_detect >= EXPECTED))
+        return np.flatnonzero(self.inside & ~identified & (self.p_detect >= TUNING.p_expected))
 
     @cached_property
     def residual_px(self) -> FloatArray:
@@ -176,11 +189,11 @@ class FrameIdentification:
         identified[self.pairs[1]] = True
         identified, star_mag = identified[self.inside], self.stars.magnitude[self.inside]
         if np.isfinite(star_mag).any():
-            identified = identified[star_mag > np.nanquantile(star_mag, FAINTEST)]
-        if len(identified_mag) < FEW or not len(identified) or identified.mean() < EXPECTED:
+            identified = identified[star_mag > np.nanquantile(star_mag, TUNING.faintest_quantile)]
+        if len(identified_mag) < TUNING.few_pairs or not len(identified) or identified.mean() < TUNING.p_expected:
             return np.empty(0, np.int64)
-        fainter = unidentified[magnitude[unidentified] > np.quantile(identified_mag, REACHED)]
-        return fainter if len(fainter) > SHALLOW * len(magnitude) else fainter[:0]
+        fainter = unidentified[magnitude[unidentified] > np.quantile(identified_mag, TUNING.limit_quantile)]
+        return fainter if len(fainter) > TUNING.shallow_share * len(magnitude) else fainter[:0]
 
     @cached_property
     def excess_mag(self) -> FloatArray:
@@ -195,7 +208,7 @@ class FrameIdentification:
         """Indices of the identified pairs much brighter or fainter than catalogued, largest deviation first."""
         deviation = np.abs(np.nan_to_num(self.excess_mag))
         scatter = 0.0 if self.zero_point is None else self.zero_point.scatter
-        odd = np.flatnonzero(deviation > max(ODD_SIGMAS * scatter, ODD_MAG))
+        odd = np.flatnonzero(deviation > max(TUNING.odd_sigmas * scatter, TUNING.odd_mag))
         return odd[np.argsort(-deviation[odd], kind="stable")]
 
     @property
@@ -204,7 +217,7 @@ class FrameIdentification:
         residual = self.residual_arcsec
         if not len(residual):
             return np.full(2, np.nan)
-        if len(residual) < FEW:
+        if len(residual) < TUNING.few_pairs:
             return np.asarray(np.sqrt(np.mean(residual**2, axis=0)))
         return np.asarray(1.4826 * np.median(np.abs(residual - np.median(residual, axis=0)), axis=0))
 
@@ -361,10 +374,6 @@ def _notes(result: Identification, estimate: Estimate, plate: PlateModel, conver
     return tuple(notes)
 
 
-#: Radius of the star field over that of the frame, to allow for a change of rotation and scale (chosen).
-ROOM = 1.1
-
-
 def solve(
     measured: Measurements,
     catalogue: Catalogue,
@@ -415,12 +424,6 @@ def solve(
     return _with_common_error(identification, refinement) if catalogue.error_is_unknown else identification
 
 
-#: Grid of the common error of stars: range in pixels, number of steps (chosen).
-MIN_PX, LARGEST_PX, STEPS = 1e-3, 10.0, 200
-#: Minimum probability of pairs used for it; share of outliers (doubles, blends) and factor on their errors (chosen).
-SURE, TAIL_SHARE, TAIL = 0.9, 0.05, 5.0
-
-
 def common_star_error(found: FrameIdentification) -> float:
     """The common position error of the stars, arcsec per axis, from the residuals and the errors of the measurements.
 
@@ -428,13 +431,13 @@ def common_star_error(found: FrameIdentification) -> float:
     scaled for the degrees of freedom of the plate model.
     """
     i, _, p = found.pairs
-    sure = p >= SURE
+    sure = p >= TUNING.p_sure
     scale = found.placement.pointing.scale_arcsec
     residual = found.residual_arcsec[sure]
     parameters = (found.plate.order + 1) * (found.plate.order + 2) // 2
     residual_sq = residual**2 * len(residual) / max(len(residual) - parameters, 1)
     sigma2 = scale**2 * found.measured.covariance[i[sure]][:, [0, 2]].mean(axis=1, keepdims=True)
-    s2 = (scale * np.geomspace(MIN_PX, LARGEST_PX, STEPS)) ** 2
+    s2 = (scale * np.geomspace(TUNING.least_common_px, TUNING.largest_common_px, TUNING.common_steps)) ** 2
     log_likelihood = [_log_tailed(residual_sq, sigma2 + variance).sum() for variance in s2]
     return float(np.sqrt(s2[int(np.argmax(log_likelihood))]))
 
@@ -442,8 +445,8 @@ def common_star_error(found: FrameIdentification) -> float:
 def _log_tailed(residual_sq: FloatArray, variance: FloatArray) -> FloatArray:
     """Log density of a normal distribution with outliers at squared residuals (up to a constant)."""
     core = np.exp(-0.5 * residual_sq / variance) / np.sqrt(variance)
-    tail = np.exp(-0.5 * residual_sq / (TAIL**2 * variance)) / (TAIL * np.sqrt(variance))
-    return np.asarray(np.log((1.0 - TAIL_SHARE) * core + TAIL_SHARE * tail + 1e-300))
+    tail = np.exp(-0.5 * residual_sq / (TUNING.tail_factor**2 * variance)) / (TUNING.tail_factor * np.sqrt(variance))
+    return np.asarray(np.log((1.0 - TUNING.tail_share) * core + TUNING.tail_share * tail + 1e-300))
 
 
 def _with_common_error(found: FrameIdentification, refinement: Refinement | None) -> FrameIdentification:
@@ -458,13 +461,13 @@ def _with_common_error(found: FrameIdentification, refinement: Refinement | None
 
 
 def footprint(pointing: Pointing, shape: tuple[int, int]) -> Cone:
-    """The cone around a frame, with a radius larger by the factor :data:`ROOM`."""
+    """The cone around a frame, with a radius larger by the factor ``room``."""
     rows, columns = shape
     corners = np.array([[0.0, 0.0], [columns - 1.0, 0.0], [0.0, rows - 1.0], [columns - 1.0, rows - 1.0]])
     middle = pointing.to_sky(np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]]))[0]
     chord = np.linalg.norm(pointing.to_sky(corners) - middle, axis=1).max()
     ra, dec = directions_deg(middle)
-    return Cone(float(ra), float(dec), min(ROOM * chord_angle_deg(float(chord)), 180.0))
+    return Cone(float(ra), float(dec), min(TUNING.room * chord_angle_deg(float(chord)), 180.0))
 
 
 def search_cone(hints: Sequence[Hint], shape: tuple[int, int]) -> Cone | None:
@@ -479,7 +482,7 @@ def search_cone(hints: Sequence[Hint], shape: tuple[int, int]) -> Cone | None:
             cones.append(replace(frame, radius_deg=frame.radius_deg + uncertainty_deg))
         else:
             half = 0.5 * math.hypot(*shape) * hint.scale_arcsec[1] / 3600.0
-            cones.append(Cone(hint.ra_deg, hint.dec_deg, hint.radius_deg + ROOM * half))
+            cones.append(Cone(hint.ra_deg, hint.dec_deg, hint.radius_deg + TUNING.room * half))
     middle = np.sum([cone.direction for cone in cones], axis=0)
     ra, dec = directions_deg(middle)
     centre = Cone(float(ra), float(dec), 0.0)

@@ -26,16 +26,28 @@ from sameas.space import ARCSEC_PER_RADIAN, mean_direction
 if TYPE_CHECKING:
     from astropy.table import Table
 
-#: Factor on the predicted errors, as elements are often worse than their age suggests.
-_ERROR_FACTOR = 2.0
-#: Prior odds that a known object predicted in the field is one of the tracklets (chosen).
-_ODDS = 0.5
-#: Minimum probability of a match (chosen).
-MIN_PROBABILITY = 0.5
-#: Tracklets farther apart are matched field by field, in cells of this size.
-FIELD_DEG = 4.0
-#: Maximum age of elements; older objects were lost.
-OLDEST_YEARS = 20.0
+
+@dataclass(frozen=True)
+class KnownObjectsTuning:
+    """Parameters of the identification of movers with known objects, all chosen.
+
+    Attributes
+    ----------
+    error_factor : factor on the predicted errors, as elements are often worse than their age suggests.
+    odds : prior odds that a known object predicted in the field is one of the tracklets.
+    min_probability : of an accepted match.
+    field_deg : tracklets farther apart are matched field by field, in cells of this size.
+    oldest_years : maximum age of elements; older objects were lost.
+    """
+
+    error_factor: float = 2.0
+    odds: float = 0.5
+    min_probability: float = 0.5
+    field_deg: float = 4.0
+    oldest_years: float = 20.0
+
+
+TUNING = KnownObjectsTuning()
 
 
 @dataclass(frozen=True)
@@ -97,7 +109,7 @@ def name_movers(found: Movers, elements: Elements, *, site: tuple[float, float, 
     unit = detections.axes().unit
     fields = _fields(unit[found.members[:, 0]])
     middle = float(np.median(detections.mjd_utc))
-    elements = elements.some(np.flatnonzero(np.abs(elements.epoch_mjd - middle) < 365.25 * OLDEST_YEARS))
+    elements = elements.some(np.flatnonzero(np.abs(elements.epoch_mjd - middle) < 365.25 * TUNING.oldest_years))
     # With several fields all orbits are integrated to the night once; from there only over hours.
     state = states(elements, middle) if len(fields) > 1 else None
     is_near = np.zeros(len(elements), bool)
@@ -121,11 +133,13 @@ def name_movers(found: Movers, elements: Elements, *, site: tuple[float, float, 
 def _fields(unit: FloatArray) -> list[IntArray]:
     """The tracklets of each field: all in one, or by cells of the sky if they are far apart."""
     middle = unit.mean(axis=0)
-    if np.linalg.norm(middle) > math.cos(math.radians(FIELD_DEG)):
+    if np.linalg.norm(middle) > math.cos(math.radians(TUNING.field_deg)):
         return [np.arange(len(unit))]
     dec = np.degrees(np.arcsin(np.clip(unit[:, 2], -1, 1)))
-    row = np.floor((dec + 90.0) / FIELD_DEG).astype(np.int64)
-    n_columns = np.maximum(1, np.floor(360.0 * np.cos(np.radians((row + 0.5) * FIELD_DEG - 90.0)) / FIELD_DEG))
+    row = np.floor((dec + 90.0) / TUNING.field_deg).astype(np.int64)
+    n_columns = np.maximum(
+        1, np.floor(360.0 * np.cos(np.radians((row + 0.5) * TUNING.field_deg - 90.0)) / TUNING.field_deg)
+    )
     column = np.floor(np.degrees(np.arctan2(unit[:, 1], unit[:, 0])) % 360.0 / 360.0 * n_columns).astype(np.int64)
     _, cell = np.unique(row * 1000 + column, return_inverse=True)
     order = np.argsort(cell, kind="stable")
@@ -182,7 +196,7 @@ def _of_field(
         rows = found.members[row][found.members[row] >= 0]
         time_index = np.searchsorted(times, detections.mjd_utc[rows])
         predicted[row] = _mean_and_motion(at[:, time_index], times[time_index])
-    sigma = _ERROR_FACTOR * np.hypot(predicted_sky.sigma_arcsec.mean(axis=1), 0.05)
+    sigma = TUNING.error_factor * np.hypot(predicted_sky.sigma_arcsec.mean(axis=1), 0.05)
     area = math.pi * (3600.0 * (radius + 0.1)) ** 2
     span = float(np.ptp(times)) * 1440.0
     density = 1.0 / (area * math.pi * max(span, 1.0) ** 2)
@@ -194,10 +208,10 @@ def _of_field(
     error[:, [0, 1], [0, 1]] = (sigma**2)[:, None]
     error[:, [2, 3], [2, 3]] = (0.05 * sigma[:, None]) ** 2 + 0.02**2
     second = Records.of(predicted[nearest, np.arange(len(elements))], covariance=error, source="ephemerides")
-    answer = identify(first, second, rule=Field(density), prior=PerPair(math.log(_ODDS)))
+    answer = identify(first, second, rule=Field(density), prior=PerPair(math.log(TUNING.odds)))
     matches = answer.matches
     for row, known, probability in zip(matches.rows_1, matches.rows_2, matches.p_match, strict=True):
-        if probability < MIN_PROBABILITY:
+        if probability < TUNING.min_probability:
             continue
         owner[row], p[row] = known, probability
         rows = found.members[row][found.members[row] >= 0]

@@ -30,13 +30,6 @@ from sameas.space import ARCSEC_PER_RADIAN
 #: ln of the density of an unrelated magnitude: uniform over 8 mag.
 _LOG_UNIFORM_MAG = math.log(1.0 / 8.0)
 
-#: Pairs per chunk, which bounds the memory.
-CHUNK = 200_000
-#: Prior share of the detections that have a next one (chosen; alerts have 0.3, frames less).
-PRIOR_SHARE = 0.02
-#: Maximum number of EM iterations (chosen).
-MAX_ITERATIONS = 8
-
 
 @dataclass(frozen=True)
 class Links:
@@ -94,8 +87,8 @@ def with_far_links(around: Surroundings, links: Links, model: MotionModel, tunin
 def _links_of(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Reach, pairs: IntArray) -> Links:
     """The links among some pairs, evaluated in chunks."""
     parts = [
-        _evaluated(around, model, tuning, reach, pairs[first : first + CHUNK])
-        for first in range(0, max(len(pairs), 1), CHUNK)
+        _evaluated(around, model, tuning, reach, pairs[first : first + tuning.pairs_at_once])
+        for first in range(0, max(len(pairs), 1), tuning.pairs_at_once)
     ]
     return Links(*(np.concatenate([getattr(p, name) for p in parts]) for name in Links.__dataclass_fields__))
 
@@ -331,7 +324,7 @@ def learn(
 
     counts : weight of the prior model, in links.
     """
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(tuning.iterations):
         links = candidate_links(around, model, tuning)
         p = link_probabilities(links, len(around.detections))
         model, before = _maximised(around, links, p, model, tuning, counts), model
@@ -353,7 +346,7 @@ def _maximised(
     sharp = np.sqrt(np.trace(error, axis1=1, axis2=2)) < 1.0
     rates = model.rates.refined(rate[sharp], error[sharp], p[sharp], counts=counts)
     n, share = len(around.detections), float(p.sum())
-    p_next = min((share + counts * PRIOR_SHARE) / (n + counts), 0.95)
+    p_next = min((share + counts * tuning.prior_share) / (n + counts), 0.95)
     missed = float((p * links.misses).sum())
     p_detect = (share + 2.0) / (share + missed + 3.0)
     colour, sigma = _colours(around, links, p, model, tuning, counts)

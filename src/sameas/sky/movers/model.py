@@ -57,6 +57,16 @@ class Tuning:
     min_competing : minimum ln w of the tracks that compete for detections. Among many false detections there are ten
         to thirty chance tracks below it for each one above, and they change no probability by 0.01.
     certain_gain : a track does not compete if its extension by one detection gains more than this in ln w.
+    pairs_at_once : pairs per chunk, which bounds the memory.
+    prior_share : prior share of the detections that have a next one (alerts have 0.3, frames less).
+    iterations : maximum number of EM iterations.
+    model_counts : weight of the prior model of movers, in links. With 30, pairs of two exposures influence their own
+        probabilities too much: of 347 with p > 0.5, 319 were expected to be right and 300 were.
+    track_counts : the same in tracks, per link of that weight: a track has several links, and chance tracks are far
+        fewer.
+    sharp_arcsec_per_min : maximum error of rates, to separate a common motion from the main belt, whose scatter is 0.05
+        and more. least_alike, alike_excess : minimum number of tracklets within three errors of a rate, absolute and as
+        a multiple of the number expected from those within twelve errors.
     """
 
     fastest_arcsec_per_min: float = 60.0
@@ -83,6 +93,14 @@ class Tuning:
     min_ended: float = -4.0
     min_competing: float = -6.0
     certain_gain: float = 12.0
+    pairs_at_once: int = 200_000
+    prior_share: float = 0.02
+    iterations: int = 8
+    model_counts: float = 100.0
+    track_counts: float = 0.1
+    sharp_arcsec_per_min: float = 0.012
+    least_alike: int = 8
+    alike_excess: float = 8.0
 
 
 DEFAULT_TUNING = Tuning()

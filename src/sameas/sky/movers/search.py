@@ -15,7 +15,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.representation import in_short
 from sameas.sky.movers.detections import Detections, TrailRates
-from sameas.sky.movers.links import PRIOR_SHARE, candidate_links, learn, rates_between, with_far_links
+from sameas.sky.movers.links import candidate_links, learn, rates_between, with_far_links
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning, min_detected
 from sameas.sky.movers.rates import EclipticAxes, RateDensity
 from sameas.sky.movers.stationary import Stationary, fixed_on_chip, stationary_sources
@@ -188,11 +188,6 @@ class Movers:
         return table
 
 
-#: Weight of the prior model of movers, in links (chosen: with 30, pairs of two exposures influence their own
-#: probabilities too much: of 347 with p > 0.5, 319 were expected to be right and 300 were).
-COUNTS = 100.0
-
-
 def find_movers(
     detections: Detections,
     *,
@@ -237,9 +232,9 @@ def find_movers(
         if others:
             model = learn_motion(*others, tuning=tuning)
         else:
-            model, influence = _learned(around, MotionModel(), COUNTS, tuning)
+            model, influence = _learned(around, MotionModel(), tuning.model_counts, tuning)
     found = _found(around, model, influence, tuning, least, min_probability, stationary)
-    same_rate = _same_rate(found)
+    same_rate = _same_rate(found, tuning)
     found = replace(found.only(~same_rate), same_rate=int(same_rate.sum()))
     members = np.where(found.members >= 0, at[found.members], -1)
     return replace(found, detections=detections, members=members, stationary=stationary, fixed=fixed)
@@ -253,13 +248,7 @@ def _excluded(detections: Detections, tuning: Tuning) -> tuple[Stationary, int, 
     return stationary, int(np.count_nonzero(~moves)), np.flatnonzero(~stationary.rows)[moves], rest.some(moves)
 
 
-#: Maximum error of rates, arcsec/min, to separate a common motion from the main belt, whose scatter is 0.05 and more.
-#: Minimum number of tracklets within three errors of a rate, absolute and as a multiple of the number expected from
-#: those within twelve errors.
-_SHARP, _ALIKE, _EXCESS = 0.012, 8, 8.0
-
-
-def _same_rate(found: Movers) -> BoolArray:
+def _same_rate(found: Movers, tuning: Tuning) -> BoolArray:
     """(k,) mask of the tracklets with a common rate: chip defects moved over the sky by a steady drift."""
     same_rate = np.zeros(len(found), bool)
     first, last = found.members[:, 0], _last(found)
@@ -268,12 +257,12 @@ def _same_rate(found: Movers) -> BoolArray:
     error = np.sqrt(variance[first] + variance[last]) / (
         (detections.mjd_utc[last] - detections.mjd_utc[first]) * 1440.0
     )
-    sharp = np.flatnonzero((found.size > 2) & (error < _SHARP))
+    sharp = np.flatnonzero((found.size > 2) & (error < tuning.sharp_arcsec_per_min))
     rate, error = found.rate_arcsec_per_min[sharp], error[sharp]
     if len(sharp):
         tree = cKDTree(rate)
         near, far = (tree.query_ball_point(rate, sigmas * error, return_length=True) for sigmas in (3.0, 12.0))
-        common = (near >= _ALIKE) & (near > _EXCESS * (far - near) / 15.0)
+        common = (near >= tuning.least_alike) & (near > tuning.alike_excess * (far - near) / 15.0)
         for near in tree.query_ball_point(rate[common], 3.0 * error[common]):
             same_rate[sharp[near]] = True
     return same_rate
@@ -302,7 +291,9 @@ def _found(
     return _movers(detections, model, competition, least, min_probability, p_stationary)
 
 
-def learn_motion(*nights: Detections, counts: float = COUNTS, tuning: Tuning = DEFAULT_TUNING) -> MotionModel:
+def learn_motion(
+    *nights: Detections, counts: float = DEFAULT_TUNING.model_counts, tuning: Tuning = DEFAULT_TUNING
+) -> MotionModel:
     """The model of rates, brightness and misses estimated from one or more nights; no identities are needed.
 
     counts : weight of the prior model, in links.
@@ -354,7 +345,7 @@ def _learned(
     # Links too fast for the main belt are too many and carry too little information each.
     likely = replace(tuning, min_log_ratio=max(tuning.min_log_ratio, DEFAULT_TUNING.min_log_ratio))
     model = learn(around, model.for_bands(around.detections.bands, tuning), likely, counts=counts)
-    return _learned_from_tracks(around, model, rates, tuning, counts * TRACK_COUNTS)
+    return _learned_from_tracks(around, model, rates, tuning, counts * tuning.track_counts)
 
 
 def _competition(around: Surroundings, model: MotionModel, influence: Influence | None, tuning: Tuning) -> Competition:
@@ -364,11 +355,6 @@ def _competition(around: Surroundings, model: MotionModel, influence: Influence 
     if influence is not None:
         tracks = influence.corrected(around, tracks, model)
     return compete(tracks, len(around.detections), tuning)
-
-
-#: Weight of the prior model in tracks, per link of its weight: a track has several links, and chance tracks are far
-#: fewer.
-TRACK_COUNTS = 0.1
 
 
 def _learned_from_tracks(
@@ -388,8 +374,8 @@ def _learned_from_tracks(
     # Corrected for movers with too few detections for such a track; the share refers to one exposure's detections.
     movers = np.bincount(of_track, p / model.tracked(tracks.n_covered, tuning), groups)
     exposures = float(around.coverage.before[around.cell, -1].mean())
-    share = (movers.sum() + counts * PRIOR_SHARE) / (n / exposures + counts)
-    share_of_others = (movers.sum() - movers + counts * PRIOR_SHARE) / (n / exposures + counts)
+    share = (movers.sum() + counts * tuning.prior_share) / (n / exposures + counts)
+    share_of_others = (movers.sum() - movers + counts * tuning.prior_share) / (n / exposures + counts)
     rate, error = rates_between(around, tracks.first, tracks.last)
     sharp = np.sqrt(np.trace(error, axis1=1, axis2=2)) < 1.0
     moments = model.rates.moments(rate[sharp], error[sharp], p[sharp], of_track[sharp], groups)

@@ -33,14 +33,36 @@ from sameas.space import ARCSEC_PER_RADIAN
 
 #: Rate density of stationary sources: 1σ of 1e-4 arcsec/min, 1″ in a week.
 _AT_REST = RateDensity.of([1.0], [(0.0, 0.0)], [(1e-4, 1e-4)])
-#: Tracks with rates within this many errors of 0 are counted as stationary or slow.
-_WITHIN_SIGMAS = 5.0
-#: Prior counts of stationary and of moving tracks among these (chosen).
-_PRIOR_COUNTS = (0.1, 0.3)
-#: Minimum number of tracks for the offset of an exposure and the error scale.
-_LEAST_TRACKS = 10
-#: Maximum number of searches, each with the offsets and error scale of the previous one.
-_ITERATIONS = 4
+
+
+@dataclass(frozen=True)
+class StationaryTuning:
+    """Parameters of the search for stationary sources and for detections fixed on the chip, all chosen.
+
+    Attributes
+    ----------
+    within_sigmas : tracks with rates within this many errors of 0 are counted as stationary or slow.
+    prior_counts : prior counts of stationary and of moving tracks among these.
+    least_tracks : minimum number of tracks for the offset of an exposure and the error scale.
+    iterations : maximum number of searches, each with the offsets and error scale of the previous one.
+    farthest_arcsec, most_pairs : maximum dither, and maximum number of pairs that are searched for one.
+    least_pairs, excess : minimum number of pairs with a common vector, absolute and as a multiple of the chance number.
+    most_tried : maximum number of vectors that are tried in one cell: a thousand detections at one place have a million
+        pairs, and counting the neighbours of each took half of the search's time.
+    """
+
+    within_sigmas: float = 5.0
+    prior_counts: tuple[float, float] = (0.1, 0.3)
+    least_tracks: int = 10
+    iterations: int = 4
+    farthest_arcsec: float = 60.0
+    most_pairs: int = 500_000
+    least_pairs: int = 8
+    excess: float = 8.0
+    most_tried: int = 100
+
+
+STATIONARY_TUNING = StationaryTuning()
 
 
 @dataclass(frozen=True)
@@ -82,10 +104,10 @@ class Stationary:
 def stationary_sources(detections: Detections, tuning: Tuning = DEFAULT_TUNING) -> Stationary:
     """The sources that are more probably stationary than moving or unrelated."""
     no_offset = np.zeros((len(detections.frame_names), 2))
-    found = Stationary(np.zeros(len(detections), bool), 0, _PRIOR_COUNTS, no_offset, 1.0)
+    found = Stationary(np.zeros(len(detections), bool), 0, STATIONARY_TUNING.prior_counts, no_offset, 1.0)
     typical = detections.typical_sigma_arcsec
 
-    for iteration in range(_ITERATIONS):
+    for iteration in range(STATIONARY_TUNING.iterations):
         previous = found
         found = _searched(previous.corrected(detections), previous, iteration == 0, tuning)
         changed = np.abs(found.offset_arcsec - previous.offset_arcsec).max(initial=0.0)
@@ -153,7 +175,7 @@ class _Rates:
         at_rest = np.array([q + f.log_residual + f.log_stationary() for q, f in zip(log_prior, fits, strict=True)])
         moving = np.array([q + f.log_residual + f.log_moving(reference) for q, f in zip(log_prior, fits, strict=True)])
         best = np.maximum(at_rest, moving).argmax(axis=0)
-        near = np.array([f.chi2 for f in fits])[best, np.arange(len(members))] < _WITHIN_SIGMAS**2
+        near = np.array([f.chi2 for f in fits])[best, np.arange(len(members))] < STATIONARY_TUNING.within_sigmas**2
         return cls(logsumexp(at_rest, axis=0) - logsumexp(moving, axis=0), near)
 
 
@@ -198,7 +220,7 @@ class _RateFit:
 
         reference : (k, 2) rate of a circular orbit.
         """
-        uniform = -np.log(math.pi * _WITHIN_SIGMAS**2 * self.variance)
+        uniform = -np.log(math.pi * STATIONARY_TUNING.within_sigmas**2 * self.variance)
         error = self.variance[:, None, None] * np.eye(2)
         return np.maximum(SOLAR_SYSTEM.log_density(self.rate - reference, error), uniform)
 
@@ -206,10 +228,16 @@ class _RateFit:
 def _counts(rates: _Rates) -> tuple[float, float]:
     """Numbers of stationary and of moving tracks with rates near 0, by EM."""
     log_ratio = rates.log_ratio[rates.near]
-    stationary, moving = 0.5 * len(log_ratio) + _PRIOR_COUNTS[0], 0.5 * len(log_ratio) + _PRIOR_COUNTS[1]
+    stationary, moving = (
+        0.5 * len(log_ratio) + STATIONARY_TUNING.prior_counts[0],
+        0.5 * len(log_ratio) + STATIONARY_TUNING.prior_counts[1],
+    )
     for _ in range(50):
         p = float(expit(log_ratio + math.log(stationary / moving)).sum())
-        stationary, moving = p + _PRIOR_COUNTS[0], len(log_ratio) - p + _PRIOR_COUNTS[1]
+        stationary, moving = (
+            p + STATIONARY_TUNING.prior_counts[0],
+            len(log_ratio) - p + STATIONARY_TUNING.prior_counts[1],
+        )
     return stationary, moving
 
 
@@ -217,7 +245,10 @@ def _probabilities(rates: _Rates, counts: tuple[float, float]) -> FloatArray:
     """(k,) probability that tracks are stationary, with counts that exclude the track itself."""
     stationary, moving = counts
     own = rates.near * expit(rates.log_ratio + math.log(stationary / moving))
-    others = np.maximum(stationary - own, _PRIOR_COUNTS[0]), np.maximum(moving - (rates.near - own), _PRIOR_COUNTS[1])
+    others = (
+        np.maximum(stationary - own, STATIONARY_TUNING.prior_counts[0]),
+        np.maximum(moving - (rates.near - own), STATIONARY_TUNING.prior_counts[1]),
+    )
     return np.asarray(expit(rates.log_ratio + np.log(others[0] / others[1])))
 
 
@@ -249,7 +280,7 @@ def _fitted_offsets(
     detections, offset = around.detections, offset.copy()
     parameters = 2 if straight else 1
     members = members[(members >= 0).sum(axis=1) > parameters]
-    if len(members) < _LEAST_TRACKS:
+    if len(members) < STATIONARY_TUNING.least_tracks:
         return offset, 1.0
     present = members >= 0
     rows = np.where(present, members, members[:, :1])
@@ -260,7 +291,7 @@ def _fitted_offsets(
         residual = _residuals(position - offset[frame], minutes, present, straight)
         for k in np.unique(frame[present]).tolist():
             of_exposure = residual[present & (frame == k)]
-            if len(of_exposure) >= _LEAST_TRACKS:
+            if len(of_exposure) >= STATIONARY_TUNING.least_tracks:
                 offset[k] += np.median(of_exposure, axis=0)
         offset -= offset.mean(axis=0)
     residual = _residuals(position - offset[frame], minutes, present, straight)
@@ -286,12 +317,6 @@ def _residuals(position: FloatArray, minutes: FloatArray, present: BoolArray, st
     return np.asarray(residual)
 
 
-#: Maximum dither, arcsec, and maximum number of pairs that are searched for one.
-_FARTHEST_ARCSEC, _MOST_PAIRS = 60.0, 500_000
-#: Minimum number of pairs with a common vector, absolute and as a multiple of the chance number.
-_LEAST_PAIRS, _EXCESS = 8, 8.0
-
-
 def fixed_on_chip(detections: Detections) -> BoolArray:
     """(n,) mask of the detections fixed on the chip; empty without a pattern in three exposures that is not a motion.
 
@@ -299,7 +324,7 @@ def fixed_on_chip(detections: Detections) -> BoolArray:
     """
     fixed = np.zeros(len(detections), bool)
     rows = [np.flatnonzero(detections.frame == k) for k in range(len(detections.frame_names))]
-    usable = [k for k, of_exposure in enumerate(rows) if len(of_exposure) >= _LEAST_PAIRS]
+    usable = [k for k, of_exposure in enumerate(rows) if len(of_exposure) >= STATIONARY_TUNING.least_pairs]
     if len(usable) < 3:
         return fixed
     axes, width = detections.axes(), 3.0 * math.sqrt(2.0) * detections.typical_sigma_arcsec
@@ -324,38 +349,33 @@ def _common_step(axes: EclipticAxes, first: IntArray, second: IntArray, width: f
     None if it is not more common than by chance.
     """
     trees = cKDTree(axes.unit[first]), cKDTree(axes.unit[second])
-    farthest = _FARTHEST_ARCSEC
+    farthest = STATIONARY_TUNING.farthest_arcsec
     while farthest > 4.0 * width:
-        if trees[0].count_neighbors(trees[1], farthest / ARCSEC_PER_RADIAN) <= _MOST_PAIRS:
+        if trees[0].count_neighbors(trees[1], farthest / ARCSEC_PER_RADIAN) <= STATIONARY_TUNING.most_pairs:
             break
         farthest *= 0.7
     pairs = trees[0].sparse_distance_matrix(trees[1], farthest / ARCSEC_PER_RADIAN, output_type="ndarray")
-    if len(pairs) < _LEAST_PAIRS:
+    if len(pairs) < STATIONARY_TUNING.least_pairs:
         return None
     step = axes.offsets(first[pairs["i"]], second[pairs["j"]])
     tree, tried = cKDTree(step), _thinned(step, 0.5 * width)
     near = tree.query_ball_point(step[tried], width, return_length=True)
     best, most = step[tried[near.argmax()]], int(near.max())
     around = tree.query_ball_point(best, 4.0 * width, return_length=True) - most
-    if most < _LEAST_PAIRS or most < _EXCESS * around / 15.0:
+    if most < STATIONARY_TUNING.least_pairs or most < STATIONARY_TUNING.excess * around / 15.0:
         return None
     return np.median(step[tree.query_ball_point(best, width)], axis=0)
 
 
-#: Maximum number of vectors that are tried in one cell: a thousand detections at one place have a million pairs, and
-#: counting the neighbours of each took half of the search's time.
-_MOST_TRIED = 100
-
-
 def _thinned(step: FloatArray, side: float) -> IntArray:
-    """Rows of the vectors (n, 2), ascending: all, or some :data:`_MOST_TRIED` evenly chosen in a cell of more."""
+    """Rows of the vectors (n, 2), ascending: all, or ``most_tried`` evenly chosen in a cell of more."""
     column, row = np.floor((step - step.min(axis=0)) / side).astype(np.int64).T
     cell = column * (int(row.max()) + 1) + row
     order = np.argsort(cell, kind="stable")
     first = np.flatnonzero(np.diff(cell[order], prepend=-1))
     count = np.diff(first, append=len(cell))
     rank = np.arange(len(cell)) - np.repeat(first, count)
-    return np.sort(order[rank % np.repeat(-(-count // _MOST_TRIED), count) == 0])
+    return np.sort(order[rank % np.repeat(-(-count // STATIONARY_TUNING.most_tried), count) == 0])
 
 
 def _one_motion(steps: dict[int, FloatArray], previous: dict[int, int], mjd: FloatArray, width: float) -> bool:

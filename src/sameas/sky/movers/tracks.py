@@ -24,7 +24,7 @@ from scipy.sparse.csgraph import connected_components
 from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged, ranges
 from sameas.many.marginals import additive_answer
 from sameas.many.sets import Sets
-from sameas.sky.movers.links import CHUNK, Links, rates_of
+from sameas.sky.movers.links import Links, rates_of
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
 from sameas.sky.movers.rates import log_normal
 
@@ -156,7 +156,7 @@ def _with_outer_exposures(around: Surroundings, tracks: Tracks, model: MotionMod
     selected = np.flatnonzero((tracks.log_weight > tuning.min_ended) & ~_dominated(tracks, tuning))
     steps = np.arange(1, tuning.outer_exposures + 1)
     n_covered = tracks.n_covered.copy()
-    for part in np.split(selected, range(CHUNK, len(selected), CHUNK)):
+    for part in np.split(selected, range(tuning.pairs_at_once, len(selected), tuning.pairs_at_once)):
         frame = np.concatenate(
             [
                 detections.frame[tracks.first[part]][:, None] - steps,
