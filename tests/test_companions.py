@@ -9,7 +9,15 @@ import pytest
 from scipy import special
 
 from sameas import ChiSquare, Identification, InputError, Records
-from sameas.estimate.companions import Companions, close_neighbours, clustering, ring, scaled_i0, share_within
+from sameas.estimate.companions import (
+    Companions,
+    CompanionsTuning,
+    close_neighbours,
+    clustering,
+    ring,
+    scaled_i0,
+    share_within,
+)
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import DEFAULT_MATCH, match
 from sameas.estimate.sample import Setting
@@ -47,11 +55,10 @@ def test_a_wide_ring_of_two_dimensions_is_scaled_before_it_overflows():
     assert np.allclose(density, expected, rtol=1e-9, atol=0)
 
 
-def test_couples_found_by_strips_and_by_the_gate_agree(monkeypatch):
+def test_couples_found_by_strips_and_by_the_gate_agree():
     setting = setting_of(couples_field(np.random.default_rng(3), 400))
     one = clustering(setting)
-    monkeypatch.setattr("sameas.estimate.companions.STRIP", 0)
-    other = clustering(setting)
+    other = clustering(setting, CompanionsTuning(max_in_strips=0))
     assert one is not None and other is not None
     assert np.allclose(one.volume, other.volume, rtol=0, atol=1e-7 * one.volume.sum())
 

@@ -22,7 +22,6 @@ pytest.importorskip("cdshealpix", reason="catalogues in partitions need cdshealp
 from typer.testing import CliRunner
 
 from sameas.cli.app import app
-from sameas.estimate import places as of_places
 from sameas.estimate.places import CellCounts, Places
 from sameas.io import read_table
 from sameas.io.atomic import held
@@ -652,13 +651,12 @@ def test_densities_in_nested_cells_agree_with_the_definition(seed, n):
         assert not seen.all()
 
 
-def test_a_sample_of_cells_determines_the_smoothing(monkeypatch):
+def test_a_sample_of_cells_determines_the_smoothing():
     """A uniform field with a dense cluster: one cell in twenty gives nearly the smoothing of all cells."""
     rng = np.random.default_rng(3)
     one, two = (np.concatenate([rng.integers(0, 1 << 14, 60_000), rng.integers(0, 1 << 10, 30_000)]) for _ in "12")
     every = Places.of(CellCounts.of(one, two), 1.0)
-    monkeypatch.setattr(of_places, "SMOOTHING_CELLS", len(every.cells) // 20)
-    some = Places.of(CellCounts.of(one, two), 1.0)
+    some = Places.of(CellCounts.of(one, two), 1.0, smoothing_cells=len(every.cells) // 20)
     apart = np.log(some.density / every.density)
     assert 0.0 < float(np.sqrt(np.mean(apart**2))) < 0.03
 

@@ -227,8 +227,7 @@ def test_large_tables_are_read_two_at_a_time_with_the_same_result(
         return lines, (tmp_path / "out.csv").read_text(), refused
 
     expected = outcome()
-    monkeypatch.setattr("sameas.cli.outputs.TWO_AT_ONCE_BYTES", 0)
-    monkeypatch.setattr("sameas.cli.match.READ_AHEAD_BYTES", 0)
+    monkeypatch.setattr(Request, "n_bytes", 1 << 30)
     assert outcome() == expected
 
 

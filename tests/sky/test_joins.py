@@ -15,7 +15,7 @@ from sameas.front.match import Match
 from sameas.io import read_table, write_table
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import CrossmatchTuning, MatchOptions, match
-from sameas.sky.joins import joined
+from sameas.sky.joins import JoinedTable, joined
 from sameas.sky.output_columns import JOINS, UCDS
 
 ARCSEC = 1.0 / 3600.0
@@ -170,14 +170,12 @@ def test_the_nearest_record_of_every_row_is_given_at_its_row():
 
 @pytest.mark.parametrize("join", JOINS)
 @pytest.mark.parametrize("ending", [".parquet", ".csv"])
-def test_a_table_is_written_in_pieces_as_it_is_written_whole(matched, join, ending, tmp_path, monkeypatch):
+def test_a_table_is_written_in_pieces_as_it_is_written_whole(matched, join, ending, tmp_path):
     from sameas.io import read_table, write_table
-    from sameas.sky import joins
 
     whole, pieces = (tmp_path / f"{name}{ending}" for name in ("whole", "pieces"))
     write_table(joined(matched, join), whole, provenance={"n": 1})
-    monkeypatch.setattr(joins, "PIECE_ROWS", 3)
-    lazy = joins.JoinedTable(matched, join)
+    lazy = JoinedTable(matched, join, piece_rows=3)
     write_table(lazy, pieces, provenance={"n": 1})
     expected, read = read_table(whole), read_table(pieces)
     assert len(lazy) == len(expected) and lazy.colnames == expected.colnames
@@ -194,14 +192,12 @@ def test_a_table_is_written_in_pieces_as_it_is_written_whole(matched, join, endi
 
 
 @pytest.mark.parametrize("kind", ["objects", "times"])
-def test_columns_that_are_no_plain_arrays_are_written_whole(kind, tmp_path, monkeypatch):
+def test_columns_that_are_no_plain_arrays_are_written_whole(kind, tmp_path):
     """Their type in a file depends on all rows."""
     from astropy.time import Time
 
     from sameas.io import read_table, write_table
-    from sameas.sky import joins
 
-    monkeypatch.setattr(joins, "PIECE_ROWS", 2)
     table = Table({"ra": 10.0 + 0.1 * np.arange(5), "dec": np.zeros(5)})
     table["note"] = (
         np.array([None, None, None, "a", "b"], object)
@@ -210,7 +206,7 @@ def test_columns_that_are_no_plain_arrays_are_written_whole(kind, tmp_path, monk
     )
     options = CatalogueOptions(sigma=0.1, epoch=2000.0)
     found = match(Catalogue.of(table, "one", options=options), Catalogue.of(table.copy(), "two", options=options))
-    write_table(joins.JoinedTable(found), tmp_path / "out.parquet", provenance={})
+    write_table(JoinedTable(found, piece_rows=2), tmp_path / "out.parquet", provenance={})
     expected = ["a", "b"] if kind == "objects" else list(table["note"][3:].isot)
     assert list(read_table(tmp_path / "out.parquet")["note_1"][3:]) == expected
 

@@ -53,6 +53,9 @@ class CompanionsTuning:
     min_void : lower limit of the probability that no companion of an object is shown.
     competing_sq : squared normalised distance within which records compete for a pair of companions.
     same_object_radius : records of one source nearer than this, in the unit of ``radii``, may be one object.
+    max_in_strips : up to this many pairs in strips along one axis, all distances are computed; with more, the gate
+        finds the near ones.
+    cell, seed : mean number of records of both sources in a sampled cell, and the seed of the sample.
     """
 
     radii: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.75, 3.5, 4.5, 5.5)
@@ -70,13 +73,12 @@ class CompanionsTuning:
     min_void: float = 0.02
     competing_sq: float = 25.0
     same_object_radius: float = 2.0
+    max_in_strips: int = 1_000_000
+    cell: int = 1_000
+    seed: int = 20_063
 
 
 DEFAULT_COMPANIONS = CompanionsTuning()
-#: Mean number of records of both sources in a sampled cell, and the seed of the sample.
-CELL, SEED = 1_000, 20_063
-#: Up to this many pairs in strips along one axis, all distances are computed; with more, the gate finds the near ones.
-STRIP = 1_000_000
 #: Quantiles of the variances at which averages over records are taken.
 VARIANCES = np.linspace(0.01, 0.99, 50)
 #: A box of side L has the fraction (this · r/L) fewer pairs at distance r than without edges, in 1, 2 and 3 dimensions.
@@ -171,12 +173,14 @@ class _Source:
     variance: FloatArray
     density: FloatArray
     counted: BoolArray
+    tuning: CompanionsTuning
 
     def part(self, rows: IntArray) -> _Source:
         """The source with these rows only."""
-        return _Source(
-            self.points[rows], self.even_records.part(rows), self.variance[rows], self.density[rows], self.counted[rows]
-        )
+        return replace(
+            self, points=self.points[rows], even_records=self.even_records.part(rows), variance=self.variance[rows],
+            density=self.density[rows], counted=self.counted[rows],
+        )  # fmt: skip
 
     def near(self, other: _Source, reach: float) -> tuple[IntArray, IntArray, FloatArray]:
         """(m,) i, k and distance of pairs of a record of this source and one of the other within ``reach``."""
@@ -184,7 +188,7 @@ class _Source:
         order = np.argsort(other.points[:, axis], kind="stable")
         along = other.points[order, axis]
         low, high = (np.searchsorted(along, self.points[:, axis] + side) for side in (-reach, reach))
-        if int((high - low).sum()) <= STRIP:
+        if int((high - low).sum()) <= self.tuning.max_in_strips:
             i, place = ranges(low, high - low)
             k = order[place]
             distance = np.sqrt(((self.points[i] - other.points[k]) ** 2).sum(axis=1))
@@ -214,7 +218,7 @@ def _with_equal_errors(records: Records, unit: FloatArray) -> Records:
     return replace(records, covariance=np.tile(variance, (len(records), 1)))
 
 
-def _sources(setting: Setting, unit: FloatArray) -> tuple[_Source, _Source]:
+def _sources(setting: Setting, unit: FloatArray, tuning: CompanionsTuning) -> tuple[_Source, _Source]:
     scale = float(np.prod(unit))
     one, two = (
         _Source(
@@ -223,6 +227,7 @@ def _sources(setting: Setting, unit: FloatArray) -> tuple[_Source, _Source]:
             (records.variances / unit**2).mean(axis=1),
             density * scale,
             covered & counted,
+            tuning,
         )
         for records, density, covered, counted in zip(
             (setting.pairs.first, setting.pairs.second),
@@ -235,13 +240,13 @@ def _sources(setting: Setting, unit: FloatArray) -> tuple[_Source, _Source]:
     return one, two
 
 
-def _sampled_rows(levels: Sequence[GridLevel], enough: int) -> tuple[IntArray, IntArray]:
+def _sampled_rows(levels: Sequence[GridLevel], tuning: CompanionsTuning) -> tuple[IntArray, IntArray]:
     """Rows of both sources in sampled cells with enough records of both; all rows if a sample were hardly smaller."""
     n1, n2 = len(levels[0].of_first), len(levels[0].of_second)
-    if min(n1, n2) <= 2 * enough:
+    if min(n1, n2) <= 2 * tuning.n_records:
         return np.arange(n1), np.arange(n2)
-    level = finest(levels, (n1 + n2) / CELL)
-    sampled = level.drawn((level.count(1), level.count(2)), enough, SEED)
+    level = finest(levels, (n1 + n2) / tuning.cell)
+    sampled = level.drawn((level.count(1), level.count(2)), tuning.n_records, tuning.seed)
     return np.flatnonzero(sampled[level.of_first]), np.flatnonzero(sampled[level.of_second])
 
 
@@ -249,9 +254,9 @@ def _sampled_sources(setting: Setting, tuning: CompanionsTuning) -> tuple[FloatA
     """The typical error of a residual by axis, and both sources, sampled; None with too many records or dimensions."""
     if setting.pairs.d > tuning.max_dimensions or not 0 < sum(setting.n_counted) <= tuning.max_records:
         return None
-    rows = _sampled_rows(setting.levels, tuning.n_records)
+    rows = _sampled_rows(setting.levels, tuning)
     unit = typical_error(setting.pairs.first, setting.pairs.second)
-    one, two = (s.part(some) for s, some in zip(_sources(setting, unit), rows, strict=True))
+    one, two = (s.part(some) for s, some in zip(_sources(setting, unit, tuning), rows, strict=True))
     return unit, one, two
 
 
@@ -472,7 +477,7 @@ class Companions:
     def of(cls, clustering: Clustering, setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) -> Companions:
         """The companions among all candidates of a setting."""
         pairs, unit = setting.pairs, clustering.unit
-        one, two = _sources(setting, unit)
+        one, two = _sources(setting, unit, tuning)
         residual = pairs.residual / unit
         local = clustering.mean_densities[0] / one.density, clustering.mean_densities[1] / two.density
         excess = clustering.excess_at(np.sqrt((residual**2).sum(axis=1)), one.variance[pairs.i] + two.variance[pairs.j])

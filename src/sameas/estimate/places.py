@@ -50,7 +50,7 @@ COARSEST = 100_000.0
 #: A cell lies entirely within the field unless pairs of its records that share one of its finest cells exceed chance by
 #: this many standard deviations.
 PARTLY = 2.0
-#: The smoothing of densities is chosen with about this many cells; those at borders, which matter most, are few.
+#: Cells with which the smoothing of densities is chosen; those at borders, which matter most, are few.
 SMOOTHING_CELLS = 300_000
 _EMPTY = np.empty(0)
 
@@ -118,8 +118,10 @@ class Places:
     volume: float
 
     @classmethod
-    def of(cls, counts: CellCounts, volume: float) -> Places:
+    def of(cls, counts: CellCounts, volume: float, smoothing_cells: int = SMOOTHING_CELLS) -> Places:
         """From the counts of all records, in cells of this volume; shares are NaN.
+
+        The smoothing of densities is chosen with about ``smoothing_cells`` cells.
 
         Raises
         ------
@@ -140,7 +142,7 @@ class Places:
         counts, levels = counts.coarser(finest), tuple(range(last - finest, -1, -1))
         cells, volume, numbers = counts.cells, volume * 4.0**finest, counts.numbers
         covered = _covered_cells(cells, numbers, levels, volume)
-        density = _density(cells, numbers * covered, levels, volume)
+        density = _density(cells, numbers * covered, levels, volume, smoothing_cells)
         return cls(cells, finest, density, covered, np.full((len(cells), 2), np.nan), levels, volume)
 
     def at(self, counted: IntArray) -> IntArray:
@@ -217,13 +219,15 @@ def _covered_cells(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int],
     return covered
 
 
-def _density(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float) -> FloatArray:
+def _density(
+    cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float, smoothing_cells: int
+) -> FloatArray:
     """(u, 2, 2) densities of the counted records of each source at its own records, [:, k, 0], and at the other's, as
     by ``Coverage.density``. volume : of a cell."""
     total, density = numbers.sum(axis=0).astype(np.float64), np.empty((len(cells), 2, 2))
     own, others = density[:, :, 0], density[:, :, 1]
     own[:] = others[:] = (total + 0.5) / _field_volume(cells, numbers, levels[0], volume)
-    smooths, sampled, open_ = np.array(SMOOTHS), min(SMOOTHING_CELLS / len(cells), 1.0), total > 0.0
+    smooths, sampled, open_ = np.array(SMOOTHS), min(smoothing_cells / len(cells), 1.0), total > 0.0
     for steps in levels:
         score = np.zeros((2, len(smooths) + 1))
         score_nested(cells, numbers, 2 * steps, PARTLY, volume, sampled, smooths, own, score)

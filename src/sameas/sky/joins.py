@@ -258,11 +258,12 @@ def joined(
 
 @dataclass(frozen=True)
 class JoinedTable:
-    """A joined table that is computed piece by piece while it is written."""
+    """A joined table that is computed in pieces of ``piece_rows`` rows while it is written."""
 
     match: Joinable
     join: str = JOINS[0]
     nway_columns: bool = False
+    piece_rows: int = PIECE_ROWS
 
     @cached_property
     def rows(self) -> JoinedRows:
@@ -283,18 +284,18 @@ class JoinedTable:
         return self._of(self.rows)
 
     def pieces(self) -> Iterator[Table]:
-        """The table in pieces of :data:`PIECE_ROWS`, or whole where the types of columns depend on all rows."""
+        """The table in pieces, or whole where the types of columns depend on all rows."""
         tables = self.match.first.table, self.match.second.table
         typed = all(
             isinstance(column, Column) and column.dtype.kind != "O"
             for table in tables
             for column in table.columns.values()
         )
-        if not typed or not self.rows.has_first.all() or len(self) <= PIECE_ROWS:
+        if not typed or not self.rows.has_first.all() or len(self) <= self.piece_rows:
             yield self.whole()
             return
-        for begin in range(0, len(self), PIECE_ROWS):
-            yield self._of(self.rows.take(slice(begin, begin + PIECE_ROWS)))
+        for begin in range(0, len(self), self.piece_rows):
+            yield self._of(self.rows.take(slice(begin, begin + self.piece_rows)))
 
     def _of(self, rows: JoinedRows) -> Table:
         return joined(self.match, self.join, nway_columns=self.nway_columns, rows=rows)
