@@ -14,7 +14,7 @@ from sameas.sky.movers import stationary
 from sameas.sky.movers.known import near_earth_scores
 from sameas.sky.movers.links import candidate_links, link_probabilities
 from sameas.sky.movers.model import Surroundings, Tuning
-from sameas.sky.movers.rates import EclipticAxes, RateDensity, log_normal, reference_rate, sun_longitude_deg
+from sameas.sky.movers.rates import EclipticAxes, RateDensity, reference_rate, sun_longitude_deg
 from sameas.sky.movers.search import _detection_probability
 from sameas.sky.movers.stationary import fixed_on_chip
 from sameas.sky.movers.tracks import Tracks, compete, grow
@@ -179,14 +179,6 @@ def test_the_rate_density_integrates_to_one_and_widens_with_errors():
     for error in (0.0, 0.3):
         spread = np.broadcast_to(error**2 * np.eye(2), (len(grid), 2, 2))
         assert abs(np.exp(mixture.log_density(grid, spread)).sum() * (8 / 320) ** 2 - 1) < 1e-3
-
-
-def test_log_normal_agrees_with_scipy():
-    from scipy.stats import multivariate_normal
-
-    covariance = np.array([[2.0, 0.7], [0.7, 1.0]])
-    value = log_normal(np.array([[0.3, -1.2]]), covariance[None])
-    assert value[0] == pytest.approx(multivariate_normal([0, 0], covariance).logpdf([0.3, -1.2]))
 
 
 def test_the_reference_rate_is_retrograde_at_opposition_only():

@@ -636,7 +636,7 @@ def _least_squares(
     information = np.einsum("mvk,mvl->kl", weighted, design) + 1e-12 * np.eye(design.shape[2])
     projection = np.einsum("mvk,mv->k", weighted, residual)
     solution = np.linalg.solve(information, projection)
-    return solution, np.linalg.inv(information), float(solution @ projection)
+    return solution, inverse(information), float(solution @ projection)
 
 
 __all__ = ["EpochTuning", "epoch_doubt"]

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
+from sameas.gaussian import inverse
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray) -> _Ma
     n = float(weight.sum())
     loss = np.where(tail_weight < 1.0, tail**2 * (1.0 - np.log(tail_weight)), (residual / scatter) ** 2)
     bic = 2 * n * math.log(scatter) + float(weight @ loss) + a.shape[1] * math.log(max(n, 2.0))
-    return _MagnitudeFit(np.asarray(terms), scatter * np.sqrt(np.diag(np.linalg.inv(normal))), scatter, bic)
+    return _MagnitudeFit(np.asarray(terms), scatter * np.sqrt(np.diag(inverse(normal))), scatter, bic)
 
 
 def _weighted_median(values: FloatArray, weight: FloatArray) -> float:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
+from sameas.gaussian import inverse, log_density
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 #: Angular speed of the Earth about the Sun, arcsec per minute (Gauss's constant).
@@ -128,7 +129,7 @@ class RateDensity:
         """(m, c) ln of share and density of each component at rates (m, 2) with errors (m, 2, 2)."""
         out = np.empty((len(rate), len(self.share)))
         for c, (share, mean, spread) in enumerate(zip(self.share, self.mean, self.covariance, strict=True)):
-            out[:, c] = np.log(share) + log_normal(rate - mean, error + spread)
+            out[:, c] = np.log(share) + log_density(rate - mean, error + spread)
         return out
 
     def log_density(self, rate: FloatArray, error: FloatArray) -> FloatArray:
@@ -157,7 +158,7 @@ class RateDensity:
         out = RateMoments.none(len(self.share), groups)
         for c in range(len(self.share)):
             own = self.covariance[c]
-            gain = own @ np.linalg.inv(own + error)
+            gain = own @ inverse(own + error)
             value = self.mean[c] + np.einsum("mij,mj->mi", gain, rate - self.mean[c])
             square = value[:, :, None] * value[:, None] + own - gain @ own
             np.add.at(out.count[c], group, share[:, c])
@@ -212,15 +213,6 @@ class RateMoments:
         mean = self.first / self.count[..., None]
         covariance = self.second / self.count[..., None, None] - mean[..., :, None] * mean[..., None, :]
         return RateDensity(self.count / self.count.sum(axis=0), mean, covariance)
-
-
-def log_normal(residual: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(m,) ln N(residual; 0, covariance) in two dimensions; (m, 2), (m, 2, 2)."""
-    a, b, d = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
-    determinant = a * d - b * b
-    x, y = residual[..., 0], residual[..., 1]
-    chi = (d * x * x - 2 * b * x * y + a * y * y) / determinant
-    return np.asarray(-0.5 * (chi + np.log(determinant)) - np.log(2 * np.pi))
 
 
 #: Prior density of rates: the main belt, its edges, near-Earth objects, satellites. The first three were estimated by

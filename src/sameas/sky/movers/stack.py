@@ -33,6 +33,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
 from sameas.arrays import BoolArray, FloatArray
+from sameas.gaussian import inverse
 from sameas.representation import in_short
 from sameas.sky.frame.centroid import FWHM_PER_SIGMA
 from sameas.sky.frame.image import Frame
@@ -642,7 +643,7 @@ class _Pixels:
         try:
             fit = least_squares(misfit, start, method="lm", max_nfev=150, ftol=1e-5, xtol=1e-4)
             point = least_squares(star, [*at, 1.0, 0.0], method="lm", max_nfev=60, ftol=1e-5, xtol=1e-4)
-            covariance = np.linalg.inv(fit.jac.T @ fit.jac)
+            covariance = inverse(fit.jac.T @ fit.jac)
         except (ValueError, np.linalg.LinAlgError):
             return None
         chi = max(2.0 * fit.cost / max(len(u) - 6, 1), 1.0)

@@ -22,11 +22,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged, ranges
+from sameas.gaussian import Gaussian, log_density
 from sameas.many.marginals import additive_answer
 from sameas.many.sets import Sets
 from sameas.sky.movers.links import Links, rates_of
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
-from sameas.sky.movers.rates import log_normal
 
 
 @dataclass(frozen=True)
@@ -231,8 +231,8 @@ def _extended(
     residual, covariance = _predicted(parents.state, tracks.covariance, minutes, offset, noise)
     outlier_covariance = covariance + (tuning.outlier_scale**2 - 1.0) * noise
     log_fit = np.logaddexp(
-        math.log1p(-tuning.outlier) + log_normal(residual, covariance),
-        math.log(tuning.outlier) + log_normal(residual, outlier_covariance),
+        math.log1p(-tuning.outlier) + log_density(residual, covariance),
+        math.log(tuning.outlier) + log_density(residual, outlier_covariance),
     )
     size, n_covered = parents.size + 1, parents.n_covered + links.misses + 1
     pattern = model.log_pattern(size, n_covered, tuning)
@@ -268,10 +268,8 @@ def _updated(
     residual, residual_covariance = _predicted(state, covariance, minutes, position, noise)
     factor = np.stack([np.ones(len(minutes)), minutes, 0.5 * minutes**2], axis=1)
     cross_covariance = np.einsum("maibj,mb->maij", covariance.reshape(-1, 3, 2, 3, 2), factor).reshape(-1, 6, 2)
-    gain = cross_covariance @ np.linalg.inv(residual_covariance)
-    updated = covariance - gain @ cross_covariance.transpose(0, 2, 1)
-    updated = 0.5 * (updated + updated.transpose(0, 2, 1))
-    return state + np.einsum("mij,mj->mi", gain, residual), updated
+    updated = Gaussian(state, covariance).conditional(cross_covariance, residual, residual_covariance)
+    return updated.mean, updated.covariance
 
 
 @dataclass(frozen=True)
