@@ -229,7 +229,7 @@ def run_series(
     movers = series_movers(done, options, failed=failed, below_limit=below_limit, say=printer)
     written = movers.write(Path(template.folder), _title(paths), template.catalogue)
     if options.observer is not None:
-        printer(["", *report_lines(movers.found, options.reported)])
+        printer(["", *report_lines(movers.found, options.reported, "--report-probability")])
     printer(["", f"Output: {template.folder}/: {', '.join(written)}", f"Time: {clock.perf_counter() - began:.1f} s"])
 
 
@@ -273,7 +273,7 @@ def run_tables(
         if options.observer is not None:
             movers.write_reports(reports)
             written += [f"Report: {place}" for place in reports]
-            written += report_lines(movers.found, options.reported)
+            written += report_lines(movers.found, options.reported, "--report-probability")
     printer([*written, f"Time: {clock.perf_counter() - began:.1f} s"])
 
 

@@ -88,7 +88,7 @@ def identify_sequentially(
 ) -> Objects:
     """Objects from identifying each source, in the given order, with the fused picture of the previous sources.
 
-    Arguments are those of :func:`sameas.many.identify_many`. The picture misses an object with the product of the q of
+    Arguments are those of :func:`sameas.identify_many`. The picture misses an object with the product of the q of
     its sources. An object's probability is the product of those of its steps, as if each step's picture were certain:
     it is not the posterior of ``identify_many``. There is no bound on better partitions: the gap of groups of more than
     one record is infinite.

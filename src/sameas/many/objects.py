@@ -76,7 +76,7 @@ class GroupTable:
 @in_short
 @dataclass(frozen=True)
 class Objects:
-    """The result of :func:`sameas.many.identify_many`.
+    """The result of :func:`sameas.identify_many`.
 
     given : the sources, in the caller's order. pooled, sets, answer, terms : results of the stages; terms are None if
         the sets have no weights.

@@ -8,7 +8,7 @@
   identify sources by name and records by table row, give the same for (i, j) as for (j, i), and exactly 0.0 where it is
   not informative.
 
-:func:`sameas.many.identify_many` brings every rule to :class:`Terms`. A set T of k ≥ 2 records weighs
+:func:`sameas.identify_many` brings every rule to :class:`Terms`. A set T of k ≥ 2 records weighs
 
     ln w(T) = ln J(T) + Σ over the linear terms (constant + Σ_{i∈T} gain_i) + Σ over the rules of pairs Σ c_ij ln r_ij,
 

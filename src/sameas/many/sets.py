@@ -23,7 +23,7 @@ from sameas.representation import in_short
 
 @dataclass(frozen=True)
 class ManyTuning:
-    """Limits beyond which :func:`sameas.many.identify_many` approximates, chosen so that a group takes seconds at most.
+    """Limits beyond which :func:`sameas.identify_many` approximates, chosen so that a group takes seconds at most.
 
     Attributes
     ----------

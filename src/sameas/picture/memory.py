@@ -2,7 +2,7 @@
 
 Two tracks that agreed for ten minutes are not separated because noise brings another track nearer for one antenna
 rotation. :class:`TrackMemory` is updated from instant to instant; :meth:`TrackMemory.rule` is a rule for
-:func:`sameas.many.identify_many`, to be added to those of the instant:
+:func:`sameas.identify_many`, to be added to those of the instant:
 
     memory = memory.advance(scan)
     found = identify_many(now.sources, rule=now.rule() + now.identity() + memory.rule(), region=now.region)

@@ -190,7 +190,7 @@ def excluded_lines(found: Movers) -> list[str]:
     if found.same_rate:
         lines.append(
             f"{DOUBT}{count(found.same_rate)} tracklets of one rate are excluded: chip defects under a drifting "
-            "telescope look like this; give the frames themselves (--catalog) to tell them from movers"
+            "telescope look like this; give the frames themselves, with a catalogue, to tell them from movers"
         )
     return lines
 
@@ -233,8 +233,8 @@ def model_lines(found: Movers) -> list[str]:
     ]
 
 
-def report_lines(found: Movers, least: float) -> list[str]:
-    """The number of tracklets in the report, and those excluded by their probability."""
+def report_lines(found: Movers, least: float, changed_by: str) -> list[str]:
+    """The number of tracklets in the report, and those excluded by their probability, which ``changed_by`` changes."""
     reported = found.p_tracklet >= least
     if reported.all():
         return [f"  it contains {counted(len(found), 'tracklet')}"]
@@ -244,7 +244,7 @@ def report_lines(found: Movers, least: float) -> list[str]:
     return [
         f"  it contains {counted(int(reported.sum()), 'tracklet')}; {count(len(excluded))} {are} excluded, "
         f"less probable than {least:g}: {shown}{' …' if len(excluded) > 5 else ''}",
-        f"  look at {them}; --report-probability changes what is reported",
+        f"  look at {them}; {changed_by} changes what is reported",
     ]
 
 

@@ -173,7 +173,7 @@ class Instant:
 
     Attributes
     ----------
-    sources : for :func:`sameas.many.identify_many`, in the scene's order; the ids of their records are rows of the
+    sources : for :func:`sameas.identify_many`, in the scene's order; the ids of their records are rows of the
         source's reports.
     age_s : per source (n,) age of each record's report.
     aged : per source the rows of reports excluded as too uncertain to distinguish objects.
