@@ -46,6 +46,7 @@ def make(folder: Path, repository: Path, data: Path | None) -> list[str]:
         _deep_catalogues(folder)
         _wrong_catalogues(folder)
         _frames(folder)
+        _nights(folder)
     _coast(folder)
     _metres(folder)
     _logs(folder)
@@ -344,6 +345,26 @@ def _frames(folder: Path) -> None:
 
 START = 1_714_605_000.0  # 2024-05-01 23:10 UTC
 LAT, LON, NORTH, EAST = 50.6, -1.0, 111_229.0, 70_768.0  # metres per degree there
+
+
+def _nights(folder: Path) -> None:
+    """Detections of two nights of five exposures: stars, movers of the main belt, and false ones."""
+    for name, seed, mjd in (("asteroids.ecsv", 61, 60000.3), ("asteroids-before.ecsv", 62, 59999.3)):
+        rng = np.random.default_rng(seed)
+        stars, movers = rng.uniform(-0.2, 0.2, (150, 2)), rng.uniform(-0.2, 0.2, (12, 2))
+        rate = np.column_stack([rng.normal(-0.55, 0.05, 12), rng.normal(0.15, 0.05, 12)])  # arcsec per minute
+        rows = []
+        for exposure in range(5):
+            minutes = 20.0 * exposure + 0.3 * exposure**2
+            for kind, place in enumerate((stars, movers + rate * minutes / DEG, rng.uniform(-0.2, 0.2, (40, 2)))):
+                shown = place[rng.random(len(place)) < (0.95, 0.9, 1.0)[kind]]
+                east, north = (shown + rng.normal(0.0, 0.1 / DEG, shown.shape)).T
+                ra = 156.0 + east / np.cos(np.radians(10.0 + north))
+                for at in zip(ra, 10.0 + north, rng.uniform(17.0, 20.0, len(ra)), strict=True):
+                    rows.append((*at[:2], mjd + minutes / 1440.0, 0.1, at[2], exposure))
+        names = ("ra", "dec", "mjd", "sigma", "mag", "exposure")
+        table = Table(rows=rows, names=names, units=("deg", "deg", "d", "arcsec", "mag", None))
+        _save(table, folder / name)
 
 
 def _write(path: Path, head: list[str], rows: list[list[object]]) -> None:
