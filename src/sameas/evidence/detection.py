@@ -16,16 +16,49 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.representation import in_short
 
-# Piecewise linear curves of a magnitude: their basis, and the sums for fitting them.
 
-#: Quantiles are taken from about this many values of a longer list (chosen: sufficient for knots).
-SORTED = 500
+@dataclass(frozen=True)
+class ShareTuning:
+    """Parameters of the fitted and of the reported share by magnitude, all chosen.
+
+    Attributes
+    ----------
+    sorted_values : quantiles are taken from about this many values of a longer list: sufficient for knots.
+    per_knot, max_knots : records per knot of the curve, and greatest number of knots.
+    bend, sigma : prior standard deviations of the curve's logit: of its second differences between knots, and of its
+        value.
+    first_steps, steps : number of Newton steps in the first fit, and in later ones. max_step, tolerance : their
+        greatest length in logit, and the length at convergence.
+    min_share : shares are clipped to this … 1 − this.
+    min_in_bin, widths_mag, max_bins : of the reported curve: least number of records in a bin, widths of bins, and
+        greatest number of bins.
+    """
+
+    sorted_values: int = 500
+    per_knot: float = 100.0
+    max_knots: int = 24
+    bend: float = 1.0
+    sigma: float = 6.0
+    first_steps: int = 8
+    steps: int = 2
+    max_step: float = 2.0
+    tolerance: float = 0.05
+    min_share: float = 1e-6
+    min_in_bin: int = 30
+    widths_mag: tuple[float, ...] = (0.1, 0.2, 0.25, 0.5, 1.0, 2.0)
+    max_bins: int = 24
+
+
+TUNING = ShareTuning()
+
+
+# Piecewise linear curves of a magnitude: their basis, and the sums for fitting them.
 
 
 def knots_of(x: FloatArray, weights: FloatArray, per_knot: float, most: int) -> FloatArray:
     """(k,) increasing knots at quantiles of ``x``: one per about ``per_knot`` of the weight, at most ``most``."""
     count = min(max(round(float(weights.sum()) / per_knot), 1), most - 1) + 1
-    step = max(1, len(x) // SORTED)
+    step = max(1, len(x) // TUNING.sorted_values)
     x, weights = x[::step], weights[::step]
     order = np.argsort(x, kind="stable")
     cumulated = np.cumsum(weights[order])
@@ -86,18 +119,6 @@ def roughness(k: int, bend: float, weight: FloatArray | float = 1.0) -> FloatArr
     return np.asarray((second.T * weight) @ second)
 
 
-#: Records per knot of the curve, and greatest number of knots.
-PER_KNOT, MAX_KNOTS = 100.0, 24
-#: Prior standard deviations of the curve's logit: of its second differences between knots, and of its value.
-BEND, PRIOR_SIGMA = 1.0, 6.0
-#: Newton steps: their number in the first fit and in later ones, greatest length in logit, and length at convergence.
-FIRST_STEPS, STEPS, MAX_STEP, TOLERANCE = 8, 2, 2.0, 0.05
-#: Shares are clipped to 1e-6 … 1 − 1e-6.
-MIN_SHARE = 1e-6
-#: The reported curve: least number of records in a bin, widths of the bins in mag, and greatest number of bins.
-MIN_IN_BIN, WIDTHS, MAX_BINS = 30, (0.1, 0.2, 0.25, 0.5, 1.0, 2.0), 24
-
-
 @in_short
 @dataclass(frozen=True)
 class DetectionCurve:
@@ -156,12 +177,12 @@ def share_error(number: FloatArray, matched: FloatArray, variance: FloatArray) -
 def _edges(magnitude: FloatArray) -> FloatArray:
     """Edges of equal bins of a round width; sparse bins at both ends are merged."""
     low, high = float(magnitude.min()), float(magnitude.max())
-    width = next((w for w in WIDTHS if (high - low) / w <= MAX_BINS), (high - low) / MAX_BINS)
+    width = next((w for w in TUNING.widths_mag if (high - low) / w <= TUNING.max_bins), (high - low) / TUNING.max_bins)
     edges = width * np.arange(np.floor(low / width), np.floor(high / width) + 2)
     count = np.bincount(((magnitude - edges[0]) / width).astype(np.int64), minlength=len(edges) - 1)[: len(edges) - 1]
     below, above = np.cumsum(count), np.cumsum(count[::-1])
-    begin = int(np.searchsorted(below, MIN_IN_BIN))
-    end = len(count) - int(np.searchsorted(above, MIN_IN_BIN))
+    begin = int(np.searchsorted(below, TUNING.min_in_bin))
+    end = len(count) - int(np.searchsorted(above, TUNING.min_in_bin))
     return edges[[0, -1]] if end <= begin + 1 else np.concatenate([edges[:1], edges[begin + 1 : end], edges[-1:]])
 
 
@@ -180,13 +201,16 @@ class ShareCurve:
         """The curve of greatest penalised likelihood, from magnitudes (n,), shares at the records' positions, and the
         probabilities of a partner; a few steps from ``start`` if given."""
         if start is None:
-            knots = knots_of(magnitude, np.ones(len(magnitude)), PER_KNOT, MAX_KNOTS)
+            knots = knots_of(magnitude, np.ones(len(magnitude)), TUNING.per_knot, TUNING.max_knots)
             start = cls(knots, np.zeros(len(knots)))
         from sameas.kernels.relation import climb
 
         values, k = start.values.copy(), len(start.knots)
-        steps = STEPS if values.any() else FIRST_STEPS
-        climb(magnitude, logit(share), p_partner, start.knots, _penalty(k), values, steps, MAX_STEP, TOLERANCE)
+        steps = TUNING.steps if values.any() else TUNING.first_steps
+        climb(
+            magnitude, logit(share), p_partner, start.knots, _penalty(k), values,
+            steps, TUNING.max_step, TUNING.tolerance,
+        )  # fmt: skip
         return cls(start.knots, values)
 
     def logit(self, magnitude: FloatArray) -> FloatArray:
@@ -205,17 +229,17 @@ class ShareCurve:
 
         terms = np.zeros(len(magnitude))
         rows = np.arange(len(magnitude)) if rows is None else rows
-        weigh(magnitude, share, rows, MIN_SHARE, self.knots, self.values, terms)
+        weigh(magnitude, share, rows, TUNING.min_share, self.knots, self.values, terms)
         return terms
 
 
 @cache
 def _penalty(k: int) -> FloatArray:
     """(k, k) penalty that draws a curve's values towards a straight line and towards zero."""
-    return np.asarray(roughness(k, BEND) + np.eye(k) / PRIOR_SIGMA**2)
+    return np.asarray(roughness(k, TUNING.bend) + np.eye(k) / TUNING.sigma**2)
 
 
 def logit(share: FloatArray) -> FloatArray:
     """ln s / (1 − s), for shares clipped to 1e-6 … 1 − 1e-6."""
-    share = np.clip(share, MIN_SHARE, 1.0 - MIN_SHARE)
+    share = np.clip(share, TUNING.min_share, 1.0 - TUNING.min_share)
     return np.log(share) - np.log1p(-share)

@@ -353,14 +353,25 @@ def _refuse_flat(values: NDArray[Any], facts: Facts, name: str) -> None:
         )
 
 
-#: A pixel of the dark is hot above this many robust standard deviations from its surroundings (chosen).
-_HOT_SIGMAS = 8.0
-#: Variation of hot pixels from frame to frame, as a share of their excess (chosen).
-_UNSTEADY = 0.05
-#: Pixels of a flat below this sensitivity, relative to the median, are dead (chosen).
-_DARKEST_FLAT = 0.2
-#: Relative difference within which exposures are equal (chosen).
-_SAME_EXPOSURE = 0.02
+@dataclass(frozen=True)
+class CalibrationTuning:
+    """Parameters of the calibration of frames, all chosen.
+
+    Attributes
+    ----------
+    hot_sigmas : a pixel of the dark is hot above this many robust standard deviations from its surroundings.
+    unsteady : variation of hot pixels from frame to frame, as a share of their excess.
+    darkest_flat : pixels of a flat below this sensitivity, relative to the median, are dead.
+    same_exposure : relative difference within which exposures are equal.
+    """
+
+    hot_sigmas: float = 8.0
+    unsteady: float = 0.05
+    darkest_flat: float = 0.2
+    same_exposure: float = 0.02
+
+
+TUNING = CalibrationTuning()
 
 
 @dataclass(frozen=True)
@@ -397,7 +408,7 @@ class MasterFrames:
         dark, exposure_s = (None, math.nan) if not darks else _dark(darks, bias)
         flat = None if not flats else _flat(flats, bias, dark, exposure_s)
         excess = None if dark is None else _excess(dark)
-        dead = None if flat is None else flat < _DARKEST_FLAT
+        dead = None if flat is None else flat < TUNING.darkest_flat
         shapes = {plane.shape for plane in (bias, dark, flat) if plane is not None}
         if len(shapes) > 1:
             raise InputError(
@@ -420,10 +431,10 @@ class MasterFrames:
         offset, lines = self._offset(frame)
         image = frame.image.astype(float) - offset
         if self.flat is not None:
-            image, lines = image / np.maximum(self.flat, _DARKEST_FLAT), (*lines, "divided by the flat")
+            image, lines = image / np.maximum(self.flat, TUNING.darkest_flat), (*lines, "divided by the flat")
         sigma = frame.sigma
         if sigma is not None and self.flat is not None:
-            sigma = (sigma / np.maximum(self.flat, _DARKEST_FLAT)).astype(np.float32)
+            sigma = (sigma / np.maximum(self.flat, TUNING.darkest_flat)).astype(np.float32)
         # Saturated pixels are flagged already; the level is reduced by what is subtracted.
         level = frame.facts.saturation_adu - float(np.median(offset))
         facts = replace(frame.facts, saturation_adu=level, pedestal_adu=0.0, lines=(*frame.facts.lines, *lines))
@@ -447,7 +458,7 @@ class MasterFrames:
             done = (*lines, f"dark of {self.dark_exposure_s:g} s times {ratio:.3g} subtracted")
             return offset + self.dark * ratio, done
         lines += (f"dark of {self.dark_exposure_s:g} s subtracted",)
-        if not abs(ratio - 1) < _SAME_EXPOSURE:
+        if not abs(ratio - 1) < TUNING.same_exposure:
             lines += (f"doubt: the frame has {frame.facts.exposure_s:g} s; without a bias its dark is not scaled",)
         return offset + self.dark, lines
 
@@ -463,7 +474,7 @@ def _median(frames: Sequence[Frame]) -> FloatArray:
 def _dark(darks: Sequence[Frame], bias: FloatArray | None) -> tuple[FloatArray, float]:
     exposures = np.array([frame.facts.exposure_s for frame in darks])
     if bias is None:
-        if np.ptp(exposures) > _SAME_EXPOSURE * exposures.max():
+        if np.ptp(exposures) > TUNING.same_exposure * exposures.max():
             raise InputError(
                 f"{darks[0].name} and other darks: exposures from {exposures.min():g} to {exposures.max():g} s; "
                 "give a bias, so that they can be scaled, or darks of one exposure"
@@ -500,7 +511,7 @@ def _excess(dark: FloatArray) -> FloatArray:
 
     excess = dark - median_filter(dark, 5, mode="reflect")
     scatter = 1.4826 * float(np.median(np.abs(excess)))
-    return np.where(excess > max(_HOT_SIGMAS * scatter, 1e-9), excess, 0.0)
+    return np.where(excess > max(TUNING.hot_sigmas * scatter, 1e-9), excess, 0.0)
 
 
 def _harmful(excess: FloatArray, frame: Frame) -> BoolArray:
@@ -508,4 +519,4 @@ def _harmful(excess: FloatArray, frame: Frame) -> BoolArray:
     gain = frame.facts.gain_e_per_adu if math.isfinite(frame.facts.gain_e_per_adu) else 1.0
     step = np.diff(frame.image[:, ::2], axis=1)
     variance = (1.4826 * float(np.median(np.abs(step - np.median(step))))) ** 2 / 2
-    return np.asarray(excess / gain + (_UNSTEADY * excess) ** 2 > 0.25 * max(variance, 1e-12))
+    return np.asarray(excess / gain + (TUNING.unsteady * excess) ** 2 > 0.25 * max(variance, 1e-12))
