@@ -58,18 +58,18 @@ def all_hypotheses(coarse, fine, flux):
     couples = list(itertools.combinations(range(len(fine)), 2))
     ways = list(merged(fine))
     for answer in itertools.product(range(-1, 10), repeat=len(coarse)):
-        said = [() if a < 0 else (a,) if a < 4 else couples[a - 4] for a in answer]
-        used = [n for objects in said for n in objects]
+        objects_of = [() if a < 0 else (a,) if a < 4 else couples[a - 4] for a in answer]
+        used = [n for objects in objects_of for n in objects]
         if len(set(used)) < len(used):
             continue
         weight = 1.0
-        for x, objects in zip(coarse, said, strict=True):
+        for x, objects in zip(coarse, objects_of, strict=True):
             if objects:
                 w = flux[objects[0]] / flux[list(objects)].sum()
                 weight *= density(x, w * fine[objects[0]] + (1 - w) * fine[objects[-1]]) / ALONE
-        shown, prior = sum(map(bool, said)), 0.0
+        shown, prior = sum(map(bool, objects_of)), 0.0
         for p, pairs, taken in ways:
-            fits = all(o in pairs if len(o) == 2 else not taken & set(o) for o in said)
+            fits = all(o in pairs if len(o) == 2 else not taken & set(o) for o in objects_of)
             prior += fits * p * SHARE**shown * (1 - SHARE) ** (len(fine) - len(pairs) - shown)
         weights[answer] = weight * prior
     total = sum(weights.values())
@@ -91,8 +91,8 @@ def test_probabilities_are_the_sums_over_all_hypotheses(seed):
         number = j if k < 0 else 4 + couples.index((min(j, k), max(j, k)))
         assert p == pytest.approx(sum(x for answer, x in due.items() if answer[i] == number), abs=1e-9)
     best = max(due, key=due.get)
-    said = [sum(1 for n in best if n >= 0), summed.chosen.sum()]
-    assert said[0] == said[1]
+    numbers = [sum(1 for n in best if n >= 0), summed.chosen.sum()]
+    assert numbers[0] == numbers[1]
 
 
 def test_without_neighbours_there_are_no_blends():
@@ -119,13 +119,13 @@ def test_fluxes_are_those_of_the_records():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("told", [True, False])
-def test_blend_probabilities_are_calibrated(told):
+@pytest.mark.parametrize("with_fluxes", [True, False])
+def test_blend_probabilities_are_calibrated(with_fluxes):
     """Fields like WISE on Gaia, 6″: partners of coarse records, and whether they are blends."""
     p, right, p_two, two, found_two, real = [], [], [], [], 0, 0
     for seed in range(3):
         made = blended_field(np.random.default_rng([12, seed]), objects=1_500)
-        flux = made.flux if told else None
+        flux = made.flux if with_fluxes else None
         blends = find_blends(made.first, made.second, made.resolution_arcsec, errors=Errors(), flux=flux)
         answer = np.column_stack([blends.partner.filled(-1), blends.other.filled(-1)])
         ok = (np.sort(answer, axis=1) == np.sort(made.parts, axis=1)).all(axis=1)
@@ -139,7 +139,7 @@ def test_blend_probabilities_are_calibrated(told):
         stated, happened = np.concatenate(stated), np.concatenate(happened)
         sure = np.sqrt(max((stated * (1 - stated)).sum(), 1.0))
         assert abs(stated.sum() - happened.sum()) < 4.0 * sure
-    assert found_two > (0.8 if told else 0.6) * real > 60
+    assert found_two > (0.8 if with_fluxes else 0.6) * real > 60
 
 
 def test_a_match_says_which_of_its_records_are_blends():

@@ -15,19 +15,19 @@ from sameas.sky.frame.image import read as read_frame
 SKY = np.random.default_rng(5).poisson(500.0, (40, 50)).astype(np.int16)
 
 
-def table(folder, **said):
+def table(folder, **changes):
     """Path of a table of three rows, to be edited."""
     path = folder / "t.fits"
     write_table(Table({"x": [1.0, 2.0, 3.0]}), path, provenance={})
-    return edited(path, 1, **said)
+    return edited(path, 1, **changes)
 
 
-def edited(path, number, **said):
+def edited(path, number, **changes):
     """The same file with cards of one header changed in place."""
     with fits.open(path) as hdus:
         begin, end = hdus[number].fileinfo()["hdrLoc"], hdus[number].fileinfo()["datLoc"]
     content = bytearray(path.read_bytes())
-    for name, value in said.items():
+    for name, value in changes.items():
         at = content.index(f"{name:8}=".encode(), begin, end)
         content[at : at + 80] = f"{name:8}= {value:>20}".ljust(80).encode()
     path.write_bytes(content)
@@ -35,7 +35,7 @@ def edited(path, number, **said):
 
 
 @pytest.mark.parametrize(
-    ("said", "words"),
+    ("changes", "words"),
     [
         ({"TFIELDS": 999999999}, "says TFIELDS = 999999999, not 0 to 999"),
         ({"NAXIS": 500000000}, "says NAXIS = 500000000, not 0 to 999"),
@@ -47,8 +47,8 @@ def edited(path, number, **said):
         ({"NAXIS": "2.5"}, "has no whole number in NAXIS"),
     ],
 )
-def test_impossible_headers_are_refused_before_a_library_uses_them(said, words, tmp_path):
-    path = table(tmp_path, **said)
+def test_impossible_headers_are_refused_before_a_library_uses_them(changes, words, tmp_path):
+    path = table(tmp_path, **changes)
     for read in (read_table, read_frame):
         with pytest.raises(InputError, match=f"t.fits.* the header of extension 1 {words}.*; .*copy it again"):
             read(path)
@@ -123,9 +123,9 @@ def test_a_compressed_file_that_expands_without_limit_is_refused(tmp_path):
         unpacked(path)
 
 
-def system(folder, **said):
+def system(folder, **contents):
     """A folder with the files in which Linux states the available memory."""
-    for name, text in said.items():
+    for name, text in contents.items():
         path = folder / {"meminfo": "proc", "statm": "proc/self"}.get(name, "sys/fs/cgroup") / name.replace("_", ".")
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)

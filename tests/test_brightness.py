@@ -220,8 +220,8 @@ def test_the_ratio_is_that_of_the_true_densities_for_one_normal_band():
     class EveryPair:
         i = j = np.arange(n)
 
-    told: Any = EveryPair, np.ones(n), (np.ones(n),) * 2, (np.full(n, 0.5),) * 2, (np.ones(n, bool),) * 2
-    learned = photometry.fitted(*told).fitted(*told, last=True)
+    training: Any = EveryPair, np.ones(n), (np.ones(n),) * 2, (np.full(n, 0.5),) * 2, (np.ones(n, bool),) * 2
+    learned = photometry.fitted(*training).fitted(*training, last=True)
     at = rng.permutation(n)[:500]
     forth = learned.chains[0].log_ratio(learned.sides[0].compared(at, measured[1].take(at)))
     back = learned.chains[1].log_ratio(learned.sides[1].compared(at, measured[0].take(at)))
@@ -258,12 +258,12 @@ def test_bands_of_one_source_are_not_counted_twice():
     class EveryPair:
         i = j = np.arange(n)
 
-    told: Any = EveryPair, np.ones(n), (np.ones(n),) * 2, (np.full(n, 0.5),) * 2, (np.ones(n, bool),) * 2
+    training: Any = EveryPair, np.ones(n), (np.ones(n),) * 2, (np.full(n, 0.5),) * 2, (np.ones(n, bool),) * 2
     ratios = []
     for values in (once, twice):
         measured = Magnitudes(values).of(records), second.of(records)
-        learned = Photometry.of(measured, (("a", "b")[: np.ndim(values)], ("c",))).fitted(*told)
-        learned = learned.fitted(*told, last=True)
+        learned = Photometry.of(measured, (("a", "b")[: np.ndim(values)], ("c",))).fitted(*training)
+        learned = learned.fitted(*training, last=True)
         ratios.append(learned.chains[0].log_ratio(learned.sides[0].compared(EveryPair.i, measured[1])))
     assert np.mean(ratios[0]) > 1.0
     assert np.mean(ratios[1]) == pytest.approx(np.mean(ratios[0]), abs=0.03)

@@ -65,8 +65,8 @@ def test_numbers_of_partners_and_of_false_matches_are_as_expected():
         evidence = [Column(2, made.magnitude, name="MAG")]
         answer, estimate = match(made.scene.first, made.scene.second, errors=Errors(), evidence=evidence)
         too_many.append(estimate.common - len(made.scene.true_pairs()[0]))
-        _, mine, said, spread = counts(answer, made)
-        wrong, expected, variance = wrong + mine, expected + said, variance + spread**2
+        _, mine, expected_wrong, spread = counts(answer, made)
+        wrong, expected, variance = wrong + mine, expected + expected_wrong, variance + spread**2
     assert abs(np.mean(too_many)) < 3.0 * np.std(too_many) / np.sqrt(len(too_many))
     assert abs(wrong - expected) < 2.0 * np.sqrt(variance)
 
@@ -116,8 +116,8 @@ def test_the_fit_of_a_category_column_is_the_ratio_of_counts():
 @pytest.mark.slow
 def test_an_uninformative_column_is_reported_and_changes_nothing(by_position):
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[Column(2, MADE.noise, name="noise")])
-    (said,) = estimate.columns.findings
-    assert not said.used and said.name == "noise"
+    (finding,) = estimate.columns.findings
+    assert not finding.used and finding.name == "noise"
     assert estimate.changed_by_columns == 0
     assert abs(counts(answer)[1] - counts(by_position[0])[1]) <= 2
 

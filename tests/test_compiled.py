@@ -141,11 +141,11 @@ import numba
 print(numba.njit(lambda words: words.upper())("us"))
 """
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    said = [
+    runs = [
         subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
         for _ in range(2)
     ]
-    first, second = (run.stdout.splitlines() for run in said)
+    first, second = (run.stdout.splitlines() for run in runs)
     assert first[0] == second[0] == "1 2 -1 0.5 1.75 0.0"
     assert (first[1:], second[1:]) == (["True", "US"], ["False", "US"])
 

@@ -202,8 +202,8 @@ def test_every_option_is_documented():
     page = (HOME / "docs/files-and-command.md").read_text(encoding="utf-8")
     for command in (match, explain):
         for parameter in inspect.signature(command, eval_str=True).parameters.values():
-            for said in getattr(parameter.annotation, "__metadata__", ()):
-                for name in getattr(said, "param_decls", None) or ():
+            for metadata in getattr(parameter.annotation, "__metadata__", ()):
+                for name in getattr(metadata, "param_decls", None) or ():
                     for one in name.split("/"):
                         plain = re.sub(r"[12]$", "", one) if one not in ("--hdu1", "--hdu2") else one
                         if plain.startswith("-"):

@@ -154,9 +154,9 @@ def test_swapping_the_sources_swaps_the_estimate():
 
 def test_progress_is_reported():
     _, first, second = scene(9, extent=12.0)
-    told = []
-    match(first, second, progress=told.append)
-    assert told[:2] == ["densities", "gate"] and any("round 1" in step for step in told)
+    steps = []
+    match(first, second, progress=steps.append)
+    assert steps[:2] == ["densities", "gate"] and any("round 1" in step for step in steps)
 
 
 @pytest.mark.parametrize("n1, n2, name", [(0, 3, "radar"), (3, 0, "ais")])

@@ -125,10 +125,10 @@ def test_sizes_agree_within_their_errors_and_differ_beyond():
     assert cargo[1] < 0 < cargo[0] < cargo[2]
 
 
-def scene(said, sigma=10.0, apart=4.0):
+def scene(codes, sigma=10.0, apart=4.0):
     one = Records.of([[0.0, 0.0], [50.0, 0.0]], sigma=sigma, source="radar")
     two = Records.of([[0.0, apart], [50.0, apart]], sigma=sigma, source="adsb")
-    return one, two, Identity({"radar": {"icao": said[0]}, "adsb": {"icao": said[1]}})
+    return one, two, Identity({"radar": {"icao": codes[0]}, "adsb": {"icao": codes[1]}})
 
 
 def test_evidence_is_bounded_on_both_sides():
@@ -145,8 +145,8 @@ def test_evidence_is_bounded_on_both_sides():
 
 
 def test_records_without_identity_are_matched_by_position_only():
-    for said in ((["4B1814", None], [None, "4B1814"]), ([None, ""], ["000000", None])):
-        one, two, rule = scene(said)
+    for codes in ((["4B1814", None], [None, "4B1814"]), ([None, ""], ["000000", None])):
+        one, two, rule = scene(codes)
         pairs = Radius(3.0)(one, two)
         assert len(pairs) and not rule(pairs).log_ratio.any()
 

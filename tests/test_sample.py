@@ -85,12 +85,12 @@ def test_the_row_order_does_not_change_a_sample():
     turned = [shuffled(r, rng.permutation(len(r))) for r in (made.first, made.second)]
     other, again = match(*turned, sampling=FEW)
     assert again.learned_from == found.learned_from and again.common == pytest.approx(found.common, rel=1e-9)
-    said, now = (
+    before, now = (
         {(a.first.ids[i], a.second.ids[j]): p for i, j, p in zip(a.rows_1, a.rows_2, a.p_pair, strict=True)}
         for a in (answer, other)
     )
-    assert said.keys() == now.keys()
-    assert max(abs(said[pair] - now[pair]) for pair in said) < 1e-8
+    assert before.keys() == now.keys()
+    assert max(abs(before[pair] - now[pair]) for pair in before) < 1e-8
 
 
 def test_after_an_unrepresentative_sample_em_runs_over_all_records():

@@ -314,7 +314,7 @@ def _frames(folder: Path) -> None:
     for k, rows in enumerate(np.array_split(np.arange(len(stars)), 3)):
         _save(stars[rows], hats / f"Npix={k}.parquet")
     (folder / "hats" / "hats.properties").write_text("obs_collection=test\nhats_col_ra=ra\nhats_col_dec=dec\n")
-    said = {"DATE-OBS": "2016-01-01T12:00:00", "EXPTIME": 60.0, "GAIN": 1.5, "RDNOISE": 6.0}
+    exposure_cards = {"DATE-OBS": "2016-01-01T12:00:00", "EXPTIME": 60.0, "GAIN": 1.5, "RDNOISE": 6.0}
     solved, image = _plate().to_header(), _image(stars, 32)
 
     def frame(name: str, pixels: np.ndarray, *headers: dict[str, object] | fits.Header) -> None:
@@ -323,15 +323,15 @@ def _frames(folder: Path) -> None:
             header.update(cards)
         fits.PrimaryHDU(pixels, header).writeto(folder / name)
 
-    frame("night.fits", image, solved, said)
-    frame("later.fits", _image(stars, 33), solved, said, {"DATE-OBS": "2016-01-01T12:10:00"})
-    frame("aimed.fits", image, said, {"OBJCTRA": "10 00 04", "OBJCTDEC": "+20 00 30"})
-    frame("blind.fits", image, said)
+    frame("night.fits", image, solved, exposure_cards)
+    frame("later.fits", _image(stars, 33), solved, exposure_cards, {"DATE-OBS": "2016-01-01T12:10:00"})
+    frame("aimed.fits", image, exposure_cards, {"OBJCTRA": "10 00 04", "OBJCTDEC": "+20 00 30"})
+    frame("blind.fits", image, exposure_cards)
     frame("timeless.fits", image, solved, {"EXPTIME": 60.0})
-    frame("nan.fits", np.full((64, 64), np.nan, np.float32), solved, said)
-    frame("full.fits", np.full((64, 64), 65535, np.uint16), solved, said)
+    frame("nan.fits", np.full((64, 64), np.nan, np.float32), solved, exposure_cards)
+    frame("full.fits", np.full((64, 64), 65535, np.uint16), solved, exposure_cards)
     noise = np.random.default_rng(34).normal(100, 5, (96, 96)).astype(np.float32)
-    frame("starless.fits", noise, solved, said)
+    frame("starless.fits", noise, solved, exposure_cards)
     rng = np.random.default_rng(35)
     frame("dark.fits", rng.normal(50, 3, image.shape).astype(np.float32), {"EXPTIME": 60.0})
     frame("flat.fits", rng.normal(20000, 90, image.shape).astype(np.float32), {"EXPTIME": 2.0})

@@ -47,13 +47,15 @@ def opened(frame, margin, order):
 
 
 def test_lsdb_gives_the_pairs_and_probabilities_of_match(both):
-    found, (a, b), told = both
+    found, (a, b), table = both
     algorithm = one_to_one(found)
     margin = np.ceil(algorithm.halo_arcsec)
     left, right = opened(a, margin, 9), opened(b, margin, 8)
     joined = left.crossmatch(right, algorithm=algorithm, how="outer", suffixes=("_1", "_2")).compute()
     pairs = joined.dropna(subset=["id_1", "id_2"])
-    mine = {i: (j, p) for i, j, p in zip(told["id_1"], told["id_2"], told["p_match"], strict=True) if not np.isnan(j)}
+    mine = {
+        i: (j, p) for i, j, p in zip(table["id_1"], table["id_2"], table["p_match"], strict=True) if not np.isnan(j)
+    }
     assert dict(zip(pairs["id_1"], pairs["id_2"], strict=True)) == {i: j for i, (j, _) in mine.items()}
     assert not pairs["id_2"].duplicated().any() and len(pairs) > 1_000
     assert max(abs(p - mine[i][1]) for i, p in zip(pairs["id_1"], pairs["p_match"], strict=True)) < 1e-6

@@ -111,23 +111,23 @@ def test_the_printed_text_gives_position_counts_and_assumptions(done):
 @pytest.mark.slow
 def test_estimates_are_printed_with_their_standard_errors(done):
     out, text = done
-    told, words = json.loads((out / "night.json").read_text())["estimated"], " ".join(text.split())
-    assert all(error > 0.0 for _, error in told.values())
+    facts, words = json.loads((out / "night.json").read_text())["estimated"], " ".join(text.split())
+    assert all(error > 0.0 for _, error in facts.values())
     assert re.search(r"only in one catalogue [\d.]+ ± [\d.]+ of the frame and [\d.]+ ± [\d.]+ of the catalogue", words)
-    assert re.search(r"errors (as quoted|quoted) ", words) and {"error_scale"} <= set(told)
+    assert re.search(r"errors (as quoted|quoted) ", words) and {"error_scale"} <= set(facts)
 
 
 def test_errors_of_frame_and_catalogue_are_reported_as_for_a_match(done):
     out, text = done
-    told = json.loads((out / "night.json").read_text())
-    assert "fewer than 200 pairs" in told["error_note"] and "by source fewer than 200 pairs" in " ".join(text.split())
+    facts = json.loads((out / "night.json").read_text())
+    assert "fewer than 200 pairs" in facts["error_note"] and "by source fewer than 200 pairs" in " ".join(text.split())
     alike = {"error_factor_both": [1.71, 0.04], "error_floor_instead_arcsec": [0.31, 0.02]}
-    words = frame_lines(told | {"estimated": alike, "error_note": "whose cannot be told"})
+    words = frame_lines(facts | {"estimated": alike, "error_note": "whose cannot be told"})
     assert (
         "by source those of both × 1.710 ± 0.040, or, with both as quoted, floor in quadrature on each axis: "
         "0.310 ± 0.020 arcsec; whose cannot be told"
     ) in " ".join(" ".join(words).split())
-    apart = frame_lines(told | {"estimated": {"error_factor_frame": [1.4, 0.1]}, "error_note": ""})
+    apart = frame_lines(facts | {"estimated": {"error_factor_frame": [1.4, 0.1]}, "error_note": ""})
     assert "by source those of night.fits × 1.40 ± 0.10 " in " ".join(" ".join(apart).split())
 
 
@@ -151,8 +151,8 @@ def test_the_table_agrees_with_the_truth_and_has_its_provenance(done):
         (found["ra_deg"] - truth["ra"][row]) * np.cos(np.radians(20.0)), found["dec_deg"] - truth["dec"][row]
     )
     assert len(found) > 90 and np.median(off * 3600) < 0.4
-    told = read_provenance(out / "night.stars.fits")
-    assert told["frame"] == "night.fits" and json.loads(told["summary"])["found"]["identified"] == len(found)
+    facts = read_provenance(out / "night.stars.fits")
+    assert facts["frame"] == "night.fits" and json.loads(facts["summary"])["found"]["identified"] == len(found)
 
 
 @pytest.mark.filterwarnings("ignore:The WCS transformation has more axes")
@@ -272,8 +272,8 @@ def test_bad_images_give_one_clear_line(files, refusal, tmp_path, image, words):
     header = pointing().to_wcs().to_header()
     header["DATE-OBS"] = "2016-01-01T12:00:00"
     fits.PrimaryHDU(image, header).writeto(tmp_path / "bad.fits")
-    said = refusal("frame", tmp_path / "bad.fits", "-c", files.stars, "-o", tmp_path / "out")
-    assert "bad.fits" in said and re.search(words, said)
+    message = refusal("frame", tmp_path / "bad.fits", "-c", files.stars, "-o", tmp_path / "out")
+    assert "bad.fits" in message and re.search(words, message)
 
 
 @pytest.mark.slow

@@ -32,11 +32,11 @@ def test_blends_are_written_next_to_the_joined_table(tmp_path, sameas, refusal):
         Table({"ra": ra, "dec": dec, "sigma": np.sqrt(records.covariance[:, 0])}).write(path)
     out = tmp_path / "out.fits"
     text = sameas("match", *files, "-o", out, "--sigma", "sigma", "--blends", "6").stdout
-    told = read_table(tmp_path / "out-blends.fits")
-    two = np.flatnonzero(~np.ma.getmaskarray(told["row_2b"]))
+    facts = read_table(tmp_path / "out-blends.fits")
+    two = np.flatnonzero(~np.ma.getmaskarray(facts["row_2b"]))
     assert f"at 6 arcsec {len(two)} of {len(made.first)} records are two objects" in text and len(two) > 5
-    said = np.sort(np.column_stack([told["row_2"][two], told["row_2b"][two]]), axis=1)
-    assert (said == np.sort(made.parts[two], axis=1)).all(axis=1).mean() > 0.6
+    found_parts = np.sort(np.column_stack([facts["row_2"][two], facts["row_2b"][two]]), axis=1)
+    assert (found_parts == np.sort(made.parts[two], axis=1)).all(axis=1).mean() > 0.6
     assert "give the resolution of the first catalogue" in refusal("match", *files, "-o", out, "--blends", "-1")
 
 
@@ -49,11 +49,11 @@ def test_every_format_gives_the_same_pairs_and_keeps_the_provenance(tmp_path, sa
     out = tmp_path / f"out.{kind}"
     sameas("match", first, second, "-o", out, "--id", "name", *unit)
     assert pairs(out) == sorted((f"s{k}", f"s{k}") for k in range(100))
-    told = read_provenance(out)
-    assert told["pairs"] == 100 and told["rows_1"] == 120 and told["input_2"] == second
-    assert told["command"].startswith("sameas match ") and len(told["sha256_1"]) == 64
-    assert json.loads(told["options_1"])["id"] == "name"
-    assert sum(told["error_shares"]) == pytest.approx(1.0)
+    facts = read_provenance(out)
+    assert facts["pairs"] == 100 and facts["rows_1"] == 120 and facts["input_2"] == second
+    assert facts["command"].startswith("sameas match ") and len(facts["sha256_1"]) == 64
+    assert json.loads(facts["options_1"])["id"] == "name"
+    assert sum(facts["error_shares"]) == pytest.approx(1.0)
 
 
 def test_the_printed_text_lists_interpretation_estimates_and_matches(tmp_path, sameas, field_files):
@@ -72,24 +72,24 @@ def test_the_printed_text_lists_interpretation_estimates_and_matches(tmp_path, s
 
 @pytest.mark.slow
 def test_provenance_is_equal_except_date_and_paths(tmp_path, sameas, field_files):
-    told = []
+    facts = []
     for name in ("one.fits", "two.fits"):
         sameas("match", *field_files, "-o", tmp_path / name, "-q")
-        told.append(read_provenance(tmp_path / name))
-    assert {key for key in told[0] if told[0][key] != told[1][key]} <= {"date_utc", "command"}
+        facts.append(read_provenance(tmp_path / name))
+    assert {key for key in facts[0] if facts[0][key] != facts[1][key]} <= {"date_utc", "command"}
 
 
 @pytest.mark.slow
 def test_provenance_keeps_every_estimate_with_its_standard_error(tmp_path, sameas, field_files):
     sameas("match", *field_files, "-o", tmp_path / "out.fits", "-q", "--offset", "find")
-    told = read_provenance(tmp_path / "out.fits")
+    facts = read_provenance(tmp_path / "out.fits")
     for name in ("common", "share_1", "share_2", "density_only_1", "density_only_2", "error_scale"):
-        assert f"estimated_{name}" in told and told[f"estimated_{name}_error"] > 0.0
-    assert told["settled"] is True and len(told["offset_arcsec"]) == len(told["offset_arcsec_error"]) == 3
+        assert f"estimated_{name}" in facts and facts[f"estimated_{name}_error"] > 0.0
+    assert facts["settled"] is True and len(facts["offset_arcsec"]) == len(facts["offset_arcsec_error"]) == 3
     for side in (1, 2):
-        bins = len(told[f"completeness_{side}_edges_mag"]) - 1
+        bins = len(facts[f"completeness_{side}_edges_mag"]) - 1
         for name in (f"completeness_{side}", f"density_only_{side}_per_deg2_mag"):
-            assert len(told[name]) == len(told[f"{name}_error"]) == bins > 0
+            assert len(facts[name]) == len(facts[f"{name}_error"]) == bins > 0
 
 
 @pytest.mark.slow
@@ -105,10 +105,10 @@ def test_provenance_keeps_undetermined_errors_and_the_reason(tmp_path, sameas, f
         )
         save(table, tmp_path / name)
     text = sameas("match", *(tmp_path / name for name in names), "-o", tmp_path / "alike.fits").stdout
-    told = read_provenance(tmp_path / "alike.fits")
-    both, error = told["estimated_error_factor_both"], told["estimated_error_factor_both_error"]
-    assert both == pytest.approx(1.7, abs=4.0 * error) and told["estimated_error_floor_instead"] > 0.1
-    assert "estimated_error_factor_1" not in told and "vary too little" in told["error_note"]
+    facts = read_provenance(tmp_path / "alike.fits")
+    both, error = facts["estimated_error_factor_both"], facts["estimated_error_factor_both_error"]
+    assert both == pytest.approx(1.7, abs=4.0 * error) and facts["estimated_error_floor_instead"] > 0.1
+    assert "estimated_error_factor_1" not in facts and "vary too little" in facts["error_note"]
     assert f"by catalogue those of both × {Quantity(both, error)}, or, with both as quoted, floor" in " ".join(
         text.split()
     )
@@ -148,12 +148,12 @@ def test_options_of_one_catalogue_override_those_of_both(tmp_path, sameas, field
     assert "0.3 arcsec on each axis (option)" in text and "0.2 arcsec on each axis (option)" in text
 
 
-@pytest.mark.parametrize("said", [["sigma", "sigma", "angle"], ["sigma,sigma,angle"]])
-def test_an_ellipse_is_given_by_three_columns(tmp_path, sameas, field_files, said):
+@pytest.mark.parametrize("axes_columns", [["sigma", "sigma", "angle"], ["sigma,sigma,angle"]])
+def test_an_ellipse_is_given_by_three_columns(tmp_path, sameas, field_files, axes_columns):
     table = field(120, 2)
     table["angle"] = np.zeros(120)
     path = save(table, tmp_path / "ellipses.fits")
-    text = sameas("match", path, field_files[1], "--dry-run", "--ellipse1", *said).stdout
+    text = sameas("match", path, field_files[1], "--dry-run", "--ellipse1", *axes_columns).stdout
     assert "ellipse, angle east of north" in text
 
 
@@ -195,11 +195,15 @@ def test_errors_in_another_unit_raise_a_doubt(tmp_path, sameas, field_files):
 
 @pytest.mark.slow
 def test_magnitudes_are_evidence_unless_switched_off(tmp_path, sameas, field_files):
-    said = {how: sameas("match", *field_files, "-o", tmp_path / "o.fits", *how).stdout for how in (
+    reports = {how: sameas("match", *field_files, "-o", tmp_path / "o.fits", *how).stdout for how in (
         (), ("--magnitudes", "off"), ("--magnitudes", "mag:mag"),
     )}  # fmt: skip
-    assert "brightness" in said[()] and "completeness" in said[()] and "brightness" in said["--magnitudes", "mag:mag"]
-    assert "brightness" not in said["--magnitudes", "off"]
+    assert (
+        "brightness" in reports[()]
+        and "completeness" in reports[()]
+        and "brightness" in reports["--magnitudes", "mag:mag"]
+    )
+    assert "brightness" not in reports["--magnitudes", "off"]
 
 
 def test_formats_and_version(sameas):

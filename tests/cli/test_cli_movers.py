@@ -24,10 +24,10 @@ def run(*arguments):
 
 def test_a_table_becomes_tracklets(table, tmp_path):
     out, tracklets = tmp_path / "movers.fits", tmp_path / "tracklets.ecsv"
-    told = run(table, "--sigma", 0.2, "-o", out, "--tracklets", tracklets, "--least", 3)
-    assert told.exit_code == 0, told.output
-    assert "time mjd (MJD, UTC), exposures by equal times, no band" in told.output
-    assert "expected by chance" in told.output
+    result = run(table, "--sigma", 0.2, "-o", out, "--tracklets", tracklets, "--least", 3)
+    assert result.exit_code == 0, result.output
+    assert "time mjd (MJD, UTC), exposures by equal times, no band" in result.output
+    assert "expected by chance" in result.output
     found, each = read_table(out), read_table(tracklets)
     assert len(each) > 25 and set(found["tracklet"]) == set(each["tracklet"])
     assert each["n_detections"].sum() == len(found)
@@ -39,17 +39,17 @@ def test_one_table_per_exposure_gives_the_same(table, tmp_path):
     for k, mjd in enumerate(sorted(set(whole["mjd"]))):
         parts.append(tmp_path / f"part{k}.csv")
         whole[whole["mjd"] == mjd].write(parts[-1])
-    told = run(*parts, "--sigma", 0.2, "-o", tmp_path / "parts.csv", "--least", 3)
+    result = run(*parts, "--sigma", 0.2, "-o", tmp_path / "parts.csv", "--least", 3)
     one = run(table, "--sigma", 0.2, "-o", tmp_path / "one.csv", "--least", 3)
-    assert told.exit_code == one.exit_code == 0, told.output
+    assert result.exit_code == one.exit_code == 0, result.output
     assert len(read_table(tmp_path / "parts.csv")) == len(read_table(tmp_path / "one.csv"))
 
 
 def test_the_remedy_names_the_options(table, tmp_path):
     out = tmp_path / "movers.csv"
     assert "--sigma ARCSEC" in run(table, "-o", out).output
-    told = run(table, "--sigma", 0.2, "--time", "when", "-o", out)
-    assert told.exit_code == 1 and "no column 'when'" in told.output and "--time NAME" in told.output
+    result = run(table, "--sigma", 0.2, "--time", "when", "-o", out)
+    assert result.exit_code == 1 and "no column 'when'" in result.output and "--time NAME" in result.output
     assert not out.exists()
 
 
@@ -87,20 +87,20 @@ def test_tracklets_of_a_table_are_named_and_reported(luxembourg, tmp_path):
     header.write_text(WHO)
     options = ["--sigma", 0.15, "--least", 3, "--elements", "demo", "--site", "42.6,-71.5,100", "--report", header]
     out, tracklets = tmp_path / "movers.csv", tmp_path / "tracklets.ecsv"
-    told = run(luxembourg, *options, "-o", out, "--tracklets", tracklets)
-    assert told.exit_code == 0, told.output
-    assert "is 2713 Luxembourg" in told.output and "positions are geocentric" not in told.output
+    result = run(luxembourg, *options, "-o", out, "--tracklets", tracklets)
+    assert result.exit_code == 0, result.output
+    assert "is 2713 Luxembourg" in result.output and "positions are geocentric" not in result.output
     each = read_table(tracklets)
     named = [str(name).startswith("2713") for name in each["object"].filled("")]
     assert sum(named) == 1 and abs(each["o_c_east_arcsec"][named.index(True)]) < 0.3
     report = (tmp_path / "movers.psv").read_text()
     assert report.count("|2018-10-18T") == len(read_table(out)) and "2713" in report
     assert all((tmp_path / f"movers.{end}").exists() for end in ("xml", "txt"))
-    assert "it contains 2 tracklets" in told.output and each["in_report"].all()
+    assert "it contains 2 tracklets" in result.output and each["in_report"].all()
     again = run(luxembourg, *options, "-o", tmp_path / "movers.fits", "--no-overwrite")
     assert again.exit_code == 1 and "movers.psv: is there already" in again.output
-    told = run(luxembourg, "--sigma", 0.15, "--elements", "demo", "-o", out)
-    assert "positions are geocentric" in " ".join(told.output.split())
+    result = run(luxembourg, "--sigma", 0.15, "--elements", "demo", "-o", out)
+    assert "positions are geocentric" in " ".join(result.output.split())
     assert run(luxembourg, "--site", "north", "-o", out).exit_code == 2
 
 
@@ -112,17 +112,17 @@ def test_improbable_tracklets_are_omitted_from_a_report_and_counted(luxembourg, 
     night["mag"][5] = 18.45
     night[:6].write(tmp_path / "pair.csv")
     options = ["--sigma", 0.15, "--probability", 0.0, "--report", header, "--tracklets", tmp_path / "t.csv"]
-    told = run(tmp_path / "pair.csv", *options, "-o", tmp_path / "movers.csv")
-    assert told.exit_code == 0, told.output
+    result = run(tmp_path / "pair.csv", *options, "-o", tmp_path / "movers.csv")
+    assert result.exit_code == 0, result.output
     each, report = read_table(tmp_path / "t.csv"), (tmp_path / "movers.psv").read_text()
     sure = [str(p) for p in each["tracklet"][each["p_tracklet"] >= 0.9]]
     unsure = [str(p) for p in each["tracklet"][each["p_tracklet"] < 0.9]]
     assert len(sure) == len(unsure) == 1 and sure[0] in report and unsure[0] not in report
-    words = " ".join(told.output.split())
+    words = " ".join(result.output.split())
     assert "it contains 1 tracklet; 1 is excluded, less probable than 0.9" in words and unsure[0] in words
     assert list(each["in_report"]) == [str(name) in sure for name in each["tracklet"]]
-    told = run(tmp_path / "pair.csv", *options, "-o", tmp_path / "movers.csv", "--report-probability", 0)
-    assert "it contains 2 tracklets" in told.output and unsure[0] in (tmp_path / "movers.psv").read_text()
+    result = run(tmp_path / "pair.csv", *options, "-o", tmp_path / "movers.csv", "--report-probability", 0)
+    assert "it contains 2 tracklets" in result.output and unsure[0] in (tmp_path / "movers.psv").read_text()
     alone = run(luxembourg, "--sigma", 0.15, "-o", tmp_path / "m.csv", "--report-probability", 0.5)
     assert alone.exit_code == 2 and "there is no report" in " ".join(alone.output.split())
 
@@ -141,14 +141,14 @@ def test_two_exposures_raise_a_doubt(table, tmp_path):
     whole = read_table(table)
     first = sorted(set(whole["mjd"]))[:2]
     whole[[mjd in first for mjd in whole["mjd"]]].write(tmp_path / "two.csv")
-    told = run(tmp_path / "two.csv", "--sigma", 0.2, "-o", tmp_path / "out.csv")
-    assert told.exit_code == 0 and "nothing confirms that motion is straight" in " ".join(told.output.split())
+    result = run(tmp_path / "two.csv", "--sigma", 0.2, "-o", tmp_path / "out.csv")
+    assert result.exit_code == 0 and "nothing confirms that motion is straight" in " ".join(result.output.split())
 
 
 def test_files_that_are_no_frames_are_refused_one_by_one(table, tmp_path):
     """The way of a series of frames is begun: every file is told what it lacks, then the series."""
     other = tmp_path / "other.fits"
     other.write_text("no frame")
-    told = run(other, tmp_path / "gone.fits", "--catalog", "bright", "-j", 1, "-o", tmp_path / "out")
-    assert told.exit_code == 1 and "0 of 2 frames could be identified" in told.output
-    assert "gone" in told.output and "other" in told.output
+    result = run(other, tmp_path / "gone.fits", "--catalog", "bright", "-j", 1, "-o", tmp_path / "out")
+    assert result.exit_code == 1 and "0 of 2 frames could be identified" in result.output
+    assert "gone" in result.output and "other" in result.output

@@ -72,9 +72,9 @@ def refused(refusal, coast, tmp_path):
     """A function that returns the refusal of the command and checks that nothing is written."""
 
     def run(*arguments):
-        said = refusal("picture", *arguments, "-o", tmp_path / "out", "--quiet", *QUICK)
+        message = refusal("picture", *arguments, "-o", tmp_path / "out", "--quiet", *QUICK)
         assert not (tmp_path / "out").exists()
-        return said
+        return message
 
     return run
 
@@ -242,8 +242,8 @@ def test_sources_in_local_metres_give_no_geojson(sameas, tmp_path):
     ],
 )  # fmt: skip
 def test_unusable_files_are_refused_with_a_remedy(content, words, refused, coast, tmp_path):
-    (tmp_path / "told.csv").write_text(content)
-    assert words in refused(coast / "ais.csv", tmp_path / "told.csv")
+    (tmp_path / "other.csv").write_text(content)
+    assert words in refused(coast / "ais.csv", tmp_path / "other.csv")
 
 
 @pytest.mark.slow
@@ -256,13 +256,13 @@ def test_unusable_files_are_refused_with_a_remedy(content, words, refused, coast
     ],
 )
 def test_an_unreadable_file_is_set_aside_and_reported(content, words, sameas, refused, coast, tmp_path):
-    (tmp_path / "told.csv").write_text(content)
+    (tmp_path / "other.csv").write_text(content)
     out = tmp_path / "picture"
-    result = sameas("picture", coast / "ais.csv", tmp_path / "told.csv", "-o", out, "--quiet", *QUICK, exit_code=1)
+    result = sameas("picture", coast / "ais.csv", tmp_path / "other.csv", "-o", out, "--quiet", *QUICK, exit_code=1)
     assert result.stderr.startswith("sameas: doubt: set aside: ") and words in result.stderr
     summary = json.loads((out / "summary.json").read_text())
     assert [source["name"] for source in summary["sources"]] == ["ais"] and words in summary["doubts"][0]
-    assert words in refused(tmp_path / "told.csv")  # where there is no other
+    assert words in refused(tmp_path / "other.csv")  # where there is no other
 
 
 @pytest.mark.parametrize(
@@ -331,8 +331,8 @@ def test_the_default_number_of_instants_is_reasonable():
 
 def test_an_unwritable_folder_is_refused_at_the_start(refusal, coast, tmp_path):
     (tmp_path / "file").write_text("mine")
-    said = refusal("picture", coast / "nothing.csv", "-o", tmp_path / "file")
-    assert said == f"cannot write into {tmp_path / 'file'}: file exists; give another folder"
+    message = refusal("picture", coast / "nothing.csv", "-o", tmp_path / "file")
+    assert message == f"cannot write into {tmp_path / 'file'}: file exists; give another folder"
 
 
 @pytest.mark.slow
@@ -373,8 +373,8 @@ def test_damaged_lines_are_listed_and_the_rest_used(sameas, coast, tmp_path):
     shown = sameas("picture", tmp_path / "ais.csv", "-o", tmp_path / "out", "--at", "23:11", *QUICK)
     assert "68 reports" in shown.stdout and "1 line damaged: has not 7 cells (line 5)" in shown.stdout
     assert "1 line damaged: lat is no number (line 10)" in shown.stdout
-    told = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert sum(told["sources"][0]["damaged"].values()) == 2
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert sum(summary["sources"][0]["damaged"].values()) == 2
 
 
 @pytest.mark.slow

@@ -43,8 +43,8 @@ def quay(tmp_path_factory):
         with open(folder / f"{name}.csv", "w", newline="") as file:
             csv.writer(file).writerows([["time", "x_m", "y_m"], *rows])
     kinds = zip(SENSORS.items(), ("lidar", "marine radar"), strict=True)
-    said = [TOML.format(name=name, kind=kind, sigma_m=s, period_s=p) for (name, (s, p)), kind in kinds]
-    (folder / "sensors.toml").write_text("".join(said))
+    tables = [TOML.format(name=name, kind=kind, sigma_m=s, period_s=p) for (name, (s, p)), kind in kinds]
+    (folder / "sensors.toml").write_text("".join(tables))
     return folder
 
 
@@ -87,11 +87,11 @@ def test_two_passing_boats_are_confirmed_and_keep_their_numbers_and_false_plots_
         if t > START + 15.0:
             assert np.abs(velocity - COURSES[1]).max() < 1.5, velocity
     assert len(numbers) >= 10 and len({tuple(pair) for pair in numbers}) == 1 and len(set(numbers[0])) == 2
-    told = json.loads((out / "summary.json").read_text())
-    assert told["confirmed_objects_by_number_of_sources"] == [0, 0, 2]
-    assert told["unconfirmed_objects"] > 20
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["confirmed_objects_by_number_of_sources"] == [0, 0, 2]
+    assert summary["unconfirmed_objects"] > 20
     # The miss share is that of the boats, without false plots: one in five, from about twenty scans.
-    assert told["misses"] and all(one["share"] < 0.5 for one in told["misses"])
+    assert summary["misses"] and all(one["share"] < 0.5 for one in summary["misses"])
 
 
 @pytest.mark.slow

@@ -201,7 +201,7 @@ def _read(terminal):
 
 
 @pytest.mark.parametrize(
-    ("end", "code", "said"),
+    ("end", "code", "output"),
     [
         ("raise SystemExit(3)", 3, "done\nended\n"),
         ("pass", 0, "done\nended\n"),
@@ -209,7 +209,7 @@ def _read(terminal):
         ("raise SystemExit('words')", 1, "done\nended\n"),
     ],
 )
-def test_a_process_ends_at_once_after_flushing_its_output(end, code, said):
+def test_a_process_ends_at_once_after_flushing_its_output(end, code, output):
     """What is registered for its end runs, and threads at work are waited for, as Python does."""
     probe = f"""
 import atexit, sys, threading, time
@@ -223,7 +223,7 @@ atexit.register(print, "ended")
 sameas.cli.process()
 """
     done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stdout) == (code, said)
+    assert (done.returncode, done.stdout) == (code, output)
 
 
 def test_help_imports_no_heavy_modules_of_sameas():
@@ -482,8 +482,8 @@ def test_a_full_temporary_disk_is_no_internal_error(capsys):
 
     with pytest.raises(typer.Exit) as ended, outcome.answering(False):
         raise OSError(errno.ENOSPC, "No space left on device", "/full/x")
-    told = "sameas: /full/x: no space left on device; make room, there too where TMPDIR says\n"
-    assert (ended.value.exit_code, capsys.readouterr().err) == (1, told)
+    message = "sameas: /full/x: no space left on device; make room, there too where TMPDIR says\n"
+    assert (ended.value.exit_code, capsys.readouterr().err) == (1, message)
     with pytest.raises(typer.Exit), outcome.answering(False):
         raise OSError("what nobody knows")
     assert "fault of sameas" in capsys.readouterr().err

@@ -103,15 +103,15 @@ def test_the_kernels_that_are_named_exist():
         assert hasattr(importlib.import_module(f"sameas.kernels.{module}"), name), (module, name)
 
 
-@pytest.mark.parametrize(("quiet", "said"), [(False, 1), (True, 0)])
-def test_compilation_is_announced_and_shared(quiet, said, monkeypatch, capsys, tmp_path):
+@pytest.mark.parametrize(("quiet", "announcements"), [(False, 1), (True, 0)])
+def test_compilation_is_announced_and_shared(quiet, announcements, monkeypatch, capsys, tmp_path):
     begun = []
     monkeypatch.setattr(compiled, "on_first_compilation", [compiled.announce])
     monkeypatch.setattr("sameas.cli.warmup.start_second_process", lambda cache, result: begun.append((cache, result)))
     terminal.share_compilation(quiet, "picture")
     for begin in compiled.on_first_compilation:
         begin(tmp_path)
-    assert begun == [(tmp_path, "picture")] and capsys.readouterr().err.count("compiling kernels") == said
+    assert begun == [(tmp_path, "picture")] and capsys.readouterr().err.count("compiling kernels") == announcements
 
 
 def test_one_process_compiles_at_a_time(tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """The keeper: journal and state survive a kill, alarms begin and end, bad input never stops it."""
 
+import ast
 import asyncio
 import contextlib
 import hashlib
@@ -89,11 +90,11 @@ def test_identities_survive_a_kill(tmp_path):
         lines = [run.stdout.readline() for _ in range(30)]
         os.kill(run.pid, signal.SIGKILL)
         lines += run.stdout.read().splitlines()
-    told = eval(lines[25].split(" ", 1)[1])
+    before = ast.literal_eval(lines[25].split(" ", 1)[1])
     again = Keeper(settings(), tmp_path, replay=replay())
     assert again.restored and again.picture.instant_s >= START_S + 2.0 * 29
     again.replay.take(again.picture.instant_s)
-    assert numbers(again.tick(again.picture.instant_s + 2.0)) == told
+    assert numbers(again.tick(again.picture.instant_s + 2.0)) == before
     base = sqlite3.connect(tmp_path / "journal.sqlite")
     assert base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
     base.close()
@@ -224,14 +225,14 @@ def test_a_close_approach_is_an_alarm_until_it_has_passed(tmp_path):
     watch = WatchSettings(own_ship=OwnShip(mmsi="235000002"), register_every_s=0.0, cpa_m=926.0)
     keeper = Keeper(Settings({"ais": LiveSource(Description("ais", "ais"))}, watch), tmp_path, replay=replay())
     keeper.replay.sources, keeper.replay._next = [], []
-    said = []
+    raised = []
     for k, time_s in enumerate(t):
         for one in (ship, own):
             row = {name: column[k : k + 1] for name, column in one.items()}
             keeper.picture.add("ais", Reports.of("ais", "ais", row))
         situation = keeper.tick(START_S + time_s)
-        said.append([alarm.kind for alarm in situation.alarms])
-    assert said[20] == ["cpa"] and situation.alarms == ()
+        raised.append([alarm.kind for alarm in situation.alarms])
+    assert raised[20] == ["cpa"] and situation.alarms == ()
     [one] = keeper.alarm_list()
     assert (
         "will pass at 100 m" in one["text"]

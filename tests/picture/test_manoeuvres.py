@@ -53,9 +53,9 @@ def passed_by(seed):
     far = rng.uniform(-4e3, 4e3, (20, 1, 2)) + np.zeros((20, 22, 2))
     mmsi = {"mmsi": ["235000000", "235000001"]}
     ais, by_ais = feed(rng, describe("ais", "ais", 10.0), times, x, v, 0.0, ["a", "b"], mmsi)
-    heard = (by_ais.time_s <= 60.0) | (by_ais.time_s >= 190.0) | (np.asarray(by_ais.mmsi) == "235000001")
+    received = (by_ais.time_s <= 60.0) | (by_ais.time_s >= 190.0) | (np.asarray(by_ais.mmsi) == "235000001")
     return Scene.of([
-        (ais, by_ais.where(heard)),
+        (ais, by_ais.where(received)),
         feed(rng, describe("radar", "tracks", 15.0), times, np.vstack([x, far]), np.vstack([v, 0.0 * far]), 0.0,
              [str(k) for k in range(22)]),
     ]), times  # fmt: skip

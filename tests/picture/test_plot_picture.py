@@ -153,9 +153,9 @@ def test_explanations_name_remembered_objects_by_number():
 def test_the_plot_tracker_needs_positions_and_no_ids():
     scene = passing(1, 6.0)
     assert nameless(scene) and isinstance(Picture.of(scene, [3.0]).watch, PlotPicture)
-    said: dict[str, Any] = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0]}
+    columns: dict[str, Any] = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0]}
     for more in ({"track_id": ["a", "a"]}, {"mode_a": ["1234", "1234"]}):
-        named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", said | more))
+        named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", columns | more))
         mixed = Scene((*scene.feeds, named))
         assert not nameless(mixed) and isinstance(Picture.of(mixed, [1.0]).watch, Watch)
     assert isinstance(Picture.of(scene, [3.0], watch=Watch()).watch, Watch)

@@ -267,8 +267,8 @@ def test_unsupported_sources_are_refused_with_a_clear_message():
         tracker.advance(scene.at(1.0, features=POSITION_AND_VELOCITY), tracker.advance(now))
     with pytest.raises(InputError, match="all of them at every instant"):
         tracker.advance(Scene(scene.feeds[:1]).at(3.0, features=POSITION_AND_VELOCITY), tracker.advance(now))
-    said: dict[str, Any] = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0], "track_id": ["a", "a"]}
-    named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", said))
+    columns: dict[str, Any] = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0], "track_id": ["a", "a"]}
+    named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", columns))
     with pytest.raises(InputError, match="tracker names its objects"):
         tracker.advance(Scene((named,)).at(1.0, features=POSITION_AND_VELOCITY))
     refused: list[dict[str, Any]] = [{"correlation_s": -1.0}, {"min_q": 0.5}, {"lifetime_s": np.inf}]

@@ -74,17 +74,17 @@ def test_without_magnitudes_only_positions_are_used(sides):
 
 
 @pytest.mark.parametrize(
-    "said, words",
+    "wanted, words",
     [
         ("mag:K", "catalogue: no column 'K' of magnitudes; it has ra, dec"),
         ("mag", 'give "auto", "off", or columns of both catalogues'),
         ("mag:", 'give "auto", "off", or columns of both catalogues'),
     ],
 )
-def test_missing_bands_are_refused_with_a_clear_message(sides, said, words):
+def test_missing_bands_are_refused_with_a_clear_message(sides, wanted, words):
     first, second = sides
     with pytest.raises(InputError, match=words):
-        magnitudes_of(first, second, said)
+        magnitudes_of(first, second, wanted)
 
 
 def test_the_report_states_the_effect_of_magnitudes(found):

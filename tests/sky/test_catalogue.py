@@ -400,12 +400,12 @@ def test_gaia_confirms_the_correlations_of_hip2() -> None:
     covariance, offset = records.full_covariance()[near], offset[near]
     mirrored = covariance * np.array([[1, -1], [-1, 1]])
     # Student's t with 3 degrees of freedom, for the double stars among them
-    told, wrong = (
+    right, wrong = (
         (-2.5 * np.log1p(np.einsum("ni,nij,nj->n", offset, np.linalg.inv(c), offset) / 3)).mean()
         for c in (covariance, mirrored)
     )
     assert near.sum() > 5000
-    assert told > wrong + 0.05
+    assert right > wrong + 0.05
 
 
 @pytest.mark.slow
@@ -481,9 +481,9 @@ def test_upper_limits_are_no_magnitudes_and_are_reported() -> None:
     assert source.magnitude_name == "Kmag"
 
 
-@pytest.mark.parametrize("said", ["100mas", "0.1arcsec", "0.1 arcsec", '0.1"', "0.1″", "1e2 mas", "0.1"])
-def test_an_error_for_all_may_have_its_unit(said: str) -> None:
-    source = catalogue({"ra": [1.0], "dec": [50.0]}, sigma=said)
+@pytest.mark.parametrize("sigma_text", ["100mas", "0.1arcsec", "0.1 arcsec", '0.1"', "0.1″", "1e2 mas", "0.1"])
+def test_an_error_for_all_may_have_its_unit(sigma_text: str) -> None:
+    source = catalogue({"ra": [1.0], "dec": [50.0]}, sigma=sigma_text)
     np.testing.assert_allclose(source.records().covariance, [[0.01]])
 
 

@@ -113,16 +113,16 @@ def test_links_against_the_direction_of_a_trail_are_less_probable():
     bare = Detections.of([10.0, 10.01], [5.0, 5.0], [60000.0, 60000.005], sigma_arcsec=0.2)
     east = 36.0 * np.cos(np.radians(5.0)) / 7.2
 
-    def told(vectors):
+    def log_ratios(vectors):
         rates = TrailRates(np.array(vectors, float), np.full(2, 0.05), np.full(2, 1.0))
         around = Surroundings.of(replace(bare, trail=rates))
         minutes, ends = np.array([7.2]), (np.array([0]), np.array([1]))
         rate = around.axes.offsets(*ends) / minutes[:, None]
         return [float(trail_ratio(around, DEFAULT_TUNING, end, rate, minutes)[0]) for end in ends]
 
-    along, back = told([(east, 0.0), (-east, 0.0)])
+    along, back = log_ratios([(east, 0.0), (-east, 0.0)])
     assert along == pytest.approx(back, abs=0.1) and along > 2.0
-    across, none = told([(0.0, east), (np.nan, np.nan)])
+    across, none = log_ratios([(0.0, east), (np.nan, np.nan)])
     assert across == pytest.approx(np.log(DEFAULT_TUNING.odd_brightness), abs=0.1)
     assert none == pytest.approx(np.log(DEFAULT_TUNING.no_trail))
 

@@ -80,8 +80,8 @@ def test_positions_computed_by_the_radar_are_used_if_there_is_nothing_else():
 
 def test_own_position_may_come_from_own_ais():
     pyais = pytest.importorskip("pyais")
-    [said] = pyais.encode_dict({"type": 1, "mmsi": 235000001, "lat": 50.9, "lon": -1.4, "heading": 30})
-    own = said[1:].split("*")[0].replace("VDM", "VDO")
+    [sentence] = pyais.encode_dict({"type": 1, "mmsi": 235000001, "lat": 50.9, "lon": -1.4, "heading": 30})
+    own = sentence[1:].split("*")[0].replace("VDM", "VDO")
     made = reports(ZDA, own, ttm(flag="R"))
     assert made.station_lat_deg[0] == pytest.approx(50.9) and made.station_lon_deg[0] == pytest.approx(-1.4)
     assert made.bearing_deg[0] == pytest.approx(43.6)

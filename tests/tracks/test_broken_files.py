@@ -202,8 +202,8 @@ def test_unreadable_json_sets_one_line_aside(kind, text, first, tmp_path):
         assert found.lat_deg.tolist() == [50.0, 51.0] and list(damage(found)) == [1 if first else 2]
         stream = ReportStream("wire", format=kind)
         stream.feed("".join(line + "\n" for line in lines).encode(), 1.7e9)
-        [heard] = stream.reports()
-        assert heard.lat_deg.tolist() == [50.0, 51.0] and sum(stream.damaged.values()) == 1
+        [received] = stream.reports()
+        assert received.lat_deg.tolist() == [50.0, 51.0] and sum(stream.damaged.values()) == 1
 
 
 @pytest.mark.parametrize("depth", [1, 100, 800])

@@ -26,7 +26,7 @@ def circling(rng, n, width_m, speeds):
     return at, n
 
 
-def heard(rng, objects, name, kind, sigma_m, period_s, late_s=0.0, *, motion=SHIPS, speed_error=0.5, **given):
+def transmitted(rng, objects, name, kind, sigma_m, period_s, late_s=0.0, *, motion=SHIPS, speed_error=0.5, **given):
     """A source of tracks with Doppler-like velocities, whose stamps are late; its description has latency 0."""
     at, n = objects
     times = np.arange(rng.uniform(0.0, period_s), UNTIL_S, period_s)
@@ -67,8 +67,8 @@ def aircraft(seed, late_s, **given):
     rng = np.random.default_rng(seed)
     objects = circling(rng, 8, 10e3, (80.0, 140.0))
     return [
-        heard(rng, objects, "ads-b", "ads-b", 40.0, 2.0, motion=AIRCRAFT, speed_error=1.5),
-        heard(rng, objects, "radar", "tracks", 150.0, 6.0, late_s, motion=AIRCRAFT, speed_error=5.0, **given),
+        transmitted(rng, objects, "ads-b", "ads-b", 40.0, 2.0, motion=AIRCRAFT, speed_error=1.5),
+        transmitted(rng, objects, "radar", "tracks", 150.0, 6.0, late_s, motion=AIRCRAFT, speed_error=5.0, **given),
     ]
 
 
@@ -76,7 +76,7 @@ def vessels(seed, late_s):
     """AIS, and plots of a marine radar with late stamps."""
     rng = np.random.default_rng(seed)
     objects = circling(rng, 8, 3000.0, (3.0, 8.0))
-    return [heard(rng, objects, "ais", "ais", 8.0, 6.0), plotted(rng, objects, late_s)]
+    return [transmitted(rng, objects, "ais", "ais", 8.0, 6.0), plotted(rng, objects, late_s)]
 
 
 def delays(sources):
@@ -115,8 +115,8 @@ def test_a_reference_is_corrected_for_its_delay_against_a_satellite_clock():
     rng = np.random.default_rng(3)
     objects = circling(rng, 8, 10e3, (80.0, 140.0))
     sources = [
-        heard(rng, objects, "mlat", "mlat", 100.0, 2.0, 1.5, motion=AIRCRAFT, speed_error=5.0),
-        heard(rng, objects, "ads-b", "ads-b", 40.0, 2.0, motion=AIRCRAFT, speed_error=1.5),
+        transmitted(rng, objects, "mlat", "mlat", 100.0, 2.0, 1.5, motion=AIRCRAFT, speed_error=5.0),
+        transmitted(rng, objects, "ads-b", "ads-b", 40.0, 2.0, motion=AIRCRAFT, speed_error=1.5),
     ]
     found, biases = delays(sources)
     assert set(found) == {"mlat"} and set(biases[0].parameters) == {"time_s"} and not biases[1].parameters
@@ -127,7 +127,7 @@ def test_two_sources_without_a_reference_are_corrected_for_the_difference_of_the
     rng = np.random.default_rng(4)
     objects = circling(rng, 8, 10e3, (80.0, 140.0))
     sources = [
-        heard(rng, objects, name, "tracks", 50.0, 4.0, late_s, motion=AIRCRAFT, speed_error=2.0)
+        transmitted(rng, objects, name, "tracks", 50.0, 4.0, late_s, motion=AIRCRAFT, speed_error=2.0)
         for name, late_s in (("one", 0.0), ("two", 2.0))
     ]
     found, _ = delays(sources)
@@ -142,7 +142,7 @@ def test_ships_of_one_speed_whose_antennas_are_all_aft_show_no_delay():
         rng = np.random.default_rng(seed)
         objects = circling(rng, 12, 3000.0, (3.9, 4.1))
         ais, tracks = (
-            heard(rng, objects, name, kind, 8.0, 6.0) for name, kind in (("ais", "ais"), ("other", "tracks"))
+            transmitted(rng, objects, name, kind, 8.0, 6.0) for name, kind in (("ais", "ais"), ("other", "tracks"))
         )
         ais[1].x_m[:] -= 2.0 * ais[1].vx_m_per_s
         ais[1].y_m[:] -= 2.0 * ais[1].vy_m_per_s

@@ -19,14 +19,14 @@ NOON = datetime(2024, 5, 1, 12, tzinfo=UTC).timestamp()
 METRES = {"radar": MADE.sources[0], "ais": MADE.sources[1]}
 
 
-def on_earth(about, said):
+def on_earth(about, reports):
     """The same source, its positions or its site in degrees, its times in UTC."""
-    said = replace(said, time_s=said.time_s + NOON)
-    if said.x_m is not None:
-        lat, lon = PLANE.to_geodetic(np.column_stack([said.x_m, said.y_m]))
-        return about, replace(said, x_m=None, y_m=None, lat_deg=lat, lon_deg=lon)
+    reports = replace(reports, time_s=reports.time_s + NOON)
+    if reports.x_m is not None:
+        lat, lon = PLANE.to_geodetic(np.column_stack([reports.x_m, reports.y_m]))
+        return about, replace(reports, x_m=None, y_m=None, lat_deg=lat, lon_deg=lon)
     lat, lon = PLANE.to_geodetic([[about.site.east_m, about.site.north_m]])
-    return replace(about, site=Site(float(lat[0]), float(lon[0]))), said
+    return replace(about, site=Site(float(lat[0]), float(lon[0]))), reports
 
 
 DEGREES = {name: on_earth(*source) for name, source in METRES.items()}

@@ -111,7 +111,9 @@ def test_filtering_corrects_pairs_that_bare_positions_get_wrong():
     for seed in range(3):
         radar, ais = vessels(np.random.default_rng(seed))
         for to_tracks, found in scores.items():
-            feeds = [Feed.of(said, given, to_tracks=to_tracks) for said, given in ((RADAR, radar), (AIS, ais))]
+            feeds = [
+                Feed.of(described, given, to_tracks=to_tracks) for described, given in ((RADAR, radar), (AIS, ais))
+            ]
             found.append(f1_of_pairs(Scene(tuple(feeds)), (400.0, 590.0)))
     assert np.mean(scores[True]) > 0.985 > 0.95 > np.mean(scores[False])
     scene = Scene.of([(RADAR, radar), (AIS, ais)])

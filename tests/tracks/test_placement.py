@@ -30,9 +30,9 @@ def test_geodetic_polar_and_local_positions_of_one_object_agree():
         ("marine radar", {"range_m": distance, "bearing_deg": bearing}),
         ("tracks", {"x_m": own[:, 0], "y_m": own[:, 1]}),
     ]
-    for kind, said in ways:
+    for kind, fields in ways:
         description = Description(kind, kind, site=SITE, errors=SensorErrors(position_m=10.0))
-        there = placed(description, Reports.of(kind, "table", {"time_s": [0.0, 1.0], **said}), PLANE)
+        there = placed(description, Reports.of(kind, "table", {"time_s": [0.0, 1.0], **fields}), PLANE)
         assert isinstance(there, States)
         np.testing.assert_allclose(there.state[:, :2], PLANE.of_geodetic(LAT, LON), atol=0.05)
 
@@ -56,9 +56,9 @@ def test_an_aircraft_is_below_its_slant_range():
 
 def test_stated_errors_are_used_and_others_come_from_the_description():
     ais = Description("ais", "ais", errors=SensorErrors(position_m=15.0, extent_m=20.0))
-    said: dict[str, Any] = {"time_s": [0.0, 0.0], "lat_deg": LAT, "lon_deg": LON}
-    said["covariance_m2"] = [[9.0, 1.0, 4.0], [np.nan] * 3]
-    there = placed(ais, Reports.of("ais", "ais", said), PLANE)
+    fields: dict[str, Any] = {"time_s": [0.0, 0.0], "lat_deg": LAT, "lon_deg": LON}
+    fields["covariance_m2"] = [[9.0, 1.0, 4.0], [np.nan] * 3]
+    there = placed(ais, Reports.of("ais", "ais", fields), PLANE)
     np.testing.assert_allclose(there.covariance[0, :2, :2], [[9, 1], [1, 4]], atol=0.1)
     np.testing.assert_allclose(there.covariance[1, :2, :2], 625.0 * np.eye(2), atol=2.0)
 
@@ -86,8 +86,8 @@ def test_velocities_and_their_errors_are_rotated_to_the_plane():
 
 def test_zero_speed_is_a_velocity_and_no_speed_is_none():
     ais = Description("ais", "ais", motion=Motion(0.01, 6.0))
-    said: dict[str, Any] = {"time_s": [0.0, 0.0], "lat_deg": LAT, "lon_deg": LON, "speed_m_per_s": [0.0, np.nan]}
-    there = placed(ais, Reports.of("ais", "ais", said), PLANE)
+    fields: dict[str, Any] = {"time_s": [0.0, 0.0], "lat_deg": LAT, "lon_deg": LON, "speed_m_per_s": [0.0, np.nan]}
+    there = placed(ais, Reports.of("ais", "ais", fields), PLANE)
     np.testing.assert_allclose(there.covariance[:, 2, 2], [0.09, 36.0], rtol=1e-4)
 
 
@@ -150,7 +150,7 @@ def test_heights_are_assumed_only_if_missing():
 
 
 @pytest.mark.parametrize(
-    ("kind", "said", "plane", "words"),
+    ("kind", "fields", "plane", "words"),
     [
         ("other", {"x_m": [0.0], "y_m": [0.0]}, None, r"one: errors.position_m is not known and 'other' assumes none"),
         ("ais", {"lat_deg": [1.0], "lon_deg": [1.0]}, None, "give the plane of the picture"),
@@ -166,6 +166,6 @@ def test_heights_are_assumed_only_if_missing():
         ("camera", {"bearing_deg": [1.0]}, PLANE, "the sensor's position is not known"),
     ],
 )
-def test_missing_fields_are_named_with_where_to_give_them(kind, said, plane, words):
+def test_missing_fields_are_named_with_where_to_give_them(kind, fields, plane, words):
     with pytest.raises(InputError, match=words):
-        placed(Description("one", kind), Reports.of("one", "table", {"time_s": [0.0], **said}), plane)
+        placed(Description("one", kind), Reports.of("one", "table", {"time_s": [0.0], **fields}), plane)

@@ -18,13 +18,13 @@ def fleet(n=40, seconds=240.0):
     rng = np.random.default_rng(1)
     lat, lon = 50.8 + rng.uniform(-0.08, 0.08, n), -1.3 + rng.uniform(-0.12, 0.12, n)
     step = rng.normal(0.0, 3e-3, (n, 2))
-    said = {
+    columns = {
         "time_s": np.tile([0.0, seconds], n),
         "lat_deg": np.column_stack([lat, lat + step[:, 0]]).ravel(),
         "lon_deg": np.column_stack([lon, lon + step[:, 1]]).ravel(),
         "mmsi": np.repeat([f"2350000{k:02d}" for k in range(n)], 2),
     }
-    return TrueMotion.of(Reports.of("ais", "table", said), gap_s=1e9)
+    return TrueMotion.of(Reports.of("ais", "table", columns), gap_s=1e9)
 
 
 def radar(period_s, q=1e-9, **other):

@@ -88,8 +88,8 @@ def test_the_order_of_reports_changes_nothing():
 
 
 def test_a_stale_report_expires_and_is_reported():
-    said: dict[str, Any] = {"time_s": [0.0, 5000.0], "x_m": [0.0, 900.0], "y_m": [0.0, 0.0], "mmsi": ["1", "2"]}
-    scene = Scene.of([(AIS, Reports.of("ais", "ais", said))])
+    columns: dict[str, Any] = {"time_s": [0.0, 5000.0], "x_m": [0.0, 900.0], "y_m": [0.0, 0.0], "mmsi": ["1", "2"]}
+    scene = Scene.of([(AIS, Reports.of("ais", "ais", columns))])
     assert len(records_of(scene.at(10.0).sources[0])) == 1
     late = scene.at(5001.0)
     assert [int(k) for k in records_of(late.sources[0]).ids] == [1] and [int(k) for k in late.aged[0]] == [0]

@@ -104,17 +104,17 @@ def test_two_radars_without_a_reference_are_aligned():
 @pytest.mark.slow
 def test_a_reference_can_be_chosen_and_a_known_bias_fixed():
     made = harbour(50, 30, until_s=200.0)
-    (about, said), ais = made.sources
+    (about, reports), ais = made.sources
     fixed = replace(
         about, calibration=KnownBiases(50.0, 1.0), timing=Timing(3.0, 3.0, 0.2), bias=BiasPrior(0.0, 0.0, 0.0, 0.0)
     )
-    scene = Scene.of([(fixed, said), ais])
+    scene = Scene.of([(fixed, reports), ais])
     registered, found = scene.registered()
     assert [str(one) for one in found] == [
         f"{n}: not corrected, the reference for the others" for n in ("radar 1", "ais")
     ]
     assert pair_f1(made, registered, 190.0) > 0.9
-    shifted = Scene.of([(about, said), (replace(ais[0], bias=BiasPrior(shift_m=100.0)), ais[1])])
+    shifted = Scene.of([(about, reports), (replace(ais[0], bias=BiasPrior(shift_m=100.0)), ais[1])])
     _, found = shifted.registered(references=["radar 1"])
     assert set(found[1].parameters) == {"east_m", "north_m"} and not found[0].parameters
     with pytest.raises(
@@ -187,10 +187,10 @@ def test_filter_lag_of_accelerating_ships_is_no_time_bias():
     ais = Description("ais", "ais", errors=SensorErrors(position_m=5.0), motion=motion, misses=MissRate(0.1))
     for seed in range(3):
         plots, _, ship = speeding_up(seed, 3.0, 50.0)
-        told, velocity, name = speeding_up(seed, 10.0, 5.0)
-        told |= {"vx_m_per_s": velocity[:, 0], "vy_m_per_s": velocity[:, 1], "mmsi": 235_000_000 + name}
+        reports, velocity, name = speeding_up(seed, 10.0, 5.0)
+        reports |= {"vx_m_per_s": velocity[:, 0], "vy_m_per_s": velocity[:, 1], "mmsi": 235_000_000 + name}
         scene = Scene.of([
-            (radar, Reports.of("radar", "table", plots | {"track_id": ship})), (ais, Reports.of("ais", "ais", told)),
+            (radar, Reports.of("radar", "table", plots | {"track_id": ship})), (ais, Reports.of("ais", "ais", reports)),
         ])  # fmt: skip
         assert scene.feeds[0].filtered
         _, (found, _) = scene.registered()
@@ -200,14 +200,14 @@ def test_filter_lag_of_accelerating_ships_is_no_time_bias():
 @pytest.mark.slow
 def test_sources_without_common_objects_are_not_moved():
     made = harbour(80, 12, biases=((0.0, 0.0, 0.0),), until_s=100.0)
-    radar, (about, said) = made.sources
+    radar, (about, reports) = made.sources
     rng = np.random.default_rng(3)
-    lost = replace(said, x_m=rng.uniform(-12e3, 12e3, len(said)), y_m=rng.uniform(-9e3, 9e3, len(said)))
+    lost = replace(reports, x_m=rng.uniform(-12e3, 12e3, len(reports)), y_m=rng.uniform(-9e3, 9e3, len(reports)))
     scene = Scene.of([radar, (about, lost)])
     registered, (found, _) = scene.registered()
     assert not found.established and any("no object in common with ais" in note for note in found.notes)
     assert registered.feeds[0] is scene.feeds[0] and "NOT ESTABLISHED" in str(found)
-    later = Scene.of([radar, (about, replace(said, time_s=said.time_s + 1e5))])
+    later = Scene.of([radar, (about, replace(reports, time_s=reports.time_s + 1e5))])
     registered, (found, _) = later.registered()
     assert found.notes == ("radar 1: has no report at the times of ais; its biases were not fitted",)
     assert registered.feeds[0] is later.feeds[0]

@@ -96,8 +96,8 @@ def read_again(category, record):
         kind = variation_of(named(item).cv_rule)
         if issubclass(kind, base.Compound):
             parts = {named(part).cv_name for part in kind.cv_items_list if named(part)}
-            told = {part: value.variation.get_item(part) for part in parts}
-            found[name] = {k: v.unparse().to_bytes().hex() for k, v in sorted(told.items()) if v is not None}
+            values = {part: value.variation.get_item(part) for part in parts}
+            found[name] = {k: v.unparse().to_bytes().hex() for k, v in sorted(values.items()) if v is not None}
         else:
             found[name] = value.unparse().to_bytes().hex()
     return found
@@ -113,8 +113,8 @@ def layouts(rng):
             data = b"".join(with_specification(rng, items, wanted) for _ in range(4))
             records = category.cv_uap.parse(base.Bits.from_bytes(data))
             assert not isinstance(records, ValueError), (edition, records)
-            told = [read_again(category, record) for record in records]
-            made.append({"category": number, "edition": edition, "data": data.hex(), "records": told})
+            read = [read_again(category, record) for record in records]
+            made.append({"category": number, "edition": edition, "data": data.hex(), "records": read})
     return made
 
 
@@ -207,5 +207,5 @@ def leaves(name, value, kind):
 
 if __name__ == "__main__":
     rng = random.Random(20260506)
-    told = {"layouts": layouts(rng), "records": records()}
-    Path(__file__).with_name("asterix_oracle.json").write_text(json.dumps(told, indent=0) + "\n")
+    oracle = {"layouts": layouts(rng), "records": records()}
+    Path(__file__).with_name("asterix_oracle.json").write_text(json.dumps(oracle, indent=0) + "\n")
