@@ -243,3 +243,43 @@ def test_docstring_examples_run(name):
     if name == "sameas.plots":
         pytest.importorskip("matplotlib")
     assert doctest.testmod(module).failed == 0
+
+
+ROLE = re.compile(r":(?:func|class|data|meth|attr|mod|exc):`~?([\w.]+)`|`(sameas\.[\w.]*\w)`")
+
+
+def is_name(name: str, module: types.ModuleType) -> bool:
+    """Whether a name in a docstring is one of its module, of a class there, or one by its full path."""
+    first, *rest = name.split(".")
+    if first in ("sameas", "astropy", "stonesoup"):
+        for k in range(len(rest), -1, -1):
+            with contextlib.suppress(ImportError):
+                return not rest[k:] or is_member(importlib.import_module(".".join((first, *rest[:k]))), rest[k:])
+        return False
+    classes = [value for value in vars(module).values() if isinstance(value, type)]
+    return any(is_member(home, [first, *rest]) for home in (module, *classes))
+
+
+def is_member(home: object, names: list[str]) -> bool:
+    """Whether the first name is of ``home``, the second of its value, and so on; fields need no value."""
+    if len(names) == 1 and names[0] in getattr(home, "__annotations__", ()):
+        return True
+    return hasattr(home, names[0]) and (len(names) == 1 or is_member(getattr(home, names[0]), names[1:]))
+
+
+@pytest.mark.slow_after(41)
+@pytest.mark.parametrize("name", [name for name in modules() if not name.startswith("sameas.adapters.")])
+def test_names_in_docstrings_exist(name):
+    module = importlib.import_module(name)
+    text = Path(module.__file__).read_text(encoding="utf-8")
+    wanted = {one or other for one, other in ROLE.findall(text)}
+    assert [each for each in sorted(wanted) if not is_name(each, module)] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_names_in_documents_exist(page):
+    """Names of sameas by their full path, in the text and in code."""
+    wanted = set(re.findall(r"(?<![\w/.-])sameas(?:\.[a-z_]\w*)+(?:\.\w+)*", page.read_text(encoding="utf-8")))
+    files = {name for name in wanted if name.endswith((".fits", ".json", ".csv"))}
+    known = {name for name in wanted if name.startswith("sameas.adapters.")}  # of packages that may be absent
+    assert [name for name in sorted(wanted - files - known) if not is_name(name, sameas)] == []

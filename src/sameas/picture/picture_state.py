@@ -297,7 +297,7 @@ W = TypeVar("W", bound=Carried, covariant=True)
 @in_short
 @dataclass(frozen=True)
 class PictureState(Generic[W]):
-    """The picture at one instant; made by :meth:`Watch.advance`, or :meth:`sameas.picture.plot_picture.PlotPicture.at`.
+    """The picture at one instant, made by a ``Watch``, or by a ``PlotPicture`` for plots without ids.
 
     Attributes
     ----------

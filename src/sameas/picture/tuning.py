@@ -1,4 +1,4 @@
-"""Tuning of the picture: all chosen numbers, as one value for :class:`Watch` and trackers."""
+"""Tuning of the picture: all chosen numbers, as one value for :class:`sameas.picture.Watch` and trackers."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ class ReadOptions:
     """Options for what a file does not contain.
 
     source : name of the source in messages; the name of the file if not given.
-    format : one of :data:`REPORT_FORMATS`, if it cannot be detected from the content.
+    format : one of :data:`sameas.io.sensors.REPORT_FORMATS`, if it cannot be detected from the content.
     start : UTC of the first line as ISO text or seconds, for files with the time of day only, or with counters.
     columns : for tables, the name of the column of a quantity (``lat_deg``, ``time_s`` …).
     units : for tables, the unit of a column, by its name.

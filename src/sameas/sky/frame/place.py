@@ -7,7 +7,7 @@ the next best placement, are high enough; else it refuses with the best odds of 
   and rotation are found by correlation.
 - :class:`Aim`: a direction, its uncertainty and a range of scales; any orientation and parity.
 - :class:`AllSky`: a range of scales only. For fields with a dozen of the catalogue's brighter stars; the index
-  (:func:`sky_index`) takes seconds and can be reused for all frames of a camera.
+  (:func:`~sameas.sky.frame.pointing_hints.sky_index`) takes seconds and can be reused for all frames of a camera.
 """
 
 from __future__ import annotations
@@ -129,7 +129,8 @@ def place(
     measured : the frame's measurements; up to half of the brighter ones may be spurious.
     stars : the catalogue at the frame's epoch, of the field or (for :class:`AllSky`) of the whole sky.
     hints : one or several of :class:`ApproximateWcs`, :class:`Aim`, :class:`AllSky`, tried in this order.
-    index : :func:`sky_index` for :class:`AllSky` hints, reusable between frames; built if not given.
+    index : of :func:`~sameas.sky.frame.pointing_hints.sky_index` for :class:`AllSky` hints, reusable between frames;
+        built if not given.
     odds : minimum odds of a placement against chance, and against the next best placement.
 
     Raises
