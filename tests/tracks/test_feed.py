@@ -11,7 +11,7 @@ from sameas.errors import InputError
 from sameas.many.observations import records_of
 from sameas.tracks.alignment import States, moved
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.feed import Feed, need_filtering, position_updates
+from sameas.tracks.feed import Feed, need_filtering, position_updates, repeated
 from sameas.tracks.placement import PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
@@ -171,6 +171,35 @@ def test_a_repeated_position_of_a_moving_object_is_set_aside():
     assert position_updates(states_of([[0.0, 0.0], [9.0, 0.0], [0.0, 0.0]], v[:3], ["a"] * 3))[0].usable.all()
 
 
+def rounded_arpa(minutes):
+    """An ARPA's reports of a ship of 4 m/s that closes, every 3 s, in steps of 0.01 nm and 0.1°."""
+    time_s = np.arange(0.0, 60.0 * minutes, 3.0)
+    columns = {
+        "time_s": time_s, "track_id": ["07"] * len(time_s),
+        "range_m": np.round((6000.0 - 4.0 * time_s) / 18.52) * 18.52, "bearing_deg": np.full(len(time_s), 30.0),
+        "speed_m_per_s": np.full(len(time_s), 4.0), "course_deg": np.full(len(time_s), 210.0),
+    }  # fmt: skip
+    radar = Description("radar", "marine radar", site=Site(east_m=0.0, north_m=0.0))
+    return radar, Reports.of("radar", "arpa", columns)
+
+
+def test_positions_rounded_by_an_arpa_are_no_repetitions():
+    radar, reports = rounded_arpa(minutes=5.0)
+    repeats, _ = repeated(np.zeros(len(reports), int), reports.time_s, Feed.of(radar, reports).reports.state[:, :2])
+    assert len(repeats) > 5
+    feed = Feed.of(radar, reports)
+    assert feed.reports.usable.all()
+    assert not any("repeat" in note for note in feed.notes)
+
+
+def test_a_position_that_stays_behind_its_object_is_set_aside_after_some_reports():
+    n = 10
+    reports = states_of(np.zeros((n, 2)), np.tile([4.0, 0.0], (n, 1)), ["a"] * n, sigma=0.1)
+    now, _ = position_updates(reports)
+    # 2σ of 10 m are reached after 5 s, since the first report of the position, not since the one before.
+    assert np.flatnonzero(~now.usable).tolist() == [6, 7, 8, 9]
+
+
 def test_an_object_that_may_be_stationary_may_repeat_its_position():
     place = np.zeros((4, 2))
     for velocity in (np.zeros((4, 2)), np.full((4, 2), 0.9), np.full((4, 2), np.nan)):
@@ -184,8 +213,8 @@ def test_an_object_that_may_be_stationary_may_repeat_its_position():
 
 def test_a_feed_reports_rows_set_aside():
     columns: dict[str, Any] = {
-        "time_s": [0.0, 1.0, 2.0], "lat_deg": [48.0, 48.0, 48.001], "lon_deg": [2.0, 2.0, 2.0],
-        "speed_m_per_s": [50.0] * 3, "course_deg": [0.0] * 3, "icao": ["4bc844"] * 3,
+        "time_s": [0.0, 1.0, 2.0], "lat_deg": [48.0, 48.0, 48.0036], "lon_deg": [2.0, 2.0, 2.0],
+        "speed_m_per_s": [200.0] * 3, "course_deg": [0.0] * 3, "icao": ["4bc844"] * 3,
     }  # fmt: skip
     from sameas.tracks.coordinates import LocalPlane
 

@@ -37,6 +37,7 @@ from sameas.tracks.feed import (
     known_biases,
     need_filtering,
     repeated,
+    stale_positions,
     walk_of,
 )
 from sameas.tracks.heights import HeightColumns
@@ -344,7 +345,7 @@ class LiveFeed:
         return self.lag_s + self.live.id_timeout_s
 
     def _new_positions(self, new: _Rows, own: IntArray) -> BoolArray:
-        """(n,) whether a report has a new position: it does not repeat the previous one while its object moves."""
+        """(n,) whether a report has a new position: it does not repeat one that its object has left."""
         rows, out = self._rows, np.ones(len(new), bool)
         number, time_s, place = (
             np.concatenate(both)
@@ -353,11 +354,20 @@ class LiveFeed:
                 (rows.measured[own, :2], new.measured[:, :2]),
             )
         )  # fmt: skip
-        repeats = repeated(number, time_s, place) - len(own)
+        repeats = repeated(number, time_s, place)[0] - len(own)
         repeats = repeats[repeats >= 0]
-        out[repeats[in_motion(new.measured[repeats, 2:], new.measured_covariance[repeats, 2:, 2:], self.tuning)]] = (
-            False
-        )
+        moving = in_motion(new.measured[repeats, 2:], new.measured_covariance[repeats, 2:, 2:], self.tuning)
+        tracks = np.unique(new.number[repeats[moving]])
+        if not len(tracks):
+            return out
+        # For how long a position has been repeated, all reports of these tracks that are kept show.
+        kept = self._order[np.isin(rows.number[self._order], tracks)]
+        stale = stale_positions(
+            np.concatenate([rows.number[kept], new.number]), np.concatenate([rows.time_s[kept], new.time_s]),
+            np.concatenate([rows.measured[kept], new.measured]),
+            np.concatenate([rows.measured_covariance[kept], new.measured_covariance]), self.tuning,
+        ) - len(kept)  # fmt: skip
+        out[stale[stale >= 0]] = False
         return out
 
     def _split_ids(self, new: _Rows, own: IntArray) -> bool:

@@ -27,6 +27,8 @@ class Tuning:
         at anchor report (3 min: ITU-R M.1371-5, table 1).
     rest_s : mean time for which a stationary object stays so.
     at_rest : an object moves if the χ² of its velocity against 0 exceeds this quantile for objects at rest.
+    repeat_sigmas : an object has left a repeated position if it moved farther than this many σ of that position since:
+        below, the position is as good as others; rounding to a step of √12 σ cannot be seen either.
     max_speed_sigmas : maximum speed, in units of the typical speed of the source's objects (1σ per axis).
     alternations : an id belongs to two objects if its reports change between their places at least this often; a single
         change is a repeated position or a reused id.
@@ -124,6 +126,7 @@ class Tuning:
     stationary_timeout_s: float = 360.0
     rest_s: float = 3600.0
     at_rest: float = 1.0 - 1e-6
+    repeat_sigmas: float = 2.0
     max_speed_sigmas: float = 5.0
     alternations: int = 4
     position_sigmas: float = 6.0
