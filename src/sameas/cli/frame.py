@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sameas.cli.options import Debug, Folder, Quiet, frame_option, known_format, one_of, option, with_columns
 from sameas.cli.outcome import INPUT_ERROR, answering
 from sameas.front.options import fields_of
+
+if TYPE_CHECKING:
+    from sameas.cli.frames import Outcome
 
 _PLACE, _IMAGE, _FILES = "Where it points", "The image", "Outputs"
 
@@ -162,7 +165,7 @@ def _run(requests: list[Any], processes: int, again: bool, quiet: bool, series: 
 
     series : name of the series of a folder; None for frames that were given one by one.
     """
-    from sameas.cli.frames import Outcome, identified, print_outcome, run_all
+    from sameas.cli.frames import identified, print_outcome, run_all
     from sameas.cli.terminal import Printer, notice, share_compilation
     from sameas.report.frame import frame_lines, totals
 
@@ -195,7 +198,7 @@ def _run(requests: list[Any], processes: int, again: bool, quiet: bool, series: 
     return any(outcome.summary is None for outcome in outcomes)
 
 
-def _written(outcome: Any) -> list[str]:
+def _written(outcome: Outcome) -> list[str]:
     names = ", ".join(path.name for path in (*outcome.request.outputs().values(), outcome.request.summary_path))
     state = "done before, not repeated (use --again)" if outcome.skipped else f"{outcome.seconds:.1f} s"
     return [f"Output: {outcome.request.folder}/: {names}", f"Time: {state}"]

@@ -9,9 +9,10 @@ import logging
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,6 +23,12 @@ from sameas.cli.terminal import Printer, share_compilation
 from sameas.errors import InputError
 from sameas.report.prose import ALARM, DOUBT
 from sameas.representation import counted
+
+if TYPE_CHECKING:
+    from sameas.io.sensors.sources import SensorSource
+    from sameas.live.inputs import Replay
+    from sameas.live.keeper import Keeper
+    from sameas.live.settings import Settings
 
 LOG = logging.getLogger("sameas.live")
 _INPUTS, _MAP = "What is read", "The map"
@@ -125,7 +132,7 @@ def _source_lines(name: str, health: dict[str, Any]) -> list[str]:
 
 def _settings(
     files: list[str], sensors: Path | None, start: str | None, pace: float, every_s: float | None
-) -> tuple[Any, Any]:
+) -> tuple[Settings, Replay | None]:
     """The settings, and the replay if files are given."""
     from dataclasses import replace
 
@@ -147,7 +154,7 @@ def _settings(
     return settings, replay
 
 
-def _origin(sources: Any) -> dict[str, float] | None:
+def _origin(sources: Sequence[SensorSource]) -> dict[str, float] | None:
     """The centre of the positions of all files; None for positions in metres on a local plane."""
     from sameas.tracks.scene import Scene
 
@@ -155,7 +162,7 @@ def _origin(sources: Any) -> dict[str, float] | None:
     return None if plane is None else {"lat_deg": plane.lat_deg, "lon_deg": plane.lon_deg}
 
 
-def _server(keeper: Any, host: str, port: int, token: str | None, viewer: str | None, say: Printer) -> Any:
+def _server(keeper: Keeper, host: str, port: int, token: str | None, viewer: str | None, say: Printer) -> Any:
     """The server and its socket; prints the address of the map."""
     import socket
 
@@ -187,7 +194,7 @@ def _server(keeper: Any, host: str, port: int, token: str | None, viewer: str | 
 class _News:
     """Lines on what has changed since the last call: connections, and alarms that begin."""
 
-    def __init__(self, keeper: Any) -> None:
+    def __init__(self, keeper: Keeper) -> None:
         self.keeper = keeper
         self.connections: dict[str, tuple[str, int]] = {}
 
@@ -204,7 +211,7 @@ class _News:
         return lines
 
 
-async def _run(keeper: Any, server: Any, until_s: float | None, say: Printer) -> None:
+async def _run(keeper: Keeper, server: Any, until_s: float | None, say: Printer) -> None:
     """Run the loop and the server until the time is up or a signal stops them."""
     over = asyncio.Event()
     loop = asyncio.get_running_loop()

@@ -13,13 +13,19 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
 
+from sameas.arrays import IntArray
 from sameas.errors import InputError
 from sameas.io.atomic import replacing
+
+if TYPE_CHECKING:
+    from sameas.sky.movers.known import KnownObjects
+    from sameas.sky.movers.search import Movers
+    from sameas.sky.series import Series
 
 #: Columns of a report in the order of ADES.
 COLUMNS = ("permID", "provID", "trkSub", "mode", "stn", "obsTime", "ra", "dec", "rmsRA", "rmsDec", "rmsCorr", "astCat",
@@ -110,7 +116,7 @@ class Observer:
         )  # fmt: skip
 
 
-def _needed(settings: Any, path: Any, *keys: str) -> Any:
+def _needed(settings: Any, path: str | Path, *keys: str) -> Any:
     value = settings
     for key in keys:
         if not isinstance(value, dict) or key not in value:
@@ -187,7 +193,9 @@ class Observation:
         return {key: _plain(out[key]).replace("|", "/") for key in COLUMNS if out.get(key)}
 
 
-def observations(found: Any, known: Any, which: Any, series: Any = None) -> list[Observation]:
+def observations(
+    found: Movers, known: KnownObjects | None, which: IntArray, series: Series | None = None
+) -> list[Observation]:
     """The rows of a report of those tracklets, tracklet by tracklet.
 
     series : that the detections are of; magnitudes are then those of its frames, errors have those of their plates.

@@ -25,9 +25,11 @@ from sameas.errors import InputError
 from sameas.live.keeper import Delta, Keeper
 from sameas.live.outputs import geojson, metrics
 from sameas.live.situation import OBJECT, RECORD, Situation
-from sameas.maps.outline import read_coast
+from sameas.maps.outline import Coast, read_coast
 from sameas.maps.sheet import MapSensor, MapSheet
 from sameas.pages.map import map_page
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.source import Site
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -261,11 +263,11 @@ def live_page(keeper: Keeper, operator: bool) -> str:
 
 
 @lru_cache(maxsize=4)
-def _chart(path: str) -> Any:
+def _chart(path: str) -> Coast:
     return read_coast(Path(path))
 
 
-def _same_plane(site: Any, plane: Any) -> bool:
+def _same_plane(site: Site, plane: LocalPlane | None) -> bool:
     return (site.lat_deg is not None) == (plane is not None)
 
 

@@ -118,7 +118,7 @@ class Elements:
             return _of_json(text, path) if text.lstrip().startswith(("{", "[")) else _of_mpcorb(text, path)
 
 
-def _of_json(text: str, path: Any) -> Elements:
+def _of_json(text: str, path: str | Path) -> Elements:
     try:
         answer = json.loads(text)
         objects = answer if isinstance(answer, list) else [answer]
@@ -153,7 +153,7 @@ def _of_json(text: str, path: Any) -> Elements:
     return _usable(found, path)
 
 
-def _of_objects(objects: Sequence[Any], path: Any) -> Elements:
+def _of_objects(objects: Sequence[Any], path: str | Path) -> Elements:
     """Elements from answers of JPL's small-body database about single objects.
 
     If there is a covariance, the elements and epoch it belongs to are used. Source: ssd-api.jpl.nasa.gov/doc/sbdb.html.
@@ -187,7 +187,7 @@ def _elements(names: Sequence[str], numbers: Sequence[str], *columns: FloatArray
     return Elements(tuple(names), tuple(numbers), *columns)
 
 
-def _of_mpcorb(text: str, path: Any) -> Elements:
+def _of_mpcorb(text: str, path: str | Path) -> Elements:
     lines = text.splitlines()
     rule = next((k for k, line in enumerate(lines) if line.startswith("-----")), -1)
     rows = [line for line in lines[rule + 1 :] if len(line) >= 103 and line[20:25].strip()]
@@ -242,7 +242,7 @@ def _number_of(packed: str) -> str:
     return str(letters.index(packed[0]) * 10000 + int(packed[1:])) if packed[1:].isdigit() else ""
 
 
-def _usable(found: Elements, path: Any) -> Elements:
+def _usable(found: Elements, path: str | Path) -> Elements:
     columns = np.column_stack([
         found.epoch_mjd, found.perihelion_au, found.eccentricity, found.inclination_deg, found.node_deg,
         found.argument_deg, found.perihelion_mjd,
