@@ -13,7 +13,9 @@ from sameas.many.observations import records_of
 from sameas.many.pooled import pooled
 from sameas.many.rules import PoissonObjects, pairs_of, terms_of
 from sameas.picture import TrackMemory
+from sameas.picture.error_factors import ErrorCorrelation
 from sameas.picture.memory import FirstContact, PreviousScans
+from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.picture import picture_states
 from sameas.picture.tables import Scan
 from sameas.picture.track_pairs import Rivals, TrackPairs
@@ -60,6 +62,51 @@ def _all_pairs(scan, number):
     delta, spread = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
     none = np.zeros_like(spread[a])
     return TrackPairs().with_(TrackPairs.of(number[a], number[b], delta, (spread[a], spread[b]), (none, none), 0.0))
+
+
+def half_constant(seed, factors, n=60, every_s=10.0, instants=30):
+    """Ships in pairs 70 m apart in two sources, whose errors are half constant and half new; ln r of every track with
+    its ship's and with the neighbour's. factors : those on the errors that are believed, in turn."""
+    rng = np.random.default_rng(seed)
+    times, sigma = every_s * np.arange(instants), 30.0
+    start = np.stack(np.divmod(np.arange(n) // 2, 10), axis=1) * 20e3
+    start[1::2, 0] += 70.0
+    x, v = straight(start, np.zeros((n, 2)), times)
+    names, sources = [f"{k:03}" for k in range(n)], []
+    for name in ("one", "two"):
+        constant = sigma * np.sqrt(0.5) * rng.standard_normal((n, 1, 2))
+        described = describe(name, "tracks", sigma, every_s)
+        sources.append(feed(rng, described, times, x + constant, v, 0.0, names, sigma_m=sigma * np.sqrt(0.5)))
+    scene, tuning = Scene.of(sources), Tuning()
+    known = np.full((2, len(tuning.lasting_shares), len(tuning.correlation_s)), -1e9)
+    known[:, tuning.lasting_shares.index(0.5), 0] = 0.0
+    memory = TrackMemory(tracks=NamedTracks(error_correlation=ErrorCorrelation(("one", "two"), known)))
+    for k, time_s in enumerate(times):
+        memory = memory.advance(memory.error_factors.applied(Scan.of(scene.at(time_s), tuning)))
+        scan, number = memory.tracks.scan, memory.tracks.track_of_record
+        if k == 0:
+            a = np.repeat(np.arange(n), 2)
+            b = n + np.stack([np.arange(n), np.arange(n) ^ 1], axis=1).ravel()
+            delta, spread = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
+            lasting = memory.tracks.lasting
+            pairs = TrackPairs.of(number[a], number[b], delta, (spread[a], spread[b]), (lasting[a], lasting[b]), 0.0)
+            memory = replace(memory, track_pairs=TrackPairs().with_(pairs))
+        of_range = np.full_like(memory.error_factors.by_range, factors[k % len(factors)])
+        estimate = replace(memory.error_factors, by_range=of_range)
+        memory = replace(memory, tracks=replace(memory.tracks, error_factors=estimate))
+    pairs = memory.track_pairs
+    log_ratio = pairs.log_ratio + pairs.log_reported
+    name_of = scan.track[np.argsort(number)]
+    right = name_of[pairs.first] == name_of[pairs.second]
+    return log_ratio[right], log_ratio[~right]
+
+
+def test_an_estimate_of_errors_that_changes_does_not_count_constant_errors_again():
+    right, neighbour = half_constant(5, (1.0,))
+    right_changing, neighbour_changing = half_constant(5, (1.0, 1.2))
+    assert np.median(right_changing) == pytest.approx(np.median(right), abs=1.0)
+    assert np.median(neighbour_changing) == pytest.approx(np.median(neighbour), abs=1.0)
+    assert right_changing.mean() - neighbour_changing.mean() == pytest.approx(right.mean() - neighbour.mean(), abs=0.5)
 
 
 def log_loss(log_odds, same):

@@ -18,7 +18,7 @@ from sameas.kernels.track_pairs import (
 )
 from sameas.picture.error_factors import MIN_M2, error_update
 from sameas.picture.named_tracks import prior_covariance
-from sameas.picture.track_pairs import Rivals, SwapRates
+from sameas.picture.track_pairs import Rivals, SwapRates, TrackPairs
 from sameas.picture.tuning import DEFAULT_TUNING
 
 WAYS = ("interpreted", "compiled")
@@ -266,3 +266,28 @@ def test_rate_and_range_of_swaps_are_estimated_together(rng):
         _, swaps = after_reports(rng, 4.0, swap_probability, 300, near)
         ranges = DEFAULT_TUNING.swap_models[1]
         assert swaps.probability[1, ranges == expected].sum() > 0.99
+
+
+def test_what_is_known_of_errors_stays_known_in_other_units(rng):
+    k, delta = 4, 30.0 * rng.standard_normal((4, 2))
+    p, share = [m2 * np.eye(2)[None].repeat(k, axis=0) for m2 in (900.0, 400.0)], np.sqrt(0.5)
+    number, root = np.arange(k), [share * np.sqrt(each) for each in p]
+
+    def pairs(one, other):
+        """Pairs given δ only, if the errors are these times as large."""
+        covariances, roots = (one**2 * p[0], other**2 * p[1]), (one * root[0], other * root[1])
+        return TrackPairs.of(number, number + k, delta, covariances, roots, 0.0)
+
+    def changed(before, one, other):
+        covariances = one**2 * p[0], other**2 * p[1]
+        return before.with_errors(number, delta, (p[0], p[1]), covariances, (np.full(k, one), np.full(k, other)))
+
+    new, exact = changed(pairs(1.0, 1.0), 1.5, 1.5), pairs(1.5, 1.5)
+    assert new.errors[:, : MEAN[1]] == pytest.approx(exact.errors[:, : MEAN[1]])
+    assert new.errors[:, slice(*COVARIANCE)] == pytest.approx(exact.errors[:, slice(*COVARIANCE)])
+    assert new.log_now == pytest.approx(exact.log_now) and new.chi_sq == pytest.approx(exact.chi_sq)
+    # With different factors the means and the covariance of e_a are those given δ as well.
+    new, exact = changed(pairs(1.0, 1.0), 1.0, 2.0), pairs(1.0, 2.0)
+    assert new.errors[:, : MEAN[1]] == pytest.approx(exact.errors[:, : MEAN[1]])
+    of_e = slice(COVARIANCE[0], COVARIANCE[0] + 3)
+    assert new.errors[:, of_e] == pytest.approx(exact.errors[:, of_e])

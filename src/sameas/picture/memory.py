@@ -437,15 +437,17 @@ class TrackMemory:
     def _with_present_factors(self) -> TrackMemory:
         """The memory of the previous instant by the present factors: :meth:`NamedTracks.with_present_factors`."""
         tracks, changed = self.tracks.with_present_factors()
-        if tracks is self.tracks or tracks.scan is None:
+        if tracks is self.tracks or tracks.scan is None or self.tracks.scan is None:
             return self
         scan, record = tracks.scan, np.append(tracks.place, -1)
         a, b = (record[places_in(tracks.number, k)] for k in (self.track_pairs.first, self.track_pairs.second))
         rows = np.flatnonzero((a >= 0) & (b >= 0) & (changed[a] | changed[b]))
-        a, b, covariance, lasting = a[rows], b[rows], scan.covariance[:, :2, :2], tracks.lasting
+        a, b, before, covariance = a[rows], b[rows], self.tracks.scan.covariance[:, :2, :2], scan.covariance[:, :2, :2]
+        change = scan.error_factor / self.tracks.scan.error_factor
         track_pairs = self.track_pairs.with_errors(
-            rows, scan.state[a, :2] - scan.state[b, :2], (covariance[a], covariance[b]), (lasting[a], lasting[b])
-        )
+            rows, scan.state[a, :2] - scan.state[b, :2], (before[a], before[b]), (covariance[a], covariance[b]),
+            (change[a], change[b]),
+        )  # fmt: skip
         return replace(self, tracks=tracks, track_pairs=track_pairs)
 
     def rule(self) -> PreviousScans:

@@ -181,18 +181,27 @@ class TrackPairs(ColumnTable):
         return replace(both, new_errors=new_errors, distant=distant)
 
     def with_errors(
-        self, rows: IntArray, delta: FloatArray, covariances: tuple[FloatArray, FloatArray],
-        lasting: tuple[FloatArray, FloatArray],
+        self, rows: IntArray, delta: FloatArray, before: tuple[FloatArray, FloatArray],
+        covariances: tuple[FloatArray, FloatArray], factors: tuple[FloatArray, FloatArray],
     ) -> TrackPairs:  # fmt: skip
-        """The table with other errors of the pairs ``rows`` (k,): δ (k, 2), P and B of both tracks, (k, 2, 2) each.
+        """The table with other errors of the pairs ``rows`` (k,): δ (k, 2), P of both tracks before and after, (k, 2,
+        2) each, and by which the 1σ of their reports are multiplied, (k,) each.
 
-        The last positions are judged by these P, and (e_a, z_a, z_b) of one object is that given δ only. ln r of the
-        previous reports stays, and so does the offset of a convoy, which does not depend on the size of errors.
+        The last positions are judged by the new P. What is known of (e_a, z_a, z_b) of one object stays known, in the
+        new units: given δ, the means are P_a S⁻¹ δ and ± Bᵀ S⁻¹ δ with S = P_a + P_b, and the covariance of e_a is
+        P_a S⁻¹ P_b; they change as these do. Without what is known, a constant error would be evidence once more.
+        ln r of the previous reports stays, and so does the offset of a convoy, which does not depend on the size of
+        errors.
         """
         errors = np.concatenate([self.errors, self.new_errors])[self.row]
-        of_delta = _without_history(delta, covariances, lasting)
-        for part in (slice(*MEAN), slice(*COVARIANCE)):
-            errors[rows, part] = of_delta[:, part]
+        (a, b), (new_a, new_b) = ([np.trace(p, axis1=1, axis2=2) for p in pair] for pair in (before, covariances))
+        of_sum = (a + b) / (new_a + new_b)
+        means = np.stack([new_a / a * of_sum, *(factor * of_sum for factor in factors)])
+        scales = np.stack([np.sqrt(new_a / a * new_b / b * of_sum), np.ones(len(rows)), np.ones(len(rows))])
+        means, scales = np.repeat(means, 2, axis=0).T, np.repeat(scales, 2, axis=0).T
+        errors[rows, slice(*MEAN)] *= means
+        v, w = np.tril_indices(means.shape[1])
+        errors[rows, slice(*COVARIANCE)] *= scales[:, v] * scales[:, w]
         log_now, chi_sq = _log_density_and_chi_sq(delta, covariances[0] + covariances[1])
         changed = {name: getattr(self, name).copy() for name in ("log_reported", "log_now", "chi_sq")}
         out = replace(self, row=np.arange(len(self)), errors=errors, new_errors=np.empty((0, WIDTH)), **changed)
