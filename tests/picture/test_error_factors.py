@@ -8,7 +8,7 @@ from modelled_scenes import describe, feed, straight
 from scipy.stats import multivariate_normal
 
 from sameas.many.observations import records_of
-from sameas.picture.error_factors import BLOCK, ErrorFactors, _log_density
+from sameas.picture.error_factors import BLOCK, ErrorFactors, _log_density, information
 from sameas.picture.picture import Picture, picture_states
 from sameas.picture.tables import RANGE_BANDS, Scan
 from sameas.picture.track_pairs import keys
@@ -73,6 +73,23 @@ def test_without_certain_or_new_pairs_errors_stay_as_stated():
     assert ErrorFactors().of_sources(("a", "b")).factor == pytest.approx(np.ones(2))
     again = after_pairs(np.random.default_rng(4), (3.0, 3.0), 500, (10.0, 10.0), weight=0.0)
     assert again.factor == pytest.approx(np.ones(2)) and not again.lines()
+
+
+@pytest.mark.parametrize("lasting", [0.0, 0.5, 0.9, 1.0])
+def test_a_constant_error_is_seen_once_however_often_it_is_compared(lasting):
+    rng, n = np.random.default_rng(6), 12
+    constant, new = rng.standard_normal((40_000, 1)), rng.standard_normal((40_000, n))
+    squares = (np.sqrt(lasting) * constant + np.sqrt(1.0 - lasting) * new) ** 2
+    rho = np.full(n, lasting)
+    total = information(np.arange(n), rho, rho).cumsum()
+    for count in (1, 3, n):
+        # The mean of k independent squares has the variance 2 / k.
+        assert total[count - 1] == pytest.approx(2.0 / squares[:, :count].mean(axis=1).var(), rel=0.05)
+
+
+def test_errors_that_are_forgotten_between_two_differences_count_in_full():
+    weight = information(np.array([0, 1, 5]), np.array([0.6, 0.6, 0.6]), np.zeros(3))
+    assert weight == pytest.approx([1.0, 0.64, 0.64])
 
 
 def test_records_and_scan_have_the_same_larger_errors_and_velocities_keep_theirs():

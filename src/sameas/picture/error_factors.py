@@ -8,9 +8,9 @@ their sources, and D the covariance of the motion since the reports. The posteri
 
 L_ab the log-likelihood of all differences of the two sources. The prior p(f) is log-normal about 1, plus a point mass
 at f = 1. More than ``BLOCK`` sources are split into blocks, each in the mean field of the others. A difference that is
-correlated by ρ with the previous one of its pair has the weight 1 − ρ². A share ``factor_outliers`` (1 %) of the
-differences are outliers with ``factor_outlier`` times the errors: a wrong time stamp, an antenna far from the centre, a
-false pair.
+correlated with previous ones of its pair counts by what it adds to them (:func:`information`). A share
+``factor_outliers`` (1 %) of the differences are outliers with ``factor_outlier`` times the errors: a wrong time stamp,
+an antenna far from the centre, a false pair.
 
 Sure pairs are selected for being near, so where pairs are sure only by chance, factors come out too small. The
 residuals of single tracks from report to report, ν ~ N(0, f² (R + R′ − ρ (L L′ᵀ + L′ Lᵀ)) + κ D) as below, do not
@@ -374,7 +374,7 @@ class ErrorFactors:
         Parameters
         ----------
         parts : of both sources, (n,) each. delta : (n, 2) δ. stated : R of both, (n, 2, 2) each.
-        motion : (n, 2, 2) D. weight : (n,) 1 − ρ².
+        motion : (n, 2, 2) D. weight : (n,) of :func:`information`.
         """
         if not len(delta):
             return self
@@ -460,6 +460,21 @@ class ErrorFactors:
         prior = np.repeat(np.log(weight @ change + 1e-300), RANGE_BANDS, axis=0)
         mean = np.exp(log_softmax(prior + logsumexp(self.log_shifts, axis=2) + log_pairs, axis=1)) @ logs
         return np.where(several[:, None], np.exp(mean).reshape(n, RANGE_BANDS), factor[:, None])
+
+
+def information(n_previous: IntArray, rho: FloatArray, lasting_rho: FloatArray) -> FloatArray:
+    """(n,) how much a difference of a sure pair adds to the estimate of its variance, in independent differences.
+
+    n_previous : (n,) number of the pair's previous differences. rho, lasting_rho : (n,) correlation with the last of
+    them, and that with all of them by errors that last.
+
+    The mean square of n differences with the correlation c between any two has the variance of n / (1 + (n − 1) c²)
+    independent ones. So a constant error, however often it is seen, is one: all differences are worth 1 / c² at most.
+    """
+    first = n_previous == 0
+    square = lasting_rho**2
+    spread = (1.0 + n_previous * square) * (1.0 + (n_previous - 1.0) * square)
+    return np.where(first, 1.0, (1.0 - rho**2) / np.where(first, 1.0, spread))
 
 
 def evenly(position: FloatArray, max_rows: int) -> IntArray:

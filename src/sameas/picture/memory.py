@@ -52,7 +52,7 @@ from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import distance_and_log_determinant, mahalanobis_sq
 from sameas.many.pooled import PooledRecords
-from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly
+from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly, information
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan, objects_per_m2
 from sameas.picture.track_pairs import MIN_SWAP, Rivals, SwapRates, TrackPairs, by_source_order, keys, with_manoeuvres
@@ -618,16 +618,22 @@ class TrackMemory:
         a, b = places[due].T
         kept = np.exp(np.minimum(log_kept[places[due]] - self.track_pairs.anchor_kept[at[due]], 0.0))
         reported, total = scan.reported_covariance[:, :2, :2], scan.covariance[:, :2, :2]
-        # Correlation of a pair's difference with its previous one.
+        # Correlation of a pair's difference with its previous one, and with all previous ones by lasting errors.
+        trace = _trace(total[a] + total[b])
         rho = sum(
             (_trace(reported[record]) * correlation.correlation(source[record], elapsed[due], scan.tuning, g)
              for record, g in zip((a, b), kept.T, strict=True)), np.zeros(len(a)),
-        ) / _trace(total[a] + total[b])  # fmt: skip
+        ) / trace  # fmt: skip
+        lasting_rho = sum(
+            (_trace(reported[record]) * correlation.lasting(source[record], scan.tuning) for record in (a, b)),
+            np.zeros(len(a)),
+        ) / trace  # fmt: skip
         part = source * RANGE_BANDS + scan.range_band
         factors = self.error_factors.with_sure_pairs(
             (part[a], part[b]), delta[due],
             tuple(reported[record] / scan.error_factor[record, None, None] ** 2 for record in (a, b)),
-            total[a] + total[b] - reported[a] - reported[b], 1.0 - rho**2, scan.tuning,
+            total[a] + total[b] - reported[a] - reported[b],
+            information(self.track_pairs.n_compared[at[due]], rho, lasting_rho), scan.tuning,
         )  # fmt: skip
         correlation = correlation.with_sure_pairs(
             (source[a], source[b]), elapsed[due], (self.track_pairs.anchor[at[due]], delta[due]),

@@ -103,6 +103,7 @@ class TrackPairs(ColumnTable):
     anchor_s, anchor : (k,), (k, 2) time at which the pair first was sure or was last compared since, and δ then; NaN
         before.
     anchor_new : (k, 2) whether each track has a new report since. anchor_kept : (k, 2) ``Step.log_kept`` of both then.
+        n_compared : (k,) number of comparisons.
     sure : whether the pair is surely one object.
     offset, n_offsets : (k, 2), (k,) mean and number of values of δ taken at least ``lasting_s`` apart. offset_s : time
         of the last one. offset_new : (k, 2) whether each track has a new report since. offset_chi_sq, log_offset : χ²
@@ -125,6 +126,7 @@ class TrackPairs(ColumnTable):
     anchor: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     anchor_new: BoolArray = field(default_factory=lambda: np.empty((0, 2), bool))
     anchor_kept: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    n_compared: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     sure: BoolArray = field(default_factory=lambda: np.empty(0, bool))
     offset: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     n_offsets: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -159,7 +161,7 @@ class TrackPairs(ColumnTable):
         return cls(
             first, second, np.arange(k), zero, zero, log_n, log_n, chi_sq,
             np.full(k, np.nan), np.full_like(delta, np.nan), np.zeros(delta.shape, bool), np.zeros(delta.shape),
-            np.zeros(k, bool),
+            np.zeros(k, np.int64), np.zeros(k, bool),
             np.zeros_like(delta), np.zeros(k, np.int64), np.full(k, -np.inf),
             np.ones(delta.shape, bool), zero, zero, np.full(k, instant_s),
             np.zeros((k, len(DEFAULT_TUNING.swap_models[0]))), errors,
@@ -267,7 +269,7 @@ class TrackPairs(ColumnTable):
             np.where(new_report, log_ratio + log_reported + gain - log_now, log_ratio),
             np.where(new_report, log_now, log_reported), log_now,
             chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new,
-            self.anchor_kept[rows], self.sure[rows],
+            self.anchor_kept[rows], self.n_compared[rows], self.sure[rows],
             self.offset[rows], self.n_offsets[rows], self.offset_s[rows], self.offset_new[rows] | is_new,
             self.offset_chi_sq[rows], self.log_offset[rows],
             np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.agreed_s[rows]),
@@ -352,13 +354,14 @@ class TrackPairs(ColumnTable):
         """
         out = replace(self, **{name: getattr(self, name).copy() for name in _ANCHORS}, sure=np.zeros(len(self), bool))
         at = sure[restart]
+        out.n_compared[at] += ~np.isnan(out.anchor_s[at])
         out.anchor_s[at], out.anchor[at], out.anchor_new[at] = instant_s, delta[restart], False
         out.anchor_kept[at], out.sure[sure] = log_kept[restart], True
         return out
 
 
 #: Columns that :meth:`TrackPairs.anchored` changes.
-_ANCHORS = ("anchor_s", "anchor", "anchor_new", "anchor_kept")
+_ANCHORS = ("anchor_s", "anchor", "anchor_new", "anchor_kept", "n_compared")
 #: Columns that :meth:`TrackPairs.with_offsets` changes.
 _OFFSETS = ("offset", "n_offsets", "offset_s", "offset_new", "offset_chi_sq", "log_offset")
 
