@@ -174,7 +174,7 @@ def test_a_repeated_position_of_a_moving_object_is_set_aside():
 def rounded_arpa(minutes):
     """An ARPA's reports of a ship of 4 m/s that closes, every 3 s, in steps of 0.01 nm and 0.1°."""
     time_s = np.arange(0.0, 60.0 * minutes, 3.0)
-    columns = {
+    columns: dict[str, Any] = {
         "time_s": time_s, "track_id": ["07"] * len(time_s),
         "range_m": np.round((6000.0 - 4.0 * time_s) / 18.52) * 18.52, "bearing_deg": np.full(len(time_s), 30.0),
         "speed_m_per_s": np.full(len(time_s), 4.0), "course_deg": np.full(len(time_s), 210.0),
@@ -185,9 +185,10 @@ def rounded_arpa(minutes):
 
 def test_positions_rounded_by_an_arpa_are_no_repetitions():
     radar, reports = rounded_arpa(minutes=5.0)
-    repeats, _ = repeated(np.zeros(len(reports), int), reports.time_s, Feed.of(radar, reports).reports.state[:, :2])
-    assert len(repeats) > 5
     feed = Feed.of(radar, reports)
+    assert isinstance(feed.reports, States)
+    repeats, _ = repeated(np.zeros(len(reports), int), reports.time_s, feed.reports.state[:, :2])
+    assert len(repeats) > 5
     assert feed.reports.usable.all()
     assert not any("repeat" in note for note in feed.notes)
 

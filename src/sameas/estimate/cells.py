@@ -28,21 +28,90 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere, unit_vectors
 
-#: Least number of points for an outline.
-FEWEST = 100
-#: A field is a rectangle if its corners hold more than this fraction of the points expected for an even distribution,
-#: or if its outline fills more than the second fraction of the rectangle.
-CORNERS, MOST = 0.5, 0.95
-#: Depth of a corner, as a fraction of the side.
-CORNER = 0.1
-#: Number of directions in which the outermost points are taken first.
-DIRECTIONS = 64
-#: About this many points are used to check the corners, and to exclude points too far inside to be vertices.
-SOME = 50_000
-#: Positions across a cell at which the part inside the outline is measured.
-ACROSS = 32
-#: Least fraction of the volume of a cell with a record.
-LEAST = 1e-3
+
+@dataclass(frozen=True)
+class CellsTuning:
+    """Parameters of cells, outlines and discs; chosen where no source is given.
+
+    Attributes
+    ----------
+    fewest : least number of points for an outline.
+    corners, most : a field is a rectangle if its corners hold more than this fraction of the points expected for an
+        even distribution, or if its outline fills more than the second fraction of the rectangle.
+    corner : depth of a corner, as a fraction of the side.
+    directions : number of directions in which the outermost points are taken first.
+    some : about this many points are used to check the corners, and to exclude points too far inside to be
+        vertices.
+    across : positions across a cell at which the part inside the outline is measured.
+    least : least fraction of the volume of a cell with a record.
+    refinement, finest : ratio of the volumes of successive levels; they are refined until the mean number of
+        records of the richer source in the cell of a record is at most ``finest``.
+    cells_per_record : they are refined to at most this number of cells per record, because records at the same
+        position are never separated.
+    first_records, most_centres : records whose nearest centres are found first, since few fields are discs; and the
+        number of centres above which none are looked for.
+    full : discs must fill at most this fraction of the region of all records.
+    outer, flat : least number of records in the outer half of the discs, and in the outer half per record in the
+        quarter of the area next to it: in discs 2, around partners alone (residuals of any distribution that falls
+        outwards) less than 1.
+    repeated : least number of records that have the same nearest centre as another, per record in the outer half.
+        Two catalogues of the same objects with a shift or a rotation between them fill discs as well, but with one
+        record each.
+    few_pairs : most pairs of a centre and a record for finding the nearest centres without a tree, whose import
+        takes longer; twice ``first_records`` records, which are the most that are looked at first, stay below it.
+    points : points per disc at which the number of discs that overlap is counted.
+    clumped, neighbours, most_pairs : around targets that no source lists: pairs of one source's records in the
+        cells, as a multiple of those of an even field, from which discs are looked for; least mean number of
+        neighbours in a disc; most pairs of neighbours.
+    step, growth : steps of the distance within which neighbours are counted, and most growth of their number over
+        two steps where the discs end, in which an even field has 2.4 times as many.
+    nine_tenths, around_targets : the distance within which 90 % of the pairs of records in a disc lie, in radii: of
+        records that fill it evenly, and where one of 1 + k is the target at its centre, by 1/k (simulated).
+    half : most pairs within half of that distance, as a fraction of all: 0.39 in evenly filled discs, less around
+        targets, 0.44 in Gaussian clusters; two standard deviations more are allowed.
+    unequal : most neighbours per record, as a multiple of the other records per disc: 1 to 2 in discs; more where
+        few clusters lie among many single records.
+    several : least fraction of the pairs that must be of discs with three records of a source or more: with half a
+        neighbour per target it is a half; couples of companions have none.
+    within, reach, most_divisions : least fraction of the records that must lie within ``reach`` radii of the middle
+        of their disc where no discs overlap, and most divisions of those that do.
+    """
+
+    fewest: int = 100
+    corners: float = 0.5
+    most: float = 0.95
+    corner: float = 0.1
+    directions: int = 64
+    some: int = 50_000
+    across: int = 32
+    least: float = 1e-3
+    refinement: float = 8.0
+    finest: float = 4.0
+    cells_per_record: float = 4096.0
+    first_records: int = 16
+    most_centres: int = 200_000
+    full: float = 0.25
+    outer: int = 8
+    flat: float = 1.2
+    repeated: float = 0.5
+    few_pairs: int = 8_000_000
+    points: int = 64
+    clumped: float = 1.5
+    neighbours: float = 0.5
+    most_pairs: int = 20_000_000
+    step: float = 1.25
+    growth: float = 1.08
+    nine_tenths: float = 1.49
+    around_targets: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0, 0.2, 0.5, 1.0), (1.49, 1.39, 1.15, 0.95))
+    half: float = 0.42
+    unequal: float = 2.5
+    several: float = 0.33
+    within: float = 0.95
+    reach: float = 1.25
+    most_divisions: int = 6
+
+
+TUNING = CellsTuning()
 
 
 @dataclass(frozen=True)
@@ -67,11 +136,11 @@ class ConvexRegion:
         the mean number of its vertices, so it is scaled about its centre by as much (Efron 1965, Biometrika 52, 331).
         """
         extent = high - low
-        if records < FEWEST or not (extent > 0.0).all():
+        if records < TUNING.fewest or not (extent > 0.0).all():
             return None
         some = (_some_of(points) - low) / extent
-        in_corners = np.count_nonzero((np.abs(some - 0.5) > 0.5 - CORNER).all(axis=1))
-        if in_corners > CORNERS * (2.0 * CORNER) ** 2 * len(some):
+        in_corners = np.count_nonzero((np.abs(some - 0.5) > 0.5 - TUNING.corner).all(axis=1))
+        if in_corners > TUNING.corners * (2.0 * TUNING.corner) ** 2 * len(some):
             return None
         place = np.empty_like(points)
         threads.over(lambda a, b: np.divide(points[a:b] - low, extent, out=place[a:b]), threads.even(len(points)))
@@ -82,7 +151,7 @@ class ConvexRegion:
         cross = hull[:, 0] * after[:, 1] - after[:, 0] * hull[:, 1]
         area = 0.5 * float(cross.sum())
         larger = 1.0 / (1.0 - len(hull) / records)
-        if area * larger > MOST:
+        if area * larger > TUNING.most:
             return None
         centre = (cross @ (hull + after)) / (6.0 * area)
         hull = low + extent * (centre + math.sqrt(larger) * (hull - centre))
@@ -94,7 +163,7 @@ class ConvexRegion:
         return cls(x, np.interp(x, *below.T), np.interp(x, *above.T), area)
 
     def part(self, low: FloatArray, high: FloatArray) -> FloatArray:
-        """(c,) the fraction of rectangles from ``low`` to ``high``, (c, 2) each, inside; at least :data:`LEAST`."""
+        """(c,) the fraction of rectangles from ``low`` to ``high``, (c, 2) each, inside; at least ``least``."""
         ends = np.stack([low[:, 0], high[:, 0]])
         inside = (ends >= self.x[0]) & (ends <= self.x[-1])
         inside &= (np.interp(ends, self.x, self.lower) <= low[:, 1]) & (
@@ -103,13 +172,13 @@ class ConvexRegion:
         part = np.ones(len(low))
         cut = np.flatnonzero(~inside.all(axis=0))
         (west, south), (east, north) = low[cut].T, high[cut].T
-        at = west + (east - west) * ((np.arange(ACROSS) + 0.5) / ACROSS)[:, None]
+        at = west + (east - west) * ((np.arange(TUNING.across) + 0.5) / TUNING.across)[:, None]
         height = np.minimum(np.interp(at, self.x, self.upper), north) - np.maximum(
             np.interp(at, self.x, self.lower), south
         )
         height[(at < self.x[0]) | (at > self.x[-1])] = 0.0
         part[cut] = np.clip(height, 0.0, None).mean(axis=0) / (north - south)
-        return np.maximum(part, LEAST)
+        return np.maximum(part, TUNING.least)
 
 
 def _outermost(points: FloatArray) -> FloatArray:
@@ -137,13 +206,13 @@ def _outermost(points: FloatArray) -> FloatArray:
 
 
 def _some_of(points: FloatArray) -> FloatArray:
-    """At most about :data:`SOME` of the points, at equal steps of the row."""
-    return np.ascontiguousarray(points[:: max(1, len(points) // SOME)])
+    """At most about ``some`` of the points, at equal steps of the row."""
+    return np.ascontiguousarray(points[:: max(1, len(points) // TUNING.some)])
 
 
 def _farthest(points: FloatArray) -> FloatArray:
-    """(DIRECTIONS, 2) the outermost point in each of some directions, counterclockwise."""
-    angle = np.arange(DIRECTIONS) * (2.0 * math.pi / DIRECTIONS)
+    """(directions, 2) the outermost point in each of some directions, counterclockwise."""
+    angle = np.arange(TUNING.directions) * (2.0 * math.pi / TUNING.directions)
     return points[[int(np.argmax(points @ way)) for way in np.column_stack([np.cos(angle), np.sin(angle)])]]
 
 
@@ -164,13 +233,6 @@ def _hull(points: FloatArray) -> FloatArray:
 
     return np.array(chain(ordered) + chain(ordered[::-1]))
 
-
-#: Ratio of the volumes of successive levels; they are refined until the mean number of records of the richer source in
-#: the cell of a record is at most this,
-REFINEMENT = 8.0
-FINEST = 4.0
-#: and to at most this number of cells per record, because records at the same position are never separated.
-CELLS_PER_RECORD = 4096.0
 
 #: The cell of every record of both sources, the number of cells, and a function from cells to their volumes.
 Cut = tuple[IntArray, IntArray, int, Callable[[IntArray], FloatArray]]
@@ -227,11 +289,11 @@ def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, 
     volume = space.volume if space.outline is None else space.volume * space.outline.area / space.area
     levels = [GridLevel(np.zeros(len(first), np.int32), np.zeros(len(second), np.int32), np.array([volume]))]
     richer, size = max(len(first), len(second)), space.volume
-    while size * CELLS_PER_RECORD * richer > space.volume:
+    while size * TUNING.cells_per_record * richer > space.volume:
         count = levels[-1].count(1 if len(first) >= len(second) else 2)
-        if inner(count, count) <= FINEST * richer:
+        if inner(count, count) <= TUNING.finest * richer:
             break
-        size /= REFINEMENT
+        size /= TUNING.refinement
         levels.append(_level(*space.cells(first.features, second.features, size)))
     discs = None
     if isinstance(first.space, Sphere) and len(levels) > 1:
@@ -443,45 +505,6 @@ def _arc(longitudes: Sequence[FloatArray]) -> tuple[float, float]:
 
 # Fields that are discs around a list of targets.
 
-#: Records whose nearest centres are found first, since few fields are discs; and the number of centres above which none
-#: are looked for.
-FIRST_RECORDS, MOST_CENTRES = 16, 200_000
-#: Discs must fill at most this fraction of the region of all records.
-FULL = 0.25
-#: Least number of records in the outer half of the discs, and in the outer half per record in the quarter of the area
-#: next to it: in discs 2, around partners alone (residuals of any distribution that falls outwards) less than 1.
-OUTER, FLAT = 8, 1.2
-#: Least number of records that have the same nearest centre as another, per record in the outer half. Two catalogues of
-#: the same objects with a shift or a rotation between them fill discs as well, but with one record each.
-REPEATED = 0.5
-#: Most pairs of a centre and a record for finding the nearest centres without a tree, whose import takes longer; twice
-#: FIRST_RECORDS records, which are the most that are looked at first, stay below it.
-FEW_PAIRS = 8_000_000
-#: Points per disc at which the number of discs that overlap is counted.
-POINTS = 64
-#: Around targets that no source lists: pairs of one source's records in the cells, as a multiple of those of an even
-#: field, from which discs are looked for; least mean number of neighbours in a disc; most pairs of neighbours.
-CLUMPED, NEIGHBOURS, MOST_PAIRS = 1.5, 0.5, 20_000_000
-#: Steps of the distance within which neighbours are counted, and most growth of their number over two steps where the
-#: discs end, in which an even field has 2.4 times as many.
-STEP, GROWTH = 1.25, 1.08
-#: The distance within which 90 % of the pairs of records in a disc lie, in radii: of records that fill it evenly, and
-#: where one of 1 + k is the target at its centre, by 1/k (simulated).
-NINE_TENTHS = 1.49
-AROUND_TARGETS = ((0.0, 0.2, 0.5, 1.0), (1.49, 1.39, 1.15, 0.95))
-#: Most pairs within half of that distance, as a fraction of all: 0.39 in evenly filled discs, less around targets, 0.44
-#: in Gaussian clusters; two standard deviations more are allowed.
-HALF = 0.42
-#: Most neighbours per record, as a multiple of the other records per disc: 1 to 2 in discs; more where few clusters lie
-#: among many single records.
-UNEQUAL = 2.5
-#: Least fraction of the pairs that must be of discs with three records of a source or more: with half a neighbour per
-#: target it is a half; couples of companions have none.
-SEVERAL = 0.33
-#: Least fraction of the records that must lie within ``REACH`` radii of the middle of their disc where no discs
-#: overlap, and most divisions of those that do.
-WITHIN, REACH, MOST_DIVISIONS = 0.95, 1.25, 6
-
 
 @in_short
 @dataclass(frozen=True)
@@ -506,10 +529,10 @@ class Discs:
         clumped : pairs of one source's records in cells, as a multiple of those of an even field; of both, the smaller.
         """
         for centres, others in ((0, 1), (1, 0)):
-            found = _around(positions[centres], positions[others], FULL * region)
+            found = _around(positions[centres], positions[others], TUNING.full * region)
             if found is not None:
                 return cls(centres + 1, *found)
-        if clumped >= CLUMPED:
+        if clumped >= TUNING.clumped:
             found = _around_neither(positions, region)
             if found is not None:
                 return cls(0, *found)
@@ -518,10 +541,10 @@ class Discs:
 
 def _around(centres: FloatArray, others: FloatArray, most: float) -> tuple[float, IntArray, FloatArray] | None:
     """Radius, nearest centres and areas of discs of at most this total area; None if ``others`` fill no discs."""
-    if len(centres) > MOST_CENTRES or len(others) < OUTER:
+    if len(centres) > TUNING.most_centres or len(others) < TUNING.outer:
         return None
     ground = unit_vectors(*centres.T)
-    some = unit_vectors(*others[:: max(1, len(others) // FIRST_RECORDS)].T)
+    some = unit_vectors(*others[:: max(1, len(others) // TUNING.first_records)].T)
     least = float(_nearest(ground, some)[0].max()) * ARCSEC_PER_RADIAN
     # Discs that overlap at most by half.
     if 0.5 * len(centres) * math.pi * least**2 > most:
@@ -531,7 +554,11 @@ def _around(centres: FloatArray, others: FloatArray, most: float) -> tuple[float
     reach = float(chord.max()) * (1.0 + 0.5 / len(others))
     outer = int(np.count_nonzero(chord > reach * math.sqrt(0.5)))
     next_to_it = int(np.count_nonzero(chord > 0.5 * reach)) - outer
-    if outer < OUTER or outer < FLAT * next_to_it or len(of) - len(np.unique(of)) < REPEATED * outer:
+    if (
+        outer < TUNING.outer
+        or outer < TUNING.flat * next_to_it
+        or len(of) - len(np.unique(of)) < TUNING.repeated * outer
+    ):
         return None
     radius, area = reach * ARCSEC_PER_RADIAN, _areas(ground, reach)
     return None if area.sum() > most else (radius, np.asarray(of, np.int64), area)
@@ -545,9 +572,9 @@ def _areas(ground: FloatArray, reach: float) -> FloatArray:
     from scipy.spatial import cKDTree
 
     tree = cKDTree(ground)
-    # A sunflower: POINTS points that share the area of a disc evenly.
-    k = np.arange(POINTS) + 0.5
-    at, angle = reach * np.sqrt(k / POINTS), k * math.pi * (3.0 - math.sqrt(5.0))
+    # A sunflower: points that share the area of a disc evenly.
+    k = np.arange(TUNING.points) + 0.5
+    at, angle = reach * np.sqrt(k / TUNING.points), k * math.pi * (3.0 - math.sqrt(5.0))
     pole = np.eye(3)[np.argmin(np.abs(ground), axis=1)]
     east = np.cross(ground, pole)
     east /= np.linalg.norm(east, axis=1)[:, None]
@@ -555,7 +582,7 @@ def _areas(ground: FloatArray, reach: float) -> FloatArray:
     share = np.zeros(len(ground))
     for x, y in zip(at * np.cos(angle), at * np.sin(angle), strict=True):
         share += 1.0 / np.maximum(tree.query_ball_point(ground + x * east + y * north, reach, return_length=True), 1)
-    return np.asarray(math.pi * (reach * ARCSEC_PER_RADIAN) ** 2 * share / POINTS)
+    return np.asarray(math.pi * (reach * ARCSEC_PER_RADIAN) ** 2 * share / TUNING.points)
 
 
 def _around_neither(
@@ -567,7 +594,7 @@ def _around_neither(
     those of an even field grows with the distance up to the diameter of the discs, and no more from there on.
     """
     n = np.array([len(positions[0]), len(positions[1])])
-    if min(n) < 2 * OUTER or n.sum() > MOST_CENTRES:
+    if min(n) < 2 * TUNING.outer or n.sum() > TUNING.most_centres:
         return None
     from scipy.spatial import cKDTree
 
@@ -575,20 +602,20 @@ def _around_neither(
     trees = [cKDTree(side) for side in units]
     # From a fiftieth of the mean spacing of the records to twenty times that, if it is within the region.
     spacing = math.sqrt(region / n.max()) / ARCSEC_PER_RADIAN
-    steps = np.arange(math.ceil(math.log(1000.0) / math.log(STEP)))
-    reach = 0.02 * spacing * STEP**steps
+    steps = np.arange(math.ceil(math.log(1000.0) / math.log(TUNING.step)))
+    reach = 0.02 * spacing * TUNING.step**steps
     reach = reach[reach < 0.2 * math.sqrt(region) / ARCSEC_PER_RADIAN]
     share = [len(side) ** 2 * math.pi * (reach * ARCSEC_PER_RADIAN) ** 2 / region for side in units]
     counts = [tree.count_neighbors(tree, reach) - len(side) for tree, side in zip(trees, units, strict=True)]
     excess = np.sum(counts, axis=0) - np.sum(share, axis=0)
-    enough = excess >= max(NEIGHBOURS * n.sum(), 4.0 * OUTER)
-    ends = np.flatnonzero(enough[:-2] & (excess[2:] <= GROWTH * excess[:-2]))
-    if not len(ends) or excess[ends[0]] > MOST_PAIRS:
+    enough = excess >= max(TUNING.neighbours * n.sum(), 4.0 * TUNING.outer)
+    ends = np.flatnonzero(enough[:-2] & (excess[2:] <= TUNING.growth * excess[:-2]))
+    if not len(ends) or excess[ends[0]] > TUNING.most_pairs:
         return None
     most = float(excess[ends[0]])
     nine_tenths = float(np.interp(0.9 * most, excess[: ends[0] + 1], reach[: ends[0] + 1]))
-    rough = nine_tenths / NINE_TENTHS
-    if np.interp(0.5 * nine_tenths, reach, excess) > HALF * most + 2.0 * math.sqrt(most):
+    rough = nine_tenths / TUNING.nine_tenths
+    if np.interp(0.5 * nine_tenths, reach, excess) > TUNING.half * most + 2.0 * math.sqrt(most):
         return None
     points = np.concatenate(units)
     disc = _gathered(points, 1.2 * rough)
@@ -597,14 +624,14 @@ def _around_neither(
     numbers_of_each = [np.bincount(of) for of in np.split(disc, [n[0]])]
     numbers = np.concatenate(numbers_of_each)
     pairs = numbers * (numbers - 1)
-    if pairs[numbers > 2].sum() < SEVERAL * pairs.sum():
+    if pairs[numbers > 2].sum() < TUNING.several * pairs.sum():
         return None
     discs_of_each = [np.count_nonzero(numbers) for numbers in numbers_of_each]
-    if most > UNEQUAL * sum(a**2 / b - a for a, b in zip(n.tolist(), discs_of_each, strict=True)):
+    if most > TUNING.unequal * sum(a**2 / b - a for a, b in zip(n.tolist(), discs_of_each, strict=True)):
         return None
-    limit = REACH * nine_tenths / float(np.interp(n.sum() / most, *AROUND_TARGETS))
+    limit = TUNING.reach * nine_tenths / float(np.interp(n.sum() / most, *TUNING.around_targets))
     inside = float(np.mean(np.linalg.norm(points - _middles(points, disc)[disc], axis=1) <= limit))
-    if inside < WITHIN - FULL:
+    if inside < TUNING.within - TUNING.full:
         return None
     disc = _divided(points, disc, limit)
     middle = _middles(points, disc)
@@ -613,7 +640,7 @@ def _around_neither(
     radius = _half_extent(points, disc, 2.6 * rough, 0.98 - min(together, 0.1))
     area = _areas(middle / np.linalg.norm(middle, axis=1)[:, None], radius)
     # Discs overlap by chance as often as they fill the region.
-    if inside < WITHIN - area.sum() / region or area.sum() > FULL * region:
+    if inside < TUNING.within - area.sum() / region or area.sum() > TUNING.full * region:
         return None
     return radius * ARCSEC_PER_RADIAN, disc, area
 
@@ -627,7 +654,7 @@ def _gathered(points: FloatArray, width: float) -> IntArray | None:
     moved, n = points, len(points)
     for _ in range(5):
         tree = cKDTree(moved)
-        if tree.count_neighbors(tree, width) > MOST_PAIRS:
+        if tree.count_neighbors(tree, width) > TUNING.most_pairs:
             return None
         i, j = tree.query_pairs(width, output_type="ndarray").T
         number = 1.0 + np.bincount(i, minlength=n) + np.bincount(j, minlength=n)
@@ -648,7 +675,7 @@ def _divided(points: FloatArray, group: IntArray, reach: float) -> IntArray:
 
     Discs that overlap are gathered into one group.
     """
-    for _ in range(MOST_DIVISIONS):
+    for _ in range(TUNING.most_divisions):
         off = points - _middles(points, group)[group]
         farthest = np.zeros(int(group.max()) + 1)
         np.maximum.at(farthest, group, np.linalg.norm(off, axis=1))
@@ -667,7 +694,7 @@ def _divided(points: FloatArray, group: IntArray, reach: float) -> IntArray:
 def _in_two(points: FloatArray) -> BoolArray:
     """(n,) which points belong to the second of two clusters (2-means, from both sides of the longest axis)."""
     second = points @ np.linalg.svd(points, full_matrices=False)[2][0] > 0.0
-    for _ in range(MOST_DIVISIONS):
+    for _ in range(TUNING.most_divisions):
         middles = points[~second].mean(axis=0), points[second].mean(axis=0)
         to_first, to_second = (np.linalg.norm(points - middle, axis=1) for middle in middles)
         second = to_second < to_first
@@ -687,7 +714,7 @@ def _half_extent(points: FloatArray, group: IntArray, most: float, share: float)
 
 def _nearest(centres: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:
     """(m,) distance to the nearest of ``centres`` (n, 3) and its index, for ``others`` (m, 3); unit vectors."""
-    if len(centres) * len(others) > FEW_PAIRS:
+    if len(centres) * len(others) > TUNING.few_pairs:
         from scipy.spatial import cKDTree
 
         distance, index = cKDTree(centres).query(others)

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray, inner, median
-from sameas.estimate.cells import FINEST, Discs, GridLevel, levels_of
+from sameas.estimate.cells import TUNING as CELLS_TUNING
+from sameas.estimate.cells import Discs, GridLevel, levels_of
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
@@ -29,6 +30,90 @@ if TYPE_CHECKING:
 
     from sameas.kernels.coverage import Buckets
 
+
+@dataclass(frozen=True)
+class CoverageTuning:
+    """Parameters of the coverage, its holes and the densities; chosen where no source is given.
+
+    Attributes
+    ----------
+    disc : records expected in an empty disc, by the density where its source observes. More than in a cell: cells
+        are few and fixed, but a disc is tried around every record.
+    min_expected : minimum number of records expected in it from the number of records of its own source in it
+        (including its centre), so that a region with few objects is not mistaken for a hole.
+    step : records expected in a smaller empty disc that extends a hole to its border.
+    overreach : an empty disc at a border reaches beyond it to the first records, by about this fraction of their
+        spacing. The accepted part of the disc is that much smaller, times 1 − share, because discs are centred on
+        records, and with fewer records a disc with this overreach is less frequent.
+    max_dimensions : maximum dimension for discs; in more dimensions records have too many neighbours.
+    min_spacing, many : where a disc must contain more records than ``many``, centres nearer than this fraction of
+        the radius count as one.
+    max_cells : maximum number of cells along an axis; farther ones share a number.
+    pseudo_count : pseudo-count of the densities by which holes in cells are found.
+    smooths : pseudo-counts of local densities, one of which is chosen per level by the likelihood of the records;
+        with few records the strongest one.
+    log_prior_step : decrease of ln prior from one of these to the next, so that chance concentrations of few
+        records make no cluster.
+    some : about this many records are used for the choice.
+    left_out : fraction of itself that a record excludes from the density at its own position in the finest cells.
+        The weight of chance pairs is 1/√(ρ₁ρ₂), and for a count N with mean μ, (N + ¾)^−½ has the mean μ^−½:
+        excluding the whole record would underestimate chance, because a record shows that there are objects.
+    near : neighbours nearer than this many typical errors of a residual are not counted in local densities: they
+        may be companions, or another record of the same object.
+    shell : ratio of the volumes of successive balls in which neighbours are counted; the first has this many times
+        the volume of a finest cell.
+    min_gain : least gain in ln likelihood of the sampled records by neighbours in one ball; every couple of
+        neighbours counts twice in it. Even fields gain at most 3 in a ball, clumps smaller than cells hundreds.
+    most_neighbours, pairs_at_once : most neighbours of a record in the largest ball, on average; a ball of twice a
+        cell holds 8 in an even field. Pairs of a record and a neighbour that are held at once: 100 MB.
+    sparse : with more records than this for each sampled one, only those near the sample are searched until it
+        decides.
+    shared_pseudo_count : pseudo-count of local shares of one half; for other shares, the count with the same
+        information on the logit.
+    richer : a source this many times richer than the other determines the part of a cell where both observe.
+    hole : records expected in an empty cell that is taken for a hole: the probability of an empty cell by chance is
+        e⁻⁷.
+    in_cell : records expected in it from the number of records of the querying source in it, at least (see
+        ``min_expected``).
+    rounds, denser : the search for holes is repeated with the densities outside those found, at most this often,
+        while a source is denser there by this factor.
+    uneven : holes smaller than cells are searched for if the records in empty cells exceed chance by this many
+        standard deviations, which an even field does not.
+    min_volume : least fraction of the region that is common to both sources.
+    """
+
+    disc: float = 12.0
+    min_expected: float = 7.0
+    step: float = 5.0
+    overreach: float = 0.6
+    max_dimensions: int = 3
+    min_spacing: float = 0.125
+    many: float = 64.0
+    max_cells: float = 2.0**40
+    pseudo_count: float = 2.0
+    smooths: tuple[float, ...] = (500.0, 200.0, 80.0, 30.0, 12.0, 5.0, 2.0)
+    log_prior_step: float = 0.7
+    some: int = 10_000
+    left_out: float = 0.25
+    near: float = 7.0
+    shell: float = 2.0
+    min_gain: float = 16.0
+    most_neighbours: int = 300
+    pairs_at_once: int = 4_000_000
+    sparse: int = 20
+    shared_pseudo_count: float = 200.0
+    richer: float = 2.0
+    hole: float = 7.0
+    in_cell: float = 3.5
+    rounds: int = 2
+    denser: float = 1.05
+    uneven: float = 2.0
+    min_volume: float = 1e-3
+
+
+TUNING = CoverageTuning()
+
+
 # Holes and edges of a source, to the spacing of its records: discs that are empty although many records are expected.
 #
 # Cells find the large regions that a source does not observe; discs find the remainder at their borders, and holes
@@ -36,26 +121,6 @@ if TYPE_CHECKING:
 # interval in one dimension, a ball in three): a morphological opening of the empty space by that disc.
 
 Floats = TypeVar("Floats", float, FloatArray)
-
-#: Records expected in an empty disc, by the density where its source observes. More than in a cell: cells are few and
-#: fixed, but a disc is tried around every record.
-DISC = 12.0
-#: Minimum number of records expected in it from the number of records of its own source in it (including its centre),
-#: so that a region with few objects is not mistaken for a hole.
-MIN_EXPECTED = 7.0
-#: Records expected in a smaller empty disc that extends a hole to its border.
-STEP = 5.0
-#: An empty disc at a border reaches beyond it to the first records, by about this fraction of their spacing. The
-#: accepted part of the disc is that much smaller, times 1 − share, because discs are centred on records, and with fewer
-#: records a disc with this overreach is less frequent.
-OVERREACH = 0.6
-#: Maximum dimension for discs; in more dimensions records have too many neighbours.
-MAX_DIMENSIONS = 3
-#: Where a disc must contain more records than ``MANY``, centres nearer than this fraction of the radius count as one.
-MIN_SPACING = 0.125
-MANY = 64.0
-#: Maximum number of cells along an axis; farther ones share a number.
-MAX_CELLS = 2.0**40
 
 
 @in_short
@@ -131,7 +196,7 @@ def _buckets(source: Points, side: float, n: int) -> Buckets:
             sides[v] = wraps / number[v]
         else:
             low[v] = float(source.points[:, v].min())
-            number[v] = int(min((float(source.points[:, v].max()) - low[v]) / side, MAX_CELLS)) + 1 | 1
+            number[v] = int(min((float(source.points[:, v].max()) - low[v]) / side, TUNING.max_cells)) + 1 | 1
     return Buckets(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
 
 
@@ -142,19 +207,19 @@ def within_holes(own: Points, covered: BoolArray, other: Points, density: FloatA
     density : (n,) expected density of the other source at them, per (unit of the residuals)^d.
     share : records of the other source per record of this one where both observe.
 
-    The disc of a record has the volume in which :data:`DISC` records of the other source are expected. Holes found with
+    The disc of a record has the volume in which ``disc`` records of the other source are expected. Holes found with
     these are then extended to their borders by smaller discs around the records in them.
     """
     in_hole = ~covered
-    if own.d > MAX_DIMENSIONS or len(other.points) < MIN_EXPECTED or not covered.any():
+    if own.d > TUNING.max_dimensions or len(other.points) < TUNING.min_expected or not covered.any():
         return in_hole
-    wanted, beyond = covered, OVERREACH * max(0.0, 1.0 - share)
+    wanted, beyond = covered, TUNING.overreach * max(0.0, 1.0 - share)
     if not covered.all():
-        widest = _radius(DISC, float(density[covered].min()), own.d)
+        widest = _radius(TUNING.disc, float(density[covered].min()), own.d)
         wanted = covered | own.near(other, 2.0 * widest)
-    in_disc = in_empty_discs(own, other, wanted, density, DISC, beyond, max(2.0, MIN_EXPECTED / share))
+    in_disc = in_empty_discs(own, other, wanted, density, TUNING.disc, beyond, max(2.0, TUNING.min_expected / share))
     if in_disc.any():
-        in_disc |= in_empty_discs(own, other, wanted & in_disc, density, STEP, beyond, 1.0)
+        in_disc |= in_empty_discs(own, other, wanted & in_disc, density, TUNING.step, beyond, 1.0)
     return in_hole | in_disc
 
 
@@ -191,8 +256,8 @@ def _inside(
     side, centres, empty = float(radius.min()) / math.sqrt(own.d), own.at(rows), np.empty(len(rows), np.bool_)
     empty_discs(centres, radius, *_sorted(other, other.in_discs(centres, radius, side), side), empty)
     centres, radius, beyond = centres[empty], radius[empty], beyond[empty]
-    if len(centres) and least > MANY:
-        chosen = _one_per_cell(centres, MIN_SPACING * float(radius.min()))
+    if len(centres) and least > TUNING.many:
+        chosen = _one_per_cell(centres, TUNING.min_spacing * float(radius.min()))
         centres, radius, beyond = centres[chosen], radius[chosen], beyond[chosen]
     if not len(centres):
         return np.empty(0, np.int64)
@@ -220,51 +285,8 @@ def _one_per_cell(points: FloatArray, side: float) -> IntArray:
     return np.sort(order[first])
 
 
-#: Pseudo-count of the densities by which holes in cells are found.
-PSEUDO_COUNT = 2.0
-#: Pseudo-counts of local densities, one of which is chosen per level by the likelihood of the records; with few records
-#: the strongest one.
-SMOOTHS = (500.0, 200.0, 80.0, 30.0, 12.0, 5.0, 2.0)
-#: Decrease of ln prior from one of these to the next, so that chance concentrations of few records make no cluster.
-LOG_PRIOR_STEP = 0.7
-#: About this many records are used for the choice.
-SOME = 10_000
-#: Fraction of itself that a record excludes from the density at its own position in the finest cells. The weight of
-#: chance pairs is 1/√(ρ₁ρ₂), and for a count N with mean μ, (N + ¾)^−½ has the mean μ^−½: excluding the whole record
-#: would underestimate chance, because a record shows that there are objects.
-LEFT_OUT = 0.25
-#: Neighbours nearer than this many typical errors of a residual are not counted in local densities: they may be
-#: companions, or another record of the same object.
-NEAR = 7.0
-#: Ratio of the volumes of successive balls in which neighbours are counted; the first has this many times the volume
-#: of a finest cell. Pseudo-counts of their densities.
-SHELL = 2.0
-SHELL_SMOOTHS = (*SMOOTHS, 1.0, 0.5)
-#: Least gain in ln likelihood of the sampled records by neighbours in one ball; every couple of neighbours counts twice
-#: in it. Even fields gain at most 3 in a ball, clumps smaller than cells hundreds.
-MIN_GAIN = 16.0
-#: Most neighbours of a record in the largest ball, on average; a ball of twice a cell holds 8 in an even field. Pairs
-#: of a record and a neighbour that are held at once: 100 MB.
-MOST_NEIGHBOURS, PAIRS_AT_ONCE = 300, 4_000_000
-#: With more records than this for each sampled one, only those near the sample are searched until it decides.
-SPARSE = 20
-#: Pseudo-count of local shares of one half; for other shares, the count with the same information on the logit.
-SHARED_PSEUDO_COUNT = 200.0
-#: A source this many times richer than the other determines the part of a cell where both observe.
-RICHER = 2.0
-#: Records expected in an empty cell that is taken for a hole: the probability of an empty cell by chance is e⁻⁷.
-HOLE = 7.0
-#: Records expected in it from the number of records of the querying source in it, at least (see :data:`MIN_EXPECTED`).
-IN_CELL = 3.5
-#: The search for holes is repeated with the densities outside those found, at most this often, while a source is denser
-#: there by this factor.
-ROUNDS = 2
-DENSER = 1.05
-#: Holes smaller than cells are searched for if the records in empty cells exceed chance by this many standard
-#: deviations, which an even field does not.
-UNEVEN = 2.0
-#: Least fraction of the region that is common to both sources.
-MIN_VOLUME = 1e-3
+#: Pseudo-counts of the densities in balls of neighbours.
+SHELL_SMOOTHS = (*TUNING.smooths, 1.0, 0.5)
 
 
 def smoothing(
@@ -272,7 +294,7 @@ def smoothing(
     volume: FloatArray,
     density: FloatArray,
     weight: FloatArray,
-    smooths: Sequence[float] = SMOOTHS,
+    smooths: Sequence[float] = TUNING.smooths,
 ) -> tuple[float, float]:
     """The maximum-likelihood pseudo-count of ``smooths`` for one level of cells, and the ln posterior of the records.
 
@@ -285,7 +307,7 @@ def smoothing(
     Source: Duin 1976, IEEE Transactions on Computers 25, 1175 (smoothing by leave-one-out likelihood).
     """
     fits = [inner(weight, np.log((others + smooth) / (volume + smooth / density))) for smooth in smooths]
-    scores = fits - LOG_PRIOR_STEP * np.arange(len(smooths))
+    scores = fits - TUNING.log_prior_step * np.arange(len(smooths))
     best = int(np.argmax(scores))
     return smooths[best], float(scores[best])
 
@@ -300,12 +322,12 @@ def typical_error(one: Records, two: Records) -> FloatArray:
 
 
 def _sampled(records: Records) -> IntArray:
-    """At most about :data:`SOME` records, chosen by a hash of their positions, not by the order of the rows."""
+    """At most about ``some`` records, chosen by a hash of their positions, not by the order of the rows."""
     n = len(records)
-    if n <= SOME:
+    if n <= TUNING.some:
         return np.arange(n)
     bits = np.ascontiguousarray(records.features[:, 0]).view(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
-    return np.flatnonzero(bits < np.uint64(int(SOME / n * 2.0**64)))
+    return np.flatnonzero(bits < np.uint64(int(TUNING.some / n * 2.0**64)))
 
 
 @dataclass(frozen=True)
@@ -327,7 +349,7 @@ class _Balls:
     def neighbours(self, centres: FloatArray, radii: FloatArray, near: float) -> FloatArray:
         """(r, n) points nearer than each of descending ``radii``, and farther than ``near``, which is the least."""
         ascending, out = np.append(near, radii[::-1]), np.zeros((len(radii), len(centres)))
-        pieces = 1 + self.number(centres, radii[0]) // PAIRS_AT_ONCE
+        pieces = 1 + self.number(centres, radii[0]) // TUNING.pairs_at_once
         for rows in np.array_split(np.argsort(centres[:, 0], kind="stable"), pieces):
             tree = type(self.tree)(centres[rows])
             pairs = tree.sparse_distance_matrix(self.tree, radii[0], output_type="ndarray")
@@ -390,7 +412,7 @@ class Coverage:
         """Local density of the records of ``source`` (1 or 2) counted with ``weights``, at the records of both.
 
         Unit 1 / (residual unit)^d. The number of records limits the fineness of cells. At its own position, a record
-        counts only in the finest cells, and there 1 − :data:`LEFT_OUT`.
+        counts only in the finest cells, and there 1 − ``left_out``.
 
         volumes : per level, of the cells where the source observes; all cells if not given.
         """
@@ -404,14 +426,18 @@ class Coverage:
         for level, volume in zip(self.levels, volumes, strict=True):
             cell, _ = level.facing(source)
             count = level.count(source) if unweighted else np.bincount(cell, weights, len(volume))
-            finest = level is self.levels[-1] or inner(count, count) <= FINEST * weights.sum()
+            finest = level is self.levels[-1] or inner(count, count) <= CELLS_TUNING.finest * weights.sum()
             others = np.maximum(count[cell[sample]] - weights[sample], 0.0)
             smooth, _ = smoothing(others, volume[cell[sample]], at[0][sample], weights[sample])
             without = (others + smooth) / (volume[cell[sample]] + smooth / at[0][sample])
-            refine(*level.facing(source), LEFT_OUT * weights if finest else weights, volume, count, smooth, *at)
+            refine(*level.facing(source), TUNING.left_out * weights if finest else weights, volume, count, smooth, *at)
             if finest:
                 break
-        if smooth < SMOOTHS[0] and len(self.levels) > 1 and (unweighted or bool(np.isin(weights, (0.0, 1.0)).all())):
+        if (
+            smooth < TUNING.smooths[0]
+            and len(self.levels) > 1
+            and (unweighted or bool(np.isin(weights, (0.0, 1.0)).all()))
+        ):
             self._count_neighbours(source, weights > 0.0, float(np.median(volume)), without, sample, at)
         return at_first, at_second
 
@@ -434,31 +460,31 @@ class Coverage:
         """
         d, unit = self.first.d, self.typical_error
         one, two = self._points if source == 1 else self._points[::-1]
-        if d > MAX_DIMENSIONS or np.isfinite(one.period).any() or not (unit > 0.0).all() or not counted.any():
+        if d > TUNING.max_dimensions or np.isfinite(one.period).any() or not (unit > 0.0).all() or not counted.any():
             return
         scale = unit[:1] if isinstance(self.first.space, Sphere) else unit
         points, others = one.points / scale, two.points / scale
         per_volume = float(np.prod(unit))
-        radius = (SHELL * volume / per_volume / ball_volume(d)) ** (1.0 / d)
-        n_balls = math.ceil(d * math.log(radius / NEAR) / math.log(SHELL)) - 1
+        radius = (TUNING.shell * volume / per_volume / ball_volume(d)) ** (1.0 / d)
+        n_balls = math.ceil(d * math.log(radius / TUNING.near) / math.log(TUNING.shell)) - 1
         if n_balls < 1:
             return
-        radii = radius * SHELL ** (-np.arange(n_balls) / d)
-        shells = per_volume * ball_volume(d) * (radii**d - NEAR**d)
+        radii = radius * TUNING.shell ** (-np.arange(n_balls) / d)
+        shells = per_volume * ball_volume(d) * (radii**d - TUNING.near**d)
         near_sample, weight = counted, counted[sample].astype(np.float64)
-        if len(points) > SPARSE * len(sample):
+        if len(points) > TUNING.sparse * len(sample):
             reach = radius * float(unit.max())
             rows = one.in_discs(one.at(sample), np.full(len(sample), reach), reach)
             near_sample = np.zeros(len(points), np.bool_)
             near_sample[rows] = counted[rows]
         balls = _Balls.around(points[near_sample])
-        if balls.number(points[sample], radius) > MOST_NEIGHBOURS * len(sample):
+        if balls.number(points[sample], radius) > TUNING.most_neighbours * len(sample):
             return
         accepted: list[tuple[int, float]] = []
-        for ball, number in enumerate(balls.neighbours(points[sample], radii, NEAR)):
+        for ball, number in enumerate(balls.neighbours(points[sample], radii, TUNING.near)):
             shell = np.full(len(sample), shells[ball])
             smooth, score = smoothing(number, shell, without, weight, SHELL_SMOOTHS)
-            if score - inner(weight, np.log(without)) > MIN_GAIN:
+            if score - inner(weight, np.log(without)) > TUNING.min_gain:
                 without = (number + smooth) / (shell + smooth / without)
                 accepted.append((ball, smooth))
             elif accepted:
@@ -467,7 +493,7 @@ class Coverage:
             return
         balls = balls if near_sample is counted else _Balls.around(points[counted])
         for density, there in zip(at, (points, others), strict=True):
-            numbers = balls.neighbours(there, radii[[ball for ball, _ in accepted]], NEAR)
+            numbers = balls.neighbours(there, radii[[ball for ball, _ in accepted]], TUNING.near)
             for (ball, smooth), number in zip(accepted, numbers, strict=True):
                 density[:] = (number + smooth) / (shells[ball] + smooth / density)
 
@@ -477,7 +503,7 @@ class Coverage:
         weights = [covered.astype(np.float64) for covered in self.covered]
         one, two = (float(covered.sum()) for covered in weights)
         volumes = self._common_volumes()
-        if max(one, two) <= RICHER * min(one, two):
+        if max(one, two) <= TUNING.richer * min(one, two):
             at_1, at_2 = threads.each(
                 [partial(self.density, k + 1, weights[k], volumes) for k in (0, 1)], len(weights[0])
             )
@@ -532,15 +558,15 @@ class Coverage:
             max(int(np.count_nonzero(own_in_empty == 0.0)), 1) for own_in_empty in (own_in_empty_1, own_in_empty_2)
         ]
         # Requires enough records of its own source, too, so that a region poor in objects is not taken for a hole.
-        least = IN_CELL * n_observed[0] / n_observed[1], IN_CELL * n_observed[1] / n_observed[0]
+        least = TUNING.in_cell * n_observed[0] / n_observed[1], TUNING.in_cell * n_observed[1] / n_observed[0]
         covered = own_in_empty_1 < max(least[0], 1.0), own_in_empty_2 < max(least[1], 1.0)
-        if all(each.all() for each in covered) and max(excess_1, excess_2) < UNEVEN:
+        if all(each.all() for each in covered) and max(excess_1, excess_2) < TUNING.uneven:
             return covered
         mean = self._mean_densities(*covered)
-        for _ in range(ROUNDS):
+        for _ in range(TUNING.rounds):
             covered = self._outside_holes(covered, (highest_1, highest_2), mean)
             previous, mean = mean, self._mean_densities(*covered)
-            if max(mean[0] / previous[0], mean[1] / previous[1]) < DENSER:
+            if max(mean[0] / previous[0], mean[1] / previous[1]) < TUNING.denser:
                 break
         return covered
 
@@ -551,7 +577,7 @@ class Coverage:
 
     def _mean_densities(self, covered_1: BoolArray, covered_2: BoolArray) -> tuple[float, float]:
         """Mean densities of both sources where both observe, for these covered records."""
-        volume = max(self._volume(covered_1, covered_2), MIN_VOLUME * self.volume)
+        volume = max(self._volume(covered_1, covered_2), TUNING.min_volume * self.volume)
         number_1, number_2 = (max(int(np.count_nonzero(covered)), 1) for covered in (covered_1, covered_2))
         return number_1 / volume, number_2 / volume
 
@@ -589,7 +615,9 @@ class Coverage:
         for level in self.levels:
             cells, _ = level.facing(query)
             counts = level.count(source), level.count(query)
-            more = check_cells(cells, level.volume, *counts, PSEUDO_COUNT, HOLE, own_in_empty, density, highest)
+            more = check_cells(
+                cells, level.volume, *counts, TUNING.pseudo_count, TUNING.hole, own_in_empty, density, highest
+            )
             excess = max(excess, more)
         return own_in_empty, highest, excess
 
@@ -610,7 +638,7 @@ class Coverage:
         from sameas.kernels.coverage import shared_part
 
         richer = max(len(self.first), len(self.second))
-        fine = next((level for level in self.levels[::-1] if richer >= HOLE * len(level.volume)), self.levels[0])
+        fine = next((level for level in self.levels[::-1] if richer >= TUNING.hole * len(level.volume)), self.levels[0])
         count = np.zeros((len(fine.volume), 4))
         return inner(shared_part(fine.of_first, covered_1, fine.of_second, covered_2, count), fine.volume)
 
@@ -633,5 +661,5 @@ def local_share(
     for level in levels:
         sums = np.empty(len(level.volume)), np.empty(len(level.volume))
         cells, others = level.facing(source)
-        refine_share(cells, others[:most], part, weights, *sums, SHARED_PSEUDO_COUNT, own, other)
+        refine_share(cells, others[:most], part, weights, *sums, TUNING.shared_pseudo_count, own, other)
     return (own, other) if source == 1 else (other, own)

@@ -36,27 +36,55 @@ from sameas.records import unpack
 from sameas.representation import in_short
 from sameas.result import Identification
 
-#: Pairs needed for a fit (expected number), and pairs used at most.
-MIN_PAIRS, MAX_PAIRS = 200.0, 5_000
-#: Pairs less probable than this are not used.
-MIN_P = 0.05
+
+@dataclass(frozen=True)
+class ErrorFitTuning:
+    """Parameters of the fits of error factors, floors and tails; chosen where no source is given.
+
+    Attributes
+    ----------
+    min_pairs, max_pairs : pairs needed for a fit (expected number), and pairs used at most.
+    min_p : pairs less probable than this are not used.
+    min_tail_pairs : normals of the tail with fewer pairs than this are excluded from the information matrix.
+    max_steps, tolerance : most steps of the fit, and the change at which it ends.
+    max_relative_error : a factor is determined if its standard error is below this share of it (or of 1, if
+        larger).
+    min_eigenvalue_ratio : lower limit of the eigenvalues of the information matrix, relative to the largest.
+    min_information : lower limit of the information on a term, so that its inverse is finite.
+    exchange_ratio : the factors are degenerate with each other, not one with the floor, from this ratio of their
+        changes on.
+    min_gain : gain in ln likelihood by which a floor must be better or worse than a common factor (three standard
+        errors).
+    max_mixture_log_factor : a common factor within this of 1, in ln, is left to the mixture of scales.
+    tail_factor : components this many times wider than the typical error belong to the tail.
+    min_tail_p, min_tail_share : pairs less probable than the first are not used for a tail; a smaller share than the
+        second is none.
+    """
+
+    min_pairs: float = 200.0
+    max_pairs: int = 5_000
+    min_p: float = 0.05
+    min_tail_pairs: float = 0.5
+    max_steps: int = 300
+    tolerance: float = 1e-5
+    max_relative_error: float = 0.25
+    min_eigenvalue_ratio: float = 1e-10
+    min_information: float = 1e-200
+    exchange_ratio: float = 0.5
+    min_gain: float = 4.5
+    max_mixture_log_factor: float = 0.3
+    tail_factor: float = 2.5
+    min_tail_p: float = 1e-3
+    min_tail_share: float = 1e-4
+
+
+TUNING = ErrorFitTuning()
+
+
 #: Scales of the core and the normals of the tail, in units of the modelled error, and their initial shares.
 SCALES, INITIAL_SHARES = np.array([1.0, 3.0, 6.0, 12.0]), np.array([0.97, 0.01, 0.01, 0.01])
-#: Normals of the tail with fewer pairs than this are excluded from the information matrix.
-MIN_TAIL_PAIRS = 0.5
-MAX_STEPS, TOLERANCE = 300, 1e-5
 #: Standard errors on either side of an estimate that enclose 95 %.
 INTERVAL = 1.96
-#: A factor is determined if its standard error is below this share of it (or of 1, if larger).
-MAX_RELATIVE_ERROR = 0.25
-#: Lower limit of the eigenvalues of the information matrix, relative to the largest.
-MIN_EIGENVALUE_RATIO = 1e-10
-#: Lower limit of the information on a term, so that its inverse is finite.
-MIN_INFORMATION = 1e-200
-#: The factors are degenerate with each other, not one with the floor, from this ratio of their changes on.
-EXCHANGE_RATIO = 0.5
-#: Gain in ln likelihood by which a floor must be better or worse than a common factor (three standard errors).
-MIN_GAIN = 4.5
 
 
 @dataclass(frozen=True)
@@ -122,15 +150,15 @@ def error_model(answer: Identification) -> ErrorModel:
     >>> error_model(match(plate, gaia)[0]).factor_1  # doctest: +SKIP
     Quantity(value=1.68, standard_error=0.04, unit='')
     """
-    return fit_error_model(answer.pairs, answer.p_pair, MAX_PAIRS)
+    return fit_error_model(answer.pairs, answer.p_pair, TUNING.max_pairs)
 
 
 def fit_error_model(pairs: Pairs, p_pair: FloatArray, most: int) -> ErrorModel:
     """The error model of pairs with these (m,) probabilities, fitted to at most ``most`` of them."""
     probable = _sample(p_pair, most)
     weight = p_pair[probable]
-    if weight.sum() < MIN_PAIRS:
-        return ErrorModel(note=f"fewer than {MIN_PAIRS:.0f} pairs: too few to judge the sources' errors apart")
+    if weight.sum() < TUNING.min_pairs:
+        return ErrorModel(note=f"fewer than {TUNING.min_pairs:.0f} pairs: too few to judge the sources' errors apart")
     one = unpack(pairs.first.covariance[pairs.i[probable]], pairs.d)
     two = unpack(pairs.second.covariance[pairs.j[probable]], pairs.d)
     names = pairs.first.source, pairs.second.source
@@ -142,7 +170,7 @@ def _sample(p_pair: FloatArray, most: int) -> IntArray:
 
     Pairs below 0.5 are included: where large errors have many candidates, only the smallest residuals exceed 0.5.
     """
-    probable = np.flatnonzero(p_pair > MIN_P)
+    probable = np.flatnonzero(p_pair > TUNING.min_p)
     return probable[:: max(1, -(-len(probable) // most))]
 
 
@@ -159,15 +187,13 @@ def better_model(errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) ->
     old, new = (log_likelihood(each, some, weight) for each in (errors, model.errors))
     if np.any(errors.floor) or errors.factor_1 != errors.factor_2:
         factor = factor_on_quoted(errors, pairs, p_pair) * errors.typical_scale
-        factor = factor if abs(math.log(factor)) > MAX_MIXTURE_LOG_FACTOR else 1.0
+        factor = factor if abs(math.log(factor)) > TUNING.max_mixture_log_factor else 1.0
         plain = Errors(factor_1=factor, factor_2=factor)
-        if log_likelihood(plain, some, weight) > max(old, new) - MIN_GAIN:
+        if log_likelihood(plain, some, weight) > max(old, new) - TUNING.min_gain:
             return plain, math.inf
     return model.errors, new - old
 
 
-#: A common factor within this of 1, in ln, is left to the mixture of scales.
-MAX_MIXTURE_LOG_FACTOR = 0.3
 #: Scales of the mixture with which models are compared, and EM steps of its fit.
 LADDER, LADDER_STEPS = 1.5 ** np.arange(-5.0, 8.0), 30
 
@@ -198,7 +224,7 @@ def factor_on_quoted(errors: Errors, pairs: Pairs, p_pair: FloatArray) -> float:
     """Median over the probable pairs of modelled over quoted error, without the mixture."""
     if not errors.as_modelled or not len(pairs):
         return 1.0
-    probable = _sample(p_pair, MAX_PAIRS)
+    probable = _sample(p_pair, TUNING.max_pairs)
     some = pairs.part(probable) if len(probable) else pairs
     ratio = errors.pairs(some).determinant / some.determinant
     return float(np.median(ratio) ** (0.5 / pairs.d))
@@ -206,7 +232,7 @@ def factor_on_quoted(errors: Errors, pairs: Pairs, p_pair: FloatArray) -> float:
 
 def fit_spread(pairs: Pairs, p_pair: FloatArray) -> Errors:
     """Distribution of the residuals of pairs (m,) relative to their quoted covariances: a mixture of scales."""
-    probable = _sample(p_pair, MAX_PAIRS)
+    probable = _sample(p_pair, TUNING.max_pairs)
     if not len(probable):
         return Errors()
     square = pairs.mahalanobis_sq[probable]
@@ -254,7 +280,7 @@ class _PairErrors:
             return ErrorModel(fit.root(0), fit.root(1), floor=self._floor(fit, 2))
         change = np.abs(fit.weakest)
         more = int(change[1] > change[0])
-        if change[1 - more] > max(EXCHANGE_RATIO * change[more], change[2]):
+        if change[1 - more] > max(TUNING.exchange_ratio * change[more], change[2]):
             return self._with_common_factor()
         return self._with_one_as_quoted(more)
 
@@ -266,7 +292,7 @@ class _PairErrors:
             return self._with_one_term()
         name, no_floor = self.names[source], self._fit((self.quoted_1, self.quoted_2))
         gain = no_floor.log_likelihood - fit.log_likelihood
-        if gain > MIN_GAIN and all(no_floor.is_determined(k) for k in (0, 1)):
+        if gain > TUNING.min_gain and all(no_floor.is_determined(k) for k in (0, 1)):
             note = f"a floor cannot be distinguished from the errors of {name}"
             return ErrorModel(no_floor.root(0), no_floor.root(1), note=note)
         note = f"those of {name} taken as quoted: too small or too uniform to be distinguished from a floor"
@@ -288,9 +314,9 @@ class _PairErrors:
         floor = self._fit((self.floor_covariance,), self.quoted_1 + self.quoted_2)
         gain = floor.log_likelihood - factor.log_likelihood
         alike = "the quoted errors vary too little from pair to pair to determine"
-        if gain > MIN_GAIN:
+        if gain > TUNING.min_gain:
             return ErrorModel(floor=self._floor(floor, 0), note=f"{alike} whether their own sizes are right too")
-        if gain < -MIN_GAIN:
+        if gain < -TUNING.min_gain:
             note = f"{alike} which source's are wrong, or whether there is a floor"
             return ErrorModel(both=factor.root(0), note=note)
         note = f"{alike} a factor from a floor, or which source's errors are wrong"
@@ -330,7 +356,7 @@ class _VarianceFit:
     def is_determined(self, k: int) -> bool:
         """Whether a factor is known well enough to be reported."""
         root = self.root(k)
-        return root.standard_error < MAX_RELATIVE_ERROR * max(root.value, 1.0)
+        return root.standard_error < TUNING.max_relative_error * max(root.value, 1.0)
 
 
 def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, fixed: FloatArray) -> _VarianceFit:
@@ -341,7 +367,7 @@ def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, fixed: Flo
     # The axis of pairs is last, so that products are contiguous.
     residual, parts, fixed = residual.T.copy(), _pairs_last(parts), _pairs_last(fixed)
     theta, shares, damping = np.full(len(parts), 0.5), INITIAL_SHARES, 0.5
-    for _ in range(MAX_STEPS):
+    for _ in range(TUNING.max_steps):
         state = _PairTerms.of(residual, parts, fixed, theta, shares)
         core = weight * state.p_component[0]
         score = state.score @ core
@@ -353,7 +379,7 @@ def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, fixed: Flo
         step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=1e-9)[0]
         previous, theta = theta, np.maximum(theta + damping * step, 1e-9)
         shares, damping = state.p_component @ weight / weight.sum(), 1.0
-        if np.abs(theta - previous).max() < TOLERANCE * max(1.0, float(theta.max())):
+        if np.abs(theta - previous).max() < TUNING.tolerance * max(1.0, float(theta.max())):
             break
     return _with_covariance(_PairTerms.of(residual, parts, fixed, theta, shares), weight, theta, shares)
 
@@ -404,7 +430,7 @@ def _with_covariance(state: _PairTerms, weight: FloatArray, theta: FloatArray, s
     Terms at zero are excluded from the covariance of the others.
     """
     core = state.p_component[0]
-    tail = np.flatnonzero(shares[1:] * weight.sum() > MIN_TAIL_PAIRS) + 1
+    tail = np.flatnonzero(shares[1:] * weight.sum() > TUNING.min_tail_pairs) + 1
     scores = np.vstack([state.score * core, state.p_component[tail] / shares[tail, None] - core / shares[0]])
     information = np.einsum("m,am,bm->ab", weight, scores, scores)
     k = len(theta)
@@ -419,20 +445,15 @@ def _with_covariance(state: _PairTerms, weight: FloatArray, theta: FloatArray, s
 
 def _bounded_inverse(information: FloatArray) -> FloatArray:
     """The inverse, with a very large variance where there is no information."""
-    size = np.sqrt(np.maximum(np.diag(information), MIN_INFORMATION))
+    size = np.sqrt(np.maximum(np.diag(information), TUNING.min_information))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    scaled = (vectors / np.maximum(values, MIN_EIGENVALUE_RATIO * values.max(initial=0.0))) @ vectors.T
+    scaled = (vectors / np.maximum(values, TUNING.min_eigenvalue_ratio * values.max(initial=0.0))) @ vectors.T
     return np.asarray(scaled / np.outer(size, size))
 
 
 # The tail: pairs with residuals far larger than the typical ones (outliers, binaries, blends). It consists of the
 # components of the error mixture (:class:`sameas.evidence.Errors`) that are far wider than the typical error; a common
 # underestimation of all errors is no tail.
-
-#: Components this many times wider than the typical error belong to the tail.
-TAIL_FACTOR = 2.5
-#: Pairs less probable than this are not used. A smaller share than the second is no tail.
-MIN_TAIL_P, MIN_TAIL_SHARE = 1e-3, 1e-4
 
 
 @dataclass(frozen=True)
@@ -456,12 +477,12 @@ def tail(answer: Identification, errors: Errors) -> Tail | None:
     Quantity(value=0.021, standard_error=0.0018, unit='')
     """
     scales, shares = np.asarray(errors.scales), np.asarray(errors.shares)
-    far = scales > TAIL_FACTOR * errors.typical_scale
+    far = scales > TUNING.tail_factor * errors.typical_scale
     share = float(shares[far].sum())
-    if not MIN_TAIL_SHARE < share < 1.0:
+    if not TUNING.min_tail_share < share < 1.0:
         return None
     d, weight = answer.pairs.d, answer.p_pair
-    probable = weight > MIN_TAIL_P
+    probable = weight > TUNING.min_tail_p
     # Densities without the factor that all components share.
     square = errors.pairs(answer.pairs.part(probable)).mahalanobis_sq[:, None]
     density = shares * np.exp(-0.5 * square / scales**2) / scales**d

@@ -20,7 +20,8 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.error_model import MIN_PAIRS, fit_variances, log_likelihood, with_fitted_mixture
+from sameas.estimate.error_model import TUNING as ERROR_MODEL_TUNING
+from sameas.estimate.error_model import fit_variances, log_likelihood, with_fitted_mixture
 from sameas.estimate.photometry import Photometry
 from sameas.evidence import Errors
 from sameas.gate import Pairs
@@ -169,7 +170,7 @@ def with_trends(
     likely = np.flatnonzero(p_pair > tuning.min_p)
     likely = likely[:: max(1, -(-len(likely) // most))]
     some, weight = pairs.part(likely), p_pair[likely]
-    if float(weight.sum()) < MIN_PAIRS:
+    if float(weight.sum()) < ERROR_MODEL_TUNING.min_pairs:
         return errors, (), 0.0
     n_knots = int(min(tuning.max_knots, float(weight.sum()) / tuning.pairs_per_knot))
     score = _score(errors, errors.pairs(some).mahalanobis_sq, pairs.d)
@@ -280,7 +281,7 @@ class _Hats:
         """The basis with equal weights of pairs between knots; None if x is mostly unknown or hardly varies."""
         x = covariate.of(pairs)
         finite = np.isfinite(x)
-        if float(weight[finite].sum()) < max(MIN_PAIRS, 0.5 * float(weight.sum())):
+        if float(weight[finite].sum()) < max(ERROR_MODEL_TUNING.min_pairs, 0.5 * float(weight.sum())):
             return None
         order = np.flatnonzero(finite)[np.argsort(x[finite], kind="stable")]
         cumulated = np.cumsum(weight[order])

@@ -25,25 +25,46 @@ from sameas.gate import Pairs
 from sameas.records import Records
 from sameas.representation import in_short
 
-#: Records of the poorer source per cell of the table of two grades, and greatest number of grades.
-RECORDS_PER_CELL, MAX_GRADES = 20.0, 16
-#: Pseudo-pairs per cell of the table, distributed as for unrelated grades.
-PSEUDO_COUNT = 0.1
-#: The most that the uncertainty of a cell's count takes from its logarithm: a rare pair must stay possible.
-MAX_LOSS = 1.0
-#: The evidence is used if twice its gain in ln likelihood exceeds this per cell of the table. Uninformative grades stay
-#: below 4, even in crowded fields with uncertain pairs; for stars it reaches 30 and more.
-MIN_GAIN = 6.0
-#: Pseudo-count that draws the grades in a cell of the sky to those of all records.
-SHARED_PSEUDO_COUNT = 2.0
-#: Mean number of records of the poorer source in the cells of the sky whose grades are counted separately.
-RECORDS_PER_SKY_CELL = 25.0
-#: Records from which a scale is made (more give no noticeable gain), and records per grade in a range of magnitudes.
-SCALE_RECORDS, RECORDS_PER_GRADE = 1_000, 8
-#: Number of records without a magnitude, among those of the scale, from which they get grades of their own.
-MIN_UNMEASURED = 100
-#: Errors that differ by less than this factor in volume are equal.
-MIN_VOLUME_RATIO = 1.0 + 1e-9
+
+@dataclass(frozen=True)
+class GradesTuning:
+    """Parameters of the grades of precision; chosen where no source is given.
+
+    Attributes
+    ----------
+    records_per_cell, max_grades : records of the poorer source per cell of the table of two grades, and greatest
+        number of grades.
+    pseudo_count : pseudo-pairs per cell of the table, distributed as for unrelated grades.
+    max_loss : the most that the uncertainty of a cell's count takes from its logarithm: a rare pair must stay
+        possible.
+    min_gain : the evidence is used if twice its gain in ln likelihood exceeds this per cell of the table.
+        Uninformative grades stay below 4, even in crowded fields with uncertain pairs; for stars it reaches 30 and
+        more.
+    shared_pseudo_count : pseudo-count that draws the grades in a cell of the sky to those of all records.
+    records_per_sky_cell : mean number of records of the poorer source in the cells of the sky whose grades are
+        counted separately.
+    scale_records, records_per_grade : records from which a scale is made (more give no noticeable gain), and
+        records per grade in a range of magnitudes.
+    min_unmeasured : number of records without a magnitude, among those of the scale, from which they get grades of
+        their own.
+    min_volume_ratio : errors that differ by less than this factor in volume are equal.
+    """
+
+    records_per_cell: float = 20.0
+    max_grades: int = 16
+    pseudo_count: float = 0.1
+    max_loss: float = 1.0
+    min_gain: float = 6.0
+    shared_pseudo_count: float = 2.0
+    records_per_sky_cell: float = 25.0
+    scale_records: int = 1_000
+    records_per_grade: int = 8
+    min_unmeasured: int = 100
+    min_volume_ratio: float = 1.0 + 1e-9
+
+
+TUNING = GradesTuning()
+
 
 Both = tuple[FloatArray, FloatArray]
 BothGrades = tuple[NDArray[np.int32], NDArray[np.int32]]
@@ -67,12 +88,12 @@ class Scale:
     @classmethod
     def of(cls, volume: FloatArray, magnitude: FloatArray | None, number: int) -> Scale:
         """From records with errors of these volumes (n,), and magnitudes (n,), NaN where missing."""
-        every, parts = max(1, len(volume) // SCALE_RECORDS), np.arange(1, number)
+        every, parts = max(1, len(volume) // TUNING.scale_records), np.arange(1, number)
         some, some_magnitude = volume[::every], None if magnitude is None else magnitude[::every]
         measured = np.empty(0) if some_magnitude is None else some_magnitude[np.isfinite(some_magnitude)]
-        ranges = max(1, len(measured) // (RECORDS_PER_GRADE * number))
+        ranges = max(1, len(measured) // (TUNING.records_per_grade * number))
         edges = np.quantile(measured, np.linspace(0.0, 1.0, ranges + 1)[1:-1]) if ranges > 1 else np.empty(0)
-        apart = len(measured) > 0 and len(some) - len(measured) >= MIN_UNMEASURED
+        apart = len(measured) > 0 and len(some) - len(measured) >= TUNING.min_unmeasured
         scale = cls(number, edges, np.empty(0), apart)
         within = scale._range(some_magnitude, len(some))
         line = np.sort(some) if some_magnitude is None else some[np.lexsort((some, within))]
@@ -121,9 +142,9 @@ class Grades:
     @classmethod
     def of(cls, setting: Setting, photometry: Photometry | None) -> Grades | None:
         """Before any fit; None with too few records, or with equal errors in both sources."""
-        number = min(int(math.sqrt(min(setting.n_counted) / RECORDS_PER_CELL)), MAX_GRADES)
+        number = min(int(math.sqrt(min(setting.n_counted) / TUNING.records_per_cell)), TUNING.max_grades)
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
-        if number < 2 or all(volume.max() < MIN_VOLUME_RATIO * volume.min() for volume in volumes):
+        if number < 2 or all(volume.max() < TUNING.min_volume_ratio * volume.min() for volume in volumes):
             return None
         one, two = (
             Scale.of(volume, magnitude, number)
@@ -161,19 +182,19 @@ class Grades:
         at = count_pairs(pairs.i, pairs.j, *self.grades, p_counted, common)
         unrelated = _margin(common, 1)[:, None] * _margin(common, 0) * chance
         unrelated /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
-        pseudo = PSEUDO_COUNT * k1 * k2 * unrelated / unrelated.sum()
+        pseudo = TUNING.pseudo_count * k1 * k2 * unrelated / unrelated.sum()
         counted = common + pseudo
         # The information about ln of a count: Σ p² (of certain pairs their number).
         information = np.zeros((k1, k2))
         count_pairs(pairs.i, pairs.j, *self.grades, p_counted**2, information)
         information += pseudo
-        log_ratio = np.log(counted / counted.sum()) - np.minimum(0.5 / information, MAX_LOSS) - np.log(chance)
+        log_ratio = np.log(counted / counted.sum()) - np.minimum(0.5 / information, TUNING.max_loss) - np.log(chance)
         # The pair's own contribution to ln of the count, subtracted from its evidence: without it the count of its
         # cell falls by p / Σ p², because the other pairs become less probable, but not below the pseudo-pairs.
         remaining = np.maximum(1.0 - p_counted / information.ravel()[at], (pseudo / counted).ravel()[at])
         own = -np.log(remaining)
         twice_gain = 2.0 * float(p_counted @ (log_ratio.ravel()[at] - own))
-        significant = twice_gain > MIN_GAIN * (k1 * k2 - 1)
+        significant = twice_gain > TUNING.min_gain * (k1 * k2 - 1)
         rule = Precision(self.grades, log_ratio, TrainingPairs(pairs, at, own)) if significant else None
         return replace(self, rule=rule)
 
@@ -191,7 +212,7 @@ class Grades:
             if likelihood_ratio is not None:
                 alone = 1.0 - (1.0 - alone) * likelihood_ratio[source]
             count_alone(self.cells[source], self.grades[source], alone, covered[source], count)
-            count += SHARED_PSEUDO_COUNT * _margin(count, 0)
+            count += TUNING.shared_pseudo_count * _margin(count, 0)
             parts.append(count / count.sum(axis=1, keepdims=True))
         weight = np.bincount(self.cells[0], np.where(covered[0], partner[0], 0.0), number)
         return np.asarray((parts[0] * weight[:, None]).T @ parts[1] / max(float(weight.sum()), 1e-300))
@@ -220,7 +241,7 @@ def _grades_and_cells(
     scales: tuple[Scale, Scale], volumes: Sequence[FloatArray], setting: Setting, photometry: Photometry | None
 ) -> tuple[BothGrades, BothGrades]:
     """The grades of both sources' records, with errors of these volumes, and their cells."""
-    most = min(setting.n_counted) / RECORDS_PER_SKY_CELL
+    most = min(setting.n_counted) / TUNING.records_per_sky_cell
     one, two = (
         scale.grades(volume, magnitude)
         for scale, volume, magnitude in zip(scales, volumes, _magnitudes(photometry), strict=True)

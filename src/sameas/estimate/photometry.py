@@ -39,29 +39,61 @@ from sameas.gate import Pairs
 from sameas.representation import in_short
 from sameas.result import Identification
 
+
+@dataclass(frozen=True)
+class RelationTuning:
+    """Parameters of the fits of magnitudes; chosen where no source is given.
+
+    Attributes
+    ----------
+    pseudo_unrelated : pairs that are always counted as unrelated.
+    per_knot, max_knots, bend_sigma, slope_sigma : pairs per knot and greatest number of knots of a curve; prior
+        standard deviations of its second differences, mag, and of slopes of colours.
+    pseudo_pairs, min_scatter : pseudo-pairs that draw the scatter at a knot to the mean scatter; least scatter, mag.
+    first_steps, steps, last_steps : EM steps of the first fit, of later ones, and of the last one.
+    tolerance, first_tolerance : EM ends when no estimate changes by more than this share of its standard error; the
+        first fit, whose pairs have probabilities without magnitudes, may end earlier.
+    sorted_values, bins : up to this many values are sorted for a median; more are binned first, in this many bins.
+    min_pairs : expected pairs with a pattern of measured bands, or records of a source, for any fit.
+    max_pairs, max_pairs_in_em : greatest number of pairs for a relation, in the last fit and in EM iterations; more
+        give no noticeable gain.
+    curve_records, curve_records_in_em, own_band_records : records for a curve of the shares, in the last fit and in
+        EM iterations, and for relations between bands of a source.
+    """
+
+    pseudo_unrelated: float = 0.5
+    per_knot: float = 150.0
+    max_knots: int = 12
+    bend_sigma: float = 0.3
+    slope_sigma: float = 1.0
+    pseudo_pairs: float = 20.0
+    min_scatter: float = 0.003
+    first_steps: int = 8
+    steps: int = 2
+    last_steps: int = 20
+    tolerance: float = 0.05
+    first_tolerance: float = 1.0
+    sorted_values: int = 10_000
+    bins: int = 4_096
+    min_pairs: float = 50.0
+    max_pairs: int = 10_000
+    max_pairs_in_em: int = 1_000
+    curve_records: int = 2_000
+    curve_records_in_em: int = 1_000
+    own_band_records: int = 1_000
+
+
+TUNING = RelationTuning()
+
+
 #: Scales of the mixture, in units of error and scatter; the kernels rely on their ratio.
 SCALES = np.array([1.0, 3.0, 9.0])
 #: Initial tails are reduced by this many pairs, in units of the square root of their number, so that they must be
 #: significant.
 TAIL_ALLOWANCE = np.array([0.0, 0.3, 0.1])
-#: Pairs that are always counted as unrelated.
-PSEUDO_UNRELATED = 0.5
 INITIAL_SHARES, INITIAL_UNRELATED = np.array([0.8, 0.12, 0.03]), 0.05
-#: Pairs per knot and greatest number of knots of a curve; prior standard deviations of its second differences, mag, and
-#: of slopes of colours.
-PER_KNOT, MAX_KNOTS = 150.0, 12
-BEND_SIGMA, SLOPE_SIGMA = 0.3, 1.0
-#: Pseudo-pairs that draw the scatter at a knot to the mean scatter, and least scatter, mag.
-PSEUDO_PAIRS = 20.0
-MIN_SCATTER = 0.003
-FIRST_STEPS, STEPS, LAST_STEPS = 8, 2, 20
-#: EM ends when no estimate changes by more than this share of its standard error; the first fit, whose pairs have
-#: probabilities without magnitudes, may end earlier.
-TOLERANCE, FIRST_TOLERANCE = 0.05, 1.0
 #: Interquartile range of a normal, in standard deviations.
 QUARTILE_RANGE = 1.349
-#: Up to this many values are sorted for a median; more are binned first, in this many bins.
-SORTED, BINS = 10_000, 4_096
 
 
 def density_of(magnitude: FloatArray) -> MagnitudeDensity:
@@ -128,8 +160,10 @@ def fit_relation(
 ) -> Relation:
     """The relation of greatest likelihood; a few steps from ``start`` if given, many if ``last``."""
     if start is None:
-        return _after_em(sample, _initial_relation(sample, background), FIRST_STEPS, FIRST_TOLERANCE)
-    return _after_em(sample, replace(start, background=background), LAST_STEPS if last else STEPS, TOLERANCE)
+        return _after_em(sample, _initial_relation(sample, background), TUNING.first_steps, TUNING.first_tolerance)
+    return _after_em(
+        sample, replace(start, background=background), TUNING.last_steps if last else TUNING.steps, TUNING.tolerance
+    )
 
 
 def _initial_relation(sample: Sample, background: MagnitudeDensity) -> Relation:
@@ -137,15 +171,15 @@ def _initial_relation(sample: Sample, background: MagnitudeDensity) -> Relation:
     from sameas.kernels.relation import quartiles
 
     difference, x, c = sample.pairs[:, 0], sample.pairs[:, 5], sample.colours.shape[1] // 2
-    knots = knots_of(x, sample.weight, PER_KNOT, MAX_KNOTS)
+    knots = knots_of(x, sample.weight, TUNING.per_knot, TUNING.max_knots)
     centres = sample.weight @ sample.colours[:, :c] / sample.weight.sum()
     nearest = np.searchsorted(0.5 * (knots[1:] + knots[:-1]), x)
     k = len(knots)
     by_knot = np.empty((3, k + 1))
     quartiles(np.argsort(difference, kind="stable"), difference, sample.weight, nearest, by_knot)
-    enough = np.bincount(nearest, sample.weight, k) > PSEUDO_PAIRS
+    enough = np.bincount(nearest, sample.weight, k) > TUNING.pseudo_pairs
     lower, offset, upper = np.where(enough, by_knot[:, :k], by_knot[:, k:])
-    scatter = np.maximum((upper - lower) / QUARTILE_RANGE, MIN_SCATTER)
+    scatter = np.maximum((upper - lower) / QUARTILE_RANGE, TUNING.min_scatter)
     no_fit = np.zeros((k + c, k + c)), np.zeros(k + c), math.inf, float(sample.weight.sum())
     return Relation(
         knots, offset, scatter, np.zeros(c), centres, SCALES, INITIAL_SHARES, INITIAL_UNRELATED, background, *no_fit
@@ -162,7 +196,7 @@ def _after_em(sample: Sample, relation: Relation, steps: int, tolerance: float) 
     shares, error = np.append(relation.shares, relation.unrelated), np.array([relation.scatter_error])
     covariance, mean = relation.covariance.copy(), relation.mean_basis.copy()
     learned = offset, scatter, slopes, relation.scales, shares, covariance, mean, error
-    priors = np.array([*TAIL_ALLOWANCE, PSEUDO_UNRELATED, PSEUDO_PAIRS, MIN_SCATTER, tolerance])
+    priors = np.array([*TAIL_ALLOWANCE, TUNING.pseudo_unrelated, TUNING.pseudo_pairs, TUNING.min_scatter, tolerance])
     learn(sample.pairs, colours, relation.knots, learned, _penalty(len(offset), len(slopes)), priors, steps)
     return replace(
         relation, offset=offset, slopes=slopes, covariance=covariance, mean_basis=mean, scatter=scatter,
@@ -175,19 +209,19 @@ def _after_em(sample: Sample, relation: Relation, steps: int, tolerance: float) 
 def _penalty(k: int, slopes: int) -> FloatArray:
     """(k + c, k + c) penalty that draws curves to straight lines and slopes to zero."""
     penalty = np.zeros((k + slopes, k + slopes))
-    penalty[:k, :k] = roughness(k, BEND_SIGMA) + 1e-6 * np.eye(k)
-    penalty[k:, k:] = np.eye(slopes) / SLOPE_SIGMA**2
+    penalty[:k, :k] = roughness(k, TUNING.bend_sigma) + 1e-6 * np.eye(k)
+    penalty[k:, k:] = np.eye(slopes) / TUNING.slope_sigma**2
     return penalty
 
 
 def weighted_median(values: FloatArray, weights: FloatArray) -> float:
     """The value that has half of the weight below it."""
     half = 0.5 * float(weights.sum())
-    if len(values) > SORTED:
+    if len(values) > TUNING.sorted_values:
         # Only the bin that contains the median is sorted.
         low, high = float(values.min()), float(values.max())
-        bin_ = ((values - low) * ((BINS - 1) / max(high - low, 1e-300))).astype(np.int64)
-        below = np.cumsum(np.bincount(bin_, weights, BINS))
+        bin_ = ((values - low) * ((TUNING.bins - 1) / max(high - low, 1e-300))).astype(np.int64)
+        below = np.cumsum(np.bincount(bin_, weights, TUNING.bins))
         at = int(np.searchsorted(below, half))
         half -= float(below[at - 1]) if at else 0.0
         some = np.flatnonzero(bin_ == at)
@@ -197,12 +231,6 @@ def weighted_median(values: FloatArray, weights: FloatArray) -> float:
     return float(values[order][min(int(np.searchsorted(cumulated, half)), len(values) - 1)])
 
 
-#: Expected pairs with a pattern of measured bands, or records of a source, for any fit.
-MIN_PAIRS = 50.0
-#: Greatest number of pairs for a relation, in the last fit and in EM iterations; more give no noticeable gain.
-MAX_PAIRS, MAX_PAIRS_IN_EM = 10_000, 1_000
-#: Records for a curve of the shares, in the last fit and in EM iterations, and for relations between bands of a source.
-CURVE_RECORDS, CURVE_RECORDS_IN_EM, OWN_BAND_RECORDS = 2_000, 1_000, 1_000
 #: 2³² over the golden ratio: its multiples are evenly distributed.
 HASH_FACTOR = 2_654_435_769
 
@@ -264,11 +292,11 @@ class Photometry:
         In EM iterations few steps are made, with a sample of the pairs; the ``last`` fit, with standard errors, uses
         more.
         """
-        n_records = CURVE_RECORDS if last else CURVE_RECORDS_IN_EM
+        n_records = TUNING.curve_records if last else TUNING.curve_records_in_em
         one, two = map(partial(_fit_curve, n_records), self.sides, p_partner, shares, covered, self.curves)
         curves = one, two
         used = np.zeros(len(p_pair), np.bool_)
-        used[_sampled(np.flatnonzero(p_pair > 1e-3), MAX_PAIRS if last else MAX_PAIRS_IN_EM)] = True
+        used[_sampled(np.flatnonzero(p_pair > 1e-3), TUNING.max_pairs if last else TUNING.max_pairs_in_em)] = True
         cached = self.compared is not None and self.compared[0] is pairs
         sides = self.compared[1] if cached and self.compared else comparisons_of(self.sides, pairs)
         previous = self.chains or (None, None)
@@ -349,7 +377,7 @@ class Photometry:
             magnitude = side.measured.values[:, 0]
             partner = np.minimum(np.bincount(rows, answer.p_pair, len(magnitude)), 1.0)
             used = np.isfinite(magnitude) & covered
-            enough = np.count_nonzero(used) >= MIN_PAIRS
+            enough = np.count_nonzero(used) >= TUNING.min_pairs
             curves.append(DetectionCurve.of(names[0], magnitude[used], partner[used], volume) if enough else None)
         return curves[0], curves[1]
 
@@ -392,7 +420,9 @@ def _fit_chain(
 def _source_magnitudes(measured: MeasuredMagnitudes) -> SourceMagnitudes:
     """The densities of a source's bands, and the relations between them."""
     densities = tuple(map(_band_density, measured.values.T))
-    sample = measured.take(np.arange(0, len(measured.values), max(1, -(-len(measured.values) // OWN_BAND_RECORDS))))
+    sample = measured.take(
+        np.arange(0, len(measured.values), max(1, -(-len(measured.values) // TUNING.own_band_records)))
+    )
     alone: list[Mapping[Pattern, Relation]] = []
     for band, density in enumerate(densities):
         regressors = Regressors.split(band, sample, None) if band and density is not None else ()
@@ -405,7 +435,7 @@ def _source_magnitudes(measured: MeasuredMagnitudes) -> SourceMagnitudes:
 def _band_density(magnitude: FloatArray) -> MagnitudeDensity | None:
     """The density of the measured magnitudes; None if they are too few."""
     known = magnitude[np.isfinite(magnitude)]
-    return density_of(known) if len(known) >= MIN_PAIRS else None
+    return density_of(known) if len(known) >= TUNING.min_pairs else None
 
 
 def _fit_relation(
@@ -420,7 +450,7 @@ def _fit_relation(
     """The relation of a band to its regressors; None with too few pairs."""
     x = compared.regressors
     weight = weight[x.rows]
-    if density is None or weight.sum() < MIN_PAIRS:
+    if density is None or weight.sum() < TUNING.min_pairs:
         return None
     sample = Sample.of(x.y, x.others, x.variance, x.other_variance, compared.background, weight, informed=informed)
     return fit_relation(sample, density, start, last=last)
@@ -438,6 +468,6 @@ def _fit_curve(
     magnitude = side.measured.values[:, 0]
     rows = np.flatnonzero(np.isfinite(magnitude) & covered)
     rows = rows[:: max(1, -(-len(rows) // n_records))]
-    if len(rows) < MIN_PAIRS:
+    if len(rows) < TUNING.min_pairs:
         return None
     return ShareCurve.fit(magnitude[rows], share[rows], p_partner[rows], previous)

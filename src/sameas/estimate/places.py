@@ -22,18 +22,11 @@ import numpy as np
 
 from sameas.arrays import AnyIntArray, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.estimate.cells import FINEST, GridLevel
+from sameas.estimate.cells import TUNING as CELLS_TUNING
+from sameas.estimate.cells import GridLevel
 from sameas.estimate.columns import DEFAULT_COLUMNS, ColumnEvidence
-from sameas.estimate.coverage import (
-    HOLE,
-    IN_CELL,
-    LEFT_OUT,
-    LOG_PRIOR_STEP,
-    PSEUDO_COUNT,
-    SHARED_PSEUDO_COUNT,
-    SMOOTHS,
-    Coverage,
-)
+from sameas.estimate.coverage import TUNING as COVERAGE_TUNING
+from sameas.estimate.coverage import Coverage
 from sameas.estimate.em import Estimates
 from sameas.estimate.grades import Grades
 from sameas.estimate.match import DEFAULT_MATCH, Estimate, MatchTuning, match_sample
@@ -134,7 +127,7 @@ class Places:
         richer, level, last, finest = int(np.argmax(totals)), counts, 0, 0
         while True:
             number = level.numbers[:, richer].astype(np.float64)
-            if number @ number <= FINEST * totals[richer]:
+            if number @ number <= CELLS_TUNING.finest * totals[richer]:
                 finest = last
             if len(level.cells) * COARSEST <= totals.sum() or len(level.cells) == 1 or last == 24:
                 break
@@ -183,7 +176,9 @@ class Places:
         for steps in self.levels[1:-1] or self.levels:
             coarse, at = np.unique(cells >> (2 * steps), return_inverse=True)
             parts, weights = np.bincount(at, part), np.bincount(at, weight)
-            refine_share_nested(self.cells, coarse, parts, weights, 2 * steps, SHARED_PSEUDO_COUNT, share)
+            refine_share_nested(
+                self.cells, coarse, parts, weights, 2 * steps, COVERAGE_TUNING.shared_pseudo_count, share
+            )
         return share
 
     def write(self, folder: Path) -> None:
@@ -213,8 +208,8 @@ def _covered_cells(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int],
     highest, covered = np.zeros(numbers.shape), np.ones(numbers.shape, np.bool_)
     for steps in levels:
         check_cells_nested(
-            cells, numbers, 2 * steps, PARTLY, volume, IN_CELL * total / total[::-1], HOLE, PSEUDO_COUNT,
-            density, highest, covered,
+            cells, numbers, 2 * steps, PARTLY, volume, COVERAGE_TUNING.in_cell * total / total[::-1],
+            COVERAGE_TUNING.hole, COVERAGE_TUNING.pseudo_count, density, highest, covered,
         )  # fmt: skip
     return covered
 
@@ -227,13 +222,13 @@ def _density(
     total, density = numbers.sum(axis=0).astype(np.float64), np.empty((len(cells), 2, 2))
     own, others = density[:, :, 0], density[:, :, 1]
     own[:] = others[:] = (total + 0.5) / _field_volume(cells, numbers, levels[0], volume)
-    smooths, sampled, open_ = np.array(SMOOTHS), min(smoothing_cells / len(cells), 1.0), total > 0.0
+    smooths, sampled, open_ = np.array(COVERAGE_TUNING.smooths), min(smoothing_cells / len(cells), 1.0), total > 0.0
     for steps in levels:
         score = np.zeros((2, len(smooths) + 1))
         score_nested(cells, numbers, 2 * steps, PARTLY, volume, sampled, smooths, own, score)
-        finest = (score[:, -1] <= FINEST * total) | (steps == 0)
-        smooth = smooths[np.argmax(score[:, :-1] - LOG_PRIOR_STEP * np.arange(len(smooths)), axis=1)]
-        left_out = np.where(finest, LEFT_OUT, 1.0)
+        finest = (score[:, -1] <= CELLS_TUNING.finest * total) | (steps == 0)
+        smooth = smooths[np.argmax(score[:, :-1] - COVERAGE_TUNING.log_prior_step * np.arange(len(smooths)), axis=1)]
+        left_out = np.where(finest, COVERAGE_TUNING.left_out, 1.0)
         refine_nested(cells, numbers, 2 * steps, PARTLY, volume, smooth, left_out, open_, own, others)
         open_ &= ~finest
     return density
