@@ -12,6 +12,8 @@ import numpy as np
 #: Characters of a line, lines of a value, characters of a field, items of a collection that are printed (all chosen).
 WIDTH, LINES, LETTERS, ITEMS = 100, 9, 60, 4
 
+ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
+
 T = TypeVar("T")
 
 

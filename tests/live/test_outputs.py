@@ -14,7 +14,7 @@ from tests.live.conftest import EVIL, SITE, START_S, replay, settings
 from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.keeper import Keeper
-from sameas.live.outputs import FORMATS, Sink, TargetNumbers, geojson, metrics, nmea, sinks_of
+from sameas.live.outputs import ENCODERS, Sink, TargetNumbers, geojson, metrics, nmea, sinks_of
 from sameas.live.situation import OwnShipState
 from sameas.tracks.heights import GEOMETRIC, PRESSURE, HeightModel, _Line
 
@@ -31,7 +31,7 @@ def situation(tmp_path_factory):
 
 def read_back(situation, format, stream_format):
     stream = ReportStream("out", stream_format)
-    for part in FORMATS[format](situation):
+    for part in ENCODERS[format](situation):
         stream.feed(part, situation.time_s, last=True)
     return stream.reports()
 
@@ -55,7 +55,7 @@ def test_asterix_062_round_trips(situation):
 
 
 def test_ttm_and_tll_round_trip(situation):
-    lines = b"".join(FORMATS["nmea"](situation)).decode()
+    lines = b"".join(ENCODERS["nmea"](situation)).decode()
     assert lines.count("$RATTM") == 5 == lines.count("$RATLL")
     [reports] = read_back(situation, "nmea", "nmea")
     truth = placed(situation)
@@ -122,7 +122,7 @@ def test_signal_k_deltas_round_trip(situation):
 
 
 def test_cursor_on_target_is_valid_xml_for_any_ship_name(situation):
-    found = [ET.fromstring(part) for part in FORMATS["cot"](situation)]
+    found = [ET.fromstring(part) for part in ENCODERS["cot"](situation)]
     assert len(found) == 5 and EVIL in {one.find("detail/contact").get("callsign") for one in found}
     assert all(one.get("type") == "a-u-S" and 0.0 < float(one.find("point").get("ce")) < 200.0 for one in found)
     assert all(abs(float(one.find("point").get("lat")) - SITE[0]) < 0.2 for one in found)
@@ -144,7 +144,7 @@ def test_cursor_on_target_has_the_height_above_the_ellipsoid(situation, model, h
         situation, heights=model,
         objects=situation.objects | {"height_m": height, "sigma_height_m": np.ma.where(height.mask, np.nan, 20.0)},
     )  # fmt: skip
-    points = [ET.fromstring(part).find("point") for part in FORMATS["cot"](flying)]
+    points = [ET.fromstring(part).find("point") for part in ENCODERS["cot"](flying)]
     [known] = [point for point in points if point.get("hae") != "9999999.0"]
     assert float(known.get("hae")) == pytest.approx(hae, abs=0.1)
     assert float(known.get("le")) == pytest.approx(1.645 * sigma, rel=0.01)
@@ -160,7 +160,7 @@ def test_an_aircraft_has_no_closest_approach_to_a_ship(situation):
 
 
 def test_lines_and_geojson_contain_every_object(situation):
-    lines = [json.loads(line) for line in b"".join(FORMATS["jsonl"](situation)).splitlines()]
+    lines = [json.loads(line) for line in b"".join(ENCODERS["jsonl"](situation)).splitlines()]
     assert {one["object"] for one in lines} == set(situation.objects["object"].tolist())
     assert all(set(one["sources"]) and one["time_s"] == situation.time_s for one in lines)
     assert len(geojson(situation)["features"]) == 5
@@ -184,7 +184,7 @@ def test_sentences_have_82_characters_at_most(situation, monkeypatch):
     listed = [one | {"name": "ABCDEFGHIJKLMNOPQRST", "x_m": 100_000.0} for one in situation.listed()]
     monkeypatch.setattr(type(situation), "listed", lambda self: listed)
     monkeypatch.setattr(type(situation), "cpa", {one["object"]: (99_999.0, 9_999.0) for one in listed})
-    sentences = list(FORMATS["nmea"](situation))
+    sentences = list(ENCODERS["nmea"](situation))
     assert max(map(len, sentences)) == 82 and all(b",ABCDEFG" in sentence for sentence in sentences)
 
 
@@ -197,7 +197,7 @@ def test_no_transponder_text_stops_an_output(situation, monkeypatch):
     health = {"ok": True, "tick": 1, "faults": 0, "objects": 1, "sources": {hostile["name"]: one}, "wires": {}}
     lines = metrics(health, []).split("\n")[:-1]
     assert all(re.fullmatch(r'#.*|[a-z_]+(\{[a-z]+="([^"\\\n]|\\.)*"\})? [0-9.]+', line) for line in lines), lines
-    parts = {name: list(FORMATS[name](situation)) for name in FORMATS}
+    parts = {name: list(ENCODERS[name](situation)) for name in ENCODERS}
     assert all(parts.values())
     for part in parts["cot"]:
         assert ET.fromstring(part).find("detail/contact").get("callsign").isprintable()

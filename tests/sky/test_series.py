@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from sameas import InputError
-from sameas.sky.movers.orbits import AU_KM, Elements, _packed_date, _planets, _two_body, ephemeris, near, states
+from sameas.sky.motion import AU_KM
+from sameas.sky.movers.orbits import Elements, _packed_date, _planets, _two_body, ephemeris, near, states
 from sameas.sky.movers.search import search
 from sameas.sky.series import Exposure, tie
 

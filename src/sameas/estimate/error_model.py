@@ -127,19 +127,19 @@ class ErrorModel:
         """
         one, two, floor = (
             0.0 if q is None else q.value
-            for q in (self.factor_1 or self.both or AS_QUOTED, self.factor_2 or self.both or AS_QUOTED, self.floor)
+            for q in (self.factor_1 or self.both or UNSCALED, self.factor_2 or self.both or UNSCALED, self.floor)
         )
         return np.asarray(one**2 * quoted_1 + two**2 * quoted_2 + floor**2)
 
     @property
     def errors(self) -> Errors:
         """The model as errors of the evidence."""
-        one, two = (self.factor_1 or self.both or AS_QUOTED), (self.factor_2 or self.both or AS_QUOTED)
+        one, two = (self.factor_1 or self.both or UNSCALED), (self.factor_2 or self.both or UNSCALED)
         floor = 0.0 if self.floor is None else self.floor.value
         return Errors(factor_1=max(one.value, 1e-3), factor_2=max(two.value, 1e-3), floor=floor)
 
 
-AS_QUOTED = Quantity(1.0, 0.0)
+UNSCALED = Quantity(1.0, 0.0)
 
 
 def error_model(answer: Identification) -> ErrorModel:

@@ -25,7 +25,7 @@ from sameas.front.options import COLUMN_OPTIONS, FILE_OPTIONS, SIDE_OPTIONS, fie
 from sameas.front.tables import kind_of, table_of
 from sameas.io import checksum
 from sameas.kernels import threads
-from sameas.representation import in_short
+from sameas.representation import ORDINALS, in_short
 
 if TYPE_CHECKING:
     from sameas.estimate.match import Estimate
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from sameas.sky.many import ManyMatch, ManyOptions
     from sameas.sky.systematics import Rotation
 
-ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
 Options = TypeVar("Options", bound="MatchOptions | ManyOptions")
 
 

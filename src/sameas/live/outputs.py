@@ -1,8 +1,8 @@
 """Outputs: situations encoded for other programs, and the sinks to which they are sent.
 
-:data:`FORMATS`: ``jsonl`` one line per object, ``nmea`` TTM (with own ship) and TLL sentences, ``cot`` Cursor on Target
-events, ``signalk`` one delta per object, ``asterix`` blocks of category 062. Only confirmed and coasting objects are
-sent; ``jsonl`` has the tentative ones too, marked by ``stage``.
+:data:`ENCODERS`: ``jsonl`` one line per object, ``nmea`` TTM (with own ship) and TLL sentences, ``cot`` Cursor on
+Target events, ``signalk`` one delta per object, ``asterix`` blocks of category 062. Only confirmed and coasting
+objects are sent; ``jsonl`` has the tentative ones too, marked by ``stage``.
 """
 
 from __future__ import annotations
@@ -233,7 +233,7 @@ def _record(situation: Situation, one: Mapping[str, Any]) -> bytes:
     return bytes(out + root.to_bytes(2, "big", signed=True))
 
 
-FORMATS: Mapping[str, Callable[[Situation], Iterator[bytes]]] = {
+ENCODERS: Mapping[str, Callable[[Situation], Iterator[bytes]]] = {
     "jsonl": jsonl, "nmea": nmea, "cot": cot, "signalk": signalk, "asterix": asterix,
 }  # fmt: skip
 
@@ -273,10 +273,10 @@ class Sink:
         parts = urlsplit(self.url)
         if parts.scheme not in ("udp", "stdout") or (parts.scheme == "udp" and not parts.port):
             raise InputError(f"output {self.url!r}: cannot be sent to", "give udp://HOST:PORT or stdout:")
-        if self.format not in FORMATS:
-            raise InputError(f"output {self.url!r}: format is {self.format!r}", f"give one of {', '.join(FORMATS)}")
+        if self.format not in ENCODERS:
+            raise InputError(f"output {self.url!r}: format is {self.format!r}", f"give one of {', '.join(ENCODERS)}")
         self.numbers = TargetNumbers()
-        self._encode = partial(nmea, numbers=self.numbers) if self.format == "nmea" else FORMATS[self.format]
+        self._encode = partial(nmea, numbers=self.numbers) if self.format == "nmea" else ENCODERS[self.format]
         self._socket: socket.socket | None = None
         if parts.scheme == "udp":
             self._address = (parts.hostname or "127.0.0.1", int(parts.port or 0))

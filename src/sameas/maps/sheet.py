@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.maps.outline import Outline
+from sameas.picture.tables import STAGES
 from sameas.report.prose import UTC_FROM_S
 from sameas.representation import in_short
 from sameas.tracks.coordinates import LocalPlane, bearing_in_plane
@@ -28,7 +29,6 @@ from sameas.tracks.source import Description
 
 Columns = Mapping[str, NDArray[Any]]
 
-STAGES = ("tentative", "confirmed", "coasting", "ended")
 
 #: Columns of the objects, and the value where a column is absent; None: it is required.
 OBJECTS: Mapping[str, Any] = {

@@ -19,8 +19,9 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.io.atomic import replacing
 from sameas.maps.outline import Outline, outline
-from sameas.maps.sheet import STAGES, Columns, MapSheet, ellipse_axes, members_of
+from sameas.maps.sheet import Columns, MapSheet, ellipse_axes, members_of
 from sameas.pages import POLICY, SERVED_POLICY, asset, page_of, script_safe
+from sameas.picture.tables import STAGES
 
 # Packed columns of numbers, small in the file and unpacked by a few lines of script (map-table.js).
 #

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
+from sameas.io.sensors.format import MILE_M
 from sameas.maps.outline import Outline, outline
 from sameas.maps.sheet import MapSensor, MapSheet, members_of, seen_by_several
 from sameas.plots.sheet import FAINT, INK, ellipse, nice_length, sheet
@@ -116,7 +117,6 @@ MARKS, OWN_MARK = ("s", "D", "o", "x", "+", "v", "_"), "^"
 SEA, LAND, COAST, BORDER, GRID, RING, DOUBT, ALARM = (
     "#e4eef4", "#efe7cd", "#9c8d62", "#b9ac86", "#c2d2dd", "#5f8aa8", "#a84300", "#b3121f",
 )  # fmt: skip
-MILE_M = 1852.0
 #: Lengths of course vectors, seconds.
 AHEAD_S = (1, 2, 5, 10, 30, 60, 180, 360, 720, 1800, 3600)
 WIDTH_IN = 11.0

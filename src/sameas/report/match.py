@@ -26,7 +26,7 @@ from sameas.gate.gate import quantile
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.report.prose import DOUBT, LABEL, entry, figures, percent, times
-from sameas.representation import count, counted
+from sameas.representation import ORDINALS, count, counted
 from sameas.result import AMBIGUOUS, Answers, Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import in_years
@@ -35,11 +35,10 @@ from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch, area_and_densities
 if TYPE_CHECKING:
     from sameas.sky.many import ManyMatch  # with its linear programmes: a fifth of the imports of a match
 
-ORDINALS = ("First", "Second", "Third", "Fourth", "Fifth", "Sixth", "Seventh", "Eighth")
 #: A radius within which nearest neighbours are often accepted.
 USUAL_RADIUS_ARCSEC = 5.0
 #: Quoted errors are called right if the error scale is within this of 1, or within this many standard errors.
-AS_QUOTED, SIGNIFICANT = 0.03, 3.0
+ABOUT_RIGHT, SIGNIFICANT = 0.03, 3.0
 
 
 def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Callable[[str], str] = str) -> list[str]:
@@ -48,7 +47,7 @@ def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Call
     path : of its file. words : converts messages that name arguments, for example to command-line options.
     """
     where = f" ({path})" if path else ""
-    lines = [f"{ORDINALS[side - 1]} catalogue: {catalogue.name}, {counted(len(catalogue), 'row')}{where}"]
+    lines = [f"{ORDINALS[side - 1].capitalize()} catalogue: {catalogue.name}, {counted(len(catalogue), 'row')}{where}"]
     lines_read = [words(line).partition(": ") for line in catalogue.interpretation]
     last = {label: k for k, (label, _, _) in enumerate(lines_read)}
     for k, (label, colon, text) in enumerate(lines_read):
@@ -510,7 +509,7 @@ def _evidence_errors(match: SkyMatch) -> str:
 def quoted_errors(scale: Quantity) -> str:
     """Whether the quoted errors are right, from the median residual relative to its expectation."""
     off = scale.value - 1.0
-    if abs(off) <= max(AS_QUOTED, SIGNIFICANT * scale.standard_error):
+    if abs(off) <= max(ABOUT_RIGHT, SIGNIFICANT * scale.standard_error):
         return f"as quoted (median residual {scale} times the expected one)"
     if off > 0.0:
         return f"quoted {scale} times too small (median residual over the expected one)"

@@ -104,8 +104,9 @@ class MissingMotion:
 
 FloatTriple = tuple[FloatArray, FloatArray, FloatArray]
 
-#: One astronomical unit per Julian year in km/s (IAU 2012 resolution B2).
-AU_KM_PER_S_YR = 149597870.7 / (365.25 * 86400.0)
+#: The astronomical unit in km (IAU 2012 resolution B2); one per Julian year in km/s.
+AU_KM = 149597870.7
+AU_KM_PER_S_YR = AU_KM / (365.25 * 86400.0)
 _RADIAN_PER_MAS = 1e-3 / ARCSEC_PER_RADIAN
 #: Limit of Julian years, so that an MJD or JD given as an epoch is refused.
 _FARTHEST_JYR = 10_000.0

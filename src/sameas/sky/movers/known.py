@@ -19,7 +19,8 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.evidence import Field
 from sameas.prior import PerPair
 from sameas.records import Records
-from sameas.sky.movers.orbits import AU_KM, Elements, ephemeris, geocentric_km, near, states
+from sameas.sky.motion import AU_KM
+from sameas.sky.movers.orbits import Elements, ephemeris, geocentric_km, near, states
 from sameas.sky.movers.search import Movers
 from sameas.space import ARCSEC_PER_RADIAN, mean_direction
 

@@ -23,14 +23,15 @@ from scipy.interpolate import CubicSpline
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError, reading
+from sameas.sky.motion import AU_KM
+from sameas.sky.movers.rates import GAUSS
 
 #: Gauss's constant squared: GM of the Sun, au³/day².
-_GM_SUN = 0.01720209895**2
+_GM_SUN = GAUSS**2
 #: Masses of Mercury, Venus, the Earth and the Moon together, Mars … Neptune, Pluto: the Sun's over theirs (DE421).
 _MASS_RATIO = (6023600.0, 408523.71, 328900.56, 3098708.0, 1047.3486, 3497.898, 22902.98, 19412.24, 135200000.0)
 #: Index of Pluto, (134340) in lists of asteroids: an object closer than this is Pluto itself and not attracted by it.
 _PLUTO, _PLUTO_ITSELF_AU = 8, 0.03
-AU_KM = 149597870.7
 _LIGHT_AU_PER_DAY = 173.14463267424034
 _TILT = math.radians(84381.448 / 3600.0)
 #: Rotation from the ecliptic of J2000 to the axes of the ICRS equator.

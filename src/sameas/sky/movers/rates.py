@@ -16,8 +16,9 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import inverse, log_density
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
-#: Angular speed of the Earth about the Sun, arcsec per minute (Gauss's constant).
-_EARTH_ARCSEC_PER_MIN = 0.01720209895 * ARCSEC_PER_RADIAN / 1440.0
+#: Gauss's constant: the mean angular speed of the Earth about the Sun, radian per day; and in arcsec per minute.
+GAUSS = 0.01720209895
+_EARTH_ARCSEC_PER_MIN = GAUSS * ARCSEC_PER_RADIAN / 1440.0
 #: Radius of the orbit to which rates are relative, in the main belt.
 ORBIT_AU = 2.7
 #: Obliquity of the ecliptic of J2000, degrees (IAU 1976).
