@@ -251,6 +251,24 @@ def test_the_command_accepts_columns_and_priors_and_explains_them(tmp_path, monk
 
 
 @pytest.mark.slow
+def test_the_magnitude_of_one_catalogue_is_evidence_without_being_asked_for():
+    by_default, by_position = (sameas.match(*tables(), magnitudes=choice) for choice in ("auto", "off"))
+    asked = sameas.match(*tables(), magnitudes="off", evidence=Column(2, "MAG_I"))
+    assert counts(by_default.identification) == counts(asked.identification)
+    assert by_default.expected_wrong < 0.8 * by_position.expected_wrong
+    assert "MAG_I of" in by_default.report() and "MAG_I of" not in by_position.report()
+
+
+@pytest.mark.slow
+def test_magnitudes_that_tell_nothing_are_not_used():
+    one, two = tables()
+    two["MAG_I"] = np.random.default_rng(2).permutation(two["MAG_I"])
+    by_default, by_position = (sameas.match(one, two, magnitudes=choice) for choice in ("auto", "off"))
+    assert counts(by_default.identification) == counts(by_position.identification)
+    assert "is not informative, and is not used" in " ".join(by_default.report().split())
+
+
+@pytest.mark.slow
 def test_python_accepts_the_same(found):
     one = sameas.match(*tables(), evidence=Column(2, "MAG_I"))
     assert counts(one.identification)[:2] == counts(found[0])[:2]

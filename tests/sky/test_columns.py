@@ -328,6 +328,17 @@ def test_single_letter_bands_are_magnitudes_if_unit_or_ucd_says_so(names, units,
     assert (choice.magnitude, choice.magnitude_error) == expected
 
 
+@pytest.mark.parametrize(("names", "expected"), [
+    (("class", "MAG_I", "MAG_I_err"), ("MAG_I", "MAG_I_err")),
+    (("i_mag", "z_mag", "e_i_mag"), ("i_mag", "e_i_mag")),
+    (("mag_F606W", "F814W_mag"), ("mag_F606W", None)),
+    (("e_mag", "n_mag", "magnification", "mag_type"), (None, None)),
+])  # fmt: skip
+def test_names_of_band_and_mag_are_magnitudes_without_a_unit(names, expected) -> None:
+    choice = chosen(made("ra", "dec", *names))
+    assert (choice.magnitude, choice.magnitude_error) == expected
+
+
 def test_bands_without_a_unit_are_named() -> None:
     """A table with VT was read with "magnitude none", and no word of the column."""
     table = Table({"ra": [10.0], "dec": [1.0], "VT": [11.2], "z": [0.3], "sigma_arcsec": [0.1]})

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,9 @@ from sameas.evidence.detection import Hats, logit, roughness
 from sameas.gate import Pairs
 from sameas.records import Records
 from sameas.representation import in_short
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Both = tuple[FloatArray, FloatArray]
 
@@ -528,7 +532,7 @@ class _ShareRegression:
 
     def fit(self, bases: _Bases) -> _Fit:
         """The fit of greatest penalised likelihood; those without a fold are one Newton step from that of all."""
-        design = bases.design(self.columns)
+        design = _sparse(bases.design(self.columns))
         resumed = self.previous is not None and self.previous.bases is bases
         values = self.previous.whole.copy() if resumed and self.previous else np.zeros(design.shape[1])
         folds = [np.flatnonzero(self.fold == fold) for fold in range(self.tuning.folds)]
@@ -555,7 +559,7 @@ class _ShareRegression:
         return _Fit(bases, np.array(without), values, self.tuning.max_log_ratio)
 
     def _derivatives(
-        self, design: FloatArray, values: FloatArray, rows: IntArray | slice, *, certain: bool = False
+        self, design: csr_array, values: FloatArray, rows: IntArray | slice, *, certain: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """Slope (P,) and negative curvature (P, P) of ln likelihood Σ ln [q r + 1 − q] − ln [π r + 1 − π] (see
         :meth:`gain`) of some records; ``certain`` takes the curvature for certain partners."""
@@ -563,7 +567,8 @@ class _ShareRegression:
         share = _probability(offset + log_ratio)
         p = np.where(self.p[rows] > 0.0, _probability(self.log_odds_without[rows] + log_ratio), 0.0)
         bend = share * (1.0 - share) - (0.0 if certain else p * (1.0 - p))
-        return design.T @ (weight * (p - share)), (design * (weight * bend)[:, None]).T @ design
+        weighted = design.multiply((weight * bend)[:, None]).tocsr()
+        return design.T @ (weight * (p - share)), (weighted.T @ design).toarray()
 
     @cached_property
     def log_odds_without(self) -> FloatArray:
@@ -609,6 +614,14 @@ class _ShareRegression:
         r = np.expm1(fit.log_ratio(self.columns, self.fold))
         q = np.where(self.p < self.tuning.min_p * 1e-3, 0.0, _probability(self.log_odds_without))
         return float((self.weight * (np.log1p(q * r) - np.log1p(_probability(self.offset) * r))).sum())
+
+
+def _sparse(design: FloatArray) -> csr_array:
+    """A design (n, P), of whose functions few differ from 0 at a record: products of it as dense matrices would be as
+    fast, but for the threads of BLAS, which take 100 times as long where other processes keep the cores busy."""
+    from scipy.sparse import csr_array
+
+    return csr_array(design)
 
 
 def _probability(logits: FloatArray) -> FloatArray:

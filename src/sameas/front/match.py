@@ -352,7 +352,8 @@ def match(
         ``Errors`` is used as given; 1 takes the errors as quoted.
     density : densities of all records of the first and the second source per square degree; for ``Records`` per unit
         of the residuals. Estimated locally by default.
-    magnitudes : "auto", "off", or columns of both sources as "G,BP:J,H"; for ``Records`` two ``Magnitudes``.
+    magnitudes : "auto", of both sources or of the only one that has them; "off"; or columns of both as "G,BP:J,H"; for
+        ``Records`` two ``Magnitudes``.
     precision : whether the sizes of the quoted errors are evidence.
     evidence : further columns as evidence: ``Column(2, "MAG")`` of the second source, learned from the pairs or with
         your own ``odds``; ``Related("flux", "MAG")`` of both.

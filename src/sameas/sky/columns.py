@@ -646,7 +646,17 @@ def _magnitude(search: ColumnSearch, convention: Convention) -> tuple[str | None
         return by_ucd, None
     units = _bands(search)
     band = next((name for name, unit in units.items() if unit is not None and unit.to_string() == "mag"), None)
+    if band is None:
+        band = next((name for name in search.table.colnames if _is_band_magnitude(search.table, name)), None)
     return band, _error_of(search, band)
+
+
+def _is_band_magnitude(table: Table, name: str) -> bool:
+    return (
+        conventions.BAND_MAGNITUDE.fullmatch(name) is not None
+        and getattr(table[name], "ndim", 1) == 1
+        and column_values.holds_numbers(table, name)
+    )
 
 
 def _bands(search: ColumnSearch) -> dict[str, u.UnitBase | None]:

@@ -8,6 +8,7 @@ Parameters are numbered 0 right ascension (times cos δ), 1 declination, 2 paral
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -164,6 +165,13 @@ PLAIN_MAGNITUDES = (
 BANDS = (
     "G", "V", "VT", "Hp", "R", "Rc", "r", "I", "Ic", "i", "g", "B", "BT", "z", "y", "u", "U", "J", "H", "K", "Ks", "W1",
 )  # fmt: skip
+#: Names of a magnitude by its band or filter: ``MAG_I``, ``i_mag``, ``zmag``, ``F606W_mag``.
+BAND_MAGNITUDE = re.compile(
+    r"(?:mag(?:nitude)?[_ ]?{band}|{band}[_ ]?mag(?:nitude)?)".format(
+        band=r"(?:[ubgvrizyjhkl]|vt|bt|hp|rc|ic|ks|bp|rp|w[1-4]|[nf]uv|f\d{3,4}[wmn])"
+    ),
+    re.IGNORECASE,
+)
 PLAIN_IDS = ("id", "source_id", "designation", "name", "obj_id", "objid", "objectId", "number", "_2MASS", "HIP")
 PLAIN_EPOCHS = ("ref_epoch", "epoch", "epoch_jyr", "mjd", "obs_mjd", "jd", "obs_date", "date_obs", "obstime", "Date")
 PLAIN_CIRCLES = tuple(

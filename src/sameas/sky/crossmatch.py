@@ -117,8 +117,8 @@ class MatchOptions:
     error_scale : "auto" estimates the ratio of residuals to quoted errors; a number is taken as that factor, ``Errors``
         as a mixture of factors.
     density_per_deg2 : (first, second) densities of all records, instead of local ones from the data.
-    magnitudes : "auto" uses the magnitudes of both catalogues as evidence, "off" uses positions only; columns by name
-        as "G,BP:J,H" (see :func:`magnitudes_of`).
+    magnitudes : "auto" uses the magnitudes of both catalogues as evidence, or those of the only one that has them;
+        "off" uses positions only; columns by name as "G,BP:J,H" (see :func:`magnitudes_of`).
     precision : whether the sizes of the quoted errors are used as evidence where magnitudes separate too little.
     offset : "none" assumes that both catalogues are on one frame, and reports a doubt if the pairs show an offset;
         "find" estimates and removes a shift and rotation of the second catalogue, and a smooth warp of the field (see
@@ -593,7 +593,7 @@ def columns_of(
 ) -> tuple[Column | Related, ...]:
     """The columns used as evidence in addition to magnitudes, with their values.
 
-    A magnitude named by the user is included if the other catalogue has none.
+    The magnitude of a catalogue is included if the other has none.
 
     Parameters
     ----------
@@ -614,7 +614,7 @@ def columns_of(
     if magnitudes == AUTO:
         for source, (own, other) in enumerate(((first, second), (second, first)), start=1):
             name = own.magnitude_name
-            if name and own.options.magnitude and other.magnitude is None:
+            if name and other.magnitude is None:
                 named = any(isinstance(c, Column) and (c.source, c.name) == (source, name) for c in columns)
                 columns += [] if named else [Column(source, own.magnitude, name=name)]
     return tuple(columns)
