@@ -128,6 +128,40 @@ def too_small() -> list[str]:
     ]
 
 
+def _is_number(value: ast.expr) -> bool:
+    """Whether it is a number, a tuple of numbers, or a calculation of numbers."""
+    if isinstance(value, ast.Tuple):
+        return bool(value.elts) and all(map(_is_number, value.elts))
+    if isinstance(value, ast.BinOp):
+        return _is_number(value.left) and _is_number(value.right)
+    if isinstance(value, ast.UnaryOp):
+        return _is_number(value.operand)
+    return isinstance(value, ast.Constant) and type(value.value) in (int, float)
+
+
+def constants() -> list[str]:
+    """Numeric constants of modules, which are not fields of a tuning, as ``module.NAME``."""
+    found = []
+    for name, module in modules().items():
+        for node in ast.parse(module.path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Assign) and _is_number(node.value):
+                targets = [one.id for one in ast.walk(node.targets[0]) if isinstance(one, ast.Name)]
+                found += [f"{name}.{target}" for target in targets if target.isupper()]
+    return found
+
+
+def long_functions(most: int = 60) -> list[str]:
+    """Functions with more lines than this without their docstring, as ``module.name``."""
+    found = []
+    for name, module in modules().items():
+        for node in ast.walk(ast.parse(module.path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.end_lineno is not None:
+                docstring = len((ast.get_docstring(node, clean=False) or "").splitlines())
+                if node.end_lineno - node.lineno + 1 - docstring > most:
+                    found.append(f"{name}.{node.name}")
+    return found
+
+
 def of_one_importer() -> Counter[str]:
     """Number of modules with one importer, by kind."""
     lines = lines_of()

@@ -1,6 +1,7 @@
 """Import rules: every module has a layer, none imports a layer above it, and start-up imports little."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections import defaultdict
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import sameas
-from modules import belong_inside, circles, imported, name_of, too_small
+from modules import belong_inside, circles, constants, imported, name_of, too_small
 
 HOME = Path(sameas.__file__).parent
 #: The modules and packages of ``sameas`` from the lowest layer up; those of one line do not import each other.
@@ -104,6 +105,15 @@ def test_a_class_name_stands_for_one_thing():
                 homes[node.name].append(name_of(path))
     del homes["Tuning"]  # of each stage
     assert {name: where for name, where in homes.items() if len(where) > 1} == {}
+
+
+def test_no_test_patches_a_constant():
+    """What tunes a stage is a field of its tuning, of which a test passes another."""
+    patched = re.compile(r'setattr\(\s*(?:"sameas[\w.]*\.|[\w.]+,\s*")([A-Z][A-Z0-9_]+)"')
+    known = {name.rpartition(".")[2] for name in constants()}
+    for path in Path(__file__).parent.rglob("test_*.py"):
+        if path.name not in ("test_study.py", "test_examples.py"):  # of benchmarks and examples
+            assert not known & set(patched.findall(path.read_text(encoding="utf-8"))), path
 
 
 def test_very_short_modules_have_many_importers():
