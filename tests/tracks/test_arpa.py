@@ -151,6 +151,15 @@ def test_a_number_used_again_is_another_target():
     assert silent.track_id.tolist() == ["01", "01/2"]
 
 
+def test_a_target_keeps_its_number_across_the_180th_meridian():
+    tll = "RATLL,04,5200.0000,N,{},,1302{:02d}.00,T,"
+    sides = ("17959.9900,E", "17959.9980,E", "17959.9940,W", "17959.9860,W")
+    lines = [tll.format(side, 15 + 3 * k) for k, side in enumerate(sides)]
+    assert reports(ZDA, *lines).track_id.tolist() == ["04"] * 4
+    jumped = reports(ZDA, *lines[:2], tll.format("17930.0000,W", 21))
+    assert jumped.track_id.tolist() == ["04", "04", "04/2"]
+
+
 def test_a_fast_target_keeps_its_number():
     # 40 kn across the bow at 0.3 nm, and a far one that scatters.
     near = [ttm(distance="0.30", bearing=f"{b}", time=f"1302{15 + k}.00") for k, b in enumerate((330, 350, 10, 30))]

@@ -46,13 +46,14 @@ MOST_NUMBERS = 10_000
 
 @dataclass
 class Target:
-    """The last report of a target number. use : how many targets have had it. x, y : from own ship, or on the Earth, in
-    metres."""
+    """The last report of a target number. use : how many targets have had it. x, y, z : from own ship, or from the
+    centre of the Earth, in metres."""
 
     use: int = 1
     time_s: float = math.nan
     x: float = math.nan
     y: float = math.nan
+    z: float = math.nan
     tracked: bool = False
     lost: bool = False
 
@@ -64,7 +65,7 @@ class Target:
             self.lost
             or (self.tracked and not now.tracked)
             or elapsed_s > SILENT_S
-            or math.hypot(now.x - self.x, now.y - self.y) > reach_m
+            or math.hypot(now.x - self.x, now.y - self.y, now.z - self.z) > reach_m
         )
 
 
@@ -151,11 +152,14 @@ def _track_ids(
     """The ids of the rows: the number of the target, and which target with this number it is. Updates ``targets``."""
     if "range_m" in columns:
         range_m, bearing = np.asarray(columns["range_m"], np.float64), np.deg2rad(columns["bearing_deg"])
-        x, y = range_m * np.sin(bearing), range_m * np.cos(bearing)
+        place = np.column_stack([range_m * np.sin(bearing), range_m * np.cos(bearing), np.zeros(len(range_m))])
     else:
-        lat, lon = (np.asarray(columns[name], np.float64) for name in ("lat_deg", "lon_deg"))
+        # In three dimensions a step across the 180th meridian is as short as any other.
+        lat, lon = (np.deg2rad(np.asarray(columns[name], np.float64)) for name in ("lat_deg", "lon_deg"))
         range_m = np.zeros(len(lat))
-        x, y = 60.0 * MILE_M * lon * np.cos(np.deg2rad(lat)), 60.0 * MILE_M * lat
+        place = np.rad2deg(60.0 * MILE_M) * np.column_stack(
+            [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]
+        )
     if len(targets) > MOST_NUMBERS:
         targets.clear()
     out: list[str] = []
@@ -163,7 +167,8 @@ def _track_ids(
         if row is None:
             targets.setdefault(number, Target(use=0)).lost = True
             continue
-        now = Target(1, float(columns["time_s"][row]), float(x[row]), float(y[row]), bool(columns["tracked"][row]))
+        x, y, z = place[row].tolist()
+        now = Target(1, float(columns["time_s"][row]), x, y, z, bool(columns["tracked"][row]))
         before = targets.get(number)
         if before is not None:
             now.use = before.use + before.is_another(now, float(range_m[row]))
