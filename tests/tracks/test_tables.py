@@ -40,6 +40,13 @@ def understood(*names):
         (("t", "range (NM)", "bearing [deg]", "track", "sigma_range_m"),
          {"time_s": "t", "range_m": "range (NM)", "bearing_deg": "bearing [deg]", "track_id": "track",
           "sigma_range_m": "sigma_range_m"}),
+        # A radar's table with "track" beside a course, or velocities: the number of the track.
+        (("time", "track", "range_nm", "bearing_deg", "speed_kn", "course_deg"),
+         {"time_s": "time", "track_id": "track", "range_m": "range_nm", "bearing_deg": "bearing_deg",
+          "speed_m_per_s": "speed_kn", "course_deg": "course_deg"}),
+        (("time", "x_m", "y_m", "vx_m_per_s", "vy_m_per_s", "Track"),
+         {"time_s": "time", "x_m": "x_m", "y_m": "y_m", "vx_m_per_s": "vx_m_per_s", "vy_m_per_s": "vy_m_per_s",
+          "track_id": "Track"}),
         (("utc", "x_m", "y_m", "vx_m_per_s", "vy_m_per_s", "cov_xx", "cov_xy", "cov_yy", "id"),
          {"time_s": "utc", "x_m": "x_m", "y_m": "y_m", "vx_m_per_s": "vx_m_per_s", "vy_m_per_s": "vy_m_per_s",
           "cov_xx": "cov_xx", "cov_xy": "cov_xy", "cov_yy": "cov_yy", "track_id": "id"}),
@@ -80,6 +87,15 @@ def test_units_in_names_are_used_and_usual_ones_assumed():
     assert "radar.csv: altitude is read in ft: altitudes are feet" in made.notes
     made = table("time,lat,lon,speed_kmh\n0,50,1,36\n")
     assert made.speed_m_per_s[0] == pytest.approx(10.0)
+
+
+def test_a_track_that_may_be_a_number_is_named_where_it_is_read_as_a_course():
+    made = table("time,track,range_nm,bearing,speed_kn\n0,7,2.5,45,10\n")
+    assert made.course_deg[0] == 7.0 and made.track_id is None
+    [note] = [note for note in made.notes if "track" in note]
+    assert "track is read as the course of the speeds" in note and "track_id" in note
+    made = table("time,icao24,lat,lon,groundspeed,track\n0,4ca7a8,50,1,450,90\n")
+    assert not any("track" in note for note in made.notes)
 
 
 def test_assumed_units_are_reported():

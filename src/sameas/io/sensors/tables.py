@@ -262,8 +262,8 @@ def _choice(
 def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]]) -> dict[str, Choice]:
     """Corrects ambiguous names of courses.
 
-    "track" is a course in tables with speeds, and a track number in others; "heading" in OpenSky's state vectors is the
-    course over ground.
+    "track" is a course in tables with speeds, and a track number in others and beside another course; "heading" in
+    OpenSky's state vectors is the course over ground.
     """
     course, heading = chosen.get("course_deg"), chosen.get("heading_deg")
     opensky = any(stems[name][0] == "lastposupdate" for name in stems)
@@ -272,11 +272,20 @@ def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]
         why = f"{heading.name} is read as the course, as in OpenSky's states"
         chosen["course_deg"] = Choice(chosen.pop("heading_deg").name, quantity, heading.factor, why)
         return chosen
-    if course and "".join(stems[course.name]) == "track" and "speed_m_per_s" not in chosen:
+    track = next((name for name in stems if "".join(stems[name]) == "track"), None)
+    if track is None:
+        return chosen
+    named = not {"track_id", "mmsi", "icao", "callsign"}.isdisjoint(chosen)
+    if course and course.name == track:
+        if "speed_m_per_s" in chosen:
+            why = f"{track} is read as the course of the speeds; if it is the number of a track, name it track_id"
+            return chosen if named else chosen | {"course_deg": replace(course, why=why)}
         del chosen["course_deg"]
-        if "track_id" not in chosen:
-            quantity = next(q for q in QUANTITIES if q.column == "track_id")
-            chosen["track_id"] = Choice(course.name, quantity, 1.0, f"{course.name} is read as a track number")
+    elif named:
+        return chosen
+    if "track_id" not in chosen and all(choice.name != track for choice in chosen.values()):
+        quantity = next(q for q in QUANTITIES if q.column == "track_id")
+        chosen["track_id"] = Choice(track, quantity, 1.0, f"{track} is read as a track number")
     return chosen
 
 
