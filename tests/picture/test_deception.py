@@ -55,6 +55,23 @@ def test_a_second_radar_raises_the_probability_of_deception():
 
 
 @pytest.mark.slow_after(1)
+@pytest.mark.parametrize("switched_off", [False, True])
+def test_a_helicopter_that_leaves_its_ship_or_switches_off_on_board_is_no_alarm(switched_off):
+    # The radar still sees the ship, which reports herself.
+    radar, ais = sources()
+    rng, ship = np.random.default_rng(2), ais[1].track_id == MMSI[0]
+    x = np.column_stack([ais[1].x_m[ship], ais[1].y_m[ship]])
+    v = np.column_stack([ais[1].vx_m_per_s[ship], ais[1].vy_m_per_s[ship]])
+    flown = np.maximum(TIMES - 150.0, 0.0)[:, None] * ([0.0, 0.0] if switched_off else [4.0, 12.0])
+    positions = np.stack([x + flown, np.full_like(x, -9e3)])
+    velocities = np.stack([v + np.gradient(flown, TIMES, axis=0), np.zeros_like(x)])
+    adsb = describe("adsb", "ads-b", sigma_m=10.0)
+    described, flights = feed(rng, adsb, TIMES, positions, velocities, 300.0, ["48e0a1", "400100"])
+    aboard = flights.where((flights.track_id != "48e0a1") | (flights.time_s < 180.0) | (not switched_off))
+    assert not faults(Scene.of([radar, ais, (described, aboard)]))
+
+
+@pytest.mark.slow_after(1)
 def test_a_tracker_that_follows_a_ship_late_on_her_path_is_no_alarm():
     rng = np.random.default_rng(3)
     start = np.column_stack([1500.0 * np.arange(6), 2000.0 + 300.0 * rng.standard_normal(6)])

@@ -302,8 +302,9 @@ def deceptions(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]]) -> tu
         return ()
     index = _ObjectIndex.of(tracks)
     alarms: list[Fault] = []
-    for own in [track for track in tracks if feeds[track.source].description.kind in CORRELATED_KINDS]:
-        others = index.partners(own)
+    reporting = [track for track in tracks if feeds[track.source].description.kind in CORRELATED_KINDS]
+    for own in reporting:
+        others = [other for other in index.partners(own) if not _is_of_another(other, own, index, feeds)]
         alarms += _dragged(own, others, feeds, instants)
         alarms += _silent(own, others, feeds, instants)
     dragged = {(fault.source, fault.track) for fault in alarms if fault.probability > DEFAULT_TUNING.sure_deception}
@@ -336,6 +337,21 @@ def _companions(own: PictureTrack, others: Sequence[PictureTrack]) -> Iterator[t
         together = own.object[i] == other.object[j]
         if together.sum() >= DEFAULT_TUNING.min_instants:
             yield other, int(both[together][-1])
+
+
+def _is_of_another(other: PictureTrack, own: PictureTrack, index: _ObjectIndex, feeds: Sequence[Feed]) -> bool:
+    """Whether a track stays with a vessel that reports another identity, once the own one is no longer with it.
+
+    A helicopter leaves its ship, a pilot boat comes alongside and switches off: the radar still sees the ship.
+    """
+    own_objects, objects = _key(own), _key(other)
+    together = np.isin(objects, own_objects)
+    if not together.any():
+        return False
+    after = objects[np.flatnonzero(together)[-1] + 1 :]
+    named = [t for t in (other, *index.partners(other)) if feeds[t.source].description.kind in CORRELATED_KINDS]
+    keys = [_key(track) for track in named if track.track != own.track]
+    return bool(len(after) and keys and np.isin(after, np.concatenate(keys)).mean() > 0.5)
 
 
 def _dragged(
