@@ -99,3 +99,21 @@ def test_motions_in_another_convention_are_not_taken_for_a_wrong_epoch(misread: 
     tables, epochs = ((old, gaia), (2000.0, 2016.0)) if swapped else ((gaia, old), (2016.0, 2000.0))
     doubts = [doubt for doubt in _doubts(*tables, epochs) if "follow the proper motions" in doubt]
     assert len(doubts) == 1 and words.format(side=2 if swapped else 1) in doubts[0], doubts
+
+
+def test_quoted_errors_below_a_floor_do_not_bias_the_epoch():
+    """By the quoted errors the brightest stars had all the weight, and those that moved most counted as outliers."""
+    years = []
+    for seed in range(3):
+        rng, n = np.random.default_rng(seed), 1500
+        ra, dec = 100.0 + rng.uniform(0.0, 0.5, n), 30.0 + rng.uniform(0.0, 0.5, n)
+        pm, magnitude = rng.normal(0.0, 8.0, (n, 2)), np.minimum(20.0, 21.0 - rng.exponential(1.5, n))
+        quoted = 0.05 * 10.0 ** (0.2 * (magnitude - 20.0))
+        off = -12.8e-3 * pm + np.hypot(quoted, 0.03)[:, None] * rng.normal(size=(n, 2))  # at 2003.2
+        gaia = Table({"ra": ra, "dec": dec, "pmra": pm[:, 0], "pmdec": pm[:, 1], "phot_g_mean_mag": magnitude})
+        east, north = off.T / 3600.0
+        old = Table({"RA": ra + east / np.cos(np.radians(dec)), "DEC": dec + north, "sigma_arcsec": quoted})
+        doubts = _doubts(gaia, old, (2016.0, None))
+        (found,) = [re.search(r"were (\d+\.\d+) ±", doubt) for doubt in doubts if "follow the proper motions" in doubt]
+        years.append(float(found[1]))
+    assert abs(np.mean(years) - 2003.2) < 0.3

@@ -268,7 +268,7 @@ def match(
     doubts = assumed + density_doubts(estimate.coverage, options, tuning)
     doubts += _error_doubts(result, estimate, tuning) + _near_miss_doubts(result, estimate, tuning)
     field_doubts = disjoint_doubt(first, second, one, two) if _hardly_any_common(result, estimate, tuning) else ()
-    epoch_line, offset_explained = epoch_doubt(first, second, epoch, result, estimate.typical_scale)
+    epoch_line, offset_explained = epoch_doubt(first, second, epoch, result, estimate.errors)
     doubts += (*field_doubts, epoch_line) if epoch_line else field_doubts
     if search is not None:
         doubts += _search_doubts(search, warp)
@@ -504,7 +504,7 @@ def _offset_doubts(result: Identification, estimate: Estimate, tuning: Crossmatc
                 return (f"{few}{fit}call its columns ra1950 and dec1950",)
         few += "one may be offset from the other by more than their errors: "
         return (Message(few, naming("{offset:'find'} searches for it")),)
-    offset = residual_rotation(result, estimate.typical_scale)
+    offset = residual_rotation(result, estimate.errors)
     if offset is None:
         return ()
     rotation, share = offset

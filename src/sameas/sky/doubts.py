@@ -29,6 +29,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray, median
 from sameas.errors import Argument, Message, naming
+from sameas.evidence import Errors
 from sameas.gaussian import inverse
 from sameas.records import Records
 from sameas.result import Identification
@@ -459,12 +460,13 @@ EPOCH = EpochTuning()
 
 
 def epoch_doubt(
-    first: Catalogue, second: Catalogue, epoch_jyr: float | None, answer: Identification, scale: float
+    first: Catalogue, second: Catalogue, epoch_jyr: float | None, answer: Identification, errors: Errors
 ) -> tuple[str, bool]:
     """A doubt about the epoch of one catalogue, or about the convention of the motions (empty if none), and whether the
     epoch also explains a common offset.
 
-    epoch_jyr : common epoch of the match. scale : ratio of residuals to quoted errors.
+    epoch_jyr : common epoch of the match. errors : estimated ones. With the quoted ones bright stars, whose errors are
+    mostly a floor, would have most of the weight, and those of them that moved most would count as outliers.
     """
     side = _questioned(first, second)
     if side is None or epoch_jyr is None:
@@ -474,7 +476,7 @@ def epoch_doubt(
     # Residuals are first minus second. A catalogue moved from a later epoch than assumed was moved too far; one moved
     # to an earlier epoch than it should, not far enough.
     sign = (1.0 if moved is first else -1.0) * (1.0 if moved is questioned else -1.0)
-    astrometry, motion, residual, precision = _moved_pairs(moved, 1 if moved is first else 2, answer, scale)
+    astrometry, motion, residual, precision = _moved_pairs(moved, 1 if moved is first else 2, answer, errors)
     if len(motion) < EPOCH.fewest:
         return "", False
     motion = sign * motion
@@ -514,16 +516,16 @@ def epoch_doubt(
 
 
 def _moved_pairs(
-    moved: Catalogue, side: int, answer: Identification, scale: float
+    moved: Catalogue, side: int, answer: Identification, errors: Errors
 ) -> tuple[Astrometry, FloatArray, FloatArray, FloatArray]:
     """Some sure pairs with a known proper motion (m): astrometry of the moved catalogue, which is 1 or 2, its motion
-    (m, 2) in arcsec/yr, the residuals (m, 2), and their precisions (m, 2, 2) by errors scaled by ``scale``."""
+    (m, 2) in arcsec/yr, the residuals (m, 2), and their precisions (m, 2, 2)."""
     records, index = (answer.first, answer.pairs.i) if side == 1 else (answer.second, answer.pairs.j)
     use = np.flatnonzero(answer.p_pair > EPOCH.min_p_pair)
     use = use[:: -(-len(use) // EPOCH.max_pairs) or 1]
     astrometry = moved.astrometry[records.rows[index[use]]]
     motion = 1e-3 * np.column_stack([astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr])
-    residual, precision = answer.pairs.residual[use], inverse(answer.pairs.covariance_of(use)) / scale**2
+    residual, precision = answer.pairs.residual[use], inverse(errors.typical_covariance(answer.pairs, use))
     near = np.einsum("mv,mvw,mw->m", residual, precision, residual) < EPOCH.largest_sigmas**2
     used = near & np.isfinite(motion).all(axis=1)
     return astrometry[used], motion[used], residual[used], precision[used]

@@ -27,6 +27,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.estimate.match import match
+from sameas.evidence import Errors
 from sameas.gaussian import inverse, mahalanobis_sq, propagated
 from sameas.records import Records
 from sameas.representation import in_short
@@ -133,22 +134,22 @@ class Rotation:
         moves = [np.cross(omega, at) for omega in (axes[1], -axes[0], axes[2])]
         return np.stack([np.stack([np.einsum("nv,nv->n", m, a) for m in moves], axis=1) for a in local], axis=1)
 
-    def refined(self, answer: Identification, scale: float) -> tuple[Rotation, float]:
+    def refined(self, answer: Identification, errors: Errors) -> tuple[Rotation, float]:
         """The rotation after one more step from the pairs of ``answer``, and the largest move in units of the error.
 
-        scale : ratio of residuals to quoted errors.
+        errors : estimated ones.
         """
         use = np.flatnonzero(answer.p_pair > TUNING.min_p_pair)
         use = use[:: -(-len(use) // TUNING.max_pairs) or 1]
         pairs, p = answer.pairs, answer.p_pair[use]
         slope = self._slope(answer.second.features[pairs.j[use]])
-        covariance = pairs.covariance_of(use)
-        precision = inverse(covariance) / scale**2
+        covariance = errors.typical_covariance(pairs, use)
+        precision = inverse(covariance)
         weighted = np.einsum("mvw,mwk->mvk", precision, slope) * p[:, None, None]
         information = np.einsum("mvk,mvl->kl", weighted, slope) + np.diag([1e-12, 1e-12, 1e-12])
         step = np.linalg.solve(information, np.einsum("mvk,mv->k", weighted, pairs.residual[use]))
         shift = np.linalg.norm(np.einsum("mvk,k->mv", slope, step), axis=1)
-        sigma = scale * np.sqrt(0.5 * np.einsum("mvv->m", covariance))
+        sigma = np.sqrt(0.5 * np.einsum("mvv->m", covariance))
         share = float(np.max(shift / sigma, initial=0.0))
         vector, covariance = self.vector + step, inverse(information)
         return replace(self, vector=vector, covariance=covariance, iterations=self.iterations + 1), share
@@ -178,14 +179,14 @@ def find_rotation(first: Records, second: Records, progress: Callable[[str], Non
     while rotation.iterations < TUNING.iterations and not rotation.by_chance:
         progress("offset")
         answer, estimate = match(first, rotation.of(second))
-        rotation, share = rotation.refined(answer, estimate.typical_scale)
+        rotation, share = rotation.refined(answer, estimate.errors)
         if share < TUNING.converged_share or share > 0.9 * previous_share:
             break
         previous_share = share
     return rotation
 
 
-def residual_rotation(answer: Identification, scale: float) -> tuple[Rotation, float] | None:
+def residual_rotation(answer: Identification, errors: Errors) -> tuple[Rotation, float] | None:
     """A significant residual rotation of the pairs, and its largest shift in units of a pair's error; else None.
 
     With a rotation of many errors most true pairs are missed, and only part of it is seen here; :func:`find_rotation`
@@ -196,7 +197,7 @@ def residual_rotation(answer: Identification, scale: float) -> tuple[Rotation, f
     at = answer.second.features[:: -(-len(answer.second) // TUNING.max_pairs)]
     lon, lat = directions_deg(mean_direction(unit_vectors(*at.T)))
     centre = float(lon), float(lat)
-    rotation, share = Rotation(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, scale)
+    rotation, share = Rotation(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, errors)
     sigmas = float(np.sqrt(mahalanobis_sq(rotation.vector, rotation.covariance)))
     return (rotation, share) if share > TUNING.significant_share and sigmas > TUNING.significant_sigmas else None
 
