@@ -153,3 +153,9 @@ def test_every_part_and_field_of_a_description_is_on_the_page():
     for part, made in _PARTS.items():
         for field in fields(made):
             assert f"`{field.name}`" in rows[part], f"{part}.{field.name} is not on the page"
+
+
+def test_a_site_in_degrees_and_minutes_is_refused_with_the_form_to_give():
+    site = {"lat_deg": "53°54'N", "lon_deg": 8.7}
+    with pytest.raises(InputError, match=r"radar: site\.lat_deg is .*; give decimal degrees, south and west negative"):
+        Description.from_mapping("radar", {"kind": "marine radar", "site": site})

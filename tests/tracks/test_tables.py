@@ -193,6 +193,8 @@ def test_the_start_shows_which_number_of_a_date_is_the_day():
     for day, start in ((1, datetime(2024, 2, 1, tzinfo=UTC)), (2, datetime(2024, 1, 2, tzinfo=UTC))):
         made = table(text, start_s=start.timestamp())
         assert made.time_s[0] == start.timestamp() + 43_200.0, day
+    # With points the day is first, as nobody writes the month so.
+    assert table("time,lat,lon\n01.05.2024 12:00:00,1,2").time_s[0] == datetime(2024, 5, 1, 12, tzinfo=UTC).timestamp()
     assert table("time,lat,lon\n05/05/2024 12:00:00,1,2").time_s[0] == datetime(2024, 5, 5, 12, tzinfo=UTC).timestamp()
 
 

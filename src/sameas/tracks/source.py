@@ -357,7 +357,12 @@ def _part(source: str, section: str, part: Any, given: Mapping[str, Any]) -> Any
         if key not in known:
             raise InputError(_unknown(source, key, known, f" in {section}"))
         if not _is_numeric(given[key]):
-            raise InputError(f"{source}: {section}.{key} is {given[key]!r}; give a number, or a list of numbers")
+            form = (
+                "decimal degrees, south and west negative"
+                if key in ("lat_deg", "lon_deg")
+                else "a number, or a list of numbers"
+            )
+            raise InputError(f"{source}: {section}.{key} is {given[key]!r}; give {form}")
     try:
         return part(**{key: _tuples(value) for key, value in given.items()})
     except InputError as error:

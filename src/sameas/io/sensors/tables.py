@@ -603,7 +603,8 @@ def _instants(column: Sequence[Any], choice: Choice, source: str, start_s: float
 
 
 def _day_month_dates(texts: Sequence[str], source: str, start_s: float | None) -> FloatArray:
-    """Times from dates like 13/01/2024 12:00:00. A number above 12 shows which one is the day, else the start does."""
+    """Times from dates like 13/01/2024 12:00:00. A number above 12 shows which one is the day, else the start does, or
+    points between the numbers: these are written day first (DIN 5008, and wherever dates have points)."""
     day_first, month_first = (np.array([_of_date(text, day) for text in texts]) for day in (1, 2))
     readable = [np.isfinite(day_first), np.isfinite(month_first)]
     only = [bool((readable[k] & ~readable[1 - k]).any()) for k in (0, 1)]
@@ -612,6 +613,8 @@ def _day_month_dates(texts: Sequence[str], source: str, start_s: float | None) -
     if only[0] or only[1]:
         return day_first if only[0] else month_first
     if not np.array_equal(day_first, month_first, equal_nan=True):
+        if start_s is None and all("/" not in text for text in texts):
+            return day_first
         if start_s is None:
             example = next(text for text in texts if _DAY_FIRST.fullmatch(text))
             raise InputError(
