@@ -413,7 +413,7 @@ def _brightness(match: SkyMatch) -> list[str]:
     ):
         if curve is not None:
             lines += entry("completeness", f"of {mine.name} {other.name} shows {_completeness(curve)}")
-    weights = ", ".join(f"{name} {value:.1f}" for name, value in e.decisive.items())
+    weights = ", ".join(f"{name} {value:.1f}" for name, value in e.decisive.items() if value)
     if weights:
         changed = [f"; brightness changes {count(e.changed_by_brightness)} answers"] if e.photometry is not None else []
         if "precision" in e.decisive:
@@ -430,6 +430,9 @@ def _columns(match: SkyMatch) -> list[str]:
     lines = column_lines(columns, (match.first.name, match.second.name))
     if not lines:
         return entry("columns", "too few pairs to fit them; they are not used")
+    given = any(column.log_odds is not None for side in columns.sides for column in side)
+    if not given and not any(finding.used for finding in columns.findings):
+        return lines
     return [*lines, *entry("  they change", f"{count(match.estimate.changed_by_columns)} answers")]
 
 
