@@ -198,6 +198,15 @@ def test_the_start_shows_which_number_of_a_date_is_the_day():
     assert table("time,lat,lon\n05/05/2024 12:00:00,1,2").time_s[0] == datetime(2024, 5, 5, 12, tzinfo=UTC).timestamp()
 
 
+def test_decimal_commas_are_read_where_columns_are_not_separated_by_commas():
+    made = table("time;track_id;range_nm;bearing\n0;7;3,742;45,5\n3;7;;-0,5\n")
+    np.testing.assert_allclose(made.range_m, [3.742 * 1852.0, np.nan])
+    np.testing.assert_allclose(made.bearing_deg, [45.5, 359.5])
+    # Where the table has decimal points, a comma may separate thousands: no number is guessed.
+    made = table("time;range;bearing\n0;3,742;45.5\n3;900;45.6\n")
+    assert made.range_m.tolist() == [900.0] and "range is no number" in "".join(made.damaged.sentences())
+
+
 def test_columns_that_are_not_used_are_reported():
     made = table("time,lat,lon,snr,gain\n0,1,2,3,4\n")
     assert "radar.csv: columns not used: snr, gain" in made.notes

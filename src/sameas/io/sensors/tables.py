@@ -294,6 +294,8 @@ _NULLS = {"", "null", "none", "na", "n/a", "--", "nan"}
 _LISTED = 12
 _DELIMITERS = ",;\t|"
 _DAY_FIRST = re.compile(r"(\d{1,2})[/.](\d{1,2})[/.](\d{4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
+#: Numbers with a decimal comma or none, and with a decimal point.
+_COMMA, _POINT = re.compile(r"\s*[+-]?\d+(,\d+)?\s*"), re.compile(r"\s*[+-]?\d+\.\d+\s*")
 _OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
 
 
@@ -372,7 +374,25 @@ def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
     columns: dict[str, Sequence[Any]] = dict(
         zip(names, zip(*rows, strict=True) if rows else [()] * len(names), strict=True)
     )
+    if delimiter != "," and any("," in line for line in lines[number:]):
+        columns = _with_points(columns)
     return TableText(columns, np.array(line_numbers, np.int64), tuple(damaged))
+
+
+def _with_points(columns: Mapping[str, Sequence[Any]]) -> dict[str, Sequence[Any]]:
+    """The columns with decimal points for decimal commas, unless any number of the table has a point: then a comma may
+    separate thousands. Changes columns of numbers only."""
+    if any(_POINT.fullmatch(cell) for cells in columns.values() for cell in cells):
+        return dict(columns)
+    numbers = {
+        name
+        for name, cells in columns.items()
+        if all(_COMMA.fullmatch(cell) or cell.strip().lower() in _NULLS for cell in cells)
+    }
+    return {
+        name: tuple(cell.replace(",", ".") for cell in cells) if name in numbers else cells
+        for name, cells in columns.items()
+    }
 
 
 def cells_of_json(lines: Sequence[str], source: str) -> TableText:
