@@ -184,7 +184,12 @@ PLAIN_CIRCLES = tuple(
 _RADIAL = 1.0 - math.exp(-1.0)
 #: Radii around the position with a given probability, under names that say so.
 CONFIDENCE_RADII = (
-    *(ErrorNames("circle", (name,), "arcsec", containment=0.9) for name in ("err90", "poserr90", "pos_err_90")),
+    *(
+        ErrorNames("circle", (f"{stem}{joint}{percent}",), "arcsec", containment=percent / 100.0)
+        for percent in (90, 95, 68)
+        for stem in ("err", "poserr", "pos_err", "error_radius", "err_r", "pos_r")  # a bare r90 is a galaxy's light
+        for joint in ("", "_")
+    ),
     ErrorNames("circle", ("radec_err",), "arcsec", containment=_RADIAL),
 )
 
