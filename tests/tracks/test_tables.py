@@ -112,6 +112,30 @@ def test_options_of_the_user_override():
     assert (made.lat_deg[0], made.lon_deg[0]) == (10.0, 20.0)
 
 
+@pytest.mark.parametrize(("lat", "lon", "expected"), [
+    ("53° 56,656' N", "008° 42,000' E", (53.0 + 56.656 / 60.0, 8.7)),
+    ("53°56'39.36\"N", "8 42 0 E", (53.9442667, 8.7)),
+    ("S 33 51.5", "W070:30:00", (-33.8583333, -70.5)),
+    ("33.8583333 S", "-70 30", (-33.8583333, -70.5)),
+])  # fmt: skip
+def test_positions_in_degrees_and_minutes_are_read(lat, lon, expected):
+    made = table(f"time;lat;lon\n0;{lat};{lon}\n1;50;1")
+    np.testing.assert_allclose((made.lat_deg[0], made.lon_deg[0]), expected, atol=1e-7)
+
+
+@pytest.mark.parametrize("lat", ["53° 61' N", "-53° 10' N", "53.5° 10' N", "N 53 10 S", "53 10 20 30"])
+def test_positions_that_are_no_degrees_and_minutes_are_damaged(lat):
+    made = table(f"time;lat;lon\n0;{lat};8\n1;50;1")
+    assert list(made.damaged.reasons) == ["lat is no number"]
+
+
+def test_the_zone_that_times_state_is_named():
+    made = table("time,lat,lon\n2024-05-01T12:00:00+02:00,1,2")
+    assert made.time_s[0] == datetime(2024, 5, 1, 10, tzinfo=UTC).timestamp()
+    assert "radar.csv: time is read as the time of its stated zone" in made.notes
+    assert "radar.csv: time is read as UTC" in table("time,lat,lon\n2024-05-01T12:00:00Z,1,2").notes
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

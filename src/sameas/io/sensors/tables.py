@@ -13,6 +13,7 @@ from __future__ import annotations
 import csv
 import difflib
 import io
+import math
 import os
 import re
 from collections import Counter
@@ -545,14 +546,42 @@ def _values(cells: TableText, choice: Choice, damaged: dict[int, str]) -> NDArra
     except (TypeError, ValueError, OverflowError):
         pass
     values = np.full(len(column), np.nan)
+    is_place = choice.quantity.column in ("lat_deg", "lon_deg")
     for k, cell in enumerate(column):
         if cell is None or str(cell).strip().lower() in _NULLS:
             continue
         try:
             values[k] = float(cell) * choice.factor
         except (TypeError, ValueError, OverflowError):
-            damaged.setdefault(int(cells.lines[k]), f"{choice.name} is no number")
+            values[k] = _degrees(str(cell)) if is_place else math.nan
+            if math.isnan(values[k]):
+                damaged.setdefault(int(cells.lines[k]), f"{choice.name} is no number")
     return values
+
+
+#: The offset of a time zone at the end of ISO text; Z is UTC.
+_ZONE = re.compile(r"T.*[+-]\d\d:?\d\d$| .*:\d\d[+-]\d\d:?\d\d$")
+#: Degrees, minutes and seconds, of which the last may have decimals, between letters of the hemisphere.
+_DEGREES = re.compile(
+    r"([NSEW])?\s*([+-]?\d{1,3}(?:[.,]\d+)?)(?:[\s°:]+(\d{1,2}(?:[.,]\d+)?)(?:[\s'′:]+(\d{1,2}(?:[.,]\d+)?))?)?"
+    r"[\s°'′\"″]*([NSEW])?",
+    re.IGNORECASE,
+)
+
+
+def _degrees(text: str) -> float:
+    """A latitude or longitude such as 53° 56,656' N or S 33°51'20"; NaN for other texts."""
+    parts = _DEGREES.fullmatch(text.strip())
+    if parts is None or (parts[1] and parts[5]):
+        return math.nan
+    numbers = [float(part.replace(",", ".")) for part in parts.group(2, 3, 4) if part]
+    if any(number >= 60.0 for number in numbers[1:]) or any(number % 1.0 for number in numbers[:-1]):
+        return math.nan
+    size = sum(abs(number) / 60.0**k for k, number in enumerate(numbers))
+    hemisphere = (parts[1] or parts[5] or "").upper()
+    if hemisphere and parts[2][0] in "+-":
+        return math.nan
+    return -size if hemisphere in ("S", "W") or parts[2].startswith("-") else size
 
 
 def _texts(column: Sequence[Any], quantity: str) -> NDArray[np.object_]:
@@ -590,8 +619,9 @@ def _times(
         if np.isfinite(times).any():
             _mark(np.isnan(times), cells.lines, damaged, "no time")
             low = float(np.nanmax(np.abs(times))) < 1e8
+            zone = "UTC" if not any(_ZONE.search(str(cell)) for cell in column[:1]) else "the time of its stated zone"
             return times, f"{source}: {choice.name} is read as " + (
-                "seconds from an origin of its own: all sources must use the same origin" if low else "UTC"
+                "seconds from an origin of its own: all sources must use the same origin" if low else zone
             )
     times = np.array([_seconds_of_day(cell) for cell in column])
     _mark(np.isnan(times), cells.lines, damaged, "no time")
