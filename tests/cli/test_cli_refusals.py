@@ -71,11 +71,11 @@ def test_swapped_columns_and_marks_of_missing_declinations(refused):
         table["ra"], table["dec"] = np.full(len(table), 20.0), np.full(len(table), 150.0)
 
     def marked(table):
-        table["dec"][3] = -99.0
+        table["dec"][3] = -95.0
 
     words = refused(swapped)
     assert "(first: row 0), right ascensions within it; are the two swapped? give --ra1 NAME --dec1 NAME" in words
-    assert "beyond ±90° in 1 row (first: row 3); leave cells empty that were not measured (-99 there)" in refused(
+    assert "beyond ±90° in 1 row (first: row 3); leave cells empty that were not measured (-95 there)" in refused(
         marked
     )
 

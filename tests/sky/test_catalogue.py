@@ -245,6 +245,14 @@ def test_positions_are_read_in_every_notation() -> None:
         np.testing.assert_allclose(features, np.column_stack([truth.ra.deg, truth.dec.deg]), atol=1e-8)
 
 
+def test_placeholders_of_positions_are_no_positions() -> None:
+    """Five positions of −999 refused a whole catalogue of Pan-STARRS."""
+    table = Table({"ra": [10.0, -999.0, 10.2, 10.3, -999.0], "dec": [1.0, -999.0, 1.2, 1.3, -999.0]})
+    catalogue = Catalogue.of(table, "ps1", options=CatalogueOptions(sigma=0.1))
+    assert catalogue.records().set_aside.counts() == {"no position": 2}
+    assert "2 of 5 rows lack a position or a positive error and are set aside" in map(str, catalogue.doubts)
+
+
 def test_rows_without_a_position_or_an_error_are_set_aside() -> None:
     table = Table({"ra": MaskedColumn([1.0, 2.0, 3.0, 4.0], mask=[True, False, False, False])})
     table["dec"] = [60.0, np.nan, 60.0, 60.0]

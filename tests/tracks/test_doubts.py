@@ -126,6 +126,17 @@ def test_a_source_without_common_objects_is_reported():
     assert Scene.of([METRES["ais"]]).doubts() == ()
 
 
+@pytest.mark.slow
+def test_aircraft_among_sources_of_ships_are_no_fault():
+    rng, (_, ships) = np.random.default_rng(8), METRES["ais"]
+    columns = {"time_s": ships.time_s, "x_m": rng.uniform(-12e3, 12e3, len(ships)),
+               "y_m": rng.uniform(-9e3, 9e3, len(ships)), "icao": np.full(len(ships), "4ca123")}  # fmt: skip
+    flights = Description("adsb", "ads-b"), Reports.of("adsb", "ads-b", columns)
+    (sentence,) = Scene.of([*METRES.values(), flights]).doubts()
+    assert sentence.startswith("adsb: matches the others no better than by chance")
+    assert "do they observe its aircraft at all? If so, check" in sentence
+
+
 def test_a_stray_report_is_set_aside_by_its_line_and_the_others_are_kept():
     about, reports = DEGREES["ais"]
     for lon in (54.83, -6.0):

@@ -393,7 +393,7 @@ def _astrometry(
             sigma, correlation, magnitude, np.isfinite(ra) & np.isfinite(dec)
         )
     epoch = _epochs(table, choice, source)
-    _check_declinations(ra, dec, source)
+    dec = _possible_declinations(ra, dec, source)
     missing = MissingMotion()
     if options.missing_pm_mas_per_yr is not None:
         missing = replace(missing, pm_sigma_mas_per_yr=options.missing_pm_mas_per_yr)
@@ -414,13 +414,16 @@ def _astrometry(
     return (replace(astrometry, epoch_jyr=epoch) if np.isnan(epoch).any() else astrometry), filled_arcsec
 
 
-def _check_declinations(ra: FloatArray, dec: FloatArray, source: str) -> None:
-    """Refuses declinations beyond ±90°: many suggest swapped columns, a few suggest missing values."""
+def _possible_declinations(ra: FloatArray, dec: FloatArray, source: str) -> FloatArray:
+    """The declinations, NaN where a few have a placeholder (99, −999 …). Others beyond ±90° are refused: many suggest
+    swapped columns, a few suggest missing values."""
     beyond = np.flatnonzero(np.abs(dec) > 90.0)
     if not len(beyond):
-        return
+        return dec
     message = f"{source}: declinations beyond ±90° in {counted(len(beyond), 'row')} (first: row {beyond[0]})"
     few = 2 * len(beyond) < np.count_nonzero(np.isfinite(dec))
+    if few and all(set(f"{abs(value):g}".replace(".", "")) == {"9"} for value in np.unique(dec[beyond])):
+        return np.where(np.abs(dec) > 90.0, np.nan, dec)
     if few:
         remedy: str = f"leave cells empty that were not measured ({dec[beyond[0]]:g} there)"
     elif np.all(np.abs(ra[np.isfinite(ra)]) <= 90.0):

@@ -24,6 +24,7 @@ from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, LocalPlane
 from sameas.tracks.feed import Feed
+from sameas.tracks.kinds import KINDS
 from sameas.tracks.plot_offsets import PlotFits, shows_bare_plots, shows_tracks
 from sameas.tracks.registration import unbiased
 from sameas.tracks.reports import Reports
@@ -404,9 +405,14 @@ def _guessed_feeds(feed: Feed, plane: LocalPlane | None) -> Iterator[tuple[str, 
 def _nothing_in_common(feed: Feed, others: Sequence[Feed], best: Shared | None) -> str:
     name = feed.description.name
     if best is not None:
+        remedy = "check its position, clock and errors, or leave it out"
+        target = KINDS[feed.description.kind].target
+        if target and all(KINDS[other.description.kind].target != target for other in others):
+            objects = "aircraft" if target == "aircraft" else "vessels"
+            remedy = f"do they observe its {objects} at all? If so, {remedy}"
         return (
             f"{name}: matches the others no better than by chance: {best.pairs:.0f} of {best.records:.0f} "
-            f"records of an instant match {best.other}; check its position, clock and errors, or leave it out"
+            f"records of an instant match {best.other}; {remedy}"
         )
     own, theirs = _span(feed.reports.time_s), _span(np.concatenate([other.reports.time_s for other in others]))
     return (
