@@ -23,6 +23,7 @@ from sameas.arrays import BoolArray
 from sameas.bounds import Unpacking, checked_fits
 from sameas.errors import InputError
 from sameas.io.format import Format, ascii_of, has_huge_power, to_json, to_text, unicode_of, unit_of
+from sameas.representation import counted
 
 if TYPE_CHECKING:
     from astropy.table import Column, Table
@@ -158,7 +159,9 @@ def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[Any, list[str
     if hdu is None:
         if len(tables) == 1:
             return hdus[tables[0]], []
-        return hdus[tables[0]], [f"{path} holds {len(tables)} tables, extensions {listed}; used {tables[0]}"]
+        left_out = counted(sum(int(hdus[number].header.get("NAXIS2", 0)) for number in tables[1:]), "row")
+        used = f"used {tables[0]}, without the {left_out} of the others"
+        return hdus[tables[0]], [f"{path} holds {len(tables)} tables, extensions {listed}; {used}"]
     number = int(hdu) if isinstance(hdu, int) or hdu.lstrip("-").isdecimal() else hdu
     try:
         chosen = hdus[number]
