@@ -19,9 +19,9 @@ def test_the_map_updates_shows_the_past_and_runs_no_markup_in_names(keeper, tmp_
     with served(keeper) as url:
         page = Browser(tmp_path / "profile", url)
         try:
-            page.until("mapPage.live && mapPage.live.situation > 8 && document.body.dataset.live === 'yes'")
-            first = page.js("mapPage.live.situation")
-            page.until(f"mapPage.live.situation > {first + 4}")
+            page.until("mapPage.live && mapPage.live.tick > 8 && document.body.dataset.live === 'yes'")
+            first = page.js("mapPage.live.tick")
+            page.until(f"mapPage.live.tick > {first + 4}")
             assert page.js("mapPage.now.time") == pytest.approx(page.js("mapPage.live.present.t"), abs=21.0)
             # A name with markup stays text.
             page.until(f"[...document.querySelectorAll('#rows .label')].some(e => e.textContent === {EVIL!r})")
@@ -34,8 +34,8 @@ def test_the_map_updates_shows_the_past_and_runs_no_markup_in_names(keeper, tmp_
             page.until("document.getElementById('slider').max > 3")
             page.js("(s => { s.value = 0; s.dispatchEvent(new Event('input')); })(document.getElementById('slider'))")
             held = page.js("mapPage.now.time")
-            tick = page.js("mapPage.live.situation")
-            page.until(f"mapPage.live.situation > {tick + 3}")
+            tick = page.js("mapPage.live.tick")
+            page.until(f"mapPage.live.tick > {tick + 3}")
             assert page.js("mapPage.now.time") == held and page.js("document.body.dataset.live") == "back"
             page.js("document.getElementById('play').click()")
             page.until("document.body.dataset.live === 'yes' && mapPage.now.time > " + str(held))
@@ -113,15 +113,15 @@ def test_ranges_are_from_own_ship_and_an_approach_at_the_limit_is_one_alarm(keep
             # Within 1.2 times the limit an active alarm stays; beyond, it ends.
             metres["now"] = 580.0
             page.until(f"{cells}.filter(e => e).join() === '0.31'")
-            tick = page.js("mapPage.live.situation")
-            page.until(f"mapPage.live.situation > {tick + 6}")
+            tick = page.js("mapPage.live.tick")
+            page.until(f"mapPage.live.tick > {tick + 6}")
             assert page.js("document.querySelectorAll('#alarms li.current').length") == 1
             metres["now"] = 620.0
             page.until("document.querySelectorAll('#alarms li.current').length === 0")
             # It is not raised again before the limit itself.
             metres["now"] = 580.0
-            tick = page.js("mapPage.live.situation")
-            page.until(f"mapPage.live.situation > {tick + 6}")
+            tick = page.js("mapPage.live.tick")
+            page.until(f"mapPage.live.tick > {tick + 6}")
             assert page.js("document.querySelectorAll('#alarms li.current').length") == 0
             assert len([one for one in keeper.alarm_list() if one["kind"] == "cpa"]) == 1 and page.errors == []
         finally:
