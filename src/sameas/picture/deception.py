@@ -340,18 +340,21 @@ def _companions(own: PictureTrack, others: Sequence[PictureTrack]) -> Iterator[t
 
 
 def _is_of_another(other: PictureTrack, own: PictureTrack, index: _ObjectIndex, feeds: Sequence[Feed]) -> bool:
-    """Whether a track stays with a vessel that reports another identity, once the own one is no longer with it.
+    """Whether a track is that of a vessel that reports another identity, before and after the own one left it.
 
-    A helicopter leaves its ship, a pilot boat comes alongside and switches off: the radar still sees the ship.
+    A helicopter leaves its ship, or switches off on board: the radar still sees the ship. A neighbour whose reports
+    meet the radar's track only after the own ones have left it is no proof: they may be forged.
     """
-    own_objects, objects = _key(own), _key(other)
-    together = np.isin(objects, own_objects)
-    if not together.any():
+    objects = _key(other)
+    together = np.flatnonzero(np.isin(objects, _key(own)))
+    if not len(together):
         return False
-    after = objects[np.flatnonzero(together)[-1] + 1 :]
     named = [t for t in (other, *index.partners(other)) if feeds[t.source].description.kind in CORRELATED_KINDS]
     keys = [_key(track) for track in named if track.track != own.track]
-    return bool(len(after) and keys and np.isin(after, np.concatenate(keys)).mean() > 0.5)
+    before, after = np.split(objects, [together[-1] + 1])
+    if not (len(after) and keys):
+        return False
+    return all(np.isin(part, np.concatenate(keys)).mean() > 0.5 for part in (before, after))
 
 
 def _dragged(
