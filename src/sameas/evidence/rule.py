@@ -169,12 +169,7 @@ class Errors:
 
     def typical_covariance(self, pairs: Pairs, some: IntArray) -> FloatArray:
         """(k, d, d) covariances of the residuals of some pairs (k,): S times :attr:`typical_scale` squared."""
-        at, rows_1, rows_2 = np.arange(len(some), dtype=np.int32), pairs.i[some], pairs.j[some]
-        first, second = self.records(
-            pairs.first.part(rows_1.astype(np.int64)), pairs.second.part(rows_2.astype(np.int64))
-        )
-        modelled = replace(pairs.part(some), first=first, second=second, i=at, j=at)
-        return self.typical_scale**2 * modelled.covariance
+        return self.typical_scale**2 * self.pairs(pairs.part(some)).covariance
 
     def log_density(self, pairs: Pairs) -> FloatArray:
         """(m,) ln of the density of the residuals [F14, T17, for one component of scale 1]."""

@@ -638,7 +638,7 @@ def _magnitude(search: ColumnSearch, convention: Convention) -> tuple[str | None
         return name, _error_of(search, name)
     for wanted, error in convention.magnitudes + conventions.PLAIN_MAGNITUDES:
         name = search.find(wanted)
-        if name and getattr(search.table[name], "ndim", 1) == 1 and column_values.holds_numbers(search.table, name):
+        if name and _holds_magnitudes(search.table, name):
             errors_of_name = tuple(e for w, e in convention.magnitudes + conventions.PLAIN_MAGNITUDES if w == wanted)
             return name, search.find(error) or search.first(errors_of_name)
     by_ucd = next((n for n in search.table.colnames if search.ucd(n).startswith(("phot.mag;", "phot_mag"))), None)
@@ -647,16 +647,14 @@ def _magnitude(search: ColumnSearch, convention: Convention) -> tuple[str | None
     units = _bands(search)
     band = next((name for name, unit in units.items() if unit is not None and unit.to_string() == "mag"), None)
     if band is None:
-        band = next((name for name in search.table.colnames if _is_band_magnitude(search.table, name)), None)
+        named = filter(conventions.BAND_MAGNITUDE.fullmatch, search.table.colnames)
+        band = next((name for name in named if _holds_magnitudes(search.table, name)), None)
     return band, _error_of(search, band)
 
 
-def _is_band_magnitude(table: Table, name: str) -> bool:
-    return (
-        conventions.BAND_MAGNITUDE.fullmatch(name) is not None
-        and getattr(table[name], "ndim", 1) == 1
-        and column_values.holds_numbers(table, name)
-    )
+def _holds_magnitudes(table: Table, name: str) -> bool:
+    """Whether a column has one number per row: apertures have several."""
+    return getattr(table[name], "ndim", 1) == 1 and column_values.holds_numbers(table, name)
 
 
 def _bands(search: ColumnSearch) -> dict[str, u.UnitBase | None]:

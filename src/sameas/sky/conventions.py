@@ -168,7 +168,7 @@ BANDS = (
 #: Names of a magnitude by its band or filter: ``MAG_I``, ``i_mag``, ``zmag``, ``F606W_mag``.
 BAND_MAGNITUDE = re.compile(
     r"(?:mag(?:nitude)?[_ ]?{band}|{band}[_ ]?mag(?:nitude)?)".format(
-        band=r"(?:[ubgvrizyjhkl]|vt|bt|hp|rc|ic|ks|bp|rp|w[1-4]|[nf]uv|f\d{3,4}[wmn])"
+        band=rf"(?:{'|'.join(BANDS)}|L|BP|RP|W[2-4]|[NF]UV|F\d{{3,4}}[WMN])"
     ),
     re.IGNORECASE,
 )

@@ -619,7 +619,7 @@ def _times(
         if np.isfinite(times).any():
             _mark(np.isnan(times), cells.lines, damaged, "no time")
             low = float(np.nanmax(np.abs(times))) < 1e8
-            zone = "UTC" if not any(_ZONE.search(str(cell)) for cell in column[:1]) else "the time of its stated zone"
+            zone = "the time of its stated zone" if _ZONE.search(str(column[0])) else "UTC"
             return times, f"{source}: {choice.name} is read as " + (
                 "seconds from an origin of its own: all sources must use the same origin" if low else zone
             )
