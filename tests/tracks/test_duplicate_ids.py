@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import split_duplicate_ids, track_timeout_s
+from sameas.tracks.live_feed import LiveFeed
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
-from sameas.tracks.source import Description, SensorErrors
+from sameas.tracks.source import Description, Motion, SensorErrors
 
 SPEED = 8.0
 
@@ -103,3 +106,55 @@ def test_the_timeout_is_the_99_9th_percentile_of_gaps() -> None:
     assert track_timeout_s(times, np.full(20_000, "7")) == pytest.approx(180.0)
     assert track_timeout_s(times, None) == math.inf
     assert track_timeout_s(times[:3], np.array(["1", "2", "3"])) == math.inf
+
+
+def flights(count: int = 3, step_s: float = 5.0, speed: float = 220.0, **columns: Any) -> Reports:
+    """Tracks of another system that fly east side by side, with their velocities."""
+    rows = [(step_s * k, speed * step_s * k, 5000.0 * n, f"{n}") for k in range(12) for n in range(count)]
+    time_s, x, y, track = (list(column) for column in zip(*rows, strict=True))
+    covariance = np.tile([1600.0, 0.0, 1600.0], (len(rows), 1))
+    velocity = {"vx_m_per_s": np.full(len(rows), speed), "vy_m_per_s": np.zeros(len(rows))}
+    given: dict[str, Any] = (
+        {"time_s": time_s, "x_m": x, "y_m": y, "track_id": track, "covariance_m2": covariance} | velocity | columns
+    )
+    return Reports.of("tracker", "asterix 062", given)
+
+
+def test_tracks_of_aircraft_move_as_aircraft() -> None:
+    scene = Scene.of([(Description("tracker", "tracks"), flights())])
+    description = scene.feeds[0].description
+    assert scene.notes == () and description.motion.speed_m_per_s == 150.0
+    assert {line.kind for line in description.assumed if line.name.startswith("motion.")} == {"tracks of aircraft"}
+
+
+def test_tracks_of_ships_and_a_given_motion_stay_as_they_are() -> None:
+    given = Description("tracker", "tracks", motion=Motion(acceleration_m2_per_s3=1.0, speed_m_per_s=60.0))
+    described = Scene.of([(given, flights())]).feeds[0].description
+    ships = Scene.of([(Description("tracker", "tracks"), flights(speed=6.0))]).feeds[0].description
+    assert (described.motion, ships.motion.speed_m_per_s) == (given.motion, 8.0)
+
+
+def test_live_tracks_of_aircraft_move_as_aircraft() -> None:
+    feed, reports = LiveFeed(Description("tracker", "tracks")), flights(speed=220.0)
+    for k in range(len(reports)):
+        feed.add(reports.where([k]))
+    assert (feed.counts.jumps, feed.description.motion.speed_m_per_s) == (0, 150.0)
+
+
+def test_one_helicopter_does_not_turn_ships_into_aircraft() -> None:
+    feed, ships = LiveFeed(Description("tracker", "tracks")), flights(step_s=30.0, speed=6.0)
+    helicopter = flights(1, step_s=30.0, speed=70.0)
+    helicopter = replace(helicopter, track_id=np.array(["H"] * len(helicopter), object))
+    for k in range(len(helicopter)):
+        feed.add(helicopter.where([k]))
+        feed.add(ships.where([3 * k, 3 * k + 1, 3 * k + 2]))
+    assert (feed.counts.jumps, feed.description.motion.speed_m_per_s) == (0, 8.0)
+
+
+def test_a_fast_craft_that_states_its_speed_is_one_object() -> None:
+    times = np.arange(0.0, 100.0, 10.0)
+    speed = np.where(times < 50.0, 2.0, 75.0)
+    columns = {"x_m": np.cumsum(10.0 * speed), "y_m": 0.0 * times, "vx_m_per_s": speed, "vy_m_per_s": 0.0 * times}
+    reports = Reports.of("ais", "ais", {"time_s": times, "mmsi": ["111232506"] * 10, **columns})
+    scene = Scene.of([(Description("ais", "ais"), reports)])
+    assert scene.notes == () and scene.feeds[0].reports.usable.all()

@@ -26,6 +26,7 @@ from sameas.representation import counted, in_short
 from sameas.tracks.alignment import States, Succession, are_unfiltered, follow, with_minutes
 from sameas.tracks.biases import corrected
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import AntennaRotation, scans_of, seen_from
@@ -359,6 +360,32 @@ def need_filtering(placed: PlacedReports) -> bool:
     )
 
 
+def of_aircraft(reports: Reports, tuning: Tuning = DEFAULT_TUNING) -> BoolArray:
+    """(n,) whether a report is of an aircraft: it has an address, a Mode A code, a pressure height, or its speed."""
+    out = np.zeros(len(reports), bool)
+    for column in (reports.icao, reports.mode_a):
+        if column is not None:
+            out |= np.array([text is not None and text != "" for text in column.tolist()], bool)
+    if reports.pressure_alt_m is not None:
+        out |= np.isfinite(reports.pressure_alt_m)
+    velocity = reports.velocity_m_per_s()
+    if velocity is not None:
+        vessel_m_per_s = float(KINDS["ais"].defaults["motion.speed_m_per_s"][0])  # type: ignore[arg-type]
+        out |= np.hypot(*velocity.T) > tuning.max_speed_sigmas * vessel_m_per_s
+    return out
+
+
+def of_their_objects(description: Description, reports: Reports, tuning: Tuning = DEFAULT_TUNING) -> Description:
+    """The description of tracks of another system, with the motion of aircraft if most of its reports are of those.
+
+    Tracks of ships and of aircraft come in one format; no other kind has both.
+    """
+    if description.kind != "tracks" or not len(reports):
+        return description
+    is_of_aircraft = of_aircraft(reports, tuning).mean() >= tuning.aircraft_share
+    return description.with_motion_of_aircraft() if is_of_aircraft else description
+
+
 def at_reported_positions(reports: States, tracks: States) -> States:
     """The filtered velocities of the tracks at the reported positions."""
     state, covariance = tracks.state.copy(), tracks.covariance.copy()
@@ -404,11 +431,11 @@ def split_duplicate_ids(
         tuning.position_sigmas * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
         + 0.5 * doubtful_s * limit
     )
-    jumps = _too_far(reports, rows[:-1], rows[1:], radius[:-1] + radius[1:], limit) & (owner[1:] == owner[:-1])
+    jumps = _too_far(reports, rows[:-1], rows[1:], radius[:-1] + radius[1:], limit, tuning) & (owner[1:] == owner[:-1])
     track, state, notes = reports.track.astype(object), reports.state.copy(), []
     for k in np.unique(owner[1:][jumps]):
         own = np.flatnonzero(owner == k)
-        branch = _branches(reports, rows[own], radius[own], limit)
+        branch = _branches(reports, rows[own], radius[own], limit, tuning)
         count = np.bincount(branch)
         is_outlier, objects = count[branch] == 1, np.flatnonzero(count > 1)
         if np.count_nonzero(np.diff(branch[~is_outlier])) < tuning.alternations:
@@ -421,13 +448,25 @@ def split_duplicate_ids(
     return States(reports.time_s, state, reports.covariance, track, reports.rows), tuple(notes)
 
 
-def _too_far(reports: States, first: IntArray, second: IntArray, radius: FloatArray, limit: float) -> BoolArray:
+def fastest(limit: float, first: FloatArray, second: FloatArray, tuning: Tuning) -> FloatArray:
+    """(k,) greatest speed, m/s, between two states (k, 4): the limit, or what the speeds that they state allow.
+
+    A rescue helicopter among ships states her speed by AIS. limit : of the objects that state none.
+    """
+    stated = np.maximum(np.hypot(first[:, 2], first[:, 3]), np.hypot(second[:, 2], second[:, 3]))
+    return np.fmax(limit, tuning.stated_speeds * stated)
+
+
+def _too_far(
+    reports: States, first: IntArray, second: IntArray, radius: FloatArray, limit: float, tuning: Tuning
+) -> BoolArray:
     """(k,) whether the second report of each pair is out of reach of the first."""
-    distance = np.linalg.norm(reports.state[second, :2] - reports.state[first, :2], axis=1)
-    return np.asarray(distance > radius + limit * np.abs(reports.time_s[second] - reports.time_s[first]))
+    a, b = reports.state[first], reports.state[second]
+    reach = radius + fastest(limit, a, b, tuning) * np.abs(reports.time_s[second] - reports.time_s[first])
+    return np.asarray(np.linalg.norm(b[:, :2] - a[:, :2], axis=1) > reach)
 
 
-def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float) -> IntArray:
+def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float, tuning: Tuning) -> IntArray:
     """(k,) number of the object of each report of one id: the nearest one that can have moved there."""
     ends: list[int] = []
     branch = np.zeros(len(rows), np.int64)
@@ -436,7 +475,7 @@ def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float)
         distance = np.full(len(last_rows), math.inf)
         if len(last_rows):
             before = rows[last_rows]
-            far = _too_far(reports, before, np.full(len(last_rows), row), radius[last_rows] + radius[at], limit)
+            far = _too_far(reports, before, np.full(len(last_rows), row), radius[last_rows] + radius[at], limit, tuning)
             predicted = reports.state[before, :2] + reports.state[before, 2:] * (
                 reports.time_s[row] - reports.time_s[before, None]
             )
@@ -485,7 +524,7 @@ class Branches:
         self, time_s: float, state: FloatArray, radius: float, limit: float, tuning: Tuning = DEFAULT_TUNING
     ) -> int | None:
         """The object of a report: 0 for the first one, or while the id may just have moved; None if excluded."""
-        distance = [self._distance_m(end, time_s, state, radius, limit) for end in self.ends]
+        distance = [self._distance_m(end, time_s, state, radius, limit, tuning) for end in self.ends]
         nearest = int(np.argmin(distance))
         if math.isinf(distance[nearest]):
             self.ends.append((time_s, state, radius))
@@ -513,11 +552,16 @@ class Branches:
 
     @staticmethod
     def _distance_m(
-        end: tuple[float, FloatArray, float], time_s: float, state: FloatArray, radius: float, limit: float
+        end: tuple[float, FloatArray, float],
+        time_s: float,
+        state: FloatArray,
+        radius: float,
+        limit: float,
+        tuning: Tuning,
     ) -> float:
         """The distance from the predicted place of an object; infinite if out of its reach."""
         last_s, last, last_radius = end
-        dt = time_s - last_s
+        dt, limit = time_s - last_s, float(fastest(limit, last[None], state[None], tuning)[0])
         if float(np.hypot(*(state[:2] - last[:2]))) > last_radius + radius + limit * abs(dt):
             return math.inf
         return float(np.hypot(*(last[:2] + last[2:] * dt - state[:2])))

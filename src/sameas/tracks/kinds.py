@@ -36,7 +36,8 @@ _VESSEL = {
     ),
     "motion.speed_m_per_s": (8.0, "vessels move at up to 16 knots"),
 }
-_AIRCRAFT = {
+#: Motion of aircraft, by name of the number, with its source.
+AIRCRAFT_MOTION = {
     "motion.acceleration_m2_per_s3": (4.0, "an airliner's turns and speed changes: 2 m/s in a second"),
     "motion.speed_m_per_s": (150.0, "aircraft move at 300 knots, at most twice that"),
 }
@@ -94,7 +95,7 @@ KINDS: Mapping[str, Kind] = {
             "bias.range_m": (100.0, "transponder and cable delay"),
             "bias.azimuth_deg": (0.2, "alignment to north"),
             "bias.time_s": (0.5, "clocks and queues"),
-            **_AIRCRAFT,
+            **AIRCRAFT_MOTION,
         },
         correlation_s=5.0,  # every rotation is a new measurement
     ),
@@ -129,7 +130,7 @@ KINDS: Mapping[str, Kind] = {
             "timing.latency_sigma_s": (0.2, "DO-260B: within 0.6 s"),
             "errors.speed_m_per_s": (1.5, "NACv 2: 95 % within 3 m/s"),
             "errors.course_deg": (1.0, "from the velocity"),
-            **_AIRCRAFT,
+            **AIRCRAFT_MOTION,
         },
         correlation_s=600.0,  # a receiver's error drifts over minutes
         self_named=True,
@@ -147,7 +148,7 @@ KINDS: Mapping[str, Kind] = {
             "timing.latency_sigma_s": (1.0, "usual"),
             "errors.speed_m_per_s": (10.0, "tracked"),
             "errors.course_deg": (5.0, "tracked"),
-            **_AIRCRAFT,
+            **AIRCRAFT_MOTION,
         },
         correlation_s=30.0,  # the same receivers for a while
         self_named=True,

@@ -33,9 +33,11 @@ from sameas.tracks.feed import (
     Branches,
     Feed,
     at_reported_positions,
+    fastest,
     in_motion,
     known_biases,
     need_filtering,
+    of_aircraft,
     repeated,
     stale_positions,
     walk_of,
@@ -125,6 +127,9 @@ class LiveFeed:
         self._horizon_s = -math.inf
         self._directions = KINDS[self.description.kind].directions
         self._has_heights = False
+        self._given = self.description
+        #: Number of reports of aircraft, and of all.
+        self._of_aircraft = np.zeros(2, np.int64)
 
     @property
     def named(self) -> bool:
@@ -150,6 +155,7 @@ class LiveFeed:
         """
         if not len(reports):
             return
+        self._describe(reports)
         placed = PlacedReports(self.description, reports, self.plane, self.tuning)
         in_plane, sensor_m = placed.in_plane, placed.sensor_m
         biases = known_biases(self.description, sensor_m)
@@ -182,6 +188,14 @@ class LiveFeed:
             self._rows.put(places, new)
         else:
             self._add_to_tracks(new)
+
+    def _describe(self, reports: Reports) -> None:
+        """Gives tracks of another system the motion of aircraft while most of the reports so far are of aircraft."""
+        if self.description.kind != "tracks":
+            return
+        self._of_aircraft += (int(of_aircraft(reports, self.tuning).sum()), len(reports))
+        most = self._of_aircraft[0] >= self.tuning.aircraft_share * self._of_aircraft[1]
+        self.description = self._given.with_motion_of_aircraft() if most else self._given
 
     def feed(self, instant_s: float, early_s: float = 0.0) -> Feed:
         """The feed of an instant, for a scene; reports that no later instant needs are dropped.
@@ -409,12 +423,14 @@ class LiveFeed:
         rows = self._rows
         number = np.concatenate([rows.number[last], new.number])
         time_s = np.concatenate([rows.time_s[last], new.time_s])
-        place = np.concatenate([rows.measured[last, :2], new.measured[:, :2]])
+        state = np.concatenate([rows.measured[last], new.measured])
+        place = state[:, :2]
         reach = np.concatenate([self.tuning.position_sigmas * _sigma_m(rows.measured_covariance[last]), radius])
         order = np.lexsort([time_s, number])
         a, b = order[:-1], order[1:]
         distance = np.hypot(*(place[b] - place[a]).T)
-        jump = (number[a] == number[b]) & (distance > reach[a] + reach[b] + limit * np.abs(time_s[b] - time_s[a]))
+        speed = fastest(limit, state[a], state[b], self.tuning)
+        jump = (number[a] == number[b]) & (distance > reach[a] + reach[b] + speed * np.abs(time_s[b] - time_s[a]))
         # All reports of such an id in the batch are then checked one by one.
         return np.asarray(np.isin(new.number, number[b[jump]]))
 

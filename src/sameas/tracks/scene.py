@@ -39,7 +39,7 @@ from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.doubts import doubts, too_far_apart
 from sameas.tracks.error_fit import TrackErrorFit, fit_errors
-from sameas.tracks.feed import Feed, need_filtering
+from sameas.tracks.feed import Feed, need_filtering, of_their_objects
 from sameas.tracks.heights import HeightModel, HeightReports, heights_of
 from sameas.tracks.placement import PlacedReports
 from sameas.tracks.plot_offsets import PlotFits
@@ -88,7 +88,10 @@ class Scene:
         names = [description.name for description, _ in sources]
         if len(set(names)) < len(names):
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
-        all_placed = (PlacedReports(description, reports, plane, tuning) for description, reports in sources)
+        all_placed = (
+            PlacedReports(of_their_objects(description, reports, tuning), reports, plane, tuning)
+            for description, reports in sources
+        )
         feeds = tuple(Feed.of_placed(placed, to_tracks=need_filtering(placed)) for placed in all_placed)
         return cls(feeds, plane, tuning)
 

@@ -31,7 +31,7 @@ from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError
 from sameas.representation import in_short
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.kinds import KINDS
+from sameas.tracks.kinds import AIRCRAFT_MOTION, KINDS
 
 
 @dataclass(frozen=True)
@@ -312,6 +312,18 @@ class Description:
             else:
                 parts[key] = _part(name, key, _PARTS[key], value)
         return cls(name, **parts)
+
+    def with_motion_of_aircraft(self) -> Description:
+        """The description with the motion of aircraft where none was given, for a kind that assumes that of vessels."""
+        assumed = {line.name for line in self.assumed}
+        motion = {name: default for name, default in AIRCRAFT_MOTION.items() if name in assumed}
+        lines = tuple(
+            replace(line, kind=f"{self.kind} of aircraft", value=motion[line.name][0], why=motion[line.name][1])
+            if line.name in motion else line
+            for line in self.assumed
+        )  # fmt: skip
+        values = {name.partition(".")[2]: value for name, (value, _) in motion.items()}
+        return replace(self, motion=replace(self.motion, **values), assumed=lines)
 
     def q_at(self, range_m: ArrayLike, bearing_deg: ArrayLike) -> FloatArray:
         """(n,) probability that an object at this range and bearing is missed: 1 outside the coverage."""

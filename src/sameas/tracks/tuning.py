@@ -30,6 +30,8 @@ class Tuning:
     repeat_sigmas : an object has left a repeated position if it moved farther than this many σ of that position since:
         below, the position is as good as others; rounding to a step of √12 σ cannot be seen either.
     max_speed_sigmas : maximum speed, in units of the typical speed of the source's objects (1σ per axis).
+    stated_speeds : an object that states a speed may move at this multiple of it, whatever the maximum speed is.
+    aircraft_share : tracks of another system are of aircraft if at least this share of its reports are.
     alternations : an id belongs to two objects if its reports change between their places at least this often; a single
         change is a repeated position or a reused id.
     position_sigmas : tolerance of positions, σ.
@@ -128,6 +130,8 @@ class Tuning:
     at_rest: float = 1.0 - 1e-6
     repeat_sigmas: float = 2.0
     max_speed_sigmas: float = 5.0
+    stated_speeds: float = 1.5
+    aircraft_share: float = 0.5
     alternations: int = 4
     position_sigmas: float = 6.0
 
