@@ -16,6 +16,7 @@ Source: Metropolis et al. 1953; expected instead of sampled acceptance as in Fre
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,23 @@ MULTIPLIER, MODULUS = 48271, 2147483647
 NO_SET = -1
 
 
+class KeyedSets(NamedTuple):
+    """The sets of a group, the records of each and the sets of each record (both as CSR), and their keys.
+
+    code : (n,) a random key of each record. key : (k,) of each set, the exclusive or of its records' keys. table : a
+    hash table of the sets by key, ``NO_SET`` where empty.
+    """
+
+    begin: IntArray
+    entry: IntArray
+    source: IntArray
+    code: IntArray
+    key: IntArray
+    table: IntArray
+    member_begin: IntArray
+    member_sets: IntArray
+
+
 @part
 def sampled(begin: IntArray, entry: IntArray, source: IntArray, weight: FloatArray, chosen: BoolArray) -> FloatArray:
     """(k,) probabilities of the sets of a group, with a standard error of some 0.01 for those near ½.
@@ -38,95 +56,21 @@ def sampled(begin: IntArray, entry: IntArray, source: IntArray, weight: FloatArr
     chosen : (k,) whether a set is in the initial partition.
     """
     k, n = len(weight), len(source)
-    total, since_step, set_of = np.zeros(k), np.zeros(k, np.int64), np.full(n, NO_SET)
+    total, since_step = np.zeros(k), np.zeros(k, np.int64)
     code, key, table = _keys(begin, entry, n)
     member_begin, member_sets = _memberships(begin, entry, n)
-    one = np.int64(1)
-    sources = 0
-    for r in range(n):
-        sources = max(sources, source[r] + 1)
-    for s in range(k):
-        if chosen[s]:
-            for e in range(begin[s], begin[s + 1]):
-                set_of[entry[e]] = s
-    in_sets, size = np.empty(n, np.int64), 0
-    for r in range(n):
-        if set_of[r] >= 0:
-            in_sets[size] = r
-            size += 1
-    if size == 0:
+    sets = KeyedSets(begin, entry, source, code, key, table, member_begin, member_sets)
+    set_of = _sets_of_records(chosen, sets)
+    records, old, new = _records_in_sets(set_of), _sets_of_a_step(source), _sets_of_a_step(source)
+    if len(records) == 0:
         return total
-    records = in_sets[:size]
     steps = STEPS * max(len(records), MIN_RECORDS)
     random, burn_in = 1 + 7919 * (n + k) % (MODULUS - 1), int(BURN_IN * steps)
-    old, new = np.empty(sources + 1, np.int64), np.empty(sources + 1, np.int64)
     for step in range(steps):
         if step == burn_in:
             total[:], since_step[:] = 0.0, step
-        random = random * MULTIPLIER % MODULUS
-        proposal = random % 8
-        random = random * MULTIPLIER % MODULUS
-        n_old, n_new = 0, 0
-        r = records[random % len(records)]
-        random = random * MULTIPLIER % MODULUS
-        t = member_sets[member_begin[r] + random % (member_begin[r + 1] - member_begin[r])]
-        random = random * MULTIPLIER % MODULUS
-        if proposal == 7:
-            s = member_sets[member_begin[r] + random % (member_begin[r + 1] - member_begin[r])]
-            if set_of[r] == t:
-                s, t = t, s
-            if set_of[r] != s or s == t:
-                continue
-            # Records of t not in s must be single now, and records of s not in t become single: the move is reversible.
-            old[0], new[0], n_old, n_new = s, t, 1, 1
-            for e in range(begin[t], begin[t + 1]):
-                single = set_of[entry[e]]
-                if single != s:
-                    alone = single >= 0 and begin[single + 1] - begin[single] == 1
-                    old[n_old] = single if alone else NO_SET
-                    n_old += 1
-            for e in range(begin[s], begin[s + 1]):
-                only_in_s = True
-                for other in range(begin[t], begin[t + 1]):
-                    only_in_s = only_in_s and entry[other] != entry[e]
-                if only_in_s:
-                    new[n_new] = _find_set(code[entry[e]], key, table)
-                    n_new += 1
-        else:
-            q = entry[begin[t] + random % (begin[t + 1] - begin[t])]
-            if proposal < 5:
-                random = random * MULTIPLIER % MODULUS
-                t = member_sets[member_begin[q] + random % (member_begin[q + 1] - member_begin[q])]
-                random = random * MULTIPLIER % MODULUS
-                q = entry[begin[t] + random % (begin[t + 1] - begin[t])]
-            random = random * MULTIPLIER % MODULUS
-            a, b, mask = set_of[r], set_of[q], random >> 8
-            if r == q or b < 0:
-                continue
-            if proposal < 5:
-                if a == b:
-                    continue
-                mask &= ~((one << source[r]) | (one << source[q]))
-                moved = _part_key(a, mask, begin, entry, source, code) ^ _part_key(b, mask, begin, entry, source, code)
-                if moved == 0:
-                    continue
-                old[0], old[1], n_old = a, b, 2
-                new[0], new[1], n_new = _find_set(key[a] ^ moved, key, table), _find_set(key[b] ^ moved, key, table), 2
-            else:
-                if source[r] == source[q]:
-                    continue
-                mask = (mask | (one << source[r])) & ~(one << source[q])
-                part_a = _part_key(a, mask, begin, entry, source, code)
-                if a == b:
-                    old[0], n_old = a, 1
-                    new[0], new[1], n_new = _find_set(part_a, key, table), _find_set(key[a] ^ part_a, key, table), 2
-                else:
-                    # Only merges that the division by the same sources reverses.
-                    if part_a != key[a] or _part_key(b, mask, begin, entry, source, code) != 0:
-                        continue
-                    old[0], old[1], n_old = a, b, 2
-                    new[0], n_new = _find_set(key[a] ^ key[b], key, table), 1
-        log_ratio, possible = 0.0, True
+        random, n_old, n_new = _propose(random, records, set_of, sets, old, new)
+        log_ratio, possible = 0.0, n_old > 0
         for at in range(n_old):
             possible = possible and old[at] >= 0
             log_ratio -= weight[old[at]]
@@ -160,6 +104,144 @@ def sampled(begin: IntArray, entry: IntArray, source: IntArray, weight: FloatArr
 
 
 @part
+def _propose(
+    random: int, records: IntArray, set_of: IntArray, sets: KeyedSets, old: IntArray, new: IntArray
+) -> tuple[int, int, int]:
+    """Write the sets of the current partition that a proposal replaces to ``old``, and the sets that replace them to
+    ``new``. Returns the random number and how many sets they are; 0 and 0 if the proposal changes nothing.
+
+    A set that is needed but is not among the sets of the group is ``NO_SET``: such a partition is impossible.
+    """
+    random = random * MULTIPLIER % MODULUS
+    proposal = random % 8
+    random = random * MULTIPLIER % MODULUS
+    r = records[random % len(records)]
+    random = random * MULTIPLIER % MODULUS
+    t = _member_set(r, random, sets)
+    random = random * MULTIPLIER % MODULUS
+    if proposal == 7:
+        n_old, n_new = _replace(r, t, _member_set(r, random, sets), set_of, sets, old, new)
+        return random, n_old, n_new
+    q = sets.entry[sets.begin[t] + random % (sets.begin[t + 1] - sets.begin[t])]
+    if proposal < 5:
+        random = random * MULTIPLIER % MODULUS
+        t = _member_set(q, random, sets)
+        random = random * MULTIPLIER % MODULUS
+        q = sets.entry[sets.begin[t] + random % (sets.begin[t + 1] - sets.begin[t])]
+    random = random * MULTIPLIER % MODULUS
+    mask = random >> 8
+    if r == q or set_of[q] == NO_SET:
+        return random, 0, 0
+    if proposal < 5:
+        n_old, n_new = _exchange(r, q, mask, set_of, sets, old, new)
+    else:
+        n_old, n_new = _divide(r, q, mask, set_of, sets, old, new)
+    return random, n_old, n_new
+
+
+@part
+def _exchange(
+    r: int, q: int, mask: int, set_of: IntArray, sets: KeyedSets, old: IntArray, new: IntArray
+) -> tuple[int, int]:
+    """The sets of records r and q exchange their records of the sources in the mask, except r and q."""
+    one, a, b = np.int64(1), set_of[r], set_of[q]
+    if a == b:
+        return 0, 0
+    mask &= ~((one << sets.source[r]) | (one << sets.source[q]))
+    moved = _part_key(a, mask, sets) ^ _part_key(b, mask, sets)
+    if moved == 0:
+        return 0, 0
+    old[0], old[1] = a, b
+    new[0], new[1] = _find_set(sets.key[a] ^ moved, sets), _find_set(sets.key[b] ^ moved, sets)
+    return 2, 2
+
+
+@part
+def _divide(
+    r: int, q: int, mask: int, set_of: IntArray, sets: KeyedSets, old: IntArray, new: IntArray
+) -> tuple[int, int]:
+    """The set of records r and q is divided by the sources in the mask, or the sets of r and q are merged.
+
+    Sets are merged only if a division by the same sources reverses it.
+    """
+    one, a, b = np.int64(1), set_of[r], set_of[q]
+    if sets.source[r] == sets.source[q]:
+        return 0, 0
+    mask = (mask | (one << sets.source[r])) & ~(one << sets.source[q])
+    part_a = _part_key(a, mask, sets)
+    old[0], old[1] = a, b
+    if a == b:
+        new[0], new[1] = _find_set(part_a, sets), _find_set(sets.key[a] ^ part_a, sets)
+        return 1, 2
+    if part_a != sets.key[a] or _part_key(b, mask, sets) != 0:
+        return 0, 0
+    new[0] = _find_set(sets.key[a] ^ sets.key[b], sets)
+    return 2, 1
+
+
+@part
+def _replace(
+    r: int, t: int, s: int, set_of: IntArray, sets: KeyedSets, old: IntArray, new: IntArray
+) -> tuple[int, int]:
+    """Of two sets with record r, the current one is replaced by the other.
+
+    The records that only the new one has must be single, and those that only the old one has become single, so that
+    the reverse is a proposal too.
+    """
+    if set_of[r] == t:
+        s, t = t, s
+    if set_of[r] != s or s == t:
+        return 0, 0
+    begin, entry = sets.begin, sets.entry
+    old[0], new[0], n_old, n_new = s, t, 1, 1
+    for e in range(begin[t], begin[t + 1]):
+        single = set_of[entry[e]]
+        if single != s:
+            alone = single >= 0 and begin[single + 1] - begin[single] == 1
+            old[n_old] = single if alone else NO_SET
+            n_old += 1
+    for e in range(begin[s], begin[s + 1]):
+        only_in_s = True
+        for other in range(begin[t], begin[t + 1]):
+            only_in_s = only_in_s and entry[other] != entry[e]
+        if only_in_s:
+            new[n_new] = _find_set(sets.code[entry[e]], sets)
+            n_new += 1
+    return n_old, n_new
+
+
+@part
+def _sets_of_records(chosen: BoolArray, sets: KeyedSets) -> IntArray:
+    """(n,) the set of each record in a partition; ``NO_SET`` of a record that is in none."""
+    set_of = np.full(len(sets.source), NO_SET)
+    for s in range(len(chosen)):
+        if chosen[s]:
+            for e in range(sets.begin[s], sets.begin[s + 1]):
+                set_of[sets.entry[e]] = s
+    return set_of
+
+
+@part
+def _records_in_sets(set_of: IntArray) -> IntArray:
+    """The records that are in a set."""
+    records, size = np.empty(len(set_of), np.int64), 0
+    for r in range(len(set_of)):
+        if set_of[r] != NO_SET:
+            records[size] = r
+            size += 1
+    return records[:size]
+
+
+@part
+def _sets_of_a_step(source: IntArray) -> IntArray:
+    """An array for the most sets that a step replaces: one per source, and one."""
+    sources = 0
+    for s in source:
+        sources = max(sources, s + 1)
+    return np.empty(sources + 1, np.int64)
+
+
+@part
 def _keys(begin: IntArray, entry: IntArray, n: int) -> tuple[IntArray, IntArray, IntArray]:
     """Random keys of the records, keys of the sets (exclusive or of their records' keys), and a hash table of the sets
     by key, −1 where empty."""
@@ -184,21 +266,28 @@ def _keys(begin: IntArray, entry: IntArray, n: int) -> tuple[IntArray, IntArray,
 
 
 @part
-def _find_set(wanted: int, key: IntArray, table: IntArray) -> int:
-    """The set with a key; −1 if there is none."""
-    at = (wanted >> 20) & (len(table) - 1)
-    while table[at] != NO_SET and key[table[at]] != wanted:
-        at = (at + 1) & (len(table) - 1)
-    return table[at]
+def _find_set(wanted: int, sets: KeyedSets) -> int:
+    """The set with a key; ``NO_SET`` if there is none."""
+    at = (wanted >> 20) & (len(sets.table) - 1)
+    while sets.table[at] != NO_SET and sets.key[sets.table[at]] != wanted:
+        at = (at + 1) & (len(sets.table) - 1)
+    return sets.table[at]
 
 
 @part
-def _part_key(s: int, mask: int, begin: IntArray, entry: IntArray, source: IntArray, code: IntArray) -> int:
+def _member_set(r: int, random: int, sets: KeyedSets) -> int:
+    """One of the sets with record r, by a random number."""
+    begin = sets.member_begin[r]
+    return sets.member_sets[begin + random % (sets.member_begin[r + 1] - begin)]
+
+
+@part
+def _part_key(s: int, mask: int, sets: KeyedSets) -> int:
     """The key of the records of a set whose sources are in the mask; 0 if there are none."""
     out = np.int64(0)
-    for e in range(begin[s], begin[s + 1]):
-        if (mask >> source[entry[e]]) & 1:
-            out ^= code[entry[e]]
+    for e in range(sets.begin[s], sets.begin[s + 1]):
+        if (mask >> sets.source[sets.entry[e]]) & 1:
+            out ^= sets.code[sets.entry[e]]
     return out
 
 
