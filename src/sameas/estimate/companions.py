@@ -18,10 +18,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, places_in, ranges
+from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged, places_in, ranges
 from sameas.estimate.cells import GridLevel, finest
 from sameas.estimate.coverage import typical_error
 from sameas.estimate.sample import Setting
@@ -564,65 +565,115 @@ def _log_swaps(
     pairs = setting.pairs
     i, j = pairs.i.astype(np.int64), pairs.j.astype(np.int64)
     near = pairs.mahalanobis_sq < competing_sq
-    pair_of = _PairIndex.of(i, j, len(pairs.second))
-    v1, v2 = sources[0].variance, sources[1].variance
-    two_to_two, two_to_one = np.zeros((2, len(pairs))), np.zeros((2, len(pairs)))
-
-    def log_w(separation: FloatArray, variance: FloatArray) -> FloatArray:
-        return np.log1p(clustering.excess_at(np.sqrt((separation**2).sum(axis=1)), variance))
-
-    def fused(e: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Fused position of each pair relative to its record 1, and its variance."""
-        total = v1[i[e]] + v2[j[e]]
-        return (v1[i[e]] / total)[:, None] * residual[e], v1[i[e]] * v2[j[e]] / total
-
-    for source, (own_row, other_row) in enumerate(((i, j), (j, i))):
-        mate = companion[source]
-        one = np.flatnonzero(mate > np.arange(len(mate)))
-        two = mate[one]
-        number = np.full(len(mate), -1)
-        number[one] = number[two] = np.arange(len(one))
-        # Records of the other source that either companion could have as partner.
-        e = np.flatnonzero(near & (number[own_row] >= 0))
-        competing = np.unique(np.column_stack([number[own_row[e]], other_row[e]]), axis=0)
-        count = np.bincount(competing[:, 0], minlength=len(one))
-        start = np.concatenate([[0], np.cumsum(count)])[:-1]
-
-        def pair(a: IntArray, b: IntArray, source: int = source) -> IntArray:
-            return pair_of(a, b) if source == 0 else pair_of(b, a)
-
-        c = np.flatnonzero(count == 2)
-        r, q = competing[start[c], 1], competing[start[c] + 1, 1]
-        four = np.array([pair(one[c], r), pair(two[c], q), pair(one[c], q), pair(two[c], r)])
-        a, b, x, y = four[:, (four >= 0).all(axis=0)]
-        if len(a):
-            # Separation of the two records of source 1, from the residuals of two pairs with one record of source 2.
-            (at_a, v_a), (at_b, v_b), (at_x, v_x), (at_y, v_y) = map(fused, (a, b, x, y))
-            if source == 0:
-                separation = residual[y] - residual[a]
-                straight, crossed = separation - at_b + at_a, separation - at_y + at_x
-            else:
-                separation = residual[x] - residual[a]
-                straight, crossed = separation - at_b + at_a, separation - at_x + at_y
-            term = 0.25 * (log_w(straight, v_a + v_b) - log_w(crossed, v_x + v_y))
-            for e, sign in ((a, 1.0), (b, 1.0), (x, -1.0), (y, -1.0)):
-                two_to_two[source, e] = sign * term
-        c = np.flatnonzero(count == 1)
-        r = competing[start[c], 1]
-        both = np.array([pair(one[c], r), pair(two[c], r)])
-        a, b = both[:, (both >= 0).all(axis=0)]
-        if len(a):
-            own, other = (v1, v2) if source == 0 else (v2, v1)
-            sign = 1.0 if source == 0 else -1.0
-            separation = sign * (residual[b] - residual[a])
-            w_a, w_b = (own[own_row[e]] / (own[own_row[e]] + other[other_row[e]]) for e in (a, b))
-            with_a = log_w(separation + sign * residual[a] * w_a[:, None], w_a * other[other_row[a]] + own[own_row[b]])
-            with_b = log_w(-separation + sign * residual[b] * w_b[:, None], w_b * other[other_row[b]] + own[own_row[a]])
-            term = 0.5 * (with_a - with_b)
-            two_to_one[source, a], two_to_one[source, b] = term, -term
+    swaps = _Swaps(clustering, i, j, (sources[0].variance, sources[1].variance), residual)
+    competing = [
+        _Competing.of(mate, own[near], other[near]) for mate, own, other in zip(companion, (i, j), (j, i), strict=True)
+    ]
+    two_to_two = np.array([swaps.two_to_two(source, one) for source, one in enumerate(competing)])
+    two_to_one = np.array([swaps.two_to_one(source, one) for source, one in enumerate(competing)])
     n_terms = np.count_nonzero(two_to_two, axis=0)
     mean = two_to_two.sum(axis=0) / np.maximum(n_terms, 1)
     return np.asarray(np.where(n_terms > 0, mean, two_to_one.sum(axis=0)))
+
+
+@dataclass(frozen=True)
+class _Competing:
+    """Two companions of one source, and the records of the other source that either could have as partner.
+
+    first, second : (c,) the companions. others : (m,) the records of the other source, companions by companions.
+    rows : of these.
+    """
+
+    first: IntArray
+    second: IntArray
+    others: IntArray
+    rows: Ragged
+
+    @classmethod
+    def of(cls, companion: IntArray, own: IntArray, other: IntArray) -> _Competing:
+        """companion : (n,) of each record, −1 for none. own, other : (p,) the records of the pairs that compete."""
+        first = np.flatnonzero(companion > np.arange(len(companion)))
+        second = companion[first]
+        number = np.full(len(companion), -1)
+        number[first] = number[second] = np.arange(len(first))
+        has = number[own] >= 0
+        competing = np.unique(np.column_stack([number[own[has]], other[has]]), axis=0)
+        return cls(first, second, competing[:, 1], Ragged.of_sorted(competing[:, 0], len(first)))
+
+    def with_others(self, number: int) -> tuple[IntArray, ...]:
+        """The companions that compete for this number of records: first, second, and each of these records."""
+        c = np.flatnonzero(self.rows.sizes == number)
+        return self.first[c], self.second[c], *(self.others[self.rows.start[c] + k] for k in range(number))
+
+
+@dataclass(frozen=True)
+class _Swaps:
+    """Evidence of pairs from the separations of companions.
+
+    i, j : (m,) records of the pairs. variance : (n₁,), (n₂,) per axis. residual : (m, 2).
+    """
+
+    clustering: Clustering
+    i: IntArray
+    j: IntArray
+    variance: tuple[FloatArray, FloatArray]
+    residual: FloatArray
+
+    @cached_property
+    def _index(self) -> _PairIndex:
+        return _PairIndex.of(self.i, self.j, len(self.variance[1]))
+
+    def _pair(self, source: int, own: IntArray, other: IntArray) -> IntArray:
+        """(k,) pairs of records of a source (0 or 1) with records of the other one, −1 if not a candidate."""
+        return self._index(own, other) if source == 0 else self._index(other, own)
+
+    def _log_w(self, separation: FloatArray, variance: FloatArray) -> FloatArray:
+        return np.log1p(self.clustering.excess_at(np.sqrt((separation**2).sum(axis=1)), variance))
+
+    def _fused(self, e: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Fused position of each pair relative to its record 1, and its variance."""
+        v1, v2 = self.variance[0][self.i[e]], self.variance[1][self.j[e]]
+        return (v1 / (v1 + v2))[:, None] * self.residual[e], v1 * v2 / (v1 + v2)
+
+    def two_to_two(self, source: int, competing: _Competing) -> FloatArray:
+        """(m,) evidence of the pairs of two companions of a source (0 or 1) with two records."""
+        out, residual = np.zeros(len(self.i)), self.residual
+        one, two, r, q = competing.with_others(2)
+        four = np.array([self._pair(source, own, other) for own, other in ((one, r), (two, q), (one, q), (two, r))])
+        a, b, x, y = four[:, (four >= 0).all(axis=0)]
+        if not len(a):
+            return out
+        # Separation of the two records of source 1, from the residuals of two pairs with one record of source 2.
+        (at_a, v_a), (at_b, v_b), (at_x, v_x), (at_y, v_y) = map(self._fused, (a, b, x, y))
+        if source == 0:
+            separation = residual[y] - residual[a]
+            straight, crossed = separation - at_b + at_a, separation - at_y + at_x
+        else:
+            separation = residual[x] - residual[a]
+            straight, crossed = separation - at_b + at_a, separation - at_x + at_y
+        term = 0.25 * (self._log_w(straight, v_a + v_b) - self._log_w(crossed, v_x + v_y))
+        for e, sign in ((a, 1.0), (b, 1.0), (x, -1.0), (y, -1.0)):
+            out[e] = sign * term
+        return out
+
+    def two_to_one(self, source: int, competing: _Competing) -> FloatArray:
+        """(m,) evidence of the pairs of two companions of a source (0 or 1) with one record."""
+        out, residual = np.zeros(len(self.i)), self.residual
+        one, two, r = competing.with_others(1)
+        both = np.array([self._pair(source, one, r), self._pair(source, two, r)])
+        a, b = both[:, (both >= 0).all(axis=0)]
+        if not len(a):
+            return out
+        sign = 1.0 if source == 0 else -1.0
+        records = (self.i, self.j)
+        own, other = (self.variance[k][records[k]] for k in (source, 1 - source))  # of each pair
+        separation = sign * (residual[b] - residual[a])
+        w_a, w_b = (own[e] / (own[e] + other[e]) for e in (a, b))
+        with_a = self._log_w(separation + sign * residual[a] * w_a[:, None], w_a * other[a] + own[b])
+        with_b = self._log_w(-separation + sign * residual[b] * w_b[:, None], w_b * other[b] + own[a])
+        term = 0.5 * (with_a - with_b)
+        out[a], out[b] = term, -term
+        return out
 
 
 @dataclass(frozen=True)

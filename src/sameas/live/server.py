@@ -13,7 +13,7 @@ import hmac
 import json
 import math
 import secrets
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -99,96 +99,124 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
     """
     try:
         from starlette.applications import Starlette
-        from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response, StreamingResponse
         from starlette.routing import Route
     except ImportError as error:
         raise InputError("the live map needs Starlette and uvicorn: pip install 'sameas[live]'") from error
-    access, clients = access or Access(), Clients()
+    handlers = _Handlers(keeper, access or Access(), Clients())
+    guarded = handlers.guarded
+    acknowledge = guarded(handlers.acknowledge, operator=True, changes=True)
+    return Starlette(routes=[
+        Route("/", guarded(handlers.page)),
+        Route("/events", guarded(handlers.events)),
+        Route("/history", guarded(handlers.history)),
+        Route("/objects", guarded(handlers.objects)),
+        Route("/objects.geojson", guarded(handlers.objects_geojson)),
+        Route("/alarms", guarded(handlers.alarms)),
+        Route("/alarms/{alarm:int}/acknowledge", acknowledge, methods=["POST"]),
+        Route("/metrics", guarded(handlers.prometheus)),
+        Route("/health", handlers.health),
+    ])  # fmt: skip
 
-    def answer(content: Any, status: int = 200, **headers: str) -> Response:
-        return JSONResponse(content, status, headers=_HEADERS | headers)
 
-    def role_of(request: Request) -> str | None:
+#: Answers a request of a role.
+_Handler = Callable[["Request", str], Awaitable["Response"]]
+
+
+def _json(content: Any, status: int = 200, **headers: str) -> Response:
+    from starlette.responses import JSONResponse
+
+    return JSONResponse(content, status, headers=_HEADERS | headers)
+
+
+@dataclass(frozen=True)
+class _Handlers:
+    """The answers of the server, one method a path."""
+
+    keeper: Keeper
+    access: Access
+    clients: Clients
+
+    def _role_of(self, request: Request) -> str | None:
         bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
-        return access.role(bearer or request.cookies.get(_COOKIE) or request.query_params.get("token"))
+        return self.access.role(bearer or request.cookies.get(_COOKIE) or request.query_params.get("token"))
 
-    def guarded(handler: Any, *, operator: bool = False, changes: bool = False) -> Any:
+    def guarded(
+        self, handler: _Handler, *, operator: bool = False, changes: bool = False
+    ) -> Callable[[Request], Awaitable[Response]]:
+        """The handler behind the access rules. operator : viewers are refused. changes : a header is required that
+        other sites cannot send."""
+
         async def guard(request: Request) -> Response:
-            if not access.accepts_host(request.headers.get("host", "")):
-                return answer({"error": "the request names another host"}, 421)
-            role = role_of(request)
+            if not self.access.accepts_host(request.headers.get("host", "")):
+                return _json({"error": "the request names another host"}, 421)
+            role = self._role_of(request)
             if role is None:
-                return answer({"error": "give a token: ?token=…, or Authorization: Bearer …"}, 401)
+                return _json({"error": "give a token: ?token=…, or Authorization: Bearer …"}, 401)
             if operator and role != "operator":
-                return answer({"error": "viewers may not acknowledge alarms"}, 403)
+                return _json({"error": "viewers may not acknowledge alarms"}, 403)
             if changes and request.headers.get("x-sameas") != "1":
-                return answer({"error": "give the header X-Sameas: 1"}, 403)
-            result: Response = await handler(request, role)
-            return result
+                return _json({"error": "give the header X-Sameas: 1"}, 403)
+            return await handler(request, role)
 
         return guard
 
-    async def page(request: Request, role: str) -> Response:
+    async def page(self, request: Request, role: str) -> Response:
+        from starlette.responses import RedirectResponse, Response
+
         token = request.query_params.get("token")
         if token is not None:
             moved = RedirectResponse(request.url.path, 303, headers=_HEADERS)
             moved.set_cookie(_COOKIE, token, httponly=True, samesite="strict", secure=request.url.scheme == "https")
             return moved
-        text = await asyncio.to_thread(live_page, keeper, role == "operator")
+        text = await asyncio.to_thread(live_page, self.keeper, role == "operator")
         return Response(text, media_type="text/html", headers=_HEADERS)
 
-    async def events(request: Request, role: str) -> Response:
-        if clients.now >= clients.limit:
-            return answer({"error": "too many connections"}, 503, **{"Retry-After": "10"})
+    async def events(self, request: Request, role: str) -> Response:
+        from starlette.responses import StreamingResponse
+
+        if self.clients.now >= self.clients.limit:
+            return _json({"error": "too many connections"}, 503, **{"Retry-After": "10"})
         since = request.headers.get("last-event-id", "")
-        stream = _events(keeper, clients, int(since) if since.isdecimal() else None)
+        stream = _events(self.keeper, self.clients, int(since) if since.isdecimal() else None)
         return StreamingResponse(stream, media_type="text/event-stream", headers=_HEADERS | {"X-Accel-Buffering": "no"})
 
-    async def history(request: Request, role: str) -> Response:
-        with keeper.lock:
-            situations = list(keeper.history)
-        return answer({"frames": [
+    async def history(self, request: Request, role: str) -> Response:
+        with self.keeper.lock:
+            situations = list(self.keeper.history)
+        return _json({"frames": [
             {"t": situation.time_s, "objects": list(situation.object_rows.values())} for situation in situations
         ]})  # fmt: skip
 
-    async def objects(request: Request, role: str) -> Response:
-        situation = keeper.situation
+    async def objects(self, request: Request, role: str) -> Response:
+        situation = self.keeper.situation
         listed = [] if situation is None else situation.listed()
-        return answer({"time_s": None if situation is None else situation.time_s, "objects": listed})
+        return _json({"time_s": None if situation is None else situation.time_s, "objects": listed})
 
-    async def objects_geojson(request: Request, role: str) -> Response:
-        situation = keeper.situation
+    async def objects_geojson(self, request: Request, role: str) -> Response:
+        from starlette.responses import Response
+
+        situation = self.keeper.situation
         content = {"type": "FeatureCollection", "features": []} if situation is None else geojson(situation)
         return Response(json.dumps(content, allow_nan=False), media_type="application/geo+json", headers=_HEADERS)
 
-    async def alarms(request: Request, role: str) -> Response:
-        return answer({"alarms": keeper.alarm_list()})
+    async def alarms(self, request: Request, role: str) -> Response:
+        return _json({"alarms": self.keeper.alarm_list()})
 
-    async def acknowledge(request: Request, role: str) -> Response:
+    async def acknowledge(self, request: Request, role: str) -> Response:
         who = request.client.host if request.client else "operator"
-        done = keeper.acknowledge(int(request.path_params["alarm"]), f"operator at {who}")
-        return answer({"acknowledged": done}, 200 if done else 404)
+        done = self.keeper.acknowledge(int(request.path_params["alarm"]), f"operator at {who}")
+        return _json({"acknowledged": done}, 200 if done else 404)
 
-    async def prometheus(request: Request, role: str) -> Response:
-        return PlainTextResponse(metrics(keeper.health(), list(keeper.durations_s)), headers=_HEADERS)
+    async def prometheus(self, request: Request, role: str) -> Response:
+        from starlette.responses import PlainTextResponse
 
-    async def health(request: Request) -> Response:
-        state = keeper.health()
-        # Without a token only the overall state is returned.
-        full = access.accepts_host(request.headers.get("host", "")) and role_of(request) is not None
-        return answer(state if full else {"ok": state["ok"]}, 200 if state["ok"] else 503)
+        return PlainTextResponse(metrics(self.keeper.health(), list(self.keeper.durations_s)), headers=_HEADERS)
 
-    return Starlette(routes=[
-        Route("/", guarded(page)),
-        Route("/events", guarded(events)),
-        Route("/history", guarded(history)),
-        Route("/objects", guarded(objects)),
-        Route("/objects.geojson", guarded(objects_geojson)),
-        Route("/alarms", guarded(alarms)),
-        Route("/alarms/{alarm:int}/acknowledge", guarded(acknowledge, operator=True, changes=True), methods=["POST"]),
-        Route("/metrics", guarded(prometheus)),
-        Route("/health", health),
-    ])  # fmt: skip
+    async def health(self, request: Request) -> Response:
+        """The state, for everyone; without a token only whether all is well."""
+        state = self.keeper.health()
+        full = self.access.accepts_host(request.headers.get("host", "")) and self._role_of(request) is not None
+        return _json(state if full else {"ok": state["ok"]}, 200 if state["ok"] else 503)
 
 
 async def _events(keeper: Keeper, clients: Clients, since: int | None) -> AsyncIterator[str]:
