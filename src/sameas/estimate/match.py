@@ -291,6 +291,16 @@ def _expected_work(coverage: Coverage, density: tuple[float, float] | None) -> f
     return float(n * (1.0 + 2.0 * max(mean_densities(coverage, density)) * volume))
 
 
+@dataclass(frozen=True)
+class Assumed:
+    """What is given to a match instead of being estimated; the fields are the arguments of :func:`match`."""
+
+    errors: Errors | None = None
+    gate: ChiSquare | Radius | None = None
+    density: tuple[float, float] | None = None
+    precision: bool = True
+
+
 @in_short
 @dataclass(frozen=True)
 class SampleMatch:
@@ -308,12 +318,9 @@ class SampleMatch:
 
 def match_sample(
     coverage: Coverage,
+    assumed: Assumed = Assumed(),
     *,
-    errors: Errors | None = None,
-    gate: ChiSquare | Radius | None = None,
-    density: tuple[float, float] | None = None,
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
-    precision: bool = True,
     columns: ColumnEvidence | None = None,
     max_iterations: int = 30,
     tuning: MatchTuning = DEFAULT_MATCH,
@@ -325,14 +332,16 @@ def match_sample(
     :func:`match`. The errors of maximum likelihood are used, however few the pairs are.
     """
     photometry = _photometry(coverage.first, coverage.second, brightness)
-    all_records = Sampling(enough=2**62)
+    all_records, density = Sampling(enough=2**62), assumed.density
     # Trends would apply to the records of the sample only; companions need all records.
     tuning = replace(tuning, fits_trends=False, em=replace(tuning.em, companions=None))
     search = _GateSearch(
-        coverage, photometry, precision, density, gate, all_records, progress, tuning=tuning, columns=columns
-    )
-    scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
-    search, result, remarks = _fit(search, scan, errors, max_iterations)
+        coverage, photometry, assumed.precision, density, assumed.gate, all_records, progress, tuning=tuning,
+        columns=columns,
+    )  # fmt: skip
+    estimated = assumed.errors is None and assumed.gate is None
+    scan = scan_errors(coverage, density, tuning.grid) if estimated else None
+    search, result, remarks = _fit(search, scan, assumed.errors, max_iterations)
     answer, result = search.identify_all(result, max_iterations)
     estimate = _to_estimate(answer, coverage, result, remarks)
     (one, two), common = result.estimates.setting.n_counted, result.estimates.n_common

@@ -29,11 +29,11 @@ from sameas.estimate.coverage import TUNING as COVERAGE_TUNING
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.em import Estimates
 from sameas.estimate.grades import Grades
-from sameas.estimate.match import DEFAULT_MATCH, Estimate, MatchTuning, match_sample
+from sameas.estimate.match import DEFAULT_MATCH, Assumed, Estimate, MatchTuning, match_sample
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.sample import Sampling, Setting
 from sameas.evidence import Column, Errors, Magnitudes, MeasuredMagnitudes, Related, Rule
-from sameas.gate import ChiSquare, Pairs, Radius
+from sameas.gate import Pairs, Radius
 from sameas.kernels.coverage import check_cells_nested, covered_cells, refine_nested, refine_share_nested, score_nested
 from sameas.records import Records
 from sameas.representation import in_short
@@ -350,18 +350,26 @@ class Learned:
         return replace(self.photometry, sides=(one, two), compared=None)
 
 
+@in_short
+@dataclass(frozen=True)
+class SampleRecords:
+    """The records of a sample: counted ones, and all that compete with them.
+
+    cells : (n₁,), (n₂,) of the records, of the counted size. counted : (n₁,), (n₂,). volume : of the sample.
+    """
+
+    records: tuple[Records, Records]
+    cells: tuple[IntArray, IntArray]
+    counted: tuple[BoolArray, BoolArray]
+    volume: float
+
+
 def learn(
-    records: tuple[Records, Records],
-    cells: tuple[IntArray, IntArray],
-    counted: tuple[BoolArray, BoolArray],
+    sample: SampleRecords,
     places: Places,
-    volume: float,
+    assumed: Assumed = Assumed(),  # noqa: B008 (frozen)
     *,
-    errors: Errors | None = None,
-    gate: ChiSquare | Radius | None = None,
-    density: tuple[float, float] | None = None,
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
-    precision: bool = True,
     evidence: Sequence[Column | Related] = (),
     tuning: MatchTuning = DEFAULT_MATCH,
     progress: Callable[[str], None] = lambda stage: None,
@@ -370,39 +378,36 @@ def learn(
 
     Parameters
     ----------
-    records : of the sample: counted ones, and all that compete with them. cells : (n₁,), (n₂,) of the records, of the
-        counted size. counted : (n₁,), (n₂,).
-    places : densities and coverage, from the counts of all records. volume : of the sample.
-    errors, gate, density, brightness, precision, evidence : as for ``estimate.match.match``.
+    places : densities and coverage, from the counts of all records.
+    assumed, brightness, evidence : as for ``estimate.match.match``.
 
     Raises
     ------
     InputError : the sample holds no records of one source.
     """
-    for one, has_counted in zip(records, counted, strict=True):
+    (first, second), cells = sample.records, sample.cells
+    for one, has_counted in zip(sample.records, sample.counted, strict=True):
         if not has_counted.any():
             raise InputError(f"{one.source} has no usable records in the sample; nothing can be identified")
-    first, second = records
     at = places.at(cells[0]), places.at(cells[1])
     covered = places.seen[at[0], 0], places.seen[at[1], 1]
     levels = tuple(_level(places.cells[at[0]], places.cells[at[1]], steps, places.volume) for steps in places.levels)
-    coverage = _SampleCoverage(first, second, volume, counted, covered, places.densities(*at), of_part=levels)
+    coverage = _SampleCoverage(
+        first, second, sample.volume, sample.counted, covered, places.densities(*at), of_part=levels
+    )
     columns = ColumnEvidence.of(first, second, evidence)
     columns = columns and replace(columns, folds=places.folds(cells))
-    sample = match_sample(
-        coverage, errors=errors, gate=gate, density=density, brightness=brightness, precision=precision,
-        columns=columns, tuning=tuning, progress=progress,
-    )  # fmt: skip
-    estimates = sample.estimates
+    matched = match_sample(coverage, assumed, brightness=brightness, columns=columns, tuning=tuning, progress=progress)
+    estimates = matched.estimates
     weights = [(s & c).astype(np.float64) for s, c in zip(covered, estimates.counted, strict=True)]
     part = [p * w for p, w in zip(estimates.p_partner, weights, strict=True)]
     places = places.with_shares(cells, part, weights)
     return Learned(
-        estimates.errors, sample.gate_errors, sample.gate_sigmas, estimates.mean_shares,
+        estimates.errors, matched.gate_errors, matched.gate_sigmas, estimates.mean_shares,
         _without_records(estimates.photometry),
         None if estimates.grades is None or estimates.grades.rule is None else _without_grades(estimates.grades),
-        estimates.columns and estimates.columns.without_records(), density, places,
-        sample.estimate,
+        estimates.columns and estimates.columns.without_records(), assumed.density, places,
+        matched.estimate,
     )  # fmt: skip
 
 
@@ -425,4 +430,4 @@ def _without_grades(grades: Grades) -> Grades:
     return replace(grades, grades=(none, none), cells=(none, none), rule=rule)
 
 
-__all__ = ["CellCounts", "Learned", "Places", "drawn", "learn"]
+__all__ = ["CellCounts", "Learned", "Places", "SampleRecords", "drawn", "learn"]

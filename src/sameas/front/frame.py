@@ -213,9 +213,7 @@ def match_frame(
     InputError : no image; the approximate pointing is unknown; no reliable solution; unknown options.
     """
     from sameas.front import framing
-    from sameas.sky.frame.detect import detect
     from sameas.sky.frame.image import Frame
-    from sameas.sky.frame.measurements import Detection
 
     own = {
         "aim": aim, "radius": radius, "scale": scale, "header": header, "time": time, "hdu": hdu, "mask": mask,
@@ -251,13 +249,24 @@ def match_frame(
         motion=motion,
     )
     frame = image if isinstance(image, Frame) else framing.frame_of(request, progress)
+    found, stars = _found_on(frame, request, stars, progress)
+    return MatchFrame(found, frame, stars, request, call_text(match_frame, (image, catalogue), own | stated))
+
+
+def _found_on(
+    frame: Frame, request: FrameRequest, stars: Catalogue | None, progress: Callable[[str], None]
+) -> tuple[FrameIdentification, Catalogue]:
+    """The identified frame and its catalogue; refusals name the options of Python."""
+    from sameas.front import framing
+    from sameas.sky.frame.detect import detect
+    from sameas.sky.frame.measurements import Detection
+
     progress("detecting")
-    measured = detect(frame, Detection(threshold_sigmas=threshold))
+    measured = detect(frame, Detection(threshold_sigmas=request.threshold_sigmas))
     try:
-        found, stars = framing.found_on(request, frame, measured, progress, stars)
+        return framing.found_on(request, frame, measured, progress, stars)
     except InputError as error:
         raise InputError(renamed(error.words, 0, {}), source=error.source) from error
-    return MatchFrame(found, frame, stars, request, call_text(match_frame, (image, catalogue), own | stated))
 
 
 def _catalogue_in_memory(source: Any, stated: dict[str, Any]) -> Catalogue:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from astropy.table import Table
     from matplotlib.figure import Figure
 
-    from sameas.estimate.match import Estimate
+    from sameas.estimate.match import Assumed, Estimate
     from sameas.evidence import Magnitudes
     from sameas.front.request import Request
     from sameas.result import Explanation, Identification
@@ -394,9 +394,12 @@ def match(
             raise InputError(f"match: Records have no columns, so {next(iter(stated))} has no meaning for them")
         if offset != "none" or to_epoch is not None:
             raise InputError("match: Records have no epochs or frames", "see register for offsets between them")
-        found = _match_records(
-            first, second, error_scale, gate_sigmas, density, magnitudes, precision, _listed(evidence), progress
-        )
+        from sameas.estimate.match import Assumed
+        from sameas.sky.crossmatch import MatchOptions
+
+        options = MatchOptions(gate_sigmas=gate_sigmas, error_scale=error_scale)
+        assumed = Assumed(options.errors(), options.gate(), density, precision)
+        found = _match_records(first, second, assumed, magnitudes, _listed(evidence), progress)
         return replace(found, join=join, nway_columns=nway_columns, call=call)
     from sameas.front.request import Request
     from sameas.sky import crossmatch
@@ -451,23 +454,18 @@ def as_source(source: Any) -> Any:
 def _match_records(
     first: Records,
     second: Records,
-    error_scale: float | str | Errors,
-    gate_sigmas: float | None,
-    density: tuple[float, float] | None,
+    assumed: Assumed,
     magnitudes: Any,
-    precision: bool,
     evidence: list[Column | Related],
     progress: Callable[[str], None],
 ) -> Match:
     from sameas.estimate.match import match as estimated
-    from sameas.sky.crossmatch import MatchOptions
 
     if isinstance(magnitudes, str) and magnitudes not in ("auto", "off"):
         raise InputError("match: Records have no columns", "give magnitudes=(Magnitudes, Magnitudes)")
-    options = MatchOptions(gate_sigmas=gate_sigmas, error_scale=error_scale)
     identification, estimate = estimated(
-        first, second, errors=options.errors(), gate=options.gate(), density=density,
-        brightness=None if isinstance(magnitudes, str) else magnitudes, precision=precision, evidence=evidence,
+        first, second, errors=assumed.errors, gate=assumed.gate, density=assumed.density,
+        brightness=None if isinstance(magnitudes, str) else magnitudes, precision=assumed.precision, evidence=evidence,
         progress=progress,
     )  # fmt: skip
     return Match(identification, estimate)

@@ -29,7 +29,8 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError, reading
-from sameas.estimate.places import CellCounts, Learned, Places, drawn, learn
+from sameas.estimate.match import Assumed
+from sameas.estimate.places import CellCounts, Learned, Places, SampleRecords, drawn, learn
 from sameas.estimate.sample import Sampling
 from sameas.evidence import Related
 from sameas.io.atomic import end_with_parent, held, refused_by_disk, together
@@ -363,10 +364,12 @@ def _learn_from_sample(
     parts = [replace(part, catalogue=c, records=c.records(side.epoch_jyr))
             for part, c, side in zip(rows, (one, two), work.sides, strict=True)]  # fmt: skip
     counted = [np.isin(part.cells >> 2 * steps, cells) for part in parts]
+    sample = SampleRecords(
+        (parts[0].records, parts[1].records), (parts[0].cells, parts[1].cells), (counted[0], counted[1]), volume
+    )
     learned = learn(
-        (parts[0].records, parts[1].records), (parts[0].cells, parts[1].cells), (counted[0], counted[1]),
-        places, volume, errors=options.errors(), gate=options.gate(), density=options.density(),
-        brightness=brightness(one, two, options.magnitudes), precision=options.precision, progress=progress,
+        sample, places, Assumed(options.errors(), options.gate(), options.density(), options.precision),
+        brightness=brightness(one, two, options.magnitudes), progress=progress,
         evidence=columns_of(one, two, options.evidence, options.magnitudes),
     )  # fmt: skip
     return [one, two], learned, tuple(assumed)
@@ -660,8 +663,9 @@ def write(
     InputError : the folder exists and is not an unfinished run with the same provenance; a partition cannot be read, by
         name; workers keep dying; the disk is full.
     """
+    collection = _Collection(path, facts, margin_arcsec, piece_rows)
     try:
-        write_all = partial(_write_all, estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows)
+        write_all = partial(_write_all, estimated, collection, workers, executor, progress)
         return _locked(path, facts, write_all)
     except OSError as error:
         if error.errno == errno.ENOSPC:
@@ -701,27 +705,35 @@ def _locked(path: Path, facts: dict[str, Any], write_all: Callable[[Callable[[],
     return written
 
 
+@dataclass(frozen=True)
+class _Collection:
+    """A collection to be written; the fields are the arguments of :func:`write`."""
+
+    path: Path
+    facts: dict[str, Any]
+    margin_arcsec: float
+    piece_rows: int
+
+
 def _write_all(
     estimated: Estimated,
-    path: Path,
-    facts: dict[str, Any],
-    margin_arcsec: float,
+    collection: _Collection,
     workers: int | None,
     executor: Executor | None,
     progress: Progress,
-    piece_rows: int,
     last: Callable[[], None],
 ) -> Written:
     """Write the collection, by the only run in its folder, continuing what another run left.
 
     last : called before the last step, which completes the collection.
     """
-    work, name = estimated.work, path.name
+    work, path, facts, margin_arcsec = estimated.work, collection.path, collection.facts, collection.margin_arcsec
+    name = path.name
     catalogue, scratch = path / name, path / ".sameas-run"
     mark = scratch / "begun.json"
     store(work, scratch)
     written_whole(mark, json.dumps(facts).encode())
-    max_records = min(piece_rows, estimated.rows_with_halo(PIECE_PAIRS))
+    max_records = min(collection.piece_rows, estimated.rows_with_halo(PIECE_PAIRS))
     all_tasks = list(divide(output_cells(work), estimated.counts, work.sides[0].cell_order, max_records))
     summaries = [_finished_summary(scratch, catalogue, task) for task in all_tasks]
     tasks = [(task, str(catalogue), facts)

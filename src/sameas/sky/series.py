@@ -317,11 +317,11 @@ def tie(exposures: Sequence[Exposure]) -> Series:
         fixed = _stationary(chip, frame, days, sigma / scale[frame], 0.5, 0.5, len(ordered))
     names = np.concatenate([e.names for e in ordered])
     names = np.where(everything["p_star"] >= TUNING.min_p_star, names, "")
-    stars = gather(
-        tied, frame, sigma, names, stationary & ~fixed, everything["flux"], everything["flux_err"],
+    measured = SeriesMeasurements(
+        tied, frame, sigma, names, everything["flux"], everything["flux_err"],
         (everything["flags"] & int(_PARTIAL)) == 0, everything["magnitude"], len(ordered),
-        0.25 * float(np.median(scale)),
     )  # fmt: skip
+    stars = gather(measured, stationary & ~fixed, 0.25 * float(np.median(scale)))
     magnitude = stars.magnitudes(everything["flux"], frame)
     each = [(tied - place)[frame == k] for k in range(len(ordered))]
     shift = np.array([np.median(off, axis=0) if len(off) else [0.0, 0.0] for off in each])
@@ -591,38 +591,46 @@ class SeriesStars:
         return _instrumental(flux) + self.zero_point[frame]
 
 
-def gather(
-    place: FloatArray,
-    frame: IntArray,
-    sigma: FloatArray,
-    name: NDArray[Any],
-    stationary: BoolArray,
-    flux: FloatArray,
-    flux_err: FloatArray,
-    whole: BoolArray,
-    magnitude: FloatArray,
-    frames: int,
-    blur_arcsec: float,
-) -> SeriesStars:
+@in_short
+@dataclass(frozen=True)
+class SeriesMeasurements:
+    """The measurements of all frames of a series.
+
+    place : (n, 2) in the common system. frame : (n,). sigma : (n,) error per axis. name : (n,) catalogue star, "" if
+    none. flux, flux_err : (n,). whole : (n,) mask of complete fluxes. magnitude : (n,) on the scale of the catalogue,
+    NaN where not known. frames : their number.
+    """
+
+    place: FloatArray
+    frame: IntArray
+    sigma: FloatArray
+    name: NDArray[Any]
+    flux: FloatArray
+    flux_err: FloatArray
+    whole: BoolArray
+    magnitude: FloatArray
+    frames: int
+
+
+def gather(measured: SeriesMeasurements, stationary: BoolArray, blur_arcsec: float) -> SeriesStars:
     """The stars among the measurements of a series.
 
-    place : (n, 2) in the common system. frame : (n,). sigma : (n,) error per axis. name : (n,) catalogue star.
-    stationary : (n,) mask. flux, flux_err : (n,). whole : (n,) mask of complete fluxes. magnitude : (n,) on the scale
-    of the catalogue, NaN where not known. blur_arcsec : extra position scatter of faint stars.
+    stationary : (n,) mask. blur_arcsec : extra position scatter of faint stars.
     """
-    rows, names = _rows(place, frame, np.hypot(sigma, blur_arcsec), name, stationary, frames)
-    at, measured = np.maximum(rows, 0), rows >= 0
-    weight = np.where(measured, 1.0 / sigma[at] ** 2, 0.0)
+    place, sigma, flux, whole, frames = measured.place, measured.sigma, measured.flux, measured.whole, measured.frames
+    rows, names = _rows(place, measured.frame, np.hypot(sigma, blur_arcsec), measured.name, stationary, frames)
+    at, has_row = np.maximum(rows, 0), rows >= 0
+    weight = np.where(has_row, 1.0 / sigma[at] ** 2, 0.0)
     total = weight.sum(axis=1)
     middle = np.einsum("sf,sfd->sd", weight, place[at]) / np.maximum(total, 1e-30)[:, None]
-    residual = np.where(measured[..., None], place[at] - middle[:, None], np.nan)
-    raw = np.where(measured, _instrumental(flux)[at], np.nan)
+    residual = np.where(has_row[..., None], place[at] - middle[:, None], np.nan)
+    raw = np.where(has_row, _instrumental(flux)[at], np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.where(measured & (flux[at] > 0), 1.0857 * flux_err[at] / flux[at], np.nan)
+        error = np.where(has_row & (flux[at] > 0), 1.0857 * measured.flux_err[at] / flux[at], np.nan)
     usable = np.isfinite(raw) & np.isfinite(error) & whole[at]
     often = usable.sum(axis=1) >= max(2.0, STAR_TUNING.often * frames)
     zero, zero_error, ensemble, floor = _ensemble(raw, error, usable & often[:, None])
-    zero_offset, scale = _catalogue_scale(magnitude, _instrumental(flux) + zero[frame])
+    zero_offset, scale = _catalogue_scale(measured.magnitude, _instrumental(flux) + zero[measured.frame])
     zero = zero + zero_offset
     light = np.where(whole[at], raw + zero, np.nan)
     error = np.where(np.isfinite(light), np.hypot(error, floor), np.nan)

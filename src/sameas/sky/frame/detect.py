@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -422,8 +423,11 @@ def _measurements(
         flags[unresolved] |= np.uint16(Flag.BLENDED)
         covariance[unresolved] += TUNING.pair_share * (shapes.matrices[wider & ~own_shape] - psf.matrix)
     covariance = _with_systematic_errors(covariance, stars, psf, flags, detection)  # also sets flags
-    order = np.argsort(-flux, kind="stable")
-    return _table(frame, background, psf, xy, covariance, flux, flux_err, matrices, stars.snr, flags, order)
+    columns: dict[str, NDArray[Any]] = {
+        "x_px": xy[:, 0], "y_px": xy[:, 1], "covariance": covariance[:, [0, 0, 1], [0, 1, 1]], "flux": flux,
+        "flux_err": flux_err, "snr": stars.snr, "flags": flags, **_ellipses(matrices),
+    }  # fmt: skip
+    return _table(frame, background, psf, columns)
 
 
 def _with_systematic_errors(
@@ -446,32 +450,25 @@ def _with_systematic_errors(
     return np.asarray((vectors * np.maximum(values, floor + 1e-12)[:, None, :]) @ vectors.transpose(0, 2, 1))
 
 
-def _table(
-    frame: Frame,
-    background: Background,
-    psf: PSF,
-    xy: FloatArray,
-    covariance: FloatArray,
-    flux: FloatArray,
-    flux_err: FloatArray,
-    matrices: FloatArray,
-    snr: FloatArray,
-    flags: NDArray[np.uint16],
-    order: IntArray,
-) -> Measurements:
+def _ellipses(matrices: FloatArray) -> dict[str, FloatArray]:
+    """The columns of shape of second moments (n, 2, 2), NaN where these are."""
     values, vectors = np.linalg.eigh(np.where(np.isfinite(matrices), matrices, np.eye(2)))
     has_shape = np.isfinite(matrices).all(axis=(1, 2))
     theta = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1])) % 180
     axes = np.sqrt(values[:, 1]), np.sqrt(values[:, 0]), theta
     a, b, theta = (np.where(has_shape, column, np.nan) for column in axes)
-    pixel = np.rint(xy).astype(int)
+    return {"a_px": a, "b_px": b, "theta_deg": theta, "fwhm_px": FWHM_PER_SIGMA * np.sqrt(a * b)}
+
+
+def _table(frame: Frame, background: Background, psf: PSF, columns: dict[str, NDArray[Any]]) -> Measurements:
+    """The measurements with these columns, and the background and peak at their pixels; the brightest first."""
+    order = np.argsort(-columns["flux"], kind="stable")
+    pixel = np.rint(np.column_stack([columns["x_px"], columns["y_px"]])).astype(int)
     x, y = np.clip(pixel[:, 0], 0, frame.shape[1] - 1), np.clip(pixel[:, 1], 0, frame.shape[0] - 1)
-    columns = {
-        "x_px": xy[:, 0], "y_px": xy[:, 1], "covariance": covariance[:, [0, 0, 1], [0, 1, 1]], "flux": flux,
-        "flux_err": flux_err, "background": background.level[y, x].astype(float), "a_px": a, "b_px": b,
-        "theta_deg": theta, "fwhm_px": FWHM_PER_SIGMA * np.sqrt(a * b), "snr": snr,
-        "peak": (frame.image - background.level)[y, x].astype(float), "flags": flags,
-    }  # fmt: skip
+    columns = columns | {
+        "background": background.level[y, x].astype(float),
+        "peak": (frame.image - background.level)[y, x].astype(float),
+    }
     return Measurements(
         **{name: np.ascontiguousarray(column[order]) for name, column in columns.items()},
         shape=frame.shape,
