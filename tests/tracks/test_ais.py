@@ -203,6 +203,44 @@ def test_parts_of_a_message_must_be_in_order():
     assert made.damaged.lines.tolist() == [1]
 
 
+def parts_of(mmsi, name, tag=("", ""), talker="AI"):
+    parts = pyais.encode_dict(
+        {"type": 5, "mmsi": mmsi, "shipname": name, "callsign": "D"}, talker_id=talker, sentence_type="VDM", seq_id=3
+    )  # fmt: skip
+    return [f"\\{block},c:1452603731*00\\{part}" for block, part in zip(tag, parts, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ({"tag": ("g:1-2-71,s:r1", "g:2-2-71")}, {"tag": ("g:1-2-72,s:r2", "g:2-2-72")}),
+        ({"tag": ("s:r1", "s:r1")}, {"tag": ("s:r2", "s:r2")}),
+        ({"tag": ("x:1", "x:1"), "talker": "AI"}, {"tag": ("x:1", "x:1"), "talker": "BS"}),
+    ],
+)
+def test_messages_of_several_stations_in_one_stream_are_kept_apart(first, second):
+    a, b = parts_of(235070762, "ARCTURUS", **first), parts_of(235070763, "BETELGEUSE", **second)
+    positions = [*message(), *message(mmsi=235070763)]
+    made = reports([a[0], b[0], a[1], b[1], *positions])
+    assert made.name.tolist() == ["ARCTURUS", "BETELGEUSE"] and not made.damaged.counts()
+
+
+def test_parts_that_may_be_of_two_messages_make_none():
+    a, b = (parts_of(235070762 + k, name, ("x:1", "x:1")) for k, name in enumerate(("ARCTURUS", "BETELGEUSE")))
+    made = reports([a[0], b[0], a[1], b[1], *message()])
+    assert made.name is None
+    assert sorted(set(made.damaged.reasons)) == [
+        "part of a message without the others",
+        "parts of messages of several receivers that cannot be told apart",
+    ]
+
+
+def test_a_part_that_comes_much_later_is_of_another_message():
+    first, second = parts_of(235070762, "ARCTURUS", ("x:1", "x:1"))
+    made = reports([first, second.replace("1452603731", "1452603761"), *message()])
+    assert made.name is None and len(made.damaged.reasons) == 2
+
+
 def test_own_ship_and_other_messages_are_ignored():
     own = message()[0].replace("VDM", "VDO").split("*")[0][1:]
     made = reports([sentence(own), *message()])

@@ -8,6 +8,7 @@ decoded by pyais (MIT).
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -108,6 +109,13 @@ _CLOCKS = (4, 11)
 _LONG_RANGE_STEP_M = 0.1 * MILE_M
 #: Above this speed, in m/s, the course is used as heading where none is sent.
 _STEERING_M_PER_S = 1.0
+#: A part that comes later than this after the first one, in seconds, is of another message (chosen).
+MESSAGE_S = 10.0
+#: Two messages of one number that begin within this many seconds come from two receivers (chosen).
+AMBIGUOUS_S = 3.0
+#: Largest number of incomplete messages; above it, they are dropped.
+MOST_WAITING = 10_000
+_ALONE = "part of a message without the others"
 _SIDES = ("bow", "stern", "port", "starboard")
 _SHIP_TYPES = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 33: "dredging", 34: "diving",
           35: "military", 36: "sailing", 37: "pleasure", 40: "high speed craft", 50: "pilot",
@@ -137,11 +145,21 @@ class Static:
     values: Mapping[str, Any]
 
 
+@dataclass(frozen=True)
+class Incomplete:
+    """The first parts of a message. time_s : of the first, NaN where the log has no clock. ambiguous : whether two
+    messages that cannot be told apart have begun: a further part may be of either."""
+
+    parts: tuple[Sentence, ...] = ()
+    time_s: float = math.nan
+    ambiguous: bool = False
+
+
 @dataclass
 class ReceiverState:
     """State of a receiver before these lines: incomplete multi-part messages, and static data of ships."""
 
-    waiting: dict[tuple[str, ...], list[Sentence]] = field(default_factory=dict)
+    waiting: dict[tuple[str, ...], Incomplete] = field(default_factory=dict)
     statics: dict[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
@@ -218,7 +236,9 @@ def _messages(log: Log, state: ReceiverState | None) -> tuple[list[AisMessage], 
     decode = _decoder()
     messages: list[AisMessage] = []
     damaged = list(log.damaged)
-    waiting: dict[tuple[str, ...], list[Sentence]] = {} if state is None else state.waiting
+    waiting: dict[tuple[str, ...], Incomplete] = {} if state is None else state.waiting
+    if len(waiting) > MOST_WAITING:
+        waiting.clear()
     for index, sentence in enumerate(log.sentences):
         if sentence.kind not in SENTENCES:
             continue
@@ -227,8 +247,8 @@ def _messages(log: Log, state: ReceiverState | None) -> tuple[list[AisMessage], 
             damaged.append((sentence.line, "AIS sentence without a message"))
             continue
         if sentence.field(1) != "1":
-            key = (sentence.kind, sentence.field(1), sentence.field(3), sentence.field(4))
-            parts = _parts(waiting, key, sentence, damaged)
+            key = (sentence.kind, *(sentence.field(k) for k in (1, 3, 4)), sentence.origin)
+            parts = _parts(waiting, key, sentence, float(log.clock_s[index]), damaged)
         if not parts:
             continue
         try:
@@ -238,31 +258,43 @@ def _messages(log: Log, state: ReceiverState | None) -> tuple[list[AisMessage], 
             damaged += [(part.line, f"cannot be decoded ({type(error).__name__})") for part in parts]
             continue
         messages.append(AisMessage(sentence.line, index, sentence.kind == "VDO", decoded))
-    for parts in waiting.values() if state is None else ():
-        damaged += [(part.line, "part of a message without the others") for part in parts]
+    for incomplete in waiting.values() if state is None else ():
+        damaged += [(part.line, _ALONE) for part in incomplete.parts]
     return messages, damaged
 
 
 def _parts(
-    waiting: dict[tuple[str, ...], list[Sentence]],
+    waiting: dict[tuple[str, ...], Incomplete],
     key: tuple[str, ...],
     sentence: Sentence,
+    time_s: float,
     damaged: list[tuple[int, str]],
 ) -> list[Sentence]:
-    """All parts of a message if this is the last one, else none; parts out of sequence become damaged."""
+    """All parts of a message if this is the last one, else none; parts out of sequence become damaged.
+
+    time_s : of the sentence, NaN where the log has no clock.
+    """
     total, number = key[1], sentence.field(2)
-    earlier = waiting.pop(key, [])
-    if number != str(len(earlier) + 1):
-        damaged += [(part.line, "part of a message without the others") for part in earlier]
-        earlier = []
-    if number != "1" and not earlier:
-        damaged.append((sentence.line, "part of a message without the others"))
+    earlier = waiting.pop(key, Incomplete())
+    if time_s - earlier.time_s > MESSAGE_S or number != str(len(earlier.parts) + 1):
+        damaged += [(part.line, _ALONE) for part in earlier.parts]
+        # A receiver gives the number of a message anew only after nine others: this is another receiver's.
+        differs = any(part.text != sentence.text for part in earlier.parts[:1])
+        ambiguous = number == "1" and differs and time_s - earlier.time_s <= AMBIGUOUS_S
+        earlier = Incomplete(ambiguous=ambiguous)
+    if number != "1" and not earlier.parts:
+        damaged.append((sentence.line, _ALONE))
         return []
-    parts = [*earlier, sentence]
-    if str(len(parts)) == total:
-        return parts
-    waiting[key] = parts
-    return []
+    first_s = earlier.time_s if earlier.parts else time_s
+    incomplete = Incomplete((*earlier.parts, sentence), first_s, earlier.ambiguous)
+    if str(len(incomplete.parts)) != total:
+        waiting[key] = incomplete
+        return []
+    if incomplete.ambiguous:
+        damaged += [(part.line, "parts of messages of several receivers that cannot be told apart")
+                    for part in incomplete.parts]  # fmt: skip
+        return []
+    return list(incomplete.parts)
 
 
 def _decoder() -> Callable[..., Any]:

@@ -20,6 +20,9 @@ from sameas.io.sensors.format import DAY_S, forward_filled, instant, seconds, un
 _SENTENCE = re.compile(r"([!$])([A-Z]{1,5}[A-Z0-9]{0,4})((?:,[^*]*)?)(?:\*([0-9A-Fa-f]{2}))?")
 _TAG_BLOCK = re.compile(r"\\([^\\]*)\\")
 _TAG_TIME = re.compile(r"(?:^|,)c:(\d+(?:\.\d+)?)")
+#: The group of sentences, and the station, in a tag block (IEC 61162-450): \\g:1-2-73,s:r003669945*hh\\.
+_TAG_GROUP = re.compile(r"(?:^|,)g:\d+-\d+-(\w+)")
+_TAG_STATION = re.compile(r"(?:^|,)s:([^,*]+)")
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,8 @@ class Sentence:
 
     kind : the sentence type without talker ("TTM" of "RATTM"). fields : the values after it.
     time_s : the receive time in the line, NaN where it has none.
+    origin : what the sentences of one message have in common, and those of other stations have not: the talker, and the
+    group or else the station of the tag block.
     """
 
     line: int
@@ -35,6 +40,7 @@ class Sentence:
     kind: str
     fields: tuple[str, ...]
     time_s: float
+    origin: str = ""
 
     def field(self, number: int) -> str:
         """Field 1, 2, … without blanks; empty where the sentence is shorter."""
@@ -147,7 +153,10 @@ def _sentence(number: int, raw: str, whole: bool) -> Sentence | str:
     address, *values = body.split(",")
     kind = address[1:] if address.startswith("P") else address[2:]
     time_s = _receive_time(tags, line[: match.start()], line[match.end() :])
-    return Sentence(number, text, kind, tuple(values), time_s)
+    group, station = _TAG_GROUP.search(tags), _TAG_STATION.search(tags)
+    # Only the first sentence of a group needs to have the station.
+    origin = f"group {group[1]}" if group else f"station {station[1]}" if station else ""
+    return Sentence(number, text, kind, tuple(values), time_s, f"{address.removesuffix(kind)} {origin}".rstrip())
 
 
 def checksum(body: str) -> int:
