@@ -16,6 +16,10 @@ from sameas.tracks.reports import joined
 DATA = Path(__file__).parent / "data"
 
 
+def nmea_line(body):
+    return f"${body}*{nmea.checksum(body):02X}".encode()
+
+
 def by_pieces(data, cuts, **options):
     """Reports by sensor name of a stream fed with ``data`` in pieces."""
     stream, out = ReportStream("wire", **options), {}
@@ -216,3 +220,49 @@ def test_the_format_is_recognised_from_the_first_bytes():
     with pytest.raises(InputError, match="not a stream format"):
         ReportStream("x", "csv")
     assert nmea.log_of(["$GPHDT,1,T"], received_s=[7.0]).clock_s.tolist() == [7.0]
+
+
+TTM = nmea_line("RATTM,05,12.345,45.6,T,12.0,180.0,T,,,N,,T,,,A")
+
+
+def nmea_stream(*datagrams, end=False):
+    """A stream fed with datagrams of senders, (number, bytes), or with pieces of connection 0 that then ends."""
+    stream = ReportStream("bridge")
+    for sender, data in datagrams:
+        stream.feed(data, 1_714_560_000.0, connection=sender, last=not end)
+    if end:
+        stream.feed(b"", 1_714_560_000.0, last=True)
+    return stream, [reports for reports in stream.reports() if reports.source.endswith("arpa")]
+
+
+@pytest.mark.parametrize("cut", [1, 12, 23, 40, len(TTM) - 2])
+def test_a_sentence_that_datagrams_cut_is_whole_again(cut):
+    other = nmea_line("RATTM,06,2.000,90.0,T,12.0,180.0,T,,,N,,T,,,A")
+    stream, [reports] = nmea_stream((1, TTM[:cut]), (2, other), (1, TTM[cut:] + b"\r\n" + other[:9]))
+    assert sorted(reports.range_m.round().tolist()) == [3704.0, round(12.345 * 1852)]
+    assert reports.bearing_deg.max() == 90.0 and reports.bearing_deg.min() == 45.6 and not +stream.damaged
+
+
+def test_a_datagram_without_a_line_end_is_read_at_once():
+    stream, [reports] = nmea_stream((1, TTM))
+    assert len(reports) == 1 and not +stream.damaged
+
+
+@pytest.mark.parametrize("end", [True, False])
+def test_a_sentence_cut_off_is_damaged_and_no_report(end):
+    stream, [reports] = nmea_stream((0, TTM + b"\r\n"), (0, TTM[:22]), *[(0, TTM)] * (not end), end=end)
+    assert set(reports.bearing_deg.tolist()) == {45.6} and stream.damaged["a line that is cut off"] == 1
+
+
+def test_sentences_without_checksums_need_none():
+    stream, [reports] = nmea_stream((0, TTM[:-3]), (0, TTM[:-3]), (0, TTM[:-3] + b"\r\n"))
+    assert len(reports) == 3 and not +stream.damaged
+
+
+def test_a_position_cut_off_with_its_connection_is_no_report():
+    line = b"MSG,3,1,1,3C0001,1,2024/05/01,12:00:00.000,2024/05/01,12:00:00.000,,35000,,,51.50123,-1.23456,,,0,0,0,0"
+    stream = ReportStream("sbs")
+    stream.feed(line + b"\r\n" + line[:-18], 0.0, connection=1)
+    stream.feed(b"", 0.0, connection=1, last=True)
+    [reports] = stream.reports()
+    assert reports.lon_deg.tolist() == [-1.23456] and stream.damaged["a line that is cut off"] == 1

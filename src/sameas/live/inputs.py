@@ -36,6 +36,8 @@ FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 15.0
 SILENT_S = 120.0
 #: Seconds to wait for a TCP connection.
 ANSWER_S = 10.0
+#: Largest number of senders of datagrams whose unfinished sentences are kept apart.
+MOST_SENDERS = 1000
 _SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "file", "serial", "stdin")
 #: A Signal K server sends deltas over TCP only to a client that subscribes (Signal K 1.7, "Subscription protocol").
 _SUBSCRIPTION = b'{"context":"*","subscribe":[{"path":"*","policy":"instant"}]}\r\n'
@@ -170,10 +172,13 @@ class Wire:
         host, port = parts.hostname or "0.0.0.0", parts.port or 0
         udp_socket = _udp_socket(host, port, parse_qs(parts.query).get("interface", ["0.0.0.0"])[0])
         loop, received = asyncio.get_running_loop(), self._received
+        senders: dict[object, int] = {}
 
         class Receiver(asyncio.DatagramProtocol):
             def datagram_received(self, data: bytes, addr: object) -> None:
-                received(data, last=True)
+                if len(senders) >= MOST_SENDERS:
+                    senders.clear()
+                received(data, senders.setdefault(addr, len(senders)), last=True)
 
         transport, _ = await loop.create_datagram_endpoint(Receiver, sock=udp_socket)
         try:
@@ -272,6 +277,7 @@ class Wire:
         self._set_connected()
         while data := await asyncio.to_thread(os.read, sys.stdin.fileno(), 65536):
             self._received(data)
+        self._ended(0)
 
 
 def _cause(error: Exception) -> str:

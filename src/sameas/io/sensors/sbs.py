@@ -19,7 +19,7 @@ from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 #: Fields older than this, in seconds, are not joined to a position (chosen).
 _STALE_S = 30.0
 #: Cells of a message.
-_CELLS = 22
+CELLS = 22
 #: Number of the field (from 0), its column and its unit.
 _FIELDS = {
     11: ("pressure_alt_m", FOOT_M),
@@ -59,7 +59,7 @@ def read(lines: Sequence[str], source: str, unended: bool = False, latest_fields
             passed_over[f"{cells[0].strip()} line"] += 1
             continue
         try:
-            time_s, address, fields = _message(cells, least=_CELLS if unended and number == len(lines) else 16)
+            time_s, address, fields = _message(cells, least=CELLS if unended and number == len(lines) else 16)
         except ValueError as error:
             damaged.append((number, str(error)))
             continue
@@ -85,7 +85,7 @@ def _message(cells: Sequence[str], least: int) -> tuple[float, str, dict[str, An
     if cells[0].strip() != "MSG":
         raise ValueError("no SBS message")
     if len(cells) < least:
-        raise ValueError(f"{len(cells)} cells of a message that has {_CELLS}")
+        raise ValueError(f"{len(cells)} cells of a message that has {CELLS}")
     address = cells[4].strip()
     if not address or any(c not in "0123456789abcdefABCDEF~" for c in address):
         raise ValueError("no address of an aircraft")

@@ -24,6 +24,7 @@ from sameas.tracks.reports import Damaged, NoReports, Reports
 LONGEST_LINE = 4 << 20
 #: Largest number of aircraft, or blocks, in the state; above it, the state is cleared.
 MOST_REMEMBERED = 20_000
+_CHECKSUM = re.compile(rb"\*[0-9A-Fa-f]{2}")
 STREAM_FORMATS = ("nmea", "sbs", "aircraft", "asterix", "table", "signalk")
 
 
@@ -82,6 +83,8 @@ class ReportStream:
                 f"{self.source}: {self.format!r} is not a stream format", f"give one of {', '.join(STREAM_FORMATS)}"
             )
         self._rest: dict[int, bytes] = {}
+        #: Whether any line has a checksum.
+        self._checked = False
         self._lines: list[tuple[float, str]] = []
         self._datagrams: list[tuple[float, bytes]] = []
         self._ais_state, self._ship, self._vessels = ais.ReceiverState(), arpa.ArpaState(), signalk.Vessels()
@@ -95,20 +98,36 @@ class ReportStream:
         connection : its number; an incomplete line or block waits for the next bytes of its own connection.
         last : whether nothing follows, because the bytes are a datagram or the connection ends.
         """
-        data = self._rest.pop(connection, b"") + data
+        rest, datagram = self._rest.pop(connection, b""), last and bool(data)
+        if rest and datagram and data[:1] in (b"!", b"$", b"\\"):
+            # The datagram before ended within a sentence that this one does not continue.
+            rest = self._cut_off(rest) + b"\n"
+        data = rest + data
         if self.format is None:
             self.format = format_of(data)
         if self.format == "asterix":
             rest = self._feed_blocks(data, received_s, last)
         else:
-            rest = self._feed_lines(data, received_s, last)
+            rest = self._feed_lines(data, received_s, last, datagram)
         if rest:
+            if len(self._rest) > MOST_REMEMBERED:
+                self._rest.clear()
             self._rest[connection] = rest
 
-    def _feed_lines(self, data: bytes, received_s: float, last: bool) -> bytes:
-        """Adds complete lines; the rest is an incomplete one."""
+    def _feed_lines(self, data: bytes, received_s: float, last: bool, datagram: bool) -> bytes:
+        """Adds complete lines; the rest is an incomplete one.
+
+        The last sentence of a datagram may go on in the next one of its sender: serial lines are forwarded so.
+        """
         pieces = re.split(rb"[\r\n]+", data)
-        rest = b"" if last else pieces.pop()
+        rest = pieces.pop()
+        if last and (not rest.strip() or self._is_whole(rest)):
+            pieces.append(rest)
+            rest = b""
+        elif last and not (datagram and self.format == "nmea"):
+            pieces.append(self._cut_off(rest))
+            rest = b""
+        self._checked = self._checked or any(_CHECKSUM.search(piece) for piece in pieces)
         if len(rest) > LONGEST_LINE:
             self.damaged["a line without an end"] += 1
             rest = b""
@@ -116,6 +135,21 @@ class ReportStream:
         if self.format is None and self._lines:
             self.format = format_of("\n".join(line for _, line in self._lines).encode() + b"\n")
         return rest
+
+    def _is_whole(self, line: bytes) -> bool:
+        """Whether a line without a line end is not cut off, as far as its format shows it."""
+        if (self.format or format_of(line)) == "nmea":
+            start = max(line.rfind(b"!"), line.rfind(b"$"), 0)
+            return _CHECKSUM.search(line, start) is not None
+        return not line.startswith(b"MSG,") or line.count(b",") >= sbs.CELLS - 1
+
+    def _cut_off(self, line: bytes) -> bytes:
+        """Nothing is left of a line that is cut off, which is damaged; where no sentence of the stream has a checksum,
+        nothing shows that it is."""
+        if (self.format or format_of(line)) == "nmea" and not self._checked:
+            return line
+        self.damaged["a line that is cut off"] += 1
+        return b""
 
     def _feed_blocks(self, data: bytes, received_s: float, last: bool) -> bytes:
         """Adds complete blocks; the rest is an incomplete one."""
