@@ -247,6 +247,19 @@ def test_a_report_stays_current_until_the_next_one_can_have_arrived(delay_s):
     assert [len(picture.advance(60.0 + t).scan.time_s) for t in (1.5, 5.0)] == [0, 0]
 
 
+def test_reports_that_drift_against_the_instants_are_always_there():
+    """A report of each second that arrives 0.6 s later; the instants are 3 ms later every time."""
+    picture, arrived, present = LivePicture([Description("sbs", "ads-b", timing=Timing(period_s=1.0))]), 20, []
+    for n in range(100):
+        instant_s = 20.9 + 1.003 * n
+        for k in range(arrived, int(instant_s - 0.6) + 1):
+            columns: dict[str, Any] = {"time_s": [float(k)], "x_m": [200.0 * k], "y_m": [0.0], "icao": ["400a00"]}
+            picture.add("sbs", Reports.of("sbs", "adsb", columns))
+            arrived = k + 1
+        present.append(len(picture.advance(instant_s).scan.time_s))
+    assert present.count(0) <= 1
+
+
 def test_a_ships_radar_without_a_site_centres_the_plane_on_the_ship():
     picture = LivePicture([Description("radar", "marine radar")])
     columns: dict[str, Any] = {"time_s": [0.0], "range_m": [900.0], "bearing_deg": [90.0], "track_id": ["1"]}

@@ -122,6 +122,9 @@ class LiveFeed:
         # (n, 2): final gaps within tracks, and how late the later report of each was.
         self._gaps = np.empty((0, 2))
         self._instant_s = -math.inf
+        #: Times between the last instants, and how late the latest report was for one.
+        self._spacings_s: tuple[float, ...] = ()
+        self._latest_s = -math.inf
         self._split: dict[str, Branches] = {}
         self._named: bool | None = None
         self._horizon_s = -math.inf
@@ -179,6 +182,7 @@ class LiveFeed:
             new.name = self._names(in_plane.track[usable])
         new.serial = self._serial + np.arange(len(usable))
         new.late_s = self._instant_s - new.time_s
+        self._latest_s = max(self._latest_s, float(new.late_s.max(initial=-math.inf)))
         self._serial += len(usable)
         self.counts.taken += len(usable)
         if in_plane.track is None or isinstance(in_plane, Directions):
@@ -203,6 +207,8 @@ class LiveFeed:
         early_s : by which the stamps are early; such reports become current later, so older ones are needed until then.
         """
         self._drop(instant_s - early_s - self.lag_s)
+        if math.isfinite(self._instant_s):
+            self._spacings_s = (*self._spacings_s[-8:], instant_s - self._instant_s)
         self._instant_s = instant_s
         rows = self._rows.visible(("measured",) if self._directions or not self._named else ())
         time_s, sensor_m = rows.time_s, rows.sensor_m if np.isfinite(rows.sensor_m).any() else None
@@ -240,6 +246,8 @@ class LiveFeed:
         """Seconds without a report after which a track has ended; infinite while no track has two reports.
 
         A report that was not there yet at an instant after its time is late: its track was without a report until then.
+        Where any is, the next one may be later by the time between two instants: else all tracks of a sensor would end
+        for an instant, again and again, while its phase moves against that of the instants.
         delay_s : by which the times of the reports are corrected afterwards; it makes them later by as much.
         """
         if not len(self._gaps):
@@ -248,7 +256,9 @@ class LiveFeed:
         # The quantile with method "higher": np.quantile takes ten times as long, and np.partition twenty times where
         # most gaps are equal.
         place = math.ceil(self.tuning.timeout_quantile * (len(gaps) - 1))
-        return float(np.sort(gaps)[place])
+        # How late a report can be is known to within an instant.
+        late = bool(self._spacings_s) and self._latest_s + delay_s > 0.0
+        return float(np.sort(gaps)[place]) + (float(np.median(self._spacings_s)) if late else 0.0)
 
     # ---- adding reports ----
 
