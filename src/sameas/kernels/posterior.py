@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import borrowing_part, inlined, part, small_by
-from sameas.kernels.eliminate import eliminate, scratch
+from sameas.kernels.eliminate import CountedProblem, eliminate, scratch
 
 # Exact sums by eliminating records one by one.
 #
@@ -822,8 +822,8 @@ def exact_counted(
         n, nc = by_row(n1, n2, low, high, local1, local2, share, ug, vg, n2 > n1, row_start, column, pair, odds,
                        row_alone, column_alone)  # fmt: skip
         prior = count_factors(log_p, slope[g], size)
-        after = eliminate(n, nc, row_start[: n + 1], column, odds, row_alone, column_alone, prior, p_pair, p_alone,
-                          stamp, work)  # fmt: skip
+        problem = CountedProblem(n, nc, row_start[: n + 1], column, odds, row_alone, column_alone, prior)
+        after = eliminate(problem, p_pair, p_alone, stamp, work)
         if after < 0:
             stamp += n + 1
             continue
