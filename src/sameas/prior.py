@@ -5,7 +5,8 @@
   ``ConstantCost``): the rule then contains the densities and the prior is ``PerPair(0)``.
 - :class:`CommonObjects` needs only the probability with which each source misses an object (METHOD 4.1), with a flat
   prior on the number of objects. It counts the records of a *group*, so the counts depend on the width of the gate:
-  use it for small scenes of targets where only q₁, q₂ are known, and to reproduce the paper.
+  use it for small scenes of targets where only q₁, q₂ are known, and to reproduce the paper. A pair's odds decrease
+  with the number of objects in its group; of a group of more than the largest likelihood ratio, no pair is claimed.
 - ``CommonObjects(q1, q2, linear=True)`` is the paper's least-squares line through ln P(k) (METHOD 4.2), kept to
   reproduce it.
 """
