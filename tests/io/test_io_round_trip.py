@@ -412,3 +412,17 @@ def test_astropy_reads_our_parquet_like_its_own_and_we_read_its(more):
     assert _header_of(table) == lines
     ours, theirs = _described_by("\n".join(lines)), get_header_from_yaml(lines)
     assert json.dumps(ours, default=repr) == json.dumps(theirs, default=repr)
+
+
+def test_pandas_reads_identifiers_with_nulls_from_parquet_exactly(tmp_path):
+    # As floats, which pandas makes of whole numbers with a null unless told otherwise, 64-bit identifiers are rounded.
+    pandas = pytest.importorskip("pandas")
+    long = 4_611_686_018_427_387_905
+    table = Table({"plain": [1, 2], "x": [0.5, 1.5]})
+    table["source_id"] = MaskedColumn([long, 7], mask=[False, True])
+    table["flag"] = MaskedColumn([True, False], mask=[False, True])
+    write_table(table, tmp_path / "t.parquet", provenance={})
+    frame = pandas.read_parquet(tmp_path / "t.parquet")
+    assert frame["source_id"].iloc[0] == long and frame["source_id"].isna().tolist() == [False, True]
+    assert [str(kind) for kind in frame.dtypes] == ["int64", "float64", "Int64", "boolean"]
+    assert frame.index.tolist() == [0, 1]

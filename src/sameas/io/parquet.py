@@ -30,6 +30,7 @@ FORMAT = Format("parquet", "Parquet", (".parquet", ".pq", ".parq"), signatures=(
 _KEY = b"sameas"
 _ASTROPY = b"table_meta_yaml"
 _VOPARQUET = b"IVOA.VOTable-Parquet.content"
+_PANDAS = b"pandas"
 
 
 #: Files that are decoded already, each with a function that waits for the content.
@@ -242,6 +243,33 @@ def _file_metadata(table: Table, provenance: Mapping[str, Any]) -> dict[bytes, b
             # astropy's reader wants the width of text columns here, or looks for it and warns.
             width = kind.itemsize // (4 if kind.kind == "U" else 1)
             metadata[f"table::len::{name}".encode()] = str(max(width, 1)).encode()
+    metadata[_PANDAS] = json.dumps(_pandas_types(table)).encode()
     if provenance:
         metadata[_KEY] = json.dumps(provenance).encode()
     return metadata
+
+
+def _pandas_types(table: Table) -> dict[str, Any]:
+    """Tells pandas which columns of whole numbers and truth values may have nulls.
+
+    Without this ``pandas.read_parquet`` makes floats of whole numbers with a null, which rounds long identifiers, and
+    objects of truth values.
+    """
+    from astropy.table import MaskedColumn
+
+    columns = []
+    for name in table.colnames:
+        kind = table[name].dtype
+        if not isinstance(table[name], MaskedColumn) or table[name].ndim > 1 or kind.kind not in "biu":
+            continue
+        plain = "boolean" if kind.kind == "b" else kind.name.replace("uint", "UInt").replace("int", "Int")
+        columns.append(
+            {
+                "name": name,
+                "field_name": name,
+                "pandas_type": "bool" if kind.kind == "b" else kind.name,
+                "numpy_type": plain,
+                "metadata": None,
+            }
+        )
+    return {"index_columns": [], "column_indexes": [], "columns": columns}
