@@ -10,7 +10,7 @@ import numpy as np
 from sameas.estimate.error_model import ErrorModel
 from sameas.estimate.quantity import Quantity
 from sameas.report.match import error_model_in_words, quoted_errors
-from sameas.report.prose import DOUBT, entry
+from sameas.report.prose import DOUBT, entry, labelled
 from sameas.representation import count, counted
 from sameas.sky.frame.identified import TUNING
 from sameas.sky.frame.outputs import ERROR_NAMES
@@ -62,9 +62,8 @@ def frame_lines(summary: Mapping[str, Any]) -> list[str]:
 
 def _understood(summary: Mapping[str, Any]) -> list[str]:
     """The interpretation of the catalogue; summaries of earlier versions lack it."""
-    parts = [line.partition(": ") for line in summary.get("understood", ())]
-    lines = [entry(label, text) if text else entry("note", label) for label, _, text in parts]
-    return [f"Catalogue: {summary['catalogue']}", *(line for part in lines for line in part), ""] if lines else []
+    lines = labelled(summary.get("understood", ()))
+    return [f"Catalogue: {summary['catalogue']}", *lines, ""] if lines else []
 
 
 def one_line(name: str, summary: Mapping[str, Any], state: str) -> str:

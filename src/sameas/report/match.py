@@ -25,7 +25,7 @@ from sameas.evidence.detection import DetectionCurve
 from sameas.gate.gate import quantile
 from sameas.kernels import threads
 from sameas.records import Records
-from sameas.report.prose import DOUBT, LABEL, entry, figures, percent, times
+from sameas.report.prose import DOUBT, LABEL, entry, figures, labelled, percent, times
 from sameas.representation import ORDINALS, count, counted
 from sameas.result import AMBIGUOUS, Answers, Identification
 from sameas.sky.catalogue import Catalogue
@@ -48,13 +48,7 @@ def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Call
     """
     where = f" ({path})" if path else ""
     lines = [f"{ORDINALS[side - 1].capitalize()} catalogue: {catalogue.name}, {counted(len(catalogue), 'row')}{where}"]
-    lines_read = [words(line).partition(": ") for line in catalogue.interpretation]
-    last = {label: k for k, (label, _, _) in enumerate(lines_read)}
-    for k, (label, colon, text) in enumerate(lines_read):
-        if not colon or len(label) > LABEL:
-            lines += entry("note", label + colon + text)
-        elif last[label] == k:  # a later line with the same label replaces the earlier one
-            lines += entry(label, text)
+    lines += labelled([words(line) for line in catalogue.interpretation])
     for note in catalogue.table.meta.get("sameas_notes", ()):  # notes of the reader
         lines += entry("file", note)
     return lines + _doubt_lines(catalogue.named_doubts, words)

@@ -6,7 +6,7 @@ import base64
 import html
 import io
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, ClassVar
@@ -73,6 +73,22 @@ def entry(label: str, words: str) -> list[str]:
         words, WIDTH, initial_indent=f"  {label:{LABEL}}", subsequent_indent=" " * (2 + LABEL),
         break_long_words=False, break_on_hyphens=False,
     ) or [f"  {label}"]  # fmt: skip
+
+
+def labelled(texts: Sequence[str]) -> list[str]:
+    """Lines of texts such as ``epoch: 2016.0 (column ref_epoch)``; a text without a short label is a note.
+
+    A later text with the same label replaces the earlier one.
+    """
+    parts = [text.partition(": ") for text in texts]
+    last = {label: k for k, (label, _, _) in enumerate(parts)}
+    lines = []
+    for k, (label, colon, text) in enumerate(parts):
+        if not colon or len(label) > LABEL:
+            lines += entry("note", label + colon + text)
+        elif last[label] == k:
+            lines += entry(label, text)
+    return lines
 
 
 def wrapped(line: str) -> list[str]:
