@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -99,6 +100,23 @@ def found(seen: Scene) -> FrameIdentification:
 def wrong(found: FrameIdentification, truth: np.ndarray) -> int:
     i, j, _ = found.pairs
     return int(np.sum(found.stars.rows[j] != truth[i]))
+
+
+def test_a_wrong_time_of_the_frame_raises_a_doubt_that_names_the_right_one(seen: Scene, found: FrameIdentification):
+    assert not any("proper motions" in note for note in found.notes)
+    hint = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
+    for stated in (1920.3, 2011.0):  # 20/04/20 in a header is read as 1920
+        notes = solve(seen.measured, seen.catalogue, hint, epoch_jyr=stated).notes
+        named = [re.search(r"epoch of frame were (\S+) ± (\S+), not (\S+): give epoch_jyr=YEAR", n) for n in notes]
+        (year, error, printed), *others = [tuple(map(float, one.groups())) for one in named if one]
+        assert not others and printed == stated and abs(year - 2020.0) < 4.0 * error < 40.0, notes
+    exchanged = replace(
+        seen.catalogue.astrometry,
+        pm_ra_mas_per_yr=seen.catalogue.astrometry.pm_dec_mas_per_yr,
+        pm_dec_mas_per_yr=seen.catalogue.astrometry.pm_ra_mas_per_yr,
+    )
+    notes = solve(seen.measured, replace(seen.catalogue, astrometry=exchanged), hint, epoch_jyr=2020.0).notes
+    assert any("as if pmra and pmdec were exchanged: give pm='pmdec,pmra'" in note for note in notes), notes
 
 
 @pytest.mark.slow

@@ -12,10 +12,10 @@ s and f maximise the posterior on a grid, with a wide prior of s. The match then
 If the fields are disjoint, :func:`disjoint_doubt` tests misreadings that would explain it: hours read as degrees,
 swapped columns.
 
-With a wrong epoch (:func:`epoch_doubt`) residuals grow along the proper motions. The catalogue with proper motions μ
-was moved to an epoch T. If the other one was observed at T + δ, each pair has a residual −μ δ, plus a common offset.
-Both are fitted by least squares. Motions in another convention (without cos δ, exchanged, with the other sign, in
-arcsec/yr) are tested in the same way, and preferred where they lower χ² further.
+With a wrong epoch (:func:`epoch_doubt`, :class:`MovedPairs`) residuals grow along the proper motions. The catalogue
+with proper motions μ was moved to an epoch T. If the other one was observed at T + δ, each pair has a residual −μ δ,
+plus a common offset. Both are fitted by least squares. Motions in another convention (without cos δ, exchanged, with
+the other sign, in arcsec/yr) are tested in the same way, and preferred where they lower χ² further.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ from sameas.sky.column_choice import GUESSED, ChosenColumn, ColumnChoice, Positi
 from sameas.sky.column_values import to_icrs
 from sameas.sky.conventions import SkyFrame
 from sameas.sky.frame.plate import directions_deg
-from sameas.sky.motion import Astrometry
 from sameas.space import ARCSEC_PER_RADIAN, mean_direction, unit_vectors
 
 
@@ -473,86 +472,122 @@ def epoch_doubt(
         return "", False
     questioned, other = (first, second) if side == 1 else (second, first)
     moved = questioned if questioned.has_motion else other
-    # Residuals are first minus second. A catalogue moved from a later epoch than assumed was moved too far; one moved
-    # to an earlier epoch than it should, not far enough.
-    sign = (1.0 if moved is first else -1.0) * (1.0 if moved is questioned else -1.0)
-    astrometry, motion, residual, precision = _moved_pairs(moved, 1 if moved is first else 2, answer, errors)
-    if len(motion) < EPOCH.fewest:
-        return "", False
-    motion = sign * motion
-    design = np.concatenate([motion[:, :, None], np.broadcast_to(np.eye(2), (len(motion), 2, 2))], axis=2)
-    solution, covariance, gain = _least_squares(design, residual, precision)
-    years, error = float(solution[0]), math.sqrt(float(covariance[0, 0]))
-    significant_gain = EPOCH.significant_sigmas**2
-    motion_sigmas = np.sqrt(np.einsum("mv,mvw,mw->m", motion, precision, motion))
-    if abs(years) < max(EPOCH.significant_years, EPOCH.significant_sigmas * error):
-        return "", False
-    if np.quantile(motion_sigmas, 0.95) * abs(years) < EPOCH.significant_share:
-        return "", False
-    assumed_jyr = questioned.epoch_jyr
-    assert assumed_jyr is not None
-    text = f"residuals follow the proper motions of {moved.name}, "
-    displaced = sign * (epoch_jyr - astrometry.epoch_jyr)[:, None] * motion
-    moved_residuals = _MovedResiduals(displaced, residual if moved is first else -residual, precision)
-    possible = EPOCH.epochs_jyr[0] <= assumed_jyr + years <= EPOCH.epochs_jyr[1]
-    min_gain = gain + (significant_gain if possible else -significant_gain)
-    misread = moved_residuals.misreading(np.cos(np.radians(astrometry.dec_deg)), min_gain)
-    if misread is not None:
-        return Message(text, *misread.words(moved, 1 if moved is first else 2)), False
-    factors = moved_residuals.different_factors()
-    if factors or not possible:
-        fits = factors or f"as if the epoch of {questioned.name} were {assumed_jyr + years:.0f}"
-        return f"{text}{fits}, which no epoch explains: are they in the right columns, and their units right?", False
-    alone, covariance_alone, gain_only = _least_squares(design[:, :, :1], residual, precision)
-    explains = gain - gain_only < significant_gain
-    if explains:
-        years, error = float(alone[0]), math.sqrt(float(covariance_alone[0, 0]))
-    decimals = max(0, math.ceil(-math.log10(error)))
-    text += (
-        f"as if the epoch of {questioned.name} were "
-        f"{assumed_jyr + years:.{decimals}f} ± {error:.{decimals}f}, not {in_years(assumed_jyr)}: "
+    assert questioned.epoch_jyr is not None
+    return _moved_pairs(moved, 1 if moved is first else 2, epoch_jyr, answer, errors).doubt(
+        moved,
+        1 if moved is first else 2,
+        Questioned(questioned.name, questioned.epoch_jyr, naming(f"give {{epoch{side}:YEAR}}"), moved is questioned),
     )
-    return Message(text, naming(f"give {{epoch{side}:YEAR}}")), explains
 
 
-def _moved_pairs(
-    moved: Catalogue, side: int, answer: Identification, errors: Errors
-) -> tuple[Astrometry, FloatArray, FloatArray, FloatArray]:
-    """Some sure pairs with a known proper motion (m): astrometry of the moved catalogue, which is 1 or 2, its motion
-    (m, 2) in arcsec/yr, the residuals (m, 2), and their precisions (m, 2, 2)."""
+@dataclass(frozen=True)
+class Questioned:
+    """Whose epoch the residuals test: its name, the assumed or stated epoch, how to give another.
+
+    moved : whether it is the source with the motions itself.
+    """
+
+    name: str
+    epoch_jyr: float
+    remedy: Message
+    moved: bool = False
+
+
+def _moved_pairs(moved: Catalogue, side: int, epoch_jyr: float, answer: Identification, errors: Errors) -> MovedPairs:
+    """Some sure pairs with a known proper motion. side : of the moved catalogue, 1 or 2."""
     records, index = (answer.first, answer.pairs.i) if side == 1 else (answer.second, answer.pairs.j)
     use = np.flatnonzero(answer.p_pair > EPOCH.min_p_pair)
     use = use[:: -(-len(use) // EPOCH.max_pairs) or 1]
     astrometry = moved.astrometry[records.rows[index[use]]]
     motion = 1e-3 * np.column_stack([astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr])
-    residual, precision = answer.pairs.residual[use], inverse(errors.typical_covariance(answer.pairs, use))
-    near = np.einsum("mv,mvw,mw->m", residual, precision, residual) < EPOCH.largest_sigmas**2
-    used = near & np.isfinite(motion).all(axis=1)
-    return astrometry[used], motion[used], residual[used], precision[used]
+    return MovedPairs(
+        motion,
+        (epoch_jyr - astrometry.epoch_jyr)[:, None] * motion,
+        answer.pairs.residual[use] if side == 1 else -answer.pairs.residual[use],
+        inverse(errors.typical_covariance(answer.pairs, use)),
+        np.cos(np.radians(astrometry.dec_deg)),
+    )._sure()
+
+
+def _as_they_are(values: FloatArray) -> FloatArray:
+    return values
 
 
 @dataclass(frozen=True)
-class _MovedResiduals:
-    """Residuals of a catalogue that was moved by its proper motions, as a test of these.
+class MovedPairs:
+    """Pairs with objects that were moved by their proper motions, as a test of epoch and motions.
 
-    displaced : (m, 2) arcsec by which the objects were moved, east and north. residual : (m, 2) arcsec, their position
-    minus that in the other catalogue. precision : (m, 2, 2) of the residuals.
+    Attributes
+    ----------
+    motion : (m, 2) arcsec/yr, east with cos δ, and north. displaced : (m, 2) arcsec by which the objects were moved.
+    residual : (m, 2) arcsec, their position minus that in the other source. precision : (m, 2, 2) of the residuals.
+    cos_dec : (m,) cosine of declination. remaining : what a fit to the residuals leaves of (m, 2) values, for residuals
+        from a fitted model.
     """
 
+    motion: FloatArray
     displaced: FloatArray
     residual: FloatArray
     precision: FloatArray
+    cos_dec: FloatArray
+    remaining: Callable[[FloatArray], FloatArray] = _as_they_are
 
-    def misreading(self, cos_dec: FloatArray, min_gain: float) -> _MotionMisreading | None:
-        """The misreading of the motions that lowers χ² most, with an offset, and by more than ``min_gain``; or None.
+    def _sure(self) -> MovedPairs:
+        """Those with known motions and without large residuals."""
+        near = np.einsum("mv,mvw,mw->m", self.residual, self.precision, self.residual) < EPOCH.largest_sigmas**2
+        some = near & np.isfinite(self.motion).all(axis=1)
+        parts = (self.motion, self.displaced, self.residual, self.precision, self.cos_dec)
+        return MovedPairs(*(part[some] for part in parts))
 
-        cos_dec : (m,) cosine of declination.
+    def doubt(self, moved: Catalogue, side: int | str, questioned: Questioned) -> tuple[str, bool]:
+        """A doubt about an epoch or the convention of the motions (empty if none), and whether the epoch also explains
+        a common offset. side : of the moved catalogue, for the names of options.
         """
+        if len(self.motion) < EPOCH.fewest:
+            return "", False
+        # A catalogue moved from a later epoch than assumed was moved too far; one moved to an earlier epoch than it
+        # should, not far enough.
+        motion = self.remaining(self.motion if questioned.moved else -self.motion)
+        design = np.concatenate([motion[:, :, None], np.broadcast_to(np.eye(2), (len(motion), 2, 2))], axis=2)
+        solution, covariance, gain = _least_squares(design, self.residual, self.precision)
+        years, error = float(solution[0]), math.sqrt(float(covariance[0, 0]))
+        significant_gain = EPOCH.significant_sigmas**2
+        motion_sigmas = np.sqrt(np.einsum("mv,mvw,mw->m", motion, self.precision, motion))
+        if abs(years) < max(EPOCH.significant_years, EPOCH.significant_sigmas * error):
+            return "", False
+        if np.quantile(motion_sigmas, 0.95) * abs(years) < EPOCH.significant_share:
+            return "", False
+        text = f"residuals follow the proper motions of {moved.name}, "
+        possible = EPOCH.epochs_jyr[0] <= questioned.epoch_jyr + years <= EPOCH.epochs_jyr[1]
+        misread = self.misreading(gain + (significant_gain if possible else -significant_gain))
+        if misread is not None:
+            return Message(text, *misread.words(moved, side)), False
+        factors = self.different_factors()
+        if factors or not possible:
+            fits = factors or f"as if the epoch of {questioned.name} were {questioned.epoch_jyr + years:.0f}"
+            return (
+                f"{text}{fits}, which no epoch explains: are they in the right columns, and their units right?",
+                False,
+            )
+        alone, covariance_alone, gain_only = _least_squares(design[:, :, :1], self.residual, self.precision)
+        explains = gain - gain_only < significant_gain
+        if explains:
+            years, error = float(alone[0]), math.sqrt(float(covariance_alone[0, 0]))
+        decimals = max(0, math.ceil(-math.log10(error)))
+        text += (
+            f"as if the epoch of {questioned.name} were {questioned.epoch_jyr + years:.{decimals}f} ± "
+            f"{error:.{decimals}f}, not {in_years(round(questioned.epoch_jyr, max(decimals, 1)))}: "
+        )
+        return Message(text, questioned.remedy), explains
+
+    def misreading(self, min_gain: float) -> _MotionMisreading | None:
+        """The misreading of the motions that lowers χ² most, with an offset, and by more than ``min_gain``; or None."""
         offset = np.broadcast_to(np.eye(2), (len(self.residual), 2, 2))
         before, best = _chi_square(self.residual, self.precision), None
         for misread in _MOTION_MISREADINGS:
-            remaining = self.residual + misread.corrected(self.displaced, cos_dec) - self.displaced
-            after = _chi_square(remaining, self.precision) - _least_squares(offset, remaining, self.precision)[2]
+            corrected = misread.corrected(self.displaced, self.cos_dec)
+            residual = self.residual + self.remaining(corrected - self.displaced)
+            after = _chi_square(residual, self.precision) - _least_squares(offset, residual, self.precision)[2]
             if before - after > min_gain:
                 min_gain, best = before - after, misread
         return best
@@ -561,7 +596,8 @@ class _MovedResiduals:
         """The factors on the motions east and north that fit best, as text, if they differ; else empty."""
         if not self.displaced.any():
             return ""
-        design = np.concatenate([self.displaced[:, :, None] * np.eye(2), np.zeros_like(self.precision) + np.eye(2)], 2)
+        displaced = self.remaining(self.displaced)
+        design = np.concatenate([displaced[:, :, None] * np.eye(2), np.zeros_like(self.precision) + np.eye(2)], 2)
         solution, covariance, _ = _least_squares(design, self.residual, self.precision)
         east, north = 1.0 - solution[:2]
         error = math.sqrt(float(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]))
@@ -583,8 +619,8 @@ class _MotionMisreading:
     remedy: str
     corrected: Callable[[FloatArray, FloatArray], FloatArray]
 
-    def words(self, catalogue: Catalogue, side: int) -> tuple[str, Message]:
-        """The meaning and the remedy, for a catalogue and its side (1 or 2)."""
+    def words(self, catalogue: Catalogue, side: int | str) -> tuple[str, Message]:
+        """The meaning and the remedy, for a catalogue and its side (1, 2, or empty if it is the only one)."""
         ra, dec = ("" if column is None else column.name for column in catalogue.choice.motion[1:3])
         return f"{self.meaning.format(ra=ra, dec=dec)}: ", naming(self.remedy.format(ra=ra, dec=dec, side=side))
 
@@ -641,4 +677,4 @@ def _least_squares(
     return solution, inverse(information), float(solution @ projection)
 
 
-__all__ = ["EpochTuning", "epoch_doubt"]
+__all__ = ["EpochTuning", "MovedPairs", "Questioned", "epoch_doubt"]

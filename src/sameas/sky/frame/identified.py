@@ -27,11 +27,12 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
+from sameas.sky.doubts import EPOCH, MovedPairs, Questioned
 from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.measurements import Flag, Measurements
 from sameas.sky.frame.photometry import Completeness, ZeroPoint, instrumental
 from sameas.sky.frame.place import Placement, place
-from sameas.sky.frame.plate import MatchedStars, PlateModel, Pointing, directions_deg, fit_plate
+from sameas.sky.frame.plate import MatchedStars, PlateModel, Pointing, directions_deg, fit_plate, terms
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.space import chord_angle_deg
 
@@ -420,8 +421,53 @@ def solve(
     near_frame[placement.rows_stars] = True
     new_row = np.cumsum(near_frame) - 1
     placement = replace(placement, rows_stars=new_row[placement.rows_stars])
-    identification = identify_frame(measured, stars[near_frame], placement, refinement)
-    return _with_common_error(identification, refinement) if catalogue.error_is_unknown else identification
+    found = identify_frame(measured, stars[near_frame], placement, refinement)
+    if catalogue.error_is_unknown:
+        found = _with_common_error(found, refinement)
+    doubt = _epoch_doubt(found, catalogue)
+    return replace(found, notes=(*found.notes, doubt)) if doubt else found
+
+
+def _epoch_doubt(found: FrameIdentification, catalogue: Catalogue) -> str:
+    """A doubt about the time of the frame or the convention of the proper motions; empty if none.
+
+    The plate model has taken the mean of the motions, and what varies with the place, out of the residuals; the same
+    polynomials are taken out of the motions.
+    """
+    epoch_jyr, stars, result = found.stars.epoch_jyr, found.stars, found.result
+    if epoch_jyr is None or not catalogue.has_motion:
+        return ""
+    scale = found.placement.pointing.scale_arcsec
+    some = np.flatnonzero(found.pairs[2] >= TUNING.p_sure)
+    variance = scale**2 * np.einsum(
+        "mvv->m", found.estimate.errors.typical_covariance(result.pairs, result.matches.pair[some])
+    )
+    astrometry = catalogue.astrometry[stars.rows[found.pairs[1][some]]]
+    motion = 1e-3 * np.column_stack([astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr])
+    residual = -found.residual_arcsec[some]
+    known = np.isfinite(motion).all(axis=1) & ((residual**2).sum(axis=1) < EPOCH.largest_sigmas**2 * variance / 2.0)
+    weight = np.sqrt(2.0 / variance[known])[:, None]
+    xy = found.predicted_px[found.pairs[1][some[known]]] / max(found.measured.shape)
+    basis = weight * np.stack([xy[:, 0] ** a * xy[:, 1] ** b for a, b in terms(found.plate.order)], axis=1)
+
+    def remaining(values: FloatArray) -> FloatArray:
+        """(m, 2) without what the plate model could take up."""
+        fit = np.linalg.lstsq(basis, weight * values, rcond=None)[0]
+        return np.asarray(values - basis @ fit / weight)
+
+    pairs = MovedPairs(
+        motion[known],
+        (epoch_jyr - astrometry.epoch_jyr[known])[:, None] * motion[known],
+        residual[known],
+        (weight**2)[:, :, None] * np.eye(2),
+        np.cos(np.radians(astrometry.dec_deg[known])),
+        remaining,
+    )
+    questioned = Questioned(found.measured.name, epoch_jyr, naming("give {epoch_jyr:YEAR}"))
+    if catalogue.choice.epoch.reason == "assumed" and catalogue.epoch_jyr is not None:
+        questioned = Questioned(catalogue.name, catalogue.epoch_jyr, naming("give {epoch:YEAR}"), moved=True)
+    text, _ = pairs.doubt(catalogue, "", questioned)
+    return Message("doubt: ", text) if text else ""
 
 
 def common_star_error(found: FrameIdentification) -> float:
