@@ -54,6 +54,22 @@ def test_the_time_scale_is_that_of_the_header():
     assert "assumed: times are UTC (no TIMESYS)" in facts(DATE_OBS="2018-10-18T03:01:53", EXPTIME=2).lines
 
 
+@pytest.mark.parametrize(("scale", "shift_s"), [("GPS", -18.0), ("UTC(NIST)", 0.0), ("IAT", -37.0)])
+def test_the_time_scales_of_the_fits_standard_are_known(scale, shift_s):
+    read = facts(DATE_OBS="2018-10-18T03:01:53.784", TIMESYS=scale, EXPTIME=240.0)
+    assert abs((read.time() - Time(MIDDLE)).sec - shift_s) < 1e-3
+    assert not any(line.startswith("doubt") for line in read.lines)
+
+
+def test_local_time_and_years_of_two_digits_are_named():
+    lines = facts(DATE_OBS="2018-10-18T03:01:53", TIMESYS="LOCAL", EXPTIME=2).lines
+    assert "doubt: TIMESYS = 'LOCAL' is no known time scale; times are taken as UTC" in lines
+    for clock in ({"UT": "03:01:53"}, {}):
+        lines = facts(DATE_OBS="18/10/25", EXPTIME=2, **clock).lines
+        assert "assumed: DATE-OBS = '18/10/25' is of 1925, as in FITS before 2000" in lines
+    assert not any("before 2000" in line for line in facts(DATE_OBS="18/10/2018", EXPTIME=2).lines)
+
+
 def test_universal_time_of_an_old_plate_is_converted_to_tt():
     plate = facts(comments={"EXPOSURE": "Exposure time minutes"}, DATE_OBS="29/11/51", UT="12:07:00.00", EXPOSURE=50.0)
     assert plate.exposure_s == 3000

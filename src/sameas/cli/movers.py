@@ -217,6 +217,7 @@ def run_series(
     from sameas.cli.frames import expanded, identified, names_of, print_outcome, run_all
     from sameas.cli.terminal import Printer, share_compilation
     from sameas.front.movers import series_movers
+    from sameas.io.ades import REPORTS
     from sameas.report.frame import report_lines
 
     began, printer = clock.perf_counter(), Printer(quiet)
@@ -229,7 +230,8 @@ def run_series(
     movers = series_movers(done, options, failed=failed, below_limit=below_limit, say=printer)
     written = movers.write(Path(template.folder), _title(paths), template.catalogue)
     if options.observer is not None:
-        printer(["", *report_lines(movers.found, options.reported, "--report-probability")])
+        reports = ", ".join(f"report.{end}" for end in REPORTS)
+        printer(["", f"Report: {reports}", *report_lines(movers.found, options.reported, "--report-probability")])
     printer(["", f"Output: {template.folder}/: {', '.join(written)}", f"Time: {clock.perf_counter() - began:.1f} s"])
 
 

@@ -253,7 +253,8 @@ _END = ("DATE-END", "DATE_END", "MJD-END", "EXPEND")
 _CLOCK = ("TIME-OBS", "TIME_OBS", "UT", "UTC", "UTC-OBS", "UT-OBS", "UT-START", "UTSTART", "TIME-BEG", "TIME", "UTIME")
 _COUNTED = ("MJD-OBS", "MJD_OBS", "MJD-BEG", "EXPSTART", "MJD", "MJD-STR", "JD", "JD-OBS", "JULDAT", "JULIAN", "JD_UTC")
 _SCALES = {"UTC": "utc", "UT": "utc", "GMT": "utc", "TDB": "tdb", "TT": "tt", "TDT": "tt", "TAI": "tai", "TCB": "tcb"}
-_SCALES |= {"TCG": "tcg", "UT1": "ut1"}
+_SCALES |= {"TCG": "tcg", "UT1": "ut1", "IAT": "tai", "ET": "tt", "GPS": "gps"}
+_TAI_MINUS_GPS_S = 19.0
 _ISO = re.compile(r"^(\d{4})[-/](\d{1,2})[-/](\d{1,2})(?:[T\s]+(\S.*?)Z?)?$")
 _OLD = re.compile(r"^(\d{1,2})[/-](\d{1,2})[/-](\d{2}|\d{4})$")
 _FIRST_UTC_YEAR = 1960
@@ -309,6 +310,8 @@ def _time_of(day: float, scale: str, how: str, lines: tuple[str, ...]) -> tuple[
         delta = _between(year, years, seconds)
         day, scale = day + delta / _S_PER_DAY, "tt"
         lines = (*lines, f"assumed: universal time, turned into TT by {delta:+.1f} s (there was no UTC before 1960)")
+    if scale == "gps":
+        day, scale, how = day + _TAI_MINUS_GPS_S / _S_PER_DAY, "tai", f"{how}, GPS time + {_TAI_MINUS_GPS_S:.0f} s"
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*dubious year")
         whole = math.floor(day)
@@ -327,10 +330,10 @@ def _time_scale(cards: Cards) -> tuple[str, tuple[str, ...]]:
     card = cards.first(("TIMESYS",))
     if card is None:
         return "utc", ("assumed: times are UTC (no TIMESYS)",)
-    name = card.text().upper()
+    name = re.sub(r"\(.*\)", "", card.text()).strip().upper()  # UTC(NIST) is a realization of UTC
     if name in _SCALES:
         return _SCALES[name], ()
-    return "utc", (f"assumed: times are UTC (TIMESYS = {card.text()!r} is not known)",)
+    return "utc", (f"doubt: TIMESYS = {card.text()!r} is no known time scale; times are taken as UTC",)
 
 
 def _start(cards: Cards) -> tuple[Card, float, tuple[str, ...]] | None:
@@ -340,18 +343,28 @@ def _start(cards: Cards) -> tuple[Card, float, tuple[str, ...]] | None:
         if date is not None and date[1] is not None:
             return card, date[0] + date[1], ()
     dated = next(((card, date[0]) for card, date in dates if date is not None), None)
+    remark = () if dated is None else _century(dated[0])
     if dated is not None:
         for clock in cards.all(_CLOCK):
             fraction = _time_of_day(clock.text())
             if fraction is not None:
-                return Card(f"{dated[0].name} and {clock.name}", None, clock.comment), dated[1] + fraction, ()
+                return Card(f"{dated[0].name} and {clock.name}", None, clock.comment), dated[1] + fraction, remark
     for card in cards.all(_COUNTED):
         day = _day(card, cards)
         if day is not None:
             return card, day, ()
     if dated is not None:
-        return dated[0], dated[1] + 0.5, (f"assumed: 12:00, for {dated[0].name} has no time of day; up to 12 h wrong",)
+        noon = f"assumed: 12:00, for {dated[0].name} has no time of day; up to 12 h wrong"
+        return dated[0], dated[1] + 0.5, (*remark, noon)
     return None
+
+
+def _century(card: Card) -> tuple[str, ...]:
+    """A line on the year of a date that gives two digits of it."""
+    old = _OLD.match(card.text())
+    if old is None or len(old[3]) > 2:
+        return ()
+    return (f"assumed: {card.name} = {card.text()!r} is of 19{old[3]}, as in FITS before 2000",)
 
 
 def _day(card: Card, cards: Cards) -> float | None:
