@@ -31,6 +31,10 @@ ByteArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
+#: The number of no element in arrays of rows, records, groups, tracks or objects. As an index it reads the last one, so
+#: what it reads is masked; tables and files have a mask or a null instead. Kernels write −1.
+ABSENT = -1
+
 
 def inner(one: NDArray[Any], other: NDArray[Any]) -> float:
     """Σ one · other, of two arrays (n,), in one thread.
@@ -202,14 +206,14 @@ def ordered_by(columns: Sequence[NDArray[Any]] | NDArray[Any]) -> IntArray:
 
 
 def places_in(ascending: IntArray, numbers: IntArray) -> IntArray:
-    """(k,) positions of numbers among ascending ones, −1 for absent ones."""
+    """(k,) positions of numbers among ascending ones, ABSENT for others."""
     if not len(ascending):
-        return np.full(np.shape(numbers), -1)
+        return np.full(np.shape(numbers), ABSENT)
     low, high = int(ascending[0]), int(ascending[-1])
     if high - low < DENSE * (len(ascending) + np.size(numbers)):
         # Dense integers are looked up: a search takes four times as long.
-        place = np.full(high - low + 3, -1)
+        place = np.full(high - low + 3, ABSENT)
         place[ascending - (low - 1)] = np.arange(len(ascending))
         return place[np.clip(numbers, low - 1, high + 1) - (low - 1)]
     at = np.minimum(np.searchsorted(ascending, numbers), len(ascending) - 1)
-    return np.where(ascending[at] == numbers, at, -1)
+    return np.where(ascending[at] == numbers, at, ABSENT)

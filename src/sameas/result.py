@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
 from sameas.assignment import Hypothesis, assign
 from sameas.errors import InputError
 from sameas.evidence import Evidence
@@ -379,7 +379,7 @@ class Identification:
         """The identified pairs."""
         pairs, groups = self.pairs, self.groups
         place = np.flatnonzero(self.best.chosen)
-        of_row = np.full(self.first.n_table, -1)
+        of_row = np.full(self.first.n_table, ABSENT)
         of_row[taken(self.first.rows, pairs.i[groups.order[place]])] = place
         place = np.compress(of_row >= 0, of_row)
         pair = groups.order[place]

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.estimate.coverage import Coverage
 from sameas.evidence import Errors
@@ -83,8 +83,8 @@ DEFAULT_BLENDS = BlendTuning()
 class BlendCandidates:
     """The candidates of records of the coarse source, o in number, those of one object first.
 
-    i, j, k : (o,) record of source 1, of source 2, and the second one of a blend, −1 if none.
-    log_density : (o, s) ln N by every scale of the errors. couple : (o,) index of the couple, −1 for one object.
+    i, j, k : (o,) record of source 1, of source 2, and the second one of a blend, ABSENT if none.
+    log_density : (o, s) ln N by every scale of the errors. couple : (o,) index of the couple, ABSENT for one object.
     couples : (q, 2) objects of source 2 that may be one record. blended : (q,) B of each.
     """
 
@@ -279,8 +279,8 @@ def candidates_of(
         log_n = _log_densities(between, covariance[np.where(part >= 0.5, e, f)], errors)
         density = np.logaddexp(density, log_n - math.log(parts.shape[1]))
     return BlendCandidates(
-        np.concatenate([i, i[e]]), np.concatenate([j, j[e]]), np.concatenate([np.full(len(i), -1), j[f]]),
-        np.concatenate([single, density]), np.concatenate([np.full(len(i), -1), which.reshape(-1)]), couples,
+        np.concatenate([i, i[e]]), np.concatenate([j, j[e]]), np.concatenate([np.full(len(i), ABSENT), j[f]]),
+        np.concatenate([single, density]), np.concatenate([np.full(len(i), ABSENT), which.reshape(-1)]), couples,
         blended[at],
     )  # fmt: skip
 

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.estimate.sample import Setting
 from sameas.evidence.columns import Association, CodedColumn, Column, Columns, Related
 from sameas.evidence.detection import Hats, logit, roughness
@@ -652,13 +652,13 @@ def _knots(column: CodedColumn, weight: FloatArray, rows: NDArray[np.integer], n
 
 
 def _cells_and_parts(column: CodedColumn, knots: FloatArray) -> tuple[IntArray, FloatArray]:
-    """(n,) cells of values, −1 if missing, and the fraction of each towards the next cell."""
+    """(n,) cells of values, ABSENT if missing, and the fraction of each towards the next cell."""
     missing = ~np.isfinite(column.values)
     if column.words is not None:
         missing |= column.values >= len(column.words)  # words unknown to the fit
-        return np.where(missing, -1, np.nan_to_num(column.values)).astype(np.int64), np.zeros(len(missing))
+        return np.where(missing, ABSENT, np.nan_to_num(column.values)).astype(np.int64), np.zeros(len(missing))
     hats = Hats.at(knots, np.where(missing, knots[0], column.values))
-    return np.where(missing, -1, hats.left), np.where(missing, 0.0, hats.part)
+    return np.where(missing, ABSENT, hats.left), np.where(missing, 0.0, hats.part)
 
 
 def _fit_association(

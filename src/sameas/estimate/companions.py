@@ -22,7 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged, places_in, ranges
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged, places_in, ranges
 from sameas.estimate.cells import GridLevel, finest
 from sameas.estimate.coverage import typical_error
 from sameas.estimate.sample import Setting
@@ -540,14 +540,14 @@ class Companions:
 
 
 def _mutual_companions(i: IntArray, k: IntArray, p: FloatArray, n: int) -> IntArray:
-    """(n,) the companion of each record: mutually the most probable, with p > 0.5; −1 if none."""
+    """(n,) the companion of each record: mutually the most probable, with p > 0.5; ABSENT if none."""
     likely = np.flatnonzero(p > 0.5)
     order = likely[np.argsort(p[likely], kind="stable")]
-    most_probable = np.full(n, -1)
+    most_probable = np.full(n, ABSENT)
     most_probable[i[order]] = k[order]
     has = np.flatnonzero(most_probable >= 0)
     mutual = most_probable[most_probable[has]] == has
-    out = np.full(n, -1)
+    out = np.full(n, ABSENT)
     out[has[mutual]] = most_probable[has[mutual]]
     return out
 
@@ -591,10 +591,10 @@ class _Competing:
 
     @classmethod
     def of(cls, companion: IntArray, own: IntArray, other: IntArray) -> _Competing:
-        """companion : (n,) of each record, −1 for none. own, other : (p,) the records of the pairs that compete."""
+        """companion : (n,) of each record, ABSENT for none. own, other : (p,) the records of the pairs that compete."""
         first = np.flatnonzero(companion > np.arange(len(companion)))
         second = companion[first]
-        number = np.full(len(companion), -1)
+        number = np.full(len(companion), ABSENT)
         number[first] = number[second] = np.arange(len(first))
         has = number[own] >= 0
         competing = np.unique(np.column_stack([number[own[has]], other[has]]), axis=0)
@@ -624,7 +624,7 @@ class _Swaps:
         return _PairIndex.of(self.i, self.j, len(self.variance[1]))
 
     def _pair(self, source: int, own: IntArray, other: IntArray) -> IntArray:
-        """(k,) pairs of records of a source (0 or 1) with records of the other one, −1 if not a candidate."""
+        """(k,) pairs of records of a source (0 or 1) with records of the other one, ABSENT if not a candidate."""
         return self._index(own, other) if source == 0 else self._index(other, own)
 
     def _log_w(self, separation: FloatArray, variance: FloatArray) -> FloatArray:
@@ -691,6 +691,6 @@ class _PairIndex:
         return cls(order, key[order], n2)
 
     def __call__(self, i: IntArray, j: IntArray) -> IntArray:
-        """(k,) indices of pairs; −1 if not a candidate."""
+        """(k,) indices of pairs; ABSENT if not a candidate."""
         place = places_in(self.key, i * self.n2 + j)
-        return np.asarray(np.where(place >= 0, self.order[place], -1))
+        return np.asarray(np.where(place >= 0, self.order[place], ABSENT))

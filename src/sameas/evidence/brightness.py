@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import ABSENT, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.detection import ShareCurve
 from sameas.evidence.rule import Evidence, Rule
@@ -286,7 +286,7 @@ class Regressors:
         measured = np.isfinite(values)
         needed = measured[:, band:] if other is not None else measured
         usable = np.isfinite(own.values[:, band]) & needed.any(axis=1)
-        code = np.where(usable, measured @ (1 << np.arange(measured.shape[1])), -1)
+        code = np.where(usable, measured @ (1 << np.arange(measured.shape[1])), ABSENT)
         for number in np.unique(code[usable]):
             rows = np.flatnonzero(code == number)
             pattern = tuple(bool(number >> bit & 1) for bit in range(measured.shape[1]))

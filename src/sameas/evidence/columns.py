@@ -228,7 +228,7 @@ def _word(cell: Any) -> str:
 class Association:
     """ln p(c₁, c₂ | one object) − ln p(c₁ | one object) − ln p(c₂ | one object) on a grid of cells.
 
-    cells : (n₁,), (n₂,) of the records; −1 for missing values. parts : (n₁,), (n₂,) fraction towards the next cell.
+    cells : (n₁,), (n₂,) of the records; ABSENT for missing values. parts : (n₁,), (n₂,) fraction towards the next cell.
     folds : (n₁,) of the records of source 1. log_ratio : (folds, k₁, k₂), each estimated from the other folds.
     """
 

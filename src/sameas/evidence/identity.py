@@ -28,7 +28,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, ranges
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ranges
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
@@ -65,9 +65,9 @@ def differ_by_one_bit(first: NDArray[Any], second: NDArray[Any]) -> BoolArray:
 
 
 def _hexadecimal(texts: NDArray[Any]) -> IntArray:
-    """(n,) values of texts of up to 15 hexadecimal digits; −1 for other texts."""
+    """(n,) values of texts of up to 15 hexadecimal digits; ABSENT for other texts."""
     values, index = np.unique(texts, return_inverse=True)
-    numbers = np.full(len(values), -1, np.int64)
+    numbers = np.full(len(values), ABSENT, np.int64)
     for k, text in enumerate(values):
         if 0 < len(text) <= 15 and not set(text) - set("0123456789ABCDEF"):
             numbers[k] = int(text, 16)

@@ -17,13 +17,13 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from sameas._identify import identify
-from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged
 from sameas.errors import InputError
 from sameas.evidence import PoissonField, Rule
 from sameas.gate import DEFAULT_GATE, Pairs
 from sameas.many.marginals import EXACT, Answer, answer
 from sameas.many.objects import Objects
-from sameas.many.observations import NO_RECORD, Region, Source
+from sameas.many.observations import Region, Source
 from sameas.many.pooled import PooledRecords, numbered_groups, pooled
 from sameas.many.rules import MissedObjects, Pairwise, PoissonObjects, SetPrior, SetRule, parts_of, terms_of
 from sameas.many.sets import TUNING, ManyTuning, Sets, candidate_sets
@@ -122,7 +122,7 @@ def identify_sequentially(
 @in_short
 @dataclass(frozen=True)
 class _Picture:
-    """The objects of the first sources: ``members`` (k, S) record numbers or NO_RECORD, probabilities ``p`` (k,)."""
+    """The objects of the first sources: ``members`` (k, S) record numbers or ABSENT, probabilities ``p`` (k,)."""
 
     pooled: PooledRecords
     members: IntArray
@@ -132,7 +132,7 @@ class _Picture:
     def of(cls, pooled: PooledRecords, s: int) -> _Picture:
         """Every record of source s as an object."""
         numbers = np.arange(pooled.start[s], pooled.start[s + 1])
-        members = np.full((len(numbers), len(pooled.sources)), NO_RECORD)
+        members = np.full((len(numbers), len(pooled.sources)), ABSENT)
         members[:, s] = numbers
         return cls(pooled, members, np.ones(len(members)))
 
@@ -160,14 +160,14 @@ class _Picture:
     def objects(self, given: tuple[Records, ...]) -> Objects:
         """The result, whose sets are the picture's objects and all single records."""
         n = len(self.pooled)
-        at, source = np.nonzero(self.members != NO_RECORD)
+        at, source = np.nonzero(self.members != ABSENT)
         membership = coo_array((np.ones(len(at)), (self.members[at, source], at)), shape=(n, len(self.p))).tocsr()
         i, j = (membership @ membership.T).nonzero()
         group = numbered_groups(np.append(self.pooled.i, i), np.append(self.pooled.j, j), n)
         together = replace(self.pooled, group=group)
-        singles = np.full((n, self.members.shape[1]), NO_RECORD)
+        singles = np.full((n, self.members.shape[1]), ABSENT)
         singles[np.arange(n), together.source] = np.arange(n)
-        size = (self.members != NO_RECORD).sum(axis=1)
+        size = (self.members != ABSENT).sum(axis=1)
         several = size > 1
         single = ~several
         p_alone, chosen = np.zeros(n), np.zeros(n, bool)
@@ -187,7 +187,7 @@ def _result(
 ) -> Objects:
     """Objects from sets (k, S) with their probabilities, of unknown weight and gap."""
     group = together.group[members.max(axis=1)]
-    size = (members != NO_RECORD).sum(axis=1)
+    size = (members != ABSENT).sum(axis=1)
     order = np.lexsort([*members.T[::-1], size, group])
     start = Ragged.of_sorted(group[order], len(together.sizes)).start
     several = together.sizes > 1

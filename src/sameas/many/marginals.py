@@ -24,8 +24,7 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 from scipy.sparse import csr_array, hstack, vstack
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged
-from sameas.many.observations import NO_RECORD
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import MissedObjects
 from sameas.many.sets import TUNING, ManyTuning, Sets
@@ -123,11 +122,11 @@ def _dominated(sets: Sets) -> BoolArray:
     ordered = total[order]
     out = np.zeros(len(sets), bool)
     for s in range(sets.members.shape[1]):
-        k = np.flatnonzero((sets.members[:, s] != NO_RECORD) & (sets.size > 2))
+        k = np.flatnonzero((sets.members[:, s] != ABSENT) & (sets.size > 2))
         sought = total[k] - code[sets.members[k, s]]
         candidate = order[np.minimum(np.searchsorted(ordered, sought), len(order) - 1)]
         rest = sets.members[k]
-        rest[:, s] = NO_RECORD
+        rest[:, s] = ABSENT
         same = (sets.members[candidate] == rest).all(axis=1)
         out[k] |= same & (sets.log_weight[k] <= sets.log_weight[candidate])
     return out
@@ -315,7 +314,7 @@ def sum_pruned_groups(
 
 def _reduced_cost(sets: Sets, dual: FloatArray, slack: FloatArray, weight: FloatArray) -> FloatArray:
     """(k,) sum of the duals of a set's records minus its ln w, minus the slack of its group."""
-    total = np.where(sets.members != NO_RECORD, dual[sets.members], 0.0).sum(axis=1)
+    total = np.where(sets.members != ABSENT, dual[sets.members], 0.0).sum(axis=1)
     return np.asarray(total - weight - slack[sets.group])
 
 
@@ -420,7 +419,7 @@ class _Sums:
         kept = kept[(self._sizes > MAX_RECORDS)[sets.group[kept]] & (sets.size[kept] > 1)]
         if self.counts or not len(kept):
             return wide
-        at, source = np.nonzero(sets.members[kept] != NO_RECORD)
+        at, source = np.nonzero(sets.members[kept] != ABSENT)
         edges = (sets.members[kept][at, source], self.n_records + at)
         size = self.n_records + len(kept)
         _, part = connected_components(
@@ -468,7 +467,7 @@ class _Blocks:
     @classmethod
     def of(cls, sets: Sets, kept: IntArray, n_records: int, whole_groups: bool) -> _Blocks:
         members = sets.members[kept]
-        at, source = np.nonzero(members != NO_RECORD)
+        at, source = np.nonzero(members != ABSENT)
         record = members[at, source]
         incidence = csr_array((np.ones(len(at), np.int32), (record, at)), shape=(n_records, len(kept)))
         adjacency = csr_array(incidence @ incidence.T)
@@ -500,9 +499,9 @@ def _numbers(
     n_records: int,
 ) -> tuple[IntArray, IntArray]:  # fmt: skip
     """(n,) number of each record within its block (0 without a block), and (b,) numbers of records of the blocks."""
-    of_set = np.full(at.max(initial=-1) + 1, -1)
+    of_set = np.full(at.max(initial=-1) + 1, ABSENT)
     of_set[uncertain] = block
-    of_record = np.full(n_records, -1)
+    of_record = np.full(n_records, ABSENT)
     of_record[record] = of_set[at]
     numbered = np.flatnonzero(of_record >= 0)
     numbered = numbered[np.lexsort([rank[numbered], part[numbered], of_record[numbered]])]

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.marginals import Answer
-from sameas.many.observations import NO_RECORD, Joint, Source, records_of
+from sameas.many.observations import Joint, Source, records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Terms, pairs_of
 from sameas.many.sets import Sets
@@ -96,7 +96,7 @@ class Objects:
         """(n,) the set of each object: a row of :attr:`sets`."""
         chosen = np.flatnonzero(self.answer.chosen)
         members = self.sets.members[chosen]
-        first = np.where(members != NO_RECORD, members, len(self.pooled)).min(axis=1)
+        first = np.where(members != ABSENT, members, len(self.pooled)).min(axis=1)
         return chosen[np.argsort(first)]
 
     @cached_property
@@ -125,8 +125,8 @@ class Objects:
 
     @cached_property
     def _second(self) -> IntArray:
-        """(n,) the most probable other set that shares a record with each object, −1 for none."""
-        best = np.full(len(self), -1)
+        """(n,) the most probable other set that shares a record with each object, ABSENT for none."""
+        best = np.full(len(self), ABSENT)
         best_p = np.zeros(len(self))
         of_record = self.object_of_record
         possible = self.answer.probability > 0
@@ -135,8 +135,8 @@ class Objects:
         # Ascending, so that the most probable set is written last; ties go to the first by content.
         other = other[np.lexsort([-other, self.answer.probability[other]])]
         for column in self.sets.members[other].T:
-            at = np.flatnonzero(column != NO_RECORD)
-            rank = np.full(len(self), -1)
+            at = np.flatnonzero(column != ABSENT)
+            rank = np.full(len(self), ABSENT)
             rank[of_record[column[at]]] = at
             p = np.where(rank >= 0, self.answer.probability[other[np.maximum(rank, 0)]], -1.0) if len(other) else best_p
             better = (rank >= 0) & (p > best_p)
@@ -147,7 +147,7 @@ class Objects:
     def runner_up(self) -> np.ma.MaskedArray:
         """(n, S) rows of the most probable other set that has one of the object's records."""
         members = self.sets.members[np.maximum(self._second, 0)].copy()
-        members[self._second < 0] = NO_RECORD
+        members[self._second < 0] = ABSENT
         return self._table.rows_of(members)
 
     @cached_property
@@ -215,7 +215,7 @@ class Objects:
         """(records,) the object of every record, numbered as in the pooled records."""
         out = np.zeros(len(self.pooled), np.int64)
         members = self.sets.members[self.set_of_object]
-        at, source = np.nonzero(members != NO_RECORD)
+        at, source = np.nonzero(members != ABSENT)
         out[members[at, source]] = at
         return out
 
@@ -233,7 +233,7 @@ class Objects:
         p = self.answer.probability
         kept = np.flatnonzero((self.sets.size > 1) & (p > 0))
         members = self.sets.members[kept]
-        at, source = np.nonzero(members != NO_RECORD)
+        at, source = np.nonzero(members != ABSENT)
         shape = (len(self.pooled), len(kept))
         incidence = csr_array((np.ones(len(at)), (members[at, source], at)), shape=shape)
         together = csr_array((incidence * p[kept][None, :]) @ incidence.T)
@@ -246,7 +246,7 @@ class Objects:
         """(k, S) each record's most probable partner in every source, in the caller's order, and its probability."""
         together = self.p_together[records].tocoo()
         n_sources = len(self.pooled.sources)
-        number, p = np.full((len(records), n_sources), NO_RECORD), np.zeros((len(records), n_sources))
+        number, p = np.full((len(records), n_sources), ABSENT), np.zeros((len(records), n_sources))
         row, record = together.row, together.col
         source = self.pooled.source[record]
         # Ascending, so that the most probable is written last; ties go to the first by content.
@@ -268,10 +268,10 @@ class _Tables:
         at = self.pooled.positions(members)
         out = np.zeros(at.shape, np.int64)
         for s, rows in enumerate(self.rows):
-            present = at[:, s] != NO_RECORD
+            present = at[:, s] != ABSENT
             out[present, s] = rows[at[present, s]]
         back = np.argsort(self.pooled.given)
-        return np.ma.MaskedArray(out[:, back], (at == NO_RECORD)[:, back])
+        return np.ma.MaskedArray(out[:, back], (at == ABSENT)[:, back])
 
     def over_table(self, s: int, values: NDArray[Any], mask: BoolArray | None = None) -> np.ma.MaskedArray:
         """Values of source s's records as a masked column of its table."""
@@ -373,7 +373,7 @@ class Weights:
             raise InputError("only the objects of identify_many are explained: others have no candidate sets")
         kept = np.flatnonzero((objects.answer.probability >= MIN_PROBABILITY) | objects.answer.chosen)
         members = objects.sets.members[kept]
-        at, source = np.nonzero(members != NO_RECORD)
+        at, source = np.nonzero(members != ABSENT)
         shape = (len(objects.pooled), len(kept))
         sets_of = csr_array((np.ones(len(at), bool), (members[at, source], at)), shape=shape)
         sources = [records_of(source) for source in objects.pooled.sources]
@@ -386,7 +386,7 @@ class Weights:
         own = int(objects.set_of_object[number])
         records = objects.sets.members[own]
         indptr, indices = self.sets_of.indptr, self.sets_of.indices
-        near = np.unique(np.concatenate([indices[indptr[r] : indptr[r + 1]] for r in records[records != NO_RECORD]]))
+        near = np.unique(np.concatenate([indices[indptr[r] : indptr[r + 1]] for r in records[records != ABSENT]]))
         # Ties go to the object itself, then to the first by content.
         p, other = objects.answer.probability[self.kept[near]], self.kept[near] != own
         rivals = tuple(self._rival(at, number) for at in near[np.lexsort([near, other, -p])].tolist())
@@ -396,7 +396,7 @@ class Weights:
 
     def _rival(self, at: int, number: int) -> Rival:
         objects, which = self.objects, int(self.kept[at])
-        records = [r for r in objects.sets.members[which, self._columns].tolist() if r != NO_RECORD]
+        records = [r for r in objects.sets.members[which, self._columns].tolist() if r != ABSENT]
         holders = objects.object_of_record[records].tolist()
         pairs = zip(records, holders, strict=True)
         return Rival(
@@ -423,7 +423,7 @@ def _terms(objects: Objects, terms: Terms, kept: IntArray) -> dict[str, FloatArr
             continue
         at = np.flatnonzero(sets.size[kept] == size)
         members = sets.members[kept[at]]
-        records = members[members != NO_RECORD].reshape(-1, size)
+        records = members[members != ABSENT].reshape(-1, size)
         named = terms.by_name(records, pairs_of(pooled, records))
         named["position"] = sets.log_weight[kept[at]] - np.sum(
             [np.zeros(len(at)), *(values for name, values in named.items() if name != "position")], axis=0

@@ -32,7 +32,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import FloatArray
+from sameas.arrays import ABSENT, FloatArray
 from sameas.errors import InputError
 from sameas.gaussian import InformationSum, inverse, log_density, propagated
 from sameas.records import Records
@@ -181,8 +181,6 @@ def records_of(source: Source) -> Records:
 
 #: Gauss–Newton steps if a source's part is not linear (chosen).
 STEPS = 4
-#: Stands in sets of records for a source that has no record in the set.
-NO_RECORD = -1
 
 
 @in_short
@@ -198,7 +196,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Observers:
-    """Sources that observe one state. ``sets`` (k, S) have the row of each source's record, or :data:`NO_RECORD`."""
+    """Sources that observe one state. ``sets`` (k, S) have the row of each source's record, or ABSENT."""
 
     sources: tuple[Source, ...]
     region: Region | None = None
@@ -262,7 +260,7 @@ class Observers:
             at[:] = self.region.centre
         missing = np.ones(len(sets), bool)
         for s in self.whole:
-            added = missing & (sets[:, s] != NO_RECORD)
+            added = missing & (sets[:, s] != ABSENT)
             at[added] = records_of(self.sources[s]).features[sets[added, s]]
             missing &= ~added
         return at
@@ -274,7 +272,7 @@ class Observers:
             prior = np.broadcast_to(inverse(np.asarray(self.region.covariance)), total.information.shape)
             total.add(np.arange(len(sets)), np.asarray(self.region.centre) - at, prior, np.zeros(len(sets)))
         for s in range(len(self.sources)):
-            k = np.flatnonzero(sets[:, s] != NO_RECORD)
+            k = np.flatnonzero(sets[:, s] != ABSENT)
             rows = sets[k, s]
             residual, precision, slope = self._residuals(s, rows, at[k])
             total.add(k, residual, precision, self._precision[s][1][rows], slope)

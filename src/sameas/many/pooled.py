@@ -16,14 +16,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged, ordered_by
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged, ordered_by
 from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
 from sameas.gaussian import inverse
 from sameas.kernels.components import label_components
 from sameas.kernels.kalman import joint_in_plane
-from sameas.many.observations import NO_RECORD, Observations, Observers, Region, Source, records_of
+from sameas.many.observations import Observations, Observers, Region, Source, records_of
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import Plane
@@ -85,7 +85,7 @@ class PooledRecords:
     def log_joint(self, sets: IntArray) -> FloatArray:
         """(k,) ln J of sets (k, size) of record numbers, ascending."""
         if self._in_plane is None:
-            members = np.full((len(sets), len(self.sources)), NO_RECORD)
+            members = np.full((len(sets), len(self.sources)), ABSENT)
             np.put_along_axis(members, self.source[sets], sets, axis=1)
             return self.observers.joint(self.positions(members)).log_density
         out = np.empty(len(sets))
@@ -107,8 +107,8 @@ class PooledRecords:
         return np.concatenate([one.features for one in whole]), precision, self.log_peak, centre, prior
 
     def positions(self, sets: NDArray[np.integer]) -> IntArray:
-        """Sets (k, S) of record numbers as positions within each source; :data:`NO_RECORD` stays."""
-        return np.where(sets != NO_RECORD, sets - self.start[:-1], NO_RECORD)
+        """Sets (k, S) of record numbers as positions within each source; ABSENT stays."""
+        return np.where(sets != ABSENT, sets - self.start[:-1], ABSENT)
 
     def pair(self, i: IntArray, j: IntArray) -> tuple[BoolArray, IntArray]:
         """Whether records i < j are a pair, and the number of the pair (0 if not)."""
@@ -213,7 +213,7 @@ def _possible(observers: Observers, s: int, t: int, gate: Gate) -> Pairs:
     total = len(first) * len(second)
     for low in range(0, total, CHUNK):
         a, b = np.divmod(np.arange(low, min(low + CHUNK, total)), len(second))
-        sets = np.full((len(a), len(observers.sources)), NO_RECORD)
+        sets = np.full((len(a), len(observers.sources)), ABSENT)
         sets[:, s], sets[:, t] = a, b
         chi_sq = observers.joint(sets).chi_sq
         inside = chi_sq <= limit

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged, ranges
-from sameas.many.observations import NO_RECORD
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged, ranges
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Terms
 from sameas.representation import in_short
@@ -54,7 +53,7 @@ class Sets:
 
     Attributes
     ----------
-    members : (k, S) record number per source, :data:`~sameas.many.observations.NO_RECORD` for none.
+    members : (k, S) record number per source, ABSENT for none.
     size : (k,) number of records.
     log_weight : (k,) ln w; 0 for one record.
     group : (k,) group of the set, ascending. start : (g+1,) first set of each group.
@@ -79,7 +78,7 @@ class Sets:
 
     def entries(self) -> tuple[IntArray, IntArray]:
         """(set, record) of every member of a set, sets ascending."""
-        at, source = np.nonzero(self.members != NO_RECORD)
+        at, source = np.nonzero(self.members != ABSENT)
         return at, self.members[at, source]
 
 
@@ -213,8 +212,8 @@ class _Growth:
 
 
 def _by_source(pooled: PooledRecords, records: IntArray) -> IntArray:
-    """(k, size) record numbers as (k, S), :data:`NO_RECORD` where a source has none."""
-    members = np.full((len(records), len(pooled.sources)), NO_RECORD)
+    """(k, size) record numbers as (k, S), ABSENT where a source has none."""
+    members = np.full((len(records), len(pooled.sources)), ABSENT)
     np.put_along_axis(members, pooled.source[records], records, axis=1)
     return members
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, IntArray
 from sameas.io.atomic import replacing
 from sameas.pages import asset, column, page_of, png, rounded, script_safe
 from sameas.plots.frame import binned, binning, stretched
@@ -76,7 +76,7 @@ def frame_page(
 def _data(found: FrameIdentification, facts: Mapping[str, Any], factor: int, brightest: int | None) -> dict[str, Any]:
     rows, columns = found.measured.shape
     listed = _listed_stars(found)
-    number = np.full(len(found.stars), -1)
+    number = np.full(len(found.stars), ABSENT)
     number[listed] = np.arange(len(listed))
     return {
         "name": found.measured.name,
@@ -158,7 +158,7 @@ def _rivals(found: FrameIdentification, number: IntArray) -> list[list[list[Any]
 
 def _stars(found: FrameIdentification, listed: IntArray) -> dict[str, Any]:
     stars, px = found.stars, found.predicted_px[listed]
-    owner = np.full(len(stars), -1)
+    owner = np.full(len(stars), ABSENT)
     owner[found.pairs[1]] = found.pairs[0]
     missing = np.zeros(len(stars), np.bool_)
     missing[found.missing] = True

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas._identify import identify
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.assignment import Hypothesis, assign
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.places import CellCounts, Learned
@@ -377,8 +377,8 @@ class Work:
 class Competing:
     """Candidates, and the groups of the competing pairs, those that can be chosen.
 
-    i, j : (m,) records of the candidates. group_1, group_2 : (n₁,), (n₂,) numbers of the records' groups, −1 where a
-    record has no competing pair. groups : number of groups.
+    i, j : (m,) records of the candidates. group_1, group_2 : (n₁,), (n₂,) numbers of the records' groups, ABSENT
+    without a competing pair. groups : number of groups.
     """
 
     i: NDArray[np.int32]
@@ -395,7 +395,7 @@ class Competing:
         i, j = pairs.i[kept], pairs.j[kept]
         grouped = laid_out(pairs.place_1[kept], pairs.place_2[kept], i, j, n_1, n_2)
         of_pairs = grouped.of_pairs()
-        group_1, group_2 = np.full(n_1, -1, np.int32), np.full(n_2, -1, np.int32)
+        group_1, group_2 = np.full(n_1, ABSENT, np.int32), np.full(n_2, ABSENT, np.int32)
         group_1[i], group_2[j] = of_pairs, of_pairs
         return cls(pairs.i, pairs.j, group_1, group_2, len(grouped))
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.gate import ChiSquare
 from sameas.gaussian import log_density, mahalanobis_sq
 from sameas.many.observations import records_of
@@ -106,11 +106,11 @@ class BernoulliObjects(ObjectsRule):
 
     def _parts(self, pooled: PooledRecords) -> _Parts:
         n = len(pooled)
-        sets = np.full((n, len(pooled.sources)), -1)
+        sets = np.full((n, len(pooled.sources)), ABSENT)
         sets[np.arange(n), pooled.source] = np.arange(n)
         log_j = pooled.observers.joint(pooled.positions(sets)).log_density
         log_missed, log_detected, clutter = np.zeros(n), np.zeros(n), np.zeros(n)
-        is_known, row, column = np.zeros(n, bool), np.zeros(n, np.int64), np.full(n, -1)
+        is_known, row, column = np.zeros(n, bool), np.zeros(n, np.int64), np.full(n, ABSENT)
         for s, source in enumerate(pooled.sources):
             own, records = slice(pooled.start[s], pooled.start[s + 1]), records_of(source)
             row[own] = records.rows
@@ -130,7 +130,7 @@ class BernoulliObjects(ObjectsRule):
 @dataclass(frozen=True)
 class _Parts:
     """Per pooled record (n,): ln J of the record alone, ln ρ∏q and ln((1−q)/q) of its own source at its place, ln w of
-    the record alone; whether it is a known object, its row in its table, and its source's column (−1 for known
+    the record alone; whether it is a known object, its row in its table, and its source's column (ABSENT for known
     objects)."""
 
     log_j: FloatArray

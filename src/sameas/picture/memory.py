@@ -46,7 +46,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, places_in, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
@@ -179,7 +179,7 @@ class TrackExistence(ColumnTable):
     def log_odds(self, number: IntArray) -> tuple[FloatArray, FloatArray]:
         """The log-odds that tracks are real at their begin, and the gain by their duration since.
 
-        number : of tracks, any shape. −∞ and 0 for −1.
+        number : of tracks, any shape. −∞ and 0 for ABSENT.
         """
         at, ended = places_in(self.number, number.ravel()).reshape(number.shape), np.zeros(len(self), bool)
         initial = self.mixture.log_odds(self.source, self.began_later, np.zeros(len(self)), ended)
@@ -233,7 +233,7 @@ class PreviousScans(Rule):
 
     Parameters
     ----------
-    numbers : by source name, the track number of each row of the source's table, −1 for rows without an id.
+    numbers : by source name, the track number of each row of the source's table, ABSENT for rows without an id.
     first, second : (k,) numbers of tracks, first < second, in ascending order. log_ratio : (k,) their ln r.
     level : (k,) of ln r; None if every set counts its best reference. precision : (k,) sum of the precisions of both
         tracks, above 0; required with a level.
@@ -278,10 +278,10 @@ class PreviousScans(Rule):
     def _of_pairs(self, pairs: Pairs, values: ArrayLike) -> FloatArray:
         """(m,) the values (k,) of the pairs' tracks; 0 for pairs that are not among them."""
         one, two = (
-            np.asarray(self.numbers.get(side.source, np.full(side.n_table, -1)))[side.rows[at]]
+            np.asarray(self.numbers.get(side.source, np.full(side.n_table, ABSENT)))[side.rows[at]]
             for side, at in ((pairs.first, pairs.i), (pairs.second, pairs.j))
         )
-        pair_key = np.where((one >= 0) & (two >= 0), keys(np.minimum(one, two), np.maximum(one, two)), -1)
+        pair_key = np.where((one >= 0) & (two >= 0), keys(np.minimum(one, two), np.maximum(one, two)), ABSENT)
         at = places_in(keys(np.asarray(self.first), np.asarray(self.second)), pair_key)
         return np.append(np.asarray(values, dtype=np.float64), 0.0)[at]
 
@@ -324,8 +324,8 @@ class FirstContact(Rule):
 
     Parameters
     ----------
-    scan : of the instant. records : by source name, the record of the scan of each row of the source's table, −1 for
-        rows without one. number : (n,) track number of each record, −1 for records without an id.
+    scan : of the instant. records : by source name, the record of the scan of each row of the source's table, or
+        ABSENT. number : (n,) track number of each record, ABSENT for records without an id.
     history : of the pairs of tracks. sure : (k,) which of them were sure before. reassigned : ε.
     """
 
@@ -344,7 +344,7 @@ class FirstContact(Rule):
             named = (self.number[a] >= 0) & (self.number[b] >= 0)
             one, two = np.sort([self.number[a], self.number[b]], axis=0)
             known = keys(np.asarray(self.history.first), np.asarray(self.history.second))
-            pair = np.where(named, places_in(known, keys(one, two)), -1)
+            pair = np.where(named, places_in(known, keys(one, two)), ABSENT)
             at = np.flatnonzero((a >= 0) & (b >= 0) & ~np.append(self.sure, False)[pair])
             counted = np.minimum(np.append(np.asarray(self.history.log_ratio), 0.0)[pair[at]], 0.0)
             out[at] = np.minimum(self._by_velocity(a[at], b[at]) - counted, 0.0) + self._by_target(a[at], b[at])
@@ -439,7 +439,7 @@ class TrackMemory:
         tracks, changed = self.tracks.with_present_factors()
         if tracks is self.tracks or tracks.scan is None or self.tracks.scan is None:
             return self
-        scan, record = tracks.scan, np.append(tracks.place, -1)
+        scan, record = tracks.scan, np.append(tracks.place, ABSENT)
         a, b = (record[places_in(tracks.number, k)] for k in (self.track_pairs.first, self.track_pairs.second))
         rows = np.flatnonzero((a >= 0) & (b >= 0) & (changed[a] | changed[b]))
         a, b, before, covariance = a[rows], b[rows], self.tracks.scan.covariance[:, :2, :2], scan.covariance[:, :2, :2]
@@ -457,12 +457,12 @@ class TrackMemory:
         return PreviousScans(self._numbers(), first, second, log_ratio, level, self._precision())
 
     def _numbers(self) -> dict[str, IntArray]:
-        """By source name, the track number of each row of the source's table, −1 for rows without an id."""
+        """By source name, the track number of each row of the source's table, ABSENT for rows without an id."""
         scan, numbers = self.tracks.scan, {}
         for s, description in enumerate(() if scan is None else scan.now.descriptions):
             assert scan is not None
             records = slice(scan.start[s], scan.start[s + 1])
-            numbers[description.name] = np.full(int(scan.table[records].max(initial=-1)) + 1, -1)
+            numbers[description.name] = np.full(int(scan.table[records].max(initial=-1)) + 1, ABSENT)
             numbers[description.name][scan.table[records]] = self.tracks.track_of_record[records]
         return numbers
 
@@ -477,7 +477,7 @@ class TrackMemory:
         records = {}
         for s, description in enumerate(scan.now.descriptions):
             own = np.arange(scan.start[s], scan.start[s + 1])
-            records[description.name] = np.full(int(scan.table[own].max(initial=-1)) + 1, -1)
+            records[description.name] = np.full(int(scan.table[own].max(initial=-1)) + 1, ABSENT)
             records[description.name][scan.table[own]] = own
         sure = ~np.isnan(self.track_pairs.anchor_s)
         return FirstContact(scan, records, self.tracks.track_of_record, history, sure, self.reassigned)
@@ -546,7 +546,7 @@ class TrackMemory:
         return which, p, self.swaps.probability[:, models][source[which]]
 
     def with_real(self, track: IntArray) -> TrackMemory:
-        """The memory after other sources confirm tracks (any shape, −1 for none) as real."""
+        """The memory after other sources confirm tracks (any shape, ABSENT for none) as real."""
         return replace(self, existence=self.existence.with_real(track[track >= 0]))
 
     def with_manoeuvres(self, scan: Scan, track_of_record: IntArray, per_m2: float) -> Scan:
@@ -589,7 +589,7 @@ class TrackMemory:
     def with_sure(self, members: IntArray, probability: FloatArray) -> TrackMemory:
         """The memory with error factors and correlations updated by the pairs that are surely one object.
 
-        members, probability : (n, S) records of the scan, −1 for none, and (n,) of the objects of the instant.
+        members, probability : (n, S) records of the scan, ABSENT for none, and (n,) of the objects of the instant.
         """
         tracks, scan = self.tracks, self.tracks.scan
         if scan is None or not len(members):

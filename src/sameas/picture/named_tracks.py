@@ -27,7 +27,7 @@ from itertools import repeat
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, places_in
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
 from sameas.gate import ChiSquare
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
 from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors, error_update, evenly, growth
@@ -79,7 +79,7 @@ class Step(ColumnTable):
     instant_s: float
 
     def find(self, number: IntArray) -> IntArray:
-        """(k,) row of each track in the step, −1 for tracks that are not in it."""
+        """(k,) row of each track in the step, ABSENT for tracks that are not in it."""
         return places_in(self.number, number)
 
     def log_elsewhere(self, tracks: tuple[IntArray, IntArray], log_density_anywhere: float) -> FloatArray:
@@ -100,7 +100,7 @@ class NamedTracks:
     by_name : number of a track, by source and id. absent : by number, the source, id and last scan time of the tracks
         that are not in the scan of the instant.
     number : (m,) ascending. place : (m,) the track's record in the scan of the instant.
-    track_of_record : (n,) number of the track of each record of that scan, −1 for records without an id.
+    track_of_record : (n,) number of the track of each record of that scan, ABSENT for records without an id.
     error_mean, error_covariance : (m, 4), (m, 4, 4) of (e, z), given the track's own reports.
     log_kept : (m,) as of :class:`Step`. lasting : (n, 2, 2) B of each record of the scan.
     scan : of the instant; None before the first.
@@ -139,12 +139,12 @@ class NamedTracks:
         return replace(self, scan=scan, lasting=_lasting_root(scan, self.error_correlation)), changed
 
     def numbers_on(self, scan: Scan) -> IntArray:
-        """(n,) the number of each record's track; −1 for records without an id and for new ids."""
-        out = np.full(len(scan), -1)
+        """(n,) the number of each record's track; ABSENT for records without an id and for new ids."""
+        out = np.full(len(scan), ABSENT)
         for s, description in enumerate(scan.now.descriptions):
             records, number_of = slice(scan.start[s], scan.start[s + 1]), self.by_name.get(description.name)
             if number_of:
-                out[records] = list(map(number_of.get, scan.track[records].tolist(), repeat(-1)))
+                out[records] = list(map(number_of.get, scan.track[records].tolist(), repeat(ABSENT)))
         return out
 
     def advance(self, scan: Scan, track_of_record: IntArray | None = None) -> tuple[NamedTracks, Step]:

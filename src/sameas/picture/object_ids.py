@@ -23,7 +23,7 @@ import numpy as np
 from scipy.special import logit
 
 from sameas._identify import identify
-from sameas.arrays import BoolArray, FloatArray, IntArray, places_in, ranges, spans_in
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, ranges, spans_in
 from sameas.errors import InputError
 from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
@@ -248,8 +248,8 @@ class Stages:
 
 @dataclass(frozen=True)
 class ExistenceOdds:
-    """Existence of tracks (n,): their numbers, −1 for none; the log-odds that each is real when it begins, and the gain
-    by its duration since (:mod:`sameas.picture.memory`)."""
+    """Existence of tracks (n,): their numbers, ABSENT for none; the log-odds that each is real when it begins, and the
+    gain by its duration since (:mod:`sameas.picture.memory`)."""
 
     track: IntArray
     log_initial: FloatArray
@@ -261,7 +261,7 @@ class ExistenceOdds:
 class UnnumberedObjects:
     """The objects of an instant, (n,) each, before they have numbers.
 
-    states : of the objects. tracks : (n, S) numbers of their named tracks, −1 for none. unique : (n, S) whether the
+    states : of the objects. tracks : (n, S) numbers of their named tracks, ABSENT for none. unique : (n, S) whether the
     track's id is unique. new_report : whether the object has a new report. new_plot : whether it has one of a source
     without track ids. is_certain : whether it certainly exists. existence : of its most probable track.
     walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of velocities.
@@ -336,8 +336,8 @@ class NamedObjects(PictureObjects):
         return objects._with_history(self, detections, tuning)
 
     def _matches(self, detections: UnnumberedObjects, density_per_m2: float, tuning: Tuning) -> IntArray:
-        """(n,) the row of each object of the instant among these, −1 for none."""
-        out = np.full(len(detections), -1)
+        """(n,) the row of each object of the instant among these, ABSENT for none."""
+        out = np.full(len(detections), ABSENT)
         if not len(detections) or not len(self):
             return out
         common = self._common_tracks(detections, tuning)

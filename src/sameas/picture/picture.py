@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.observations import Observations, records_of
 from sameas.picture.deception import faults_and_deceptions
@@ -181,7 +181,7 @@ def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, st
     records = zip(scan.source.tolist(), scan.track.tolist(), scan.row.tolist(), strict=True)
     words = [f"{names[s]}:{track or row}" for s, track, row in records]
     several, out = (state.members >= 0).sum(axis=1) > 1, []
-    rivals = np.where(state.p_runner_up[:, None] > scan.tuning.explained_rival, state.runner_up, -1)
+    rivals = np.where(state.p_runner_up[:, None] > scan.tuning.explained_rival, state.runner_up, ABSENT)
     texts = joined(state.members, words).tolist(), joined(rivals, words).tolist()
     columns = state.number.tolist(), *texts, several.tolist(), state.probability.tolist()
     for number, members, rival, is_joint, p in zip(*columns, strict=True):
@@ -208,8 +208,8 @@ def object_columns(state: PictureState[Carried]) -> Columns:
     type; ambiguous: whether the probability is below ``ambiguous_below``.
     """
     objects, detected = state.objects, state.objects.detected
-    # −1, the last row, for undetected objects; it is masked.
-    at = np.where(detected, objects.detection, -1)
+    # ABSENT, the last row, for undetected objects; it is masked.
+    at = np.where(detected, objects.detection, ABSENT)
     velocity = objects.state[:, 2:]
     velocity_unknown = ~objects.moving
     p_rival = np.append(state.p_runner_up, 0.0)[at]
@@ -317,7 +317,7 @@ def _fused_heights(state: PictureState[Carried], at: IntArray) -> Columns:
         return {}
     # The last row is for "no record".
     height, sigma, climb = np.vstack([state.scan.heights, np.full((1, 3), np.nan)]).T
-    members = np.vstack([state.members, np.full((1, state.members.shape[1]), -1)])
+    members = np.vstack([state.members, np.full((1, state.members.shape[1]), ABSENT)])
     with np.errstate(invalid="ignore", divide="ignore"):
         weight = np.where(np.isfinite(height), 1.0 / sigma**2, 0.0)[members]
         total = weight.sum(axis=1)

@@ -18,7 +18,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.identity import IdentityConflict
 from sameas.many.objects import Name, ObjectExplanation, Objects
@@ -35,7 +35,7 @@ from sameas.tracks.scene import Instant
 class InstantObjects(Protocol):
     """The interface of the detected objects of an instant, (n,) each.
 
-    members : (n, S) records of the scan, −1 for none. probability : that exactly these records are one object.
+    members : (n, S) records of the scan, ABSENT for none. probability : that exactly these records are one object.
     runner_up : (n, S) the most probable other set with one of these records. p_runner_up : its probability, 0 for none.
     p_alone : (records,) probability that a record has no partner. group : number of the object's group.
     names : names, in explanations, of members that are not records.
@@ -78,7 +78,7 @@ class IdentifiedObjects:
         """(n, S) records of the scan."""
         n_sources = len(self.scan.now.sources)
         if self.identification is None:
-            return np.full((0, n_sources), -1)
+            return np.full((0, n_sources), ABSENT)
         return self.scan.places(self.identification.members[:, :n_sources])
 
     @property
@@ -144,7 +144,7 @@ class TrackedObjects:
     def members(self) -> IntArray:
         """(n, S) records of the scan."""
         if self.tracks.identification is None:
-            return np.full((0, len(self.scan.now.sources)), -1)
+            return np.full((0, len(self.scan.now.sources)), ABSENT)
         return self._sets[0][self._own]
 
     @property
@@ -156,7 +156,7 @@ class TrackedObjects:
     def runner_up(self) -> IntArray:
         """(n, S) records of the scan of the most probable other set that has one of an object's records."""
         second = self._second
-        return np.where((second >= 0)[:, None], self._sets[0][second], -1) if len(second) else self.members
+        return np.where((second >= 0)[:, None], self._sets[0][second], ABSENT) if len(second) else self.members
 
     @property
     def p_runner_up(self) -> FloatArray:
@@ -197,7 +197,7 @@ class TrackedObjects:
         """The explanation why object ``row`` has its records; its members include priors of tracked objects."""
         identification = self.tracks.identification
         assert identification is not None
-        reasons, row_of = identification.explain(int(self.which[row])), np.full(len(self.tracks), -1)
+        reasons, row_of = identification.explain(int(self.which[row])), np.full(len(self.tracks), ABSENT)
         row_of[self.which] = np.arange(len(self.which))
         rivals = tuple(
             replace(rival, taken=tuple((name, int(row_of[at])) for name, at in rival.taken if name[0] != KNOWN))
@@ -231,17 +231,17 @@ class TrackedObjects:
 
     @cached_property
     def _possible(self) -> IntArray:
-        """(k, S) the records of the scan of each set in the identification; −1 for none and for priors."""
+        """(k, S) the records of the scan of each set in the identification; ABSENT for none and for priors."""
         identification = self.tracks.identification
         assert identification is not None
         pooled = identification.pooled
-        scan_record = np.full(len(pooled) + 1, -1)
+        scan_record = np.full(len(pooled) + 1, ABSENT)
         for u, source_number in enumerate(pooled.given):
             if source_number > 0:
                 rows = records_of(pooled.sources[u]).rows
                 scan_record[pooled.start[u] : pooled.start[u + 1]] = self.scan.find(source_number - 1, rows)
         records = scan_record[identification.sets.members]
-        out = np.full((len(records), len(self.scan.now.sources)), -1)
+        out = np.full((len(records), len(self.scan.now.sources)), ABSENT)
         at, column = np.nonzero(records >= 0)
         out[at, self.scan.source[records[at, column]]] = records[at, column]
         return out
@@ -256,8 +256,8 @@ class TrackedObjects:
 
     @cached_property
     def _second(self) -> IntArray:
-        """(n,) the most probable other set with one of the object's records, −1 for none."""
-        best = np.full(len(self.which), -1)
+        """(n,) the most probable other set with one of the object's records, ABSENT for none."""
+        best = np.full(len(self.which), ABSENT)
         if self.tracks.identification is None:
             return best
         sets, probability = self._sets
@@ -318,7 +318,7 @@ class PictureState(Generic[W]):
 
     @property
     def members(self) -> IntArray:
-        """(n, S) records of the scan of each detected object, −1 for none."""
+        """(n, S) records of the scan of each detected object, ABSENT for none."""
         return self.detections.members
 
     @cached_property

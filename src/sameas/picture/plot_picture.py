@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logit
 
-from sameas.arrays import IntArray
+from sameas.arrays import ABSENT, IntArray
 from sameas.errors import InputError
 from sameas.picture.picture_state import PictureState, TrackedObjects, has_velocity
 from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
@@ -78,7 +78,7 @@ class PlotObjects(PictureObjects):
     def of(cls, detections: TrackedObjects, confirmed: frozenset[int]) -> PlotObjects:
         """The detected objects, and those whose numbers are ``confirmed``."""
         tracks = detections.tracks
-        detection = np.full(len(tracks), -1)
+        detection = np.full(len(tracks), ABSENT)
         detection[detections.which] = np.arange(len(detections.which))
         placed, moving = (
             np.ones(len(tracks), bool),

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import ABSENT, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.identify import identify_many
 from sameas.many.objects import Objects
@@ -146,10 +146,10 @@ class TrackedPlots:
     Attributes
     ----------
     now : the instant. number : of each object, constant while it exists.
-    members : (n, S) rows of the sources' records at the instant, −1 for none; all −1 if the object is only predicted.
+    members : (n, S) rows of the sources' records at the instant, ABSENT for none, and if the object is only predicted.
     probability : that exactly these records are the object. existence : probability that the object exists.
     prior_objects : the objects predicted to the instant, without the current scans. prior_of : row of each object
-        among them, −1 for new ones.
+        among them, ABSENT for new ones.
     rule, usual_q, identification : of the records; identification is None if no scan is current.
     scan_s, gap_s : (S,) the time of each source's last scan, and the time between its last two scans.
     n_numbers : the highest number in use.
@@ -189,15 +189,15 @@ class TrackedPlots:
         scan_s, gap_s = _scan_times(now, before)
         n_numbers = 0 if before is None else before.n_numbers
         if not with_records:
-            no_members = np.full((len(prior_objects), len(now.sources)), -1)
+            no_members = np.full((len(prior_objects), len(now.sources)), ABSENT)
             one, each = np.ones(len(prior_objects)), np.arange(len(prior_objects))
             return cls(now, prior_objects.number, no_members, one, prior_objects.existence, prior_objects, each, rule,
                        usual_q, None, scan_s, gap_s, n_numbers, tuning)  # fmt: skip
         identification = identify_many(
             [prior_objects.records, *(now.sources[s] for s in with_records)], rule=rule, region=now.region
         )
-        rows = np.ma.filled(identification.members, -1)
-        members = np.full((len(rows), len(now.sources)), -1)
+        rows = np.ma.filled(identification.members, ABSENT)
+        members = np.full((len(rows), len(now.sources)), ABSENT)
         members[:, with_records] = rows[:, 1:]
         prior_of = rows[:, 0]
         number, n_numbers = _numbered(now, before, prior_objects, prior_of, members, n_numbers)
@@ -251,7 +251,7 @@ class TrackedPlots:
         return {(k, int(ids[k][row])): n for k, row, n in zip(s.tolist(), rows, self.number[at].tolist(), strict=True)}
 
     def retired_members(self, now: Instant) -> IntArray:
-        """(n, S) the members whose scans are not current at a later instant, −1 for the others."""
+        """(n, S) the members whose scans are not current at a later instant, ABSENT for the others."""
         out = self.members.copy()
         for s, (before, after) in enumerate(zip(self.now.sources, now.sources, strict=True)):
             is_current = np.append(np.isin(records_of(before).ids, records_of(after).ids), True)

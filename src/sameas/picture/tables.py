@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged
 from sameas.kernels.kalman import sum_of_records
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.many.objects import Objects
@@ -139,9 +139,9 @@ class Scan:
         return replace(self, now=now, covariance=self.covariance + extra)
 
     def places(self, members: np.ma.MaskedArray) -> IntArray:
-        """(n, S) the records of the scan of members that are given as rows of the sources' records, −1 for none."""
+        """(n, S) the records of the scan of members that are given as rows of the sources' records, ABSENT for none."""
         rows, absent = np.ma.getdata(members), np.ma.getmaskarray(members)
-        out = np.full(rows.shape, -1)
+        out = np.full(rows.shape, ABSENT)
         for s in range(len(self.start) - 1):
             present = np.flatnonzero(~absent[:, s])
             out[present, s] = self.find(s, rows[present, s])
@@ -291,7 +291,7 @@ class PictureObjects(ObjectTable):
     stage : index in :data:`STAGES`.
     placed : whether the position is known.
     moving : whether the velocity is known, reported or from the object's positions.
-    detection : (k,) index of the detected object of the instant, −1 if not detected.
+    detection : (k,) index of the detected object of the instant, ABSENT if not detected.
     """
 
     stage: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -312,7 +312,7 @@ class PictureObjects(ObjectTable):
 
     def undetected(self, stage: IntArray) -> Self:
         """The objects with these stages (k,), none of them detected."""
-        return replace(self, stage=stage, detection=np.full(len(self), -1))
+        return replace(self, stage=stage, detection=np.full(len(self), ABSENT))
 
     def in_order(self, *others: Self) -> Self:
         """The objects of this table and others, by ascending number."""
@@ -342,7 +342,7 @@ class ObjectStates:
 
 
 def object_states(scan: Scan, members: IntArray, identification: Objects | None) -> ObjectStates:
-    """The states of the objects ``identification`` of a scan; members : (n, S) their records, −1 for none."""
+    """The states of the objects ``identification`` of a scan; members : (n, S) their records, ABSENT for none."""
     n = len(members)
     state, covariance, placed, moving = np.empty((n, 4)), np.empty((n, 4, 4)), np.empty(n, bool), np.empty(n, bool)
     kinds = np.array([description.kind in SMOOTHED for description in scan.now.descriptions], dtype=bool)

@@ -37,7 +37,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, places_in, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken
 from sameas.gaussian import LOG_2PI, distance_and_log_determinant, log_density, mahalanobis_sq
 from sameas.kernels.track_pairs import COVARIANCE, MEAN, WIDTH, best_others, mix, new_pair_errors, pairs_stepped
 from sameas.picture.error_factors import MIN_M2, ErrorCorrelation
@@ -371,8 +371,8 @@ def _swap_hypotheses(
     tuning: Tuning,
 ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
     """Of each pair and its most probable rival with the same first track, and with the same second, (k, 2) each: the
-    rival (−1 without one), ln p of the pair's new reports apart from the position if their ids were swapped, and, (k,
-    2, c), the probability of a swap for h = 1 and each range.
+    rival (ABSENT without one), ln p of the pair's new reports apart from the position if their ids were swapped, and,
+    (k, 2, c), the probability of a swap for h = 1 and each range.
 
     tracks : (k,), (k,) of both sources, as of :func:`by_source_order`.
     log_weight : (k,) ln r with the positions of the last reports. log_two : (k,) ln p of the new reports given two
@@ -383,7 +383,7 @@ def _swap_hypotheses(
     out either would favour a rival whose last report was an outlier, and inflate the estimated swap rates.
     """
     k, ranges = len(log_weight), np.array(tuning.swap_ranges)
-    rival, log_report, p_swap = np.full((k, 2), -1), np.zeros((k, 2)), np.zeros((k, 2, len(ranges)))
+    rival, log_report, p_swap = np.full((k, 2), ABSENT), np.zeros((k, 2)), np.zeros((k, 2, len(ranges)))
     for side, track in ((0, tracks[1]), (1, tracks[0])):
         best = rivals.best_other(log_weight, side)
         at = np.flatnonzero((best >= 0) & step.new_report[track])
@@ -438,7 +438,7 @@ class Rivals:
         return cls((first * sources + other, second * sources + one))
 
     def best_other(self, values: FloatArray, side: int) -> IntArray:
-        """(k,) the other pair with the highest value in each pair's set; −1 without one."""
+        """(k,) the other pair with the highest value in each pair's set; ABSENT without one."""
         best = np.empty(len(values), np.int64)
         best_others(self.sides[side], values, best)
         return best
@@ -496,7 +496,7 @@ class Rivals:
         for side in range(2):
             best = self.best_other(log_odds, side)
             partner = padded[self.best_other(log_odds, 1 - side)]
-            at = np.flatnonzero(padded[best] > -np.inf)  # −1, no rival, reads the last
+            at = np.flatnonzero(padded[best] > -np.inf)  # ABSENT, no rival, reads the last
             # Without a pair (a′, b′) or (a′, b), the swap exchanges one pair only, and ln r allows for it.
             at = at[np.maximum(partner[at], partner[best[at]]) > 0.0]
             which, p, probability = swaps(side, at, best[at])
@@ -689,8 +689,9 @@ def with_manoeuvres(
     outvote one that does. The position stays as reported; only the covariance grows, for evidence, memory and fused
     states alike.
 
-    track_of_record : (n,) numbers of the records' tracks, −1 for new ones. previous : the scan of the previous instant.
-    track_pairs, log_ratio : its pairs, and (k,) their ln r. swap_rate : (S,) h of the scan's sources, 0 for new ones.
+    track_of_record : (n,) numbers of the records' tracks, ABSENT for new ones. previous : the scan of the previous
+    instant. track_pairs, log_ratio : its pairs, and (k,) their ln r. swap_rate : (S,) h of the scan's sources, 0 for new
+    ones.
     """
     assumed = _assumed_before(scan, previous)
     a, b = _places(track_of_record, np.stack([track_pairs.first, track_pairs.second]))
@@ -770,10 +771,10 @@ def manoeuvre_covariance(scan: Scan) -> FloatArray:
 
 
 def _places(track_of_record: IntArray, number: IntArray) -> IntArray:
-    """(…) the record of each track in a scan, −1 without one; track_of_record : (n,) of that scan."""
+    """(…) the record of each track in a scan, ABSENT without one; track_of_record : (n,) of that scan."""
     order = np.argsort(track_of_record, kind="stable")
     at = places_in(track_of_record[order], number)
-    return np.where(at >= 0, np.append(order, -1)[at], -1)
+    return np.where(at >= 0, np.append(order, ABSENT)[at], ABSENT)
 
 
 def _log_density_and_chi_sq(delta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:

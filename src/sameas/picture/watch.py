@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, places_in
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.kernels.components import label_components
@@ -61,7 +61,7 @@ def with_hysteresis(
 
     Parameters
     ----------
-    previous_object : (records,) the object of each pooled record's track at the previous instant, −1 without one.
+    previous_object : (records,) the object of each pooled record's track at the previous instant, ABSENT without one.
     log_bound : ln b; 0 to show the most probable answer always.
     search_s : time limit of the search for the best partition of one group.
     """
@@ -98,7 +98,7 @@ def _components(sets: Sets, which: BoolArray, n_records: int) -> IntArray:
 
 def _links(sets: Sets, previous_object: IntArray) -> IntArray:
     """(k,) links within each set: its records with a previous object, minus the number of these objects."""
-    previous = np.sort(np.append(previous_object, -1)[sets.members], axis=1)
+    previous = np.sort(np.append(previous_object, ABSENT)[sets.members], axis=1)
     has_previous = previous >= 0
     objects = (has_previous[:, :1] + np.cumsum((previous[:, 1:] != previous[:, :-1]) & has_previous[:, 1:], axis=1))[
         :, -1:
@@ -224,14 +224,14 @@ class Watch:
         return PictureState(now, scan, objects_now, detections.states, carried)
 
     def _previous_objects(self, pooled: PooledRecords, scan: Scan, memory: TrackMemory) -> IntArray:
-        """(records,) the object of each pooled record's track at the previous instant, −1 without one."""
+        """(records,) the object of each pooled record's track at the previous instant, ABSENT without one."""
         track = memory.tracks.track_of_record
         previous = np.where(places_in(self.memory.tracks.number, track) >= 0, self.objects.history.last_of(track), 0)
-        out = np.full(len(pooled), -1)
+        out = np.full(len(pooled), ABSENT)
         for s, (source_number, source) in enumerate(zip(pooled.given, pooled.sources, strict=True)):
             if source_number + 1 < len(scan.start):
                 out[pooled.start[s] : pooled.start[s + 1]] = previous[scan.find(source_number, records_of(source).rows)]
-        return np.where(out > 0, out, -1)
+        return np.where(out > 0, out, ABSENT)
 
     def _identify(self, now: Instant, memory: TrackMemory) -> Objects | None:
         """The objects of an instant; None where no source has a record."""
@@ -257,7 +257,7 @@ class Watch:
         """The objects of an instant with the properties that identify them over time."""
         states = object_states(scan, members, identification)
         is_member = members >= 0
-        track = np.append(memory.tracks.track_of_record, -1)[members]
+        track = np.append(memory.tracks.track_of_record, ABSENT)[members]
         has_unique_id = np.append(np.any([texts[name] != "" for name in UNIQUE_IDS], axis=0), False)[members]
         # Each record of a source without clutter is of a real object.
         clutter_free = np.array([feed.clutter(2) == 0.0 for feed in scan.now.feeds], dtype=bool)
@@ -339,7 +339,7 @@ class RecordTexts:
 
 def _existence_odds(track: IntArray, memory: TrackMemory) -> ExistenceOdds:
     """The existence of the most probable track of each object; track : (n, S) its tracks."""
-    track = np.column_stack([track, np.full(len(track), -1)])
+    track = np.column_stack([track, np.full(len(track), ABSENT)])
     log_initial, log_gain = memory.existence.log_odds(track)
     best = np.argmax(log_initial + log_gain, axis=1)[:, None]
     return ExistenceOdds(*(np.take_along_axis(column, best, 1)[:, 0] for column in (track, log_initial, log_gain)))  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, IntArray
 from sameas.errors import InputError
 from sameas.report.prose import WIDTH, entry, moment
 from sameas.representation import count
@@ -326,16 +326,16 @@ def _found(table: Table, facts: Mapping[str, Any], record: str, source: int, by_
 
 
 def _row_numbers(table: Table, facts: Mapping[str, Any], source: int, present: BoolArray) -> IntArray:
-    """(n,) the catalogue row of each row of the table, −1 for none; refused unless the table has them all."""
+    """(n,) the catalogue row of each row of the table, ABSENT for none; refused unless the table has them all."""
     rows, join = facts[f"rows_{source}"], facts.get("join", "")
     leading = {"all1": 1, "1or2": 1, "pairs": 1, "all2": 2}.get(join)
     if source == leading and (len(table) == rows or (join == "1or2" and not present[rows:].any())):
-        return np.where(np.arange(len(table)) < rows, np.arange(len(table)), -1)
+        return np.where(np.arange(len(table)) < rows, np.arange(len(table)), ABSENT)
     positions = [texts_of(table[facts[f"{role}_column_{source}"]]) for role in ("ra", "dec")]
     held = np.flatnonzero(present)
     same = np.ones(len(held), bool)
     same[1:] = np.any([part[held][1:] != part[held][:-1] for part in positions], axis=0)
-    number = np.full(len(table), -1)
+    number = np.full(len(table), ABSENT)
     number[held] = np.cumsum(same) - 1
     if ("join" in facts and source != leading) or number.max(initial=-1) + 1 != rows:
         raise InputError(
@@ -398,7 +398,7 @@ def _group(table: Table, row: int) -> IntArray:
     """The rows of the same group, including this one; none where the row has no group."""
     if _is_absent(table, "group_id", row):
         return np.empty(0, np.int64)
-    same = np.asarray(np.ma.filled(table["group_id"], -1)) == _value(table, "group_id", row)
+    same = np.asarray(np.ma.filled(table["group_id"], ABSENT)) == _value(table, "group_id", row)
     return np.flatnonzero(same & ~_absent(table["group_id"]))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, median, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, median, taken
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.error_model import ErrorModel
@@ -90,7 +90,7 @@ def blends_lines(blended: Table, resolution_arcsec: float) -> list[str]:
 def nearest_lines(match: SkyMatch) -> list[str]:
     """Comparison with the nearest neighbours, without and with motion."""
     result = match.result
-    partner = np.full(result.first.n_table, -1)
+    partner = np.full(result.first.n_table, ABSENT)
     partner[result.matches.rows_1] = result.matches.rows_2
     identified = partner >= 0
     numbers = []

@@ -2,7 +2,7 @@
 
 For trials of known truth: simulated ones, or real motion with modelled sensors. Identity metrics take a table with one
 row for each record and instant, from any program: time, source, the object number that the program assigned, and the
-number of the true object (−1 for a false record). Other programs can so be scored by the same code.
+number of the true object (−1, :data:`FALSE`, for a false record). Other programs can so be scored by the same code.
 
 - :func:`pair_score` : precision, recall and F1 of pairs of records, and the share of instants without an error.
 - :func:`siap` : completeness, ambiguity, spuriousness, continuity, identity switches. :func:`majority_votes` : the true
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.assignment import assign, refuse_crowds
 from sameas.errors import InputError
 from sameas.gate import Radius
@@ -128,7 +128,7 @@ class Identities:
     Attributes
     ----------
     time_s : (n,) the instant. source : (n,) number of the source. assigned : (n,) number of the object in the picture.
-    true : (n,) number of the true object, −1 for a false record.
+    true : (n,) number of the true object, FALSE for a false record.
     """
 
     time_s: FloatArray
@@ -150,7 +150,7 @@ class Identities:
         if missing:
             raise InputError(f"identities: no column {missing[0]}; give time_s, source and object")
         time_s, truth = np.asarray(records["time_s"], np.float64), np.asarray(true, np.int64)
-        assigned = np.ma.filled(np.ma.asarray(records["object"]), -1).astype(np.int64)
+        assigned = np.ma.filled(np.ma.asarray(records["object"]), ABSENT).astype(np.int64)
         _, source = np.unique(np.asarray(records["source"]).astype(str), return_inverse=True)
         if not len(time_s) == len(truth) == len(assigned) == len(source):
             raise InputError(f"identities: {len(time_s)} times for {len(assigned)} objects and {len(truth)} truths")
@@ -302,7 +302,7 @@ class MajorityVotes:
     """The true object of each object of the picture at each instant (k,), in the order of time.
 
     instant : number among the distinct times. assigned : the object's number in the picture. true : number of the true
-    object of most of its records; −1 for a tie or if most are false. votes : number of those records.
+    object of most of its records; FALSE for a tie or if most are false. votes : number of those records.
     """
 
     time_s: FloatArray

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import ABSENT, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.representation import in_short
 from sameas.simulate.sensors import Bias
@@ -40,7 +40,7 @@ class BoatRadarScene:
     Attributes
     ----------
     sources : the radar and AIS, each with a description as a user would write it.
-    truth : (n,) number of the vessel of each plot, −1 for land, buoys and sea. Vessels with AIS come first.
+    truth : (n,) number of the vessel of each plot, −1 (ABSENT) for land, buoys and sea. Vessels with AIS come first.
     mmsi : of the vessels with AIS, in their order. common : (k,) numbers of those under way that the radar sees.
     bias : of the radar.
     """
@@ -183,7 +183,7 @@ def _shore(station: FloatArray, rng: np.random.Generator) -> Echoes:
     strength = np.concatenate([rng.gamma(0.7, 1.0, SCATTERERS), np.full(BUOYS, 2.0)])
     share = np.minimum(SHORE_PLOTS * strength / strength.sum(), 0.6)
     scan, which = np.nonzero(rng.random((len(station), len(place))) < share)
-    return scan, place[which] + 8.0 * rng.normal(size=(len(which), 2)), np.full(len(scan), -1)
+    return scan, place[which] + 8.0 * rng.normal(size=(len(which), 2)), np.full(len(scan), ABSENT)
 
 
 def _sea(station: FloatArray, rng: np.random.Generator) -> Echoes:
@@ -193,7 +193,7 @@ def _sea(station: FloatArray, rng: np.random.Generator) -> Echoes:
     return (
         scan,
         station[scan] + range_m[:, None] * _unit(rng.uniform(0.0, 2.0 * np.pi, len(scan))),
-        np.full(len(scan), -1),
+        np.full(len(scan), ABSENT),
     )
 
 

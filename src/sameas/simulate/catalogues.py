@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import ABSENT, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence import Magnitudes
 from sameas.records import Records
@@ -220,7 +220,7 @@ def with_outliers(
 class BlendedField:
     """A coarse source, a fine one, and the objects of each coarse record.
 
-    parts : (n₁, 2) records of the fine source, −1 for none. flux : (n₂,) in the coarse source's band.
+    parts : (n₁, 2) records of the fine source, −1 (ABSENT) for none. flux : (n₂,) in the coarse source's band.
     """
 
     first: Records
@@ -286,7 +286,7 @@ def blended_field(
     )
     more = round(only_coarse * objects)
     at = np.concatenate([displaced(place[one], 3600.0 * (1.0 - w) * offset), field.draw(rng, more)])
-    parts = np.concatenate([detected, np.full((more, 2), -1)])
+    parts = np.concatenate([detected, np.full((more, 2), ABSENT)])
     low, high = sigma_arcsec
     sigma = np.exp(rng.uniform(math.log(low), math.log(high), len(at)))
     order = rng.permutation(len(at))

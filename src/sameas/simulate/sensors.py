@@ -155,7 +155,7 @@ class TrueMotion:
         return np.stack([path.at(times[..., k]) for k, path in enumerate(self.paths)], axis=-2)
 
     def objects_of(self, reports: Reports) -> IntArray:
-        """(n,) number of the object that each report names; −1 for an unknown one."""
+        """(n,) number of the object that each report names; −1 (ABSENT) for an unknown one."""
         number = {name: k for k, name in enumerate(self.names)}
         return np.array([number.get(name, -1) for name in _names(reports)], np.int64)
 
@@ -289,8 +289,8 @@ class Bias:
 class SensorOutput:
     """The output of a modelled sensor.
 
-    reports : in the order of time stamps. truth : (n,) number of the object of the true motion, −1 for false reports.
-    scan_times_s : (l,) stamps of all scans, empty ones included.
+    reports : in the order of time stamps. truth : (n,) number of the object of the true motion, −1 (ABSENT) for
+    false reports. scan_times_s : (l,) stamps of all scans, empty ones included.
     """
 
     reports: Reports

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, median, within_turn
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, median, within_turn
 from sameas.errors import InputError, Message, naming
 from sameas.estimate.blends import suspected_blends
 from sameas.estimate.companions import close_neighbours
@@ -211,11 +211,11 @@ class SkyMatch:
     def nearest(self, moved: bool) -> Nearest:
         """The nearest record of the second catalogue to each row of the first table.
 
-        moved : at the common epoch, or at the epochs of the catalogues. An unusable row has row −1 at infinity.
+        moved : at the common epoch, or at the epochs of the catalogues. An unusable row has row ABSENT at infinity.
         """
         one, two = self.result.first, self.result.second
         near = nearest(one, two) if moved else nearest(_unmoved(one, self.first), _unmoved(two, self.second))
-        rows, separation = np.full(one.n_table, -1), np.full(one.n_table, np.inf)
+        rows, separation = np.full(one.n_table, ABSENT), np.full(one.n_table, np.inf)
         rows[one.rows], separation[one.rows] = near.rows, near.separation_arcsec
         return Nearest(rows, separation)
 

@@ -36,7 +36,7 @@ import numpy as np
 from astropy.table import Column, MaskedColumn, Table
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
 from sameas.errors import InputError
 from sameas.estimate.coverage import Coverage
 from sameas.kernels import threads
@@ -49,8 +49,6 @@ if TYPE_CHECKING:
     from sameas.estimate.blends import Blends
     from sameas.sky.many import ManyMatch
 
-#: Row of a partner, or number of an object, that does not exist; within this module only, tables carry masks.
-NO_PARTNER = -1
 #: Rows of a piece of :class:`JoinedTable`: 20 columns of numbers take 40 MB.
 PIECE_ROWS = 1 << 18
 
@@ -175,7 +173,7 @@ def _separation_names(result: Identification) -> list[str]:
 
 @dataclass(frozen=True)
 class JoinedRows:
-    """The rows of the output: row in the first and in the second table, and the pair, −1 for none.
+    """The rows of the output: row in the first and in the second table, and the pair, ABSENT for none.
 
     answers : whether each is a possible answer for its row of the first table, including "no partner"; pairs are then
         numbered among all candidates, else among the identified ones.
@@ -316,8 +314,8 @@ def joined_rows(match: Joinable, join: str) -> JoinedRows:
     both = JoinedRows(found.rows_1, found.rows_2, np.arange(len(found)))
     alone_1 = _others(len(match.first), found.rows_1)
     alone_2 = _others(len(match.second), found.rows_2)
-    only_1 = JoinedRows(alone_1, np.full(len(alone_1), NO_PARTNER), np.full(len(alone_1), NO_PARTNER))
-    only_2 = JoinedRows(np.full(len(alone_2), NO_PARTNER), alone_2, np.full(len(alone_2), NO_PARTNER))
+    only_1 = JoinedRows(alone_1, np.full(len(alone_1), ABSENT), np.full(len(alone_1), ABSENT))
+    only_2 = JoinedRows(np.full(len(alone_2), ABSENT), alone_2, np.full(len(alone_2), ABSENT))
     parts = {
         "1and2": (both,), "1or2": (both, only_1, only_2), "all1": (both, only_1), "all2": (both, only_2),
         "1not2": (only_1,), "2not1": (only_2,), "1xor2": (only_1, only_2),
@@ -340,7 +338,7 @@ def _others(n: int, rows: IntArray) -> IntArray:
 def _every_answer(result: Identification) -> JoinedRows:
     """All candidates of each row of the first catalogue, the most probable first, followed by "no partner"."""
     n = result.first.n_table
-    none = np.full(n, NO_PARTNER)
+    none = np.full(n, ABSENT)
     one = np.concatenate([result.rows_1, np.arange(n)])
     two = np.concatenate([result.rows_2, none])
     pair = np.concatenate([np.arange(len(result.pairs)), none])
@@ -365,7 +363,7 @@ def _as_slice(rows: IntArray) -> IntArray | slice:
 
 
 def _taken(column: Any, at: IntArray | slice) -> Any:
-    """The rows ``at`` of a column, masked where −1."""
+    """The rows ``at`` of a column, masked where ABSENT."""
     if isinstance(at, slice):
         return column if at == slice(0, len(column)) else column[at]
     absent = at < 0
@@ -379,7 +377,7 @@ def _taken(column: Any, at: IntArray | slice) -> Any:
         values = np.zeros((len(at), *column.shape[1:]), column.dtype)
         mask = np.zeros(values.shape, bool)
     else:
-        picked = column[at]  # −1 reads the last row, masked below
+        picked = column[at]  # ABSENT reads the last row, masked below
         values, mask = np.ma.getdata(picked), np.ma.getmaskarray(picked)
     mask = mask | absent.reshape(-1, *[1] * (values.ndim - 1))
     return MaskedColumn(
@@ -434,7 +432,7 @@ class _JoinedColumns:
         absent = self.rows.absent
         if not len(values):
             return np.ma.MaskedArray(np.zeros((len(absent), *values.shape[1:]), values.dtype), absent)
-        selected = taken(values, self.rows.pair)  # −1 reads the last pair, masked below
+        selected = taken(values, self.rows.pair)  # ABSENT reads the last pair, masked below
         selected[absent] = 0
         return np.ma.MaskedArray(selected, absent)
 
@@ -517,13 +515,13 @@ def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
         raise InputError(
             f"least is {least}; give 1 to {len(match.catalogues)}, in how many catalogues an object must be"
         )
-    members = np.ma.filled(match.objects.members, NO_PARTNER)
+    members = np.ma.filled(match.objects.members, ABSENT)
     number = np.flatnonzero(match.objects.n_members >= least)
     rows = members[number]
     if least == 1:
         unused = _unused(match)
-        rows, number = np.concatenate([rows, unused]), np.concatenate([number, np.full(len(unused), NO_PARTNER)])
-    order = np.lexsort(np.where(rows == NO_PARTNER, np.iinfo(np.int64).max, rows).T[::-1])
+        rows, number = np.concatenate([rows, unused]), np.concatenate([number, np.full(len(unused), ABSENT)])
+    order = np.lexsort(np.where(rows == ABSENT, np.iinfo(np.int64).max, rows).T[::-1])
     rows, number = rows[order], number[order]
     table = Table()
     tables = [catalogue.table for catalogue in match.catalogues]
@@ -531,7 +529,7 @@ def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
         for name, column in zip(names, source.columns.values(), strict=True):
             taken_cells = _taken(column, at)
             table[name] = MaskedColumn(taken_cells) if isinstance(taken_cells, Column) else taken_cells
-    missing = number == NO_PARTNER
+    missing = number == ABSENT
     for name, values in _object_columns(match, np.where(missing, 0, number)).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
         mask = np.ma.getmaskarray(values) | missing
@@ -545,7 +543,7 @@ def _unused(match: ManyMatch) -> IntArray:
     for k, records in enumerate(match.objects.given):
         assert isinstance(records, Records)
         unusable = records.set_aside.rows
-        rows = np.full((len(unusable), len(match.catalogues)), NO_PARTNER)
+        rows = np.full((len(unusable), len(match.catalogues)), ABSENT)
         rows[:, k] = unusable
         parts.append(rows)
     return np.concatenate(parts)
@@ -583,14 +581,14 @@ def _object_columns(match: ManyMatch, at: IntArray) -> dict[str, NDArray[Any] | 
 
 def _runner_up_texts(match: ManyMatch, at: IntArray) -> np.ma.MaskedArray:
     """(k,) runners-up as "catalogue id = catalogue id", masked below :data:`MIN_RUNNER_UP`."""
-    rows = np.ma.filled(match.objects.runner_up, NO_PARTNER)[at]
+    rows = np.ma.filled(match.objects.runner_up, ABSENT)[at]
     listed = np.flatnonzero(np.ma.filled(match.objects.p_runner_up, 0.0)[at] >= MIN_RUNNER_UP)
     names = [_to_ascii(catalogue.name) for catalogue in match.catalogues]
     texts = [
         " = ".join(
             f"{name} {catalogue.ids[row]}"
             for name, catalogue, row in zip(names, match.catalogues, rows[k].tolist(), strict=True)
-            if row != NO_PARTNER
+            if row != ABSENT
         )
         for k in listed.tolist()
     ]

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, Message, naming
 from sameas.estimate.coverage import Coverage
 from sameas.evidence import Errors
@@ -38,7 +38,7 @@ from sameas.gate import Pairs
 from sameas.gaussian import mahalanobis_sq
 from sameas.many.marginals import Answer, answer
 from sameas.many.objects import Objects
-from sameas.many.observations import NO_RECORD, Joint, Observers
+from sameas.many.observations import Joint, Observers
 from sameas.many.pooled import PooledRecords, pooled
 from sameas.many.rules import Linear, Terms
 from sameas.many.sets import Sets, candidate_sets
@@ -107,9 +107,9 @@ class StarObservers(Observers):
 
     def by_catalogue(self, sets: NDArray[np.integer]) -> IntArray:
         """Sets (k, sources) of indices in the sources, as (k, catalogues) of indices in the catalogues' records."""
-        out = np.full(sets.shape, NO_RECORD, np.int64)
+        out = np.full(sets.shape, ABSENT, np.int64)
         for s, c in enumerate(self.catalogue):
-            k = np.flatnonzero(sets[:, s] != NO_RECORD)
+            k = np.flatnonzero(sets[:, s] != ABSENT)
             out[k, c] = self.index[s][sets[k, s]]
         return out
 
@@ -210,8 +210,8 @@ def indices_among(records: Records, among: Records) -> IntArray:
 
 
 def _indices_of_table_rows(records: Records) -> IntArray:
-    """(table rows,) index of each row among the records, −1 for rows set aside."""
-    index = np.full(records.n_table, -1)
+    """(table rows,) index of each row among the records, ABSENT for rows set aside."""
+    index = np.full(records.n_table, ABSENT)
     index[records.rows] = np.arange(len(records))
     return index
 
@@ -285,11 +285,11 @@ class ManyMatch:
     @cached_property
     def has_motion(self) -> BoolArray:
         """(n,) mask of the objects with a motion from a record, or from records of different epochs."""
-        members = np.ma.filled(self.objects.members, NO_RECORD)
+        members = np.ma.filled(self.objects.members, ABSENT)
         measured = np.zeros(len(members), bool)
         first, last = np.full(len(members), np.inf), np.full(len(members), -np.inf)
         for k, catalogue in enumerate(self.catalogues):
-            present = np.flatnonzero(members[:, k] != NO_RECORD)
+            present = np.flatnonzero(members[:, k] != ABSENT)
             rows = members[present, k]
             epoch = catalogue.astrometry.epoch_jyr[rows]
             measured[present] |= moving_rows(catalogue)[rows]
@@ -300,7 +300,7 @@ class ManyMatch:
     def broken(self) -> int:
         """Number of pairs of the pairwise matches that are not in one object of the joint match."""
         names = [catalogue.name for catalogue in self.catalogues]
-        number = [np.ma.filled(self.objects.of(name).object, -1) for name in names]
+        number = [np.ma.filled(self.objects.of(name).object, ABSENT) for name in names]
         total = 0
         for (a, b), match in self.two_by_two.items():
             matches = match.result.matches
@@ -498,7 +498,7 @@ class _LogWeight:
         sets, patterns = self.sets[k], self.patterns[k]
         weight[k] += population.log_profile(patterns, self.chi_sq[k]) + population.mean_log_density(sets, patterns)
         for s in range(sets.shape[1]):
-            present = np.flatnonzero(sets[:, s] != NO_RECORD)
+            present = np.flatnonzero(sets[:, s] != ABSENT)
             weight[k[present]] -= population.log_alone(s)[sets[present, s]]
         return weight
 

@@ -34,14 +34,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.estimate.coverage import Coverage, local_share
 from sameas.estimate.em import DEFAULT_EM
 from sameas.estimate.error_model import fit_errors
 from sameas.evidence import Errors
 from sameas.gaussian import LOG_2PI, InformationSum, inverse, log_density, propagated
 from sameas.kernels import threads
-from sameas.many.observations import NO_RECORD
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.sky import column_values
@@ -131,7 +130,7 @@ class AstrometricFit(NamedTuple):
 
 
 def fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer]) -> AstrometricFit:
-    """The star fitted to each of the ``sets`` (k, catalogues), indices of records or NO_RECORD; no set is empty."""
+    """The star fitted to each of the ``sets`` (k, catalogues), indices of records or ABSENT; no set is empty."""
     chunks = [sets[low : low + CHUNK] for low in range(0, max(len(sets), 1), CHUNK)]
     parts = threads.each([partial(_fitted, astrometric, chunk) for chunk in chunks], len(sets))
     return (
@@ -146,7 +145,7 @@ def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.intege
     all_terms, motion_terms = InformationSum.of(len(sets), 4), InformationSum.of(len(sets), 2)
     moving, unknown_motion = np.zeros(len(sets), np.int64), np.zeros(len(sets))
     for s, catalogue in enumerate(astrometric):
-        k = np.flatnonzero(sets[:, s] != NO_RECORD)
+        k = np.flatnonzero(sets[:, s] != ABSENT)
         rows = sets[k, s]
         offset, rotation = on_axes_of(anchor[k], catalogue.direction[rows])
         axes, residual = np.zeros((len(k), 4, 4)), np.zeros((len(k), 4))
@@ -195,7 +194,7 @@ def _anchors(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integ
     """(k, 2) direction of the first record of each set."""
     direction = np.full((len(sets), 2), np.nan)
     for s in reversed(range(len(astrometric))):
-        present = sets[:, s] != NO_RECORD
+        present = sets[:, s] != ABSENT
         direction[present] = astrometric[s].direction[sets[present, s]]
     return direction
 

@@ -28,7 +28,7 @@ from scipy.spatial import cKDTree
 from scipy.special import chdtrc
 
 from sameas._identify import identify
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence import Field
 from sameas.prior import PerPair
@@ -557,7 +557,7 @@ class SeriesStars:
     ----------
     name : identifier in the catalogue, "" for other stars. place : (s, 2) arcsec in the system of the series.
     sigma_arcsec : its error per axis.
-    measurement : (s, f) row among the measurements of the series, −1 where it was not measured.
+    measurement : (s, f) row among the measurements of the series, ABSENT where it was not measured.
     residual_arcsec : (s, f, 2) measured minus mean position, east and north.
     magnitude, error : (s, f) differential, NaN where the flux is incomplete (saturated, cut); the error includes the
         floor. mean, mean_error : (s,) over the frames.
@@ -649,14 +649,14 @@ def _instrumental(flux: FloatArray) -> FloatArray:
 def _rows(
     place: FloatArray, frame: IntArray, sigma: FloatArray, name: NDArray[Any], stationary: BoolArray, frames: int
 ) -> tuple[IntArray, NDArray[Any]]:
-    """(s, f) measurement of each star in each frame, −1 for none, and (s,) names.
+    """(s, f) measurement of each star in each frame, ABSENT for none, and (s,) names.
 
     Stars measured in one frame only are kept if they are in the catalogue.
     """
     named = np.flatnonzero(name != "")
     names, star = np.unique(name[named], return_inverse=True)
     capacity = len(names) + int((stationary & (name == "")).sum())
-    rows = np.full((capacity, frames), -1)
+    rows = np.full((capacity, frames), ABSENT)
     rows[star, frame[named]] = named
     sums, weights = np.zeros((capacity, 2)), np.zeros(capacity)
     np.add.at(sums, star, place[named] / sigma[named, None] ** 2)

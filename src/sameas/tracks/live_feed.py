@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import MODELS
 from sameas.kernels.zones import merge_rows
 from sameas.tracks.alignment import InnovationTrend, States, Succession, are_unfiltered, follow
@@ -273,7 +273,7 @@ class LiveFeed:
     def _numbered(self, names: NDArray[Any]) -> IntArray:
         """(n,) the number of each track; new names get the next numbers."""
         numbers, listed = self._numbers, names.tolist()
-        out = list(map(numbers.get, listed, repeat(-1)))
+        out = list(map(numbers.get, listed, repeat(ABSENT)))
         for k in [k for k, number in enumerate(out) if number < 0]:
             if listed[k] not in numbers:
                 numbers[listed[k]] = self._next_number
@@ -357,7 +357,7 @@ class LiveFeed:
         at = np.searchsorted(rows.number[first], new.number)
         at = np.minimum(at, max(len(first) - 1, 0))
         known = np.append(rows.number[first], -2)[at] == new.number if len(first) else np.zeros(len(new), bool)
-        oldest = np.append(rows.time_s[first], math.inf)[np.where(known, at, -1)]
+        oldest = np.append(rows.time_s[first], math.inf)[np.where(known, at, ABSENT)]
         dropped_s = self._horizon_s + self.lag_s - self._memory_s
         return np.asarray(
             (new.time_s >= self._horizon_s) | (new.time_s >= oldest) | (~known & (new.time_s >= dropped_s))
@@ -612,8 +612,8 @@ class _Rows:
         for name, shape, empty in self.ARRAYS:
             setattr(self, name, np.full((n, *shape), empty))
         self.taken = np.zeros(n, bool)
-        self.number = np.full(n, -1)
-        self.serial = np.full(n, -1)
+        self.number = np.full(n, ABSENT)
+        self.serial = np.full(n, ABSENT)
         self.name: NDArray[Any] = np.full(n, "", object)
         self.attributes: dict[str, NDArray[Any]] = {}
 
@@ -625,7 +625,7 @@ class _Rows:
         """Rows without the columns of times and states, to be set by the caller."""
         rows = cls(0)
         rows.p_stationary, rows.sensor_m, rows.heights = np.zeros(n), np.full((n, 2), np.nan), np.full((n, 4), np.nan)
-        rows.number, rows.serial, rows.name = np.full(n, -1), np.full(n, -1), np.full(n, "", object)
+        rows.number, rows.serial, rows.name = np.full(n, ABSENT), np.full(n, ABSENT), np.full(n, "", object)
         rows.late_s, rows.trend = np.full(n, -np.inf), InnovationTrend.none(n)
         return rows
 

@@ -30,7 +30,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import expit, logit
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, log_density, symmetric
 from sameas.tracks.alignment import States, by_turn, moved
@@ -100,7 +100,7 @@ def _by_track(
     p_alone : (n,) that by each report alone, for the first of a track and those after one without a velocity. at_rest :
     (n, 4), (n, 4, 4) states and covariances of the reports if stationary.
     """
-    turns, previous = by_turn(reports, reports.usable), np.full(len(reports), -1)
+    turns, previous = by_turn(reports, reports.usable), np.full(len(reports), ABSENT)
     for before, now in pairwise(turns):
         previous[now] = before[: len(now)]
     follows = (previous >= 0) & has_velocity & has_velocity[previous]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sameas._identify import identify
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import ABSENT, FloatArray, IntArray
 from sameas.evidence import Field
 from sameas.prior import PerPair
 from sameas.records import Records
@@ -55,7 +55,7 @@ TUNING = KnownObjectsTuning()
 class KnownObjects:
     """The known objects among the tracklets.
 
-    elements : of the objects predicted near the field. object : (k,) row of the elements of each tracklet, −1 for none.
+    elements : of the objects predicted near the field. object : (k,) row of the elements of each tracklet, or ABSENT.
     p : (k,) its probability. offset_arcsec : (n, 2) observed minus computed of each detection, east and north, NaN
     without a known object. magnitude : (k,) predicted V.
     """
@@ -103,7 +103,7 @@ def name_movers(found: Movers, elements: Elements, *, site: tuple[float, float, 
     >>> named = name_movers(found, Elements.read("MPCORB.DAT"), site=(42.61, -71.485, 100.0))  # doctest: +SKIP
     """
     k, detections = len(found), found.detections
-    owner, p = np.full(k, -1), np.zeros(k)
+    owner, p = np.full(k, ABSENT), np.zeros(k)
     offset, magnitude = np.full((len(detections), 2), np.nan), np.full(k, np.nan)
     if not k:
         return KnownObjects(elements.some(np.empty(0, np.int64)), owner, p, offset, magnitude)
@@ -148,8 +148,8 @@ def _fields(unit: FloatArray) -> list[IntArray]:
 
 
 def _once(owner: IntArray, p: FloatArray) -> IntArray:
-    """(k,) the objects, −1 if another tracklet is more probably the same object."""
-    out, used = np.full(len(owner), -1), set[int]()
+    """(k,) the objects, ABSENT if another tracklet is more probably the same object."""
+    out, used = np.full(len(owner), ABSENT), set[int]()
     for k in np.argsort(-p, kind="stable").tolist():
         if owner[k] >= 0 and int(owner[k]) not in used:
             out[k] = owner[k]
@@ -176,7 +176,7 @@ def _of_field(
 ) -> _FieldMatch:  # fmt: skip
     """The match of the tracklets of one field. unit_of : (m, 3) directions of their detections."""
     k, detections = len(found), found.detections
-    owner, p, magnitude = np.full(k, -1), np.zeros(k), np.full(k, np.nan)
+    owner, p, magnitude = np.full(k, ABSENT), np.zeros(k), np.full(k, np.nan)
     offset = np.full((len(detections), 2), np.nan)
     unit = mean_direction(unit_of)
     radius = float(np.degrees(np.arccos(np.clip(unit_of @ unit, -1, 1)).max()))

@@ -285,7 +285,7 @@ class ExposureCoverage:
         return cls(side, key, np.cumsum(covered, axis=1))
 
     def cell(self, unit: FloatArray) -> IntArray:
-        """(n,) the cell of each direction (n, 3), −1 for cells without any detection."""
+        """(n,) the cell of each direction (n, 3), ABSENT for cells without any detection."""
         key = _keys(*_rows(unit, self.side_deg), self.side_deg)
         return places_in(self.key, key)
 

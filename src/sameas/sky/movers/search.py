@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.representation import in_short
 from sameas.sky.movers.detections import Detections, TrailRates
@@ -37,7 +37,7 @@ class Movers:
     Attributes
     ----------
     detections : searched detections. model : the model of movers, learned or given.
-    members : (k, S) detections of each in order of time, padded with −1.
+    members : (k, S) detections of each in order of time, padded with ABSENT.
     p_tracklet : probability that a mover has at least two of these detections.
     p_exact : probability that a mover has exactly these detections.
     p_member : (k, S) probability of each detection to belong to this mover.
@@ -92,8 +92,8 @@ class Movers:
 
     @property
     def tracklet(self) -> IntArray:
-        """(n,) tracklet of each detection, −1 for none."""
-        out = np.full(len(self.detections), -1)
+        """(n,) tracklet of each detection, ABSENT for none."""
+        out = np.full(len(self.detections), ABSENT)
         k, column = np.nonzero(self.members >= 0)
         out[self.members[k, column]] = k
         return out
@@ -236,7 +236,7 @@ def find_movers(
     found = _found(around, model, influence, tuning, least, min_probability, stationary)
     same_rate = _same_rate(found, tuning)
     found = replace(found.only(~same_rate), same_rate=int(same_rate.sum()))
-    members = np.where(found.members >= 0, at[found.members], -1)
+    members = np.where(found.members >= 0, at[found.members], ABSENT)
     return replace(found, detections=detections, members=members, stationary=stationary, fixed=fixed)
 
 
@@ -317,8 +317,8 @@ class Influence:
     A single chance track among few makes movers of its rate ten times as frequent in the model: without this correction
     it would support itself.
 
-    group : (n,) of each detection, −1 for none, g groups. rates : (c, g) mixtures and log_begin : (g,), both estimated
-    without the group.
+    group : (n,) of each detection, ABSENT for none, g groups. rates : (c, g) mixtures and log_begin : (g,), both
+    estimated without the group.
     """
 
     group: IntArray

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged, ranges
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged, ranges
 from sameas.gaussian import Gaussian, log_density
 from sameas.many.marginals import additive_answer
 from sameas.many.sets import Sets
@@ -33,7 +33,7 @@ from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, T
 class Tracks:
     """Tracks, (k,) each, grown exposure by exposure.
 
-    first, last : detections. parent : the track without its last detection, −1 for tracks of two detections. size :
+    first, last : detections. parent : the track without its last detection, ABSENT for tracks of two detections. size :
     number of detections. log_weight : ln w against the detections being unrelated. gain : the part of the last
     detection. n_covered : number of exposures that covered its position, from its first detection on. log_missed : the
     part of ln w of those without a detection. state : (k, 6) position, rate and acceleration at the time of the first
@@ -63,7 +63,7 @@ class Tracks:
         return Tracks(*(np.concatenate([getattr(p, name) for p in parts]) for name in Tracks.__dataclass_fields__))
 
     def members(self, tracks: IntArray) -> IntArray:
-        """(k, longest) detections of some tracks in order of time, padded with −1."""
+        """(k, longest) detections of some tracks in order of time, padded with ABSENT."""
         out = np.full((len(tracks), int(self.size[tracks].max(initial=1))), -1)
         current, rows = tracks, np.arange(len(tracks))
         while len(rows):
@@ -100,7 +100,7 @@ def grow(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning 
     links = links.only(order)
     bounds = np.searchsorted(detections.frame[links.j], np.arange(len(detections.frame_names) + 1))
     # Last exposure with a link from each: after it the covariances, nine tenths of the memory, are dropped.
-    last_use = np.full(len(detections.frame_names), -1)
+    last_use = np.full(len(detections.frame_names), ABSENT)
     np.maximum.at(last_use, detections.frame[links.i], detections.frame[links.j])
     kept: list[_Extendable] = [_no_tracks()]
     offsets = [0]
@@ -216,7 +216,7 @@ def _new_tracks(around: Surroundings, links: Links, model: MotionModel, tuning: 
     )  # fmt: skip
     missed = pattern - model.log_pattern(two, two, tuning)
     return _Extendable(
-        Tracks(links.i, links.j, np.full(m, -1), two, weight, weight, n_covered, missed, state), covariance
+        Tracks(links.i, links.j, np.full(m, ABSENT), two, weight, weight, n_covered, missed, state), covariance
     )
 
 
@@ -293,13 +293,13 @@ class Competition:
         n : number of detections.
         """
         members, p = self.members, self.p_track
-        owner = np.full(n + 1, -1)
+        owner = np.full(n + 1, ABSENT)
         k, column = np.nonzero((members >= 0) & self.chosen[:, None])
         owner[members[k, column]] = k
         p_tracklet, p_member = np.zeros(len(members)), np.zeros(members.shape)
-        position = np.full(n + 1, -1)
+        position = np.full(n + 1, ABSENT)
         position[members[k, column]] = column
-        owners = owner[members]  # chosen track of each member, −1 for none (padding reads the extra last element)
+        owners = owner[members]  # chosen track of each member, ABSENT for none (padding reads the extra last element)
         for track in np.flatnonzero(p > 1e-9):
             chosen_tracks = owners[track][members[track] >= 0]
             for chosen in np.unique(chosen_tracks[chosen_tracks >= 0]):
@@ -334,13 +334,13 @@ def compete(tracks: Tracks, n: int, tuning: Tuning = DEFAULT_TUNING, *, time_lim
 def groups_of(members: IntArray, n: int) -> tuple[int, IntArray, IntArray]:
     """Groups of tracks connected by common detections: their number, that of each track (k,), of each detection (n,).
 
-    members : (k, S) of the tracks, among n detections; detections without a track have group −1.
+    members : (k, S) of the tracks, among n detections; detections without a track have group ABSENT.
     """
     k, column = np.nonzero(members >= 0)
     edges = coo_array((np.ones(len(k), np.int8), (k, len(members) + members[k, column])), shape=(len(members) + n,) * 2)
     _, component = connected_components(edges, directed=False)
     components, of_track = np.unique(component[: len(members)], return_inverse=True)
-    number = np.full(int(component.max(initial=0)) + 1, -1)
+    number = np.full(int(component.max(initial=0)) + 1, ABSENT)
     number[components] = np.arange(len(components))
     return len(components), of_track, number[component[len(members) :]]
 
@@ -361,7 +361,7 @@ def _contracted(members: IntArray, n: int) -> IntArray:
     rank = np.arange(len(order)) - np.searchsorted(ordered, ordered)
     kept = np.zeros(n, bool)
     kept[present[order[rank < 2]]] = True
-    return np.where((members >= 0) & kept[members], members, -1)
+    return np.where((members >= 0) & kept[members], members, ABSENT)
 
 
 def _sets(members: IntArray, weight: FloatArray) -> tuple[Sets, IntArray, IntArray]:
