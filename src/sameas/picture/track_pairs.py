@@ -690,8 +690,8 @@ def with_manoeuvres(
     states alike.
 
     track_of_record : (n,) numbers of the records' tracks, ABSENT for new ones. previous : the scan of the previous
-    instant. track_pairs, log_ratio : its pairs, and (k,) their ln r. swap_rate : (S,) h of the scan's sources, 0 for new
-    ones.
+    instant. track_pairs, log_ratio : its pairs, and (k,) their ln r. swap_rate : (S,) h of the scan's sources, 0 for
+    new ones.
     """
     assumed = _assumed_before(scan, previous)
     a, b = _places(track_of_record, np.stack([track_pairs.first, track_pairs.second]))
