@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from sameas.io.sensors import read_reports
-from sameas.io.sensors.format import FOOT_M, KNOT_M_PER_S, ReadOptions
+from sameas.io.sensors.format import KNOT_M_PER_S, ReadOptions
+from sameas.tracks.coordinates import FOOT_M
 from sameas.tracks.reports import Reports
 
 SOLENT = Path(__file__).resolve().parents[2] / "shared" / "data" / "stonesoup_demos" / "SolentAIS_20160112_130211.csv"

@@ -35,7 +35,7 @@ def test_counts_of_decisions_agree_with_set_operations(seed, n1, n2):
     assert records.n_right_1 == sum(partner.get(i) == true_partner.get(i) for i in range(n1))
     partner, true_partner = ({j: i for i, j in s} for s in (one, two))
     assert records.n_right_2 == sum(partner.get(j) == true_partner.get(j) for j in range(n2))
-    assert records.whole_scene_right == (one == two)
+    assert (records.n_right_1 + records.n_right_2 == n1 + n2) == (one == two)
     if one and two and one & two:
         assert pairs.f1 == pytest.approx(2 / (1 / pairs.precision + 1 / pairs.recall))
 
@@ -44,7 +44,7 @@ def test_the_true_matches_have_perfect_scores():
     true = [3, 1], [0, 2]
     assert score_pairs(true, true).precision == score_pairs(true, true).recall == score_pairs(true, true).f1 == 1
     assert score_records(true, true, 5, 4).share_right == 1
-    assert score_records(true, true, 5, 4).whole_scene_right
+    assert score_records(true, true, 5, 4).share_right == 1.0
 
 
 def test_ratios_of_zero_counts_are_nan():

@@ -145,7 +145,7 @@ def test_a_tally_agrees_with_the_scores_of_single_scenes():
         claimed = np.searchsorted(rows[0], verdict.i[here]), np.searchsorted(rows[1], verdict.j[here])
         score = score_records(claimed, (true[:, 0], true[:, 1]), len(rows[0]), len(rows[1]))
         right, total = right + score.n_right_1 + score.n_right_2, total + score.n_1 + score.n_2
-        whole += score.whole_scene_right
+        whole += score.share_right == 1.0
         weight = [1 / r.covariance[0, 0] for r in records]
         both = [r.features[c] for r, c in zip(records, claimed, strict=True)]
         fused = (weight[0] * both[0] + weight[1] * both[1]) / sum(weight)

@@ -106,7 +106,7 @@ def test_a_format_named_like_a_kind_of_source_has_that_kind(folder, monkeypatch)
         return [Reports.of(file.source, "sonar", {"time_s": time_s, "x_m": x_m, "y_m": y_m})]
 
     sonar = SensorFormat("sonar", "sonar pings", read, lambda file: file.head_lines[0] == "SONAR")
-    monkeypatch.setattr(sources, "FORMATS", (sonar, *sources.FORMATS))
+    monkeypatch.setattr(sources, "SENSOR_FORMATS", (sonar, *sources.SENSOR_FORMATS))
     monkeypatch.setitem(KINDS, "sonar", Kind("a sonar", {"errors.position_m": (20.0, "a test")}))
     (folder / "pings.txt").write_text("SONAR\n0 10 20\n5 12 22\n")
     [pings] = read_sources([folder / "pings.txt"])

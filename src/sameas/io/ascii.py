@@ -350,7 +350,7 @@ def _byte_by_byte(path: Path) -> str:
 
 
 #: In the order of recognition.
-FORMATS = (
+TEXT_FORMATS = (
     Format("sextractor", "SExtractor catalogue", (".cat", ".cat.gz"), unmarked=True,
            recognised=is_ascii_head, read=read_sextractor),
     Format("ipac", "IPAC table", (".tbl", ".ipac", ".tbl.gz", ".ipac.gz"), unmarked=True,

@@ -28,7 +28,7 @@ FORMATS: tuple[Format, ...] = (
     votable.FORMAT,
     ecsv.FORMAT,
     parquet.FORMAT,
-    *text.FORMATS,
+    *text.TEXT_FORMATS,
     csv.FORMAT,
 )
 #: Number of bytes for the recognition of a format; VizieR's comments are long.

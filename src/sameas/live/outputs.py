@@ -24,8 +24,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from sameas.errors import InputError, reading
-from sameas.io.sensors.format import KNOT_M_PER_S, MILE_M
+from sameas.io.sensors.format import KNOT_M_PER_S
 from sameas.live.situation import Situation
+from sameas.tracks.coordinates import MILE_M
 
 #: Seconds after which a Cursor on Target event is stale.
 STALE_S = 15.0

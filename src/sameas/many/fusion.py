@@ -72,6 +72,7 @@ def bar_shalom_campo(
             "fusion: the cross-covariance is larger than the covariances allow; give P₁₂ = E[e₁ e₂ᵀ] in their unit"
         )
     spread = p[:, 0] + p[:, 1] - p12 - p21
+    # Not Gaussian.conditional: S is 0 along errors that both estimates share, and the pseudo-inverse keeps x₁ there.
     gain = (p[:, 0] - p12) @ np.linalg.pinv(spread, hermitian=True)
     state = x[:, 0] + np.einsum("nvw,nw->nv", gain, x[:, 1] - x[:, 0])
     covariance = p[:, 0] - gain @ (p[:, 0] - p21)

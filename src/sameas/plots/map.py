@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.io.sensors.format import MILE_M
 from sameas.maps.outline import Outline, outline
 from sameas.maps.sheet import MapSensor, MapSheet, members_of, seen_by_several
 from sameas.plots.sheet import FAINT, INK, ellipse, nice_length, sheet
 from sameas.representation import count, counted
-from sameas.tracks.coordinates import LocalPlane, geodesy
+from sameas.tracks.coordinates import MILE_M, LocalPlane, geodesy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

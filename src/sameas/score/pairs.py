@@ -60,11 +60,6 @@ class RecordScore:
         total = self.n_1 + self.n_2
         return (self.n_right_1 + self.n_right_2) / total if total else math.nan
 
-    @property
-    def whole_scene_right(self) -> bool:
-        """Whether the decision is right for every record."""
-        return self.n_right_1 == self.n_1 and self.n_right_2 == self.n_2
-
 
 @dataclass(frozen=True)
 class ProbabilityScore:

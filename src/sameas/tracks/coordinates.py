@@ -32,6 +32,9 @@ FARTHEST_M = 900e3
 MEDIAN_SAMPLE, MEDIAN_STEPS = 20_000, 50
 #: Mean radius of the earth, where a sphere is accurate enough.
 EARTH_M = 6_371_000.0
+#: Lengths of ships and aircraft, metres: the nautical mile and the foot.
+MILE_M = 1852.0
+FOOT_M = 0.3048
 #: Above this elevation the direction of a target on the ground is undefined.
 STEEPEST_DEG = 80.0
 

@@ -22,7 +22,7 @@ from sameas.registration.weights import weigh
 from sameas.tracks.alignment import States
 from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import TIME
-from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, LocalPlane
+from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, FOOT_M, MILE_M, LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.plot_offsets import PlotFits, shows_bare_plots, shows_tracks
@@ -33,7 +33,7 @@ from sameas.tracks.source import Description, Site
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 #: Units in which a length may be given, in metres.
-LENGTHS = (("kilometres", 1000.0), ("nautical miles", 1852.0), ("feet", 0.3048), ("millimetres", 0.001))
+LENGTHS = (("kilometres", 1000.0), ("nautical miles", MILE_M), ("feet", FOOT_M), ("millimetres", 0.001))
 #: Hours between time zones, and seconds by which GPS time is ahead of UTC since 2017.
 HOURS, LEAP_S = (*range(-12, 0), *range(1, 15)), 18.0
 DEGREE = 180.0 / math.pi

@@ -18,7 +18,6 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.io.sensors.format import (
     FEET_PER_MINUTE_M_PER_S,
-    FOOT_M,
     KNOT_M_PER_S,
     SensorFormat,
     json_lines,
@@ -31,6 +30,7 @@ from sameas.io.sensors.format import (
     sigma_of_nacv,
     sigma_of_nic,
 )
+from sameas.tracks.coordinates import FOOT_M
 from sameas.tracks.reports import LAST_S, Damaged, NoReports, Reports, of_rows
 
 #: Snapshots round the age of a position to 0.1 s, so the times of one position differ by less than 0.25 s.

@@ -24,14 +24,13 @@ from sameas.io.sensors.format import (
     AIS_RECKONED_SIGMA_M,
     AIS_SIGMA_M,
     KNOT_M_PER_S,
-    MILE_M,
     at_second,
     forward_filled,
     round_covariance,
     unwrapped,
 )
 from sameas.io.sensors.nmea import Log, Sentence
-from sameas.tracks.coordinates import along_and_across, geodesy
+from sameas.tracks.coordinates import MILE_M, along_and_across, geodesy
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 

@@ -24,8 +24,9 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import InputError, naming
 from sameas.io.sensors import ais
-from sameas.io.sensors.format import KNOT_M_PER_S, MILE_M, SensorFile, SensorFormat, forward_filled
+from sameas.io.sensors.format import KNOT_M_PER_S, SensorFile, SensorFormat, forward_filled
 from sameas.io.sensors.nmea import Log, Sentence, latitude, log_of, longitude, time_of_day, with_date
+from sameas.tracks.coordinates import MILE_M
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 #: The sentences of targets.

@@ -31,14 +31,12 @@ from sameas.io.sensors.asterix_records import (
 from sameas.io.sensors.format import (
     DAY_S,
     FEET_PER_MINUTE_M_PER_S,
-    FOOT_M,
-    MILE_M,
     SensorFormat,
     round_covariance,
     sigma_of_nucp,
     unwrapped,
 )
-from sameas.tracks.coordinates import geodesy
+from sameas.tracks.coordinates import FOOT_M, MILE_M, geodesy
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 # Category 021: ADS-B target reports of ground stations, editions 2.1 to 2.7.

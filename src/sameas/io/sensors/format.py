@@ -1,6 +1,6 @@
 """The description of a sensor file format: name, recogniser and reader; and what the readers share: times and errors.
 
-A format is a module of this package with a ``FORMAT``, listed in :data:`sameas.io.sensors.sources.FORMATS`.
+A format is a module of this package with a ``FORMAT``, listed in :data:`sameas.io.sensors.sources.SENSOR_FORMATS`.
 """
 
 from __future__ import annotations
@@ -21,11 +21,10 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.bounds import MAGIC, Unpacking, unpacked
 from sameas.errors import Argument, InputError, Message
+from sameas.tracks.coordinates import FOOT_M, MILE_M
 from sameas.tracks.reports import LAST_S, Reports
 
-#: Units of ships and aircraft in metres and seconds.
-MILE_M = 1852.0
-FOOT_M = 0.3048
+#: Speeds of ships and aircraft in metres per second.
 KNOT_M_PER_S = MILE_M / 3600.0
 FEET_PER_MINUTE_M_PER_S = FOOT_M / 60.0
 

@@ -19,7 +19,6 @@ from sameas.errors import InputError, naming
 from sameas.io.sensors.aircraft import errors_of, identity_of, notes
 from sameas.io.sensors.format import (
     FEET_PER_MINUTE_M_PER_S,
-    FOOT_M,
     KNOT_M_PER_S,
     SensorFormat,
     instant,
@@ -27,6 +26,7 @@ from sameas.io.sensors.format import (
     sigma_of_nucp,
     unwrapped,
 )
+from sameas.tracks.coordinates import FOOT_M
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
 #: Characters of the longest line, a message and its time (chosen): the patterns take quadratic time.

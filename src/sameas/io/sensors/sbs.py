@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from sameas.io.sensors.aircraft import identity_of
-from sameas.io.sensors.format import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, SensorFormat, instant
+from sameas.io.sensors.format import FEET_PER_MINUTE_M_PER_S, KNOT_M_PER_S, SensorFormat, instant
+from sameas.tracks.coordinates import FOOT_M
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 #: Fields older than this, in seconds, are not joined to a position (chosen).

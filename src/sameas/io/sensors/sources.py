@@ -33,11 +33,13 @@ from sameas.tracks.source import Description, source_tables
 # Reading: the reports in a file, whose format is detected from its content.
 
 #: The formats, in the order in which they are tried.
-FORMATS: tuple[SensorFormat, ...] = (
+SENSOR_FORMATS: tuple[SensorFormat, ...] = (
     asterix.FORMAT, arpa.FORMAT, aircraft.FORMAT, signalk.FORMAT, sbs.FORMAT, mode_s.FORMAT, tables.FORMAT,
 )  # fmt: skip
 #: Their descriptions, by name.
-REPORT_FORMATS: Mapping[str, str] = {known.name: known.label for known in (FORMATS[-1], *FORMATS[1:-1], FORMATS[0])}
+REPORT_FORMATS: Mapping[str, str] = {
+    known.name: known.label for known in (SENSOR_FORMATS[-1], *SENSOR_FORMATS[1:-1], SENSOR_FORMATS[0])
+}
 
 
 def read_reports(path: str | os.PathLike[str], options: ReadOptions | None = None) -> list[Reports]:
@@ -71,7 +73,7 @@ def read_reports(path: str | os.PathLike[str], options: ReadOptions | None = Non
     if options.format is not None and options.format not in REPORT_FORMATS:
         raise InputError(f"{source}: unknown format {options.format!r}; give one of {', '.join(REPORT_FORMATS)}")
     file = SensorFile.of(path, options)
-    chosen = next((known for known in FORMATS if known.name == options.format), None) or format_of(file)
+    chosen = next((known for known in SENSOR_FORMATS if known.name == options.format), None) or format_of(file)
     with reading(str(path), f"cannot be read as {chosen.label}"):
         return [_with_last_line(reports, file) for reports in chosen.read(file)]
 
@@ -90,12 +92,12 @@ def format_of(file: SensorFile) -> SensorFormat:
 
     Raises
     ------
-    InputError : it is none of :data:`FORMATS`.
+    InputError : it is none of :data:`SENSOR_FORMATS`.
     """
-    for known in FORMATS:
+    for known in SENSOR_FORMATS:
         if file.content.startswith(known.magic):
             return known
-    for known in FORMATS:
+    for known in SENSOR_FORMATS:
         if known.recognises(file):
             return known
     raise InputError(f"{file.source}: is binary, but neither ASTERIX, pcap nor Parquet; give another file")

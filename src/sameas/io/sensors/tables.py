@@ -31,9 +31,7 @@ from sameas.errors import Argument, InputError, Message, naming
 from sameas.io.sensors.format import (
     DAY_S,
     FEET_PER_MINUTE_M_PER_S,
-    FOOT_M,
     KNOT_M_PER_S,
-    MILE_M,
     SensorFile,
     SensorFormat,
     instant,
@@ -43,6 +41,7 @@ from sameas.io.sensors.format import (
     seconds,
     unwrapped,
 )
+from sameas.tracks.coordinates import FOOT_M, MILE_M
 from sameas.tracks.reports import Damaged, Reports
 
 #: Units by kind of quantity: as written at the end of a name, and their factor to our unit.
