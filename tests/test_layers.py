@@ -17,6 +17,7 @@ HOME = Path(sameas.__file__).parent
 FLOORS = """
 errors representation
 arrays bounds
+ragged
 gaussian kernels
 space
 records

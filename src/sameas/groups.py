@@ -12,9 +12,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import IntArray, Ragged
+from sameas.arrays import IntArray
 from sameas.gate import Pairs
 from sameas.kernels import threads
+from sameas.ragged import Ragged
 from sameas.representation import in_short
 
 PlaceArray = NDArray[np.int32]

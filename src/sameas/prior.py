@@ -19,8 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sameas.arrays import FloatArray, IntArray, Ragged
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.ragged import Ragged
 from sameas.representation import in_short
 
 

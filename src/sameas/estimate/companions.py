@@ -22,12 +22,13 @@ from functools import cached_property
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged, places_in, ranges
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
 from sameas.estimate.cells import GridLevel, finest
 from sameas.estimate.coverage import typical_error
 from sameas.estimate.sample import Setting
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs, Radius
+from sameas.ragged import Ragged, ranges
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, unit_vectors

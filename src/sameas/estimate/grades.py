@@ -17,11 +17,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.sample import Setting
 from sameas.evidence import Precision, TrainingPairs
 from sameas.gate import Pairs
+from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.representation import in_short
 

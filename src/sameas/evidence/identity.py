@@ -28,11 +28,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ranges
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
 from sameas.gaussian import mahalanobis_sq
+from sameas.ragged import ranges
 from sameas.records import Records, unpack
 from sameas.representation import in_short
 from sameas.space import Plane

@@ -26,12 +26,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, ranges
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.bounds import memory_left
 from sameas.errors import InputError
 from sameas.gate.zones import DEFAULT_TUNING, Extent, Geometry, Layout, Source, Tuning
 from sameas.gaussian import distance_and_log_determinant
 from sameas.kernels import threads
+from sameas.ragged import ranges
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import Plane, Sphere

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from sameas._identify import identify
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence import PoissonField, Rule
 from sameas.gate import DEFAULT_GATE, Pairs
@@ -28,6 +28,7 @@ from sameas.many.pooled import PooledRecords, numbered_groups, pooled
 from sameas.many.rules import MissedObjects, Pairwise, PoissonObjects, SetPrior, SetRule, parts_of, terms_of
 from sameas.many.sets import TUNING, ManyTuning, Sets, candidate_sets
 from sameas.prior import EVIDENCE_ALONE, CommonObjects, Prior
+from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.representation import in_short
 

@@ -24,10 +24,11 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 from scipy.sparse import csr_array, hstack, vstack
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import MissedObjects
 from sameas.many.sets import TUNING, ManyTuning, Sets
+from sameas.ragged import Ragged
 from sameas.representation import in_short
 
 

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged, ordered_by
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ordered_by
 from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
@@ -24,6 +24,7 @@ from sameas.gaussian import inverse
 from sameas.kernels.components import label_components
 from sameas.kernels.kalman import joint_in_plane
 from sameas.many.observations import Observations, Observers, Region, Source, records_of
+from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import Plane

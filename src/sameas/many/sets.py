@@ -14,9 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged, ranges
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Terms
+from sameas.ragged import Ragged, ranges
 from sameas.representation import in_short
 
 

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.ragged import Ragged
 from sameas.tracks.coordinates import EARTH_M, LocalPlane, geodesy
 
 #: Cells and steps of the data in degrees, and cells in a row: as in scripts/make-outline.

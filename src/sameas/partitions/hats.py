@@ -23,11 +23,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import IntArray, ranges
+from sameas.arrays import IntArray
 from sameas.errors import InputError, reading
 from sameas.io.arrow import array_of, numbers_in
 from sameas.io.parquet import column_metadata
 from sameas.partitions.healpix import FINEST, cells_of, joined, order_of_width, ring, stretches, within
+from sameas.ragged import ranges
 from sameas.representation import in_short
 
 if TYPE_CHECKING:

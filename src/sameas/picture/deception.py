@@ -31,9 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, ranges
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING
+from sameas.ragged import ranges
 from sameas.tracks.alignment import States, Steps, jump_of
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
 from sameas.tracks.reports import Reports

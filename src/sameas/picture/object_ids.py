@@ -23,13 +23,14 @@ import numpy as np
 from scipy.special import logit
 
 from sameas._identify import identify
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, ranges, spans_in
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, spans_in
 from sameas.errors import InputError
 from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, symmetric
 from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, ObjectStates, PictureObjects
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
+from sameas.ragged import ranges
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.alignment import aged

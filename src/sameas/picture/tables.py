@@ -20,12 +20,13 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.kernels.kalman import sum_of_records
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.many.objects import Objects
 from sameas.many.observations import Source, records_of
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.tracks.alignment import States, moved
 from sameas.tracks.feed import Feed

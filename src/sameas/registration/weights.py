@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sameas.arrays import FloatArray, IntArray, Ragged
+from sameas.arrays import FloatArray, IntArray
 from sameas.gate import Radius
 from sameas.gaussian import inverse, log_density
+from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.registration.hough import DEFAULT_TUNING, Tuning, typical_sigma
 from sameas.registration.offsets import Offset

@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator, make_smoothing_spline
 
-from sameas.arrays import FloatArray, IntArray, Ragged, ranges
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gaussian import propagated
+from sameas.ragged import Ragged, ranges
 from sameas.representation import in_short
 from sameas.tracks.alignment import States, follow
 from sameas.tracks.coordinates import LocalPlane, geodesy

@@ -37,13 +37,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.gaussian import Gaussian, mahalanobis_sq, symmetric
 from sameas.kernels.compiled import runs_compiled
 from sameas.kernels.kalman import states_moved
 from sameas.many.observations import StatePart
+from sameas.ragged import Ragged
 from sameas.representation import counted
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 

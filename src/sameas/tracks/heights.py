@@ -14,9 +14,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sameas.arrays import FloatArray, IntArray, flattened
+from sameas.arrays import FloatArray, IntArray
 from sameas.gate import ChiSquare
 from sameas.gaussian import mahalanobis_sq
+from sameas.ragged import flattened
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, heights_by_elevation
 from sameas.tracks.reports import Reports

@@ -29,8 +29,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray, IntArray, flattened
+from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, inverse
+from sameas.ragged import flattened
 from sameas.registration.offsets import RADIAN
 from sameas.tracks.alignment import States, Succession, moved
 from sameas.tracks.bias_fit import BiasFit

@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, Ragged, ranges
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.ragged import Ragged, ranges
 from sameas.representation import in_short
 from sameas.sky.frame.odds import PlateProblem, SearchVolume
 from sameas.sky.frame.plate import Pointing, from_plane, similarities, to_plane

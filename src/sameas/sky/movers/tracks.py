@@ -21,10 +21,11 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, Ragged, ranges
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.gaussian import Gaussian, log_density
 from sameas.many.marginals import additive_answer
 from sameas.many.sets import Sets
+from sameas.ragged import Ragged, ranges
 from sameas.sky.movers.links import Links, rates_of
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
 
