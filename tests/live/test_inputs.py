@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import importlib.util
 import json
 import socket
 
@@ -100,10 +101,36 @@ def test_a_flood_drops_and_counts_the_oldest_data():
     assert queue.dropped == 40 and [piece[0] for piece in queue.take(1000)] == list(range(40, 50)) and not len(queue)
 
 
-def test_an_invalid_input_address_is_refused():
-    for url in ("carrier-pigeon://loft", "udp://10.0.0.1"):
-        with pytest.raises(InputError, match="input"):
-            Wire(url, ReportStream("x"))
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("carrier-pigeon://loft", "not a known kind of input; give one of udp"), ("udp://10.0.0.1", "has no port"),
+        ("127.0.0.1:10110", "give udp://127.0.0.1:10110, or tcp://127.0.0.1:10110"),
+        ("ws://boat:3000/signalk/v1/stream", "WebSockets are not read; give tcp://boat:8375 for Signal K"),
+        ("udp://239.1.1.1:8600?interface=eth0", "interface is 'eth0'; give its address"),
+    ],
+)  # fmt: skip
+def test_an_invalid_input_address_is_refused(url, words):
+    with pytest.raises(InputError, match=words):
+        Wire(url, ReportStream("x"))
+
+
+def test_a_serial_line_without_its_library_is_refused_at_once(monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "serial" else find(name))
+    with pytest.raises(InputError, match="pip install pyserial"):
+        Wire("serial:/dev/ttyUSB0", ReportStream("x"))
+
+
+def test_a_datagram_address_of_another_machine_is_named():
+    async def run():
+        wire = Wire("udp://192.0.2.7:5000", ReportStream("x"))
+        task = asyncio.create_task(wire.run())
+        await until(lambda: wire.state.error)
+        task.cancel()
+        return wire.state.error
+
+    assert asyncio.run(run()) == ("192.0.2.7 is no address of this machine; give udp://0.0.0.0:5000 for any sender")
 
 
 def test_a_signal_k_server_is_asked_for_its_deltas_and_a_refusal_is_named():

@@ -26,6 +26,7 @@ from sameas.errors import InputError
 from sameas.io import read_table
 from sameas.live.journal import LAYOUT, Journal, load_state
 from sameas.live.keeper import Delta, Keeper
+from sameas.live.outputs import sentence
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings, read_settings
 from sameas.live.situation import Alarm
 from sameas.tracks import Description
@@ -193,6 +194,33 @@ def test_a_source_that_never_sends_is_an_alarm_with_the_reason(tmp_path):
     keeper.close()
 
 
+TTM = sentence("RATTM,05,2.0,45.6,T,9.0,180.0,T,,,N,,T,,,A")
+
+
+@pytest.mark.parametrize(
+    ("kind", "more", "data", "words"),
+    [
+        ("marine radar", "", TTM, "the sensor's position is not known; give site = { lat_deg"),
+        ("ais", "", b'{"bearing": 1}\n', 'no column of time among: bearing; give columns = { time_s = "NAME" }'),
+        ("ads-b", ', format = "nmea"', 20 * b"MSG,3,1,1,3C0001\n", "no NMEA sentence; leave out its format"),
+        ("air radar", ', sensor = "048 1/2"', TTM, 'has arpa, but no 048 1/2: give sensor = "arpa"'),
+    ],
+)
+def test_reports_that_cannot_be_used_are_an_alarm_at_once(kind, more, data, words, tmp_path):
+    """A missing site or column, another format or sensor is said with the first data, not a minute later."""
+    path, now = tmp_path / "sensors.toml", [1000.0]
+    path.write_text(f'[sources.rays]\nkind = "{kind}"\ninput = {{ url = "udp://127.0.0.1:60004"{more} }}\n')
+    keeper = Keeper(read_settings(path), clock=lambda: now[0])
+    [wire] = keeper.wires.values()
+    for _ in range(2):
+        wire._received(data, last=True)
+        now[0] += 5.0
+        alarms = keeper.tick().alarms
+    [alarm] = alarms
+    assert words in alarm.text and alarm.kind == "source"
+    keeper.close()
+
+
 @pytest.mark.slow
 def test_a_long_tick_makes_no_source_silent(tmp_path, monkeypatch):
     path, now = tmp_path / "sensors.toml", [START_S]
@@ -353,7 +381,8 @@ def test_settings_are_read_and_unknown_ones_refused(tmp_path):
     ais = Reports.of("lan:ais", "ais", {"time_s": [0.0], "x_m": [0.0], "y_m": [0.0]})
     assert found.sources["coast"].takes(ais) and not found.sources["quay"].takes(ais)
     for text, words in (
-        ("[watch]\nevery = 1\n", "'every' is not known"), ("[watch]\nlag_s = -1\n", "give a number, 0 or more"),
+        ("[watch]\nevery = 1\n", "'every' is not known; did you mean every_s?"),
+        ("[watch]\nlag_s = -1\n", "give a number, 0 or more"),
         ("[watch]\nown_ship = { name = 1 }\n", "give lat_deg and lon_deg"),
         ('[watch]\nown_ship = { lat_deg = 50.0, lon_deg = "1" }\n', "own_ship.lon_deg is '1'; give degrees"),
         ("[watch]\nown_ship = { lat_deg = 95.0, lon_deg = 1.0 }\n", r"lat_deg is 95.0; give degrees within ±90"),
@@ -367,6 +396,11 @@ def test_settings_are_read_and_unknown_ones_refused(tmp_path):
         ("[watch]\nlag_s = inf\n", "lag_s is inf; give a number, 0 or more"),
         ("[watch]\noutputs = 3\n", "outputs is 3; give a list"),
         ("[watch]\nchart = 3\n", "chart is 3; give the name of a file in quotes"),
+        ('[watch]\nchart = "shores.geojson"\n', "shores.geojson"),
+        ('[sources.b]\nkind = "ais"\ninputs = "udp://127.0.0.1:1"\n', "'inputs' is not known; did you mean input?"),
+        ('[sources.b]\ninput = "udp://127.0.0.1:1"\n', 'has no kind; give kind = "…", one of marine radar'),
+        ('[sources.b]\nkind = "other"\ninput = "udp://127.0.0.1:1"\n', "give motion = .* and misses = "),
+        ('[sources.b]\ninput = { url = "udp://127.0.0.1:1", format = "ais" }\n', "format is 'ais'; give nmea"),
     ):  # fmt: skip
         path.write_text(text + '[sources.coast]\nkind = "ais"\n')
         with pytest.raises(InputError, match=words):

@@ -203,3 +203,8 @@ def test_no_transponder_text_stops_an_output(situation, monkeypatch):
         assert ET.fromstring(part).find("detail/contact").get("callsign").isprintable()
     assert all(part.endswith(b"\r\n") and part[:-2].isascii() and part.count(b"*") == 1 for part in parts["nmea"])
     assert all(part.count(b"\n") == 1 and json.loads(part) for name in ("jsonl", "signalk") for part in parts[name])
+
+
+def test_an_output_to_an_unknown_host_is_refused_before_the_watch():
+    with pytest.raises(InputError, match=r"nohost.invalid is not found .*; give its address"):
+        Sink("udp://nohost.invalid:1234", "cot")

@@ -160,7 +160,7 @@ def test_heights_are_assumed_only_if_missing():
             "marine radar",
             {"range_m": [1.0], "bearing_deg": [1.0]},
             None,
-            r"give site = \{ east_m = …, north_m = … \} in its d",
+            r"give site = \{ lat_deg = …, lon_deg = … \} in its d.*, or east_m and north_m",
         ),
         ("marine radar", {"range_m": [1.0]}, None, "ranges without bearings"),
         ("camera", {"bearing_deg": [1.0]}, PLANE, "the sensor's position is not known"),

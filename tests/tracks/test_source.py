@@ -159,3 +159,8 @@ def test_a_site_in_degrees_and_minutes_is_refused_with_the_form_to_give():
     site = {"lat_deg": "53°54'N", "lon_deg": 8.7}
     with pytest.raises(InputError, match=r"radar: site\.lat_deg is .*; give decimal degrees, south and west negative"):
         Description.from_mapping("radar", {"kind": "marine radar", "site": site})
+
+
+@pytest.mark.parametrize(("given", "kind"), [("AIS", "ais"), ("ADSB", "ads-b"), ("Marine_Radar", "marine radar")])
+def test_kinds_are_read_in_any_spelling(given, kind):
+    assert Description.from_mapping("a", {"kind": given}).kind == kind

@@ -144,6 +144,11 @@ def _settings(
     replay = None
     if files or not any(source.url for source in settings.sources.values()):
         options = {} if sensors is None else read_source_options(sensors)
+        if not files and not any(one.path for one in options.values()):
+            raise InputError(
+                f"{sensors}: no source has an input",
+                'give input = "udp://HOST:PORT", "tcp://HOST:PORT", "serial:…" in its table, or files to replay',
+            )
         sources = read_sources(list(files), options, start=start)
         replay = Replay([(source.description.name, source.reports) for source in sources], pace)
         live = {source.description.name: LiveSource(source.description) for source in sources}

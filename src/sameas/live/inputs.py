@@ -9,9 +9,12 @@ only.
 from __future__ import annotations
 
 import asyncio
+import errno
+import importlib.util
 import ipaddress
 import math
 import os
+import re
 import socket
 import ssl
 import struct
@@ -109,10 +112,7 @@ class Wire:
         self.url, self.stream, self.clock = url, stream, clock
         self.queue, self.state = BoundedQueue(max_bytes), WireState()
         parts = urlsplit(url)
-        if parts.scheme not in _SCHEMES:
-            raise InputError(f"input {url!r}: is not a known kind of input", f"give one of {', '.join(_SCHEMES)}")
-        if parts.scheme in ("udp", "tcp", "tcp-listen") and not parts.port:
-            raise InputError(f"input {url!r}: has no port", f"give {parts.scheme}://HOST:PORT")
+        _require_readable(url)
         if parts.scheme in ("udp", "tcp-listen"):
             self.state.open_word = "listening"
 
@@ -254,10 +254,8 @@ class Wire:
             await asyncio.sleep(1.0)
 
     async def _serial(self) -> None:
-        try:
-            import serial
-        except ImportError as error:
-            raise InputError("a serial line needs pyserial: pip install pyserial") from error
+        import serial
+
         parts = urlsplit(self.url)
         speed = int(parse_qs(parts.query).get("baud", ["38400"])[0])
         try:
@@ -278,6 +276,32 @@ class Wire:
         while data := await asyncio.to_thread(os.read, sys.stdin.fileno(), 65536):
             self._received(data)
         self._ended(0)
+
+
+def _require_readable(url: str) -> None:
+    """Refuses an address that can never be read, whatever is connected later."""
+    parts = urlsplit(url)
+    if parts.scheme in ("ws", "wss"):
+        raise InputError(f"input {url!r}: WebSockets are not read", f"give tcp://{parts.hostname}:8375 for Signal K")
+    if parts.scheme not in _SCHEMES:
+        remedy = f"give one of {', '.join(_SCHEMES)}"
+        if re.fullmatch(r"[\w.-]+:\d+", url):
+            remedy = f"give udp://{url}, or tcp://{url}"
+        raise InputError(f"input {url!r}: is not a known kind of input", remedy)
+    if parts.scheme in ("udp", "tcp", "tcp-listen") and not parts.port:
+        raise InputError(f"input {url!r}: has no port", f"give {parts.scheme}://HOST:PORT")
+    interface = parse_qs(parts.query).get("interface", ["0.0.0.0"])[0]
+    try:
+        ipaddress.IPv4Address(interface)
+    except ValueError:
+        raise InputError(f"input {url!r}: interface is {interface!r}", "give its address, such as 10.0.0.2") from None
+    if parts.scheme == "serial":
+        _require_serial()
+
+
+def _require_serial() -> None:
+    if importlib.util.find_spec("serial") is None:
+        raise InputError("a serial line needs pyserial: pip install pyserial")
 
 
 def _cause(error: Exception) -> str:
@@ -306,8 +330,12 @@ def _udp_socket(host: str, port: int, interface: str) -> socket.socket:
             udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
         else:
             udp.bind((str(address), port))
-    except OSError:
+    except OSError as error:
         udp.close()
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise InputError(
+                f"{host} is no address of this machine; give udp://0.0.0.0:{port} for any sender"
+            ) from error
         raise
     udp.setblocking(False)
     return udp

@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import logging
 import math
+import re
 import sqlite3
 import threading
 import time
@@ -22,7 +23,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sameas.errors import InputError, reading
+from sameas.errors import Argument, InputError, Message, reading
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.inputs import Replay, Wire
 from sameas.live.journal import Journal, load_state, save_state
@@ -44,21 +45,33 @@ CPA_HOLDS = 1.2
 CPA_M, UNDER_WAY_M_PER_S = 926.0, 0.514
 #: Number of deltas that are kept for listeners that reconnect.
 KEPT_DELTAS = 300
+#: A source that never gave a report raises an alarm when its data have been unusable for this many seconds.
+MISFIT_S = 5.0
+#: The same if so many lines were damaged, and none of them was good.
+MISFIT_LINES = 20
+#: Largest number of sensors of a wire that are named where no source takes their reports.
+MOST_SENSORS = 20
 #: Number of ticks whose durations are kept.
 KEPT_DURATIONS = 600
 
 
 @dataclass
 class SourceState:
-    """State of a source. refused : reports not used. error : the last reason. last_s : last receive time.
+    """State of a source. refused : reports not used. error : the last reason, and error_s : since when there is one.
 
-    delay_s : receive time minus time stamp, median of the last reports.
+    last_s : last receive time. delay_s : receive time minus time stamp, median of the last reports.
     """
 
     refused: int = 0
     error: str = ""
+    error_s: float = math.inf
     last_s: float = -math.inf
     delay_s: float = math.nan
+
+    def set_error(self, error: str, time_s: float) -> None:
+        """Sets the reason why reports were not used, at this time."""
+        self.error_s = self.error_s if self.error else time_s
+        self.error = error
 
 
 @dataclass
@@ -129,6 +142,8 @@ class Keeper:
         self._saved_s = self._registered_s = self._searched_s = -math.inf
         self._faults: dict[str, Fault] = {}
         self._suspected: frozenset[str] = frozenset()
+        #: Sensors whose reports no source takes, by wire.
+        self._foreign: dict[str, set[str]] = {}
         self._refusal = ""
         self._tick = 0
         # Receive times are compared with the time at which the queues were emptied: a tick may take long.
@@ -238,12 +253,15 @@ class Keeper:
                 parts = wire.take()
             except InputError as error:
                 for name in self._names_on(url):
-                    self.sources[name].error = str(error)
+                    self.sources[name].set_error(_in_settings(error, name), self._taken_s)
                 self.counters["refused pieces"] += 1
                 continue
             for reports in parts:
                 taken = [n for n in self._names_on(url) if self.settings.sources[n].takes(reports)]
                 if not taken:
+                    sensors = self._foreign.setdefault(url, set())
+                    if len(sensors) < MOST_SENSORS:
+                        sensors.add(reports.source.partition(":")[2] or reports.source)
                     self.counters[f"reports of no source: {reports.source}"] += len(reports)
                 for name in taken[:1]:
                     self._add(name, reports, wire.state.last_s)
@@ -257,7 +275,7 @@ class Keeper:
             self.picture.add(name, reports)
         except InputError as error:
             state.refused += len(reports)
-            state.error = str(error)
+            state.set_error(_in_settings(error, name), self._taken_s)
             return
         state.last_s, state.error = received_s, ""
         if self.replay is None:
@@ -334,7 +352,10 @@ class Keeper:
     def _source_alarms(self, now_s: float) -> list[Alarm]:
         watch, out, clock_s = self.settings.watch, [], self._taken_s
         for name, state in self.sources.items() if self.replay is None else ():
-            if clock_s - max(state.last_s, self._began_s) > watch.silent_s and not self._gives_own_ship(name):
+            never = not math.isfinite(state.last_s)
+            if never and (reason := self._misfit(name)):
+                out.append(Alarm(f"silent {name}", "source", f"{name}: none of its data can be used: {reason}"))
+            elif clock_s - max(state.last_s, self._began_s) > watch.silent_s and not self._gives_own_ship(name):
                 since = f"for {watch.silent_s:.0f} s" if math.isfinite(state.last_s) else "since the watch began"
                 text = f"{name} has sent no report {since}: {self._silence(name)}"
                 out.append(Alarm(f"silent {name}", "source", text))
@@ -359,6 +380,24 @@ class Keeper:
         if own is None or own.source != name or wire is None or math.isnan(wire.stream.own_ship[0]):
             return False
         return self._taken_s - wire.state.last_s <= self.settings.watch.silent_s
+
+    def _misfit(self, name: str) -> str:
+        """Why no report of a source can be used, whatever else arrives; empty where none has arrived yet."""
+        source, state = self.settings.sources[name], self.sources[name]
+        if state.error:
+            # Own ship's position, which targets need, may come with the next sentence.
+            return state.error if self._taken_s - state.error_s >= MISFIT_S else ""
+        foreign = self._foreign.get(source.url or "")
+        if foreign and source.sensor is not None:
+            given = ", ".join(sorted(foreign))
+            return f'{source.url} has {given}, but no {source.sensor}: give sensor = "{min(foreign)}"'
+        stream = self.wires[source.url or ""].stream
+        damaged = sum(stream.damaged.values())
+        if damaged >= MISFIT_LINES and not +stream.passed_over and len(self._names_on(source.url or "")) == 1:
+            reason, n = stream.damaged.most_common(1)[0]
+            remedy = "; leave out its format, to have it detected" if source.format else ""
+            return f"{n} × {reason}{remedy}"
+        return ""
 
     def _silence(self, name: str) -> str:
         """Why a source gives no reports, as far as its wire shows it."""
@@ -574,6 +613,17 @@ class Keeper:
             "outputs": {f"{sink.format} {sink.url}": {"failed": sink.failed, "unnumbered": sink.numbers.unnumbered}
                         for sink in self.sinks},
         }  # fmt: skip
+
+
+def _in_settings(error: InputError, name: str) -> str:
+    """The text of an error of a source, with keys of its table in place of arguments, and without its name."""
+
+    def key(argument: Argument) -> str:
+        column = re.fullmatch(r"\{'(\w+)': (\w+)\}", argument.value)
+        return str(argument) if column is None else f'{argument.name} = {{ {column[1]} = "{column[2]}" }} in its input'
+
+    text = error.words.with_options(key) if isinstance(error.words, Message) else str(error)
+    return text.removeprefix(f"{name}: ")
 
 
 def _is_time_zone(seconds: float) -> bool:

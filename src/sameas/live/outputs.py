@@ -280,7 +280,13 @@ class Sink:
         self._encode = partial(nmea, numbers=self.numbers) if self.format == "nmea" else ENCODERS[self.format]
         self._socket: socket.socket | None = None
         if parts.scheme == "udp":
-            self._address = (parts.hostname or "127.0.0.1", int(parts.port or 0))
+            host, port = parts.hostname or "127.0.0.1", int(parts.port or 0)
+            try:
+                # Once: to look a name up takes seconds where the network is down.
+                self._address = (socket.gethostbyname(host), port)
+            except OSError as error:
+                reason = error.strerror or str(error)
+                raise InputError(f"output {self.url!r}: {host} is not found ({reason})", "give its address") from None
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.setblocking(False)
             try:

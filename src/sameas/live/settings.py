@@ -18,9 +18,10 @@ Sources may share a wire. ``sensor`` selects one of several sensors on it, by th
 
 from __future__ import annotations
 
+import difflib
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -29,9 +30,17 @@ from sameas.errors import InputError, reading
 from sameas.io.sensors.format import ReadOptions
 from sameas.io.sensors.sources import KIND_OF_FORMAT
 from sameas.io.sensors.stream import STREAM_FORMATS
+from sameas.maps.outline import read_coast
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, source_tables
+
+#: Other names of stream formats.
+_FORMATS = {
+    "ais": "nmea", "arpa": "nmea", "ttm": "nmea", "nmea0183": "nmea", "nmea 0183": "nmea", "basestation": "sbs",
+    "aircraft.json": "aircraft", "readsb": "aircraft", "json": "table", "jsonl": "table", "csv": "table",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -127,7 +136,17 @@ def read_settings(path: str | Path) -> Settings:
         return Settings(sources, _watch(content.get("watch", {}), f"{path}: watch", sources))
 
 
+def _instead_of(key: str, known: Iterable[str]) -> str:
+    """The remedy for an unknown name: the one that it resembles, else all."""
+    names = sorted(known)
+    near = difflib.get_close_matches(key, names, 1, 0.6)
+    return f"did you mean {near[0]}?" if near else f"give {', '.join(names)}"
+
+
 def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
+    for key in table:
+        if key not in ("input", "file") and difflib.get_close_matches(key, ("input",), 1, 0.8):
+            raise InputError(f"{where}: {key!r} is not known; did you mean input?")
     described = {key: value for key, value in table.items() if key not in ("input", "file")}
     given = table.get("input")
     given = {"url": given} if isinstance(given, str) else {} if given is None else given
@@ -136,11 +155,20 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
     known = ("url", "format", "sensor", "columns", "units")
     for key in given:
         if key not in known:
-            raise InputError(f"{where}.input: {key!r} is not known; give {', '.join(known)}")
+            raise InputError(f"{where}.input: {key!r} is not known", _instead_of(key, known))
     if given.get("format") not in (None, *STREAM_FORMATS):
-        raise InputError(f"{where}.input: format is {given['format']!r}; give one of {', '.join(STREAM_FORMATS)}")
+        format_name = _FORMATS.get(str(given["format"]).lower())
+        hint = f"give {format_name}" if format_name else f"give one of {', '.join(STREAM_FORMATS)}"
+        raise InputError(f"{where}.input: format is {given['format']!r}; {hint}")
     options = ReadOptions(name, columns=given.get("columns"), units=given.get("units"))
+    if given and "kind" not in described:
+        raise InputError(f"{where}: has no kind", f'give kind = "…", one of {", ".join(KINDS)}')
     description = Description.from_mapping(name, described)
+    if given and (description.motion.acceleration_m2_per_s3 is None or description.misses.q is None):
+        raise InputError(
+            f"{where}: its kind {description.kind!r} assumes neither the motion of objects nor how many it misses",
+            "give motion = { acceleration_m2_per_s3 = …, speed_m_per_s = … } and misses = { q = … }",
+        )
     return LiveSource(description, given.get("url"), given.get("format"), given.get("sensor"), options)
 
 
@@ -151,7 +179,7 @@ def _watch(table: Any, where: str, sources: Mapping[str, LiveSource]) -> WatchSe
     values: dict[str, Any] = {}
     for key, value in table.items():
         if key not in known:
-            raise InputError(f"{where}: {key!r} is not known; give {', '.join(sorted(known))}")
+            raise InputError(f"{where}: {key!r} is not known", _instead_of(key, known))
         if key == "own_ship":
             values[key] = _own_ship(value, f"{where}.own_ship", sources)
         elif key == "plane":
@@ -166,6 +194,8 @@ def _watch(table: Any, where: str, sources: Mapping[str, LiveSource]) -> WatchSe
             if not isinstance(value, str):
                 raise InputError(f"{where}.chart is {value!r}; give the name of a file in quotes")
             values[key] = str(Path(where.split(": ")[0]).parent / value)
+            # A map without its shores is found out too late.
+            read_coast(Path(values[key]))
         elif isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < math.inf:
             raise InputError(f"{where}.{key} is {value!r}; give a number, 0 or more")
         else:

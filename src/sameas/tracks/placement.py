@@ -294,7 +294,10 @@ class PlacedReports:
         if site is None:
             raise InputError(
                 f"{self.description.name}: the sensor's position is not known",
-                naming("give site = {{ east_m = …, north_m = … }} in its {description}"),
+                naming(
+                    "give site = {{ lat_deg = …, lon_deg = … }} in its {description}, or east_m and north_m in a plane "
+                    "of your own"
+                ),
             )
         return np.broadcast_to(site.in_plane(None), (len(reports), 2)).copy()
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -304,7 +305,9 @@ class Description:
         parts: dict[str, Any] = {}
         for key, value in given.items():
             if key == "kind":
-                parts["kind"] = str(value)
+                # AIS and adsb are ais and ads-b.
+                plain = {re.sub(r"[ _-]", "", kind): kind for kind in KINDS}
+                parts["kind"] = plain.get(re.sub(r"[ _-]", "", str(value).lower()), str(value))
             elif key not in _PARTS:
                 raise InputError(_unknown(name, key, ["kind", *_PARTS]))
             elif not isinstance(value, Mapping):
