@@ -129,3 +129,19 @@ def test_the_command_serves_a_replay_and_ends_on_a_signal(tmp_path):
         out, err = run.communicate(timeout=60.0)
     assert run.returncode == 0 and "Watched:" in out and "radar: " in out and "Traceback" not in err
     assert (tmp_path / "state" / "state.pickle").exists()
+
+
+@pytest.mark.slow
+def test_a_watch_whose_stdin_is_silent_ends_on_a_signal(tmp_path):
+    (tmp_path / "sensors.toml").write_text('[sources.a]\nkind = "ais"\ninput = "stdin:"\n')
+    command = [sys.executable, "-m", "sameas", "watch", "--sensors", "sensors.toml", "--no-map"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as run:
+        assert b"stdin:" in run.stdout.readline()
+        run.send_signal(signal.SIGTERM)
+        try:
+            run.wait(20.0)
+        finally:
+            run.kill()
+        assert b"a: 0 reports" in run.stdout.read() and run.returncode == 0

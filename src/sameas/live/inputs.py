@@ -19,11 +19,13 @@ import socket
 import ssl
 import struct
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
 from collections import deque
 from collections.abc import Awaitable, Callable
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import dataclass, field
 from http.client import HTTPException
@@ -39,6 +41,8 @@ FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 15.0
 SILENT_S = 120.0
 #: Seconds to wait for a TCP connection.
 ANSWER_S = 10.0
+#: Largest number of pieces of stdin that wait for the loop.
+MOST_PIECES = 16
 #: Largest number of senders of datagrams whose unfinished sentences are kept apart.
 MOST_SENDERS = 1000
 _SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "file", "serial", "stdin")
@@ -273,7 +277,19 @@ class Wire:
 
     async def _stdin(self) -> None:
         self._set_connected()
-        while data := await asyncio.to_thread(os.read, sys.stdin.fileno(), 65536):
+        loop, pieces = asyncio.get_running_loop(), asyncio.Queue[bytes](MOST_PIECES)
+
+        def read() -> None:
+            # The loop may have ended meanwhile.
+            with suppress(RuntimeError, OSError, CancelledError):
+                data = b" "
+                while data:
+                    data = os.read(sys.stdin.fileno(), 65536)
+                    asyncio.run_coroutine_threadsafe(pieces.put(data), loop).result()
+
+        # Not asyncio.to_thread: the end of the program waits for its threads, and this one waits for data.
+        threading.Thread(target=read, daemon=True).start()
+        while data := await pieces.get():
             self._received(data)
         self._ended(0)
 
