@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.live.conftest import START_S, harbour, replay, settings
+from tests.live.conftest import SITE, START_S, descriptions, harbour, replay, settings
 
 from sameas.errors import InputError
 from sameas.io import read_table
@@ -29,7 +29,7 @@ from sameas.live.keeper import Delta, Keeper
 from sameas.live.outputs import sentence
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings, read_settings
 from sameas.live.situation import Alarm
-from sameas.tracks import Description
+from sameas.tracks import Description, Site
 from sameas.tracks.reports import Reports
 
 
@@ -74,6 +74,27 @@ def test_a_restarted_watch_keeps_its_object_numbers(tmp_path):
     after = again.tick(START_S + 62.0)
     assert again.restored and numbers(after) == before and after.tick == 31
     again.close()
+
+
+@pytest.mark.slow
+def test_a_watch_with_another_sensor_file_keeps_its_object_numbers_and_uses_the_file(tmp_path):
+    """A corrected site was ignored, and with a further source the numbers of the journal were given again."""
+    first = Keeper(settings(), tmp_path, replay=replay())
+    before = numbers(ticked(first, 60.0))
+    first.close()
+    ais, radar = descriptions()
+    radar = replace(radar, site=Site(lat_deg=SITE[0], lon_deg=SITE[1], height_m=12.0))
+    sources = {d.name: LiveSource(d) for d in (Description("new", "ais"), ais, radar)}
+    again = Keeper(Settings(sources, settings().watch), tmp_path, replay=replay())
+    again.replay.take(START_S + 60.0)
+    after = again.tick(START_S + 62.0)
+    assert again.changed == ("new", "radar") and numbers(after) == before
+    assert after.tick == 31 and again.picture.descriptions[1].site.height_m == 12.0
+    again.close()
+    last = Keeper(settings(), tmp_path, replay=replay())
+    last.replay.take(START_S + 62.0)
+    assert last.changed == ("radar",) and numbers(last.tick(START_S + 64.0)) == before
+    last.close()
 
 
 @pytest.mark.slow
@@ -364,7 +385,7 @@ def test_the_contents_of_states_match_the_layout_version(keeper):
     names.dump(keeper.picture)
     held = sorted((kind, sorted(found)) for kind, found in names.found.items())
     # Where this fails, states that others have saved cannot be read any more: raise LAYOUT, and take the new digest.
-    assert (LAYOUT, hashlib.sha256(repr(held).encode()).hexdigest()[:12]) == (19, "2a80140eb5df")
+    assert (LAYOUT, hashlib.sha256(repr(held).encode()).hexdigest()[:12]) == (20, "2a80140eb5df")
 
 
 def test_settings_are_read_and_unknown_ones_refused(tmp_path):

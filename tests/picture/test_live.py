@@ -247,6 +247,17 @@ def test_a_report_stays_current_until_the_next_one_can_have_arrived(delay_s):
     assert [len(picture.advance(60.0 + t).scan.time_s) for t in (1.5, 5.0)] == [0, 0]
 
 
+def test_a_picture_of_plots_without_ids_goes_on_with_its_own_sources_only():
+    site, given = Site(east_m=0.0, north_m=0.0), {"range_m": [900.0], "bearing_deg": [10.0]}
+    radar = Description("radar", "marine radar", site=site)
+    picture = LivePicture([radar])
+    picture.add("radar", Reports.of("radar", "table", {"time_s": [0.0], **given}))
+    picture.advance(1.0)
+    assert picture.describe([radar]) == ()
+    with pytest.raises(InputError, match="plots without ids of radar cannot go on with other sources"):
+        picture.describe([radar, Description("ais", "ais")])
+
+
 def test_reports_that_drift_against_the_instants_are_always_there():
     """A report of each second that arrives 0.6 s later; the instants are 3 ms later every time."""
     picture, arrived, present = LivePicture([Description("sbs", "ads-b", timing=Timing(period_s=1.0))]), 20, []

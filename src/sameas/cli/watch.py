@@ -106,6 +106,8 @@ def watch(
         say = Printer(quiet, sys.stderr if to_stdout else None)
         until_s = None if duration is None else time.monotonic() + (duration_s(duration) or 0.0)
         say(f"{DOUBT}{line}" for line in (replay.apart() if replay else ()))
+        if keeper.restored:
+            say([_resumption(keeper)])
         server = None if no_map else _server(keeper, host, port, token, viewer_token, say)
         # What is imported stays. Each collection of the rest stops the picture, so there are many short ones.
         gc.freeze()
@@ -117,6 +119,14 @@ def watch(
             say([f"  The replay waited {keeper.waited_s:.0f} s for the picture: it was slower than --pace {pace:g}"])
         for name, one in state["sources"].items():
             say(_source_lines(name, one))
+
+
+def _resumption(keeper: Keeper) -> str:
+    """Printable: from when the state is that is continued, and which sources have changed since."""
+    when = datetime.fromtimestamp(keeper.picture.instant_s, UTC) if keeper.picture.instant_s > 0.0 else None
+    changed = f"; new or described differently since: {', '.join(keeper.changed)}" if keeper.changed else ""
+    at = "its start" if when is None else f"{when:%Y-%m-%d %H:%M:%S} UTC"
+    return f"Resumed: {keeper.folder} of {at}; objects keep their numbers{changed}"
 
 
 def _source_lines(name: str, health: dict[str, Any]) -> list[str]:

@@ -154,10 +154,13 @@ class Keeper:
         descriptions = [source.description for source in settings.sources.values()]
         self.picture = LivePicture(descriptions, plane=watch.origin, lag_s=watch.lag_s)
         with reading(f"{folder}: the state of the watch", "is damaged"):
-            self.restored = state is not None and state["names"] == [d.name for d in descriptions]
-            if state is not None and self.restored:
+            self.restored = state is not None
+            #: Names of the sources that are new or described differently since the state was saved.
+            self.changed: tuple[str, ...] = ()
+            if state is not None:
                 self.picture, self._tick = state["picture"], int(state["tick"])
                 self.picture.instant_s  # noqa: B018 (the state may hold anything by that name)
+                self.changed = self.picture.describe(descriptions)
         if self.journal is not None:
             self._alarms = {key: (alarm_id, self.picture.instant_s) for key, alarm_id in self.journal.active().items()}
 
@@ -211,8 +214,7 @@ class Keeper:
     def save(self) -> None:
         """Saves the state."""
         if self.folder is not None:
-            names = list(self.settings.sources)
-            save_state(self.folder, {"names": names, "picture": self.picture, "tick": self._tick})
+            save_state(self.folder, {"picture": self.picture, "tick": self._tick})
             self._saved_s = self.picture.instant_s
 
     def register(self) -> None:

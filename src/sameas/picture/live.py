@@ -31,6 +31,7 @@ from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.heights import HeightModel
+from sameas.tracks.kinds import KINDS
 from sameas.tracks.live_feed import LiveFeed, ReportCounts, unbiased_now
 from sameas.tracks.registration import SourceBiases, with_delay_prior
 from sameas.tracks.reports import Reports, joined
@@ -146,6 +147,37 @@ class LivePicture:
     def errors(self) -> tuple[str, ...]:
         """Printable lines on sources whose errors, as estimated by the picture, are not as stated."""
         return tuple(error_lines(self._carried)) if self._carried is not None else ()
+
+    def describe(self, descriptions: Sequence[Description]) -> tuple[str, ...]:
+        """Goes on with these sources, and gives the names of those that are new or were described differently before.
+
+        Objects keep their numbers. The biases of a source that is described differently are estimated anew. Sources
+        that are not given any more stay, and get no more reports.
+
+        Raises
+        ------
+        InputError : the sources give plots without ids, and others are given now.
+        """
+        changed, before = [], set(self._feeds)
+        for description in descriptions:
+            feed = self._feeds.get(description.name)
+            if feed is not None and feed.given == description:
+                continue
+            changed.append(description.name)
+            if feed is not None and KINDS[feed.given.kind].directions == KINDS[description.kind].directions:
+                feed.describe(description)
+            else:
+                self._feeds[description.name] = LiveFeed(description, self.plane, self.lag_s, tuning=self.tuning)
+                self._recent[description.name] = deque()
+            self._biases.pop(description.name, None)
+            self._estimates.pop(description.name, None)
+        names = {description.name for description in descriptions}
+        if isinstance(self._carried, PlotPicture) and names != before:
+            raise InputError(
+                f"the picture of plots without ids of {', '.join(sorted(before))} cannot go on with other sources",
+                "begin a new one; where it is a watch's, move its folder away",
+            )
+        return tuple(changed)
 
     def add(self, source: str, reports: Reports) -> None:
         """Adds reports of a source, of any time within the lag.

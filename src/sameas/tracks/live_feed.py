@@ -158,7 +158,7 @@ class LiveFeed:
         """
         if not len(reports):
             return
-        self._describe(reports)
+        self._take_motion_of(reports)
         placed = PlacedReports(self.description, reports, self.plane, self.tuning)
         in_plane, sensor_m = placed.in_plane, placed.sensor_m
         biases = known_biases(self.description, sensor_m)
@@ -193,7 +193,16 @@ class LiveFeed:
         else:
             self._add_to_tracks(new)
 
-    def _describe(self, reports: Reports) -> None:
+    @property
+    def given(self) -> Description:
+        """The description as given; that of tracks of aircraft has their motion."""
+        return self._given
+
+    def describe(self, description: Description) -> None:
+        """Replaces the description, for the reports that are added from now on."""
+        self.description = self._given = description
+
+    def _take_motion_of(self, reports: Reports) -> None:
         """Gives tracks of another system the motion of aircraft while most of the reports so far are of aircraft."""
         if self.description.kind != "tracks":
             return
