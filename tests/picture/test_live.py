@@ -247,6 +247,14 @@ def test_a_report_stays_current_until_the_next_one_can_have_arrived(delay_s):
     assert [len(picture.advance(60.0 + t).scan.time_s) for t in (1.5, 5.0)] == [0, 0]
 
 
+def test_the_first_scan_of_a_radar_makes_a_picture():
+    """Before the second scan nothing is known of the period."""
+    picture = LivePicture([Description("radar", "marine radar", site=Site(east_m=0.0, north_m=0.0))])
+    plots = {"time_s": [0.0, 0.0], "range_m": [900.0, 2000.0], "bearing_deg": [10.0, 50.0]}
+    picture.add("radar", Reports.of("radar", "table", plots))
+    assert len(picture.advance(1.0).objects) == 2
+
+
 def test_a_picture_of_plots_without_ids_goes_on_with_its_own_sources_only():
     site, given = Site(east_m=0.0, north_m=0.0), {"range_m": [900.0], "bearing_deg": [10.0]}
     radar = Description("radar", "marine radar", site=site)

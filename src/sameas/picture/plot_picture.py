@@ -56,7 +56,7 @@ def scan_times_between(
     out: list[float] = []
     first = -math.inf
     for time_s in times_s[(times_s > after_s) & (times_s < until_s)].tolist():
-        if time_s - first > gap_s:
+        if not out or time_s - first > gap_s:
             out.append(time_s)
             first = time_s
         else:
