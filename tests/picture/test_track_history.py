@@ -1,13 +1,18 @@
 """Track history: shares of tracks change over minutes; reports before a manoeuvre stay with their tracks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from modelled_scenes import describe, feed, straight
 
 from sameas.picture import Picture
 from sameas.picture.object_ids import TrackHistory
+from sameas.picture.picture import picture_states
 from sameas.picture.tuning import Tuning
+from sameas.picture.watch import Watch
 from sameas.tracks.scene import Scene
+from sameas.tracks.source import Motion
 
 
 def shown(history, instant_s, number):
@@ -61,3 +66,33 @@ def test_a_report_before_a_manoeuvre_stays_with_its_track():
         together += set(o["object"].tolist()) == {1} and bool((o["n_sources"][o["time_s"] > 0.0] == 2).all())
     # By the motion model the ferry is 13 σ from its report.
     assert together >= 4
+
+
+def anchorage(seed):
+    """A moored vessel that only AIS reports, 1 to 3 hm from silent ones that two radars see, and others under way."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, 361.0, 10.0)
+    angle = np.arange(6) * np.pi / 3.0
+    silent = rng.uniform(100.0, 300.0, (6, 1)) * np.column_stack([np.cos(angle), np.sin(angle)])
+    under_way = rng.uniform(-5e3, 5e3, (8, 2)) + [8e3, 0.0]
+    x, v = straight([[0.0, 0.0], *silent, *under_way], [*np.zeros((7, 2)), *rng.uniform(-5.0, 5.0, (8, 2))], times)
+    ais = replace(describe("ais", "ais", 5.0), motion=Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=0.2))
+    mmsi = [f"23500000{k}" for k in range(9)]
+    reports = feed(rng, ais, times, x[[0, *range(7, 15)]], v[[0, *range(7, 15)]], 300.0, mmsi, {"mmsi": mmsi})[1]
+    due = (reports.track_id != mmsi[0]) | (reports.time_s % 180.0 == 0.0)
+    radars = [
+        feed(rng, describe(name, "tracks"), times, x[1:], v[1:], 0.0, [f"{name} {k}" for k in range(14)])
+        for name in ("r", "s")
+    ]
+    return Scene.of([(ais, reports.where(due)), *radars]), times, mmsi[0]
+
+
+def test_tracks_that_never_were_of_a_moored_vessel_are_no_sign_that_she_departed():
+    for seed in range(3):
+        scene, times, moored = anchorage(seed)
+        for state in picture_states(scene, times, Watch()):
+            scan = state.scan
+            own = int(np.flatnonzero(scan.track == moored)[0])
+            assert not scan.manoeuvre_covariance[own].any()
+            members = state.members[(state.members == own).any(axis=1)]
+            assert np.count_nonzero(members >= 0) == 1

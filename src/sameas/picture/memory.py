@@ -38,7 +38,7 @@ Source: Wald 1947, section 3; lifetime mixtures with censoring as in McLachlan a
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -549,17 +549,21 @@ class TrackMemory:
         """The memory after other sources confirm tracks (any shape, ABSENT for none) as real."""
         return replace(self, existence=self.existence.with_real(track[track >= 0]))
 
-    def with_manoeuvres(self, scan: Scan, track_of_record: IntArray, per_m2: float) -> Scan:
+    def with_manoeuvres(
+        self, scan: Scan, track_of_record: IntArray, per_m2: float, together: Callable[[IntArray, IntArray], BoolArray]
+    ) -> Scan:
         """The scan of a later instant with larger covariances for reports that a manoeuvre has made obsolete.
 
-        track_of_record : (n,) ``tracks.numbers_on(scan)``.
+        track_of_record : (n,) ``tracks.numbers_on(scan)``. together : gives of numbers of tracks, (n,) and (n,),
+        whether each two were one object before.
         """
         names, n = self.tracks.error_correlation.names, len(self.swaps.log_probable)
         known = np.array([names.index(d.name) if d.name in names else n for d in scan.now.descriptions], np.int64)
         swap_rate = np.append(self.swaps.rate(np.arange(n), scan.tuning), 0.0)[known]
         return with_manoeuvres(
-            scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio()[0], per_m2, swap_rate
-        )
+            scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio()[0], per_m2, swap_rate,
+            together,
+        )  # fmt: skip
 
     def with_pairs(self, pooled: PooledRecords) -> TrackMemory:
         """The memory with the pairs that passed the gate for the first time; they have no history yet."""

@@ -203,6 +203,15 @@ class TrackHistory(ColumnTable):
         out[at[self.last[row]]] = self.number[row[self.last[row]]]
         return out
 
+    def together(self, tracks: IntArray, others: IntArray) -> BoolArray:
+        """(k,) whether each track (k,) and the other (k,) were assigned to one object, in their history."""
+        radix = int(self.number.max(initial=0)) + 1
+        (at, row), (other_at, other_row) = self.of(tracks), self.of(others)
+        common = np.intersect1d(at * radix + self.number[row], other_at * radix + self.number[other_row])
+        out = np.zeros(len(tracks), bool)
+        out[common // radix] = True
+        return out
+
     def main_ended(self, tracks: IntArray, alive: IntArray) -> IntArray:
         """(k,) the object that each track was in most of the time, of those that are not ``alive``; 0 for none."""
         out, best = np.zeros(len(tracks), np.int64), np.zeros(len(tracks))

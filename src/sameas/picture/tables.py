@@ -47,7 +47,7 @@ class Scan:
     source : number of the record's source. row : of the source's reports. table : row among the source's records.
     track : the source's id of the object, "" for none.
     time_s : time of the report. late_s : its 1σ. walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of the
-        velocities of its objects.
+        velocities of its objects. p_stationary : probability that its object is stationary.
     reported_state, reported_covariance : (n, 4), (n, 4, 4) at that time; NaN for directions.
     state, covariance : the same, moved to the instant.
     placed : whether the record has a position. moving : whether it has a velocity.
@@ -69,6 +69,7 @@ class Scan:
     time_s: FloatArray
     late_s: FloatArray
     walk_m2_per_s3: FloatArray
+    p_stationary: FloatArray
     speed_m_per_s: FloatArray
     reported_state: FloatArray
     reported_covariance: FloatArray
@@ -164,6 +165,7 @@ _EMPTY: dict[str, NDArray[Any]] = {
     "time_s": np.empty(0),
     "late_s": np.empty(0),
     "walk_m2_per_s3": np.empty(0),
+    "p_stationary": np.empty(0),
     "speed_m_per_s": np.empty(0),
     "reported_state": np.empty((0, 4)),
     "reported_covariance": np.empty((0, 4, 4)),
@@ -192,6 +194,7 @@ def _part(
     return {
         "row": row, "table": table, "track": _names(reports.track, row), "time_s": time_s, "late_s": np.full(n, late),
         "walk_m2_per_s3": walk,
+        "p_stationary": np.zeros(n) if feed.p_stationary is None else feed.p_stationary[row],
         "speed_m_per_s": np.full(n, description.motion.speed_m_per_s or math.inf),
         "reported_state": reported_state, "reported_covariance": reported_covariance,
         "state": state, "covariance": covariance,

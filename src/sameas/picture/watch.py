@@ -202,7 +202,7 @@ class Watch:
         with_records = now.with_records()
         scan = self.memory.error_factors.applied(Scan.of(with_records, self.tuning))
         track_of_record = self.memory.tracks.numbers_on(scan)
-        scan = self.memory.with_manoeuvres(scan, track_of_record, objects_per_m2(now))
+        scan = self.memory.with_manoeuvres(scan, track_of_record, objects_per_m2(now), self.objects.history.together)
         with_records, memory = scan.now, self.memory.advance(scan, track_of_record)
         identification = self._identify(with_records, memory)
         by_hysteresis = np.zeros(0, bool)
