@@ -239,8 +239,9 @@ def test_the_probability_of_being_stationary_follows_bayes():
     rng = np.random.default_rng(1)
     velocity = rng.normal(0.0, 0.8, (30, 2))
     _, stands = stationary(reported_states(velocity), VESSELS)
-    near, far = (multivariate_normal.pdf(velocity, cov=(0.09 + s**2) * np.eye(2)) for s in (0.1, 8.0))
-    np.testing.assert_allclose(stands, 0.3 * near / (0.3 * near + 0.7 * far), rtol=1e-9)
+    density = [multivariate_normal.pdf(velocity, cov=(0.09 + s**2) * np.eye(2)) for s in (0.01, 0.1, 8.0)]
+    weight = np.array([0.15, 0.15, 0.7]) * np.transpose(density)
+    np.testing.assert_allclose(stands, weight[:, :2] / weight.sum(axis=1, keepdims=True), rtol=1e-9)
 
 
 def test_mean_and_covariance_agree_with_the_mixture():
@@ -249,11 +250,12 @@ def test_mean_and_covariance_agree_with_the_mixture():
     state, covariance = np.array([[3.0, -7.0, 1.3, 0.5]]), (root @ root.T)[None]
     made = States(np.zeros(1), state, covariance, None, np.arange(1))
     now, stands = stationary(made, VESSELS)
-    assert 0.05 < stands[0] < 0.95
-    gain = covariance[0][:, 2:] @ np.linalg.inv(covariance[0][2:, 2:] + 0.01 * np.eye(2))
-    lies = state[0] - gain @ state[0, 2:], covariance[0] - gain @ covariance[0][2:]
-    many = np.vstack([rng.multivariate_normal(mean, spread, int(400_000 * share)) for share, (mean, spread)
-                      in ((stands[0], lies), (1.0 - stands[0], (state[0], covariance[0])))])  # fmt: skip
+    assert 0.05 < stands.sum() < 0.95
+    kinds = [(1.0 - stands.sum(), (state[0], covariance[0]))]
+    for share, slow in zip(stands[0], (0.01, 0.1), strict=True):
+        gain = covariance[0][:, 2:] @ np.linalg.inv(covariance[0][2:, 2:] + slow**2 * np.eye(2))
+        kinds.append((share, (state[0] - gain @ state[0, 2:], covariance[0] - gain @ covariance[0][2:])))
+    many = np.vstack([rng.multivariate_normal(*gaussian, int(400_000 * share)) for share, gaussian in kinds])
     np.testing.assert_allclose(now.state[0], many.mean(axis=0), atol=0.03)
     np.testing.assert_allclose(now.covariance[0], np.cov(many.T), rtol=0.02, atol=0.02)
 
@@ -263,12 +265,14 @@ def test_states_of_simulated_vessels_are_consistent():
     rng = np.random.default_rng(6)
     n, age_s = 100_000, 180.0
     lies = rng.random(n) < 0.3
-    velocity = np.where(lies[:, None], 0.1, 8.0) * rng.standard_normal((n, 2))
+    at_rest = np.where(rng.random(n) < 0.5, 0.01, 0.1)
+    velocity = np.where(lies, at_rest, 8.0)[:, None] * rng.standard_normal((n, 2))
     there, _ = moved(np.column_stack([np.zeros((n, 2)), velocity]), np.zeros((n, 4, 4)), age_s, 0.0)
     walk = np.where(lies, 0.0, 0.01)
     there[:, :2] += np.sqrt(walk * age_s**3 / 3.0)[:, None] * rng.standard_normal((n, 2))
     made = reported_states(velocity + 0.3 * rng.standard_normal((n, 2)))
-    now, stands = stationary(made, VESSELS)
+    now, p_at_rest = stationary(made, VESSELS)
+    stands = p_at_rest.sum(axis=1)
     error, spread = _off(now, there, age_s, 0.01 * (1.0 - stands))
     before, wide = _off(made, there, age_s, 0.01)
     slow = stands > 0.5
@@ -289,7 +293,7 @@ def test_missing_velocities_and_always_moving_kinds_are_unchanged():
     bare = States.of(np.zeros(2), np.zeros((2, 2)), np.eye(2), speed_m_per_s=8.0)
     now, stands = stationary(bare, VESSELS)
     np.testing.assert_array_equal(now.covariance, bare.covariance)
-    np.testing.assert_array_equal(stands, [0.0, 0.0])
+    np.testing.assert_array_equal(stands, np.zeros((2, 2)))
     made = reported_states(np.zeros((2, 2)))
     assert stationary(made, Description("adsb", "ads-b").motion) == (made, None)
     assert stationary(made, Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=0.0)) == (made, None)

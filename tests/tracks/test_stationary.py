@@ -16,11 +16,13 @@ SIGMA_M, SIGMA_M_PER_S = 5.0, 0.5
 
 
 def simulated(rng, n, reports, every_s):
-    """Reports of n objects that depart and arrive as the model says, and whether each report is of one at rest."""
+    """Reports of n objects that depart and arrive as the model says, half of them to lie alongside, the others at
+    anchor; and whether each report is of one at rest."""
     share, rest_s, step_s = VESSELS.stationary_share, DEFAULT_TUNING.rest_s, 2.0
     lies = rng.random(n) < share
     rates = np.array([1.0 / (rest_s * (1.0 - share) / share), 1.0 / rest_s])
-    velocity = np.where(lies[:, None], 0.1, 8.0) * rng.standard_normal((n, 2))
+    slow = np.where(rng.random(n) < 0.5, 0.01, 0.1)
+    velocity = np.where(lies, slow, 8.0)[:, None] * rng.standard_normal((n, 2))
     place, rows, at_rest = np.zeros((n, 2)), [], []
     for k in range(reports):
         position = place + SIGMA_M * rng.standard_normal((n, 2))
@@ -32,7 +34,7 @@ def simulated(rng, n, reports, every_s):
             velocity = velocity + np.where(lies[:, None], 0.0, np.sqrt(0.01 * step_s)) * rng.standard_normal((n, 2))
             changes = rng.random(n) < step_s * rates[lies.astype(int)]
             lies = lies ^ changes
-            fresh = np.where(lies[:, None], 0.1, 8.0) * rng.standard_normal((n, 2))
+            fresh = np.where(lies, slow, 8.0)[:, None] * rng.standard_normal((n, 2))
             velocity = np.where(changes[:, None], fresh, velocity)
     time_s, x, y, vx, vy, track = np.concatenate(rows).T
     return states(time_s, np.column_stack([x, y]), np.column_stack([vx, vy]), track), np.concatenate(at_rest)
@@ -45,6 +47,12 @@ def states(time_s, place, velocity, track):
     )  # fmt: skip
 
 
+def judged(made, motion):
+    """The states, and (n,) the probability that each report is of a stationary object."""
+    now, p_at_rest = stationary(made, motion)
+    return now, p_at_rest.sum(axis=1)
+
+
 def test_a_vessel_at_anchor_keeps_its_place_by_its_earlier_reports():
     rng = np.random.default_rng(3)
     n, age_s = 400, 150.0
@@ -52,7 +60,7 @@ def test_a_vessel_at_anchor_keeps_its_place_by_its_earlier_reports():
     velocity = 0.1 * rng.standard_normal((n, 2))[track]
     place = velocity * time_s[:, None] + SIGMA_M * rng.standard_normal((3 * n, 2))
     measured = velocity + SIGMA_M_PER_S * rng.standard_normal((3 * n, 2))
-    now, p = stationary(states(time_s, place, measured, track), VESSELS)
+    now, p = judged(states(time_s, place, measured, track), VESSELS)
     last = np.flatnonzero(time_s == 360.0)
     walk = 0.01 * (1.0 - p[last])
     ahead, covariance = moved(now.state[last], now.covariance[last], age_s, walk)
@@ -62,15 +70,31 @@ def test_a_vessel_at_anchor_keeps_its_place_by_its_earlier_reports():
     assert square.mean() == pytest.approx(2.0, rel=0.15)
 
 
+@pytest.mark.parametrize(("slow", "kind"), [(0.01, 0), (0.1, 1)])
+def test_the_history_tells_vessels_alongside_from_those_at_anchor(slow, kind):
+    rng = np.random.default_rng(6)
+    n, reports, age_s = 400, 12, 150.0
+    time_s, track = np.tile(180.0 * np.arange(reports), n), np.repeat(np.arange(n), reports)
+    step = slow * rng.standard_normal((n, reports, 2))
+    place = 180.0 * np.cumsum(step, axis=1).reshape(-1, 2) + SIGMA_M * rng.standard_normal((reports * n, 2))
+    measured = SIGMA_M_PER_S * rng.standard_normal((reports * n, 2))
+    now, p_at_rest = stationary(states(time_s, place, measured, track), VESSELS)
+    last = np.flatnonzero(time_s == time_s.max())
+    assert p_at_rest[last, kind].mean() > 0.9
+    _, covariance = moved(now.state[last], now.covariance[last], age_s, np.zeros(n))
+    swings_m2 = covariance[:, 0, 0] - SIGMA_M**2
+    assert np.median(swings_m2) == pytest.approx((slow * age_s) ** 2, rel=0.5, abs=6.0)
+
+
 @pytest.mark.parametrize("every_s", [10.0, 180.0])
 def test_the_probability_by_all_reports_is_the_frequency(every_s):
     made, lies = simulated(np.random.default_rng(4), 4000, 8, every_s)
-    _, p = stationary(made, VESSELS)
+    _, p = judged(made, VESSELS)
     for low, high in ((0.0, 0.01), (0.01, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 0.99), (0.99, 1.1)):
         some = (p >= low) & (p < high)
         deviation = 4.0 * np.sqrt(np.sum(p[some] * (1.0 - p[some])) + 1.0) / max(some.sum(), 1)
         assert abs(p[some].mean() - lies[some].mean()) < deviation + 0.02, (low, some.sum())
-    _, alone = stationary(States(made.time_s, made.state, made.covariance, None, made.rows), VESSELS)
+    _, alone = judged(States(made.time_s, made.state, made.covariance, None, made.rows), VESSELS)
     loss = [-np.log(np.maximum(np.where(lies, q, 1.0 - q), 1e-12)).mean() for q in (p, alone)]
     assert loss[0] < 0.5 * loss[1]
 
@@ -79,7 +103,7 @@ def test_a_departure_and_an_arrival_are_recognised():
     time_s = 10.0 * np.arange(40)
     speed = np.where((time_s >= 100.0) & (time_s < 250.0), 5.0, 0.0)
     place = np.column_stack([np.cumsum(speed) * 10.0, np.zeros(40)])
-    _, p = stationary(states(time_s, place, np.column_stack([speed, np.zeros(40)]), ["a"] * 40), VESSELS)
+    _, p = judged(states(time_s, place, np.column_stack([speed, np.zeros(40)]), ["a"] * 40), VESSELS)
     assert np.all(p[2:10] > 0.95) and np.all(p[10:25] < 0.05) and np.all(p[26:] > 0.9)
 
 
@@ -88,13 +112,13 @@ def test_reports_without_a_velocity_start_again():
     made = states(time_s, np.zeros((4, 2)), np.zeros((4, 2)), ["a"] * 4)
     unknown = States.of(time_s, np.zeros((4, 2)), 25.0 * np.eye(2), speed_m_per_s=8.0, track=["a"] * 4)
     covariance = np.where((time_s == 180.0)[:, None, None], unknown.covariance, made.covariance)
-    _, p = stationary(States(time_s, made.state, covariance, made.track, made.rows), VESSELS)
+    _, p = judged(States(time_s, made.state, covariance, made.track, made.rows), VESSELS)
     assert p[1] == 0.0 and p[2] == pytest.approx(p[0]) and p[3] > p[2]
 
 
 def test_a_second_report_of_one_time_is_no_evidence():
     made = States(np.zeros(2), np.zeros((2, 4)), np.zeros((2, 4, 4)), np.array(["a", "a"]), np.arange(2))
-    _, p = stationary(made, VESSELS)
+    _, p = judged(made, VESSELS)
     assert p[0] == p[1] > 0.9
 
 

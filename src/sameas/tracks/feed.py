@@ -202,7 +202,8 @@ class Feed:
             in_plane = at_reported if description.kind in CORRELATED_KINDS else tracks
             measured, _ = stationary(at_reported, description.motion, placed.tuning)
         if isinstance(in_plane, States):
-            in_plane, p_stationary = stationary(in_plane, description.motion, placed.tuning)
+            in_plane, p_at_rest = stationary(in_plane, description.motion, placed.tuning)
+            p_stationary = None if p_at_rest is None else p_at_rest.sum(axis=1)
         given_times = None if scan_times_s is None else np.asarray(scan_times_s, np.float64)
         scans = scans_of(
             in_plane.time_s, description.timing.period_s, _bearings(in_plane, sensor_m), given_times, placed.tuning
