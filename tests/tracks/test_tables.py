@@ -12,7 +12,8 @@ from pyarrow import parquet
 
 from sameas.errors import InputError
 from sameas.io.sensors import ReadOptions, read_reports
-from sameas.io.sensors.tables import cells_of_csv, choose, read
+from sameas.io.sensors.sources import read_source_options, read_sources
+from sameas.io.sensors.tables import cells_of_csv, cells_of_json, choose, read
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "stonesoup_demos"
 KNOT = 1852.0 / 3600.0
@@ -318,3 +319,105 @@ def test_states_of_opensky_are_read_at_the_time_of_their_positions():
     speed = made.speed_m_per_s
     np.testing.assert_allclose(np.hypot(*velocity.T), speed, rtol=0.01, atol=0.5)
     assert made.alt_m[0] == 10843.26 and made.pressure_alt_m[0] == 10668.0
+
+
+def test_times_with_the_name_of_their_zone_are_read():
+    reports = table("time,lat,lon,id\n2024-05-01 12:00:00 UTC,55.0,12.0,1\n2024-05-01 12:00:10 GMT,55.0,12.0,1")
+    assert reports.time_s.tolist() == [1714564800.0, 1714564810.0]
+
+
+def test_unknown_is_no_identity():
+    """Danish AIS writes it for ships without a number of IMO: all of these would be one ship."""
+    reports = table(
+        "time,mmsi,lat,lon,imo,callsign\n1e9,219000001,55.0,12.0,Unknown,OXYZ\n1e9,219000002,56.0,12.0,Unknown,Undefined"
+    )
+    assert reports.imo is None or list(reports.imo) == [None, None]
+    assert list(reports.callsign) == ["OXYZ", None]
+
+
+def test_danish_ais_has_the_day_first():
+    lines = "# Timestamp,Type of mobile,MMSI,Latitude,Longitude\n01/05/2024 12:00:00,Class A,219000001,55.0,12.0"
+    assert table(lines).time_s.tolist() == [1714564800.0]
+    assert datetime.fromtimestamp(table(lines, start_s=1704456000.0).time_s[0], UTC).month == 5
+
+
+def test_names_of_public_ais_tables_are_known():
+    brest = ("sourcemmsi", "speedoverground", "courseoverground", "trueheading", "lon", "lat", "t")
+    assert understood(*brest)["mmsi"] == "sourcemmsi"
+    assert understood("t", "shipid", "lon", "lat", "heading", "course", "speed")["track_id"] == "shipid"
+    assert understood("t", "vessel_id", "lon", "lat", "heading", "course", "speed")["track_id"] == "vessel_id"
+
+
+@pytest.mark.parametrize(("name", "kind"), [("ais", None), ("harbour", "ais")])
+def test_speeds_of_ais_are_knots_whatever_their_column_is_called(tmp_path, name, kind):
+    (tmp_path / f"{name}.csv").write_text("t,shipid,lat,lon,speed,course\n1e9,7,55.0,12.0,10,90\n")
+    (tmp_path / "sensors.toml").write_text(
+        f'[sources.{name}]\nfile = "{name}.csv"\n' + f'kind = "{kind}"\n' * bool(kind)
+    )
+    (described,) = read_sources([], read_source_options(tmp_path / "sensors.toml"))
+    assert described.reports.speed_m_per_s[0] == pytest.approx(10 * KNOT)
+    if kind is None:
+        (guessed,) = read_sources([tmp_path / f"{name}.csv"])
+        assert guessed.reports.speed_m_per_s[0] == pytest.approx(10 * KNOT)
+
+
+def test_a_position_in_one_cell_is_read():
+    """As in the tables of flightradar24."""
+    reports = table(
+        'Timestamp,UTC,Callsign,Position,Altitude,Speed,Direction\n1714564800,2024-05-01T12:00:00Z,SAS1,"55.5,12.25",'
+        '10000,400,90\n1714564810,2024-05-01T12:00:10Z,SAS1,"55.5,far",10000,400,90'
+    )
+    assert (reports.lat_deg.tolist(), reports.lon_deg.tolist()) == ([55.5], [12.25])
+    assert reports.course_deg.tolist() == [90.0]
+    assert reports.damaged.reasons.tolist() == ["longitude is no number"]
+
+
+@pytest.mark.parametrize("before", ["[", '[{"ERROR": false, "RECORDS": 2}, [', '{"status": "ok", "data": ['])
+def test_the_records_of_a_json_document_are_found_where_they_are(before):
+    after = {"[": "]", "[{": "]]"}.get(before[:2].strip(), "]}") if before[0] == "[" else "]}"
+    rows = [
+        {"MMSI": 219000001 + k, "TIME": "2024-05-01 12:00:00 GMT", "LATITUDE": 55.0, "LONGITUDE": 12.0} for k in (0, 1)
+    ]
+    text = before + ", ".join(map(json.dumps, rows)) + after
+    reports = read(cells_of_json(text.split("\n"), "aishub"), "aishub")
+    assert list(reports.mmsi) == ["219000001", "219000002"]
+
+
+def test_the_accuracy_of_ais_is_a_flag_and_no_error():
+    """1 is an error below 10 m and 0 one above: as metres, they would be the best positions there are."""
+    reports = table("time,mmsi,lat,lon,accuracy\n1e9,219000001,55.0,12.0,0\n1e9,219000002,56.0,12.0,1")
+    assert reports.covariance_m2[:, 0].tolist() == [225.0, 25.0]
+    assert any("accuracy is the accuracy flag of AIS" in note for note in reports.notes)
+    reports = table("time,mmsi,lat,lon,accuracy\n1e9,219000001,55.0,12.0,12\n1e9,219000002,56.0,12.0,1")
+    assert reports.covariance_m2[0, 0] == 144.0
+
+
+def test_tables_of_ais_give_the_middle_of_the_hull():
+    """A ship of 300 m bound north, its antenna 40 m before the stern; one of unknown antenna; one of unknown size."""
+    reports = table(
+        "time,MMSI,lat,lon,SOG,COG,Heading,Length,Width,A,B,C,D\n"
+        "1e9,219000001,55.0,12.0,10,0,511,300,40,260,40,30,10\n"
+        "1e9,219000002,56.0,12.0,10,0,0,300,,,,,\n"
+        "1e9,219000003,57.0,12.0,10,0,0,,,,,,"
+    )
+    north_m = (reports.lat_deg - [55.0, 56.0, 57.0]) * 111_300.0
+    assert north_m == pytest.approx([110.0, 0.0, 0.0], abs=0.5)
+    # C and D are port and starboard in ITU-R M.1371, and the reverse in tables of Danish AIS: neither is believed.
+    assert reports.lon_deg.tolist() == pytest.approx([12.0, 12.0, 12.0], abs=1e-7)
+    along = 225.0 + np.array([300.0**2 / 12.0, 300.0**2 / 6.0])
+    assert reports.covariance_m2[:2, 2] == pytest.approx(along)
+    assert np.isnan(reports.covariance_m2[2]).all()
+    assert any("middle of the hull" in note for note in reports.notes)
+
+
+def test_letters_of_other_tables_are_no_antenna():
+    assert "to_bow_m" not in understood("time", "x", "y", "A", "B", "C", "D")
+
+
+def test_base_stations_and_buoys_are_no_ships():
+    """They are passed over in AIS sentences too; a coast station of number 002190001 is 2190001 as a number."""
+    reports = table(
+        "time,MMSI,lat,lon\n1e9,219000001,55.0,12.0\n1e9,2190001,56.0,12.0\n1e9,992190001,56.1,12.0\n1e9,0,56.2,12.0"
+    )
+    assert list(reports.mmsi) == ["219000001", "000000000"]
+    assert reports.passed_over == {"base station or aid to navigation": 2}

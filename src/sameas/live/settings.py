@@ -160,7 +160,6 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
         format_name = _FORMATS.get(str(given["format"]).lower())
         hint = f"give {format_name}" if format_name else f"give one of {', '.join(STREAM_FORMATS)}"
         raise InputError(f"{where}.input: format is {given['format']!r}; {hint}")
-    options = ReadOptions(name, columns=given.get("columns"), units=given.get("units"))
     if given and "kind" not in described:
         raise InputError(f"{where}: has no kind", f'give kind = "…", one of {", ".join(KINDS)}')
     description = Description.from_mapping(name, described)
@@ -169,6 +168,7 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
             f"{where}: its kind {description.kind!r} assumes neither the motion of objects nor how many it misses",
             "give motion = { acceleration_m2_per_s3 = …, speed_m_per_s = … } and misses = { q = … }",
         )
+    options = ReadOptions(name, columns=given.get("columns"), units=given.get("units"), kind=description.kind)
     return LiveSource(description, given.get("url"), given.get("format"), given.get("sensor"), options)
 
 

@@ -94,6 +94,12 @@ class Hull:
         return np.atleast_1d(lat), np.atleast_1d(lon), np.stack([extent[:, 0, 0], extent[:, 0, 1], extent[:, 1, 1]], -1)
 
 
+def heading_or_course(heading_deg: FloatArray, course_deg: FloatArray, speed_m_per_s: FloatArray) -> FloatArray:
+    """(n,) the heading; where it is NaN, the course of a ship that moves, else NaN."""
+    course = np.where(np.nan_to_num(speed_m_per_s) > _STEERING_M_PER_S, course_deg, np.nan)
+    return np.where(np.isfinite(heading_deg), heading_deg, course)
+
+
 def _positive(size: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
         return np.where(size > 0.0, size, np.nan)
@@ -108,6 +114,10 @@ _CLOCKS = (4, 11)
 _LONG_RANGE_STEP_M = 0.1 * MILE_M
 #: Above this speed, in m/s, the course is used as heading where none is sent.
 _STEERING_M_PER_S = 1.0
+HULL_CENTRES = (
+    "positions are those of the middle of the hull; echoes are assumed to be uniform over the hull; "
+    f"the course is used as heading where none is sent and the speed is {_STEERING_M_PER_S:g} m/s or more"
+)
 #: A part that comes later than this after the first one, in seconds, is of another message (chosen).
 MESSAGE_S = 10.0
 #: Two messages of one number that begin within this many seconds come from two receivers (chosen).
@@ -115,7 +125,7 @@ AMBIGUOUS_S = 3.0
 #: Largest number of incomplete messages; above it, they are dropped.
 MOST_WAITING = 10_000
 _ALONE = "part of a message without the others"
-_SIDES = ("bow", "stern", "port", "starboard")
+SIDES = ("bow", "stern", "port", "starboard")
 _SHIP_TYPES = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 33: "dredging", 34: "diving",
           35: "military", 36: "sailing", 37: "pleasure", 40: "high speed craft", 50: "pilot",
           51: "search and rescue", 52: "tug", 53: "port tender", 54: "anti-pollution", 55: "law enforcement",
@@ -429,7 +439,7 @@ def _static_fields(decoded: Any) -> dict[str, Any]:
     code = int(getattr(decoded, "ship_type", None) or 0)
     if 20 <= code < 100:
         values["type"] = _SHIP_TYPES.get(code, _SHIP_TYPES.get(10 * (code // 10), "other"))
-    sides = {f"to_{side}_m": getattr(decoded, f"to_{side}", None) for side in _SIDES}
+    sides = {f"to_{side}_m": getattr(decoded, f"to_{side}", None) for side in SIDES}
     # An auxiliary craft (98…) sends the MMSI of its mother ship in place of the hull.
     if None not in sides.values() and any(sides.values()) and not f"{int(decoded.mmsi):09d}".startswith("98"):
         values |= {name: float(distance or 0.0) for name, distance in sides.items()}
@@ -447,11 +457,9 @@ def _hull_centres(columns: Mapping[str, Any], message_type: np.ndarray) -> dict[
     step = np.where(message_type == 27, _LONG_RANGE_STEP_M, 0.0)
     covariance[:, 2] += step**2 / 12.0
     covariance[:, 0] += (step * np.cos(np.radians(lat))) ** 2 / 12.0
-    sides = [np.asarray(columns.get(f"to_{side}_m", np.full(n, np.nan))) for side in _SIDES]
+    sides = [np.asarray(columns.get(f"to_{side}_m", np.full(n, np.nan))) for side in SIDES]
     hull = Hull(*sides)
-    moving = np.nan_to_num(columns["speed_m_per_s"]) > _STEERING_M_PER_S
-    heading = np.where(moving, columns["course_deg"], np.nan)
-    heading = np.where(np.isfinite(columns["heading_deg"]), columns["heading_deg"], heading)
+    heading = heading_or_course(columns["heading_deg"], columns["course_deg"], columns["speed_m_per_s"])
     lat, lon, extent = hull.centre(lat, lon, heading)
     return {"lat_deg": lat, "lon_deg": lon, "covariance_m2": covariance + extent,
             "length_m": hull.length_m, "width_m": hull.width_m}  # fmt: skip
@@ -467,6 +475,5 @@ def _notes(source: str, clock: str) -> tuple[str, ...]:
         f"{source}: times from {clock}, and the second within the message where it has one",
         f"{source}: assumed {AIS_SIGMA_M[True]:g} m per axis where the accuracy flag is set, {AIS_SIGMA_M[False]:g} m "
         f"where not, {AIS_RECKONED_SIGMA_M:g} m for dead-reckoned or manually entered positions",
-        f"{source}: positions are those of the middle of the hull; echoes are assumed to be uniform over the hull; "
-        f"the course is used as heading where none is sent and the speed is {_STEERING_M_PER_S:g} m/s or more",
+        f"{source}: {HULL_CENTRES}",
     )

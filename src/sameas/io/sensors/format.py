@@ -34,10 +34,13 @@ DAY_S = 86400.0
 _FINER_UNITS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
 
 
+_UTC = re.compile(r"\s+(UTC|GMT)$", re.IGNORECASE)
+
+
 def instant(text: str) -> float | None:
     """UTC seconds since 1970 from ISO 8601 text or a number of (milli-, micro-, nano-) seconds; None for other text.
 
-    Text without a zone is UTC.
+    Text without a zone is UTC, and so is text that ends with UTC or GMT.
 
     Example
     -------
@@ -51,7 +54,7 @@ def instant(text: str) -> float | None:
     except ValueError:
         pass
     try:
-        moment = datetime.fromisoformat(cell)
+        moment = datetime.fromisoformat(_UTC.sub("", cell))
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
     except (ValueError, OverflowError):
         return None
@@ -166,6 +169,7 @@ class ReadOptions:
     start : UTC of the first line as ISO text or seconds, for files with the time of day only, or with counters.
     columns : for tables, the name of the column of a quantity (``lat_deg``, ``time_s`` …).
     units : for tables, the unit of a column, by its name.
+    kind : of the source, if known.
     """
 
     source: str | None = None
@@ -173,6 +177,7 @@ class ReadOptions:
     start: str | float | None = None
     columns: Mapping[str, str] | None = None
     units: Mapping[str, str] | None = None
+    kind: str | None = None
 
 
 @dataclass(frozen=True)

@@ -175,9 +175,11 @@ def _options(name: str, table: Mapping[str, Any], toml: Path) -> SourceOptions:
         if not isinstance(value, _FILE[key]) or isinstance(value, bool):
             example = '{ range_m = "d" }' if key == "columns" else '{ d = "km" }' if key == "units" else "a text"
             raise InputError(f"{where}.{key} is {value!r}; give {example}")
-    options = ReadOptions(name, **{key: _as_text(value) for key, value in file.items() if key != "path"})
+    described = Description.from_mapping(name, description)
+    kind = described.kind if "kind" in table else None
+    options = ReadOptions(name, kind=kind, **{key: _as_text(value) for key, value in file.items() if key != "path"})
     path = toml.parent / file["path"] if "path" in file else None
-    return SourceOptions(Description.from_mapping(name, description), options, path, "kind" in table)
+    return SourceOptions(described, options, path, "kind" in table)
 
 
 def _as_text(value: Any) -> Any:
@@ -218,6 +220,8 @@ def read_sources(
         reading = described[name].options if name in described else ReadOptions(name)
         if reading.start is None:
             reading = replace(reading, start=start)
+        if reading.kind is None:
+            reading = replace(reading, kind=_kind_by_name(name))
         try:
             for reports in read_reports(path, reading):
                 sources.append(source_of(reports, described.get(reports.source), path))
@@ -262,10 +266,9 @@ def _kind(reports: Reports) -> tuple[str, str]:
         return KIND_OF_FORMAT[reports.kind], f"its format is {reports.kind}"
     if reports.kind in KINDS:
         return reports.kind, f"its format is {reports.kind}"
-    plain = re.sub(r"[^a-z]", "", reports.source.lower())
-    for word, kind in _WORDS.items():
-        if word in plain:
-            return kind, "by its name"
+    by_name = _kind_by_name(reports.source)
+    if by_name is not None:
+        return by_name, "by its name"
     for column, kind in _COLUMNS.items():
         if getattr(reports, column) is not None:
             return kind, f"it has a column of {column}"
@@ -279,6 +282,12 @@ def _kind(reports: Reports) -> tuple[str, str]:
             f': {toml_table(reports.source)} kind = "…", one of {", ".join(KINDS)}',
         ),
     )
+
+
+def _kind_by_name(source: str) -> str | None:
+    """The kind that the name of a source shows, or None."""
+    plain = re.sub(r"[^a-z]", "", source.lower())
+    return next((kind for word, kind in _WORDS.items() if word in plain), None)
 
 
 def toml_table(name: str) -> str:

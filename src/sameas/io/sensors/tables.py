@@ -18,6 +18,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -28,7 +29,9 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.bounds import check_columns
 from sameas.errors import Argument, InputError, Message, naming
+from sameas.io.sensors.ais import HULL_CENTRES, SIDES, Hull, heading_or_course
 from sameas.io.sensors.format import (
+    AIS_SIGMA_M,
     DAY_S,
     FEET_PER_MINUTE_M_PER_S,
     KNOT_M_PER_S,
@@ -99,7 +102,7 @@ QUANTITIES = (
     _quantity("station_x_m", "length", "stationx sensorx ownx ownshipx"),
     _quantity("station_y_m", "length", "stationy sensory owny ownshipy"),
     _quantity("speed_m_per_s", "speed", "sog speed groundspeed gs velocity speedoverground"),
-    _quantity("course_deg", "angle", "cog course courseoverground track trackangle"),
+    _quantity("course_deg", "angle", "cog course courseoverground track trackangle direction"),
     _quantity("heading_deg", "angle", "heading hdg trueheading"),
     _quantity("vx_m_per_s", "speed", "vx ve veast velx velocityx xvel vele xspeed xdot"),
     _quantity("vy_m_per_s", "speed", "vy vn vnorth vely velocityy yvel veln yspeed ydot"),
@@ -123,9 +126,9 @@ QUANTITIES = (
         "track_id",
         "text",
         "trackid tracknumber trackno tracknum id targetid target targetno targetnumber tgt tgtid tgtno trkid trkno "
-        "tracknr targetnr objectid uid",
+        "tracknr targetnr objectid uid shipid vesselid",
     ),
-    _quantity("mmsi", "text", "mmsi"),
+    _quantity("mmsi", "text", "mmsi sourcemmsi"),
     _quantity("imo", "text", "imo imonumber"),
     _quantity("icao", "text", "icao24 icao icaoaddress hex modes modesaddress"),
     _quantity("callsign", "text", "callsign flight"),
@@ -134,15 +137,25 @@ QUANTITIES = (
     _quantity("type", "text", "type vesseltype shiptype typecode"),
     _quantity("length_m", "length", "length loa"),
     _quantity("width_m", "length", "width beam"),
+    *(
+        _quantity(f"to_{side}_m", "length", f"to{side} {side} dim{letter} dimension{letter} size{letter} {letter}")
+        for side, letter in zip(SIDES, "abcd", strict=True)
+    ),
 )
-#: Conventional units where none is stated: sentence, columns that indicate the convention, names, unit.
+#: Places of the antenna on the hull, A to D in AIS: other tables call other things by these letters.
+_OF_THE_ANTENNA = tuple(f"to_{side}_m" for side in SIDES)
+#: Length of a ship per width, where its width is not stated (chosen).
+_LENGTH_PER_WIDTH = 6.0
+#: Conventional units where none is stated: sentence, columns or kind of source that indicate it, names, unit.
 _CONVENTIONS = (
-    ("ship speeds are knots", ("mmsi", "imo"), ("sog", "speed", "speedoverground"), "kn"),
+    ("ship speeds are knots", ("mmsi", "sourcemmsi", "imo", "ais"), ("sog", "speed", "speedoverground"), "kn"),
     ("speeds over ground (sog) are knots", ("sog", "speedoverground"), ("sog", "speedoverground"), "kn"),
     ("speeds of aircraft are knots", ("groundspeed", "gs"), ("groundspeed", "gs"), "kn"),
     ("altitudes are feet", ("groundspeed", "gs"), ("altitude", "alt", "geoaltitude", "altgeom", "altbaro",
                                                    "baroaltitude"), "ft"),
     ("vertical rates are feet a minute", ("groundspeed", "gs"), ("verticalrate", "rocd", "vertrate"), "fpm"),
+    ("speeds are knots in tables of flightradar24", ("direction",), ("speed",), "kn"),
+    ("altitudes are feet in tables of flightradar24", ("direction",), ("altitude",), "ft"),
 )  # fmt: skip
 
 
@@ -161,7 +174,11 @@ class NotInTable(InputError):
 
 
 def choose(
-    names: Sequence[str], source: str, named: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
+    names: Sequence[str],
+    source: str,
+    named: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    kind: str | None = None,
 ) -> dict[str, Choice]:
     """The recognised columns, by their column in Reports.
 
@@ -171,6 +188,7 @@ def choose(
     source : its name in messages.
     named : name of the column of a quantity (``lat_deg``, ``time_s`` …); None: the table does not have it.
     units : unit of a column, by its name in the table.
+    kind : of the source, if known: speeds of AIS are knots.
 
     Raises
     ------
@@ -179,12 +197,15 @@ def choose(
     named, units = dict(named or {}), dict(units or {})
     _check_named(names, source, named, units)
     stems = {name: _stem(name) for name in names}
+    signs = {stem for stem, _ in stems.values()} | {kind or ""}
     taken = set(named.values())
     chosen: dict[str, Choice] = {}
     for quantity in QUANTITIES:
         if quantity.column in named:
             if named[quantity.column]:
-                chosen[quantity.column] = _choice(named[quantity.column], quantity, stems, units, source)
+                chosen[quantity.column] = _choice(
+                    named[quantity.column], quantity, stems[named[quantity.column]], units, signs, source
+                )
             continue
         candidates = [name for name in names if name not in taken and _rank(name, quantity, stems) is not None]
         if candidates:
@@ -196,8 +217,10 @@ def choose(
                     f"{source}: {len(equal)} columns may be {quantity.column}: {listed}",
                     naming_columns(quantity.column),
                 )
-            chosen[quantity.column] = _choice(equal[0], quantity, stems, units, source)
+            chosen[quantity.column] = _choice(equal[0], quantity, stems[equal[0]], units, signs, source)
             taken.add(equal[0])
+    if not (kind == "ais" or "mmsi" in chosen):
+        chosen = {column: choice for column, choice in chosen.items() if column not in _OF_THE_ANTENNA}
     return _with_courses(chosen, stems)
 
 
@@ -240,21 +263,30 @@ def _rank(name: str, quantity: SensorQuantity, stems: Mapping[str, tuple[str, st
 
 
 def _choice(
-    name: str, quantity: SensorQuantity, stems: Mapping[str, tuple[str, str]], units: Mapping[str, str], source: str
+    name: str,
+    quantity: SensorQuantity,
+    stem_and_unit: tuple[str, str],
+    units: Mapping[str, str],
+    signs: AbstractSet[str],
+    source: str,
 ) -> Choice:
+    """The column with its unit: as said, as its name states, or by a convention that the signs (stems of the columns,
+    kind of the source) indicate."""
     factors = UNITS[quantity.kind]
     if name in units:
         unit = re.sub(r"[^a-z0-9]", "", units[name].lower())
         if unit not in factors:
             raise NotInTable(f"{source}: column {name!r}: unit {units[name]!r} is none of {', '.join(factors)}")
         return Choice(name, quantity, factors[unit], f"{name} is in {units[name]}, as said")
-    stem, unit = stems[name]
-    if unit in factors and "".join(stems[name]) not in quantity.names:
+    stem, unit = stem_and_unit
+    if unit in factors and stem + unit not in quantity.names:
         return Choice(name, quantity, factors[unit], "")
     for why, indicators, applies, unit in _CONVENTIONS:
-        if stem in applies and unit in factors and any(stems[other][0] in indicators for other in stems):
+        if stem in applies and unit in factors and not signs.isdisjoint(indicators):
             return Choice(name, quantity, factors[unit], f"{name} is read in {unit}: {why}")
     # Angles without a unit are degrees everywhere.
+    if quantity.column in ("length_m", "width_m", *_OF_THE_ANTENNA):
+        return Choice(name, quantity, 1.0, "")  # of ships, in metres everywhere
     our_unit = {"length": "m", "speed": "m/s", "variance": "m²", "speed variance": "m²/s²"}.get(quantity.kind)
     return Choice(name, quantity, 1.0, f"{name} is read in {our_unit}: its name states no unit" if our_unit else "")
 
@@ -289,13 +321,19 @@ def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]
     return chosen
 
 
-_NULLS = {"", "null", "none", "na", "n/a", "--", "nan"}
+_NULLS = {"", "null", "none", "na", "n/a", "-", "--", "nan", "unknown", "undefined"}
+#: Columns with latitude and longitude in one cell.
+_POSITIONS = ("position", "latlon", "latlong", "latlng", "coordinates")
+#: Columns of tables whose dates like 01/05/2024 have the day first: Danish AIS.
+_DAY_FIRST_TABLES = ("typeofmobile",)
 #: Number of unused columns that are listed.
 _LISTED = 12
 _DELIMITERS = ",;\t|"
 _DAY_FIRST = re.compile(r"(\d{1,2})[/.](\d{1,2})[/.](\d{4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
 #: Numbers with a decimal comma or none, and with a decimal point.
 _COMMA, _POINT = re.compile(r"\s*[+-]?\d+(,\d+)?\s*"), re.compile(r"\s*[+-]?\d+\.\d+\s*")
+#: MMSI of base stations (00 and the country) and aids to navigation.
+_STATION = re.compile("00[2-7]|99[2-7]")
 _OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
 
 
@@ -402,7 +440,7 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
     damaged: list[tuple[int, str]] = []
     try:
         document = of_json("\n".join(lines))
-        objects = list(enumerate(document, start=1)) if isinstance(document, list) else [(1, document)]
+        objects = list(enumerate(_records(document), start=1))
     except ValueError:
         objects = json_lines(lines, damaged)
     for number, value in objects:
@@ -420,6 +458,21 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
         return [row.get(name) for row in rows]
 
     return TableText(_LazyColumns(names, column), np.array(line_numbers, np.int64), tuple(damaged))
+
+
+def _records(document: Any) -> list[Any]:
+    """The records of a JSON document: the items of its list, or of the only list of objects in it, as of servers that
+    put their answer beside a state."""
+    if not isinstance(document, list | dict):
+        return [document]
+    inner = [value for value in (document if isinstance(document, list) else document.values()) if _is_records(value)]
+    if len(inner) == 1:
+        return list(inner[0])
+    return document if isinstance(document, list) else [document]
+
+
+def _is_records(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(item, dict) for item in value)
 
 
 def cells_of_parquet(path: str | os.PathLike[str]) -> TableText:
@@ -457,6 +510,7 @@ def read(
     start_s: float | None = None,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
+    kind: str | None = None,
 ) -> Reports:
     """The reports of a table.
 
@@ -467,17 +521,22 @@ def read(
     start_s : UTC date of the first row, for tables with the time of day only.
     columns : name of the column of a quantity (``lat_deg``, ``time_s`` …), where it is not recognised.
     units : unit of a column, by its name.
+    kind : of the source, if known: speeds of AIS are knots.
 
     Raises
     ------
     InputError : no time; no position; two columns of one quantity; every row damaged; dates of two readings.
     """
-    chosen = choose(list(cells.columns), source, columns, units)
+    cells = _with_split_positions(cells)
+    chosen = choose(list(cells.columns), source, columns, units, kind)
     _check_chosen(chosen, list(cells.columns), source)
     if not len(cells.lines):
         reasons = "; ".join(Damaged.of(cells.damaged).sentences())
         raise InputError(f"{source}: names columns, but has no row that can be used{': ' * bool(reasons)}{reasons}")
     damaged = dict(cells.damaged)
+    is_ais = "mmsi" in chosen or kind == "ais"
+    if is_ais:
+        cells, chosen = _with_flagged_errors(cells, chosen)
     values = {
         name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
     }
@@ -487,8 +546,10 @@ def read(
     if not good.any():
         raise InputError(f"{source}: no row can be used: {'; '.join(Damaged.of(damaged.items()).sentences())}")
     values = {name: column[good] for name, column in values.items()} | {"line": cells.lines[good]}
+    values, stations = _without_stations(values)
     values, repeated = _without_repeats(_with_track_id(values))
-    passed_over = {"position repeated": repeated} if repeated else {}
+    counts = {"base station or aid to navigation": stations, "position repeated": repeated}
+    passed_over = {what: count for what, count in counts.items() if count}
     truncated = [f"{source}: its last line has no line end: it may be incomplete"] * cells.unended
     notes = [note, *truncated, *(f"{source}: {choice.why}" for choice in chosen.values() if choice.why)]
     used = {choice.name for choice in chosen.values()}
@@ -496,10 +557,82 @@ def read(
     if unused:
         more = f" and {len(unused) - _LISTED} more" if len(unused) > _LISTED else ""
         notes.append(f"{source}: columns not used: {', '.join(unused[:_LISTED])}{more}")
+    values = _with_covariances(values)
+    sides = [values.pop(f"to_{side}_m", None) for side in SIDES]
+    if is_ais and "lat_deg" in values:
+        values, moved = _at_hull_centres(values, sides)
+        notes += [f"{source}: where the size of a ship is known, {HULL_CENTRES}"] * moved
     return Reports.of(
-        source, "table", _with_covariances(values), damaged=Damaged.of(damaged.items()),
+        source, "table", values, damaged=Damaged.of(damaged.items()),
         passed_over=passed_over, notes=notes,
     )  # fmt: skip
+
+
+def _with_split_positions(cells: TableText) -> TableText:
+    """The table with a latitude and a longitude instead of positions in one column, as "55.5,12.25"."""
+    for name in cells.columns:
+        if "".join(_stem(name)) in _POSITIONS:
+            column = cells.columns[name]
+            parts = [cell.partition(",") if isinstance(cell, str) else ("", "", "") for cell in column]
+            if any(comma for _, comma, _ in parts):
+                others = {other: values for other, values in cells.columns.items() if other != name}
+                places = {"latitude": [lat for lat, _, _ in parts], "longitude": [lon for _, _, lon in parts]}
+                return replace(cells, columns=others | places)
+    return cells
+
+
+def _with_flagged_errors(cells: TableText, chosen: dict[str, Choice]) -> tuple[TableText, dict[str, Choice]]:
+    """The table with errors in metres instead of the accuracy flag of AIS, if its column of errors has only 0 and 1."""
+    choice = chosen.get("sigma_m")
+    if choice is None:
+        return cells, chosen
+    flags = ["" if cell is None else str(cell).strip().lower() for cell in cells.columns[choice.name]]
+    is_set, is_not = {"1", "1.0", "true"}, {"0", "0.0", "false", *_NULLS}
+    if not is_set | is_not >= set(flags):
+        return cells, chosen
+    errors = [AIS_SIGMA_M[flag in is_set] for flag in flags]
+    why = f"{choice.name} is the accuracy flag of AIS: {AIS_SIGMA_M[True]:g} m per axis where it is set, "
+    why += f"{AIS_SIGMA_M[False]:g} m where not"
+    others = {name: cells.columns[name] for name in cells.columns if name != choice.name}
+    return (
+        replace(cells, columns=others | {choice.name: errors}),
+        chosen | {"sigma_m": replace(choice, factor=1.0, why=why)},
+    )
+
+
+def _at_hull_centres(values: Mapping[str, Any], sides: Sequence[FloatArray | None]) -> tuple[dict[str, Any], bool]:
+    """The positions of AIS at the middle of the hull, with its extent in their errors, where its size is known; and
+    whether it is anywhere.
+
+    sides : distances (n,) of the antenna from bow, stern, port and starboard, None where there is no column.
+    """
+    n = len(values["lat_deg"])
+    unknown = np.full(n, np.nan)
+    bow, stern, port, starboard = (unknown if side is None else side for side in sides)
+    length, width = values.get("length_m", unknown), values.get("width_m", unknown)
+    with np.errstate(invalid="ignore"):
+        has_antenna = (bow + stern > 0.0) & (port + starboard > 0.0)
+        known = has_antenna | (length > 0.0)
+        width = np.where(width > 0.0, width, length / _LENGTH_PER_WIDTH)
+    if not known.any():
+        return dict(values), False
+    # Bow and port 0: a size without the position of the antenna. Tables differ in which of C and D is port (Danish AIS
+    # has it last, ITU-R M.1371 third): the antenna is taken to be in the middle of the width.
+    middle = (port + starboard) / 2.0
+    hull = Hull(
+        np.where(has_antenna, bow, 0.0 * length),
+        np.where(has_antenna, stern, length),
+        np.where(has_antenna, middle, 0.0 * length),
+        np.where(has_antenna, middle, width),
+    )
+    angles = [np.where((angle >= 0.0) & (angle < 360.0), angle, np.nan)
+              for angle in (values.get("heading_deg", unknown), values.get("course_deg", unknown))]  # fmt: skip
+    heading = heading_or_course(angles[0], angles[1], values.get("speed_m_per_s", unknown))
+    lat, lon, extent = hull.centre(values["lat_deg"], values["lon_deg"], heading)
+    stated = values.get("covariance_m2", np.full((n, 3), np.nan))
+    base = np.where(np.isfinite(stated).all(axis=1)[:, None], stated, round_covariance(np.full(n, AIS_SIGMA_M[False])))
+    places = {"lat_deg": np.where(known, lat, values["lat_deg"]), "lon_deg": np.where(known, lon, values["lon_deg"])}
+    return dict(values) | places | {"covariance_m2": np.where(known[:, None], base + extent, stated)}, True
 
 
 def _delimiter_of(line: str) -> str:
@@ -614,7 +747,8 @@ def _times(
         days, hours = (cells.columns[str(part)] for part in parts)
         column = [f"{day} {hour}" for day, hour in zip(days, hours, strict=True)]
     if choice.quantity.column == "time_s":
-        times = _instants(column, choice, source, start_s)
+        day_first = any("".join(_stem(name)) in _DAY_FIRST_TABLES for name in cells.columns)
+        times = _instants(column, choice, source, start_s, day_first)
         if np.isfinite(times).any():
             _mark(np.isnan(times), cells.lines, damaged, "no time")
             low = float(np.nanmax(np.abs(times))) < 1e8
@@ -637,23 +771,27 @@ def _times(
     ), f"{source}: {choice.name} is read as UTC time of day, counted on from the start"
 
 
-def _instants(column: Sequence[Any], choice: Choice, source: str, start_s: float | None) -> FloatArray:
-    """Times in seconds, from numbers, ISO text or dates like 13/01/2024; NaN where a cell is none of these."""
+def _instants(column: Sequence[Any], choice: Choice, source: str, start_s: float | None, day_first: bool) -> FloatArray:
+    """Times in seconds, from numbers, ISO text or dates like 13/01/2024; NaN where a cell is none of these.
+
+    day_first : whether dates of two readings have the day first.
+    """
     try:
         numbers = np.array(column, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         texts = ["" if cell is None else str(cell).strip() for cell in column]
         if any(_DAY_FIRST.fullmatch(text) for text in texts[:100]):
-            return _day_month_dates(texts, source, start_s)
+            return _day_month_dates(texts, source, start_s, day_first)
         return np.array([np.nan if (time_s := instant(text)) is None else time_s for text in texts])
     if choice.factor in (1.0, 0.0):
         return np.array([seconds(number) for number in numbers])
     return numbers * choice.factor
 
 
-def _day_month_dates(texts: Sequence[str], source: str, start_s: float | None) -> FloatArray:
-    """Times from dates like 13/01/2024 12:00:00. A number above 12 shows which one is the day, else the start does, or
-    points between the numbers: these are written day first (DIN 5008, and wherever dates have points)."""
+def _day_month_dates(texts: Sequence[str], source: str, start_s: float | None, always_day_first: bool) -> FloatArray:
+    """Times from dates like 13/01/2024 12:00:00. A number above 12 shows which one is the day, else the kind of table
+    does, the start, or points between the numbers: these are written day first (DIN 5008, and wherever dates have
+    points)."""
     day_first, month_first = (np.array([_of_date(text, day) for text in texts]) for day in (1, 2))
     readable = [np.isfinite(day_first), np.isfinite(month_first)]
     only = [bool((readable[k] & ~readable[1 - k]).any()) for k in (0, 1)]
@@ -662,7 +800,7 @@ def _day_month_dates(texts: Sequence[str], source: str, start_s: float | None) -
     if only[0] or only[1]:
         return day_first if only[0] else month_first
     if not np.array_equal(day_first, month_first, equal_nan=True):
-        if start_s is None and all("/" not in text for text in texts):
+        if always_day_first or (start_s is None and all("/" not in text for text in texts)):
             return day_first
         if start_s is None:
             example = next(text for text in texts if _DAY_FIRST.fullmatch(text))
@@ -714,6 +852,17 @@ def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int
     # Where most lie outside, the columns are wrong, not the lines: Reports refuses them in its own words.
     if 2 * beyond.sum() <= len(lines):
         _mark(beyond, lines, damaged, "latitude beyond ±90°")
+
+
+def _without_stations(values: dict[str, Any]) -> tuple[dict[str, Any], int]:
+    """The rows of ships, and the number of those of base stations and aids to navigation, by their MMSI (ITU-R M.585).
+    If there are no ships, all rows are kept."""
+    if "mmsi" not in values:
+        return values, 0
+    ships = np.array([one is None or _STATION.match(one) is None for one in values["mmsi"]])
+    if ships.all() or not ships.any():
+        return values, 0
+    return {name: column[ships] for name, column in values.items()}, int(np.count_nonzero(~ships))
 
 
 def _with_track_id(values: dict[str, Any]) -> dict[str, Any]:
@@ -773,7 +922,9 @@ def _cells_of(file: SensorFile) -> TableText:
 FORMAT = SensorFormat(
     "table",
     "CSV, Parquet or JSON lines with columns recognized by their names",
-    lambda file: [read(_cells_of(file), file.source, file.start_s, file.options.columns, file.options.units)],
+    lambda file: [
+        read(_cells_of(file), file.source, file.start_s, file.options.columns, file.options.units, file.options.kind)
+    ],
     # Zero bytes are in damaged logs of sentences, never in a table.
     lambda file: b"\0" not in file.head,
     magic=(PARQUET,),
