@@ -74,7 +74,7 @@ def anchorage(seed):
     times = np.arange(0.0, 361.0, 10.0)
     angle = np.arange(6) * np.pi / 3.0
     silent = rng.uniform(100.0, 300.0, (6, 1)) * np.column_stack([np.cos(angle), np.sin(angle)])
-    under_way = rng.uniform(-5e3, 5e3, (8, 2)) + [8e3, 0.0]
+    under_way = rng.uniform(-5e3, 5e3, (8, 2)) + np.array([8e3, 0.0])
     x, v = straight([[0.0, 0.0], *silent, *under_way], [*np.zeros((7, 2)), *rng.uniform(-5.0, 5.0, (8, 2))], times)
     ais = replace(describe("ais", "ais", 5.0), motion=Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=0.2))
     mmsi = [f"23500000{k}" for k in range(9)]
