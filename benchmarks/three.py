@@ -16,12 +16,14 @@ from astropy.table import Table as SkyTable
 from benchmarks.measure import ROOT
 from benchmarks.tables import Table, report
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.many import ManyMatch, match_many
+from sameas.sky.many import ManyMatch, ManyOptions, match_many
 
 sys.path.insert(0, str(ROOT / "examples"))
 
 NAMES = ("hipparcos", "gaia", "tycho2")
 UNKNOWN_MOTION_MAS_PER_YR = 20.0
+#: Magnitudes are left to check the result.
+POSITIONS = ManyOptions(magnitudes="off")
 
 
 def read_catalogues(index: Path, north_of_deg: float) -> list[Catalogue]:
@@ -92,8 +94,8 @@ def _astrometry(catalogue: Catalogue, rows: np.ndarray) -> list[np.ndarray]:
 def one_after_another(catalogues: dict[str, Catalogue], last: str) -> np.ndarray:
     """(n, 3) objects if two catalogues are matched first, and the last one with their fused catalogue."""
     first = [name for name in NAMES if name != last]
-    joined, rows = picture(match_many([catalogues[name] for name in first]))
-    many = match_many([joined, catalogues[last]])
+    joined, rows = picture(match_many([catalogues[name] for name in first], POSITIONS))
+    many = match_many([joined, catalogues[last]], POSITIONS)
     both = np.ma.filled(many.objects.members, -1)
     out = np.full((len(both), len(NAMES)), -1)
     for k, name in enumerate(first):
@@ -121,7 +123,7 @@ def compare_methods(index: Path, north_of_deg: float) -> list[Table]:
     """Number of objects of each method, and of those that differ from the joint match."""
     catalogues = dict(zip(NAMES, read_catalogues(index, north_of_deg), strict=True))
     start = time.process_time()
-    together = match_many(list(catalogues.values()))
+    together = match_many(list(catalogues.values()), POSITIONS)
     seconds = time.process_time() - start
     by_method = {"all together": members(together)}
     for last in NAMES:

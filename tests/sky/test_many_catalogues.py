@@ -26,6 +26,7 @@ from sameas.sky.crossmatch import at_common_epoch, match
 from sameas.sky.joins import joined_many
 from sameas.sky.many import ManyMatch, ManyOptions, match_many
 from sameas.sky.population import AstrometricRecords, degrees_of_freedom, fitted, pairs_within, patterns_of
+from sameas.sky.set_magnitudes import SetMagnitudes
 from sameas.space import displaced, sphere_offset
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -94,6 +95,53 @@ def scene() -> Sky:
 @pytest.fixture(scope="module")
 def found(scene: Sky) -> ManyMatch:
     return match_many(scene.catalogues)
+
+
+def with_magnitudes(scene: Sky, seed: int = 5) -> list[Catalogue]:
+    """The catalogues with magnitudes in three bands, of which a tenth is missing."""
+    rng = np.random.default_rng(seed)
+    magnitude, colour = rng.uniform(12.0, 19.0, len(scene.place)), rng.normal(1.0, 0.4, len(scene.place))
+    catalogues = []
+    for k, (catalogue, star) in enumerate(zip(scene.catalogues, scene.stars, strict=True)):
+        name, epoch, sigma, *_ = SURVEYS[k]
+        table = catalogue.table.copy()
+        measured = magnitude[star] + (k - 1) * colour[star] + rng.normal(0.0, 0.05, len(star))
+        table["mag"] = np.where(rng.random(len(star)) < 0.1, np.nan, measured)
+        catalogues.append(understood(table, name, epoch, sigma))
+    return catalogues
+
+
+def test_magnitudes_make_fewer_objects_wrong_and_probabilities_stay_true(scene: Sky) -> None:
+    catalogues, truth = with_magnitudes(scene), {one for one in scene.truth() if sum(row >= 0 for row in one) > 1}
+    wrong, stated = {}, {}
+    for choice in ("off", "auto"):
+        found = match_many(catalogues, ManyOptions(magnitudes=choice))
+        several = found.objects.n_members > 1
+        wrong[choice] = len(objects(found, 2) - truth)
+        stated[choice] = float((1.0 - found.objects.probability[several]).sum())
+        assert bool(found.magnitude_information) == (choice == "auto")
+    assert wrong["auto"] < 0.6 * wrong["off"]
+    assert abs(wrong["auto"] - stated["auto"]) < 4.0 * np.sqrt(stated["auto"] + 1.0)
+    turned = [catalogues[k] for k in (2, 0, 1)]
+    rows = np.ma.filled(match_many(turned).objects.members, -1)[:, [1, 2, 0]]
+    assert set(map(tuple, rows.tolist())) == objects(found)
+
+
+def test_the_magnitudes_of_a_set_are_compared_along_a_tree() -> None:
+    class Edge:
+        def __init__(self, value: float, missing: tuple[int, ...] = ()) -> None:
+            self.value, self.missing = value, missing
+
+        def __call__(self, i: Rows, j: Rows) -> NDArray[np.float64]:
+            return self.value + 0.01 * i + 0.001 * j
+
+        def measured(self, side: int) -> NDArray[np.bool_]:
+            return ~np.isin(np.arange(4), self.missing if side else ())
+
+    edges: Any = {(1, 2): Edge(4.0, missing=(3,)), (0, 2): Edge(2.0, missing=(3,)), (0, 1): Edge(1.0)}
+    sets = np.array([[1, 1, 1], [1, 1, 3], [-1, 1, 1], [1, -1, 1], [-1, -1, 2], [2, 1, -1]])
+    # A circle is not closed; where the third has no magnitude the first two are compared.
+    assert SetMagnitudes(edges)(sets) == pytest.approx([6.022, 1.011, 4.011, 2.011, 0.0, 1.021])
 
 
 @pytest.mark.slow

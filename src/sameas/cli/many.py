@@ -65,6 +65,13 @@ def many(
             help="Fit and remove each catalogue's shift and rotation relative to the most precise one.",
         ),
     ] = "none",
+    magnitudes: Annotated[
+        str,
+        option(
+            "--magnitudes", panel=THE_MATCH, metavar="auto|off", callback=one_of(("auto", "off")), show_default=True,
+            help="Magnitudes as evidence, or not.",
+        ),
+    ] = "auto",
     out_format: OutFormat = None,
     overwrite: Overwrite = True,
     **columns: Any,
@@ -81,7 +88,7 @@ def many(
         from sameas.front.request import Request
         from sameas.sky.many import ManyOptions
 
-        options = ManyOptions(to_epoch, gate_sigmas, error_scale, offset=offset)
+        options = ManyOptions(to_epoch, gate_sigmas, error_scale, offset=offset, magnitudes=magnitudes)
         options.of_two().check()
         request = Request(tuple(map(str, files)), options, columns)
         _check(request, least)

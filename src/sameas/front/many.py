@@ -197,6 +197,7 @@ def match_many(
     gate_sigmas: float | None = None,
     error_scale: float | str | Errors = "auto",
     offset: str = "none",
+    magnitudes: str = "auto",
     names: Sequence[str] | None = None,
     progress: Callable[[str], None] = lambda stage: None,
     **columns: Any,
@@ -210,6 +211,7 @@ def match_many(
     to_epoch : Julian year of the objects' positions; the mean of the catalogues' epochs if not given.
     gate_sigmas, error_scale : as for :func:`sameas.match`, for each pair of catalogues.
     offset : "find" estimates a shift and rotation of each catalogue, and corrects it.
+    magnitudes : "auto" uses the magnitude of each catalogue as evidence; "off" positions only.
     names : of the catalogues in messages. progress : called with the name of each step.
     columns : options of the columns: ``sigma=0.1`` for all, ``epoch3=2000`` for the third.
 
@@ -237,13 +239,15 @@ def match_many(
         raise InputError(f"match_many: {len(sources)} catalogues given; give two to {MOST}")
     own = {
         "least": least, "to_epoch": to_epoch, "gate_sigmas": gate_sigmas, "error_scale": error_scale,
-        "offset": offset, "names": names,
+        "offset": offset, "magnitudes": magnitudes, "names": names,
     }  # fmt: skip
     refuse_unknown(columns, (*own, "progress", *side_parameters(len(sources))), "match_many")
+    if magnitudes not in ("auto", "off"):
+        raise InputError(f"magnitudes is {magnitudes!r}", 'give "auto" or "off"')
     if not 1 <= least <= len(sources):
         raise InputError(f"least is {least}; give 1 to {len(sources)}, in how many catalogues an object must be")
     stated = {name: value for name, value in columns.items() if value is not None}
-    options = ManyOptions(to_epoch, gate_sigmas, error_scale, offset=offset)
+    options = ManyOptions(to_epoch, gate_sigmas, error_scale, offset=offset, magnitudes=magnitudes)
     options.of_two().check()
     request = Request(tuple(map(as_source, sources)), options, stated, tuple(names or ()))
     catalogues = request.catalogues()

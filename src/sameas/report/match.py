@@ -557,6 +557,8 @@ def many_estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> 
         found = pair.estimate
         numbers = f"{figures(found.common)} common, gate {found.gate_sigmas:.1f} σ"
         lines += entry("two by two", f"{first} and {second}: {numbers}, residuals {found.typical_scale:.2f} σ")
+    for (first, second), information in match.magnitude_information.items():
+        lines += entry("magnitudes", f"{first} and {second}: worth {information:.2f} (ln) for a common object")
     rounds = f"{match.iterations} iteration{'s' * (match.iterations > 1)}" + (
         "" if match.converged else ", not converged"
     )

@@ -45,7 +45,7 @@ from sameas.many.sets import Sets, candidate_sets
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.crossmatch import OFF, MatchOptions, SkyMatch, at_common_epoch, by_position
+from sameas.sky.crossmatch import AUTO, OFF, MatchOptions, SkyMatch, at_common_epoch, by_position
 from sameas.sky.crossmatch import match as match_two
 from sameas.sky.doubts import completed
 from sameas.sky.population import (
@@ -59,6 +59,7 @@ from sameas.sky.population import (
     moving_rows,
     patterns_of,
 )
+from sameas.sky.set_magnitudes import SetMagnitudes
 from sameas.sky.systematics import Rotation, find_rotation
 from sameas.space import sphere_offset
 
@@ -82,13 +83,15 @@ class StarObservers(Observers):
     where there are any.
 
     astrometric, population : in the order of the catalogues and their tables. catalogue : (S,) catalogue number of each
-    source. index : per source, the indices of its records in the catalogue's records.
+    source. index : per source, the indices of its records in the catalogue's records. magnitudes : as evidence; None if
+    they are not used.
     """
 
     astrometric: tuple[AstrometricRecords, ...] = field(kw_only=True)
     population: Population = field(kw_only=True)
     catalogue: tuple[int, ...] = field(kw_only=True)
     index: tuple[IntArray, ...] = field(kw_only=True)
+    magnitudes: SetMagnitudes | None = field(kw_only=True, default=None)
 
     @classmethod
     def of(
@@ -97,13 +100,17 @@ class StarObservers(Observers):
         records: Sequence[Records],
         astrometric: tuple[AstrometricRecords, ...],
         population: Population,
+        magnitudes: SetMagnitudes | None = None,
     ) -> StarObservers:
         """The observers of the pooled ``records`` of the catalogues."""
         names = [one.source for one in records]
         sources = tuple(source for source in pooled.sources if isinstance(source, Records))
         catalogue = tuple(names.index(source.source) for source in sources)
         index = tuple(indices_among(source, records[c]) for source, c in zip(sources, catalogue, strict=True))
-        return cls(sources, None, astrometric=astrometric, population=population, catalogue=catalogue, index=index)
+        return cls(
+            sources, None, astrometric=astrometric, population=population, catalogue=catalogue, index=index,
+            magnitudes=magnitudes,
+        )  # fmt: skip
 
     def by_catalogue(self, sets: NDArray[np.integer]) -> IntArray:
         """Sets (k, sources) of indices in the sources, as (k, catalogues) of indices in the catalogues' records."""
@@ -120,6 +127,8 @@ class StarObservers(Observers):
         log_density = fit.log_peak + self.population.log_profile(patterns, fit.chi_sq)
         several = patterns & (patterns - 1) > 0
         log_density += np.where(several, self.population.mean_log_density(members, patterns), 0.0)
+        if self.magnitudes is not None:
+            log_density += self.magnitudes(members)
         scale_sq = np.where(fit.has_residual, self.population.scale_sq(patterns, fit.chi_sq), 1.0)
         state = np.column_stack([fit.direction, fit.motion])
         return Joint(log_density, fit.chi_sq, state, scale_sq[:, None, None] * fit.covariance)
@@ -240,6 +249,7 @@ class ManyOptions:
     epoch_jyr : epoch of the objects' positions in the result; the mean of the catalogues' epochs by default.
     gate_sigmas, error_scale : as in :class:`~sameas.sky.crossmatch.MatchOptions`, for every two catalogues.
     time_limit_s : of branch and bound per group; if it is reached the result states the gap.
+    magnitudes : "auto" uses the magnitude of each catalogue as evidence; "off" positions only.
     offset : "none" assumes one frame; "find" rotates each catalogue onto the most precise one, or onto one already
         rotated (see :mod:`sameas.sky.systematics`).
     """
@@ -249,10 +259,11 @@ class ManyOptions:
     error_scale: float | str | Errors = "auto"
     time_limit_s: float = 60.0
     offset: str = "none"
+    magnitudes: str = AUTO
 
     def of_two(self) -> MatchOptions:
         """The options of the pairwise matches."""
-        return MatchOptions(gate_sigmas=self.gate_sigmas, error_scale=self.error_scale, magnitudes=OFF)
+        return MatchOptions(gate_sigmas=self.gate_sigmas, error_scale=self.error_scale, magnitudes=self.magnitudes)
 
 
 @in_short
@@ -265,6 +276,8 @@ class ManyMatch:
     two_by_two : the pairwise matches, by catalogue names. expected : by catalogue names, the expected number of objects
     in exactly these. iterations, converged : of EM, and whether it converged. doubts : what looks wrong.
     rotations : by catalogue name, the rotation that was removed.
+    magnitude_information : by the names of two catalogues, the mean information in their magnitudes, ln per common
+        object, the most informative first; empty if magnitudes are not used.
     """
 
     catalogues: tuple[Catalogue, ...]
@@ -276,6 +289,7 @@ class ManyMatch:
     converged: bool
     doubts: tuple[str, ...]
     rotations: Mapping[str, Rotation] = field(default_factory=dict)
+    magnitude_information: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
     @cached_property
     def state(self) -> Joint:
@@ -344,8 +358,12 @@ def match_many(
     records_as_given = [records[order.index(k)] for k in range(len(order))]
     pooled_records = pooled(records_as_given, candidates)
     coverages = {(a, b): _coverage_of(match, records[a], records[b]) for (a, b), match in matches.items()}
+    magnitudes = None
+    if options.magnitudes != OFF:
+        two = {(a, b): candidate_indices(match, records[a], records[b]) for (a, b), match in matches.items()}
+        magnitudes = SetMagnitudes.of(matches, ordered, records, two)
     observers = StarObservers.of(
-        pooled_records, records, astrometric, _initial_population(matches, records, coverages, options)
+        pooled_records, records, astrometric, _initial_population(matches, records, coverages, options), magnitudes
     )
     em = _estimate_population(replace(pooled_records, observers=observers), coverages, options, progress, tuning)
     objects = Objects(tuple(records_as_given), em.pooled, em.sets, em.answer, em.terms)
@@ -353,7 +371,13 @@ def match_many(
     pairs = {(ordered[a].name, ordered[b].name): match for (a, b), match in matches.items()}
     doubts = assumed + _search_doubts(searches) + _doubts(pairs, objects, em.converged)
     removed = {name: rotation for name, rotation in searches.items() if not rotation.by_chance}
-    return ManyMatch(tuple(catalogues), epoch, objects, pairs, expected, em.iterations, em.converged, doubts, removed)
+    information = {
+        (ordered[a].name, ordered[b].name): edge.information
+        for (a, b), edge in (() if magnitudes is None else magnitudes.edges.items())
+    }
+    return ManyMatch(
+        tuple(catalogues), epoch, objects, pairs, expected, em.iterations, em.converged, doubts, removed, information
+    )
 
 
 def _on_one_frame(
@@ -490,6 +514,8 @@ class _LogWeight:
         fit = fitted(observers.astrometric, sets[several])
         log_peak, chi_sq = np.zeros(len(sets)), np.zeros(len(sets))
         log_peak[several], chi_sq[several] = fit.log_peak, fit.chi_sq
+        if observers.magnitudes is not None:
+            log_peak[several] += observers.magnitudes(sets[several])
         return cls(sets, patterns, several, log_peak, chi_sq)
 
     def __call__(self, population: Population) -> FloatArray:
