@@ -20,7 +20,7 @@ from sameas.estimate.companions import DEFAULT_COMPANIONS, Companions, Companion
 from sameas.estimate.coverage import local_share
 from sameas.estimate.error_grid import Average, Averaged, HypothesisSums, without_positions
 from sameas.estimate.error_model import DEFAULT_SCALES, ScalesTuning, fit_errors
-from sameas.estimate.grades import Grades
+from sameas.estimate.grades import DEFAULT_GRADES, Grades, GradesTuning
 from sameas.estimate.photometry import LearningPairs, Photometry
 from sameas.estimate.quantity import MAX_MISSING
 from sameas.estimate.sample import Setting
@@ -53,7 +53,8 @@ class EMTuning:
         most this share of its standard error, or when its last change was at most this number.
     tolerance_weight : greatest change of the weights of averaged errors at convergence.
     min_rate : lower limit of the ratio of one change to the previous one, for the expected remaining change.
-    scales : tuning of the mixture of error scales. companions : tuning of companions; None ignores companions.
+    scales, grades : tuning of the mixture of error scales, and of the sizes of quoted errors. companions : tuning of
+        companions; None ignores companions.
     min_companion_share : companions are ignored when they bring the share of common objects below this fraction of the
         share from close pairs and companions.
     """
@@ -74,6 +75,7 @@ class EMTuning:
     tolerance_weight: float = 0.01
     min_rate: float = 0.25
     scales: ScalesTuning = DEFAULT_SCALES
+    grades: GradesTuning = DEFAULT_GRADES
     companions: CompanionsTuning | None = DEFAULT_COMPANIONS
     min_companion_share: float = 0.5
 
@@ -328,7 +330,7 @@ class Estimates:
             # Records are graded within ranges of magnitude only if the magnitudes of a pair are related. Otherwise the
             # part of an error that predicts magnitude, and with it completeness, would be lost.
             unrelated = self.photometry is None or (self.n_evidence_fits > 0 and not self.photometry.is_informative)
-            grades = Grades.of(self.setting, None if unrelated else self.photometry)
+            grades = Grades.of(self.setting, None if unrelated else self.photometry, self.tuning.grades)
         if grades is not None:
             estimates = replace(
                 estimates,

@@ -64,7 +64,7 @@ class GradesTuning:
     min_volume_ratio: float = 1.0 + 1e-9
 
 
-TUNING = GradesTuning()
+DEFAULT_GRADES = GradesTuning()
 
 
 Both = tuple[FloatArray, FloatArray]
@@ -87,14 +87,16 @@ class Scale:
     apart: bool
 
     @classmethod
-    def of(cls, volume: FloatArray, magnitude: FloatArray | None, number: int) -> Scale:
+    def of(
+        cls, volume: FloatArray, magnitude: FloatArray | None, number: int, tuning: GradesTuning = DEFAULT_GRADES
+    ) -> Scale:
         """From records with errors of these volumes (n,), and magnitudes (n,), NaN where missing."""
-        every, parts = max(1, len(volume) // TUNING.scale_records), np.arange(1, number)
+        every, parts = max(1, len(volume) // tuning.scale_records), np.arange(1, number)
         some, some_magnitude = volume[::every], None if magnitude is None else magnitude[::every]
         measured = np.empty(0) if some_magnitude is None else some_magnitude[np.isfinite(some_magnitude)]
-        ranges = max(1, len(measured) // (TUNING.records_per_grade * number))
+        ranges = max(1, len(measured) // (tuning.records_per_grade * number))
         edges = np.quantile(measured, np.linspace(0.0, 1.0, ranges + 1)[1:-1]) if ranges > 1 else np.empty(0)
-        apart = len(measured) > 0 and len(some) - len(measured) >= TUNING.min_unmeasured
+        apart = len(measured) > 0 and len(some) - len(measured) >= tuning.min_unmeasured
         scale = cls(number, edges, np.empty(0), apart)
         within = scale._range(some_magnitude, len(some))
         line = np.sort(some) if some_magnitude is None else some[np.lexsort((some, within))]
@@ -139,25 +141,29 @@ class Grades:
     cells: BothGrades = field(repr=False)
     rule: Precision | None = None
     by_magnitude: bool = False
+    tuning: GradesTuning = DEFAULT_GRADES
 
     @classmethod
-    def of(cls, setting: Setting, photometry: Photometry | None) -> Grades | None:
+    def of(
+        cls, setting: Setting, photometry: Photometry | None, tuning: GradesTuning = DEFAULT_GRADES
+    ) -> Grades | None:
         """Before any fit; None with too few records, or with equal errors in both sources."""
-        number = min(int(math.sqrt(min(setting.n_counted) / TUNING.records_per_cell)), TUNING.max_grades)
+        number = min(int(math.sqrt(min(setting.n_counted) / tuning.records_per_cell)), tuning.max_grades)
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
-        if number < 2 or all(volume.max() < TUNING.min_volume_ratio * volume.min() for volume in volumes):
+        if number < 2 or all(volume.max() < tuning.min_volume_ratio * volume.min() for volume in volumes):
             return None
         one, two = (
-            Scale.of(volume, magnitude, number)
+            Scale.of(volume, magnitude, number, tuning)
             for volume, magnitude in zip(volumes, _magnitudes(photometry), strict=True)
         )
-        placed = _grades_and_cells((one, two), volumes, setting, photometry)
-        return cls((one, two), *placed, by_magnitude=photometry is not None)
+        placed = _grades_and_cells((one, two), volumes, setting, photometry, tuning)
+        return cls((one, two), *placed, by_magnitude=photometry is not None, tuning=tuning)
 
     def for_setting(self, setting: Setting, photometry: Photometry | None) -> Grades:
         """The same evidence for other records, with their magnitudes."""
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
-        grades, cells = _grades_and_cells(self.scales, volumes, setting, photometry if self.by_magnitude else None)
+        magnitudes = photometry if self.by_magnitude else None
+        grades, cells = _grades_and_cells(self.scales, volumes, setting, magnitudes, self.tuning)
         return replace(
             self, grades=grades, cells=cells, rule=self.rule and replace(self.rule, grades=grades, training=None)
         )
@@ -183,19 +189,20 @@ class Grades:
         at = count_pairs(pairs.i, pairs.j, *self.grades, p_counted, common)
         unrelated = _margin(common, 1)[:, None] * _margin(common, 0) * chance
         unrelated /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
-        pseudo = TUNING.pseudo_count * k1 * k2 * unrelated / unrelated.sum()
+        pseudo = self.tuning.pseudo_count * k1 * k2 * unrelated / unrelated.sum()
         counted = common + pseudo
         # The information about ln of a count: Σ p² (of certain pairs their number).
         information = np.zeros((k1, k2))
         count_pairs(pairs.i, pairs.j, *self.grades, p_counted**2, information)
         information += pseudo
-        log_ratio = np.log(counted / counted.sum()) - np.minimum(0.5 / information, TUNING.max_loss) - np.log(chance)
+        loss = np.minimum(0.5 / information, self.tuning.max_loss)
+        log_ratio = np.log(counted / counted.sum()) - loss - np.log(chance)
         # The pair's own contribution to ln of the count, subtracted from its evidence: without it the count of its
         # cell falls by p / Σ p², because the other pairs become less probable, but not below the pseudo-pairs.
         remaining = np.maximum(1.0 - p_counted / information.ravel()[at], (pseudo / counted).ravel()[at])
         own = -np.log(remaining)
         twice_gain = 2.0 * float(p_counted @ (log_ratio.ravel()[at] - own))
-        significant = twice_gain > TUNING.min_gain * (k1 * k2 - 1)
+        significant = twice_gain > self.tuning.min_gain * (k1 * k2 - 1)
         rule = Precision(self.grades, log_ratio, TrainingPairs(pairs, at, own)) if significant else None
         return replace(self, rule=rule)
 
@@ -213,7 +220,7 @@ class Grades:
             if likelihood_ratio is not None:
                 alone = 1.0 - (1.0 - alone) * likelihood_ratio[source]
             count_alone(self.cells[source], self.grades[source], alone, covered[source], count)
-            count += TUNING.shared_pseudo_count * _margin(count, 0)
+            count += self.tuning.shared_pseudo_count * _margin(count, 0)
             parts.append(count / count.sum(axis=1, keepdims=True))
         weight = np.bincount(self.cells[0], np.where(covered[0], partner[0], 0.0), number)
         return np.asarray((parts[0] * weight[:, None]).T @ parts[1] / max(float(weight.sum()), 1e-300))
@@ -239,10 +246,14 @@ def _magnitudes(photometry: Photometry | None) -> tuple[FloatArray | None, Float
 
 
 def _grades_and_cells(
-    scales: tuple[Scale, Scale], volumes: Sequence[FloatArray], setting: Setting, photometry: Photometry | None
+    scales: tuple[Scale, Scale],
+    volumes: Sequence[FloatArray],
+    setting: Setting,
+    photometry: Photometry | None,
+    tuning: GradesTuning,
 ) -> tuple[BothGrades, BothGrades]:
     """The grades of both sources' records, with errors of these volumes, and their cells."""
-    most = min(setting.n_counted) / TUNING.records_per_sky_cell
+    most = min(setting.n_counted) / tuning.records_per_sky_cell
     one, two = (
         scale.grades(volume, magnitude)
         for scale, volume, magnitude in zip(scales, volumes, _magnitudes(photometry), strict=True)

@@ -39,7 +39,7 @@ from sameas.estimate.error_grid import (
 )
 from sameas.estimate.error_model import ErrorModel, Tail, better_model, error_model, factor_on_quoted, fit_spread, tail
 from sameas.estimate.error_trends import DEFAULT_TRENDS, Trend, TrendTuning, covariates, with_trends
-from sameas.estimate.photometry import Photometry
+from sameas.estimate.photometry import DEFAULT_RELATIONS, Photometry, RelationTuning
 from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
 from sameas.estimate.sample import Sampling, Setting
 from sameas.evidence import Column, Errors, Magnitudes, Precision, Related
@@ -87,7 +87,8 @@ class MatchTuning:
     max_unrelated : from this share of pairs with unrelated magnitudes on, a note is given.
     max_interpreted : records plus twice the expected chance candidates above which interpreting the kernels takes
         longer than reading the compiled ones from the cache (measured with 200 to 2 000 records).
-    em : tuning of EM iterations. trends : of growing errors. grid : of the scan of error models before any iteration.
+    em : tuning of EM iterations. relations : of magnitudes. trends : of growing errors. grid : of the scan of error
+        models before any iteration.
     """
 
     min_outer_share: float = 6e-5
@@ -111,6 +112,7 @@ class MatchTuning:
     max_unrelated: float = 0.5
     max_interpreted: float = 2_300.0
     em: EMTuning = DEFAULT_EM
+    relations: RelationTuning = DEFAULT_RELATIONS
     trends: TrendTuning = DEFAULT_TRENDS
     grid: GridTuning = DEFAULT_GRID
 
@@ -266,7 +268,7 @@ def match(
         if not len(records):
             raise InputError(f"{records.source} has no usable records; nothing can be identified")
     progress("densities")
-    photometry, coverage = _photometry(first, second, brightness), Coverage.of(first, second)
+    photometry, coverage = _photometry(first, second, brightness, tuning), Coverage.of(first, second)
     columns = ColumnEvidence.of(first, second, evidence)
     if _expected_work(coverage, density) > tuning.max_interpreted:
         prefer_compiled()
@@ -331,7 +333,7 @@ def match_sample(
     coverage : of the sample, with its counted records. columns : of its records, as evidence. Other arguments as of
     :func:`match`. The errors of maximum likelihood are used, however few the pairs are.
     """
-    photometry = _photometry(coverage.first, coverage.second, brightness)
+    photometry = _photometry(coverage.first, coverage.second, brightness, tuning)
     all_records, density = Sampling(enough=2**62), assumed.density
     # Trends would apply to the records of the sample only; companions need all records.
     tuning = replace(tuning, fits_trends=False, em=replace(tuning.em, companions=None))
@@ -445,11 +447,13 @@ def _fit_trends(search: _GateSearch, result: _GateResult, max_iterations: int) -
     return search, result
 
 
-def _photometry(first: Records, second: Records, brightness: tuple[Magnitudes, Magnitudes] | None) -> Photometry | None:
+def _photometry(
+    first: Records, second: Records, brightness: tuple[Magnitudes, Magnitudes] | None, tuning: MatchTuning
+) -> Photometry | None:
     if brightness is None:
         return None
     one, two = brightness
-    return Photometry.of((one.of(first), two.of(second)), (one.names, two.names))
+    return Photometry.of((one.of(first), two.of(second)), (one.names, two.names), tuning.relations)
 
 
 @in_short

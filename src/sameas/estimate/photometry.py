@@ -83,7 +83,7 @@ class RelationTuning:
     own_band_records: int = 1_000
 
 
-TUNING = RelationTuning()
+DEFAULT_RELATIONS = RelationTuning()
 
 
 #: Scales of the mixture, in units of error and scatter; the kernels rely on their ratio.
@@ -156,37 +156,42 @@ class Sample:
 
 
 def fit_relation(
-    sample: Sample, background: MagnitudeDensity, start: Relation | None = None, *, last: bool = False
+    sample: Sample,
+    background: MagnitudeDensity,
+    start: Relation | None = None,
+    *,
+    last: bool = False,
+    tuning: RelationTuning = DEFAULT_RELATIONS,
 ) -> Relation:
     """The relation of greatest likelihood; a few steps from ``start`` if given, many if ``last``."""
     if start is None:
-        return _after_em(sample, _initial_relation(sample, background), TUNING.first_steps, TUNING.first_tolerance)
-    return _after_em(
-        sample, replace(start, background=background), TUNING.last_steps if last else TUNING.steps, TUNING.tolerance
-    )
+        first = _initial_relation(sample, background, tuning)
+        return _after_em(sample, first, tuning.first_steps, tuning.first_tolerance, tuning)
+    steps = tuning.last_steps if last else tuning.steps
+    return _after_em(sample, replace(start, background=background), steps, tuning.tolerance, tuning)
 
 
-def _initial_relation(sample: Sample, background: MagnitudeDensity) -> Relation:
+def _initial_relation(sample: Sample, background: MagnitudeDensity, tuning: RelationTuning) -> Relation:
     """Medians and interquartile ranges at every knot, without slopes: robust against outliers and chance pairs."""
     from sameas.kernels.relation import quartiles
 
     difference, x, c = sample.pairs[:, 0], sample.pairs[:, 5], sample.colours.shape[1] // 2
-    knots = knots_of(x, sample.weight, TUNING.per_knot, TUNING.max_knots)
+    knots = knots_of(x, sample.weight, tuning.per_knot, tuning.max_knots)
     centres = sample.weight @ sample.colours[:, :c] / sample.weight.sum()
     nearest = np.searchsorted(0.5 * (knots[1:] + knots[:-1]), x)
     k = len(knots)
     by_knot = np.empty((3, k + 1))
     quartiles(np.argsort(difference, kind="stable"), difference, sample.weight, nearest, by_knot)
-    enough = np.bincount(nearest, sample.weight, k) > TUNING.pseudo_pairs
+    enough = np.bincount(nearest, sample.weight, k) > tuning.pseudo_pairs
     lower, offset, upper = np.where(enough, by_knot[:, :k], by_knot[:, k:])
-    scatter = np.maximum((upper - lower) / QUARTILE_RANGE, TUNING.min_scatter)
+    scatter = np.maximum((upper - lower) / QUARTILE_RANGE, tuning.min_scatter)
     no_fit = np.zeros((k + c, k + c)), np.zeros(k + c), math.inf, float(sample.weight.sum())
     return Relation(
         knots, offset, scatter, np.zeros(c), centres, SCALES, INITIAL_SHARES, INITIAL_UNRELATED, background, *no_fit
     )
 
 
-def _after_em(sample: Sample, relation: Relation, steps: int, tolerance: float) -> Relation:
+def _after_em(sample: Sample, relation: Relation, steps: int, tolerance: float, tuning: RelationTuning) -> Relation:
     """After at most ``steps`` of EM, or when no estimate changes by more than ``tolerance`` of its standard error."""
     from sameas.kernels.relation import learn
 
@@ -196,8 +201,8 @@ def _after_em(sample: Sample, relation: Relation, steps: int, tolerance: float) 
     shares, error = np.append(relation.shares, relation.unrelated), np.array([relation.scatter_error])
     covariance, mean = relation.covariance.copy(), relation.mean_basis.copy()
     learned = offset, scatter, slopes, relation.scales, shares, covariance, mean, error
-    priors = np.array([*TAIL_ALLOWANCE, TUNING.pseudo_unrelated, TUNING.pseudo_pairs, TUNING.min_scatter, tolerance])
-    learn(sample.pairs, colours, relation.knots, learned, _penalty(len(offset), len(slopes)), priors, steps)
+    priors = np.array([*TAIL_ALLOWANCE, tuning.pseudo_unrelated, tuning.pseudo_pairs, tuning.min_scatter, tolerance])
+    learn(sample.pairs, colours, relation.knots, learned, _penalty(len(offset), len(slopes), tuning), priors, steps)
     return replace(
         relation, offset=offset, slopes=slopes, covariance=covariance, mean_basis=mean, scatter=scatter,
         scatter_error=float(error[0]), shares=shares[:-1], unrelated=float(shares[-1]),
@@ -206,22 +211,22 @@ def _after_em(sample: Sample, relation: Relation, steps: int, tolerance: float) 
 
 
 @cache
-def _penalty(k: int, slopes: int) -> FloatArray:
+def _penalty(k: int, slopes: int, tuning: RelationTuning) -> FloatArray:
     """(k + c, k + c) penalty that draws curves to straight lines and slopes to zero."""
     penalty = np.zeros((k + slopes, k + slopes))
-    penalty[:k, :k] = roughness(k, TUNING.bend_sigma) + 1e-6 * np.eye(k)
-    penalty[k:, k:] = np.eye(slopes) / TUNING.slope_sigma**2
+    penalty[:k, :k] = roughness(k, tuning.bend_sigma) + 1e-6 * np.eye(k)
+    penalty[k:, k:] = np.eye(slopes) / tuning.slope_sigma**2
     return penalty
 
 
-def weighted_median(values: FloatArray, weights: FloatArray) -> float:
+def weighted_median(values: FloatArray, weights: FloatArray, tuning: RelationTuning = DEFAULT_RELATIONS) -> float:
     """The value that has half of the weight below it."""
     half = 0.5 * float(weights.sum())
-    if len(values) > TUNING.sorted_values:
+    if len(values) > tuning.sorted_values:
         # Only the bin that contains the median is sorted.
         low, high = float(values.min()), float(values.max())
-        bin_ = ((values - low) * ((TUNING.bins - 1) / max(high - low, 1e-300))).astype(np.int64)
-        below = np.cumsum(np.bincount(bin_, weights, TUNING.bins))
+        bin_ = ((values - low) * ((tuning.bins - 1) / max(high - low, 1e-300))).astype(np.int64)
+        below = np.cumsum(np.bincount(bin_, weights, tuning.bins))
         at = int(np.searchsorted(below, half))
         half -= float(below[at - 1]) if at else 0.0
         some = np.flatnonzero(bin_ == at)
@@ -256,13 +261,18 @@ class Photometry:
     chains: tuple[Chain, Chain] | None = None
     curves: tuple[ShareCurve | None, ShareCurve | None] = (None, None)
     compared: tuple[Pairs, tuple[Comparisons, Comparisons]] | None = field(repr=False, default=None)
+    tuning: RelationTuning = field(repr=False, default=DEFAULT_RELATIONS)
 
     @classmethod
     def of(
-        cls, measured: tuple[MeasuredMagnitudes, MeasuredMagnitudes], names: tuple[tuple[str, ...], tuple[str, ...]]
+        cls,
+        measured: tuple[MeasuredMagnitudes, MeasuredMagnitudes],
+        names: tuple[tuple[str, ...], tuple[str, ...]],
+        tuning: RelationTuning = DEFAULT_RELATIONS,
     ) -> Photometry:
         """Before any fit."""
-        return cls((_source_magnitudes(measured[0]), _source_magnitudes(measured[1])), names)
+        one, two = (_source_magnitudes(each, tuning) for each in measured)
+        return cls((one, two), names, tuning=tuning)
 
     def part(self, rows_1: IntArray, rows_2: IntArray) -> Photometry:
         """The magnitudes of some records."""
@@ -292,11 +302,11 @@ class Photometry:
         In EM iterations few steps are made, with a sample of the pairs; the ``last`` fit, with standard errors, uses
         more.
         """
-        n_records = TUNING.curve_records if last else TUNING.curve_records_in_em
-        one, two = map(partial(_fit_curve, n_records), self.sides, p_partner, shares, covered, self.curves)
+        tuning = self.tuning
+        one, two = map(partial(_fit_curve, tuning, last), self.sides, p_partner, shares, covered, self.curves)
         curves = one, two
         used = np.zeros(len(p_pair), np.bool_)
-        used[_sampled(np.flatnonzero(p_pair > 1e-3), TUNING.max_pairs if last else TUNING.max_pairs_in_em)] = True
+        used[_sampled(np.flatnonzero(p_pair > 1e-3), tuning.max_pairs if last else tuning.max_pairs_in_em)] = True
         cached = self.compared is not None and self.compared[0] is pairs
         sides = self.compared[1] if cached and self.compared else comparisons_of(self.sides, pairs)
         previous = self.chains or (None, None)
@@ -305,7 +315,7 @@ class Photometry:
             for curve, side, p, is_covered in zip(curves, self.sides, p_partner, covered, strict=True)
         ]
         forth, back = (
-            _fit_chain(side, compared.tilted(tilt), np.where(used, p_pair, 0.0), start, tilt, last=last)
+            _fit_chain(side, compared.tilted(tilt), np.where(used, p_pair, 0.0), start, tilt, tuning, last=last)
             for side, compared, start, tilt in zip(self.sides, sides, previous, tilts, strict=True)
         )
         chains = (forth, back) if any(forth.related) and any(back.related) else None
@@ -377,7 +387,7 @@ class Photometry:
             magnitude = side.measured.values[:, 0]
             partner = np.minimum(np.bincount(rows, answer.p_pair, len(magnitude)), 1.0)
             used = np.isfinite(magnitude) & covered
-            enough = np.count_nonzero(used) >= TUNING.min_pairs
+            enough = np.count_nonzero(used) >= self.tuning.min_pairs
             curves.append(DetectionCurve.of(names[0], magnitude[used], partner[used], volume) if enough else None)
         return curves[0], curves[1]
 
@@ -397,6 +407,7 @@ def _fit_chain(
     weight: FloatArray,
     previous: Chain | None,
     tilt: PartnerTilt | None,
+    tuning: RelationTuning,
     *,
     last: bool,
 ) -> Chain:
@@ -409,7 +420,7 @@ def _fit_chain(
         start = previous.related[band] if previous else {}
         relations = {
             x.regressors.pattern: _fit_relation(
-                x, weight, density, start.get(x.regressors.pattern), last=last, informed=previous is not None
+                x, weight, density, start.get(x.regressors.pattern), tuning, last=last, informed=previous is not None
             )
             for x in comparisons
         }
@@ -417,25 +428,26 @@ def _fit_chain(
     return Chain(tuple(related), tilt)
 
 
-def _source_magnitudes(measured: MeasuredMagnitudes) -> SourceMagnitudes:
+def _source_magnitudes(measured: MeasuredMagnitudes, tuning: RelationTuning) -> SourceMagnitudes:
     """The densities of a source's bands, and the relations between them."""
-    densities = tuple(map(_band_density, measured.values.T))
+    densities = tuple(_band_density(column, tuning) for column in measured.values.T)
     sample = measured.take(
-        np.arange(0, len(measured.values), max(1, -(-len(measured.values) // TUNING.own_band_records)))
+        np.arange(0, len(measured.values), max(1, -(-len(measured.values) // tuning.own_band_records)))
     )
     alone: list[Mapping[Pattern, Relation]] = []
     for band, density in enumerate(densities):
         regressors = Regressors.split(band, sample, None) if band and density is not None else ()
         weight = np.ones(len(sample.values))
         comparisons = [Comparison(x, np.exp(density(x.y)), np.empty(0)) for x in regressors if density is not None]
-        alone.append({x.regressors.pattern: r for x in comparisons if (r := _fit_relation(x, weight, density, None))})
+        fits = {x.regressors.pattern: _fit_relation(x, weight, density, None, tuning) for x in comparisons}
+        alone.append({pattern: relation for pattern, relation in fits.items() if relation is not None})
     return SourceMagnitudes(measured, densities, tuple(alone))
 
 
-def _band_density(magnitude: FloatArray) -> MagnitudeDensity | None:
+def _band_density(magnitude: FloatArray, tuning: RelationTuning) -> MagnitudeDensity | None:
     """The density of the measured magnitudes; None if they are too few."""
     known = magnitude[np.isfinite(magnitude)]
-    return density_of(known) if len(known) >= TUNING.min_pairs else None
+    return density_of(known) if len(known) >= tuning.min_pairs else None
 
 
 def _fit_relation(
@@ -443,6 +455,7 @@ def _fit_relation(
     weight: FloatArray,
     density: MagnitudeDensity | None,
     start: Relation | None,
+    tuning: RelationTuning,
     *,
     last: bool = False,
     informed: bool = True,
@@ -450,24 +463,26 @@ def _fit_relation(
     """The relation of a band to its regressors; None with too few pairs."""
     x = compared.regressors
     weight = weight[x.rows]
-    if density is None or weight.sum() < TUNING.min_pairs:
+    if density is None or weight.sum() < tuning.min_pairs:
         return None
     sample = Sample.of(x.y, x.others, x.variance, x.other_variance, compared.background, weight, informed=informed)
-    return fit_relation(sample, density, start, last=last)
+    return fit_relation(sample, density, start, last=last, tuning=tuning)
 
 
 def _fit_curve(
-    n_records: int,
+    tuning: RelationTuning,
+    last: bool,
     side: SourceMagnitudes,
     p_partner: FloatArray,
     share: FloatArray,
     covered: BoolArray,
     previous: ShareCurve | None,
 ) -> ShareCurve | None:
-    """The curve of the shares by magnitude from at most ``n_records`` covered records; None with too few."""
+    """The curve of the shares by magnitude, in the last fit from more records; None with too few."""
+    n_records = tuning.curve_records if last else tuning.curve_records_in_em
     magnitude = side.measured.values[:, 0]
     rows = np.flatnonzero(np.isfinite(magnitude) & covered)
     rows = rows[:: max(1, -(-len(rows) // n_records))]
-    if len(rows) < TUNING.min_pairs:
+    if len(rows) < tuning.min_pairs:
         return None
     return ShareCurve.fit(magnitude[rows], share[rows], p_partner[rows], previous)
