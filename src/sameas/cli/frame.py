@@ -119,13 +119,12 @@ def frame(
     """
     with answering(debug, frame_option):
         from sameas.cli.frames import aim_of, expanded, names_of, scale_of
-        from sameas.front.framing import FrameRequest, PointingOptions
+        from sameas.front.framing import FrameRequest, PointingOptions, given_values
 
         paths = expanded(
             [str(path) for path in images], [str(path) for path in (*(dark or ()), *(flat or ()), *(bias or ()))]
         )
         pointing = PointingOptions(aim_of(aim), radius, scale_of(scale), header=not ignore_header)
-        given = {"gain_e_per_adu": gain, "read_noise_e": read_noise, "saturation_adu": saturation}
         requests = [
             FrameRequest(
                 path=path,
@@ -134,7 +133,7 @@ def frame(
                 catalogue=catalog,
                 pointing=pointing,
                 columns=fields_of(columns, 1),
-                given={key: value for key, value in given.items() if value is not None},
+                given=given_values(gain, read_noise, saturation),
                 time=time,
                 hdu=hdu,
                 mask=None if mask is None else str(mask),

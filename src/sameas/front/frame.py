@@ -223,7 +223,6 @@ def match_frame(
     known = (*own, "dark", "flat", "bias", "progress", *(one.parameter for one in COLUMN_OPTIONS))
     refuse_unknown(columns, known, "match_frame")
     stated = {name: value for name, value in columns.items() if value is not None}
-    given = {"gain_e_per_adu": gain, "read_noise_e": read_noise, "saturation_adu": saturation}
     image, catalogue = as_source(image), as_source(catalogue)
     in_memory = isinstance(image, Frame)
     name = image.name if isinstance(image, Frame) else Path(image).name
@@ -235,7 +234,7 @@ def match_frame(
         catalogue=catalogue if isinstance(catalogue, str) else "in memory",
         pointing=framing.PointingOptions(_aim(aim), radius, _scale(scale), header),
         columns=fields_of(stated, 0),
-        given={key: value for key, value in given.items() if value is not None},
+        given=framing.given_values(gain, read_noise, saturation),
         time=None if time is None else _time(time),
         hdu=None if hdu is None else str(hdu),
         mask=None if mask is None else os.fspath(mask),

@@ -143,6 +143,12 @@ def _scale(frame: Frame, wcs: Any) -> tuple[float, float] | None:
     return None
 
 
+def given_values(gain: float | None, read_noise: float | None, saturation: float | None) -> dict[str, float]:
+    """The fields of ``Given`` that the user states, in electrons per unit, electrons, units."""
+    values = {"gain_e_per_adu": gain, "read_noise_e": read_noise, "saturation_adu": saturation}
+    return {name: value for name, value in values.items() if value is not None}
+
+
 @dataclass(frozen=True)
 class FrameRequest:
     """A frame and all its options. ``columns`` are fields of ``CatalogueOptions``.
