@@ -146,7 +146,7 @@ def check_facts(facts: Mapping[Any, Any], path: str | os.PathLike[str]) -> None:
         raise InputError(f"{path}: its metadata unfold to more than {MOST_FACTS} values; leave them out")
 
 
-def _unfolded(value: Any, endless: int, counts: dict[int, int]) -> int:
+def _unfolded(value: object, endless: int, counts: dict[int, int]) -> int:
     """The number of values in a value, ``endless`` if it contains itself; counts : by id, those counted already."""
     if not isinstance(value, Mapping | list | tuple):
         return 1

@@ -13,6 +13,7 @@ from sameas.front.options import fields_of
 
 if TYPE_CHECKING:
     from sameas.cli.frames import Outcome
+    from sameas.front.framing import FrameRequest
 
 _PLACE, _IMAGE, _FILES = "Where it points", "The image", "Outputs"
 
@@ -159,7 +160,7 @@ def frame(
         raise typer.Exit(INPUT_ERROR)
 
 
-def _run(requests: list[Any], processes: int, again: bool, quiet: bool, series: str | None) -> bool:
+def _run(requests: list[FrameRequest], processes: int, again: bool, quiet: bool, series: str | None) -> bool:
     """Process the frames and print their lines; returns whether any failed.
 
     series : name of the series of a folder; None for frames that were given one by one.

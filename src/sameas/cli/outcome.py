@@ -14,12 +14,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from sameas.cli.options import in_options, option_of
 from sameas.errors import Argument, InputError, printable
+
+if TYPE_CHECKING:
+    from types import FrameType
 
 INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 130, 143
 #: Seconds for the main thread to end by itself after a signal (an answer within one second is promised), for a worker
@@ -104,18 +107,18 @@ def stopped() -> str:
 _raised: list[type[KeyboardInterrupt]] = []
 
 
-def _interrupt(number: int, frame: Any) -> None:
+def _interrupt(number: int, frame: FrameType | None) -> None:
     _raised[:] = [KeyboardInterrupt]
     raise KeyboardInterrupt
 
 
-def _terminate(number: int, frame: Any) -> None:
+def _terminate(number: int, frame: FrameType | None) -> None:
     signal.signal(number, signal.SIG_DFL)
     _raised[:] = [Terminated]
     raise Terminated
 
 
-def _terminate_worker(number: int, frame: Any) -> None:
+def _terminate_worker(number: int, frame: FrameType | None) -> None:
     # An interrupted parent sends a second SIGTERM; the watching thread ends the worker in any case.
     signal.signal(number, signal.SIG_IGN)
     ended = WorkerTerminated()

@@ -25,6 +25,10 @@ from sameas.report.prose import ALARM, DOUBT
 from sameas.representation import counted
 
 if TYPE_CHECKING:
+    from socket import socket
+
+    import uvicorn
+
     from sameas.io.sensors.sources import SensorSource
     from sameas.live.inputs import Replay
     from sameas.live.keeper import Keeper
@@ -177,9 +181,11 @@ def _origin(sources: Sequence[SensorSource]) -> dict[str, float] | None:
     return None if plane is None else {"lat_deg": plane.lat_deg, "lon_deg": plane.lon_deg}
 
 
-def _server(keeper: Keeper, host: str, port: int, token: str | None, viewer: str | None, say: Printer) -> Any:
+def _server(
+    keeper: Keeper, host: str, port: int, token: str | None, viewer: str | None, say: Printer
+) -> tuple[uvicorn.Server, socket]:
     """The server and its socket; prints the address of the map."""
-    import socket
+    from socket import AF_INET, AF_INET6, SO_REUSEADDR, SOL_SOCKET, socket
 
     try:
         import uvicorn
@@ -190,8 +196,8 @@ def _server(keeper: Keeper, host: str, port: int, token: str | None, viewer: str
     from sameas.live.server import Access, application
 
     access = Access.of(host, token, viewer)
-    listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener = socket(AF_INET6 if ":" in host else AF_INET)
+    listener.setsockopt(SOL_SOCKET, SO_REUSEADDR, 1)
     try:
         listener.bind((host, port))
     except OSError as error:
@@ -226,7 +232,9 @@ class _News:
         return lines
 
 
-async def _run(keeper: Keeper, server: Any, until_s: float | None, say: Printer) -> None:
+async def _run(
+    keeper: Keeper, server: tuple[uvicorn.Server, socket] | None, until_s: float | None, say: Printer
+) -> None:
     """Run the loop and the server until the time is up or a signal stops them."""
     over = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -241,8 +249,8 @@ async def _run(keeper: Keeper, server: Any, until_s: float | None, say: Printer)
     served = None
     if server is not None:
         # Signals are handled here: they end the loop, which then ends the server.
-        server[0].install_signal_handlers = lambda: None
-        server[0].capture_signals = contextlib.nullcontext
+        server[0].install_signal_handlers = lambda: None  # type: ignore[attr-defined]  # of older versions
+        server[0].capture_signals = contextlib.nullcontext  # type: ignore[method-assign,assignment]
         served = asyncio.create_task(server[0].serve(sockets=[server[1]]))
     news = _News(keeper)
 

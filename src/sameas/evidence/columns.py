@@ -219,7 +219,7 @@ class CodedColumn:
         return CodedColumn(self.name, self.values[rows], self.words, log_odds)
 
 
-def _word(cell: Any) -> str:
+def _word(cell: object) -> str:
     return "" if cell is None else (cell.decode() if isinstance(cell, bytes) else str(cell)).strip()
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -39,6 +39,9 @@ from sameas.sky.frame.outputs import listing, summary
 from sameas.sky.frame.plate import Pointing
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, sky_index
 from sameas.space import chord_angle_deg, unit_vectors
+
+if TYPE_CHECKING:
+    from astropy.wcs import WCS
 
 Progress = Callable[[str], None]
 #: Outputs in addition to the table; page and pictures are optional.
@@ -113,7 +116,7 @@ def _header_elsewhere(pointing: PointingOptions, own_hints: Sequence[Hint], fram
     return f"the header's aim, {header[0]:.4f} {header[1]:+.4f}, is {off_deg:.3g}° from the one given"
 
 
-def _solution(frame: Frame) -> Any:
+def _solution(frame: Frame) -> WCS | None:
     """The header's WCS where it has a celestial one that makes sense, else None."""
     from astropy.wcs import WCS
 
@@ -133,7 +136,7 @@ def _solution(frame: Frame) -> Any:
     return wcs if 1e-4 < scale < 3599.0 else None
 
 
-def _scale(frame: Frame, wcs: Any) -> tuple[float, float] | None:
+def _scale(frame: Frame, wcs: WCS | None) -> tuple[float, float] | None:
     scale = frame.facts.scale_arcsec_per_px
     if math.isfinite(scale) and scale > 0:
         return scale * (1 - LOOSE), scale * (1 + LOOSE)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
@@ -435,7 +435,7 @@ def identified(
     return Match.of_sky(found, request, **table)
 
 
-def _listed(evidence: Any) -> list[Column | Related]:
+def _listed(evidence: Column | Related | Iterable[Column | Related]) -> list[Column | Related]:
     """The columns of ``evidence`` as a list."""
     listed = [evidence] if isinstance(evidence, Column | Related) else list(evidence)
     for one in listed:

@@ -204,7 +204,7 @@ def _made(folder: Path) -> Path:
     return folder
 
 
-def both_hats(first: Any, second: Any) -> bool:
+def both_hats(first: object, second: object) -> bool:
     """Whether both sources are HATS catalogues.
 
     Raises

@@ -274,7 +274,7 @@ def read_catalogue(source: Any, name: str, columns: Mapping[str, Any], side: int
     return Catalogue.of(table, name, options=CatalogueOptions(**fields_of(columns, side)))
 
 
-def _is_catalogue(source: Any) -> bool:
+def _is_catalogue(source: object) -> bool:
     from sameas.sky.catalogue import Catalogue
 
     return isinstance(source, Catalogue)

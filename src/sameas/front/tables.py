@@ -100,7 +100,7 @@ def _odds_file(path: str | os.PathLike[str]) -> Table:
     return read_table(path)
 
 
-def kind_of(data: Any) -> str:
+def kind_of(data: object) -> str:
     """The type of an object with its library: ``pandas DataFrame``."""
     kind = type(data)
     home = kind.__module__.partition(".")[0]

@@ -125,7 +125,7 @@ def _needed(settings: Any, path: str | Path, *keys: str) -> Any:
     return value
 
 
-def _names(value: Any) -> tuple[str, ...]:
+def _names(value: object) -> tuple[str, ...]:
     return tuple(map(str, value)) if isinstance(value, list | tuple) else (str(value),)
 
 

@@ -26,6 +26,7 @@ from sameas.io.format import Format, ascii_of, has_huge_power, to_json, to_text,
 from sameas.representation import counted
 
 if TYPE_CHECKING:
+    from astropy.io.fits import HDUList
     from astropy.table import Column, Table
 
 
@@ -148,7 +149,7 @@ def _write_unknown(path: Path, fields: Sequence[int], masks: Sequence[BoolArray]
         path.write_bytes(gzip.compress(whole.tobytes()))
 
 
-def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[Any, list[str]]:
+def _chosen(hdus: HDUList, hdu: int | str | None, path: Path) -> tuple[Any, list[str]]:
     from astropy.io import fits
 
     kinds = (fits.BinTableHDU, fits.TableHDU)
@@ -172,7 +173,7 @@ def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[Any, list[str
     return chosen, []
 
 
-def _image_facts(hdus: Any, chosen: Any) -> dict[str, Any]:
+def _image_facts(hdus: HDUList, chosen: Any) -> dict[str, Any]:
     """The cards of the image header in front of a table of FITS_LDAC, such as the time of the exposure."""
     from astropy.io import fits
 

@@ -138,7 +138,7 @@ def json_text(facts: Mapping[str, Any]) -> str:
     return (text if text.isascii() or not _SURROGATE.search(text) else json.dumps(facts, indent=1)) + "\n"
 
 
-def to_text(value: Any) -> str:
+def to_text(value: object) -> str:
     """One value as text: a string unchanged where it cannot be mistaken for another value, else JSON."""
     if isinstance(value, str) and value.isprintable() and value.strip() == value and from_text(value) == value:
         return value

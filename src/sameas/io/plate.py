@@ -21,7 +21,7 @@ from sameas.io.atomic import replacing
 from sameas.sky.frame.plate import PlateModel
 
 if TYPE_CHECKING:
-    from astropy.io.fits import Header
+    from astropy.io.fits import HDUList, Header
     from astropy.table import Table
 
 _OLD = re.compile(
@@ -93,7 +93,7 @@ def write_copy(plate: PlateModel, frame: str | os.PathLike[str], path: str | os.
                 hdus.writeto(draft, overwrite=True, output_verify="silentfix")
 
 
-def _image(hdus: Any, shape: tuple[int, int]) -> int | None:
+def _image(hdus: HDUList, shape: tuple[int, int]) -> int | None:
     """The number of the measured image: the first of this shape, preferably one named SCI; None without one."""
     candidates = [k for k, each in enumerate(hdus) if each.is_image and _shape(each) == shape]
     named = [k for k in candidates if hdus[k].name.upper() == "SCI"]

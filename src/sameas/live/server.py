@@ -122,7 +122,7 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
 _Handler = Callable[["Request", str], Awaitable["Response"]]
 
 
-def _json(content: Any, status: int = 200, **headers: str) -> Response:
+def _json(content: object, status: int = 200, **headers: str) -> Response:
     from starlette.responses import JSONResponse
 
     return JSONResponse(content, status, headers=_HEADERS | headers)

@@ -59,7 +59,7 @@ def _replaced(text: str, marks: Mapping[str, str]) -> str:
     return re.sub(r"\{\{(\w+)\}\}", lambda found: marks[found[1]], text)
 
 
-def script_safe(value: Any) -> str:
+def script_safe(value: object) -> str:
     """JSON that cannot end or open the script element around it, whatever names from files and radio contain."""
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")

@@ -89,7 +89,7 @@ def numbers_of(table: pa.Table, column: str) -> NDArray[Any]:
     return chunks[0] if len(chunks) == 1 else np.concatenate([np.empty(0, np.int64), *chunks])
 
 
-def is_hats(path: Any) -> bool:
+def is_hats(path: object) -> bool:
     """Whether a path is a HATS catalogue or a collection of them."""
     if not isinstance(path, str | os.PathLike) or not os.path.isdir(path):
         return False
@@ -99,7 +99,7 @@ def is_hats(path: Any) -> bool:
     )
 
 
-def without_properties(path: Any) -> bool:
+def without_properties(path: object) -> bool:
     """Whether a path is a HATS catalogue except that its properties are missing."""
     return (
         isinstance(path, str | os.PathLike)

@@ -639,7 +639,7 @@ def table_of(table: pa.Table) -> Table:
     return Table(columns, copy=False)
 
 
-def _strings_in(value: Any) -> list[str]:
+def _strings_in(value: object) -> list[str]:
     """All strings in a value, in the fields of its dataclasses and the items of its lists."""
     if isinstance(value, str):
         return [value]

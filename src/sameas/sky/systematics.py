@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,6 +36,8 @@ from sameas.sky.frame.plate import directions_deg, to_plane
 from sameas.space import ARCSEC_PER_RADIAN, displaced, local_axes, mean_direction, sphere_offset, unit_vectors
 
 if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
     from sameas.registration import Registration
 
 
@@ -250,7 +252,7 @@ def _within(records: Records, centre: FloatArray, radius_deg: float) -> Records:
     return Records.of(rotated, variance=variance[:, None], space=records.space, source=records.source)
 
 
-def _tree(records: Records) -> Any:
+def _tree(records: Records) -> cKDTree:
     from scipy.spatial import cKDTree
 
     return cKDTree(unit_vectors(*records.features.T))

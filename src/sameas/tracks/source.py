@@ -384,7 +384,7 @@ def _part(source: str, section: str, part: Any, given: Mapping[str, Any]) -> Any
         raise InputError(f"{source}: {error}") from None
 
 
-def _is_numeric(value: Any) -> bool:
+def _is_numeric(value: object) -> bool:
     return all(map(_is_numeric, value)) if isinstance(value, list) else type(value) in (int, float)
 
 

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 
@@ -398,7 +398,7 @@ def _rows(positions: Sequence[AisMessage], statics: Mapping[str, list[Static]]) 
     return rows
 
 
-def _available(value: Any, limit: float) -> float | None:
+def _available(value: str | SupportsFloat | None, limit: float) -> float | None:
     """The value as a number; None where it is missing or at the limit that means "not available"."""
     return None if value is None or not 0 <= float(value) < limit else float(value)
 

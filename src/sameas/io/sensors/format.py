@@ -306,7 +306,7 @@ def json_lines(lines: Sequence[str], damaged: list[tuple[int, str]]) -> list[tup
     return numbered
 
 
-def plain_text(value: Any) -> str | None:
+def plain_text(value: object) -> str | None:
     """A JSON string or number as text; None for other values and blank text."""
     return str(value).strip() or None if isinstance(value, str | int | float) else None
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 
@@ -176,7 +176,7 @@ def _report(decoded: Mapping[str, Any], fields: Mapping[str, tuple[float, Any]],
     }
 
 
-def _scaled(value: Any, unit: float) -> float | None:
+def _scaled(value: str | SupportsFloat | None, unit: float) -> float | None:
     return None if value is None else float(value) * unit
 
 

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -824,7 +824,7 @@ def _of_date(text: str, day: int) -> float:
     return moment.timestamp() + float(match[6] or 0.0)
 
 
-def _seconds_of_day(cell: Any) -> float:
+def _seconds_of_day(cell: str | SupportsFloat) -> float:
     match = _OF_DAY.fullmatch(str(cell).strip())
     if match:
         return 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3])

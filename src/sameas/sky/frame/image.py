@@ -35,7 +35,7 @@ from sameas.sky.frame.keywords import Facts, Given
 from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
 
 if TYPE_CHECKING:
-    from astropy.io.fits import Header
+    from astropy.io.fits import HDUList, Header
 
 
 Image = NDArray[np.float32]
@@ -219,7 +219,7 @@ with fits.open(sys.argv[1], memmap=False) as hdus:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _opened(path: Path) -> Iterator[HDUList]:
     """The extensions of a FITS file. Where a damaged image could end the process, another process decodes it."""
     from astropy.io import fits
 
@@ -271,7 +271,7 @@ def _decoder_can_crash(header: Header) -> bool:
     return bool(math.prod(tile) * pixel > _RICE_TILE_BYTES)
 
 
-def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[int, tuple[str, ...]]:
+def _chosen(hdus: HDUList, hdu: int | str | None, path: Path) -> tuple[int, tuple[str, ...]]:
     """Index of the image, and a note if there are several."""
     images = [k for k, each in enumerate(hdus) if each.is_image and each.header.get("NAXIS", 0) >= 2 and each.size]
     science = [k for k in images if hdus[k].name.upper() not in _QUALITY + _ERROR + _VARIANCE]
@@ -294,11 +294,11 @@ def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[int, tuple[st
     return first, (f"image: extension {first} ({hdus[first].name or 'primary'}) taken; also there: {others}",)
 
 
-def _contents(hdus: Any) -> str:
+def _contents(hdus: HDUList) -> str:
     return ", ".join(f"{type(each).__name__} of {each.header.get('NAXIS', 0)} axes" for each in hdus)
 
 
-def _companions(hdus: Any, chosen: int, shape: tuple[int, ...]) -> dict[str, Any]:
+def _companions(hdus: HDUList, chosen: int, shape: tuple[int, ...]) -> dict[str, Any]:
     """The error and quality planes of the image: same shape, same EXTVER."""
     planes: dict[str, Any] = {"quality": None, "sigma": None}
     for k, each in enumerate(hdus):

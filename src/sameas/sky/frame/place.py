@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -36,6 +36,9 @@ from sameas.sky.frame.pointing_hints import (
     candidates,
 )
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
+
+if TYPE_CHECKING:
+    from astropy.wcs import WCS
 
 #: Minimum odds of an accepted placement (chosen).
 DEFAULT_ODDS = 1e6
@@ -73,7 +76,7 @@ class Placement:
     hint : text of the successful hint.
     """
 
-    wcs: Any
+    wcs: WCS
     pointing: Pointing
     log_odds: float
     runner_up_log_odds: float

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -121,7 +121,7 @@ class Pointing:
         return wcs
 
     @classmethod
-    def of_wcs(cls, wcs: Any, shape: tuple[int, int]) -> Pointing:
+    def of_wcs(cls, wcs: WCS, shape: tuple[int, int]) -> Pointing:
         """The linear least-squares fit to an astropy WCS over a frame of ``shape`` (rows, columns)."""
         rows, columns = shape
         middle = np.array([(columns - 1) / 2.0, (rows - 1) / 2.0])
@@ -134,7 +134,7 @@ class Pointing:
         return cls(centre, cd, middle - np.linalg.solve(cd, fit[0]))
 
 
-def sky_of(wcs: Any, px: FloatArray) -> FloatArray:
+def sky_of(wcs: WCS, px: FloatArray) -> FloatArray:
     """(n, 3) directions of 0-based pixels (n, 2) by a celestial astropy WCS, with its distortion."""
     world = wcs.celestial if wcs.naxis > 2 else wcs
     sky = world.pixel_to_world(px[:, 0], px[:, 1]).icrs

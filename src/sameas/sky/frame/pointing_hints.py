@@ -31,6 +31,9 @@ from sameas.sky.frame.plate import Pointing, from_plane, similarities, to_plane
 from sameas.space import ARCSEC_PER_RADIAN, chord_angle_deg, unit_vectors
 
 if TYPE_CHECKING:
+    from astropy.wcs import WCS
+    from scipy.spatial import cKDTree
+
     from sameas.sky.frame.field import Stars
 
 
@@ -141,7 +144,7 @@ class PatternIndex:
         return cls(chosen, rows, patterns(chosen, k, *map(float, chords)))
 
     @cached_property
-    def tree(self) -> Any:
+    def tree(self) -> cKDTree:
         """The k-d tree of all codes."""
         from scipy.spatial import cKDTree
 
@@ -149,7 +152,7 @@ class PatternIndex:
         return cKDTree(self.patterns.code, compact_nodes=False, balanced_tree=False)
 
     @cached_property
-    def star_tree(self) -> Any:
+    def star_tree(self) -> cKDTree:
         """The k-d tree of all directions."""
         from scipy.spatial import cKDTree
 
@@ -249,7 +252,7 @@ class ApproximateWcs:
     max_rotation_deg : maximum rotation, of either sign. scale_tolerance : maximum relative error of the scale.
     """
 
-    wcs: Any
+    wcs: WCS
     radius_deg: float | None = None
     max_rotation_deg: float = 2.0
     scale_tolerance: float = 0.02
@@ -460,7 +463,7 @@ def _alike(
 
 
 def _match_counts(
-    problem: PlateProblem, level: PatternIndex, measured: Patterns, i: IntArray, j: IntArray, flipped: Any, n: int
+    problem: PlateProblem, level: PatternIndex, measured: Patterns, i: IntArray, j: IntArray, flipped: BoolArray, n: int
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """For each pair of patterns, the number of the max(n, 20) brightest measurements on a star, and the pointing."""
     px = problem.px[measured.members[i]]

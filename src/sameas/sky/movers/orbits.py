@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -209,7 +209,7 @@ def _of_mpcorb(text: str, path: str | Path) -> Elements:
     return _usable(found, path)
 
 
-def _number(value: Any) -> float:
+def _number(value: str | SupportsFloat) -> float:
     try:
         return float(value)
     except (TypeError, ValueError):
