@@ -266,3 +266,10 @@ def test_a_position_cut_off_with_its_connection_is_no_report():
     stream.feed(b"", 0.0, connection=1, last=True)
     [reports] = stream.reports()
     assert reports.lon_deg.tolist() == [-1.23456] and stream.damaged["a line that is cut off"] == 1
+
+
+def test_sbs_lines_in_local_time_are_read_in_their_zone():
+    line = b"MSG,3,1,1,3C0001,1,2024/07/01,14:00:00.000,2024/07/01,14:00:00.000,,35000,,,51.5,-1.2,,,0,0,0,0\n"
+    stream = ReportStream("sbs", options=ReadOptions(time_zone="Europe/Berlin"))
+    stream.feed(line, 0.0)
+    assert (stream.reports()[0].time_s / 3600.0 % 24.0).tolist() == [12.0]

@@ -421,3 +421,47 @@ def test_base_stations_and_buoys_are_no_ships():
     )
     assert list(reports.mmsi) == ["219000001", "000000000"]
     assert reports.passed_over == {"base station or aid to navigation": 2}
+
+
+ZONED = """time,lat,lon,mmsi
+2024-07-01T14:00:00,54.1,8.0,211000001
+2024-01-01T13:00:00,54.1,8.0,211000001
+2024-07-01T14:00:00+03:00,54.1,8.0,211000002
+2024-07-01T14:00:00Z,54.1,8.0,211000003
+2024-07-01 14:00:00 UTC,54.1,8.0,211000005
+1719842400,54.1,8.0,211000004
+"""
+
+
+@pytest.mark.parametrize(
+    ("zone", "hours", "words"),
+    [
+        (None, [14, 13, 11, 14, 14, 14], "the others as UTC"),
+        ("Europe/Berlin", [12, 12, 11, 14, 14, 14], "the others as the time of Europe/Berlin"),
+        ("+02:00", [12, 11, 11, 14, 14, 14], "the others as the time of +02:00"),
+        ("UTC-3", [17, 16, 11, 14, 14, 14], "the others as the time of UTC-3"),
+    ],
+)
+def test_times_without_a_zone_are_of_the_given_one_and_each_row_states_its_own(zone, hours, words, tmp_path):
+    (tmp_path / "coast.csv").write_text(ZONED)
+    [made] = read_reports(tmp_path / "coast.csv", ReadOptions(time_zone=zone))
+    assert (made.time_s / 3600.0 % 24.0).tolist() == hours
+    assert f"coast.csv: time is read as the time of the zone that 1 of 6 rows state, {words}" in made.notes
+
+
+def test_times_of_day_are_of_the_given_zone(tmp_path):
+    (tmp_path / "coast.csv").write_text("time,lat,lon,mmsi\n23:59:00,54.1,8.0,211000001\n00:01:00,54.1,8.0,211000001\n")
+    [made] = read_reports(tmp_path / "coast.csv", ReadOptions(start="2024-07-01T21:59Z", time_zone="Europe/Berlin"))
+    assert (made.time_s - datetime(2024, 7, 1, 21, 59, tzinfo=UTC).timestamp()).tolist() == [0.0, 120.0]
+
+
+@pytest.mark.parametrize("zone", ["Berlin", "MEZ", "+99:00", "../etc/passwd", ""])
+def test_an_unknown_zone_is_refused(zone):
+    with pytest.raises(InputError, match=r"is not known on this machine; give a name such as Europe/Berlin"):
+        ReadOptions(time_zone=zone)
+
+
+def test_formats_in_utc_have_no_zone(tmp_path):
+    (tmp_path / "a.json").write_text('{"now": 1719842400, "aircraft": [{"hex": "3c0001", "lat": 54.0, "lon": 8.0}]}')
+    with pytest.raises(InputError, match="the times of aircraft have no time_zone: they are UTC; leave it out"):
+        read_reports(tmp_path / "a.json", ReadOptions(time_zone="+02:00"))

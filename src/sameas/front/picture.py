@@ -538,8 +538,9 @@ def _cells(data: Any, name: str) -> TableText:
 
 
 def _reading(name: str, described: Mapping[str, SourceOptions]) -> tuple[Any, ...]:
-    """Start time, columns and units from the description of a source; empty where it has none."""
+    """Start time, columns, units, kind and time zone from the description of a source; empty where it has none."""
     if name not in described:
         return ()
     options = described[name].options
-    return None if options.start is None else instant(str(options.start)), options.columns, options.units
+    start_s = None if options.start is None else instant(str(options.start))
+    return start_s, options.columns, options.units, options.kind, options.time_zone

@@ -24,6 +24,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sameas.errors import Argument, InputError, Message, reading
+from sameas.io.sensors.sources import ZONED
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.inputs import Replay, Wire
 from sameas.live.journal import Journal, load_state, save_state
@@ -363,7 +364,7 @@ class Keeper:
                 out.append(Alarm(f"silent {name}", "source", text))
             elif abs(state.delay_s) > watch.clock_s:
                 sense = "behind" if state.delay_s > 0.0 else "ahead of"
-                zone = " (a time zone?)" if _is_time_zone(state.delay_s) else ""
+                zone = self._zone_hint(name) if _is_time_zone(state.delay_s) else ""
                 text = f"{name}: its time stamps are {abs(state.delay_s):.0f} s {sense} the times of receipt{zone}"
                 out.append(Alarm(f"clock {name}", "source", text))
         for url, wire in self.wires.items():
@@ -382,6 +383,11 @@ class Keeper:
         if own is None or own.source != name or wire is None or math.isnan(wire.stream.own_ship[0]):
             return False
         return self._taken_s - wire.state.last_s <= self.settings.watch.silent_s
+
+    def _zone_hint(self, name: str) -> str:
+        """The remedy for a clock that is wrong by whole hours, where its format can have any zone."""
+        wire = self.wires[self.settings.sources[name].url or ""]
+        return " (a time zone? give time_zone in its input)" if wire.stream.format in ZONED else " (a time zone?)"
 
     def _misfit(self, name: str) -> str:
         """Why no report of a source can be used, whatever else arrives; empty where none has arrived yet."""

@@ -28,7 +28,7 @@ from typing import Any
 
 from sameas.errors import InputError, reading
 from sameas.io.sensors.format import ReadOptions
-from sameas.io.sensors.sources import KIND_OF_FORMAT
+from sameas.io.sensors.sources import KIND_OF_FORMAT, ZONED
 from sameas.io.sensors.stream import STREAM_FORMATS
 from sameas.maps.outline import read_coast
 from sameas.tracks.coordinates import LocalPlane
@@ -152,7 +152,7 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
     given = {"url": given} if isinstance(given, str) else {} if given is None else given
     if not isinstance(given, Mapping):
         raise InputError(f'{where}.input is {given!r}; give "udp://HOST:PORT", or {{ url = "…", format = "…" }}')
-    known = ("url", "format", "sensor", "columns", "units")
+    known = ("url", "format", "sensor", "columns", "units", "time_zone")
     for key in given:
         if key not in known:
             raise InputError(f"{where}.input: {key!r} is not known", _instead_of(key, known))
@@ -160,15 +160,24 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
         format_name = _FORMATS.get(str(given["format"]).lower())
         hint = f"give {format_name}" if format_name else f"give one of {', '.join(STREAM_FORMATS)}"
         raise InputError(f"{where}.input: format is {given['format']!r}; {hint}")
+    zone = given.get("time_zone")
+    if not isinstance(zone, str | None):
+        raise InputError(f"{where}.input: time_zone is {zone!r}", 'give a text such as "Europe/Berlin"')
     if given and "kind" not in described:
         raise InputError(f"{where}: has no kind", f'give kind = "…", one of {", ".join(KINDS)}')
+    if zone is not None and given.get("format") not in (None, *ZONED):
+        raise InputError(
+            f"{where}.input: the times of {given['format']} have no time_zone: they are UTC", "leave it out"
+        )
     description = Description.from_mapping(name, described)
     if given and (description.motion.acceleration_m2_per_s3 is None or description.misses.q is None):
         raise InputError(
             f"{where}: its kind {description.kind!r} assumes neither the motion of objects nor how many it misses",
             "give motion = { acceleration_m2_per_s3 = …, speed_m_per_s = … } and misses = { q = … }",
         )
-    options = ReadOptions(name, columns=given.get("columns"), units=given.get("units"), kind=description.kind)
+    options = ReadOptions(
+        name, columns=given.get("columns"), units=given.get("units"), kind=description.kind, time_zone=zone
+    )
     return LiveSource(description, given.get("url"), given.get("format"), given.get("sensor"), options)
 
 

@@ -10,10 +10,11 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,6 +67,45 @@ def seconds(number: float) -> float:
         if abs(number) > above:
             return number / unit
     return number
+
+
+def zone_of(name: str) -> tzinfo:
+    """A time zone, of a name such as ``Europe/Berlin`` or an offset from UTC such as ``+02:00``.
+
+    Raises
+    ------
+    InputError : it is neither.
+    """
+    match = re.fullmatch(r"(?:UTC|GMT)?\s*([+-])(\d{1,2})(?::?([0-5]\d))?", name.strip())
+    if match and int(match[2]) <= 15:
+        minutes = 60 * int(match[2]) + int(match[3] or 0)
+        return timezone(timedelta(minutes=-minutes if match[1] == "-" else minutes))
+    try:
+        return ZoneInfo(name.strip())
+    except (KeyError, ValueError, OSError):
+        raise InputError(
+            f"time_zone: {name!r} is not known on this machine", "give a name such as Europe/Berlin, or +02:00"
+        ) from None
+
+
+def utc_of(wall_s: FloatArray, zone: str | None) -> FloatArray:
+    """UTC (n,) of clock times of a zone, which were read as UTC; unchanged where there is no zone.
+
+    In autumn, the hour that the clock shows twice is taken for the first one.
+
+    >>> utc_of(np.array([1452603731.0, 1468000000.0]), "Europe/Berlin") - [1452603731.0, 1468000000.0]
+    array([-3600., -7200.])
+    """
+    if zone is None:
+        return wall_s
+    known, out = zone_of(zone), np.array(wall_s, np.float64)
+    finite = np.isfinite(out)
+    # The offset of a zone changes at a quarter of an hour.
+    quarters, inverse = np.unique(out[finite] // 900.0, return_inverse=True)
+    clock = [datetime.fromtimestamp(900.0 * quarter, UTC).replace(tzinfo=known) for quarter in quarters.tolist()]
+    offset = np.array([(moment.utcoffset() or timedelta()).total_seconds() for moment in clock], np.float64)
+    out[finite] -= offset[inverse]
+    return out
 
 
 def start_seconds(start: str | float | None, source: str) -> float | None:
@@ -170,6 +210,7 @@ class ReadOptions:
     columns : for tables, the name of the column of a quantity (``lat_deg``, ``time_s`` …).
     units : for tables, the unit of a column, by its name.
     kind : of the source, if known.
+    time_zone : of times that state none, in tables and SBS lines: ``Europe/Berlin`` or ``+02:00``; UTC if not given.
     """
 
     source: str | None = None
@@ -178,6 +219,11 @@ class ReadOptions:
     columns: Mapping[str, str] | None = None
     units: Mapping[str, str] | None = None
     kind: str | None = None
+    time_zone: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.time_zone is not None:
+            zone_of(self.time_zone)
 
 
 @dataclass(frozen=True)

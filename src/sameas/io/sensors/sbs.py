@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from sameas.io.sensors.aircraft import identity_of
-from sameas.io.sensors.format import FEET_PER_MINUTE_M_PER_S, KNOT_M_PER_S, SensorFormat, instant
+from sameas.io.sensors.format import FEET_PER_MINUTE_M_PER_S, KNOT_M_PER_S, SensorFormat, instant, utc_of
 from sameas.tracks.coordinates import FOOT_M
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
@@ -34,7 +34,13 @@ _FIELDS = {
 Latest = dict[str, dict[str, tuple[float, Any]]]
 
 
-def read(lines: Sequence[str], source: str, unended: bool = False, latest_fields: Latest | None = None) -> Reports:
+def read(
+    lines: Sequence[str],
+    source: str,
+    unended: bool = False,
+    latest_fields: Latest | None = None,
+    time_zone: str | None = None,
+) -> Reports:
     """The positions of aircraft in SBS lines.
 
     Parameters
@@ -43,6 +49,7 @@ def read(lines: Sequence[str], source: str, unended: bool = False, latest_fields
     source : its name in messages.
     unended : whether the last line has no line end; then it must have all its cells.
     latest_fields : for a stream, the fields before these lines; updated.
+    time_zone : of the times; UTC if not given.
 
     Raises
     ------
@@ -77,8 +84,11 @@ def read(lines: Sequence[str], source: str, unended: bool = False, latest_fields
             f"{source}: no position: {'; '.join(unusable.sentences()) or 'no MSG,2 or MSG,3'}",
             damaged=unusable, passed_over=passed_over,
         )  # fmt: skip
-    notes = (f"{source}: times are read as UTC; SBS lines state no time zone", f"{source}: SBS states no errors")
-    return Reports.of(source, "adsb", of_rows(rows), damaged=Damaged.of(damaged), passed_over=passed_over, notes=notes)
+    zone = time_zone or "UTC"
+    notes = (f"{source}: times are read as {zone}; SBS lines state no time zone", f"{source}: SBS states no errors")
+    columns = of_rows(rows)
+    columns["time_s"] = utc_of(columns["time_s"], time_zone)
+    return Reports.of(source, "adsb", columns, damaged=Damaged.of(damaged), passed_over=passed_over, notes=notes)
 
 
 def _message(cells: Sequence[str], least: int) -> tuple[float, str, dict[str, Any]]:
@@ -122,6 +132,6 @@ def _number(cells: Sequence[str], number: int) -> float | None:
 FORMAT = SensorFormat(
     "sbs",
     "BaseStation lines (MSG,…)",
-    lambda file: [read(file.lines, file.source, file.unended)],
+    lambda file: [read(file.lines, file.source, file.unended, time_zone=file.options.time_zone)],
     lambda file: any(re.match(r"MSG,\s*\d,", line) for line in file.head_lines),
 )

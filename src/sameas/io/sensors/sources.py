@@ -75,6 +75,10 @@ def read_reports(path: str | os.PathLike[str], options: ReadOptions | None = Non
     file = SensorFile.of(path, options)
     chosen = next((known for known in SENSOR_FORMATS if known.name == options.format), None) or format_of(file)
     with reading(str(path), f"cannot be read as {chosen.label}"):
+        if options.time_zone is not None and chosen.name not in ZONED:
+            raise InputError(
+                f"{file.source}: the times of {chosen.name} have no time_zone: they are UTC", "leave it out"
+            )
         return [_with_last_line(reports, file) for reports in chosen.read(file)]
 
 
@@ -113,9 +117,12 @@ _WORDS = {
     "airradar": "air radar", "radar": "marine radar", "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "mlat": "mlat",
     "esm": "esm", "camera": "camera", "tracks": "tracks",
 }  # fmt: skip
+#: Formats whose times may be of any zone.
+ZONED = ("table", "sbs")
 #: The keys of ``file`` in a description, and their types.
 _FILE: Mapping[str, type | tuple[type, ...]] = {
     "path": str, "format": str, "start": (str, int, float, date), "columns": Mapping, "units": Mapping,
+    "time_zone": str,
 }  # fmt: skip
 #: Columns of a table, and the kind of source that they indicate.
 _COLUMNS = {"mmsi": "ais", "icao": "ads-b", "range_m": "marine radar", "covariance_m2": "tracks"}

@@ -190,7 +190,8 @@ class ReportStream:
         if self.format == "sbs":
             if len(self._latest) > MOST_REMEMBERED:
                 self._latest.clear()
-            return self._read(lambda: [sbs.read(texts, self.source, latest_fields=self._latest)])
+            zone = self.options.time_zone
+            return self._read(lambda: [sbs.read(texts, self.source, latest_fields=self._latest, time_zone=zone)])
         if self.format == "aircraft":
             if len(self._aircraft) > MOST_REMEMBERED:
                 self._aircraft.clear()

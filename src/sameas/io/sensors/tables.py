@@ -43,6 +43,7 @@ from sameas.io.sensors.format import (
     round_covariance,
     seconds,
     unwrapped,
+    utc_of,
 )
 from sameas.tracks.coordinates import FOOT_M, MILE_M
 from sameas.tracks.reports import Damaged, Reports
@@ -511,6 +512,7 @@ def read(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     kind: str | None = None,
+    time_zone: str | None = None,
 ) -> Reports:
     """The reports of a table.
 
@@ -522,6 +524,7 @@ def read(
     columns : name of the column of a quantity (``lat_deg``, ``time_s`` …), where it is not recognised.
     units : unit of a column, by its name.
     kind : of the source, if known: speeds of AIS are knots.
+    time_zone : of times that state none; UTC if not given.
 
     Raises
     ------
@@ -540,7 +543,7 @@ def read(
     values = {
         name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
     }
-    values["time_s"], note = _times(cells, chosen, source, start_s, damaged)
+    values["time_s"], note = _times(cells, chosen, source, start_s, damaged, time_zone)
     _mark_unusable(values, cells.lines, damaged)
     good = ~np.isin(cells.lines, list(damaged))
     if not good.any():
@@ -737,7 +740,12 @@ def _texts(column: Sequence[Any], quantity: str) -> NDArray[np.object_]:
 
 
 def _times(
-    cells: TableText, chosen: Mapping[str, Choice], source: str, start_s: float | None, damaged: dict[int, str]
+    cells: TableText,
+    chosen: Mapping[str, Choice],
+    source: str,
+    start_s: float | None,
+    damaged: dict[int, str],
+    time_zone: str | None,
 ) -> tuple[FloatArray, str]:
     """The time of each row, and a note on its interpretation."""
     choice = chosen.get("time_s") or chosen["day_s"]
@@ -752,10 +760,16 @@ def _times(
         if np.isfinite(times).any():
             _mark(np.isnan(times), cells.lines, damaged, "no time")
             low = float(np.nanmax(np.abs(times))) < 1e8
-            zone = "the time of its stated zone" if _ZONE.search(str(column[0])) else "UTC"
-            return times, f"{source}: {choice.name} is read as " + (
-                "seconds from an origin of its own: all sources must use the same origin" if low else zone
-            )
+            if low:
+                note = "seconds from an origin of its own: all sources must use the same origin"
+                return times, f"{source}: {choice.name} is read as {note}"
+            offset, local = _zones(column)
+            times[local] = utc_of(times[local], time_zone)
+            zone = "UTC" if time_zone is None or not local.any() else f"the time of {time_zone}"
+            if offset.any():
+                others = f" that {offset.sum()} of {len(column)} rows state, the others as {zone}"
+                zone = "the time of its stated zone" if offset.all() else f"the time of the zone{others}"
+            return times, f"{source}: {choice.name} is read as {zone}"
     times = np.array([_seconds_of_day(cell) for cell in column])
     _mark(np.isnan(times), cells.lines, damaged, "no time")
     if not np.isfinite(times).any():
@@ -766,9 +780,19 @@ def _times(
         raise InputError(
             f"{source}: {choice.name!r} has the time of day only", naming("give {start}, the UTC date of the first row")
         )
-    return unwrapped(
-        times, DAY_S, start_s
-    ), f"{source}: {choice.name} is read as UTC time of day, counted on from the start"
+    # The start is UTC, the times are of the zone.
+    start_s += start_s - float(utc_of(np.array([start_s]), time_zone)[0])
+    zone = time_zone or "UTC"
+    note = f"{source}: {choice.name} is read as {zone} time of day, counted on from the start"
+    return utc_of(unwrapped(times, DAY_S, start_s), time_zone), note
+
+
+def _zones(column: Sequence[Any]) -> tuple[BoolArray, BoolArray]:
+    """(n,) whether a cell states an offset from UTC, and whether it is a clock time without a zone."""
+    texts = ["" if cell is None or isinstance(cell, (int, float)) else str(cell).strip() for cell in column]
+    offset = np.array([_ZONE.search(text) is not None for text in texts], bool)
+    local = np.array([":" in text and re.search(r"(?i)(Z|UTC|GMT)$", text) is None for text in texts], bool)
+    return offset, local & ~offset
 
 
 def _instants(column: Sequence[Any], choice: Choice, source: str, start_s: float | None, day_first: bool) -> FloatArray:
@@ -923,7 +947,15 @@ FORMAT = SensorFormat(
     "table",
     "CSV, Parquet or JSON lines with columns recognized by their names",
     lambda file: [
-        read(_cells_of(file), file.source, file.start_s, file.options.columns, file.options.units, file.options.kind)
+        read(
+            _cells_of(file),
+            file.source,
+            file.start_s,
+            file.options.columns,
+            file.options.units,
+            file.options.kind,
+            file.options.time_zone,
+        )
     ],
     # Zero bytes are in damaged logs of sentences, never in a table.
     lambda file: b"\0" not in file.head,
