@@ -19,6 +19,8 @@ from sameas.space import Sphere
 
 #: Greatest share of the information on a share that may be missing.
 MAX_MISSING = 0.95
+#: Decimals of a printed quantity; one that needs more is printed with an exponent (chosen).
+MOST_DECIMALS = 6
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,8 @@ class Quantity:
 
     >>> print(Quantity(0.3512, 0.0042, "mag"))
     0.3512 ± 0.0042 mag
+    >>> print(Quantity(-4.5e-9, 9e-9, "mag"))  # of magnitudes that are copies
+    -4.5e-09 ± 9.0e-09 mag
     """
 
     value: float
@@ -37,6 +41,8 @@ class Quantity:
         if not 0.0 < self.standard_error < math.inf:
             return f"{self.value:.4g} {self.unit}".strip()
         digits = max(0, 1 - math.floor(math.log10(self.standard_error)))
+        if digits > MOST_DECIMALS:
+            return f"{self.value:.1e} ± {self.standard_error:.1e} {self.unit}".strip()
         return f"{self.value:.{digits}f} ± {self.standard_error:.{digits}f} {self.unit}".strip()
 
 

@@ -396,7 +396,7 @@ def _brightness(match: SkyMatch) -> list[str]:
             for name, q in e.quantities.items()
             if name.startswith("colour_")
         ]
-        ends = ", ".join(f"{relation.offset[k]:+.2f} at {two} {relation.knots[k]:.1f}" for k in (0, -1))
+        ends = ", ".join(f"{relation.offset[k]:+z.2f} at {two} {relation.knots[k]:.1f}" for k in (0, -1))
         lines += entry(
             "brightness",
             f"{of_one} − {of_two} is {e.quantities['zero_point']} ({ends}){''.join(colours)}; scatter "
