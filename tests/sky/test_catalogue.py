@@ -262,7 +262,7 @@ def test_rows_without_a_position_or_an_error_are_set_aside() -> None:
         assert records.set_aside.counts() == {"no error": 1, "no position": 2}
         assert list(records.rows) == [3]
     doubt = "3 of 4 rows lack a position or a positive error and are set aside"
-    remedy = "; fill_errors gives them the typical error of their magnitude"
+    remedy = "; fill_errors gives those with a position the typical error of their magnitude"
     assert f"{doubt}{remedy}" in source.doubts
     assert len(catalogue(table, sigma_floor_arcsec=0.1).records()) == 2
 

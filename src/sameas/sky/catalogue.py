@@ -75,7 +75,8 @@ def _error_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
         placed = np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)
         if np.count_nonzero(placed) == len(known):
             return text
-        return Message(f"{text}; ", naming("{fill_errors} gives them the typical error of their magnitude"))
+        remedy = naming("{fill_errors} gives those with a position the typical error of their magnitude")
+        return Message(f"{text}; ", remedy)
     return ""
 
 
