@@ -7,8 +7,9 @@ import pytest
 from modelled_scenes import describe, feed, straight
 from scipy.stats import multivariate_normal
 
+from sameas.gaussian import log_density
 from sameas.many.observations import records_of
-from sameas.picture.error_factors import BLOCK, ErrorFactors, _log_density, information
+from sameas.picture.error_factors import BLOCK, ErrorFactors, _log_density, information, pairs_within
 from sameas.picture.picture import Picture, picture_states
 from sameas.picture.tables import RANGE_BANDS, Scan
 from sameas.picture.track_pairs import keys
@@ -85,6 +86,20 @@ def test_a_constant_error_is_seen_once_however_often_it_is_compared(lasting):
     for count in (1, 3, n):
         # The mean of k independent squares has the variance 2 / k.
         assert total[count - 1] == pytest.approx(2.0 / squares[:, :count].mean(axis=1).var(), rel=0.05)
+
+
+def test_three_tracks_of_a_ship_are_two_differences():
+    rng, m = np.random.default_rng(8), 4
+    place = rng.standard_normal((m, 2))
+    pairs, share = pairs_within(np.array([[0, 1, 2, 3], [-1, 1, -1, 3], [-1, -1, 2, -1]]))
+    assert share[:6].sum() == pytest.approx(3.0) and share[6:].tolist() == [1.0] and len(pairs) == 7
+    delta = place[pairs[:6, 0]] - place[pairs[:6, 1]]
+    for variance in (0.3, 1.0, 4.0):
+        of_pairs = share[:6] @ log_density(delta, np.tile(2.0 * variance * np.eye(2), (6, 1, 1)))
+        # m − 1 independent contrasts with the variance of one track.
+        contrasts = np.linalg.svd(np.ones((1, m)))[2][1:] @ place
+        exact = log_density(contrasts, np.tile(variance * np.eye(2), (m - 1, 1, 1))).sum()
+        assert of_pairs - exact == pytest.approx(-3.0 * np.log(2.0))
 
 
 def test_errors_that_are_forgotten_between_two_differences_count_in_full():

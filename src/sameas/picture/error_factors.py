@@ -8,9 +8,9 @@ their sources, and D the covariance of the motion since the reports. The posteri
 
 L_ab the log-likelihood of all differences of the two sources. The prior p(f) is log-normal about 1, plus a point mass
 at f = 1. More than ``BLOCK`` sources are split into blocks, each in the mean field of the others. A difference that is
-correlated with previous ones of its pair counts by what it adds to them (:func:`information`). A share
-``factor_outliers`` (1 %) of the differences are outliers with ``factor_outlier`` times the errors: a wrong time stamp,
-an antenna far from the centre, a false pair.
+correlated with previous ones of its pair counts by what it adds to them (:func:`information`), and the differences of m
+tracks of one object count as m − 1 (:func:`pairs_within`). A share ``factor_outliers`` (1 %) of the differences are
+outliers with ``factor_outlier`` times the errors: a wrong time stamp, an antenna far from the centre, a false pair.
 
 Sure pairs are selected for being near, so where pairs are sure only by chance, factors come out too small. The
 residuals of single tracks from report to report, ν ~ N(0, f² (R + R′ − ρ (L L′ᵀ + L′ Lᵀ)) + κ D) as below, do not
@@ -475,6 +475,24 @@ def information(n_previous: IntArray, rho: FloatArray, lasting_rho: FloatArray) 
     square = lasting_rho**2
     spread = (1.0 + n_previous * square) * (1.0 + (n_previous - 1.0) * square)
     return np.where(first, 1.0, (1.0 - rho**2) / np.where(first, 1.0, spread))
+
+
+def pairs_within(members: IntArray) -> tuple[IntArray, FloatArray]:
+    """(k, 2) the pairs of records of each object, and (k,) what each counts, in independent differences.
+
+    members : (n, S) records of the objects, ABSENT for none. The m (m − 1) / 2 differences of m records are sums of
+    m − 1 of them: of three tracks of one ship, the third difference shows nothing new. With a weight of 2 / m each, the
+    likelihood of a factor common to all is exact where their errors are equal.
+
+    >>> pairs, share = pairs_within(np.array([[0, 3, 5], [1, 4, -1]]))
+    >>> pairs.tolist(), share.round(2).tolist()
+    ([[0, 3], [0, 5], [3, 5], [1, 4]], [0.67, 0.67, 0.67, 1.0])
+    """
+    one, two = np.triu_indices(members.shape[1], 1)
+    pairs = np.stack([members[:, one], members[:, two]], axis=2).reshape(-1, 2)
+    share = np.repeat(2.0 / np.maximum((members >= 0).sum(axis=1), 1), len(one))
+    complete = (pairs >= 0).all(axis=1)
+    return pairs[complete], share[complete]
 
 
 def evenly(position: FloatArray, max_rows: int) -> IntArray:

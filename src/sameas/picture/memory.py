@@ -52,7 +52,7 @@ from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import distance_and_log_determinant, mahalanobis_sq
 from sameas.many.pooled import PooledRecords
-from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly, information
+from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly, information, pairs_within
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan, objects_per_m2
 from sameas.picture.track_pairs import MIN_SWAP, Rivals, SwapRates, TrackPairs, by_source_order, keys, with_manoeuvres
@@ -599,14 +599,12 @@ class TrackMemory:
         if scan is None or not len(members):
             return self
         sure = members[probability >= scan.tuning.sure_pair]
-        one, two = np.triu_indices(sure.shape[1], 1)
-        places = np.stack([sure[:, one].ravel(), sure[:, two].ravel()], axis=1)
-        places = places[(places >= 0).all(axis=1)]
-        places = places[scan.placed[places].all(axis=1) & (tracks.track_of_record[places] >= 0).all(axis=1)]
+        usable = (sure >= 0) & scan.placed[sure] & (tracks.track_of_record[sure] >= 0)
+        places, share = pairs_within(np.where(usable, sure, ABSENT))
         places = np.take_along_axis(places, np.argsort(tracks.track_of_record[places], axis=1), axis=1)
         number = tracks.track_of_record[places]
         at = places_in(keys(self.track_pairs.first, self.track_pairs.second), keys(number[:, 0], number[:, 1]))
-        at, places = at[at >= 0], places[at >= 0]
+        at, places, share = at[at >= 0], places[at >= 0], share[at >= 0]
         elapsed = scan.now.instant_s - self.track_pairs.anchor_s[at]
         delta = scan.state[places[:, 0], :2] - scan.state[places[:, 1], :2]
         due = np.flatnonzero((elapsed >= scan.tuning.lasting_s) & self.track_pairs.anchor_new[at].all(axis=1))
@@ -637,7 +635,7 @@ class TrackMemory:
             (part[a], part[b]), delta[due],
             tuple(reported[record] / scan.error_factor[record, None, None] ** 2 for record in (a, b)),
             total[a] + total[b] - reported[a] - reported[b],
-            information(self.track_pairs.n_compared[at[due]], rho, lasting_rho), scan.tuning,
+            share[due] * information(self.track_pairs.n_compared[at[due]], rho, lasting_rho), scan.tuning,
         )  # fmt: skip
         correlation = correlation.with_sure_pairs(
             (source[a], source[b]), elapsed[due], (self.track_pairs.anchor[at[due]], delta[due]),
