@@ -4,7 +4,8 @@ Real motion (AIS of the Solent), modelled trackers. The errors of every source h
 of the antenna on the hull, residual bias), a part with correlation time τ, and white noise. The descriptions of the
 sensors are right, but do not give the correlation time. Trackers may swap ships that are close to each other. Scored is
 every object with two records or more, or an alternative: stated probability against the frequency with which exactly
-its records are one ship, with memory and for each instant alone.
+its records are one ship, with memory and for each instant alone. Ships whose recorded motion has ended are left out:
+the modelled trackers have no reports of them any more, whatever miss rate is described.
 
 The objects are divided by the distance to the next object *of the picture*. The true distance to the next ship is not
 known to the picture, and probabilities need not be frequencies given the truth: of the objects stated with 0.7 from one
@@ -221,6 +222,8 @@ class Score:
                 if len(own) < 2 and state.p_runner_up[n] <= 0.0:
                     continue
                 ship = int(true[own[0]])
+                if not np.isfinite(places[ship]).all():
+                    continue
                 right = bool((true[own] == ship).all()) and shows[ship] == len(own)
                 off = fused[n] - places[ship]
                 p = state.states.covariance[n, :2, :2]
