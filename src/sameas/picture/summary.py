@@ -18,6 +18,7 @@ from sameas.picture.plot_picture import PlotObjects
 from sameas.picture.tables import CONFIRMED
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.feed import Feed
+from sameas.tracks.kinds import KINDS
 from sameas.tracks.scene import Scene
 
 
@@ -74,6 +75,7 @@ def _due(state: PictureState[Carried], shows: BoolArray, s: int) -> FloatArray:
         objects = state.objects
         is_real = others.any(axis=1) & np.isin(state.number, objects.number[objects.stage == CONFIRMED])
     feed = state.now.feeds[s]
+    is_real &= ~_of_another_kind(state, shows, s)
     sensor = feed.sensor_at(state.now.instant_s)
     placed = state.states.placed & is_real
     if sensor is None:
@@ -81,6 +83,13 @@ def _due(state: PictureState[Carried], shows: BoolArray, s: int) -> FloatArray:
     arm = state.states.state[:, :2] - sensor
     covers = feed.description.coverage.covers(np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1])))
     return np.asarray(placed & covers, np.float64)
+
+
+def _of_another_kind(state: PictureState[Carried], shows: BoolArray, s: int) -> BoolArray:
+    """(n,) whether an object reports itself as a vessel where source s receives aircraft only, or the reverse."""
+    targets = [KINDS[feed.description.kind].target for feed in state.now.feeds]
+    others = [target not in ("", targets[s]) for target in targets]
+    return shows[:, others].any(axis=1) if targets[s] else np.zeros(len(shows), bool)
 
 
 @dataclass(frozen=True)
