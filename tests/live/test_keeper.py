@@ -242,6 +242,18 @@ def test_reports_that_cannot_be_used_are_an_alarm_at_once(kind, more, data, word
     keeper.close()
 
 
+def test_a_picture_that_falls_behind_is_an_alarm(tmp_path):
+    path = tmp_path / "sensors.toml"
+    path.write_text('[sources.coast]\nkind = "ais"\ninput = "udp://127.0.0.1:60004"\n')
+    keeper = Keeper(read_settings(path), clock=lambda: START_S)
+    keeper.durations_s.extend([2.04] * 6 + [0.1] * 5)
+    assert keeper.tick(START_S).alarms == ()
+    keeper.durations_s.extend([2.04] * 8)
+    [alarm] = keeper.tick(START_S + 1.0).alarms
+    assert alarm.text.startswith("an instant takes 2.0 s, and every_s is 1: the picture is that old")
+    keeper.close()
+
+
 @pytest.mark.slow
 def test_a_long_tick_makes_no_source_silent(tmp_path, monkeypatch):
     path, now = tmp_path / "sensors.toml", [START_S]

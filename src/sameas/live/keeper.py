@@ -52,6 +52,8 @@ MISFIT_S = 5.0
 MISFIT_LINES = 20
 #: Largest number of sensors of a wire that are named where no source takes their reports.
 MOST_SENSORS = 20
+#: An alarm is raised if half of so many last ticks take longer than their interval by this factor.
+SLOW_TICKS, SLOWER = 10, 1.2
 #: Number of ticks whose durations are kept.
 KEPT_DURATIONS = 600
 
@@ -193,7 +195,7 @@ class Keeper:
             own_ship = self._own_ship(instant_s, state)
             situation = Situation.of(self._tick, state, self.picture.plane, (), own_ship, self.picture.height_model)
             alarms = [*_identity_alarms(state), *self._source_alarms(instant_s), *self._fault_alarms(situation),
-                      *self._cpa_alarms(situation), *self._folder_alarms()]  # fmt: skip
+                      *self._cpa_alarms(situation), *self._folder_alarms(), *self._pace_alarms()]  # fmt: skip
             situation = replace(situation, alarms=tuple(alarms))
             self._raise_alarms(alarms, instant_s)
             self.deltas.append(Delta.between(self.situation, situation))
@@ -425,6 +427,20 @@ class Keeper:
         if not self._refusal:
             return []
         return [Alarm("folder", "fault", f"{self.folder} cannot be written; events are not saved: {self._refusal}")]
+
+    def _pace_alarms(self) -> list[Alarm]:
+        """An alarm where the picture is older than its interval says, because an instant takes longer than that."""
+        last = list(self.durations_s)[-SLOW_TICKS:]
+        every_s = self.settings.watch.every_s
+        # An active alarm holds a little longer, so that the limit is not crossed again and again.
+        limit_s = every_s if "pace" in self._alarms else SLOWER * every_s
+        if self.replay is not None or len(last) < SLOW_TICKS or float(np.median(last)) <= limit_s:
+            return []
+        text = (
+            f"an instant takes {np.median(last):.1f} s, and every_s is {every_s:g}: the picture is that old; give a "
+            "longer every_s, or fewer sources"
+        )
+        return [Alarm("pace", "fault", text)]
 
     def _try_journal(self, write: Callable[[Journal], T]) -> T | None:
         """The result of a write into the folder; None where there is no folder or the disk refuses.
