@@ -89,7 +89,7 @@ def _of_another_kind(state: PictureState[Carried], shows: BoolArray, s: int) -> 
     """(n,) whether an object reports itself as a vessel where source s receives aircraft only, or the reverse."""
     targets = [KINDS[feed.description.kind].target for feed in state.now.feeds]
     others = [target not in ("", targets[s]) for target in targets]
-    return shows[:, others].any(axis=1) if targets[s] else np.zeros(len(shows), bool)
+    return np.asarray(shows[:, others].any(axis=1) if targets[s] else np.zeros(len(shows), bool))
 
 
 @dataclass(frozen=True)
