@@ -11,6 +11,7 @@ from tests.live.conftest import replay, settings
 import sameas
 from sameas.errors import InputError
 from sameas.io import read_table, write_table
+from sameas.io.atomic import held
 from sameas.io.saved import dumps
 from sameas.live.journal import LAYOUT
 from sameas.live.keeper import Keeper
@@ -85,8 +86,10 @@ def test_a_damaged_journal_is_refused(damage, tmp_path):
         content[begin : begin + 10] = b"\xff" * 10
     content = content[:5000] if damage == "cut" else b"a journal" * 90 if damage == "text" else content
     (tmp_path / "journal.sqlite").write_bytes(content)
-    with pytest.raises(InputError, match=r"its journal is damaged .*; move it away to begin anew"):
+    with pytest.raises(InputError, match=r"its journal is damaged .*; move it away to begin anew") as refused:
         Keeper(settings(), tmp_path, replay=replay())
+    held(tmp_path).close()  # the folder is free, though the refusal is still at hand
+    assert refused.value.__traceback__ is not None
 
 
 VERSION = {"version": sameas.__version__, "layout": LAYOUT}
@@ -97,8 +100,10 @@ def test_a_state_of_another_kind_is_refused(state, tmp_path):
     if "picture" in state:
         state = state | {"names": list(settings().sources)}
     (tmp_path / "state.pickle").write_bytes(dumps(state))
-    with pytest.raises(InputError, match="is damaged"):
+    with pytest.raises(InputError, match="is damaged") as refused:
         Keeper(settings(), tmp_path, replay=replay())
+    held(tmp_path).close()
+    assert refused.value.__traceback__ is not None
 
 
 @pytest.mark.parametrize(

@@ -15,13 +15,15 @@ from typing import Any
 
 from sameas.errors import InputError
 
+_PATHS = {"Path", "PosixPath", "WindowsPath", "PurePosixPath", "PureWindowsPath"}
 #: Allowed names by module, in addition to sameas' own classes.
 _MADE = {
     "builtins": {"set", "frozenset", "slice", "complex", "range", "bytearray", "object"},
     "collections": {"OrderedDict", "deque", "defaultdict", "Counter"},
     "copyreg": {"_reconstructor", "__newobj__", "__newobj_ex__"},
     "datetime": {"date", "datetime", "time", "timedelta", "timezone"},
-    "pathlib": {"Path", "PosixPath", "WindowsPath", "PurePosixPath", "PureWindowsPath"},
+    "pathlib": _PATHS,
+    "pathlib._local": _PATHS,  # where Python 3.13 has them
     "types": {"MappingProxyType"},
     "numpy": {"dtype", "ndarray"},
     "numpy._core.multiarray": {"_reconstruct", "scalar"},
@@ -58,7 +60,7 @@ class _NotHere(pickle.UnpicklingError):
 class _DataOnly(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         if name in _MADE.get(module, ()):
-            return super().find_class(module, name)
+            return super().find_class("pathlib" if name in _PATHS else module, name)
         if module == "sameas" or module.startswith("sameas."):
             found = self._of_sameas(module, name) if name.isidentifier() else None
             if isinstance(found, type) and found.__module__ == module:

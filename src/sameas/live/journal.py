@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import sqlite3
 from collections.abc import Mapping
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -53,29 +54,23 @@ class Journal:
 
     def __init__(self, folder: Path, *, archive_every_s: float = 10.0) -> None:
         self.folder, self.archive_every_s = folder, archive_every_s
-        try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            self._lock = held(folder)
-            self._base = sqlite3.connect(folder / "journal.sqlite", isolation_level=None, check_same_thread=False)
-            self._base.execute("PRAGMA journal_mode=WAL")
-            self._base.execute("PRAGMA synchronous=NORMAL")
-            self._base.executescript(_TABLES)
-            self._tracks = self._joined()
-            self._active: dict[str, int] = dict(
-                self._base.execute("SELECT key, id FROM alarms WHERE active = 1").fetchall()
-            )
-        except sqlite3.DatabaseError as error:
-            if isinstance(error, sqlite3.OperationalError) and "malformed" not in str(error):
-                raise InputError(
-                    f"{folder}: cannot hold the journal ({error})", "give a folder that can be written"
-                ) from None
-            raise InputError(f"{folder}: its journal is damaged ({error})", "move it away to begin anew") from None
-        except UnicodeDecodeError as error:
-            raise InputError(f"{folder}: its journal is damaged ({error})", "move it away to begin anew") from None
-        except OSError as error:
-            raise InputError(
-                f"{folder}: cannot hold the journal ({error})", "give a folder that can be written"
-            ) from None
+        with ExitStack() as opened:
+            try:
+                folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+                self._lock = held(folder)
+                opened.callback(self._lock.close)
+                self._base = sqlite3.connect(folder / "journal.sqlite", isolation_level=None, check_same_thread=False)
+                opened.callback(self._base.close)
+                self._base.execute("PRAGMA journal_mode=WAL")
+                self._base.execute("PRAGMA synchronous=NORMAL")
+                self._base.executescript(_TABLES)
+                self._tracks = self._joined()
+                self._active: dict[str, int] = dict(
+                    self._base.execute("SELECT key, id FROM alarms WHERE active = 1").fetchall()
+                )
+            except (sqlite3.Error, UnicodeDecodeError, OSError) as error:
+                raise _refused(folder, error) from None
+            opened.pop_all()
         self._known: dict[int, tuple[Any, ...]] = {}
         self._archive: list[Columns] = []
         self._archived_s = -np.inf
@@ -225,6 +220,14 @@ class Journal:
         finally:
             self._base.close()
             self._lock.close()
+
+
+def _refused(folder: Path, error: Exception) -> InputError:
+    """The refusal of a folder whose journal cannot be opened."""
+    unreadable = isinstance(error, UnicodeDecodeError | sqlite3.DatabaseError)
+    if unreadable and not (isinstance(error, sqlite3.OperationalError) and "malformed" not in str(error)):
+        return InputError(f"{folder}: its journal is damaged ({error})", "move it away to begin anew")
+    return InputError(f"{folder}: cannot hold the journal ({error})", "give a folder that can be written")
 
 
 def save_state(folder: Path, state: Mapping[str, Any]) -> None:

@@ -152,7 +152,16 @@ class Keeper:
         # Receive times are compared with the time at which the queues were emptied: a tick may take long.
         self._began_s = self._taken_s = clock()
         watch = settings.watch
-        self.journal = None if folder is None else Journal(folder, archive_every_s=watch.archive_every_s)
+        with contextlib.ExitStack() as opened:
+            self.journal = None if folder is None else Journal(folder, archive_every_s=watch.archive_every_s)
+            if self.journal is not None:
+                opened.callback(self.journal.close)
+            self._restore(folder)
+            opened.pop_all()
+
+    def _restore(self, folder: Path | None) -> None:
+        """Continues with the saved state of the folder; without one, begins anew."""
+        watch, settings = self.settings.watch, self.settings
         state = None if folder is None else load_state(folder)
         descriptions = [source.description for source in settings.sources.values()]
         self.picture = LivePicture(descriptions, plane=watch.origin, lag_s=watch.lag_s)
