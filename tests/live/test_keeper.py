@@ -478,6 +478,23 @@ def test_memory_stays_constant_over_an_hour_at_hundredfold_pace(tmp_path):
     keeper.close()
 
 
+def test_a_state_that_cannot_be_saved_is_said_once_while_the_journal_can(tmp_path, monkeypatch, caplog):
+    """Where the state did not fit and the journal did, the warning came back at every save, and the alarm ended."""
+    keeper = Keeper(settings(save_every_s=1.0), tmp_path, replay=replay())
+
+    def full() -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(keeper, "save", full)
+    situations = [keeper.tick(START_S + 2.0 * k) for k in range(1, 6)]
+    assert sum("No space left" in record.message for record in caplog.records) == 1
+    assert all(any(alarm.key == "folder" for alarm in situation.alarms) for situation in situations[1:])
+    monkeypatch.undo()
+    keeper.tick(START_S + 12.0)
+    assert keeper._refusal == ""
+    keeper.close()
+
+
 def events(folder):
     """The entries of the journal on identities and alarms."""
     with contextlib.closing(sqlite3.connect(folder / "journal.sqlite")) as base:

@@ -147,7 +147,8 @@ class Keeper:
         self._suspected: frozenset[str] = frozenset()
         #: Sensors whose reports no source takes, by wire.
         self._foreign: dict[str, set[str]] = {}
-        self._refusal = ""
+        #: Why the journal or the state could not be written when last tried.
+        self._refusals: dict[str, str] = {}
         self._tick = 0
         # Receive times are compared with the time at which the queues were emptied: a tick may take long.
         self._began_s = self._taken_s = clock()
@@ -212,7 +213,7 @@ class Keeper:
             self._keep_history(situation)
             self._try_journal(lambda journal: journal.write(situation))
             if self.journal is not None and instant_s - self._saved_s >= self.settings.watch.save_every_s:
-                self._try_journal(lambda journal: self.save())
+                self._try_journal(lambda journal: self.save(), "state")
         self.durations_s.append(time.perf_counter() - began)
         self.counters["ticks"] += 1
         return situation
@@ -451,7 +452,12 @@ class Keeper:
         )
         return [Alarm("pace", "fault", text)]
 
-    def _try_journal(self, write: Callable[[Journal], T]) -> T | None:
+    @property
+    def _refusal(self) -> str:
+        """Why something could not be written to the folder when last tried; empty if all was."""
+        return "; ".join(dict.fromkeys(self._refusals.values()))
+
+    def _try_journal(self, write: Callable[[Journal], T], what: str = "journal") -> T | None:
         """The result of a write into the folder; None where there is no folder or the disk refuses.
 
         A full disk must not end the watch: it raises an alarm, and the missing rows are written once there is room.
@@ -461,12 +467,12 @@ class Keeper:
         try:
             value = write(self.journal)
         except (OSError, sqlite3.Error, InputError) as error:
-            if not self._refusal:
+            if what not in self._refusals:
                 LOG.warning("%s: %s", self.folder, error)
-            self._refusal = str(error)
+            self._refusals[what] = str(error)
             self.counters["refused writes"] += 1
             return None
-        self._refusal = ""
+        self._refusals.pop(what, None)
         return value
 
     def _fault_alarms(self, situation: Situation) -> list[Alarm]:
@@ -563,7 +569,7 @@ class Keeper:
         with self.lock:
             for sink in self.sinks:
                 sink.close()
-            self._try_journal(lambda journal: self.save())
+            self._try_journal(lambda journal: self.save(), "state")
             refusal = self._refusal
             self._try_journal(Journal.close)
             self.journal = None
