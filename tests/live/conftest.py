@@ -105,4 +105,7 @@ def served(keeper, access=None):
 @pytest.fixture
 def keeper(tmp_path):
     # Long enough for a busy machine: a replay that has ended shows no ships.
-    return Keeper(settings(), tmp_path / "state", replay=replay(until_s=2400.0))
+    made = Keeper(settings(), tmp_path / "state", replay=replay(until_s=2400.0))
+    yield made
+    if made.journal is not None:
+        made.close()

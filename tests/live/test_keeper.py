@@ -373,7 +373,9 @@ def test_a_state_that_other_code_saved_is_refused_in_one_line(tmp_path, monkeypa
             patched.setattr(name, value)
             with pytest.raises(InputError, match=rf"state.pickle: was saved by {whose}.*; move its folder away"):
                 load_state(tmp_path)
-    assert Keeper(settings(), tmp_path, replay=replay()).restored
+    again = Keeper(settings(), tmp_path, replay=replay())
+    assert again.restored
+    again.close()
 
 
 class AttributeNames(pickle.Pickler):
