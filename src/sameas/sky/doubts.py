@@ -471,11 +471,11 @@ def epoch_doubt(
     if side is None or epoch_jyr is None:
         return "", False
     questioned, other = (first, second) if side == 1 else (second, first)
-    moved = questioned if questioned.has_motion else other
+    moved, moved_side = (questioned, side) if questioned.has_motion else (other, 3 - side)
     assert questioned.epoch_jyr is not None
-    return _moved_pairs(moved, 1 if moved is first else 2, epoch_jyr, answer, errors).doubt(
+    return _moved_pairs(moved, moved_side, epoch_jyr, answer, errors).doubt(
         moved,
-        1 if moved is first else 2,
+        moved_side,
         Questioned(questioned.name, questioned.epoch_jyr, naming(f"give {{epoch{side}:YEAR}}"), moved is questioned),
     )
 
@@ -499,7 +499,7 @@ def _moved_pairs(moved: Catalogue, side: int, epoch_jyr: float, answer: Identifi
     use = np.flatnonzero(answer.p_pair > EPOCH.min_p_pair)
     use = use[:: -(-len(use) // EPOCH.max_pairs) or 1]
     astrometry = moved.astrometry[records.rows[index[use]]]
-    motion = 1e-3 * np.column_stack([astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr])
+    motion = astrometry.motion_arcsec_per_yr
     return MovedPairs(
         motion,
         (epoch_jyr - astrometry.epoch_jyr)[:, None] * motion,

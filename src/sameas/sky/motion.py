@@ -156,6 +156,11 @@ class Astrometry:
         """(n, 2, 2) of ra·cos(dec) and dec, mas²."""
         return self.packed.matrices(2) if isinstance(self.packed, Variances) else self.packed[:, :2, :2]
 
+    @property
+    def motion_arcsec_per_yr(self) -> FloatArray:
+        """(n, 2) proper motion, east with cos(dec), and north."""
+        return 1e-3 * np.column_stack([self.pm_ra_mas_per_yr, self.pm_dec_mas_per_yr])
+
     def variance(self, parameter: int) -> FloatArray:
         """(n,) variances of one of the six parameters."""
         if isinstance(self.packed, Variances):

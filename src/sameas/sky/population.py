@@ -105,7 +105,7 @@ class AstrometricRecords:
             at_epoch = propagate(part[k], float(epoch_jyr or 0.0))
             covariance_4 = 1e-6 * at_epoch.covariance[:, _POSITION_AND_MOTION[:, None], _POSITION_AND_MOTION]
             direction[k] = np.column_stack([at_epoch.ra_deg, at_epoch.dec_deg])
-            motion[k] = 1e-3 * np.column_stack([at_epoch.pm_ra_mas_per_yr, at_epoch.pm_dec_mas_per_yr])
+            motion[k] = at_epoch.motion_arcsec_per_yr
             precision[k], log_norm[k] = inverse(covariance_4), _log_norm(covariance_4)
             of_motion = covariance_4[:, 2:, 2:]
             motion_precision[k], motion_log_norm[k] = inverse(of_motion), _log_norm(of_motion)

@@ -443,7 +443,7 @@ def _epoch_doubt(found: FrameIdentification, catalogue: Catalogue) -> str:
         "mvv->m", found.estimate.errors.typical_covariance(result.pairs, result.matches.pair[some])
     )
     astrometry = catalogue.astrometry[stars.rows[found.pairs[1][some]]]
-    motion = 1e-3 * np.column_stack([astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr])
+    motion = astrometry.motion_arcsec_per_yr
     residual = -found.residual_arcsec[some]
     known = np.isfinite(motion).all(axis=1) & ((residual**2).sum(axis=1) < EPOCH.largest_sigmas**2 * variance / 2.0)
     weight = np.sqrt(2.0 / variance[known])[:, None]
