@@ -159,6 +159,11 @@ class LivePicture:
         InputError : the sources give plots without ids, and others are given now.
         """
         changed, before = [], set(self._feeds)
+        if isinstance(self._carried, PlotPicture) and {description.name for description in descriptions} != before:
+            raise InputError(
+                f"the picture of plots without ids of {', '.join(sorted(before))} cannot go on with other sources",
+                "begin a new one; where it is a watch's, move its folder away",
+            )
         for description in descriptions:
             feed = self._feeds.get(description.name)
             if feed is not None and feed.given == description:
@@ -171,12 +176,6 @@ class LivePicture:
                 self._recent[description.name] = deque()
             self._biases.pop(description.name, None)
             self._estimates.pop(description.name, None)
-        names = {description.name for description in descriptions}
-        if isinstance(self._carried, PlotPicture) and names != before:
-            raise InputError(
-                f"the picture of plots without ids of {', '.join(sorted(before))} cannot go on with other sources",
-                "begin a new one; where it is a watch's, move its folder away",
-            )
         return tuple(changed)
 
     def add(self, source: str, reports: Reports) -> None:
