@@ -20,7 +20,8 @@ KNOT = 1852.0 / 3600.0
 
 
 def table(text, start_s=None, columns=None, units=None):
-    return read(cells_of_csv(text.strip().split("\n"), "radar.csv"), "radar.csv", start_s, columns, units)
+    options = ReadOptions(start=start_s, columns=columns, units=units)
+    return read(cells_of_csv(text.strip().split("\n"), "radar.csv"), "radar.csv", options)
 
 
 def understood(*names):
@@ -465,3 +466,21 @@ def test_formats_in_utc_have_no_zone(tmp_path):
     (tmp_path / "a.json").write_text('{"now": 1719842400, "aircraft": [{"hex": "3c0001", "lat": 54.0, "lon": 8.0}]}')
     with pytest.raises(InputError, match="the times of aircraft have no time_zone: they are UTC; leave it out"):
         read_reports(tmp_path / "a.json", ReadOptions(time_zone="+02:00"))
+
+
+def test_a_single_report_with_a_list_in_it_is_one_report():
+    """A stream may bring one line at a time; its list of tracks was read in its place."""
+    row = {"time": 1e9, "lat": 55.0, "lon": 12.0, "mmsi": 219000001, "tracks": [{"time": 1e9, "lat": 1.0, "lon": 2.0}]}
+    for lines in ([json.dumps(row)], [json.dumps(row)] * 2):
+        reports = read(cells_of_json(lines, "other"), "other")
+        assert set(reports.lat_deg.tolist()) == {55.0}
+
+
+def test_tables_in_memory_are_read_like_files_of_their_name(tmp_path):
+    from sameas.front.picture import _sources
+
+    columns = {"t": [1e9], "shipid": [7], "lat": [55.0], "lon": [12.0], "speed": [10.0], "course": [90.0]}
+    (tmp_path / "ais.csv").write_text("t,shipid,lat,lon,speed,course\n1e9,7,55.0,12.0,10,90\n")
+    for sources in ([tmp_path / "ais.csv"], {"ais": columns}):
+        (source,) = _sources(sources, {}, None)
+        assert source.reports.speed_m_per_s[0] == pytest.approx(10 * KNOT)

@@ -21,7 +21,7 @@ from sameas.front.tables import table_of
 from sameas.io import checksum
 from sameas.io.atomic import filling
 from sameas.io.format import json_text
-from sameas.io.sensors.format import instant, picture_time
+from sameas.io.sensors.format import ReadOptions, picture_time
 from sameas.io.sensors.sources import SensorSource, SourceOptions, read_source_options, read_sources, source_of
 from sameas.io.sensors.tables import TableText
 from sameas.io.sensors.tables import read as read_cells
@@ -508,9 +508,8 @@ def _sources(sources: Any, described: Mapping[str, SourceOptions], start: str | 
     has_files = bool(files) or any(one.path for one in of_files.values())
     read = read_sources(files, of_files, start=start) if has_files else []
     for name, data in in_memory.items():
-        reports = (
-            data if isinstance(data, Reports) else read_cells(_cells(data, name), name, *_reading(name, described))
-        )
+        options = described[name].options if name in described else ReadOptions()
+        reports = data if isinstance(data, Reports) else read_cells(_cells(data, name), name, options)
         read.append(source_of(reports, described.get(name), Path(name)))
     unused = [name for name in described if name not in sources and described[name].path is None]
     if unused and not files:
@@ -535,12 +534,3 @@ def _cells(data: Any, name: str) -> TableText:
         cells = np.ma.getdata(np.ma.asarray(values)).tolist()
         columns[column] = [None if missing else cell for cell, missing in zip(cells, masked.tolist(), strict=True)]
     return TableText(columns, np.arange(1, len(table) + 1))
-
-
-def _reading(name: str, described: Mapping[str, SourceOptions]) -> tuple[Any, ...]:
-    """Start time, columns, units, kind and time zone from the description of a source; empty where it has none."""
-    if name not in described:
-        return ()
-    options = described[name].options
-    start_s = None if options.start is None else instant(str(options.start))
-    return start_s, options.columns, options.units, options.kind, options.time_zone

@@ -35,6 +35,7 @@ DAY_S = 86400.0
 _FINER_UNITS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
 
 
+#: The name of the zone at the end of a time.
 _UTC = re.compile(r"\s+(UTC|GMT)$", re.IGNORECASE)
 
 
@@ -209,7 +210,7 @@ class ReadOptions:
     start : UTC of the first line as ISO text or seconds, for files with the time of day only, or with counters.
     columns : for tables, the name of the column of a quantity (``lat_deg``, ``time_s`` …).
     units : for tables, the unit of a column, by its name.
-    kind : of the source, if known.
+    kind : of the source, if its name does not show it: speeds of AIS are knots.
     time_zone : of times that state none, in tables and SBS lines: ``Europe/Berlin`` or ``+02:00``; UTC if not given.
     """
 
@@ -224,6 +225,19 @@ class ReadOptions:
     def __post_init__(self) -> None:
         if self.time_zone is not None:
             zone_of(self.time_zone)
+
+
+#: Words in the name of a source, and the kind that they indicate.
+_WORDS = {
+    "airradar": "air radar", "radar": "marine radar", "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "mlat": "mlat",
+    "esm": "esm", "camera": "camera", "tracks": "tracks",
+}  # fmt: skip
+
+
+def kind_by_name(source: str) -> str | None:
+    """The kind that the name of a source shows, or None."""
+    plain = re.sub(r"[^a-z]", "", source.lower())
+    return next((kind for word, kind in _WORDS.items() if word in plain), None)
 
 
 @dataclass(frozen=True)

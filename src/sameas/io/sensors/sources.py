@@ -25,7 +25,7 @@ import numpy as np
 
 from sameas.errors import Argument, InputError, Message, reading
 from sameas.io.sensors import aircraft, arpa, asterix, mode_s, sbs, signalk, tables
-from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat
+from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat, kind_by_name
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, source_tables
@@ -111,11 +111,6 @@ def format_of(file: SensorFile) -> SensorFormat:
 KIND_OF_FORMAT: Mapping[str, str] = {
     "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b", "asterix 048": "air radar",
     "asterix 062": "tracks",
-}  # fmt: skip
-#: Words in the name of a source, and the kind that they indicate.
-_WORDS = {
-    "airradar": "air radar", "radar": "marine radar", "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "mlat": "mlat",
-    "esm": "esm", "camera": "camera", "tracks": "tracks",
 }  # fmt: skip
 #: Formats whose times may be of any zone.
 ZONED = ("table", "sbs")
@@ -227,8 +222,6 @@ def read_sources(
         reading = described[name].options if name in described else ReadOptions(name)
         if reading.start is None:
             reading = replace(reading, start=start)
-        if reading.kind is None:
-            reading = replace(reading, kind=_kind_by_name(name))
         try:
             for reports in read_reports(path, reading):
                 sources.append(source_of(reports, described.get(reports.source), path))
@@ -273,7 +266,7 @@ def _kind(reports: Reports) -> tuple[str, str]:
         return KIND_OF_FORMAT[reports.kind], f"its format is {reports.kind}"
     if reports.kind in KINDS:
         return reports.kind, f"its format is {reports.kind}"
-    by_name = _kind_by_name(reports.source)
+    by_name = kind_by_name(reports.source)
     if by_name is not None:
         return by_name, "by its name"
     for column, kind in _COLUMNS.items():
@@ -289,12 +282,6 @@ def _kind(reports: Reports) -> tuple[str, str]:
             f': {toml_table(reports.source)} kind = "…", one of {", ".join(KINDS)}',
         ),
     )
-
-
-def _kind_by_name(source: str) -> str | None:
-    """The kind that the name of a source shows, or None."""
-    plain = re.sub(r"[^a-z]", "", source.lower())
-    return next((kind for word, kind in _WORDS.items() if word in plain), None)
 
 
 def toml_table(name: str) -> str:

@@ -35,13 +35,16 @@ from sameas.io.sensors.format import (
     DAY_S,
     FEET_PER_MINUTE_M_PER_S,
     KNOT_M_PER_S,
+    ReadOptions,
     SensorFile,
     SensorFormat,
     instant,
     json_lines,
+    kind_by_name,
     of_json,
     round_covariance,
     seconds,
+    start_seconds,
     unwrapped,
     utc_of,
 )
@@ -285,9 +288,9 @@ def _choice(
     for why, indicators, applies, unit in _CONVENTIONS:
         if stem in applies and unit in factors and not signs.isdisjoint(indicators):
             return Choice(name, quantity, factors[unit], f"{name} is read in {unit}: {why}")
-    # Angles without a unit are degrees everywhere.
     if quantity.column in ("length_m", "width_m", *_OF_THE_ANTENNA):
         return Choice(name, quantity, 1.0, "")  # of ships, in metres everywhere
+    # Angles without a unit are degrees everywhere.
     our_unit = {"length": "m", "speed": "m/s", "variance": "m²", "speed variance": "m²/s²"}.get(quantity.kind)
     return Choice(name, quantity, 1.0, f"{name} is read in {our_unit}: its name states no unit" if our_unit else "")
 
@@ -323,6 +326,8 @@ def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]
 
 
 _NULLS = {"", "null", "none", "na", "n/a", "-", "--", "nan", "unknown", "undefined"}
+#: Quantities of which a report has one at least.
+_PLACES = {"lat_deg", "x_m", "range_m", "bearing_deg"}
 #: Columns with latitude and longitude in one cell.
 _POSITIONS = ("position", "latlon", "latlong", "latlng", "coordinates")
 #: Columns of tables whose dates like 01/05/2024 have the day first: Danish AIS.
@@ -462,14 +467,20 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
 
 
 def _records(document: Any) -> list[Any]:
-    """The records of a JSON document: the items of its list, or of the only list of objects in it, as of servers that
-    put their answer beside a state."""
-    if not isinstance(document, list | dict):
+    """The records of a JSON document: itself, the items of its list, or those of the only list of objects in it, as of
+    servers that put their answer beside a state. A report may have a list of objects too, such as its tracks."""
+    if not isinstance(document, list | dict) or (isinstance(document, dict) and _has_position(document)):
         return [document]
     inner = [value for value in (document if isinstance(document, list) else document.values()) if _is_records(value)]
     if len(inner) == 1:
         return list(inner[0])
     return document if isinstance(document, list) else [document]
+
+
+def _has_position(value: Mapping[str, Any]) -> bool:
+    stems = {name: _stem(name) for name in _flattened(value)}
+    places = [quantity for quantity in QUANTITIES if quantity.column in _PLACES]
+    return any(_rank(name, quantity, stems) is not None for name in stems for quantity in places)
 
 
 def _is_records(value: Any) -> bool:
@@ -505,33 +516,23 @@ def cells_of_parquet(path: str | os.PathLike[str]) -> TableText:
     return TableText(_LazyColumns(names, column), np.arange(1, table.num_rows + 1))
 
 
-def read(
-    cells: TableText,
-    source: str,
-    start_s: float | None = None,
-    columns: Mapping[str, str] | None = None,
-    units: Mapping[str, str] | None = None,
-    kind: str | None = None,
-    time_zone: str | None = None,
-) -> Reports:
+def read(cells: TableText, source: str, options: ReadOptions | None = None) -> Reports:
     """The reports of a table.
 
     Parameters
     ----------
     cells : of the table.
-    source : its name in messages.
-    start_s : UTC date of the first row, for tables with the time of day only.
-    columns : name of the column of a quantity (``lat_deg``, ``time_s`` …), where it is not recognised.
-    units : unit of a column, by its name.
-    kind : of the source, if known: speeds of AIS are knots.
-    time_zone : of times that state none; UTC if not given.
+    source : its name in messages; it may show the kind of the source.
+    options : what the table does not contain.
 
     Raises
     ------
     InputError : no time; no position; two columns of one quantity; every row damaged; dates of two readings.
     """
+    options = options or ReadOptions()
+    kind = options.kind or kind_by_name(source)
     cells = _with_split_positions(cells)
-    chosen = choose(list(cells.columns), source, columns, units, kind)
+    chosen = choose(list(cells.columns), source, options.columns, options.units, kind)
     _check_chosen(chosen, list(cells.columns), source)
     if not len(cells.lines):
         reasons = "; ".join(Damaged.of(cells.damaged).sentences())
@@ -543,7 +544,8 @@ def read(
     values = {
         name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
     }
-    values["time_s"], note = _times(cells, chosen, source, start_s, damaged, time_zone)
+    start_s = start_seconds(options.start, source)
+    values["time_s"], note = _times(cells, chosen, source, start_s, damaged, options.time_zone)
     _mark_unusable(values, cells.lines, damaged)
     good = ~np.isin(cells.lines, list(damaged))
     if not good.any():
@@ -623,9 +625,9 @@ def _at_hull_centres(values: Mapping[str, Any], sides: Sequence[FloatArray | Non
     # has it last, ITU-R M.1371 third): the antenna is taken to be in the middle of the width.
     middle = (port + starboard) / 2.0
     hull = Hull(
-        np.where(has_antenna, bow, 0.0 * length),
+        np.where(has_antenna, bow, 0.0),
         np.where(has_antenna, stern, length),
-        np.where(has_antenna, middle, 0.0 * length),
+        np.where(has_antenna, middle, 0.0),
         np.where(has_antenna, middle, width),
     )
     angles = [np.where((angle >= 0.0) & (angle < 360.0), angle, np.nan)
@@ -946,17 +948,7 @@ def _cells_of(file: SensorFile) -> TableText:
 FORMAT = SensorFormat(
     "table",
     "CSV, Parquet or JSON lines with columns recognized by their names",
-    lambda file: [
-        read(
-            _cells_of(file),
-            file.source,
-            file.start_s,
-            file.options.columns,
-            file.options.units,
-            file.options.kind,
-            file.options.time_zone,
-        )
-    ],
+    lambda file: [read(_cells_of(file), file.source, file.options)],
     # Zero bytes are in damaged logs of sentences, never in a table.
     lambda file: b"\0" not in file.head,
     magic=(PARQUET,),
