@@ -8,6 +8,8 @@ from modelled_scenes import describe, feed, straight
 
 from sameas.picture import LivePicture
 from sameas.picture.picture import Picture, instants
+from sameas.picture.tuning import Tuning
+from sameas.picture.watch import Watch
 from sameas.report.picture import found_lines
 from sameas.report.prose import ALARM
 from sameas.tracks.reports import Reports
@@ -46,6 +48,12 @@ def test_ais_that_drifts_away_from_the_radar_position_is_an_alarm(drag, leap, ra
     assert (fault.kind, fault.source, fault.track) == ("dragged", "ais", MMSI[0])
     assert fault.probability > 0.95 and 150.0 < fault.first_s < 230.0
     assert f"ais reports {MMSI[0]} at one place" in str(fault) and "probability" in str(fault)
+
+
+def test_the_tuning_of_the_watch_decides_which_deceptions_are_alarms():
+    made = scene(drag_m_per_s=4.0)
+    never = Watch(tuning=Tuning(min_instants=1000))
+    assert Picture.of(made, instants(made.span_s, 10.0), watch=never).summary.faults == ()
 
 
 @pytest.mark.slow

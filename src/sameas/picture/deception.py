@@ -33,7 +33,7 @@ from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.picture.picture_state import Carried, PictureState
-from sameas.picture.tuning import DEFAULT_TUNING
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
 from sameas.tracks.alignment import States, Steps, jump_of
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
@@ -231,6 +231,11 @@ class PictureTrack:
     position: FloatArray
     variance: FloatArray
 
+    @property
+    def keys(self) -> IntArray:
+        """(k,) instant and object in one number."""
+        return np.asarray(self.at.astype(np.int64) << 32 | self.object.astype(np.int64))
+
 
 def _tracks(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], instants: FloatArray) -> list[PictureTrack]:
     """All tracks of sources with track ids."""
@@ -266,34 +271,9 @@ def sightings_of(state: PictureState[Carried]) -> dict[str, NDArray[Any]]:
     }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class _ObjectIndex:
-    """The tracks by instant and object: (k,) keys of instant and object, ascending, and indices of tracks."""
-
-    tracks: list[PictureTrack]
-    key: IntArray
-    track: IntArray
-
-    @classmethod
-    def of(cls, tracks: list[PictureTrack]) -> _ObjectIndex:
-        key = np.concatenate([_key(track) for track in tracks])
-        number = np.repeat(np.arange(len(tracks)), [len(track.at) for track in tracks])
-        order = np.argsort(key, kind="stable")
-        return cls(tracks, key[order], number[order])
-
-    def partners(self, own: PictureTrack) -> list[PictureTrack]:
-        """The tracks of other sources that were one object with this one at any instant."""
-        keys = _key(own)
-        low, high = np.searchsorted(self.key, keys), np.searchsorted(self.key, keys, side="right")
-        _, rows = ranges(low, high - low)
-        return [track for k in np.unique(self.track[rows]) if (track := self.tracks[k]).source != own.source]
-
-
-def _key(track: PictureTrack) -> IntArray:
-    return np.asarray(track.at.astype(np.int64) << 32 | track.object.astype(np.int64))
-
-
-def deceptions(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]]) -> tuple[Fault, ...]:
+def deceptions(
+    feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
+) -> tuple[Fault, ...]:
     """The deceptions in the records of a picture with a probability above ``sure_deception``, in order of time."""
     if not len(records["time_s"]):
         return ()
@@ -301,21 +281,22 @@ def deceptions(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]]) -> tu
     tracks = _tracks(feeds, records, instants)
     if not tracks:
         return ()
-    index = _ObjectIndex.of(tracks)
+    histories = _TrackHistories.of(tracks, feeds, instants, tuning)
     alarms: list[Fault] = []
-    reporting = [track for track in tracks if feeds[track.source].description.kind in CORRELATED_KINDS]
-    for own in reporting:
-        others = [other for other in index.partners(own) if not _is_of_another(other, own, index, feeds)]
-        alarms += _dragged(own, others, feeds, instants)
-        alarms += _silent(own, others, feeds, instants)
-    dragged = {(fault.source, fault.track) for fault in alarms if fault.probability > DEFAULT_TUNING.sure_deception}
+    for own in filter(histories.is_cooperative, tracks):
+        others = [other for other in histories.partners(own) if not histories.is_of_another(other, own)]
+        alarms += histories.dragged(own, others)
+        alarms += histories.silent(own, others)
+    dragged = {(fault.source, fault.track) for fault in alarms if fault.probability > tuning.sure_deception}
     for feed in feeds:
-        alarms += [fault for fault in _jumped(feed) if (fault.source, fault.track) not in dragged]
-    alarms = [fault for fault in alarms if fault.probability > DEFAULT_TUNING.sure_deception]
+        alarms += [fault for fault in _jumped(feed, tuning) if (fault.source, fault.track) not in dragged]
+    alarms = [fault for fault in alarms if fault.probability > tuning.sure_deception]
     return tuple(sorted(alarms, key=lambda fault: fault.first_s))
 
 
-def faults_and_deceptions(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]]) -> tuple[Fault, ...]:
+def faults_and_deceptions(
+    feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
+) -> tuple[Fault, ...]:
     """The faults of the sources, and the deceptions in the records of a picture that they do not explain.
 
     A clock that jumps or a source that freezes displaces all its ships; that is not a deception by each of them.
@@ -324,96 +305,166 @@ def faults_and_deceptions(feeds: Sequence[Feed], records: Mapping[str, NDArray[A
     displacing = [fault for fault in faults if fault.kind in ("clock", "frozen")]
 
     def displaced(one: Fault) -> bool:
-        return any(
-            one.source == fault.source and one.first_s > fault.first_s - DEFAULT_TUNING.silent_s for fault in displacing
+        return any(one.source == fault.source and one.first_s > fault.first_s - tuning.silent_s for fault in displacing)
+
+    return (*faults, *(one for one in (deceptions(feeds, records, tuning) if records else ()) if not displaced(one)))
+
+
+@dataclass(frozen=True)
+class _TrackHistories:
+    """The tracks of a picture over its instants.
+
+    feeds : of the sources. instants : (t,) in seconds. key, track : (k,) instants and objects as of
+    :attr:`PictureTrack.keys`, ascending, and the index of the track that has each.
+    """
+
+    tracks: list[PictureTrack]
+    feeds: Sequence[Feed]
+    instants: FloatArray
+    key: IntArray
+    track: IntArray
+    tuning: Tuning
+
+    @classmethod
+    def of(
+        cls, tracks: list[PictureTrack], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
+    ) -> _TrackHistories:
+        key = np.concatenate([track.keys for track in tracks])
+        number = np.repeat(np.arange(len(tracks)), [len(track.at) for track in tracks])
+        order = np.argsort(key, kind="stable")
+        return cls(tracks, feeds, instants, key[order], number[order], tuning)
+
+    def name(self, track: PictureTrack) -> str:
+        """The name of its source."""
+        return self.feeds[track.source].description.name
+
+    def is_cooperative(self, track: PictureTrack) -> bool:
+        return self.feeds[track.source].description.kind in CORRELATED_KINDS
+
+    def partners(self, own: PictureTrack) -> list[PictureTrack]:
+        """The tracks of other sources that were one object with this one at any instant."""
+        low, high = np.searchsorted(self.key, own.keys), np.searchsorted(self.key, own.keys, side="right")
+        _, rows = ranges(low, high - low)
+        return [track for k in np.unique(self.track[rows]) if (track := self.tracks[k]).source != own.source]
+
+    def is_of_another(self, other: PictureTrack, own: PictureTrack) -> bool:
+        """Whether a track is that of a vessel that reports another identity, before and after the own one left it.
+
+        A helicopter leaves its ship, or switches off on board: the radar still sees the ship. A neighbour whose reports
+        meet the radar's track only after the own ones have left it is no proof: they may be forged.
+        """
+        keys = other.keys
+        together = np.flatnonzero(np.isin(keys, own.keys))
+        if not len(together):
+            return False
+        before, after = np.split(keys, [together[-1] + 1])
+        named = filter(self.is_cooperative, (other, *self.partners(other)))
+        named_keys = [track.keys for track in named if track.track != own.track]
+        if not (len(after) and named_keys):
+            return False
+        return all(np.isin(part, np.concatenate(named_keys)).mean() > 0.5 for part in (before, after))
+
+    def companions(self, own: PictureTrack, others: Sequence[PictureTrack]) -> Iterator[tuple[PictureTrack, int]]:
+        """The tracks that were one object with it for ``min_instants`` instants, and the index of the last of these."""
+        for other in others:
+            both, i, j = np.intersect1d(own.at, other.at, return_indices=True)
+            together = own.object[i] == other.object[j]
+            if together.sum() >= self.tuning.min_instants:
+                yield other, int(both[together][-1])
+
+    def dragged(self, own: PictureTrack, others: Sequence[PictureTrack]) -> Iterator[Fault]:
+        """An alarm if its positions moved away from those of the sensors that tracked the same object before."""
+        contradicting, begins = [], []
+        after = np.zeros(len(own.at), bool)
+        for other, last in self.companions(own, others):
+            common_instants, i, j = np.intersect1d(own.at, other.at, return_indices=True)
+            contradicts = (common_instants > last) & (self.disagreement(own, other, i, j) > self.tuning.apart_sigmas**2)
+            if contradicts.sum() >= self.tuning.apart_instants and contradicts[-1]:
+                distance_m = float(np.sqrt(np.sum((own.position[i[-1]] - other.position[j[-1]]) ** 2)))
+                contradicting.append((self.name(other), distance_m))
+                begins.append(int(common_instants[contradicts][0]))
+                after |= own.at >= common_instants[contradicts][0]
+        if not contradicting:
+            return
+        # If a sensor tracks an object at the reported position, the sensor lost its old track; nothing was dragged.
+        unaccompanied = after & ~_has_partner(own, others)
+        if unaccompanied.sum() < 0.8 * after.sum():
+            return
+        sensors = sorted({name for name, _ in contradicting})
+        log_odds = (
+            math.log(self.tuning.false_position_odds)
+            + self.log_undetected(own, unaccompanied)
+            - (len(sensors) - 1) * math.log(self.tuning.sensor_swap)
+        )
+        distance_m = max(distance for _, distance in contradicting)
+        words = (
+            f"{self.name(own)} reports {own.track} at one place, {' and '.join(sensors)} "
+            f"{'sees' if len(sensors) == 1 else 'see'} it at another, {distance_m:.0f} m away at the end, and nothing "
+            "at the place reported; its positions are forged or faulty"
+        )
+        first_s, last_s = float(self.instants[min(begins)]), float(self.instants[own.at[-1]])
+        yield Fault("dragged", self.name(own), first_s, last_s, log_odds, words, own.track)
+
+    def disagreement(self, own: PictureTrack, other: PictureTrack, i: IntArray, j: IntArray) -> FloatArray:
+        """(k,) χ² of the positions ``j`` of the other track against the path of the own one about its reports ``i``.
+
+        The other track may be late or early on the path by some seconds, 1σ ``tracker_lag_s``.
+        """
+        sigma_s, widest = self.tuning.tracker_lag_s, self.tuning.apart_sigmas
+        lag_s = sigma_s * np.linspace(-widest, widest, 41)
+        times = self.instants[own.at[i]] + lag_s[:, None]
+        path = np.stack([np.interp(times, self.instants[own.at], axis) for axis in own.position.T], axis=-1)
+        chi_sq = np.sum((path - other.position[j]) ** 2, axis=2) / (own.variance[i] + other.variance[j])
+        return np.asarray((chi_sq + (lag_s[:, None] / sigma_s) ** 2).min(axis=0))
+
+    def log_undetected(self, own: PictureTrack, which: BoolArray) -> float:
+        """−ln of the probability that no sensor that covers its positions ``which`` detects anything there."""
+        start_s = float(self.instants[own.at[which][0]])
+        return sum(
+            min(float(-np.log(feed.q_at(own.position[which], start_s)).sum()), self.tuning.empty_vote)
+            for feed in self.feeds
+            if feed.sensor_m is not None
+            and feed.description.kind not in CORRELATED_KINDS
+            and feed.reports.track is not None
         )
 
-    return (*faults, *(one for one in (deceptions(feeds, records) if records else ()) if not displaced(one)))
+    def silent(self, own: PictureTrack, others: Sequence[PictureTrack]) -> Iterator[Fault]:
+        """An alarm if its reports end while its source continues and a sensor still tracks the ship."""
+        reports = self.feeds[own.source].reports
+        assert reports.track is not None
+        times = np.unique(reports.time_s[reports.track.astype(str) == own.track])
+        if len(times) < self.tuning.min_reports:
+            return
+        pauses, end = np.diff(times), float(reports.time_s.max())
+        longest = float(pauses.max())
+        seen_until, sensors = -math.inf, set()
+        for other, last in self.companions(own, others):
+            if self.instants[last] < times[-1] - longest or other.at[-1] <= last:
+                continue
+            # The sensor's track must continue without large gaps.
+            if np.sum(other.at > last) < 0.8 * (other.at[-1] - last):
+                continue
+            seen_until = max(seen_until, float(self.instants[other.at[-1]]))
+            sensors.add(self.name(other))
+        silent_s = min(seen_until, end) - float(times[-1])
+        if silent_s < self.tuning.silent_s or not sensors:
+            return
+        log_odds = log_odds_of_silence(silent_s, longest, len(pauses), self.tuning.silent_odds)
+        words = (
+            f"{self.name(own)}: {own.track} has gone silent: {' and '.join(sorted(sensors))} saw it for "
+            f"{silent_s:.0f} s more, its longest pause before was {longest:.3g} s"
+        )
+        last_s = min(seen_until, end)
+        yield Fault("silent", self.name(own), float(times[-1]), last_s, min(log_odds, 50.0), words, own.track)
 
 
-def _companions(own: PictureTrack, others: Sequence[PictureTrack]) -> Iterator[tuple[PictureTrack, int]]:
-    """The tracks that were one object with it for ``min_instants`` instants, and the index of the last of these."""
+def _has_partner(own: PictureTrack, others: Sequence[PictureTrack]) -> BoolArray:
+    """(k,) whether another source's track is one object with it."""
+    out = np.zeros(len(own.at), bool)
     for other in others:
-        both, i, j = np.intersect1d(own.at, other.at, return_indices=True)
-        together = own.object[i] == other.object[j]
-        if together.sum() >= DEFAULT_TUNING.min_instants:
-            yield other, int(both[together][-1])
-
-
-def _is_of_another(other: PictureTrack, own: PictureTrack, index: _ObjectIndex, feeds: Sequence[Feed]) -> bool:
-    """Whether a track is that of a vessel that reports another identity, before and after the own one left it.
-
-    A helicopter leaves its ship, or switches off on board: the radar still sees the ship. A neighbour whose reports
-    meet the radar's track only after the own ones have left it is no proof: they may be forged.
-    """
-    objects = _key(other)
-    together = np.flatnonzero(np.isin(objects, _key(own)))
-    if not len(together):
-        return False
-    named = [t for t in (other, *index.partners(other)) if feeds[t.source].description.kind in CORRELATED_KINDS]
-    keys = [_key(track) for track in named if track.track != own.track]
-    before, after = np.split(objects, [together[-1] + 1])
-    if not (len(after) and keys):
-        return False
-    return all(np.isin(part, np.concatenate(keys)).mean() > 0.5 for part in (before, after))
-
-
-def _dragged(
-    track: PictureTrack, others: Sequence[PictureTrack], feeds: Sequence[Feed], instants: FloatArray
-) -> Iterator[Fault]:
-    """An alarm if the track's positions moved away from those of the sensors that tracked the same object before."""
-    contradicting, begins = [], []
-    after = np.zeros(len(track.at), bool)
-    for other, last in _companions(track, others):
-        common_instants, i, j = np.intersect1d(track.at, other.at, return_indices=True)
-        chi_sq = _disagreement(track, other, i, j, instants)
-        contradicts = (common_instants > last) & (chi_sq > DEFAULT_TUNING.apart_sigmas**2)
-        if contradicts.sum() >= DEFAULT_TUNING.apart_instants and contradicts[-1]:
-            contradicting.append((other, float(np.sqrt(np.sum((track.position[i[-1]] - other.position[j[-1]]) ** 2)))))
-            begins.append(int(common_instants[contradicts][0]))
-            after |= track.at >= common_instants[contradicts][0]
-    if not contradicting:
-        return
-    # If a sensor tracks an object at the reported position, the sensor lost its old track; nothing was dragged.
-    unaccompanied = after & ~_has_partner(track, others)
-    if unaccompanied.sum() < 0.8 * after.sum():
-        return
-    log_undetected = sum(
-        min(
-            float(-np.log(feed.q_at(track.position[unaccompanied], float(instants[track.at[unaccompanied][0]]))).sum()),
-            DEFAULT_TUNING.empty_vote,
-        )
-        for feed in feeds
-        if feed.sensor_m is not None
-        and feed.description.kind not in CORRELATED_KINDS
-        and feed.reports.track is not None
-    )
-    sensors = sorted({feeds[other.source].description.name for other, _ in contradicting})
-    log_odds = (
-        math.log(DEFAULT_TUNING.false_position_odds)
-        + log_undetected
-        - (len(sensors) - 1) * math.log(DEFAULT_TUNING.sensor_swap)
-    )
-    name, first = feeds[track.source].description.name, float(instants[min(begins)])
-    distance_m = max(distance for _, distance in contradicting)
-    words = (
-        f"{name} reports {track.track} at one place, {' and '.join(sensors)} {'sees' if len(sensors) == 1 else 'see'} "
-        f"it at another, {distance_m:.0f} m away at the end, and nothing at the place reported; its "
-        "positions are forged or faulty"
-    )
-    yield Fault("dragged", name, first, float(instants[track.at[-1]]), log_odds, words, track.track)
-
-
-def _disagreement(own: PictureTrack, other: PictureTrack, i: IntArray, j: IntArray, instants: FloatArray) -> FloatArray:
-    """(k,) χ² of the positions ``j`` of the other track against the path of the own one about its reports ``i``.
-
-    The other track may be late or early on the path by some seconds, 1σ ``tracker_lag_s``.
-    """
-    lag_s = DEFAULT_TUNING.tracker_lag_s * np.linspace(-DEFAULT_TUNING.apart_sigmas, DEFAULT_TUNING.apart_sigmas, 41)
-    times = instants[own.at[i]] + lag_s[:, None]
-    path = np.stack([np.interp(times, instants[own.at], axis) for axis in own.position.T], axis=-1)
-    chi_sq = np.sum((path - other.position[j]) ** 2, axis=2) / (own.variance[i] + other.variance[j])
-    return np.asarray((chi_sq + (lag_s[:, None] / DEFAULT_TUNING.tracker_lag_s) ** 2).min(axis=0))
+        _, i, j = np.intersect1d(own.at, other.at, return_indices=True)
+        out[i[own.object[i] == other.object[j]]] = True
+    return out
 
 
 @dataclass(frozen=True)
@@ -459,11 +510,11 @@ def _jumps_of(feed: Feed, n_around: int) -> list[_Jump]:
     return sorted(jumps, key=lambda jump: jump.times_s)
 
 
-def _jumped(feed: Feed) -> Iterator[Fault]:
+def _jumped(feed: Feed, tuning: Tuning) -> Iterator[Fault]:
     """Alarms on tracks of a cooperative source that jump farther than their objects can move, and stay there."""
     if feed.description.kind not in CORRELATED_KINDS or (feed.raw_reports and feed.raw_reports.counted_clock):
         return
-    name, jumps = feed.description.name, _jumps_of(feed, DEFAULT_TUNING.jump_reports)
+    name, jumps = feed.description.name, _jumps_of(feed, tuning.jump_reports)
     exchanged: set[int] = set()
     for k, jump in enumerate(jumps):
         if k in exchanged:
@@ -471,7 +522,7 @@ def _jumped(feed: Feed) -> Iterator[Fault]:
         later = (n for n in range(k + 1, len(jumps)) if n not in exchanged and jumps[n].track != jump.track)
         n_other = next((n for n in later if jump.exchanges(jumps[n])), None)
         log_odds = 0.5 * (feed.tuning.position_sigmas * jump.distance_m / jump.reach_m) ** 2
-        log_odds = min(log_odds + math.log(DEFAULT_TUNING.false_position_odds), 50.0)
+        log_odds = min(log_odds + math.log(tuning.false_position_odds), 50.0)
         kind, within = "jumped", f"within {jump.times_s[1] - jump.times_s[0]:.0f} s"
         words = (
             f"{name}: {jump.track} jumps by {jump.distance_m:.0f} m {within}, faster than it can move: another sender "
@@ -486,45 +537,3 @@ def _jumped(feed: Feed) -> Iterator[Fault]:
                 "are forged"
             )
         yield Fault(kind, name, jump.times_s[1], jump.times_s[1], log_odds, words, jump.track)
-
-
-def _has_partner(own: PictureTrack, others: Sequence[PictureTrack]) -> BoolArray:
-    """(k,) whether another source's track is one object with it."""
-    out = np.zeros(len(own.at), bool)
-    for other in others:
-        _, i, j = np.intersect1d(own.at, other.at, return_indices=True)
-        out[i[own.object[i] == other.object[j]]] = True
-    return out
-
-
-def _silent(
-    own: PictureTrack, others: Sequence[PictureTrack], feeds: Sequence[Feed], instants: FloatArray
-) -> Iterator[Fault]:
-    """An alarm if the track's reports end while its source continues and a sensor still tracks the ship."""
-    reports = feeds[own.source].reports
-    assert reports.track is not None
-    times = np.unique(reports.time_s[reports.track.astype(str) == own.track])
-    if len(times) < DEFAULT_TUNING.min_reports:
-        return
-    pauses, end = np.diff(times), float(reports.time_s.max())
-    longest = float(pauses.max())
-    seen_until, sensors = -math.inf, set()
-    for other, last in _companions(own, others):
-        if instants[last] < times[-1] - longest or other.at[-1] <= last:
-            continue
-        # The sensor's track must continue without large gaps.
-        until = float(instants[other.at[-1]])
-        if np.sum(other.at > last) < 0.8 * (other.at[-1] - last):
-            continue
-        seen_until = max(seen_until, until)
-        sensors.add(feeds[other.source].description.name)
-    silent_s = min(seen_until, end) - float(times[-1])
-    if silent_s < DEFAULT_TUNING.silent_s or not sensors:
-        return
-    log_odds = log_odds_of_silence(silent_s, longest, len(pauses), DEFAULT_TUNING.silent_odds)
-    name = feeds[own.source].description.name
-    words = (
-        f"{name}: {own.track} has gone silent: {' and '.join(sorted(sensors))} saw it for {silent_s:.0f} s more, its "
-        f"longest pause before was {longest:.3g} s"
-    )
-    yield Fault("silent", name, float(times[-1]), min(seen_until, end), min(log_odds, 50.0), words, own.track)

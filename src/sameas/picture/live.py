@@ -26,6 +26,7 @@ from sameas.picture.deception import Fault, faults_and_deceptions, sightings_of
 from sameas.picture.picture import Columns, error_lines, gathered
 from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_picture import PlotPicture
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import Watch
 from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import LocalPlane
@@ -243,7 +244,7 @@ class LivePicture:
         It takes as long as for a file of these minutes. To estimate in another process, use :meth:`recent`,
         :func:`estimated` and :meth:`take_off`.
         """
-        found = estimated(self.recent(), self.plane)
+        found = estimated(self.recent(), self.plane, self.tuning)
         self.take_off(found)
         return found.biases
 
@@ -267,7 +268,8 @@ class LivePicture:
         It takes as long as for a file of these minutes. To run it in another process, use :meth:`recent`,
         :meth:`sightings` and :func:`faults_of`.
         """
-        return faults_of(self.recent(), self.sightings(), self.plane)
+        picture = DEFAULT_TUNING if self._carried is None else self._carried.tuning
+        return faults_of(self.recent(), self.sightings(), self.plane, self.tuning, picture)
 
     def sightings(self) -> Columns:
         """The records of instants of the last minutes, for :func:`sameas.picture.deception.deceptions`."""
@@ -322,18 +324,28 @@ class Registered:
     heights: HeightModel | None = None
 
 
-def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None = None) -> Registered:
+def estimated(
+    sources: Sequence[tuple[Description, Reports]],
+    plane: LocalPlane | None = None,
+    tuning: TracksTuning = DEFAULT_TRACKS,
+) -> Registered:
     """The biases of sources and of their heights from some minutes of their reports; empty for a single source."""
     if len(sources) < 2:
         return Registered()
-    scene, biases = Scene.of(sources, plane).registered()
+    scene, biases = Scene.of(sources, plane, tuning=tuning).registered()
     return Registered(biases, HeightModel.of(scene.feeds))
 
 
 def faults_of(
-    sources: Sequence[tuple[Description, Reports]], sightings: Columns, plane: LocalPlane | None = None
+    sources: Sequence[tuple[Description, Reports]],
+    sightings: Columns,
+    plane: LocalPlane | None = None,
+    tuning: TracksTuning = DEFAULT_TRACKS,
+    picture: Tuning = DEFAULT_TUNING,
 ) -> tuple[Fault, ...]:
     """The deceptions and faults in some minutes of the reports of sources and in the records of their picture.
+
+    tuning, picture : of the reports, and of the picture.
 
     Raises
     ------
@@ -341,7 +353,7 @@ def faults_of(
     """
     if not sources:
         return ()
-    return faults_and_deceptions(Scene.of(sources, plane).feeds, sightings)
+    return faults_and_deceptions(Scene.of(sources, plane, tuning=tuning).feeds, sightings, picture)
 
 
 def _on_earth(description: Description) -> bool:

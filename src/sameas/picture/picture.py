@@ -158,7 +158,7 @@ class Picture:
             texts |= {(k, number): str(state.explain(number)) for number in _to_explain(state, explained)}
         assert state is not None
         table, records_table = (with_degrees(gathered(columns), scene.plane) for columns in (objects, records))
-        faults = faults_and_deceptions(scene.feeds, records_table)
+        faults = faults_and_deceptions(scene.feeds, records_table, state.scan.tuning)
         return cls(
             times, table, records_table,
             Summary.of(scene, table, tallies, biases, state.scan.tuning, faults, error_lines(state.watch)), texts,

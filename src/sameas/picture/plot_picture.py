@@ -175,6 +175,11 @@ class PlotPicture:
         if not 0.0 < self.real < 1.0:
             raise InputError(f"PlotPicture: real is {self.real}; give a probability between 0 and 1")
 
+    @property
+    def tuning(self) -> Tuning:
+        """Of its tracker."""
+        return self.tracker.tuning
+
     def at(self, scene: Scene, instant_s: float) -> PictureState[PlotPicture]:
         """The picture at an instant not before the previous one, from all scans since; at the first instant, from the
         scans of one ``lifetime_s``.
@@ -185,23 +190,21 @@ class PlotPicture:
         """
         carried = self
         since = instant_s - self.tracker.lifetime_s if self.tracks is None else self.tracks.now.instant_s
-        for scan_s in scan_times_between(scene.feeds, since, instant_s, self.tracker.tuning):
+        for scan_s in scan_times_between(scene.feeds, since, instant_s, self.tuning):
             carried = carried.updated(scene.at(scan_s, features=POSITION_AND_VELOCITY))
         return carried.advance(scene.at(instant_s, features=POSITION_AND_VELOCITY))
 
     def updated(self, now: Instant) -> PlotPicture:
         """The state after the scans of a later instant."""
         tracks = self.tracker.advance(now, self.tracks)
-        confirmation = self.confirmation.advance(
-            self.tracks, tracks, self.tracker.lifetime_s, self.real, self.tracker.tuning
-        )
+        confirmation = self.confirmation.advance(self.tracks, tracks, self.tracker.lifetime_s, self.real, self.tuning)
         return replace(self, tracks=tracks, confirmation=confirmation)
 
     def advance(self, now: Instant) -> PictureState[PlotPicture]:
         """The picture at an instant with velocities, without scans between it and the previous one."""
         updated = self.updated(now)
         assert updated.tracks is not None
-        scan = Scan.of(now.with_records(), self.tracker.tuning)
+        scan = Scan.of(now.with_records(), self.tuning)
         detections = TrackedObjects(scan, updated.tracks)
         objects = PlotObjects.of(detections, updated.confirmation.confirmed)
         if len(self.objects):
