@@ -53,15 +53,30 @@ def _cut(match: re.Match[str]) -> str:
 class Argument:
     """An argument named in a message, and its value: literal texts in quotes, placeholders in capitals.
 
+    keys : of an argument that is a mapping, each with the value.
+
     >>> str(Argument("sigma")), str(Argument("sigma", "ARCSEC")), str(Argument("offset", "'find'"))
     ('sigma', 'sigma=ARCSEC', "offset='find'")
+    >>> str(Argument("columns", "NAME", ("lat_deg", "lon_deg")))
+    "columns={'lat_deg': NAME, 'lon_deg': NAME}"
     """
 
     name: str
     value: str = ""
+    keys: tuple[str, ...] = ()
 
     def __str__(self) -> str:
+        if self.keys:
+            return f"{self.name}={{{', '.join(f'{key!r}: {self.value}' for key in self.keys)}}}"
         return f"{self.name}={self.value}" if self.value else self.name
+
+    @property
+    def table(self) -> str:
+        """The argument as a key of a TOML file."""
+        if not self.keys:
+            return str(self)
+        entries = ", ".join(f'{key} = "{self.value}"' for key in self.keys)
+        return f"{self.name} = {{ {entries} }}"
 
 
 class Message(str):

@@ -232,8 +232,8 @@ def test_sources_in_local_metres_give_no_geojson(sameas, tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("lat,lon,mmsi\n1,2,3\n", "no column of time among: lat, lon, mmsi; give columns={'time_s': NAME}; in a TOML "
-                                  "file given with --sensors: file = { columns = { … } } in the table of the source"),
+        ("lat,lon,mmsi\n1,2,3\n", "no column of time among: lat, lon, mmsi; give file = { columns = { time_s = "
+                                  "\"NAME\" } } in its table [sources.NAME] of the --sensors file"),
         ("time,lat,lon\n2024-05-01T12:00:00Z,50,1\n", "what kind of sensor is it? Neither its name nor its columns"),
         ("time,lat,lon,mmsi\n23:10:00,50,1,235000001\n", "give start, the UTC date of the first row: --start, or"),
         ("time,track_id,range_m,bearing_deg\n0,1,2,3\n",

@@ -484,3 +484,73 @@ def test_tables_in_memory_are_read_like_files_of_their_name(tmp_path):
     for sources in ([tmp_path / "ais.csv"], {"ais": columns}):
         (source,) = _sources(sources, {}, None)
         assert source.reports.speed_m_per_s[0] == pytest.approx(10 * KNOT)
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        ("Zeit;Breite;Länge;Kurs;Geschwindigkeit [kn];Schiffsname",
+         "time_s lat_deg lon_deg course_deg speed_m_per_s name"),
+        ("Datum;Uhrzeit;MMSI;geogr. Breite;geogr. Länge;Kurs über Grund;Fahrt",
+         "mmsi lat_deg lon_deg course_deg speed_m_per_s"),
+        ("Uhrzeit;Ziel;Peilung (°);Entfernung (sm);Kurs;Fahrt (kn)",
+         "time_s track_id bearing_deg range_m course_deg speed_m_per_s"),
+        ("Horodatage;MMSI;Latitude;Longitude;Vitesse (noeuds);Cap;Longueur;Nom du navire",
+         "time_s mmsi lat_deg lon_deg speed_m_per_s heading_deg length_m name"),
+        ("Fecha y hora;Latitud;Longitud;Rumbo;Velocidad en nudos;Nombre del buque",
+         "time_s lat_deg lon_deg course_deg speed_m_per_s name"),
+        ("Tidspunkt;Breddegrad;Lengdegrad;Kurs;Fart;Skipsnavn", "time_s lat_deg lon_deg course_deg speed_m_per_s name"),
+        ("tid;bredde;længde;kurs;hastighed", "time_s lat_deg lon_deg course_deg speed_m_per_s"),
+        ("ora;latitudine;longitudine;rotta;velocità", "time_s lat_deg lon_deg course_deg speed_m_per_s"),
+        ("Data/Hora;Latitude;Longitude;Rumo;Velocidade (nós)", "time_s lat_deg lon_deg course_deg speed_m_per_s"),
+        ("tijd;breedtegraad;lengtegraad;koers;snelheid", "time_s lat_deg lon_deg course_deg speed_m_per_s"),
+        # A width and a length where there is a position.
+        ("time;lat;lon;mmsi;Breite;Länge", "time_s lat_deg lon_deg mmsi width_m length_m"),
+        ("time;x;y;Länge;Breite", "time_s x_m y_m length_m width_m"),
+        # The number of a target, in English.
+        ("time;tid;x;y", "time_s x_m y_m"),
+        ("date;tid;x;y", "time_s x_m y_m"),
+    ],
+)  # fmt: skip
+def test_names_in_other_languages_are_recognised_where_they_are_certain(names, expected):
+    columns, expected = names.split(";"), expected.split()
+    found = sorted(understood(*columns).items(), key=lambda one: columns.index(one[1]))
+    assert [column for column, _ in found if column in expected] == expected
+    assert {column for column, _ in found} <= {*expected, "time_s"}
+
+
+def test_a_table_of_a_german_excel_is_read(tmp_path):
+    """Semicolons, decimal commas, dates with points beside the time, letters of Windows; knots, as it is AIS."""
+    text = "Datum;Zeit;MMSI;Breite;Länge;Kurs;Geschwindigkeit;Schiffsname\n"
+    text += "01.05.2024;12:00:10;211000001;54,5;10,25;90,0;10,0;MÜNCHEN\n"
+    path = tmp_path / "ais.csv"
+    for encoding in ("utf-8", "cp1252", "utf-8-sig"):
+        path.write_bytes(text.replace("\n", "\r\n").encode(encoding))
+        [made] = read_reports(path)
+        assert (made.lat_deg[0], made.lon_deg[0], made.name[0]) == (54.5, 10.25, "MÜNCHEN")
+        assert made.speed_m_per_s[0] == pytest.approx(10 * KNOT)
+        assert made.time_s[0] == datetime(2024, 5, 1, 12, 0, 10, tzinfo=UTC).timestamp()
+    assert any("Breite as lat_deg, Länge as lon_deg" in note for note in made.notes)
+
+
+def test_dates_of_other_languages_have_the_day_first():
+    made = table("Fecha;Hora;Latitud;Longitud;MMSI\n01/05/2024;12:00:10;54,5;10,25;211000001\n")
+    assert made.time_s[0] == datetime(2024, 5, 1, 12, 0, 10, tzinfo=UTC).timestamp()
+    made = table("Tijdstip;Breedte;Lengte;MMSI\n01-05-2024 12:00:10;54,5;10,25;211000001\n")
+    assert made.time_s[0] == datetime(2024, 5, 1, 12, 0, 10, tzinfo=UTC).timestamp()
+
+
+def test_all_missing_columns_are_named_at_once():
+    with pytest.raises(InputError) as refusal:
+        table("foo,bar\n1,2\n")
+    assert str(refusal.value) == (
+        "radar.csv: no columns of time and a position among: foo, bar; give columns={'time_s': NAME, 'lat_deg': NAME, "
+        "'lon_deg': NAME}, or those of x_m and y_m, range_m and bearing_deg"
+    )
+
+
+def test_a_length_without_the_place_of_the_antenna_moves_nothing_and_says_so():
+    made = table("time,mmsi,lat,lon,cog,sog,length,width\n0,211000001,54.5,10.25,0,10,120,20\n")
+    assert (made.lat_deg[0], made.lon_deg[0]) == (54.5, 10.25) and made.covariance_m2[0, 2] > 15.0**2
+    [note] = [note for note in made.notes if "hull" in note]
+    assert "are not moved" in note and "middle of the hull" not in note

@@ -149,7 +149,6 @@ def _remedies(sensors: Path | None) -> Iterator[None]:
         file = str(sensors) if sensors else "a TOML file given with --sensors"
         options = {
             "description": f", its table in {file}",
-            "columns": f"; in {file}: file = {{ columns = {{ … }} }} in the table of the source",
             "start": ": --start, or file = { start = … } in its description",
         }
         more = next((options[argument.name] for argument in error.words.arguments if argument.name in options), "")

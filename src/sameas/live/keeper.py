@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import logging
 import math
-import re
 import sqlite3
 import threading
 import time
@@ -658,8 +657,7 @@ def _in_settings(error: InputError, name: str) -> str:
     """The text of an error of a source, with keys of its table in place of arguments, and without its name."""
 
     def key(argument: Argument) -> str:
-        column = re.fullmatch(r"\{'(\w+)': (\w+)\}", argument.value)
-        return str(argument) if column is None else f'{argument.name} = {{ {column[1]} = "{column[2]}" }} in its input'
+        return f"{argument.table} in its input" if argument.keys else str(argument)
 
     text = error.words.with_options(key) if isinstance(error.words, Message) else str(error)
     return text.removeprefix(f"{name}: ")

@@ -19,6 +19,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, SupportsFloat
@@ -48,18 +49,25 @@ from sameas.io.sensors.format import (
     unwrapped,
     utc_of,
 )
+from sameas.io.sensors.languages import DATES, HOURS, names_in, plain
 from sameas.tracks.coordinates import FOOT_M, MILE_M
 from sameas.tracks.reports import Damaged, Reports
 
 #: Units by kind of quantity: as written at the end of a name, and their factor to our unit.
 UNITS: Mapping[str, Mapping[str, float]] = {
     "length": {"m": 1.0, "metres": 1.0, "meters": 1.0, "metre": 1.0, "meter": 1.0, "km": 1000.0, "ft": FOOT_M,
-               "feet": FOOT_M, "nm": MILE_M, "nmi": MILE_M, "cm": 0.01, "mm": 0.001},
+               "feet": FOOT_M, "nm": MILE_M, "nmi": MILE_M, "cm": 0.01, "mm": 0.001, "sm": MILE_M, "seemeilen": MILE_M,
+               "milles": MILE_M, "millas": MILE_M, "miglia": MILE_M, "milhas": MILE_M, "sjomil": MILE_M,
+               "somil": MILE_M, "zeemijl": MILE_M, "metri": 1.0, "metros": 1.0},
     "angle": {"deg": 1.0, "degrees": 1.0, "degree": 1.0, "rad": 57.29577951308232, "radians": 57.29577951308232,
-              "mrad": 0.05729577951308232},
+              "mrad": 0.05729577951308232, "grad": 1.0, "degres": 1.0, "grados": 1.0, "gradi": 1.0, "graus": 1.0,
+              "grader": 1.0, "graden": 1.0},
     "speed": {"mps": 1.0, "ms": 1.0, "mpers": 1.0, "msec": 1.0, "kn": KNOT_M_PER_S, "kt": KNOT_M_PER_S,
               "kts": KNOT_M_PER_S, "knots": KNOT_M_PER_S, "knot": KNOT_M_PER_S, "kmh": 1.0 / 3.6, "kph": 1.0 / 3.6,
-              "kmperh": 1.0 / 3.6, "mph": 0.44704, "fpm": FEET_PER_MINUTE_M_PER_S, "ftmin": FEET_PER_MINUTE_M_PER_S},
+              "kmperh": 1.0 / 3.6, "mph": 0.44704, "fpm": FEET_PER_MINUTE_M_PER_S, "ftmin": FEET_PER_MINUTE_M_PER_S,
+              "knoten": KNOT_M_PER_S, "noeuds": KNOT_M_PER_S, "nds": KNOT_M_PER_S, "nudos": KNOT_M_PER_S,
+              "nodi": KNOT_M_PER_S, "nos": KNOT_M_PER_S, "knop": KNOT_M_PER_S, "knob": KNOT_M_PER_S,
+              "knopen": KNOT_M_PER_S},
     "variance": {"m2": 1.0, "km2": 1e6},
     "speed variance": {"m2s2": 1.0, "m2pers2": 1.0},
     "time": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "utc": 0.0},
@@ -69,11 +77,15 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 
 @dataclass(frozen=True)
 class SensorQuantity:
-    """One quantity: its column in Reports, its kind, and its known names, the preferred first."""
+    """One quantity: its column in Reports, its kind, and its known names, the preferred first.
+
+    translations : names in other languages that are certain in a table.
+    """
 
     column: str
     kind: str
     names: tuple[str, ...]
+    translations: tuple[str, ...] = ()
 
 
 def _quantity(column: str, kind: str, names: str) -> SensorQuantity:
@@ -172,6 +184,11 @@ class Choice:
     factor: float
     why: str
 
+    @property
+    def translated(self) -> bool:
+        """Whether its name is in another language than English."""
+        return _stem(self.name)[0] in self.quantity.translations
+
 
 class NotInTable(InputError):
     """The description of a table names a column, a quantity or a unit that there is not."""
@@ -204,7 +221,7 @@ def choose(
     signs = {stem for stem, _ in stems.values()} | {kind or ""}
     taken = set(named.values())
     chosen: dict[str, Choice] = {}
-    for quantity in QUANTITIES:
+    for quantity in _quantities(stems):
         if quantity.column in named:
             if named[quantity.column]:
                 chosen[quantity.column] = _choice(
@@ -228,10 +245,16 @@ def choose(
     return _with_courses(chosen, stems)
 
 
+def _quantities(stems: Mapping[str, tuple[str, str]]) -> tuple[SensorQuantity, ...]:
+    """The quantities with the names that are certain in this table, those of other languages after the English ones."""
+    known = {q.column for q in QUANTITIES if any(_rank(name, q, stems) is not None for name in stems)}
+    more = names_in({stem for stem, _ in stems.values()}, known)
+    return tuple(replace(quantity, translations=more.get(quantity.column, ())) for quantity in QUANTITIES)
+
+
 def naming_columns(*quantities: str) -> Message:
     """The remedy: name the columns of these quantities."""
-    pairs = ", ".join(f"{quantity!r}: NAME" for quantity in quantities)
-    return Message("give ", Argument("columns", f"{{{pairs}}}"))
+    return Message("give ", Argument("columns", "NAME", quantities))
 
 
 def _check_named(names: Sequence[str], source: str, named: Mapping[str, str], units: Mapping[str, str]) -> None:
@@ -247,20 +270,22 @@ def _check_named(names: Sequence[str], source: str, named: Mapping[str, str], un
 
 def _stem(name: str) -> tuple[str, str]:
     """The name without signs and unit, and the unit at its end, or ""."""
-    words = re.findall(r"[a-z0-9]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower().replace("²", "2"))
+    words = re.findall(r"[a-z0-9]+", plain(re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).replace("²", "2")))
     known_units = {unit for kinds in UNITS.values() for unit in kinds}
     for count in (4, 3, 2, 1):
         unit = "".join(words[-count:])
         if len(words) > count and unit in known_units:
-            return "".join(words[:-count]), unit
+            stem = words[:-count]
+            # "Speed in kn", "Vitesse en noeuds".
+            return "".join(stem[:-1] if len(stem) > 1 and stem[-1] in ("in", "en", "em", "i") else stem), unit
     return "".join(words), ""
 
 
 def _rank(name: str, quantity: SensorQuantity, stems: Mapping[str, tuple[str, str]]) -> int | None:
     """The rank of a name for a quantity, 0 for the best; None where it does not match."""
     whole = "".join(stems[name])
-    for rank, known in enumerate(quantity.names):
-        stem, unit = stems[name]
+    stem, unit = stems[name]
+    for rank, known in enumerate((*quantity.names, *quantity.translations)):
         if whole == known or (stem == known and unit in UNITS[quantity.kind]):
             return rank
     return None
@@ -285,6 +310,8 @@ def _choice(
     stem, unit = stem_and_unit
     if unit in factors and stem + unit not in quantity.names:
         return Choice(name, quantity, factors[unit], "")
+    if stem in quantity.translations and quantity.column == "speed_m_per_s":
+        stem = "speed"
     for why, indicators, applies, unit in _CONVENTIONS:
         if stem in applies and unit in factors and not signs.isdisjoint(indicators):
             return Choice(name, quantity, factors[unit], f"{name} is read in {unit}: {why}")
@@ -335,7 +362,7 @@ _DAY_FIRST_TABLES = ("typeofmobile",)
 #: Number of unused columns that are listed.
 _LISTED = 12
 _DELIMITERS = ",;\t|"
-_DAY_FIRST = re.compile(r"(\d{1,2})[/.](\d{1,2})[/.](\d{4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
+_DAY_FIRST = re.compile(r"(\d{1,2})[/.-](\d{1,2})[/.-](\d{4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
 #: Numbers with a decimal comma or none, and with a decimal point.
 _COMMA, _POINT = re.compile(r"\s*[+-]?\d+(,\d+)?\s*"), re.compile(r"\s*[+-]?\d+\.\d+\s*")
 #: MMSI of base stations (00 and the country) and aids to navigation.
@@ -557,16 +584,18 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     passed_over = {what: count for what, count in counts.items() if count}
     truncated = [f"{source}: its last line has no line end: it may be incomplete"] * cells.unended
     notes = [note, *truncated, *(f"{source}: {choice.why}" for choice in chosen.values() if choice.why)]
+    if translated := [f"{c.name} as {c.quantity.column}" for c in chosen.values() if c.translated]:
+        notes.append(f"{source}: columns read by their names: {', '.join(translated)}")
     used = {choice.name for choice in chosen.values()}
-    unused = [name for name in cells.columns if name not in used and name.lower() not in ("date", "time")]
+    unused = [name for name in cells.columns if name not in used and plain(name) not in (*DATES, *HOURS)]
     if unused:
         more = f" and {len(unused) - _LISTED} more" if len(unused) > _LISTED else ""
         notes.append(f"{source}: columns not used: {', '.join(unused[:_LISTED])}{more}")
     values = _with_covariances(values)
     sides = [values.pop(f"to_{side}_m", None) for side in SIDES]
     if is_ais and "lat_deg" in values:
-        values, moved = _at_hull_centres(values, sides)
-        notes += [f"{source}: where the size of a ship is known, {HULL_CENTRES}"] * moved
+        values, hulls = _at_hull_centres(values, sides)
+        notes += [f"{source}: {one}" for one in hulls]
     return Reports.of(
         source, "table", values, damaged=Damaged.of(damaged.items()),
         passed_over=passed_over, notes=notes,
@@ -605,9 +634,9 @@ def _with_flagged_errors(cells: TableText, chosen: dict[str, Choice]) -> tuple[T
     )
 
 
-def _at_hull_centres(values: Mapping[str, Any], sides: Sequence[FloatArray | None]) -> tuple[dict[str, Any], bool]:
-    """The positions of AIS at the middle of the hull, with its extent in their errors, where its size is known; and
-    whether it is anywhere.
+def _at_hull_centres(values: Mapping[str, Any], sides: Sequence[FloatArray | None]) -> tuple[dict[str, Any], list[str]]:
+    """The positions of AIS at the middle of the hull where the place of the antenna is known, with the extent of the
+    hull in their errors where its size is known; and notes on both.
 
     sides : distances (n,) of the antenna from bow, stern, port and starboard, None where there is no column.
     """
@@ -620,7 +649,7 @@ def _at_hull_centres(values: Mapping[str, Any], sides: Sequence[FloatArray | Non
         known = has_antenna | (length > 0.0)
         width = np.where(width > 0.0, width, length / _LENGTH_PER_WIDTH)
     if not known.any():
-        return dict(values), False
+        return dict(values), []
     # Bow and port 0: a size without the position of the antenna. Tables differ in which of C and D is port (Danish AIS
     # has it last, ITU-R M.1371 third): the antenna is taken to be in the middle of the width.
     middle = (port + starboard) / 2.0
@@ -636,8 +665,13 @@ def _at_hull_centres(values: Mapping[str, Any], sides: Sequence[FloatArray | Non
     lat, lon, extent = hull.centre(values["lat_deg"], values["lon_deg"], heading)
     stated = values.get("covariance_m2", np.full((n, 3), np.nan))
     base = np.where(np.isfinite(stated).all(axis=1)[:, None], stated, round_covariance(np.full(n, AIS_SIGMA_M[False])))
-    places = {"lat_deg": np.where(known, lat, values["lat_deg"]), "lon_deg": np.where(known, lon, values["lon_deg"])}
-    return dict(values) | places | {"covariance_m2": np.where(known[:, None], base + extent, stated)}, True
+    moved = known & hull.antenna_known
+    places = {"lat_deg": np.where(moved, lat, values["lat_deg"]), "lon_deg": np.where(moved, lon, values["lon_deg"])}
+    notes = [f"where the antenna's place on the hull is known, {HULL_CENTRES}"] * bool(hull.antenna_known.any())
+    if (known & ~hull.antenna_known).any():
+        notes.append("where only the length of a ship is known, positions are not moved, and their errors include the "
+                     "antenna's unknown place on the hull")  # fmt: skip
+    return dict(values) | places | {"covariance_m2": np.where(known[:, None], base + extent, stated)}, notes
 
 
 def _delimiter_of(line: str) -> str:
@@ -654,23 +688,28 @@ def _flattened(nested: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _check_chosen(chosen: Mapping[str, Choice], names: Sequence[str], source: str) -> None:
+    """Refuses a table without times or positions; the message names all that is missing at once."""
     listed = ", ".join(names)
-    if "time_s" not in chosen and "day_s" not in chosen:
-        raise InputError(f"{source}: no column of time among: {listed}", naming_columns("time_s"))
+    times = () if {"time_s", "day_s"} & set(chosen) else ("time_s",)
+    words = "time and " if times else ""
     for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m")):
         if (pair[0] in chosen) != (pair[1] in chosen):
             missing = pair[0] if pair[1] in chosen else pair[1]
-            raise InputError(f"{source}: no column of {missing} among: {listed}", naming_columns(missing))
+            raise InputError(
+                f"{source}: no column of {words}{missing} among: {listed}", naming_columns(*times, missing)
+            )
     if "range_m" in chosen and not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
         raise InputError(
-            f"{source}: ranges ({chosen['range_m'].name}), but no column of bearings among: {listed}",
-            naming_columns("bearing_deg"),
+            f"{source}: ranges ({chosen['range_m'].name}), but no column of {words}bearings among: {listed}",
+            naming_columns(*times, "bearing_deg"),
         )
     if not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
         raise InputError(
-            f"{source}: no columns of a position among: {listed}",
-            Message(naming_columns("lat_deg", "lon_deg"), ", or those of x_m and y_m, range_m and bearing_deg"),
+            f"{source}: no columns of {words}a position among: {listed}",
+            Message(naming_columns(*times, "lat_deg", "lon_deg"), ", or those of x_m and y_m, range_m and bearing_deg"),
         )
+    if times:
+        raise InputError(f"{source}: no column of time among: {listed}", naming_columns("time_s"))
 
 
 def _values(cells: TableText, choice: Choice, damaged: dict[int, str]) -> NDArray[Any]:
@@ -752,12 +791,18 @@ def _times(
     """The time of each row, and a note on its interpretation."""
     choice = chosen.get("time_s") or chosen["day_s"]
     column = list(cells.columns[choice.name])
-    parts = [next((name for name in cells.columns if name.lower() == part), None) for part in ("date", "time")]
+    known = (*choice.quantity.names, *choice.quantity.translations)
+    parts = [
+        next((name for word in words for name in cells.columns if plain(name) == word), None)
+        for words in (DATES, [word for word in HOURS if word in known])
+    ]
     if choice.name in parts and None not in parts:
         days, hours = (cells.columns[str(part)] for part in parts)
         column = [f"{day} {hour}" for day, hour in zip(days, hours, strict=True)]
     if choice.quantity.column == "time_s":
+        # Of the languages that are read, only English has the month first.
         day_first = any("".join(_stem(name)) in _DAY_FIRST_TABLES for name in cells.columns)
+        day_first = day_first or any(one.translated for one in chosen.values())
         times = _instants(column, choice, source, start_s, day_first)
         if np.isfinite(times).any():
             _mark(np.isnan(times), cells.lines, damaged, "no time")
@@ -826,7 +871,7 @@ def _day_month_dates(texts: Sequence[str], source: str, start_s: float | None, a
     if only[0] or only[1]:
         return day_first if only[0] else month_first
     if not np.array_equal(day_first, month_first, equal_nan=True):
-        if always_day_first or (start_s is None and all("/" not in text for text in texts)):
+        if always_day_first or (start_s is None and all("." in text[:3] for text in texts if text)):
             return day_first
         if start_s is None:
             example = next(text for text in texts if _DAY_FIRST.fullmatch(text))
@@ -935,9 +980,20 @@ def _matrix(values: dict[str, Any], covariances: Sequence[str], sigmas: Sequence
 PARQUET, ECSV = b"PAR1", "# %ECSV"
 
 
+def _of_windows(file: SensorFile) -> SensorFile:
+    """The file in UTF-8, where its text has other letters and is that of Windows (code page 1252), as Excel writes."""
+    try:
+        file.content.decode("utf-8")
+    except UnicodeDecodeError:
+        with suppress(UnicodeDecodeError):
+            return replace(file, content=file.content.decode("cp1252").encode())
+    return file
+
+
 def _cells_of(file: SensorFile) -> TableText:
     if file.content.startswith(PARQUET):
         return cells_of_parquet(file.path)
+    file = _of_windows(file)
     first = next((line.strip() for line in file.lines if line.strip()), "")
     # The first line of a log may be truncated.
     if first[:1] in "{[" or file.share_of_lines(r"\{.*") > 0.5:
