@@ -105,8 +105,9 @@ def names_in(stems: Set[str], known: Set[str]) -> dict[str, tuple[str, ...]]:
 
     stems : of its columns, without units. known : columns of Reports that its English names give.
 
-    >>> names_in({"breite", "lange"}, set())["lat_deg"][-1], names_in({"breite", "lange"}, {"lat_deg"})["width_m"][-1]
-    ('breite', 'breite')
+    >>> stems = {"breite", "lange"}
+    >>> "breite" in names_in(stems, set())["lat_deg"], "breite" in names_in(stems, {"lat_deg"})["width_m"]
+    (True, True)
     """
     names = {column: words.split() for column, words in NAMES.items()}
     has_place = not known.isdisjoint({"lat_deg", "lon_deg", "x_m", "range_m", "bearing_deg"})
