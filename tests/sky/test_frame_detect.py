@@ -244,3 +244,45 @@ def test_correlated_noise_is_measured_despite_a_mask_in_the_centre():
     ]
     np.testing.assert_allclose(rho[1], rho[0], atol=0.05)
     assert rho[1][4, 5] > 0.4
+
+
+def with_gain(frame, gain):
+    return replace(frame, facts=replace(frame.facts, gain_e_per_adu=gain))
+
+
+@pytest.mark.parametrize(
+    ("psf", "camera"),
+    [
+        (Moffat(3.0), replace(WIDE, sky_e=100.0)),
+        (GaussianProfile(4.0), replace(WIDE, sky_e=800.0, gain_e_per_adu=3.0)),
+        (Moffat(2.2, 2.5), replace(WIDE, sky_e=30.0, gain_e_per_adu=8.0)),
+    ],
+    ids=["moffat", "bright sky", "undersampled"],
+)
+def test_errors_of_bright_stars_are_right_without_a_gain(psf, camera):
+    rng = np.random.default_rng(5)
+    seen = frame_of(rng, **grid(rng, bright=6.0), camera=camera, psf=psf)
+    found = detect(with_gain(seen.frame, np.nan))
+    rows, stars, error = paired(seen, found)
+    bright = seen.truth.flux_e[stars] > 1e4
+    assert bright.sum() > 150
+    # Without photon noise it is 1.9 to 3.3.
+    assert 0.85 < robust((error / found.sigma_px()[rows])[bright]) < 1.2
+    value = float(found.notes[-1].split("photon noise of ")[1].split(" ")[0])
+    assert value == pytest.approx(1 / camera.gain_e_per_adu, rel=0.2)
+
+
+def test_a_gain_that_the_stars_contradict_is_doubted():
+    rng = np.random.default_rng(6)
+    seen = frame_of(rng, **grid(rng, bright=6.0), camera=WIDE, psf=Moffat(3.0))
+    assert not any("doubt" in note for note in detect(seen.frame).notes)
+    doubt = detect(with_gain(seen.frame, WIDE.gain_e_per_adu / 10)).notes[-1]
+    assert "times the photon variance of the gain 0.15 e⁻/ADU: a mean of several frames? gain 1." in doubt
+    assert "gain 1." in detect(with_gain(seen.frame, 10 * WIDE.gain_e_per_adu)).notes[-1]
+
+
+def test_three_stars_tell_no_gain():
+    rng = np.random.default_rng(7)
+    camera = Camera(shape=(128, 128))
+    seen = frame_of(rng, x_px=[30.0, 60.0, 90.0], y_px=[40.0, 90.0, 30.0], flux_e=[1e4, 2e4, 4e4], camera=camera)
+    assert detect(with_gain(seen.frame, np.nan)).notes[-1].startswith("assumed: no photon noise of the stars")

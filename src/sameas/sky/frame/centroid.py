@@ -45,7 +45,7 @@ class Background:
     level : (rows, columns) the sky, in the unit of the frame.
     variance : (rows, columns) of a pixel without a star; infinite for unusable pixels.
     inverse_gain : units of the frame per electron: the variance added per unit of star light; 0 if not known, or if the
-        frame has its own error plane.
+        frame has its own error plane. :mod:`sameas.sky.frame.photon_noise` measures it if the gain is not known.
     correlation : (2k + 1, 2k + 1) of the noise of two pixels by their offset, −k … k along both axes; 1 in the middle.
     """
 

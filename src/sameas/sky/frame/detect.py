@@ -31,6 +31,7 @@ from sameas.sky.frame.centroid import (
 )
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import TUNING, Detection, Flag, Measurements
+from sameas.sky.frame.photon_noise import InverseGain, measured_inverse_gain
 
 _EIGHT_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 
@@ -204,6 +205,11 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
         sharpest = PSF(TUNING.sharpest_sigma_px**2 * np.eye(2))
         frame, background = _without_defects(frame, background, sharpest)
     psf = _mean_psf(frame, background, detection)
+    measured_gain = None
+    if not background.inverse_gain and frame.sigma is None:
+        measured_gain = _inverse_gain(frame, background, psf, detection)
+        if measured_gain is not None:
+            background = replace(background, inverse_gain=measured_gain.value)
     if detection.defects:
         frame, background = _without_defects(frame, background, psf)
     light = _above_sky(frame, background)
@@ -212,7 +218,58 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
     if not len(xy):
         raise InputError(f"{frame.name}: no star above {detection.threshold_sigmas:g}σ; lower threshold_sigmas")
     stars = _deblended(light, background, psf, xy, snr, detection)
-    return _measurements(frame, background, psf, stars, detection)
+    return _measurements(frame, background, psf, stars, detection, _gain_note(frame, background, stars, measured_gain))
+
+
+def _inverse_gain(frame: Frame, background: Background, psf: PSF, detection: Detection) -> InverseGain | None:
+    """The inverse gain measured on the stars, deblended in one pass; None if there are too few.
+
+    None, too, where neighbouring pixels share their noise: on a scanned plate the scatter of pixels does not tell that
+    of centroids.
+    """
+    if float(background.factor(np.array([psf.sigma_px]))[1][0]) > TUNING.gain_correlation:
+        return None
+    light = _above_sky(frame, background)
+    xy, snr = _peaks_of(light, background, psf, detection.threshold_sigmas)
+    if len(xy) < TUNING.gain_stars:
+        return None
+    return _gain_of(frame, background, _deblended(light, background, psf, xy, snr, detection, passes=1))
+
+
+def _gain_of(frame: Frame, background: Background, stars: _Deblended) -> InverseGain | None:
+    common, psf = stars.centroids, stars.subtracted.psf
+    usable = common.converged & ~common.at_edge & (common.usable > 0.95) & (stars.snr > TUNING.gain_snr)
+    reach_px = TUNING.gain_reach_sigmas * math.sqrt(float(np.linalg.eigvalsh(psf.matrix)[1]))
+    usable &= (_flags_near(frame, common.xy, reach_px) == 0) & (stars.flux > 0)
+    return measured_inverse_gain(stars.residual, background, stars.subtracted, usable)
+
+
+def _gain_note(
+    frame: Frame, background: Background, stars: _Deblended, measured_gain: InverseGain | None
+) -> tuple[str, ...]:
+    """What is assumed about the photon noise, or doubted about the given gain."""
+    if frame.sigma is not None:
+        return ()
+    if measured_gain is not None:
+        return (
+            f"gain not known: photon noise of {measured_gain.value:.3g} ± {measured_gain.error:.1g} ADU² per ADU of "
+            f"star light, measured on {measured_gain.stars} stars",
+        )
+    if not background.inverse_gain:
+        return ("assumed: no photon noise of the stars (gain not known); bright stars' errors are too small",)
+    found = _gain_of(frame, background, stars)
+    if found is None:
+        return ()
+    factor = max(found.value, 1e-9) / background.inverse_gain
+    certain = abs(found.value - background.inverse_gain) > 5 * found.error
+    if not certain or 1 / TUNING.gain_contradiction < factor < TUNING.gain_contradiction:
+        return ()
+    return (
+        f"doubt: the light of {found.stars} stars has {factor:.2g} times the photon variance of the gain "
+        f"{1 / background.inverse_gain:.3g} e⁻/ADU"
+        + (": a mean of several frames? " if factor < 1 else ": ")
+        + f"gain {1 / max(found.value, 1e-9):.3g} would explain it",
+    )
 
 
 def _refuse_negative(
@@ -305,14 +362,20 @@ class _Deblended:
 
 
 def _deblended(
-    light: FloatArray, background: Background, psf: PSF, xy: FloatArray, snr: FloatArray, detection: Detection
+    light: FloatArray,
+    background: Background,
+    psf: PSF,
+    xy: FloatArray,
+    snr: FloatArray,
+    detection: Detection,
+    passes: int = TUNING.neighbour_passes,
 ) -> _Deblended:
     """The stars measured in passes: subtract all stars, add each one back alone, measure it again."""
     window_fraction = psf.window_fraction()
     windows = np.broadcast_to(psf.window(), (len(xy), 2, 2))
     stars = centroids(light, background, xy, windows)
     blended_xy = stars.xy
-    for _ in range(TUNING.neighbour_passes):
+    for _ in range(passes):
         subtracted = Subtracted(stars.xy, np.maximum(stars.weight, 0) / window_fraction, psf)
         residual = light - _model(subtracted, light.shape)
         stars = centroids(residual, background, xy, windows[: len(xy)], subtracted)
@@ -392,7 +455,12 @@ class _Shapes:
 
 
 def _measurements(
-    frame: Frame, background: Background, psf: PSF, stars: _Deblended, detection: Detection
+    frame: Frame,
+    background: Background,
+    psf: PSF,
+    stars: _Deblended,
+    detection: Detection,
+    gain_note: tuple[str, ...] = (),
 ) -> Measurements:
     """Positions and errors in the common window, or in the star's own window if its shape differs."""
     common = stars.centroids
@@ -427,7 +495,7 @@ def _measurements(
         "x_px": xy[:, 0], "y_px": xy[:, 1], "covariance": covariance[:, [0, 0, 1], [0, 1, 1]], "flux": flux,
         "flux_err": flux_err, "snr": stars.snr, "flags": flags, **_ellipses(matrices),
     }  # fmt: skip
-    return _table(frame, background, psf, columns)
+    return _table(frame, background, psf, columns, gain_note)
 
 
 def _with_systematic_errors(
@@ -460,7 +528,9 @@ def _ellipses(matrices: FloatArray) -> dict[str, FloatArray]:
     return {"a_px": a, "b_px": b, "theta_deg": theta, "fwhm_px": FWHM_PER_SIGMA * np.sqrt(a * b)}
 
 
-def _table(frame: Frame, background: Background, psf: PSF, columns: dict[str, NDArray[Any]]) -> Measurements:
+def _table(
+    frame: Frame, background: Background, psf: PSF, columns: dict[str, NDArray[Any]], gain_note: tuple[str, ...]
+) -> Measurements:
     """The measurements with these columns, and the background and peak at their pixels; the brightest first."""
     order = np.argsort(-columns["flux"], kind="stable")
     pixel = np.rint(np.column_stack([columns["x_px"], columns["y_px"]])).astype(int)
@@ -474,7 +544,7 @@ def _table(frame: Frame, background: Background, psf: PSF, columns: dict[str, ND
         shape=frame.shape,
         psf_fwhm_px=psf.fwhm_px,
         name=frame.name,
-        notes=_notes(frame, background, psf),
+        notes=(*_notes(frame, background, psf), *gain_note),
         blind=_blind(frame, psf),
     )
 
@@ -501,8 +571,6 @@ def _notes(frame: Frame, background: Background, psf: PSF) -> tuple[str, ...]:
         notes.append(
             f"noise of neighbouring pixels is correlated: variances of positions are {shared:.1f} times larger"
         )
-    if not background.inverse_gain and frame.sigma is None:
-        notes.append("assumed: no photon noise of the stars (gain not known); bright stars' errors are too small")
     return tuple(notes)
 
 

@@ -59,6 +59,13 @@ class DetectionTuning:
     neighbour_passes : number of passes that subtract all neighbours and remeasure every star.
     shift_share : share of the shift by neighbours that remains after their subtraction.
     pair_share : position variance of an unresolved pair, as a share of its excess second moment.
+    gain_stars, gain_pixels : minimum numbers for a measured gain; gain_sample : maximum number of stars for it.
+    gain_snr : minimum signal to noise ratio of these stars. gain_neighbours : maximum share of neighbours' light in it.
+    gain_reach_sigmas : distance to which a star's pixels are used. gain_steps : iterations.
+    gain_accuracy : relative accuracy of a scatter beyond chance. gain_leverage, gain_share : maximum weight of a pixel
+        in the fit of its star, and in the mean pattern of all stars.
+    gain_correlation : no gain is measured if correlated noise enlarges variances of positions by more than this factor.
+    gain_contradiction : a given gain is doubted if the measured one differs by more than this factor.
     """
 
     noise_side_px: int = 600
@@ -94,6 +101,18 @@ class DetectionTuning:
     neighbour_passes: int = 3
     shift_share: float = 0.25
     pair_share: float = 0.1
+    gain_stars: int = 5
+    gain_pixels: int = 240
+    gain_sample: int = 500
+    gain_snr: float = 8.0
+    gain_neighbours: float = 0.2
+    gain_reach_sigmas: float = 2.65
+    gain_steps: int = 8
+    gain_accuracy: float = 0.01
+    gain_leverage: float = 0.7
+    gain_share: float = 0.3
+    gain_correlation: float = 1.5
+    gain_contradiction: float = 2.5
 
 
 TUNING = DetectionTuning()
