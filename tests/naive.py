@@ -639,7 +639,7 @@ def nested_densities(
             covered = []
             for k in range(2):
                 due = total[k] ** 2 / most
-                partly = sharing[k] > due + places.PARTLY * math.sqrt(2.0 * due) + 1.0
+                partly = sharing[k] > due + places.DEFAULT_PLACES.partly * math.sqrt(2.0 * due) + 1.0
                 covered.append(max(total[k] ** 2 / max(sharing[k], 1.0), 1.0) if partly else most)
             richer = int(total[1] > total[0])
             out.append((total, volume * (np.mean(covered) if total[0] == total[1] else covered[richer])))
@@ -658,13 +658,13 @@ def nested_densities(
                 expected = max(density[k, s], 0.5 * highest[k, s]) * size
                 if (
                     n[1 - s] == 0
-                    and n[s] >= coverage.TUNING.in_cell * total[s] / total[1 - s]
-                    and expected >= coverage.TUNING.hole
+                    and n[s] >= coverage.DEFAULT_COVERAGE.in_cell * total[s] / total[1 - s]
+                    and expected >= coverage.DEFAULT_COVERAGE.hole
                 ):
                     seen[k, s] = False
                 highest[k, s] = max(highest[k, s], density[k, s])
-                drawn = coverage.TUNING.pseudo_count / density[k, s]
-                density[k, s] = (n[1 - s] + coverage.TUNING.pseudo_count) / (size + drawn)
+                drawn = coverage.DEFAULT_COVERAGE.pseudo_count / density[k, s]
+                density[k, s] = (n[1 - s] + coverage.DEFAULT_COVERAGE.pseudo_count) / (size + drawn)
     numbers = numbers * seen
     total = numbers.sum(axis=0)
     at = np.repeat(((total + 0.5) / all_of(numbers))[None, :, None], len(cells), axis=0).repeat(2, axis=2)
@@ -673,19 +673,19 @@ def nested_densities(
         known = level(steps, numbers)
         of_cells = {cell >> 2 * steps: n for cell, (n, _) in zip(cells, known, strict=True)}
         for s in range(2):
-            finest = sum(n[s] ** 2 for n in of_cells.values()) <= sizes.TUNING.finest * total[s] or steps == 0
+            finest = sum(n[s] ** 2 for n in of_cells.values()) <= sizes.DEFAULT_CELLS.finest * total[s] or steps == 0
             scores = []
-            for rank, smooth in enumerate(coverage.TUNING.smooths):
-                score = -coverage.TUNING.log_prior_step * rank
+            for rank, smooth in enumerate(coverage.DEFAULT_COVERAGE.smooths):
+                score = -coverage.DEFAULT_COVERAGE.log_prior_step * rank
                 for k, (n, size) in enumerate(known):
                     if numbers[k, s]:
                         due = (max(n[s] - 1.0, 0.0) + smooth) / (size + smooth / at[k, s, 0])
                         score += numbers[k, s] * math.log(due)
                 scores.append(score)
-            smooth = coverage.TUNING.smooths[int(np.argmax(scores))]
+            smooth = coverage.DEFAULT_COVERAGE.smooths[int(np.argmax(scores))]
             if not ended[s]:
                 for k, (n, size) in enumerate(known):
-                    left = max(n[s] - (coverage.TUNING.left_out if finest else 1.0), 0.0)
+                    left = max(n[s] - (coverage.DEFAULT_COVERAGE.left_out if finest else 1.0), 0.0)
                     at[k, s, 0] = (left + smooth) / (size + smooth / at[k, s, 0])
                     at[k, s, 1] = (n[s] + smooth) / (size + smooth / at[k, s, 1])
             ended[s] = ended[s] or finest

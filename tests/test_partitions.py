@@ -22,7 +22,7 @@ pytest.importorskip("cdshealpix", reason="catalogues in partitions need cdshealp
 from typer.testing import CliRunner
 
 from sameas.cli.app import app
-from sameas.estimate.places import CellCounts, Places
+from sameas.estimate.places import CellCounts, Places, PlacesTuning
 from sameas.io import read_table
 from sameas.io.atomic import held
 from sameas.partitions import healpix, run
@@ -656,7 +656,7 @@ def test_a_sample_of_cells_determines_the_smoothing():
     rng = np.random.default_rng(3)
     one, two = (np.concatenate([rng.integers(0, 1 << 14, 60_000), rng.integers(0, 1 << 10, 30_000)]) for _ in "12")
     every = Places.of(CellCounts.of(one, two), 1.0)
-    some = Places.of(CellCounts.of(one, two), 1.0, smoothing_cells=len(every.cells) // 20)
+    some = Places.of(CellCounts.of(one, two), 1.0, PlacesTuning(smoothing_cells=len(every.cells) // 20))
     apart = np.log(some.density / every.density)
     assert 0.0 < float(np.sqrt(np.mean(apart**2))) < 0.03
 

@@ -111,7 +111,7 @@ class CellsTuning:
     most_divisions: int = 6
 
 
-TUNING = CellsTuning()
+DEFAULT_CELLS = CellsTuning()
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,12 @@ class ConvexRegion:
     lower: FloatArray
     upper: FloatArray
     area: float
+    tuning: CellsTuning = DEFAULT_CELLS
 
     @classmethod
-    def of(cls, points: FloatArray, low: FloatArray, high: FloatArray, records: int) -> ConvexRegion | None:
+    def of(
+        cls, points: FloatArray, low: FloatArray, high: FloatArray, records: int, tuning: CellsTuning = DEFAULT_CELLS
+    ) -> ConvexRegion | None:
         """The outline of points (n, 2) in a rectangle; None if that is the rectangle itself, or with too few points.
 
         records : least number of objects that the points represent.
@@ -136,22 +139,22 @@ class ConvexRegion:
         the mean number of its vertices, so it is scaled about its centre by as much (Efron 1965, Biometrika 52, 331).
         """
         extent = high - low
-        if records < TUNING.fewest or not (extent > 0.0).all():
+        if records < tuning.fewest or not (extent > 0.0).all():
             return None
-        some = (_some_of(points) - low) / extent
-        in_corners = np.count_nonzero((np.abs(some - 0.5) > 0.5 - TUNING.corner).all(axis=1))
-        if in_corners > TUNING.corners * (2.0 * TUNING.corner) ** 2 * len(some):
+        some = (_some_of(points, tuning) - low) / extent
+        in_corners = np.count_nonzero((np.abs(some - 0.5) > 0.5 - tuning.corner).all(axis=1))
+        if in_corners > tuning.corners * (2.0 * tuning.corner) ** 2 * len(some):
             return None
         place = np.empty_like(points)
         threads.over(lambda a, b: np.divide(points[a:b] - low, extent, out=place[a:b]), threads.even(len(points)))
-        hull = _hull(_outermost(place))
+        hull = _hull(_outermost(place, tuning))
         if len(hull) < 3 or 2 * len(hull) > records:
             return None
         after = np.roll(hull, -1, axis=0)
         cross = hull[:, 0] * after[:, 1] - after[:, 0] * hull[:, 1]
         area = 0.5 * float(cross.sum())
         larger = 1.0 / (1.0 - len(hull) / records)
-        if area * larger > TUNING.most:
+        if area * larger > tuning.most:
             return None
         centre = (cross @ (hull + after)) / (6.0 * area)
         hull = low + extent * (centre + math.sqrt(larger) * (hull - centre))
@@ -160,7 +163,7 @@ class ConvexRegion:
         hull, east = np.roll(hull, -west, axis=0), (east - west) % len(hull)
         below, above = hull[: east + 1], np.concatenate([hull[east:], hull[:1]])[::-1]
         x = np.unique(hull[:, 0])
-        return cls(x, np.interp(x, *below.T), np.interp(x, *above.T), area)
+        return cls(x, np.interp(x, *below.T), np.interp(x, *above.T), area, tuning)
 
     def part(self, low: FloatArray, high: FloatArray) -> FloatArray:
         """(c,) the fraction of rectangles from ``low`` to ``high``, (c, 2) each, inside; at least ``least``."""
@@ -172,18 +175,19 @@ class ConvexRegion:
         part = np.ones(len(low))
         cut = np.flatnonzero(~inside.all(axis=0))
         (west, south), (east, north) = low[cut].T, high[cut].T
-        at = west + (east - west) * ((np.arange(TUNING.across) + 0.5) / TUNING.across)[:, None]
+        across = self.tuning.across
+        at = west + (east - west) * ((np.arange(across) + 0.5) / across)[:, None]
         height = np.minimum(np.interp(at, self.x, self.upper), north) - np.maximum(
             np.interp(at, self.x, self.lower), south
         )
         height[(at < self.x[0]) | (at > self.x[-1])] = 0.0
         part[cut] = np.clip(height, 0.0, None).mean(axis=0) / (north - south)
-        return np.maximum(part, TUNING.least)
+        return np.maximum(part, self.tuning.least)
 
 
-def _outermost(points: FloatArray) -> FloatArray:
+def _outermost(points: FloatArray, tuning: CellsTuning) -> FloatArray:
     """The polygon of the outermost points in some directions, and the points outside it."""
-    corners = _farthest(_some_of(points))
+    corners = _farthest(_some_of(points, tuning), tuning.directions)
     # Points within the inscribed circle of that polygon are no vertices; this excludes most of them.
     centre = corners.mean(axis=0)
     from_centre = corners - centre, np.roll(corners, -1, axis=0) - centre
@@ -197,7 +201,7 @@ def _outermost(points: FloatArray) -> FloatArray:
         return np.compress(x * x + y * y >= least_sq, points[first:last], axis=0)
 
     points = np.concatenate(threads.over(beyond, threads.even(len(points))))
-    corners = _farthest(points)
+    corners = _farthest(points, tuning.directions)
     outside = np.zeros(len(points), np.bool_)
     for one, two in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = two - one
@@ -205,14 +209,14 @@ def _outermost(points: FloatArray) -> FloatArray:
     return np.concatenate([points[outside], corners])
 
 
-def _some_of(points: FloatArray) -> FloatArray:
+def _some_of(points: FloatArray, tuning: CellsTuning) -> FloatArray:
     """At most about ``some`` of the points, at equal steps of the row."""
-    return np.ascontiguousarray(points[:: max(1, len(points) // TUNING.some)])
+    return np.ascontiguousarray(points[:: max(1, len(points) // tuning.some)])
 
 
-def _farthest(points: FloatArray) -> FloatArray:
+def _farthest(points: FloatArray, directions: int) -> FloatArray:
     """(directions, 2) the outermost point in each of some directions, counterclockwise."""
-    angle = np.arange(TUNING.directions) * (2.0 * math.pi / TUNING.directions)
+    angle = np.arange(directions) * (2.0 * math.pi / directions)
     return points[[int(np.argmax(points @ way)) for way in np.column_stack([np.cos(angle), np.sin(angle)])]]
 
 
@@ -283,21 +287,24 @@ def finest(levels: Sequence[GridLevel], max_cells: float) -> GridLevel:
     return next((level for level in levels[::-1] if len(level.volume) <= max_cells), levels[0])
 
 
-def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, ...], Discs | None]:
+def levels_of(
+    first: Records, second: Records, tuning: CellsTuning = DEFAULT_CELLS
+) -> tuple[float, tuple[GridLevel, ...], Discs | None]:
     """Volume of the region of both sources, which must have records, its levels of cells, and its discs."""
-    space = _SphereCells.over(first, second) if isinstance(first.space, Sphere) else _BoxCells.over(first, second)
+    kind = _SphereCells if isinstance(first.space, Sphere) else _BoxCells
+    space = kind.over(first, second, tuning)
     volume = space.volume if space.outline is None else space.volume * space.outline.area / space.area
     levels = [GridLevel(np.zeros(len(first), np.int32), np.zeros(len(second), np.int32), np.array([volume]))]
     richer, size = max(len(first), len(second)), space.volume
-    while size * TUNING.cells_per_record * richer > space.volume:
+    while size * tuning.cells_per_record * richer > space.volume:
         count = levels[-1].count(1 if len(first) >= len(second) else 2)
-        if inner(count, count) <= TUNING.finest * richer:
+        if inner(count, count) <= tuning.finest * richer:
             break
-        size /= TUNING.refinement
+        size /= tuning.refinement
         levels.append(_level(*space.cells(first.features, second.features, size)))
     discs = None
     if isinstance(first.space, Sphere) and len(levels) > 1:
-        discs = Discs.of((first.features, second.features), volume, _clumped(levels[-1], volume))
+        discs = Discs.of((first.features, second.features), volume, _clumped(levels[-1], volume), tuning)
     if discs is not None:
         volume, levels = float(discs.area.sum()), [_of_discs(level, discs) for level in levels]
     return volume, tuple(levels), discs
@@ -355,7 +362,7 @@ class _SphereCells:
     outline: ConvexRegion | None = None
 
     @classmethod
-    def over(cls, first: Records, second: Records) -> _SphereCells:
+    def over(cls, first: Records, second: Records, tuning: CellsTuning) -> _SphereCells:
         sides = first.features, second.features
         low, high = _extremes([features[:, 1] for features in sides])
         margin = _margin(np.array([high - low]), first, second)[0]
@@ -378,7 +385,8 @@ class _SphereCells:
         south_west, north_east = (
             np.array([x, math.sin(math.radians(latitude))]) for x, latitude in ((0.0, low), (arc, high))
         )
-        return cls(low, high, west, arc, ConvexRegion.of(points, south_west, north_east, max(len(first), len(second))))
+        records = max(len(first), len(second))
+        return cls(low, high, west, arc, ConvexRegion.of(points, south_west, north_east, records, tuning))
 
     @property
     def area(self) -> float:
@@ -427,12 +435,13 @@ class _BoxCells:
     outline: ConvexRegion | None = None
 
     @classmethod
-    def over(cls, first: Records, second: Records) -> _BoxCells:
+    def over(cls, first: Records, second: Records, tuning: CellsTuning) -> _BoxCells:
         both = np.concatenate([first.features, second.features])
         low, high = both.min(axis=0), both.max(axis=0)
         margin = _margin(high - low, first, second)
         low, high = low - margin, high + margin
-        outline = ConvexRegion.of(both, low, high, max(len(first), len(second))) if len(low) == 2 else None
+        records = max(len(first), len(second))
+        outline = ConvexRegion.of(both, low, high, records, tuning) if len(low) == 2 else None
         return cls(low, high - low, outline)
 
     @property
@@ -522,59 +531,67 @@ class Discs:
     area: FloatArray
 
     @classmethod
-    def of(cls, positions: tuple[FloatArray, FloatArray], region: float, clumped: float = 0.0) -> Discs | None:
+    def of(
+        cls,
+        positions: tuple[FloatArray, FloatArray],
+        region: float,
+        clumped: float = 0.0,
+        tuning: CellsTuning = DEFAULT_CELLS,
+    ) -> Discs | None:
         """The discs of two sources on the sphere, or None if their fields are something else.
 
         positions : (n₁, 2), (n₂, 2) longitude and latitude in degrees. region : area of the region of all records.
         clumped : pairs of one source's records in cells, as a multiple of those of an even field; of both, the smaller.
         """
         for centres, others in ((0, 1), (1, 0)):
-            found = _around(positions[centres], positions[others], TUNING.full * region)
+            found = _around(positions[centres], positions[others], tuning.full * region, tuning)
             if found is not None:
                 return cls(centres + 1, *found)
-        if clumped >= TUNING.clumped:
-            found = _around_neither(positions, region)
+        if clumped >= tuning.clumped:
+            found = _around_neither(positions, region, tuning)
             if found is not None:
                 return cls(0, *found)
         return None
 
 
-def _around(centres: FloatArray, others: FloatArray, most: float) -> tuple[float, IntArray, FloatArray] | None:
+def _around(
+    centres: FloatArray, others: FloatArray, most: float, tuning: CellsTuning
+) -> tuple[float, IntArray, FloatArray] | None:
     """Radius, nearest centres and areas of discs of at most this total area; None if ``others`` fill no discs."""
-    if len(centres) > TUNING.most_centres or len(others) < TUNING.outer:
+    if len(centres) > tuning.most_centres or len(others) < tuning.outer:
         return None
     ground = unit_vectors(*centres.T)
-    some = unit_vectors(*others[:: max(1, len(others) // TUNING.first_records)].T)
-    least = float(_nearest(ground, some)[0].max()) * ARCSEC_PER_RADIAN
+    some = unit_vectors(*others[:: max(1, len(others) // tuning.first_records)].T)
+    least = float(_nearest(ground, some, tuning.few_pairs)[0].max()) * ARCSEC_PER_RADIAN
     # Discs that overlap at most by half.
     if 0.5 * len(centres) * math.pi * least**2 > most:
         return None
-    chord, of = _nearest(ground, unit_vectors(*others.T))
+    chord, of = _nearest(ground, unit_vectors(*others.T), tuning.few_pairs)
     # The outermost of n records lies at about 1 − 1/2n of the radius.
     reach = float(chord.max()) * (1.0 + 0.5 / len(others))
     outer = int(np.count_nonzero(chord > reach * math.sqrt(0.5)))
     next_to_it = int(np.count_nonzero(chord > 0.5 * reach)) - outer
     if (
-        outer < TUNING.outer
-        or outer < TUNING.flat * next_to_it
-        or len(of) - len(np.unique(of)) < TUNING.repeated * outer
+        outer < tuning.outer
+        or outer < tuning.flat * next_to_it
+        or len(of) - len(np.unique(of)) < tuning.repeated * outer
     ):
         return None
-    radius, area = reach * ARCSEC_PER_RADIAN, _areas(ground, reach)
+    radius, area = reach * ARCSEC_PER_RADIAN, _areas(ground, reach, tuning.points)
     return None if area.sum() > most else (radius, np.asarray(of, np.int64), area)
 
 
-def _areas(ground: FloatArray, reach: float) -> FloatArray:
+def _areas(ground: FloatArray, reach: float, points: int) -> FloatArray:
     """(n,) area in square arcsec of discs around ``ground`` (n, 3), with their shares of what overlaps.
 
-    reach : radius of the discs, as a chord.
+    reach : radius of the discs, as a chord. points : per disc.
     """
     from scipy.spatial import cKDTree
 
     tree = cKDTree(ground)
     # A sunflower: points that share the area of a disc evenly.
-    k = np.arange(TUNING.points) + 0.5
-    at, angle = reach * np.sqrt(k / TUNING.points), k * math.pi * (3.0 - math.sqrt(5.0))
+    k = np.arange(points) + 0.5
+    at, angle = reach * np.sqrt(k / points), k * math.pi * (3.0 - math.sqrt(5.0))
     pole = np.eye(3)[np.argmin(np.abs(ground), axis=1)]
     east = np.cross(ground, pole)
     east /= np.linalg.norm(east, axis=1)[:, None]
@@ -582,11 +599,11 @@ def _areas(ground: FloatArray, reach: float) -> FloatArray:
     share = np.zeros(len(ground))
     for x, y in zip(at * np.cos(angle), at * np.sin(angle), strict=True):
         share += 1.0 / np.maximum(tree.query_ball_point(ground + x * east + y * north, reach, return_length=True), 1)
-    return np.asarray(math.pi * (reach * ARCSEC_PER_RADIAN) ** 2 * share / TUNING.points)
+    return np.asarray(math.pi * (reach * ARCSEC_PER_RADIAN) ** 2 * share / points)
 
 
 def _around_neither(
-    positions: tuple[FloatArray, FloatArray], region: float
+    positions: tuple[FloatArray, FloatArray], region: float, tuning: CellsTuning
 ) -> tuple[float, IntArray, FloatArray] | None:
     """Radius, disc of each record and areas of discs around targets that no source lists; None without such discs.
 
@@ -594,7 +611,7 @@ def _around_neither(
     those of an even field grows with the distance up to the diameter of the discs, and no more from there on.
     """
     n = np.array([len(positions[0]), len(positions[1])])
-    if min(n) < 2 * TUNING.outer or n.sum() > TUNING.most_centres:
+    if min(n) < 2 * tuning.outer or n.sum() > tuning.most_centres:
         return None
     from scipy.spatial import cKDTree
 
@@ -602,50 +619,50 @@ def _around_neither(
     trees = [cKDTree(side) for side in units]
     # From a fiftieth of the mean spacing of the records to twenty times that, if it is within the region.
     spacing = math.sqrt(region / n.max()) / ARCSEC_PER_RADIAN
-    steps = np.arange(math.ceil(math.log(1000.0) / math.log(TUNING.step)))
-    reach = 0.02 * spacing * TUNING.step**steps
+    steps = np.arange(math.ceil(math.log(1000.0) / math.log(tuning.step)))
+    reach = 0.02 * spacing * tuning.step**steps
     reach = reach[reach < 0.2 * math.sqrt(region) / ARCSEC_PER_RADIAN]
     share = [len(side) ** 2 * math.pi * (reach * ARCSEC_PER_RADIAN) ** 2 / region for side in units]
     counts = [tree.count_neighbors(tree, reach) - len(side) for tree, side in zip(trees, units, strict=True)]
     excess = np.sum(counts, axis=0) - np.sum(share, axis=0)
-    enough = excess >= max(TUNING.neighbours * n.sum(), 4.0 * TUNING.outer)
-    ends = np.flatnonzero(enough[:-2] & (excess[2:] <= TUNING.growth * excess[:-2]))
-    if not len(ends) or excess[ends[0]] > TUNING.most_pairs:
+    enough = excess >= max(tuning.neighbours * n.sum(), 4.0 * tuning.outer)
+    ends = np.flatnonzero(enough[:-2] & (excess[2:] <= tuning.growth * excess[:-2]))
+    if not len(ends) or excess[ends[0]] > tuning.most_pairs:
         return None
     most = float(excess[ends[0]])
     nine_tenths = float(np.interp(0.9 * most, excess[: ends[0] + 1], reach[: ends[0] + 1]))
-    rough = nine_tenths / TUNING.nine_tenths
-    if np.interp(0.5 * nine_tenths, reach, excess) > TUNING.half * most + 2.0 * math.sqrt(most):
+    rough = nine_tenths / tuning.nine_tenths
+    if np.interp(0.5 * nine_tenths, reach, excess) > tuning.half * most + 2.0 * math.sqrt(most):
         return None
     points = np.concatenate(units)
-    disc = _gathered(points, 1.2 * rough)
+    disc = _gathered(points, 1.2 * rough, tuning.most_pairs)
     if disc is None:
         return None
     numbers_of_each = [np.bincount(of) for of in np.split(disc, [n[0]])]
     numbers = np.concatenate(numbers_of_each)
     pairs = numbers * (numbers - 1)
-    if pairs[numbers > 2].sum() < TUNING.several * pairs.sum():
+    if pairs[numbers > 2].sum() < tuning.several * pairs.sum():
         return None
     discs_of_each = [np.count_nonzero(numbers) for numbers in numbers_of_each]
-    if most > TUNING.unequal * sum(a**2 / b - a for a, b in zip(n.tolist(), discs_of_each, strict=True)):
+    if most > tuning.unequal * sum(a**2 / b - a for a, b in zip(n.tolist(), discs_of_each, strict=True)):
         return None
-    limit = TUNING.reach * nine_tenths / float(np.interp(n.sum() / most, *TUNING.around_targets))
+    limit = tuning.reach * nine_tenths / float(np.interp(n.sum() / most, *tuning.around_targets))
     inside = float(np.mean(np.linalg.norm(points - _middles(points, disc)[disc], axis=1) <= limit))
-    if inside < TUNING.within - TUNING.full:
+    if inside < tuning.within - tuning.full:
         return None
-    disc = _divided(points, disc, limit)
+    disc = _divided(points, disc, limit, tuning.most_divisions)
     middle = _middles(points, disc)
     # Of discs that overlap by chance, those whose middles are about half a radius apart stay together.
     together = 0.25 * len(middle) * math.pi * (rough * ARCSEC_PER_RADIAN) ** 2 / region
     radius = _half_extent(points, disc, 2.6 * rough, 0.98 - min(together, 0.1))
-    area = _areas(middle / np.linalg.norm(middle, axis=1)[:, None], radius)
+    area = _areas(middle / np.linalg.norm(middle, axis=1)[:, None], radius, tuning.points)
     # Discs overlap by chance as often as they fill the region.
-    if inside < TUNING.within - area.sum() / region or area.sum() > TUNING.full * region:
+    if inside < tuning.within - area.sum() / region or area.sum() > tuning.full * region:
         return None
     return radius * ARCSEC_PER_RADIAN, disc, area
 
 
-def _gathered(points: FloatArray, width: float) -> IntArray | None:
+def _gathered(points: FloatArray, width: float, most_pairs: int) -> IntArray | None:
     """(n,) groups of points, by moving each to the mean of those within ``width``, again and again; None if many."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -654,7 +671,7 @@ def _gathered(points: FloatArray, width: float) -> IntArray | None:
     moved, n = points, len(points)
     for _ in range(5):
         tree = cKDTree(moved)
-        if tree.count_neighbors(tree, width) > TUNING.most_pairs:
+        if tree.count_neighbors(tree, width) > most_pairs:
             return None
         i, j = tree.query_pairs(width, output_type="ndarray").T
         number = 1.0 + np.bincount(i, minlength=n) + np.bincount(j, minlength=n)
@@ -670,12 +687,12 @@ def _middles(points: FloatArray, group: IntArray) -> FloatArray:
     return np.asarray(total / np.bincount(group)[:, None])
 
 
-def _divided(points: FloatArray, group: IntArray, reach: float) -> IntArray:
+def _divided(points: FloatArray, group: IntArray, reach: float, most_divisions: int) -> IntArray:
     """(n,) groups of points, of which those that reach farther from their middle are divided in two, again and again.
 
     Discs that overlap are gathered into one group.
     """
-    for _ in range(TUNING.most_divisions):
+    for _ in range(most_divisions):
         off = points - _middles(points, group)[group]
         farthest = np.zeros(int(group.max()) + 1)
         np.maximum.at(farthest, group, np.linalg.norm(off, axis=1))
@@ -687,14 +704,14 @@ def _divided(points: FloatArray, group: IntArray, reach: float) -> IntArray:
         group = group.copy()
         for number, k in enumerate(wide.tolist(), start=len(farthest)):
             rows = order[start[k] : start[k + 1]]
-            group[rows[_in_two(off[rows])]] = number
+            group[rows[_in_two(off[rows], most_divisions)]] = number
     return group
 
 
-def _in_two(points: FloatArray) -> BoolArray:
+def _in_two(points: FloatArray, steps: int) -> BoolArray:
     """(n,) which points belong to the second of two clusters (2-means, from both sides of the longest axis)."""
     second = points @ np.linalg.svd(points, full_matrices=False)[2][0] > 0.0
-    for _ in range(TUNING.most_divisions):
+    for _ in range(steps):
         middles = points[~second].mean(axis=0), points[second].mean(axis=0)
         to_first, to_second = (np.linalg.norm(points - middle, axis=1) for middle in middles)
         second = to_second < to_first
@@ -712,9 +729,9 @@ def _half_extent(points: FloatArray, group: IntArray, most: float, share: float)
     return 0.5 * float(np.quantile(extent[extent > 0], share))
 
 
-def _nearest(centres: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:
+def _nearest(centres: FloatArray, others: FloatArray, few_pairs: int) -> tuple[FloatArray, IntArray]:
     """(m,) distance to the nearest of ``centres`` (n, 3) and its index, for ``others`` (m, 3); unit vectors."""
-    if len(centres) * len(others) > TUNING.few_pairs:
+    if len(centres) * len(others) > few_pairs:
         from scipy.spatial import cKDTree
 
         distance, index = cKDTree(centres).query(others)

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray, inner, median
-from sameas.estimate.cells import TUNING as CELLS_TUNING
-from sameas.estimate.cells import Discs, GridLevel, levels_of
+from sameas.estimate.cells import DEFAULT_CELLS, CellsTuning, Discs, GridLevel, levels_of
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
@@ -48,7 +47,6 @@ class CoverageTuning:
     max_dimensions : maximum dimension for discs; in more dimensions records have too many neighbours.
     min_spacing, many : where a disc must contain more records than ``many``, centres nearer than this fraction of
         the radius count as one.
-    max_cells : maximum number of cells along an axis; farther ones share a number.
     pseudo_count : pseudo-count of the densities by which holes in cells are found.
     smooths : pseudo-counts of local densities, one of which is chosen per level by the likelihood of the records;
         with few records the strongest one.
@@ -80,6 +78,7 @@ class CoverageTuning:
     uneven : holes smaller than cells are searched for if the records in empty cells exceed chance by this many
         standard deviations, which an even field does not.
     min_volume : least fraction of the region that is common to both sources.
+    cells : of the cells, outlines and discs.
     """
 
     disc: float = 12.0
@@ -89,7 +88,6 @@ class CoverageTuning:
     max_dimensions: int = 3
     min_spacing: float = 0.125
     many: float = 64.0
-    max_cells: float = 2.0**40
     pseudo_count: float = 2.0
     smooths: tuple[float, ...] = (500.0, 200.0, 80.0, 30.0, 12.0, 5.0, 2.0)
     log_prior_step: float = 0.7
@@ -109,9 +107,17 @@ class CoverageTuning:
     denser: float = 1.05
     uneven: float = 2.0
     min_volume: float = 1e-3
+    cells: CellsTuning = DEFAULT_CELLS
+
+    @property
+    def shell_smooths(self) -> tuple[float, ...]:
+        """Pseudo-counts of the densities in balls of neighbours."""
+        return (*self.smooths, 1.0, 0.5)
 
 
-TUNING = CoverageTuning()
+DEFAULT_COVERAGE = CoverageTuning()
+#: Most cells along an axis; farther ones share a number.
+MAX_CELLS = 2.0**40
 
 
 # Holes and edges of a source, to the spacing of its records: discs that are empty although many records are expected.
@@ -196,11 +202,18 @@ def _buckets(source: Points, side: float, n: int) -> Buckets:
             sides[v] = wraps / number[v]
         else:
             low[v] = float(source.points[:, v].min())
-            number[v] = int(min((float(source.points[:, v].max()) - low[v]) / side, TUNING.max_cells)) + 1 | 1
+            number[v] = int(min((float(source.points[:, v].max()) - low[v]) / side, MAX_CELLS)) + 1 | 1
     return Buckets(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
 
 
-def within_holes(own: Points, covered: BoolArray, other: Points, density: FloatArray, share: float) -> BoolArray:
+def within_holes(
+    own: Points,
+    covered: BoolArray,
+    other: Points,
+    density: FloatArray,
+    share: float,
+    tuning: CoverageTuning = DEFAULT_COVERAGE,
+) -> BoolArray:
     """(n,) whether records of one source, ``own``, lie in holes of the other, ``other``.
 
     covered : (n,) whether they may be covered, by the cells.
@@ -211,15 +224,16 @@ def within_holes(own: Points, covered: BoolArray, other: Points, density: FloatA
     these are then extended to their borders by smaller discs around the records in them.
     """
     in_hole = ~covered
-    if own.d > TUNING.max_dimensions or len(other.points) < TUNING.min_expected or not covered.any():
+    if own.d > tuning.max_dimensions or len(other.points) < tuning.min_expected or not covered.any():
         return in_hole
-    wanted, beyond = covered, TUNING.overreach * max(0.0, 1.0 - share)
+    wanted, beyond = covered, tuning.overreach * max(0.0, 1.0 - share)
     if not covered.all():
-        widest = _radius(TUNING.disc, float(density[covered].min()), own.d)
+        widest = _radius(tuning.disc, float(density[covered].min()), own.d)
         wanted = covered | own.near(other, 2.0 * widest)
-    in_disc = in_empty_discs(own, other, wanted, density, TUNING.disc, beyond, max(2.0, TUNING.min_expected / share))
+    least = max(2.0, tuning.min_expected / share)
+    in_disc = in_empty_discs(own, other, wanted, density, tuning.disc, beyond, least, tuning)
     if in_disc.any():
-        in_disc |= in_empty_discs(own, other, wanted & in_disc, density, TUNING.step, beyond, 1.0)
+        in_disc |= in_empty_discs(own, other, wanted & in_disc, density, tuning.step, beyond, 1.0, tuning)
     return in_hole | in_disc
 
 
@@ -230,7 +244,14 @@ def _radius(expected: float, density: Floats, d: int) -> Floats:
 
 
 def in_empty_discs(
-    own: Points, other: Points, wanted: BoolArray, density: FloatArray, expected: float, beyond: float, least: float
+    own: Points,
+    other: Points,
+    wanted: BoolArray,
+    density: FloatArray,
+    expected: float,
+    beyond: float,
+    least: float,
+    tuning: CoverageTuning = DEFAULT_COVERAGE,
 ) -> BoolArray:
     """(n,) mask of the points in empty discs around ``wanted`` points that contain at least ``least`` points."""
     in_disc = np.zeros(len(own.points), np.bool_)
@@ -242,13 +263,19 @@ def in_empty_discs(
         rows = own.isolated(wanted, density, (low, high), expected / ball_volume(own.d), other)
         if len(rows):
             radius = _radius(expected, density[rows], own.d)
-            inside = _inside(own, other, rows, radius, beyond * density[rows] ** (-1.0 / own.d), least)
+            inside = _inside(own, other, rows, radius, beyond * density[rows] ** (-1.0 / own.d), least, tuning)
             in_disc[inside] = True
     return in_disc
 
 
 def _inside(
-    own: Points, other: Points, rows: IntArray, radius: FloatArray, beyond: FloatArray, least: float
+    own: Points,
+    other: Points,
+    rows: IntArray,
+    radius: FloatArray,
+    beyond: FloatArray,
+    least: float,
+    tuning: CoverageTuning,
 ) -> IntArray:
     """Rows of the points inside empty discs around ``rows`` that contain enough points."""
     from sameas.kernels.coverage import clear, empty_discs
@@ -256,8 +283,8 @@ def _inside(
     side, centres, empty = float(radius.min()) / math.sqrt(own.d), own.at(rows), np.empty(len(rows), np.bool_)
     empty_discs(centres, radius, *_sorted(other, other.in_discs(centres, radius, side), side), empty)
     centres, radius, beyond = centres[empty], radius[empty], beyond[empty]
-    if len(centres) and least > TUNING.many:
-        chosen = _one_per_cell(centres, TUNING.min_spacing * float(radius.min()))
+    if len(centres) and least > tuning.many:
+        chosen = _one_per_cell(centres, tuning.min_spacing * float(radius.min()))
         centres, radius, beyond = centres[chosen], radius[chosen], beyond[chosen]
     if not len(centres):
         return np.empty(0, np.int64)
@@ -285,21 +312,18 @@ def _one_per_cell(points: FloatArray, side: float) -> IntArray:
     return np.sort(order[first])
 
 
-#: Pseudo-counts of the densities in balls of neighbours.
-SHELL_SMOOTHS = (*TUNING.smooths, 1.0, 0.5)
-
-
 def smoothing(
     others: FloatArray,
     volume: FloatArray,
     density: FloatArray,
     weight: FloatArray,
-    smooths: Sequence[float] = TUNING.smooths,
+    smooths: Sequence[float] = DEFAULT_COVERAGE.smooths,
+    log_prior_step: float = DEFAULT_COVERAGE.log_prior_step,
 ) -> tuple[float, float]:
     """The maximum-likelihood pseudo-count of ``smooths`` for one level of cells, and the ln posterior of the records.
 
     others : (n,) other records in the cell of each record. volume : of that cell. density : (n,) by coarser cells,
-    towards which the pseudo-count draws. weight : (n,) of the records.
+    towards which the pseudo-count draws. weight : (n,) of the records. log_prior_step : as of the tuning.
 
     The pseudo-count is large for an even field and small for one with clusters. The expected number of records is the
     same for all pseudo-counts, so that the prediction of every record by the others decides.
@@ -307,7 +331,7 @@ def smoothing(
     Source: Duin 1976, IEEE Transactions on Computers 25, 1175 (smoothing by leave-one-out likelihood).
     """
     fits = [inner(weight, np.log((others + smooth) / (volume + smooth / density))) for smooth in smooths]
-    scores = fits - TUNING.log_prior_step * np.arange(len(smooths))
+    scores = fits - log_prior_step * np.arange(len(smooths))
     best = int(np.argmax(scores))
     return smooths[best], float(scores[best])
 
@@ -321,26 +345,27 @@ def typical_error(one: Records, two: Records) -> FloatArray:
     return np.asarray(np.sqrt(variance))
 
 
-def _sampled(records: Records) -> IntArray:
+def _sampled(records: Records, some: int) -> IntArray:
     """At most about ``some`` records, chosen by a hash of their positions, not by the order of the rows."""
     n = len(records)
-    if n <= TUNING.some:
+    if n <= some:
         return np.arange(n)
     bits = np.ascontiguousarray(records.features[:, 0]).view(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
-    return np.flatnonzero(bits < np.uint64(int(TUNING.some / n * 2.0**64)))
+    return np.flatnonzero(bits < np.uint64(int(some / n * 2.0**64)))
 
 
 @dataclass(frozen=True)
 class _Balls:
-    """Numbers of some points within balls around others."""
+    """Numbers of some points within balls around others. pairs_at_once : most pairs that are held at once."""
 
     tree: cKDTree
+    pairs_at_once: int
 
     @classmethod
-    def around(cls, points: FloatArray) -> _Balls:
+    def around(cls, points: FloatArray, pairs_at_once: int) -> _Balls:
         from scipy.spatial import cKDTree
 
-        return cls(cKDTree(points))
+        return cls(cKDTree(points), pairs_at_once)
 
     def number(self, centres: FloatArray, radius: float) -> int:
         """Number of pairs of a centre and a point within ``radius``."""
@@ -349,7 +374,7 @@ class _Balls:
     def neighbours(self, centres: FloatArray, radii: FloatArray, near: float) -> FloatArray:
         """(r, n) points nearer than each of descending ``radii``, and farther than ``near``, which is the least."""
         ascending, out = np.append(near, radii[::-1]), np.zeros((len(radii), len(centres)))
-        pieces = 1 + self.number(centres, radii[0]) // TUNING.pairs_at_once
+        pieces = 1 + self.number(centres, radii[0]) // self.pairs_at_once
         for rows in np.array_split(np.argsort(centres[:, 0], kind="stable"), pieces):
             tree = type(self.tree)(centres[rows])
             pairs = tree.sparse_distance_matrix(self.tree, radii[0], output_type="ndarray")
@@ -373,11 +398,12 @@ class Coverage:
     volume: float
     discs: Discs | None = field(default=None, kw_only=True)
     of_part: tuple[GridLevel, ...] | None = field(default=None, kw_only=True, repr=False)
+    tuning: CoverageTuning = field(default=DEFAULT_COVERAGE, kw_only=True, repr=False)
 
     @cached_property
     def levels(self) -> tuple[GridLevel, ...]:
         """Cells, coarse to fine."""
-        return levels_of(self.first, self.second)[1] if self.of_part is None else self.of_part
+        return levels_of(self.first, self.second, self.tuning.cells)[1] if self.of_part is None else self.of_part
 
     @property
     def counted(self) -> tuple[BoolArray, BoolArray]:
@@ -385,17 +411,18 @@ class Coverage:
         return np.ones(len(self.first), np.bool_), np.ones(len(self.second), np.bool_)
 
     @classmethod
-    def of(cls, first: Records, second: Records) -> Coverage:
+    def of(cls, first: Records, second: Records, *, tuning: CoverageTuning = DEFAULT_COVERAGE) -> Coverage:
         """Cells over the region of both sources, which must have records."""
-        volume, levels, discs = levels_of(first, second)
-        coverage = cls(first, second, volume, discs=discs)
+        volume, levels, discs = levels_of(first, second, tuning.cells)
+        coverage = cls(first, second, volume, discs=discs, tuning=tuning)
         coverage.__dict__["levels"] = levels
         return coverage
 
     def part(self, rows_1: IntArray, rows_2: IntArray) -> Coverage:
         """The same cells and footprints, for some of the records, or for all in another order."""
         levels = tuple(level.part(rows_1, rows_2) for level in self.levels)
-        coverage = Coverage(self.first.part(rows_1), self.second.part(rows_2), self.volume, of_part=levels)
+        first, second = self.first.part(rows_1), self.second.part(rows_2)
+        coverage = Coverage(first, second, self.volume, of_part=levels, tuning=self.tuning)
         one, two = self.covered
         coverage.__dict__["covered"] = one[rows_1], two[rows_2]
         return coverage
@@ -418,23 +445,27 @@ class Coverage:
         """
         from sameas.kernels.coverage import refine
 
+        tuning = self.tuning
         volumes = [level.volume for level in self.levels] if volumes is None else volumes
         start = (float(weights.sum()) + 0.5) / float(volumes[0].sum())
         at_first, at_second = np.full(len(self.first), start), np.full(len(self.second), start)
         at = (at_first, at_second) if source == 1 else (at_second, at_first)
-        sample, unweighted = _sampled(self.first if source == 1 else self.second), bool((weights == 1.0).all())
+        sample = _sampled(self.first if source == 1 else self.second, tuning.some)
+        unweighted = bool((weights == 1.0).all())
         for level, volume in zip(self.levels, volumes, strict=True):
             cell, _ = level.facing(source)
             count = level.count(source) if unweighted else np.bincount(cell, weights, len(volume))
-            finest = level is self.levels[-1] or inner(count, count) <= CELLS_TUNING.finest * weights.sum()
+            finest = level is self.levels[-1] or inner(count, count) <= tuning.cells.finest * weights.sum()
             others = np.maximum(count[cell[sample]] - weights[sample], 0.0)
-            smooth, _ = smoothing(others, volume[cell[sample]], at[0][sample], weights[sample])
+            smooth, _ = smoothing(
+                others, volume[cell[sample]], at[0][sample], weights[sample], tuning.smooths, tuning.log_prior_step
+            )
             without = (others + smooth) / (volume[cell[sample]] + smooth / at[0][sample])
-            refine(*level.facing(source), TUNING.left_out * weights if finest else weights, volume, count, smooth, *at)
+            refine(*level.facing(source), tuning.left_out * weights if finest else weights, volume, count, smooth, *at)
             if finest:
                 break
         if (
-            smooth < TUNING.smooths[0]
+            smooth < tuning.smooths[0]
             and len(self.levels) > 1
             and (unweighted or bool(np.isin(weights, (0.0, 1.0)).all()))
         ):
@@ -458,42 +489,42 @@ class Coverage:
         counted : (n,) records of the source that are counted. volume : of the finest cells. sample : (s,) rows that
         decide. without : (s,) their densities by cells, without the record itself.
         """
-        d, unit = self.first.d, self.typical_error
+        d, unit, tuning = self.first.d, self.typical_error, self.tuning
         one, two = self._points if source == 1 else self._points[::-1]
-        if d > TUNING.max_dimensions or np.isfinite(one.period).any() or not (unit > 0.0).all() or not counted.any():
+        if d > tuning.max_dimensions or np.isfinite(one.period).any() or not (unit > 0.0).all() or not counted.any():
             return
         scale = unit[:1] if isinstance(self.first.space, Sphere) else unit
         points, others = one.points / scale, two.points / scale
         per_volume = float(np.prod(unit))
-        radius = (TUNING.shell * volume / per_volume / ball_volume(d)) ** (1.0 / d)
-        n_balls = math.ceil(d * math.log(radius / TUNING.near) / math.log(TUNING.shell)) - 1
+        radius = (tuning.shell * volume / per_volume / ball_volume(d)) ** (1.0 / d)
+        n_balls = math.ceil(d * math.log(radius / tuning.near) / math.log(tuning.shell)) - 1
         if n_balls < 1:
             return
-        radii = radius * TUNING.shell ** (-np.arange(n_balls) / d)
-        shells = per_volume * ball_volume(d) * (radii**d - TUNING.near**d)
+        radii = radius * tuning.shell ** (-np.arange(n_balls) / d)
+        shells = per_volume * ball_volume(d) * (radii**d - tuning.near**d)
         near_sample, weight = counted, counted[sample].astype(np.float64)
-        if len(points) > TUNING.sparse * len(sample):
+        if len(points) > tuning.sparse * len(sample):
             reach = radius * float(unit.max())
             rows = one.in_discs(one.at(sample), np.full(len(sample), reach), reach)
             near_sample = np.zeros(len(points), np.bool_)
             near_sample[rows] = counted[rows]
-        balls = _Balls.around(points[near_sample])
-        if balls.number(points[sample], radius) > TUNING.most_neighbours * len(sample):
+        balls = _Balls.around(points[near_sample], tuning.pairs_at_once)
+        if balls.number(points[sample], radius) > tuning.most_neighbours * len(sample):
             return
         accepted: list[tuple[int, float]] = []
-        for ball, number in enumerate(balls.neighbours(points[sample], radii, TUNING.near)):
+        for ball, number in enumerate(balls.neighbours(points[sample], radii, tuning.near)):
             shell = np.full(len(sample), shells[ball])
-            smooth, score = smoothing(number, shell, without, weight, SHELL_SMOOTHS)
-            if score - inner(weight, np.log(without)) > TUNING.min_gain:
+            smooth, score = smoothing(number, shell, without, weight, tuning.shell_smooths, tuning.log_prior_step)
+            if score - inner(weight, np.log(without)) > tuning.min_gain:
                 without = (number + smooth) / (shell + smooth / without)
                 accepted.append((ball, smooth))
             elif accepted:
                 break
         if not accepted:
             return
-        balls = balls if near_sample is counted else _Balls.around(points[counted])
+        balls = balls if near_sample is counted else _Balls.around(points[counted], tuning.pairs_at_once)
         for density, there in zip(at, (points, others), strict=True):
-            numbers = balls.neighbours(there, radii[[ball for ball, _ in accepted]], TUNING.near)
+            numbers = balls.neighbours(there, radii[[ball for ball, _ in accepted]], tuning.near)
             for (ball, smooth), number in zip(accepted, numbers, strict=True):
                 density[:] = (number + smooth) / (shells[ball] + smooth / density)
 
@@ -503,7 +534,7 @@ class Coverage:
         weights = [covered.astype(np.float64) for covered in self.covered]
         one, two = (float(covered.sum()) for covered in weights)
         volumes = self._common_volumes()
-        if max(one, two) <= TUNING.richer * min(one, two):
+        if max(one, two) <= self.tuning.richer * min(one, two):
             at_1, at_2 = threads.each(
                 [partial(self.density, k + 1, weights[k], volumes) for k in (0, 1)], len(weights[0])
             )
@@ -558,15 +589,16 @@ class Coverage:
             max(int(np.count_nonzero(own_in_empty == 0.0)), 1) for own_in_empty in (own_in_empty_1, own_in_empty_2)
         ]
         # Requires enough records of its own source, too, so that a region poor in objects is not taken for a hole.
-        least = TUNING.in_cell * n_observed[0] / n_observed[1], TUNING.in_cell * n_observed[1] / n_observed[0]
+        in_cell = self.tuning.in_cell
+        least = in_cell * n_observed[0] / n_observed[1], in_cell * n_observed[1] / n_observed[0]
         covered = own_in_empty_1 < max(least[0], 1.0), own_in_empty_2 < max(least[1], 1.0)
-        if all(each.all() for each in covered) and max(excess_1, excess_2) < TUNING.uneven:
+        if all(each.all() for each in covered) and max(excess_1, excess_2) < self.tuning.uneven:
             return covered
         mean = self._mean_densities(*covered)
-        for _ in range(TUNING.rounds):
+        for _ in range(self.tuning.rounds):
             covered = self._outside_holes(covered, (highest_1, highest_2), mean)
             previous, mean = mean, self._mean_densities(*covered)
-            if max(mean[0] / previous[0], mean[1] / previous[1]) < TUNING.denser:
+            if max(mean[0] / previous[0], mean[1] / previous[1]) < self.tuning.denser:
                 break
         return covered
 
@@ -577,7 +609,7 @@ class Coverage:
 
     def _mean_densities(self, covered_1: BoolArray, covered_2: BoolArray) -> tuple[float, float]:
         """Mean densities of both sources where both observe, for these covered records."""
-        volume = max(self._volume(covered_1, covered_2), TUNING.min_volume * self.volume)
+        volume = max(self._volume(covered_1, covered_2), self.tuning.min_volume * self.volume)
         number_1, number_2 = (max(int(np.count_nonzero(covered)), 1) for covered in (covered_1, covered_2))
         return number_1 / volume, number_2 / volume
 
@@ -593,8 +625,8 @@ class Coverage:
         of_first, of_second = (np.maximum(local, least) for local, least in zip(highest, mean, strict=True))
         one, two = threads.each(
             [
-                partial(within_holes, first, covered[0], second, of_second, mean[1] / mean[0]),
-                partial(within_holes, second, covered[1], first, of_first, mean[0] / mean[1]),
+                partial(within_holes, first, covered[0], second, of_second, mean[1] / mean[0], self.tuning),
+                partial(within_holes, second, covered[1], first, of_first, mean[0] / mean[1], self.tuning),
             ],
             len(self.first),
         )
@@ -611,12 +643,12 @@ class Coverage:
 
         n = len(self.first if query == 1 else self.second)
         density = np.full(n, len(self.first if source == 1 else self.second) / self.volume)
-        own_in_empty, highest, excess = np.zeros(n), np.zeros(n), 0.0
+        own_in_empty, highest, excess, tuning = np.zeros(n), np.zeros(n), 0.0, self.tuning
         for level in self.levels:
             cells, _ = level.facing(query)
             counts = level.count(source), level.count(query)
             more = check_cells(
-                cells, level.volume, *counts, TUNING.pseudo_count, TUNING.hole, own_in_empty, density, highest
+                cells, level.volume, *counts, tuning.pseudo_count, tuning.hole, own_in_empty, density, highest
             )
             excess = max(excess, more)
         return own_in_empty, highest, excess
@@ -638,13 +670,21 @@ class Coverage:
         from sameas.kernels.coverage import shared_part
 
         richer = max(len(self.first), len(self.second))
-        fine = next((level for level in self.levels[::-1] if richer >= TUNING.hole * len(level.volume)), self.levels[0])
+        fine = next(
+            (level for level in self.levels[::-1] if richer >= self.tuning.hole * len(level.volume)), self.levels[0]
+        )
         count = np.zeros((len(fine.volume), 4))
         return inner(shared_part(fine.of_first, covered_1, fine.of_second, covered_2, count), fine.volume)
 
 
 def local_share(
-    levels: Sequence[GridLevel], source: int, part: FloatArray, weights: FloatArray, *, elsewhere: bool = True
+    levels: Sequence[GridLevel],
+    source: int,
+    part: FloatArray,
+    weights: FloatArray,
+    *,
+    elsewhere: bool = True,
+    pseudo_count: float = DEFAULT_COVERAGE.shared_pseudo_count,
 ) -> tuple[FloatArray, FloatArray]:
     """Local share Σ part / Σ weights of the records of ``source`` (1 or 2), at the records of both; without
     ``elsewhere`` at its own only, and the other source's array is empty.
@@ -661,5 +701,5 @@ def local_share(
     for level in levels:
         sums = np.empty(len(level.volume)), np.empty(len(level.volume))
         cells, others = level.facing(source)
-        refine_share(cells, others[:most], part, weights, *sums, TUNING.shared_pseudo_count, own, other)
+        refine_share(cells, others[:most], part, weights, *sums, pseudo_count, own, other)
     return (own, other) if source == 1 else (other, own)

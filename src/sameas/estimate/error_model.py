@@ -78,7 +78,7 @@ class ErrorFitTuning:
     min_tail_share: float = 1e-4
 
 
-TUNING = ErrorFitTuning()
+DEFAULT_ERROR_FIT = ErrorFitTuning()
 
 
 #: Scales of the core and the normals of the tail, in units of the modelled error, and their initial shares.
@@ -142,7 +142,7 @@ class ErrorModel:
 UNSCALED = Quantity(1.0, 0.0)
 
 
-def error_model(answer: Identification) -> ErrorModel:
+def error_model(answer: Identification, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT) -> ErrorModel:
     """The error model of the pairs of an answer.
 
     Example
@@ -150,46 +150,50 @@ def error_model(answer: Identification) -> ErrorModel:
     >>> error_model(match(plate, gaia)[0]).factor_1  # doctest: +SKIP
     Quantity(value=1.68, standard_error=0.04, unit='')
     """
-    return fit_error_model(answer.pairs, answer.p_pair, TUNING.max_pairs)
+    return fit_error_model(answer.pairs, answer.p_pair, tuning.max_pairs, tuning)
 
 
-def fit_error_model(pairs: Pairs, p_pair: FloatArray, most: int) -> ErrorModel:
+def fit_error_model(
+    pairs: Pairs, p_pair: FloatArray, most: int, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT
+) -> ErrorModel:
     """The error model of pairs with these (m,) probabilities, fitted to at most ``most`` of them."""
-    probable = _sample(p_pair, most)
+    probable = _sample(p_pair, most, tuning)
     weight = p_pair[probable]
-    if weight.sum() < TUNING.min_pairs:
-        return ErrorModel(note=f"fewer than {TUNING.min_pairs:.0f} pairs: too few to judge the sources' errors apart")
+    if weight.sum() < tuning.min_pairs:
+        return ErrorModel(note=f"fewer than {tuning.min_pairs:.0f} pairs: too few to judge the sources' errors apart")
     one = unpack(pairs.first.covariance[pairs.i[probable]], pairs.d)
     two = unpack(pairs.second.covariance[pairs.j[probable]], pairs.d)
     names = pairs.first.source, pairs.second.source
-    return _PairErrors(pairs.residual[probable], weight, one, two, names).model()
+    return _PairErrors(pairs.residual[probable], weight, one, two, names, tuning).model()
 
 
-def _sample(p_pair: FloatArray, most: int) -> IntArray:
+def _sample(p_pair: FloatArray, most: int, tuning: ErrorFitTuning) -> IntArray:
     """Indices of probable pairs; every second, third, … if there are more than ``most``.
 
     Pairs below 0.5 are included: where large errors have many candidates, only the smallest residuals exceed 0.5.
     """
-    probable = np.flatnonzero(p_pair > TUNING.min_p)
+    probable = np.flatnonzero(p_pair > tuning.min_p)
     return probable[:: max(1, -(-len(probable) // most))]
 
 
-def better_model(errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> tuple[Errors, float]:
+def better_model(
+    errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT
+) -> tuple[Errors, float]:
     """The errors of the model fitted to these (m,) pairs, and its gain in ln likelihood over ``errors``.
 
     Both get the maximum-likelihood mixture of error scales. The gain is infinite where one factor replaces ``errors``.
     """
-    probable = _sample(p_pair, most)
-    model = fit_error_model(pairs, p_pair, most)
+    probable = _sample(p_pair, most, tuning)
+    model = fit_error_model(pairs, p_pair, most, tuning)
     if not model.is_estimated:
         return errors, 0.0
     some, weight = pairs.part(probable), p_pair[probable]
     old, new = (log_likelihood(each, some, weight) for each in (errors, model.errors))
     if np.any(errors.floor) or errors.factor_1 != errors.factor_2:
-        factor = factor_on_quoted(errors, pairs, p_pair) * errors.typical_scale
-        factor = factor if abs(math.log(factor)) > TUNING.max_mixture_log_factor else 1.0
+        factor = factor_on_quoted(errors, pairs, p_pair, tuning) * errors.typical_scale
+        factor = factor if abs(math.log(factor)) > tuning.max_mixture_log_factor else 1.0
         plain = Errors(factor_1=factor, factor_2=factor)
-        if log_likelihood(plain, some, weight) > max(old, new) - TUNING.min_gain:
+        if log_likelihood(plain, some, weight) > max(old, new) - tuning.min_gain:
             return plain, math.inf
     return model.errors, new - old
 
@@ -220,19 +224,21 @@ def _fit_mixture(mahalanobis_sq: FloatArray, d: int, weight: FloatArray, scales:
     return Errors(tuple(scales.tolist()), tuple((shares / shares.sum()).tolist()))
 
 
-def factor_on_quoted(errors: Errors, pairs: Pairs, p_pair: FloatArray) -> float:
+def factor_on_quoted(
+    errors: Errors, pairs: Pairs, p_pair: FloatArray, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT
+) -> float:
     """Median over the probable pairs of modelled over quoted error, without the mixture."""
     if not errors.as_modelled or not len(pairs):
         return 1.0
-    probable = _sample(p_pair, TUNING.max_pairs)
+    probable = _sample(p_pair, tuning.max_pairs, tuning)
     some = pairs.part(probable) if len(probable) else pairs
     ratio = errors.pairs(some).determinant / some.determinant
     return float(np.median(ratio) ** (0.5 / pairs.d))
 
 
-def fit_spread(pairs: Pairs, p_pair: FloatArray) -> Errors:
+def fit_spread(pairs: Pairs, p_pair: FloatArray, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT) -> Errors:
     """Distribution of the residuals of pairs (m,) relative to their quoted covariances: a mixture of scales."""
-    probable = _sample(p_pair, TUNING.max_pairs)
+    probable = _sample(p_pair, tuning.max_pairs, tuning)
     if not len(probable):
         return Errors()
     square = pairs.mahalanobis_sq[probable]
@@ -244,12 +250,14 @@ def fit_spread(pairs: Pairs, p_pair: FloatArray) -> Errors:
     return Errors(scales, shares)
 
 
-def fit_variances(residual: FloatArray, weight: FloatArray, parts: FloatArray) -> FloatArray:
+def fit_variances(
+    residual: FloatArray, weight: FloatArray, parts: FloatArray, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT
+) -> FloatArray:
     """(k,) the θ ≥ 0 of greatest likelihood for residuals (m, d) of covariance Σ θ_k parts_k, parts (k, m, d, d).
 
     For degenerate parts only the sum of their terms is determined.
     """
-    return _fit(residual, weight, parts, np.zeros_like(parts[0])).theta
+    return _fit(residual, weight, parts, np.zeros_like(parts[0]), tuning).theta
 
 
 @in_short
@@ -262,6 +270,7 @@ class _PairErrors:
     quoted_1: FloatArray
     quoted_2: FloatArray
     names: tuple[str, str]
+    tuning: ErrorFitTuning
 
     @property
     def unit(self) -> float:
@@ -280,7 +289,7 @@ class _PairErrors:
             return ErrorModel(fit.root(0), fit.root(1), floor=self._floor(fit, 2))
         change = np.abs(fit.weakest)
         more = int(change[1] > change[0])
-        if change[1 - more] > max(TUNING.exchange_ratio * change[more], change[2]):
+        if change[1 - more] > max(self.tuning.exchange_ratio * change[more], change[2]):
             return self._with_common_factor()
         return self._with_one_as_quoted(more)
 
@@ -292,7 +301,7 @@ class _PairErrors:
             return self._with_one_term()
         name, no_floor = self.names[source], self._fit((self.quoted_1, self.quoted_2))
         gain = no_floor.log_likelihood - fit.log_likelihood
-        if gain > TUNING.min_gain and all(no_floor.is_determined(k) for k in (0, 1)):
+        if gain > self.tuning.min_gain and all(no_floor.is_determined(k) for k in (0, 1)):
             note = f"a floor cannot be distinguished from the errors of {name}"
             return ErrorModel(no_floor.root(0), no_floor.root(1), note=note)
         note = f"those of {name} taken as quoted: too small or too uniform to be distinguished from a floor"
@@ -314,9 +323,9 @@ class _PairErrors:
         floor = self._fit((self.floor_covariance,), self.quoted_1 + self.quoted_2)
         gain = floor.log_likelihood - factor.log_likelihood
         alike = "the quoted errors vary too little from pair to pair to determine"
-        if gain > TUNING.min_gain:
+        if gain > self.tuning.min_gain:
             return ErrorModel(floor=self._floor(floor, 0), note=f"{alike} whether their own sizes are right too")
-        if gain < -TUNING.min_gain:
+        if gain < -self.tuning.min_gain:
             note = f"{alike} which source's are wrong, or whether there is a floor"
             return ErrorModel(both=factor.root(0), note=note)
         note = f"{alike} a factor from a floor, or which source's errors are wrong"
@@ -324,7 +333,7 @@ class _PairErrors:
 
     def _fit(self, parts: Sequence[FloatArray], fixed: FloatArray | None = None) -> _VarianceFit:
         fixed = np.zeros_like(self.quoted_1) if fixed is None else fixed
-        return _fit(self.residual, self.weight, np.stack(parts), fixed)
+        return _fit(self.residual, self.weight, np.stack(parts), fixed, self.tuning)
 
     def _floor(self, fit: _VarianceFit, k: int) -> Quantity:
         """The root of term k as a floor, in the unit of the residuals."""
@@ -341,6 +350,7 @@ class _VarianceFit:
     covariance: FloatArray
     weakest: FloatArray
     log_likelihood: float
+    tuning: ErrorFitTuning
 
     def root(self, k: int) -> Quantity:
         """√θ and its standard error: the change of the root across the 95 % interval of θ ≥ 0, over 1.96.
@@ -356,10 +366,12 @@ class _VarianceFit:
     def is_determined(self, k: int) -> bool:
         """Whether a factor is known well enough to be reported."""
         root = self.root(k)
-        return root.standard_error < TUNING.max_relative_error * max(root.value, 1.0)
+        return root.standard_error < self.tuning.max_relative_error * max(root.value, 1.0)
 
 
-def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, fixed: FloatArray) -> _VarianceFit:
+def _fit(
+    residual: FloatArray, weight: FloatArray, parts: FloatArray, fixed: FloatArray, tuning: ErrorFitTuning
+) -> _VarianceFit:
     """S = ``fixed`` + Σ θ_k parts_k of greatest likelihood, by EM over core and tail.
 
     residual (m, d), weight (m,), parts (k, m, d, d), fixed (m, d, d).
@@ -367,7 +379,7 @@ def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, fixed: Flo
     # The axis of pairs is last, so that products are contiguous.
     residual, parts, fixed = residual.T.copy(), _pairs_last(parts), _pairs_last(fixed)
     theta, shares, damping = np.full(len(parts), 0.5), INITIAL_SHARES, 0.5
-    for _ in range(TUNING.max_steps):
+    for _ in range(tuning.max_steps):
         state = _PairTerms.of(residual, parts, fixed, theta, shares)
         core = weight * state.p_component[0]
         score = state.score @ core
@@ -379,9 +391,9 @@ def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, fixed: Flo
         step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=1e-9)[0]
         previous, theta = theta, np.maximum(theta + damping * step, 1e-9)
         shares, damping = state.p_component @ weight / weight.sum(), 1.0
-        if np.abs(theta - previous).max() < TUNING.tolerance * max(1.0, float(theta.max())):
+        if np.abs(theta - previous).max() < tuning.tolerance * max(1.0, float(theta.max())):
             break
-    return _with_covariance(_PairTerms.of(residual, parts, fixed, theta, shares), weight, theta, shares)
+    return _with_covariance(_PairTerms.of(residual, parts, fixed, theta, shares), weight, theta, shares, tuning)
 
 
 def _pairs_last(matrices: FloatArray) -> FloatArray:
@@ -424,30 +436,32 @@ class _PairTerms:
         return cls(precision_parts, slope, p_component / total, log_density)
 
 
-def _with_covariance(state: _PairTerms, weight: FloatArray, theta: FloatArray, shares: FloatArray) -> _VarianceFit:
+def _with_covariance(
+    state: _PairTerms, weight: FloatArray, theta: FloatArray, shares: FloatArray, tuning: ErrorFitTuning
+) -> _VarianceFit:
     """The fit, with the covariance from the outer products of the pairs' scores, including the shares of the tail.
 
     Terms at zero are excluded from the covariance of the others.
     """
     core = state.p_component[0]
-    tail = np.flatnonzero(shares[1:] * weight.sum() > TUNING.min_tail_pairs) + 1
+    tail = np.flatnonzero(shares[1:] * weight.sum() > tuning.min_tail_pairs) + 1
     scores = np.vstack([state.score * core, state.p_component[tail] / shares[tail, None] - core / shares[0]])
     information = np.einsum("m,am,bm->ab", weight, scores, scores)
     k = len(theta)
     free = np.concatenate([theta > 1e-6, np.ones(len(tail), np.bool_)])
-    covariance = np.diag(np.diag(_bounded_inverse(information)))[:k, :k]
-    of_free = _bounded_inverse(information[np.ix_(free, free)])
+    covariance = np.diag(np.diag(_bounded_inverse(information, tuning)))[:k, :k]
+    of_free = _bounded_inverse(information[np.ix_(free, free)], tuning)
     index = np.flatnonzero(free[:k])
     covariance[np.ix_(index, index)] = of_free[: len(index), : len(index)]
-    weakest = np.linalg.eigh(_bounded_inverse(information)[:k, :k])[1][:, -1]
-    return _VarianceFit(theta, covariance, weakest, float(weight @ state.log_density))
+    weakest = np.linalg.eigh(_bounded_inverse(information, tuning)[:k, :k])[1][:, -1]
+    return _VarianceFit(theta, covariance, weakest, float(weight @ state.log_density), tuning)
 
 
-def _bounded_inverse(information: FloatArray) -> FloatArray:
+def _bounded_inverse(information: FloatArray, tuning: ErrorFitTuning) -> FloatArray:
     """The inverse, with a very large variance where there is no information."""
-    size = np.sqrt(np.maximum(np.diag(information), TUNING.min_information))
+    size = np.sqrt(np.maximum(np.diag(information), tuning.min_information))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    scaled = (vectors / np.maximum(values, TUNING.min_eigenvalue_ratio * values.max(initial=0.0))) @ vectors.T
+    scaled = (vectors / np.maximum(values, tuning.min_eigenvalue_ratio * values.max(initial=0.0))) @ vectors.T
     return np.asarray(scaled / np.outer(size, size))
 
 
@@ -464,7 +478,7 @@ class Tail:
     factor: float
 
 
-def tail(answer: Identification, errors: Errors) -> Tail | None:
+def tail(answer: Identification, errors: Errors, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT) -> Tail | None:
     """The tail of the errors of the pairs of an answer; None without a tail.
 
     The standard error is that of the share in a mixture of tail and core of known shape, with the information
@@ -477,12 +491,12 @@ def tail(answer: Identification, errors: Errors) -> Tail | None:
     Quantity(value=0.021, standard_error=0.0018, unit='')
     """
     scales, shares = np.asarray(errors.scales), np.asarray(errors.shares)
-    far = scales > TUNING.tail_factor * errors.typical_scale
+    far = scales > tuning.tail_factor * errors.typical_scale
     share = float(shares[far].sum())
-    if not TUNING.min_tail_share < share < 1.0:
+    if not tuning.min_tail_share < share < 1.0:
         return None
     d, weight = answer.pairs.d, answer.p_pair
-    probable = weight > TUNING.min_tail_p
+    probable = weight > tuning.min_tail_p
     # Densities without the factor that all components share.
     square = errors.pairs(answer.pairs.part(probable)).mahalanobis_sq[:, None]
     density = shares * np.exp(-0.5 * square / scales**2) / scales**d
@@ -490,7 +504,7 @@ def tail(answer: Identification, errors: Errors) -> Tail | None:
     slope = (outer - core) / np.maximum(share * outer + (1.0 - share) * core, np.finfo(float).tiny)
     information = float(np.sum(weight[probable] * slope**2))
     factor = math.exp(float(shares[far] @ np.log(scales[far])) / share)
-    factor *= factor_on_quoted(errors, answer.pairs, answer.p_pair)
+    factor *= factor_on_quoted(errors, answer.pairs, answer.p_pair, tuning)
     return Tail(Quantity(share, 1.0 / math.sqrt(max(information, np.finfo(float).tiny))), factor)
 
 

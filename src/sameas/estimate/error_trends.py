@@ -20,8 +20,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.error_model import TUNING as ERROR_MODEL_TUNING
-from sameas.estimate.error_model import fit_variances, log_likelihood, with_fitted_mixture
+from sameas.estimate.error_model import DEFAULT_ERROR_FIT, fit_variances, log_likelihood, with_fitted_mixture
 from sameas.estimate.photometry import Photometry
 from sameas.evidence import Errors
 from sameas.gate import Pairs
@@ -38,6 +37,7 @@ class TrendTuning:
     Attributes
     ----------
     min_p, min_p_other : pairs less probable than this are not used; below the second, not by other errors either.
+    min_pairs : pairs needed for a trend (expected number).
     max_knots, pairs_per_knot : number of knots of a trend, limited by the number of pairs.
     min_gain : gain in ln likelihood, beyond chance, for the score test and for a trend.
     max_refits, min_refit_gain : number of fits with updated probabilities; they end when one gains less.
@@ -47,6 +47,7 @@ class TrendTuning:
 
     min_p: float = 0.05
     min_p_other: float = 1e-4
+    min_pairs: float = DEFAULT_ERROR_FIT.min_pairs
     max_knots: int = 7
     pairs_per_knot: float = 60.0
     min_gain: float = 6.0
@@ -170,12 +171,14 @@ def with_trends(
     likely = np.flatnonzero(p_pair > tuning.min_p)
     likely = likely[:: max(1, -(-len(likely) // most))]
     some, weight = pairs.part(likely), p_pair[likely]
-    if float(weight.sum()) < ERROR_MODEL_TUNING.min_pairs:
+    if float(weight.sum()) < tuning.min_pairs:
         return errors, (), 0.0
     n_knots = int(min(tuning.max_knots, float(weight.sum()) / tuning.pairs_per_knot))
     score = _score(errors, errors.pairs(some).mahalanobis_sq, pairs.d)
     fitted_before = {(trend.source, trend.quantity) for trend in previous}
-    all_hats = [hats for one in quantities if (hats := _Hats.of(one, some, weight, n_knots)) is not None]
+    all_hats = [
+        hats for one in quantities if (hats := _Hats.of(one, some, weight, n_knots, tuning.min_pairs)) is not None
+    ]
     candidates = [
         hats for hats in all_hats if hats.key in fitted_before or hats.expected_gain(score, weight) > tuning.min_gain
     ]
@@ -277,11 +280,11 @@ class _Hats:
         return self.covariate.source, self.covariate.quantity
 
     @classmethod
-    def of(cls, covariate: Covariate, pairs: Pairs, weight: FloatArray, n_knots: int) -> _Hats | None:
+    def of(cls, covariate: Covariate, pairs: Pairs, weight: FloatArray, n_knots: int, min_pairs: float) -> _Hats | None:
         """The basis with equal weights of pairs between knots; None if x is mostly unknown or hardly varies."""
         x = covariate.of(pairs)
         finite = np.isfinite(x)
-        if float(weight[finite].sum()) < max(ERROR_MODEL_TUNING.min_pairs, 0.5 * float(weight.sum())):
+        if float(weight[finite].sum()) < max(min_pairs, 0.5 * float(weight.sum())):
             return None
         order = np.flatnonzero(finite)[np.argsort(x[finite], kind="stable")]
         cumulated = np.cumsum(weight[order])

@@ -25,7 +25,7 @@ from sameas.arrays import FloatArray
 from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
 from sameas.estimate.columns import ColumnEvidence
-from sameas.estimate.coverage import Coverage
+from sameas.estimate.coverage import DEFAULT_COVERAGE, Coverage, CoverageTuning
 from sameas.estimate.em import DEFAULT_EM, EMTuning, Estimates, iterate
 from sameas.estimate.error_grid import (
     DEFAULT_GRID,
@@ -37,7 +37,17 @@ from sameas.estimate.error_grid import (
     mean_densities,
     scan_errors,
 )
-from sameas.estimate.error_model import ErrorModel, Tail, better_model, error_model, factor_on_quoted, fit_spread, tail
+from sameas.estimate.error_model import (
+    DEFAULT_ERROR_FIT,
+    ErrorFitTuning,
+    ErrorModel,
+    Tail,
+    better_model,
+    error_model,
+    factor_on_quoted,
+    fit_spread,
+    tail,
+)
 from sameas.estimate.error_trends import DEFAULT_TRENDS, Trend, TrendTuning, covariates, with_trends
 from sameas.estimate.photometry import DEFAULT_RELATIONS, Photometry, RelationTuning
 from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
@@ -88,7 +98,7 @@ class MatchTuning:
     max_interpreted : records plus twice the expected chance candidates above which interpreting the kernels takes
         longer than reading the compiled ones from the cache (measured with 200 to 2 000 records).
     em : tuning of EM iterations. relations : of magnitudes. trends : of growing errors. grid : of the scan of error
-        models before any iteration.
+        models before any iteration. coverage : of cells, densities and holes. error_fit : of factors, floors and tails.
     """
 
     min_outer_share: float = 6e-5
@@ -115,6 +125,8 @@ class MatchTuning:
     relations: RelationTuning = DEFAULT_RELATIONS
     trends: TrendTuning = DEFAULT_TRENDS
     grid: GridTuning = DEFAULT_GRID
+    coverage: CoverageTuning = DEFAULT_COVERAGE
+    error_fit: ErrorFitTuning = DEFAULT_ERROR_FIT
 
 
 DEFAULT_MATCH = MatchTuning()
@@ -137,7 +149,7 @@ class Estimate:
     photometry : relations of the magnitudes of both sources; None if not given or not informative.
     precision : evidence of the sizes of the quoted errors; None if not used or not informative.
     columns : evidence of other columns; None if not given.
-    trends : growth of the errors in addition to the quoted ones; included in ``errors``.
+    trends : growth of the errors in addition to the quoted ones; included in ``errors``. tuning : as of :func:`match`.
     answer : the identification. errors_estimated : whether the distribution of the errors was estimated from its pairs.
     error_ranges : ranges of the errors over which probabilities are averaged with few pairs; None with many.
 
@@ -161,6 +173,7 @@ class Estimate:
     error_ranges: ErrorRanges | None = None
     columns: ColumnEvidence | None = None
     trends: tuple[Trend, ...] = ()
+    tuning: MatchTuning = field(default=DEFAULT_MATCH, repr=False)
 
     @cached_property
     def quantities(self) -> Mapping[str, Quantity]:
@@ -206,17 +219,19 @@ class Estimate:
     @cached_property
     def tail(self) -> Tail | None:
         """Share of pairs with errors far larger than the typical ones; None without a tail."""
-        return tail(self.answer, self.errors)
+        return tail(self.answer, self.errors, self.tuning.error_fit)
 
     @cached_property
     def error_model(self) -> ErrorModel | None:
         """Factors and floor of each source's errors, as far as distinguishable; None if errors were not estimated."""
-        return error_model(self.answer) if self.errors_estimated else None
+        return error_model(self.answer, self.tuning.error_fit) if self.errors_estimated else None
 
     @cached_property
     def spread(self) -> Errors:
         """Distribution of the residuals relative to the quoted covariances, whatever the error model."""
-        return fit_spread(self.answer.pairs, self.answer.p_pair) if self.errors.as_modelled else self.errors
+        if not self.errors.as_modelled:
+            return self.errors
+        return fit_spread(self.answer.pairs, self.answer.p_pair, self.tuning.error_fit)
 
     @property
     def typical_scale(self) -> float:
@@ -226,7 +241,7 @@ class Estimate:
     @cached_property
     def _model_factor(self) -> float:
         """Median over the probable pairs of modelled over quoted errors, without the mixture."""
-        return factor_on_quoted(self.errors, self.answer.pairs, self.answer.p_pair)
+        return factor_on_quoted(self.errors, self.answer.pairs, self.answer.p_pair, self.tuning.error_fit)
 
 
 def match(
@@ -268,7 +283,8 @@ def match(
         if not len(records):
             raise InputError(f"{records.source} has no usable records; nothing can be identified")
     progress("densities")
-    photometry, coverage = _photometry(first, second, brightness, tuning), Coverage.of(first, second)
+    photometry = _photometry(first, second, brightness, tuning)
+    coverage = Coverage.of(first, second, tuning=tuning.coverage)
     columns = ColumnEvidence.of(first, second, evidence)
     if _expected_work(coverage, density) > tuning.max_interpreted:
         prefer_compiled()
@@ -496,7 +512,8 @@ class _GateResult:
         estimates = self.estimates
         if not estimates.fits_errors or estimates.n_common < self.tuning.em.min_pairs:
             return estimates.errors, 0.0
-        return better_model(estimates.errors, estimates.setting.pairs, self.p_counted, self.tuning.n_model_pairs)
+        pairs, tuning = estimates.setting.pairs, self.tuning
+        return better_model(estimates.errors, pairs, self.p_counted, tuning.n_model_pairs, tuning.error_fit)
 
     def must_widen(self) -> bool:
         """Whether the outer part of the gate still contains true pairs, and a wider gate is affordable."""
@@ -698,7 +715,7 @@ def _to_estimate(answer: Identification, coverage: Coverage, result: _GateResult
         common, min(1.0, common / n_1), min(1.0, common / n_2), estimates.errors, result.gate_sigmas, coverage,
         result.iterations, result.converged, result.learned_from, tuple(remarks) + _notes(result, common), photometry,
         precision, answer,
-        estimates.fits_errors and common >= result.tuning.em.min_pairs, columns=estimates.columns,
+        estimates.fits_errors and common >= result.tuning.em.min_pairs, columns=estimates.columns, tuning=result.tuning,
     )  # fmt: skip
     if not estimates.errors.as_modelled:
         return estimate

@@ -22,11 +22,9 @@ import numpy as np
 
 from sameas.arrays import AnyIntArray, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.estimate.cells import TUNING as CELLS_TUNING
 from sameas.estimate.cells import GridLevel
 from sameas.estimate.columns import DEFAULT_COLUMNS, ColumnEvidence
-from sameas.estimate.coverage import TUNING as COVERAGE_TUNING
-from sameas.estimate.coverage import Coverage
+from sameas.estimate.coverage import DEFAULT_COVERAGE, Coverage, CoverageTuning
 from sameas.estimate.em import Estimates
 from sameas.estimate.grades import Grades
 from sameas.estimate.match import DEFAULT_MATCH, Assumed, Estimate, MatchTuning, match_sample
@@ -38,14 +36,30 @@ from sameas.kernels.coverage import check_cells_nested, covered_cells, refine_ne
 from sameas.records import Records
 from sameas.representation import in_short
 
-#: The coarsest cells hold this many records on average; larger ones give no more than the overall mean.
-COARSEST = 100_000.0
-#: A cell lies entirely within the field unless pairs of its records that share one of its finest cells exceed chance by
-#: this many standard deviations.
-PARTLY = 2.0
-#: Cells with which the smoothing of densities is chosen; those at borders, which matter most, are few.
-SMOOTHING_CELLS = 300_000
 _EMPTY = np.empty(0)
+
+
+@dataclass(frozen=True)
+class PlacesTuning:
+    """Parameters of densities, coverage and shares from counts in cells; chosen.
+
+    Attributes
+    ----------
+    coarsest : records in the coarsest cells on average; larger cells give no more than the overall mean.
+    partly : a cell lies entirely within the field unless pairs of its records that share one of its finest cells exceed
+        chance by this many standard deviations.
+    smoothing_cells : about this many cells choose the smoothing of densities; those at borders, which matter most, are
+        few.
+    coverage : of the densities and holes, as for a match in one piece.
+    """
+
+    coarsest: float = 100_000.0
+    partly: float = 2.0
+    smoothing_cells: int = 300_000
+    coverage: CoverageTuning = DEFAULT_COVERAGE
+
+
+DEFAULT_PLACES = PlacesTuning()
 
 
 @in_short
@@ -99,7 +113,7 @@ class Places:
     density : (u, 2, 2) of the covered records of source k + 1 at records of its own, [:, k, 0], and of the other
     source, [:, k, 1]. seen : (u, 2) whether the other source observes there.
     share : (u, 2) of the records of a source there that have a partner. levels : steps from these to coarser cells.
-    volume : of a cell.
+    volume : of a cell. tuning : with which they were made.
     """
 
     cells: IntArray
@@ -109,12 +123,11 @@ class Places:
     share: FloatArray = field(repr=False)
     levels: tuple[int, ...]
     volume: float
+    tuning: PlacesTuning = field(default=DEFAULT_PLACES, repr=False)
 
     @classmethod
-    def of(cls, counts: CellCounts, volume: float, smoothing_cells: int = SMOOTHING_CELLS) -> Places:
+    def of(cls, counts: CellCounts, volume: float, tuning: PlacesTuning = DEFAULT_PLACES) -> Places:
         """From the counts of all records, in cells of this volume; shares are NaN.
-
-        The smoothing of densities is chosen with about ``smoothing_cells`` cells.
 
         Raises
         ------
@@ -127,16 +140,16 @@ class Places:
         richer, level, last, finest = int(np.argmax(totals)), counts, 0, 0
         while True:
             number = level.numbers[:, richer].astype(np.float64)
-            if number @ number <= CELLS_TUNING.finest * totals[richer]:
+            if number @ number <= tuning.coverage.cells.finest * totals[richer]:
                 finest = last
-            if len(level.cells) * COARSEST <= totals.sum() or len(level.cells) == 1 or last == 24:
+            if len(level.cells) * tuning.coarsest <= totals.sum() or len(level.cells) == 1 or last == 24:
                 break
             level, last = level.coarser(1), last + 1
         counts, levels = counts.coarser(finest), tuple(range(last - finest, -1, -1))
         cells, volume, numbers = counts.cells, volume * 4.0**finest, counts.numbers
-        covered = _covered_cells(cells, numbers, levels, volume)
-        density = _density(cells, numbers * covered, levels, volume, smoothing_cells)
-        return cls(cells, finest, density, covered, np.full((len(cells), 2), np.nan), levels, volume)
+        covered = _covered_cells(cells, numbers, levels, volume, tuning)
+        density = _density(cells, numbers * covered, levels, volume, tuning)
+        return cls(cells, finest, density, covered, np.full((len(cells), 2), np.nan), levels, volume, tuning)
 
     def at(self, counted: IntArray) -> IntArray:
         """Indices of records into ``cells``, from the cells in which they were counted."""
@@ -148,7 +161,7 @@ class Places:
             return len(cells) * self.volume / 4.0 ** (self.steps - steps)
         counts = counts.coarser(self.steps)
         own, covered = np.empty(len(counts.cells), np.int64), np.empty(len(counts.cells))
-        number = covered_cells(counts.cells, counts.numbers, 2 * (steps - self.steps), PARTLY, own, covered)
+        number = covered_cells(counts.cells, counts.numbers, 2 * (steps - self.steps), self.tuning.partly, own, covered)
         return float(covered[:number][np.isin(own[:number], cells)].sum()) * self.volume
 
     def folds(self, counted: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
@@ -177,7 +190,7 @@ class Places:
             coarse, at = np.unique(cells >> (2 * steps), return_inverse=True)
             parts, weights = np.bincount(at, part), np.bincount(at, weight)
             refine_share_nested(
-                self.cells, coarse, parts, weights, 2 * steps, COVERAGE_TUNING.shared_pseudo_count, share
+                self.cells, coarse, parts, weights, 2 * steps, self.tuning.coverage.shared_pseudo_count, share
             )
         return share
 
@@ -201,43 +214,47 @@ class Places:
 _COLUMNS = ("cells", "density", "seen", "share")
 
 
-def _covered_cells(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float) -> BoolArray:
+def _covered_cells(
+    cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float, tuning: PlacesTuning
+) -> BoolArray:
     """(u, 2) whether the other source observes there, as by ``kernels.coverage.check_cells``. volume : of a cell."""
     total = numbers.sum(axis=0).astype(np.float64)
-    density = np.tile(total[::-1] / _field_volume(cells, numbers, levels[0], volume), (len(cells), 1))
+    density = np.tile(total[::-1] / _field_volume(cells, numbers, levels[0], volume, tuning.partly), (len(cells), 1))
     highest, covered = np.zeros(numbers.shape), np.ones(numbers.shape, np.bool_)
     for steps in levels:
         check_cells_nested(
-            cells, numbers, 2 * steps, PARTLY, volume, COVERAGE_TUNING.in_cell * total / total[::-1],
-            COVERAGE_TUNING.hole, COVERAGE_TUNING.pseudo_count, density, highest, covered,
+            cells, numbers, 2 * steps, tuning.partly, volume, tuning.coverage.in_cell * total / total[::-1],
+            tuning.coverage.hole, tuning.coverage.pseudo_count, density, highest, covered,
         )  # fmt: skip
     return covered
 
 
 def _density(
-    cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float, smoothing_cells: int
+    cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float, tuning: PlacesTuning
 ) -> FloatArray:
     """(u, 2, 2) densities of the counted records of each source at its own records, [:, k, 0], and at the other's, as
     by ``Coverage.density``. volume : of a cell."""
     total, density = numbers.sum(axis=0).astype(np.float64), np.empty((len(cells), 2, 2))
     own, others = density[:, :, 0], density[:, :, 1]
-    own[:] = others[:] = (total + 0.5) / _field_volume(cells, numbers, levels[0], volume)
-    smooths, sampled, open_ = np.array(COVERAGE_TUNING.smooths), min(smoothing_cells / len(cells), 1.0), total > 0.0
+    own[:] = others[:] = (total + 0.5) / _field_volume(cells, numbers, levels[0], volume, tuning.partly)
+    partly, coverage, open_ = tuning.partly, tuning.coverage, total > 0.0
+    smooths, sampled = np.array(coverage.smooths), min(tuning.smoothing_cells / len(cells), 1.0)
+    log_prior = -coverage.log_prior_step * np.arange(len(smooths))
     for steps in levels:
         score = np.zeros((2, len(smooths) + 1))
-        score_nested(cells, numbers, 2 * steps, PARTLY, volume, sampled, smooths, own, score)
-        finest = (score[:, -1] <= CELLS_TUNING.finest * total) | (steps == 0)
-        smooth = smooths[np.argmax(score[:, :-1] - COVERAGE_TUNING.log_prior_step * np.arange(len(smooths)), axis=1)]
-        left_out = np.where(finest, COVERAGE_TUNING.left_out, 1.0)
-        refine_nested(cells, numbers, 2 * steps, PARTLY, volume, smooth, left_out, open_, own, others)
+        score_nested(cells, numbers, 2 * steps, partly, volume, sampled, smooths, own, score)
+        finest = (score[:, -1] <= coverage.cells.finest * total) | (steps == 0)
+        smooth = smooths[np.argmax(score[:, :-1] + log_prior, axis=1)]
+        left_out = np.where(finest, coverage.left_out, 1.0)
+        refine_nested(cells, numbers, 2 * steps, partly, volume, smooth, left_out, open_, own, others)
         open_ &= ~finest
     return density
 
 
-def _field_volume(cells: IntArray, numbers: AnyIntArray, steps: int, volume: float) -> float:
+def _field_volume(cells: IntArray, numbers: AnyIntArray, steps: int, volume: float, partly: float) -> float:
     """The volume of all cells inside the field."""
     own, covered = np.empty(len(cells), np.int64), np.empty(len(cells))
-    number = covered_cells(cells, numbers, 2 * steps, PARTLY, own, covered)
+    number = covered_cells(cells, numbers, 2 * steps, partly, own, covered)
     return volume * float(covered[:number].sum())
 
 

@@ -387,7 +387,10 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray]) -> tuple[F
             density_at = coverage.density(side, np.ones(len(shares[s])))
             for pattern in _patterns_with(s, n_sources):
                 weights = covered[s][:, pattern].astype(np.float64)
-                share_at = local_share(coverage.levels, side, shares[s][:, pattern] * weights, weights)
+                share_at = local_share(
+                    coverage.levels, side, shares[s][:, pattern] * weights, weights,
+                    pseudo_count=coverage.tuning.shared_pseudo_count,
+                )  # fmt: skip
                 for t, density, share in zip((a, b), density_at, share_at, strict=True):
                     if pattern >> t & 1:
                         # A catalogue's own records are in n − 1 coverages, those of another in one.
