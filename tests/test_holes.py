@@ -8,7 +8,7 @@ import pytest
 import naive
 from sameas import Plane, Records, Sphere
 from sameas.estimate import coverage
-from sameas.estimate.coverage import Coverage, Points, in_empty_discs
+from sameas.estimate.coverage import Coverage, CoverageTuning, Points, in_empty_discs
 from sameas.simulate.scenes import LonLatBox
 from sameas.space import sphere_offset
 
@@ -47,6 +47,13 @@ def test_a_mask_and_an_edge_are_found_to_a_fraction_of_the_spacing(seed, hole):
     assert (covered_2 & hole).mean() < 0.005 and (~covered_2 & ~hole).mean() < 0.005
     assert detected[covered_2].mean() == pytest.approx(detected[~hole].mean(), abs=0.006)
     assert coverage_of_both.common_volume == pytest.approx((1.0 - hole.mean()) * SIDE**2, rel=0.02)
+
+
+def test_a_tuning_without_holes_finds_none():
+    rng = np.random.default_rng(0)
+    first, second, hole, _ = two_sources(rng, rng.uniform(0.0, SIDE, (6000, 2)), disc, 0.8)
+    blind = CoverageTuning(hole=math.inf, uneven=math.inf)
+    assert hole.any() and all(covered.all() for covered in Coverage.of(first, second, tuning=blind).covered)
 
 
 def false_share(first, second):

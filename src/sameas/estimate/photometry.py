@@ -34,7 +34,7 @@ from sameas.evidence import (
     SourceMagnitudes,
     comparisons_of,
 )
-from sameas.evidence.detection import DetectionCurve, ShareCurve, knots_of, roughness
+from sameas.evidence.detection import DEFAULT_SHARES, DetectionCurve, ShareCurve, ShareTuning, knots_of, roughness
 from sameas.gate import Pairs
 from sameas.representation import in_short
 from sameas.result import Identification
@@ -58,7 +58,7 @@ class RelationTuning:
     max_pairs, max_pairs_in_em : greatest number of pairs for a relation, in the last fit and in EM iterations; more
         give no noticeable gain.
     curve_records, curve_records_in_em, own_band_records : records for a curve of the shares, in the last fit and in
-        EM iterations, and for relations between bands of a source.
+        EM iterations, and for relations between bands of a source. shares : of the curves of the shares.
     """
 
     pseudo_unrelated: float = 0.5
@@ -81,6 +81,7 @@ class RelationTuning:
     curve_records: int = 2_000
     curve_records_in_em: int = 1_000
     own_band_records: int = 1_000
+    shares: ShareTuning = DEFAULT_SHARES
 
 
 DEFAULT_RELATIONS = RelationTuning()
@@ -388,7 +389,8 @@ class Photometry:
             partner = np.minimum(np.bincount(rows, answer.p_pair, len(magnitude)), 1.0)
             used = np.isfinite(magnitude) & covered
             enough = np.count_nonzero(used) >= self.tuning.min_pairs
-            curves.append(DetectionCurve.of(names[0], magnitude[used], partner[used], volume) if enough else None)
+            of_band = names[0], magnitude[used], partner[used], volume, self.tuning.shares
+            curves.append(DetectionCurve.of(*of_band) if enough else None)
         return curves[0], curves[1]
 
 
@@ -485,4 +487,4 @@ def _fit_curve(
     rows = rows[:: max(1, -(-len(rows) // n_records))]
     if len(rows) < tuning.min_pairs:
         return None
-    return ShareCurve.fit(magnitude[rows], share[rows], p_partner[rows], previous)
+    return ShareCurve.fit(magnitude[rows], share[rows], p_partner[rows], previous, tuning.shares)

@@ -7,7 +7,7 @@ P_d(m) of METHOD 3.4, and the share of source 1 without a partner gives β(m).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
@@ -49,16 +49,25 @@ class ShareTuning:
     max_bins: int = 24
 
 
-TUNING = ShareTuning()
+DEFAULT_SHARES = ShareTuning()
 
 
 # Piecewise linear curves of a magnitude: their basis, and the sums for fitting them.
 
 
-def knots_of(x: FloatArray, weights: FloatArray, per_knot: float, most: int) -> FloatArray:
-    """(k,) increasing knots at quantiles of ``x``: one per about ``per_knot`` of the weight, at most ``most``."""
+def knots_of(
+    x: FloatArray,
+    weights: FloatArray,
+    per_knot: float,
+    most: int,
+    sorted_values: int = DEFAULT_SHARES.sorted_values,
+) -> FloatArray:
+    """(k,) increasing knots at quantiles of ``x``: one per about ``per_knot`` of the weight, at most ``most``.
+
+    sorted_values : quantiles are taken from about this many values.
+    """
     count = min(max(round(float(weights.sum()) / per_knot), 1), most - 1) + 1
-    step = max(1, len(x) // TUNING.sorted_values)
+    step = max(1, len(x) // sorted_values)
     x, weights = x[::step], weights[::step]
     order = np.argsort(x, kind="stable")
     cumulated = np.cumsum(weights[order])
@@ -140,9 +149,16 @@ class DetectionCurve:
     density_error: FloatArray
 
     @classmethod
-    def of(cls, band: str, magnitude: FloatArray, p_partner: FloatArray, volume: float) -> DetectionCurve:
+    def of(
+        cls,
+        band: str,
+        magnitude: FloatArray,
+        p_partner: FloatArray,
+        volume: float,
+        tuning: ShareTuning = DEFAULT_SHARES,
+    ) -> DetectionCurve:
         """From finite magnitudes (n,) with the probabilities of a partner, in a volume of feature space."""
-        edges = _edges(magnitude)
+        edges = _edges(magnitude, tuning)
         bins = len(edges) - 1
         at = np.clip(np.searchsorted(edges, magnitude, side="right") - 1, 0, bins - 1)
         number = np.bincount(at, minlength=bins).astype(np.float64)
@@ -174,15 +190,15 @@ def share_error(number: FloatArray, matched: FloatArray, variance: FloatArray) -
     return np.sqrt(binomial / (1.0 - missing))
 
 
-def _edges(magnitude: FloatArray) -> FloatArray:
+def _edges(magnitude: FloatArray, tuning: ShareTuning) -> FloatArray:
     """Edges of equal bins of a round width; sparse bins at both ends are merged."""
     low, high = float(magnitude.min()), float(magnitude.max())
-    width = next((w for w in TUNING.widths_mag if (high - low) / w <= TUNING.max_bins), (high - low) / TUNING.max_bins)
+    width = next((w for w in tuning.widths_mag if (high - low) / w <= tuning.max_bins), (high - low) / tuning.max_bins)
     edges = width * np.arange(np.floor(low / width), np.floor(high / width) + 2)
     count = np.bincount(((magnitude - edges[0]) / width).astype(np.int64), minlength=len(edges) - 1)[: len(edges) - 1]
     below, above = np.cumsum(count), np.cumsum(count[::-1])
-    begin = int(np.searchsorted(below, TUNING.min_in_bin))
-    end = len(count) - int(np.searchsorted(above, TUNING.min_in_bin))
+    begin = int(np.searchsorted(below, tuning.min_in_bin))
+    end = len(count) - int(np.searchsorted(above, tuning.min_in_bin))
     return edges[[0, -1]] if end <= begin + 1 else np.concatenate([edges[:1], edges[begin + 1 : end], edges[-1:]])
 
 
@@ -193,25 +209,33 @@ class ShareCurve:
 
     knots: FloatArray
     values: FloatArray
+    tuning: ShareTuning = field(default=DEFAULT_SHARES, repr=False)
 
     @classmethod
     def fit(
-        cls, magnitude: FloatArray, share: FloatArray, p_partner: FloatArray, start: ShareCurve | None = None
+        cls,
+        magnitude: FloatArray,
+        share: FloatArray,
+        p_partner: FloatArray,
+        start: ShareCurve | None = None,
+        tuning: ShareTuning = DEFAULT_SHARES,
     ) -> ShareCurve:
         """The curve of greatest penalised likelihood, from magnitudes (n,), shares at the records' positions, and the
         probabilities of a partner; a few steps from ``start`` if given."""
         if start is None:
-            knots = knots_of(magnitude, np.ones(len(magnitude)), TUNING.per_knot, TUNING.max_knots)
-            start = cls(knots, np.zeros(len(knots)))
+            weights = np.ones(len(magnitude))
+            knots = knots_of(magnitude, weights, tuning.per_knot, tuning.max_knots, tuning.sorted_values)
+            start = cls(knots, np.zeros(len(knots)), tuning)
         from sameas.kernels.relation import climb
 
         values, k = start.values.copy(), len(start.knots)
-        steps = TUNING.steps if values.any() else TUNING.first_steps
+        steps = tuning.steps if values.any() else tuning.first_steps
         climb(
-            magnitude, logit(share), p_partner, start.knots, _penalty(k), values,
-            steps, TUNING.max_step, TUNING.tolerance,
+            magnitude, logit(share, tuning.min_share), p_partner, start.knots,
+            _penalty(k, tuning.bend, tuning.sigma), values,
+            steps, tuning.max_step, tuning.tolerance,
         )  # fmt: skip
-        return cls(start.knots, values)
+        return cls(start.knots, values, tuning)
 
     def logit(self, magnitude: FloatArray) -> FloatArray:
         """(n,) the addition to the logit at magnitudes (n,); 0 where NaN."""
@@ -229,17 +253,17 @@ class ShareCurve:
 
         terms = np.zeros(len(magnitude))
         rows = np.arange(len(magnitude)) if rows is None else rows
-        weigh(magnitude, share, rows, TUNING.min_share, self.knots, self.values, terms)
+        weigh(magnitude, share, rows, self.tuning.min_share, self.knots, self.values, terms)
         return terms
 
 
 @cache
-def _penalty(k: int) -> FloatArray:
+def _penalty(k: int, bend: float, sigma: float) -> FloatArray:
     """(k, k) penalty that draws a curve's values towards a straight line and towards zero."""
-    return np.asarray(roughness(k, TUNING.bend) + np.eye(k) / TUNING.sigma**2)
+    return np.asarray(roughness(k, bend) + np.eye(k) / sigma**2)
 
 
-def logit(share: FloatArray) -> FloatArray:
-    """ln s / (1 − s), for shares clipped to 1e-6 … 1 − 1e-6."""
-    share = np.clip(share, TUNING.min_share, 1.0 - TUNING.min_share)
+def logit(share: FloatArray, min_share: float = DEFAULT_SHARES.min_share) -> FloatArray:
+    """ln s / (1 − s), for shares clipped to ``min_share`` … 1 − ``min_share``."""
+    share = np.clip(share, min_share, 1.0 - min_share)
     return np.log(share) - np.log1p(-share)

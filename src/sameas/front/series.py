@@ -21,7 +21,7 @@ from sameas.front.request import program
 from sameas.io import read_table, write_table
 from sameas.io.atomic import filling
 from sameas.sky.frame.image import Frame
-from sameas.sky.series import TUNING, Exposure, Series, tie
+from sameas.sky.series import DEFAULT_SERIES, Exposure, Series, tie
 
 #: Extensions of frames in a folder, without that of a compression.
 ENDINGS = (".fits", ".fit", ".fts")
@@ -172,7 +172,7 @@ def _near(one: IdentifiedFrame, other: IdentifiedFrame) -> bool:
     east = ((b["middle_ra_deg"] - a["middle_ra_deg"] + 180.0) % 360.0 - 180.0) * math.cos(
         math.radians(a["middle_dec_deg"])
     )
-    return math.hypot(east, north) < TUNING.overlap * math.hypot(a["width_deg"], a["height_deg"])
+    return math.hypot(east, north) < DEFAULT_SERIES.overlap * math.hypot(a["width_deg"], a["height_deg"])
 
 
 def write_series(each: Sequence[FieldSeries], folder: str | Path, facts: Mapping[str, Any]) -> list[str]:

@@ -92,6 +92,7 @@ class RunTuning:
     max_failures : workers may die this many times in a row before the run stops, if no task ends in between.
     max_rows_in_process : catalogues of at most this many rows are counted without workers, each of which takes a CPU
         second to start.
+    sampling : size of the sample. part : of every part.
     """
 
     column_rows: int = 20_000
@@ -108,9 +109,10 @@ class RunTuning:
     max_failures: int = 3
     max_rows_in_process: int = 3_000_000
     sampling: Sampling = Sampling()  # noqa: RUF009
+    part: PartTuning = DEFAULT_PART
 
 
-TUNING = RunTuning()
+DEFAULT_RUN = RunTuning()
 #: Most records of both catalogues in a piece, and most candidates (0.4 kB each). A worker then takes 0.6 GB, with the
 #: libraries and the sums. Smaller pieces spend a larger part of the work on halos.
 PIECE_ROWS, PIECE_PAIRS = 300_000, 750_000
@@ -178,7 +180,7 @@ def estimate(
     workers: int | None = None,
     executor: Executor | None = None,
     progress: Progress = lambda stage: None,
-    part_tuning: PartTuning = DEFAULT_PART,
+    tuning: RunTuning = DEFAULT_RUN,
     scratch: Path,
 ) -> Estimated:
     """Everything that has to be estimated from two catalogues: once, from the counts of all partitions and a sample.
@@ -203,32 +205,32 @@ def estimate(
         if side.fill_errors:
             raise InputError("fill_errors: typical errors would depend on the partition", "give every row an error")
     progress("columns")
-    samples = tuple(_first_rows(one, chosen) for one, chosen in zip(stored, columns, strict=True))
+    samples = tuple(_first_rows(one, chosen, tuning) for one, chosen in zip(stored, columns, strict=True))
     columns_of(samples[0], samples[1], options.evidence)  # refuses columns that do not exist
     epochs = completed_epochs(samples, options.epoch_jyr)
     epoch, moved = common_epoch(*epochs, options.epoch_jyr)
     bare = tuple(Side(one, without_rows(sample), epoch, 0) for one, sample in zip(stored, epochs, strict=True))
     work = Work(
-        (bare[0], bare[1]), options.magnitudes, tuple(options.evidence), join, nway_columns, np.inf, tuning=part_tuning
+        (bare[0], bare[1]), options.magnitudes, tuple(options.evidence), join, nway_columns, np.inf, tuning=tuning.part
     )
-    chunks = [_Chunks.of(side, work.columns(k)) for k, side in enumerate(bare, 1)]
+    chunks = [_Chunks.of(side, work.columns(k), tuning) for k, side in enumerate(bare, 1)]
     order = max(one.order for one in chunks)
-    far = max(TUNING.far_arcsec, TUNING.far_sigmas * max(one.sigma_arcsec for one in chunks))
+    far = max(tuning.far_arcsec, tuning.far_sigmas * max(one.sigma_arcsec for one in chunks))
     sigma = math.hypot(*(one.sigma_arcsec for one in chunks)) or 1.0
     work = replace(work, sides=tuple(replace(side, cell_order=order) for side in bare), far_arcsec=far)  # type: ignore[arg-type]
-    counted = _count_all(work, scratch, workers, executor, progress)
+    counted = _count_all(work, scratch, workers, executor, tuning, progress)
     work = replace(work, sides=tuple(_with_far(s, counted[k], work) for k, s in enumerate(work.sides)))  # type: ignore[arg-type]
     rows = tuple(sum(one.rows for one in side) for side in counted)
     progress("sample")
     counts = CellCounts.sum([one.counts for side in counted for one in side])
     del counted
     places = Places.of(counts, healpix.area_arcsec2(order))
-    steps, cells = drawn(counts, TUNING.sampling)
+    steps, cells = drawn(counts, tuning.sampling)
     volume = places.within(counts, cells, steps)
-    sampled, learned, assumed = _learn_from_sample(work, sigma, places, steps, cells, volume, options, progress)
+    sampled, learned, assumed = _learn_from_sample(work, sigma, places, steps, cells, volume, options, tuning, progress)
     final = tuple(replace(s, catalogue=without_rows(c)) for s, c in zip(work.sides, sampled, strict=True))
     work = replace(work, sides=(final[0], final[1]), learned=learned)
-    halo, margin = _halos(work)
+    halo, margin = _halos(work, tuning)
     work = replace(work, halo_arcsec=halo, margin_arcsec=margin)
     assert learned.estimate is not None
     catalogues = [replace(c, doubts=first.doubts) for c, first in zip(sampled, epochs, strict=True)]
@@ -246,19 +248,19 @@ def completed_epochs(catalogues: Sequence[Catalogue], epoch_jyr: float | None) -
     return catalogues[0], catalogues[1]
 
 
-def _first_rows(stored: HatsCatalogue, options: CatalogueOptions) -> Catalogue:
+def _first_rows(stored: HatsCatalogue, options: CatalogueOptions, tuning: RunTuning) -> Catalogue:
     """The first rows of some partitions, with columns recognised."""
     import pyarrow as pa
     from astropy.table import Table, vstack
     from pyarrow import parquet
 
     tables = []
-    for k in sorted({int(k) for k in np.linspace(0, len(stored.cells) - 1, TUNING.column_partitions)}):
+    for k in sorted({int(k) for k in np.linspace(0, len(stored.cells) - 1, tuning.column_partitions)}):
         cell = stored.cells[k]
         for file in stored._files(cell)[:1]:
             try:
                 with parquet.ParquetFile(file) as opened:
-                    batch = next(opened.iter_batches(batch_size=TUNING.column_rows, use_threads=False), None)
+                    batch = next(opened.iter_batches(batch_size=tuning.column_rows, use_threads=False), None)
             except MemoryError:
                 raise
             except Exception as error:  # Arrow raises many types on damaged files
@@ -284,9 +286,9 @@ class _Chunks:
     sigma_arcsec: float
 
     @classmethod
-    def of(cls, side: Side, columns: list[str]) -> _Chunks:
-        chunks = [side.rows(table) for table in side.stored.chunks(TUNING.chunks, TUNING.chunk_rows, columns)]
-        order = max(_order_of(np.sort(chunk.stored), TUNING.records_per_cell) for chunk in chunks)
+    def of(cls, side: Side, columns: list[str], tuning: RunTuning) -> _Chunks:
+        chunks = [side.rows(table) for table in side.stored.chunks(tuning.chunks, tuning.chunk_rows, columns)]
+        order = max(_order_of(np.sort(chunk.stored), tuning.records_per_cell) for chunk in chunks)
         if side.catalogue.error_is_unknown:
             return cls(order, 0.0)
         sigma = np.concatenate([chunk.sigma_arcsec for chunk in chunks])
@@ -305,16 +307,21 @@ def _order_of(stored: IntArray, records_per_cell: float) -> int:
 
 
 def _count_all(
-    work: Work, scratch: Path, workers: int | None, executor: Executor | None, progress: Progress
+    work: Work,
+    scratch: Path,
+    workers: int | None,
+    executor: Executor | None,
+    tuning: RunTuning,
+    progress: Progress,
 ) -> tuple[list[Counted], list[Counted]]:
     """The counts of every partition of both catalogues, in parallel."""
     store(work, scratch)
     tasks = [(side, cell) for side in (1, 2) for cell in work.sides[side - 1].stored.cells]
     by_task: dict[tuple[int, Cell], Counted] = {}
     rows = sum(int(side.stored.partition_rows.sum()) for side in work.sides)
-    if executor is None and rows <= TUNING.max_rows_in_process:
+    if executor is None and rows <= tuning.max_rows_in_process:
         workers = 1
-    with Workers(workers, executor) as pool:
+    with Workers(workers, executor, tuning.max_failures) as pool:
         for n, (task, counted) in enumerate(pool.each(count_partition, str(scratch), tasks), 1):
             by_task[task] = counted
             progress(f"counting partition {n} of {len(tasks)}")
@@ -345,6 +352,7 @@ def _learn_from_sample(
     cells: IntArray,
     volume: float,
     options: MatchOptions,
+    tuning: RunTuning,
     progress: Progress,
 ) -> tuple[list[Catalogue], Learned, tuple[str, ...]]:
     """The sample's catalogues with errors and epochs completed, the estimates, and doubts on what was assumed.
@@ -353,7 +361,7 @@ def _learn_from_sample(
     volume : theirs.
     """
     order = work.sides[0].cell_order - steps
-    margin = TUNING.margin_gates * 6.4 * sigma + 2.0 * _motion(work)
+    margin = tuning.margin_gates * 6.4 * sigma + 2.0 * _motion(work)
     fine = max(min(healpix.order_of_width(margin), 24), order)
     around = healpix.ring(cells, order, fine) if healpix.width_arcsec(fine) >= margin or fine > order else cells
     stretch = healpix.joined(np.concatenate([healpix.stretches(cells, order), healpix.stretches(around, fine)]))
@@ -381,7 +389,7 @@ def _motion(work: Work) -> float:
     )
 
 
-def _halos(work: Work) -> tuple[float, float]:
+def _halos(work: Work, tuning: RunTuning) -> tuple[float, float]:
     """Width, arcsec, of the first halo of a part, and of one that is wide enough for nearly all parts: the extent of
     the sample's groups, a gate on either side, and the motion of records."""
     from sameas.groups import laid_out
@@ -402,9 +410,9 @@ def _halos(work: Work) -> tuple[float, float]:
 
     def width(share: float) -> float:
         extent = float(np.quantile(extents, share))
-        return max(min(extent, 32.0 * reach) + 2.0 * reach, TUNING.min_halo_arcsec) + _motion(work)
+        return max(min(extent, 32.0 * reach) + 2.0 * reach, tuning.min_halo_arcsec) + _motion(work)
 
-    return width(TUNING.halo_share), width(TUNING.margin_share)
+    return width(tuning.halo_share), width(tuning.margin_share)
 
 
 def _group_extents(group: IntArray, n: int, lon: FloatArray, lat: FloatArray) -> FloatArray:
@@ -516,7 +524,10 @@ def summary_file(folder: Path, task: Task) -> Path:
 class Workers:
     """A context manager of worker processes, or of the caller's executor."""
 
-    def __init__(self, number: int | None, executor: Executor | None) -> None:
+    def __init__(
+        self, number: int | None, executor: Executor | None, max_failures: int = DEFAULT_RUN.max_failures
+    ) -> None:
+        self.max_failures = max_failures
         self.number = threads.count() if number is None else number
         if self.number < 1:
             raise InputError(f"workers is {number}; give 1 or more")
@@ -551,7 +562,7 @@ class Workers:
             except BrokenProcessPool as error:
                 failures = 1 if done else failures + 1
                 self._own = None
-                if failures >= TUNING.max_failures:
+                if failures >= self.max_failures:
                     at = ", ".join(str(_cell_of_task(task)) for task in left[: len(done) + self.number][:3])
                     raise InputError(
                         f"workers died {failures} times, at one of the partitions {at} …; finished parts are kept",

@@ -32,7 +32,7 @@ from sameas.result import Identification
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.doubts import completed, disjoint_doubt, epoch_doubt, in_icrs
-from sameas.sky.systematics import WARP_TUNING, Rotation, Warp, find_rotation, find_warp, residual_rotation
+from sameas.sky.systematics import DEFAULT_WARP, Rotation, Warp, find_rotation, find_warp, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
 
 if TYPE_CHECKING:
@@ -258,7 +258,7 @@ def match(
     )  # fmt: skip
     result, estimate = run_match(one, two)
     warp: Warp | None = None
-    for _ in range(WARP_TUNING.passes if search is not None else 0):
+    for _ in range(DEFAULT_WARP.passes if search is not None else 0):
         progress("warp")
         next_warp = find_warp(result, warp)
         if next_warp is None:

@@ -78,7 +78,7 @@ class SeriesTuning:
     overlap: float = 0.7
 
 
-TUNING = SeriesTuning()
+DEFAULT_SERIES = SeriesTuning()
 
 
 @in_short
@@ -282,7 +282,7 @@ class Series:
 _UNITS = {"_deg": "deg", "_arcsec": "arcsec", "_mag": "mag"}
 
 
-def tie(exposures: Sequence[Exposure]) -> Series:
+def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_SERIES) -> Series:
     """A series of frames of one field, tied together, with stationary sources marked.
 
     Raises
@@ -290,7 +290,7 @@ def tie(exposures: Sequence[Exposure]) -> Series:
     InputError : fewer than two frames; frames of different fields; frames of the same time.
     """
     ordered = tuple(sorted(exposures, key=lambda e: e.mjd_utc))
-    middle = _checked(ordered)
+    middle = _checked(ordered, tuning.overlap)
     frame = np.concatenate([np.full(len(e), k) for k, e in enumerate(ordered)])
     row = np.concatenate([np.arange(len(e)) for e in ordered])
     everything = {
@@ -302,21 +302,22 @@ def tie(exposures: Sequence[Exposure]) -> Series:
         np.concatenate([e.ra_deg for e in ordered]), np.concatenate([e.dec_deg for e in ordered]), middle
     )
     variance = 0.5 * (everything["covariance_px"][:, 0] + everything["covariance_px"][:, 2]) * scale[frame] ** 2
-    good = (everything["snr"] >= TUNING.tie_snr) & ((everything["flags"] & ~int(Flag.BLENDED)) == 0)
-    tied, ties = _tied(place, frame, variance, good, len(ordered))
-    floor = _floors(tied, frame, variance, good, len(ordered))
+    good = (everything["snr"] >= tuning.tie_snr) & ((everything["flags"] & ~int(Flag.BLENDED)) == 0)
+    tied, ties = _tied(place, frame, variance, good, len(ordered), tuning)
+    floor = _floors(tied, frame, variance, good, len(ordered), tuning)
     sigma = np.sqrt(variance + floor[frame] ** 2)
-    reach = TUNING.reach_px * float(np.median(scale))
-    days = np.array([e.mjd_utc for e in ordered])[frame] * 1440.0
-    stationary = _stationary(tied, frame, days, sigma, reach, TUNING.drift_px * float(np.median(scale)), len(ordered))
+    reach = tuning.reach_px * float(np.median(scale))
+    minutes = np.array([e.mjd_utc for e in ordered])[frame] * 1440.0
+    drift = tuning.drift_px * float(np.median(scale))
+    stationary = _stationary(tied, frame, minutes, sigma, reach, drift, len(ordered), tuning)
     chip = np.column_stack([everything["x_px"], everything["y_px"]])
     dithered_px = _dither_px(tied, chip, frame, stationary, len(ordered))
     fixed = np.zeros(len(frame), bool)
-    if dithered_px > 2.0 * TUNING.reach_px:
+    if dithered_px > 2.0 * tuning.reach_px:
         # Only for dithered frames: otherwise chip defects are stationary on the sky too.
-        fixed = _stationary(chip, frame, days, sigma / scale[frame], 0.5, 0.5, len(ordered))
+        fixed = _stationary(chip, frame, minutes, sigma / scale[frame], 0.5, 0.5, len(ordered), tuning)
     names = np.concatenate([e.names for e in ordered])
-    names = np.where(everything["p_star"] >= TUNING.min_p_star, names, "")
+    names = np.where(everything["p_star"] >= tuning.min_p_star, names, "")
     measured = SeriesMeasurements(
         tied, frame, sigma, names, everything["flux"], everything["flux_err"],
         (everything["flags"] & int(_PARTIAL)) == 0, everything["magnitude"], len(ordered),
@@ -326,13 +327,13 @@ def tie(exposures: Sequence[Exposure]) -> Series:
     each = [(tied - place)[frame == k] for k in range(len(ordered))]
     shift = np.array([np.median(off, axis=0) if len(off) else [0.0, 0.0] for off in each])
     return Series(
-        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= TUNING.min_p_star, stationary,
+        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= tuning.min_p_star, stationary,
         fixed & ~stationary, (everything["flags"] & int(_SPOILT)) != 0, magnitude, floor, shift, ties, stars,
-        _notes(ordered, ties),
+        _notes(ordered, ties, tuning.min_ties),
     )  # fmt: skip
 
 
-def _checked(exposures: tuple[Exposure, ...]) -> tuple[float, float]:
+def _checked(exposures: tuple[Exposure, ...], overlap: float) -> tuple[float, float]:
     """The middle of the field, degrees; frames of different fields or of the same time are refused."""
     if len(exposures) < 2:
         raise InputError(f"{len(exposures)} frame could be used; movers need two frames, better three")
@@ -345,7 +346,7 @@ def _checked(exposures: tuple[Exposure, ...]) -> tuple[float, float]:
     for e, unit in zip([e for e in exposures if len(e)], middles, strict=True):
         off = math.degrees(math.acos(min(1.0, float(unit @ centre))))
         diagonal = math.hypot(*e.shape) * e.scale_arcsec_per_px / 3600.0
-        if off > TUNING.overlap * diagonal:
+        if off > overlap * diagonal:
             raise InputError(
                 f"{e.name}: points {off:.2f}° from the middle of the other frames, which are {diagonal:.2f}° across; "
                 "search the frames of each field by themselves"
@@ -373,16 +374,16 @@ def _projected(ra_deg: FloatArray, dec_deg: FloatArray, middle: tuple[float, flo
 
 
 def _tied(
-    place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int
+    place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int, tuning: SeriesTuning
 ) -> tuple[FloatArray, IntArray]:
     """Positions in the common system, and the number of sources that tie each frame to it."""
     tied, ties = place.copy(), np.zeros(frames, np.int64)
     reference = int(np.argmax(np.bincount(frame[good], minlength=frames)))
     known = place[good & (frame == reference)]
     for iteration in range(3):
-        if len(known) < TUNING.min_ties:
+        if len(known) < tuning.min_ties:
             return place, ties
-        reach = TUNING.tie_arcsec / (1.0 if iteration == 0 else 2.0)
+        reach = tuning.tie_arcsec / (1.0 if iteration == 0 else 2.0)
         tree = cKDTree(known)
         sums, counts = np.zeros_like(known), np.zeros(len(known))
         for k in range(frames):
@@ -393,7 +394,7 @@ def _tied(
             nearest_back = cKDTree(tied[rows]).query(known, distance_upper_bound=reach)[1]
             mutual = np.isfinite(distance)
             mutual[mutual] = nearest_back[at[mutual]] == np.flatnonzero(mutual)
-            if mutual.sum() < TUNING.min_ties:
+            if mutual.sum() < tuning.min_ties:
                 continue
             solution, used = _affine(place[rows[mutual]], known[at[mutual]], variance[rows[mutual]])
             ties[k] = used
@@ -422,17 +423,19 @@ def _affine(source: FloatArray, target: FloatArray, variance: FloatArray) -> tup
     return solution, int(keep.sum())
 
 
-def _floors(place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int) -> FloatArray:
+def _floors(
+    place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int, tuning: SeriesTuning
+) -> FloatArray:
     """(f,) robust scatter of bright sources about their median positions in excess of their errors, arcsec per axis."""
     floor = np.full(frames, 0.05)
     first = np.flatnonzero(good & (frame == int(np.argmax(np.bincount(frame[good], minlength=frames)))))
-    if len(first) < TUNING.min_ties:
+    if len(first) < tuning.min_ties:
         return floor
     tree = cKDTree(place[first])
     offsets, variances = [], []
     for k in range(frames):
         rows = np.flatnonzero(good & (frame == k))
-        distance, at = tree.query(place[rows], distance_upper_bound=0.5 * TUNING.tie_arcsec)
+        distance, at = tree.query(place[rows], distance_upper_bound=0.5 * tuning.tie_arcsec)
         found = np.isfinite(distance)
         residual = np.full((len(first), 2), np.nan)
         residual[at[found]] = place[rows[found]]
@@ -461,13 +464,14 @@ def _stationary(
     reach: float,
     least_drift: float,
     frames: int,
+    tuning: SeriesTuning,
 ) -> BoolArray:
     """(n,) mask of the measurements with counterparts at the same position in other frames, without a drift.
 
     The other frames are at most ``compared``, evenly over the series, so that the cost per frame is constant.
     """
     n = len(frame)
-    others = np.unique(np.linspace(0, frames - 1, min(frames, TUNING.compared)).astype(np.int64))
+    others = np.unique(np.linspace(0, frames - 1, min(frames, tuning.compared)).astype(np.int64))
     # Sums for a line fitted to the neighbours and the measurement itself.
     weight = 1.0 / sigma**2
     s0, s1, s2, hits = weight.copy(), np.zeros(n), np.zeros(n), np.zeros(n)
@@ -499,9 +503,9 @@ def _stationary(
         error = np.sqrt(s0 / determinant)
         speed = np.hypot(*drift.T)
     drifting = np.nan_to_num(speed, nan=0.0) * span > least_drift
-    significant = np.nan_to_num(speed / error, nan=0.0) > TUNING.drift_sigmas
+    significant = np.nan_to_num(speed / error, nan=0.0) > tuning.drift_sigmas
     compared = len(others) - np.isin(frame, others)
-    often = hits >= np.maximum(2.0, TUNING.often * compared)
+    often = hits >= np.maximum(2.0, tuning.often * compared)
     few = hits >= (2.0 if frames > 3 else 1.0)
     return (often & ~(drifting & significant)) | (few & ~significant)
 
@@ -519,11 +523,10 @@ def _dither_px(place: FloatArray, chip: FloatArray, frame: IntArray, stationary:
     return float(np.ptp(np.array(middles), axis=0).max()) if len(middles) > 1 else 0.0
 
 
-def _notes(exposures: tuple[Exposure, ...], ties: IntArray) -> tuple[str, ...]:
-    loose = [e.name for e, n in zip(exposures, ties, strict=True) if n < TUNING.min_ties]
+def _notes(exposures: tuple[Exposure, ...], ties: IntArray, min_ties: int) -> tuple[str, ...]:
+    loose = [e.name for e, n in zip(exposures, ties, strict=True) if n < min_ties]
     return tuple(
-        f"{name}: fewer than {TUNING.min_ties} sources link it to the others; its own plate solution is used"
-        for name in loose
+        f"{name}: fewer than {min_ties} sources link it to the others; its own plate solution is used" for name in loose
     )
 
 

@@ -59,7 +59,6 @@ class RotationTuning:
     patch_deg: float = 3.0
     patch_places: int = 48
     iterations: int = 8
-
     converged_share: float = 0.05
     min_p_pair: float = 0.01
     max_pairs: int = 30_000
@@ -67,7 +66,7 @@ class RotationTuning:
     significant_share: float = 0.3
 
 
-TUNING = RotationTuning()
+DEFAULT_ROTATION = RotationTuning()
 
 
 @dataclass(frozen=True)
@@ -136,13 +135,15 @@ class Rotation:
         moves = [np.cross(omega, at) for omega in (axes[1], -axes[0], axes[2])]
         return np.stack([np.stack([np.einsum("nv,nv->n", m, a) for m in moves], axis=1) for a in local], axis=1)
 
-    def refined(self, answer: Identification, errors: Errors) -> tuple[Rotation, float]:
+    def refined(
+        self, answer: Identification, errors: Errors, tuning: RotationTuning = DEFAULT_ROTATION
+    ) -> tuple[Rotation, float]:
         """The rotation after one more step from the pairs of ``answer``, and the largest move in units of the error.
 
         errors : estimated ones.
         """
-        use = np.flatnonzero(answer.p_pair > TUNING.min_p_pair)
-        use = use[:: -(-len(use) // TUNING.max_pairs) or 1]
+        use = np.flatnonzero(answer.p_pair > tuning.min_p_pair)
+        use = use[:: -(-len(use) // tuning.max_pairs) or 1]
         pairs, p = answer.pairs, answer.p_pair[use]
         slope = self._slope(answer.second.features[pairs.j[use]])
         covariance = errors.typical_covariance(pairs, use)
@@ -157,7 +158,12 @@ class Rotation:
         return replace(self, vector=vector, covariance=covariance, iterations=self.iterations + 1), share
 
 
-def find_rotation(first: Records, second: Records, progress: Callable[[str], None] = lambda stage: None) -> Rotation:
+def find_rotation(
+    first: Records,
+    second: Records,
+    progress: Callable[[str], None] = lambda stage: None,
+    tuning: RotationTuning = DEFAULT_ROTATION,
+) -> Rotation:
     """The rotation from the records of the second catalogue to those of the first.
 
     Parameters
@@ -169,26 +175,28 @@ def find_rotation(first: Records, second: Records, progress: Callable[[str], Non
     from sameas.registration import Shift, register
 
     progress("search for the offset")
-    centre, patch_1, patch_2 = _patch(first, second)
+    centre, patch_1, patch_2 = _patch(first, second, tuning)
     if not (len(patch_1) and len(patch_2)):
         note = (
-            f"{first.source} and {second.source} lie more than {TUNING.patch_deg:g}° apart; "
+            f"{first.source} and {second.source} lie more than {tuning.patch_deg:g}° apart; "
             "offsets are searched for in small fields only"
         )
         return Rotation(centre, np.zeros(3), np.zeros((3, 3)), False, 0, (note,), True)
     rotation = _initial(centre, register(patch_1, patch_2, Shift()))
     previous_share = math.inf
-    while rotation.iterations < TUNING.iterations and not rotation.by_chance:
+    while rotation.iterations < tuning.iterations and not rotation.by_chance:
         progress("offset")
         answer, estimate = match(first, rotation.of(second))
-        rotation, share = rotation.refined(answer, estimate.errors)
-        if share < TUNING.converged_share or share > 0.9 * previous_share:
+        rotation, share = rotation.refined(answer, estimate.errors, tuning)
+        if share < tuning.converged_share or share > 0.9 * previous_share:
             break
         previous_share = share
     return rotation
 
 
-def residual_rotation(answer: Identification, errors: Errors) -> tuple[Rotation, float] | None:
+def residual_rotation(
+    answer: Identification, errors: Errors, tuning: RotationTuning = DEFAULT_ROTATION
+) -> tuple[Rotation, float] | None:
     """A significant residual rotation of the pairs, and its largest shift in units of a pair's error; else None.
 
     With a rotation of many errors most true pairs are missed, and only part of it is seen here; :func:`find_rotation`
@@ -196,42 +204,42 @@ def residual_rotation(answer: Identification, errors: Errors) -> tuple[Rotation,
     """
     if not len(answer.p_pair):
         return None
-    at = answer.second.features[:: -(-len(answer.second) // TUNING.max_pairs)]
+    at = answer.second.features[:: -(-len(answer.second) // tuning.max_pairs)]
     lon, lat = directions_deg(mean_direction(unit_vectors(*at.T)))
     centre = float(lon), float(lat)
-    rotation, share = Rotation(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, errors)
+    rotation, share = Rotation(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, errors, tuning)
     sigmas = float(np.sqrt(mahalanobis_sq(rotation.vector, rotation.covariance)))
-    return (rotation, share) if share > TUNING.significant_share and sigmas > TUNING.significant_sigmas else None
+    return (rotation, share) if share > tuning.significant_share and sigmas > tuning.significant_sigmas else None
 
 
 def _initial(centre: tuple[float, float], registration: Registration) -> Rotation:
     """The shift found in the patch, at its centre, without a rotation about it."""
-    from sameas.registration.hough import DEFAULT_TUNING as REGISTRATION_TUNING
+    from sameas.registration.hough import DEFAULT_TUNING as REGISTRATION
 
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = registration.covariance
     vector = np.array([*registration.theta, 0.0])
-    by_chance = registration.log_evidence < REGISTRATION_TUNING.decisive
+    by_chance = registration.log_evidence < REGISTRATION.decisive
     return Rotation(centre, vector, covariance, registration.established, 0, registration.notes, by_chance)
 
 
-def _patch(first: Records, second: Records) -> tuple[tuple[float, float], Records, Records]:
+def _patch(first: Records, second: Records, tuning: RotationTuning) -> tuple[tuple[float, float], Records, Records]:
     """A patch where both catalogues have enough records for the search: its centre, and the records there."""
     smaller = min(first, second, key=len)
     order = np.lexsort(smaller.features.T)
     centres = smaller.features[
-        order[np.linspace(0, len(order) - 1, min(TUNING.patch_places, len(order))).astype(np.int64)]
+        order[np.linspace(0, len(order) - 1, min(tuning.patch_places, len(order))).astype(np.int64)]
     ]
     trees = [_tree(records) for records in (first, second)]
     best: tuple[int, float, FloatArray] | None = None
-    for radius_deg in TUNING.patch_deg / 2.0 ** np.arange(9.0, -1.0, -1.0):
+    for radius_deg in tuning.patch_deg / 2.0 ** np.arange(9.0, -1.0, -1.0):
         chord = 2.0 * math.sin(math.radians(radius_deg) / 2.0)
         counts = [tree.query_ball_point(unit_vectors(*centres.T), chord, return_length=True) for tree in trees]
         least_count = np.minimum(*counts)
         at = int(np.argmax(least_count))
         if best is None or least_count[at] > best[0]:
             best = int(least_count[at]), float(radius_deg), centres[at]
-        if least_count[at] >= TUNING.patch_records or max(c[at] for c in counts) > 8 * TUNING.patch_records:
+        if least_count[at] >= tuning.patch_records or max(c[at] for c in counts) > 8 * tuning.patch_records:
             break
     assert best is not None
     _, radius_deg, centre = best
@@ -288,7 +296,7 @@ class WarpTuning:
     passes: int = 3
 
 
-WARP_TUNING = WarpTuning()
+DEFAULT_WARP = WarpTuning()
 
 
 @in_short
@@ -352,33 +360,33 @@ def _basis(position: FloatArray, order: int) -> FloatArray:
     return np.stack([u ** (total - b) * v**b for total in range(order + 1) for b in range(total + 1)], axis=1)
 
 
-def find_warp(result: Identification, before: Warp | None = None) -> Warp | None:
+def find_warp(result: Identification, before: Warp | None = None, tuning: WarpTuning = DEFAULT_WARP) -> Warp | None:
     """The warp of the second source from the matched pairs; None if a shift explains them as well.
 
     before : warp already applied to the second source; the total warp is returned.
     """
     pairs, used = result.pairs, np.flatnonzero(result.chosen)
-    rows = used[:: max(1, -(-len(used) // WARP_TUNING.max_pairs))]
+    rows = used[:: max(1, -(-len(used) // tuning.max_pairs))]
     p, residual = result.p_pair[rows], pairs.residual[rows]
-    if len(rows) < 3.0 * WARP_TUNING.pairs_per_term:
+    if len(rows) < 3.0 * tuning.pairs_per_term:
         return None
     position = pairs.second.features[pairs.j[rows]]
     if before is not None:
         residual = residual + before.displacement(position)
     vectors = unit_vectors(*position.T)
     centre = mean_direction(vectors)
-    if float((vectors @ centre).min()) < math.cos(math.radians(WARP_TUNING.max_radius_deg)):
+    if float((vectors @ centre).min()) < math.cos(math.radians(tuning.max_radius_deg)):
         return None
     plane = to_plane(vectors, centre) * ARCSEC_PER_RADIAN
     radius = float(np.hypot(*plane.T).max())
     variance = np.sqrt(np.maximum(pairs.determinant[rows], 0.0))
     fits = {
-        order: _fitted(_basis(plane / radius, order), residual, variance, p)
-        for order in range(WARP_TUNING.highest + 1)
-        if len(rows) >= WARP_TUNING.pairs_per_term * (order + 1) * (order + 2) / 2
+        order: _fitted(_basis(plane / radius, order), residual, variance, p, tuning)
+        for order in range(tuning.highest + 1)
+        if len(rows) >= tuning.pairs_per_term * (order + 1) * (order + 2) / 2
     }
     least = min(leave_one_out for _, leave_one_out in fits.values())
-    order = min(order for order, (_, leave_one_out) in fits.items() if leave_one_out <= least + WARP_TUNING.min_gain)
+    order = min(order for order, (_, leave_one_out) in fits.items() if leave_one_out <= least + tuning.min_gain)
     if order == 0:
         return None
     coefficients, leave_one_out = fits[order]
@@ -387,13 +395,15 @@ def find_warp(result: Identification, before: Warp | None = None) -> Warp | None
     return Warp(centre, radius, order, coefficients, rms, largest, fits[0][1] - leave_one_out, len(rows))
 
 
-def _fitted(basis: FloatArray, residual: FloatArray, variance: FloatArray, p: FloatArray) -> tuple[FloatArray, float]:
+def _fitted(
+    basis: FloatArray, residual: FloatArray, variance: FloatArray, p: FloatArray, tuning: WarpTuning
+) -> tuple[FloatArray, float]:
     """(q, 2) coefficients, and the leave-one-out −2 ln L of the residuals (n, 2).
 
     variance : (n,) of each pair's residual per axis by its errors; a common extra scatter is estimated.
     """
     extra_variance, tail_weight = 0.0, np.ones(len(p))
-    for _ in range(WARP_TUNING.iterations):
+    for _ in range(tuning.iterations):
         weight = p * tail_weight / (variance + extra_variance)
         normal = (basis * weight[:, None]).T @ basis
         inverse = np.linalg.pinv(normal)
@@ -405,13 +415,13 @@ def _fitted(basis: FloatArray, residual: FloatArray, variance: FloatArray, p: Fl
             float((p * tail_weight * residual_sq).sum()) / freedom - float((p * variance).sum() / p.sum()), 0.0
         )
         tail_weight = np.minimum(
-            1.0, WARP_TUNING.tail_sigmas**2 * (variance + extra_variance) / np.maximum(residual_sq, 1e-300)
+            1.0, tuning.tail_sigmas**2 * (variance + extra_variance) / np.maximum(residual_sq, 1e-300)
         )
     leverage = weight * np.einsum("nq,qr,nr->n", basis, inverse, basis)
     predicted_sq = residual_sq / np.maximum(1.0 - leverage, 1e-6) ** 2
     # Normal likelihood; beyond the tail limit the loss grows logarithmically.
     total = variance + extra_variance
     ratio = predicted_sq / total
-    tail = WARP_TUNING.tail_sigmas**2
+    tail = tuning.tail_sigmas**2
     loss = np.where(ratio > tail, tail * (1.0 + np.log(np.maximum(ratio, tail) / tail)), ratio)
     return coefficients, float((p * (2.0 * np.log(total) + loss)).sum())

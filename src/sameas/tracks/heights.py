@@ -23,40 +23,8 @@ from sameas.tracks.placement import Directions, heights_by_elevation
 from sameas.tracks.reports import Reports
 from sameas.tracks.snapshot import Snapshot
 from sameas.tracks.source import Description
+from sameas.tracks.tuning import DEFAULT_TUNING, HeightTuning
 
-
-@dataclass(frozen=True)
-class HeightTuning:
-    """Fixed parameters of heights, chosen. Units are in the names.
-
-    sigma_m : 1σ of a height without a stated error. climb_m_per_s : 1σ of an unknown vertical speed;
-    reported_climb_m_per_s : of a reported one. pressure_m, pressure_share : 1σ of the difference between pressure
-    height and height above the ellipsoid if it is not estimated: at the ground, and as a share of the height.
-    offset_m : 1σ of the offset between two sources of one kind.
-    min_reports, min_span_m : minimum number of reports with both heights for a line, and minimum span of their heights
-    for its gain.
-    instants : number of instants at which sources are compared. max_pairs : maximum number of pairs.
-    min_pairs : minimum number of pairs for an offset. share : minimum share of the records that agree with it.
-    near : completeness of the gate of positions. min_m : minimum 1σ of an estimate.
-    """
-
-    sigma_m: float = 60.0
-    climb_m_per_s: float = 8.0
-    reported_climb_m_per_s: float = 1.5
-    pressure_m: float = 250.0
-    pressure_share: float = 0.04
-    offset_m: float = 300.0
-    min_reports: int = 20
-    min_span_m: float = 2000.0
-    instants: int = 32
-    min_pairs: int = 5
-    share: float = 0.5
-    near: float = 0.999
-    max_pairs: int = 3000
-    min_m: float = 5.0
-
-
-TUNING = HeightTuning()
 PRESSURE, GEOMETRIC = "pressure height", "height above the ellipsoid"
 
 
@@ -96,7 +64,9 @@ class HeightColumns:
     climb_m_per_s: FloatArray
 
     @classmethod
-    def of(cls, description: Description, reports: Reports) -> HeightColumns | None:
+    def of(
+        cls, description: Description, reports: Reports, tuning: HeightTuning = DEFAULT_TUNING.heights
+    ) -> HeightColumns | None:
         """The heights of reports with positions; None if no report has a height."""
         n, absent = len(reports), np.full(len(reports), np.nan)
         pressure = absent if reports.pressure_alt_m is None else reports.pressure_alt_m
@@ -104,7 +74,7 @@ class HeightColumns:
         if reports.z_m is not None and description.site is None:
             geometric = np.where(np.isfinite(geometric), geometric, reports.z_m)
         stated = absent if reports.sigma_alt_m is None else reports.sigma_alt_m
-        sigma = np.where(stated > 0.0, stated, np.full(n, description.errors.height_m or TUNING.sigma_m))
+        sigma = np.where(stated > 0.0, stated, np.full(n, description.errors.height_m or tuning.sigma_m))
         site_m = 0.0 if description.site is None else description.site.height_m
         measured = heights_by_elevation(reports, description.errors, site_m)
         if measured is not None:
@@ -132,7 +102,9 @@ def _columns_of(feed: Feed) -> HeightColumns | None:
     if feed.heights is not None:
         kept = HeightColumns(*feed.heights.T)
         return kept if kept.any else None
-    return None if feed.raw_reports is None else HeightColumns.of(feed.description, feed.raw_reports)
+    if feed.raw_reports is None:
+        return None
+    return HeightColumns.of(feed.description, feed.raw_reports, feed.tuning.heights)
 
 
 @dataclass(frozen=True)
@@ -150,11 +122,13 @@ class HeightModel:
     """Conversion of the heights of all sources to one kind, without offsets between the sources.
 
     kind : PRESSURE or GEOMETRIC. line : relation of the kinds, None if it was not estimated. offsets : by source name.
+    tuning : with which it was made.
     """
 
     kind: str = PRESSURE
     line: _Line | None = None
     offsets: Mapping[str, HeightOffset] = field(default_factory=dict)
+    tuning: HeightTuning = DEFAULT_TUNING.heights
 
     @classmethod
     def of(cls, feeds: Sequence[Feed]) -> HeightModel | None:
@@ -163,15 +137,16 @@ class HeightModel:
         known = [one for one in columns if one is not None]
         if not known:
             return None
-        model = cls(kind_of(known), _line(known))
-        raw = [None if one is None else _of_kind(one, model.kind, model.line) for one in columns]
+        tuning = feeds[0].tuning.heights
+        model = cls(kind_of(known), _line(known, tuning), tuning=tuning)
+        raw = [None if one is None else model.of_kind(one) for one in columns]
         counts = [0 if one is None else int(np.isfinite(one.height_m).sum()) for one in raw]
         reference = int(np.argmax(counts))
         against, offsets = raw[reference], {}
         assert against is not None
         for k, (one, feed) in enumerate(zip(raw, feeds, strict=True)):
             if k != reference and one is not None and counts[k]:
-                offset = _offset(one, feed, against, feeds[reference])
+                offset = _offset(one, feed, against, feeds[reference], tuning)
                 if offset is not None:
                     offsets[feed.description.name] = offset
         return replace(model, offsets=offsets)
@@ -180,11 +155,32 @@ class HeightModel:
     def as_given(cls, feeds: Sequence[Feed]) -> HeightModel | None:
         """The model with the kind of these feeds' heights, without line and offsets; None if none has a height."""
         known = [one for feed in feeds if (one := _columns_of(feed)) is not None]
-        return cls(kind_of(known)) if known else None
+        return cls(kind_of(known), tuning=feeds[0].tuning.heights) if known else None
+
+    def of_kind(self, one: HeightColumns) -> HeightReports:
+        """The heights of a source, all of ``kind``, with its offset."""
+        line, tuning = self.line, self.tuning
+        notes: tuple[str, ...] = ()
+        own, other = (one.pressure_m, one.geometric_m) if self.kind == PRESSURE else (one.geometric_m, one.pressure_m)
+        only_other = ~np.isfinite(own) & np.isfinite(other)
+        converted, extra = other, np.hypot(tuning.pressure_m, tuning.pressure_share * other)
+        if line is not None:
+            converted = (other - line.offset_m) / (1.0 + line.gain)
+            extra = np.full(len(other), line.sigma_m)
+            if only_other.any():
+                notes = (
+                    f"heights above the ellipsoid were made pressure heights: they are {line.offset_m:+.0f} m "
+                    f"{100.0 * line.gain:+.1f} % ± {line.sigma_m:.0f} m higher, by {line.count} reports with both",
+                )
+        height = np.where(only_other, converted, own)
+        sigma = np.where(only_other, np.hypot(one.sigma_m, extra), one.sigma_m)
+        climb = one.climb_m_per_s
+        sigma_climb = np.where(np.isfinite(climb), tuning.reported_climb_m_per_s, tuning.climb_m_per_s)
+        return HeightReports(height, np.where(np.isfinite(height), sigma, np.nan), climb, sigma_climb, self.kind, notes)
 
     def heights(self, source: str, columns: HeightColumns) -> HeightReports:
         """The heights of a source, all of ``kind``, corrected for its offset."""
-        heights = _of_kind(columns, self.kind, self.line)
+        heights = self.of_kind(columns)
         offset = self.offsets.get(source)
         if offset is None:
             return heights
@@ -201,7 +197,7 @@ class HeightModel:
         if self.kind == GEOMETRIC:
             return height_m, sigma_m
         if self.line is None:
-            extra = np.hypot(TUNING.pressure_m, TUNING.pressure_share * height_m)
+            extra = np.hypot(self.tuning.pressure_m, self.tuning.pressure_share * height_m)
             return height_m, np.hypot(sigma_m, extra)
         height = height_m + self.line.offset_m + self.line.gain * height_m
         return height, np.hypot((1.0 + self.line.gain) * sigma_m, self.line.sigma_m)
@@ -234,88 +230,69 @@ class _Line:
     count: int
 
 
-def _line(known: Sequence[HeightColumns]) -> _Line | None:
+def _line(known: Sequence[HeightColumns], tuning: HeightTuning) -> _Line | None:
     """The line fitted to reports with both heights; None if they are fewer than ``min_reports``."""
     pressure, geometric = (
         np.concatenate([getattr(one, name) for one in known]) for name in ("pressure_m", "geometric_m")
     )
     both = np.isfinite(pressure) & np.isfinite(geometric)
-    if both.sum() < TUNING.min_reports:
+    if both.sum() < tuning.min_reports:
         return None
     x, y = pressure[both], (geometric - pressure)[both]
-    offset, gain, sigma = _robust_line(x, y)
-    keep = np.abs(y - offset - gain * x) <= 4.0 * max(sigma, TUNING.min_m)
-    return _Line(offset, gain, max(sigma, TUNING.min_m), int(keep.sum()))
+    offset, gain, sigma = _robust_line(x, y, tuning)
+    keep = np.abs(y - offset - gain * x) <= 4.0 * max(sigma, tuning.min_m)
+    return _Line(offset, gain, max(sigma, tuning.min_m), int(keep.sum()))
 
 
-def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
+def _robust_line(x: FloatArray, y: FloatArray, tuning: HeightTuning) -> tuple[float, float, float]:
     """Offset, gain and scatter (1σ) of y over x without outliers; gain 0 if points are few or the span of x small."""
     keep = np.ones(len(x), bool)
     offset = gain = sigma = 0.0
     for _ in range(5):
-        if keep.sum() < TUNING.min_reports or np.ptp(x[keep]) < TUNING.min_span_m:
+        if keep.sum() < tuning.min_reports or np.ptp(x[keep]) < tuning.min_span_m:
             offset, gain = float(np.median(y[keep])), 0.0
         else:
             design = np.column_stack([np.ones(keep.sum()), x[keep]])
             offset, gain = map(float, np.linalg.lstsq(design, y[keep], rcond=None)[0])
         residual = np.abs(y - offset - gain * x)
         sigma = 1.4826 * float(np.median(residual))
-        keep = residual <= 4.0 * max(sigma, TUNING.min_m)
+        keep = residual <= 4.0 * max(sigma, tuning.min_m)
     return offset, gain, sigma
 
 
-def _of_kind(one: HeightColumns, kind: str, line: _Line | None) -> HeightReports:
-    """The heights of one source, converted to ``kind``."""
-    notes: tuple[str, ...] = ()
-    own, other = (one.pressure_m, one.geometric_m) if kind == PRESSURE else (one.geometric_m, one.pressure_m)
-    only_other = ~np.isfinite(own) & np.isfinite(other)
-    converted, extra = other, np.hypot(TUNING.pressure_m, TUNING.pressure_share * other)
-    if line is not None:
-        converted = (other - line.offset_m) / (1.0 + line.gain)
-        extra = np.full(len(other), line.sigma_m)
-        if only_other.any():
-            notes = (
-                f"heights above the ellipsoid were made pressure heights: they are {line.offset_m:+.0f} m "
-                f"{100.0 * line.gain:+.1f} % ± {line.sigma_m:.0f} m higher, by {line.count} reports with both",
-            )
-    height = np.where(only_other, converted, own)
-    sigma = np.where(only_other, np.hypot(one.sigma_m, extra), one.sigma_m)
-    climb = one.climb_m_per_s
-    sigma_climb = np.where(np.isfinite(climb), TUNING.reported_climb_m_per_s, TUNING.climb_m_per_s)
-    return HeightReports(height, np.where(np.isfinite(height), sigma, np.nan), climb, sigma_climb, kind, notes)
-
-
-def _offset(heights: HeightReports, feed: Feed, against: HeightReports, reference: Feed) -> HeightOffset | None:
+def _offset(
+    heights: HeightReports, feed: Feed, against: HeightReports, reference: Feed, tuning: HeightTuning
+) -> HeightOffset | None:
     """The offset of a source against another; None if too few pairs agree on one, or if it is not significant."""
-    difference, sigma, height, records = _differences(heights, feed, against, reference)
-    if records < TUNING.min_pairs:
+    difference, sigma, height, records = _differences(heights, feed, against, reference, tuning)
+    if records < tuning.min_pairs:
         return None
-    width = np.hypot(sigma, TUNING.min_m)
+    width = np.hypot(sigma, tuning.min_m)
     # The mode of the differences under the prior of the offset.
     density = np.exp(-0.5 * ((difference[:, None] - difference[None, :]) / width[None, :]) ** 2).sum(axis=1)
-    best = difference[np.argmax(np.log(density) - 0.5 * (difference / np.hypot(TUNING.offset_m, sigma)) ** 2)]
+    best = difference[np.argmax(np.log(density) - 0.5 * (difference / np.hypot(tuning.offset_m, sigma)) ** 2)]
     near = np.abs(difference - best) < 3.0 * width
-    if near.sum() < max(TUNING.min_pairs, TUNING.share * records):
+    if near.sum() < max(tuning.min_pairs, tuning.share * records):
         return None
-    offset, gain, scatter = _robust_line(height[near], difference[near])
-    error = max(1.2533 * scatter / np.sqrt(near.sum()), TUNING.min_m)
+    offset, gain, scatter = _robust_line(height[near], difference[near], tuning)
+    error = max(1.2533 * scatter / np.sqrt(near.sum()), tuning.min_m)
     if abs(offset) < 2.0 * error and gain == 0.0:
         return None
     note = (
         f"{feed.description.name}: heights {offset:+.0f} ± {error:.0f} m{f' {100.0 * gain:+.1f} %' if gain else ''} "
         f"against {reference.description.name}, subtracted; by {near.sum()} pairs"
     )
-    return HeightOffset(offset, gain, max(scatter, TUNING.min_m) + error, note)
+    return HeightOffset(offset, gain, max(scatter, tuning.min_m) + error, note)
 
 
 def _differences(
-    heights: HeightReports, feed: Feed, against: HeightReports, reference: Feed
+    heights: HeightReports, feed: Feed, against: HeightReports, reference: Feed, tuning: HeightTuning
 ) -> tuple[FloatArray, FloatArray, FloatArray, int]:
     """(k,) height differences of pairs near in position, their 1σ, the reference heights, and the number of records."""
     start = max(feed.reports.time_s.min(), reference.reports.time_s.min())
     stop = min(feed.reports.time_s.max(), reference.reports.time_s.max())
     parts, records = [(np.empty(0),) * 3], 0
-    for instant_s in np.linspace(start, stop, TUNING.instants) if stop >= start else ():
+    for instant_s in np.linspace(start, stop, tuning.instants) if stop >= start else ():
         one, two = Snapshot.of(feed, float(instant_s)), Snapshot.of(reference, float(instant_s))
         if not (len(one.rows) and len(two.rows)):
             continue
@@ -323,18 +300,18 @@ def _differences(
             table.at(side.feed.reports.rows[side.rows], instant_s - side.time_s)[:, :2].T
             for side, table in ((one, heights), (two, against))
         )
-        i, j = _near(one, two)
+        i, j = _near(one, two, tuning.near)
         both = np.isfinite(h[i]) & np.isfinite(k[j])
         i, j = i[both], j[both]
         parts.append((h[i] - k[j], np.hypot(s[i], t[j]), k[j]))
         records += min(len(np.unique(i)), len(np.unique(j)))
-    difference, sigma, height = (np.concatenate(column)[: TUNING.max_pairs] for column in zip(*parts, strict=True))
+    difference, sigma, height = (np.concatenate(column)[: tuning.max_pairs] for column in zip(*parts, strict=True))
     return difference, sigma, height, min(records, len(difference))
 
 
-def _near(one: Snapshot, two: Snapshot) -> tuple[IntArray, IntArray]:
+def _near(one: Snapshot, two: Snapshot, completeness: float) -> tuple[IntArray, IntArray]:
     """Pairs of rows of two snapshots that are near each other in position."""
-    limit = ChiSquare(TUNING.near).limit(2)
+    limit = ChiSquare(completeness).limit(2)
     radius = np.sqrt(limit * (_median_variance(one) + _median_variance(two)))
     i, j = flattened(cKDTree(two.state[:, :2]).query_ball_point(one.state[:, :2], float(radius)))
     delta = one.state[i, :2] - two.state[j, :2]

@@ -164,7 +164,11 @@ class LiveFeed:
         biases = known_biases(self.description, sensor_m)
         in_plane = corrected(in_plane, sensor_m, biases) if biases.any() else in_plane
         attributes = {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
-        heights = None if isinstance(in_plane, Directions) else HeightColumns.of(self.description, reports)
+        heights = (
+            None
+            if isinstance(in_plane, Directions)
+            else HeightColumns.of(self.description, reports, self.tuning.heights)
+        )
         usable = np.flatnonzero(in_plane.usable)
         self.counts.newest_s = max(self.counts.newest_s, float(in_plane.time_s.max()))
         if isinstance(in_plane, Directions):

@@ -9,6 +9,37 @@ from sameas.registration.hough import Tuning as RegistrationTuning
 
 
 @dataclass(frozen=True)
+class HeightTuning:
+    """Fixed parameters of heights, chosen. Units are in the names.
+
+    sigma_m : 1σ of a height without a stated error. climb_m_per_s : 1σ of an unknown vertical speed;
+    reported_climb_m_per_s : of a reported one. pressure_m, pressure_share : 1σ of the difference between pressure
+    height and height above the ellipsoid if it is not estimated: at the ground, and as a share of the height.
+    offset_m : 1σ of the offset between two sources of one kind.
+    min_reports, min_span_m : minimum number of reports with both heights for a line, and minimum span of their heights
+    for its gain.
+    instants : number of instants at which sources are compared. max_pairs : maximum number of pairs.
+    min_pairs : minimum number of pairs for an offset. share : minimum share of the records that agree with it.
+    near : completeness of the gate of positions. min_m : minimum 1σ of an estimate.
+    """
+
+    sigma_m: float = 60.0
+    climb_m_per_s: float = 8.0
+    reported_climb_m_per_s: float = 1.5
+    pressure_m: float = 250.0
+    pressure_share: float = 0.04
+    offset_m: float = 300.0
+    min_reports: int = 20
+    min_span_m: float = 2000.0
+    instants: int = 32
+    min_pairs: int = 5
+    share: float = 0.5
+    near: float = 0.999
+    max_pairs: int = 3000
+    min_m: float = 5.0
+
+
+@dataclass(frozen=True)
 class Tuning:
     """The fixed parameters of tracks, chosen unless a source is given.
 
@@ -240,6 +271,8 @@ class Tuning:
     guess_gain: float = 8.0
     near_extents: float = 3.0
     near_m: float = 50e3
+
+    heights: HeightTuning = HeightTuning()
 
 
 DEFAULT_TUNING = Tuning()

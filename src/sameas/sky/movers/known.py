@@ -48,7 +48,7 @@ class KnownObjectsTuning:
     oldest_years: float = 20.0
 
 
-TUNING = KnownObjectsTuning()
+DEFAULT_KNOWN_OBJECTS = KnownObjectsTuning()
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,13 @@ class KnownObjects:
             table[name].unit = "arcsec"
 
 
-def name_movers(found: Movers, elements: Elements, *, site: tuple[float, float, float] | None = None) -> KnownObjects:
+def name_movers(
+    found: Movers,
+    elements: Elements,
+    *,
+    site: tuple[float, float, float] | None = None,
+    tuning: KnownObjectsTuning = DEFAULT_KNOWN_OBJECTS,
+) -> KnownObjects:
     """The known objects among the tracklets.
 
     found : the tracklets. elements : of known objects; those older than twenty years are ignored. site : latitude,
@@ -108,15 +114,16 @@ def name_movers(found: Movers, elements: Elements, *, site: tuple[float, float, 
     if not k:
         return KnownObjects(elements.some(np.empty(0, np.int64)), owner, p, offset, magnitude)
     unit = detections.axes().unit
-    fields = _fields(unit[found.members[:, 0]])
+    fields = _fields(unit[found.members[:, 0]], tuning.field_deg)
     middle = float(np.median(detections.mjd_utc))
-    elements = elements.some(np.flatnonzero(np.abs(elements.epoch_mjd - middle) < 365.25 * TUNING.oldest_years))
+    elements = elements.some(np.flatnonzero(np.abs(elements.epoch_mjd - middle) < 365.25 * tuning.oldest_years))
     # With several fields all orbits are integrated to the night once; from there only over hours.
     state = states(elements, middle) if len(fields) > 1 else None
     is_near = np.zeros(len(elements), bool)
     for rows in fields:
         in_field = found.only(rows)
-        match = _of_field(in_field, unit[in_field.members[in_field.members >= 0]], elements, state, middle, site)
+        directions = unit[in_field.members[in_field.members >= 0]]
+        match = _of_field(in_field, directions, elements, state, middle, site, tuning)
         is_near[match.near] = True
         owner[rows], p[rows], magnitude[rows] = match.owner, match.p, match.magnitude
         offset[match.rows] = match.offset
@@ -131,16 +138,14 @@ def name_movers(found: Movers, elements: Elements, *, site: tuple[float, float, 
     return KnownObjects(elements.some(near_all), owner, p, offset, magnitude)
 
 
-def _fields(unit: FloatArray) -> list[IntArray]:
+def _fields(unit: FloatArray, field_deg: float) -> list[IntArray]:
     """The tracklets of each field: all in one, or by cells of the sky if they are far apart."""
     middle = unit.mean(axis=0)
-    if np.linalg.norm(middle) > math.cos(math.radians(TUNING.field_deg)):
+    if np.linalg.norm(middle) > math.cos(math.radians(field_deg)):
         return [np.arange(len(unit))]
     dec = np.degrees(np.arcsin(np.clip(unit[:, 2], -1, 1)))
-    row = np.floor((dec + 90.0) / TUNING.field_deg).astype(np.int64)
-    n_columns = np.maximum(
-        1, np.floor(360.0 * np.cos(np.radians((row + 0.5) * TUNING.field_deg - 90.0)) / TUNING.field_deg)
-    )
+    row = np.floor((dec + 90.0) / field_deg).astype(np.int64)
+    n_columns = np.maximum(1, np.floor(360.0 * np.cos(np.radians((row + 0.5) * field_deg - 90.0)) / field_deg))
     column = np.floor(np.degrees(np.arctan2(unit[:, 1], unit[:, 0])) % 360.0 / 360.0 * n_columns).astype(np.int64)
     _, cell = np.unique(row * 1000 + column, return_inverse=True)
     order = np.argsort(cell, kind="stable")
@@ -172,7 +177,7 @@ class _FieldMatch:
 
 def _of_field(
     found: Movers, unit_of: FloatArray, all_elements: Elements, state: FloatArray | None, middle: float,
-    site: tuple[float, float, float] | None,
+    site: tuple[float, float, float] | None, tuning: KnownObjectsTuning,
 ) -> _FieldMatch:  # fmt: skip
     """The match of the tracklets of one field. unit_of : (m, 3) directions of their detections."""
     k, detections = len(found), found.detections
@@ -197,7 +202,7 @@ def _of_field(
         rows = found.members[row][found.members[row] >= 0]
         time_index = np.searchsorted(times, detections.mjd_utc[rows])
         predicted[row] = _mean_and_motion(at[:, time_index], times[time_index])
-    sigma = TUNING.error_factor * np.hypot(predicted_sky.sigma_arcsec.mean(axis=1), 0.05)
+    sigma = tuning.error_factor * np.hypot(predicted_sky.sigma_arcsec.mean(axis=1), 0.05)
     area = math.pi * (3600.0 * (radius + 0.1)) ** 2
     span = float(np.ptp(times)) * 1440.0
     density = 1.0 / (area * math.pi * max(span, 1.0) ** 2)
@@ -209,10 +214,10 @@ def _of_field(
     error[:, [0, 1], [0, 1]] = (sigma**2)[:, None]
     error[:, [2, 3], [2, 3]] = (0.05 * sigma[:, None]) ** 2 + 0.02**2
     second = Records.of(predicted[nearest, np.arange(len(elements))], covariance=error, source="ephemerides")
-    answer = identify(first, second, rule=Field(density), prior=PerPair(math.log(TUNING.odds)))
+    answer = identify(first, second, rule=Field(density), prior=PerPair(math.log(tuning.odds)))
     matches = answer.matches
     for row, known, probability in zip(matches.rows_1, matches.rows_2, matches.p_match, strict=True):
-        if probability < TUNING.min_probability:
+        if probability < tuning.min_probability:
             continue
         owner[row], p[row] = known, probability
         rows = found.members[row][found.members[row] >= 0]

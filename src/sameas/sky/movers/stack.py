@@ -69,7 +69,7 @@ class StackTuning:
     max_tracklets: int = 200
 
 
-TUNING = StackTuning()
+DEFAULT_STACK = StackTuning()
 
 
 @in_short
@@ -109,17 +109,23 @@ class Stack:
         return len(self.flux)
 
 
-def stack(found: Movers, series: Series, frames: Iterable[Frame], place: FloatArray | None=None) -> Stack:  # fmt: skip
+def stack(
+    found: Movers,
+    series: Series,
+    frames: Iterable[Frame],
+    place: FloatArray | None = None,
+    tuning: StackTuning = DEFAULT_STACK,
+) -> Stack:
     """The tracklets measured in the pixels of the frames.
 
     found : tracklets of the series. frames : calibrated, in the order of ``series.exposures``, used one at a time.
     place : (k, f, 2) arcsec, positions of movers below the limit of single frames; None for tracklets of detections.
     """
-    k, f = min(len(found), TUNING.max_tracklets), len(series.exposures)
+    k, f = min(len(found), tuning.max_tracklets), len(series.exposures)
     scale = series.scale_arcsec_per_px
     blind = place is not None
     place = (predicted(found, series) if place is None else place)[:k]
-    size, half = 2 * TUNING.half_px + 1, _fixed_halves(place, scale)
+    size, half = 2 * tuning.half_px + 1, _fixed_halves(place, scale, tuning)
     chip, flux, error = np.full((k, f, 2), np.nan), np.full((k, f), np.nan), np.full((k, f), np.nan)
     along = np.zeros((k, f, size, size), np.float32)
     fixed = [None if h is None else np.zeros((f, 2 * h + 1, 2 * h + 1), np.float32) for h in half]
@@ -131,12 +137,12 @@ def stack(found: Movers, series: Series, frames: Iterable[Frame], place: FloatAr
         to_chip = chip_map(series, n)
         chip[:, n] = to_chip(place[:, n])
         width = max(_width(series, n), 1.5)
-        hidden[:, n] = _near_star(series, n, place[:, n], TUNING.hidden_widths * width * scale)
+        hidden[:, n] = _near_star(series, n, place[:, n], tuning.hidden_widths * width * scale)
         measured = _FramePixels(frame, width / FWHM_PER_SIGMA)
-        flux[:, n], error[:, n] = _forced(measured, chip[:, n], to_chip, place[:, n], width, scale, rng)
+        flux[:, n], error[:, n] = _forced(measured, chip[:, n], to_chip, place[:, n], width, scale, rng, tuning)
         noise = measured.noise()
         for i in range(k):
-            along[i, n] = measured.cut(to_chip(_grid(place[i, n], TUNING.half_px, scale))) / noise
+            along[i, n] = measured.cut(to_chip(_grid(place[i, n], tuning.half_px, scale))) / noise
             h, cut = half[i], fixed[i]
             if h is not None and cut is not None:
                 cut[n] = measured.cut(to_chip(_grid(place[i].mean(axis=0), h, scale))) / noise
@@ -144,7 +150,7 @@ def stack(found: Movers, series: Series, frames: Iterable[Frame], place: FloatAr
     factor = 10 ** (-0.4 * np.nan_to_num(np.where(np.isfinite(zero), np.nanmean(zero) - zero, 0.0)))
     flux, error = flux / factor, error / factor
     detected = np.zeros((k, f), bool) if blind else _detected(found, series)[:k]
-    log_ratio = np.zeros(k) if blind else _evidence(found, flux, error, hidden, detected)
+    log_ratio = np.zeros(k) if blind else _evidence(found, flux, error, hidden, detected, tuning)
     p = found.p_tracklet[:k]
     with np.errstate(divide="ignore", over="ignore"):
         odds = np.log(np.maximum(p, 1e-300)) - np.log(np.maximum(1 - p, 1e-16)) + log_ratio
@@ -171,11 +177,11 @@ def predicted(found: Movers, series: Series) -> FloatArray:
     return path
 
 
-def _fixed_halves(place: FloatArray, scale: float) -> list[int | None]:
+def _fixed_halves(place: FloatArray, scale: float, tuning: StackTuning) -> list[int | None]:
     """Half-size of the cut-out fixed on the sky of each tracklet, px; None if its motion is too large."""
     motion_px = np.abs(place - place.mean(axis=1, keepdims=True)).max(axis=(1, 2), initial=0.0) / scale
-    half = np.ceil(motion_px + 0.6 * TUNING.half_px).astype(int)
-    return [max(int(h), TUNING.half_px) if h <= TUNING.max_half_px else None for h in half]
+    half = np.ceil(motion_px + 0.6 * tuning.half_px).astype(int)
+    return [max(int(h), tuning.half_px) if h <= tuning.max_half_px else None for h in half]
 
 
 class ChipMap:
@@ -271,17 +277,18 @@ def _forced(
     width: float,
     scale: float,
     rng: np.random.Generator,
+    tuning: StackTuning,
 ) -> tuple[FloatArray, FloatArray]:
     """(k,) fluxes at the positions, and their errors from control positions around each."""
     flux, error = measured.flux(chip), np.full(len(chip), np.nan)
     for i in np.flatnonzero(np.isfinite(flux)):
-        angle = rng.uniform(0, 2 * math.pi, TUNING.controls)
-        radius = width * scale * (2.0 + (TUNING.far_widths - 2.0) * np.sqrt(rng.uniform(0, 1, TUNING.controls)))
+        angle = rng.uniform(0, 2 * math.pi, tuning.controls)
+        radius = width * scale * (2.0 + (tuning.far_widths - 2.0) * np.sqrt(rng.uniform(0, 1, tuning.controls)))
         control_places = place[i] + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
         control_flux = measured.flux(to_chip(control_places))
         control_flux = control_flux[np.isfinite(control_flux)]
         least = measured.noise() * 2.0 * math.sqrt(math.pi) * measured.sigma
-        if len(control_flux) >= TUNING.controls // 3:
+        if len(control_flux) >= tuning.controls // 3:
             # Stars near the track widen the upper half of the controls; the lower half gives the noise.
             middle = float(np.percentile(control_flux, 40.0))
             low = float(np.percentile(control_flux, 12.0))
@@ -307,7 +314,14 @@ def _detected(found: Movers, series: Series) -> BoolArray:
     return out
 
 
-def _evidence(found: Movers, flux: FloatArray, error: FloatArray, hidden: BoolArray, detected: BoolArray) -> FloatArray:
+def _evidence(
+    found: Movers,
+    flux: FloatArray,
+    error: FloatArray,
+    hidden: BoolArray,
+    detected: BoolArray,
+    tuning: StackTuning,
+) -> FloatArray:
     """(k,) log ratio by the frames without a detection."""
     usable = np.isfinite(flux) & ~hidden
     measured = usable & detected
@@ -316,13 +330,13 @@ def _evidence(found: Movers, flux: FloatArray, error: FloatArray, hidden: BoolAr
     mean = np.where(mean > 0, mean, np.nan)[:, None]
     missed = usable & ~detected & np.isfinite(mean)
     with np.errstate(invalid="ignore", divide="ignore"):
-        variance = error**2 + (TUNING.variable * mean) ** 2
-        log_visible = math.log1p(-TUNING.absent) - 0.5 * ((flux - mean) ** 2 / variance + np.log(variance))
+        variance = error**2 + (tuning.variable * mean) ** 2
+        log_visible = math.log1p(-tuning.absent) - 0.5 * ((flux - mean) ** 2 / variance + np.log(variance))
         log_absent = -0.5 * ((flux / error) ** 2 + np.log(error**2))
-        log_ratio = np.logaddexp(log_visible, math.log(TUNING.absent) + log_absent) - log_absent
+        log_ratio = np.logaddexp(log_visible, math.log(tuning.absent) + log_absent) - log_absent
     # An unlisted star on the track would give much light: the evidence is limited, per frame and of all.
     gain = np.where(missed, np.minimum(log_ratio, 3.0), 0.0).sum(axis=1)
-    gain -= np.logaddexp(math.log1p(-TUNING.unlisted), math.log(TUNING.unlisted) + gain)
+    gain -= np.logaddexp(math.log1p(-tuning.unlisted), math.log(tuning.unlisted) + gain)
     # This replaces the misses counted by the search.
     return np.asarray(gain - found.log_missed[: len(flux)])
 
