@@ -286,3 +286,9 @@ def test_a_delay_of_whole_hours_is_a_time_zone():
         False,
         False,
     ]
+
+
+def test_a_replay_ends_with_its_last_report():
+    replay = Replay([("a", Reports.of("a", "table", {"time_s": [5.0, 7.0], "x_m": [0, 1], "y_m": [0, 0]}))], 100.0)
+    replay.begin(0.0)
+    assert (replay.now_s(0.01), replay.now_s(1.0)) == (6.0, 7.0)

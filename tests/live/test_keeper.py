@@ -77,6 +77,24 @@ def test_a_restarted_watch_keeps_its_object_numbers(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_resumed_watch_takes_a_new_lag_and_refuses_another_plane(tmp_path):
+    first = Keeper(settings(plane={"lat_deg": 50.5, "lon_deg": -1.0}), tmp_path / "state", replay=replay())
+    for t in (10.0, 20.0):
+        first.tick(START_S + t)
+    first.close()
+    again = Keeper(settings(lag_s=2.0), tmp_path / "state", replay=replay())
+    assert again.picture.lag_s == 2.0 and again.picture.plane == first.picture.plane
+    # With 2 s, a report of a second before is in time, and one of 5 s before is late.
+    again.tick(START_S + 30.0)
+    late = replay().sources[1][1]
+    again.picture.add("radar", late.where((late.time_s > START_S + 24.0) & (late.time_s < START_S + 27.0)))
+    again.tick(START_S + 31.0)
+    assert again.picture.counts["radar"].late > 0
+    again.close()
+    with pytest.raises(InputError, match=r"is in the plane about 50.500000, -1.000000, and \[watch\] gives the plane"):
+        Keeper(settings(plane={"lat_deg": 50.6, "lon_deg": -1.0}), tmp_path / "state", replay=replay())
+
+
 def test_a_watch_with_another_sensor_file_keeps_its_object_numbers_and_uses_the_file(tmp_path):
     """A corrected site was ignored, and with a further source the numbers of the journal were given again."""
     first = Keeper(settings(), tmp_path, replay=replay())

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from sameas.live.inputs import Replay
     from sameas.live.keeper import Keeper
     from sameas.live.settings import Settings
+    from sameas.tracks.coordinates import LocalPlane
 
 LOG = logging.getLogger("sameas.live")
 _INPUTS, _MAP = "What is read", "The map"
@@ -164,21 +165,20 @@ def _settings(
                 'give input = "udp://HOST:PORT", "tcp://HOST:PORT", "serial:…" in its table, or files to replay',
             )
         sources = read_sources(list(files), options, start=start)
-        replay = Replay([(source.description.name, source.reports) for source in sources], pace)
-        live = {source.description.name: LiveSource(source.description) for source in sources}
         # The plane is centred on all positions, not on the first.
-        settings = Settings(live, replace(settings.watch, plane=settings.watch.plane or _origin(sources)))
+        replay = Replay([(source.description.name, source.reports) for source in sources], pace, _origin(sources))
+        live = {source.description.name: LiveSource(source.description) for source in sources}
+        settings = Settings(live, settings.watch)
     if every_s is not None:
         settings = replace(settings, watch=replace(settings.watch, every_s=every_s))
     return settings, replay
 
 
-def _origin(sources: Sequence[SensorSource]) -> dict[str, float] | None:
-    """The centre of the positions of all files; None for positions in metres on a local plane."""
+def _origin(sources: Sequence[SensorSource]) -> LocalPlane | None:
+    """The plane about the positions of all files; None for positions in metres on a local plane."""
     from sameas.tracks.scene import Scene
 
-    plane = Scene.of([(source.description, source.reports) for source in sources]).plane
-    return None if plane is None else {"lat_deg": plane.lat_deg, "lon_deg": plane.lon_deg}
+    return Scene.of([(source.description, source.reports) for source in sources]).plane
 
 
 def _server(

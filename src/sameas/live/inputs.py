@@ -33,6 +33,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream, format_of
+from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 
 #: Shortest and longest wait in seconds before a wire is reconnected.
@@ -376,6 +377,7 @@ class Replay:
     Parameters
     ----------
     sources : name and reports of each source. pace : seconds of the reports per second of the clock.
+    origin : the plane about all positions, unless the user gives one; None for metres on a plane of their own.
 
     Example
     -------
@@ -389,6 +391,7 @@ class Replay:
 
     sources: list[tuple[str, Reports]]
     pace: float = 1.0
+    origin: LocalPlane | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.pace < float("inf"):
@@ -411,8 +414,11 @@ class Replay:
         self._began_s += seconds
 
     def now_s(self, clock_s: float) -> float:
-        """The replayed time at this time of the clock."""
-        return self.first_s + self.pace * (clock_s - self._began_s)
+        """The replayed time at this time of the clock; the last report's where that has passed.
+
+        At 100 times real time an instant may be 100 s after the last report: its objects would have ended.
+        """
+        return min(self.first_s + self.pace * (clock_s - self._began_s), self.last_s)
 
     @property
     def done(self) -> bool:

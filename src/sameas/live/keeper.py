@@ -33,6 +33,7 @@ from sameas.live.situation import Alarm, OwnShipState, Situation
 from sameas.picture.deception import Fault
 from sameas.picture.live import LivePicture, estimated, faults_of
 from sameas.picture.picture_state import PictureState
+from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 
 T = TypeVar("T")
@@ -164,7 +165,8 @@ class Keeper:
         watch, settings = self.settings.watch, self.settings
         state = None if folder is None else load_state(folder)
         descriptions = [source.description for source in settings.sources.values()]
-        self.picture = LivePicture(descriptions, plane=watch.origin, lag_s=watch.lag_s)
+        origin = watch.origin or (None if self.replay is None else self.replay.origin)
+        self.picture = LivePicture(descriptions, plane=origin, lag_s=watch.lag_s)
         with reading(f"{folder}: the state of the watch", "is damaged"):
             self.restored = state is not None
             #: Names of the sources that are new or described differently since the state was saved.
@@ -172,9 +174,22 @@ class Keeper:
             if state is not None:
                 self.picture, self._tick = state["picture"], int(state["tick"])
                 self.picture.instant_s  # noqa: B018 (the state may hold anything by that name)
-                self.changed = self.picture.describe(descriptions)
+                self._require_plane(self.picture.plane)
+                self.changed = self.picture.describe(descriptions, watch.lag_s)
         if self.journal is not None:
             self._alarms = {key: (alarm_id, self.picture.instant_s) for key, alarm_id in self.journal.active().items()}
+
+    def _require_plane(self, saved: LocalPlane | None) -> None:
+        """Refuses another plane than that of the saved state: all its positions are in metres from there."""
+        given = self.settings.watch.origin
+        if given is None or given == saved:
+            return
+        about = "metres of your own"
+        remedy = "leave plane out of [watch], or move the folder away to begin a new watch"
+        if saved is not None:
+            about = f"the plane about {saved.lat_deg:.6f}, {saved.lon_deg:.6f}"
+        here = f"{given.lat_deg:.6f}, {given.lon_deg:.6f}"
+        raise InputError(f"{self.folder}: its picture is in {about}, and [watch] gives the plane about {here}", remedy)
 
     # ---- one tick ----
 

@@ -97,12 +97,10 @@ class LivePicture:
         names = [description.name for description in descriptions]
         if not names or len(set(names)) < len(names):
             raise InputError("live picture: give one description or more, each with its own name")
-        if not 0.0 <= lag_s < math.inf:
-            raise InputError(f"live picture: lag_s is {lag_s}; give seconds, 0 where no report is late")
         self.plane = plane or next(
             (_plane_of(description) for description in descriptions if _on_earth(description)), None
         )
-        self.lag_s, self.features, self.tuning = lag_s, features, tuning
+        self.lag_s, self.features, self.tuning = _lag(lag_s), features, tuning
         self.window = window or Window()
         self._feeds = {d.name: LiveFeed(d, self.plane, lag_s, tuning=tuning) for d in descriptions}
         self._carried: Watch | PlotPicture | None = watch
@@ -149,8 +147,10 @@ class LivePicture:
         """Printable lines on sources whose errors, as estimated by the picture, are not as stated."""
         return tuple(error_lines(self._carried)) if self._carried is not None else ()
 
-    def describe(self, descriptions: Sequence[Description]) -> tuple[str, ...]:
+    def describe(self, descriptions: Sequence[Description], lag_s: float | None = None) -> tuple[str, ...]:
         """Goes on with these sources, and gives the names of those that are new or were described differently before.
+
+        lag_s : the lag from now on; as before if not given.
 
         Objects keep their numbers. The biases of a source that is described differently are estimated anew. Sources
         that are not given any more stay, and get no more reports.
@@ -160,11 +160,15 @@ class LivePicture:
         InputError : the sources give plots without ids, and others are given now.
         """
         changed, before = [], set(self._feeds)
+        lag_s = self.lag_s if lag_s is None else _lag(lag_s)
         if isinstance(self._carried, PlotPicture) and {description.name for description in descriptions} != before:
             raise InputError(
                 f"the picture of plots without ids of {', '.join(sorted(before))} cannot go on with other sources",
                 "begin a new one; where it is a watch's, move its folder away",
             )
+        self.lag_s = lag_s
+        for known in self._feeds.values():
+            known.lag_s = lag_s
         for description in descriptions:
             feed = self._feeds.get(description.name)
             if feed is not None and feed.given == description:
@@ -354,6 +358,12 @@ def faults_of(
     if not sources:
         return ()
     return faults_and_deceptions(Scene.of(sources, plane, tuning=tuning).feeds, sightings, picture)
+
+
+def _lag(lag_s: float) -> float:
+    if not 0.0 <= lag_s < math.inf:
+        raise InputError(f"live picture: lag_s is {lag_s}; give seconds, 0 where no report is late")
+    return lag_s
 
 
 def _on_earth(description: Description) -> bool:
