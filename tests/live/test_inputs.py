@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import importlib.util
 import json
+import os
 import socket
 
 import pytest
@@ -292,3 +293,40 @@ def test_a_replay_ends_with_its_last_report():
     replay = Replay([("a", Reports.of("a", "table", {"time_s": [5.0, 7.0], "x_m": [0, 1], "y_m": [0, 0]}))], 100.0)
     replay.begin(0.0)
     assert (replay.now_s(0.01), replay.now_s(1.0)) == (6.0, 7.0)
+
+
+def test_a_serial_cable_is_pulled_and_put_back(tmp_path):
+    """A pair of pseudo-terminals stands for the line; its end is removed, and another takes its name."""
+    pytest.importorskip("serial")
+    pty, tty = pytest.importorskip("pty"), pytest.importorskip("tty")
+    link = tmp_path / "ttyUSB0"
+
+    def plugged():
+        line, end = pty.openpty()
+        tty.setraw(end)
+        link.symlink_to(os.ttyname(end))
+        return line, end
+
+    async def run():
+        wire = Wire(f"serial:{link}?baud=4800", ReportStream("boat"))
+        task = asyncio.create_task(wire.run())
+        await until(lambda: wire.state.error)
+        words, heard = [wire.state.error], []
+        for n in range(2):
+            line, end = plugged()
+            await until(lambda: wire.state.connected)
+            os.write(line, f"$HEHDT,{n}.0,T\r\n".encode())
+            await until(lambda: len(wire.queue))
+            heard.append(b"".join(data for _, data, _, _ in wire.queue.take(1 << 20)))
+            link.unlink()
+            os.close(end)
+            os.close(line)
+            await until(lambda: not wire.state.connected)
+            words.append(wire.state.error)
+            wire.queue.take(1 << 20)
+        task.cancel()
+        return words, heard
+
+    words, heard = asyncio.run(run())
+    assert words[0] == "No such file or directory" and words[1].startswith("the line was lost: ")
+    assert heard == [b"$HEHDT,0.0,T\r\n", b"$HEHDT,1.0,T\r\n"]

@@ -181,7 +181,7 @@ def test_rows_and_lines_lead_back_to_the_file():
 def test_degrees_are_given_if_the_plane_is_on_the_earth():
     rng = np.random.default_rng(9)
     columns = {"time_s": np.zeros(5), "lat_deg": 50.8 + 0.01 * rng.random(5), "lon_deg": 179.995 + 0.01 * np.arange(5)}
-    reports = Reports.of("ais", "ais", columns | {"mmsi": [str(k) for k in range(5)]})
+    reports = Reports.of("ais", "ais", columns | {"mmsi": [str(k) for k in range(1, 6)]})
     picture = Picture.of(Scene.of([(Description("ais", "ais"), reports)]), [0.0])
     order = np.argsort(picture.objects["mmsi"].astype(int))
     np.testing.assert_allclose(picture.objects["lat_deg"][order], reports.lat_deg, atol=1e-9)

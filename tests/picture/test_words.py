@@ -103,3 +103,23 @@ def test_ships_are_not_missed_by_a_receiver_of_aircraft():
     misses = {one.source: one for one in Picture.of(scene, times[1:]).summary.misses}
     assert "adsb" not in misses or misses["adsb"].due == 0
     assert misses["tracker"].due > 0
+    # Ships without AIS are only seen by radars; an aircraft that they see is missed by ADS-B, and not by AIS.
+    scene = Scene.of([
+        source("ais", "ais", ships[:2]), source("adsb", "ads-b", [(9, 150.0)]),
+        *(source(f"coast {k}", "tracks", ships) for k in range(2)),
+        *(source(f"airport {k}", "tracks", [(k, 200.0) for k in (0, 10, 11)]) for k in range(2)),
+    ])  # fmt: skip
+    misses = {one.source: one for one in Picture.of(scene, times[1:]).summary.misses}
+    assert (misses["adsb"].due, misses["adsb"].share) == (3 * (len(times) - 1), 1.0)
+    assert misses["ais"].due == 5 * (len(times) - 1) and misses["ais"].share == pytest.approx(0.6)
+
+
+def test_mmsi_0_names_no_ship():
+    """The buoys of fishing nets send it: their objects had one label, and were one vessel in Signal K."""
+    times = np.arange(0.0, 60.0, 10.0)
+    rows = [(t, 3000.0 * k, 5.0 * t, mmsi) for t in times for k, mmsi in enumerate(["000000000"] * 2 + ["235000001"])]
+    columns = dict(zip(("time_s", "x_m", "y_m", "mmsi"), zip(*rows, strict=True), strict=True))
+    picture = Picture.of(Scene.of([(Description("ais", "ais"), Reports.of("ais", "ais", columns))]), [50.0])
+    assert (
+        sorted(picture.objects["label"].tolist()) == sorted(picture.objects["mmsi"].tolist()) == ["", "", "235000001"]
+    )

@@ -76,6 +76,7 @@ def test_positions_computed_by_the_radar_are_used_if_there_is_nothing_else():
     assert made.time_s[0] == pytest.approx(DAY + 3600 + 52 * 60 + 0.36)
     both = reports(ZDA, tll, ttm())
     assert both.position == "polar" and both.passed_over == {"TLL of targets that TTM reports too": 1}
+    assert reports(ZDA, tll, ttm(number="02")).passed_over == {"TLL of targets that no TTM reports": 1}
 
 
 def test_own_position_may_come_from_own_ais():

@@ -216,6 +216,7 @@ def test_an_invalid_line_does_not_affect_the_others():
 def test_the_format_is_recognised_from_the_first_bytes():
     assert format_of(b"!AIVDM,1,1") == format_of(b"\\s:x*00\\!AIVDM") == "nmea"
     assert format_of(b"MSG,3,") == "sbs" and format_of(b'{"now": 1, "aircraft": [') == "aircraft"
+    assert format_of(b'{"name": "boat", "version": "2.0", "self": "vessels.urn:mrn:imo:mmsi:235000001"}\n') == "signalk"
     assert format_of(b"") is None and format_of(b'{"lat": 1') is None
     with pytest.raises(InputError, match="not a stream format"):
         ReportStream("x", "csv")

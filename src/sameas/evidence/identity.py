@@ -204,12 +204,20 @@ class Size:
         return np.logaddexp(math.log1p(-self.wrong) + same - other, math.log(self.wrong))
 
 
+#: Values of identities that are sent where none is set.
+UNSET: Mapping[str, tuple[str, ...]] = {
+    "mmsi": ("0", "000000000", "111111111", "123456789", "999999999"),
+    "imo": ("0",),
+    "icao": ("000000", "ffffff"),
+    "callsign": ("00000000",),
+    "name": ("UNKNOWN", "NONAME"),
+}
 MODELS: Mapping[str, Model] = {
-    "mmsi": Code(1e5, neighbours=160.0, unknown=("0", "000000000", "111111111", "123456789", "999999999")),
-    "imo": Code(6e4, neighbours=120.0, unknown=("0",)),
-    "icao": Code(1e5, bits=True, neighbours=24.0, unknown=("000000", "ffffff")),
-    "callsign": Code(3e4, slips=0.03, other=0.02, neighbours=400.0, unknown=("00000000",)),
-    "name": Code(2e4, slips=0.05, other=0.02, neighbours=800.0, unknown=("UNKNOWN", "NONAME")),
+    "mmsi": Code(1e5, neighbours=160.0, unknown=UNSET["mmsi"]),
+    "imo": Code(6e4, neighbours=120.0, unknown=UNSET["imo"]),
+    "icao": Code(1e5, bits=True, neighbours=24.0, unknown=UNSET["icao"]),
+    "callsign": Code(3e4, slips=0.03, other=0.02, neighbours=400.0, unknown=UNSET["callsign"]),
+    "name": Code(2e4, slips=0.05, other=0.02, neighbours=800.0, unknown=UNSET["name"]),
     "mode_a": Code(
         4096.0, slips=0.01, other=0.01, neighbours=12.0, unknown=("0000",),
         shared={"1000": 0.5, "1200": 0.3, "2000": 0.1, "7000": 0.3, "7001": 0.02, "7600": 1e-3, "7700": 1e-3},

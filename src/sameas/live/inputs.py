@@ -266,13 +266,17 @@ class Wire:
         try:
             line = serial.Serial(parts.path, speed, timeout=1.0)
         except serial.SerialException as error:
-            raise OSError(str(error)) from error
+            if error.errno is None:
+                raise OSError(str(error)) from error
+            raise OSError(error.errno, os.strerror(error.errno)) from error
         with line:
             connection = self._set_connected()
             try:
                 while True:
                     if data := await asyncio.to_thread(line.read, max(line.in_waiting, 1)):
                         self._received(data, connection)
+            except serial.SerialException as error:
+                raise OSError(f"the line was lost: {error}") from error
             finally:
                 self._ended(connection)
 

@@ -17,9 +17,13 @@ from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotObjects
 from sameas.picture.tables import CONFIRMED
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
-from sameas.tracks.feed import Feed
+from sameas.picture.watch import TEXTS
+from sameas.tracks.feed import Feed, fastest_vessel_m_per_s
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.scene import Scene
+
+#: Attributes of identity that only aircraft have.
+_OF_AIRCRAFT = [TEXTS.index(name) for name in ("icao", "mode_a")]
 
 
 @dataclass(frozen=True)
@@ -86,10 +90,24 @@ def _due(state: PictureState[Carried], shows: BoolArray, s: int) -> FloatArray:
 
 
 def _of_another_kind(state: PictureState[Carried], shows: BoolArray, s: int) -> BoolArray:
-    """(n,) whether an object reports itself as a vessel where source s receives aircraft only, or the reverse."""
-    targets = [KINDS[feed.description.kind].target for feed in state.now.feeds]
-    others = [target not in ("", targets[s]) for target in targets]
-    return np.asarray(shows[:, others].any(axis=1) if targets[s] else np.zeros(len(shows), bool))
+    """(n,) whether source s cannot receive an object: an aircraft that is known as one where it receives vessels only,
+    and all others where it receives aircraft only. A ship that only radars see is no aircraft that ADS-B misses."""
+    target = KINDS[state.now.feeds[s].description.kind].target
+    if not target:
+        return np.zeros(len(shows), bool)
+    is_aircraft = _aircraft(state, shows)
+    return ~is_aircraft if target == "aircraft" else is_aircraft
+
+
+def _aircraft(state: PictureState[Carried], shows: BoolArray) -> BoolArray:
+    """(n,) whether an object is known as an aircraft: a source of these shows it, it has an address or a Mode A code,
+    or is faster than vessels."""
+    feeds, texts = state.now.feeds, state.watch.texts
+    shown = shows[:, [KINDS[feed.description.kind].target == "aircraft" for feed in feeds]].any(axis=1)
+    named = [any(n in texts and texts[n][column] != "" for column in _OF_AIRCRAFT) for n in state.number.tolist()]
+    speed = np.hypot(*state.states.state[:, 2:4].T)
+    is_fast = state.states.moving & (speed > fastest_vessel_m_per_s(feeds[0].tuning))
+    return np.asarray(shown | np.array(named, bool) | is_fast)
 
 
 @dataclass(frozen=True)

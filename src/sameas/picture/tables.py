@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.evidence.identity import UNSET
 from sameas.kernels.kalman import sum_of_records
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.many.objects import Objects
@@ -111,13 +112,18 @@ class Scan:
         )
 
     def texts(self, attribute: str) -> NDArray[Any]:
-        """(n,) an attribute of identity of the records, "" for none."""
+        """(n,) an attribute of identity of the records, "" for none and for values without meaning, such as MMSI 0.
+
+        Transponders that are not set up, and the buoys of fishing nets, send MMSI 0: it names no ship.
+        """
         out = np.full(len(self), "", dtype=object)
+        unset = {"", *(value.upper() for value in UNSET.get(attribute, ()))}
         for s, feed in enumerate(self.now.feeds):
             column = feed.attributes.get(attribute)
             if column is not None:
                 records = slice(self.start[s], self.start[s + 1])
-                out[records] = ["" if value is None else str(value) for value in column[self.row[records]]]
+                texts = ["" if value is None else str(value) for value in column[self.row[records]]]
+                out[records] = ["" if text.upper() in unset else text for text in texts]
         return out
 
     def new_since(self, before: Scan | None) -> BoolArray:

@@ -371,9 +371,13 @@ def of_aircraft(reports: Reports, tuning: Tuning = DEFAULT_TUNING) -> BoolArray:
         out |= np.isfinite(reports.pressure_alt_m)
     velocity = reports.velocity_m_per_s()
     if velocity is not None:
-        vessel_m_per_s = float(KINDS["ais"].defaults["motion.speed_m_per_s"][0])  # type: ignore[arg-type]
-        out |= np.hypot(*velocity.T) > tuning.max_speed_sigmas * vessel_m_per_s
+        out |= np.hypot(*velocity.T) > fastest_vessel_m_per_s(tuning)
     return out
+
+
+def fastest_vessel_m_per_s(tuning: Tuning = DEFAULT_TUNING) -> float:
+    """The speed above which an object is an aircraft."""
+    return tuning.max_speed_sigmas * float(KINDS["ais"].defaults["motion.speed_m_per_s"][0])  # type: ignore[arg-type]
 
 
 def of_their_objects(description: Description, reports: Reports, tuning: Tuning = DEFAULT_TUNING) -> Description:

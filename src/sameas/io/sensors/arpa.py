@@ -98,6 +98,7 @@ def read(log: Log, source: str, start_s: float | None = None, ship: ArpaState | 
     ship = ArpaState() if ship is None else ship
     ship.has_ttm |= any(s.kind == "TTM" for s in log.sentences)
     kind = "TTM" if ship.has_ttm else "TLL"
+    with_ttm = {s.field(1) for s in log.sentences if s.kind == "TTM"} | set(ship.targets)
     damaged = list(log.damaged)
     passed_over: Counter[str] = Counter()
     own = _own_ship(log, ship)
@@ -108,7 +109,9 @@ def read(log: Log, source: str, start_s: float | None = None, ship: ArpaState | 
     for index, sentence in enumerate(log.sentences):
         if sentence.kind != kind:
             if sentence.kind in SENTENCES:
-                passed_over["TLL of targets that TTM reports too"] += 1
+                too = sentence.field(1) in with_ttm
+                # The ranges of TTM and the positions of TLL cannot be reports of one source.
+                passed_over["TLL of targets that TTM reports too" if too else "TLL of targets that no TTM reports"] += 1
             continue
         try:
             row = _target(sentence, {name: values[index] for name, values in own.items()})
