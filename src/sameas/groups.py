@@ -125,6 +125,6 @@ def laid_out(place_1: PlaceArray, place_2: PlaceArray, i: PlaceArray, j: PlaceAr
     order, edges_1 = np.empty(m, np.int64), np.empty(start_1[-1] + 1, np.int64)
     local_1, local_2 = np.empty(m, np.int32), np.empty(m, np.int32)
     rows_1, rows_2 = np.empty(start_1[-1], np.int32), np.empty(start_2[-1], np.int32)
-    given = (place_1, place_2, i, j, group, number_2, start, start_1, start_2, start.copy(), start_1.copy())
+    given = (place_1, place_2, i, j, group, number_2, start_1, start_2, start.copy(), start_1.copy())
     lay_out(*given, order, edges_1, local_1, local_2, (rows_1, rows_2))
     return Groups(order, start, rows_1, start_1, edges_1, rows_2, start_2, local_1, local_2)

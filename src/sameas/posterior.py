@@ -330,7 +330,7 @@ class _Messages:
             return cls._with_weight(best.weight, groups, best, method, share, limits)
         size = np.add.reduceat(best.chosen.astype(np.float64), groups.start[:-1])
         for _ in range(tuning.linearisations):
-            weight = best.weight + np.repeat(_local_slopes(groups, best, size), groups.pair_counts)
+            weight = best.weight + np.repeat(_local_slopes(best, size), groups.pair_counts)
             messages = cls._with_weight(weight, groups, best, method, share, limits)
             previous, size = size, np.add.reduceat(share, groups.start[:-1])
             if np.all((np.abs(size - previous) < 0.5) | (method != APPROXIMATE)):
@@ -530,7 +530,7 @@ class _Thinned:
         return back
 
 
-def _local_slopes(groups: Groups, best: Hypothesis, size: FloatArray) -> FloatArray:
+def _local_slopes(best: Hypothesis, size: FloatArray) -> FloatArray:
     """(g,) slope of ln P(k) at ``size`` pairs."""
     start = best.prior.start[:-1]
     most = np.diff(best.prior.start) - 1

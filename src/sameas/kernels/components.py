@@ -104,7 +104,6 @@ def lay_out(
     j: Int32Array,
     group: Int32Array,
     number2: Int32Array,
-    start: IntArray,
     start1: IntArray,
     start2: IntArray,
     fill: IntArray,
@@ -117,7 +116,7 @@ def lay_out(
 ) -> None:
     """Lay out the candidate pairs (i, j) by component, in their order within each.
 
-    group, number2, start, start1, start2 : of :func:`label_pairs`. fill, fill1 : copies of start, start1. Writes order
+    group, number2, start1, start2 : of :func:`label_pairs`. fill, fill1 : copies of its start and start1. Writes order
     (m,), the pair at each position of the layout; edges1, the CSR of pairs by record of source 1; local1, local2 (m,),
     the numbers of a pair's records within its group; rows, the records of either source.
     """

@@ -218,7 +218,7 @@ class Keeper:
             self._tick += 1
             own_ship = self._own_ship(instant_s, state)
             situation = Situation.of(self._tick, state, self.picture.plane, (), own_ship, self.picture.height_model)
-            alarms = [*_identity_alarms(state), *self._source_alarms(instant_s), *self._fault_alarms(situation),
+            alarms = [*_identity_alarms(state), *self._source_alarms(), *self._fault_alarms(situation),
                       *self._cpa_alarms(situation), *self._folder_alarms(), *self._pace_alarms()]  # fmt: skip
             situation = replace(situation, alarms=tuple(alarms))
             self._raise_alarms(alarms, instant_s)
@@ -378,7 +378,7 @@ class Keeper:
                 out.append(Alarm(f"cpa {number}", "cpa", text, (number,)))
         return out
 
-    def _source_alarms(self, now_s: float) -> list[Alarm]:
+    def _source_alarms(self) -> list[Alarm]:
         watch, out, clock_s = self.settings.watch, [], self._taken_s
         for name, state in self.sources.items() if self.replay is None else ():
             never = not math.isfinite(state.last_s)

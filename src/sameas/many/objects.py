@@ -232,10 +232,7 @@ class Objects:
         """(records, records) probability that two pooled records are one object; symmetric, sparse."""
         p = self.answer.probability
         kept = np.flatnonzero((self.sets.size > 1) & (p > 0))
-        members = self.sets.members[kept]
-        at, source = np.nonzero(members != ABSENT)
-        shape = (len(self.pooled), len(kept))
-        incidence = csr_array((np.ones(len(at)), (members[at, source], at)), shape=shape)
+        incidence = _incidence(self.sets.members[kept], len(self.pooled)).astype(np.float64)
         together = csr_array((incidence * p[kept][None, :]) @ incidence.T)
         together.setdiag(0.0)
         together.eliminate_zeros()
@@ -372,10 +369,7 @@ class Weights:
         if objects.terms is None:
             raise InputError("only the objects of identify_many are explained: others have no candidate sets")
         kept = np.flatnonzero((objects.answer.probability >= MIN_PROBABILITY) | objects.answer.chosen)
-        members = objects.sets.members[kept]
-        at, source = np.nonzero(members != ABSENT)
-        shape = (len(objects.pooled), len(kept))
-        sets_of = csr_array((np.ones(len(at), bool), (members[at, source], at)), shape=shape)
+        sets_of = _incidence(objects.sets.members[kept], len(objects.pooled))
         sources = [records_of(source) for source in objects.pooled.sources]
         names = [(source.source, name) for source in sources for name in source.ids[source.rows].tolist()]
         return cls(objects, kept, _terms(objects, objects.terms, kept), sets_of, names)
@@ -412,6 +406,12 @@ class Weights:
     def _columns(self) -> IntArray:
         """Columns of the sets' members in the caller's order of sources."""
         return np.argsort(self.objects.pooled.given)
+
+
+def _incidence(members: IntArray, n_records: int) -> csr_array:
+    """(records, k) bool, sparse: whether a record is in a set; members (k, S), ABSENT for none."""
+    at, source = np.nonzero(members != ABSENT)
+    return csr_array((np.ones(len(at), bool), (members[at, source], at)), shape=(n_records, len(members)))
 
 
 def _terms(objects: Objects, terms: Terms, kept: IntArray) -> dict[str, FloatArray]:

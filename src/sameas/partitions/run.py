@@ -219,7 +219,7 @@ def estimate(
     sigma = math.hypot(*(one.sigma_arcsec for one in chunks)) or 1.0
     work = replace(work, sides=tuple(replace(side, cell_order=order) for side in bare), far_arcsec=far)  # type: ignore[arg-type]
     counted = _count_all(work, scratch, workers, executor, tuning, progress)
-    work = replace(work, sides=tuple(_with_far(s, counted[k], work) for k, s in enumerate(work.sides)))  # type: ignore[arg-type]
+    work = replace(work, sides=tuple(_with_far(s, counted[k]) for k, s in enumerate(work.sides)))  # type: ignore[arg-type]
     rows = tuple(sum(one.rows for one in side) for side in counted)
     progress("sample")
     counts = CellCounts.sum([one.counts for side in counted for one in side])
@@ -329,7 +329,7 @@ def _count_all(
     return one, two
 
 
-def _with_far(side: Side, counted: Sequence[Counted], work: Work) -> Side:
+def _with_far(side: Side, counted: Sequence[Counted]) -> Side:
     """The side with its far records, their positions and their error reach."""
     cells = np.unique(np.concatenate([one.far for one in counted]))
     if not len(cells):

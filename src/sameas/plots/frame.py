@@ -205,7 +205,7 @@ def quality(found: FrameIdentification) -> Figure:
     if not len(i):
         return figure
     panels = figure.subplots(2 if with_magnitudes else 1, 2).ravel()
-    _arrows(panels[0], found, left)
+    _arrows(panels[0], found)
     _against_brightness(panels[1], found, left)
     if with_magnitudes:
         _magnitudes(panels[2], found)
@@ -219,7 +219,7 @@ def _model(found: FrameIdentification) -> str:
     return f"plate model of order {plate.order}{larger}"
 
 
-def _arrows(axes: Axes, found: FrameIdentification, left: FloatArray) -> None:
+def _arrows(axes: Axes, found: FrameIdentification) -> None:
     """Residuals as magnified arrows."""
     kept = brightest_pairs(found, ARROWS)
     i = found.pairs[0][kept]

@@ -125,7 +125,7 @@ def boat_radar(
     station = boat.at(np.zeros(len(turns), np.int64), since)[0]
     rows = np.concatenate([np.arange(common + moored), np.arange(named, named + silent)])
     echoes = [
-        _hull_echoes(vessels, rows.astype(np.int64), station, since, rng), _shore(station, rng), _sea(station, rng)
+        _hull_echoes(vessels, rows.astype(np.int64), since, rng), _shore(station, rng), _sea(station, rng)
     ]  # fmt: skip
     scan, place, truth = (np.concatenate(part) for part in zip(*echoes, strict=True))
     arm = place - station[scan]
@@ -148,7 +148,7 @@ def boat_radar(
     read_m = range_m * (1.0 + bias.range_gain) + bias.range_m + RANGE_M * rng.normal(size=len(scan))
     columns["range_m"] = np.maximum(read_m, 1.0)
     radar = Reports.of("radar", "table", {name: column[order] for name, column in columns.items()})
-    ais, mmsi = _ais(vessels, named, since, span_s, plane, rng)
+    ais, mmsi = _ais(vessels, named, span_s, plane, rng)
     described = (
         Description("radar", "marine radar", coverage=SensorCoverage(range_m=REACH_M), timing=Timing(period_s=TURN_S)),
         Description("ais", "ais"),
@@ -161,9 +161,7 @@ def boat_radar(
 Echoes = tuple[IntArray, FloatArray, IntArray]
 
 
-def _hull_echoes(
-    vessels: _Hulls, rows: IntArray, station: FloatArray, since: FloatArray, rng: np.random.Generator
-) -> Echoes:
+def _hull_echoes(vessels: _Hulls, rows: IntArray, since: FloatArray, rng: np.random.Generator) -> Echoes:
     """Scan, position and vessel of the echoes of hulls: in 10 to 30 % of the scans, several of a long hull."""
     share = rng.uniform(0.1, 0.3, len(rows))
     seen, scan = np.nonzero(rng.random((len(rows), len(since))) < share[:, None])
@@ -208,7 +206,7 @@ def _heading_error(turns: int, rng: np.random.Generator) -> FloatArray:
 
 
 def _ais(
-    vessels: _Hulls, count: int, since: FloatArray, span_s: float, plane: LocalPlane, rng: np.random.Generator
+    vessels: _Hulls, count: int, span_s: float, plane: LocalPlane, rng: np.random.Generator
 ) -> tuple[Reports, tuple[str, ...]]:
     """The reports of the vessels with AIS, every 5, 10 or 30 s, of an antenna at a random position on the hull."""
     period = rng.choice([5.0, 10.0, 30.0], count)

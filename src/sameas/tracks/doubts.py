@@ -81,9 +81,9 @@ def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
     if reports.position == "local":
         yield UnitGuess("x and y look exchanged", "them exchanged", "name the columns: x is east, y is north",
                       lambda about, reports: (about, replace(reports, x_m=reports.y_m, y_m=reports.x_m)))  # fmt: skip
-        yield from (_in_length("coordinates", unit, m, _with_coordinates(m)) for unit, m in LENGTHS)
+        yield from (_in_length("coordinates", unit, _with_coordinates(m)) for unit, m in LENGTHS)
     if reports.position == "polar":
-        yield from (_in_length("ranges", unit, m, _with_ranges(m)) for unit, m in LENGTHS)
+        yield from (_in_length("ranges", unit, _with_ranges(m)) for unit, m in LENGTHS)
     if reports.bearing_deg is not None:
         yield UnitGuess("bearings look like radians", "them read so", "give their unit as rad",
                       _with_bearings(lambda bearing: bearing * DEGREE, 2.0 * math.pi + 0.01))  # fmt: skip
@@ -131,7 +131,7 @@ def _with_site(changed: Callable[[float, float], tuple[float, float]]) -> Read:
     return read
 
 
-def _in_length(what: str, unit: str, metres: float, read: Read) -> UnitGuess:
+def _in_length(what: str, unit: str, read: Read) -> UnitGuess:
     return UnitGuess(
         f"{what} look like {unit}", "them read so", f"give their unit as {unit}, or convert them to metres", read
     )

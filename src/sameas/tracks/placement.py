@@ -225,7 +225,7 @@ class PlacedReports:
             )  # fmt: skip
             return _Positions(position, covariance + extent, np.broadcast_to(np.eye(2), (n, 2, 2)))
         lat, lon, sensor_height_m = self._sensor_geodetic()
-        height, sigma_height = self._target_heights(range_m, sensor_height_m)
+        height, sigma_height = self._target_heights(sensor_height_m)
         ground = polar_to_geodetic(
             range_m=range_m, bearing_deg=bearing, sensor_lat_deg=lat, sensor_lon_deg=lon,
             sensor_height_m=sensor_height_m, height_m=height, sigma_range_m=sigma_range,
@@ -255,7 +255,7 @@ class PlacedReports:
             bearing = bearing_in_plane(self.plane, bearing, lat, lon)
         return Directions(self._time_s, bearing % 360.0, sigma, sensor_m, self._tracks, np.arange(len(reports)))
 
-    def _target_heights(self, range_m: FloatArray, sensor_height_m: float) -> tuple[FloatArray, FloatArray]:
+    def _target_heights(self, sensor_height_m: float) -> tuple[FloatArray, FloatArray]:
         """(n,) heights of the targets and 1σ: the reported height, else the flight level, the elevation, or assumed."""
         reports, targets, errors, n = self.reports, self.description.targets, self.description.errors, len(self.reports)
         height, sigma = np.full(n, targets.height_m or 0.0), np.full(n, targets.height_sigma_m or 0.0)

@@ -105,7 +105,7 @@ def split_blocks(data: bytes, *, final: bool) -> BlockSplit:
             blocks.append((at, end))
             at = end
             continue
-        found = _next_block(data, at + 1, final=final)
+        found = _next_block(data, at + 1)
         if found is not None:
             if 0 <= end <= found and _is_sound(data, at, end):
                 # Foreign bytes between two blocks; without them, the block has lost some of its own.
@@ -145,7 +145,7 @@ def _begins(data: bytes, at: int) -> bool:
     return 0 < end <= len(data) and (end == len(data) or (data[end] in _LIKELY and (likely or _begins(data, end))))
 
 
-def _next_block(data: bytes, at: int, *, final: bool) -> int | None:
+def _next_block(data: bytes, at: int) -> int | None:
     """Where the next block begins, from ``at`` on; None where none is found."""
     for header in _HEADER.finditer(data, at):
         start = header.start()

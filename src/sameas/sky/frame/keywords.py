@@ -279,7 +279,7 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
     """
     scale, lines = _time_scale(cards)
     for card in cards.all(_MIDDLE):
-        day = _day(card, cards)
+        day = _day(card)
         if day is not None:
             return _time_of(day, scale, f"middle of the exposure ({card.name})", lines)
     start = _start(cards)
@@ -290,7 +290,7 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
         return _time_of(day, scale, f"middle of the exposure ({card.name}, by its comment)", lines)
     lines += remark + _disagreement(cards, card, day, exposure_s)
     for end in cards.all(_END):
-        last = _day(end, cards)
+        last = _day(end)
         if last is not None and last > day:
             return _time_of((day + last) / 2, scale, f"midway between {card.name} and {end.name}", lines)
     if not math.isfinite(exposure_s):
@@ -350,7 +350,7 @@ def _start(cards: Cards) -> tuple[Card, float, tuple[str, ...]] | None:
             if fraction is not None:
                 return Card(f"{dated[0].name} and {clock.name}", None, clock.comment), dated[1] + fraction, remark
     for card in cards.all(_COUNTED):
-        day = _day(card, cards)
+        day = _day(card)
         if day is not None:
             return card, day, ()
     if dated is not None:
@@ -367,7 +367,7 @@ def _century(card: Card) -> tuple[str, ...]:
     return (f"assumed: {card.name} = {card.text()!r} is of 19{old[3]}, as in FITS before 2000",)
 
 
-def _day(card: Card, cards: Cards) -> float | None:
+def _day(card: Card) -> float | None:
     """MJD of a card with an MJD, a JD or a date with a time; else None."""
     value = card.number()
     if math.isfinite(value):
@@ -417,7 +417,7 @@ def _time_of_day(text: str) -> float | None:
 def _disagreement(cards: Cards, used: Card, day: float, exposure_s: float) -> tuple[str, ...]:
     allowed_s = 2.0 + (exposure_s if math.isfinite(exposure_s) else 60.0)
     for card in cards.all(_COUNTED):
-        other = _day(card, cards)
+        other = _day(card)
         if card.name != used.name and other is not None and abs(other - day) * _S_PER_DAY > allowed_s:
             apart_s = abs(other - day) * _S_PER_DAY
             return (f"doubt: {card.name} differs from {used.name} by {apart_s:.0f} s; {used.name} is used",)

@@ -152,7 +152,7 @@ def place(
     for hint in hints:
         best, second = _best_verdict(problem, hint, index, math.log(odds))
         if best is not None and _is_established(best, second, math.log(odds)):
-            return _placement(problem, best, second, hint, measured, (order_1, order_2))
+            return _placement(problem, best, second, hint, (order_1, order_2))
         refusals.append(_refusal(hint, best, second))
     raise InputError(f"{measured.name}: no solution: {'; '.join(refusals)}; {_advice(hints)}")
 
@@ -247,7 +247,6 @@ def _placement(
     best: Verdict,
     second: float,
     hint: Hint,
-    measured: MeasuredStars,
     orders: tuple[IntArray, IntArray],
 ) -> Placement:
     rms_px = math.sqrt(np.mean(best.residual_px**2))

@@ -196,7 +196,7 @@ def _of_field(
     start = None if state is None else (middle, state[:, :, near_rows])
     predicted_sky = ephemeris(elements, times, place, start=start)
     at = _plane(predicted_sky.ra_deg, predicted_sky.dec_deg, ra0, dec0)  # (objects, times, 2)
-    measured, covariance = _records_of(found, ra0, dec0, times)
+    measured, covariance = _records_of(found, ra0, dec0)
     predicted = np.empty((k, len(elements), 4))
     for row in range(k):
         rows = found.members[row][found.members[row] >= 0]
@@ -230,7 +230,7 @@ def _of_field(
     return _FieldMatch(near_rows, owner, p, magnitude, known, offset[known])
 
 
-def _records_of(found: Movers, ra0: float, dec0: float, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _records_of(found: Movers, ra0: float, dec0: float) -> tuple[FloatArray, FloatArray]:
     """(k, 4) mean position and motion of each tracklet, arcsec, and (k, 4, 4) their covariances."""
     detections = found.detections
     out, covariance = np.empty((len(found), 4)), np.zeros((len(found), 4, 4))

@@ -137,7 +137,7 @@ def stack(
         to_chip = chip_map(series, n)
         chip[:, n] = to_chip(place[:, n])
         width = max(_width(series, n), 1.5)
-        hidden[:, n] = _near_star(series, n, place[:, n], tuning.hidden_widths * width * scale)
+        hidden[:, n] = _near_star(series, place[:, n], tuning.hidden_widths * width * scale)
         measured = _FramePixels(frame, width / FWHM_PER_SIGMA)
         flux[:, n], error[:, n] = _forced(measured, chip[:, n], to_chip, place[:, n], width, scale, rng, tuning)
         noise = measured.noise()
@@ -214,7 +214,7 @@ def _width(series: Series, n: int) -> float:
     return float(series.exposures[n].psf_fwhm_px)
 
 
-def _near_star(series: Series, n: int, place: FloatArray, reach: float) -> BoolArray:
+def _near_star(series: Series, place: FloatArray, reach: float) -> BoolArray:
     """(k,) mask of the positions within ``reach`` arcsec of a star of the series."""
     stars = series.stars.place
     if not len(stars):
