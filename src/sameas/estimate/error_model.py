@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import FloatArray, IntArray, tall_product
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors
 from sameas.gate import Pairs
@@ -385,7 +385,7 @@ def _fit(
         score = state.score @ core
         flat = len(parts), -1
         along = state.precision_parts
-        information = 0.5 * (along * core).reshape(flat) @ along.swapaxes(1, 2).reshape(flat).T
+        information = 0.5 * tall_product((along * core).reshape(flat).T, along.swapaxes(1, 2).reshape(flat).T)
         free = (theta > 1e-9) | (score > 0.0)
         step = np.zeros(len(theta))
         step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=1e-9)[0]

@@ -130,6 +130,8 @@ _HEAD = (
     "edit=1 move=1 delete=1 include=1 source=1",
     "icrs",
 )
+#: The columns of a listing that regions show.
+_COLUMNS = ("ra_deg", "dec_deg", "fate", "star", "remark", "measurement", "p_match", "p_none")
 
 
 def write_regions(listing: Table, path: str | os.PathLike[str], *, radius_arcsec: float) -> int:
@@ -141,13 +143,16 @@ def write_regions(listing: Table, path: str | os.PathLike[str], *, radius_arcsec
     ------
     InputError : the path cannot be written.
     """
-    lines = [line for row in listing if (line := _line(row, radius_arcsec))]
+    # Rows of an astropy table take a hundred times as long to read as lists.
+    columns = [["--" if cell is None else cell for cell in listing[name].tolist()] for name in _COLUMNS]
+    rows = (dict(zip(_COLUMNS, cells, strict=True)) for cells in zip(*columns, strict=True))
+    lines = [line for row in rows if (line := _line(row, radius_arcsec))]
     with replacing(path) as draft:
         draft.write_text("\n".join([*_HEAD, *lines]) + "\n", encoding="utf-8")
     return len(lines)
 
 
-def _line(row: Any, radius: float) -> str:
+def _line(row: dict[str, Any], radius: float) -> str:
     cell = row.__getitem__
     at, fate = f"{cell('ra_deg'):.7f},{cell('dec_deg'):+.7f}", str(cell("fate"))
     if fate == "identified":

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sameas.arrays import BoolArray, FloatArray
+from sameas.arrays import BoolArray, FloatArray, tall_product
 from sameas.errors import InputError
 from sameas.gaussian import inverse, propagated, symmetric
 from sameas.records import unpack
@@ -603,9 +603,11 @@ def _normal_equations(
     q = basis.shape[1]
     scaled = precision * weight[:, None, None]
     # Matrix products are many times faster than einsum over five indices (timed).
-    xi_xi, xi_eta, eta_eta = (basis.T @ (scaled[:, a, b, None] * basis) for a, b in ((0, 0), (0, 1), (1, 1)))
+    xi_xi, xi_eta, eta_eta = (
+        tall_product(basis, scaled[:, a, b, None] * basis) for a, b in ((0, 0), (0, 1), (1, 1))
+    )
     information = np.block([[xi_xi, xi_eta], [xi_eta.T, eta_eta]])
-    right_side = basis.T @ np.einsum("nab,nb->na", scaled, plane)
+    right_side = tall_product(basis, np.einsum("nab,nb->na", scaled, plane))
     return information, right_side.T.reshape(2 * q)
 
 
