@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from sameas.cli.options import frame_option, in_options
 from sameas.cli.outcome import end_cleanly_on_sigterm, fault, interruption
+from sameas.cli.outputs import keep_freed_memory
 from sameas.cli.terminal import Printer, notice
 from sameas.errors import InputError
 from sameas.front.framing import CLOSE, FrameRequest, fulfil
@@ -25,6 +26,9 @@ from sameas.io.atomic import end_with_parent
 
 if TYPE_CHECKING:
     from sameas.front.series import IdentifiedFrame
+
+#: Bytes of freed memory that are kept for later arrays of frames.
+FRAME_BYTES = 1 << 29
 
 
 def two_numbers(text: str, option: str, what: str) -> tuple[float, float]:
@@ -246,6 +250,7 @@ def _listen(stages: Any, row: Callable[[int, str], None]) -> None:
 
 def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) -> Outcome:
     began = time.perf_counter()
+    keep_freed_memory(FRAME_BYTES)
     try:
         earlier = None if again else request.done()
         if earlier is not None:

@@ -45,18 +45,18 @@ def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Cata
     pace(f"reading {request.paths[0]}")
     large = request.n_bytes >= TWO_AT_ONCE_BYTES
     if large:
-        _keep_freed_memory()
+        keep_freed_memory()
     return request.catalogues(printed, two_at_once=large)
 
 
-def _keep_freed_memory() -> None:
-    """Let malloc keep the memory of freed arrays for later ones.
+def keep_freed_memory(kept_bytes: int = KEPT_BYTES) -> None:
+    """Let malloc keep the memory of freed arrays, up to ``kept_bytes``, for later ones.
 
     By default it returns that of large arrays to the system, which clears the pages of every new array: a third of the
-    time of some million rows.
+    time of some million rows, and of a frame of 16 million pixels.
     """
     # M_MMAP_MAX, M_TRIM_THRESHOLD and M_TOP_PAD of glibc's malloc.h.
-    for parameter, value in ((-4, 0), (-1, KEPT_BYTES), (-2, KEPT_BYTES // 4)):
+    for parameter, value in ((-4, 0), (-1, kept_bytes), (-2, kept_bytes // 4)):
         set_malloc(parameter, value)
 
 

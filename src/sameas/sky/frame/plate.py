@@ -603,9 +603,7 @@ def _normal_equations(
     q = basis.shape[1]
     scaled = precision * weight[:, None, None]
     # Matrix products are many times faster than einsum over five indices (timed).
-    xi_xi, xi_eta, eta_eta = (
-        tall_product(basis, scaled[:, a, b, None] * basis) for a, b in ((0, 0), (0, 1), (1, 1))
-    )
+    xi_xi, xi_eta, eta_eta = (tall_product(basis, scaled[:, a, b, None] * basis) for a, b in ((0, 0), (0, 1), (1, 1)))
     information = np.block([[xi_xi, xi_eta], [xi_eta.T, eta_eta]])
     right_side = tall_product(basis, np.einsum("nab,nb->na", scaled, plane))
     return information, right_side.T.reshape(2 * q)
