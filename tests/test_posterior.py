@@ -1,6 +1,7 @@
 """Probabilities are sums over all hypotheses: by enumeration, by transfer matrices, or within limits if approximate."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -473,8 +474,8 @@ def test_no_sum_is_read_before_it_is_written(monkeypatch):
 
     def shares():
         share, method = np.zeros(len(best.weight)), np.zeros(len(grouped), np.int8)
-        state = best.weight, best.dual_1, best.dual_2, EVERY, math.inf, share, method
-        getattr(kernels.exact, "function", kernels.exact)(0, len(grouped), *shape, *state)
+        exact: Any = getattr(kernels.exact, "function", kernels.exact)
+        exact(0, len(grouped), *shape, best.weight, best.dual_1, best.dual_2, EVERY, math.inf, share, method)
         return share
 
     elimination = kernels.elimination

@@ -351,9 +351,10 @@ class _Messages:
 
         claims = np.zeros(len(weight)), np.zeros(len(weight))
         shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_1, groups.local_2)
-        state = (weight, best.dual_1, best.dual_2, method, *claims, share, *limits)
-        bounds = groups.bounds(len(threads.even(len(weight))) - 1)
-        changes = threads.over(lambda a, b: messages(a, b, *shape, *state), bounds)
+        duals, bounds = (best.dual_1, best.dual_2), groups.bounds(len(threads.even(len(weight))) - 1)
+        changes = threads.over(
+            lambda a, b: messages(a, b, *shape, weight, *duals, method, *claims, share, *limits), bounds
+        )
         return cls(weight, *claims, float(max(changes, default=0.0)))
 
 
@@ -378,8 +379,23 @@ def _exact(
     if prior.slope is not None:
         threads.over(lambda a, b: exact(a, b, *shape, best.weight, *duals, most, sums_per_pair, share, method), bounds)
     else:
-        state = (best.weight, best.chosen, *duals, prior.start, prior.table, best.multiplier)
-        threads.over(lambda a, b: exact_counted(a, b, *shape, *state, most, share, method), bounds)
+        threads.over(
+            lambda a, b: exact_counted(
+                a,
+                b,
+                *shape,
+                best.weight,
+                best.chosen,
+                *duals,
+                prior.start,
+                prior.table,
+                best.multiplier,
+                most,
+                share,
+                method,
+            ),
+            bounds,
+        )
 
 
 def _local(

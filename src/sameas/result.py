@@ -474,19 +474,24 @@ class Identification:
         from sameas.kernels.records import by_row, per_record
 
         n_records, chosen = len(records), self.chosen
-        summary, group_of = threads.both(
+        (partner_of, second_of, number, total), group_of = threads.both(
             lambda: per_record(position, n_records, chosen, self.p_pair), lambda: self._group_of, n_records
         )
-        pairs = self.p_pair, *other, group_of
-        size = self.groups.sizes_1 + self.groups.sizes_2
+        pairs = self.p_pair, *other, group_of, self.groups.sizes_1 + self.groups.sizes_2
         n = records.n_table
-        rows = tuple(np.zeros(n, np.int64) for _ in range(3))
-        shares = tuple(np.zeros(n) for _ in range(3))
+        rows = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
+        shares = np.zeros(n), np.zeros(n), np.zeros(n)
         counts = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int64)
         alone, no_other, no_group, unusable = absent = tuple(np.ones(n, np.bool_) for _ in range(4))
         threads.over(
             lambda a, b: by_row(
-                records.rows[a:b], tuple(of[a:b] for of in summary), (*pairs, size), rows, shares, counts, absent
+                records.rows[a:b],
+                (partner_of[a:b], second_of[a:b], number[a:b], total[a:b]),
+                pairs,
+                rows,
+                shares,
+                counts,
+                absent,
             ),
             threads.even(n_records),
         )

@@ -454,7 +454,9 @@ class Coverage:
         unweighted = bool((weights == 1.0).all())
         for level, volume in zip(self.levels, volumes, strict=True):
             cell, _ = level.facing(source)
-            count = level.count(source) if unweighted else np.bincount(cell, weights, len(volume))
+            count = (
+                level.count(source) if unweighted else np.asarray(np.bincount(cell, weights, len(volume)), np.float64)
+            )
             finest = level is self.levels[-1] or inner(count, count) <= tuning.cells.finest * weights.sum()
             others = np.maximum(count[cell[sample]] - weights[sample], 0.0)
             smooth, _ = smoothing(

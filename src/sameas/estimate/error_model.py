@@ -22,10 +22,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray, tall_product
 from sameas.estimate.quantity import Quantity
@@ -551,6 +549,10 @@ class ScalesTuning:
 DEFAULT_SCALES = ScalesTuning()
 
 
+#: Starts of the bins of distance, counts and odds of the cells in them, mean squared distances of the bins.
+BinnedPairs = tuple[IntArray, FloatArray, FloatArray, FloatArray]
+
+
 @dataclass(frozen=True)
 class ErrorFit:
     """The fitted errors, and the gain in ln likelihood from a tail, whether significant or not.
@@ -594,7 +596,7 @@ def fit_errors(
 
 def _on_ladder(
     reach: float,
-    cells: tuple[NDArray[Any], ...],
+    cells: BinnedPairs,
     d: int,
     start: Errors,
     widest: float,
@@ -620,7 +622,7 @@ def _on_ladder(
     return ErrorFit(errors, tail, likelihood)
 
 
-def _binned(z2: FloatArray, log_odds: FloatArray, tuning: ScalesTuning) -> tuple[float, tuple[NDArray[Any], ...]]:
+def _binned(z2: FloatArray, log_odds: FloatArray, tuning: ScalesTuning) -> tuple[float, BinnedPairs]:
     """The largest normalised distance of pairs (m,) with sufficient odds, and pairs binned by distance and odds."""
     from sameas.kernels.mixture import cells
 

@@ -190,7 +190,13 @@ class Places:
             coarse, at = np.unique(cells >> (2 * steps), return_inverse=True)
             parts, weights = np.bincount(at, part), np.bincount(at, weight)
             refine_share_nested(
-                self.cells, coarse, parts, weights, 2 * steps, self.tuning.coverage.shared_pseudo_count, share
+                self.cells,
+                coarse,
+                parts.astype(np.float64),
+                weights.astype(np.float64),
+                2 * steps,
+                self.tuning.coverage.shared_pseudo_count,
+                share,
             )
         return share
 

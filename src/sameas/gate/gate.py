@@ -32,6 +32,7 @@ from sameas.errors import InputError
 from sameas.gate.zones import DEFAULT_TUNING, Extent, Geometry, Layout, Source, Tuning
 from sameas.gaussian import distance_and_log_determinant
 from sameas.kernels import threads
+from sameas.kernels.compiled import runs_interpreted
 from sameas.ragged import ranges
 from sameas.records import Records
 from sameas.representation import in_short
@@ -128,41 +129,45 @@ def _each_with_each(first: Records, second: Records, limit: float, box: bool, sp
 
 def _listed(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowed: _Allowed) -> Columns:
     """The candidates among the narrowest classes, and those of the pairs ``wide`` of other classes."""
-    about: tuple[Any, ...] = one.side, two.side, two.grids[0], two.reach(0, one.widest[0], one.starts[1], geometry)
-    gate: tuple[Any, ...] = geometry.limit, geometry.box
-    if geometry.sphere:
-        from sameas.kernels.search import sweep_sphere as kernel
+    from sameas.kernels.search import sweep_plane, sweep_sphere
 
-        few = len(one.side.rows) + len(two.side.rows) <= geometry.tuning.few_rows
-        if few and getattr(kernel, "interprets", False) and not len(wide):
-            columns = _few_on_sphere(one, two, geometry)
-            if columns is not None:
-                allowed.take(len(columns[0]))
-                return columns
-    else:
-        from sameas.kernels.search import sweep_plane as kernel
+    about = one.side, two.side, two.grids[0], two.reach(0, one.widest[0], one.starts[1], geometry)
+    kernel, gate = sweep_sphere if geometry.sphere else sweep_plane, (geometry.limit, geometry.box)
+    few = len(one.side.rows) + len(two.side.rows) <= geometry.tuning.few_rows
+    if geometry.sphere and few and runs_interpreted(kernel) and not len(wide):
+        columns = _few_on_sphere(one, two, geometry)
+        if columns is not None:
+            allowed.take(len(columns[0]))
+            return columns
 
-        about, gate = (*about, geometry.folds), (*gate, geometry.periods)
+    def candidates(listed: IntArray, first: int, last: int, out: Columns) -> tuple[int, int]:
+        if geometry.folds is None:
+            return sweep_sphere(*about, listed, *gate, first, last, out)
+        return sweep_plane(*about, geometry.folds, listed, *gate, geometry.periods, first, last, out)
 
     def sweep(first: int, last: int, out: Columns) -> tuple[int, int]:
         count = 0
         while first < last:
             # An interpreted kernel gets a few records at a time, so that it is compiled if they have many candidates.
-            upto = min(first + FEW_RECORDS, last) if getattr(kernel, "interprets", False) else last
+            upto = min(first + FEW_RECORDS, last) if runs_interpreted(kernel) else last
             further = wide[np.searchsorted(wide, first << 32) :] if len(wide) else wide
-            room = tuple(column[count:] for column in out) if count else out
-            more, first = kernel(*about, further, *gate, first, upto, room)
+            more, first = candidates(further, first, upto, _from(out, count) if count else out)
             count += more
             if first < upto:
                 break
         return count, first
 
     n, d = len(one.side.rows), len(geometry.periods)
-    each = _expected(partial(kernel, *about, wide[:0], *gate), one.starts[1], d, geometry.tuning.sample)
+    each = _expected(partial(candidates, wide[:0]), one.starts[1], d, geometry.tuning.sample)
     each = min(each, allowed.most / n)
     bounds = threads.even(n)
     starts = [math.ceil(each * k) + (int(np.searchsorted(wide, k << 32)) if len(wide) else 0) for k in bounds]
     return _gathered(sweep, bounds, starts, partial(_room, d), len(two.side.rows), replace(allowed, count=0))
+
+
+def _from(out: Columns, count: int) -> Columns:
+    """The columns from ``count`` on."""
+    return tuple(column[count:] for column in out)  # type: ignore[return-value]
 
 
 def _few_on_sphere(one: Layout, two: Layout, geometry: Geometry) -> Columns | None:

@@ -209,7 +209,7 @@ class Extent:
             counts = np.zeros((squares, squares), np.int64)
             size = np.maximum((high - low) / squares, 1e-300)
             for source in sources:
-                tally(source.features, geometry.x, geometry.y, *low, *(1.0 / size), counts)
+                tally(source.features, geometry.x, geometry.y, low[0], low[1], 1.0 / size[0], 1.0 / size[1], counts)
             held = int(np.count_nonzero(counts))
             if 4 * held > squares**2 or total < 64 * held or squares >= geometry.tuning.max_squares:
                 break

@@ -28,10 +28,13 @@ from contextlib import contextmanager
 from functools import cached_property, lru_cache
 from pathlib import Path
 from types import FunctionType
-from typing import Any
+from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 import numpy as np
 
+P = ParamSpec("P")
+R = TypeVar("R")
+F = TypeVar("F", bound=Callable[..., object])
 #: Most items that are interpreted: an item takes about 1 µs, so that more would take longer than loading the compiler.
 MAX_INTERPRETED = 100_000
 #: The same where the compiler is loaded and the kernel is in the cache: reading it takes 1 to 2 ms.
@@ -68,26 +71,28 @@ def announce(cache: Path) -> None:
 on_first_compilation: list[Callable[[Path], object]] = [announce]
 
 
-class Kernel:
+class Kernel(Generic[P, R]):
     """A loop over arrays, interpreted or compiled at each call.
 
     function : the Python source. limit : most items to interpret, 0 for never. work : counts items in the arguments.
     """
 
-    def __init__(self, function: FunctionType, limit: int, work: Callable[..., float]) -> None:
+    def __init__(self, function: Callable[P, R], limit: int, work: Callable[..., float]) -> None:
+        assert isinstance(function, FunctionType)
         self.function, self.limit, self.work = function, limit, work
         self._dispatcher: Any = None
         self._interpreting_s = self._longest_call_s = 0.0
         _kernels.add(function)
         self.__name__, self.__doc__, self.__module__ = function.__name__, function.__doc__, function.__module__
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: P.args, **named: P.kwargs) -> R:
         dispatcher = self._dispatcher
         if dispatcher is None:
-            if self.interprets and self.work(*arguments) <= self.max_interpreted:
-                return self.interpreted(*arguments)
+            if self.interprets and self.work(*arguments, **named) <= self.max_interpreted:
+                return self.interpreted(*arguments, **named)
             dispatcher = self.compiled
-        return dispatcher(*arguments)
+        result: R = dispatcher(*arguments, **named)
+        return result
 
     @property
     def interprets(self) -> bool:
@@ -130,13 +135,13 @@ class Kernel:
             for signature, *_ in dispatcher._cache._cache_file._load_index():
                 dispatcher.compile(signature)
 
-    def interpreted(self, *arguments: Any) -> Any:
+    def interpreted(self, *arguments: P.args, **named: P.kwargs) -> R:
         """The result in Python."""
         global _interpreting_s
         function = _python_versions.get(self.function) or _python_version(self.function)
         begin = time.thread_time()
         with np.errstate(all="ignore"):
-            result = function(*arguments)
+            result: R = function(*arguments, **named)
         seconds = time.thread_time() - begin
         self._interpreting_s += seconds
         self._longest_call_s = max(self._longest_call_s, seconds)
@@ -144,36 +149,44 @@ class Kernel:
         return result
 
 
-def kernel(function: Any) -> Any:
+def kernel(function: Callable[P, R]) -> Kernel[P, R]:
     """A kernel that is always compiled."""
-    return function if _switched_off() else Kernel(function, 0, items)
+    return _made(function, 0, items)
 
 
-def small(function: Any) -> Any:
+def small(function: Callable[P, R]) -> Kernel[P, R]:
     """A kernel that is interpreted for at most :data:`MAX_INTERPRETED` array elements."""
-    return function if _switched_off() else Kernel(function, MAX_INTERPRETED, items)
+    return _made(function, MAX_INTERPRETED, items)
 
 
-def small_by(work: Callable[..., float]) -> Callable[[Any], Any]:
+def small_by(work: Callable[..., float]) -> Callable[[Callable[P, R]], Kernel[P, R]]:
     """A kernel that is interpreted for at most :data:`MAX_INTERPRETED` items, counted by ``work(*arguments)``."""
-    return lambda function: function if _switched_off() else Kernel(function, MAX_INTERPRETED, work)
+    return lambda function: _made(function, MAX_INTERPRETED, work)
 
 
-def part(function: Any) -> Any:
+def _made(function: Callable[P, R], limit: int, work: Callable[..., float]) -> Kernel[P, R]:
+    """The kernel; the function itself where numba is switched off."""
+    return cast("Kernel[P, R]", function) if _switched_off() else Kernel(function, limit, work)
+
+
+def part(function: F) -> F:
     """A function that kernels call; called from Python it is interpreted."""
-    _parts[function] = _PART
-    return function
+    return _as_part(function, _PART)
 
 
-def borrowing_part(function: Any) -> Any:
+def borrowing_part(function: F) -> F:
     """A part without arrays of its own."""
-    _parts[function] = _BORROWING
-    return function
+    return _as_part(function, _BORROWING)
 
 
-def inlined(function: Any) -> Any:
+def inlined(function: F) -> F:
     """A function that is inserted where kernels call it."""
-    _parts[function] = _INLINED
+    return _as_part(function, _INLINED)
+
+
+def _as_part(function: F, options: dict[str, Any]) -> F:
+    assert isinstance(function, FunctionType)
+    _parts[function] = options
     return function
 
 
@@ -189,9 +202,14 @@ def prefer_compiled() -> None:
     _interpreting_s = max(_interpreting_s, INTERPRETING_LIMIT_S)
 
 
-def runs_compiled(function: Any) -> bool:
+def runs_compiled(function: Callable[..., object]) -> bool:
     """Whether a kernel would run compiled for any input; callers with a NumPy equivalent use that one otherwise."""
     return isinstance(function, Kernel) and not function.interprets
+
+
+def runs_interpreted(function: Callable[..., object]) -> bool:
+    """Whether a kernel would be interpreted for a small input; False where numba is switched off."""
+    return isinstance(function, Kernel) and function.interprets
 
 
 def items(*arguments: Any) -> int:

@@ -53,7 +53,7 @@ def cells(
     nearest: float,
     reach: float,
     shape: tuple[int, int],
-) -> tuple[FloatArray | IntArray, ...]:
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Counts of pairs in cells of distance and odds, as ``log_likelihood`` takes them, and mean squared distances.
 
     square, log_odds : (m,) squared distances and log odds; pairs of log odds up to ``least`` are ignored, those above

@@ -38,7 +38,7 @@ def longer(array: FloatArray | IntArray, length: int) -> FloatArray | IntArray:
 @kernel
 def near_pairs(
     one: Cells, two: FloatArray, covariance_2: FloatArray, periods: FloatArray, sigmas: float, widening: float
-) -> tuple[FloatArray | IntArray, ...]:
+) -> tuple[IntArray, IntArray, IntArray, FloatArray, FloatArray, FloatArray]:
     """Pairs within ``sigmas`` standard deviations, with errors ``widening`` times as large as quoted.
 
     one : the first source. two, covariance_2 : (s, k, d) and (s, k, d, d) of the second, under every offset. periods

@@ -95,7 +95,7 @@ def definite(packed: FloatArray, k: int, d: int, factor: FloatArray) -> bool:
 @small
 def per_record(
     record: Int32Array, n: int, chosen: BoolArray, p_pair: FloatArray
-) -> tuple[FloatArray | Int32Array | IntArray, ...]:
+) -> tuple[IntArray, IntArray, Int32Array, FloatArray]:
     """(n,) of each record: its chosen pair or −1, its most probable other pair or −1, number and Σ p of its pairs."""
     partner = np.full(n, -1, np.int64)
     second = np.full(n, -1, np.int64)
@@ -129,8 +129,8 @@ def greatest_pair(position: Int32Array, n: int, value: FloatArray) -> IntArray:
 @small
 def by_row(
     at: IntArray,
-    of_record: tuple[FloatArray | Int32Array | IntArray, ...],
-    pairs: tuple[FloatArray | Int32Array | IntArray, ...],
+    of_record: tuple[IntArray, IntArray, Int32Array, FloatArray],
+    pairs: tuple[FloatArray, Int32Array, IntArray, Int32Array, IntArray],
     rows: tuple[IntArray, IntArray, IntArray],
     shares: tuple[FloatArray, FloatArray, FloatArray],
     counts: tuple[Int32Array, Int32Array, IntArray],

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sameas.arrays import FloatArray, Int32Array, IntArray
+from sameas.arrays import AnyIntArray, FloatArray, IntArray
 from sameas.kernels.compiled import part, small
 from sameas.kernels.linear import solve, summed
 
@@ -98,7 +98,7 @@ def climb(
 def weigh(
     magnitude: FloatArray,
     share: FloatArray,
-    wanted: Int32Array,
+    wanted: AnyIntArray,
     least: float,
     knots: FloatArray,
     values: FloatArray,
@@ -280,7 +280,7 @@ def _summed(
     hats: tuple[IntArray, FloatArray],
     relation: tuple[FloatArray, ...],
     leverages: FloatArray,
-) -> tuple[FloatArray | float, ...]:
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float, float]:
     """Sums over the pairs for one iteration.
 
     Returns the normal equations (k + c, k + c) and (k + c,); Σ of related weight · basis (k + c,); counts of the

@@ -8,6 +8,7 @@ covariances rotated to the axes at the midpoint.
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import borrowing_part, part, small
 from sameas.kernels.zones import ROOM, Grid, Reach, Side, count_without, first_from, folded, near, sine
 
+#: A number, or in Python an array of them.
+Floats = TypeVar("Floats", float, FloatArray)
 DEG = math.pi / 180.0
 ARCSEC = 206264.80624709636
 #: Residuals of directions closer than this in longitude and in latitude are computed by series.
@@ -299,7 +302,7 @@ def turned(xx: float, xy: float, yy: float, c: float, s: float) -> tuple[float, 
 
 
 @borrowing_part
-def close_series(dlon: float, dlat: float) -> tuple[float, ...]:
+def close_series(dlon: Floats, dlat: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Sine and cosine of half of two angles in degrees: (sin ½Δα, cos ½Δα, sin ½Δδ, cos ½Δδ).
 
     Series for about a degree: their remainders are below 1e-17 of the argument.
@@ -316,7 +319,7 @@ def close_series(dlon: float, dlat: float) -> tuple[float, ...]:
 
 
 @borrowing_part
-def close_residual(dlon: float, dlat: float, cosines: float) -> tuple[float, float]:
+def close_residual(dlon: Floats, dlat: Floats, cosines: Floats) -> tuple[Floats, Floats]:
     """(east, north) in arcsec of two directions less than CLOSE_DEG apart in either; cosines: cos δ₁ + cos δ₂."""
     sin_lon, cos_lon, sin_lat, cos_lat = close_series(dlon, dlat)
     # cos δ₁ + cos δ₂ = 2 cos of the middle · cos of half the difference.

@@ -496,7 +496,7 @@ def near(
         for zone in range(bottom + done, top + 1):
             ring = zone % len(grid.scale) if grid.wraps else zone
             p, q = inside(grid, two.guard, ring, x, window)
-            if not crosses and skip == 0 and q - p < min(LONG, len(of1) - count):
+            if not crosses and skip == 0 and q - p < LONG and q - p < len(of1) - count:
                 # Unsigned, so that indices need no test for negative values.
                 free = np.uint64(count)
                 for c in range(np.uint64(p), np.uint64(q)):

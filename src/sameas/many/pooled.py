@@ -94,7 +94,7 @@ class PooledRecords:
         return out
 
     @cached_property
-    def _in_plane(self) -> tuple[FloatArray, ...] | None:
+    def _in_plane(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None:
         """Positions, precisions and log peaks of all records, centre and information of the region, for the compiled
         joint density; None unless all sources are positions in a plane without periods."""
         whole = [source for source in self.sources if isinstance(source, Records)]

@@ -188,8 +188,7 @@ def _candidates(scene: PlacedSources, moved: FloatArray, spread: FloatArray, wid
         return _gated(scene, moved, spread, widening)
     from sameas.kernels.offsets import near_pairs
 
-    pairs: Candidates = near_pairs(scene.cells, moved, spread, scene.periods, scene.tuning.gate_sigmas, widening)
-    return pairs
+    return near_pairs(scene.cells, moved, spread, scene.periods, scene.tuning.gate_sigmas, widening)
 
 
 def _gated(scene: PlacedSources, moved: FloatArray, spread: FloatArray, widening: float) -> Candidates:
