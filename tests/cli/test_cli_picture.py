@@ -83,7 +83,8 @@ def refused(refusal, coast, tmp_path):
 def test_files_give_objects_tables_a_map_and_a_summary(picture):
     shown, out = picture("--every", "10s")
     assert sorted(os.listdir(out)) == [
-        "identities.parquet", "map.html", "objects.geojson", "objects.parquet", "picture.png", "summary.json",
+        "explanations.json", "identities.parquet", "map.html", "objects.geojson", "objects.parquet", "picture.png",
+        "summary.json",
     ]  # fmt: skip
     text = " ".join(shown.stdout.split())
     for words in (
@@ -166,7 +167,7 @@ def test_the_tables_are_the_same_for_any_number_of_threads(picture, monkeypatch)
         monkeypatch.setenv("SAMEAS_THREADS", count)
         _, out = picture("--every", "30s", *QUICK)
         contents.append({name: (out / name).read_bytes() for name in sorted(os.listdir(out))})
-    assert len(contents[0]) == 4 and contents[0] == contents[1] == contents[2]
+    assert len(contents[0]) == 5 and contents[0] == contents[1] == contents[2]
 
 
 @pytest.mark.slow
@@ -225,7 +226,12 @@ def test_sources_in_local_metres_give_no_geojson(sameas, tmp_path):
                    "-o", tmp_path / "out", "--every", "6s", *QUICK)  # fmt: skip
     # Without a kind, the kind follows from the name of the description.
     assert "read as marine radar: by its name" in shown.stdout and "0 to 18 s" in shown.stdout
-    assert sorted(os.listdir(tmp_path / "out")) == ["identities.parquet", "objects.parquet", "summary.json"]
+    assert sorted(os.listdir(tmp_path / "out")) == [
+        "explanations.json",
+        "identities.parquet",
+        "objects.parquet",
+        "summary.json",
+    ]
     assert "3 confirmed; seen: 3 by 2 sources at once" in shown.stdout
 
 

@@ -201,6 +201,29 @@ def test_an_excluded_sensor_is_no_difference_by_itself(tmp_path) -> None:
     assert "6 in both; 3 only in with" in text and "0 of 6 are of another object" in text
 
 
+@pytest.mark.slow
+def test_two_records_of_a_picture_are_one_or_two_with_a_reason(tmp_path) -> None:
+    times = np.arange(0.0, 60.0, 5.0)
+    east, mmsi = np.concatenate([5.0 * times, 9000.0 + 5.0 * times]), ["235000001"] * 12 + ["235000002"] * 12
+    ais = {"time": np.tile(times, 2), "mmsi": mmsi, "x_m": east, "y_m": 0.0 * east}
+    radar = {"time": times, "track_id": ["7"] * 12, "x_m": 5.0 * times + 2.0, "y_m": 0.0 * times}
+    sensors = tmp_path / "sensors.toml"
+    sensors.write_text("[sources.radar]\nkind = 'tracks'\nerrors = { position_m = 5 }\n")
+    found = sameas.match_picture({"ais": ais, "radar": radar}, sensors=sensors, every=20.0, registration=False)
+    found.write(tmp_path / "out", map=False, image=False)
+    for explain in (found.explain, lambda *one, **more: sameas.explain(tmp_path / "out", *one, **more)):
+        one = str(explain("235000001", other="radar:7"))
+        assert "ais 235000001 and radar 7 are one object" in one and "together              at 3 of the 3" in one
+        assert "apart                 2 m, " in one and "Why, as at " in one and "log-odds  terms" in one
+        two = str(explain("radar:7", other="235000002"))
+        assert "are two objects" in two and "at 0 of the 3" in two and "never a probable pair" in two
+        assert "apart                 ais 235000001 and radar 7: 2 m" in str(explain("235000001"))
+        with pytest.raises(InputError, match="no object and no track 9"):
+            explain("235000001", other="9")
+        with pytest.raises(InputError, match="have no tracks of two sources"):
+            explain("ais:235000001", other="ais:235000002")
+
+
 def test_the_command_compares_and_refuses_unrelated_outputs(tables, tmp_path) -> None:
     from typer.testing import CliRunner
 

@@ -38,6 +38,10 @@ def explain(
     ] = "1",
     row: Annotated[bool, option("--row", show_default=True, help="ID is a row, counted from 0.")] = False,
     at: Annotated[str | None, option("--at", metavar="TIME", help="Of a picture: the time.")] = None,
+    other: Annotated[
+        str | None,
+        option("--with", metavar="ID", help="Of a picture: a second track or object: are both one, and why?"),
+    ] = None,
     again: Annotated[
         bool,
         option(
@@ -66,7 +70,7 @@ def explain(
             share_compilation(quiet=False)
             record_or_row = {"row": _row(record)} if row else {"id": record}
             lines = explanation_of(
-                output, source=source, at=at, again=again, format=format, progress=pace, **record_or_row
+                output, source=source, at=at, other=other, again=again, format=format, progress=pace, **record_or_row
             ).lines
         Printer(quiet=False)(lines)
 

@@ -7,6 +7,7 @@ answers.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -36,6 +37,8 @@ ALONE = "From the table alone; match again for the terms of the odds and the cos
 CHANGED = "is not as sameas wrote it"
 #: Tables of a picture's folder.
 _TABLES = ("objects", "identities")
+#: File of the explanations in a picture's folder.
+REASONS = "explanations.json"
 
 
 def explain(
@@ -45,6 +48,7 @@ def explain(
     row: int | None = None,
     source: int | str = 1,
     at: float | str | None = None,
+    other: Any = None,
     again: bool = False,
     format: str | None = None,
     progress: Callable[[str], None] = lambda stage: None,
@@ -58,8 +62,10 @@ def explain(
         object, or with ``source`` a track, line or row.
     row : instead of ``id``: row of the catalogue, counted from 0; for a frame row of the table.
     source : number or name of the catalogue; for a frame "star" or "measurement"; for a picture the record's source.
-    at : for a picture, the time in seconds or as a date. again : whether to repeat the match of two catalogues, for the
-        terms of the odds and the cost of other answers; the inputs must be unchanged in place.
+    at : for a picture, the time in seconds or as a date. other : for a picture, a second object or track, to ask
+        whether and why both are one; a track that is not unique is "SOURCE:TRACK".
+    again : whether to repeat the match of two catalogues, for the terms of the odds and the cost of other answers; the
+        inputs must be unchanged in place.
     format : of the file, if its extension does not determine it. progress : called with the name of each step.
 
     Raises
@@ -74,7 +80,9 @@ def explain(
     record, by_row = str(row if id is None else id), id is None
     progress(f"reading {path}")
     if os.path.isdir(path):  # Path's own raises where a name is too long for a file
-        return Lines(tuple(_of_picture(path, record, source, at)))
+        return Lines(tuple(_of_picture(path, record, source, at, None if other is None else str(other))))
+    if other is not None:
+        raise InputError(f"{path}: is no picture; two records are compared in the folder of a picture only")
     from sameas.io import read_provenance, read_table
 
     facts = read_provenance(path, format=format)
@@ -193,16 +201,29 @@ def _of_other(record: str, name: str, other: int) -> InputError:
     return InputError(f"{record} is a record of {name}", naming(f"give {{source:{other}}}"))
 
 
-def _of_picture(folder: Path, record: str, source: int | str, at: float | str | None) -> list[str]:
+def _of_picture(folder: Path, record: str, source: int | str, at: float | str | None, other: str | None) -> list[str]:
     from sameas.io.sensors.format import picture_time
-    from sameas.report.explain import picture_lines
+    from sameas.report.explain import picture_lines, picture_pair_lines
 
     objects, records = picture_tables(folder)
     with reading(str(folder), CHANGED):
         times = np.asarray(objects["time_s"], np.float64)
         span_s = (float(times.min()), float(times.max())) if len(times) else (0.0, 0.0)
         when = None if at is None else picture_time(at, "at", span_s)
-        return picture_lines(objects, records, record, None if source in (1, "1") else str(source), when)
+        named, why = None if source in (1, "1") else str(source), _reasons(folder)
+        if other is not None:
+            one = record if named is None else f"{named}:{record}"
+            return picture_pair_lines(objects, records, one, other, when, why)
+        return picture_lines(objects, records, record, named, when, why)
+
+
+def _reasons(folder: Path) -> dict[int, list[tuple[float, str]]]:
+    """The explanations in a folder, by number of the object; empty where it has none, as of an earlier version."""
+    path = folder / REASONS
+    if not path.exists():
+        return {}
+    content = json.loads(path.read_text("utf-8"))
+    return {int(n): [(float(time_s), str(text)) for time_s, text in one] for n, one in content["objects"].items()}
 
 
 def picture_tables(folder: Path) -> tuple[Table, Table]:
@@ -276,8 +297,13 @@ def compare(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> Lines
         first, second = replace(first, title=str(one)), replace(second, title=str(other))
     shared = set(first.of) & set(second.of)
     if not shared:
+        names = [sorted({name for _, name, _ in output.of}) for output in (first, second)]
+        sources = (
+            "" if names[0] == names[1] else f": one is of {', '.join(names[0])}, the other of {', '.join(names[1])}"
+        )
         raise InputError(
-            f"{one} and {other} have no record in common", "give outputs of the same catalogues, or of the same sensors"
+            f"{one} and {other} have no record in common{sources}",
+            "give outputs of the same catalogues, or of the same sensors at the same instants",
         )
     return Lines(tuple(_lines(first, second, shared)))
 

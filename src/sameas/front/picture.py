@@ -15,6 +15,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.errors import Argument, InputError, Message, naming
+from sameas.front.explain import REASONS
 from sameas.front.match import call_text
 from sameas.front.request import made_by
 from sameas.front.tables import table_of
@@ -130,7 +131,7 @@ class Method:
 
 #: Names of all output files; those of the tables without extension.
 TABLES = ("objects", "identities")
-OTHERS = ("objects.geojson", "summary.json", "map.html", "picture.png")
+OTHERS = ("objects.geojson", "summary.json", REASONS, "map.html", "picture.png")
 
 
 @dataclass(frozen=True)
@@ -205,22 +206,27 @@ class MatchPicture(Result):
             [*lines, *found_lines(self.picture.summary), *estimated_lines(self.scene), *assumed_lines(self.scene)]
         )
 
-    def explain(self, id: Any, *, source: str | None = None, at: float | str | None = None) -> Lines:
+    def explain(self, id: Any, *, source: str | None = None, at: float | str | None = None, other: Any = None) -> Lines:
         """Why records were assigned to an object; ``print`` the result.
 
         Parameters
         ----------
         id : number or label of the object; with ``source``, a track, line or row of that source.
         at : time in seconds, or a date; the last instant of the object if None.
+        other : a second track or object, to ask whether and why both are one.
 
         Raises
         ------
         InputError : no such object, record or time.
         """
-        from sameas.report.explain import picture_lines
+        from sameas.report.explain import picture_lines, picture_pair_lines
 
         when = None if at is None else picture_time(at, "at", self.scene.span_s)
-        return Lines(tuple(picture_lines(self.objects, self.pairs, str(id), source, when)))
+        why = self.picture.reasons()
+        if other is not None:
+            one = str(id) if source is None else f"{source}:{id}"
+            return Lines(tuple(picture_pair_lines(self.objects, self.pairs, one, str(other), when, why)))
+        return Lines(tuple(picture_lines(self.objects, self.pairs, str(id), source, when, why)))
 
     def plot(self, at: float | str | None = None) -> Figure:
         """The chart of an instant; by default the last of those with most sources. Notebooks show it.
@@ -319,6 +325,8 @@ def write(
         write_geojson(picture.objects, draft / written[-1])
     written.append("summary.json")
     (draft / written[-1]).write_text(json_text(facts | result.as_json()), "utf-8")
+    written.append(REASONS)
+    (draft / written[-1]).write_text(json_text({"objects": picture.reasons()}), "utf-8")
     if outputs.map or outputs.image:
         written += _drawn(result, draft, outputs, warn)
     return written

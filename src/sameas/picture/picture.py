@@ -165,6 +165,13 @@ class Picture:
             scene.plane, state.watch,
         )  # fmt: skip
 
+    def reasons(self) -> dict[int, list[tuple[float, str]]]:
+        """By number of the object, the explanations in the order of the times from which they are valid."""
+        out: dict[int, list[tuple[float, str]]] = {}
+        for (k, number), text in sorted(self.texts.items()):
+            out.setdefault(number, []).append((float(self.instants_s[k]), text))
+        return out
+
 
 def error_lines(watch: Watch | PlotPicture) -> list[str]:
     """Printable lines on the sources whose errors, as estimated by a picture, are not as stated."""
