@@ -29,6 +29,8 @@ def test_the_map_updates_shows_the_past_and_runs_no_markup_in_names(keeper, tmp_
             number = next(n for n, row in keeper.situation.object_rows.items() if EVIL in row)
             page.js(f"mapPage.pick({number})")
             page.until(f"document.querySelector('#object h2')?.textContent === {EVIL!r}")
+            page.until("document.querySelector('#object pre')?.textContent.includes('probability')")
+            assert page.js("document.getElementById('live-state').textContent") == "replay"
             assert len(page.js("mapPage.now.marks.length && [...mapPage.now.members.values()].map(m => m.length)")) == 5
             # Going back holds the instant; the present goes on behind it.
             page.until("document.getElementById('slider').max > 3")

@@ -148,3 +148,15 @@ def test_no_name_breaks_an_event_stream(keeper):
     assert head == "event: delta" and end == rest == "" and event.isascii()
     assert json.loads(data.removeprefix("data: "))["objects"] == [list(row) for row in delta.objects]
     keeper.close()
+
+
+@pytest.mark.slow
+def test_the_evidence_of_an_object_is_served_as_text(keeper):
+    with served(keeper) as url:
+        [_, (_, _, content)] = events(url, 2)
+        number = int(keeper.situation.objects["object"][0])
+        status, headers, text = ask(f"{url}/objects/{number}/why")
+        assert content and status == 200 and headers["content-type"].startswith("text/plain")
+        assert text.startswith(f"Object {number} is ") and "probability" in text
+        assert ask(f"{url}/objects/99999/why")[2] == "no source shows object 99999 now"
+        assert "Replay, 20 × real time" in ask(f"{url}/")[2]

@@ -127,6 +127,8 @@ class Keeper:
         self.wires = _wires(settings, clock) if replay is None else {}
         self.sources = {name: SourceState() for name in settings.sources}
         self.situation: Situation | None = None
+        # The state of the last tick, from which explanations are made.
+        self._state: PictureState[Any] | None = None
         self.deltas: deque[Delta] = deque(maxlen=KEPT_DELTAS)
         self.history: deque[Situation] = deque()
         #: Alarms that began, with their times, for the terminal, which takes them.
@@ -223,7 +225,7 @@ class Keeper:
             situation = replace(situation, alarms=tuple(alarms))
             self._raise_alarms(alarms, instant_s)
             self.deltas.append(Delta.between(self.situation, situation))
-            self.situation = situation
+            self.situation, self._state = situation, state
             self._keep_history(situation)
             self._try_journal(lambda journal: journal.write(situation))
             if self.journal is not None and instant_s - self._saved_s >= self.settings.watch.save_every_s:
@@ -617,6 +619,13 @@ class Keeper:
                 for a in active if a.key in self._alarms and self._alarms[a.key][0] < 0
             ]  # fmt: skip
             return [*others, *journalled]
+
+    def why(self, number: int) -> str:
+        """Why its records are this object now; a sentence where no source shows it."""
+        state = self._state
+        if state is None or not (state.number == number).any():
+            return f"no source shows object {number} now"
+        return str(state.explain(number))
 
     def acknowledge(self, alarm_id: int, who: str) -> bool:
         """Records who acknowledged an alarm."""

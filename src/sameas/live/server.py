@@ -111,6 +111,7 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
         Route("/history", guarded(handlers.history)),
         Route("/objects", guarded(handlers.objects)),
         Route("/objects.geojson", guarded(handlers.objects_geojson)),
+        Route("/objects/{number:int}/why", guarded(handlers.why)),
         Route("/alarms", guarded(handlers.alarms)),
         Route("/alarms/{alarm:int}/acknowledge", acknowledge, methods=["POST"]),
         Route("/metrics", guarded(handlers.prometheus)),
@@ -199,6 +200,13 @@ class _Handlers:
         content = {"type": "FeatureCollection", "features": []} if situation is None else geojson(situation)
         return Response(json.dumps(content, allow_nan=False), media_type="application/geo+json", headers=_HEADERS)
 
+    async def why(self, request: Request, role: str) -> Response:
+        from starlette.responses import PlainTextResponse
+
+        # In a thread: an explanation of a large group takes some milliseconds.
+        text = await asyncio.to_thread(self.keeper.why, int(request.path_params["number"]))
+        return PlainTextResponse(text, headers=_HEADERS)
+
     async def alarms(self, request: Request, role: str) -> Response:
         return _json({"alarms": self.keeper.alarm_list()})
 
@@ -278,14 +286,16 @@ def live_page(keeper: Keeper, operator: bool) -> str:
     sensors += [MapSensor(name, source.description.kind) for name, source in keeper.settings.sources.items()
                 if name not in {sensor.name for sensor in sensors}]  # fmt: skip
     instant_s = keeper.now_s() if situation is None else situation.time_s
+    title = "Live picture" if keeper.replay is None else f"Replay, {keeper.replay.pace:g} × real time"
     sheet = MapSheet.of(
-        "Live picture", _filled(objects), records, instants_s=np.array([instant_s]), sensors=sensors, plane=plane,
+        title, _filled(objects), records, instants_s=np.array([instant_s]), sensors=sensors, plane=plane,
         summary=[*(str(one) for one in keeper.picture.biases.values()), *keeper.picture.errors],
         ground=None if watch.chart is None or plane is None else _chart(watch.chart).in_plane(plane),
     )  # fmt: skip
     live = {
         "object": list(OBJECT), "record": list(RECORD), "operator": operator, "tick": watch.every_s,
         "every": max(10.0, watch.every_s), "history": watch.history_s,
+        "word": "live" if keeper.replay is None else "replay",
     }  # fmt: skip
     return map_page(sheet, live)
 

@@ -126,7 +126,7 @@ function applyAlarms(alarms) {
           return [text("span", `acknowledged ${clock(a.acknowledged_s)[0]} by ${a.acknowledged_by}`, "hint")];
         if (!data.live.operator) return [];
         const button = text("button", "acknowledge", "acknowledge");
-        button.addEventListener("click", () => acknowledge(a.id));
+        button.addEventListener("click", () => acknowledge(a.id, button));
         return [button];
       },
     })),
@@ -145,8 +145,26 @@ function showApproaches() {
     place.textContent = ` – now ${near[0]} m in ${(near[1] / 60).toFixed(1)} min`;
   });
 }
-const acknowledge = id =>
-  fetch(`alarms/${id}/acknowledge`, { method: "POST", headers: { "X-Sameas": "1" } }).catch(() => {});
+async function acknowledge(id, button) {
+  let done = false;
+  try {
+    done = (await fetch(`alarms/${id}/acknowledge`, { method: "POST", headers: { "X-Sameas": "1" } })).ok;
+  } catch {
+    /* said below */
+  }
+  if (!done) button.textContent = "not acknowledged; try again";
+}
+
+// ---- explanations, of the present only ----
+explain = async (number, instant) => {
+  if (!watching) return null;
+  try {
+    const answer = await fetch(`objects/${number}/why`);
+    return answer.ok ? { words: await answer.text(), at: instant } : null;
+  } catch {
+    return null;
+  }
+};
 
 // ---- own ship: the origin of ranges and bearings; the list has the closest approaches to it ----
 // Later approaches are noise of the courses.
@@ -224,7 +242,7 @@ el("clock").append(" ", liveMark);
 function mark() {
   const silent = (performance.now() - receivedAt) / 1000,
     broken = silent > Math.max(5, 5 * data.live.tick);
-  liveMark.textContent = broken ? `no news for ${Math.round(silent)} s` : watching ? "live" : "looking back";
+  liveMark.textContent = broken ? `no news for ${Math.round(silent)} s` : watching ? data.live.word : "looking back";
   liveMark.className = broken ? "broken-live" : watching ? "on-live" : "";
   document.body.dataset.live = broken ? "broken" : watching ? "yes" : "back";
 }

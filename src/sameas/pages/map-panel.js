@@ -13,6 +13,11 @@ const sourceCell = source => {
 const recordWords = r =>
   `${data.sensors[records.source[r]].name} ${textOf("r", "track_id", r) || (records.line[r] >= 0 ? `line ${records.line[r]}` : `row ${records.row[r]}`)}`;
 
+// Where explanations come from: this file, or the server of a live page.
+let explain = whyText;
+// What was last explained, shown until the explanation of a new instant is there.
+let explained = { number: null, parts: [] };
+
 async function showObject() {
   const box = el("object");
   if (picked === null) {
@@ -41,12 +46,19 @@ async function showObject() {
     return;
   }
   const why = document.createElement("div");
+  if (explained.number === number) why.append(...explained.parts);
   box.replaceChildren(shut, text("h2", nameOf(r)), tags(r), facts(state(r)), ...membership(r), why);
   box.hidden = false;
-  const explanation = await whyText(number, instantShown);
-  if (!explanation || picked !== number || now.k !== instantShown) return;
+  const explanation = await explain(number, instantShown);
+  if (picked !== number || now.k !== instantShown) return;
+  if (!explanation) {
+    explained = { number: null, parts: [] };
+    why.replaceChildren();
+    return;
+  }
   const since = explanation.at < instantShown ? `, as at ${clock(data.instants[explanation.at])[0]}` : "";
-  why.replaceChildren(text("h3", `Why${since}`), ...paragraphs(explanation.words));
+  explained = { number, parts: [text("h3", `Why${since}`), ...paragraphs(explanation.words)] };
+  why.replaceChildren(...explained.parts);
 }
 // Lines of a table keep their columns, and scroll sideways; others wrap.
 function paragraphs(words) {
