@@ -355,6 +355,46 @@ def test_vector_columns_are_no_magnitudes() -> None:
     assert chosen(table).magnitude == "MAG_PSF"
 
 
+def test_radii_of_the_light_of_galaxies_are_no_errors() -> None:
+    assert chosen(made("ra", "dec", "r50", "r90")).error.kind == "unknown"
+
+
+def test_errors_of_motions_are_found_by_either_spelling() -> None:
+    columns = ("RAJ2000", "DEJ2000", "pmRA", "pmDE", "e_pmRA", "e_pmDE")
+    errors = chosen(made(*columns)).motion_errors
+    assert [column and column.name for column in errors] == [None, "e_pmRA", "e_pmDE", None]
+
+
+def test_inverse_variances_of_the_legacy_surveys() -> None:
+    """They are of right ascension itself; 0 states that there is none."""
+    table = made("ra", "dec", "ra_ivar", "dec_ivar", "objid", "brickid")
+    table["dec"] = 60.0
+    table["ra_ivar"] = table["dec_ivar"] = (0.2 / 3600.0) ** -2
+    table["ra_ivar"][0] = table["dec_ivar"][0] = 0.0
+    catalogue = Catalogue.of(table, "tractor")
+    assert catalogue.choice.convention == "Legacy Surveys, tractor"
+    east, north = (1e-3 * np.sqrt(catalogue.astrometry.variance(axis)) for axis in (0, 1))
+    assert np.isnan([east[0], north[0]]).all()
+    assert east[1:] == pytest.approx(0.1) and north[1:] == pytest.approx(0.2)
+
+
+def test_positions_of_usno_b1_are_of_2000_whatever_their_column_epoch_says() -> None:
+    table = made("USNO-B1.0", "RAJ2000", "DEJ2000", "e_RAJ2000", "e_DEJ2000", "Epoch", "pmRA", "pmDE")
+    table["Epoch"] = 1971.3
+    assert chosen(table).epoch.jyr == 2000.0 and chosen(table).epoch.column is None
+
+
+def test_catwise_is_not_taken_for_allwise() -> None:
+    columns = ("ra", "dec", "sigra", "sigdec", "sigradec", "w1mpro", "meanobsmjd", "ra_pm", "dec_pm")
+    choice = chosen(made(*columns))
+    assert (choice.convention, choice.epoch.column) == ("CatWISE2020", "meanobsmjd")
+
+
+def test_positions_of_des_are_chosen_among_those_of_sextractor() -> None:
+    choice = chosen(made("COADD_OBJECT_ID", "RA", "DEC", "ALPHAWIN_J2000", "DELTAWIN_J2000", "MAG_AUTO_R"))
+    assert (choice.ra.name, choice.dec.name, choice.magnitude) == ("RA", "DEC", "MAG_AUTO_R")
+
+
 def test_every_convention_is_recognised_by_its_own_names() -> None:
     for convention in CONVENTIONS:
         error = convention.errors[0]
@@ -378,7 +418,11 @@ def test_every_convention_is_recognised_by_its_own_names() -> None:
         (("SC_RA", "SC_DEC", "SC_POSERR"), math.sqrt(2.0), "radius; contains 63 %: divided by 1.414"),
         (("RA", "DEC", "POSERR", "SYSERRCC", "SC_RA", "SC_DEC", "SC_POSERR"), math.sqrt(2.0), "POSERR [arcsec"),
         (("RA", "DEC", "RADEC_ERR"), math.sqrt(2.0), "radius; contains 63 %: divided by 1.414"),
-        (("RA", "DEC", "RADEC_ERR", "POS_ERR"), 1.0, "POS_ERR [arcsec, guessed by its size], on each axis"),
+        (("RA", "DEC", "RADEC_ERR", "POS_ERR"), 1.0, "POS_ERR [arcsec, by convention], on each axis"),
+        (("RA", "DEC", "SC_POSERR"), math.sqrt(2.0), "SC_POSERR [arcsec, by convention], radius; contains 63 %"),
+        (("RAJ2000", "DEJ2000", "1RXS", "PosErr"), 1.5158, "PosErr [arcsec, by convention], radius; contains 68 %"),
+        (("ra", "dec", "r90"), 2.1460, "r90 [arcsec, by convention], radius; contains 90 %"),
+        (("ra", "dec", "radius_95"), 2.4477, "radius; contains 95 %"),
     ],
 )
 def test_errors_with_a_containment_become_standard_deviations(

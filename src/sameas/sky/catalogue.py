@@ -64,7 +64,7 @@ def _error_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
         return "no row has both a position and a positive error: no row can be matched"
     middle = median(known)
     names = ", ".join(column.name for column in choice.error.columns) or "sigma"
-    if middle > _LARGEST_SIGMA_ARCSEC:
+    if middle > _LARGEST_SIGMA_ARCSEC and not choice.error.containment:  # of a survey whose unit is known
         return f"the position errors ({names}) have a median of {middle:g} arcsec: are they rather in mas?"
     if middle < _LEAST_SIGMA_ARCSEC:
         return f"the position errors ({names}) have a median of {middle:g} arcsec: are they rather in degrees?"
@@ -591,6 +591,8 @@ def _errors(
         east, north, rho = _position_sigmas(table, choice.error, source)
         if choice.error.kind == "axes" and choice.error.columns[0].unit == SECONDS_OF_RA:
             east = east * (15.0 * np.cos(np.radians(_degrees(table, choice.dec, source))))
+        if choice.error.kind == "inverse variances":  # of right ascension, without cos δ
+            east = east * np.cos(np.radians(_degrees(table, choice.dec, source)))
     if rotation is not None and choice.error.kind not in ("circle", "number", "survey"):
         east, north, rho = rotated_errors(east, north, rho, rotation)
     motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)]
@@ -663,6 +665,14 @@ def _position_sigmas(
             east, north = (np.sqrt(np.where(square >= 0, square, np.nan)) for square in squares[:2])
             rho = np.nan_to_num(squares[2] / (east * north), posinf=0.0, neginf=0.0) if error.covariance else None
         return east, north, rho
+    if error.kind == "inverse variances":
+        inverses = [
+            column_values.numbers(table, c.name, source) * column_values.factor(c.unit, "1/arcsec2")
+            for c in error.columns
+        ]
+        with np.errstate(invalid="ignore", divide="ignore"):  # 0 states that nothing was measured
+            east, north = (1.0 / np.sqrt(np.where(inverse > 0, inverse, np.nan)) for inverse in inverses)
+        return east, north, None
     columns = [
         column_values.numbers(table, c.name, source)
         * (1.0 if c.unit == SECONDS_OF_RA else column_values.factor(c.unit, "deg" if k == 2 else "arcsec"))

@@ -200,8 +200,8 @@ class ChosenColumn:
 
 @dataclass(frozen=True)
 class PositionError:
-    """The position error: "circle", "axes", "ellipse" or "variances" from columns, one ``sigma_arcsec`` for all
-    ("number"), that of a survey by magnitude ("survey"), or "unknown", to be estimated.
+    """The position error: "circle", "axes", "ellipse", "variances" or their inverses from columns, one
+    ``sigma_arcsec`` for all ("number"), that of a survey by magnitude ("survey"), or "unknown", to be estimated.
 
     reason : origin of a number. survey : source of typical errors. guessed_unit : the unit of the columns is not stated
     and was guessed from the size of the numbers.
@@ -209,7 +209,7 @@ class PositionError:
     the position lies within the circle or ellipse; 0 if the sizes are standard deviations.
     """
 
-    kind: Literal["circle", "axes", "ellipse", "variances", "number", "survey", "unknown"]
+    kind: Literal["circle", "axes", "ellipse", "variances", "inverse variances", "number", "survey", "unknown"]
     columns: tuple[ChosenColumn, ...] = ()
     sigma_arcsec: float = np.nan
     correlation: str = ""
@@ -296,6 +296,7 @@ class ColumnChoice:
             "axes": "east and north",
             "ellipse": f"ellipse, angle {'east of north' if self.error.angle_from == 'north' else 'north of east'}",
             "variances": "variances east and north",
+            "inverse variances": "inverse variances east and north",
         }
         shape = words[self.error.kind]
         if self.error.containment:

@@ -310,6 +310,7 @@ def _states_b1950(search: ColumnSearch, convention: Convention) -> bool:
 
 def _applies(search: ColumnSearch, convention: Convention) -> bool:
     marked = not convention.marks or search.first(convention.marks) is not None
+    marked = marked and search.first(convention.without) is None
     return marked and search.find_all(convention.position) is not None
 
 
@@ -418,7 +419,8 @@ def _position_error(search: ColumnSearch, convention: Convention) -> PositionErr
         *conventions.PLAIN_CIRCLES,
         *_circles_by_ending(search),
     )
-    for candidates in (deviations, conventions.CONFIDENCE_RADII):
+    bare = () if search.first(conventions.LIGHT_RADII) else conventions.BARE_RADII
+    for candidates in (deviations, conventions.CONFIDENCE_RADII, bare):
         found = {names: e for e in candidates if (names := search.find_all(e.names)) and _may_be_angle(search, names)}
         if found:
             break
@@ -453,7 +455,8 @@ def _error_of_option(search: ColumnSearch, sigma: float | str, convention: Conve
         own = _own_error(search, convention)
         if own and search.find_all(own.names) == names:
             return _error_columns(search, own, convention)
-        radii = (e for e in conventions.CONFIDENCE_RADII if search.find_all(e.names) == names)
+        known = (*conventions.CONFIDENCE_RADII, *conventions.BARE_RADII)
+        radii = (e for e in known if search.find_all(e.names) == names)
         return _error_columns(search, next(radii, ErrorNames("axes" if count > 1 else "circle", names)))
     return _number_of_option(search, number, search.options.sigma_unit or "arcsec")
 
@@ -481,10 +484,9 @@ def _error_columns(
 ) -> PositionError:
     """The columns of an error with their units; all ``error_names`` are columns of the table."""
     kind, names = error_names.kind, search.find_all(error_names.names) or ()
-    if kind == "variances":
-        squares = tuple(
-            search.checked(search.column(n, error_names.unit), "arcsec2", "the square of an angle") for n in names
-        )
+    if kind in ("variances", "inverse variances"):
+        target = ("arcsec2", "the square of an angle") if kind == "variances" else ("1/arcsec2", "an angle to the -2")
+        squares = tuple(search.checked(search.column(n, error_names.unit), *target) for n in names)
         return PositionError(kind, squares, covariance=search.find(error_names.covariance) or "")
     columns = search.angles(names[:2], error_names.unit, of_ra=kind == "axes")
     if kind == "ellipse":
@@ -513,8 +515,12 @@ def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ..
     errors: list[str | None] = [None] * 4
     for motion_names in convention.motions:
         for k, (name, error) in enumerate(zip(motion_names.names, motion_names.errors, strict=True)):
-            if names[k] is None and search.find(name):
-                names[k], errors[k] = search.find(name), search.find(error)
+            found = search.find(name)
+            if names[k] is None and found:
+                names[k], errors[k] = found, search.find(error)
+            elif found and found == names[k] and errors[k] is None:
+                # pmRA is found by two spellings, pmra and pmRA, and its error e_pmRA by the second only.
+                errors[k] = search.find(error)
     if (names[1] is None) != (names[2] is None):
         names[1:3] = errors[1:3] = [None, None]
     if options.pm and options.pm.lower() == "none":
@@ -556,6 +562,8 @@ def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
     name = search.first(convention.epochs)
     if name:
         return Epoch(column=name, reason=f"column {name}")
+    if convention.only_epoch:
+        return Epoch(jyr=convention.epoch_jyr, reason=f"epoch of {convention.title}")
     for wanted in conventions.PLAIN_EPOCHS:  # valid with any names of the position
         name = search.find(wanted)
         if name and column_values.are_years(table, name):

@@ -17,7 +17,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 
 Correlations = tuple[tuple[int, int, str], ...]
-ErrorKind = Literal["circle", "axes", "ellipse", "variances"]
+ErrorKind = Literal["circle", "axes", "ellipse", "variances", "inverse variances"]
 #: Frame of longitude and latitude; "B1950" is that of the FK4 with the equinox B1950.
 SkyFrame = Literal["icrs", "galactic", "ecliptic", "B1950"]
 
@@ -25,7 +25,7 @@ SkyFrame = Literal["icrs", "galactic", "ecliptic", "B1950"]
 @dataclass(frozen=True)
 class ErrorNames:
     """Columns of one position error: "circle" (σ), "axes" (σ east, σ north), "ellipse" (a, b, angle in degrees),
-    "variances" (east, north).
+    "variances" (east, north), "inverse variances" (of right ascension, without cos δ, and of declination).
 
     unit : assumed unit, "" for none. covariance : column of the covariance of east and north. angle_from : zero point
     of the ellipse angle, which increases towards the other axis. containment : probability that the position lies
@@ -54,8 +54,10 @@ class Convention:
     """The column names of one catalogue.
 
     marks : at least one of these columns is required too; () if the position's names are sufficient.
+    without : with one of these columns it is another catalogue.
     over : right ascension columns superseded by that of this convention.
-    epoch_jyr : epoch of the whole catalogue. releases : (pattern in the table's texts, epoch).
+    epoch_jyr : epoch of the whole catalogue; only_epoch : columns named epoch do not state that of the positions.
+    releases : (pattern in the table's texts, epoch).
     release_columns : (column of one release only, epoch).
     weights : prefix of the columns of the triangular weight matrix of hip2.
     measured : a column that is empty in rows without a measurement. frame : of the position and its errors.
@@ -67,12 +69,14 @@ class Convention:
     position: tuple[str, str]
     unit: str = "deg"
     marks: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
     ids: tuple[str, ...] = ()
     errors: tuple[ErrorNames, ...] = ()
     motions: tuple[MotionNames, ...] = ()
     correlations: Correlations = ()
     epochs: tuple[str, ...] = ()
     epoch_jyr: float | None = None
+    only_epoch: bool = False
     releases: tuple[tuple[str, float], ...] = ()
     release_columns: tuple[tuple[str, float], ...] = ()
     magnitudes: tuple[tuple[str, str], ...] = ()
@@ -173,7 +177,19 @@ BAND_MAGNITUDE = re.compile(
     re.IGNORECASE,
 )
 PLAIN_IDS = ("id", "source_id", "designation", "name", "obj_id", "objid", "objectId", "number", "_2MASS", "HIP")
-PLAIN_EPOCHS = ("ref_epoch", "epoch", "epoch_jyr", "mjd", "obs_mjd", "jd", "obs_date", "date_obs", "obstime", "Date")
+PLAIN_EPOCHS = (
+    "ref_epoch",
+    "epoch",
+    "epoch_jyr",
+    "mean_epoch",
+    "mjd",
+    "obs_mjd",
+    "jd",
+    "obs_date",
+    "date_obs",
+    "obstime",
+    "Date",
+)
 PLAIN_CIRCLES = tuple(
     ErrorNames("circle", (stem + suffix,))
     for stem in ("sigma", "pos_err", "poserr", "e_pos", "pos_error", "pos_sigma", "positional_error", "err", "error")
@@ -187,11 +203,20 @@ CONFIDENCE_RADII = (
     *(
         ErrorNames("circle", (f"{stem}{joint}{percent}",), "arcsec", containment=percent / 100.0)
         for percent in (90, 95, 68)
-        for stem in ("err", "poserr", "pos_err", "error_radius", "err_r", "pos_r")  # a bare r90 is a galaxy's light
+        for stem in ("err", "poserr", "pos_err", "error_radius", "err_r", "pos_r")
         for joint in ("", "_")
     ),
     ErrorNames("circle", ("radec_err",), "arcsec", containment=_RADIAL),
 )
+
+#: Bare names of such radii; of galaxies r50 and r90 contain light, so these count only without radii of another kind.
+BARE_RADII = tuple(
+    ErrorNames("circle", (f"{stem}{percent}",), "arcsec", containment=percent / 100.0)
+    for percent in (90, 95, 68)
+    for stem in ("r", "r_", "radius", "radius_")
+)
+#: Radii that contain a share of a galaxy's light.
+LIGHT_RADII = ("r50", "r_50", "r25", "r20", "r80", "r_80", "r50_r", "petroR50_r", "radius50", "radius_50")
 
 # Header keywords for the time of observation. Not EPOCH: in FITS it is the equinox.
 HEADER_EPOCHS = ("REF_EPOCH", "REFEPOCH", "epoch_jyr", "MJD-AVG", "MJD-MID", "DATE-AVG", "MJD-OBS", "DATE-OBS")
@@ -341,12 +366,75 @@ _SAMEAS_FRAME = Convention(
 _SDSS = Convention(
     title="SDSS",
     position=("ra", "dec"),
+    without=("ra_ivar", "brickid"),
     marks=("objID", "psfMag_r", "modelMag_r", "petroMag_r", "camcol", "rerun"),
     ids=("objID",),
     # SDSS schema, PhotoObjAll: raErr "error in RA (* cos(Dec), that is, proper units)", arcsec.
     errors=(ErrorNames("axes", ("raErr", "decErr"), "arcsec"),),
     epochs=("mjd", "mjd_r"),
     magnitudes=(("psfMag_r", "psfMagErr_r"), ("modelMag_r", "modelMagErr_r"), ("r", "err_r")),
+)
+_TRACTOR = Convention(
+    title="Legacy Surveys, tractor",
+    position=("ra", "dec"),
+    marks=("ra_ivar",),
+    # Files of DR10: "inverse variance of ra (no cosine term!), excluding astrometric calibration errors", 1/deg².
+    errors=(ErrorNames("inverse variances", ("ra_ivar", "dec_ivar"), "1/deg2"),),
+)
+_UCAC4 = Convention(
+    title="UCAC4 (I/322)",
+    position=("RAJ2000", "DEJ2000"),
+    marks=("UCAC4",),
+    ids=("UCAC4",),
+    # The errors refer to the central epochs EpRA, EpDE, the position to 2000.0.
+    errors=(ErrorNames("axes", ("e_RAJ2000", "e_DEJ2000"), "mas"), ErrorNames("circle", ("ePos",), "mas")),
+    motions=(_VIZIER_MOTION,),
+    epoch_jyr=2000.0,
+    magnitudes=(("f.mag", "e_f.mag"), ("fmag", "e_fmag"), ("f_mag", ""), ("amag", "")),
+)
+_USNO_B1 = tuple(
+    Convention(
+        title="USNO-B1.0 (I/284)",
+        position=position,
+        marks=("USNO-B1.0", "USNO_B1.0", "USNO_B1_0", "USNOB1.0"),
+        ids=("USNO-B1.0", "USNO_B1.0", "USNO_B1_0", "USNOB1.0"),
+        # ReadMe of I/284: positions "at Eq=J2000, Ep=J2000"; the column Epoch is that of the observations.
+        errors=(ErrorNames("axes", ("e_" + position[0], "e_" + position[1]), "mas"),),
+        motions=(_VIZIER_MOTION,),
+        epoch_jyr=2000.0,
+        only_epoch=True,
+        magnitudes=(("R2mag", ""), ("R1mag", ""), ("B2mag", ""), ("B1mag", "")),
+    )
+    for position in (("RAJ2000", "DEJ2000"), ("RAdeg", "DEdeg"))
+)
+_DES = tuple(
+    Convention(
+        title="Dark Energy Survey",
+        position=position,
+        marks=("COADD_OBJECT_ID",),
+        ids=("COADD_OBJECT_ID",),
+        errors=(
+            ErrorNames("ellipse", ("ERRAWIN_WORLD_R", "ERRBWIN_WORLD_R", "ERRTHETAWIN_J2000_R"), "deg"),
+            ErrorNames("circle", ("ERRAWIN_WORLD_R",), "deg"),
+        ),
+        magnitudes=(("WAVG_MAG_PSF_R", "WAVG_MAGERR_PSF_R"), ("MAG_AUTO_R", "MAGERR_AUTO_R")),
+        over=over,
+    )
+    for position, over in (
+        (("RA", "DEC"), ("ALPHAWIN_J2000", "ALPHA_J2000")),
+        (("ALPHAWIN_J2000", "DELTAWIN_J2000"), ("ALPHA_J2000",)),
+    )
+)
+_CATWISE = Convention(
+    title="CatWISE2020",
+    position=("ra", "dec"),
+    marks=("meanobsmjd",),
+    ids=("source_name", "source_id"),
+    # The solution without motion, at the mean epoch; motions of single faint sources are noise of 0.1″/yr.
+    errors=(ErrorNames("axes", ("sigra", "sigdec"), "arcsec"),),
+    epochs=("meanobsmjd",),
+    magnitudes=(("w1mpro", "w1sigmpro"),),
+    over=("ra_pm",),
 )
 _PANSTARRS = Convention(
     title="Pan-STARRS1",
@@ -363,6 +451,7 @@ _ALLWISE = (
         title="AllWISE",
         position=("ra", "dec"),
         marks=("w1mpro", "sigradec"),
+        without=("meanobsmjd",),
         ids=("designation", "source_id"),
         errors=(ErrorNames("axes", ("sigra", "sigdec"), "arcsec"),),
         epochs=("w1mjdmean",),
@@ -398,14 +487,34 @@ _XMM = tuple(
         marks=("SC_POSERR", "SYSERRCC", "SC_DET_ML", "EP_8_FLUX"),
         ids=ids,
         # 4XMM user guide, POSERR: "Total radial position uncertainty", within it 63 %.
-        errors=(ErrorNames("circle", (error,), "arcsec", containment=_RADIAL),),
+        errors=tuple(ErrorNames("circle", (error,), "arcsec", containment=_RADIAL) for error in errors),
         epochs=epochs,
         over=over,
     )
-    for position, error, ids, epochs, over in (
-        (("RA", "DEC"), "POSERR", ("DETID",), ("MJD_START",), ("SC_RA",)),
-        (("SC_RA", "SC_DEC"), "SC_POSERR", ("SRCID",), (), ()),
+    for position, errors, ids, epochs, over in (
+        (("RA", "DEC"), ("POSERR", "SC_POSERR"), ("DETID",), ("MJD_START",), ("SC_RA",)),
+        (("SC_RA", "SC_DEC"), ("SC_POSERR",), ("SRCID",), (), ()),
     )
+)
+_EROSITA = Convention(
+    title="eROSITA",
+    position=("RA", "DEC"),
+    marks=("RADEC_ERR", "DETUID", "ML_FLUX_1", "ID_SRC"),
+    ids=("DETUID", "IAUNAME"),
+    # Merloni et al. 2024, A&A 682, A34, table D.1 and section 6.2: POS_ERR is the σ of a Rayleigh distribution.
+    errors=(
+        ErrorNames("circle", ("POS_ERR",), "arcsec"),
+        ErrorNames("circle", ("RADEC_ERR",), "arcsec", containment=_RADIAL),
+    ),
+    epochs=("MJD",),
+)
+_ROSAT = Convention(
+    title="ROSAT all-sky survey (IX/10, IX/29)",
+    position=("RAJ2000", "DEJ2000"),
+    marks=("1RXS", "_1RXS"),
+    ids=("1RXS", "_1RXS"),
+    # Voges et al. 1999, A&A 349, 389: the radius of 1σ, including 6″ of systematic errors.
+    errors=(ErrorNames("circle", ("PosErr",), "arcsec", containment=0.683),),
 )
 _CHANDRA = Convention(
     title="Chandra Source Catalog",
@@ -505,10 +614,17 @@ CONVENTIONS: tuple[Convention, ...] = (
     _TYCHO2,
     *_TWOMASS,
     *_ALLWISE,
+    _CATWISE,
+    _TRACTOR,
     _SDSS,
     _PANSTARRS,
+    _UCAC4,
+    *_USNO_B1,
+    *_DES,
     *_LSST,
     *_XMM,
+    _EROSITA,
+    _ROSAT,
     _CHANDRA,
     _FERMI,
     _SAMEAS_FRAME,
