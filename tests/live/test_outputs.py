@@ -54,6 +54,27 @@ def test_asterix_062_round_trips(situation):
         assert np.sqrt(reports.covariance_m2[k, 0]) == pytest.approx(np.sqrt(one["var_x_m2"]), abs=0.5)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("model", "column"), [(GEOMETRIC, "alt_m"), (PRESSURE, "pressure_alt_m")])
+def test_asterix_062_has_identities_and_heights(situation, model, column):
+    count = len(situation.objects["object"])
+    first = np.arange(count) == 0
+    height = np.ma.array(np.full(count, 3000.0), mask=~first)
+    more = {
+        "height_m": height, "sigma_height_m": np.ma.array(np.full(count, 20.0), mask=~first),
+        "climb_m_per_s": np.ma.array(np.full(count, -5.0), mask=~first),
+    } | {name: np.where(first, value, situation.objects[name])
+         for name, value in (("icao", "400801"), ("callsign", "BAW 12"), ("mode_a", "2476"))}  # fmt: skip
+    flying = replace(situation, heights=HeightModel(model), objects=situation.objects | more)
+    [reports] = read_back(flying, "asterix", "asterix")
+    [k] = [k for k, address in enumerate(reports.icao) if address]
+    assert (reports.icao[k], reports.callsign[k], reports.mode_a[k]) == ("400801", "BAW 12", "2476")
+    assert getattr(reports, column)[k] == pytest.approx(3000.0, abs=4.0)
+    assert reports.climb_m_per_s[k] == pytest.approx(-5.0, abs=0.02)
+    # Ships have the beginning of their name in capitals, without what six bits cannot write.
+    assert {text for text in reports.callsign if text} == {"BAW 12", *(f"SHIP {n}" for n in range(1, 5))}
+
+
 def test_ttm_and_tll_round_trip(situation):
     lines = b"".join(ENCODERS["nmea"](situation)).decode()
     assert lines.count("$RATTM") == 5 == lines.count("$RATLL")

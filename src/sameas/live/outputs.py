@@ -26,7 +26,8 @@ import numpy as np
 from sameas.errors import InputError, reading
 from sameas.io.sensors.format import KNOT_M_PER_S
 from sameas.live.situation import Situation
-from sameas.tracks.coordinates import MILE_M
+from sameas.tracks.coordinates import FOOT_M, MILE_M
+from sameas.tracks.heights import GEOMETRIC
 
 #: Seconds after which a Cursor on Target event is stale.
 STALE_S = 15.0
@@ -34,6 +35,10 @@ STALE_S = 15.0
 _LE_90 = 1.6449
 #: Largest datagram in bytes, below the MTU of Ethernet, so that it is not fragmented.
 _DATAGRAM = 1400
+#: Tracks of a block of ASTERIX: 60 octets each at most.
+_TRACKS = 20
+#: Characters of an identification in ASTERIX.
+_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789 "
 #: Most characters of a sentence between the $ and the star.
 _SENTENCE = 82 - len("$*hh\r\n")
 
@@ -198,40 +203,84 @@ def signalk(situation: Situation) -> Iterator[bytes]:
 
 
 def asterix(situation: Situation) -> Iterator[bytes]:
-    """Blocks of category 062, edition 1.18, of up to forty tracks each, with accuracies (item 500).
+    """Blocks of category 062, edition 1.18, of up to twenty tracks each, with accuracies (item 500).
 
-    Items 010, 070, 105, 185, 380 (the address, where there is one), 040, 080 and 500.
+    Items 010, 070, 105, 185, 040, 080 and 500; where known 060 (Mode A code), 245 (call sign, else the beginning of a
+    ship's name), 380 (address), 130 or 135 (height above the ellipsoid, or pressure height) and 220 (vertical rate).
     """
     records = [_record(situation, one) for one in _confirmed(situation) if one.get("lat_deg") is not None]
-    for first in range(0, len(records), 40):
-        data = b"".join(records[first : first + 40])
+    for first in range(0, len(records), _TRACKS):
+        data = b"".join(records[first : first + _TRACKS])
         yield bytes([62]) + (len(data) + 3).to_bytes(2, "big") + data
 
 
 def _record(situation: Situation, one: Mapping[str, Any]) -> bytes:
     unit = 180.0 / 2**25
     lat, lon = round(one["lat_deg"] / unit), round(one["lon_deg"] / unit)
-    course, speed, icao = one["course_deg"], one["speed_m_per_s"], str(one.get("icao", ""))
-    moving, named = speed is not None, re.fullmatch(r"[0-9A-Fa-f]{6}", icao) is not None
-    # A presence bit for each item in the order of the standard; the lowest bit of an octet says that one follows.
-    octets = [0b10011001 | (0b00000010 if moving else 0), 0b00001101 | (0b00010000 if named else 0), 0b1, 0b00000100]
-    out: bytes = bytes(octets) + bytes([0, 0])
-    out += (round(situation.time_s % 86400.0 * 128.0) % (86400 * 128)).to_bytes(3, "big")
-    out += lat.to_bytes(4, "big", signed=True) + lon.to_bytes(4, "big", signed=True)
-    if moving:
-        velocity = speed * math.sin(math.radians(course)), speed * math.cos(math.radians(course))
-        out += b"".join(int(np.clip(round(v / 0.25), -32768, 32767)).to_bytes(2, "big", signed=True) for v in velocity)
-    if named:
-        out += bytes([0x80]) + int(icao, 16).to_bytes(3, "big")
-    out += (one["object"] % 65536).to_bytes(2, "big")
     # Octet 1 of item 080: multisensor; a coasting track has bit CST of octet 4.
-    coasting = one["stage"] == "coasting"
-    out += bytes([0x01, 0x01, 0x01, 0x80]) if coasting else bytes([0x00])
+    items: dict[int, bytes] = {
+        1: bytes([0, 0]),
+        4: (round(situation.time_s % 86400.0 * 128.0) % (86400 * 128)).to_bytes(3, "big"),
+        5: lat.to_bytes(4, "big", signed=True) + lon.to_bytes(4, "big", signed=True),
+        12: (one["object"] % 65536).to_bytes(2, "big"),
+        13: bytes([0x01, 0x01, 0x01, 0x80]) if one["stage"] == "coasting" else bytes([0x00]),
+        27: _accuracy(one),
+    }
+    course, speed, icao = one["course_deg"], one["speed_m_per_s"], str(one.get("icao", ""))
+    if speed is not None:
+        velocity = speed * math.sin(math.radians(course)), speed * math.cos(math.radians(course))
+        items[7] = b"".join(_short(v / 0.25) for v in velocity)
+    if re.fullmatch("[0-7]{4}", mode_a := str(one.get("mode_a", ""))):
+        items[9] = int(mode_a, 8).to_bytes(2, "big")
+    if letters := _identification(one.get("callsign") or one.get("name") or ""):
+        # A call sign or registration from the target; the name of a ship is not one.
+        items[10] = bytes([0x00 if one.get("callsign") else 0x40]) + letters
+    if re.fullmatch(r"[0-9A-Fa-f]{6}", icao):
+        items[11] = bytes([0x80]) + int(icao, 16).to_bytes(3, "big")
+    height, climb = one.get("height_m"), one.get("climb_m_per_s")
+    if height is not None and situation.heights is not None:
+        if situation.heights.kind == GEOMETRIC:
+            items[18] = _short(height / FOOT_M / 6.25)
+        else:
+            # Quarters of a flight level, in 15 bits below that of a QNH correction, which there is none.
+            quarters = int(np.clip(round(height / FOOT_M / 25.0), -60, 6000))
+            items[19] = (quarters & 0x7FFF).to_bytes(2, "big")
+    if climb is not None:
+        items[20] = _short(climb / FOOT_M * 60.0 / 6.25)
+    # A presence bit for each item in the order of the standard; the lowest bit of an octet says that one follows.
+    octets = [0] * (-(-max(items) // 7))
+    for number in items:
+        octets[(number - 1) // 7] |= 0x80 >> (number - 1) % 7
+    presence = [octet | (k < len(octets) - 1) for k, octet in enumerate(octets)]
+    return bytes(presence) + b"".join(items[number] for number in sorted(items))
+
+
+def _accuracy(one: Mapping[str, Any]) -> bytes:
+    """Item 500: accuracies in x and y, and the covariance as a signed square root, in steps of 0.5 m."""
     sigmas = [int(np.clip(round(math.sqrt(one[name] or 0.0) / 0.5), 0, 65535)) for name in ("var_x_m2", "var_y_m2")]
     cross = one["cov_xy_m2"] or 0.0
-    root = int(np.clip(round(math.copysign(math.sqrt(abs(cross)), cross) / 0.5), -32768, 32767))
-    out += bytes([0b11000000]) + sigmas[0].to_bytes(2, "big") + sigmas[1].to_bytes(2, "big")
-    return bytes(out + root.to_bytes(2, "big", signed=True))
+    return (
+        bytes([0b11000000])
+        + sigmas[0].to_bytes(2, "big")
+        + sigmas[1].to_bytes(2, "big")
+        + _short(math.copysign(math.sqrt(abs(cross)), cross) / 0.5)
+    )
+
+
+def _short(value: float) -> bytes:
+    """A signed number of two octets."""
+    return int(np.clip(round(value), -32768, 32767)).to_bytes(2, "big", signed=True)
+
+
+def _identification(text: str) -> bytes:
+    """Eight characters of six bits (ICAO Annex 10, volume IV, 3.1.2.9); empty where none can be encoded."""
+    known = "".join(letter for letter in text.upper() if letter in _LETTERS).strip()[:8].ljust(8)
+    if not known.strip():
+        return b""
+    bits = 0
+    for letter in known:
+        bits = bits << 6 | (32 if letter == " " else ord(letter) & 0x3F)
+    return bits.to_bytes(6, "big")
 
 
 ENCODERS: Mapping[str, Callable[[Situation], Iterator[bytes]]] = {

@@ -170,7 +170,9 @@ class Situation:
                 **{name: column[k] for name, column in columns.items()},
             }
             one |= {
-                name: str(o[name][k]) for name in ("label", "mmsi", "icao", "callsign", "name", "type") if o[name][k]
+                name: str(o[name][k])
+                for name in ("label", "mmsi", "icao", "callsign", "name", "mode_a", "type")
+                if o[name][k]
             }
             one["sources"] = [f"{source}:{track}" for source, track in self.members.get(number, ())]
             if number in cpa:
