@@ -2,6 +2,7 @@
 
 import json
 import re
+import socket
 import urllib.error
 import urllib.request
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from tests.live.conftest import EVIL, START_S, served
 
-from sameas.cli.watch import _source_lines
+from sameas.cli.watch import _addresses, _source_lines
 from sameas.live.keeper import Delta
 from sameas.live.outputs import metrics
 from sameas.live.server import Access, _event
@@ -160,3 +161,11 @@ def test_the_evidence_of_an_object_is_served_as_text(keeper):
         assert text.startswith(f"Object {number} is ") and "probability" in text
         assert ask(f"{url}/objects/99999/why")[2] == "no source shows object 99999 now"
         assert "Replay, 20 × real time" in ask(f"{url}/")[2]
+
+
+def test_the_addresses_that_are_printed_can_be_given_to_others():
+    assert _addresses("127.0.0.1", 8642, Access.of("127.0.0.1")) == ["Map: http://127.0.0.1:8642/"]
+    assert _addresses("::1", 1, Access.of("::1")) == ["Map: http://[::1]:1/"]
+    lines = _addresses("0.0.0.0", 8642, Access("0.0.0.0", "op", "view"))
+    name = socket.gethostname()
+    assert lines == [f"Map: http://{name}:8642/?token=op", f"  to look only: http://{name}:8642/?token=view"]

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from sameas.io.sensors.sources import SensorSource
     from sameas.live.inputs import Replay
     from sameas.live.keeper import Keeper
+    from sameas.live.server import Access
     from sameas.live.settings import Settings
     from sameas.tracks.coordinates import LocalPlane
 
@@ -206,10 +207,21 @@ def _server(
     config = uvicorn.Config(
         application(keeper, access), log_level="warning", access_log=False, timeout_graceful_shutdown=1
     )
-    key = f"?token={access.operator}" if access.operator else ""
-    shown = f"[{host}]" if ":" in host else host
-    say([f"Map: http://{shown}:{listener.getsockname()[1]}/{key}"])
+    say(_addresses(host, listener.getsockname()[1], access))
     return uvicorn.Server(config), listener
+
+
+def _addresses(host: str, port: int, access: Access) -> list[str]:
+    """Printable: the addresses of the map for those who may acknowledge, and for those who may look only."""
+    from socket import gethostname
+
+    # An address that stands for all of this machine cannot be given to others.
+    name = gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    map_at = f"http://{name}:{port}/"
+    if access.operator is None:
+        return [f"Map: {map_at}"]
+    lines = [f"Map: {map_at}?token={access.operator}"]
+    return lines if access.viewer is None else [*lines, f"  to look only: {map_at}?token={access.viewer}"]
 
 
 class _News:
