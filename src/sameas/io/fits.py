@@ -11,7 +11,6 @@ import json
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray
 from sameas.bounds import Unpacking, checked_fits
 from sameas.errors import InputError
+from sameas.io import ldac
 from sameas.io.format import Format, ascii_of, has_huge_power, to_json, to_text, unicode_of, unit_of
 from sameas.representation import counted
 
@@ -45,8 +45,6 @@ FORMAT = Format(
 )
 
 _CARD = "SAMEAS"
-#: FITS_LDAC of SExtractor: each table of objects follows a table whose single cell is the header of the image.
-_LDAC_TABLE, _LDAC_HEADER = "LDAC_OBJECTS", "LDAC_IMHEAD"
 _STRUCTURE = re.compile(
     r"(XTENSION|BITPIX|NAXIS\d?|PCOUNT|GCOUNT|TFIELDS|THEAP|CHECKSUM|DATASUM|SAMEAS|"
     r"T(TYPE|FORM|UNIT|NULL|SCAL|ZERO|DISP|DIM|UCD|COMM|CTYP|CUNI|CRPX|CRVL|CDLT|RPOS|BCOL)\d+)$"
@@ -64,20 +62,40 @@ def read(path: Path, hdu: int | str | None) -> Table:
         warnings.filterwarnings("ignore", message="File may have been truncated")
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
         with fits.open(checked, memmap=checked is path, character_as_bytes=True) as hdus:
-            chosen, notes = _chosen(hdus, hdu, path)
-            _check_whole(chosen, path)
-            _check_arrays(chosen, path)
-            header = chosen.header
-            # Another program's serialized columns (times, sky coordinates) are astropy's own business.
-            if "--BEGIN-ASTROPY-SERIALIZED-COLUMNS--" in list(header.get("COMMENT", [])):
-                table = _astropys_table(chosen)
-            else:
-                table = _table(chosen)
-            if chosen.name == _LDAC_TABLE:
-                table.meta = _image_facts(hdus, chosen) | table.meta
+            chips = [number for number, each in enumerate(hdus) if each.name == ldac.OBJECTS]
+            if hdu is None and len(chips) > 1 and len(chips) == len(_tables(hdus)):
+                tables = [_of_hdu(hdus, number, path) for number in chips]
+                return ldac.stacked(tables, [ldac.image_header(hdus, number) for number in chips], path)
+            number, notes = _chosen(hdus, hdu, path)
+            table = _of_hdu(hdus, number, path)
     if notes:
         table.meta["sameas_notes"] = notes
     return table
+
+
+def _of_hdu(hdus: HDUList, number: int, path: Path) -> Table:
+    """The table in an extension; objects of FITS_LDAC with the facts of their image."""
+    chosen = hdus[number]
+    _check_whole(chosen, path)
+    _check_arrays(chosen, path)
+    # Another program's serialized columns (times, sky coordinates) are astropy's own business.
+    if "--BEGIN-ASTROPY-SERIALIZED-COLUMNS--" in list(chosen.header.get("COMMENT", [])):
+        return _astropys_table(chosen)
+    table = _table(chosen)
+    if chosen.name == ldac.OBJECTS:
+        header = ldac.image_header(hdus, number)
+        facts = {} if header is None else {key: header[key] for key in header if not _STRUCTURE.match(key)}
+        table.meta = facts | table.meta
+        table = ldac.with_directions(table, header)
+    return table
+
+
+def _tables(hdus: HDUList) -> list[int]:
+    """The extensions that are tables, without the image headers of FITS_LDAC."""
+    from astropy.io import fits
+
+    kinds = (fits.BinTableHDU, fits.TableHDU)
+    return [number for number, each in enumerate(hdus) if isinstance(each, kinds) and each.name != ldac.IMAGE_HEADER]
 
 
 def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
@@ -149,44 +167,28 @@ def _write_unknown(path: Path, fields: Sequence[int], masks: Sequence[BoolArray]
         path.write_bytes(gzip.compress(whole.tobytes()))
 
 
-def _chosen(hdus: HDUList, hdu: int | str | None, path: Path) -> tuple[Any, list[str]]:
+def _chosen(hdus: HDUList, hdu: int | str | None, path: Path) -> tuple[int, list[str]]:
+    """The number of the extension to read, and notes."""
     from astropy.io import fits
 
-    kinds = (fits.BinTableHDU, fits.TableHDU)
-    tables = [number for number, each in enumerate(hdus) if isinstance(each, kinds) and each.name != _LDAC_HEADER]
+    tables = _tables(hdus)
     if not tables:
         raise InputError(f"{path}: holds images only, no table")
     listed = ", ".join(f"{number} ({hdus[number].name})" if hdus[number].name else str(number) for number in tables)
     if hdu is None:
         if len(tables) == 1:
-            return hdus[tables[0]], []
+            return tables[0], []
         left_out = counted(sum(int(hdus[number].header.get("NAXIS2", 0)) for number in tables[1:]), "row")
         used = f"used {tables[0]}, without the {left_out} of the others"
-        return hdus[tables[0]], [f"{path} holds {len(tables)} tables, extensions {listed}; {used}"]
+        return tables[0], [f"{path} holds {len(tables)} tables, extensions {listed}; {used}"]
     number = int(hdu) if isinstance(hdu, int) or hdu.lstrip("-").isdecimal() else hdu
     try:
         chosen = hdus[number]
     except (KeyError, IndexError) as error:
         raise InputError(f"{path}: has no extension {hdu}; its tables are {listed}") from error
-    if not isinstance(chosen, kinds):
+    if not isinstance(chosen, fits.BinTableHDU | fits.TableHDU):
         raise InputError(f"{path}: extension {hdu} is not a table; its tables are {listed}")
-    return chosen, []
-
-
-def _image_facts(hdus: HDUList, chosen: Any) -> dict[str, Any]:
-    """The cards of the image header in front of a table of FITS_LDAC, such as the time of the exposure."""
-    from astropy.io import fits
-
-    before = hdus[list(hdus).index(chosen) - 1]
-    if before.name != _LDAC_HEADER or not len(before.data):
-        return {}
-    lines = [line.decode("ascii", "replace").ljust(80) for line in np.ravel(before.data.field(0)[0]).tolist()]
-    facts = {}
-    for card in fits.Header.fromstring("".join(lines)).cards:
-        with suppress(fits.VerifyError):  # not a valid card
-            if card.keyword and not _STRUCTURE.match(card.keyword) and card.keyword not in ("COMMENT", "HISTORY"):
-                facts[card.keyword] = card.value
-    return facts
+    return hdus.index_of(number), []
 
 
 def _check_whole(hdu: Any, path: Path) -> None:
