@@ -18,7 +18,8 @@ from sameas.front.request import Request, made_by
 from sameas.partitions.hats import HatsCatalogue, is_hats, without_properties
 
 if TYPE_CHECKING:
-    from sameas.partitions.run import Estimated, Written
+    from sameas.partitions.estimated import Estimated
+    from sameas.partitions.run import Written
     from sameas.sky.crossmatch import MatchOptions
 
 
@@ -62,7 +63,8 @@ class PartitionedMatch:
             return self._estimated(Path(scratch), self.workers, None)
 
     def _estimated(self, scratch: Path, workers: int | None, executor: Executor | None) -> Estimated:
-        from sameas.partitions.run import estimate
+        from sameas.partitions.estimated import estimate
+        from sameas.partitions.workers import Workers
         from sameas.sky.catalogue import CatalogueOptions
 
         stated = [CatalogueOptions(**fields_of(self.request.columns, side)) for side in (1, 2)]
@@ -73,10 +75,9 @@ class PartitionedMatch:
                 self.request.options,
                 join=self.join,
                 nway_columns=self.nway_columns,
-                workers=workers,
-                executor=executor,
-                progress=self.progress,
+                workers=Workers(workers, executor),
                 scratch=scratch,
+                progress=self.progress,
             )
         )
         return found
@@ -108,6 +109,7 @@ class PartitionedMatch:
             partition cannot be read, by name; workers die repeatedly.
         """
         from sameas.partitions.run import write
+        from sameas.partitions.workers import Workers
 
         refuse_file_name(path)
         target, workers = Path(path).absolute(), self.workers if workers is None else workers
@@ -124,7 +126,7 @@ class PartitionedMatch:
                 )
             with tempfile.TemporaryDirectory(prefix=".sameas-", dir=_made(target.parent)) as folder:
                 self.__dict__["estimated"] = self._estimated(Path(folder), workers, executor)
-        return write(self.estimated, target, facts, margin_arcsec=margin_arcsec, workers=workers, executor=executor,
+        return write(self.estimated, target, facts, margin_arcsec=margin_arcsec, workers=Workers(workers, executor),
                      progress=self.progress, piece_rows=piece_rows)  # fmt: skip
 
     def facts(self) -> dict[str, Any]:

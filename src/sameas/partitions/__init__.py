@@ -1,8 +1,9 @@
 """Crossmatch of two HATS catalogues larger than memory: one-to-one, with probabilities, partition by partition.
 
 Two :class:`~sameas.partitions.hats.HatsCatalogue` → counts of every partition, summed → a sample of cells, from which
-everything is estimated once → for every cell of the output, its records and a halo are identified (``part.py``) → a
-HATS catalogue with a margin (``hats.py``). ``run.py`` runs the parts in parallel and resumes an interrupted run.
+everything is estimated once (``estimated.py``) → for every cell of the output, its records and a halo are identified
+(``part.py``) → a HATS catalogue with a margin (``hats.py``). ``run.py`` decides the parts in parallel processes
+(``workers.py``) and resumes an interrupted run.
 
 - *Owner.* A pair belongs to the cell of its first record's stored position; a record of the second catalogue without
   partner to the cell of its own. Every record of the first catalogue is in one cell, so no row is written twice, and no
