@@ -1,6 +1,7 @@
 """Deception alarms with probabilities: AIS that drifts away or falls silent; none in a correct picture."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,8 +65,9 @@ def test_a_second_radar_raises_the_probability_of_deception():
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("switched_off", [False, True])
-def test_a_helicopter_that_leaves_its_ship_or_switches_off_on_board_is_no_alarm(switched_off):
-    # The radar still sees the ship, which reports herself.
+@pytest.mark.parametrize(("has_ais", "renumbered_s"), [(True, np.inf), (True, 250.0), (False, np.inf), (False, 250.0)])
+def test_a_helicopter_that_leaves_its_ship_or_switches_off_on_board_is_no_alarm(switched_off, has_ais, renumbered_s):
+    # The radar still sees the ship, which reports herself or, as a ship of a navy, nothing.
     radar, ais = sources()
     rng, ship = np.random.default_rng(2), ais[1].track_id == MMSI[0]
     x = np.column_stack([ais[1].x_m[ship], ais[1].y_m[ship]])
@@ -76,7 +78,23 @@ def test_a_helicopter_that_leaves_its_ship_or_switches_off_on_board_is_no_alarm(
     adsb = describe("adsb", "ads-b", sigma_m=10.0)
     described, flights = feed(rng, adsb, TIMES, positions, velocities, 300.0, ["48e0a1", "400100"])
     aboard = flights.where((flights.track_id != "48e0a1") | (flights.time_s < 180.0) | (not switched_off))
-    assert not faults(Scene.of([radar, ais, (described, aboard)]))
+    ids = radar[1].track_id.copy()
+    ids[(ids == "radar0") & (radar[1].time_s > renumbered_s)] = "radar9"
+    ais = (ais[0], ais[1] if has_ais else ais[1].where(~ship))
+    assert not faults(Scene.of([(radar[0], replace(radar[1], track_id=ids)), ais, (described, aboard)]))
+
+
+@pytest.mark.slow
+def test_an_aircraft_whose_reports_leave_what_radars_see_is_an_alarm():
+    rng, n = np.random.default_rng(2), 4
+    start, speed = rng.uniform(-9e3, 9e3, (n, 2)), 80.0 * rng.standard_normal((n, 2))
+    x, v = straight(start, speed, TIMES)
+    false = x.copy()
+    false[0, :, 1] += 15.0 * np.maximum(TIMES - 150.0, 0.0)
+    radar = feed(rng, describe("radar", "tracks"), TIMES, x, v, 30.0, [f"radar{k}" for k in range(n)])
+    names = [f"48e0a{k}" for k in range(n)]
+    adsb = feed(rng, describe("adsb", "ads-b"), TIMES, false, v, 300.0, names, {"icao": names})
+    assert [(fault.kind, fault.track) for fault in faults(Scene.of([radar, adsb]))] == [("dragged", "48e0a0")]
 
 
 @pytest.mark.slow_after(1)

@@ -36,7 +36,8 @@ from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
 from sameas.tracks.alignment import States, Steps, jump_of
-from sameas.tracks.feed import CORRELATED_KINDS, Feed
+from sameas.tracks.feed import CORRELATED_KINDS, Feed, fastest_vessel_m_per_s
+from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
 
 
@@ -284,7 +285,11 @@ def deceptions(
     histories = _TrackHistories.of(tracks, feeds, instants, tuning)
     alarms: list[Fault] = []
     for own in filter(histories.is_cooperative, tracks):
-        others = [other for other in histories.partners(own) if not histories.is_of_another(other, own)]
+        others = [
+            other
+            for other in histories.partners(own)
+            if not (histories.is_of_another(other, own) or histories.carried(other, own))
+        ]
         alarms += histories.dragged(own, others)
         alarms += histories.silent(own, others)
     dragged = {(fault.source, fault.track) for fault in alarms if fault.probability > tuning.sure_deception}
@@ -363,6 +368,29 @@ class _TrackHistories:
         if not (len(after) and named_keys):
             return False
         return all(np.isin(part, np.concatenate(named_keys)).mean() > 0.5 for part in (before, after))
+
+    def carried(self, other: PictureTrack, own: PictureTrack) -> bool:
+        """Whether a track is that of a vessel on which an aircraft stood: while both are one object, and afterwards, it
+        moves no faster than vessels do.
+
+        Nothing else shows it where the vessel reports nothing. A slow aircraft whose reports leave it is not found.
+        """
+        if KINDS[self.feeds[own.source].description.kind].target != "aircraft":
+            return False
+        together = np.flatnonzero(np.isin(other.keys, own.keys))
+        if not len(together):
+            return False
+        fastest = fastest_vessel_m_per_s(self.feeds[own.source].tuning)
+        parts = np.split(np.arange(len(other.at)), [together[-1] + 1])
+        return all(self._mean_speed(other, part) <= fastest for part in parts)
+
+    def _mean_speed(self, track: PictureTrack, part: IntArray) -> float:
+        """Metres per second from the first of some records of a track to the last; 0 for less than two."""
+        if len(part) < 2:
+            return 0.0
+        ends = part[[0, -1]]
+        seconds = float(np.diff(self.instants[track.at[ends]])[0])
+        return float(np.hypot(*np.diff(track.position[ends], axis=0)[0])) / max(seconds, 1e-9)
 
     def companions(self, own: PictureTrack, others: Sequence[PictureTrack]) -> Iterator[tuple[PictureTrack, int]]:
         """The tracks that were one object with it for ``min_instants`` instants, and the index of the last of these."""
