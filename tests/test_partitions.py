@@ -258,6 +258,20 @@ def test_outer_joins_write_every_row_once(tmp_path):
     assert set(on_one_machine(found)[0].items()) <= set(zip(joined["id_1"], joined["id_2"], strict=True))
 
 
+def test_pandas_reads_whole_numbers_of_every_partition_as_such(tmp_path):
+    """Rows without a partner have no id of it; as a float a long id would be rounded."""
+    pandas = pytest.importorskip("pandas")
+    tables = sky((0.0, 0.0), 600, 0.3, seed=8)
+    tables[1] = tables[1][tables[1]["dec"] > 0.0]
+    tables[1]["id"] += 4_295_806_720_000_000_001
+    matched(tmp_path, stored(tmp_path, tables, (300, 500)), join="all1")
+    files = sorted((tmp_path / "out" / "out" / "dataset").rglob("Npix=*.parquet"))
+    read = [pandas.read_parquet(file) for file in files]
+    assert len(read) > 1 and {str(frame["id_2"].dtype) for frame in read} == {"Int64"}
+    both = pandas.concat(read)["id_2"]
+    assert both.isna().any() and set(both.dropna()) <= set(tables[1]["id"].tolist())
+
+
 @pytest.mark.slow
 def test_hats_and_lsdb_read_the_output_collection(tmp_path):
     hats = pytest.importorskip("hats", reason="hats is not installed")

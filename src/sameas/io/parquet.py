@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -30,7 +30,8 @@ FORMAT = Format("parquet", "Parquet", (".parquet", ".pq", ".parq"), signatures=(
 _KEY = b"sameas"
 _ASTROPY = b"table_meta_yaml"
 _VOPARQUET = b"IVOA.VOTable-Parquet.content"
-_PANDAS = b"pandas"
+#: The key under which pandas looks for its types.
+PANDAS = b"pandas"
 
 
 #: Files that are decoded already, each with a function that waits for the content.
@@ -232,7 +233,7 @@ def _header_of(table: Table) -> list[str]:
 
 
 def _file_metadata(table: Table, provenance: Mapping[str, Any]) -> dict[bytes, bytes]:
-    from astropy.table import Table
+    from astropy.table import MaskedColumn, Table
 
     kept = {key: value for key, value in table.meta.items() if key != "sameas_notes"}
     bare = Table(list(table[:0].columns.values()), names=table.colnames, meta=kept)
@@ -243,27 +244,26 @@ def _file_metadata(table: Table, provenance: Mapping[str, Any]) -> dict[bytes, b
             # astropy's reader wants the width of text columns here, or looks for it and warns.
             width = kind.itemsize // (4 if kind.kind == "U" else 1)
             metadata[f"table::len::{name}".encode()] = str(max(width, 1)).encode()
-    metadata[_PANDAS] = json.dumps(_pandas_types(table)).encode()
+    masked = (column for column in table.columns.values() if isinstance(column, MaskedColumn))
+    metadata[PANDAS] = json.dumps(pandas_types(masked)).encode()
     if provenance:
         metadata[_KEY] = json.dumps(provenance).encode()
     return metadata
 
 
-def _pandas_types(table: Table) -> dict[str, Any]:
-    """Tells pandas which columns of whole numbers and truth values may have nulls.
+def pandas_types(columns: Iterable[Column]) -> dict[str, Any]:
+    """Tells pandas which columns of whole numbers and truth values may have nulls: all of these.
 
     Without this ``pandas.read_parquet`` makes floats of whole numbers with a null, which rounds long identifiers, and
     objects of truth values.
     """
-    from astropy.table import MaskedColumn
-
-    columns = []
-    for name in table.colnames:
-        kind = table[name].dtype
-        if not isinstance(table[name], MaskedColumn) or table[name].ndim > 1 or kind.kind not in "biu":
+    said = []
+    for column in columns:
+        name, kind = column.info.name, column.dtype
+        if column.ndim > 1 or kind.kind not in "biu":
             continue
         plain = "boolean" if kind.kind == "b" else kind.name.replace("uint", "UInt").replace("int", "Int")
-        columns.append(
+        said.append(
             {
                 "name": name,
                 "field_name": name,
@@ -272,4 +272,4 @@ def _pandas_types(table: Table) -> dict[str, Any]:
                 "metadata": None,
             }
         )
-    return {"index_columns": [], "column_indexes": [], "columns": columns}
+    return {"index_columns": [], "column_indexes": [], "columns": said}

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from sameas.arrays import IntArray
 from sameas.errors import InputError, reading
 from sameas.io.arrow import array_of, numbers_in
-from sameas.io.parquet import column_metadata
+from sameas.io.parquet import PANDAS, column_metadata, pandas_types
 from sameas.partitions.healpix import FINEST, cells_of, joined, order_of_width, ring, stretches, within
 from sameas.ragged import ranges
 from sameas.representation import in_short
@@ -497,7 +497,12 @@ def arrow_of(table: Table, cells: IntArray, facts: Mapping[str, Any]) -> pa.Tabl
     fields = [pa.field(CELL, pa.int64())]
     fields += [pa.field(name, array.type, metadata=column_metadata(table[name]))
                for name, array in zip(table.colnames, arrays[1:], strict=True)]  # fmt: skip
-    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={b"sameas": json.dumps(facts).encode()}))
+    # Whether a column has nulls differs by partition; its type for pandas should not.
+    metadata = {
+        b"sameas": json.dumps(facts).encode(),
+        PANDAS: json.dumps(pandas_types(table.columns.values())).encode(),
+    }
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=metadata))
 
 
 def catalogue_properties(name: str, ra: str, dec: str) -> dict[str, Any]:
