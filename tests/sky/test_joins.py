@@ -163,9 +163,18 @@ def test_the_nearest_record_of_every_row_is_given_at_its_row():
     options = CatalogueOptions(sigma=0.5, epoch=2000.0)
     one, two = (Catalogue.of({"ra": a, "dec": d}, name, options=options) for name, (a, d) in tables.items())
     near = match(one, two).nearest(moved=True)
-    assert near.rows[7] == -1 and np.isinf(near.separation_arcsec[7])
     usable = np.isfinite(dec)
+    assert (near.rows.mask == ~usable).all() and (near.separation_arcsec.mask == ~usable).all()
     assert (order[near.rows[usable]] == np.flatnonzero(usable)).all() and (near.separation_arcsec[usable] < 1e-6).all()
+
+
+def test_the_nearest_of_no_records_is_masked():
+    from sameas import Records, Sphere
+    from sameas.sky.crossmatch import nearest
+
+    one, none = (Records.of(at, sigma=0.3, space=Sphere()) for at in ([[150.0, 2.0]], np.empty((0, 2))))
+    near = nearest(one, none)
+    assert near.rows.mask.all() and near.separation_arcsec.mask.all() and len(near.rows) == 1
 
 
 @pytest.mark.parametrize("join", JOINS)

@@ -96,9 +96,10 @@ def nearest_lines(match: SkyMatch) -> list[str]:
     numbers = []
     for moved in (False, True):
         near = match.nearest(moved)
-        within = near.separation_arcsec <= USUAL_RADIUS_ARCSEC
-        claims = np.bincount(near.rows[within], minlength=len(match.second))
-        cases = claims > 1, identified & (near.rows != partner), identified & ~within, ~identified & within
+        rows = near.rows.filled(ABSENT)
+        within = near.separation_arcsec.filled(np.inf) <= USUAL_RADIUS_ARCSEC
+        claims = np.bincount(rows[within], minlength=len(match.second))
+        cases = claims > 1, identified & (rows != partner), identified & ~within, ~identified & within
         numbers.append([count(np.count_nonzero(case)) for case in cases])
     twice = np.bincount(result.matches.rows_2, minlength=len(match.second)) > 1
     radius = f"{USUAL_RADIUS_ARCSEC:g} arcsec"

@@ -11,11 +11,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, median, within_turn
+from sameas.arrays import BoolArray, FloatArray, median, within_turn
 from sameas.errors import InputError, Message, naming
 from sameas.estimate.blends import suspected_blends
 from sameas.estimate.companions import close_neighbours
@@ -46,19 +46,27 @@ AUTO, OFF = "auto", "off"
 class Nearest:
     """The nearest neighbour of each record: the usual crossmatch, for comparison.
 
-    rows : (n,) table row of the nearest record; separation_arcsec : (n,) its distance.
+    rows : (n,) table row of the nearest record; separation_arcsec : (n,) its distance. Both are masked where there is
+    none: in unusable rows, and if the other catalogue has no usable row.
     """
 
-    rows: IntArray
-    separation_arcsec: FloatArray
+    rows: np.ma.MaskedArray[Any, np.dtype[np.int64]]
+    separation_arcsec: np.ma.MaskedArray[Any, np.dtype[np.float64]]
 
 
 def nearest(first: Records, second: Records) -> Nearest:
     """The nearest record of ``second`` to each record of ``first`` on the sphere; errors are ignored."""
     from scipy.spatial import cKDTree
 
+    if not len(second):
+        return _no_neighbours(len(first))
     distance, at = cKDTree(unit_vectors(*second.features.T)).query(unit_vectors(*first.features.T), workers=-1)
-    return Nearest(second.rows[at], 2.0 * np.arcsin(np.minimum(distance / 2.0, 1.0)) * ARCSEC_PER_RADIAN)
+    separation = 2.0 * np.arcsin(np.minimum(distance / 2.0, 1.0)) * ARCSEC_PER_RADIAN
+    return Nearest(np.ma.array(second.rows[at], mask=False), np.ma.array(separation, mask=False))
+
+
+def _no_neighbours(n: int) -> Nearest:
+    return Nearest(np.ma.array(np.zeros(n, np.int64), mask=True), np.ma.array(np.zeros(n), mask=True))
 
 
 ARCSEC2_PER_DEG2 = 3600.0**2
@@ -211,13 +219,13 @@ class SkyMatch:
     def nearest(self, moved: bool) -> Nearest:
         """The nearest record of the second catalogue to each row of the first table.
 
-        moved : at the common epoch, or at the epochs of the catalogues. An unusable row has row ABSENT at infinity.
+        moved : at the common epoch, or at the epochs of the catalogues.
         """
         one, two = self.result.first, self.result.second
         near = nearest(one, two) if moved else nearest(_unmoved(one, self.first), _unmoved(two, self.second))
-        rows, separation = np.full(one.n_table, ABSENT), np.full(one.n_table, np.inf)
-        rows[one.rows], separation[one.rows] = near.rows, near.separation_arcsec
-        return Nearest(rows, separation)
+        of_rows = _no_neighbours(one.n_table)
+        of_rows.rows[one.rows], of_rows.separation_arcsec[one.rows] = near.rows, near.separation_arcsec
+        return of_rows
 
 
 def match(
@@ -477,7 +485,9 @@ def _fits_as_b1950(old: Records, new: Records, tuning: CrossmatchTuning) -> bool
     """Whether far more records of ``old`` than by chance have a neighbour in ``new`` if their equinox is B1950."""
     some = old.part(np.arange(0, len(old), max(1, len(old) // tuning.b1950_records)))
     near = [
-        np.count_nonzero(nearest(replace(some, features=at), new).separation_arcsec < tuning.b1950_arcsec)
+        np.count_nonzero(
+            nearest(replace(some, features=at), new).separation_arcsec.filled(np.inf) < tuning.b1950_arcsec
+        )
         for at in (some.features, in_icrs("B1950", some.features))
     ]
     return bool(near[1] > near[0] + 5.0 * math.sqrt(near[0] + 5.0) and near[1] > tuning.b1950_share * len(some))
@@ -527,7 +537,7 @@ def _near_miss_doubts(result: Identification, estimate: Estimate, tuning: Crossm
     _, _, density_2 = area_and_densities(estimate.coverage)
     if estimate.common > tuning.min_common_share * min(len(first), len(second)) or not density_2:
         return ()
-    near = float(np.quantile(nearest(first, second).separation_arcsec, 0.25))
+    near = float(np.quantile(nearest(first, second).separation_arcsec.filled(np.inf), 0.25))
     by_chance = math.sqrt(math.log(4.0 / 3.0) * ARCSEC2_PER_DEG2 / (math.pi * density_2))
     if near > tuning.max_spacing_share * by_chance:
         return ()
