@@ -56,7 +56,7 @@ class OddsTuning:
     hopeless: float = -15.0
 
 
-TUNING = OddsTuning()
+DEFAULT_ODDS_TUNING = OddsTuning()
 
 
 @dataclass(frozen=True)
@@ -72,10 +72,10 @@ class SearchVolume:
     log_scale: float
     parities: int
 
-    def log_volume(self, scale_rad: float) -> float:
-        """ln of the volume in pixels² · radians · ln scale · parities · shears."""
+    def log_volume(self, scale_rad: float, shear: float) -> float:
+        """ln of the volume in pixels² · radians · ln scale · parities · shears. shear : 1σ of the shears."""
         sides = self.area_sr / scale_rad**2 * self.rotation_rad * self.log_scale * self.parities
-        return math.log(sides) + math.log(2 * math.pi * TUNING.shear**2)
+        return math.log(sides) + math.log(2 * math.pi * shear**2)
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,13 @@ class Verdict:
     tolerance_px: float
 
 
-def verify(problem: PlateProblem, pointing: Pointing, volume: SearchVolume, tolerance_px: float) -> Verdict:
+def verify(
+    problem: PlateProblem,
+    pointing: Pointing,
+    volume: SearchVolume,
+    tolerance_px: float,
+    tuning: OddsTuning = DEFAULT_ODDS_TUNING,
+) -> Verdict:
     """The pointing refined by the measurements, with its odds.
 
     Matching and fit alternate; each iteration re-estimates ``tolerance_px`` from the excess of the residuals over the
@@ -157,15 +163,15 @@ def verify(problem: PlateProblem, pointing: Pointing, volume: SearchVolume, tole
     best = Verdict(pointing, -math.inf, no_rows, no_rows, np.empty((0, 2)), (0, 0), tolerance_px)
     radius = problem.half_diagonal_px * float(np.sqrt(abs(np.linalg.det(pointing.cd))))
     rows = problem.stars_near(pointing.to_sky(problem.middle_px[None])[0], 1.2 * radius)
-    for _ in range(TUNING.iterations):
-        verdict = weigh(problem, rows, pointing, volume, tolerance_px)
+    for _ in range(tuning.iterations):
+        verdict = weigh(problem, rows, pointing, volume, tolerance_px, tuning)
         if len(verdict.measured) < 3:
             break
         if verdict.log_odds > best.log_odds:
             best = verdict
-        elif verdict.log_odds < TUNING.hopeless:
+        elif verdict.log_odds < tuning.hopeless:
             break
-        step = _step(problem, verdict)
+        step = _step(problem, verdict, tuning.shear)
         pointing = verdict.pointing.moved(step)
         if not 0.5 < np.linalg.det(pointing.cd) / np.linalg.det(verdict.pointing.cd) < 2.0:
             break
@@ -178,26 +184,31 @@ def verify(problem: PlateProblem, pointing: Pointing, volume: SearchVolume, tole
 
 
 def weigh(
-    problem: PlateProblem, rows: IntArray, pointing: Pointing, volume: SearchVolume, tolerance_px: float
+    problem: PlateProblem,
+    rows: IntArray,
+    pointing: Pointing,
+    volume: SearchVolume,
+    tolerance_px: float,
+    tuning: OddsTuning = DEFAULT_ODDS_TUNING,
 ) -> Verdict:
     """The odds of a pointing without refinement. rows : the stars on and around the frame, brightest first."""
     predicted = pointing.to_px(problem.vectors[rows])
-    inside = np.flatnonzero(problem.inside(predicted))[: TUNING.deepest]
+    inside = np.flatnonzero(problem.inside(predicted))[: tuning.deepest]
     rows, predicted = rows[inside], predicted[inside]
-    n = min(len(problem.px), TUNING.deepest)
+    n = min(len(problem.px), tuning.deepest)
     i, j = _paired(problem, n, rows, predicted, pointing, tolerance_px)
     residual = problem.px[i] - predicted[j]
     total = _total_covariance(problem, i, rows[j], pointing, tolerance_px)
     gain = math.log(problem.area_px) + log_density(residual, total)
-    score, depth = _best_depth(gain, i, j, n, len(rows))
+    score, depth = _best_depth(gain, i, j, (n, len(rows)), tuning.depths)
     used = (i < depth[0]) & (j < depth[1])
     columns = design(predicted[j[used]] - pointing.origin_px)
     information = np.einsum("nai,nab,nbj->ij", columns, inverse(total[used]), columns)
-    information[4:, 4:] += np.eye(2) / TUNING.shear**2
+    information[4:, 4:] += np.eye(2) / tuning.shear**2
     log_volume_ratio = -0.5 * float(log_determinant(information)) + 3.0 * LOG_2PI
-    log_volume_ratio -= volume.log_volume(math.sqrt(abs(np.linalg.det(pointing.cd))))
+    log_volume_ratio -= volume.log_volume(math.sqrt(abs(np.linalg.det(pointing.cd))), tuning.shear)
     singular = np.linalg.svd(pointing.cd, compute_uv=False)
-    log_volume_ratio -= 0.5 * (0.5 * math.log(singular[0] / singular[1]) / TUNING.shear) ** 2
+    log_volume_ratio -= 0.5 * (0.5 * math.log(singular[0] / singular[1]) / tuning.shear) ** 2
     enough = used.sum() >= 3
     log_odds = score + min(log_volume_ratio, 0.0) if enough else -math.inf
     return Verdict(pointing, log_odds, i[used], rows[j[used]], residual[used], depth, tolerance_px)
@@ -227,13 +238,15 @@ def _paired(
     return i[order], j[order]
 
 
-def _best_depth(gain: FloatArray, i: IntArray, j: IntArray, n: int, m: int) -> tuple[float, tuple[int, int]]:
-    """The best score over the depths of the two lists, and these depths."""
+def _best_depth(
+    gain: FloatArray, i: IntArray, j: IntArray, lengths: tuple[int, int], depths: int
+) -> tuple[float, tuple[int, int]]:
+    """The best score over this number of depths of two lists of these lengths, and the depths."""
     from scipy.special import gammaln
 
     if not len(gain):
-        return -math.inf, (n, m)
-    ns, ms = _depths(n, TUNING.depths), _depths(m, TUNING.depths)
+        return -math.inf, lengths
+    ns, ms = (_depths(length, depths) for length in lengths)
     inside = (i[None, None, :] < ns[:, None, None]) & (j[None, None, :] < ms[None, :, None])
     k, log_gain = inside.sum(axis=2), inside @ gain
     n_, m_ = ns[:, None], ms[None, :]
@@ -257,7 +270,7 @@ def _total_covariance(
     return np.asarray(problem.covariance[i] + star * np.eye(2))
 
 
-def _step(problem: PlateProblem, verdict: Verdict) -> FloatArray:
+def _step(problem: PlateProblem, verdict: Verdict, shear: float) -> FloatArray:
     """(6,) corrections of shift, scale, rotation and shears from a robust fit of the residuals; see ``design``."""
     columns = design(verdict.pointing.to_px(problem.vectors[verdict.stars]) - verdict.pointing.origin_px)
     total = _total_covariance(problem, verdict.measured, verdict.stars, verdict.pointing, verdict.tolerance_px)
@@ -266,7 +279,7 @@ def _step(problem: PlateProblem, verdict: Verdict) -> FloatArray:
     weight = np.ones(len(total))
     for _ in range(2):
         weighted = np.einsum("nai,nab,n->nib", columns, precision, weight)
-        information = np.einsum("nib,nbj->ij", weighted, columns) + np.diag([0, 0, 0, 0, *2 * [TUNING.shear**-2]])
+        information = np.einsum("nib,nbj->ij", weighted, columns) + np.diag([0, 0, 0, 0, *2 * [shear**-2]])
         step = np.linalg.solve(information, np.einsum("nib,nb->i", weighted, verdict.residual_px))
         residual = verdict.residual_px - columns @ step
         # Weights of Student's t with four degrees of freedom, so that a few wrong pairs have little influence.
@@ -288,12 +301,14 @@ def _excess(problem: PlateProblem, verdict: Verdict, residual: FloatArray) -> fl
     return math.sqrt(max(square - typical, 0.05**2))
 
 
-def refitted_on(verdict: Verdict, problem: PlateProblem, px: FloatArray) -> Verdict:
+def refitted_on(
+    verdict: Verdict, problem: PlateProblem, px: FloatArray, tuning: OddsTuning = DEFAULT_ODDS_TUNING
+) -> Verdict:
     """The pairs of a verdict refitted to other pixels (n, 2) of the same measurements."""
     on_px = replace(problem, px=px)
     pointing = verdict.pointing
     for _ in range(3):
         fit = replace(verdict, pointing=pointing)
         fit = replace(fit, residual_px=_predicted_residual(on_px, fit, pointing))
-        pointing = pointing.moved(_step(on_px, fit))
+        pointing = pointing.moved(_step(on_px, fit, tuning.shear))
     return replace(fit, pointing=pointing, residual_px=_predicted_residual(on_px, fit, pointing))

@@ -48,7 +48,7 @@ class PhotometryTuning:
     cells: int = 150
 
 
-TUNING = PhotometryTuning()
+DEFAULT_PHOTOMETRY = PhotometryTuning()
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,16 @@ class ZeroPoint:
     pairs: float
 
     @classmethod
-    def of(cls, flux: FloatArray, magnitude: FloatArray, colour: FloatArray, weight: FloatArray) -> ZeroPoint | None:
+    def of(
+        cls,
+        flux: FloatArray,
+        magnitude: FloatArray,
+        colour: FloatArray,
+        weight: FloatArray,
+        tuning: PhotometryTuning = DEFAULT_PHOTOMETRY,
+    ) -> ZeroPoint | None:
         """The zero point of pairs with weights, (n,) each; None with fewer than three."""
-        fewest = TUNING.min_pairs
+        fewest = tuning.min_pairs
         known = (flux > 0) & np.isfinite(magnitude) & (weight > 0)
         if weight[known].sum() < fewest:
             return None
@@ -100,8 +107,8 @@ class ZeroPoint:
         candidates: list[tuple[str, ...]] = [(), ("1", "2"), ("1", "2", "3")]
         if math.isfinite(mean) and np.ptp(excess) > 0:
             candidates += [("colour", *terms) for terms in candidates]
-        candidates = [terms for terms in candidates if w.sum() >= fewest + TUNING.pairs_per_term * len(terms)] or [()]
-        fits = {terms: _robust([columns[name] for name in terms], m - measured, w) for terms in candidates}
+        candidates = [terms for terms in candidates if w.sum() >= fewest + tuning.pairs_per_term * len(terms)] or [()]
+        fits = {terms: _robust([columns[name] for name in terms], m - measured, w, tuning) for terms in candidates}
         best = min(fits, key=lambda terms: fits[terms].bic)
         fit = fits[best]
         value, error = dict(zip(best, fit.terms[1:], strict=True)), dict(zip(best, fit.sigma[1:], strict=True))
@@ -166,15 +173,15 @@ class _MagnitudeFit:
     bic: float
 
 
-def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray) -> _MagnitudeFit:
+def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray, tuning: PhotometryTuning) -> _MagnitudeFit:
     """Weighted least squares; residuals beyond ``tail_sigmas`` robust standard deviations are downweighted."""
     a = np.column_stack([np.ones_like(y), *columns])
     tail_weight = np.ones_like(y)
     # Starting from the weighted median, one wrong pair of seven does not decide which pairs are outliers.
     residual = y - _weighted_median(y, weight)
     scatter = 1.0
-    tail = TUNING.tail_sigmas
-    for iteration in range(TUNING.iterations):
+    tail = tuning.tail_sigmas
+    for iteration in range(tuning.iterations):
         if iteration:
             w = weight * tail_weight
             normal = a.T @ (w[:, None] * a) + 1e-9 * np.eye(a.shape[1])
@@ -211,14 +218,16 @@ class Completeness:
     identified: FloatArray
 
     @classmethod
-    def of(cls, magnitude: FloatArray, p_identified: FloatArray) -> Completeness | None:
+    def of(
+        cls, magnitude: FloatArray, p_identified: FloatArray, tuning: PhotometryTuning = DEFAULT_PHOTOMETRY
+    ) -> Completeness | None:
         """The fit to stars with identification probabilities, (n,) each; None if no magnitude is known."""
         known = np.isfinite(magnitude)
         if not known.any():
             return None
         m, p = magnitude[known], np.clip(p_identified[known], 0.0, 1.0)
-        top, limit, width = _fitted_curve(m, p)
-        edges = _bins(m, TUNING.stars_per_bin)
+        top, limit, width = _fitted_curve(m, p, tuning)
+        edges = _bins(m, tuning.stars_per_bin)
         bin = np.clip(np.searchsorted(edges, m, side="right") - 1, 0, len(edges) - 2)
         count = np.bincount(bin, minlength=len(edges) - 1).astype(np.float64)
         identified = np.bincount(bin, p, len(edges) - 1).astype(np.float64)
@@ -250,11 +259,11 @@ class Completeness:
         return f"{100 * self.top:.0f} % of the bright stars detected, half as many at magnitude {self.limit:.2f}"
 
 
-def _fitted_curve(m: FloatArray, p: FloatArray) -> tuple[float, float, float]:
+def _fitted_curve(m: FloatArray, p: FloatArray, tuning: PhotometryTuning) -> tuple[float, float, float]:
     """Maximum-likelihood (top, limit, width), with a weak prior that bright stars are detected."""
     from scipy.optimize import minimize
 
-    low, high, cells, weight = float(m.min()), float(m.max()), TUNING.cells, TUNING.prior_stars
+    low, high, cells, weight = float(m.min()), float(m.max()), tuning.cells, tuning.prior_stars
     cell = np.minimum(((m - low) / max(high - low, 1e-9) * cells).astype(np.int64), cells - 1)
     number = np.bincount(cell, minlength=cells)
     used = number > 0

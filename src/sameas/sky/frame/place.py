@@ -27,11 +27,12 @@ from sameas.sky.frame.field import Stars
 from sameas.sky.frame.odds import PlateProblem, Verdict, refitted_on, verify
 from sameas.sky.frame.plate import Pointing, sky_of
 from sameas.sky.frame.pointing_hints import (
-    TUNING,
+    DEFAULT_POINTING,
     Aim,
     AllSky,
     ApproximateWcs,
     Hint,
+    PointingTuning,
     SkyIndex,
     candidates,
 )
@@ -124,6 +125,7 @@ def place(
     *,
     index: SkyIndex | None = None,
     odds: float = DEFAULT_ODDS,
+    tuning: PointingTuning = DEFAULT_POINTING,
 ) -> Placement:
     """The placement of a frame by the first hint whose best placement has high enough odds.
 
@@ -135,6 +137,7 @@ def place(
     index : of :func:`~sameas.sky.frame.pointing_hints.sky_index` for :class:`AllSky` hints, reusable between frames;
         built if not given.
     odds : minimum odds of a placement against chance, and against the next best placement.
+    tuning : of the search and the odds.
 
     Raises
     ------
@@ -150,9 +153,9 @@ def place(
     problem, order_1, order_2 = problem_of(measured, stars)
     refusals = []
     for hint in hints:
-        best, second = _best_verdict(problem, hint, index, math.log(odds))
+        best, second = _best_verdict(problem, hint, index, math.log(odds), tuning)
         if best is not None and _is_established(best, second, math.log(odds)):
-            return _placement(problem, best, second, hint, (order_1, order_2))
+            return _placement(problem, best, second, hint, (order_1, order_2), tuning)
         refusals.append(_refusal(hint, best, second))
     raise InputError(f"{measured.name}: no solution: {'; '.join(refusals)}; {_advice(hints)}")
 
@@ -177,15 +180,15 @@ def problem_of(measured: MeasuredStars, stars: Stars) -> tuple[PlateProblem, Int
 
 
 def _best_verdict(
-    problem: PlateProblem, hint: Hint, index: SkyIndex | None, least_log_odds: float
+    problem: PlateProblem, hint: Hint, index: SkyIndex | None, least_log_odds: float, tuning: PointingTuning
 ) -> tuple[Verdict | None, float]:
     """The best verdict under one hint, and the log-odds of the next best, different one."""
     undistorted = _undistorted(problem, hint)
     volume, tolerance = hint.search_volume(undistorted), 0.01 * undistorted.half_diagonal_px
     best, second = None, -math.inf
-    for pointings in candidates(undistorted, hint, index):
-        for pointing in _distinct(pointings, undistorted, TUNING.verified):
-            verdict = verify(undistorted, pointing, volume, tolerance)
+    for pointings in candidates(undistorted, hint, index, tuning):
+        for pointing in _distinct(pointings, undistorted, tuning.verified):
+            verdict = verify(undistorted, pointing, volume, tolerance, tuning.odds)
             if not math.isfinite(verdict.log_odds) or not hint.allows(verdict.pointing, undistorted):
                 continue
             if best is None or verdict.log_odds > best.log_odds:
@@ -248,10 +251,11 @@ def _placement(
     second: float,
     hint: Hint,
     orders: tuple[IntArray, IntArray],
+    tuning: PointingTuning,
 ) -> Placement:
     rms_px = math.sqrt(np.mean(best.residual_px**2))
     if isinstance(hint, ApproximateWcs):
-        best = refitted_on(best, problem, problem.px)
+        best = refitted_on(best, problem, problem.px, tuning.odds)
     return Placement(
         wcs=best.pointing.to_wcs(problem.shape),
         pointing=best.pointing,

@@ -206,7 +206,7 @@ class PlateTuning:
     min_gain: float = 8.0
 
 
-TUNING = PlateTuning()
+DEFAULT_PLATE = PlateTuning()
 
 
 def terms(order: int) -> list[tuple[int, int]]:
@@ -288,7 +288,7 @@ class Polynomial:
         return about_origin
 
 
-def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int]) -> WCS:
+def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int], tuning: PlateTuning = DEFAULT_PLATE) -> WCS:
     """The astropy WCS of a polynomial (arcsec) on the plane at ``centre``: TAN, or TAN-SIP with its inverse."""
     from astropy.wcs import WCS, Sip
 
@@ -303,7 +303,7 @@ def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int]) -> W
     if polynomial.order > 1:
         distortion = np.linalg.solve(cd, coefficients)
         forward = [_table(distortion[axis], polynomial.order) for axis in range(2)]
-        wcs.sip = Sip(*forward, *_reverse(polynomial, origin, cd, shape)[:2], origin + 1.0)
+        wcs.sip = Sip(*forward, *_reverse(polynomial, origin, cd, shape, tuning)[:2], origin + 1.0)
     wcs.wcs.set()
     wcs.array_shape = shape
     return wcs
@@ -319,19 +319,19 @@ def _table(row: FloatArray, order: int, least: int = 2) -> FloatArray:
 
 
 def _reverse(
-    polynomial: Polynomial, origin: FloatArray, cd: FloatArray, shape: tuple[int, int]
+    polynomial: Polynomial, origin: FloatArray, cd: FloatArray, shape: tuple[int, int], tuning: PlateTuning
 ) -> tuple[FloatArray, FloatArray, float]:
     """The inverse tables AP and BP, from linear to frame pixels, and their largest error over the frame, px."""
-    n = 4 * TUNING.reverse_order
+    n = 4 * tuning.reverse_order
     x, y = np.meshgrid(np.linspace(-0.5, shape[1] - 0.5, n), np.linspace(-0.5, shape[0] - 0.5, n))
     px = np.column_stack([x.ravel(), y.ravel()])
     linear = polynomial(px) @ np.linalg.inv(cd).T
     unit = np.abs(linear).max()
-    for order in range(polynomial.order, TUNING.reverse_order + 1):
+    for order in range(polynomial.order, tuning.reverse_order + 1):
         powers = np.stack([(linear[:, 0] / unit) ** a * (linear[:, 1] / unit) ** b for a, b in terms(order)], axis=1)
         fit = np.linalg.lstsq(powers, px - origin - linear, rcond=None)[0]
         worst = float(np.abs(powers @ fit - (px - origin - linear)).max())
-        if worst < TUNING.reverse_px:
+        if worst < tuning.reverse_px:
             break
     fit = fit / unit ** np.array([a + b for a, b in terms(order)])[:, None]
     return _table(fit[:, 0], order, least=0), _table(fit[:, 1], order, least=0), worst
@@ -466,7 +466,14 @@ class PlateModel:
         return np.asarray(np.einsum("nq,aqbr,nr->nab", basis, blocks, basis))
 
 
-def fit_plate(stars: MatchedStars, start: Pointing, shape: tuple[int, int], *, order: int | None = None) -> PlateModel:
+def fit_plate(
+    stars: MatchedStars,
+    start: Pointing,
+    shape: tuple[int, int],
+    *,
+    order: int | None = None,
+    tuning: PlateTuning = DEFAULT_PLATE,
+) -> PlateModel:
     """The plate model of identified stars.
 
     Parameters
@@ -499,28 +506,30 @@ def fit_plate(stars: MatchedStars, start: Pointing, shape: tuple[int, int], *, o
     behind = np.flatnonzero(unit_vectors(stars.ra_deg, stars.dec_deg) @ start.centre <= 0.0)
     if len(behind):
         raise InputError(f"plate: the star of pair {behind[0]} is 90° or more from the frame; check the pairs")
-    fits = {p: _fitted(stars, start, shape, p) for p in possible}
+    fits = {p: _fitted(stars, start, shape, p, tuning) for p in possible}
     bic = {p: model.bic[p] for p, model in fits.items()}
     leave_one_out = {p: model.leave_one_out[p] for p, model in fits.items()}
     best = min(bic, key=lambda p: (bic[p], p))
     supported = [p for p in possible if p <= best]
     if order is None:
-        supported = [p for p in supported if p == possible[0] or _invertible(fits[p])]
+        supported = [p for p in supported if p == possible[0] or _invertible(fits[p], tuning)]
     least = min(leave_one_out[p] for p in supported)
-    best = min(p for p in supported if leave_one_out[p] <= least + TUNING.min_gain)
+    best = min(p for p in supported if leave_one_out[p] <= least + tuning.min_gain)
     return replace(fits[best], bic=bic, leave_one_out=leave_one_out)
 
 
-def _invertible(model: PlateModel) -> bool:
+def _invertible(model: PlateModel, tuning: PlateTuning) -> bool:
     """Whether the inverse of the model's WCS is accurate over the whole frame."""
     if model.order == 1:
         return True
     origin = model.polynomial.inverse(np.zeros((1, 2)))[0]
     cd = model.polynomial.about(origin)[:, 1:3]
-    return _reverse(model.polynomial, origin, cd, model.shape)[2] < TUNING.max_reverse_px
+    return _reverse(model.polynomial, origin, cd, model.shape, tuning)[2] < tuning.max_reverse_px
 
 
-def _fitted(stars: MatchedStars, start: Pointing, shape: tuple[int, int], order: int) -> PlateModel:
+def _fitted(
+    stars: MatchedStars, start: Pointing, shape: tuple[int, int], order: int, tuning: PlateTuning
+) -> PlateModel:
     """The plate model of one order, by iteratively reweighted least squares."""
     middle = np.array([(shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0])
     polynomial = Polynomial.linear(start, middle, 0.5 * math.hypot(*shape), order)
@@ -530,7 +539,7 @@ def _fitted(stars: MatchedStars, start: Pointing, shape: tuple[int, int], order:
     star_covariance = propagated(to_local, unpack(stars.covariance_arcsec, 2))
     basis, tail_weight = polynomial.basis(stars.px), np.ones(len(plane))
     q = basis.shape[1]
-    for _ in range(TUNING.iterations):
+    for _ in range(tuning.iterations):
         slope = polynomial.slope(stars.px)
         total = star_covariance + propagated(slope, unpack(stars.covariance_px, 2))
         precision = inverse(total + 1e-12 * np.eye(2))
@@ -539,8 +548,8 @@ def _fitted(stars: MatchedStars, start: Pointing, shape: tuple[int, int], order:
         polynomial = polynomial.with_coefficients(solution.reshape(2, q))
         residual = plane - basis @ polynomial.coefficients.T
         normalised_sq = np.einsum("ni,nij,nj->n", residual, precision, residual)
-        scale_sq = _scale_squared(normalised_sq, stars.p_match, tail_weight, 2 * q, TUNING.quoted_weight)
-        tail_weight = np.minimum(1.0, TUNING.tail_sigmas**2 * scale_sq / np.maximum(normalised_sq, 1e-300))
+        scale_sq = _scale_squared(normalised_sq, stars.p_match, tail_weight, 2 * q, tuning.quoted_weight)
+        tail_weight = np.minimum(1.0, tuning.tail_sigmas**2 * scale_sq / np.maximum(normalised_sq, 1e-300))
     covariance_scale = max(1.0, scale_sq)
     covariance = covariance_scale * _solve_normal(
         _normal_equations(basis, precision, plane, stars.p_match * tail_weight)[0], np.eye(2 * q)
@@ -552,29 +561,41 @@ def _fitted(stars: MatchedStars, start: Pointing, shape: tuple[int, int], order:
         error_scale=math.sqrt(covariance_scale),
         shape=shape,
         effective_pairs=float(stars.p_match.sum()),
-        bic={order: _bic(normalised_sq / scale_sq, scale_sq, tail_weight, stars.p_match, 2 * q)},
-        leave_one_out={order: _leave_one_out(basis, precision, residual, stars.p_match, tail_weight)},
+        bic={order: _bic(normalised_sq / scale_sq, scale_sq, tail_weight, stars.p_match, 2 * q, tuning)},
+        leave_one_out={
+            order: _leave_one_out(basis, precision, residual, stars.p_match, tail_weight, tuning.tail_sigmas)
+        },
         residual_arcsec=residual,
         weight=stars.p_match * tail_weight,
     )
 
 
 def _bic(
-    normalised_sq: FloatArray, scale_sq: float, tail_weight: FloatArray, p_match: FloatArray, parameters: int
+    normalised_sq: FloatArray,
+    scale_sq: float,
+    tail_weight: FloatArray,
+    p_match: FloatArray,
+    parameters: int,
+    tuning: PlateTuning,
 ) -> float:
     """−2 ln L + parameters · ln(effective pairs), with an unknown error scale.
 
     normalised_sq : (n,) squared residuals over scaled variances; beyond the tail the loss grows logarithmically.
     """
-    n, prior = 2.0 * float(p_match.sum()), TUNING.quoted_weight
-    loss = np.where(tail_weight < 1.0, TUNING.tail_sigmas**2 * (1.0 - np.log(tail_weight)), normalised_sq)
+    n, prior = 2.0 * float(p_match.sum()), tuning.quoted_weight
+    loss = np.where(tail_weight < 1.0, tuning.tail_sigmas**2 * (1.0 - np.log(tail_weight)), normalised_sq)
     # Ratio of the maximum-likelihood scale to the one by degrees of freedom.
     ratio = max(n - parameters + prior, 1.0) / (n + prior)
     return n * math.log(scale_sq * ratio) + float(p_match @ loss) / ratio + parameters * math.log(n / 2.0)
 
 
 def _leave_one_out(
-    basis: FloatArray, precision: FloatArray, residual: FloatArray, p_match: FloatArray, tail_weight: FloatArray
+    basis: FloatArray,
+    precision: FloatArray,
+    residual: FloatArray,
+    p_match: FloatArray,
+    tail_weight: FloatArray,
+    tail_sigmas: float,
 ) -> float:
     """Leave-one-out −2 ln L: each star predicted by a fit to the others, with an unknown error scale.
 
@@ -590,9 +611,9 @@ def _leave_one_out(
     predicted_residual = np.linalg.solve(np.eye(2) * (1.0 + 1e-9) - leverage, residual[:, :, None])[:, :, 0]
     normalised_sq = np.einsum("ni,nij,nj->n", predicted_residual, precision, predicted_residual)
     scale_sq = max(float(weight @ normalised_sq), 1e-300) / max(2.0 * float(weight.sum()), 1e-300)
-    in_tail = normalised_sq / scale_sq > TUNING.tail_sigmas**2
+    in_tail = normalised_sq / scale_sq > tail_sigmas**2
     ratio = np.maximum(normalised_sq / scale_sq, 1e-300)
-    loss = np.where(in_tail, TUNING.tail_sigmas**2 * (1.0 + np.log(ratio / TUNING.tail_sigmas**2)), ratio)
+    loss = np.where(in_tail, tail_sigmas**2 * (1.0 + np.log(ratio / tail_sigmas**2)), ratio)
     return float(2.0 * p_match.sum() * math.log(scale_sq) + p_match @ loss)
 
 

@@ -26,7 +26,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.ragged import Ragged, ranges
 from sameas.representation import in_short
-from sameas.sky.frame.odds import PlateProblem, SearchVolume
+from sameas.sky.frame.odds import DEFAULT_ODDS_TUNING, OddsTuning, PlateProblem, SearchVolume
 from sameas.sky.frame.plate import Pointing, from_plane, similarities, to_plane
 from sameas.space import ARCSEC_PER_RADIAN, chord_angle_deg, unit_vectors
 
@@ -221,7 +221,7 @@ class PointingTuning:
     aim_lists : tried around an aim, in this order: points per pattern, bright stars per field, brightest measurements.
     batch : pairs of patterns counted at a time, which bounds the memory.
     best : maximum number of pointings per list.
-    verified : maximum number of different pointings per list that are verified.
+    verified : maximum number of different pointings per list that are verified. odds : of their verification.
     """
 
     code_tolerance: float = 0.02
@@ -235,9 +235,10 @@ class PointingTuning:
     batch: int = 20_000
     best: int = 500
     verified: int = 20
+    odds: OddsTuning = DEFAULT_ODDS_TUNING
 
 
-TUNING = PointingTuning()
+DEFAULT_POINTING = PointingTuning()
 
 
 @in_short
@@ -367,7 +368,9 @@ class SkyIndex:
     levels: tuple[PatternIndex, ...]
 
 
-def sky_index(stars: Stars, shape: tuple[int, int], hint: AllSky) -> SkyIndex:
+def sky_index(
+    stars: Stars, shape: tuple[int, int], hint: AllSky, tuning: PointingTuning = DEFAULT_POINTING
+) -> SkyIndex:
     """The index of a catalogue of the whole sky, for frames of ``shape`` (rows, columns) and the scales of the hint.
 
     Raises
@@ -376,10 +379,10 @@ def sky_index(stars: Stars, shape: tuple[int, int], hint: AllSky) -> SkyIndex:
     """
     order = stars.order()
     vectors = unit_vectors(np.asarray(stars.ra_deg)[order], np.asarray(stars.dec_deg)[order])
-    return _index_of(vectors, shape, hint)
+    return _index_of(vectors, shape, hint, tuning)
 
 
-def _index_of(vectors: FloatArray, shape: tuple[int, int], hint: AllSky) -> SkyIndex:
+def _index_of(vectors: FloatArray, shape: tuple[int, int], hint: AllSky, tuning: PointingTuning) -> SkyIndex:
     least, most = (side / ARCSEC_PER_RADIAN * math.sqrt(shape[0] * shape[1]) for side in hint.scale_arcsec)
     per_field = len(vectors) * least**2 / (4 * math.pi)
     if per_field < 4:
@@ -391,7 +394,7 @@ def _index_of(vectors: FloatArray, shape: tuple[int, int], hint: AllSky) -> SkyI
         raise InputError(f"a field of {math.degrees(least):.0f}° is not flat; give an aim and a part of the frame")
     steps = max(1, math.ceil(math.log(most / least) / math.log(math.sqrt(2.0)) - 0.3))
     fields = least * math.sqrt(2.0) ** np.arange(steps)
-    number, sides = TUNING.stars_per_field, TUNING.sides_all_sky
+    number, sides = tuning.stars_per_field, tuning.sides_all_sky
     return SkyIndex(tuple(_level(vectors, float(side), number, 4, sides) for side in fields))
 
 
@@ -402,22 +405,26 @@ def _level(vectors: FloatArray, side_rad: float, per_field: int, k: int, sides: 
     return PatternIndex.of(vectors, rows, k=k, shortest_rad=sides[0] * side_rad, longest_rad=sides[1] * side_rad)
 
 
-def candidates(problem: PlateProblem, hint: Hint, index: SkyIndex | None) -> Iterator[Iterator[Pointing]]:
+def candidates(
+    problem: PlateProblem, hint: Hint, index: SkyIndex | None, tuning: PointingTuning = DEFAULT_POINTING
+) -> Iterator[Iterator[Pointing]]:
     """Lists of candidate pointings, the most promising of each first."""
     if isinstance(hint, ApproximateWcs):
         yield _correlated(problem, hint)
         return
     scale = (hint.scale_arcsec[0] / ARCSEC_PER_RADIAN, hint.scale_arcsec[1] / ARCSEC_PER_RADIAN)
     if isinstance(hint, AllSky):
-        index = index or _index_of(problem.vectors, problem.shape, hint)
-        for n in TUNING.measured:
-            if n == TUNING.measured[0] or n // 2 < len(problem.px):
-                yield _alike(problem, index.levels, n, 4, scale)
+        index = index or _index_of(problem.vectors, problem.shape, hint, tuning)
+        for n in tuning.measured:
+            if n == tuning.measured[0] or n // 2 < len(problem.px):
+                yield _alike(problem, index.levels, n, 4, scale, tuning)
         return
-    yield from _about_aim(problem, hint, scale)
+    yield from _about_aim(problem, hint, scale, tuning)
 
 
-def _about_aim(problem: PlateProblem, aim: Aim, scale: tuple[float, float]) -> Iterator[Iterator[Pointing]]:
+def _about_aim(
+    problem: PlateProblem, aim: Aim, scale: tuple[float, float], tuning: PointingTuning
+) -> Iterator[Iterator[Pointing]]:
     reach = math.radians(aim.radius_deg) + problem.half_diagonal_px * scale[1]
     cone = problem.vectors[problem.stars_near(aim.direction, reach)]
     if len(cone) < 3:
@@ -425,32 +432,37 @@ def _about_aim(problem: PlateProblem, aim: Aim, scale: tuple[float, float]) -> I
             f"the catalogue has {len(cone)} stars within {math.degrees(reach):.2g}° of the aim; give one that covers it"
         )
     side = math.sqrt(problem.shape[0] * problem.shape[1] * scale[0] * scale[1])
-    many = len(cone) * side**2 / (4 * math.pi * math.sin(reach / 2) ** 2) > TUNING.many_stars
+    many = len(cone) * side**2 / (4 * math.pi * math.sin(reach / 2) ** 2) > tuning.many_stars
     done: set[tuple[int, int, int]] = set()
-    for k, per_field, n in TUNING.aim_lists:
-        if many and k == 3 and per_field > TUNING.aim_lists[0][1]:
+    for k, per_field, n in tuning.aim_lists:
+        if many and k == 3 and per_field > tuning.aim_lists[0][1]:
             continue
-        level = _level(cone, side, per_field, k, TUNING.sides_many if many else TUNING.sides_few)
+        level = _level(cone, side, per_field, k, tuning.sides_many if many else tuning.sides_few)
         # With few stars or measurements later lists are the same as earlier ones.
         key = (k, len(level.vectors), min(n, len(problem.px)))
         if key not in done and len(level.patterns):
             done.add(key)
-            yield _alike(problem, (level,), n, k, scale)
+            yield _alike(problem, (level,), n, k, scale, tuning)
 
 
 def _alike(
-    problem: PlateProblem, levels: tuple[PatternIndex, ...], n: int, k: int, scale: tuple[float, float]
+    problem: PlateProblem,
+    levels: tuple[PatternIndex, ...],
+    n: int,
+    k: int,
+    scale: tuple[float, float],
+    tuning: PointingTuning,
 ) -> Iterator[Pointing]:
     """Pointings that map a pattern of the n brightest measurements to one of stars, by descending number of matches."""
     # Small patterns determine neither the rotation nor the scale of the frame.
     measured = patterns(problem.px[:n], k, 0.1 * min(problem.shape))
     hits, centres, matrices = [], [], []
     for level in levels:
-        i, j, flipped = level.similar(measured, TUNING.code_tolerance * math.sqrt(k - 2) / math.sqrt(2.0), scale)
-        for start in range(0, len(i), TUNING.batch):
-            part = slice(start, start + TUNING.batch)
+        i, j, flipped = level.similar(measured, tuning.code_tolerance * math.sqrt(k - 2) / math.sqrt(2.0), scale)
+        for start in range(0, len(i), tuning.batch):
+            part = slice(start, start + tuning.batch)
             count, centre, cd = _match_counts(problem, level, measured, i[part], j[part], flipped[part], n)
-            top = np.argsort(-count, kind="stable")[: TUNING.best]
+            top = np.argsort(-count, kind="stable")[: tuning.best]
             top = top[count[top] >= k]
             hits.append(count[top])
             centres.append(centre[top])
@@ -458,7 +470,7 @@ def _alike(
     if not hits:
         return
     count, centre, cd = np.concatenate(hits), np.concatenate(centres), np.concatenate(matrices)
-    for row in np.argsort(-count, kind="stable")[: TUNING.best]:
+    for row in np.argsort(-count, kind="stable")[: tuning.best]:
         yield Pointing(centre[row], cd[row], problem.middle_px)
 
 
