@@ -39,6 +39,11 @@ def test_the_map_updates_shows_the_past_and_runs_no_markup_in_names(keeper, tmp_
             tick = page.js("mapPage.live.tick")
             page.until(f"mapPage.live.tick > {tick + 3}")
             assert page.js("mapPage.now.time") == held and page.js("document.body.dataset.live") == "back"
+            # Records, evidence and approaches are those of the present: none of them is shown for the past.
+            of_object = "document.querySelector('#object').textContent"
+            page.until(f"{of_object}.includes('records are kept for the present only')")
+            page.until("!document.querySelector('#object pre')")
+            assert not page.js(f"{of_object}.includes('CPA')")
             page.js("document.getElementById('play').click()")
             page.until("document.body.dataset.live === 'yes' && mapPage.now.time > " + str(held))
             assert page.errors == [] and all(one.startswith(url) for one in page.requests if "about:" not in one)

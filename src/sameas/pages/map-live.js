@@ -26,6 +26,8 @@ function numberOfText(key, words) {
   return known.get(words);
 }
 
+// Whether the instant shown is the present: the slider moves it before ``watching`` follows.
+const atPresent = () => watching && (!now || now.k >= last);
 const orNaN = v => (v === null || v === undefined ? NaN : v);
 function assemble() {
   const all = [...frames, present];
@@ -157,7 +159,7 @@ async function acknowledge(id, button) {
 
 // ---- explanations, of the present only ----
 explain = async (number, instant) => {
-  if (!watching) return null;
+  if (!atPresent()) return null;
   try {
     const answer = await fetch(`objects/${number}/why`);
     return answer.ok ? { words: await answer.text(), at: instant } : null;
@@ -170,7 +172,7 @@ explain = async (number, instant) => {
 // Later approaches are noise of the courses.
 const MOST_TCPA_S = 2 * 3600;
 const approachOf = r => {
-  const near = watching ? present.cpa[numberOf(r)] : null;
+  const near = atPresent() ? present.cpa[numberOf(r)] : null;
   return near && near[1] <= MOST_TCPA_S ? near : null;
 };
 function beginOwnShip() {

@@ -131,7 +131,9 @@ function membership(r) {
       "h3",
       own.length
         ? `${one}: probability ${probability(objects.p[r])}`
-        : "No current report; its position is predicted",
+        : objects.sources[r]
+          ? `Seen by ${plural(objects.sources[r], "source")} then; records are kept for the present only`
+          : "No current report; its position is predicted",
     ),
   );
   if (own.length) parts.push(memberTable(r, own));
