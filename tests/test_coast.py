@@ -92,3 +92,10 @@ def test_invalid_coast_files_are_refused_by_name(tmp_path, value, words):
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"none\.geojson: cannot be read"):
         read_coast(tmp_path / "none.geojson")
+
+
+def test_tiles_are_refused_with_what_to_give_instead(tmp_path):
+    path = tmp_path / "harbour.pmtiles"
+    path.write_bytes(b"PMTiles\x03")
+    with pytest.raises(InputError, match="tiles are not read; give their land or shores as GeoJSON"):
+        read_coast(path)

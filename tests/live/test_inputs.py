@@ -11,7 +11,8 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
-from sameas.live.inputs import BoundedQueue, Replay, Wire
+from sameas.live import inputs
+from sameas.live.inputs import BoundedQueue, Replay, Wire, _keep_alive
 from sameas.live.keeper import _is_time_zone
 from sameas.tracks.reports import Reports
 
@@ -330,3 +331,41 @@ def test_a_serial_cable_is_pulled_and_put_back(tmp_path):
     words, heard = asyncio.run(run())
     assert words[0] == "No such file or directory" and words[1].startswith("the line was lost: ")
     assert heard == [b"$HEHDT,0.0,T\r\n", b"$HEHDT,1.0,T\r\n"]
+
+
+@pytest.mark.parametrize("listens", [False, True])
+def test_the_other_side_of_a_silent_connection_is_asked_whether_it_is_there(listens, monkeypatch):
+    """A receiver that loses its power ends no connection; it was known after two minutes."""
+    asked = []
+
+    def keep_alive(writer):
+        _keep_alive(writer)
+        asked.append(writer.get_extra_info("socket").getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE))
+
+    monkeypatch.setattr(inputs, "_keep_alive", keep_alive)
+
+    async def run():
+        port = free_port()
+        wire = Wire(f"{'tcp-listen' if listens else 'tcp'}://127.0.0.1:{port}", ReportStream("coast"))
+
+        async def serve(reader, writer):
+            await reader.read()
+            writer.close()
+
+        server = None if listens else await asyncio.start_server(serve, "127.0.0.1", port)
+        task = asyncio.create_task(wire.run())
+        await until(lambda: wire.state.connected)
+        if listens:
+            _, writer = await asyncio.open_connection("127.0.0.1", port)
+            await until(lambda: asked)
+            writer.close()
+            await writer.wait_closed()
+            await asyncio.sleep(0.05)
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+        if server is not None:
+            server.close()
+
+    asyncio.run(run())
+    assert len(asked) == 1 and asked[0] != 0

@@ -189,6 +189,8 @@ def test_signal_k_gives_vessels_own_ship_and_radar_targets(tmp_path):
         {"name": "server", "self": "urn:mrn:imo:mmsi:230099999", "roles": ["master"]},
         delta("vessels.urn:mrn:imo:mmsi:230099999", ("navigation.position", {"latitude": 50.0, "longitude": -1.0})),
         delta("vessels.urn:mrn:imo:mmsi:235070762", ("navigation.speedOverGround", 5.0), ("", {"name": "ALBA"})),
+        delta("vessels.urn:mrn:imo:mmsi:235070762", ("", {"communication": {"callsignVhf": "GABC"}})),
+        delta("vessels.urn:mrn:imo:mmsi:235070762", ("registrations.imo", "IMO 9074729")),
         delta("vessels.urn:mrn:imo:mmsi:235070762", ("navigation.position", {"latitude": 50.1, "longitude": -1.1})),
         delta("vessels.self", ("radars.quay.targets.3", {"distance": 900.0, "bearing": math.pi / 2})),
         delta("vessels.self", ("navigation.position", {"latitude": "north"})),
@@ -197,6 +199,7 @@ def test_signal_k_gives_vessels_own_ship_and_radar_targets(tmp_path):
     stream, found = by_pieces(data, [100, 333])
     ships, targets = found["wire:ais"], found["wire:arpa"]
     assert (ships.mmsi.tolist(), ships.name.tolist(), ships.speed_m_per_s.tolist()) == (["235070762"], ["ALBA"], [5.0])
+    assert (ships.callsign.tolist(), ships.imo.tolist()) == (["GABC"], ["9074729"])
     assert targets.range_m.tolist() == [900.0] and targets.bearing_deg[0] == pytest.approx(90.0)
     assert targets.station_lat_deg.tolist() == [50.0] and sum(stream.damaged.values()) == 1
     path = tmp_path / "deltas.jsonl"

@@ -40,6 +40,9 @@ from sameas.tracks.reports import Reports
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 15.0
 #: A TCP connection without data for this many seconds is closed and reconnected.
 SILENT_S = 120.0
+#: Seconds without data after which the other side of a TCP connection is asked whether it is there: thrice, at half
+#: this interval, so that one that was switched off is known after 25 s.
+KEEP_ALIVE_S = 10
 #: Seconds to wait for a TCP connection.
 ANSWER_S = 10.0
 #: Largest number of pieces of stdin that wait for the loop.
@@ -200,6 +203,7 @@ class Wire:
                 reader, writer = await asyncio.open_connection(parts.hostname, parts.port)
         except TimeoutError:
             raise TimeoutError(f"no answer for {ANSWER_S:.0f} s") from None
+        _keep_alive(writer)
         connection = self._set_connected()
         subscribed = False
         try:
@@ -228,6 +232,7 @@ class Wire:
 
         async def served(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             writers.add(writer)
+            _keep_alive(writer)
             connection = self._set_connected()
             try:
                 with suppress(OSError):
@@ -297,6 +302,16 @@ class Wire:
         while data := await pieces.get():
             self._received(data)
         self._ended(0)
+
+
+def _keep_alive(writer: asyncio.StreamWriter) -> None:
+    """Has the system ask a silent other side whether it is there: one that was switched off ends no connection."""
+    connection = writer.get_extra_info("socket")
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    # Not every system has a name for these.
+    for name, value in (("TCP_KEEPIDLE", KEEP_ALIVE_S), ("TCP_KEEPINTVL", KEEP_ALIVE_S // 2), ("TCP_KEEPCNT", 3)):
+        if hasattr(socket, name):
+            connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 def _require_readable(url: str) -> None:

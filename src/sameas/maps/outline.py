@@ -238,7 +238,11 @@ def read_coast(path: str | os.PathLike[str]) -> Coast:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not GeoJSON: {error}") from error
+        tiles = str(path).lower().endswith((".pmtiles", ".mbtiles"))
+        remedy = (
+            "tiles are not read; give their land or shores as GeoJSON (ogr2ogr converts vector tiles)" if tiles else ""
+        )
+        raise InputError(f"{path}: is not GeoJSON: {error}", remedy) from error
     lines: list[FloatArray] = []
     roles: list[str] = []
     for number, geometry in _geometries(whole, path):

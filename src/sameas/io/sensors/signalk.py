@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,6 +26,8 @@ _NUMBERS = {
     "navigation.courseOverGroundTrue": ("course_deg", 180.0 / math.pi),
     "navigation.headingTrue": ("heading_deg", 180.0 / math.pi),
 }
+#: Paths of texts, with their column; the same are keys of the value of the path "".
+_TEXTS = {"name": "name", "communication.callsignVhf": "callsign", "registrations.imo": "imo"}
 #: Fields older than this, in seconds, are not joined to a position (chosen).
 _STALE_S = 60.0
 
@@ -112,8 +114,8 @@ def _add_delta(
             elif path in _NUMBERS and value is not None:
                 column, scale = _NUMBERS[path]
                 fields[column] = (time_s, scale * float(value))
-            elif path in ("", "name") and (name := value.get("name") if isinstance(value, Mapping) else value):
-                fields["name"] = (math.inf, plain_text(name))
+            elif path in _TEXTS or path == "":
+                fields |= {column: (math.inf, text) for column, text in _texts(path, value)}
         if position_deg is None:
             passed_over["update without a position"] += 1
         elif not (abs(position_deg[0]) <= 90.0 and abs(position_deg[1]) <= 180.0):
@@ -130,6 +132,21 @@ def _add_delta(
                 "line": number, "time_s": time_s, "lat_deg": position_deg[0], "lon_deg": position_deg[1], "mmsi": mmsi,
                 "track_id": mmsi or context, **last,
             })  # fmt: skip
+
+
+def _texts(path: str, value: Any) -> Iterator[tuple[str, str]]:
+    """The columns and texts of a value of a path in ``_TEXTS``, or of the path ""."""
+    for known, column in _TEXTS.items():
+        text = value if path == known else None
+        if not path:
+            text = value
+            for key in known.split("."):
+                text = text.get(key) if isinstance(text, Mapping) else None
+        if isinstance(text, Mapping):
+            text = text.get("name")
+        if text and (words := plain_text(text)):
+            # An IMO number may be written "IMO 9123456".
+            yield column, words.upper().removeprefix("IMO").strip() if column == "imo" else words
 
 
 def _target(value: Any, radar: str, target: str, station: tuple[float, float]) -> dict[str, Any] | None:
