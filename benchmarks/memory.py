@@ -20,7 +20,9 @@ states is a frequency. With every ship displaced by 60 m per axis in each scene,
 they are, the probabilities of single instants deviate by 0.03 or less below 60 m, where they are 0.04 too high at the
 true places, and by 0.05 ± 0.02 and 0.03 ± 0.01 (0.5 to 0.95) at 60 to 200 m. ``--displaced 60`` makes such scenes.
 
-Which kind its errors are a picture does not know, so the lines of all kinds together are given as well.
+Which kind its errors are a picture does not know, so the lines of all kinds together are given as well, and those of
+memory that knows the size and the correlation of all errors. Where errors are constant, more instants show little more
+than one: an error then is one for all instants of a scene, and memory can have less luck than the changing instants.
 """
 
 from __future__ import annotations
@@ -28,17 +30,22 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
 from benchmarks import motion
 from benchmarks.tables import Table, report
+from sameas.arrays import FloatArray, IntArray
 from sameas.evidence.rule import Rule
+from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors
 from sameas.picture.memory import TrackMemory
+from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.picture import picture_states
+from sameas.picture.tables import Scan
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import Watch, all_evidence
 from sameas.simulate.sensors import TrueMotion
 from sameas.tracks.reports import Reports
@@ -185,7 +192,45 @@ def instant_evidence(now: Instant, memory: TrackMemory) -> Rule:
     return all_evidence(now, memory, previous_scans=False)  # type: ignore[return-value]
 
 
-METHODS = {"memory": Watch, "instants alone": lambda: Watch(evidence=instant_evidence, bound=1.0)}
+@dataclass(frozen=True)
+class KnownCorrelation(ErrorCorrelation):
+    """The true correlation of the errors; true : by the name of each source."""
+
+    true: Mapping[str, Errors] = field(default_factory=dict)
+
+    def of_sources(self, scan: Scan) -> KnownCorrelation:
+        known = super().of_sources(scan)
+        return KnownCorrelation(known.names, known.log_probable, known.fixed_s, self.true)
+
+    def lasting(self, source: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+        return np.array([self.true[name].constant for name in self.names])[source]
+
+    def decaying(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+        true = [self.true[name] for name in self.names]
+        share, tau_s = np.array([errors.correlated for errors in true]), np.array([errors.tau_s for errors in true])
+        return np.asarray(share[source] * np.exp(-elapsed_s / tau_s[source]))
+
+
+@dataclass(frozen=True)
+class KnownFactors(ErrorFactors):
+    """The stated errors are right."""
+
+    def of_records(self, scan: Scan) -> FloatArray:
+        return np.ones(len(scan))
+
+
+def with_known_errors(kind: Kind) -> Watch:
+    """A watch that knows the sizes and correlations of all errors: what memory can give at most."""
+    true = {"ais": kind.ais, **{f"tracker {k}": errors for k, errors in enumerate(kind.trackers, start=1)}}
+    tracks = NamedTracks(error_correlation=KnownCorrelation(true=true), error_factors=KnownFactors())
+    return Watch(memory=TrackMemory(tracks=tracks))
+
+
+METHODS: Mapping[str, Callable[[Kind], Watch]] = {
+    "memory": lambda kind: Watch(),
+    "instants alone": lambda kind: Watch(evidence=instant_evidence, bound=1.0),
+    "memory, errors known": with_known_errors,
+}
 
 
 @dataclass(frozen=True)
@@ -333,13 +378,14 @@ def table(every_s: float, seeds: Sequence[int], only: str, displaced_m: float = 
         for way, watch in METHODS.items():
             began = time.process_time()
             trials = ((Trial.of(moved, log, kind, k), k) for moved, k in zip(motions, seeds, strict=True))
-            one = Score.pooled([Score.of(trial, instants, watch(), k) for trial, k in trials])
+            one = Score.pooled([Score.of(trial, instants, watch(kind), k) for trial, k in trials])
             scores.append(one)
             pooled[way].append(one)
             rows += one.rows([kind.words, way])
             states.append([kind.words, way, float(np.nanmean(one.nees)), float(np.sqrt(np.nanmean(one.fused_m))),
                            float(np.sqrt(np.nanmean(one.best_m))), time.process_time() - began])  # fmt: skip
         compared.append([kind.words, *scores[0].compared(scores[1])])
+        compared.append([f"{kind.words}, known", *scores[2].compared(scores[1])])
     for way, of_kinds in pooled.items():
         if len(of_kinds) > 1:
             rows += Score.pooled(of_kinds).rows(["all kinds", way])

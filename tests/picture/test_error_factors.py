@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from sameas.gaussian import log_density
 from sameas.many.observations import records_of
-from sameas.picture.error_factors import BLOCK, ErrorFactors, _log_density, information, pairs_within
+from sameas.picture.error_factors import BLOCK, ErrorFactors, _log_density, _of_residuals, information, pairs_within
 from sameas.picture.picture import Picture, picture_states
 from sameas.picture.tables import RANGE_BANDS, Scan
 from sameas.picture.track_pairs import keys
@@ -70,10 +70,12 @@ def test_many_sources_are_estimated_in_blocks():
     assert np.all(np.abs(np.log(factors.factor / true)) < 0.35)
 
 
-def test_without_certain_or_new_pairs_errors_stay_as_stated():
-    assert ErrorFactors().of_sources(("a", "b")).factor == pytest.approx(np.ones(2))
+def test_without_certain_or_new_pairs_nothing_is_learned_of_errors():
+    before = ErrorFactors().of_sources(("a", "b"))
+    # The mean of the prior: half as stated, half log-normal.
+    assert before.factor == pytest.approx(np.full(2, 1.067), abs=0.01) and not before.lines()
     again = after_pairs(np.random.default_rng(4), (3.0, 3.0), 500, (10.0, 10.0), weight=0.0)
-    assert again.factor == pytest.approx(np.ones(2)) and not again.lines()
+    assert again.factor == pytest.approx(before.factor) and not again.lines()
 
 
 @pytest.mark.parametrize("lasting", [0.0, 0.5, 0.9, 1.0])
@@ -133,6 +135,19 @@ def after_ways(rng, true, n, correlation=0.0, stated_m=10.0, carried_m=0.0):
             np.zeros(len(k), np.int64), shift[k], (2.0 * stated[k], stated[k]), (carried[k], carried[k])
         )
     return float(factors._with_posterior(DEFAULT_TUNING).factor[0])
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.7, 0.95, 1.0])
+def test_residuals_bound_factors_from_below_and_prefer_none_above(rho):
+    rng, n = np.random.default_rng(9), 400
+    stated, still, part = np.tile(100.0 * np.eye(2), (n, 1, 1)), np.zeros((n, 2, 2)), np.zeros(n, np.int64)
+    shift = 10.0 * np.sqrt(2.0 * (1.0 - rho)) * rng.standard_normal((n, 2))
+    factors = ErrorFactors().of_sources(("receiver",))
+    factors = factors.with_shifts(part, shift, (2.0 * stated, stated), (still, still))
+    log_likely, relative = _of_residuals(factors.log_shifts, DEFAULT_TUNING)[0], FACTORS - np.sqrt(1.0 - rho)
+    allowed = log_likely[(relative > 0.2) & (FACTORS < 2.5)]
+    assert np.ptp(allowed) < 0.05
+    assert np.all(log_likely[relative < -0.2] < allowed.mean() - 10.0)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -14,8 +14,11 @@ outliers with ``factor_outlier`` times the errors: a wrong time stamp, an antenn
 
 Sure pairs are selected for being near, so where pairs are sure only by chance, factors come out too small. The
 residuals of single tracks from report to report, ν ~ N(0, f² (R + R′ − ρ (L L′ᵀ + L′ Lᵀ)) + κ D) as below, do not
-depend on pairs and bound the errors from below, whatever ρ. Each source has one unknown ρ with a uniform prior. The
-motion's share κ is unknown as well; whether it applies to the errors of measured velocities too is a second unknown.
+depend on pairs and bound the errors from below, whatever ρ. Each source has one unknown ρ. They measure f² (1 − ρ).
+With probability ``errors_new`` ρ is 0; otherwise the prior is uniform in ln (1 − ρ), so that residuals prefer none of
+the factors above the bound. A prior uniform in ρ prefers small ones, by 1 / f²: AIS whose errors persist for minutes
+would have factors of 0.85. The motion's share κ is unknown as well; whether it applies to the errors of measured
+velocities too is a second unknown.
 Residuals count against small factors and not in favour of them: with a log-normal prior alone the mean of the factors
 that they allow would be 1.2 to 1.4 where 1 is true, and a source more precise than others has no other evidence.
 
@@ -111,6 +114,9 @@ def growth(change: FloatArray) -> FloatArray:
 
 #: Correlations of two reports at which likelihoods are computed; interpolated between.
 CORRELATIONS = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0])
+#: The same for error factors, of which neighbouring ones differ by 2^¼: 1 − ρ is 1, 2^(−½), ½ … so that f² (1 − ρ) has
+#: the same values for all f; and 0, for receivers that repeat positions.
+OF_FACTORS = np.append(1.0 - 2.0 ** (-0.5 * np.arange(16)), 1.0)
 
 
 @dataclass(frozen=True)
@@ -284,7 +290,7 @@ class ErrorFactors:
     log_likely : (S B, S B, K, K) L_ab of parts a < b, by the factors of both.
     log_shifts : (S B, K, 2ρ) ln p of the residuals of their tracks, with κ on all of the motion, and with κ on all but
     the errors of measured velocities. reports : (S B,) how many reports these are from.
-    factor : (S,) geometric mean of each source's factor. sigma : (S,) 1σ of its logarithm. by_range : (S, B) the factor
+    factor : (S,) mean of each source's factor. sigma : (S,) 1σ of its logarithm. by_range : (S, B) the factor
     of each range band.
     """
 
@@ -303,8 +309,8 @@ class ErrorFactors:
         k, n, known = len(tuning.error_factors), RANGE_BANDS * len(names), len(self.reports)
         log_likely = np.zeros((n, n, k, k))
         log_likely[:known, :known] = self.log_likely.reshape(known, known, k, k)
-        log_shifts, reports = np.zeros((n, k, 2 * len(CORRELATIONS))), np.zeros(n)
-        log_shifts[:known], reports[:known] = self.log_shifts.reshape(known, k, 2 * len(CORRELATIONS)), self.reports
+        log_shifts, reports = np.zeros((n, k, 2 * len(OF_FACTORS))), np.zeros(n)
+        log_shifts[:known], reports[:known] = self.log_shifts.reshape(known, k, 2 * len(OF_FACTORS)), self.reports
         extended = replace(self, names=names, log_likely=log_likely, log_shifts=log_shifts, reports=reports)
         return extended._with_posterior(tuning)
 
@@ -346,12 +352,12 @@ class ErrorFactors:
         # All factors at once, (factors, twice n, …).
         sq = np.array(tuning.error_factors)[:, None, None, None] ** 2
         total, common = (sq * np.concatenate([each, each]) for each in (total, common))
-        log_p = np.empty((len(sq) * 2 * n, len(CORRELATIONS)))
+        log_p = np.empty((len(sq) * 2 * n, len(OF_FACTORS)))
         correlated_shifts(
             np.tile(shift, (2 * len(sq), 1)), (total + fixed).reshape(-1, 2, 2), common.reshape(-1, 2, 2),
-            np.tile(scaled, (len(sq), 1, 1)), CORRELATIONS, np.array(tuning.motion_shares), MIN_M2, log_p,
+            np.tile(scaled, (len(sq), 1, 1)), OF_FACTORS, np.array(tuning.motion_shares), MIN_M2, log_p,
         )  # fmt: skip
-        both_cases = log_p.reshape(len(sq), 2, n, len(CORRELATIONS)).transpose(0, 2, 1, 3).reshape(len(sq), n, -1)
+        both_cases = log_p.reshape(len(sq), 2, n, len(OF_FACTORS)).transpose(0, 2, 1, 3).reshape(len(sq), n, -1)
         # Half weight: each report enters two successive residuals.
         log_likely = 0.5 * np.logaddexp(both_cases, log_outlier[:, None])
         log_shifts = self.log_shifts.copy()
@@ -425,7 +431,9 @@ class ErrorFactors:
     def _with_posterior(self, tuning: Tuning) -> ErrorFactors:
         """The estimate with ``factor``, ``sigma`` and ``by_range`` updated to all evidence."""
         logs, n, k = np.log(np.array(tuning.error_factors)), len(self.names), len(tuning.error_factors)
-        own = _log_prior(logs, tuning) + logsumexp(self.log_shifts.reshape(n, RANGE_BANDS, k, -1).sum(axis=1), axis=2)
+        own = _log_prior(logs, tuning) + _of_residuals(
+            self.log_shifts.reshape(n, RANGE_BANDS, k, -1).sum(axis=1), tuning
+        )
         # L symmetrised: by the factor of the first part, then of the second.
         of_parts = self.log_likely + self.log_likely.transpose(1, 0, 3, 2)
         pairwise = of_parts.reshape(n, RANGE_BANDS, n, RANGE_BANDS, k, k).sum(axis=(1, 3))
@@ -438,7 +446,7 @@ class ErrorFactors:
                 weight[block] = _marginals(own[block] + field_, pairwise[np.ix_(block, block)])
         mean = weight @ logs
         sigma = np.sqrt(np.maximum(weight @ logs**2 - mean**2, 0.0))
-        factor = np.exp(mean)
+        factor = weight @ np.exp(logs)
         return replace(
             self, factor=factor, sigma=sigma, by_range=self._by_range(factor, weight, of_parts, logs, tuning)
         )
@@ -458,8 +466,8 @@ class ErrorFactors:
         ratio = np.exp(-0.5 * ((logs - logs[:, None]) / tuning.error_factor_sigma) ** 2)
         change = 0.5 * np.eye(k) + 0.5 * ratio / ratio.sum(axis=1, keepdims=True)
         prior = np.repeat(np.log(weight @ change + 1e-300), RANGE_BANDS, axis=0)
-        mean = np.exp(log_softmax(prior + logsumexp(self.log_shifts, axis=2) + log_pairs, axis=1)) @ logs
-        return np.where(several[:, None], np.exp(mean).reshape(n, RANGE_BANDS), factor[:, None])
+        of_bands = np.exp(log_softmax(prior + _of_residuals(self.log_shifts, tuning) + log_pairs, axis=1))
+        return np.where(several[:, None], (of_bands @ np.exp(logs)).reshape(n, RANGE_BANDS), factor[:, None])
 
 
 def information(n_previous: IntArray, rho: FloatArray, lasting_rho: FloatArray) -> FloatArray:
@@ -501,6 +509,14 @@ def evenly(position: FloatArray, max_rows: int) -> IntArray:
     if len(position) <= max_rows:
         return np.arange(len(position))
     return np.sort(ordered_by(position.T)[np.linspace(0, len(position) - 1, max_rows).astype(np.int64)])
+
+
+def _of_residuals(log_shifts: FloatArray, tuning: Tuning) -> FloatArray:
+    """(n, K) ln p of residuals for each factor, from that for each ρ and both cases of the motion (n, K, 2ρ)."""
+    share = tuning.errors_new
+    prior = np.full(len(OF_FACTORS), (1.0 - share) / len(OF_FACTORS))
+    prior[0] += share
+    return np.asarray(logsumexp(log_shifts + np.log(np.tile(prior, 2)), axis=2))
 
 
 def _log_prior(logs: FloatArray, tuning: Tuning) -> FloatArray:

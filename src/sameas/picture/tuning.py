@@ -40,8 +40,9 @@ class Tuning:
         max_offset_freedom : maximum weight of the latter, since hulls differ. offset_restart : a mean offset restarts
         if the ids were swapped or reassigned with at least this probability.
     error_factors : grid of factors on stated errors, about 1. errors_as_stated : prior probability that errors are as
-        stated. error_factor_sigma : prior 1σ of ln f otherwise. factor_outliers : share of differences of sure pairs
-        that are outliers, with factor_outlier times their errors.
+        stated. error_factor_sigma : prior 1σ of ln f otherwise. errors_new : prior probability that the errors of a
+        source are new in every report, where factors are estimated from single tracks. factor_outliers : share of
+        differences of sure pairs that are outliers, with factor_outlier times their errors.
     convoy_log_odds : bound of the log-odds that two objects are in convoy, so that later reports can change them.
     swap_rates : grid of probabilities h, per report, that a tracker swaps two objects at one place.
     swap_ranges : grid of c, where h decreases with the distance as e^(−χ²/c); the prior is uniform.
@@ -119,6 +120,7 @@ class Tuning:
     error_factors: tuple[float, ...] = tuple(2.0 ** (k / 4.0) for k in range(-8, 9))
     errors_as_stated: float = 0.5
     error_factor_sigma: float = 0.5
+    errors_new: float = 0.1
     factor_outliers: float = 0.01
     factor_outlier: float = 10.0
     convoy_log_odds: float = 5.0
