@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,6 +33,10 @@ from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, columns_of, common_epoch
 from sameas.sky.doubts import completed
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from astropy.table import Table
 
 Progress = Callable[[str], None]
 
@@ -213,7 +217,7 @@ def _first_rows(stored: HatsCatalogue, options: CatalogueOptions, tuning: RunTun
     return Catalogue.of(Table(table, copy=False), stored.name, options=options)
 
 
-def _rows_of(table: Any) -> Any:
+def _rows_of(table: pa.Table) -> Table:
     return table_of(table.drop_columns([name for name in OWN if name in table.column_names]))
 
 

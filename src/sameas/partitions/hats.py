@@ -34,6 +34,7 @@ from sameas.representation import in_short
 if TYPE_CHECKING:
     import pyarrow as pa
     from astropy.table import Table
+    from pyarrow import parquet
 
 #: The column of the cell of order 29.
 CELL = "_healpix_29"
@@ -313,7 +314,7 @@ class HatsCatalogue:
                     parts.append(group.table if len(kept) == len(group.cells) else group.table.take(pa.array(kept)))
         return parts
 
-    def _read(self, opened: Any, number: int, names: list[str]) -> pa.Table:
+    def _read(self, opened: parquet.ParquetFile, number: int, names: list[str]) -> pa.Table:
         """A row group, with its rows' cells in the last column."""
         import pyarrow as pa
 
@@ -347,7 +348,7 @@ class HatsCatalogue:
         return hashlib.sha256(json.dumps(files).encode()).hexdigest()
 
 
-def _with_cells_last(part: pa.Table, cells: Any, names: list[str]) -> pa.Table:
+def _with_cells_last(part: pa.Table, cells: pa.Array, names: list[str]) -> pa.Table:
     import pyarrow as pa
 
     kept = [name for name in names if name != CELL]  # a selection of no columns would have no rows
@@ -378,7 +379,7 @@ class _Group:
         return ranges(begin, end - begin)[1]
 
 
-def _groups_ascend(metadata: Any) -> bool:
+def _groups_ascend(metadata: parquet.FileMetaData) -> bool:
     """Whether the cells of a file's row groups ascend without overlap, by their statistics."""
     last = -1
     for number in range(metadata.num_row_groups):
@@ -389,7 +390,7 @@ def _groups_ascend(metadata: Any) -> bool:
     return True
 
 
-def _limits(group: Any) -> tuple[int, int] | None:
+def _limits(group: parquet.RowGroupMetaData) -> tuple[int, int] | None:
     """The lowest and highest cell of a row group, from its statistics; None without statistics."""
     for k in range(group.num_columns):
         column = group.column(k)
@@ -399,7 +400,7 @@ def _limits(group: Any) -> tuple[int, int] | None:
     return None
 
 
-def _outside(group: Any, stretch: IntArray) -> bool:
+def _outside(group: parquet.RowGroupMetaData, stretch: IntArray) -> bool:
     """Whether the statistics of a row group exclude that a row is in a set of stretches."""
     limits = _limits(group)
     if limits is None:
@@ -408,7 +409,7 @@ def _outside(group: Any, stretch: IntArray) -> bool:
     return at == len(stretch) or bool(stretch[at, 0] > limits[1])
 
 
-def _opened(file: Path, cell: Cell) -> Any:
+def _opened(file: Path, cell: Cell) -> parquet.ParquetFile:
     """The file's footer."""
     from pyarrow import parquet
 

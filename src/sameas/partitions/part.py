@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -571,19 +571,48 @@ class DecidedPart:
         return table, cell
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
-        """The numbers that are summed over the parts (the maximum of ``halo_arcsec``)."""
+    def sums(self) -> PartSums:
+        """Its own numbers, to be added to those of other parts."""
         own = self.own[0][self.result.matches.rows_1]
         own_pairs = self.own[0][self.result.rows_1]
         p, chosen = self.result.p_pair[own_pairs], self.result.chosen[own_pairs]
-        return {
-            "read": len(self.one.records) + len(self.two.records),
-            "pairs": int(np.count_nonzero(own)),
-            "expected_common": float(p.sum()),
-            "expected_wrong": float((1.0 - p[chosen]).sum()),
-            "doubtful": self.n_doubtful,
-            "halo_arcsec": self.halo_arcsec,
-        }
+        return PartSums(
+            read=len(self.one.records) + len(self.two.records),
+            pairs=int(np.count_nonzero(own)),
+            expected_common=float(p.sum()),
+            expected_wrong=float((1.0 - p[chosen]).sum()),
+            doubtful=self.n_doubtful,
+            halo_arcsec=self.halo_arcsec,
+        )
+
+
+@dataclass(frozen=True)
+class PartSums:
+    """Numbers of one decided part or more.
+
+    read : records in the parts and their halos, counted again for each widened halo. pairs : identified.
+    expected_common, expected_wrong : expected numbers of common objects, and of wrong pairs. doubtful : rows whose
+    answer a wider halo might change. halo_arcsec : the widest.
+    """
+
+    read: int
+    pairs: int
+    expected_common: float
+    expected_wrong: float
+    doubtful: int
+    halo_arcsec: float
+
+    @classmethod
+    def of(cls, parts: Sequence[PartSums]) -> PartSums:
+        """The sums of several."""
+        return cls(
+            read=sum(one.read for one in parts),
+            pairs=sum(one.pairs for one in parts),
+            expected_common=sum(one.expected_common for one in parts),
+            expected_wrong=sum(one.expected_wrong for one in parts),
+            doubtful=sum(one.doubtful for one in parts),
+            halo_arcsec=max(one.halo_arcsec for one in parts),
+        )
 
 
 @dataclass(frozen=True)

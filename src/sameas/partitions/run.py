@@ -13,10 +13,10 @@ import sqlite3
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,10 +41,13 @@ from sameas.partitions.hats import (
     write_rows,
     written_whole,
 )
-from sameas.partitions.part import WITH_SECOND, Work
+from sameas.partitions.part import WITH_SECOND, PartSums, Work
 from sameas.partitions.workers import Workers, store, stored_work
 from sameas.representation import in_short
 from sameas.sky.joins import joined_names
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 #: Most records of both catalogues in a piece, and most candidates (0.4 kB each). A worker then takes 0.6 GB, with the
 #: libraries and the sums. Smaller pieces spend a larger part of the work on halos.
@@ -68,14 +71,42 @@ class Task:
         return self.cells[0] if len(self.cells) == 1 else self.pieces[0][0]
 
 
-def decide_partition(folder: str, given: tuple[Task, str, dict[str, Any]]) -> dict[str, Any]:
-    """Decide a task and write its partitions; returns the summary. given : the task, the output catalogue's folder, the
-    provenance."""
+@dataclass(frozen=True)
+class Decided:
+    """A task that is decided and written.
+
+    cell : of the task. written : its partitions that have rows. sums : of its parts. cpu_seconds : it took; 0 for a
+    task of an interrupted run.
+    """
+
+    cell: Cell
+    written: tuple[Cell, ...]
+    sums: PartSums
+    cpu_seconds: float = 0.0
+
+    def write(self, file: Path) -> None:
+        """To a JSON file, which is whole or absent."""
+        cells = {"written": [[cell.order, cell.number] for cell in self.written]}
+        own = {"order": self.cell.order, "number": self.cell.number}
+        written_whole(file, json.dumps({**asdict(self.sums), **cells, **own}).encode())
+
+    @classmethod
+    def read(cls, file: Path) -> Decided:
+        """From a file that :meth:`write` wrote."""
+        with reading(str(file), "is not as it was written"):
+            stored = json.loads(file.read_text(encoding="utf-8"))
+            sums = PartSums(**{one.name: stored[one.name] for one in fields(PartSums)})
+            written = tuple(Cell(*cell) for cell in stored["written"])
+            return cls(Cell(stored["order"], stored["number"]), written, sums)
+
+
+def decide_partition(folder: str, given: tuple[Task, str, dict[str, Any]]) -> Decided:
+    """Decide a task and write its partitions. given : the task, the output catalogue's folder, the provenance."""
     task, catalogue, facts = given
     work = stored_work(folder)
     cpu = time.process_time()
-    summaries: list[dict[str, Any]] = []
-    pieces = (_joined_piece(work, piece, facts, summaries) for piece in task.pieces)
+    sums: list[PartSums] = []
+    pieces = (_joined_piece(work, piece, facts, sums) for piece in task.pieces)
     if len(task.cells) == 1:
         written = [write_rows(pieces, partition_file(Path(catalogue), task.cells[0]))]
     else:
@@ -83,20 +114,19 @@ def decide_partition(folder: str, given: tuple[Task, str, dict[str, Any]]) -> di
         begins = np.searchsorted(numbers_of(rows, CELL), [cell.stretch[0] for cell in task.cells])
         written = [write_rows([rows.slice(begin, end - begin)], partition_file(Path(catalogue), cell))
                    for cell, (begin, end) in zip(task.cells, begins, strict=True)]  # fmt: skip
-    non_empty = [[cell.order, cell.number] for cell, rows in zip(task.cells, written, strict=True) if rows]
-    summary = {key: (max if key == "halo_arcsec" else sum)(one[key] for one in summaries) for key in summaries[0]}
-    summary |= {"written": non_empty, "order": task.cell.order, "number": task.cell.number}
-    written_whole(summary_file(Path(folder), task), json.dumps(summary).encode())
-    return summary | {"cpu_seconds": time.process_time() - cpu}
+    non_empty = tuple(cell for cell, rows in zip(task.cells, written, strict=True) if rows)
+    decided = Decided(task.cell, non_empty, PartSums.of(sums))
+    decided.write(_file_of(Path(folder), task))
+    return replace(decided, cpu_seconds=time.process_time() - cpu)
 
 
-def _joined_piece(work: Work, piece: tuple[Cell, ...], facts: dict[str, Any], summaries: list[dict[str, Any]]) -> Any:
-    """The Arrow table of a piece's joined rows, by ascending cell of order 29; appends to ``summaries``."""
+def _joined_piece(work: Work, piece: tuple[Cell, ...], facts: dict[str, Any], sums: list[PartSums]) -> pa.Table:
+    """A piece's joined rows, by ascending cell of order 29; appends to ``sums`` those of its parts."""
     import pyarrow as pa
 
     tables = []
     for part in work.decide(piece):
-        summaries.append(part.summary)
+        sums.append(part.sums)
         tables.append(arrow_of(*part.table(work), facts))
     if len(tables) == 1:
         return tables[0]
@@ -116,8 +146,8 @@ def _output(folder: str) -> HatsCatalogue:
     return HatsCatalogue.open(folder)
 
 
-def summary_file(folder: Path, task: Task) -> Path:
-    """The file of a finished task's summary."""
+def _file_of(folder: Path, task: Task) -> Path:
+    """The file of a decided task."""
     return folder / "done" / f"{task.cell.order}-{task.cell.number}.json"
 
 
@@ -237,16 +267,14 @@ def _write_all(
     written_whole(mark, json.dumps(facts).encode())
     max_records = min(collection.piece_rows, estimated.rows_with_halo(PIECE_PAIRS))
     all_tasks = list(divide(output_cells(work), estimated.counts, work.sides[0].cell_order, max_records))
-    summaries = [_finished_summary(scratch, catalogue, task) for task in all_tasks]
-    tasks = [(task, str(catalogue), facts)
-             for task, summary in zip(all_tasks, summaries, strict=True) if summary is None]  # fmt: skip
-    finished, cpu = [summary for summary in summaries if summary is not None], 0.0
+    earlier = [_decided_earlier(scratch, catalogue, task) for task in all_tasks]
+    tasks = [(task, str(catalogue), facts) for task, done in zip(all_tasks, earlier, strict=True) if done is None]
+    finished = [done for done in earlier if done is not None]
     with workers if len(tasks) > 1 else workers.alone() as pool:
-        for n, (_, summary) in enumerate(pool.each(decide_partition, str(scratch), tasks), 1):
-            finished.append(summary)
-            cpu += summary["cpu_seconds"]
-            progress(f"part {n + len(summaries) - len(tasks)} of {len(summaries)}")
-        non_empty = [Cell(*cell) for summary in finished for cell in summary["written"]]
+        for _, decided in pool.each(decide_partition, str(scratch), tasks):
+            finished.append(decided)
+            progress(f"part {len(finished)} of {len(all_tasks)}")
+        non_empty = [cell for decided in finished for cell in decided.written]
         if not non_empty:
             raise InputError(f"{path}: the join {work.join} has no rows; nothing was written")
         properties = catalogue_properties(name, *position_columns(work))
@@ -259,23 +287,21 @@ def _write_all(
         draft.unlink(missing_ok=True)
     last()
     write_collection(path, name, margin if margin is not None and (path / margin).exists() else None)
-    finished = sorted(finished, key=lambda summary: (summary["order"], summary["number"]))
-    sums = {key: sum(summary[key] for summary in finished)
-            for key in ("pairs", "expected_common", "expected_wrong", "doubtful", "read")}  # fmt: skip
-    widest = max(summary["halo_arcsec"] for summary in finished)
-    return Written(path, rows, len(non_empty), sums["pairs"], sums["expected_common"], sums["expected_wrong"],
-                   sums["doubtful"], widest, len(tasks), cpu, sums["read"])  # fmt: skip
+    cpu_seconds = sum(decided.cpu_seconds for decided in finished)
+    # Added in the order of the sky, so that the sums do not depend on the workers.
+    in_order = sorted(finished, key=lambda decided: (decided.cell.order, decided.cell.number))
+    sums = PartSums.of([decided.sums for decided in in_order])
+    return Written(path, rows, len(non_empty), sums.pairs, sums.expected_common, sums.expected_wrong, sums.doubtful,
+                   sums.halo_arcsec, len(tasks), cpu_seconds, sums.read)  # fmt: skip
 
 
-def _finished_summary(scratch: Path, catalogue: Path, task: Task) -> dict[str, Any] | None:
-    """The summary of a finished task whose files all exist, else None."""
-    file = summary_file(scratch, task)
+def _decided_earlier(scratch: Path, catalogue: Path, task: Task) -> Decided | None:
+    """A task that an interrupted run has decided, if all its files exist; else None."""
+    file = _file_of(scratch, task)
     if not file.exists():
         return None
-    with reading(str(file), "is not as it was written"):
-        summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        complete = all(partition_file(catalogue, Cell(*cell)).exists() for cell in summary["written"])
-    return summary if complete else None
+    decided = Decided.read(file)
+    return decided if all(partition_file(catalogue, cell).exists() for cell in decided.written) else None
 
 
 def _write_margins(
