@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -260,6 +260,8 @@ def picture_tables(folder: Path) -> tuple[Table, Table]:
 LISTED = 20
 #: A record: instant in seconds (0 for catalogues), source, and id within the source.
 Record = tuple[float, str, str]
+#: A record, and its partners in each of two outputs, as text.
+_Difference = tuple[str, tuple[str, ...], tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -328,24 +330,33 @@ def _lines(first: _Objects, second: _Objects, shared: set[Record]) -> Iterator[s
     changed = sorted(record for record in shared if sides[0][1][record] != sides[1][1][record])
     yield from entry("records moved", f"{count(len(changed))} of {count(len(shared))} are of another object")
     listed: set[frozenset[Record]] = set()
-    shown = 0
+    differences: dict[_Difference, list[Record]] = {}
     for record in changed:
         answers = [members[record] for _, members in sides]
         if answers[0] | answers[1] in listed:
             continue
         listed.add(answers[0] | answers[1])
-        shown += 1
-        if shown <= LISTED:
-            yield ""
-            yield _called(record) + (f" at {moment(record[0])}" if pictures else "")
-            for (one, _), members in zip(sides, answers, strict=True):
-                others = sorted(members - {record})
-                words = " = ".join(map(_called, others)) if others else "no partner"
-                p = one.probability.get(one.of[record])
-                yield from entry(one.title[:20], words + ("" if p is None else f", probability {probability_text(p)}"))
-    if shown > LISTED:
+        others = [tuple(_called(other) for other in sorted(members - {record})) for members in answers]
+        # In a picture, a difference that lasts is one, however many instants show it.
+        differences.setdefault((_called(record), others[0], others[1]), []).append(record)
+    for (name, *others), records in list(differences.items())[:LISTED]:
         yield ""
-        yield f"and {count(shown - LISTED)} more"
+        yield name + (f" at {_instants(records)}" if pictures else "")
+        for (one, _), partners in zip(sides, others, strict=True):
+            words = " = ".join(partners) if partners else "no partner"
+            p = [p for record in records if (p := one.probability.get(one.of[record])) is not None]
+            texts = list(dict.fromkeys(probability_text(value) for value in (min(p), max(p)))) if p else []
+            yield from entry(one.title[:20], words + (f", probability {' to '.join(texts)}" if texts else ""))
+    if len(differences) > LISTED:
+        yield ""
+        yield f"and {count(len(differences) - LISTED)} more"
+
+
+def _instants(records: Sequence[Record]) -> str:
+    """The time of a difference, or its first and last ones with their number."""
+    if len(records) == 1:
+        return moment(records[0][0])
+    return f"{len(records)} instants from {moment(records[0][0])} to {moment(records[-1][0])}"
 
 
 def _called(record: Record) -> str:
