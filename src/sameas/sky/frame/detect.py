@@ -251,10 +251,13 @@ def _gain_note(
     if frame.sigma is not None:
         return ()
     if measured_gain is not None:
-        return (
-            f"gain not known: photon noise of {measured_gain.value:.3g} ± {measured_gain.error:.1g} ADU² per ADU of "
-            f"star light, measured on {measured_gain.stars} stars",
+        value, error = measured_gain.value, measured_gain.error
+        gain = (
+            f"about {1 / value:.3g} ± {error / value**2:.1g}"
+            if value > 3 * error
+            else f"at least {1 / (value + 2 * error):.2g}"
         )
+        return (f"gain not known: {gain} e⁻/ADU by the scatter of the light of {measured_gain.stars} stars",)
     if not background.inverse_gain:
         return ("assumed: no photon noise of the stars (gain not known); bright stars' errors are too small",)
     found = _gain_of(frame, background, stars)
