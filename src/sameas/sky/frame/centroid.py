@@ -74,7 +74,7 @@ class Background:
             level.astype(np.float32),
             np.where(usable, variance, np.inf).astype(np.float32),
             1 / gain if known else 0.0,
-            _correlation(normal),
+            noise_correlation(normal),
         )
 
     def factor(self, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -116,7 +116,7 @@ def _meshes(frame: Frame, box_px: int) -> tuple[FloatArray, FloatArray]:
         raise InputError(f"{frame.name}: too few usable pixels for a background ({error})") from error
 
 
-def _correlation(normal: FloatArray) -> FloatArray:
+def noise_correlation(normal: FloatArray) -> FloatArray:
     """The noise correlation at small offsets, from normalised pixels without stars."""
     reach, half = TUNING.noise_reach_px, TUNING.noise_side_px // 2
     independent = np.zeros((2 * reach + 1, 2 * reach + 1))

@@ -28,6 +28,7 @@ from sameas.sky.frame.centroid import (
     adaptive,
     centroids,
     cut_stamps,
+    noise_correlation,
 )
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import TUNING, Detection, Flag, Measurements
@@ -225,15 +226,19 @@ def _inverse_gain(frame: Frame, background: Background, psf: PSF, detection: Det
     """The inverse gain measured on the stars, deblended in one pass; None if there are too few.
 
     None, too, where neighbouring pixels share their noise: on a scanned plate the scatter of pixels does not tell that
-    of centroids.
+    of centroids. Unresolved stars of a crowded sky are no noise: the correlation is that without the stars.
     """
-    if float(background.factor(np.array([psf.sigma_px]))[1][0]) > TUNING.gain_correlation:
-        return None
     light = _above_sky(frame, background)
     xy, snr = _peaks_of(light, background, psf, detection.threshold_sigmas)
     if len(xy) < TUNING.gain_stars:
         return None
-    return _gain_of(frame, background, _deblended(light, background, psf, xy, snr, detection, passes=1))
+    stars = _deblended(light, background, psf, xy, snr, detection, passes=1)
+    deviation = np.sqrt(background.variance, dtype=float)
+    normal = np.where(np.isfinite(deviation), stars.residual / np.where(np.isfinite(deviation), deviation, 1.0), np.nan)
+    without_stars = replace(background, correlation=noise_correlation(normal))
+    if float(without_stars.factor(np.array([psf.sigma_px]))[1][0]) > TUNING.gain_correlation:
+        return None
+    return _gain_of(frame, background, stars)
 
 
 def _gain_of(frame: Frame, background: Background, stars: _Deblended) -> InverseGain | None:
@@ -265,7 +270,7 @@ def _gain_note(
         return ()
     factor = max(found.value, 1e-9) / background.inverse_gain
     certain = abs(found.value - background.inverse_gain) > 5 * found.error
-    if not certain or 1 / TUNING.gain_contradiction < factor < TUNING.gain_contradiction:
+    if not certain or 1 / TUNING.least_contradiction < factor < TUNING.largest_contradiction:
         return ()
     return (
         f"doubt: the light of {found.stars} stars has {factor:.2g} times the photon variance of the gain "

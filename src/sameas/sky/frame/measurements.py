@@ -65,7 +65,9 @@ class DetectionTuning:
     gain_accuracy : relative accuracy of a scatter beyond chance. gain_leverage, gain_share : maximum weight of a pixel
         in the fit of its star, and in the mean pattern of all stars.
     gain_correlation : no gain is measured if correlated noise enlarges variances of positions by more than this factor.
-    gain_contradiction : a given gain is doubted if the measured one differs by more than this factor.
+    least_contradiction, largest_contradiction : a given gain is doubted if the photon variance is smaller by more than
+        the first factor or larger by more than the second; trails and unresolved neighbours make it up to five times
+        larger.
     """
 
     noise_side_px: int = 600
@@ -112,7 +114,8 @@ class DetectionTuning:
     gain_leverage: float = 0.7
     gain_share: float = 0.3
     gain_correlation: float = 1.5
-    gain_contradiction: float = 2.5
+    least_contradiction: float = 2.5
+    largest_contradiction: float = 10.0
 
 
 TUNING = DetectionTuning()
