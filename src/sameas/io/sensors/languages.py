@@ -33,7 +33,7 @@ NAMES: Mapping[str, str] = {
         "fechahora fechayhora fechahorautc marcadetiempo fecha hora "
         "dataora dataeora orario datahora dataehora "
         "tidspunkt tidsstempel datotid datoogtid klokkeslett klokkeslaet dato tidpunkt tidsstampel datumtid "
-        "tijd tijdstip tijdstempel datumtijd datum"
+        "tijd tijdstip tijdstempel datumtijd"
     ),
     "lat_deg": "breitengrad geogrbreite geographischebreite latitud latitudine breddegrad breddgrad breedtegraad",
     "lon_deg": (
@@ -77,6 +77,7 @@ _BREADTHS = (
 )  # fmt: skip
 #: Words that are something else in English tables: column, word, and names of which one must be there too.
 _IN_COMPANY = (
+    ("time_s", "datum", "zeit uhrzeit breite breitengrad kurs geschwindigkeit peilung tijd koers snelheid tid fart"),
     ("time_s", "tid", "breddegrad bredde bredd kurs fart hastighet hastighed avstand afstand peiling pejling dato"),
     ("time_s", "tempo", "latitudine longitudine rotta velocita distanza velocidade rumo azimute"),
     ("time_s", "ora", "latitudine longitudine rotta velocita distanza data"),
