@@ -202,3 +202,19 @@ def test_a_file_of_another_extension_is_recognised_by_its_first_bytes(tmp_path):
     assert read_table(tmp_path / "t.cat2").colnames == ["x"]
     (tmp_path / "catalogue").write_text(SEXTRACTOR)
     assert len(read_table(tmp_path / "catalogue")) == 2
+
+
+@pytest.mark.parametrize("ending", [".csv", ".csv.gz", ".txt"])
+def test_ecsv_under_another_name_is_read_as_ecsv(ending, tmp_path):
+    """As the Gaia archive names its files, with "null" for what is not known."""
+    import gzip
+
+    text = "# %ECSV 1.0\n# ---\n# delimiter: ','\n# datatype:\n"
+    for name, kind, unit in (("source_id", "int64", ""), ("pmra", "float64", "mas.yr**-1")):
+        text += f"# -\n#   name: {name}\n#   datatype: {kind}\n" + (f"#   unit: {unit}\n" if unit else "")
+    text += "source_id,pmra\n4295806720000000001,null\n2,1.5\n"
+    content = text.encode()
+    (tmp_path / f"g{ending}").write_bytes(gzip.compress(content) if ending.endswith("gz") else content)
+    table = read_table(tmp_path / f"g{ending}")
+    assert table["source_id"].tolist() == [4295806720000000001, 2] and table["pmra"].tolist() == [None, 1.5]
+    assert table["pmra"].unit == "mas/yr"

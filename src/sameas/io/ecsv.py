@@ -23,7 +23,15 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from astropy.table import Column, Table
 
-FORMAT = Format("ecsv", "ECSV", (".ecsv", ".ecsv.gz"), signatures=(b"# %ECSV",))
+_SIGNATURE = b"# %ECSV"
+
+
+def is_ecsv(path: Path, first: bytes) -> bool:
+    """Whether a file of any text extension is ECSV: the Gaia archive calls its files ``GaiaSource_….csv.gz``."""
+    return first.startswith(_SIGNATURE)
+
+
+FORMAT = Format("ecsv", "ECSV", (".ecsv", ".ecsv.gz"), signatures=(_SIGNATURE,), recognised=is_ecsv)
 
 _KEY = "sameas"
 #: Names of columns are looked for in so many bytes.
