@@ -198,10 +198,6 @@ class KnownCorrelation(ErrorCorrelation):
 
     true: Mapping[str, Errors] = field(default_factory=dict)
 
-    def of_sources(self, scan: Scan) -> KnownCorrelation:
-        known = super().of_sources(scan)
-        return KnownCorrelation(known.names, known.log_probable, known.fixed_s, self.true)
-
     def lasting(self, source: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
         return np.array([self.true[name].constant for name in self.names])[source]
 

@@ -77,6 +77,8 @@ from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import moved
 from sameas.tracks.kinds import KINDS
 
+#: Change of ln of an error factor beyond which the correlation of errors is estimated anew (chosen).
+MAX_CHANGE = 0.2
 #: Smallest variance of a step, m²: keeps the covariance of a step without errors invertible.
 MIN_M2 = 1e-6
 
@@ -124,11 +126,15 @@ class ErrorCorrelation:
     """The estimated correlation times and lasting shares of the errors of sources.
 
     names : of the sources. log_probable : (S, s, τ) ln of the probability of each lasting share and each τ, up to a
-    constant. fixed_s : τ by source where the user gives it; these are not estimated, and have no lasting share.
+    constant; log_prior : (S, s, τ) before any evidence. factor : (S,) the error factors by which the evidence was
+    judged, NaN before any. fixed_s : τ by source where the user gives it; these are not estimated, and have no
+    lasting share.
     """
 
     names: tuple[str, ...] = ()
     log_probable: FloatArray = field(default_factory=lambda: np.empty((0, 0, 0)))
+    log_prior: FloatArray = field(default_factory=lambda: np.empty((0, 0, 0)))
+    factor: FloatArray = field(default_factory=lambda: np.empty(0))
     fixed_s: Mapping[str, float] = field(default_factory=dict)
 
     def of_sources(self, scan: Scan) -> ErrorCorrelation:
@@ -140,8 +146,27 @@ class ErrorCorrelation:
         log_change = np.log(np.array(scan.tuning.correlation_s) + 1.0) - np.log(kind_s[:, None] + 1.0)
         prior = -0.5 * (log_change / scan.tuning.correlation_sigma) ** 2
         prior = np.repeat(prior[:, None], len(scan.tuning.lasting_shares), axis=1)
-        log_probable = np.concatenate([self.log_probable, prior]) if self.names else prior
-        return ErrorCorrelation((*self.names, *(description.name for description in new)), log_probable, self.fixed_s)
+        log_probable, log_prior = (
+            np.concatenate([before, prior]) if self.names else prior for before in (self.log_probable, self.log_prior)
+        )
+        names = (*self.names, *(description.name for description in new))
+        factor = np.append(self.factor, np.full(len(new), np.nan))
+        return replace(self, names=names, log_probable=log_probable, log_prior=log_prior, factor=factor)
+
+    def with_factors(self, factor: FloatArray) -> ErrorCorrelation:
+        """The estimate by other error factors of the sources, (S,).
+
+        Residuals of tracks measure f² (1 − ρ), and differences of pairs the same. Where f has changed by more than
+        :data:`MAX_CHANGE`, what they showed of ρ no longer holds, and the estimate begins anew: errors that were stated
+        three times too large, and are new in every report, would stay persistent.
+        """
+        change = np.abs(np.log(factor / self.factor))
+        changed = np.flatnonzero(change > MAX_CHANGE)
+        if not len(changed) and np.isfinite(change).all():
+            return self
+        log_probable = self.log_probable.copy()
+        log_probable[changed] = self.log_prior[changed]
+        return replace(self, log_probable=log_probable, factor=np.where(change <= MAX_CHANGE, self.factor, factor))
 
     def numbers(self, scan: Scan) -> IntArray:
         """(S,) the index in ``names`` of each source of a scan."""

@@ -155,6 +155,7 @@ class NamedTracks:
         A track that is not in a scan keeps its number for ``id_timeout_s``, but has no history when it returns.
         """
         correlation = self.error_correlation.of_sources(scan)
+        correlation = correlation.with_factors(self.error_factors.of_sources(correlation.names, scan.tuning).factor)
         track_of_record = self.numbers_on(scan) if track_of_record is None else track_of_record.copy()
         place = np.flatnonzero(scan.track != "")
         number, source = track_of_record[place], correlation.numbers(scan)[scan.source[place]]
