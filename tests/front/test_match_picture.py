@@ -80,7 +80,7 @@ def test_the_result_has_the_methods_of_other_results(found, tmp_path) -> None:
     found.write(tmp_path / "out", format="csv", image=False)
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names - {f"{name}.csv.provenance.json" for name in ("objects", "identities")} == {
-        "objects.csv", "identities.csv", "objects.geojson", "summary.json", "map.html"
+        "objects.csv", "identities.csv", "objects.geojson", "summary.json", "explanations.json", "map.html"
     }  # fmt: skip
     clock = f"{datetime.fromtimestamp(START + 30.0, UTC):%H:%M:%S}"
     assert str(sameas.explain(tmp_path / "out", number, at=clock)) == str(
