@@ -22,7 +22,7 @@ from sameas.cli.picture import duration_s
 from sameas.cli.terminal import Printer, share_compilation
 from sameas.errors import InputError
 from sameas.report.prose import ALARM, DOUBT
-from sameas.representation import counted
+from sameas.representation import count, counted
 
 if TYPE_CHECKING:
     from socket import socket
@@ -137,8 +137,9 @@ def _resumption(keeper: Keeper) -> str:
 
 def _source_lines(name: str, health: dict[str, Any]) -> list[str]:
     """Printable: the counters of a source, and its biases; health : of the source, from ``Keeper.health``."""
-    aside = {word: health[word] for word in ("late", "repeated", "jumps", "refused") if health[word]}
-    words = "".join(f", {n} {word}" for word, n in aside.items())
+    aside = [f"{count(health[word])} {word}" for word in ("late", "repeated", "refused") if health[word]]
+    aside += [counted(health["jumps"], "jump")] if health["jumps"] else []
+    words = "".join(f", {each}" for each in aside)
     error = f"; {health['error']}" if health["error"] else ""
     lines = [f"  {name}: {counted(health['reports'], 'report')}{words}{error}"]
     if (biases := health["biases"]) is not None:
