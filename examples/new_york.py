@@ -156,7 +156,7 @@ def comparison(
         f"{tracking.ambiguity:.3f}, changes of number {tracking.switches}",
         f"  passing closely       F1 of the two ferries {passing.pairs.f1:.3f}",
         f"  without AIS           {own.sum()} radar records of the silent tug, {np.mean(~with_ais):.2%} kept from AIS",
-        f"  one identity twice    alarms that name the ferry's MMSI: {forged}",
+        f"  one identity twice    {forged} {'alarm names' if forged == 1 else 'alarms name'} the ferry's MMSI",
     ]
 
 
