@@ -18,9 +18,9 @@ depend on pairs and bound the errors from below, whatever ρ. Each source has on
 With probability ``errors_new`` ρ is 0; otherwise the prior is uniform in ln (1 − ρ), so that residuals prefer none of
 the factors above the bound. A prior uniform in ρ prefers small ones, by 1 / f²: AIS whose errors persist for minutes
 would have factors of 0.85. The motion's share κ is unknown as well; whether it applies to the errors of measured
-velocities too is a second unknown.
-Residuals count against small factors and not in favour of them: with a log-normal prior alone the mean of the factors
-that they allow would be 1.2 to 1.4 where 1 is true, and a source more precise than others has no other evidence.
+velocities too is a second unknown. Residuals count against small factors and not in favour of them: with a log-normal
+prior alone the mean of the factors that they allow would be 1.2 to 1.4 where 1 is true, and a source more precise than
+others has no other evidence.
 
 The errors of a sensor rarely grow with distance as described. One factor, mostly of near objects, would make far ones
 impossible partners. So each octave of distance from the sensor (:attr:`sameas.picture.tables.Scan.range_band`) has its
@@ -77,8 +77,6 @@ from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import moved
 from sameas.tracks.kinds import KINDS
 
-#: Change of ln of an error factor beyond which the correlation of errors is estimated anew (chosen).
-MAX_CHANGE = 0.2
 #: Smallest variance of a step, m²: keeps the covariance of a step without errors invertible.
 MIN_M2 = 1e-6
 
@@ -118,7 +116,7 @@ def growth(change: FloatArray) -> FloatArray:
 CORRELATIONS = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0])
 #: The same for error factors, of which neighbouring ones differ by 2^¼: 1 − ρ is 1, 2^(−½), ½ … so that f² (1 − ρ) has
 #: the same values for all f; and 0, for receivers that repeat positions.
-OF_FACTORS = np.append(1.0 - 2.0 ** (-0.5 * np.arange(16)), 1.0)
+FACTOR_CORRELATIONS = np.append(1.0 - 2.0 ** (-0.5 * np.arange(16)), 1.0)
 
 
 @dataclass(frozen=True)
@@ -153,20 +151,21 @@ class ErrorCorrelation:
         factor = np.append(self.factor, np.full(len(new), np.nan))
         return replace(self, names=names, log_probable=log_probable, log_prior=log_prior, factor=factor)
 
-    def with_factors(self, factor: FloatArray) -> ErrorCorrelation:
+    def with_factors(self, factor: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> ErrorCorrelation:
         """The estimate by other error factors of the sources, (S,).
 
         Residuals of tracks measure f² (1 − ρ), and differences of pairs the same. Where f has changed by more than
-        :data:`MAX_CHANGE`, what they showed of ρ no longer holds, and the estimate begins anew: errors that were stated
-        three times too large, and are new in every report, would stay persistent.
+        ``correlation_restart``, what they showed of ρ no longer holds, and the estimate begins anew: errors that were
+        stated three times too large, and are new in every report, would stay persistent.
         """
         change = np.abs(np.log(factor / self.factor))
-        changed = np.flatnonzero(change > MAX_CHANGE)
+        changed = np.flatnonzero(change > tuning.correlation_restart)
         if not len(changed) and np.isfinite(change).all():
             return self
         log_probable = self.log_probable.copy()
         log_probable[changed] = self.log_prior[changed]
-        return replace(self, log_probable=log_probable, factor=np.where(change <= MAX_CHANGE, self.factor, factor))
+        factor = np.where(change <= tuning.correlation_restart, self.factor, factor)
+        return replace(self, log_probable=log_probable, factor=factor)
 
     def numbers(self, scan: Scan) -> IntArray:
         """(S,) the index in ``names`` of each source of a scan."""
@@ -315,8 +314,8 @@ class ErrorFactors:
     log_likely : (S B, S B, K, K) L_ab of parts a < b, by the factors of both.
     log_shifts : (S B, K, 2ρ) ln p of the residuals of their tracks, with κ on all of the motion, and with κ on all but
     the errors of measured velocities. reports : (S B,) how many reports these are from.
-    factor : (S,) mean of each source's factor. sigma : (S,) 1σ of its logarithm. by_range : (S, B) the factor
-    of each range band.
+    factor : (S,) mean of each source's factor. sigma : (S,) 1σ of its logarithm. by_range : (S, B) the factor of each
+    range band.
     """
 
     names: tuple[str, ...] = ()
@@ -334,8 +333,11 @@ class ErrorFactors:
         k, n, known = len(tuning.error_factors), RANGE_BANDS * len(names), len(self.reports)
         log_likely = np.zeros((n, n, k, k))
         log_likely[:known, :known] = self.log_likely.reshape(known, known, k, k)
-        log_shifts, reports = np.zeros((n, k, 2 * len(OF_FACTORS))), np.zeros(n)
-        log_shifts[:known], reports[:known] = self.log_shifts.reshape(known, k, 2 * len(OF_FACTORS)), self.reports
+        log_shifts, reports = np.zeros((n, k, 2 * len(FACTOR_CORRELATIONS))), np.zeros(n)
+        log_shifts[:known], reports[:known] = (
+            self.log_shifts.reshape(known, k, 2 * len(FACTOR_CORRELATIONS)),
+            self.reports,
+        )
         extended = replace(self, names=names, log_likely=log_likely, log_shifts=log_shifts, reports=reports)
         return extended._with_posterior(tuning)
 
@@ -377,12 +379,14 @@ class ErrorFactors:
         # All factors at once, (factors, twice n, …).
         sq = np.array(tuning.error_factors)[:, None, None, None] ** 2
         total, common = (sq * np.concatenate([each, each]) for each in (total, common))
-        log_p = np.empty((len(sq) * 2 * n, len(OF_FACTORS)))
+        log_p = np.empty((len(sq) * 2 * n, len(FACTOR_CORRELATIONS)))
         correlated_shifts(
             np.tile(shift, (2 * len(sq), 1)), (total + fixed).reshape(-1, 2, 2), common.reshape(-1, 2, 2),
-            np.tile(scaled, (len(sq), 1, 1)), OF_FACTORS, np.array(tuning.motion_shares), MIN_M2, log_p,
+            np.tile(scaled, (len(sq), 1, 1)), FACTOR_CORRELATIONS, np.array(tuning.motion_shares), MIN_M2, log_p,
         )  # fmt: skip
-        both_cases = log_p.reshape(len(sq), 2, n, len(OF_FACTORS)).transpose(0, 2, 1, 3).reshape(len(sq), n, -1)
+        both_cases = (
+            log_p.reshape(len(sq), 2, n, len(FACTOR_CORRELATIONS)).transpose(0, 2, 1, 3).reshape(len(sq), n, -1)
+        )
         # Half weight: each report enters two successive residuals.
         log_likely = 0.5 * np.logaddexp(both_cases, log_outlier[:, None])
         log_shifts = self.log_shifts.copy()
@@ -539,7 +543,7 @@ def evenly(position: FloatArray, max_rows: int) -> IntArray:
 def _of_residuals(log_shifts: FloatArray, tuning: Tuning) -> FloatArray:
     """(n, K) ln p of residuals for each factor, from that for each ρ and both cases of the motion (n, K, 2ρ)."""
     share = tuning.errors_new
-    prior = np.full(len(OF_FACTORS), (1.0 - share) / len(OF_FACTORS))
+    prior = np.full(len(FACTOR_CORRELATIONS), (1.0 - share) / len(FACTOR_CORRELATIONS))
     prior[0] += share
     return np.asarray(logsumexp(log_shifts + np.log(np.tile(prior, 2)), axis=2))
 

@@ -155,14 +155,15 @@ class NamedTracks:
         A track that is not in a scan keeps its number for ``id_timeout_s``, but has no history when it returns.
         """
         correlation = self.error_correlation.of_sources(scan)
-        correlation = correlation.with_factors(self.error_factors.of_sources(correlation.names, scan.tuning).factor)
+        factors = self.error_factors.of_sources(correlation.names, scan.tuning)
+        correlation = correlation.with_factors(factors.factor, scan.tuning)
         track_of_record = self.numbers_on(scan) if track_of_record is None else track_of_record.copy()
         place = np.flatnonzero(scan.track != "")
         number, source = track_of_record[place], correlation.numbers(scan)[scan.source[place]]
         continuing = np.flatnonzero((places_in(self.number, number) >= 0) & scan.placed[place])
         continuing = continuing[np.argsort(number[continuing])]
         step, correlation, factors = self._step(
-            scan, number[continuing], place[continuing], source[continuing], correlation
+            scan, number[continuing], place[continuing], source[continuing], correlation, factors
         )
         is_new = number < 0
         number[is_new] = self.n_numbers + np.arange(np.count_nonzero(is_new))
@@ -210,8 +211,9 @@ class NamedTracks:
         return by_name, absent
 
     def _step(
-        self, scan: Scan, number: IntArray, place: IntArray, source: IntArray, correlation: ErrorCorrelation
-    ) -> tuple[Step, ErrorCorrelation, ErrorFactors]:
+        self, scan: Scan, number: IntArray, place: IntArray, source: IntArray, correlation: ErrorCorrelation,
+        factors: ErrorFactors,
+    ) -> tuple[Step, ErrorCorrelation, ErrorFactors]:  # fmt: skip
         """The step of continuing tracks, without those that restart, and the updated error estimates.
 
         number, place, source : (m,) of the tracks: their numbers, ascending, records of the scan, and sources.
@@ -233,7 +235,7 @@ class NamedTracks:
             last, place, previous.reported_covariance, scan.reported_covariance, old, new, root_last, root, motion
         )
         correlation, factors = self._error_estimates(
-            scan, (last, place), source, (dt, elapsed), shift, (root_last, root), motion, correlation
+            scan, (last, place), source, (dt, elapsed), shift, (root_last, root), motion, correlation, factors
         )
         slope, noise = np.empty((len(at), 2, 4)), np.empty((len(at), 2, 2))
         share, decaying = correlation.lasting(source, scan.tuning), correlation.decaying(source, elapsed, scan.tuning)
@@ -262,6 +264,7 @@ class NamedTracks:
     def _error_estimates(
         self, scan: Scan, reports: tuple[IntArray, IntArray], source: IntArray, times_s: tuple[FloatArray, FloatArray],
         shift: FloatArray, roots: tuple[FloatArray, FloatArray], motion: FloatArray, correlation: ErrorCorrelation,
+        factors: ErrorFactors,
     ) -> tuple[ErrorCorrelation, ErrorFactors]:  # fmt: skip
         """The error correlation and error factors after new reports of tracks.
 
@@ -285,7 +288,6 @@ class NamedTracks:
             source[sample], elapsed[sample], shift[sample], (r_last[sample] + r_new[sample], common(sample)),
             motion[sample], scan.tuning,
         )  # fmt: skip
-        factors = self.error_factors.of_sources(correlation.names, scan.tuning)
         to_stated = 1.0 / previous.error_factor[last, None, None], 1.0 / scan.error_factor[place, None, None]
         as_stated = to_stated[0] ** 2 * r_last + to_stated[1] ** 2 * r_new
         part = source * RANGE_BANDS + scan.range_band[place]

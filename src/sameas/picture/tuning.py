@@ -31,7 +31,8 @@ class Tuning:
         the limit of 1 in 1000 for two degrees of freedom.
     correlation_s : grid of error correlation times τ in seconds; dense enough that a τ between two grid points does not
         appear as a lasting share.
-    correlation_sigma : prior 1σ of ln(τ + 1 s) about that of the source's kind.
+    correlation_sigma : prior 1σ of ln(τ + 1 s) about that of the source's kind. correlation_restart : change of ln of a
+        source's error factor beyond which its error correlation is estimated anew.
     lasting_shares : grid of lasting shares of the variance of a source's errors; the prior is uniform.
     lasting_s : time between two comparisons of a sure pair, to estimate lasting shares. sure_pair : a pair is sure at
         or above this probability.
@@ -110,6 +111,7 @@ class Tuning:
         0.0, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0, 60.0, 90.0, 135.0, 200.0, 300.0, 450.0, 700.0, 1100.0
     )  # fmt: skip
     correlation_sigma: float = 3.0
+    correlation_restart: float = 0.2
     lasting_shares: tuple[float, ...] = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97)
     lasting_s: float = 60.0
     sure_pair: float = 0.999
