@@ -203,7 +203,7 @@ def _of_other(record: str, name: str, other: int) -> InputError:
 
 def _of_picture(folder: Path, record: str, source: int | str, at: float | str | None, other: str | None) -> list[str]:
     from sameas.io.sensors.format import picture_time
-    from sameas.report.explain import picture_lines, picture_pair_lines
+    from sameas.report.explain import picture_lines
 
     objects, records = picture_tables(folder)
     with reading(str(folder), CHANGED):
@@ -211,10 +211,7 @@ def _of_picture(folder: Path, record: str, source: int | str, at: float | str | 
         span_s = (float(times.min()), float(times.max())) if len(times) else (0.0, 0.0)
         when = None if at is None else picture_time(at, "at", span_s)
         named, why = None if source in (1, "1") else str(source), _reasons(folder)
-        if other is not None:
-            one = record if named is None else f"{named}:{record}"
-            return picture_pair_lines(objects, records, one, other, when, why)
-        return picture_lines(objects, records, record, named, when, why)
+        return picture_lines(objects, records, record, named, when, why, other)
 
 
 def _reasons(folder: Path) -> dict[int, list[tuple[float, str]]]:

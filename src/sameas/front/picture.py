@@ -219,14 +219,11 @@ class MatchPicture(Result):
         ------
         InputError : no such object, record or time.
         """
-        from sameas.report.explain import picture_lines, picture_pair_lines
+        from sameas.report.explain import picture_lines
 
         when = None if at is None else picture_time(at, "at", self.scene.span_s)
-        why = self.picture.reasons()
-        if other is not None:
-            one = str(id) if source is None else f"{source}:{id}"
-            return Lines(tuple(picture_pair_lines(self.objects, self.pairs, one, str(other), when, why)))
-        return Lines(tuple(picture_lines(self.objects, self.pairs, str(id), source, when, why)))
+        why, second = self.picture.reasons(), None if other is None else str(other)
+        return Lines(tuple(picture_lines(self.objects, self.pairs, str(id), source, when, why, second)))
 
     def plot(self, at: float | str | None = None) -> Figure:
         """The chart of an instant; by default the last of those with most sources. Notebooks show it.

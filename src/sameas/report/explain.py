@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, IntArray
 from sameas.errors import InputError
+from sameas.gaussian import mahalanobis_sq
 from sameas.report.prose import WIDTH, entry, moment
 from sameas.representation import count
 from sameas.result import probability_text
@@ -246,13 +247,22 @@ Reasons = Mapping[int, Sequence[tuple[float, str]]]
 
 
 def picture_lines(
-    objects: Table, records: Table, record: str, source: str | None, at_s: float | None, why: Reasons
+    objects: Table,
+    records: Table,
+    record: str,
+    source: str | None,
+    at_s: float | None,
+    why: Reasons,
+    other: str | None = None,
 ) -> list[str]:
     """One object of a picture by its number or label, or, where ``source`` is named, one of its records by track, line
     or row.
 
-    at_s : time in seconds, of which the nearest instant is used; the last instant of the object if None.
+    at_s : time in seconds, of which the nearest instant is used; the last instant of the object if None. other : a
+    second object or track, to say whether and why both are one.
     """
+    if other is not None:
+        return _pair_lines(objects, records, record if source is None else f"{source}:{record}", other, at_s, why)
     if source is not None:
         at, mine, details = _record_of(records, record, source, at_s)
         number = int(records["object"][at])
@@ -276,9 +286,7 @@ def _numbered(objects: Table, record: str, at_s: float | None) -> tuple[int, flo
     return int(objects["object"][rows[0]]), when
 
 
-def picture_pair_lines(
-    objects: Table, records: Table, one: str, other: str, at_s: float | None, why: Reasons
-) -> list[str]:
+def _pair_lines(objects: Table, records: Table, one: str, other: str, at_s: float | None, why: Reasons) -> list[str]:
     """Whether two tracks of a picture are one object, and why: how far apart they are, and when they were one.
 
     one, other : each the number or label of an object, or a track, "SOURCE:TRACK" where that is not unique.
@@ -358,9 +366,8 @@ def _distance(records: Table, one: int, other: int) -> tuple[float, float] | Non
     if any(value is None for row in columns for value in row):
         return None
     a, b = np.array(columns, np.float64)
-    step, total = b[:2] - a[:2], a[2:] + b[2:]
-    covariance = np.array([[total[0], total[1]], [total[1], total[2]]])
-    return float(np.hypot(*step)), float(np.sqrt(step @ np.linalg.solve(covariance, step)))
+    step, (xx, xy, yy) = b[:2] - a[:2], a[2:] + b[2:]
+    return float(np.hypot(*step)), float(np.sqrt(mahalanobis_sq(step, np.array([[xx, xy], [xy, yy]]))))
 
 
 def _separation(records: Table, one: int, other: int) -> str:
