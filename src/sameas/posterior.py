@@ -381,21 +381,11 @@ def _exact(
     else:
         threads.over(
             lambda a, b: exact_counted(
-                a,
-                b,
-                *shape,
-                best.weight,
-                best.chosen,
-                *duals,
-                prior.start,
-                prior.table,
-                best.multiplier,
-                most,
-                share,
+                a, b, *shape, best.weight, best.chosen, *duals, prior.start, prior.table, best.multiplier, most, share,
                 method,
             ),
             bounds,
-        )
+        )  # fmt: skip
 
 
 def _local(

@@ -38,9 +38,9 @@ def format_of(data: bytes) -> str | None:
     if re.match(rb"(MSG|SEL|ID|AIR|STA|CLK),", text):
         return "sbs"
     if text[:1] == b"{":
-        # The hello message of a server has its version, and own ship or the roles.
-        greets = b'"version"' in text and re.search(rb'"(roles|self)"', text) is not None
-        if b'"updates"' in text or b'"roles"' in text or greets:
+        # The hello message of a server has roles, or its version and own ship.
+        greets = b'"roles"' in text or (b'"version"' in text and b'"self"' in text)
+        if b'"updates"' in text or greets:
             return "signalk"
         return "aircraft" if b'"aircraft"' in text else "table" if b"\n" in text else None
     # A line may begin with its receive time.
