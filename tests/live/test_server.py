@@ -3,6 +3,9 @@
 import json
 import re
 import socket
+import subprocess
+import sys
+import time
 import urllib.error
 import urllib.request
 
@@ -63,6 +66,32 @@ def test_event_streams_begin_with_a_full_frame_and_resume_from_the_last_id(keepe
         assert again[:2] == ("delta", third[1]) and again[2]["objects"] == third[2]["objects"]
         # Ids that are too old or of another run cannot be resumed.
         assert events(url, 1, Last_Event_ID="123456789")[0][0] == "whole"
+
+
+def opened(url):
+    """The answer of a server that may just be starting."""
+    for _ in range(100):
+        try:
+            return urllib.request.urlopen(url, timeout=30.0)
+        except urllib.error.URLError:
+            time.sleep(0.05)
+    raise TimeoutError(url)
+
+
+@pytest.mark.slow
+def test_an_open_event_stream_ends_with_the_watch(tmp_path):
+    # An open page kept the process for a second more, and a traceback of sixty lines came last.
+    rows = "".join(f"{10 * k},235000001,{50.0 + 1e-4 * k},-1.0\n" for k in range(60))
+    (tmp_path / "ais.csv").write_text(f"time_s,mmsi,lat_deg,lon_deg\n{rows}")
+    command = [sys.executable, "-m", "sameas", "watch", str(tmp_path / "ais.csv"), "--pace", "50", "--port", "0",
+               "-o", str(tmp_path / "live")]  # fmt: skip
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        url = next(line for line in process.stdout if line.startswith("Map: ")).split()[1]
+        with opened(f"{url}events") as stream:
+            assert stream.readline() and stream.read()
+        _, errors = process.communicate(timeout=30.0)
+    assert process.returncode == 0 and "Traceback" not in errors and "ERROR" not in errors
 
 
 @pytest.mark.slow

@@ -142,6 +142,8 @@ class Keeper:
         self.lock = threading.Lock()
         self.sinks = sinks_of(settings.watch.outputs)
         self._listeners: set[asyncio.Event] = set()
+        # Whether no tick will follow.
+        self.ended = False
         self._alarms: dict[str, tuple[int, float]] = {}
         self._own: deque[tuple[float, float, float]] = deque(maxlen=30)
         self._saved_s = self._registered_s = self._searched_s = -math.inf
@@ -546,8 +548,7 @@ class Keeper:
                     self.replay.wait(late_s)
                     self.waited_s += late_s
                 await asyncio.to_thread(self._tick_and_send)
-                for listener in self._listeners:
-                    listener.set()
+                self._tell_listeners()
                 every = self.settings.watch.register_every_s
                 due = every > 0.0 and self.picture.instant_s - self._registered_s >= every
                 if due and (registration is None or registration.done()):
@@ -566,6 +567,8 @@ class Keeper:
                     with contextlib.suppress(asyncio.TimeoutError):
                         await asyncio.wait_for(stop.wait(), wait_s)
         finally:
+            self.ended = True
+            self._tell_listeners()
             for task in readers:
                 task.cancel()
             try:
@@ -596,7 +599,7 @@ class Keeper:
                 )
 
     def listen(self) -> asyncio.Event:
-        """An event that is set at every tick; :meth:`leave` ends this."""
+        """An event that is set at every tick and at the end; :meth:`leave` ends this."""
         event = asyncio.Event()
         self._listeners.add(event)
         return event
@@ -604,6 +607,10 @@ class Keeper:
     def leave(self, event: asyncio.Event) -> None:
         """Removes a listener."""
         self._listeners.discard(event)
+
+    def _tell_listeners(self) -> None:
+        for listener in self._listeners:
+            listener.set()
 
     # ---- queries ----
 

@@ -228,7 +228,8 @@ class _Handlers:
 
 
 async def _events(keeper: Keeper, clients: Clients, since: int | None) -> AsyncIterator[str]:
-    """Server-sent events: the whole situation, or the deltas missed since tick ``since``; then one delta per tick."""
+    """Server-sent events: the whole situation, or the deltas missed since tick ``since``; then one delta per tick,
+    until the watch ends."""
     listener, sent = keeper.listen(), since
     clients.now += 1
     try:
@@ -244,6 +245,8 @@ async def _events(keeper: Keeper, clients: Clients, since: int | None) -> AsyncI
                     for delta in missed:
                         yield _event("delta", keeper, situation, delta)
                 sent = situation.tick
+            if keeper.ended:
+                return
             listener.clear()
             try:
                 await asyncio.wait_for(listener.wait(), SIGN_OF_LIFE_S)
