@@ -97,5 +97,5 @@ def test_a_missing_file_is_refused(tmp_path):
 def test_tiles_are_refused_with_what_to_give_instead(tmp_path):
     path = tmp_path / "harbour.pmtiles"
     path.write_bytes(b"PMTiles\x03")
-    with pytest.raises(InputError, match="tiles are not read; give their land or shores as GeoJSON"):
+    with pytest.raises(InputError, match="only sameas watch draws tiles; give land or shores as GeoJSON"):
         read_coast(path)

@@ -92,6 +92,12 @@ def watch(
     viewer_token: Annotated[
         str | None, option("--viewer-token", panel=_MAP, metavar="TEXT", help="Token that may only view.")
     ] = None,
+    chart: Annotated[
+        Path | None,
+        option(
+            "--chart", panel=_MAP, metavar="FILE", help="Chart below the objects: MBTiles, PMTiles or GeoJSON of land."
+        ),
+    ] = None,
     no_map: Annotated[bool, option("--no-map", panel=_MAP, help="Serve no map.")] = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -106,6 +112,7 @@ def watch(
         from sameas.live.keeper import Keeper
 
         settings, replay = _settings(files or [], sensors, start, pace, duration_s(every))
+        settings = settings if chart is None else _with_chart(settings, chart)
         share_compilation(quiet, "picture")
         keeper = Keeper(settings, output, replay=replay)
         to_stdout = any(sink.url.startswith("stdout:") for sink in keeper.sinks)
@@ -174,6 +181,15 @@ def _settings(
     if every_s is not None:
         settings = replace(settings, watch=replace(settings.watch, every_s=every_s))
     return settings, replay
+
+
+def _with_chart(settings: Settings, chart: Path) -> Settings:
+    from dataclasses import replace
+
+    from sameas.live.settings import require_chart
+
+    require_chart(str(chart))
+    return replace(settings, watch=replace(settings.watch, chart=str(chart)))
 
 
 def _origin(sources: Sequence[SensorSource]) -> LocalPlane | None:

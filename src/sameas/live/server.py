@@ -16,7 +16,6 @@ import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from sameas.live.outputs import geojson, metrics
 from sameas.live.situation import OBJECT, RECORD, Situation
 from sameas.maps.outline import Coast, read_coast
 from sameas.maps.sheet import MapSensor, MapSheet
+from sameas.maps.tiles import Chart, is_tiles, open_chart
 from sameas.pages.map import map_page
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.source import Site
@@ -109,6 +109,7 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
         Route("/", guarded(handlers.page)),
         Route("/events", guarded(handlers.events)),
         Route("/history", guarded(handlers.history)),
+        Route("/chart/{zoom:int}/{column:int}/{row:int}", guarded(handlers.tile)),
         Route("/objects", guarded(handlers.objects)),
         Route("/objects.geojson", guarded(handlers.objects_geojson)),
         Route("/objects/{number:int}/why", guarded(handlers.why)),
@@ -180,6 +181,24 @@ class _Handlers:
         since = request.headers.get("last-event-id", "")
         stream = _events(self.keeper, self.clients, int(since) if since.isdecimal() else None)
         return StreamingResponse(stream, media_type="text/event-stream", headers=_HEADERS | {"X-Accel-Buffering": "no"})
+
+    async def tile(self, request: Request, role: str) -> Response:
+        """A tile of the user's chart; 204 where the chart has none there."""
+        from starlette.responses import Response
+
+        chart = _chart(self.keeper.settings.watch.chart)
+        if not isinstance(chart, Chart):
+            return _json({"error": "the watch has no chart of tiles"}, 404)
+        zoom, column, row = (int(request.path_params[name]) for name in ("zoom", "column", "row"))
+        try:
+            found = await asyncio.to_thread(chart.tile, zoom, column, row)
+        except InputError as error:
+            return _json({"error": str(error)}, 500)
+        if found is None:
+            return Response(status_code=204, headers=_HEADERS)
+        # The chart stays the same while the watch runs; the pictures are for this reader only.
+        headers = _HEADERS | {"Cache-Control": "private, max-age=600"}
+        return Response(found[0], media_type=found[1], headers=headers)
 
     async def history(self, request: Request, role: str) -> Response:
         with self.keeper.lock:
@@ -289,23 +308,30 @@ def live_page(keeper: Keeper, operator: bool) -> str:
     sensors += [MapSensor(name, source.description.kind) for name, source in keeper.settings.sources.items()
                 if name not in {sensor.name for sensor in sensors}]  # fmt: skip
     instant_s = keeper.now_s() if situation is None else situation.time_s
+    chart = _chart(watch.chart)
     title = "Live picture" if keeper.replay is None else f"Replay, {keeper.replay.pace:g} × real time"
     sheet = MapSheet.of(
         title, _filled(objects), records, instants_s=np.array([instant_s]), sensors=sensors, plane=plane,
         summary=[*(str(one) for one in keeper.picture.biases.values()), *keeper.picture.errors],
-        ground=None if watch.chart is None or plane is None else _chart(watch.chart).in_plane(plane),
+        ground=chart.in_plane(plane) if isinstance(chart, Coast) and plane is not None else None,
     )  # fmt: skip
     live = {
         "object": list(OBJECT), "record": list(RECORD), "operator": operator, "tick": watch.every_s,
         "every": max(10.0, watch.every_s), "history": watch.history_s,
         "word": "live" if keeper.replay is None else "replay",
+        "chart": None if not isinstance(chart, Chart) else {
+            "zooms": chart.zooms, "bounds": chart.bounds_deg, "credit": chart.credit,
+        },
     }  # fmt: skip
     return map_page(sheet, live)
 
 
 @lru_cache(maxsize=4)
-def _chart(path: str) -> Coast:
-    return read_coast(Path(path))
+def _chart(path: str | None) -> Coast | Chart | None:
+    """The user's chart, if there is one."""
+    if path is None:
+        return None
+    return open_chart(path) if is_tiles(path) else read_coast(path)
 
 
 def _same_plane(site: Site, plane: LocalPlane | None) -> bool:

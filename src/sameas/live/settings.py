@@ -31,6 +31,7 @@ from sameas.io.sensors.format import ReadOptions
 from sameas.io.sensors.sources import KIND_OF_FORMAT, ZONED
 from sameas.io.sensors.stream import STREAM_FORMATS
 from sameas.maps.outline import read_coast
+from sameas.maps.tiles import is_tiles, open_chart
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
@@ -70,7 +71,7 @@ class WatchSettings:
     archive_every_s : time between archived ticks; 0: none. history_s : span of the history on the page.
     save_every_s : time between two writes of the state.
     outputs : ``udp://HOST:PORT`` with a format: ``{ url = …, format = "nmea" }``.
-    chart : GeoJSON file, drawn below the objects.
+    chart : GeoJSON, MBTiles or PMTiles file, drawn below the objects.
     """
 
     every_s: float = 1.0
@@ -204,7 +205,7 @@ def _watch(table: Any, where: str, sources: Mapping[str, LiveSource]) -> WatchSe
                 raise InputError(f"{where}.chart is {value!r}; give the name of a file in quotes")
             values[key] = str(Path(where.split(": ")[0]).parent / value)
             # A map without its shores is found out too late.
-            read_coast(Path(values[key]))
+            require_chart(values[key])
         elif isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < math.inf:
             raise InputError(f"{where}.{key} is {value!r}; give a number, 0 or more")
         else:
@@ -212,6 +213,14 @@ def _watch(table: Any, where: str, sources: Mapping[str, LiveSource]) -> WatchSe
     if values.get("every_s", 1.0) <= 0.0:
         raise InputError(f"{where}.every_s is 0; give seconds above 0")
     return WatchSettings(**values)
+
+
+def require_chart(path: str) -> None:
+    """Refuses a file that is no chart: land and shores, or tiles."""
+    if is_tiles(path):
+        open_chart(path)
+    else:
+        read_coast(path)
 
 
 def _own_ship(given: Any, where: str, sources: Mapping[str, LiveSource]) -> OwnShip:

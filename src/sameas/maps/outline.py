@@ -17,6 +17,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.maps.tiles import is_tiles
 from sameas.ragged import Ragged
 from sameas.tracks.coordinates import EARTH_M, LocalPlane, geodesy
 
@@ -238,9 +239,10 @@ def read_coast(path: str | os.PathLike[str]) -> Coast:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        tiles = str(path).lower().endswith((".pmtiles", ".mbtiles"))
         remedy = (
-            "tiles are not read; give their land or shores as GeoJSON (ogr2ogr converts vector tiles)" if tiles else ""
+            "only sameas watch draws tiles; give land or shores as GeoJSON (ogr2ogr converts vector tiles)"
+            if is_tiles(path)
+            else ""
         )
         raise InputError(f"{path}: is not GeoJSON: {error}", remedy) from error
     lines: list[FloatArray] = []

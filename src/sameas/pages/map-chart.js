@@ -3,8 +3,10 @@ const chart = el("chart");
 const [boxWest, boxSouth, boxEast, boxNorth] = data.box;
 // Centre, metres; scale and its limits, pixels per metre; size of the chart, pixels.
 const view = { x: 0, y: 0, scale: 1, least: 1e-9, most: 1, w: 1, h: 1 };
-// Filled by map-live.js: functions that draw above everything, and functions that return further facts of an object.
+// Filled by map-live.js and map-tiles.js: functions that draw above everything, or between the land and the grid, and
+// functions that return further facts of an object.
 const overlays = [],
+  underlays = [],
   furtherFacts = [];
 let picked = null,
   following = false,

@@ -32,6 +32,7 @@ function ground(c, w, h) {
   c.stroke(borderPath);
   c.restore();
   c.setLineDash([]);
+  for (const underlay of underlays) underlay(c, w, h);
   if (shown.grid) grid(c, w, h);
   if (shown.coverage) coverage(c);
   rings(c, w, h);

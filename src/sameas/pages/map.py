@@ -100,7 +100,7 @@ def write_map_page(sheet: MapSheet, path: str | os.PathLike[str]) -> None:
 def map_page(sheet: MapSheet, live: Mapping[str, Any] | None = None) -> str:
     """The page of a sheet as text.
 
-    live : settings for ``map-live.js`` of a served page that is updated; None for a file.
+    live : settings for ``map-live.js`` of a served page that is updated, and of its ``chart``; None for a file.
     """
     objects, strings = _objects(sheet)
     records, tracks = _records(sheet)
@@ -108,7 +108,7 @@ def map_page(sheet: MapSheet, live: Mapping[str, Any] | None = None) -> str:
     settings = _settings(sheet) | {"columns": heads, "strings": strings | tracks, "live": live}
     marks = {
         "css": asset("map.css"),
-        "js": "\n".join(asset(f"map-{name}.js") for name in (SCRIPTS if live is None else (*SCRIPTS, "live"))),
+        "js": "\n".join(asset(f"map-{name}.js") for name in (SCRIPTS if live is None else (*SCRIPTS, "tiles", "live"))),
         "data": script_safe(settings),
         "columns": columns,
         "texts": script_safe(_texts(sheet)),
