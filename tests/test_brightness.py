@@ -9,7 +9,7 @@ import pytest
 
 from sameas import InputError, PoissonField, Records, identify
 from sameas.estimate.match import match
-from sameas.estimate.photometry import Photometry, Sample, density_of, fit_relation, weighted_median
+from sameas.estimate.photometry import Photometry, Sample, density_of, fit_relation
 from sameas.evidence import Brightness, Chain, Magnitudes, SourceMagnitudes
 from sameas.evidence.detection import DetectionCurve, Hats, ShareCurve, knots_of, logit, share_error
 from sameas.score.pairs import is_true_pair, score_probabilities
@@ -398,10 +398,6 @@ def test_knots_follow_the_weight():
     knots = knots_of(x, np.ones(1000), 100.0, 6)
     assert len(knots) <= 6 and np.all(np.diff(knots) > 0) and knots[0] == 0.0
     assert len(knots_of(np.full(50, 3.0), np.ones(50), 10.0, 6)) == 1
-
-
-def test_half_of_the_weight_lies_below_a_weighted_median():
-    assert weighted_median(np.array([1.0, 2.0, 3.0]), np.array([1.0, 1.0, 10.0])) == 3.0
 
 
 def test_a_simulated_exposure_has_the_stated_false_and_uncatalogued_shares():

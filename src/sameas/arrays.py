@@ -1,6 +1,7 @@
 """Types of arrays by their elements, with shapes in the docstrings, and what NumPy does slowly with long arrays.
 
-- :func:`inner`, :func:`tall_product`, :func:`median`, :func:`within_turn`: sums, medians and angles.
+- :func:`inner`, :func:`tall_product`, :func:`within_turn`: sums and angles.
+- :func:`median`, :func:`weighted_median`, :func:`robust_scale`: of numbers.
 - :func:`taken`: rows; :func:`ordered_by`: rows in the order of their columns.
 - :func:`places_in`: positions of numbers among ascending ones; :func:`spans_in`: among ones with duplicates.
 - :data:`ABSENT`: the number of no row.
@@ -70,6 +71,48 @@ def median(values: NDArray[Any]) -> float:
     parted = np.partition(values, half)
     upper = float(parted[half])
     return upper if len(values) % 2 else 0.5 * (float(parted[:half].max()) + upper)
+
+
+#: A weighted median sorts up to this many values; of more, it counts them in this many bins and sorts one bin.
+_SORTED_VALUES, _BINS = 10_000, 4_096
+
+
+def weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    """The smallest value of (n,) up to which lies half of the weight (n,).
+
+    >>> weighted_median(np.array([1.0, 2.0, 3.0]), np.array([1.0, 1.0, 10.0]))
+    3.0
+    """
+    half = 0.5 * float(weights.sum())
+    if len(values) > _SORTED_VALUES:
+        low, high = float(values.min()), float(values.max())
+        bin_ = ((values - low) * ((_BINS - 1) / max(high - low, 1e-300))).astype(np.int64)
+        below = np.cumsum(np.bincount(bin_, weights, _BINS))
+        at = int(np.searchsorted(below, half))
+        half -= float(below[at - 1]) if at else 0.0
+        some = np.flatnonzero(bin_ == at)
+        values, weights = values[some], weights[some]
+    order = np.argsort(values, kind="stable")
+    cumulated = np.cumsum(weights[order])
+    return float(values[order][min(int(np.searchsorted(cumulated, half)), len(values) - 1)])
+
+
+#: The standard deviation of a normal distribution over its median absolute deviation, 1 / Φ⁻¹(3/4).
+NORMAL_PER_MAD = 1.4826
+
+
+def robust_scale(residual: NDArray[Any], weights: FloatArray | None = None) -> float:
+    """1.4826 · median |x|: the standard deviation of normal residuals x (n, …) around zero, however large the outliers.
+
+    NaN are left out; NaN of none. weights : (n,) of the residuals (n,), for a weighted median.
+
+    >>> round(robust_scale(np.array([-0.5, 0.7, -0.6, 0.8, 900.0, np.nan])), 4)
+    1.0378
+    """
+    size = np.abs(residual)
+    if weights is not None:
+        return NORMAL_PER_MAD * weighted_median(size, weights)
+    return NORMAL_PER_MAD * median(size[~np.isnan(size)])
 
 
 def taken(values: NDArray[Scalar], rows: AnyIntArray) -> NDArray[Scalar]:

@@ -53,7 +53,6 @@ class RelationTuning:
     first_steps, steps, last_steps : EM steps of the first fit, of later ones, and of the last one.
     tolerance, first_tolerance : EM ends when no estimate changes by more than this share of its standard error; the
         first fit, whose pairs have probabilities without magnitudes, may end earlier.
-    sorted_values, bins : up to this many values are sorted for a median; more are binned first, in this many bins.
     min_pairs : expected pairs with a pattern of measured bands, or records of a source, for any fit.
     max_pairs, max_pairs_in_em : greatest number of pairs for a relation, in the last fit and in EM iterations; more
         give no noticeable gain.
@@ -73,8 +72,6 @@ class RelationTuning:
     last_steps: int = 20
     tolerance: float = 0.05
     first_tolerance: float = 1.0
-    sorted_values: int = 10_000
-    bins: int = 4_096
     min_pairs: float = 50.0
     max_pairs: int = 10_000
     max_pairs_in_em: int = 1_000
@@ -218,23 +215,6 @@ def _penalty(k: int, slopes: int, tuning: RelationTuning) -> FloatArray:
     penalty[:k, :k] = roughness(k, tuning.bend_sigma) + 1e-6 * np.eye(k)
     penalty[k:, k:] = np.eye(slopes) / tuning.slope_sigma**2
     return penalty
-
-
-def weighted_median(values: FloatArray, weights: FloatArray, tuning: RelationTuning = DEFAULT_RELATIONS) -> float:
-    """The value that has half of the weight below it."""
-    half = 0.5 * float(weights.sum())
-    if len(values) > tuning.sorted_values:
-        # Only the bin that contains the median is sorted.
-        low, high = float(values.min()), float(values.max())
-        bin_ = ((values - low) * ((tuning.bins - 1) / max(high - low, 1e-300))).astype(np.int64)
-        below = np.cumsum(np.bincount(bin_, weights, tuning.bins))
-        at = int(np.searchsorted(below, half))
-        half -= float(below[at - 1]) if at else 0.0
-        some = np.flatnonzero(bin_ == at)
-        values, weights = values[some], weights[some]
-    order = np.argsort(values, kind="stable")
-    cumulated = np.cumsum(weights[order])
-    return float(values[order][min(int(np.searchsorted(cumulated, half)), len(values) - 1)])
 
 
 #: 2³² over the golden ratio: its multiples are evenly distributed.

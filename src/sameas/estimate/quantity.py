@@ -9,9 +9,9 @@ from functools import partial
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, median
+from sameas.arrays import BoolArray, FloatArray, median, weighted_median
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.photometry import Photometry, weighted_median
+from sameas.estimate.photometry import Photometry
 from sameas.gate.gate import quantile
 from sameas.kernels import threads
 from sameas.result import Identification

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import FloatArray, IntArray, robust_scale
 from sameas.plots.sheet import DOTS_PER_INCH, FAINT, FILL, FIRST, FOUND, INK, SECOND, nice_length, required, sheet, tidy
 from sameas.representation import count, counted
 from sameas.sky.frame.identified import FrameIdentification
@@ -289,7 +289,7 @@ def _running(axes: Axes, magnitude: FloatArray, found: FrameIdentification) -> N
     for sign, label in ((-1, None), (1, "1σ as quoted")):
         axes.plot(x, sign * sigma, "--", color=INK, lw=1.4, label=label)
     for axis, colour in ((0, FIRST), (1, SECOND)):
-        s = [1.4826 * float(np.median(np.abs(left[part, axis]))) for part in parts]
+        s = [robust_scale(left[part, axis]) for part in parts]
         for sign in (-1, 1):
             axes.plot(x, sign * np.array(s), color=colour, lw=1.6)
 
@@ -373,7 +373,7 @@ def stretched(image: NDArray[np.float32]) -> NDArray[np.uint8]:
     level = float(np.median(sample))
     below = sample[sample <= level]
     # The noise is measured on the pixels below the sky level, which contain no stars.
-    noise = 1.4826 * float(np.median(level - below)) if len(below) else 1.0
+    noise = robust_scale(level - below) if len(below) else 1.0
     noise = noise if noise > 0 else max(float(sample.std()), 1e-6)
     low, high = level - BLACK * noise, max(float(np.quantile(sample, 1.0 - WHITE)), level + 10.0 * noise)
     light = np.where(used, (values - low) / (SOFT * noise), BLACK / SOFT)
@@ -402,7 +402,7 @@ def _sky_gradient(values: NDArray[np.float32]) -> NDArray[np.float32]:
         fit = np.linalg.lstsq(terms * weight[:, None], level * weight, rcond=None)[0]
         left = level - terms @ fit
         # Lower weights for outliers: tiles with bright stars or nebulae.
-        scatter = max(1.4826 * float(np.median(np.abs(left))), 1e-9)
+        scatter = max(robust_scale(left), 1e-9)
         weight = np.minimum(1.0, 2.0 * scatter / np.maximum(np.abs(left), 1e-12))
     y, x = np.arange(rows)[:, None] / rows - 0.5, np.arange(columns)[None, :] / columns - 0.5
     surface = fit[1] * x + fit[2] * y + fit[3] * x * x + fit[4] * x * y + fit[5] * y * y

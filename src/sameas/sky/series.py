@@ -28,7 +28,7 @@ from scipy.spatial import cKDTree
 from scipy.special import chdtrc
 
 from sameas._identify import identify
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, robust_scale
 from sameas.errors import InputError
 from sameas.evidence import Field
 from sameas.prior import PerPair
@@ -450,7 +450,7 @@ def _floors(
         centre = np.nanmedian(stack, axis=0)
         for k in range(frames):
             residual = (stack[k] - centre).ravel()
-            spread = 1.4826 * np.nanmedian(np.abs(residual - np.nanmedian(residual)))
+            spread = robust_scale(residual - np.nanmedian(residual))
             if np.isfinite(spread):
                 floor[k] = math.sqrt(max(spread**2 - np.nanmedian(variances[k]), MIN_FLOOR_ARCSEC**2))
     return floor
@@ -712,7 +712,7 @@ def _ensemble(raw: FloatArray, error: FloatArray, usable: BoolArray) -> tuple[Fl
         zero = zero + step - step[good].mean()
         residual = values + zero - mean[:, None]
         precise = usable & (variance <= np.quantile(variance[usable], 0.3))
-        spread = 1.4826 * float(np.median(np.abs(residual[precise])))
+        spread = robust_scale(residual[precise])
         # Residuals from a mean of n have their variance reduced by 1/n.
         share = 1.0 - 1.0 / max(float(usable.sum(axis=1)[usable.any(axis=1)].mean()), 2.0)
         floor = math.sqrt(max(spread**2 / share - float(np.median(variance[precise])), 1e-6))

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import FloatArray, IntArray, robust_scale
 from sameas.gate import ChiSquare
 from sameas.gaussian import mahalanobis_sq
 from sameas.ragged import flattened
@@ -254,9 +254,9 @@ def _robust_line(x: FloatArray, y: FloatArray, tuning: HeightTuning) -> tuple[fl
         else:
             design = np.column_stack([np.ones(keep.sum()), x[keep]])
             offset, gain = map(float, np.linalg.lstsq(design, y[keep], rcond=None)[0])
-        residual = np.abs(y - offset - gain * x)
-        sigma = 1.4826 * float(np.median(residual))
-        keep = residual <= 4.0 * max(sigma, tuning.min_m)
+        residual = y - offset - gain * x
+        sigma = robust_scale(residual)
+        keep = np.abs(residual) <= 4.0 * max(sigma, tuning.min_m)
     return offset, gain, sigma
 
 

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
 from sameas.errors import InputError
 from sameas.sky.frame.image import Frame, Image
 from sameas.sky.frame.measurements import TUNING
@@ -130,7 +130,7 @@ def noise_correlation(normal: FloatArray) -> FloatArray:
         return independent
     smooth = uniform_filter(np.nan_to_num(part), 3)
     # Masked pixels have no noise and are excluded from the scatter; stars are excluded with their surroundings.
-    limit = TUNING.star_sigmas * 1.4826 * np.median(np.abs(smooth[usable]))
+    limit = TUNING.star_sigmas * robust_scale(smooth[usable])
     bright = maximum_filter(np.abs(smooth) > limit, 9)
     sky = usable & ~bright
     if sky.sum() < TUNING.min_noise_pixels:

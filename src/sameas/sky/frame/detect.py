@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
 from sameas.errors import InputError
 from sameas.sky.frame.centroid import (
     FWHM_PER_SIGMA,
@@ -103,7 +103,7 @@ def _bad_lines(frame: Frame, background: Background) -> BoolArray:
         # Half of the pixels are enough for a median.
         median = np.median(normal[::2] if axis == 0 else normal[:, ::2], axis=axis)
         deviation = np.abs(median - median_filter(median, 15, mode="reflect"))
-        limit = max(TUNING.min_line, TUNING.line_sigmas * 1.4826 * float(np.median(deviation)))
+        limit = max(TUNING.min_line, TUNING.line_sigmas * robust_scale(deviation))
         line = deviation > limit
         if line.mean() < 0.05:
             bad |= line[None, :] if axis == 0 else line[:, None]

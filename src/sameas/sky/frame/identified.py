@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, median, robust_scale
 from sameas.errors import InputError, Message, naming
 from sameas.estimate.match import Estimate, match
 from sameas.evidence import Magnitudes
@@ -214,13 +214,13 @@ class FrameIdentification:
 
     @property
     def scatter_arcsec(self) -> FloatArray:
-        """(2,) robust standard deviation (1.4826 · median |Δ|) of the residuals east and north; RMS for few pairs."""
+        """(2,) robust standard deviation of the residuals east and north; RMS for few pairs."""
         residual = self.residual_arcsec
         if not len(residual):
             return np.full(2, np.nan)
         if len(residual) < TUNING.few_pairs:
             return np.asarray(np.sqrt(np.mean(residual**2, axis=0)))
-        return np.asarray(1.4826 * np.median(np.abs(residual - np.median(residual, axis=0)), axis=0))
+        return np.array([robust_scale(axis - median(axis)) for axis in residual.T])
 
 
 def identify_frame(

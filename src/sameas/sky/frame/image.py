@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray
+from sameas.arrays import BoolArray, FloatArray, robust_scale
 from sameas.bounds import checked_fits
 from sameas.errors import InputError, first_line, reading
 from sameas.representation import in_short
@@ -510,13 +510,12 @@ def _excess(dark: FloatArray) -> FloatArray:
     from scipy.ndimage import median_filter
 
     excess = dark - median_filter(dark, 5, mode="reflect")
-    scatter = 1.4826 * float(np.median(np.abs(excess)))
-    return np.where(excess > max(TUNING.hot_sigmas * scatter, 1e-9), excess, 0.0)
+    return np.where(excess > max(TUNING.hot_sigmas * robust_scale(excess), 1e-9), excess, 0.0)
 
 
 def _harmful(excess: FloatArray, frame: Frame) -> BoolArray:
     """Mask of the hot pixels whose noise, which remains after subtraction, is at least half of the frame's noise."""
     gain = frame.facts.gain_e_per_adu if math.isfinite(frame.facts.gain_e_per_adu) else 1.0
     step = np.diff(frame.image[:, ::2], axis=1)
-    variance = (1.4826 * float(np.median(np.abs(step - np.median(step))))) ** 2 / 2
+    variance = robust_scale(step - np.median(step)) ** 2 / 2
     return np.asarray(excess / gain + (TUNING.unsteady * excess) ** 2 > 0.25 * max(variance, 1e-12))

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray
+from sameas.arrays import FloatArray, robust_scale, weighted_median
 from sameas.gaussian import inverse
 
 
@@ -178,7 +178,7 @@ def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray, tuning
     a = np.column_stack([np.ones_like(y), *columns])
     tail_weight = np.ones_like(y)
     # Starting from the weighted median, one wrong pair of seven does not decide which pairs are outliers.
-    residual = y - _weighted_median(y, weight)
+    residual = y - weighted_median(y, weight)
     scatter = 1.0
     tail = tuning.tail_sigmas
     for iteration in range(tuning.iterations):
@@ -187,18 +187,12 @@ def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray, tuning
             normal = a.T @ (w[:, None] * a) + 1e-9 * np.eye(a.shape[1])
             terms = np.linalg.solve(normal, a.T @ (w * y))
             residual = y - a @ terms
-        scatter = max(1.4826 * _weighted_median(np.abs(residual), weight), 1e-3)
+        scatter = max(robust_scale(residual, weight), 1e-3)
         tail_weight = np.minimum(1.0, (tail * scatter / np.maximum(np.abs(residual), 1e-12)) ** 2)
     n = float(weight.sum())
     loss = np.where(tail_weight < 1.0, tail**2 * (1.0 - np.log(tail_weight)), (residual / scatter) ** 2)
     bic = 2 * n * math.log(scatter) + float(weight @ loss) + a.shape[1] * math.log(max(n, 2.0))
     return _MagnitudeFit(np.asarray(terms), scatter * np.sqrt(np.diag(inverse(normal))), scatter, bic)
-
-
-def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
-    order = np.argsort(values)
-    share = np.cumsum(weight[order]) / weight.sum()
-    return float(values[order][np.searchsorted(share, 0.5)])
 
 
 @dataclass(frozen=True)

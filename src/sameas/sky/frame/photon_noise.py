@@ -20,11 +20,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
 from sameas.sky.frame.centroid import PSF, Background, Subtracted, cut_stamps
 from sameas.sky.frame.measurements import TUNING
 
-#: 1.4826 · median |x| has this variance, relative to the square of a normal standard deviation, times the number.
+#: The robust scale of n normal numbers has this variance, relative to the square of their standard deviation, over n.
 _MEDIAN_VARIANCE = 1.36
 
 
@@ -117,7 +117,7 @@ class _Noise:
         order = np.argsort(light, kind="stable")
         bins = np.array_split(order, int(np.clip(len(order) / 60, 4, 16)))
         typical, sky_level = np.array([np.median(light[each]) for each in bins]), float(np.median(sky))
-        scatter = np.array([(1.4826 * np.median(np.abs(deviation[each]))) ** 2 for each in bins])
+        scatter = np.array([robust_scale(deviation[each]) ** 2 for each in bins])
         count = np.array([len(each) for each in bins])
         expected = previous.variance(typical, np.full(len(bins), sky_level))
         error = expected * np.sqrt(4 * _MEDIAN_VARIANCE / count + TUNING.gain_accuracy**2)

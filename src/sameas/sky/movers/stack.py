@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
-from sameas.arrays import BoolArray, FloatArray
+from sameas.arrays import BoolArray, FloatArray, robust_scale
 from sameas.gaussian import inverse
 from sameas.representation import in_short
 from sameas.sky.frame.centroid import FWHM_PER_SIGMA
@@ -233,7 +233,7 @@ class _FramePixels:
         apart = max(3, math.ceil(2.0 * sigma_px))
         good = ~(self.bad[:, apart:] | self.bad[:, :-apart])[::3, ::3]
         rough = (self.image[:, apart:] - self.image[:, :-apart])[::3, ::3][good]
-        self._noise = max(1.4826 / math.sqrt(2.0) * float(np.median(np.abs(rough))), 1e-6)
+        self._noise = max(robust_scale(rough) / math.sqrt(2.0), 1e-6)
 
     def noise(self) -> float:
         """Standard deviation of a pixel of the sky."""
@@ -565,7 +565,7 @@ class _Pixels:
         good = ((frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) == 0) & np.isfinite(image)
         level = float(np.median(image[good][::7]))
         steps = np.diff(image[::3], axis=1)[good[::3, 1:] & good[::3, :-1]]
-        noise = max(1.4826 * float(np.median(np.abs(steps))) / math.sqrt(2.0), 1e-9)
+        noise = max(robust_scale(steps) / math.sqrt(2.0), 1e-9)
         radius = width * (TRAIL_TUNING.hidden_widths + 0.6 * np.log10(np.maximum(snr / 10.0, 1.0)))
         for (x, y), r in zip(sources, radius, strict=True):
             a, b = max(int(y - r), 0), max(int(x - r), 0)
