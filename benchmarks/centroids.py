@@ -16,8 +16,7 @@ import numpy as np
 
 from benchmarks.tables import Table, report
 from sameas.simulate.frames import Camera, GaussianProfile, Moffat, Profile, SimulatedFrame, Trail, frame_of
-from sameas.sky.frame.detect import detect
-from sameas.sky.frame.measurements import Detection
+from sameas.sky.frame.detect import Detection, detect
 
 #: Positions (n, 2) in pixels, and their errors (n, 2) if stated.
 Centroids = tuple[np.ndarray, np.ndarray | None]

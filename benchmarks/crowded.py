@@ -18,9 +18,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sameas.estimate.match import match
-from sameas.sky.frame.detect import detect
+from sameas.sky.frame.detect import Detection, detect
 from sameas.sky.frame.image import read
-from sameas.sky.frame.measurements import Detection, Measurements
+from sameas.sky.frame.measurements import Measurements
 
 FRAME = Path("/usr/share/python-drizzle/test_data/j8bt06nyq_flt.fits")
 SETTINGS = Detection(threshold_sigmas=8.0), Detection(threshold_sigmas=5.0, box_px=32)

@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 from sameas.errors import InputError
 from sameas.simulate.frames import Camera, GaussianProfile, Moffat, Trail, frame_of
 from sameas.sky.frame.centroid import Background
-from sameas.sky.frame.detect import detect
+from sameas.sky.frame.detect import Detection, detect
 from sameas.sky.frame.image import Frame, MasterFrames, read
-from sameas.sky.frame.measurements import Detection, Flag
+from sameas.sky.frame.measurements import Flag
 
 pytest.importorskip("photutils")
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"

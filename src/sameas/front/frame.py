@@ -257,8 +257,7 @@ def _found_on(
 ) -> tuple[FrameIdentification, Catalogue]:
     """The identified frame and its catalogue; refusals name the options of Python."""
     from sameas.front import framing
-    from sameas.sky.frame.detect import detect
-    from sameas.sky.frame.measurements import Detection
+    from sameas.sky.frame.detect import Detection, detect
 
     progress("detecting")
     measured = detect(frame, Detection(threshold_sigmas=request.threshold_sigmas))

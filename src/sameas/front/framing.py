@@ -29,12 +29,12 @@ from sameas.io.catalogues import BRIGHT, GAIA, catalogue
 from sameas.io.format import json_text
 from sameas.io.plate import write_copy, write_regions, write_solution
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.frame.detect import detect
+from sameas.sky.frame.detect import Detection, detect
 from sameas.sky.frame.field import Cone
 from sameas.sky.frame.identified import FrameIdentification, Refinement, search_cone, solve
 from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.keywords import Given
-from sameas.sky.frame.measurements import Detection, Measurements
+from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.outputs import listing, summary
 from sameas.sky.frame.plate import Pointing
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, sky_index

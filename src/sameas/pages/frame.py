@@ -19,7 +19,7 @@ from sameas.io.atomic import replacing
 from sameas.pages import asset, column, page_of, png, rounded, script_safe
 from sameas.plots.frame import binned, binning, stretched
 from sameas.report.frame import reasons
-from sameas.sky.frame.identified import TUNING, FrameIdentification
+from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
 from sameas.sky.frame.outputs import summary, why_missing
@@ -86,7 +86,7 @@ def _data(found: FrameIdentification, facts: Mapping[str, Any], factor: int, bri
         "bin": factor,
         "width_px": rounded(found.measured.psf_fwhm_px, 2),
         "brightest": brightest,
-        "expected": TUNING.p_expected,
+        "expected": found.tuning.p_expected,
         "odd": found.pairs[0][found.odd_brightness].tolist(),
         "summary": facts,
         "measured": _measured(found, number),

@@ -12,7 +12,7 @@ from sameas.estimate.quantity import Quantity
 from sameas.report.match import error_model_in_words, quoted_errors
 from sameas.report.prose import DOUBT, entry, labelled
 from sameas.representation import count, counted
-from sameas.sky.frame.identified import TUNING
+from sameas.sky.frame.identified import DEFAULT_REFINEMENT
 from sameas.sky.frame.outputs import ERROR_NAMES
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _unmatched(found: Mapping[str, Any]) -> str:
 
 def _scatter(summary: Mapping[str, Any]) -> str:
     # The median is unreliable for few residuals.
-    few = summary["found"]["identified"] < TUNING.few_pairs
+    few = summary["found"]["identified"] < DEFAULT_REFINEMENT.few_pairs
     east, north = summary["residuals"]["rms_arcsec" if few else "scatter_arcsec"]
     return "not known" if east is None else f"{east:.2g}″ × {north:.2g}″{' rms' if few else ''}"
 

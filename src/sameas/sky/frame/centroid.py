@@ -33,7 +33,39 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
 from sameas.errors import InputError
 from sameas.sky.frame.image import Frame, Image
-from sameas.sky.frame.measurements import TUNING
+
+
+@dataclass(frozen=True)
+class CentroidTuning:
+    """Parameters of the noise and of centroids, tuned on simulated frames (``scripts/bench centroids``).
+
+    Attributes
+    ----------
+    noise_side_px : the noise correlation is measured in a square of this side in the middle of the frame.
+    noise_reach_px : maximum offset along an axis for the noise correlation.
+    star_sigmas : 3 × 3 means farther than this from the sky are stars, and excluded from the noise measurement.
+    min_noise_pixels : with fewer pixels the noise is assumed independent.
+    min_correlation : smaller correlations are set to zero, as noise of the estimate.
+    steps : maximum number of iterations. converged_px : step length for convergence.
+    stamp_sigmas : half-width of a stamp in standard deviations of its window. max_width_px : maximum half-width.
+    pixels_at_once : pixels per batch of stamps, which bounds the memory.
+    shape_steps : iterations that adapt a window to the shape of its star.
+    """
+
+    noise_side_px: int = 600
+    noise_reach_px: int = 4
+    star_sigmas: float = 3.5
+    min_noise_pixels: int = 1000
+    min_correlation: float = 0.02
+    steps: int = 25
+    converged_px: float = 2e-4
+    stamp_sigmas: float = 3.5
+    max_width_px: int = 48
+    pixels_at_once: int = 4_000_000
+    shape_steps: int = 8
+
+
+DEFAULT_CENTROIDS = CentroidTuning()
 
 
 @dataclass(frozen=True)
@@ -55,7 +87,7 @@ class Background:
     correlation: FloatArray
 
     @classmethod
-    def of(cls, frame: Frame, *, box_px: int = 64) -> Background:
+    def of(cls, frame: Frame, *, box_px: int = 64, tuning: CentroidTuning = DEFAULT_CENTROIDS) -> Background:
         """The background of a frame; ``box_px`` should be about ten times the width of a star.
 
         Raises
@@ -74,7 +106,7 @@ class Background:
             level.astype(np.float32),
             np.where(usable, variance, np.inf).astype(np.float32),
             1 / gain if known else 0.0,
-            noise_correlation(normal),
+            noise_correlation(normal, tuning),
         )
 
     def factor(self, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -116,9 +148,9 @@ def _meshes(frame: Frame, box_px: int) -> tuple[FloatArray, FloatArray]:
         raise InputError(f"{frame.name}: too few usable pixels for a background ({error})") from error
 
 
-def noise_correlation(normal: FloatArray) -> FloatArray:
+def noise_correlation(normal: FloatArray, tuning: CentroidTuning) -> FloatArray:
     """The noise correlation at small offsets, from normalised pixels without stars."""
-    reach, half = TUNING.noise_reach_px, TUNING.noise_side_px // 2
+    reach, half = tuning.noise_reach_px, tuning.noise_side_px // 2
     independent = np.zeros((2 * reach + 1, 2 * reach + 1))
     independent[reach, reach] = 1
     rows, columns = (slice(max(0, size // 2 - half), size // 2 + half) for size in normal.shape)
@@ -130,10 +162,10 @@ def noise_correlation(normal: FloatArray) -> FloatArray:
         return independent
     smooth = uniform_filter(np.nan_to_num(part), 3)
     # Masked pixels have no noise and are excluded from the scatter; stars are excluded with their surroundings.
-    limit = TUNING.star_sigmas * robust_scale(smooth[usable])
+    limit = tuning.star_sigmas * robust_scale(smooth[usable])
     bright = maximum_filter(np.abs(smooth) > limit, 9)
     sky = usable & ~bright
-    if sky.sum() < TUNING.min_noise_pixels:
+    if sky.sum() < tuning.min_noise_pixels:
         return independent
     values = np.where(sky, part - np.median(part[sky]), 0.0)
     size = [2 * n for n in part.shape]
@@ -143,7 +175,7 @@ def noise_correlation(normal: FloatArray) -> FloatArray:
     index = np.arange(-reach, reach + 1)
     covariance = product[np.ix_(index, index)] / np.maximum(count[np.ix_(index, index)], 1)
     rho = covariance / covariance[reach, reach]
-    return np.where(np.abs(rho) < TUNING.min_correlation, 0.0, rho)
+    return np.where(np.abs(rho) < tuning.min_correlation, 0.0, rho)
 
 
 FWHM_PER_SIGMA = math.sqrt(8 * math.log(2))
@@ -325,7 +357,12 @@ class Subtracted:
 
 
 def centroids(
-    light: FloatArray, background: Background, xy: FloatArray, windows: FloatArray, subtracted: Subtracted | None = None
+    light: FloatArray,
+    background: Background,
+    xy: FloatArray,
+    windows: FloatArray,
+    tuning: CentroidTuning,
+    subtracted: Subtracted | None = None,
 ) -> Centroids:
     """Windowed centroids near ``xy`` (n, 2) in windows (n, 2, 2).
 
@@ -333,18 +370,18 @@ def centroids(
     """
     n = len(xy)
     largest = np.sqrt(np.linalg.eigvalsh(windows)[:, 1]) if n else np.empty(0)
-    half = np.clip(np.ceil(TUNING.stamp_sigmas * largest).astype(int) + 1, 4, TUNING.max_width_px)
+    half = np.clip(np.ceil(tuning.stamp_sigmas * largest).astype(int) + 1, 4, tuning.max_width_px)
     # Half-widths are rounded up to a geometric series, so that stamps have few sizes.
-    half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), TUNING.max_width_px)
+    half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), tuning.max_width_px)
     parts: list[tuple[IntArray, Centroids]] = []
     for size in np.unique(half):
         members = np.flatnonzero(half == size)
-        step = max(1, TUNING.pixels_at_once // (2 * size + 1) ** 2)
+        step = max(1, tuning.pixels_at_once // (2 * size + 1) ** 2)
         for first in range(0, len(members), step):
             rows = members[first : first + step]
             stamps = cut_stamps(light, background, np.rint(xy[rows]).astype(int), int(size))
             stamps = stamps if subtracted is None else subtracted.add_back(stamps, rows)
-            parts.append((rows, _iterated(stamps, xy[rows], windows[rows], background)))
+            parts.append((rows, _iterated(stamps, xy[rows], windows[rows], background, tuning)))
     return _concatenated(n, parts)
 
 
@@ -367,14 +404,16 @@ def cut_stamps(light: FloatArray, background: Background, centre: IntArray, half
     )
 
 
-def _iterated(stamps: Stamps, start: FloatArray, windows: FloatArray, background: Background) -> Centroids:
+def _iterated(
+    stamps: Stamps, start: FloatArray, windows: FloatArray, background: Background, tuning: CentroidTuning
+) -> Centroids:
     """The centroids of stamps from a start (n, 2) by the iteration x ← x + 2 Σ w I d / Σ w I."""
     inverse = np.asarray(np.linalg.inv(windows), float)
     limit = np.sqrt(np.trace(windows, axis1=1, axis2=2))[:, None]
     reach = 0.5 + 0.8 * limit  # a centroid farther from its start has moved to another star
     xy, moving = start.copy(), np.arange(len(start))
     converged = np.zeros(len(start), bool)
-    for _ in range(TUNING.centroid_steps):
+    for _ in range(tuning.steps):
         part = Stamps(*(plane[moving] for plane in stamps))  # type: ignore[arg-type]
         dx, dy, w = _window(part, xy[moving], inverse[moving])
         wi = w * part.light
@@ -385,7 +424,7 @@ def _iterated(stamps: Stamps, start: FloatArray, windows: FloatArray, background
         valid = np.isfinite(step).all(axis=1) & (total > 0)
         step = np.where(valid[:, None], np.clip(step, -0.5 * limit[moving], 0.5 * limit[moving]), 0.0)
         xy[moving] += step
-        short = (np.abs(step) < TUNING.converged_px).all(axis=1)
+        short = (np.abs(step) < tuning.converged_px).all(axis=1)
         diverged = (np.abs(xy[moving] - start[moving]) > reach[moving]).any(axis=1)
         converged[moving[short & valid]] = True
         moving = moving[~short & ~diverged]
@@ -458,7 +497,12 @@ def _concatenated(n: int, parts: list[tuple[IntArray, Centroids]]) -> Centroids:
 
 
 def adaptive(
-    light: FloatArray, background: Background, xy: FloatArray, start: FloatArray, subtracted: Subtracted | None = None
+    light: FloatArray,
+    background: Background,
+    xy: FloatArray,
+    start: FloatArray,
+    tuning: CentroidTuning,
+    subtracted: Subtracted | None = None,
 ) -> tuple[Centroids, FloatArray]:
     """Centroids in windows adapted to the shape of each star, and the window matrices (n, 2, 2).
 
@@ -466,8 +510,8 @@ def adaptive(
     (Bernstein & Jarvis 2002, AJ 123, 583, sect. 3.1).
     """
     windows = start.copy()
-    measured = centroids(light, background, xy, windows, subtracted)
-    for _ in range(TUNING.shape_steps):
+    measured = centroids(light, background, xy, windows, tuning, subtracted)
+    for _ in range(tuning.shape_steps):
         with np.errstate(all="ignore"):
             values, vectors = np.linalg.eigh(np.nan_to_num(measured.moments, posinf=1.0, neginf=1.0))
         values = np.clip(values, 0.05, None)
@@ -476,7 +520,7 @@ def adaptive(
         values, vectors = np.linalg.eigh(inverse)
         old = np.linalg.eigvalsh(windows)
         low, high = 1 / (2.5 * old[:, 1:]), 1 / (0.4 * old[:, :1])
-        values = np.clip(values, np.maximum(low, 1 / (TUNING.max_width_px / 3) ** 2), np.minimum(high, 1 / 0.2))
+        values = np.clip(values, np.maximum(low, 1 / (tuning.max_width_px / 3) ** 2), np.minimum(high, 1 / 0.2))
         windows = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
-        measured = centroids(light, background, measured.xy, windows, subtracted)
+        measured = centroids(light, background, measured.xy, windows, tuning, subtracted)
     return measured, windows

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
 from sameas.errors import InputError
 from sameas.sky.frame.centroid import (
+    DEFAULT_CENTROIDS,
     FWHM_PER_SIGMA,
     PSF,
     Background,
     Centroids,
+    CentroidTuning,
     Subtracted,
     adaptive,
     centroids,
@@ -31,13 +33,93 @@ from sameas.sky.frame.centroid import (
     noise_correlation,
 )
 from sameas.sky.frame.image import Frame
-from sameas.sky.frame.measurements import TUNING, Detection, Flag, Measurements
-from sameas.sky.frame.photon_noise import InverseGain, measured_inverse_gain
+from sameas.sky.frame.measurements import Flag, Measurements
+from sameas.sky.frame.photon_noise import DEFAULT_GAIN, GainTuning, InverseGain, measured_inverse_gain
 
 _EIGHT_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 
 
-def flag_defects(frame: Frame, background: Background, psf: PSF) -> Frame:
+@dataclass(frozen=True)
+class DetectionTuning:
+    """Parameters of star detection, tuned on simulated frames (``scripts/bench centroids`` and ``crowded``).
+
+    Attributes
+    ----------
+    defect_sigmas : a pixel is a defect if it exceeds the sharpest star by this many standard deviations.
+    defect_passes : maximum number of passes; in each, known defects are replaced by their neighbours.
+    sharpness_margin : maximum ratio of sharpness among stars.
+    line_sigmas : a column or row is bad if it differs from its neighbours by this many standard deviations of lines.
+    min_line : minimum difference of a bad line, in standard deviations of a pixel; weaker lines are harmless.
+    min_usable : no star is detected where less than this share of its pixels is usable.
+    saddle_sigmas : minimum depth of the saddle between two stars, in standard deviations of the sky.
+    saddle_photons : the same for the photon noise of the star, larger because the saddle is the minimum of many points
+        along a trail.
+    saddle_share : minimum depth of the saddle as a share of the lower peak.
+    saddle_widths : peaks farther apart than this many FWHM are always two stars; longer trails are split.
+    ridge_px : offset of the three parallel lines on which the saddle is measured; a ridge may miss the pixel centres.
+    first_sigma_px : standard deviation of the initial PSF.
+    sharpest_sigma_px : standard deviation of the sharpest possible star before the PSF is measured (FWHM 1.3 px).
+    psf_stars : maximum number of stars for the PSF.
+    max_stars_of_negative, min_dark_ratio : an image is a negative if it has fewer stars than the first, and more dark
+        spots than this ratio to them.
+    shape_snr : stars below this signal to noise ratio get no individual shape.
+    wider : a star wider than the PSF by this factor gets its own window. longer : trailed if longer by this factor.
+    neighbour_passes : number of passes that subtract all neighbours and remeasure every star.
+    shift_share : share of the shift by neighbours that remains after their subtraction.
+    pair_share : position variance of an unresolved pair, as a share of its excess second moment.
+    centroids, gain : of the centroids, and of the measurement of the gain.
+    """
+
+    defect_sigmas: float = 6.0
+    defect_passes: int = 3
+    sharpness_margin: float = 1.4
+    line_sigmas: float = 8.0
+    min_line: float = 0.7
+    min_usable: float = 0.3
+    saddle_sigmas: float = 3.0
+    saddle_photons: float = 5.0
+    saddle_share: float = 0.02
+    saddle_widths: float = 8.0
+    ridge_px: float = 0.6
+    first_sigma_px: float = 1.3
+    sharpest_sigma_px: float = 0.55
+    psf_stars: int = 200
+    max_stars_of_negative: int = 20
+    min_dark_ratio: float = 10.0
+    shape_snr: float = 15.0
+    wider: float = 1.3
+    longer: float = 2.0
+    neighbour_passes: int = 3
+    shift_share: float = 0.25
+    pair_share: float = 0.1
+    centroids: CentroidTuning = DEFAULT_CENTROIDS
+    gain: GainTuning = DEFAULT_GAIN
+
+
+@dataclass(frozen=True)
+class Detection:
+    """How stars are detected.
+
+    threshold_sigmas : minimum significance in the matched filter. box_px : mesh of the background. defects : whether to
+    detect hot pixels, cosmic rays and bad columns on the frame. floor_px : minimum error of a centroid.
+    tuning : of the detection.
+    """
+
+    threshold_sigmas: float = 4.0
+    box_px: int = 64
+    defects: bool = True
+    floor_px: float = 0.002
+    tuning: DetectionTuning = field(default=DetectionTuning(), repr=False)
+
+    def __post_init__(self) -> None:
+        if not self.threshold_sigmas > 0 or self.box_px < 8 or not self.floor_px >= 0:
+            raise InputError(
+                f"Detection: threshold_sigmas {self.threshold_sigmas}, box_px {self.box_px}, floor_px {self.floor_px}; "
+                "give a threshold above 0, a mesh of 8 px or more, a floor of 0 or more"
+            )
+
+
+def flag_defects(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> Frame:
     """The frame with its defects flagged: HOT, COSMIC, and MASKED for bad columns and rows.
 
     A defect is sharper than any star: the limit is the contrast of a star centred on a pixel. Single pixels are HOT,
@@ -45,8 +127,8 @@ def flag_defects(frame: Frame, background: Background, psf: PSF) -> Frame:
     (:mod:`sameas.sky.frame.image`). astroscrappy (van Dokkum 2001, PASP 113, 1420) is not used because it does not
     compare the sharpness with the frame's stars: it flags the cores of stars with a FWHM of 1.5 px.
     """
-    lines = _bad_lines(frame, background)
-    sharp = _too_sharp(frame, background, psf) & ~lines
+    lines = _bad_lines(frame, background, tuning)
+    sharp = _too_sharp(frame, background, psf, tuning) & ~lines
     from scipy.ndimage import label
 
     parts, _ = label(sharp, np.ones((3, 3)))
@@ -55,12 +137,12 @@ def flag_defects(frame: Frame, background: Background, psf: PSF) -> Frame:
     return frame.marked(lines, Flag.MASKED).marked(single, Flag.HOT).marked(sharp & ~single, Flag.COSMIC)
 
 
-def _too_sharp(frame: Frame, background: Background, psf: PSF) -> BoolArray:
+def _too_sharp(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> BoolArray:
     """(rows, columns) mask of the pixels that are sharper than any star."""
     from scipy.ndimage import binary_dilation
 
     neighbour_light = np.array([psf.light(float(x), float(y)) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
-    contrast = TUNING.sharpness_margin * float(psf.light(0.0, 0.0)) / float(np.median(neighbour_light))
+    contrast = tuning.sharpness_margin * float(psf.light(0.0, 0.0)) / float(np.median(neighbour_light))
     light = frame.image - background.level
     usable = np.isfinite(background.variance)
     variance = np.where(usable, background.variance, 0.0)
@@ -69,15 +151,15 @@ def _too_sharp(frame: Frame, background: Background, psf: PSF) -> BoolArray:
     # Bleeding and diffraction of saturated stars may be sharper than stars.
     saturated &= binary_dilation(saturated, np.ones((3, 3))) & ~_isolated(saturated)
     near_saturated = binary_dilation(saturated, np.ones((3, 3)), iterations=2)
-    rows, columns = np.nonzero((light > TUNING.defect_sigmas * np.sqrt(variance)) & usable & ~near_saturated)
+    rows, columns = np.nonzero((light > tuning.defect_sigmas * np.sqrt(variance)) & usable & ~near_saturated)
     work = np.pad(np.where(usable, light, 0.0), 1, mode="reflect")
     central, sky_variance = light[rows, columns], variance[rows, columns]
-    for _ in range(TUNING.defect_passes):
+    for _ in range(tuning.defect_passes):
         shifted = [work[rows + 1 + y, columns + 1 + x] for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
         neighbours = np.maximum(np.median(shifted, axis=0), 0.0)
         photons = neighbours * contrast * (1 + 0.2 * contrast)
         noise = np.sqrt(sky_variance * (1 + 0.2 * contrast**2) + background.inverse_gain * photons)
-        sharp = central - contrast * neighbours > TUNING.defect_sigmas * noise
+        sharp = central - contrast * neighbours > tuning.defect_sigmas * noise
         if not (sharp & ~defect[rows, columns]).any():
             break
         defect[rows[sharp], columns[sharp]] = True
@@ -92,7 +174,7 @@ def _isolated(mask: BoolArray) -> BoolArray:
     return np.asarray(mask & (convolve(mask.astype(np.int8), _EIGHT_NEIGHBOURS.astype(np.int8), mode="constant") == 0))
 
 
-def _bad_lines(frame: Frame, background: Background) -> BoolArray:
+def _bad_lines(frame: Frame, background: Background, tuning: DetectionTuning) -> BoolArray:
     """(rows, columns) mask of the columns and rows whose median differs from their neighbours' by far."""
     from scipy.ndimage import median_filter
 
@@ -103,17 +185,18 @@ def _bad_lines(frame: Frame, background: Background) -> BoolArray:
         # Half of the pixels are enough for a median.
         median = np.median(normal[::2] if axis == 0 else normal[:, ::2], axis=axis)
         deviation = np.abs(median - median_filter(median, 15, mode="reflect"))
-        limit = max(TUNING.min_line, TUNING.line_sigmas * robust_scale(deviation))
+        limit = max(tuning.min_line, tuning.line_sigmas * robust_scale(deviation))
         line = deviation > limit
         if line.mean() < 0.05:
             bad |= line[None, :] if axis == 0 else line[:, None]
     return bad
 
 
-def significance(light: FloatArray, background: Background, psf: PSF) -> FloatArray:
+def significance(light: FloatArray, background: Background, psf: PSF, min_usable: float) -> FloatArray:
     """(rows, columns) signal to noise ratio of a star at the centre of each pixel; 0 where most of it is masked.
 
     Matched filter: Σ k I/v over √(Σ k²/v), k the PSF, v the variance of the sky, infinite for unusable pixels.
+    min_usable : share of the pixels of a star, weighted by k², that must be usable.
     """
     from scipy.signal import oaconvolve
 
@@ -130,7 +213,7 @@ def significance(light: FloatArray, background: Background, psf: PSF) -> FloatAr
     noise_sq = oaconvolve(weight, kernel**2, mode="same")
     factor = float(background.factor(np.array([psf.sigma_px]))[0][0])
     usable = oaconvolve((weight > 0).astype(np.float32), kernel**2, mode="same")
-    enough = usable > TUNING.min_usable * float((kernel**2).sum())
+    enough = usable > min_usable * float((kernel**2).sum())
     return np.where(enough, signal * np.sqrt(typical_weight / factor) / np.sqrt(np.maximum(noise_sq, 1e-12)), 0.0)
 
 
@@ -139,7 +222,7 @@ def photon_noise(light: FloatArray, background: Background) -> FloatArray:
     return np.sqrt(1 + background.inverse_gain * np.maximum(light, 0) / background.variance)
 
 
-def peaks(snr: FloatArray, noise: FloatArray, psf: PSF, threshold_sigmas: float) -> tuple[FloatArray, FloatArray]:
+def peaks(snr: FloatArray, noise: FloatArray, psf: PSF, detection: Detection) -> tuple[FloatArray, FloatArray]:
     """(n, 2) pixels (x, y) of the stars, the most significant first, and their significance (n,).
 
     Stars are maxima of the significance; two maxima without a saddle between them are one star.
@@ -152,22 +235,25 @@ def peaks(snr: FloatArray, noise: FloatArray, psf: PSF, threshold_sigmas: float)
     box = 2 * max(1, round(psf.sigma_px)) + 1
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # photutils warns if there are no peaks; the caller refuses with a remedy
-        table = find_peaks(snr, threshold_sigmas, box_size=box)
+        table = find_peaks(snr, detection.threshold_sigmas, box_size=box)
     if table is None or not len(table):
         return np.empty((0, 2)), np.empty(0)
     names = ("x_peak", "y_peak", "peak_value")
     x, y, value = (np.asarray(table[name], float) for name in names)
     order = np.lexsort((x, y, -value))
     xy, value = np.column_stack([x, y])[order], value[order]
-    keep = _separated(snr, noise, xy, value, TUNING.saddle_widths * psf.fwhm_px)
+    keep = _separated(snr, noise, xy, value, psf, detection.tuning)
     return xy[keep], value[keep]
 
 
-def _separated(snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, reach_px: float) -> IntArray:
+def _separated(
+    snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, psf: PSF, tuning: DetectionTuning
+) -> IntArray:
     """Rows of the peaks with a saddle between them and every higher peak within reach."""
     from scipy.ndimage import map_coordinates
     from scipy.spatial import cKDTree
 
+    reach_px = tuning.saddle_widths * psf.fwhm_px
     pairs = cKDTree(xy).query_pairs(reach_px, output_type="ndarray")
     if not len(pairs):
         return np.arange(len(xy))
@@ -177,12 +263,12 @@ def _separated(snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatA
     # A ridge may pass half a pixel from the centres of its end pixels: the best of three parallel lines is used.
     direction = (xy[lower] - xy[higher]) / np.linalg.norm(xy[lower] - xy[higher], axis=1, keepdims=True)
     normal = np.column_stack([-direction[:, 1], direction[:, 0]])[:, None, :]
-    lines = [segment + offset * normal for offset in (-TUNING.ridge_px, 0.0, TUNING.ridge_px)]
+    lines = [segment + offset * normal for offset in (-tuning.ridge_px, 0.0, tuning.ridge_px)]
     profiles = [map_coordinates(snr, [line[..., 1], line[..., 0]], order=1, mode="nearest") for line in lines]
     saddle = np.max(profiles, axis=0).min(axis=1)
     x, y = xy[lower].astype(int).T
-    random_depth = np.sqrt(TUNING.saddle_sigmas**2 + TUNING.saddle_photons**2 * (noise[y, x] ** 2 - 1))
-    depth = np.maximum(random_depth, TUNING.saddle_share * value[lower])
+    random_depth = np.sqrt(tuning.saddle_sigmas**2 + tuning.saddle_photons**2 * (noise[y, x] ** 2 - 1))
+    depth = np.maximum(random_depth, tuning.saddle_share * value[lower])
     return np.setdiff1d(np.arange(len(xy)), lower[value[lower] - saddle < depth])
 
 
@@ -201,10 +287,10 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
     [51.0, 20.0, 44.0]
     """
     detection = detection or Detection()
-    background = Background.of(frame, box_px=detection.box_px)
+    background = Background.of(frame, box_px=detection.box_px, tuning=detection.tuning.centroids)
     if detection.defects:
-        sharpest = PSF(TUNING.sharpest_sigma_px**2 * np.eye(2))
-        frame, background = _without_defects(frame, background, sharpest)
+        sharpest = PSF(detection.tuning.sharpest_sigma_px**2 * np.eye(2))
+        frame, background = _without_defects(frame, background, sharpest, detection.tuning)
     psf = _mean_psf(frame, background, detection)
     measured_gain = None
     if not background.inverse_gain and frame.sigma is None:
@@ -212,14 +298,15 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
         if measured_gain is not None:
             background = replace(background, inverse_gain=measured_gain.value)
     if detection.defects:
-        frame, background = _without_defects(frame, background, psf)
+        frame, background = _without_defects(frame, background, psf, detection.tuning)
     light = _above_sky(frame, background)
-    xy, snr = _peaks_of(light, background, psf, detection.threshold_sigmas)
+    xy, snr = _peaks_of(light, background, psf, detection)
     _refuse_negative(frame, light, background, psf, len(xy), detection)
     if not len(xy):
         raise InputError(f"{frame.name}: no star above {detection.threshold_sigmas:g}σ; lower threshold_sigmas")
-    stars = _deblended(light, background, psf, xy, snr, detection)
-    return _measurements(frame, background, psf, stars, detection, _gain_note(frame, background, stars, measured_gain))
+    stars = _deblended(light, background, psf, xy, snr, detection, detection.tuning.neighbour_passes)
+    note = _gain_note(frame, background, stars, measured_gain, detection.tuning.gain)
+    return _measurements(frame, background, psf, stars, detection, note)
 
 
 def _inverse_gain(frame: Frame, background: Background, psf: PSF, detection: Detection) -> InverseGain | None:
@@ -228,29 +315,29 @@ def _inverse_gain(frame: Frame, background: Background, psf: PSF, detection: Det
     None, too, where neighbouring pixels share their noise: on a scanned plate the scatter of pixels does not tell that
     of centroids. Unresolved stars of a crowded sky are no noise: the correlation is that without the stars.
     """
-    light = _above_sky(frame, background)
-    xy, snr = _peaks_of(light, background, psf, detection.threshold_sigmas)
-    if len(xy) < TUNING.gain_stars:
+    light, tuning = _above_sky(frame, background), detection.tuning
+    xy, snr = _peaks_of(light, background, psf, detection)
+    if len(xy) < tuning.gain.stars:
         return None
     stars = _deblended(light, background, psf, xy, snr, detection, passes=1)
     deviation = np.sqrt(background.variance, dtype=float)
     normal = np.where(np.isfinite(deviation), stars.residual / np.where(np.isfinite(deviation), deviation, 1.0), np.nan)
-    without_stars = replace(background, correlation=noise_correlation(normal))
-    if float(without_stars.factor(np.array([psf.sigma_px]))[1][0]) > TUNING.gain_correlation:
+    without_stars = replace(background, correlation=noise_correlation(normal, tuning.centroids))
+    if float(without_stars.factor(np.array([psf.sigma_px]))[1][0]) > tuning.gain.correlation:
         return None
-    return _gain_of(frame, background, stars)
+    return _gain_of(frame, background, stars, tuning.gain)
 
 
-def _gain_of(frame: Frame, background: Background, stars: _Deblended) -> InverseGain | None:
+def _gain_of(frame: Frame, background: Background, stars: _Deblended, tuning: GainTuning) -> InverseGain | None:
     common, psf = stars.centroids, stars.subtracted.psf
-    usable = common.converged & ~common.at_edge & (common.usable > 0.95) & (stars.snr > TUNING.gain_snr)
-    reach_px = TUNING.gain_reach_sigmas * math.sqrt(float(np.linalg.eigvalsh(psf.matrix)[1]))
+    usable = common.converged & ~common.at_edge & (common.usable > 0.95) & (stars.snr > tuning.snr)
+    reach_px = tuning.reach_sigmas * math.sqrt(float(np.linalg.eigvalsh(psf.matrix)[1]))
     usable &= (_flags_near(frame, common.xy, reach_px) == 0) & (stars.flux > 0)
-    return measured_inverse_gain(stars.residual, background, stars.subtracted, usable)
+    return measured_inverse_gain(stars.residual, background, stars.subtracted, usable, tuning)
 
 
 def _gain_note(
-    frame: Frame, background: Background, stars: _Deblended, measured_gain: InverseGain | None
+    frame: Frame, background: Background, stars: _Deblended, measured_gain: InverseGain | None, tuning: GainTuning
 ) -> tuple[str, ...]:
     """What is assumed about the photon noise, or doubted about the given gain."""
     if frame.sigma is not None:
@@ -265,12 +352,12 @@ def _gain_note(
         return (f"gain not known: {gain} e⁻/ADU by the scatter of the light of {measured_gain.stars} stars",)
     if not background.inverse_gain:
         return ("assumed: no photon noise of the stars (gain not known); bright stars' errors are too small",)
-    found = _gain_of(frame, background, stars)
+    found = _gain_of(frame, background, stars, tuning)
     if found is None:
         return ()
     factor = max(found.value, 1e-9) / background.inverse_gain
     certain = abs(found.value - background.inverse_gain) > 5 * found.error
-    if not certain or 1 / TUNING.least_contradiction < factor < TUNING.largest_contradiction:
+    if not certain or 1 / tuning.least_contradiction < factor < tuning.largest_contradiction:
         return ()
     return (
         f"doubt: the light of {found.stars} stars has {factor:.2g} times the photon variance of the gain "
@@ -284,10 +371,10 @@ def _refuse_negative(
     frame: Frame, light: FloatArray, background: Background, psf: PSF, n_stars: int, detection: Detection
 ) -> None:
     """Refuses an image with hardly any stars and many dark spots, as of a scanned photographic negative."""
-    if n_stars >= TUNING.max_stars_of_negative:
+    if n_stars >= detection.tuning.max_stars_of_negative:
         return
-    dark = len(_peaks_of(-light, background, psf, detection.threshold_sigmas)[0])
-    if dark > TUNING.min_dark_ratio * max(n_stars, 1):
+    dark = len(_peaks_of(-light, background, psf, detection)[0])
+    if dark > detection.tuning.min_dark_ratio * max(n_stars, 1):
         raise InputError(
             f"{frame.name}: {n_stars} bright and {dark} dark spots above {detection.threshold_sigmas:g}σ: it seems to "
             "be a negative, with dark stars on a bright sky",
@@ -301,30 +388,33 @@ def _above_sky(frame: Frame, background: Background) -> FloatArray:
 
 
 def _peaks_of(
-    light: FloatArray, background: Background, psf: PSF, threshold_sigmas: float
+    light: FloatArray, background: Background, psf: PSF, detection: Detection
 ) -> tuple[FloatArray, FloatArray]:
-    snr, noise = significance(light, background, psf), photon_noise(light, background)
-    return peaks(snr, noise, psf, threshold_sigmas)
+    snr = significance(light, background, psf, detection.tuning.min_usable)
+    return peaks(snr, photon_noise(light, background), psf, detection)
 
 
-def _without_defects(frame: Frame, background: Background, psf: PSF) -> tuple[Frame, Background]:
+def _without_defects(
+    frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning
+) -> tuple[Frame, Background]:
     """The frame with its defects flagged, and the background with infinite variance there."""
-    frame = flag_defects(frame, background, psf)
+    frame = flag_defects(frame, background, psf, tuning)
     unusable = (frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) != 0
     return frame, replace(background, variance=np.where(unusable, np.inf, background.variance).astype(np.float32))
 
 
 def _mean_psf(frame: Frame, background: Background, detection: Detection) -> PSF:
     """The PSF of bright, single, unsaturated stars, measured twice: from a first guess, then from the result."""
-    light = _above_sky(frame, background)
-    psf = PSF(TUNING.first_sigma_px**2 * np.eye(2))
+    light, tuning = _above_sky(frame, background), detection.tuning
+    bright = replace(detection, threshold_sigmas=max(detection.threshold_sigmas, 8.0))
+    psf = PSF(tuning.first_sigma_px**2 * np.eye(2))
     for _ in range(2):
-        xy, snr = _peaks_of(light, background, psf, max(detection.threshold_sigmas, 8.0))
-        xy = _single(frame, xy, snr, 4 * psf.fwhm_px)[: TUNING.psf_stars]
+        xy, snr = _peaks_of(light, background, psf, bright)
+        xy = _single(frame, xy, snr, 4 * psf.fwhm_px)[: tuning.psf_stars]
         if len(xy) < 3:
             return psf
         start = np.broadcast_to(psf.matrix, (len(xy), 2, 2))
-        stars, windows = adaptive(light, background, xy, start)
+        stars, windows = adaptive(light, background, xy, start, tuning.centroids)
         good = stars.converged & ~stars.at_edge & (stars.usable > 0.9) & (stars.weight > 0)
         if good.sum() < 3:
             return psf
@@ -376,24 +466,26 @@ def _deblended(
     xy: FloatArray,
     snr: FloatArray,
     detection: Detection,
-    passes: int = TUNING.neighbour_passes,
+    passes: int,
 ) -> _Deblended:
     """The stars measured in passes: subtract all stars, add each one back alone, measure it again."""
-    window_fraction = psf.window_fraction()
+    window_fraction, tuning = psf.window_fraction(), detection.tuning.centroids
     windows = np.broadcast_to(psf.window(), (len(xy), 2, 2))
-    stars = centroids(light, background, xy, windows)
+    stars = centroids(light, background, xy, windows, tuning)
     blended_xy = stars.xy
     for _ in range(passes):
         subtracted = Subtracted(stars.xy, np.maximum(stars.weight, 0) / window_fraction, psf)
-        residual = light - _model(subtracted, light.shape)
-        stars = centroids(residual, background, xy, windows[: len(xy)], subtracted)
+        residual = light - _model(subtracted, light.shape, tuning.pixels_at_once)
+        stars = centroids(residual, background, xy, windows[: len(xy)], tuning, subtracted)
         is_star = _is_star(stars, snr, detection.threshold_sigmas, psf)
         if not is_star.all():
             stars = Centroids(**{name: value[is_star] for name, value in vars(stars).items()})
             snr, blended_xy, xy = snr[is_star], blended_xy[is_star], xy[is_star]
     flux = np.maximum(stars.weight, 0) / window_fraction
     subtracted = Subtracted(stars.xy, flux, psf)
-    return _Deblended(stars, flux, snr, blended_xy, light - _model(subtracted, light.shape), subtracted)
+    return _Deblended(
+        stars, flux, snr, blended_xy, light - _model(subtracted, light.shape, tuning.pixels_at_once), subtracted
+    )
 
 
 def _is_star(stars: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> BoolArray:
@@ -407,12 +499,12 @@ def _is_star(stars: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> B
     return np.asarray(is_star | (np.arange(len(snr)) == 0))
 
 
-def _model(subtracted: Subtracted, shape: tuple[int, ...]) -> FloatArray:
-    """(rows, columns) model light of all stars."""
+def _model(subtracted: Subtracted, shape: tuple[int, ...], pixels_at_once: int) -> FloatArray:
+    """(rows, columns) model light of all stars, drawn in batches of this many pixels."""
     model = np.zeros(shape)
     half = int(np.ceil(4 * subtracted.psf.fwhm_px))
     reach = np.arange(-half, half + 1)
-    step = max(1, TUNING.pixels_at_once // len(reach) ** 2)
+    step = max(1, pixels_at_once // len(reach) ** 2)
     for first in range(0, len(subtracted.xy), step):
         xy, flux = subtracted.xy[first : first + step], subtracted.flux[first : first + step]
         centre = np.rint(xy).astype(int)
@@ -433,32 +525,32 @@ class _Shapes:
     centroids: Centroids
 
     @classmethod
-    def of(cls, background: Background, psf: PSF, stars: _Deblended) -> _Shapes:
+    def of(cls, background: Background, psf: PSF, stars: _Deblended, tuning: DetectionTuning) -> _Shapes:
         common = stars.centroids
         snr = np.minimum(common.weight / np.sqrt(common.weight_variance), stars.snr)
-        rows = np.flatnonzero(snr > TUNING.shape_snr)
+        rows = np.flatnonzero(snr > tuning.shape_snr)
         subtracted = Subtracted(stars.subtracted.xy[rows], stars.subtracted.flux[rows], psf)
         start = np.broadcast_to(psf.matrix, (len(rows), 2, 2))
-        own_centroids, matrices = adaptive(stars.residual, background, common.xy[rows], start, subtracted)
+        own_centroids, matrices = adaptive(
+            stars.residual, background, common.xy[rows], start, tuning.centroids, subtracted
+        )
         return cls(rows, matrices, own_centroids)
 
-    def wider(self, psf: PSF, snr: FloatArray) -> BoolArray:
-        """(k,) mask of the stars that are significantly wider than the common window."""
+    def wider(self, psf: PSF, snr: FloatArray, factor: float) -> BoolArray:
+        """(k,) mask of the stars that are significantly wider than the common window by a factor."""
         mean = np.sqrt(np.linalg.det(psf.matrix))
         area = np.sqrt(np.linalg.det(self.matrices))
-        return np.asarray(self.centroids.converged & (area > mean * TUNING.wider**2 * (1 + 4 / snr[self.rows])))
+        return np.asarray(self.centroids.converged & (area > mean * factor**2 * (1 + 4 / snr[self.rows])))
 
-    def trailed(self, psf: PSF) -> BoolArray:
-        """(k,) mask of the stars that are longer than the mean star, and not wider by the same factor."""
+    def trailed(self, psf: PSF, longer: float) -> BoolArray:
+        """(k,) mask of the stars that are longer than the mean star by a factor, and not wider by the same."""
         values, mean = np.linalg.eigvalsh(self.matrices), np.linalg.eigvalsh(psf.matrix)
-        longer = TUNING.longer
         return np.asarray(
             (values[:, 1] > longer**2 * mean[1]) & (values[:, 1] / values[:, 0] > longer**2 * mean[1] / mean[0])
         )
 
-    def extended(self, psf: PSF) -> BoolArray:
-        """(k,) mask of the stars that are wider along both axes."""
-        wider = TUNING.wider
+    def extended(self, psf: PSF, wider: float) -> BoolArray:
+        """(k,) mask of the stars that are wider along both axes by a factor."""
         return np.asarray(np.linalg.eigvalsh(self.matrices)[:, 0] > wider**2 * np.linalg.eigvalsh(psf.matrix)[0])
 
 
@@ -471,7 +563,7 @@ def _measurements(
     gain_note: tuple[str, ...] = (),
 ) -> Measurements:
     """Positions and errors in the common window, or in the star's own window if its shape differs."""
-    common = stars.centroids
+    common, tuning = stars.centroids, detection.tuning
     bright = (common.weight > 30 * np.sqrt(common.weight_variance)) & common.converged
     jacobian = np.median(common.jacobian[bright], axis=0) if bright.sum() >= 5 else _gaussian_jacobian(psf)
     xy, covariance = (
@@ -481,11 +573,13 @@ def _measurements(
     flux, flux_err = stars.flux.copy(), np.sqrt(common.weight_variance) / psf.window_fraction()
     flags = _flags_near(frame, xy, psf.fwhm_px)
     matrices = np.full((len(xy), 2, 2), np.nan)
-    shapes = _Shapes.of(background, psf, stars)
+    shapes = _Shapes.of(background, psf, stars, tuning)
     if len(shapes.rows):
         matrices[shapes.rows] = shapes.matrices
-        wider, trailed = shapes.wider(psf, stars.snr), shapes.trailed(psf)
-        own_shape = wider & (trailed | shapes.extended(psf) | ((flags[shapes.rows] & Flag.SATURATED) != 0))
+        wider, trailed = shapes.wider(psf, stars.snr, tuning.wider), shapes.trailed(psf, tuning.longer)
+        own_shape = wider & (
+            trailed | shapes.extended(psf, tuning.wider) | ((flags[shapes.rows] & Flag.SATURATED) != 0)
+        )
         rows = shapes.rows[own_shape]
         own = shapes.centroids
         xy[rows] = own.xy[own_shape]
@@ -497,13 +591,13 @@ def _measurements(
         # Longer, but not a trail: an unresolved pair, whose stars may both be off the centroid.
         unresolved = shapes.rows[wider & ~own_shape]
         flags[unresolved] |= np.uint16(Flag.BLENDED)
-        covariance[unresolved] += TUNING.pair_share * (shapes.matrices[wider & ~own_shape] - psf.matrix)
+        covariance[unresolved] += tuning.pair_share * (shapes.matrices[wider & ~own_shape] - psf.matrix)
     covariance = _with_systematic_errors(covariance, stars, psf, flags, detection)  # also sets flags
     columns: dict[str, NDArray[Any]] = {
         "x_px": xy[:, 0], "y_px": xy[:, 1], "covariance": covariance[:, [0, 0, 1], [0, 1, 1]], "flux": flux,
         "flux_err": flux_err, "snr": stars.snr, "flags": flags, **_ellipses(matrices),
     }  # fmt: skip
-    return _table(frame, background, psf, columns, gain_note)
+    return _table(frame, background, psf, columns, (*_notes(frame, background, psf, tuning.longer), *gain_note))
 
 
 def _with_systematic_errors(
@@ -516,7 +610,7 @@ def _with_systematic_errors(
     flags[np.hypot(*shift.T) > 0.3 * sigma + 0.01] |= np.uint16(Flag.BLENDED)
     flags[common.at_edge] |= np.uint16(Flag.EDGE)
     flags[~common.converged] |= np.uint16(Flag.POOR)
-    covariance = covariance + TUNING.shift_share**2 * shift[:, :, None] * shift[:, None, :]
+    covariance = covariance + detection.tuning.shift_share**2 * shift[:, :, None] * shift[:, None, :]
     floor = detection.floor_px**2 + psf.phase_error_px() ** 2
     saturated = (flags & Flag.SATURATED) != 0
     covariance = covariance + (floor + np.where(saturated, (0.03 * psf.fwhm_px) ** 2, 0.0))[:, None, None] * np.eye(2)
@@ -537,7 +631,7 @@ def _ellipses(matrices: FloatArray) -> dict[str, FloatArray]:
 
 
 def _table(
-    frame: Frame, background: Background, psf: PSF, columns: dict[str, NDArray[Any]], gain_note: tuple[str, ...]
+    frame: Frame, background: Background, psf: PSF, columns: dict[str, NDArray[Any]], notes: tuple[str, ...]
 ) -> Measurements:
     """The measurements with these columns, and the background and peak at their pixels; the brightest first."""
     order = np.argsort(-columns["flux"], kind="stable")
@@ -552,7 +646,7 @@ def _table(
         shape=frame.shape,
         psf_fwhm_px=psf.fwhm_px,
         name=frame.name,
-        notes=(*_notes(frame, background, psf), *gain_note),
+        notes=notes,
         blind=_blind(frame, psf),
     )
 
@@ -567,12 +661,12 @@ def _blind(frame: Frame, psf: PSF) -> BoolArray | None:
     return np.asarray(uniform_filter(frame.masked.astype(np.float32), size, mode="nearest") > 0.5)
 
 
-def _notes(frame: Frame, background: Background, psf: PSF) -> tuple[str, ...]:
+def _notes(frame: Frame, background: Background, psf: PSF, longer: float) -> tuple[str, ...]:
     count = {flag: int(((frame.flags & flag) != 0).sum()) for flag in (Flag.HOT, Flag.COSMIC, Flag.MASKED)}
     notes = [f"stars {psf.fwhm_px:.2f} px wide at half maximum, Moffat β {psf.beta:.1f}"]
     notes += [f"{n} pixels {Flag.words(flag)}" for flag, n in count.items() if n]
     axes = np.sqrt(np.linalg.eigvalsh(psf.matrix))
-    if axes[1] > TUNING.longer * axes[0]:
+    if axes[1] > longer * axes[0]:
         notes.append(f"doubt: the stars are trailed, {axes[1] / axes[0]:.1f} times longer than wide")
     shared = float(background.factor(np.array([psf.sigma_px]))[1][0])
     if shared > 1.2:

@@ -85,7 +85,7 @@ class RefinementTuning:
     tail_factor: float = 5.0
 
 
-TUNING = RefinementTuning()
+DEFAULT_REFINEMENT = RefinementTuning()
 
 
 @dataclass(frozen=True)
@@ -96,12 +96,14 @@ class Refinement:
     converged_px : maximum change of a prediction at convergence.
     magnitudes : "auto" uses magnitudes as evidence from the second iteration on, if the catalogue has them; "off" does
         not.
+    tuning : of the refinement.
     """
 
     order: int | None = None
     iterations: int = 8
     converged_px: float = 0.01
     magnitudes: Literal["auto", "off"] = "auto"
+    tuning: RefinementTuning = field(default=DEFAULT_REFINEMENT, repr=False)
 
 
 @in_short
@@ -119,6 +121,7 @@ class FrameIdentification:
     candidate : (m,) mask of the candidate stars.
     zero_point, completeness : photometric, None without magnitudes.
     iterations, converged : number of iterations, and whether they converged. notes : lines for the user.
+    tuning : of the refinement.
     """
 
     measured: Measurements
@@ -135,6 +138,7 @@ class FrameIdentification:
     iterations: int
     converged: bool
     notes: tuple[str, ...] = ()
+    tuning: RefinementTuning = field(default=DEFAULT_REFINEMENT, repr=False)
 
     @property
     def pairs(self) -> tuple[IntArray, IntArray, FloatArray]:
@@ -159,7 +163,7 @@ class FrameIdentification:
         """Rows of the stars that should be detected but are not identified."""
         identified = np.zeros(len(self.stars), np.bool_)
         identified[self.pairs[1]] = True
-        return np.flatnonzero(self.inside & ~identified & (self.p_detect >= TUNING.p_expected))
+        return np.flatnonzero(self.inside & ~identified & (self.p_detect >= self.tuning.p_expected))
 
     @cached_property
     def residual_px(self) -> FloatArray:
@@ -183,18 +187,18 @@ class FrameIdentification:
         These are fainter than nearly all identified ones. Empty unless there are many of them and the frame shows the
         faintest stars of the catalogue.
         """
-        magnitude = instrumental(self.measured.flux)
+        magnitude, tuning = instrumental(self.measured.flux), self.tuning
         unidentified, identified_mag = self.result.leftovers_1, magnitude[self.pairs[0]]
         identified_mag = identified_mag[np.isfinite(identified_mag)]
         identified = np.zeros(len(self.stars), np.bool_)
         identified[self.pairs[1]] = True
         identified, star_mag = identified[self.inside], self.stars.magnitude[self.inside]
         if np.isfinite(star_mag).any():
-            identified = identified[star_mag > np.nanquantile(star_mag, TUNING.faintest_quantile)]
-        if len(identified_mag) < TUNING.few_pairs or not len(identified) or identified.mean() < TUNING.p_expected:
+            identified = identified[star_mag > np.nanquantile(star_mag, tuning.faintest_quantile)]
+        if len(identified_mag) < tuning.few_pairs or not len(identified) or identified.mean() < tuning.p_expected:
             return np.empty(0, np.int64)
-        fainter = unidentified[magnitude[unidentified] > np.quantile(identified_mag, TUNING.limit_quantile)]
-        return fainter if len(fainter) > TUNING.shallow_share * len(magnitude) else fainter[:0]
+        fainter = unidentified[magnitude[unidentified] > np.quantile(identified_mag, tuning.limit_quantile)]
+        return fainter if len(fainter) > tuning.shallow_share * len(magnitude) else fainter[:0]
 
     @cached_property
     def excess_mag(self) -> FloatArray:
@@ -209,7 +213,7 @@ class FrameIdentification:
         """Indices of the identified pairs much brighter or fainter than catalogued, largest deviation first."""
         deviation = np.abs(np.nan_to_num(self.excess_mag))
         scatter = 0.0 if self.zero_point is None else self.zero_point.scatter
-        odd = np.flatnonzero(deviation > max(TUNING.odd_sigmas * scatter, TUNING.odd_mag))
+        odd = np.flatnonzero(deviation > max(self.tuning.odd_sigmas * scatter, self.tuning.odd_mag))
         return odd[np.argsort(-deviation[odd], kind="stable")]
 
     @property
@@ -218,7 +222,7 @@ class FrameIdentification:
         residual = self.residual_arcsec
         if not len(residual):
             return np.full(2, np.nan)
-        if len(residual) < TUNING.few_pairs:
+        if len(residual) < self.tuning.few_pairs:
             return np.asarray(np.sqrt(np.mean(residual**2, axis=0)))
         return np.array([robust_scale(axis - median(axis)) for axis in residual.T])
 
@@ -240,18 +244,19 @@ def identify_frame(
     Example: ``identify_frame(measurements, stars, placement).plate.describe()``.
     """
     refinement = refinement or Refinement()
+    tuning = refinement.tuning
     records, faintest = measured.records(), None
-    plate = _first_plate(measured, stars, placement)
+    plate = _first_plate(measured, stars, placement, tuning.pairs_beyond_linear)
     px, covariance = _predicted(plate, stars)
     for iteration in range(1, refinement.iterations + 1):
-        candidate = _candidates(px, stars, measured, faintest, TUNING.margin_px)
+        candidate = _candidates(px, stars, measured, faintest, tuning.margin_px)
         # With the first plate magnitudes would support wrong pairs as well as right ones.
-        magnitudes = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars)
+        magnitudes = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars, tuning)
         result, estimate = match(records, _records(px, covariance, candidate, stars), brightness=magnitudes)
-        completeness = _completeness(px, stars, result, measured)
+        completeness = _completeness(px, stars, result, measured, tuning.margin_px)
         if completeness is not None:
-            faintest = completeness.faintest(TUNING.min_p_detect)
-        pairs = _matched(measured, stars, result, TUNING.min_p_pair)
+            faintest = completeness.faintest(tuning.min_p_detect)
+        pairs = _matched(measured, stars, result, tuning.min_p_pair)
         plate = fit_plate(pairs, placement.pointing, measured.shape, order=refinement.order)
         previous_px, inside = px, _within(px, measured.shape, 0.0)
         px, covariance = _predicted(plate, stars)
@@ -263,15 +268,17 @@ def identify_frame(
     notes = _notes(result, estimate, plate, converged)
     return FrameIdentification(
         measured, stars, placement, plate, result, estimate, px, covariance, candidate, zero, completeness, iteration,
-        converged, notes,
+        converged, notes, tuning,
     )  # fmt: skip
 
 
-def _first_plate(measured: Measurements, stars: StarField, placement: Placement) -> PlateModel:
-    """The plate fitted to the pairs of the placement."""
+def _first_plate(
+    measured: Measurements, stars: StarField, placement: Placement, pairs_beyond_linear: int
+) -> PlateModel:
+    """The plate fitted to the pairs of the placement; linear if they are few."""
     i, j = placement.rows_measured, placement.rows_stars
     pairs = _pairs(measured, stars, i, j, np.ones(len(i)))
-    order = None if len(i) > TUNING.pairs_beyond_linear else 1
+    order = None if len(i) > pairs_beyond_linear else 1
     return fit_plate(pairs, placement.pointing, measured.shape, order=order)
 
 
@@ -335,7 +342,9 @@ def _records(px: FloatArray, covariance: FloatArray, candidate: BoolArray, stars
     return Records(px[rows], covariance[rows], rows, stars.ids, source=stars.name)
 
 
-def _brightness(measured: Measurements, stars: StarField) -> tuple[Magnitudes, Magnitudes] | None:
+def _brightness(
+    measured: Measurements, stars: StarField, tuning: RefinementTuning
+) -> tuple[Magnitudes, Magnitudes] | None:
     """Instrumental and catalogue magnitudes; None if the catalogue has none.
 
     Measurements at the edge, or without the shape of a star, get no magnitude. Saturated ones keep theirs with a large
@@ -345,7 +354,7 @@ def _brightness(measured: Measurements, stars: StarField) -> tuple[Magnitudes, M
         return None
     usable = measured.clean(Flag.BLENDED | Flag.SATURATED) & (measured.flux > 0.0)
     flux = np.where(usable, measured.flux, np.nan)
-    saturation_error = np.where((measured.flags & Flag.SATURATED) != 0, TUNING.saturated_mag, 0.0)
+    saturation_error = np.where((measured.flags & Flag.SATURATED) != 0, tuning.saturated_mag, 0.0)
     error = np.hypot(POGSON * measured.flux_err / flux, saturation_error)
     return Magnitudes(-2.5 * np.log10(flux), error, ("instrumental",)), Magnitudes(
         stars.magnitude, names=("catalogue",)
@@ -353,12 +362,12 @@ def _brightness(measured: Measurements, stars: StarField) -> tuple[Magnitudes, M
 
 
 def _completeness(
-    px: FloatArray, stars: StarField, result: Identification, measured: Measurements
+    px: FloatArray, stars: StarField, result: Identification, measured: Measurements, margin_px: float
 ) -> Completeness | None:
-    """The identified share of the stars on the frame, by magnitude."""
+    """The identified share of the stars on the frame, by magnitude, without those within the margin of its edge."""
     p_identified = np.zeros(len(stars))
     np.add.at(p_identified, result.rows_2, result.p_pair)
-    inside = _measurable(px, measured, -TUNING.margin_px)
+    inside = _measurable(px, measured, -margin_px)
     if not inside.any():
         return None
     return Completeness.of(stars.magnitude[inside], p_identified[inside])
@@ -407,7 +416,8 @@ def solve(
     >>> found.plate.to_wcs()  # doctest: +SKIP
     """
     hints = [hints] if isinstance(hints, ApproximateWcs | Aim | AllSky) else list(hints)
-    near = search_cone(hints, measured.shape)
+    room = (refinement or Refinement()).tuning.room
+    near = search_cone(hints, measured.shape, room)
     stars = StarField.of(catalogue, epoch_jyr, motion=motion, near=near)
     if faintest is not None:
         stars = stars[~(stars.magnitude > faintest)]
@@ -417,7 +427,7 @@ def solve(
             f"{catalogue.name}: {len(stars)} stars{where}, a frame needs four; does the catalogue cover the field?"
         )
     placement = place(measured, stars.stars(), hints, index=index)
-    near_frame = stars.within(footprint(placement.pointing, measured.shape))
+    near_frame = stars.within(footprint(placement.pointing, measured.shape, room))
     near_frame[placement.rows_stars] = True
     new_row = np.cumsum(near_frame) - 1
     placement = replace(placement, rows_stars=new_row[placement.rows_stars])
@@ -438,7 +448,7 @@ def _epoch_doubt(found: FrameIdentification, catalogue: Catalogue) -> str:
     if epoch_jyr is None or not catalogue.has_motion:
         return ""
     scale = found.placement.pointing.scale_arcsec
-    some = np.flatnonzero(found.pairs[2] >= TUNING.p_sure)
+    some = np.flatnonzero(found.pairs[2] >= found.tuning.p_sure)
     variance = scale**2 * np.einsum(
         "mvv->m", found.estimate.errors.typical_covariance(result.pairs, result.matches.pair[some])
     )
@@ -477,22 +487,23 @@ def common_star_error(found: FrameIdentification) -> float:
     scaled for the degrees of freedom of the plate model.
     """
     i, _, p = found.pairs
-    sure = p >= TUNING.p_sure
+    tuning = found.tuning
+    sure = p >= tuning.p_sure
     scale = found.placement.pointing.scale_arcsec
     residual = found.residual_arcsec[sure]
     parameters = (found.plate.order + 1) * (found.plate.order + 2) // 2
     residual_sq = residual**2 * len(residual) / max(len(residual) - parameters, 1)
     sigma2 = scale**2 * found.measured.covariance[i[sure]][:, [0, 2]].mean(axis=1, keepdims=True)
-    s2 = (scale * np.geomspace(TUNING.least_common_px, TUNING.largest_common_px, TUNING.common_steps)) ** 2
-    log_likelihood = [_log_tailed(residual_sq, sigma2 + variance).sum() for variance in s2]
+    s2 = (scale * np.geomspace(tuning.least_common_px, tuning.largest_common_px, tuning.common_steps)) ** 2
+    log_likelihood = [_log_tailed(residual_sq, sigma2 + variance, tuning).sum() for variance in s2]
     return float(np.sqrt(s2[int(np.argmax(log_likelihood))]))
 
 
-def _log_tailed(residual_sq: FloatArray, variance: FloatArray) -> FloatArray:
+def _log_tailed(residual_sq: FloatArray, variance: FloatArray, tuning: RefinementTuning) -> FloatArray:
     """Log density of a normal distribution with outliers at squared residuals (up to a constant)."""
     core = np.exp(-0.5 * residual_sq / variance) / np.sqrt(variance)
-    tail = np.exp(-0.5 * residual_sq / (TUNING.tail_factor**2 * variance)) / (TUNING.tail_factor * np.sqrt(variance))
-    return np.asarray(np.log((1.0 - TUNING.tail_share) * core + TUNING.tail_share * tail + 1e-300))
+    tail = np.exp(-0.5 * residual_sq / (tuning.tail_factor**2 * variance)) / (tuning.tail_factor * np.sqrt(variance))
+    return np.asarray(np.log((1.0 - tuning.tail_share) * core + tuning.tail_share * tail + 1e-300))
 
 
 def _with_common_error(found: FrameIdentification, refinement: Refinement | None) -> FrameIdentification:
@@ -506,29 +517,29 @@ def _with_common_error(found: FrameIdentification, refinement: Refinement | None
     return replace(repeated, notes=(*repeated.notes, Message(text, naming("give {sigma:ARCSEC} or {sigma:COLUMN}"))))
 
 
-def footprint(pointing: Pointing, shape: tuple[int, int]) -> Cone:
+def footprint(pointing: Pointing, shape: tuple[int, int], room: float = DEFAULT_REFINEMENT.room) -> Cone:
     """The cone around a frame, with a radius larger by the factor ``room``."""
     rows, columns = shape
     corners = np.array([[0.0, 0.0], [columns - 1.0, 0.0], [0.0, rows - 1.0], [columns - 1.0, rows - 1.0]])
     middle = pointing.to_sky(np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]]))[0]
     chord = np.linalg.norm(pointing.to_sky(corners) - middle, axis=1).max()
     ra, dec = directions_deg(middle)
-    return Cone(float(ra), float(dec), min(TUNING.room * chord_angle_deg(float(chord)), 180.0))
+    return Cone(float(ra), float(dec), min(room * chord_angle_deg(float(chord)), 180.0))
 
 
-def search_cone(hints: Sequence[Hint], shape: tuple[int, int]) -> Cone | None:
+def search_cone(hints: Sequence[Hint], shape: tuple[int, int], room: float = DEFAULT_REFINEMENT.room) -> Cone | None:
     """A cone around all directions allowed by the hints; None for the whole sky."""
     cones = []
     for hint in hints:
         if isinstance(hint, AllSky):
             return None
         if isinstance(hint, ApproximateWcs):
-            frame = footprint(Pointing.of_wcs(hint.wcs, shape), shape)
+            frame = footprint(Pointing.of_wcs(hint.wcs, shape), shape, room)
             uncertainty_deg = hint.radius_deg if hint.radius_deg is not None else 0.5 * frame.radius_deg
             cones.append(replace(frame, radius_deg=frame.radius_deg + uncertainty_deg))
         else:
             half = 0.5 * math.hypot(*shape) * hint.scale_arcsec[1] / 3600.0
-            cones.append(Cone(hint.ra_deg, hint.dec_deg, hint.radius_deg + TUNING.room * half))
+            cones.append(Cone(hint.ra_deg, hint.dec_deg, hint.radius_deg + room * half))
     middle = np.sum([cone.direction for cone in cones], axis=0)
     ra, dec = directions_deg(middle)
     centre = Cone(float(ra), float(dec), 0.0)

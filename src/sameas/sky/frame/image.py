@@ -20,7 +20,7 @@ import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -371,7 +371,7 @@ class CalibrationTuning:
     same_exposure: float = 0.02
 
 
-TUNING = CalibrationTuning()
+DEFAULT_CALIBRATION = CalibrationTuning()
 
 
 @dataclass(frozen=True)
@@ -385,6 +385,7 @@ class MasterFrames:
     flat : (rows, columns) sensitivity around 1, or None.
     excess : (rows, columns) ADU of hot pixels above their surroundings in the dark, 0 for others, or None.
     dead : (rows, columns) mask of the dead pixels of the flats, or None.
+    tuning : of the calibration.
     """
 
     bias: FloatArray | None = None
@@ -393,10 +394,16 @@ class MasterFrames:
     flat: FloatArray | None = None
     excess: FloatArray | None = None
     dead: BoolArray | None = None
+    tuning: CalibrationTuning = field(default=DEFAULT_CALIBRATION, repr=False)
 
     @classmethod
     def of(
-        cls, *, biases: Sequence[Frame] = (), darks: Sequence[Frame] = (), flats: Sequence[Frame] = ()
+        cls,
+        *,
+        biases: Sequence[Frame] = (),
+        darks: Sequence[Frame] = (),
+        flats: Sequence[Frame] = (),
+        tuning: CalibrationTuning = DEFAULT_CALIBRATION,
     ) -> MasterFrames:
         """Masters from frames of each kind; any may be missing.
 
@@ -405,16 +412,16 @@ class MasterFrames:
         InputError : frames of different shapes; darks of different exposures without a bias; a flat without light.
         """
         bias = _median(biases) if biases else None
-        dark, exposure_s = (None, math.nan) if not darks else _dark(darks, bias)
-        flat = None if not flats else _flat(flats, bias, dark, exposure_s)
-        excess = None if dark is None else _excess(dark)
-        dead = None if flat is None else flat < TUNING.darkest_flat
+        dark, exposure_s = (None, math.nan) if not darks else _dark(darks, bias, tuning.same_exposure)
+        flat = None if not flats else _flat(flats, cls(bias=bias, dark=dark, dark_exposure_s=exposure_s, tuning=tuning))
+        excess = None if dark is None else _excess(dark, tuning.hot_sigmas)
+        dead = None if flat is None else flat < tuning.darkest_flat
         shapes = {plane.shape for plane in (bias, dark, flat) if plane is not None}
         if len(shapes) > 1:
             raise InputError(
                 f"calibration: bias, dark and flat have different shapes {sorted(shapes)}; use one binning"
             )
-        return cls(bias, dark, exposure_s, flat, excess, dead)
+        return cls(bias, dark, exposure_s, flat, excess, dead, tuning)
 
     def __call__(self, frame: Frame) -> Frame:
         """The calibrated frame, with bad pixels flagged and a line in its facts for each step.
@@ -431,16 +438,16 @@ class MasterFrames:
         offset, lines = self._offset(frame)
         image = frame.image.astype(float) - offset
         if self.flat is not None:
-            image, lines = image / np.maximum(self.flat, TUNING.darkest_flat), (*lines, "divided by the flat")
+            image, lines = image / np.maximum(self.flat, self.tuning.darkest_flat), (*lines, "divided by the flat")
         sigma = frame.sigma
         if sigma is not None and self.flat is not None:
-            sigma = (sigma / np.maximum(self.flat, TUNING.darkest_flat)).astype(np.float32)
+            sigma = (sigma / np.maximum(self.flat, self.tuning.darkest_flat)).astype(np.float32)
         # Saturated pixels are flagged already; the level is reduced by what is subtracted.
         level = frame.facts.saturation_adu - float(np.median(offset))
         facts = replace(frame.facts, saturation_adu=level, pedestal_adu=0.0, lines=(*frame.facts.lines, *lines))
         result = replace(frame, image=image.astype(np.float32), sigma=sigma, facts=facts)
         if self.excess is not None:
-            result = result.marked(_harmful(self.excess, result), Flag.HOT)
+            result = result.marked(_harmful(self.excess, result, self.tuning.unsteady), Flag.HOT)
         return result if self.dead is None else result.marked(self.dead, Flag.MASKED)
 
     def _offset(self, frame: Frame) -> tuple[FloatArray, tuple[str, ...]]:
@@ -458,7 +465,7 @@ class MasterFrames:
             done = (*lines, f"dark of {self.dark_exposure_s:g} s times {ratio:.3g} subtracted")
             return offset + self.dark * ratio, done
         lines += (f"dark of {self.dark_exposure_s:g} s subtracted",)
-        if not abs(ratio - 1) < TUNING.same_exposure:
+        if not abs(ratio - 1) < self.tuning.same_exposure:
             lines += (f"doubt: the frame has {frame.facts.exposure_s:g} s; without a bias its dark is not scaled",)
         return offset + self.dark, lines
 
@@ -471,10 +478,10 @@ def _median(frames: Sequence[Frame]) -> FloatArray:
     return np.asarray(np.median([frame.image for frame in frames], axis=0), float)
 
 
-def _dark(darks: Sequence[Frame], bias: FloatArray | None) -> tuple[FloatArray, float]:
+def _dark(darks: Sequence[Frame], bias: FloatArray | None, same_exposure: float) -> tuple[FloatArray, float]:
     exposures = np.array([frame.facts.exposure_s for frame in darks])
     if bias is None:
-        if np.ptp(exposures) > TUNING.same_exposure * exposures.max():
+        if np.ptp(exposures) > same_exposure * exposures.max():
             raise InputError(
                 f"{darks[0].name} and other darks: exposures from {exposures.min():g} to {exposures.max():g} s; "
                 "give a bias, so that they can be scaled, or darks of one exposure"
@@ -491,9 +498,8 @@ def _dark(darks: Sequence[Frame], bias: FloatArray | None) -> tuple[FloatArray, 
     return np.asarray(np.median(scaled, axis=0), float), longest
 
 
-def _flat(flats: Sequence[Frame], bias: FloatArray | None, dark: FloatArray | None, dark_s: float) -> FloatArray:
-    """Sensitivity: each flat is divided by its median before they are combined, because the illumination varies."""
-    dim = MasterFrames(bias=bias, dark=dark, dark_exposure_s=dark_s)
+def _flat(flats: Sequence[Frame], dim: MasterFrames) -> FloatArray:
+    """Sensitivity from flats and the masters without one: each is divided by its median, as the illumination varies."""
     normal = []
     for frame in flats:
         offset, _ = dim._offset(frame)
@@ -505,17 +511,17 @@ def _flat(flats: Sequence[Frame], bias: FloatArray | None, dark: FloatArray | No
     return np.asarray(np.median(normal, axis=0), float)
 
 
-def _excess(dark: FloatArray) -> FloatArray:
+def _excess(dark: FloatArray, hot_sigmas: float) -> FloatArray:
     """ADU of pixels above the median of their 5 × 5 surroundings, 0 within the noise; insensitive to amplifier glow."""
     from scipy.ndimage import median_filter
 
     excess = dark - median_filter(dark, 5, mode="reflect")
-    return np.where(excess > max(TUNING.hot_sigmas * robust_scale(excess), 1e-9), excess, 0.0)
+    return np.where(excess > max(hot_sigmas * robust_scale(excess), 1e-9), excess, 0.0)
 
 
-def _harmful(excess: FloatArray, frame: Frame) -> BoolArray:
+def _harmful(excess: FloatArray, frame: Frame, unsteady: float) -> BoolArray:
     """Mask of the hot pixels whose noise, which remains after subtraction, is at least half of the frame's noise."""
     gain = frame.facts.gain_e_per_adu if math.isfinite(frame.facts.gain_e_per_adu) else 1.0
     step = np.diff(frame.image[:, ::2], axis=1)
     variance = robust_scale(step - np.median(step)) ** 2 / 2
-    return np.asarray(excess / gain + (TUNING.unsteady * excess) ** 2 > 0.25 * max(variance, 1e-12))
+    return np.asarray(excess / gain + (unsteady * excess) ** 2 > 0.25 * max(variance, 1e-12))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.result import AMBIGUOUS
-from sameas.sky.frame.identified import TUNING, FrameIdentification
+from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
 from sameas.sky.frame.place import odds_in_words
@@ -63,7 +63,7 @@ def _unidentified_stars(identification: FrameIdentification, faint: bool) -> Int
     unidentified = identification.inside.copy()
     unidentified[identification.pairs[1]] = False
     if not faint:
-        unidentified &= identification.p_detect >= TUNING.p_expected
+        unidentified &= identification.p_detect >= identification.tuning.p_expected
     rows = np.flatnonzero(unidentified)
     return rows[np.argsort(np.nan_to_num(identification.stars.magnitude[rows], nan=99.0), kind="stable")]
 
@@ -86,7 +86,7 @@ def _identity_columns(identification: FrameIdentification, unidentified: IntArra
     partner = identification.result.answers_1.partner
     fate = np.where(np.ma.getmaskarray(partner), "unidentified", "identified")
     ids = _selected(stars.ids, partner)
-    expected = identification.p_detect[unidentified] >= TUNING.p_expected
+    expected = identification.p_detect[unidentified] >= identification.tuning.p_expected
     return {
         "fate": (fate, np.where(expected, "missing", "too faint"), "", "fate of the row"),
         "measurement": (np.arange(len(m)), None, "", "number of the measurement, brightest first"),
@@ -246,7 +246,7 @@ def why_missing(identification: FrameIdentification, rows: IntArray) -> list[str
             words.append(_nearby_measurement(identification, int(i), int(row), owner))
         elif edge[k] < width:
             words.append("on the edge of the frame")
-        elif identification.p_detect[row] < TUNING.p_expected:
+        elif identification.p_detect[row] < identification.tuning.p_expected:
             words.append(f"completeness at its magnitude {100 * identification.p_detect[row]:.0f} %")
         elif hidden:
             words.append(f"in the wings of measurement {hidden[0]}, which is saturated")

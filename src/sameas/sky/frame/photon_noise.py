@@ -22,10 +22,44 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
 from sameas.sky.frame.centroid import PSF, Background, Subtracted, cut_stamps
-from sameas.sky.frame.measurements import TUNING
 
 #: The robust scale of n normal numbers has this variance, relative to the square of their standard deviation, over n.
 _MEDIAN_VARIANCE = 1.36
+
+
+@dataclass(frozen=True)
+class GainTuning:
+    """Parameters of the measurement of the gain, tuned on simulated frames (``scripts/bench centroids``).
+
+    Attributes
+    ----------
+    stars, pixels : minimum numbers for a measured gain; sample : maximum number of stars for it.
+    snr : minimum signal to noise ratio of these stars. neighbours : maximum share of neighbours' light in it.
+    reach_sigmas : distance to which a star's pixels are used. steps : iterations.
+    accuracy : relative accuracy of a scatter beyond chance. leverage, share : maximum weight of a pixel in the fit of
+        its star, and in the mean pattern of all stars.
+    correlation : no gain is measured if correlated noise enlarges variances of positions by more than this factor.
+    least_contradiction, largest_contradiction : a given gain is doubted if the photon variance is smaller by more than
+        the first factor or larger by more than the second; trails and unresolved neighbours make it up to five times
+        larger.
+    """
+
+    stars: int = 5
+    pixels: int = 240
+    sample: int = 500
+    snr: float = 8.0
+    neighbours: float = 0.2
+    reach_sigmas: float = 2.65
+    steps: int = 8
+    accuracy: float = 0.01
+    leverage: float = 0.7
+    share: float = 0.3
+    correlation: float = 1.5
+    least_contradiction: float = 2.5
+    largest_contradiction: float = 10.0
+
+
+DEFAULT_GAIN = GainTuning()
 
 
 @dataclass(frozen=True)
@@ -38,7 +72,11 @@ class InverseGain:
 
 
 def measured_inverse_gain(
-    residual: FloatArray, background: Background, stars: Subtracted, usable: BoolArray
+    residual: FloatArray,
+    background: Background,
+    stars: Subtracted,
+    usable: BoolArray,
+    tuning: GainTuning = DEFAULT_GAIN,
 ) -> InverseGain | None:
     """The inverse gain from the scatter of stars' pixels about their profiles; None with too few pixels.
 
@@ -59,16 +97,16 @@ def measured_inverse_gain(
     >>> bool(abs(found.value - 0.5) < 3 * found.error), found.stars
     (True, 100)
     """
-    rows = _isolated_stars(stars, usable)
-    if len(rows) < TUNING.gain_stars:
+    rows = _isolated_stars(stars, usable, tuning)
+    if len(rows) < tuning.stars:
         return None
-    pixels = _Pixels.of(residual, background, stars, rows)
+    pixels = _Pixels.of(residual, background, stars, rows, tuning)
     noise = _Noise(1.0, 0.0, 0.0, np.inf)
-    for iteration in range(TUNING.gain_steps):
-        light, deviation, sky = pixels.deviations(noise, with_pattern=iteration > 0)
-        if len(light) < TUNING.gain_pixels:
+    for iteration in range(tuning.steps):
+        light, deviation, sky = pixels.deviations(noise, tuning, with_pattern=iteration > 0)
+        if len(light) < tuning.pixels:
             return None
-        noise = _Noise.of(light, deviation, sky, noise)
+        noise = _Noise.of(light, deviation, sky, noise, tuning.accuracy)
     return InverseGain(_mean_above_zero(noise.inverse_gain, noise.error), noise.error, len(rows))
 
 
@@ -79,8 +117,8 @@ def _mean_above_zero(value: float, error: float) -> float:
     return value + error * math.exp(-0.5 * t * t) / math.sqrt(2.0 * math.pi) / (1.0 - below)
 
 
-def _isolated_stars(stars: Subtracted, usable: BoolArray) -> IntArray:
-    """Rows of usable stars to which neighbours contribute little light, at most ``gain_sample`` of all fluxes."""
+def _isolated_stars(stars: Subtracted, usable: BoolArray, tuning: GainTuning) -> IntArray:
+    """Rows of usable stars to which neighbours contribute little light, at most ``sample`` of all fluxes."""
     from scipy.spatial import cKDTree
 
     pairs = cKDTree(stars.xy).query_pairs(5.0 * stars.psf.fwhm_px, output_type="ndarray")
@@ -88,11 +126,11 @@ def _isolated_stars(stars: Subtracted, usable: BoolArray) -> IntArray:
     share = stars.psf.light(dx, dy) / stars.psf.light(0.0, 0.0)
     others = np.bincount(pairs[:, 0], stars.flux[pairs[:, 1]] * share, len(stars.xy))
     others += np.bincount(pairs[:, 1], stars.flux[pairs[:, 0]] * share, len(stars.xy))
-    rows = np.flatnonzero(usable & (others < TUNING.gain_neighbours * stars.flux))
+    rows = np.flatnonzero(usable & (others < tuning.neighbours * stars.flux))
     by_flux = rows[np.argsort(stars.flux[rows], kind="stable")]
-    if len(rows) <= TUNING.gain_sample:
+    if len(rows) <= tuning.sample:
         return np.asarray(by_flux)
-    return np.asarray(by_flux[np.linspace(0, len(rows) - 1, TUNING.gain_sample).astype(int)])
+    return np.asarray(by_flux[np.linspace(0, len(rows) - 1, tuning.sample).astype(int)])
 
 
 @dataclass(frozen=True)
@@ -110,8 +148,11 @@ class _Noise:
         return np.maximum(self.sky_factor, 0.01) * sky + self.inverse_gain * light + self.misfit_sq * light**2
 
     @classmethod
-    def of(cls, light: FloatArray, deviation: FloatArray, sky: FloatArray, previous: _Noise) -> _Noise:
-        """The noise from the scatter of pixels (n,) in bins of light, least squares with terms not below zero."""
+    def of(cls, light: FloatArray, deviation: FloatArray, sky: FloatArray, previous: _Noise, accuracy: float) -> _Noise:
+        """The noise from the scatter of pixels (n,) in bins of light, least squares with terms not below zero.
+
+        accuracy : relative accuracy of a scatter beyond chance.
+        """
         from scipy.optimize import nnls
 
         order = np.argsort(light, kind="stable")
@@ -120,7 +161,7 @@ class _Noise:
         scatter = np.array([robust_scale(deviation[each]) ** 2 for each in bins])
         count = np.array([len(each) for each in bins])
         expected = previous.variance(typical, np.full(len(bins), sky_level))
-        error = expected * np.sqrt(4 * _MEDIAN_VARIANCE / count + TUNING.gain_accuracy**2)
+        error = expected * np.sqrt(4 * _MEDIAN_VARIANCE / count + accuracy**2)
         terms = np.stack([np.full(len(bins), sky_level), typical, typical**2], axis=1) / error[:, None]
         size = np.linalg.norm(terms, axis=0)
         sky_factor, inverse_gain, misfit_sq = nnls(terms / size, scatter / error)[0] / size
@@ -145,16 +186,18 @@ class _Pixels:
     cell: IntArray
 
     @classmethod
-    def of(cls, residual: FloatArray, background: Background, stars: Subtracted, rows: IntArray) -> _Pixels:
+    def of(
+        cls, residual: FloatArray, background: Background, stars: Subtracted, rows: IntArray, tuning: GainTuning
+    ) -> _Pixels:
         psf, xy = stars.psf, stars.xy[rows]
-        reach_sq = TUNING.gain_reach_sigmas**2
+        reach_sq = tuning.reach_sigmas**2
         half = int(np.ceil(np.sqrt(reach_sq * np.linalg.eigvalsh(psf.matrix)[1]))) + 1
         stamps = cut_stamps(residual, background, np.rint(xy).astype(int), half)
         stamps = stars.add_back(stamps, rows)
         dx, dy = np.broadcast_arrays(stamps.x - xy[:, 0, None, None], stamps.y - xy[:, 1, None, None])
         inverse = np.linalg.inv(psf.matrix)
         r2 = inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2
-        basis = _change_of_light(psf, dx, dy)
+        basis = _change_of_light(psf, dx, dy, tuning.reach_sigmas)
         offset = np.rint(np.stack([dx, dy])).astype(int) + half + 1
         flat = len(rows), -1
         return cls(
@@ -166,7 +209,9 @@ class _Pixels:
             (offset[0] * (2 * half + 3) + offset[1]).reshape(flat),
         )
 
-    def deviations(self, noise: _Noise, *, with_pattern: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def deviations(
+        self, noise: _Noise, tuning: GainTuning, *, with_pattern: bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(m,) light of pixels, their deviations from the profile with leverage allowed for, and the sky's variance.
 
         with_pattern : whether the mean deviation of all stars, relative to their light, is removed.
@@ -178,7 +223,7 @@ class _Pixels:
         scaled = self.light * weight
         fitted = np.einsum("nkp,np->nk", orthogonal, np.einsum("nkp,nk->np", orthogonal, scaled))
         safe = np.where(weight > 0, weight, 1.0)
-        used = self.usable & (leverage < TUNING.gain_leverage) & (fitted > 0)
+        used = self.usable & (leverage < tuning.leverage) & (fitted > 0)
         light, sky = (fitted / safe)[used], self.sky[used]
         deviation = ((scaled - fitted) / safe)[used] / np.sqrt(1 - leverage[used])
         if not with_pattern:
@@ -190,13 +235,16 @@ class _Pixels:
         total = np.maximum(np.bincount(cell, precision * near), 1e-30)
         mean = np.bincount(cell, precision * near * relative) / total
         share = precision / total[cell]
-        kept = share < TUNING.gain_share
-        without = (relative - mean[cell]) * light / np.sqrt(np.maximum(1 - share, 1 - TUNING.gain_share))
+        kept = share < tuning.share
+        without = (relative - mean[cell]) * light / np.sqrt(np.maximum(1 - share, 1 - tuning.share))
         return light[kept], without[kept], sky[kept]
 
 
-def _change_of_light(psf: PSF, dx: FloatArray, dy: FloatArray) -> FloatArray:
-    """(…, 7) light of a star of flux 1 and its change with position, shape and a constant, by differences."""
+def _change_of_light(psf: PSF, dx: FloatArray, dy: FloatArray, reach_sigmas: float) -> FloatArray:
+    """(…, 7) light of a star of flux 1 and its change with position, shape and a constant, by differences.
+
+    reach_sigmas : the constant is 1 over the area within this distance.
+    """
     step, shape_step = 0.01, 0.02 * psf.sigma_px**2
     across = [
         (psf.light(dx + step * a, dy + step * b) - psf.light(dx - step * a, dy - step * b)) / (2 * step)
@@ -211,5 +259,5 @@ def _change_of_light(psf: PSF, dx: FloatArray, dy: FloatArray) -> FloatArray:
         / 0.04
         for shape in shapes
     ]
-    constant = np.full(np.shape(dx), 1 / (np.pi * (TUNING.gain_reach_sigmas * psf.sigma_px) ** 2))
+    constant = np.full(np.shape(dx), 1 / (np.pi * (reach_sigmas * psf.sigma_px) ** 2))
     return np.stack([psf.light(dx, dy), *across, *wider, constant], axis=-1)
