@@ -251,7 +251,7 @@ class Keeper:
     def register(self) -> None:
         """Estimates the biases of the sources from the last minutes; a failure is logged and changes nothing."""
         try:
-            self.picture.take_off(estimated(self.picture.recent(), self.picture.plane))
+            self.picture.take_off(estimated(self.picture.recent(), self.picture.plane, self.picture.tuning))
         except Exception as error:
             # A failed bias fit must not end the watch: the previous biases stay in use.
             LOG.info("registration: %s", error, exc_info=not isinstance(error, InputError))
@@ -263,9 +263,9 @@ class Keeper:
         rate of a single search would be too high.
         """
         with self.lock:
-            recent, sightings = self.picture.recent(), self.picture.sightings()
+            recent, sightings, tuning = self.picture.recent(), self.picture.sightings(), self.picture.picture_tuning
         try:
-            faults = faults_of(recent, sightings, self.picture.plane)
+            faults = faults_of(recent, sightings, self.picture.plane, self.picture.tuning, tuning)
         except Exception as error:
             # A failed search must not end the watch.
             LOG.info("faults: %s", error, exc_info=not isinstance(error, InputError))

@@ -128,6 +128,11 @@ class LivePicture:
         return self._last_s
 
     @property
+    def picture_tuning(self) -> Tuning:
+        """The tuning of the picture itself; :attr:`tuning` is that of the reports."""
+        return DEFAULT_TUNING if self._carried is None else self._carried.tuning
+
+    @property
     def counts(self) -> Mapping[str, ReportCounts]:
         """By source, the counts of its reports."""
         return {name: feed.counts for name, feed in self._feeds.items()}
@@ -272,8 +277,7 @@ class LivePicture:
         It takes as long as for a file of these minutes. To run it in another process, use :meth:`recent`,
         :meth:`sightings` and :func:`faults_of`.
         """
-        picture = DEFAULT_TUNING if self._carried is None else self._carried.tuning
-        return faults_of(self.recent(), self.sightings(), self.plane, self.tuning, picture)
+        return faults_of(self.recent(), self.sightings(), self.plane, self.tuning, self.picture_tuning)
 
     def sightings(self) -> Columns:
         """The records of instants of the last minutes, for :func:`sameas.picture.deception.deceptions`."""
