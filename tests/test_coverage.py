@@ -259,7 +259,9 @@ def test_shares_of_a_uniform_field_do_not_follow_count_noise(share):
     rng = np.random.default_rng(6)
     first, second = uniform(rng, 500), uniform(rng, 60_000)
     partner = (rng.uniform(size=60_000) < share).astype(float)
-    for at in local_share(Coverage.of(first, second).levels[1:-1], 2, partner, np.ones(60_000)):
+    cover = Coverage.of(first, second)
+    drawn = cover.tuning.shared_pseudo_count
+    for at in local_share(cover.levels[1:-1], 2, partner, np.ones(60_000), pseudo_count=drawn):
         logit = np.log(at / (1.0 - at))
         assert np.mean(logit) == pytest.approx(np.log(share / (1.0 - share)), abs=0.1)
         assert np.std(logit) < 0.2

@@ -685,14 +685,14 @@ def local_share(
     part: FloatArray,
     weights: FloatArray,
     *,
+    pseudo_count: float,
     elsewhere: bool = True,
-    pseudo_count: float = DEFAULT_COVERAGE.shared_pseudo_count,
 ) -> tuple[FloatArray, FloatArray]:
     """Local share Σ part / Σ weights of the records of ``source`` (1 or 2), at the records of both; without
     ``elsewhere`` at its own only, and the other source's array is empty.
 
-    Drawn towards that of the coarser cell by many pseudo-counts, so that the estimated share does not concentrate at
-    chance pairs.
+    Drawn towards that of the coarser cell by ``pseudo_count`` records; many, so that the estimated share does not
+    concentrate at chance pairs.
     """
     from sameas.kernels.coverage import refine_share
 

@@ -423,7 +423,8 @@ def _local_shares(setting: Setting, partner: Both, counted: tuple[BoolArray, Boo
     # The coarsest level gives the mean of all; the finest has too few records a cell.
     levels = setting.levels[1:-1] or setting.levels
     weights = [(covered & used).astype(np.float64) for covered, used in zip(setting.covered, counted, strict=True)]
-    works = [partial(local_share, levels, k + 1, partner[k] * weights[k], weights[k], elsewhere=False) for k in (0, 1)]
+    of_own = partial(local_share, levels, pseudo_count=setting.shared_pseudo_count, elsewhere=False)
+    works = [partial(of_own, k + 1, partner[k] * weights[k], weights[k]) for k in (0, 1)]
     (at_1, _), (_, at_2) = threads.each(works, len(weights[0]))
     return at_1, at_2
 

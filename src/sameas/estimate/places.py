@@ -23,7 +23,7 @@ import numpy as np
 from sameas.arrays import AnyIntArray, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.estimate.cells import GridLevel
-from sameas.estimate.columns import DEFAULT_COLUMNS, ColumnEvidence
+from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import DEFAULT_COVERAGE, Coverage, CoverageTuning
 from sameas.estimate.em import Estimates
 from sameas.estimate.grades import Grades
@@ -164,9 +164,9 @@ class Places:
         number = covered_cells(counts.cells, counts.numbers, 2 * (steps - self.steps), self.tuning.partly, own, covered)
         return float(covered[:number][np.isin(own[:number], cells)].sum()) * self.volume
 
-    def folds(self, counted: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
-        """(n₁,), (n₂,) folds of records for the fit of columns, by cells of some dozens of records."""
-        one, two = ((cells >> 2 * (self.steps + 2)) % DEFAULT_COLUMNS.folds for cells in counted)
+    def folds(self, counted: Sequence[IntArray], number: int) -> tuple[IntArray, IntArray]:
+        """(n₁,), (n₂,) which of some folds each record is in, for the fit of columns, by cells of dozens of records."""
+        one, two = ((cells >> 2 * (self.steps + 2)) % number for cells in counted)
         return one, two
 
     def densities(self, at_1: IntArray, at_2: IntArray) -> tuple[tuple[FloatArray, FloatArray], ...]:
@@ -349,7 +349,10 @@ class Learned:
         counted = np.ones(n1, np.bool_), np.ones(n2, np.bool_)
         level = GridLevel(np.zeros(n1, np.int32), np.zeros(n2, np.int32), np.ones(1))
         ((d_1, _), (_, d_2)), share = self.places.densities(at_1, at_2), self.places.share
-        setting = Setting(pairs, (np.arange(n1), np.arange(n2)), (level,), counted, counted, (d_1, d_2))
+        setting = Setting(
+            pairs, (np.arange(n1), np.arange(n2)), (level,), counted, counted, (d_1, d_2),
+            self.places.tuning.coverage.shared_pseudo_count,
+        )  # fmt: skip
         photometry = self._photometry(measured)
         estimates = Estimates(
             setting, (np.full(n1, self.means[0]), np.full(n2, self.means[1])), counted,
@@ -359,7 +362,8 @@ class Learned:
         if self.grades is not None:
             estimates = replace(estimates, grades=self.grades.for_setting(setting, photometry))
         if self.columns is not None and columns is not None:
-            estimates = replace(estimates, columns=self.columns.over(columns, self.places.folds(cells)))
+            folds = self.places.folds(cells, self.columns.tuning.folds)
+            estimates = replace(estimates, columns=self.columns.over(columns, folds))
         return estimates.rule()
 
     def seen(self, cells: IntArray, source: int) -> BoolArray:
@@ -419,7 +423,7 @@ def learn(
         first, second, sample.volume, sample.counted, covered, places.densities(*at), of_part=levels
     )
     columns = ColumnEvidence.of(first, second, evidence)
-    columns = columns and replace(columns, folds=places.folds(cells))
+    columns = columns and replace(columns, folds=places.folds(cells, columns.tuning.folds))
     matched = match_sample(coverage, assumed, brightness=brightness, columns=columns, tuning=tuning, progress=progress)
     estimates = matched.estimates
     weights = [(s & c).astype(np.float64) for s, c in zip(covered, estimates.counted, strict=True)]

@@ -50,6 +50,7 @@ class Setting:
     covered : (n₁,), (n₂,) whether the other source observes there.
     counted : (n₁,), (n₂,) whether a record counts; others only compete.
     densities : (n₁,), (n₂,) local densities of the source's other covered records.
+    shared_pseudo_count : of local shares, as in ``CoverageTuning``.
     """
 
     pairs: Pairs
@@ -58,6 +59,7 @@ class Setting:
     covered: tuple[BoolArray, BoolArray]
     counted: tuple[BoolArray, BoolArray]
     densities: tuple[FloatArray, FloatArray]
+    shared_pseudo_count: float
 
     @classmethod
     def whole(cls, pairs: Pairs, coverage: Coverage) -> Setting:
@@ -65,7 +67,10 @@ class Setting:
         n1, n2 = len(pairs.first), len(pairs.second)
         (density_1, _), (_, density_2) = coverage.covered_densities
         rows = np.arange(n1), np.arange(n2)
-        return cls(pairs, rows, coverage.levels, coverage.covered, coverage.counted, (density_1, density_2))
+        return cls(
+            pairs, rows, coverage.levels, coverage.covered, coverage.counted, (density_1, density_2),
+            coverage.tuning.shared_pseudo_count,
+        )  # fmt: skip
 
     @property
     def n_counted(self) -> tuple[int, int]:
@@ -95,7 +100,7 @@ class Setting:
         return Setting(
             pairs, (rows_1, rows_2), tuple(level.part(rows_1, rows_2) for level in self.levels),
             (self.covered[0][rows_1], self.covered[1][rows_2]), (counted[0][rows_1], counted[1][rows_2]),
-            (of_1[rows_1], of_2[rows_2]),
+            (of_1[rows_1], of_2[rows_2]), self.shared_pseudo_count,
         )  # fmt: skip
 
     def _drawn(self, sampling: Sampling) -> tuple[GridLevel, BoolArray] | None:

@@ -102,9 +102,9 @@ class Geometry:
         return None if self.sphere else (float(self.periods[self.x]), float(self.periods[self.y]))
 
 
-def _extent(values: FloatArray) -> FloatArray:
+def _extent(values: FloatArray, few_rows: int) -> FloatArray:
     """(2, d) least and greatest value of every column; few rows are not worth a compilation."""
-    if 0 < len(values) < DEFAULT_TUNING.few_rows:
+    if 0 < len(values) < few_rows:
         return np.stack([values.min(axis=0), values.max(axis=0)])
     from sameas.kernels.zones import extent
 
@@ -129,7 +129,7 @@ class Source:
     @classmethod
     def of(cls, records: Records, geometry: Geometry) -> Source:
         features = records.features
-        ends = _extent(features)
+        ends = _extent(features, geometry.tuning.few_rows)
         for axis in np.flatnonzero(np.isfinite(geometry.periods)):
             period = geometry.periods[axis]
             if ends[0, axis] < 0 or ends[1, axis] >= period:
@@ -171,7 +171,8 @@ class Source:
 
     def widest(self, rows: Rows, geometry: Geometry) -> tuple[float, float]:
         """The largest variances in x and in y of these rows."""
-        largest = _extent(self.variance if len(rows) == len(self.variance) else self.variance[rows])[1].tolist()
+        variance = self.variance if len(rows) == len(self.variance) else self.variance[rows]
+        largest = _extent(variance, geometry.tuning.few_rows)[1].tolist()
         return (largest[0], largest[0]) if len(largest) == 1 else (largest[geometry.x], largest[geometry.y])
 
     def rank(self) -> IntArray:

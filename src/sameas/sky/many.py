@@ -362,9 +362,8 @@ def match_many(
     if options.magnitudes != OFF:
         two = {(a, b): candidate_indices(match, records[a], records[b]) for (a, b), match in matches.items()}
         magnitudes = SetMagnitudes.of(matches, ordered, records, two)
-    observers = StarObservers.of(
-        pooled_records, records, astrometric, _initial_population(matches, records, coverages, options), magnitudes
-    )
+    population = _initial_population(matches, records, coverages, options, tuning)
+    observers = StarObservers.of(pooled_records, records, astrometric, population, magnitudes)
     em = _estimate_population(replace(pooled_records, observers=observers), coverages, options, progress, tuning)
     objects = Objects(tuple(records_as_given), em.pooled, em.sets, em.answer, em.terms)
     expected = _by_names(em.expected, order, [catalogue.name for catalogue in catalogues])
@@ -530,7 +529,11 @@ class _LogWeight:
 
 
 def _initial_population(
-    matches: Matches, records: Sequence[Records], coverages: Coverages, options: ManyOptions
+    matches: Matches,
+    records: Sequence[Records],
+    coverages: Coverages,
+    options: ManyOptions,
+    tuning: PopulationTuning,
 ) -> Population:
     """The initial population of EM, from the pairwise matches."""
     p_partner: dict[tuple[int, int], FloatArray] = {}
@@ -538,7 +541,7 @@ def _initial_population(
         for (s, t), answers in zip(((a, b), (b, a)), match.result.both_answers, strict=True):
             p_partner[s, t] = 1.0 - np.ma.filled(answers.p_none, 1.0)[records[s].rows]
     errors = {1 << a | 1 << b: match.estimate.spread for (a, b), match in matches.items()}
-    return initial_population(coverages, p_partner, errors, options.error_scale == "auto")
+    return initial_population(coverages, p_partner, errors, options.error_scale == "auto", tuning)
 
 
 def _refuse(catalogues: Sequence[Catalogue]) -> None:

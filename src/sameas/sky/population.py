@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.estimate.coverage import Coverage, local_share
-from sameas.estimate.em import DEFAULT_EM
+from sameas.estimate.em import DEFAULT_EM, EMTuning
 from sameas.estimate.error_model import fit_errors
 from sameas.evidence import Errors
 from sameas.gaussian import LOG_2PI, InformationSum, inverse, log_density, propagated
@@ -226,12 +226,14 @@ class PopulationTuning:
     converged_share : maximum change of the expected number of objects of a pattern at convergence, as a share of all.
     min_p_set : minimum probability of a set used for the errors.
     largest_p_set : maximum probability of a set, to keep its odds finite.
+    em : of the matches of two; its limits hold for sets too.
     """
 
     iterations: int = 8
     converged_share: float = 3e-4
     min_p_set: float = 1e-3
     largest_p_set: float = 1.0 - 1e-9
+    em: EMTuning = DEFAULT_EM
 
 
 TUNING = PopulationTuning()
@@ -306,7 +308,7 @@ class Population:
         errors = self.errors
         if self.estimates_errors:
             errors = self._fitted_errors(patterns, chi_sq, probability, tuning)
-        return replace(self, log_density=log_densities(coverages, shares), errors=errors)
+        return replace(self, log_density=log_densities(coverages, shares, tuning.em.min_share), errors=errors)
 
     def _fitted_errors(
         self, patterns: IntArray, chi_sq: FloatArray, probability: FloatArray, tuning: PopulationTuning
@@ -314,14 +316,14 @@ class Population:
         fitted_errors = dict(self.errors)
         for pattern, errors in self.errors.items():
             rows = np.flatnonzero((patterns == pattern) & (probability > tuning.min_p_set))
-            if probability[rows].sum() < DEFAULT_EM.min_pairs:
+            if probability[rows].sum() < tuning.em.min_pairs:
                 continue
             # The odds of these sets without their residuals.
             p, d = np.minimum(probability[rows], tuning.largest_p_set), degrees_of_freedom(pattern)
             log_odds = np.log(p / (1.0 - p)) - errors.log_profile(chi_sq[rows], d)
             # Not wider than in the pairwise matches: beyond, chance pairs prevail.
             widest = max(
-                DEFAULT_EM.min_largest_scale, *(max(self.errors[pair].scales) for pair in pairs_within(pattern))
+                tuning.em.min_largest_scale, *(max(self.errors[pair].scales) for pair in pairs_within(pattern))
             )
             fitted_errors[pattern] = fit_errors(chi_sq[rows], log_odds, d, errors, widest=widest).errors
         return _with_common_errors(fitted_errors)
@@ -332,6 +334,7 @@ def initial_population(
     p_partner: Mapping[tuple[int, int], FloatArray],
     errors: Mapping[int, Errors],
     estimates_errors: bool,
+    tuning: PopulationTuning = TUNING,
 ) -> Population:
     """The initial population of EM, from the pairwise matches, with independent non-detections.
 
@@ -353,7 +356,7 @@ def initial_population(
     for pattern in range(1, 1 << n_sources):
         if pattern.bit_count() > 2:
             by_pattern[pattern] = max((errors[pair] for pair in pairs_within(pattern)), key=lambda e: e.typical_scale)
-    return Population(log_densities(coverages, shares), by_pattern, estimates_errors)
+    return Population(log_densities(coverages, shares, tuning.em.min_share), by_pattern, estimates_errors)
 
 
 def _with_common_errors(by_pattern: Mapping[int, Errors]) -> dict[int, Errors]:
@@ -373,11 +376,12 @@ def _with_common_errors(by_pattern: Mapping[int, Errors]) -> dict[int, Errors]:
     return out
 
 
-def log_densities(coverages: Coverages, shares: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+def log_densities(coverages: Coverages, shares: Sequence[FloatArray], min_share: float) -> tuple[FloatArray, ...]:
     """Per catalogue (n, 2^S) ln ρ of each pattern at its records, from the records' probabilities of the patterns.
 
     ρ_A by one catalogue is the density of its records times their share in A; all catalogues of A count the same
-    objects, so the mean of the logarithms is used. Shares refer to the records in the footprint of all of A.
+    objects, so the mean of the logarithms is used. Shares refer to the records in the footprint of all of A,
+    and are at least ``min_share``.
     """
     n_sources = len(shares)
     total = [np.zeros(share.shape) for share in shares]
@@ -395,7 +399,7 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray]) -> tuple[F
                     if pattern >> t & 1:
                         # A catalogue's own records are in n − 1 coverages, those of another in one.
                         weight = 1.0 / (n_sources - 1) if t == s else 1.0
-                        total[t][:, pattern] += weight * np.log(density * np.maximum(share, DEFAULT_EM.min_share))
+                        total[t][:, pattern] += weight * np.log(density * np.maximum(share, min_share))
     sizes = np.array([max(pattern.bit_count(), 1) for pattern in range(1 << n_sources)])
     out = []
     for s, column in enumerate(total):

@@ -615,13 +615,17 @@ class SeriesMeasurements:
     frames: int
 
 
-def gather(measured: SeriesMeasurements, stationary: BoolArray, blur_arcsec: float) -> SeriesStars:
+def gather(
+    measured: SeriesMeasurements, stationary: BoolArray, blur_arcsec: float, tuning: StarTuning = STAR_TUNING
+) -> SeriesStars:
     """The stars among the measurements of a series.
 
     stationary : (n,) mask. blur_arcsec : extra position scatter of faint stars.
     """
     place, sigma, flux, whole, frames = measured.place, measured.sigma, measured.flux, measured.whole, measured.frames
-    rows, names = _rows(place, measured.frame, np.hypot(sigma, blur_arcsec), measured.name, stationary, frames)
+    rows, names = _rows(
+        place, measured.frame, np.hypot(sigma, blur_arcsec), measured.name, stationary, frames, math.log(tuning.odds)
+    )
     at, has_row = np.maximum(rows, 0), rows >= 0
     weight = np.where(has_row, 1.0 / sigma[at] ** 2, 0.0)
     total = weight.sum(axis=1)
@@ -631,8 +635,8 @@ def gather(measured: SeriesMeasurements, stationary: BoolArray, blur_arcsec: flo
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.where(has_row & (flux[at] > 0), 1.0857 * measured.flux_err[at] / flux[at], np.nan)
     usable = np.isfinite(raw) & np.isfinite(error) & whole[at]
-    often = usable.sum(axis=1) >= max(2.0, STAR_TUNING.often * frames)
-    zero, zero_error, ensemble, floor = _ensemble(raw, error, usable & often[:, None])
+    often = usable.sum(axis=1) >= max(2.0, tuning.often * frames)
+    zero, zero_error, ensemble, floor = _ensemble(raw, error, usable & often[:, None], tuning)
     zero_offset, scale = _catalogue_scale(measured.magnitude, _instrumental(flux) + zero[measured.frame])
     zero = zero + zero_offset
     light = np.where(whole[at], raw + zero, np.nan)
@@ -650,11 +654,18 @@ def _instrumental(flux: FloatArray) -> FloatArray:
 
 
 def _rows(
-    place: FloatArray, frame: IntArray, sigma: FloatArray, name: NDArray[Any], stationary: BoolArray, frames: int
+    place: FloatArray,
+    frame: IntArray,
+    sigma: FloatArray,
+    name: NDArray[Any],
+    stationary: BoolArray,
+    frames: int,
+    log_odds: float,
 ) -> tuple[IntArray, NDArray[Any]]:
     """(s, f) measurement of each star in each frame, ABSENT for none, and (s,) names.
 
-    Stars measured in one frame only are kept if they are in the catalogue.
+    Stars measured in one frame only are kept if they are in the catalogue. log_odds : ln of the prior odds that a star
+    is measured in a frame.
     """
     named = np.flatnonzero(name != "")
     names, star = np.unique(name[named], return_inverse=True)
@@ -676,7 +687,7 @@ def _rows(
             star_records = Records.of(
                 sums[free] / weights[free, None], sigma=1.0 / np.sqrt(weights[free]), source="stars"
             )
-            rule, prior = Field(max(len(in_frame), 1) / area), PerPair(math.log(STAR_TUNING.odds))
+            rule, prior = Field(max(len(in_frame), 1) / area), PerPair(log_odds)
             found = identify(frame_records, star_records, rule=rule, prior=prior).matches
             rows[free[found.rows_2], k] = in_frame[found.rows_1]
             new[found.rows_1] = False
@@ -693,11 +704,13 @@ def _rows(
     return rows[keep], names[keep]
 
 
-def _ensemble(raw: FloatArray, error: FloatArray, usable: BoolArray) -> tuple[FloatArray, FloatArray, IntArray, float]:
+def _ensemble(
+    raw: FloatArray, error: FloatArray, usable: BoolArray, tuning: StarTuning
+) -> tuple[FloatArray, FloatArray, IntArray, float]:
     """(f,) zero points with mean 0, their errors and numbers of stars, and the floor, by iterated weighted means."""
     frames = raw.shape[1]
     ensemble = usable.sum(axis=0)
-    good = ensemble >= STAR_TUNING.min_ensemble
+    good = ensemble >= tuning.min_ensemble
     usable = usable & good
     usable &= usable.sum(axis=1, keepdims=True) > 1
     if not usable.any():
@@ -705,7 +718,7 @@ def _ensemble(raw: FloatArray, error: FloatArray, usable: BoolArray) -> tuple[Fl
     zero, floor = np.zeros(frames), 0.02
     values, variance = np.where(usable, raw, 0.0), np.where(usable, error, 1.0) ** 2
     robust = np.ones_like(values)
-    for _ in range(STAR_TUNING.iterations):
+    for _ in range(tuning.iterations):
         weight = np.where(usable, robust / (variance + floor**2), 0.0)
         mean = (weight * (values + zero)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-30)
         step = (weight * (mean[:, None] - values)).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-30) - zero
@@ -717,7 +730,7 @@ def _ensemble(raw: FloatArray, error: FloatArray, usable: BoolArray) -> tuple[Fl
         share = 1.0 - 1.0 / max(float(usable.sum(axis=1)[usable.any(axis=1)].mean()), 2.0)
         floor = math.sqrt(max(spread**2 / share - float(np.median(variance[precise])), 1e-6))
         sigmas = np.abs(residual) / np.sqrt(variance + floor**2)
-        robust = np.minimum(1.0, STAR_TUNING.huber / np.maximum(sigmas, 1e-9))
+        robust = np.minimum(1.0, tuning.huber / np.maximum(sigmas, 1e-9))
         if np.abs(step - step[good].mean())[good].max() < 1e-6:
             break
     weight = np.where(usable, robust / (variance + floor**2), 0.0).sum(axis=0)

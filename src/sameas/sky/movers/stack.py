@@ -460,7 +460,7 @@ class _Trail:
         )  # fmt: skip
 
 
-def with_trails(series: Series, frames: Iterable[Frame]) -> Series:
+def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = TRAIL_TUNING) -> Series:
     """The series with unexplained measurements remeasured as trails where these fit better.
 
     frames : calibrated, in the order of ``series.exposures``, used one at a time. Other measurements of parts of a
@@ -479,7 +479,7 @@ def with_trails(series: Series, frames: Iterable[Frame]) -> Series:
         if not tried.any() or len(rows) < 6:
             continue
         width = max(one.psf_fwhm_px, 1.5)
-        pixels = _Pixels.of(frame, at[~free], one.snr[series.row[rows]][~free], width)
+        pixels = _Pixels.of(frame, at[~free], one.snr[series.row[rows]][~free], width, tuning)
         to_sky = ChipMap(at, series.place[rows])
         done, measured, known = np.zeros(len(rows), bool), np.zeros(len(rows), bool), list[_Trail]()
         candidates = np.flatnonzero(tried)
@@ -508,16 +508,16 @@ def with_trails(series: Series, frames: Iterable[Frame]) -> Series:
             sigma[row] = math.hypot(scale * math.sqrt(0.5 * np.trace(trail.covariance[:2, :2])), series.floor_arcsec[n])
             magnitude[row] += trail.fainter_than(one.flux[own])
             one = trail.measured_on(one, own)
-        for line in _long_lines(known, width, 1.8 * TRAIL_TUNING.max_px):
+        for line in _long_lines(known, width, 1.8 * tuning.max_px):
             now_at = np.column_stack([one.x_px, one.y_px])[series.row[rows]]
             parts = free & (known[line[0]].covers(at, width, math.inf) | known[line[0]].covers(now_at, width, math.inf))
             unreliable[rows[parts]], vector[rows[parts]], error[rows[parts]] = True, np.nan, np.nan
             long += 1
         exposures[n] = one
-    note = f"{long} trails longer than {2 * TRAIL_TUNING.max_px:.0f} px, as of satellites, are removed"
+    note = f"{long} trails longer than {2 * tuning.max_px:.0f} px, as of satellites, are removed"
     return replace(
         series, place=place, sigma_arcsec=sigma, unreliable=unreliable, magnitude=magnitude, exposures=tuple(exposures),
-        trails=Trails(vector, error, TRAIL_TUNING.min_widths), notes=(*series.notes, *([note] if long else [])),
+        trails=Trails(vector, error, tuning.min_widths), notes=(*series.notes, *([note] if long else [])),
     )  # fmt: skip
 
 
@@ -557,16 +557,19 @@ class _Pixels:
     noise: float
     inverse_gain: float
     width: float
+    tuning: TrailTuning
 
     @classmethod
-    def of(cls, frame: Frame, sources: FloatArray, snr: FloatArray, width: float) -> _Pixels:
+    def of(
+        cls, frame: Frame, sources: FloatArray, snr: FloatArray, width: float, tuning: TrailTuning = TRAIL_TUNING
+    ) -> _Pixels:
         """The pixels of a frame. sources : (n, 2) pixels of known sources, excluded. snr : (n,)."""
         image = np.asarray(frame.image, np.float64).copy()
         good = ((frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) == 0) & np.isfinite(image)
         level = float(np.median(image[good][::7]))
         steps = np.diff(image[::3], axis=1)[good[::3, 1:] & good[::3, :-1]]
         noise = max(robust_scale(steps) / math.sqrt(2.0), 1e-9)
-        radius = width * (TRAIL_TUNING.hidden_widths + 0.6 * np.log10(np.maximum(snr / 10.0, 1.0)))
+        radius = width * (tuning.hidden_widths + 0.6 * np.log10(np.maximum(snr / 10.0, 1.0)))
         for (x, y), r in zip(sources, radius, strict=True):
             a, b = max(int(y - r), 0), max(int(x - r), 0)
             v, u = np.mgrid[a : int(y + r) + 2, b : int(x + r) + 2]
@@ -583,6 +586,7 @@ class _Pixels:
             noise,
             1.0 / gain if gain > 0 else 0.0,
             width,
+            tuning,
         )
 
     def candidates(self, at: FloatArray) -> list[tuple[int, FloatArray]]:
@@ -591,8 +595,8 @@ class _Pixels:
         The sum of the star's filter along a line, S = Σ s/√count, is used: a trail is tried if S² exceeds that of the
         star alone by half of the gain required of a fit.
         """
-        steps = np.arange(1, max(int(TRAIL_TUNING.max_px / self.width), 2) + 1) * self.width
-        angle = np.arange(TRAIL_TUNING.angles) * math.pi / TRAIL_TUNING.angles
+        steps = np.arange(1, max(int(self.tuning.max_px / self.width), 2) + 1) * self.width
+        angle = np.arange(self.tuning.angles) * math.pi / self.tuning.angles
         direction = np.column_stack([np.cos(angle), np.sin(angle)])
         offsets = np.concatenate([-steps[::-1], [0.0], steps])
         points = at[:, None, None] + direction[None, :, None] * offsets[None, None, :, None]  # (n, angles, steps, 2)
@@ -603,7 +607,7 @@ class _Pixels:
         # A trail has uniform brightness: it ends at a gap, and much brighter parts are other sources.
         top = np.max(s[..., max(m - 1, 0) : m + 2], axis=(1, 2))[:, None, None]
         s = np.minimum(s, 1.3 * np.maximum(top, 1.0))
-        gap = s < np.maximum(TRAIL_TUNING.gap * top, 0.5)
+        gap = s < np.maximum(self.tuning.gap * top, 0.5)
         gap = np.concatenate(
             [np.logical_or.accumulate(gap[..., :m][..., ::-1], axis=-1)[..., ::-1], np.zeros((*s.shape[:2], 1), bool),
              np.logical_or.accumulate(gap[..., m + 1 :], axis=-1)], axis=-1,
@@ -619,10 +623,10 @@ class _Pixels:
         best_angle, a, b = np.unravel_index(best, total.shape[1:])
         alone = np.maximum(s[:, 0, m], 0.0)
         order = np.argsort(-score)
-        chosen = [k for k in order if score[k] > 0 and score[k] ** 2 - alone[k] ** 2 > 0.5 * TRAIL_TUNING.gain]
+        chosen = [k for k in order if score[k] > 0 and score[k] ** 2 - alone[k] ** 2 > 0.5 * self.tuning.gain]
         best = direction[best_angle]
         ends = [np.stack([at[k] - a[k] * self.width * best[k], at[k] + b[k] * self.width * best[k]]) for k in chosen]
-        return list(zip(map(int, chosen), ends, strict=True))[: TRAIL_TUNING.max_fits]
+        return list(zip(map(int, chosen), ends, strict=True))[: self.tuning.max_fits]
 
     def fitted(self, at: FloatArray, ends: FloatArray) -> _Trail | None:
         """The trail fitted from initial ends (2, 2); None if a star fits as well, or the fit fails."""
@@ -671,8 +675,8 @@ class _Pixels:
         unit = half / max(size, 1e-9)
         spread = math.sqrt(max(float(unit @ covariance[2:4, 2:4] @ unit), 1e-12))
         gain = 2.0 * (point.cost - fit.cost) / chi
-        long = 2.0 * size > TRAIL_TUNING.min_widths * self.width and size > TRAIL_TUNING.min_sigmas * spread
-        if gain < TRAIL_TUNING.gain or not long:
+        long = 2.0 * size > self.tuning.min_widths * self.width and size > self.tuning.min_sigmas * spread
+        if gain < self.tuning.gain or not long:
             return None
         trail = _Trail(fit.x[:2], half, covariance[:4, :4], float(fit.x[4] * flux),
                        float(flux * math.sqrt(covariance[4, 4])))  # fmt: skip
