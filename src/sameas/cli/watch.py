@@ -46,7 +46,8 @@ def watch(
         typer.Argument(
             metavar="[FILE]...",
             show_default=False,
-            help="Files to replay instead of live inputs, as for sameas picture. NAME=FILE names the source.",
+            help="Files, or a folder of --record, to replay instead of live inputs, as for sameas picture. NAME=FILE "
+            "names the source.",
         ),
     ] = None,
     sensors: Annotated[
@@ -72,6 +73,12 @@ def watch(
         float,
         option("--pace", panel=_INPUTS, metavar="N", show_default=True, help="Replay N times as fast as recorded."),
     ] = 1.0,
+    record: Annotated[
+        Path | None,
+        option(
+            "--record", panel=_INPUTS, metavar="FOLDER", help="Record what is received; the folder can be replayed."
+        ),
+    ] = None,
     every: Annotated[str | None, option("--every", panel=_INPUTS, metavar="1s", help="Time between instants.")] = None,
     start: Annotated[
         str | None,
@@ -113,6 +120,9 @@ def watch(
 
         settings, replay = _settings(files or [], sensors, start, pace, duration_s(every))
         settings = settings if chart is None else _with_chart(settings, chart)
+        if record is not None and replay is not None:
+            raise InputError("--record: files are replayed, and nothing is received", "leave it out")
+        settings = settings if record is None else _with_record(settings, record)
         share_compilation(quiet, "picture")
         keeper = Keeper(settings, output, replay=replay)
         to_stdout = any(sink.url.startswith("stdout:") for sink in keeper.sinks)
@@ -181,6 +191,12 @@ def _settings(
     if every_s is not None:
         settings = replace(settings, watch=replace(settings.watch, every_s=every_s))
     return settings, replay
+
+
+def _with_record(settings: Settings, folder: Path) -> Settings:
+    from dataclasses import replace
+
+    return replace(settings, watch=replace(settings.watch, record=str(folder)))
 
 
 def _with_chart(settings: Settings, chart: Path) -> Settings:

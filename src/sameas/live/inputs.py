@@ -32,6 +32,7 @@ from http.client import HTTPException
 from urllib.parse import parse_qs, urlsplit
 
 from sameas.errors import InputError
+from sameas.io.sensors.recording import Recorder
 from sameas.io.sensors.stream import ReportStream, format_of
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
@@ -112,12 +113,19 @@ class Wire:
     Parameters
     ----------
     url : see the module. stream : decodes the bytes. max_bytes : size of the queue. clock : UTC in seconds.
+    recorder : writes the bytes to disk before they are decoded.
     """
 
     def __init__(
-        self, url: str, stream: ReportStream, *, max_bytes: int = 8 << 20, clock: Callable[[], float] = time.time
+        self,
+        url: str,
+        stream: ReportStream,
+        *,
+        max_bytes: int = 8 << 20,
+        clock: Callable[[], float] = time.time,
+        recorder: Recorder | None = None,
     ) -> None:
-        self.url, self.stream, self.clock = url, stream, clock
+        self.url, self.stream, self.clock, self.recorder = url, stream, clock, recorder
         self.queue, self.state = BoundedQueue(max_bytes), WireState()
         parts = urlsplit(url)
         _require_readable(url)
@@ -154,9 +162,18 @@ class Wire:
         ------
         InputError : the data cannot be decoded to reports; they are dropped.
         """
-        for received_s, data, connection, last in self.queue.take(max_bytes):
+        pieces = self.queue.take(max_bytes)
+        if self.recorder is not None:
+            self.recorder.write(pieces)
+        for received_s, data, connection, last in pieces:
             self.stream.feed(data, received_s, connection=connection, last=last)
         return self.stream.reports()
+
+    def close(self) -> None:
+        """Records what is still in the queue, and closes the recording."""
+        if self.recorder is not None:
+            self.recorder.write(self.queue.take(self.queue.max_bytes + 1))
+            self.recorder.close()
 
     def _received(self, data: bytes, connection: int = 0, *, last: bool = False) -> None:
         now_s = self.clock()

@@ -23,6 +23,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sameas.errors import Argument, InputError, Message, reading
+from sameas.io.sensors.recording import Recorder
 from sameas.io.sensors.sources import ZONED
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.inputs import Replay, Wire
@@ -145,6 +146,8 @@ class Keeper:
         # Whether no tick will follow.
         self.ended = False
         self._alarms: dict[str, tuple[int, float]] = {}
+        # Latitude, longitude and heading of the sensor with the last replayed report of the source of own ship.
+        self._station = (math.nan, math.nan, math.nan)
         self._own: deque[tuple[float, float, float]] = deque(maxlen=30)
         self._saved_s = self._registered_s = self._searched_s = -math.inf
         self._faults: dict[str, Fault] = {}
@@ -311,6 +314,9 @@ class Keeper:
             state.set_error(_in_settings(error, name), self._taken_s)
             return
         state.last_s, state.error = received_s, ""
+        own = self.settings.watch.own_ship
+        if self.replay is not None and own is not None and own.source == name:
+            self._station = _last_station(reports, self._station)
         if self.replay is None:
             # Older ones may have waited in the queue.
             state.delay_s = received_s - float(np.median(np.sort(reports.time_s)[-5:]))
@@ -341,7 +347,7 @@ class Keeper:
         lat, lon = own.lat_deg, own.lon_deg
         if own.source is not None and own.source in self.settings.sources:
             wire = self.wires.get(self.settings.sources[own.source].url or "")
-            lat, lon, heading = (math.nan,) * 3 if wire is None else wire.stream.own_ship
+            lat, lon, heading = self._station if wire is None else wire.stream.own_ship
         if lat is None or lon is None or not math.isfinite(lat + lon):
             return None
         east, north = plane.of_geodetic([lat], [lon])[0].tolist()
@@ -452,9 +458,16 @@ class Keeper:
         return f"data arrive on {source.url}, but none are its reports" + (f" ({reasons})" if reasons else "")
 
     def _folder_alarms(self) -> list[Alarm]:
-        if not self._refusal:
-            return []
-        return [Alarm("folder", "fault", f"{self.folder} cannot be written; events are not saved: {self._refusal}")]
+        alarms = []
+        if self._refusal:
+            text = f"{self.folder} cannot be written; events are not saved: {self._refusal}"
+            alarms.append(Alarm("folder", "fault", text))
+        recorders = [wire.recorder for wire in self.wires.values() if wire.recorder is not None]
+        if errors := list(dict.fromkeys(one.error for one in recorders if one.error)):
+            folder = self.settings.watch.record
+            text = f"{folder} cannot be written; what is received is not recorded: {'; '.join(errors)}"
+            alarms.append(Alarm("record", "fault", text))
+        return alarms
 
     def _pace_alarms(self) -> list[Alarm]:
         """An alarm where the picture is older than its interval says, because an instant takes longer than that."""
@@ -588,6 +601,8 @@ class Keeper:
         with self.lock:
             for sink in self.sinks:
                 sink.close()
+            for wire in self.wires.values():
+                wire.close()
             self._try_journal(lambda journal: self.save(), "state")
             refusal = self._refusal
             self._try_journal(Journal.close)
@@ -671,6 +686,8 @@ class Keeper:
                 "bytes": wire.state.received, "dropped": wire.queue.dropped,
                 "damaged": sum(wire.stream.damaged.values()), "damage": dict(+wire.stream.damaged),
                 "unused": dict(wire.stream.passed_over),
+                **({} if wire.recorder is None else
+                   {"recorded": wire.recorder.written, "not_recorded": wire.recorder.lost}),
             }
             for url, wire in self.wires.items()
         }  # fmt: skip
@@ -682,6 +699,16 @@ class Keeper:
             "outputs": {f"{sink.format} {sink.url}": {"failed": sink.failed, "unnumbered": sink.numbers.unnumbered}
                         for sink in self.sinks},
         }  # fmt: skip
+
+
+def _last_station(reports: Reports, before: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Latitude, longitude and heading of the sensor at the last report that has them; as before where none has."""
+    lat, lon = reports.station_lat_deg, reports.station_lon_deg
+    if lat is None or lon is None or not np.isfinite(lat + lon).any():
+        return before
+    last = int(np.flatnonzero(np.isfinite(lat + lon))[-1])
+    heading = reports.extra.get("station_heading_deg")
+    return float(lat[last]), float(lon[last]), math.nan if heading is None else float(heading[last])
 
 
 def _in_settings(error: InputError, name: str) -> str:
@@ -707,7 +734,11 @@ def _wires(settings: Settings, clock: Callable[[], float]) -> dict[str, Wire]:
         with reading(f"{name}: input {source.url!r}", "cannot be listened to"):
             if source.url in wires:
                 continue
-            wires[source.url] = Wire(source.url, ReportStream(name, source.format, source.options), clock=clock)
+            stream, recorder = ReportStream(name, source.format, source.options), None
+            if (watch := settings.watch).record is not None:
+                recorded = settings.recorded_input(source.url)
+                recorder = Recorder(Path(watch.record), recorded, watch.record_hours * 3600.0)
+            wires[source.url] = Wire(source.url, stream, clock=clock, recorder=recorder)
     return wires
 
 

@@ -28,7 +28,8 @@ from typing import Any
 
 from sameas.errors import InputError, reading
 from sameas.io.sensors.format import ReadOptions
-from sameas.io.sensors.sources import KIND_OF_FORMAT, ZONED
+from sameas.io.sensors.recording import RecordedInput, RecordedSource
+from sameas.io.sensors.sources import ZONED
 from sameas.io.sensors.stream import STREAM_FORMATS
 from sameas.maps.outline import read_coast
 from sameas.maps.tiles import is_tiles, open_chart
@@ -71,6 +72,8 @@ class WatchSettings:
     archive_every_s : time between archived ticks; 0: none. history_s : span of the history on the page.
     save_every_s : time between two writes of the state.
     outputs : ``udp://HOST:PORT`` with a format: ``{ url = …, format = "nmea" }``.
+    record : folder into which the received bytes are written, hour by hour. record_hours : files that are older are
+        deleted; 0: none are.
     chart : GeoJSON, MBTiles or PMTiles file, drawn below the objects.
     """
 
@@ -89,6 +92,8 @@ class WatchSettings:
     history_s: float = 1800.0
     save_every_s: float = 5.0
     outputs: tuple[Mapping[str, str], ...] = ()
+    record: str | None = None
+    record_hours: float = 0.0
     chart: str | None = None
 
     @property
@@ -109,10 +114,12 @@ class LiveSource:
 
     def takes(self, reports: Reports) -> bool:
         """Whether reports from its wire belong to this source."""
-        if self.sensor is not None:
-            return reports.source.endswith(f":{self.sensor}") or reports.source == self.sensor
-        kind = KIND_OF_FORMAT.get(reports.kind)
-        return kind is None or kind == self.description.kind or self.description.kind in ("tracks", "other", "mlat")
+        return self.recorded.takes(reports)
+
+    @property
+    def recorded(self) -> RecordedSource:
+        """What a recording of its wire says of it."""
+        return RecordedSource(self.description.name, self.description.kind, self.sensor)
 
 
 @dataclass(frozen=True)
@@ -121,6 +128,14 @@ class Settings:
 
     sources: Mapping[str, LiveSource]
     watch: WatchSettings = field(default_factory=WatchSettings)
+
+    def recorded_input(self, url: str) -> RecordedInput:
+        """What a recording of a wire says of it."""
+        on_wire = [source for source in self.sources.values() if source.url == url]
+        options = on_wire[0].options
+        given = {"columns": options.columns, "units": options.units, "time_zone": options.time_zone}
+        given = {name: value for name, value in given.items() if value}
+        return RecordedInput(tuple(source.recorded for source in on_wire), on_wire[0].format, given)
 
 
 def read_settings(path: str | Path) -> Settings:
@@ -200,12 +215,14 @@ def _watch(table: Any, where: str, sources: Mapping[str, LiveSource]) -> WatchSe
             if not isinstance(value, list):
                 raise InputError(f"{where}.outputs is {value!r}; give a list")
             values[key] = tuple(value)
-        elif key == "chart":
+        elif key in ("chart", "record"):
             if not isinstance(value, str):
-                raise InputError(f"{where}.chart is {value!r}; give the name of a file in quotes")
+                what = "file" if key == "chart" else "folder"
+                raise InputError(f"{where}.{key} is {value!r}; give the name of a {what} in quotes")
             values[key] = str(Path(where.split(": ")[0]).parent / value)
-            # A map without its shores is found out too late.
-            require_chart(values[key])
+            if key == "chart":
+                # A map without its shores is found out too late.
+                require_chart(values[key])
         elif isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < math.inf:
             raise InputError(f"{where}.{key} is {value!r}; give a number, 0 or more")
         else:

@@ -307,6 +307,18 @@ class SensorFormat:
     magic: tuple[bytes, ...] = ()
 
 
+#: The kind of source of a format.
+_KIND_OF_FORMAT: Mapping[str, str] = {
+    "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b", "asterix 048": "air radar",
+    "asterix 062": "tracks",
+}  # fmt: skip
+
+
+def kind_of(format_name: str) -> str | None:
+    """The kind of source that a format of reports shows, or None."""
+    return _KIND_OF_FORMAT.get(format_name)
+
+
 def content(path: str | os.PathLike[str]) -> bytes:
     """All bytes of a file, unpacked where it is gzipped.
 

@@ -24,21 +24,23 @@ from typing import Any
 import numpy as np
 
 from sameas.errors import Argument, InputError, Message, reading
-from sameas.io.sensors import aircraft, arpa, asterix, mode_s, sbs, signalk, tables
-from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat, kind_by_name
+from sameas.io.sensors import aircraft, arpa, asterix, mode_s, recording, sbs, signalk, tables
+from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat, kind_by_name, kind_of
 from sameas.tracks.kinds import KINDS
-from sameas.tracks.reports import Reports
+from sameas.tracks.reports import NoReports, Reports
 from sameas.tracks.source import Description, source_tables
 
 # Reading: the reports in a file, whose format is detected from its content.
 
 #: The formats, in the order in which they are tried.
 SENSOR_FORMATS: tuple[SensorFormat, ...] = (
-    asterix.FORMAT, arpa.FORMAT, aircraft.FORMAT, signalk.FORMAT, sbs.FORMAT, mode_s.FORMAT, tables.FORMAT,
+    recording.FORMAT, asterix.FORMAT, arpa.FORMAT, aircraft.FORMAT, signalk.FORMAT, sbs.FORMAT, mode_s.FORMAT,
+    tables.FORMAT,
 )  # fmt: skip
 #: Their descriptions, by name.
 REPORT_FORMATS: Mapping[str, str] = {
-    known.name: known.label for known in (SENSOR_FORMATS[-1], *SENSOR_FORMATS[1:-1], SENSOR_FORMATS[0])
+    known.name: known.label
+    for known in (SENSOR_FORMATS[-1], *SENSOR_FORMATS[2:-1], SENSOR_FORMATS[1], SENSOR_FORMATS[0])
 }
 
 
@@ -107,11 +109,6 @@ def format_of(file: SensorFile) -> SensorFormat:
     raise InputError(f"{file.source}: is binary, but neither ASTERIX, pcap nor Parquet; give another file")
 
 
-#: The kind of source of a format.
-KIND_OF_FORMAT: Mapping[str, str] = {
-    "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b", "asterix 048": "air radar",
-    "asterix 062": "tracks",
-}  # fmt: skip
 #: Formats whose times may be of any zone.
 ZONED = ("table", "sbs")
 #: The keys of ``file`` in a description, and their types.
@@ -200,7 +197,8 @@ def read_sources(
 
     Parameters
     ----------
-    files : paths, or NAME=PATH. A file that holds several sensors (a log of AIS and radar) gives NAME:ais, NAME:arpa.
+    files : paths, or NAME=PATH, or a folder of recordings, which say the names of their sources. A file that holds
+        several sensors (a log of AIS and radar) gives NAME:ais, NAME:arpa.
     options : by name, from :func:`read_source_options`.
     start : UTC of the first line of files with the time of day only.
     set_aside : receives the errors of files that exist but cannot be read, if others can. Without it, and if no file
@@ -223,7 +221,7 @@ def read_sources(
         if reading.start is None:
             reading = replace(reading, start=start)
         try:
-            for reports in read_reports(path, reading):
+            for reports in _recorded(path) if path.is_dir() else read_reports(path, reading):
                 sources.append(source_of(reports, described.get(reports.source), path))
         except InputError as error:
             wrongly_described = isinstance(error, tables.NotInTable) or bool(error.words.arguments)
@@ -234,12 +232,33 @@ def read_sources(
         raise next(iter(unread.values()))
     if set_aside is not None:
         set_aside += unread.values()
-    _check_all_used(sources, {name: one for name, one in described.items() if name not in unread})
+    # A source may have been silent while its input was recorded.
+    if not any(path.is_dir() for _, path in named):
+        _check_all_used(sources, {name: one for name, one in described.items() if name not in unread})
     names = [source.description.name for source in sources]
     duplicate = next((name for name in names if names.count(name) > 1), None)
     if duplicate is not None:
         raise InputError(f"two sources are called {duplicate}; name them, as in {duplicate}2=FILE")
     return sources
+
+
+def _recorded(folder: Path) -> list[Reports]:
+    """The reports of all recordings in a folder.
+
+    Raises
+    ------
+    InputError : there is no recording, or no report in any of them.
+    """
+    out: list[Reports] = []
+    empty: list[InputError] = []
+    for file in recording.files_in(folder):
+        try:
+            out += recording.read(file)
+        except NoReports as error:
+            empty.append(error)
+    if not out:
+        raise InputError(f"{folder}: {empty[0]}")
+    return out
 
 
 def _named(argument: str) -> tuple[str, Path]:
@@ -262,8 +281,8 @@ def source_of(reports: Reports, options: SourceOptions | None, path: Path) -> Se
 
 def _kind(reports: Reports) -> tuple[str, str]:
     """The guessed kind of a source without a description, and the reason."""
-    if reports.kind in KIND_OF_FORMAT:
-        return KIND_OF_FORMAT[reports.kind], f"its format is {reports.kind}"
+    if (kind := kind_of(reports.kind)) is not None:
+        return kind, f"its format is {reports.kind}"
     if reports.kind in KINDS:
         return reports.kind, f"its format is {reports.kind}"
     by_name = kind_by_name(reports.source)

@@ -1,0 +1,230 @@
+"""Recordings: the bytes that ``sameas watch`` received, with their receive times, to be replayed.
+
+A recording is a text file of JSON lines for each input. The first line names the sources of the input; every other line
+is a piece of data: ``t`` its receive time, ``c`` the number of its connection, ``last`` where nothing follows on this
+connection (a datagram, or its end), and ``text``, or ``base64`` for bytes that are no text. It is read by the same
+:class:`~sameas.io.sensors.stream.ReportStream` that reads the input itself.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import IO, Any
+
+from sameas.errors import InputError
+from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat, content, kind_of
+from sameas.io.sensors.stream import ReportStream
+from sameas.tracks.reports import Damaged, NoReports, Reports, joined
+
+#: The first bytes of a recording.
+MAGIC = b'{"recording of sameas watch"'
+#: A file is closed and a new one begun after this many seconds or bytes.
+FILE_S, FILE_BYTES = 3600.0, 64 << 20
+_NAME = re.compile(r"(?P<wire>.+)-(?P<began>\d{8}T\d{6})Z(-\d+)?\.jsonl")
+
+
+@dataclass(frozen=True)
+class RecordedSource:
+    """A source of an input. sensor : the sensor of a shared input that it takes, None: those that fit its kind."""
+
+    name: str
+    kind: str
+    sensor: str | None = None
+
+    def takes(self, reports: Reports) -> bool:
+        """Whether reports of the input belong to this source."""
+        if self.sensor is not None:
+            return reports.source.endswith(f":{self.sensor}") or reports.source == self.sensor
+        kind = kind_of(reports.kind)
+        return kind is None or kind == self.kind or self.kind in ("tracks", "other", "mlat")
+
+
+@dataclass(frozen=True)
+class RecordedInput:
+    """What the first line of a recording says: the sources of the input, and how they are read."""
+
+    sources: tuple[RecordedSource, ...]
+    format: str | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The names of its sources, as in the name of the file."""
+        return re.sub(r"[^\w.+-]", "_", "+".join(source.name for source in self.sources))
+
+    def head(self) -> bytes:
+        sources = [{"name": one.name, "kind": one.kind, "sensor": one.sensor} for one in self.sources]
+        options = {name: dict(value) if isinstance(value, Mapping) else value for name, value in self.options.items()}
+        content = {"recording of sameas watch": 1, "sources": sources, "format": self.format, "options": options}
+        return json.dumps(content, ensure_ascii=False).encode() + b"\n"
+
+    @classmethod
+    def of_head(cls, line: bytes, source: str) -> RecordedInput:
+        try:
+            head = json.loads(line)
+            if head["recording of sameas watch"] != 1:
+                raise InputError(f"{source}: is a recording of a later version of sameas", "read it with that version")
+            sources = tuple(RecordedSource(**one) for one in head["sources"])
+            return cls(sources, head["format"], head["options"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{source}: the first line of the recording is damaged ({error})") from None
+
+
+class Recorder:
+    """Writes what one input receives into files of a folder.
+
+    A line is handed to the system as soon as it is written: a process that is killed loses none of them. A disk that
+    refuses is named in ``error``; the next piece is tried again.
+
+    Parameters
+    ----------
+    folder : is made if needed. recorded : of the input. keep_s : older files of this input are deleted; 0: none are.
+    """
+
+    def __init__(self, folder: Path, recorded: RecordedInput, keep_s: float = 0.0) -> None:
+        self.folder, self.recorded, self.keep_s = folder, recorded, keep_s
+        #: Why the last piece could not be written; bytes and pieces that were, and pieces that were not.
+        self.error, self.written, self.lost = "", 0, 0
+        self._file: IO[bytes] | None = None
+        self._began_s, self._size = 0.0, 0
+
+    def write(self, pieces: Sequence[tuple[float, bytes, int, bool]]) -> None:
+        """Writes pieces of (receive time, bytes, connection, whether it is the last one of it)."""
+        if not pieces:
+            return
+        lines = b"".join(map(_line, pieces))
+        try:
+            file = self._open(pieces[0][0])
+            # Unbuffered: the lines are the system's once this returns.
+            if file.write(lines) != len(lines):
+                raise OSError("the disk is full")
+        except OSError as error:
+            self.error, self.lost = error.strerror or str(error), self.lost + len(pieces)
+            self.close()
+            return
+        self.error, self.written, self._size = "", self.written + len(lines), self._size + len(lines)
+
+    def _open(self, now_s: float) -> IO[bytes]:
+        # A clock that is set back begins a new file, too.
+        if self._file is not None and 0.0 <= now_s - self._began_s < FILE_S and self._size < FILE_BYTES:
+            return self._file
+        self.close()
+        self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        stamp, number = datetime.fromtimestamp(now_s, UTC).strftime("%Y%m%dT%H%M%SZ"), 1
+        while True:
+            path = self.folder / f"{self.recorded.name}-{stamp}{'' if number == 1 else f'-{number}'}.jsonl"
+            try:
+                file = open(path, "xb", buffering=0)  # noqa: SIM115 (closed when it is full)
+                break
+            except FileExistsError:
+                number += 1
+        os.chmod(path, 0o600)
+        self._file, self._began_s, self._size = file, now_s, 0
+        file.write(self.recorded.head())
+        self._delete_old(now_s)
+        return file
+
+    def _delete_old(self, now_s: float) -> None:
+        for path in self.folder.iterdir() if self.keep_s > 0.0 else ():
+            found = _NAME.fullmatch(path.name)
+            if found is not None and found["wire"] == self.recorded.name:
+                began_s = datetime.strptime(found["began"], "%Y%m%dT%H%M%S").replace(tzinfo=UTC).timestamp()
+                if began_s + FILE_S < now_s - self.keep_s:
+                    path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Closes the file; the next piece begins a new one."""
+        if self._file is not None:
+            self._file.close()
+        self._file = None
+
+
+def _line(piece: tuple[float, bytes, int, bool]) -> bytes:
+    received_s, data, connection, last = piece
+    line: dict[str, Any] = {"t": round(received_s, 6), "c": connection}
+    if last:
+        line["last"] = True
+    try:
+        line["text"] = data.decode("utf-8")
+    except UnicodeDecodeError:
+        line["base64"] = base64.b64encode(data).decode("ascii")
+    return json.dumps(line, ensure_ascii=False).encode() + b"\n"
+
+
+def read(file: SensorFile) -> list[Reports]:
+    """The reports of a recording, one :class:`Reports` for each source of its input that has any.
+
+    Raises
+    ------
+    InputError : no report; the first line is damaged.
+    """
+    recorded = RecordedInput.of_head(file.content.partition(b"\n")[0], file.source)
+    zone = file.options.time_zone or recorded.options.get("time_zone")
+    options = ReadOptions(
+        recorded.name, columns=file.options.columns or recorded.options.get("columns"), time_zone=zone,
+        units=file.options.units or recorded.options.get("units"), kind=recorded.sources[0].kind,
+    )  # fmt: skip
+    stream, damaged = ReportStream(recorded.name, recorded.format, options), 0
+    for line in file.content.split(b"\n"):
+        if line.startswith(MAGIC) or not line:
+            continue
+        try:
+            piece = json.loads(line)
+            data = base64.b64decode(piece["base64"]) if "base64" in piece else piece["text"].encode("utf-8")
+            received_s, connection = float(piece["t"]), int(piece["c"])
+        except (ValueError, KeyError, TypeError, AttributeError):
+            # A watch that was killed may have left a part of a line.
+            damaged += 1
+            continue
+        stream.feed(data, received_s, connection=connection, last=bool(piece.get("last")))
+    parts: dict[str, list[Reports]] = {}
+    for reports in stream.reports():
+        taken = next((one.name for one in recorded.sources if one.takes(reports)), None)
+        if taken is None:
+            stream.passed_over[f"reports of no source: {reports.source}"] += len(reports)
+        else:
+            parts.setdefault(taken, []).append(reports)
+    unused = dict(stream.damaged + stream.passed_over) | (
+        {"damaged lines of the recording": damaged} if damaged else {}
+    )
+    if not parts:
+        reasons = ", ".join(f"{n} × {reason}" for reason, n in unused.items())
+        raise NoReports(f"{file.source}: no report in the recording{f': {reasons}' if reasons else ''}")
+    first = next(iter(parts))
+    return [
+        replace(joined(each), source=name, damaged=Damaged(), passed_over=unused if name == first else {})
+        for name, each in parts.items()
+    ]
+
+
+def files_in(folder: Path) -> Iterator[SensorFile]:
+    """The recordings in a folder, the files of each input as one, in the order of their times.
+
+    Raises
+    ------
+    InputError : there is none.
+    """
+    wires: dict[str, list[tuple[str, Path]]] = {}
+    for path in sorted(folder.iterdir()):
+        if found := _NAME.fullmatch(path.name):
+            wires.setdefault(found["wire"], []).append((path.name, path))
+    if not wires:
+        raise InputError(f"{folder}: is a directory without recordings of sameas watch", "give a file")
+    for wire, paths in wires.items():
+        yield SensorFile(folder, b"\n".join(content(path) for _, path in paths), wire, ReadOptions(wire))
+
+
+FORMAT = SensorFormat(
+    "recording",
+    "recording of sameas watch",
+    read,
+    lambda file: file.head.startswith(MAGIC),
+    (MAGIC,),
+)

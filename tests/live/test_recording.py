@@ -1,0 +1,260 @@
+"""Recordings of what a watch receives: byte for byte, hour by hour, after a kill, and replayed by its sensor file."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pyais
+import pytest
+from tests.live.conftest import SITE, START_S
+from tests.live.test_inputs import free_port
+
+from sameas.cli.watch import _settings
+from sameas.errors import InputError
+from sameas.io.sensors.recording import FILE_S, RecordedInput, RecordedSource, Recorder, files_in, read
+from sameas.io.sensors.sources import read_reports, read_sources
+from sameas.io.sensors.stream import ReportStream
+from sameas.live.keeper import Keeper
+from sameas.live.outputs import asterix, sentence
+from sameas.live.settings import read_settings
+
+TOML = """
+[watch]
+every_s = 0.2
+register_every_s = 0
+own_ship = {{ source = "radar" }}
+record = "raw"
+
+[sources.ais]
+kind = "ais"
+input = "udp://127.0.0.1:{port}"
+
+[sources.radar]
+kind = "marine radar"
+input = "udp://127.0.0.1:{port}"
+
+[sources.south]
+kind = "marine radar"
+input = {{ url = "udp://127.0.0.1:{other}", format = "table" }}
+"""
+SHIP: dict[str, Any] = {
+    "type": 1,
+    "mmsi": 235070762,
+    "lat": SITE[0] + 0.03,
+    "lon": SITE[1] + 0.02,
+    "speed": 5.0,
+    "course": 90.0,
+    "second": 1,
+}
+
+
+def cable(k):
+    """One second of a ship's log: own ship, a radar target, an AIS report."""
+    minutes = f"{60 * SITE[0] % 60:07.4f}"
+    own = sentence(f"GPRMC,{120000 + k}.00,A,50{minutes},N,00057.0000,W,0.0,0.0,010524,,,A")
+    target = sentence(f"RATTM,01,{2.0 + k / 100:.2f},45.0,T,5.0,90.0,T,,,N,,T,,{120000 + k}.00,A")
+    return own + target + pyais.encode_dict(SHIP, talker_id="AI", sentence_type="VDM")[0].encode() + b"\r\n"
+
+
+@pytest.fixture
+def sensors(tmp_path):
+    path = tmp_path / "sensors.toml"
+    ports = {"port": free_port(socket.SOCK_DGRAM), "other": free_port(socket.SOCK_DGRAM)}
+    path.write_text(TOML.format(**ports))
+    return path, ports["port"]
+
+
+def recorded(tmp_path, pieces, sources, format_name=None, **options):
+    recorder = Recorder(tmp_path / "raw", RecordedInput(tuple(sources), format_name, options))
+    for piece in pieces:
+        recorder.write([piece])
+    recorder.close()
+    return tmp_path / "raw"
+
+
+def same(one, other):
+    """Whether two reports have the same columns."""
+    first, second = one.columns(), other.columns()
+    for name in first:
+        if first[name].dtype == object:
+            assert first[name].tolist() == second[name].tolist()
+        else:
+            np.testing.assert_array_equal(first[name], second[name])
+    return set(first) == set(second)
+
+
+def test_a_recording_gives_the_reports_that_the_stream_gave(tmp_path):
+    log = b"".join(cable(k) for k in range(5))
+    # Pieces end anywhere, as those of TCP do.
+    cuts = [0, 7, 100, 101, 300, len(log)]
+    pieces = [(START_S + k, log[a:b], 1, False) for k, (a, b) in enumerate(pairwise(cuts))]
+    pieces.append((START_S + 9, b"", 1, True))
+    stream = ReportStream("cable")
+    for received_s, data, connection, last in pieces:
+        stream.feed(data, received_s, connection=connection, last=last)
+    expected = stream.reports()
+    folder = recorded(tmp_path, pieces, [RecordedSource("ais", "ais"), RecordedSource("radar", "marine radar")])
+    [file] = files_in(folder)
+    found = read(file)
+    assert [reports.source for reports in found] == ["ais", "radar"]
+    assert all(same(one, other) for one, other in zip(found, expected, strict=True))
+    [path] = folder.iterdir()
+    assert path.name == "ais+radar-20240501T104000Z.jsonl" and path.stat().st_mode & 0o777 == 0o600
+    # A single file is read like any other of a sensor.
+    assert [reports.source for reports in read_reports(path)] == ["ais", "radar"]
+
+
+def test_bytes_that_are_no_text_are_recorded(tmp_path, keeper):
+    for _ in range(40):
+        situation = keeper.tick(START_S + 60.0)
+    blocks = b"".join(asterix(situation))
+    folder = recorded(tmp_path, [(START_S + 60.1, blocks, 0, True)], [RecordedSource("tower", "tracks")])
+    [line] = next(folder.iterdir()).read_bytes().splitlines()[1:]
+    assert "base64" in json.loads(line)
+    [source] = read_sources([folder])
+    stream = ReportStream("tower")
+    stream.feed(blocks, START_S + 60.1, last=True)
+    assert same(source.reports, stream.reports()[0]) and source.description.kind == "tracks"
+
+
+def test_how_an_input_is_read_is_part_of_the_recording(tmp_path):
+    rows = b"".join(
+        json.dumps({"when": f"2024-05-01T12:00:0{k}", "d": 1 + k, "b": 10}).encode() + b"\n" for k in range(4)
+    )
+    options = {
+        "columns": {"time_s": "when", "range_m": "d", "bearing_deg": "b"},
+        "units": {"d": "km"},
+        "time_zone": "+02:00",
+    }
+    folder = recorded(
+        tmp_path, [(START_S, rows, 0, True)], [RecordedSource("south", "marine radar")], "table", **options
+    )
+    [source] = read_sources([folder])
+    assert source.reports.range_m.tolist() == [1000.0, 2000.0, 3000.0, 4000.0]
+    assert source.reports.time_s[0] == START_S - 40 * 60.0
+
+
+def test_a_file_ends_after_an_hour_and_old_ones_are_deleted(tmp_path):
+    named = RecordedInput((RecordedSource("a b/c", "ais"),))
+    recorder = Recorder(tmp_path, named, keep_s=2.0 * FILE_S)
+    (tmp_path / "other-20200101T000000Z.jsonl").write_text("of another input")
+    for hour in range(7):
+        recorder.write([(START_S + hour * FILE_S, b"x\n", 0, True), (START_S + hour * FILE_S + 1.0, b"y\n", 0, True)])
+    # A clock that is set back begins a file of its own.
+    recorder.write([(START_S + 5 * FILE_S, b"z\n", 0, True)])
+    recorder.close()
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [
+        "a_b_c-20240501T134000Z.jsonl", "a_b_c-20240501T144000Z.jsonl", "a_b_c-20240501T154000Z-2.jsonl",
+        "a_b_c-20240501T154000Z.jsonl", "a_b_c-20240501T164000Z.jsonl", "other-20200101T000000Z.jsonl",
+    ]  # fmt: skip
+    assert [len((tmp_path / name).read_text().splitlines()) for name in names[:-1]] == [3, 3, 2, 3, 3]
+
+
+def test_a_disk_that_refuses_is_an_alarm_and_the_next_piece_is_tried_again(tmp_path, sensors):
+    path, _ = sensors
+    keeper = Keeper(read_settings(path))
+    (tmp_path / "raw").write_text("a file where the folder should be")
+    wire = keeper.wires[next(iter(keeper.wires))]
+    wire._received(cable(0), 1, last=True)
+    keeper.tick()
+    [alarm] = [one for one in keeper.situation.alarms if one.key == "record"]
+    assert alarm.text.startswith(f"{tmp_path / 'raw'} cannot be written; what is received is not recorded:")
+    assert keeper.health()["wires"][wire.url]["not_recorded"] == 1
+    (tmp_path / "raw").unlink()
+    wire._received(cable(1), 1, last=True)
+    keeper.tick()
+    assert not [one for one in keeper.situation.alarms if one.key == "record"]
+    # What came after the last tick is recorded at the end.
+    wire._received(cable(2), 1, last=True)
+    keeper.close()
+    assert len(read_reports(next((tmp_path / "raw").iterdir()))[1]) == 2
+
+
+def test_a_recording_is_replayed_with_the_sensor_file_of_the_watch(tmp_path, sensors):
+    path, _ = sensors
+    now = [START_S + 4800.0]
+    keeper = Keeper(read_settings(path), clock=lambda: now[0])
+    wire = keeper.wires[next(iter(keeper.wires))]
+    for k in range(30):
+        now[0] += 1.0
+        wire._received(cable(k), 1, last=True)
+    keeper.tick()
+    keeper.close()
+    # A source that sent nothing is no error.
+    settings, replay = _settings([str(tmp_path / "raw")], path, None, 10.0, None)
+    assert sorted(settings.sources) == ["ais", "radar"]
+    again = Keeper(settings, replay=replay)
+    replay.begin(0.0)
+    again.tick(START_S + 4820.0)
+    # Own ship is where her radar is.
+    lat, lon = again.picture.plane.to_geodetic([[again.situation.own_ship.x_m, again.situation.own_ship.y_m]])
+    assert (float(lat[0]), float(lon[0])) == pytest.approx(SITE, abs=1e-6)
+    assert again.picture.counts["radar"].taken == 21
+
+
+@pytest.mark.parametrize("content, words", [
+    (b'{"recording of sameas watch": 1, "sources": [', "first line of the recording is damaged"),
+    (b'{"recording of sameas watch": 7, "sources": []}\n', "a later version of sameas; read it with that version"),
+    (b'{"recording of sameas watch": 1, "sources": [{"name": "a", "kind": "ais"}], "format": null, "options": {}}\n{"',
+     "no report in the recording: 1 × damaged lines of the recording"),
+])  # fmt: skip
+def test_a_damaged_recording_is_refused(tmp_path, content, words):
+    (tmp_path / "a-20240501T000000Z.jsonl").write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        read_sources([tmp_path])
+
+
+def test_a_folder_without_recordings_is_refused(tmp_path):
+    with pytest.raises(InputError, match="is a directory without recordings of sameas watch; give a file"):
+        read_sources([tmp_path])
+
+
+@pytest.mark.slow
+def test_a_watch_that_is_killed_has_recorded_what_came_before_its_last_tick(tmp_path, sensors):
+    path, port = sensors
+    watching = subprocess.Popen(
+        [sys.executable, "-m", "sameas", "watch", "--sensors", str(path), "--no-map", "-o", str(tmp_path / "state")],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            k, end = 0, time.monotonic() + 120.0
+            while not list((tmp_path / "raw").glob("*")) and time.monotonic() < end:
+                sender.sendto(cable(k % 50), ("127.0.0.1", port))
+                k += 1
+                time.sleep(0.1)
+            sent = [b"".join((cable(0), f"$GPTXT,{n}\r\n".encode())) for n in range(20)]
+            for data in sent:
+                sender.sendto(data, ("127.0.0.1", port))
+            marks = [f"$GPTXT,{n}\\r\\n" for n in range(20)]
+
+            def text():
+                return "".join(one.read_text() for one in (tmp_path / "raw").glob("ais+radar-*"))
+
+            while not all(mark in text() for mark in marks) and time.monotonic() < end:
+                time.sleep(0.1)
+            watching.send_signal(signal.SIGKILL)
+            watching.wait(20.0)
+    finally:
+        watching.kill()
+        watching.wait(20.0)
+        watching.stdout.close()
+    assert all(mark in text() for mark in marks)
+    # A kill in the middle of a line: the lines before are read.
+    [file] = (tmp_path / "raw").glob("ais+radar-*")
+    whole = len(read_reports(file)[1])
+    os.truncate(file, file.stat().st_size - 20)
+    assert whole - 1 <= len(read_reports(file)[1]) < whole
+    done = subprocess.run(
+        [sys.executable, "-m", "sameas", "watch", "--sensors", str(path), "raw", "--pace", "50", "--no-map"],
+        capture_output=True, text=True, cwd=tmp_path, timeout=120.0, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0 and "ais: " in done.stdout and "radar: " in done.stdout, done.stdout + done.stderr
