@@ -69,7 +69,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import log_softmax, logsumexp
 
-from sameas.arrays import FloatArray, IntArray, ordered_by
+from sameas.arrays import BoolArray, FloatArray, IntArray, ordered_by
 from sameas.gaussian import inverse, log_density, mahalanobis_sq
 from sameas.kernels.kalman import add_evidence, correlated_shifts, update_in_plane
 from sameas.picture.tables import RANGE_BANDS, Scan
@@ -166,6 +166,10 @@ class ErrorCorrelation:
         log_probable[changed] = self.log_prior[changed]
         factor = np.where(change <= tuning.correlation_restart, self.factor, factor)
         return replace(self, log_probable=log_probable, factor=factor)
+
+    def begun_anew(self, before: ErrorCorrelation) -> BoolArray:
+        """(S,) of which sources the estimate began anew since ``before``, of the same sources."""
+        return np.asarray(np.isfinite(before.factor) & (self.factor != before.factor))
 
     def numbers(self, scan: Scan) -> IntArray:
         """(S,) the index in ``names`` of each source of a scan."""

@@ -444,10 +444,15 @@ class TrackMemory:
         rows = np.flatnonzero((a >= 0) & (b >= 0) & (changed[a] | changed[b]))
         a, b, before, covariance = a[rows], b[rows], self.tracks.scan.covariance[:, :2, :2], scan.covariance[:, :2, :2]
         change = scan.error_factor / self.tracks.scan.error_factor
-        track_pairs = self.track_pairs.with_errors(
-            rows, scan.state[a, :2] - scan.state[b, :2], (before[a], before[b]), (covariance[a], covariance[b]),
-            (change[a], change[b]),
-        )  # fmt: skip
+        delta, after = scan.state[a, :2] - scan.state[b, :2], (covariance[a], covariance[b])
+        track_pairs = self.track_pairs.with_errors(rows, delta, (before[a], before[b]), after, (change[a], change[b]))
+        correlation = tracks.error_correlation
+        anew = correlation.begun_anew(self.tracks.error_correlation)[correlation.numbers(scan)[scan.source]]
+        restart = anew[a] | anew[b]
+        lasting = tracks.lasting[a[restart]], tracks.lasting[b[restart]]
+        track_pairs = track_pairs.without_history(
+            rows[restart], delta[restart], (after[0][restart], after[1][restart]), lasting
+        )
         return replace(self, tracks=tracks, track_pairs=track_pairs)
 
     def rule(self) -> PreviousScans:

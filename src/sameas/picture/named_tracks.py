@@ -136,7 +136,9 @@ class NamedTracks:
         if not changed.any():
             return self, changed
         scan = self.error_factors.applied(self.scan)
-        return replace(self, scan=scan, lasting=_lasting_root(scan, self.error_correlation)), changed
+        correlation = self.error_correlation.with_factors(self.error_factors.factor, scan.tuning)
+        lasting = _lasting_root(scan, correlation)
+        return replace(self, scan=scan, error_correlation=correlation, lasting=lasting), changed
 
     def numbers_on(self, scan: Scan) -> IntArray:
         """(n,) the number of each record's track; ABSENT for records without an id and for new ids."""

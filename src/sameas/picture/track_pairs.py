@@ -211,6 +211,22 @@ class TrackPairs(ColumnTable):
         out.log_now[rows], out.chi_sq[rows] = log_now, chi_sq
         return out
 
+    def without_history(
+        self, rows: IntArray, delta: FloatArray, covariances: tuple[FloatArray, FloatArray],
+        lasting: tuple[FloatArray, FloatArray],
+    ) -> TrackPairs:  # fmt: skip
+        """The table with the errors of the pairs ``rows`` (k,) as of new pairs, for sources whose correlation of errors
+        is estimated anew; arguments as of :meth:`of`.
+
+        Errors that were thought three times too large, and to persist, became large constant ones in these pairs, and
+        the errors of later reports would count as evidence against them. ln r stays.
+        """
+        if not len(rows):
+            return self
+        errors = np.concatenate([self.errors, self.new_errors])[self.row]
+        errors[rows] = _without_history(delta, covariances, lasting)
+        return replace(self, row=np.arange(len(self)), errors=errors, new_errors=np.empty((0, WIDTH)))
+
     def stepped(
         self, step: Step, reassigned: float, swaps: SwapRates, per_m2: float, tuning: Tuning = DEFAULT_TUNING
     ) -> tuple[TrackPairs, SwapRates]:

@@ -31,7 +31,7 @@ from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import AntennaRotation, scans_of, seen_from
 from sameas.tracks.source import Description
-from sameas.tracks.stationary import stationary
+from sameas.tracks.stationary import ADRIFT, drift_walk, stationary
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
@@ -133,7 +133,8 @@ class Feed:
     raw_reports : as read. notes : what was excluded, printable sentences.
     measured : for filtered reports, the measured positions with the filtered velocities.
     rotation : of an antenna whose plots have their own time stamps; None if scans are exposures.
-    p_stationary : (n,) probability that a report is of a stationary object; None if the motion has no such objects.
+    p_slow : (n, 3) probability that a report is of an object alongside, at anchor, and adrift; None if the motion has
+        no such objects.
     tuning : of tracks. heights : in a live feed, the (n, 4) columns of ``heights.HeightColumns``, None if it has had
         no heights; in other feeds they are in ``raw_reports``.
     """
@@ -148,7 +149,7 @@ class Feed:
     notes: tuple[str, ...] = ()
     measured: States | None = None
     rotation: AntennaRotation | None = None
-    p_stationary: FloatArray | None = None
+    p_slow: FloatArray | None = None
     tuning: Tuning = DEFAULT_TUNING
     heights: FloatArray | None = None
 
@@ -193,7 +194,7 @@ class Feed:
                 doubtful_s=60.0 if reports.counted_clock else 0.0,
             )  # fmt: skip
             notes += tuple(f"{description.name}: {note}" for note in (*repetitions, *duplicates))
-        p_stationary, measured = None, None
+        p_slow, measured = None, None
         if to_tracks:
             if not isinstance(in_plane, States):
                 raise InputError(f"{description.name}: directions are not filtered; give positions")
@@ -202,8 +203,8 @@ class Feed:
             in_plane = at_reported if description.kind in CORRELATED_KINDS else tracks
             measured, _ = stationary(at_reported, description.motion, placed.tuning)
         if isinstance(in_plane, States):
-            in_plane, p_at_rest = stationary(in_plane, description.motion, placed.tuning)
-            p_stationary = None if p_at_rest is None else p_at_rest.sum(axis=1)
+            in_plane, modes = stationary(in_plane, description.motion, placed.tuning)
+            p_slow = None if modes is None else modes.p_slow
         given_times = None if scan_times_s is None else np.asarray(scan_times_s, np.float64)
         scans = scans_of(
             in_plane.time_s, description.timing.period_s, _bearings(in_plane, sensor_m), given_times, placed.tuning
@@ -212,7 +213,7 @@ class Feed:
         attributes = {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
         return cls(
             description, in_plane, np.unique(scan_times), scans.scan_s, sensor_m, attributes, reports, notes, measured,
-            scans.rotation, p_stationary, placed.tuning,
+            scans.rotation, p_slow, placed.tuning,
         )  # fmt: skip
 
     @property
@@ -227,9 +228,17 @@ class Feed:
 
     @cached_property
     def walk_m2_per_s3(self) -> FloatArray:
-        """(n,) power density of the velocity random walk of each report's object, times the probability of motion."""
-        p_moving = np.ones(len(self.reports)) if self.p_stationary is None else 1.0 - self.p_stationary
-        return walk_of(self.description) * p_moving
+        """(n,) power density of the velocity random walk of each report's object, the mean over its modes of motion."""
+        walk = walk_of(self.description)
+        if self.p_slow is None or self.p_stationary is None:
+            return np.full(len(self.reports), walk)
+        return walk * (1.0 - self.p_stationary) + drift_walk(self.tuning) * self.p_slow[:, ADRIFT]
+
+    @cached_property
+    def p_stationary(self) -> FloatArray | None:
+        """(n,) probability that a report is of an object alongside, at anchor or adrift; None if the motion has no such
+        objects."""
+        return None if self.p_slow is None else self.p_slow.sum(axis=1)
 
     @cached_property
     def track_timeout_s(self) -> float:

@@ -48,7 +48,7 @@ from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import scans_of
 from sameas.tracks.source import Description
-from sameas.tracks.stationary import RESTS, stationary
+from sameas.tracks.stationary import MODES, SLOW, Modes, stationary
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
@@ -239,12 +239,12 @@ class LiveFeed:
             scans = scans_of(time_s[live], self.description.timing.period_s, bearing, None, self.tuning)
             scan_s = np.full(len(rows), -math.inf)
             scan_s[live], scan_times_s, rotation = scans.scan_s, np.unique(scans.scan_s), scans.rotation
-        p_stationary = None
+        p_slow = None
         if isinstance(reports, States) and self.description.motion.stationary_share:
-            p_stationary = rows.p_at_rest.sum(axis=1)
+            p_slow = rows.p_slow
         feed = Feed(
             self.description, reports, scan_times_s, scan_s, sensor_m, rows.attributes, None, (), None, rotation,
-            p_stationary, self.tuning, rows.heights if self._has_heights else None,
+            p_slow, self.tuning, rows.heights if self._has_heights else None,
         )  # fmt: skip
         if self._named:
             feed = feed.with_succession(self._succession(rows), self.track_timeout_s())
@@ -509,12 +509,17 @@ class LiveFeed:
             if self.to_tracks and self.description.kind in CORRELATED_KINDS
             else tracks
         )
-        p_known = np.where(is_start[:, None], table.p_at_rest[at], np.nan)
-        visible, p_at_rest = stationary(visible, self.description.motion, self.tuning, p_known)
+        known = Modes(
+            np.where(is_start[:, None], table.modes[at], np.nan), table.modes_mean[at], table.modes_covariance[at]
+        )
+        visible, modes = stationary(visible, self.description.motion, self.tuning, known)
         at = at[updated]
         table.filtered[at], table.filtered_covariance[at] = tracks.state[updated], tracks.covariance[updated]
         table.state[at], table.covariance[at] = visible.state[updated], visible.covariance[updated]
-        table.p_at_rest[at] = 0.0 if p_at_rest is None else p_at_rest[updated]
+        if modes is not None:
+            table.p_slow[at] = modes.p_slow[updated]
+            table.modes[at], table.modes_mean[at] = modes.log_p[updated], modes.mean[updated]
+            table.modes_covariance[at] = modes.covariance[updated]
 
     def _claim(self, n: int) -> IntArray:
         """(n,) free rows; the table is extended if there are too few."""
@@ -596,7 +601,7 @@ def unbiased_now(feed: Feed, biases: FloatArray, covariance: FloatArray, track_t
 
 
 #: Columns that a feed needs.
-_VISIBLE = ("time_s", "state", "covariance", "p_at_rest", "sensor_m", "heights", "name")
+_VISIBLE = ("time_s", "state", "covariance", "p_slow", "sensor_m", "heights", "name")
 
 
 class _Rows:
@@ -605,7 +610,9 @@ class _Rows:
     ARRAYS: tuple[tuple[str, tuple[int, ...], float], ...] = (
         ("time_s", (), -math.inf), ("measured", (4,), math.nan), ("measured_covariance", (4, 4), math.nan),
         ("filtered", (4,), math.nan), ("filtered_covariance", (4, 4), math.nan), ("state", (4,), math.nan),
-        ("covariance", (4, 4), math.nan), ("p_at_rest", (RESTS,), 0.0), ("sensor_m", (2,), math.nan),
+        ("covariance", (4, 4), math.nan), ("p_slow", (SLOW,), 0.0), ("sensor_m", (2,), math.nan),
+        ("modes", (MODES,), math.nan), ("modes_mean", (MODES, 4), math.nan),
+        ("modes_covariance", (MODES, 4, 4), math.nan),
         ("heights", (4,), math.nan), ("late_s", (), -math.inf), ("trend", (4,), math.nan),
     )  # fmt: skip
     time_s: FloatArray
@@ -615,7 +622,10 @@ class _Rows:
     filtered_covariance: FloatArray
     state: FloatArray
     covariance: FloatArray
-    p_at_rest: FloatArray
+    p_slow: FloatArray
+    modes: FloatArray
+    modes_mean: FloatArray
+    modes_covariance: FloatArray
     sensor_m: FloatArray
     heights: FloatArray
     late_s: FloatArray
@@ -637,7 +647,9 @@ class _Rows:
     def _without_states(cls, n: int) -> _Rows:
         """Rows without the columns of times and states, to be set by the caller."""
         rows = cls(0)
-        rows.p_at_rest, rows.sensor_m = np.zeros((n, RESTS)), np.full((n, 2), np.nan)
+        rows.p_slow, rows.sensor_m = np.zeros((n, SLOW)), np.full((n, 2), np.nan)
+        modes = Modes.unknown(n)
+        rows.modes, rows.modes_mean, rows.modes_covariance = modes.log_p, modes.mean, modes.covariance
         rows.heights = np.full((n, 4), np.nan)
         rows.number, rows.serial, rows.name = np.full(n, ABSENT), np.full(n, ABSENT), np.full(n, "", object)
         rows.late_s, rows.trend = np.full(n, -np.inf), InnovationTrend.none(n)

@@ -57,7 +57,9 @@ class Tuning:
     stationary_timeout_s : minimum track timeout of a probably stationary object: two of the intervals at which vessels
         at anchor report (3 min: ITU-R M.1371-5, table 1).
     rest_s : mean time for which a stationary object stays so. alongside : speed of a vessel alongside, in that of one
-        at anchor.
+        at anchor. drift_share, drift_m_per_s, drift_s : share of the moving objects that are adrift, their velocity (1σ
+        per axis), and the time in which it changes: tidal streams reach 1 to 2 m/s and turn within hours, but a vessel
+        waiting under engines corrects her drift every few minutes.
     at_rest : an object moves if the χ² of its velocity against 0 exceeds this quantile for objects at rest.
     repeat_sigmas : an object has left a repeated position if it moved farther than this many σ of that position since:
         below, the position is as good as others; rounding to a step of √12 σ cannot be seen either.
@@ -160,6 +162,9 @@ class Tuning:
     stationary_timeout_s: float = 360.0
     rest_s: float = 3600.0
     alongside: float = 0.1
+    drift_share: float = 0.1
+    drift_m_per_s: float = 0.5
+    drift_s: float = 600.0
     at_rest: float = 1.0 - 1e-6
     repeat_sigmas: float = 2.0
     max_speed_sigmas: float = 5.0
