@@ -108,7 +108,8 @@ def test_a_flood_drops_and_counts_the_oldest_data():
     [
         ("carrier-pigeon://loft", "not a known kind of input; give one of udp"), ("udp://10.0.0.1", "has no port"),
         ("127.0.0.1:10110", "give udp://127.0.0.1:10110, or tcp://127.0.0.1:10110"),
-        ("ws://boat:3000/signalk/v1/stream", "WebSockets are not read; give tcp://boat:8375 for Signal K"),
+        ("ws:///signalk", "has no host; give ws://HOST:PORT/signalk/v1/stream"),
+        ("ws://me:secret@boat:3000", r"input ws://boat:3000: has a password, .* give username = .* next to url"),
         ("udp://239.1.1.1:8600?interface=eth0", "interface is 'eth0'; give its address"),
     ],
 )  # fmt: skip

@@ -14,7 +14,17 @@ from tests.live.conftest import EVIL, SITE, START_S, replay, settings
 from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.keeper import Keeper
-from sameas.live.outputs import ENCODERS, Sink, TargetNumbers, geojson, metrics, nmea, sinks_of
+from sameas.live.outputs import (
+    ENCODERS,
+    SentTracks,
+    Sink,
+    TargetNumbers,
+    asterix,
+    geojson,
+    metrics,
+    nmea,
+    sinks_of,
+)
 from sameas.live.situation import OwnShipState
 from sameas.tracks.heights import GEOMETRIC, PRESSURE, HeightModel, _Line
 
@@ -73,6 +83,35 @@ def test_asterix_062_has_identities_and_heights(situation, model, column):
     assert reports.climb_m_per_s[k] == pytest.approx(-5.0, abs=0.02)
     # Ships have the beginning of their name in capitals, without what six bits cannot write.
     assert {text for text in reports.callsign if text} == {"BAW 12", *(f"SHIP {n}" for n in range(1, 5))}
+
+
+@pytest.mark.slow
+def test_a_track_of_asterix_062_begins_and_ends_once(situation):
+    sent, tracks, gone = [], SentTracks(), int(situation.objects["object"][0])
+    stages = situation.objects["stage"].copy()
+    stages[situation.objects["object"] == gone] = "ended"
+    ended = replace(situation, time_s=situation.time_s + 1.0, objects={**situation.objects, "stage": stages})
+    held = np.where(stages == "ended", stages, "coasting")
+    coasting = replace(ended, objects={**ended.objects, "stage": held})
+    for one in (situation, situation, ended, coasting):
+        stream = ReportStream("out", "asterix")
+        for part in asterix(one, tracks):
+            stream.feed(part, one.time_s, last=True)
+        [reports] = stream.reports()
+        sent.append(reports)
+    flags = [dict(zip(reports.track_id.tolist(), reports.extra["ends"].tolist(), strict=True)) for reports in sent]
+    everyone = {str(number): 0.0 for number in placed(situation)}
+    rest = {number: 0.0 for number in everyone if number != str(gone)}
+    assert flags == [everyone, everyone, {**everyone, str(gone): 1.0}, rest]
+    # The end is the last report once more, at its own time.
+    row = sent[2].track_id.tolist().index(str(gone))
+    assert sent[2].time_s[row] == pytest.approx(situation.time_s, abs=0.01)
+    # The begin takes an octet more; of a coasting track four octets follow each other.
+    fresh = SentTracks()
+    first, second = (sum(map(len, asterix(situation, fresh))) for _ in range(2))
+    assert first == second + len(everyone)
+    coasted = dict(zip(sent[3].track_id.tolist(), sent[3].extra["coasted"].tolist(), strict=True))
+    assert coasted == dict.fromkeys(rest, 1.0)
 
 
 def test_ttm_and_tll_round_trip(situation):

@@ -277,3 +277,47 @@ def test_sbs_lines_in_local_time_are_read_in_their_zone():
     stream = ReportStream("sbs", options=ReadOptions(time_zone="Europe/Berlin"))
     stream.feed(line, 0.0)
     assert (stream.reports()[0].time_s / 3600.0 % 24.0).tolist() == [12.0]
+
+
+def signalk_delta(second, **values):
+    update = {"timestamp": f"2024-05-01T12:00:{second:02d}Z", "values": [
+        {"path": name.replace("_", "."), "value": value} for name, value in values.items()
+    ]}  # fmt: skip
+    return json.dumps({"context": "vessels.urn:mrn:imo:mmsi:235070762", "updates": [update]}).encode() + b"\n"
+
+
+def signalk_reports(*deltas):
+    stream = ReportStream("boat", "signalk")
+    for one in deltas:
+        stream.feed(one, 0.0)
+    [reports] = stream.reports()
+    return reports
+
+
+def test_a_ship_of_signal_k_is_at_the_middle_of_its_hull():
+    place = {"navigation_position": {"latitude": 50.1, "longitude": -1.2}}
+    size = {"design_length": {"overall": 300.0, "hull": 290.0}, "design_beam": 40.0}
+    east = {"navigation_headingTrue": math.pi / 2}
+    bow = {"sensors_ais_fromBow": 250.0}
+    # Sizes come seldom, long before the positions; the antenna is 100 m behind the middle.
+    moved = signalk_reports(signalk_delta(0, **size, **bow), signalk_delta(50, **east), signalk_delta(55, **place))
+    assert (moved.length_m[0], moved.width_m[0]) == (300.0, 40.0)
+    metres_per_degree = 111_412.84 * math.cos(math.radians(50.1)) - 93.5 * math.cos(3 * math.radians(50.1))
+    assert (moved.lon_deg[0] + 1.2) * metres_per_degree == pytest.approx(100.0, abs=0.3)
+    assert moved.lat_deg[0] == pytest.approx(50.1, abs=1e-7)
+    assert moved.covariance_m2[0] == pytest.approx([15.0**2 + 300.0**2 / 12, 0.0, 15.0**2 + 40.0**2 / 12], abs=0.1)
+    # A GNSS antenna of the vessel does as well.
+    gps = {"sensors_gps_fromBow": 250.0}
+    same = signalk_reports(signalk_delta(0, **size, **gps), signalk_delta(50, **east), signalk_delta(55, **place))
+    assert same.lon_deg[0] == moved.lon_deg[0]
+    # Without the antenna's place the position stays, and could be anywhere on the hull.
+    stays = signalk_reports(signalk_delta(0, **size), signalk_delta(50, **east), signalk_delta(55, **place))
+    assert stays.lon_deg[0] == -1.2
+    assert stays.covariance_m2[0, 0] == pytest.approx(15.0**2 + 2 * 300.0**2 / 12, abs=0.1)
+
+
+@pytest.mark.parametrize("size", [{}, {"design_length": 0.0}, {"design_length": {"overall": None}},
+                                  {"design_length": 4000.0, "design_beam": -1.0}])  # fmt: skip
+def test_a_ship_of_signal_k_without_a_size_is_where_it_is_reported(size):
+    reports = signalk_reports(signalk_delta(0, navigation_position={"latitude": 50.1, "longitude": -1.2}, **size))
+    assert (reports.lat_deg[0], reports.lon_deg[0]) == (50.1, -1.2) and reports.covariance_m2 is None

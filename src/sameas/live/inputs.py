@@ -1,9 +1,9 @@
 """Inputs: one reader task per wire, which queues bytes with their receive time and reconnects when the wire breaks.
 
 Wires: ``udp://`` (a multicast group is joined), ``tcp://`` (client), ``tcp-listen://`` (server), ``http(s)://`` and
-``file://`` (polled every second), ``serial:`` (with pyserial), ``stdin:``. The queue of a wire is bounded: when the
-picture cannot keep up, the oldest data are dropped and counted, so that a flood on one wire loses reports of that wire
-only.
+``file://`` (polled every second), ``ws(s)://`` (of a Signal K server), ``serial:`` (with pyserial), ``stdin:``. The
+queue of a wire is bounded: when the picture cannot keep up, the oldest data are dropped and counted, so that a flood on
+one wire loses reports of that wire only.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from urllib.parse import parse_qs, urlsplit
 from sameas.errors import InputError
 from sameas.io.sensors.recording import Recorder
 from sameas.io.sensors.stream import ReportStream, format_of
+from sameas.live.websocket import Login, WebSocket, require_readable
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 
@@ -50,9 +51,9 @@ ANSWER_S = 10.0
 MOST_PIECES = 16
 #: Largest number of senders of datagrams whose unfinished sentences are kept apart.
 MOST_SENDERS = 1000
-_SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "file", "serial", "stdin")
+_SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "ws", "wss", "file", "serial", "stdin")
 #: A Signal K server sends deltas over TCP only to a client that subscribes (Signal K 1.7, "Subscription protocol").
-_SUBSCRIPTION = b'{"context":"*","subscribe":[{"path":"*","policy":"instant"}]}\r\n'
+_SUBSCRIPTION = '{"context":"*","subscribe":[{"path":"*","policy":"instant"}]}'
 #: A piece of data: receive time, bytes, number of its connection, whether it is the last of this connection.
 Piece = tuple[float, bytes, int, bool]
 
@@ -113,7 +114,7 @@ class Wire:
     Parameters
     ----------
     url : see the module. stream : decodes the bytes. max_bytes : size of the queue. clock : UTC in seconds.
-    recorder : writes the bytes to disk before they are decoded.
+    recorder : writes the bytes to disk before they are decoded. login : for a server that wants one.
     """
 
     def __init__(
@@ -124,8 +125,10 @@ class Wire:
         max_bytes: int = 8 << 20,
         clock: Callable[[], float] = time.time,
         recorder: Recorder | None = None,
+        login: Login | None = None,
     ) -> None:
         self.url, self.stream, self.clock, self.recorder = url, stream, clock, recorder
+        self.login = login or Login()
         self.queue, self.state = BoundedQueue(max_bytes), WireState()
         parts = urlsplit(url)
         _require_readable(url)
@@ -138,7 +141,8 @@ class Wire:
         scheme = urlsplit(self.url).scheme
         reader: Callable[[], Awaitable[None]] = {
             "udp": self._udp, "tcp": self._tcp, "tcp-listen": self._listen, "http": self._polled, "https": self._polled,
-            "file": self._polled, "serial": self._serial, "stdin": self._stdin,
+            "ws": self._web_socket, "wss": self._web_socket, "file": self._polled, "serial": self._serial,
+            "stdin": self._stdin,
         }[scheme]  # fmt: skip
         while True:
             before = self.state.received
@@ -232,7 +236,7 @@ class Wire:
                 self._received(data, connection)
                 if not subscribed and (self.stream.format or format_of(data)) == "signalk":
                     # Its first message is a greeting.
-                    writer.write(_SUBSCRIPTION)
+                    writer.write(_SUBSCRIPTION.encode() + b"\r\n")
                     subscribed = True
         except TimeoutError:
             raise TimeoutError(f"no data for {SILENT_S:.0f} s") from None
@@ -241,6 +245,35 @@ class Wire:
             writer.close()
             with suppress(OSError):
                 await writer.wait_closed()
+
+    async def _web_socket(self) -> None:
+        # The token may have expired since the last connection.
+        token = await self.login.ask_token(self.url, ANSWER_S)
+        try:
+            async with asyncio.timeout(ANSWER_S):
+                opened = await WebSocket.open(self.url, token)
+        except TimeoutError:
+            raise TimeoutError(f"no answer for {ANSWER_S:.0f} s") from None
+        _keep_alive(opened.writer)
+        connection = self._set_connected()
+        try:
+            if "subscribe=" not in self.url or "subscribe=none" in self.url:
+                await opened.send(_SUBSCRIPTION)
+            messages = opened.messages()
+            while True:
+                async with asyncio.timeout(SILENT_S):
+                    message = await anext(messages, None)
+                if message is None:
+                    return
+                # A message is a line, however it is printed.
+                self._received(message.replace(b"\n", b" ") + b"\n", connection)
+        except TimeoutError:
+            raise TimeoutError(f"no data for {SILENT_S:.0f} s") from None
+        finally:
+            self._ended(connection)
+            opened.writer.close()
+            with suppress(OSError):
+                await opened.writer.wait_closed()
 
     async def _listen(self) -> None:
         parts = urlsplit(self.url)
@@ -335,7 +368,7 @@ def _require_readable(url: str) -> None:
     """Refuses an address that can never be read, whatever is connected later."""
     parts = urlsplit(url)
     if parts.scheme in ("ws", "wss"):
-        raise InputError(f"input {url!r}: WebSockets are not read", f"give tcp://{parts.hostname}:8375 for Signal K")
+        require_readable(url)
     if parts.scheme not in _SCHEMES:
         remedy = f"give one of {', '.join(_SCHEMES)}"
         if re.fullmatch(r"[\w.-]+:\d+", url):

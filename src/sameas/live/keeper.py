@@ -738,7 +738,7 @@ def _wires(settings: Settings, clock: Callable[[], float]) -> dict[str, Wire]:
             if (watch := settings.watch).record is not None:
                 recorded = settings.recorded_input(source.url)
                 recorder = Recorder(Path(watch.record), recorded, watch.record_hours * 3600.0)
-            wires[source.url] = Wire(source.url, stream, clock=clock, recorder=recorder)
+            wires[source.url] = Wire(source.url, stream, clock=clock, recorder=recorder, login=source.login)
     return wires
 
 

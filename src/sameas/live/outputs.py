@@ -202,28 +202,62 @@ def signalk(situation: Situation) -> Iterator[bytes]:
         yield json.dumps(delta, ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
 
-def asterix(situation: Situation) -> Iterator[bytes]:
+@dataclass
+class SentTracks:
+    """The last record of every track that was sent and has not ended: its time, and the object."""
+
+    last: dict[int, tuple[float, Mapping[str, Any]]] = field(default_factory=dict)
+
+    def update(
+        self, time_s: float, objects: Sequence[Mapping[str, Any]]
+    ) -> tuple[set[int], list[tuple[float, Mapping[str, Any]]]]:
+        """Takes the objects that are sent now: the numbers of those that begin, and the last records of those that are
+        sent no longer."""
+        now = {int(one["object"]): (time_s, one) for one in objects}
+        begin = set(now) - set(self.last)
+        ended = [last for number, last in self.last.items() if number not in now]
+        self.last = now
+        return begin, ended
+
+
+def asterix(situation: Situation, tracks: SentTracks | None = None) -> Iterator[bytes]:
     """Blocks of category 062, edition 1.18, of up to twenty tracks each, with accuracies (item 500).
 
     Items 010, 070, 105, 185, 040, 080 and 500; where known 060 (Mode A code), 245 (call sign, else the beginning of a
     ship's name), 380 (address), 130 or 135 (height above the ellipsoid, or pressure height) and 220 (vertical rate).
+    tracks : that were sent before; updated. The first record of a track has bit TSB of item 080. One that left the
+    picture is sent once more, as it was last, with bit TSE.
     """
-    records = [_record(situation, one) for one in _confirmed(situation) if one.get("lat_deg") is not None]
+    placed = [one for one in _confirmed(situation) if one.get("lat_deg") is not None]
+    begin, ended = (SentTracks() if tracks is None else tracks).update(situation.time_s, placed)
+    records = [_record(situation, one, time_s, _TRACK_ENDS) for time_s, one in ended]
+    records += [
+        _record(situation, one, situation.time_s, _TRACK_BEGINS if one["object"] in begin else 0) for one in placed
+    ]
     for first in range(0, len(records), _TRACKS):
         data = b"".join(records[first : first + _TRACKS])
         yield bytes([62]) + (len(data) + 3).to_bytes(2, "big") + data
 
 
-def _record(situation: Situation, one: Mapping[str, Any]) -> bytes:
+#: Bits TSE and TSB of octet 2 of item 080.
+_TRACK_ENDS, _TRACK_BEGINS = 0x40, 0x20
+
+
+def _record(situation: Situation, one: Mapping[str, Any], time_s: float, status: int) -> bytes:
+    """The record of a track. status : bits of octet 2 of item 080."""
     unit = 180.0 / 2**25
     lat, lon = round(one["lat_deg"] / unit), round(one["lon_deg"] / unit)
-    # Octet 1 of item 080: multisensor; a coasting track has bit CST of octet 4.
+    # Octet 1 of item 080: multisensor; a coasting track has bit CST of octet 4. The lowest bit: an octet follows.
     items: dict[int, bytes] = {
         1: bytes([0, 0]),
-        4: (round(situation.time_s % 86400.0 * 128.0) % (86400 * 128)).to_bytes(3, "big"),
+        4: (round(time_s % 86400.0 * 128.0) % (86400 * 128)).to_bytes(3, "big"),
         5: lat.to_bytes(4, "big", signed=True) + lon.to_bytes(4, "big", signed=True),
         12: (one["object"] % 65536).to_bytes(2, "big"),
-        13: bytes([0x01, 0x01, 0x01, 0x80]) if one["stage"] == "coasting" else bytes([0x00]),
+        13: bytes([0x01, status | 0x01, 0x01, 0x80])
+        if one["stage"] == "coasting"
+        else bytes([0x01, status])
+        if status
+        else bytes([0x00]),
         27: _accuracy(one),
     }
     course, speed, icao = one["course_deg"], one["speed_m_per_s"], str(one.get("icao", ""))
@@ -326,7 +360,11 @@ class Sink:
         if self.format not in ENCODERS:
             raise InputError(f"output {self.url!r}: format is {self.format!r}", f"give one of {', '.join(ENCODERS)}")
         self.numbers = TargetNumbers()
-        self._encode = partial(nmea, numbers=self.numbers) if self.format == "nmea" else ENCODERS[self.format]
+        self._encode = ENCODERS[self.format]
+        if self.format == "nmea":
+            self._encode = partial(nmea, numbers=self.numbers)
+        elif self.format == "asterix":
+            self._encode = partial(asterix, tracks=SentTracks())
         self._socket: socket.socket | None = None
         if parts.scheme == "udp":
             host, port = parts.hostname or "127.0.0.1", int(parts.port or 0)

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
@@ -31,6 +32,7 @@ from sameas.io.sensors.format import ReadOptions
 from sameas.io.sensors.recording import RecordedInput, RecordedSource
 from sameas.io.sensors.sources import ZONED
 from sameas.io.sensors.stream import STREAM_FORMATS
+from sameas.live.websocket import Login
 from sameas.maps.outline import read_coast
 from sameas.maps.tiles import is_tiles, open_chart
 from sameas.tracks.coordinates import LocalPlane
@@ -104,13 +106,17 @@ class WatchSettings:
 
 @dataclass(frozen=True)
 class LiveSource:
-    """One source: description, wire (None: replayed from files), format. sensor : its name on a shared wire."""
+    """One source: description, wire (None: replayed from files), format. sensor : its name on a shared wire.
+
+    login : to the server of its wire.
+    """
 
     description: Description
     url: str | None = None
     format: str | None = None
     sensor: str | None = None
     options: ReadOptions = field(default_factory=ReadOptions)
+    login: Login | None = None
 
     def takes(self, reports: Reports) -> bool:
         """Whether reports from its wire belong to this source."""
@@ -168,7 +174,7 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
     given = {"url": given} if isinstance(given, str) else {} if given is None else given
     if not isinstance(given, Mapping):
         raise InputError(f'{where}.input is {given!r}; give "udp://HOST:PORT", or {{ url = "…", format = "…" }}')
-    known = ("url", "format", "sensor", "columns", "units", "time_zone")
+    known = ("url", "format", "sensor", "columns", "units", "time_zone", "token", "username", "password")
     for key in given:
         if key not in known:
             raise InputError(f"{where}.input: {key!r} is not known", _instead_of(key, known))
@@ -194,7 +200,32 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
     options = ReadOptions(
         name, columns=given.get("columns"), units=given.get("units"), kind=description.kind, time_zone=zone
     )
-    return LiveSource(description, given.get("url"), given.get("format"), given.get("sensor"), options)
+    login = _login(given, f"{where}.input")
+    return LiveSource(description, given.get("url"), given.get("format"), given.get("sensor"), options, login)
+
+
+def _login(given: Mapping[str, Any], where: str) -> Login | None:
+    """The login in an input; a secret may be in the environment: { env = "NAME" }."""
+    secrets = {name: _secret(given[name], f"{where}.{name}") for name in ("token", "username", "password")
+               if name in given}  # fmt: skip
+    if not secrets:
+        return None
+    if not str(given.get("url", "")).startswith(("ws://", "wss://")):
+        raise InputError(f"{where}: {next(iter(secrets))} is for ws:// and wss:// only", "leave it out")
+    if "password" in secrets and "username" not in secrets:
+        raise InputError(f"{where}: password, but no username; give both")
+    return Login(**secrets)
+
+
+def _secret(value: Any, where: str) -> str:
+    if isinstance(value, Mapping) and set(value) == {"env"} and isinstance(value["env"], str):
+        if value["env"] not in os.environ:
+            raise InputError(f"{where}: the environment has no {value['env']}", "set it, or give the text here")
+        value = os.environ[value["env"]]
+    # The value itself is in no message.
+    if not isinstance(value, str) or not value.isprintable():
+        raise InputError(f"{where} is no text of one line", 'give it in quotes, or { env = "NAME" }')
+    return value
 
 
 def _watch(table: Any, where: str, sources: Mapping[str, LiveSource]) -> WatchSettings:

@@ -114,6 +114,8 @@ _CLOCKS = (4, 11)
 _LONG_RANGE_STEP_M = 0.1 * MILE_M
 #: Above this speed, in m/s, the course is used as heading where none is sent.
 _STEERING_M_PER_S = 1.0
+#: Length of a ship per width, where its width is not stated (chosen).
+LENGTH_PER_WIDTH = 6.0
 HULL_CENTRES = (
     "positions are those of the middle of the hull; echoes are assumed to be uniform over the hull; "
     f"the course is used as heading where none is sent and the speed is {_STEERING_M_PER_S:g} m/s or more"

@@ -1,9 +1,10 @@
 """Signal K: the deltas of a server, one JSON object per line, of vessels and of radar targets.
 
-Positions of vessels become reports under their MMSI; speed, course, heading and name are in deltas of their own, and
-every position gets the latest of its vessel. Own ship is ``vessels.self`` or ``self`` of the hello message; its
-position is that of the radars. Angles are radians, speeds m/s. Source: Signal K 1.7, "Delta format"; the Radar API
-of Signal K 2 puts targets under ``radars.ID.targets.NUMBER``.
+Positions of vessels become reports under their MMSI; speed, course, heading, name and size are in deltas of their own,
+and every position gets the latest of its vessel. Positions are moved to the middle of the hull, as those of AIS are.
+Own ship is ``vessels.self`` or ``self`` of the hello message; its position is that of the radars. Angles are radians,
+speeds m/s. Source: Signal K 1.7, "Delta format"; the Radar API of Signal K 2 puts targets under
+``radars.ID.targets.NUMBER``.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sameas.io.sensors.format import SensorFormat, instant, of_json, plain_text
+import numpy as np
+
+from sameas.io.sensors.ais import LENGTH_PER_WIDTH, Hull, heading_or_course
+from sameas.io.sensors.format import AIS_SIGMA_M, SensorFormat, instant, of_json, plain_text, round_covariance
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 _MMSI = re.compile(r"mmsi:(\d{9})$")
@@ -27,9 +31,17 @@ _NUMBERS = {
     "navigation.headingTrue": ("heading_deg", 180.0 / math.pi),
 }
 #: Paths of texts, with their column; the same are keys of the value of the path "".
+#: Paths of sizes in metres, with their column; the length may be an object. The signs of ``fromCenter`` differ between
+#: servers, so that antennas are taken to be on the centre line.
+_SIZES = {
+    "design.length": "length_m", "design.beam": "width_m", "sensors.ais.fromBow": "to_bow_m",
+    "sensors.gps.fromBow": "to_bow_m",
+}  # fmt: skip
 _TEXTS = {"name": "name", "communication.callsignVhf": "callsign", "registrations.imo": "imo"}
 #: Fields older than this, in seconds, are not joined to a position (chosen).
 _STALE_S = 60.0
+#: Sizes from here on, in metres, are none.
+_LONGEST_M = 1000.0
 
 
 @dataclass
@@ -78,7 +90,7 @@ def read(lines: Sequence[str], source: str, vessels: Vessels | None = None) -> l
     several = live or len(kinds) > 1
     return [
         Reports.of(
-            f"{source}:{kind}" if several else source, kind, of_rows(rows[kind]),
+            f"{source}:{kind}" if several else source, kind, _at_hull_centres(of_rows(rows[kind])),
             damaged=unusable if kind == kinds[0] else Damaged(), passed_over=passed_over if kind == kinds[0] else {},
         )
         for kind in kinds
@@ -114,6 +126,10 @@ def _add_delta(
             elif path in _NUMBERS and value is not None:
                 column, scale = _NUMBERS[path]
                 fields[column] = (time_s, scale * float(value))
+            elif path in _SIZES:
+                size = value.get("overall", value.get("hull")) if isinstance(value, Mapping) else value
+                if size is not None and 0.0 <= float(size) < _LONGEST_M:
+                    fields[_SIZES[path]] = (math.inf, float(size))
             elif path in _TEXTS or path == "":
                 fields |= {column: (math.inf, text) for column, text in _texts(path, value)}
         if position_deg is None:
@@ -132,6 +148,33 @@ def _add_delta(
                 "line": number, "time_s": time_s, "lat_deg": position_deg[0], "lon_deg": position_deg[1], "mmsi": mmsi,
                 "track_id": mmsi or context, **last,
             })  # fmt: skip
+
+
+def _at_hull_centres(columns: dict[str, Any]) -> dict[str, Any]:
+    """The columns with the positions of ships of known length at the middle of the hull, its extent in their errors."""
+    n = len(columns["time_s"])
+    unknown = np.full(n, np.nan)
+    length, width, bow = (columns.get(name, unknown) for name in ("length_m", "width_m", "to_bow_m"))
+    with np.errstate(invalid="ignore"):
+        known = length > 0.0
+        width = np.where(width > 0.0, width, length / LENGTH_PER_WIDTH)
+        has_antenna = known & (bow > 0.0) & (bow <= length)
+    columns.pop("to_bow_m", None)
+    if not known.any():
+        return columns
+    # Bow and port 0: the place of the antenna is not known.
+    hull = Hull(
+        np.where(has_antenna, bow, 0.0), np.where(has_antenna, length - bow, length),
+        np.where(has_antenna, width / 2.0, 0.0), np.where(has_antenna, width / 2.0, width),
+    )  # fmt: skip
+    given = (columns.get(name, unknown) for name in ("heading_deg", "course_deg", "speed_m_per_s"))
+    lat, lon, extent = hull.centre(columns["lat_deg"], columns["lon_deg"], heading_or_course(*given))
+    covariance = round_covariance(np.full(n, AIS_SIGMA_M[False])) + extent
+    return columns | {
+        "lat_deg": np.where(has_antenna, lat, columns["lat_deg"]),
+        "lon_deg": np.where(has_antenna, lon, columns["lon_deg"]),
+        "covariance_m2": np.where(known[:, None], covariance, np.nan),
+    }
 
 
 def _texts(path: str, value: Any) -> Iterator[tuple[str, str]]:

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.bounds import check_columns
 from sameas.errors import Argument, InputError, Message, naming
-from sameas.io.sensors.ais import HULL_CENTRES, SIDES, Hull, heading_or_course
+from sameas.io.sensors.ais import HULL_CENTRES, LENGTH_PER_WIDTH, SIDES, Hull, heading_or_course
 from sameas.io.sensors.format import (
     AIS_SIGMA_M,
     DAY_S,
@@ -160,8 +160,6 @@ QUANTITIES = (
 )
 #: Places of the antenna on the hull, A to D in AIS: other tables call other things by these letters.
 _OF_THE_ANTENNA = tuple(f"to_{side}_m" for side in SIDES)
-#: Length of a ship per width, where its width is not stated (chosen).
-_LENGTH_PER_WIDTH = 6.0
 #: Conventional units where none is stated: sentence, columns or kind of source that indicate it, names, unit.
 _CONVENTIONS = (
     ("ship speeds are knots", ("mmsi", "sourcemmsi", "imo", "ais"), ("sog", "speed", "speedoverground"), "kn"),
@@ -647,7 +645,7 @@ def _at_hull_centres(values: Mapping[str, Any], sides: Sequence[FloatArray | Non
     with np.errstate(invalid="ignore"):
         has_antenna = (bow + stern > 0.0) & (port + starboard > 0.0)
         known = has_antenna | (length > 0.0)
-        width = np.where(width > 0.0, width, length / _LENGTH_PER_WIDTH)
+        width = np.where(width > 0.0, width, length / LENGTH_PER_WIDTH)
     if not known.any():
         return dict(values), []
     # Bow and port 0: a size without the position of the antenna. Tables differ in which of C and D is port (Danish AIS
