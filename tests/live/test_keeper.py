@@ -233,6 +233,36 @@ def test_a_source_that_never_sends_is_an_alarm_with_the_reason(tmp_path):
     keeper.close()
 
 
+def test_a_cable_with_several_sources_that_falls_silent_is_one_alarm(tmp_path):
+    path, now = tmp_path / "sensors.toml", [1_714_564_800.0]
+    path.write_text(
+        '[watch]\nsilent_s = 30\n[sources.coast]\nkind = "ais"\ninput = "tcp://127.0.0.1:10110"\n'
+        '[sources.bridge]\nkind = "marine radar"\ninput = "tcp://127.0.0.1:10110"\n'
+    )
+    keeper = Keeper(read_settings(path), clock=lambda: now[0])
+    [wire] = keeper.wires.values()
+    wire.state.connected = True
+
+    def alarms(seconds):
+        now[0] += seconds
+        return [alarm.text for alarm in keeper.tick().alarms]
+
+    assert alarms(31.0) == [
+        "tcp://127.0.0.1:10110, of coast and bridge, is silent since the watch began: nothing has arrived"
+    ]
+    position = sentence("GPRMC,120031.00,A,5033.00,N,00057.00,W,0.0,0.0,010524,,,A")
+    wire._received(position + sentence("RATTM,05,2.0,45.6,T,9.0,180.0,T,,,N,,T,,120031.00,A"), last=True)
+    # Data arrive: only what is missing is named.
+    assert alarms(0.0) == [
+        "coast has sent no report since the watch began: data arrive on tcp://127.0.0.1:10110, but none are its reports"
+    ]
+    wire.state.connected, wire.state.error = False, "Connection refused"
+    assert alarms(31.0) == [
+        "tcp://127.0.0.1:10110, of coast and bridge, is silent for 30 s: it is not connected (Connection refused)"
+    ]
+    keeper.close()
+
+
 TTM = sentence("RATTM,05,2.0,45.6,T,9.0,180.0,T,,,N,,T,,,A")
 
 

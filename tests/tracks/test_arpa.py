@@ -76,7 +76,32 @@ def test_positions_computed_by_the_radar_are_used_if_there_is_nothing_else():
     assert made.time_s[0] == pytest.approx(DAY + 3600 + 52 * 60 + 0.36)
     both = reports(ZDA, tll, ttm())
     assert both.position == "polar" and both.passed_over == {"TLL of targets that TTM reports too": 1}
-    assert reports(ZDA, tll, ttm(number="02")).passed_over == {"TLL of targets that no TTM reports": 1}
+    words = "TLL of targets that no TTM reports, without own ship's position"
+    assert reports(ZDA, tll, ttm(number="02")).passed_over == {words: 1}
+
+
+def tll(number="02", lat="5048.380,N", lon="00105.576,W", time="130215.50"):
+    return f"RATLL,{number},{lat},{lon},,{time},T,"
+
+
+def test_targets_of_ttm_and_others_of_tll_in_one_log_are_all_read():
+    # Two minutes of arc north of own ship.
+    made = reports(ZDA, RMC, ttm(), tll("01"), tll(), ttm(time="130218.50"), tll(time="130218.50"))
+    assert made.position == "polar" and made.track_id.tolist() == ["01", "02", "01", "02"]
+    assert made.passed_over == {"TLL of targets that TTM reports too": 1}
+    assert made.range_m[1] == pytest.approx(2 * 1854.07, abs=0.2)
+    assert made.bearing_deg[1] == pytest.approx(0.0, abs=1e-6)
+    assert made.speed_m_per_s[0] > 3.0 and np.isnan(made.speed_m_per_s[1])
+
+
+def test_a_stream_remembers_which_targets_ttm_reports():
+    ship = arpa.ArpaState()
+    reports(ZDA, RMC, ttm(), ship=ship)
+    assert reports(RMC, tll("01"), tll(), ship=ship).track_id.tolist() == ["02"]
+    assert reports(RMC, tll("01"), tll(), ship=ship).track_id.tolist() == ["02"]
+    # After two minutes without TTM its number may be that of another target.
+    later = "GPRMC,130512.00,A,5046.380,N,00105.576,W,10.0,157.8,120116,,,A"
+    assert reports(later, tll("01", time="130512.00"), ship=ship).track_id.tolist() == ["01/2"]
 
 
 def test_own_position_may_come_from_own_ais():

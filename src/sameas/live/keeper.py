@@ -389,8 +389,11 @@ class Keeper:
         return out
 
     def _source_alarms(self) -> list[Alarm]:
-        watch, out, clock_s = self.settings.watch, [], self._taken_s
+        watch, out, clock_s = self.settings.watch, self._wire_alarms(), self._taken_s
+        on_silent = {name for url in self._silent_wires() for name in self._names_on(url)}
         for name, state in self.sources.items() if self.replay is None else ():
+            if name in on_silent:
+                continue
             never = not math.isfinite(state.last_s)
             if never and (reason := self._misfit(name)):
                 out.append(Alarm(f"silent {name}", "source", f"{name}: none of its data can be used: {reason}"))
@@ -411,6 +414,28 @@ class Keeper:
                     )
                 )
                 self.counters[f"dropped {url}"] = wire.queue.dropped
+        return out
+
+    def _silent_wires(self) -> list[str]:
+        """The wires of several sources on which nothing has arrived for too long."""
+        watch = self.settings.watch
+        return [
+            url for url, wire in self.wires.items()
+            if len(self._names_on(url)) > 1
+            and self._taken_s - max(wire.state.last_s, self._began_s) > watch.silent_s
+        ]  # fmt: skip
+
+    def _wire_alarms(self) -> list[Alarm]:
+        """One alarm for each wire of several sources that is silent: these have one cause."""
+        out = []
+        for url in self._silent_wires():
+            wire, names = self.wires[url], self._names_on(url)
+            begun = math.isfinite(wire.state.last_s)
+            since = f"for {self.settings.watch.silent_s:.0f} s" if begun else "since the watch began"
+            what = "nothing has arrived" if wire.state.connected else "it is not connected"
+            why = "" if wire.state.connected else f" ({wire.state.error or 'no answer'})"
+            text = f"{url}, of {_and(names)}, is silent {since}: {what}{why}"
+            out.append(Alarm(f"silent {url}", "source", text))
         return out
 
     def _gives_own_ship(self, name: str) -> bool:
@@ -719,6 +744,15 @@ def _in_settings(error: InputError, name: str) -> str:
 
     text = error.words.with_options(key) if isinstance(error.words, Message) else str(error)
     return text.removeprefix(f"{name}: ")
+
+
+def _and(names: list[str]) -> str:
+    """The names as a list in words.
+
+    >>> _and(["a", "b", "c"])
+    'a, b and c'
+    """
+    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
 
 
 def _is_time_zone(seconds: float) -> bool:

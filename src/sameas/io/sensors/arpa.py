@@ -1,9 +1,10 @@
 """A ship's log of NMEA 0183 sentences: the targets of its radar (ARPA) from TTM and TLL, next to its AIS.
 
 TTM gives range and bearing, speed and course, each true or relative by a flag of its own; TLL gives latitude and
-longitude computed by the radar. Where a log has both, they are the same targets, and only TTM, the measurement, is
-used. OSD, HDT and THS give the heading of own ship; RMC, GGA, GLL and own AIS (VDO) its position. The accuracy of the
-radar is in no sentence; it comes from the description of the source.
+longitude computed by the radar. Of a target that has both, only TTM, the measurement, is used; one that has TLL alone
+beside others with TTM is reported by its range and bearing from own ship. OSD, HDT and THS give the heading of own
+ship; RMC, GGA, GLL and own AIS (VDO) its position. The accuracy of the radar is in no sentence; it comes from the
+description of the source.
 
 Target numbers have two digits and are used again: ``05`` is the first target with this number, ``05/2`` the second. A
 target with a known number is another one if the radar had lost the number (status L), acquires it (Q) after it was
@@ -26,7 +27,7 @@ from sameas.errors import InputError, naming
 from sameas.io.sensors import ais
 from sameas.io.sensors.format import KNOT_M_PER_S, SensorFile, SensorFormat, forward_filled
 from sameas.io.sensors.nmea import Log, Sentence, latitude, log_of, longitude, time_of_day, with_date
-from sameas.tracks.coordinates import MILE_M
+from sameas.tracks.coordinates import MILE_M, geodesy
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 #: The sentences of targets.
@@ -72,13 +73,31 @@ class Target:
 
 @dataclass
 class ArpaState:
-    """Own ship before these lines. has_ttm : whether TTM sentences have occurred. targets : by number."""
+    """Own ship before these lines. has_ttm : whether TTM sentences have occurred. targets : by number.
+
+    measured_s : clock time of the last TTM, by the number of the target.
+    """
 
     heading: float = math.nan
     lat: float = math.nan
     lon: float = math.nan
     has_ttm: bool = False
     targets: dict[str, Target] = field(default_factory=dict)
+    measured_s: dict[str, float] = field(default_factory=dict)
+
+    def add_measured(self, log: Log) -> None:
+        """Takes the numbers of the targets that TTM reports in a log."""
+        if len(self.measured_s) > MOST_NUMBERS:
+            self.measured_s.clear()
+        for sentence, clock_s in zip(log.sentences, log.clock_s.tolist(), strict=True):
+            if sentence.kind == "TTM":
+                self.has_ttm = True
+                self.measured_s[sentence.field(1)] = clock_s
+
+    def is_measured(self, number: str, clock_s: float) -> bool:
+        """Whether TTM reports this number, too, around this time; where no clock is known, whether it ever did."""
+        last_s = self.measured_s.get(number)
+        return last_s is not None and not abs(clock_s - last_s) > SILENT_S
 
 
 def read(log: Log, source: str, start_s: float | None = None, ship: ArpaState | None = None) -> Reports:
@@ -96,9 +115,8 @@ def read(log: Log, source: str, start_s: float | None = None, ship: ArpaState | 
     InputError : no target; no time.
     """
     ship = ArpaState() if ship is None else ship
-    ship.has_ttm |= any(s.kind == "TTM" for s in log.sentences)
+    ship.add_measured(log)
     kind = "TTM" if ship.has_ttm else "TLL"
-    with_ttm = {s.field(1) for s in log.sentences if s.kind == "TTM"} | set(ship.targets)
     damaged = list(log.damaged)
     passed_over: Counter[str] = Counter()
     own = _own_ship(log, ship)
@@ -107,14 +125,19 @@ def read(log: Log, source: str, start_s: float | None = None, ship: ArpaState | 
     # Number of the target, and its row, None where it is lost.
     events: list[tuple[str, int | None]] = []
     for index, sentence in enumerate(log.sentences):
-        if sentence.kind != kind:
-            if sentence.kind in SENTENCES:
-                too = sentence.field(1) in with_ttm
-                # The ranges of TTM and the positions of TLL cannot be reports of one source.
-                passed_over["TLL of targets that TTM reports too" if too else "TLL of targets that no TTM reports"] += 1
+        if sentence.kind not in SENTENCES:
+            continue
+        if sentence.kind != kind and ship.is_measured(sentence.field(1), float(log.clock_s[index])):
+            passed_over["TLL of targets that TTM reports too"] += 1
+            continue
+        ship_then = {name: float(values[index]) for name, values in own.items()}
+        if sentence.kind != kind and not np.isfinite(ship_then["lat"] + ship_then["lon"]):
+            # The ranges of TTM and the positions of TLL cannot be reports of one source.
+            passed_over["TLL of targets that no TTM reports, without own ship's position"] += 1
             continue
         try:
-            row = _target(sentence, {name: values[index] for name, values in own.items()})
+            row = _target(sentence, ship_then)
+            row = row if row is None or sentence.kind == kind else _measured_from(row)
         except ValueError as error:
             damaged.append((sentence.line, str(error)))
             continue
@@ -249,6 +272,18 @@ def _target(s: Sentence, own: Mapping[str, float]) -> dict[str, Any] | None:
         lat, lon = latitude(s.field(2), s.field(3)), longitude(s.field(4), s.field(5))
         return row | {"lat_deg": lat, "lon_deg": lon, **_station(own)}
     return row | _range_and_bearing(s, own) | _station(own)
+
+
+def _measured_from(row: dict[str, Any]) -> dict[str, Any]:
+    """The row of a TLL with range and bearing from own ship in place of the position."""
+    place, ship = ("lat_deg", "lon_deg"), ("station_lat_deg", "station_lon_deg")
+    bearing, _, range_m = geodesy().geodetic2aer(
+        *(row[name] for name in place), 0.0, *(row[name] for name in ship), 0.0
+    )
+    if not range_m > 0.0:
+        raise ValueError("target at distance 0")
+    rest = {name: value for name, value in row.items() if name not in place}
+    return rest | {"range_m": float(range_m), "bearing_deg": float(bearing)}
 
 
 def _range_and_bearing(s: Sentence, own: Mapping[str, float]) -> dict[str, Any]:
