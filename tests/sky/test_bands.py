@@ -8,7 +8,8 @@ from sameas.report import match as report
 from sameas.score.pairs import is_true_pair
 from sameas.simulate.catalogues import Sky, exposure
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.crossmatch import MatchOptions, magnitudes_of, match
+from sameas.sky.crossmatch import MatchOptions, match
+from sameas.sky.evidence_columns import magnitudes_of
 
 
 def catalogue(records, magnitudes, bands):

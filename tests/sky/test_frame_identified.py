@@ -19,7 +19,7 @@ from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.identified import FrameIdentification, Refinement, footprint, search_cone, solve
 from sameas.sky.frame.image import MasterFrames, read
 from sameas.sky.frame.measurements import Measurements
-from sameas.sky.frame.outputs import ERROR_NAMES, listing, summary
+from sameas.sky.frame.outputs import ERROR_TERM_NAMES, listing, summary
 from sameas.sky.frame.photometry import Completeness, ZeroPoint
 from sameas.sky.frame.plate import Pointing, directions_deg
 from sameas.sky.frame.pointing_hints import Aim, ApproximateWcs
@@ -298,7 +298,7 @@ def test_the_summary_is_plain_json(found: FrameIdentification) -> None:
     assert content["place"]["scale_arcsec_per_px"] == pytest.approx(1.0, abs=0.02)
     model, scale = found.estimate.error_model, content["place"]["scale_arcsec_per_px"]
     assert model is not None and content["error_note"] == model.note
-    for term, name in ERROR_NAMES.items():
+    for term, name in ERROR_TERM_NAMES.items():
         quantity, unit = model.terms.get(term), scale if "floor" in term else 1.0
         assert content["estimated"].get(name) == (
             None if quantity is None else pytest.approx([unit * quantity.value, unit * quantity.standard_error])

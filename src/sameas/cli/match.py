@@ -223,7 +223,8 @@ def match_options(
     precision: bool,
 ) -> MatchOptions:
     """The options of the match. Invalid values are refused before any file is read."""
-    from sameas.sky.crossmatch import AUTO, OFF, MatchOptions
+    from sameas.sky.crossmatch import MatchOptions
+    from sameas.sky.evidence_columns import AUTO, OFF
 
     options = MatchOptions(
         to_epoch, gate_sigmas, error_scale, magnitudes=magnitudes, offset=offset, precision=precision

@@ -281,7 +281,7 @@ def _is_catalogue(source: object) -> bool:
 
 
 #: Names of the terms of the error model in an output.
-ERROR_NAMES = {
+ERROR_TERM_NAMES = {
     "factor_1": "error_factor_1",
     "factor_2": "error_factor_2",
     "both": "error_factor_both",
@@ -438,7 +438,7 @@ def _quantities(match: SkyMatch) -> dict[str, float]:
     if estimate.tail is not None:
         found["error_tail_share"] = estimate.tail.share
     if estimate.error_model is not None:
-        found |= {ERROR_NAMES[name]: quantity for name, quantity in estimate.error_model.terms.items()}
+        found |= {ERROR_TERM_NAMES[name]: quantity for name, quantity in estimate.error_model.terms.items()}
     facts = {}
     for name, quantity in found.items():
         if math.isfinite(quantity.standard_error):

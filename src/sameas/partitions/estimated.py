@@ -31,8 +31,9 @@ from sameas.partitions.part import (
 from sameas.partitions.workers import Workers, store, stored_work
 from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.crossmatch import MatchOptions, columns_of, common_epoch
+from sameas.sky.crossmatch import MatchOptions, common_epoch
 from sameas.sky.doubts import completed
+from sameas.sky.evidence_columns import columns_of
 
 if TYPE_CHECKING:
     import pyarrow as pa

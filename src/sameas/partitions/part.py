@@ -34,7 +34,7 @@ from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import PositionError
-from sameas.sky.crossmatch import ERROR_NAMES, OFF, columns_of, magnitudes_of
+from sameas.sky.evidence_columns import MAGNITUDE_ERROR_NAMES, OFF, columns_of, magnitudes_of
 from sameas.sky.joins import joined, joined_rows
 from sameas.space import ARCSEC_PER_RADIAN, mean_direction, unit_vectors
 
@@ -105,7 +105,7 @@ class Side:
         for one in evidence:
             names |= {c.values for c in (one.columns if isinstance(one, Related) else (one,))}
         bands = {name.strip() for side in magnitudes.split(":") for name in side.split(",")}
-        bands |= {pattern.format(name) for name in bands for pattern in ERROR_NAMES}
+        bands |= {pattern.format(name) for name in bands for pattern in MAGNITUDE_ERROR_NAMES}
         needed = {name.lower() for name in names | bands}
         return [name for name in self.stored.schema.names if name.lower() in needed]
 

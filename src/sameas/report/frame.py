@@ -13,7 +13,7 @@ from sameas.report.match import error_model_in_words, quoted_errors
 from sameas.report.prose import DOUBT, entry, labelled
 from sameas.representation import count, counted
 from sameas.sky.frame.identified import DEFAULT_REFINEMENT
-from sameas.sky.frame.outputs import ERROR_NAMES
+from sameas.sky.frame.outputs import ERROR_TERM_NAMES
 
 if TYPE_CHECKING:
     from sameas.sky.movers import Detections, Movers
@@ -114,7 +114,7 @@ def _estimated(summary: Mapping[str, Any]) -> list[str]:
         percent = Quantity(100.0 * share.value, 100.0 * share.standard_error, "%")
         words.append(f"a tail: {percent} of the pairs lie far beyond")
     lines += entry("errors", "; ".join(words)) if words else []
-    terms = {term: known.get(name) for term, name in ERROR_NAMES.items()}
+    terms = {term: known.get(name) for term, name in ERROR_TERM_NAMES.items()}
     model = ErrorModel(**terms, note=summary.get("error_note", ""))
     apart = error_model_in_words(model, (summary["frame"], summary["catalogue"]))
     return lines + (entry("  by source", apart) if apart else [])

@@ -1,8 +1,7 @@
 """Crossmatch of two catalogues: moved to a common epoch, matched with estimated parameters, checked for doubts.
 
 Data flow: two :class:`Catalogue` → common epoch → two ``Records`` on the sphere → ``estimate.match`` →
-:class:`SkyMatch`. :func:`magnitudes_of` and :func:`columns_of` choose the magnitudes that are compared and the other
-columns used as evidence.
+:class:`SkyMatch`.
 """
 
 from __future__ import annotations
@@ -23,22 +22,20 @@ from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import Estimate
 from sameas.estimate.match import match as estimate_match
 from sameas.estimate.sample import Setting
-from sameas.evidence import Column, Errors, Magnitudes, Related
+from sameas.evidence import Column, Errors, Related
 from sameas.gate import ChiSquare, Radius
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
-from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.doubts import completed, disjoint_doubt, epoch_doubt, in_icrs
+from sameas.sky.evidence_columns import AUTO, columns_of, magnitudes_of
 from sameas.sky.systematics import DEFAULT_WARP, Rotation, Warp, find_rotation, find_warp, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
 
 if TYPE_CHECKING:
-    from astropy.table import Table
-
-AUTO, OFF = "auto", "off"
+    pass
 
 
 @in_short
@@ -126,7 +123,7 @@ class MatchOptions:
         as a mixture of factors.
     density_per_deg2 : (first, second) densities of all records, instead of local ones from the data.
     magnitudes : "auto" uses the magnitudes of both catalogues as evidence, or those of the only one that has them;
-        "off" uses positions only; columns by name as "G,BP:J,H" (see :func:`magnitudes_of`).
+        "off" uses positions only; columns by name as "G,BP:J,H" (see ``evidence_columns.magnitudes_of``).
     precision : whether the sizes of the quoted errors are used as evidence where magnitudes separate too little.
     offset : "none" assumes that both catalogues are on one frame, and reports a doubt if the pairs show an offset;
         "find" estimates and removes a shift and rotation of the second catalogue, and a smooth warp of the field (see
@@ -273,17 +270,25 @@ def match(
             break
         warp = next_warp
         result, estimate = run_match(one, warp.of(two))
-    doubts = assumed + density_doubts(estimate.coverage, options, tuning)
-    doubts += _error_doubts(result, estimate, tuning) + _near_miss_doubts(result, estimate, tuning)
-    field_doubts = disjoint_doubt(first, second, one, two) if _hardly_any_common(result, estimate, tuning) else ()
-    epoch_line, offset_explained = epoch_doubt(first, second, epoch, result, estimate.errors)
-    doubts += (*field_doubts, epoch_line) if epoch_line else field_doubts
+    matched = SkyMatch(first, second, epoch, epoch_note, result, estimate, (), rotation, warp)
+    disjoint = disjoint_doubt(first, second, one, two) if _hardly_any_common(result, estimate, tuning) else ()
+    doubts = assumed + density_doubts(estimate.coverage, options, tuning) + _doubts(matched, search, disjoint, tuning)
+    return replace(matched, doubts=doubts)
+
+
+def _doubts(
+    match: SkyMatch, search: Rotation | None, disjoint: tuple[str, ...], tuning: CrossmatchTuning
+) -> tuple[str, ...]:
+    """What looks wrong with a match. search : for a rotation, if any. disjoint : doubts about two separate fields."""
+    result, estimate = match.result, match.estimate
+    doubts = _error_doubts(result, estimate, tuning) + _near_miss_doubts(result, estimate, tuning)
+    epoch_line, offset_explained = epoch_doubt(match.first, match.second, match.epoch_jyr, result, estimate.errors)
+    doubts += (*disjoint, epoch_line) if epoch_line else disjoint
     if search is not None:
-        doubts += _search_doubts(search, warp)
-    elif not field_doubts and not offset_explained:
+        doubts += _search_doubts(search, match.warp)
+    elif not disjoint and not offset_explained:
         doubts += _offset_doubts(result, estimate, tuning)
-    doubts += _blend_doubts(result, estimate) + _duplicate_doubts(result, estimate, tuning)
-    return SkyMatch(first, second, epoch, epoch_note, result, estimate, doubts, rotation, warp)
+    return doubts + _blend_doubts(result, estimate) + _duplicate_doubts(result, estimate, tuning)
 
 
 def at_common_epoch(
@@ -560,124 +565,3 @@ def _number(value: float | str) -> float | None:
         return float(value)
     except ValueError:
         return None
-
-
-__all__ = [
-    "MatchOptions", "SkyMatch", "area_and_densities", "at_common_epoch", "by_position", "common_epoch",
-    "density_doubts", "match",
-]  # fmt: skip
-
-
-# Magnitudes that are compared, and other columns used as evidence.
-
-#: Patterns of error column names, given the name of the magnitude column.
-ERROR_NAMES = ("e_{}", "{}_error", "{}_err", "{}err", "{}Err", "sigma_{}", "{}_msigcom", "{}_sigma")
-
-
-def magnitudes_of(first: Catalogue, second: Catalogue, choice: str = AUTO) -> tuple[Magnitudes, Magnitudes] | None:
-    """The magnitudes of both catalogues; None if they are not used or one catalogue has none.
-
-    Parameters
-    ----------
-    choice : "auto" uses the magnitude chosen for each catalogue; "off" none; "G,BP,RP:J,H" these columns of the first
-        and of the second catalogue, the brightest known band of each first.
-
-    Raises
-    ------
-    InputError : no such columns; another text.
-    """
-    if choice == OFF:
-        return None
-    if choice == AUTO:
-        one, two = _chosen_magnitude(first), _chosen_magnitude(second)
-        return None if one is None or two is None else (one, two)
-    sides = choice.split(":")
-    if len(sides) != 2 or not all(side.strip() for side in sides):
-        raise InputError(f'magnitudes {choice!r}: give "auto", "off", or columns of both catalogues, BAND,…:BAND,…')
-    named = [tuple(name.strip() for name in side.split(",")) for side in sides]
-    return _columns(first, named[0]), _columns(second, named[1])
-
-
-def columns_of(
-    first: Catalogue, second: Catalogue, evidence: Sequence[Column | Related], magnitudes: str = AUTO
-) -> tuple[Column | Related, ...]:
-    """The columns used as evidence in addition to magnitudes, with their values.
-
-    The magnitude of a catalogue is included if the other has none.
-
-    Parameters
-    ----------
-    evidence : as given, by column names. magnitudes : as in :func:`magnitudes_of`.
-
-    Raises
-    ------
-    InputError : no such columns.
-    """
-    sides = first, second
-    columns: list[Column | Related] = []
-    for one in evidence:
-        if isinstance(one, Related):
-            a, b = (_column(sides[c.source - 1], c) for c in one.columns)
-            columns.append(Related(a.values, b.values, (a.name, b.name)))
-        else:
-            columns.append(_column(sides[one.source - 1], one))
-    if magnitudes == AUTO:
-        for source, (own, other) in enumerate(((first, second), (second, first)), start=1):
-            name = own.magnitude_name
-            if name and other.magnitude is None:
-                named = any(isinstance(c, Column) and (c.source, c.name) == (source, name) for c in columns)
-                columns += [] if named else [Column(source, own.magnitude, name=name)]
-    return tuple(columns)
-
-
-def _column(catalogue: Catalogue, column: Column) -> Column:
-    """The column with its values: looked up if it has a name, else unchanged."""
-    if not isinstance(column.values, str):
-        return column
-    known = {name.lower(): name for name in catalogue.table.colnames}
-    name = known.get(column.values.lower())
-    if name is None:
-        raise InputError(
-            f"{catalogue.name}: no column {column.values!r} to be evidence; it has "
-            f"{', '.join(catalogue.table.colnames)}",
-            source=catalogue.name,
-        )
-    if column_values.is_text(catalogue.table, name):
-        return replace(column, values=np.ma.asarray(catalogue.table[name]), name=name)
-    if name == catalogue.magnitude_name or catalogue.table[name].dtype.kind == "f":
-        return replace(column, values=_measured(catalogue.table, name, catalogue.name), name=name)
-    return replace(column, values=np.ma.asarray(catalogue.table[name]), name=name)
-
-
-def _chosen_magnitude(catalogue: Catalogue) -> Magnitudes | None:
-    if catalogue.magnitude is None:
-        return None
-    return Magnitudes(catalogue.magnitude, catalogue.magnitude_error, (str(catalogue.magnitude_name),))
-
-
-def _columns(catalogue: Catalogue, names: tuple[str, ...]) -> Magnitudes:
-    known = {name.lower(): name for name in catalogue.table.colnames}
-    unknown = [name for name in names if name.lower() not in known]
-    if unknown:
-        raise InputError(
-            f"{catalogue.name}: no column {', '.join(map(repr, unknown))} of magnitudes; "
-            f"it has {', '.join(catalogue.table.colnames)}"
-        )
-    names = tuple(known[name.lower()] for name in names)
-    values, errors = [], []
-    for name in names:
-        error_names = (
-            pattern.format(name.removesuffix("_m") if "msigcom" in pattern else name).lower() for pattern in ERROR_NAMES
-        )
-        error = next((known[pattern] for pattern in error_names if pattern in known), None)
-        values.append(_measured(catalogue.table, name, catalogue.name))
-        unknown_error = np.full(len(catalogue), np.nan)
-        errors.append(unknown_error if error is None else _measured(catalogue.table, error, catalogue.name))
-    sigma = np.column_stack(errors)
-    return Magnitudes(np.column_stack(values), np.where(sigma >= 0.0, sigma, np.nan), names)
-
-
-def _measured(table: Table, name: str, source: str) -> FloatArray:
-    """(n,) numbers, NaN for placeholders such as 99 and −99.99."""
-    values, _ = column_values.measured(table, name, source)
-    return np.where(np.abs(values) < 90.0, values, np.nan)

@@ -303,7 +303,7 @@ def _cast(values: np.ma.MaskedArray, dtype: np.dtype[Any]) -> np.ma.MaskedArray:
 
 
 #: Names of the terms of the error model in the summary.
-ERROR_NAMES = {
+ERROR_TERM_NAMES = {
     "factor_1": "error_factor_frame",
     "factor_2": "error_factor_catalogue",
     "both": "error_factor_both",
@@ -436,7 +436,7 @@ def _estimated(identification: FrameIdentification) -> dict[str, list[float]]:
     model = estimate.error_model
     if model is not None:
         quantities |= {
-            (ERROR_NAMES[name], scale if name.startswith("floor") else 1.0): q for name, q in model.terms.items()
+            (ERROR_TERM_NAMES[name], scale if name.startswith("floor") else 1.0): q for name, q in model.terms.items()
         }
     estimates = {
         name: (unit * q.value, unit * q.standard_error) for (name, unit), q in quantities.items() if q is not None
