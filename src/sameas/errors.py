@@ -164,6 +164,27 @@ class InputError(ValueError):
         return Message(self.message, "; ", self.remedy) if self.remedy else Message(self.message)
 
 
+class MissingPackage(InputError):
+    """An optional package is missing."""
+
+
+@contextmanager
+def optional(needs: str, extra: str, otherwise: str = "") -> Iterator[None]:
+    """Around the import of optional packages; a missing one becomes a :class:`MissingPackage` with its install line.
+
+    needs : what needs which packages. extra : of this distribution, which installs them. otherwise : what else helps.
+
+    >>> with optional("plots need matplotlib", "plots"):
+    ...     import no_such_package
+    Traceback (most recent call last):
+    sameas.errors.MissingPackage: plots need matplotlib: pip install 'sameas[plots]'
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise MissingPackage(f"{needs}: pip install 'sameas[{extra}]'", otherwise) from error
+
+
 @contextmanager
 def reading(where: str, failed: str = "cannot be read") -> Iterator[None]:
     """Within the block, unexpected errors of a reader become an ``InputError``; ``--debug`` shows their origin.

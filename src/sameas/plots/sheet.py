@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError
+from sameas.errors import InputError, optional
 from sameas.io import replacing
 from sameas.space import ARCSEC_PER_RADIAN, local_axes, mean_direction, unit_vectors
 
@@ -44,10 +44,8 @@ def required() -> type[Figure]:
     ------
     InputError : matplotlib is not installed.
     """
-    try:
+    with optional("plots need matplotlib", "plots"):
         from matplotlib.figure import Figure
-    except ImportError as error:
-        raise InputError("plots need matplotlib: pip install 'sameas[plots]'") from error
     return _shown(Figure)
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError
+from sameas.errors import InputError, optional
 from sameas.space import unit_vectors
 
 #: Beyond this distance from the origin the plane shortens distances by more than 1 %.
@@ -41,11 +41,8 @@ STEEPEST_DEG = 80.0
 
 def geodesy() -> ModuleType:
     """The module pymap3d; refused with the install line if it is missing."""
-    try:
-        pymap3d = import_module("pymap3d")
-    except ImportError as error:
-        raise InputError("positions on the earth need pymap3d: pip install 'sameas[targets]'") from error
-    return pymap3d
+    with optional("positions on the earth need pymap3d", "targets"):
+        return import_module("pymap3d")
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from typing import Any, SupportsFloat
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
-from sameas.errors import InputError, naming
+from sameas.errors import InputError, naming, optional
 from sameas.io.sensors.format import (
     AIS_RECKONED_SIGMA_M,
     AIS_SIGMA_M,
@@ -309,10 +309,8 @@ def _parts(
 
 
 def _decoder() -> Callable[..., Any]:
-    try:
+    with optional("AIS messages need pyais", "targets"):
         from pyais import decode
-    except ImportError as error:
-        raise InputError("AIS messages need pyais: pip install 'sameas[targets]'") from error
     return decode
 
 

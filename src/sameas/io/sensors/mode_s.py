@@ -15,7 +15,7 @@ from typing import Any, SupportsFloat
 
 import numpy as np
 
-from sameas.errors import InputError, naming
+from sameas.errors import InputError, naming, optional
 from sameas.io.sensors.aircraft import errors_of, identity_of, notes
 from sameas.io.sensors.format import (
     FEET_PER_MINUTE_M_PER_S,
@@ -119,10 +119,8 @@ def _times(times: Sequence[tuple[float, float]], source: str, start_s: float | N
 
 
 def _decoder() -> Callable[..., Any]:
-    try:
+    with optional("raw Mode S messages need rs1090", "targets"):
         from rs1090 import decode
-    except ImportError as error:
-        raise InputError("raw Mode S messages need rs1090: pip install 'sameas[targets]'") from error
     return decode
 
 

@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
-from sameas.errors import InputError
+from sameas.errors import InputError, optional
 from sameas.sky.frame.image import Frame, Image
 
 
@@ -125,10 +125,8 @@ class Background:
 
 def _meshes(frame: Frame, box_px: int) -> tuple[FloatArray, FloatArray]:
     """Level and standard deviation of the sky, (rows, columns) each."""
-    try:
+    with optional("finding stars on frames needs photutils", "frames"):
         from photutils.background import Background2D, SExtractorBackground, StdBackgroundRMS
-    except ImportError as error:
-        raise InputError("finding stars on frames needs photutils: pip install 'sameas[frames]'") from error
     from astropy.stats import SigmaClip
 
     try:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
-from sameas.errors import InputError
+from sameas.errors import InputError, optional
 from sameas.sky.frame.centroid import (
     DEFAULT_CENTROIDS,
     FWHM_PER_SIGMA,
@@ -228,10 +228,8 @@ def peaks(snr: FloatArray, noise: FloatArray, psf: PSF, detection: Detection) ->
     Stars are maxima of the significance; two maxima without a saddle between them are one star.
     noise : (rows, columns) from :func:`photon_noise`: a saddle must be deeper than photon noise can make it.
     """
-    try:
+    with optional("finding stars on frames needs photutils", "frames"):
         from photutils.detection import find_peaks
-    except ImportError as error:
-        raise InputError("finding stars on frames needs photutils: pip install 'sameas[frames]'") from error
     box = 2 * max(1, round(psf.sigma_px)) + 1
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # photutils warns if there are no peaks; the caller refuses with a remedy

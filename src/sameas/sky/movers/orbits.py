@@ -22,7 +22,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.errors import InputError, reading
+from sameas.errors import InputError, optional, reading
 from sameas.sky.motion import AU_KM
 from sameas.sky.movers.rates import GAUSS
 
@@ -572,13 +572,9 @@ class _Planets:
 @lru_cache(maxsize=1)
 def _planets() -> _Planets:
     """The planets of DE421, from the package ``skyfield-data``."""
-    try:
+    with optional("known objects need jplephem and skyfield-data", "movers"):
         from jplephem.spk import SPK
         from skyfield_data import get_skyfield_data_path
-    except ImportError:
-        raise InputError(
-            "known objects need the packages jplephem and skyfield-data; pip install 'sameas[movers]' installs them"
-        ) from None
     with warnings.catch_warnings():
         # It warns about its tables of the Earth's rotation, which are not used here.
         warnings.simplefilter("ignore")
