@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -353,21 +352,15 @@ def _drawn(result: MatchPicture, draft: Path, outputs: PictureOutputs, warn: Cal
         write_map_page(sheet, draft / "map.html")
         yield "map.html"
     if outputs.image:
-        with _optional_plots(warn):
-            from sameas.plots.map import chart
-            from sameas.plots.sheet import save
+        from sameas.plots.map import chart
+        from sameas.plots.sheet import save
 
+        try:
             save(chart(sheet, fullest(result.picture)), draft / "picture.png")
+        except MissingPackage as error:  # only the image is omitted
+            warn(f"no picture.png: {error}")
+        else:
             yield "picture.png"
-
-
-@contextmanager
-def _optional_plots(warn: Callable[[str], object]) -> Iterator[None]:
-    """Turns a missing matplotlib into a warning, so that only the image is omitted."""
-    try:
-        yield
-    except MissingPackage as error:
-        warn(f"no picture.png: {error}")
 
 
 def _map_alarms(picture: Picture) -> Iterator[MapAlarm]:
