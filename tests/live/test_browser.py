@@ -1,12 +1,18 @@
 """The live map in a real browser (slow)."""
 
+import json
+import socket
+import threading
 import time
 
 import pytest
 from tests.browser import CHROMIUM, Browser
 from tests.live.conftest import EVIL, served
+from tests.live.test_inputs import free_port
 
+from sameas.live.keeper import Keeper
 from sameas.live.server import Access
+from sameas.live.settings import read_settings
 from sameas.live.situation import Situation
 from sameas.picture.live import Registered
 from sameas.registration import Parameter
@@ -146,5 +152,80 @@ def test_the_legend_shows_the_biases_of_a_source(keeper, tmp_path):
             page.until(f"mapPage.live && {shown} === 'azimuth +1.500 ± 0.100°, not established'")
             assert page.errors == []
             page.picture(tmp_path / "legend.png")
+        finally:
+            page.close()
+
+
+def test_a_page_that_was_opened_before_the_first_reports_shows_them_where_they_are(tmp_path):
+    port = free_port(socket.SOCK_DGRAM)
+    path = tmp_path / "sensors.toml"
+    path.write_text(
+        "[watch]\nevery_s = 0.25\nregister_every_s = 0\nfaults_every_s = 0\n"
+        f'[sources.coast]\nkind = "ais"\ninput = {{ url = "udp://127.0.0.1:{port}", format = "table" }}\n'
+    )
+    keeper, at = Keeper(read_settings(path)), {1: (50.8, -1.3), 2: (50.82, -1.25)}
+    over = threading.Event()
+
+    def send():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not over.wait(0.3):
+                for ship, (lat, lon) in list(at.items()):
+                    row = {"time": time.time(), "mmsi": f"23500{ship}111", "lat": lat, "lon": lon, "sog": 0, "cog": 0}
+                    sender.sendto(json.dumps(row).encode() + b"\n", ("127.0.0.1", port))
+
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url)
+        sending = threading.Thread(target=send)
+        try:
+            page.until("mapPage.live && mapPage.live.tick > 2")
+            assert not page.js("!!mapPage.earth")
+            page.js("document.getElementById('theme').click()")
+            night = page.js("document.documentElement.classList.contains('night')")
+            sending.start()
+            page.until("document.body?.dataset.ready === 'yes' && mapPage.earth && mapPage.now.rows.length === 2", 60.0)
+            # The colours stay; both ships are on the chart.
+            assert page.js("document.documentElement.classList.contains('night')") == night
+            shown = "((u, v) => u > 0 && v > 0 && u < mapPage.view.w && v < mapPage.view.h)"
+            place = "...mapPage.toScreen(mapPage.objects.x[r], mapPage.objects.y[r])"
+            page.until(f"[...mapPage.now.rows].every(r => {shown}({place}))")
+            # One that comes up beyond what could be shown: the page grows, and keeps what is looked at.
+            page.js("sessionStorage.clear(); window.former = true; mapPage.view.scale *= 2; mapPage.paint()")
+            scale = page.js("mapPage.view.scale")
+            at[3] = (52.5, 1.0)
+            page.until(
+                "!window.former && document.body?.dataset.ready === 'yes' && mapPage.now?.rows.length === 3", 60.0
+            )
+            page.until(f"Math.abs(mapPage.view.scale - {scale}) < 1e-9")
+            assert page.js("mapPage.view.least") < 0.01
+            assert page.errors == [] and page.complaints == []
+        finally:
+            over.set()
+            sending.join()
+            page.close()
+
+
+def test_own_ship_is_shown_with_her_speed_and_alarms_that_nobody_acknowledged_are_first(keeper, tmp_path):
+    keeper.settings.watch.__dict__.update(cpa_m=1e5, tcpa_s=1e5)
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url)
+        try:
+            page.until("mapPage.live && document.querySelectorAll('#alarms li.current').length > 1", 60.0)
+            assert page.js("document.getElementById('own-ship').textContent") == "own ship 0.0 kn"
+            heads = page.js("[...document.querySelectorAll('#list th')].map(e => e.textContent)")
+            assert "CPA nm" in heads and "TCPA min" in heads
+            page.until("document.title.startsWith('⚠ ')")
+            first = page.js("document.querySelector('#alarms li > button').textContent").split(" – ")[0]
+            page.js("document.querySelector('#alarms .acknowledge').click()")
+            # The one that was acknowledged goes behind the others.
+            texts = "[...document.querySelectorAll('#alarms li')].map(e => e.textContent)"
+            page.until(f"{texts}[0] && !{texts}[0].startsWith({first!r})")
+            # When all are, the button is no longer filled.
+            page.until(
+                "(document.querySelector('#alarms li.current .acknowledge')?.click(), "
+                "document.querySelectorAll('#alarms li.current .acknowledge').length === 0)",
+                60.0,
+            )
+            page.until("document.getElementById('alarm-button').classList.contains('acknowledged')")
+            assert not page.js("document.title").startswith("⚠") and page.errors == []
         finally:
             page.close()

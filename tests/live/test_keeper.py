@@ -673,3 +673,32 @@ def test_deception_and_source_faults_are_alarms_that_can_be_acknowledged(source,
     if kind == "deception":
         assert any(numbers(situation)["235002111"] in alarm.objects for alarm in situation.alarms)
     keeper.close()
+
+
+def own_ship_at(keeper, now, position, more=""):
+    """The state of own ship one second later, with an RMC at this place (minutes north of 50° N)."""
+    now[0] += 1.0
+    clock = time.strftime("%H%M%S.00", time.gmtime(now[0]))
+    date = time.strftime("%d%m%y", time.gmtime(now[0]))
+    [wire] = keeper.wires.values()
+    wire._received(sentence(f"GPRMC,{clock},A,50{position:07.4f},N,00057.0000,W,{more or ','},{date},,,A"), last=True)
+    return keeper.tick().own_ship
+
+
+def test_the_jitter_of_a_position_alongside_is_no_speed_and_a_measured_speed_is_taken_as_it_is(tmp_path):
+    path, now = tmp_path / "sensors.toml", [1_714_564_800.0]
+    path.write_text(
+        '[watch]\nown_ship = { source = "bridge" }\nplane = { lat_deg = 50.55, lon_deg = -0.95 }\n'
+        '[sources.bridge]\nkind = "marine radar"\ninput = "tcp://127.0.0.1:10110"\n'
+    )
+    keeper = Keeper(read_settings(path), clock=lambda: now[0])
+    for _ in range(60):
+        own_ship_at(keeper, now, 33.0)
+    # Five metres at once, after a minute at rest: no ship makes half a knot from that.
+    jump = [own_ship_at(keeper, now, 33.0027) for _ in range(30)]
+    assert max(ship.vy_m_per_s for ship in jump) < 0.26 and abs(jump[-1].vy_m_per_s) < 0.05
+    # Her receiver's speed is that of the ship at once.
+    ship = own_ship_at(keeper, now, 33.0027, "9.72,90.0")
+    assert (ship.vx_m_per_s, ship.vy_m_per_s) == pytest.approx((5.0, 0.0), abs=0.01)
+    assert own_ship_at(keeper, now, 33.0027, "0.0,").vx_m_per_s == 0.0
+    keeper.close()

@@ -321,3 +321,28 @@ def test_a_ship_of_signal_k_is_at_the_middle_of_its_hull():
 def test_a_ship_of_signal_k_without_a_size_is_where_it_is_reported(size):
     reports = signalk_reports(signalk_delta(0, navigation_position={"latitude": 50.1, "longitude": -1.2}, **size))
     assert (reports.lat_deg[0], reports.lon_deg[0]) == (50.1, -1.2) and reports.covariance_m2 is None
+
+
+def test_the_speed_of_own_ship_is_that_of_her_receiver():
+    stream = ReportStream("bridge", "nmea")
+    assert np.isnan(stream.own_velocity).all()
+
+    def velocity(*bodies):
+        stream.feed(b"\r\n".join([*map(nmea_line, bodies), b""]), 1_462_104_131.0)
+        stream.reports()
+        return stream.own_velocity
+
+    moving = "GPRMC,130212.00,A,5046.380,N,00105.576,W,10.0,157.8,010516,,,A"
+    assert velocity(moving) == pytest.approx((10 * 1852 / 3600, 157.8))
+    assert velocity("GPVTG,90.0,T,,M,2.0,N,3.7,K,A") == pytest.approx((2 * 1852 / 3600, 90.0))
+    # A receiver that rests sends no course; one without a fix says nothing.
+    assert velocity(moving.replace("10.0,157.8", "0.0,")) == pytest.approx((0.0, 90.0))
+    assert velocity(moving.replace(",A,5046", ",V,5046")) == pytest.approx((0.0, 90.0))
+    boat = ReportStream("boat", "signalk")
+    own = {"navigation.speedOverGround": 3.0, "navigation.courseOverGroundTrue": math.pi / 2,
+           "navigation.position": {"latitude": 50.1, "longitude": -1.2}}  # fmt: skip
+    values = [{"path": path, "value": value} for path, value in own.items()]
+    update = {"timestamp": "2024-05-01T12:00:00Z", "values": values}
+    boat.feed(json.dumps({"context": "vessels.self", "updates": [update]}).encode() + b"\n", 0.0)
+    boat.reports()
+    assert boat.own_velocity == pytest.approx((3.0, 90.0))

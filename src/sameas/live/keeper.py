@@ -351,9 +351,23 @@ class Keeper:
         if lat is None or lon is None or not math.isfinite(lat + lon):
             return None
         east, north = plane.of_geodetic([lat], [lon])[0].tolist()
-        if not self._own or (self._own[-1][1], self._own[-1][2]) != (east, north):
+        # A position that stays is one, too: else the first jitter of a receiver alongside is the speed of a ship.
+        if not self._own or self._own[-1][1:] != (east, north) or now_s - self._own[-1][0] >= 1.0:
             self._own.append((now_s, east, north))
+        speed, course = self._own_over_ground()
+        if math.isfinite(speed + course):
+            angle = math.radians(course)
+            return OwnShipState(east, north, speed * math.sin(angle), speed * math.cos(angle), heading)
         return OwnShipState(east, north, *self._own_velocity(now_s), heading)
+
+    def _own_over_ground(self) -> tuple[float, float]:
+        """Speed (m/s) and course (degrees) of own ship as her receiver gives them, NaN where it does not."""
+        own = self.settings.watch.own_ship
+        source = None if own is None or own.source is None else self.settings.sources.get(own.source)
+        wire = None if source is None else self.wires.get(source.url or "")
+        speed, course = (math.nan, math.nan) if wire is None else wire.stream.own_velocity
+        # One that rests has no course.
+        return speed, 0.0 if speed == 0.0 and math.isnan(course) else course
 
     def _own_velocity(self, now_s: float) -> tuple[float, float]:
         """Slope (m/s east, north) of a line through the positions of the last 30 s; 0 where they span less than 1 s."""
@@ -677,7 +691,9 @@ class Keeper:
     def acknowledge(self, alarm_id: int, who: str) -> bool:
         """Records who acknowledged an alarm."""
         with self.lock:
-            return bool(self._try_journal(lambda journal: journal.acknowledge(alarm_id, who, self.clock())))
+            # In a replay, alarms and those who acknowledge them live in the time of the picture.
+            time_s = self.clock() if self.replay is None or self.situation is None else self.situation.time_s
+            return bool(self._try_journal(lambda journal: journal.acknowledge(alarm_id, who, time_s)))
 
     def biases(self) -> dict[str, dict[str, Any]]:
         """By source with estimated biases, their text, whether they are established and so subtracted, and values."""

@@ -287,6 +287,7 @@ def _event(kind: str, keeper: Keeper, situation: Situation, delta: Delta) -> str
                 "vy": round(own.vy_m_per_s, 2),
                 "heading": None if math.isnan(own.heading_deg) else round(own.heading_deg, 1),
             },
+            "geographic": keeper.picture.plane is not None,
             "cpa": {n: [round(metres), round(seconds)] for n, (metres, seconds) in situation.cpa.items()},
             "alarms": keeper.alarm_list()[:100],
             "biases": {name: [found["text"], found["established"]] for name, found in keeper.biases().items()},

@@ -70,7 +70,8 @@ function grid(c, w, h) {
         u = a[0] + s * (b[0] - a[0]),
         v = a[1] + s * (b[1] - a[1]);
       c.textAlign = line.parallel ? "right" : "center";
-      if (line.parallel ? v > 100 && v < h - 26 : u > 90 && u < w - 90)
+      // Not where the compass and the scale bars are.
+      if (line.parallel ? v > 100 && v < h - 70 : u > 90 && u < w - 90)
         haloed(c, line.words, u, line.parallel ? v - 7 : v);
       break;
     }

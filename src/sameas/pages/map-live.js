@@ -95,6 +95,7 @@ function applyDelta(delta) {
   present.cpa = delta.cpa || {};
   showBiases(delta.biases || {});
   beginOwnShip();
+  if (centres.own) showOwnShip();
   applyAlarms(delta.alarms || []);
   dropOldFrames();
 }
@@ -113,6 +114,13 @@ function applyAlarms(alarms) {
   const words = JSON.stringify(alarms);
   if (words === alarmWords) return;
   alarmWords = words;
+  // Active ones first, of these those that nobody acknowledged; then the newest, and of one time the nearest approach.
+  const order = a => [!a.active, a.acknowledged_s !== null, -a.first_s, present.cpa[a.objects[0]]?.[1] ?? 0, -a.id];
+  alarms.sort((a, b) => {
+    const [p, q] = [order(a), order(b)],
+      k = p.findIndex((v, i) => v !== q[i]);
+    return k < 0 ? 0 : p[k] - q[k];
+  });
   data.alarms.splice(
     0,
     Infinity,
@@ -121,6 +129,7 @@ function applyAlarms(alarms) {
       time: a.first_s,
       objects: a.objects,
       active: !!a.active,
+      fresh: !!a.active && a.acknowledged_s === null,
       instant: null,
       approaching: a.kind === "cpa" && a.active ? a.objects[0] : null,
       beside: () => {
@@ -135,7 +144,12 @@ function applyAlarms(alarms) {
   );
   for (const a of data.alarms) a.instant = a.active ? null : nearestInstant(a.time);
   listAlarms();
+  // What nobody has acknowledged yet is filled with red, and in the title of the window.
+  const fresh = data.alarms.filter(a => a.fresh).length;
+  el("alarm-button").classList.toggle("acknowledged", !fresh);
+  document.title = (fresh ? `⚠ ${fresh} – ` : "") + windowTitle;
 }
+const windowTitle = document.title;
 // An alarm keeps the text it was raised with; the present closest approach follows it.
 function showApproaches() {
   const buttons = el("alarms").querySelectorAll("li > button:first-child");
@@ -192,8 +206,31 @@ function beginOwnShip() {
       of: r => approachOf(r)?.[0] ?? NaN,
       say: r => (approachOf(r) ? (approachOf(r)[0] / MILE).toFixed(2) : ""),
     },
+    {
+      key: "tcpa",
+      words: "TCPA min",
+      number: true,
+      of: r => approachOf(r)?.[1] ?? NaN,
+      say: r => (approachOf(r) ? (approachOf(r)[1] / 60).toFixed(1) : ""),
+    },
   );
+  // Rows with the former columns.
+  lines.splice(0);
+  el("rows").replaceChildren();
+  document.body.classList.add("own-ship");
+  el("zone").closest("p").after(ownWords);
   heads();
+}
+// What own ship's receiver says of her, beside the time.
+const ownWords = text("p", "", "hint");
+ownWords.id = "own-ship";
+function showOwnShip() {
+  const own = present.own;
+  if (!own) return void (ownWords.textContent = "own ship: position not known");
+  const speed = Math.hypot(own.vx, own.vy),
+    turn = earth ? earth.north(own.x, own.y) : 0,
+    over = speed < 0.05 * KNOT ? "" : `  ${course(Math.atan2(own.vx, own.vy) / RAD - turn)}`;
+  ownWords.textContent = `own ship ${knots(speed)}${over}${own.heading === null ? "" : `, heading ${course(own.heading)}`}`;
 }
 el("ring").addEventListener("change", () => (el("ring").dataset.chosen = "yes"));
 overlays.push(c => {
@@ -208,6 +245,16 @@ overlays.push(c => {
   path.moveTo(u, v);
   path.lineTo(u + own.vx * far, v - own.vy * far);
   strokeOnHalo(c, path, colour.accent, 2);
+  // The heading line of a radar.
+  if (own.heading === null) return;
+  const angle = (own.heading + (earth ? earth.north(own.x, own.y) : 0)) * RAD,
+    long = view.w + view.h;
+  const ahead = new Path2D();
+  ahead.moveTo(u, v);
+  ahead.lineTo(u + long * Math.sin(angle), v - long * Math.cos(angle));
+  c.lineWidth = 1;
+  c.strokeStyle = colour.accent;
+  c.stroke(ahead);
 });
 furtherFacts.push(r => {
   const near = approachOf(r);
@@ -250,10 +297,48 @@ function mark() {
 }
 setInterval(mark, 1000);
 
+// ---- a page that was opened before the first reports, or whose objects have left its ground, is loaded anew ----
+const KEPT_VIEW = "sameas view",
+  RELOADS_APART_MS = 30000;
+function outgrown(delta) {
+  if (!watching) return false;
+  if (delta.geographic && !data.origin) return true;
+  const beyond = row => row[O.x] < boxWest || row[O.x] > boxEast || row[O.y] < boxSouth || row[O.y] > boxNorth;
+  return delta.objects.some(row => row[O.stage] === STAGE.confirmed && row[O.x] !== null && beyond(row));
+}
+function reloaded() {
+  const kept = JSON.parse(sessionStorage.getItem(KEPT_VIEW) || "{}");
+  if (Date.now() - (kept.at || 0) < RELOADS_APART_MS) return false;
+  const { x, y, scale } = view;
+  sessionStorage.setItem(KEPT_VIEW, JSON.stringify({ at: Date.now(), night, place: data.origin && { x, y, scale } }));
+  location.reload();
+  return true;
+}
+function restoreView() {
+  const kept = JSON.parse(sessionStorage.getItem(KEPT_VIEW) || "{}");
+  if (!kept.at || kept.restored) return;
+  sessionStorage.setItem(KEPT_VIEW, JSON.stringify({ at: kept.at, restored: true }));
+  theme(kept.night);
+  const place = () => {
+    Object.assign(view, kept.place);
+    clampView();
+    draw();
+  };
+  // After the first frame, in which the chart is fitted to its window.
+  if (kept.place) requestAnimationFrame(() => requestAnimationFrame(place));
+}
+restoreView();
+
 // ---- the server ----
-let queued = false;
+let queued = false,
+  leaving = false;
 function receive(event) {
   const delta = JSON.parse(event.data);
+  if (leaving) return;
+  if (outgrown(delta) && reloaded()) {
+    leaving = true;
+    return;
+  }
   receivedAt = performance.now();
   tick = delta.tick;
   applyDelta(delta);

@@ -160,16 +160,18 @@ function membership(r) {
 function memberTable(r, rows, cls = "") {
   const t = document.createElement("table");
   t.className = "members";
-  t.append(tableRow(...["source", "track, line", "off", "age", "p"].map(words => text("th", words))));
+  t.append(tableRow(...["source", data.live ? "track" : "track, line", "off", "age", "p"].map(words => text("th", words))));
   for (const m of rows) {
     const file = data.sensors[records.source[m]].file,
       track = textOf("r", "track_id", m),
       line = records.line[m] >= 0 ? `line ${records.line[m]}` : `row ${records.row[m]}`;
+    // The rows of a live picture are those of one instant.
+    const where = data.live && track ? "" : file ? `${file} ${line}` : line;
     const place = markPlace(m),
       off = place ? Math.hypot(place[0] - objects.x[r], place[1] - objects.y[r]) : NaN;
     const cells = [
       sourceCell(records.source[m]),
-      text("td", [track, file ? `${file} ${line}` : line].filter(Boolean).join(", ")),
+      text("td", [track, where].filter(Boolean).join(", ")),
       text("td", Number.isFinite(off) ? metres(off) : "–"),
       text("td", Number.isFinite(records.age[m]) ? duration(records.age[m]) : "–"),
       text("td", probability(records.p[m])),

@@ -42,8 +42,9 @@ const shortest = data.instants.reduce(
   (least, t, k) => (k ? Math.min(least, t - data.instants[k - 1]) : least),
   Infinity,
 );
+// Ticks of a live page lie anywhere within a second.
 const decimals =
-  shortest < 0.1 ? 2 : shortest < 1 || data.instants.some(t => Math.abs(t - Math.round(t)) > 0.001) ? 1 : 0;
+  data.live && data.live.tick >= 1 ? 0 : shortest < 0.1 ? 2 : shortest < 1 || data.instants.some(t => Math.abs(t - Math.round(t)) > 0.001) ? 1 : 0;
 function clock(t) {
   if (!data.utc) return [`${fix(t, decimals)} s`, ""];
   const unit = 10 ** decimals,

@@ -75,12 +75,14 @@ class Target:
 class ArpaState:
     """Own ship before these lines. has_ttm : whether TTM sentences have occurred. targets : by number.
 
-    measured_s : clock time of the last TTM, by the number of the target.
+    speed, course : over ground, m/s and degrees. measured_s : clock time of the last TTM, by the number of the target.
     """
 
     heading: float = math.nan
     lat: float = math.nan
     lon: float = math.nan
+    speed: float = math.nan
+    course: float = math.nan
     has_ttm: bool = False
     targets: dict[str, Target] = field(default_factory=dict)
     measured_s: dict[str, float] = field(default_factory=dict)
@@ -205,8 +207,8 @@ def _track_ids(
 
 
 def _own_ship(log: Log, ship: ArpaState) -> dict[str, FloatArray]:
-    """Heading and position of own ship at each sentence: the latest values, NaN before the first."""
-    columns = {name: np.full(len(log.sentences), np.nan) for name in ("heading", "lat", "lon")}
+    """Heading, position, speed and course of own ship at each sentence: the latest values, NaN before the first."""
+    columns = {name: np.full(len(log.sentences), np.nan) for name in ("heading", "lat", "lon", "speed", "course")}
     for name, values in columns.items():
         values[:1] = getattr(ship, name)
     for index, sentence in enumerate(log.sentences):
@@ -238,11 +240,19 @@ def _position(lat: int) -> Callable[[Sentence], dict[str, float | None]]:
     return position_of
 
 
+def _velocity(s: Sentence, speed: int, course: int) -> dict[str, float | None]:
+    """Speed and course over ground; a receiver that rests sends no course, and keeps the last one."""
+    knots, degrees = s.number(speed), s.number(course)
+    given = {"speed": None if knots is None else knots * KNOT_M_PER_S}
+    return given if degrees is None else given | {"course": degrees}
+
+
 _OWN_SHIP: Mapping[str, Callable[[Sentence], dict[str, float | None]]] = {
     "OSD": lambda s: {"heading": s.number(1) if s.field(2) != "V" else None},
     "HDT": lambda s: {"heading": s.number(1)},
     "THS": lambda s: {"heading": s.number(1) if s.field(2) != "V" else None},
-    "RMC": lambda s: _position(3)(s) if s.field(2) != "V" else {},
+    "RMC": lambda s: _position(3)(s) | _velocity(s, 7, 8) if s.field(2) != "V" else {},
+    "VTG": lambda s: _velocity(s, 5, 1),
     "GGA": lambda s: _position(2)(s) if s.field(6) != "0" else {},
     "GLL": lambda s: _position(1)(s) if s.field(6) != "V" else {},
     "VDO": ais.own_ship,

@@ -172,6 +172,15 @@ class ReportStream:
             return (*self._vessels.station, heading)
         return self._ship.lat, self._ship.lon, self._ship.heading
 
+    @property
+    def own_velocity(self) -> tuple[float, float]:
+        """The latest speed (m/s) and course (degrees) of own ship over ground in the stream, NaN where unknown."""
+        if self.format == "signalk":
+            own = self._vessels.fields.get("self", {})
+            speed, course = (own.get(name, (0.0, math.nan))[1] for name in ("speed_m_per_s", "course_deg"))
+            return float(speed), float(course)
+        return self._ship.speed, self._ship.course
+
     def reports(self) -> list[Reports]:
         """The reports in the data since the last call, one :class:`Reports` per sensor.
 
