@@ -13,10 +13,10 @@ import pytest
 from astropy.table import Table
 
 from sameas.errors import InputError
-from sameas.io import read_provenance, read_table, replacing, write_table
+from sameas.io import read_provenance, read_table, replacing, write_table, written_formats
 from sameas.io.atomic import discard_drafts, filling
 
-ENDINGS = [".fits", ".vot", ".ecsv", ".csv", ".parquet"]
+ENDINGS = [extensions[0] for extensions in written_formats().values()]
 
 
 @pytest.mark.parametrize("stop", [RuntimeError, KeyboardInterrupt, SystemExit])

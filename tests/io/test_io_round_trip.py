@@ -22,7 +22,7 @@ from sameas.errors import InputError
 from sameas.io import read_table, write_table, written_formats
 from sameas.io.parquet import _described_by, _header_of
 
-ENDINGS = [".fits", ".vot", ".ecsv", ".csv", ".parquet"]
+ENDINGS = [extensions[0] for extensions in written_formats().values()]
 ZIPPED = [".fits.gz", ".vot.gz", ".ecsv.gz", ".csv.gz", ".tsv"]
 TYPED = [".fits", ".vot", ".ecsv", ".parquet"]
 NEW_PYARROW = int(pyarrow.__version__.partition(".")[0]) >= 26
