@@ -236,7 +236,7 @@ def test_the_ratio_is_that_of_the_true_densities_for_one_normal_band():
     assert abs(np.mean((back - exact)[central])) < 0.05
 
 
-def test_the_ratio_is_bounded_below_by_the_unrelated_share(frame, found):
+def test_the_ratio_is_bounded_below_by_the_unrelated_share(found):
     relation = found[1].photometry.first_relation
     far = np.array([5.0, 15.0, 40.0])
     others, none = np.column_stack([far + 100.0] * (1 + len(relation.slopes))), np.zeros((3, 1 + len(relation.slopes)))

@@ -163,7 +163,7 @@ def test_swapping_the_sources_transposes_the_result(found):
 
 
 @pytest.mark.slow
-def test_missing_values_are_a_category(found):
+def test_missing_values_are_a_category():
     gone = np.random.default_rng(2).uniform(size=len(MADE.magnitude)) < 0.2
     column = Column(2, np.where(gone, np.nan, MADE.magnitude), name="MAG")
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[column])
@@ -224,7 +224,7 @@ def tables():
 
 
 @pytest.mark.slow
-def test_the_command_accepts_columns_and_priors_and_explains_them(tmp_path, monkeypatch, found):
+def test_the_command_accepts_columns_and_priors_and_explains_them(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, table in zip(("x.fits", "o.fits"), tables(), strict=True):
         table.write(name)

@@ -101,7 +101,7 @@ def test_grades_learn_nothing_if_magnitudes_contain_the_information(frames):
     assert "precision" not in answer.evidence.terms
 
 
-def test_few_records_or_equal_errors_have_no_grades(frames):
+def test_few_records_or_equal_errors_have_no_grades():
     scene = exposure(np.random.default_rng(3), side_deg=0.01).scene
     assert "precision" not in match(scene.first, scene.second)[0].evidence.terms
 

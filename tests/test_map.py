@@ -563,7 +563,7 @@ def test_chart_and_page_agree_on_objects_seen_by_several() -> None:
     assert f"{several - 1} seen by two or more sources" in chart(sheet, sheet.instants_s[3]).get_suptitle()
 
 
-def test_a_users_coastline_replaces_the_default(tmp_path: Path) -> None:
+def test_a_users_coastline_replaces_the_default() -> None:
     island = np.array([[0.0, 0.0], [900.0, 0.0], [900.0, 900.0]])
     sheet = replace(charted(3, 3), ground=Outline((island,), (island,)))
     page = map_page(sheet)

@@ -370,7 +370,7 @@ def test_two_records_may_compete_for_any_number_of_candidates(n, turned, name):
     np.testing.assert_allclose(table, expected, rtol=0, atol=2e-6)
 
 
-def test_sparse_groups_beside_a_dense_one_stay_exact(monkeypatch):
+def test_sparse_groups_beside_a_dense_one_stay_exact():
     n1, n2, ratios = torus_field(np.random.default_rng(2), 30, 4)
     alone = {(n1, n2): 1.0, (n1 + 1, n2 + 1): 2.0, (n1 + 1, n2 + 2): 0.5}
     pairs, _, _, sure = solved(n1 + 2, n2 + 3, ratios | alone, PerPair(0.0))

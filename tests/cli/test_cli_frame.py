@@ -289,7 +289,7 @@ def test_a_catalogue_without_epoch_is_used_as_given_and_doubted_if_it_has_motion
 
 
 @pytest.mark.slow
-def test_missing_errors_and_times_are_estimated_or_doubted_and_never_required(files, sameas, tmp_path):
+def test_missing_errors_and_times_are_estimated_or_doubted_and_never_required(sameas, tmp_path):
     table = sky()["source_id", "ra", "dec", "phot_g_mean_mag", "pmra", "pmdec", "ref_epoch"]
     table.rename_columns(["source_id", "phot_g_mean_mag"], ["star", "mag"])
     table["ra"].unit = table["dec"].unit = "deg"
@@ -303,7 +303,7 @@ def test_missing_errors_and_times_are_estimated_or_doubted_and_never_required(fi
     assert "left at epoch 2016.0; give --time DATE" in text
 
 
-def test_only_the_cone_is_read_from_a_folder_of_parquet(files, tmp_path):
+def test_only_the_cone_is_read_from_a_folder_of_parquet(tmp_path):
     folder = tmp_path / "hats"
     for k, part in enumerate(np.array_split(np.arange(400), 3)):
         path = folder / "dataset" / "Norder=1" / "Dir=0" / f"Npix={k}.parquet"

@@ -143,7 +143,7 @@ def test_a_dry_run_prints_its_interpretation_and_writes_nothing(tmp_path, sameas
     assert list(tmp_path.iterdir()) == []
 
 
-def test_options_of_one_catalogue_override_those_of_both(tmp_path, sameas, field_files):
+def test_options_of_one_catalogue_override_those_of_both(sameas, field_files):
     text = sameas("match", *field_files, "--dry-run", "--sigma", "0.3", "--sigma2", "0.2").stdout
     assert "0.3 arcsec on each axis (option)" in text and "0.2 arcsec on each axis (option)" in text
 

@@ -145,7 +145,7 @@ def test_two_exposures_raise_a_doubt(table, tmp_path):
     assert result.exit_code == 0 and "nothing confirms that motion is straight" in " ".join(result.output.split())
 
 
-def test_files_that_are_no_frames_are_refused_one_by_one(table, tmp_path):
+def test_files_that_are_no_frames_are_refused_one_by_one(tmp_path):
     """The way of a series of frames is begun: every file is told what it lacks, then the series."""
     other = tmp_path / "other.fits"
     other.write_text("no frame")

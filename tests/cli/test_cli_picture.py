@@ -147,7 +147,7 @@ def test_an_older_picture_in_the_folder_is_reported(picture):
     assert f"not of this one: {out / 'objects.parquet'}, {out / 'identities.parquet'}" in shown.stderr
 
 
-def test_quiet_prints_only_doubts_and_alarms(sameas, coast, tmp_path):
+def test_quiet_prints_only_doubts_and_alarms(sameas, tmp_path):
     rows = [[START + t, 235000001, LAT + 0.03 * k, LON, 0.0, 0.0] for t in range(0, 60, 6) for k in (0, 1)]
     write(tmp_path / "ais.csv", ["time", "mmsi", "lat", "lon", "sog_kn", "cog_deg"], rows)
     shown = sameas("picture", tmp_path / "ais.csv", "-o", tmp_path / "out", "--every", "20s", "--quiet", *QUICK)

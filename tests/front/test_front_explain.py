@@ -123,7 +123,7 @@ def test_objects_of_several_catalogues_are_explained(crowded, tmp_path):
     assert "offset_1" not in read_provenance(path)
 
 
-def test_outputs_that_cannot_be_explained_are_refused(crowded, match, tmp_path):
+def test_outputs_that_cannot_be_explained_are_refused(match, tmp_path):
     from astropy.table import Table
 
     write_table(Table({"a": [1]}), tmp_path / "other.fits", provenance={})

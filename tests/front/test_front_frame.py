@@ -55,7 +55,7 @@ def found(made):
 
 
 @pytest.mark.slow
-def test_a_frame_is_matched_with_a_table(made, found):
+def test_a_frame_is_matched_with_a_table(found):
     assert len(found) > 50 and len(found.pairs) == len(found)
     assert found.pairs["id_2"].min() >= 1000 and (found.table["fate"] == "identified").sum() == len(found)
     middle = found.wcs.pixel_to_world((SIDE - 1) / 2, (SIDE - 1) / 2)

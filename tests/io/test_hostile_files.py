@@ -219,7 +219,7 @@ def test_compressed_log_that_expands_without_limit(tmp_path):
     assert "unpacks to more than 32 MB" in read(tmp_path / "t.csv.gz", content, read_reports)
 
 
-def test_impossible_file_names(tmp_path):
+def test_names_that_no_file_can_have_and_unreadable_files_are_refused():
     for reader in (read_reports, read_table, lambda name: catalogue(name, None), Observer.read):
         with pytest.raises(InputError):
             reader("x" * 5000)

@@ -157,7 +157,7 @@ def test_deltas_add_up_to_the_frame(keeper):
     keeper.close()
 
 
-def approach(tmp_path, own_ship, also=None, **watch):
+def approach(own_ship, also=None, **watch):
     """The kinds of alarms while a ship passes a place at 100 m. also : adds the reports of others at each time."""
     keeper = Keeper(
         Settings(
@@ -180,25 +180,25 @@ def approach(tmp_path, own_ship, also=None, **watch):
 
 
 @pytest.mark.slow
-def test_a_radar_on_shore_is_no_own_ship_in_danger_unless_a_distance_is_given(tmp_path):
+def test_a_radar_on_shore_is_no_own_ship_in_danger_unless_a_distance_is_given():
     shore = OwnShip(lat_deg=50.0, lon_deg=-1.0)
-    assert approach(tmp_path, shore) == set()
-    assert approach(tmp_path, shore, cpa_m=500.0) == {"cpa"}
+    assert approach(shore) == set()
+    assert approach(shore, cpa_m=500.0) == {"cpa"}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("knots", "kinds"), [(5.0, {"cpa"}), (0.5, set())])
-def test_a_ship_under_way_is_warned_of_approaches_and_one_in_port_is_not(tmp_path, knots, kinds):
+def test_a_ship_under_way_is_warned_of_approaches_and_one_in_port_is_not(knots, kinds):
     def moved(keeper, t):
         north = 0.5144 * knots * t
         row: dict[str, Any] = {"time_s": [START_S + t], "lat_deg": [50.0 + north / 111_240.0], "lon_deg": [-1.0]}
         row |= {"mmsi": ["235000009"], "vx_m_per_s": [0.0], "vy_m_per_s": [0.5144 * knots]}
         keeper.picture.add("ais", Reports.of("ais", "ais", row))
 
-    assert approach(tmp_path, OwnShip(mmsi="235000009"), also=moved) == kinds
+    assert approach(OwnShip(mmsi="235000009"), also=moved) == kinds
 
 
-def test_the_terminal_shows_an_alarm_once_however_long_the_ticks_are(tmp_path):
+def test_the_terminal_shows_an_alarm_once_however_long_the_ticks_are():
     from sameas.cli.watch import _News
 
     keeper = Keeper(settings(), replay=replay())

@@ -221,7 +221,7 @@ def test_invalid_memory_settings_are_refused():
         TrackMemory().advance(Scan.of(scene.at(20.0))).advance(Scan.of(scene.at(10.0)))
 
 
-def two_tracks(seed, same, looks=6, every_s=10.0, sigma=(20.0, 8.0)):
+def two_tracks(seed, same, looks=6, sigma=(20.0, 8.0)):
     """Positions (2, looks, 2) of two tracks of moored objects, with errors of which half lasts, and each one's R."""
     rng = np.random.default_rng(seed)
     d = np.zeros(2) if same else rng.normal(0.0, 30.0, 2)

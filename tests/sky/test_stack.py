@@ -182,7 +182,7 @@ def test_the_page_blinks_steps_and_explains(tmp_path):
         browser.close()
 
 
-def test_the_picture_shows_a_row_of_dots_and_the_stack(tmp_path):
+def test_the_picture_shows_a_row_of_dots_and_the_stack():
     from sameas.plots.frame import mover_picture
 
     tied, frames, _ = series(7, seen=(0, 2, 3, 5))
