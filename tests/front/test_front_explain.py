@@ -81,6 +81,18 @@ def test_records_without_ids_are_named_by_row(crowded, tmp_path):
         sameas.explain(path, 3, source=2)
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_the_second_candidate_of_a_record_without_an_id_is_an_answer(named, tmp_path):
+    """It was left out where the record's own catalogue has no ids."""
+    names = {"name": ["b0", "b1"]} if named else {}
+    second = {"ra": [10.0, 10.0], "dec": [20.0 + 0.2 / 3600.0, 20.0 - 0.3 / 3600.0], **names}
+    match = sameas.match({"ra": [10.0], "dec": [20.0]}, second, sigma=0.3, error_scale=1, density=(1e6, 1e6))
+    match.write(tmp_path / "out.fits")
+    p = f"{match.table['p_second'][0]:.4f}"
+    [line] = [line for line in str(sameas.explain(tmp_path / "out.fits", row=0)).splitlines() if p in line]
+    assert line.split() == [*(["b1"] if named else ["row", "1"]), p, *["the", "most", "probable", "other", "candidate"]]
+
+
 @pytest.mark.parametrize("join", ["all1", "1or2", "all2"])
 def test_rows_are_counted_with_rows_that_lack_a_position_or_share_one(join, tmp_path):
     """One row without a position, or two of the same, and every row was refused: the catalogue had no ids, it said."""

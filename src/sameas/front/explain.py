@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError, reading
-from sameas.report.explain import source_numbers, texts_of
+from sameas.report.explain import Asked, Output, source_numbers, texts_of
 from sameas.report.prose import Lines, entry, moment
 from sameas.representation import count
 from sameas.result import probability_text
@@ -88,34 +88,27 @@ def explain(
     facts = read_provenance(path, format=format)
     with reading(str(path), CHANGED):
         kind = _kind(facts, path)
-        number = 0 if kind == "frame" else _number(facts, source, path)
+        number = _side_of_frame(facts, source) if kind == "frame" else _number(facts, source, path)
         small = kind == "match" and int(facts["rows_1"]) + int(facts["rows_2"]) <= REPEATED
     if again and kind != "match":
         raise InputError(f"{path}: only a match of two catalogues is repeated; leave again out")
     if again or small:
-        repeated = _repeated(facts, path, record, number, by_row, again, progress)
+        repeated = _repeated(facts, path, Asked(record, number, by_row), again, progress)
         if repeated is not None:
             return repeated
         progress(f"reading {path}")
     table = read_table(path, format=format)
     with reading(str(path), CHANGED):
-        return Lines(tuple(_of_table(kind, table, facts, record, number, source, by_row)))
+        return Lines(tuple(_of_table(kind, Output(table, facts), Asked(record, number, by_row))))
 
 
-def _of_table(
-    kind: str, table: Table, facts: Mapping[str, Any], record: str, number: int, source: int | str, by_row: bool
-) -> Iterable[str]:
-    """The explanation of a record from the table alone. number : of its catalogue. source : as given by the user."""
+def _of_table(kind: str, output: Output, asked: Asked) -> Iterable[str]:
+    """The explanation of a record from the table alone."""
     from sameas.report.explain import frame_lines, many_lines, match_lines
 
     if kind == "match":
-        return (*_either(match_lines, table, facts, record, number, by_row), "", ALONE)
-    if kind == "many":
-        return many_lines(table, facts, record, number, by_row)
-    sides = {1: 1, "measurement": 1, "1": 1, 2: 2, "star": 2, "2": 2}
-    if source not in sides:
-        raise InputError(f"{facts['frame']}: source is {source!r}; give measurement or star")
-    return frame_lines(table, facts, record, sides[source], by_row)
+        return (*_either(match_lines, output, asked), "", ALONE)
+    return many_lines(output, asked) if kind == "many" else frame_lines(output, asked)
 
 
 def _kind(facts: Mapping[str, Any], path: Path) -> str:
@@ -138,14 +131,16 @@ def _number(facts: Mapping[str, Any], source: int | str, path: Path) -> int:
     return number
 
 
+def _side_of_frame(facts: Mapping[str, Any], source: int | str) -> int:
+    """1 for the measurements of a frame, 2 for its stars."""
+    sides = {1: 1, "measurement": 1, "1": 1, 2: 2, "star": 2, "2": 2}
+    if source not in sides:
+        raise InputError(f"{facts['frame']}: source is {source!r}; give measurement or star")
+    return sides[source]
+
+
 def _repeated(
-    facts: Mapping[str, Any],
-    path: Path,
-    record: str,
-    source: int,
-    by_row: bool,
-    again: bool,
-    progress: Callable[[str], None],
+    facts: Mapping[str, Any], path: Path, asked: Asked, again: bool, progress: Callable[[str], None]
 ) -> Lines | None:
     """The explanation from a repeated match; None where it cannot be repeated and this was not requested."""
     from sameas.front.match import id_of
@@ -161,7 +156,8 @@ def _repeated(
         return None
     first, second = request.catalogue(1), request.catalogue(2)
     match = request.naming_sides(lambda: crossmatch.match(first, second, request.options, progress=progress))
-    if by_row:
+    record, source = asked.text, asked.source
+    if asked.by_row:
         record = id_of(match.result.first if source == 1 else match.result.second, None, int(record))
     return Lines(tuple(explanation_lines(match, _explained(match, record, source), source)))
 
@@ -178,21 +174,19 @@ def _explained(match: SkyMatch, record: str, source: int) -> Any:
         raise _of_other(record, (match.first if other == 1 else match.second).name, other) from None
 
 
-def _either(
-    lines: Callable[..., list[str]], table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool
-) -> list[str]:
+def _either(lines: Callable[[Output, Asked], list[str]], output: Output, asked: Asked) -> list[str]:
     """The lines of a record; an error names the other catalogue where the record is in that one."""
     try:
-        return lines(table, facts, record, source, by_row)
+        return lines(output, asked)
     except InputError as error:
-        other = 3 - source
+        other = asked.of_other
         try:
-            lines(table, facts, record, other, by_row)
+            lines(output, other)
         except InputError:
             raise error from None
-        if by_row or facts.get(f"id_column_{other}") is None:
+        if asked.by_row or output.facts.get(f"id_column_{other.source}") is None:
             raise
-        raise _of_other(record, facts[f"name_{other}"], other) from None
+        raise _of_other(asked.text, output.name(other.source), other.source) from None
 
 
 def _of_other(record: str, name: str, other: int) -> InputError:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +32,121 @@ if TYPE_CHECKING:
 
 #: Number of competing records that are listed (chosen).
 LISTED = 8
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A record that is asked about.
+
+    text : its id, or its row. source : number of its catalogue, from 1; of a frame 1 for measurements and 2 for stars.
+    """
+
+    text: str
+    source: int
+    by_row: bool = False
+
+    @property
+    def of_other(self) -> Asked:
+        """The record of this id or row in the other one of two catalogues."""
+        return replace(self, source=3 - self.source)
+
+
+@dataclass(frozen=True)
+class Output:
+    """A table that a command wrote. facts : its provenance."""
+
+    table: Table
+    facts: Mapping[str, Any]
+
+    def name(self, source: int) -> str:
+        """The name of a catalogue."""
+        return str(self.facts[f"name_{source}"])
+
+    def value(self, column: str, row: int) -> Any:
+        """The value of a cell; None where it is masked or the column does not exist."""
+        return _value(self.table, column, row)
+
+    def has(self, source: int, row: int) -> bool:
+        """Whether a row has a record of a catalogue."""
+        return self.value(self.facts.get(f"ra_column_{source}") or "", row) is not None
+
+    def called(self, row: int, source: int) -> str:
+        """The id of a row's record of a catalogue; its coordinates where the catalogue has no ids."""
+        column = self.facts.get(f"id_column_{source}")
+        if column is not None:
+            return str(self.value(column, row))
+        at = self._coordinates(row, source)
+        return f"at {' '.join(at)}" if at else "without a position"
+
+    def _coordinates(self, row: int, source: int) -> list[str]:
+        """Both coordinates of a record as text; none if one is missing."""
+        at = [self.value(self.facts[f"{role}_column_{source}"], row) for role in ("ra", "dec")]
+        if None in at:
+            return []
+        return [one if isinstance(one, str) else f"{one:{sign}.6f}" for one, sign in zip(at, ("", "+"), strict=True)]
+
+    def properties(self, row: int, source: int) -> list[str]:
+        """The lines on position and brightness of a row's record of a catalogue."""
+        lines = entry("position", ", ".join(self._coordinates(row, source)) or "not known")
+        magnitude = self.facts.get(f"magnitude_column_{source}")
+        if magnitude is not None and (value := self.value(magnitude, row)) is not None:
+            lines += entry("brightness", f"{magnitude} {float(value):.2f}")
+        return lines
+
+    def group(self, row: int) -> IntArray:
+        """The rows of the same group, including this one; none where the row has no group."""
+        if self.value("group_id", row) is None:
+            return np.empty(0, np.int64)
+        groups = self.table["group_id"]
+        same = np.asarray(np.ma.filled(groups, ABSENT)) == self.value("group_id", row)
+        return np.flatnonzero(same & ~_absent(groups))
+
+    def rows_of(self, asked: Asked) -> IntArray:
+        """The rows with a record of a catalogue.
+
+        Raises
+        ------
+        InputError : there is no such record, or rows cannot be counted.
+        """
+        table, facts, name = self.table, self.facts, self.name(asked.source)
+        column = facts.get(f"id_column_{asked.source}")
+        # Records without a position are in the output, too.
+        present = ~_absent(table[column or facts[f"ra_column_{asked.source}"]])
+        if column is not None and not asked.by_row:
+            rows = np.flatnonzero(present & (texts_of(table[column]) == asked.text.strip()))
+            if not len(rows):
+                listed = ", ".join(texts_of(table[column])[np.flatnonzero(present)[:3]])
+                raise InputError(
+                    f"{name} has no record with the id {asked.text} in the output; its first ids are {listed}"
+                )
+            return rows
+        number, position = _whole_number(asked.text, name), self._row_numbers(asked.source, present)
+        rows = np.flatnonzero(position == number)
+        if not len(rows):
+            raise InputError(f"{name} has no row {number} in the output; rows are counted from 0")
+        return rows
+
+    def _row_numbers(self, source: int, present: BoolArray) -> IntArray:
+        """(n,) the catalogue row of each row of the table, ABSENT for none; refused unless the table has them all."""
+        table, facts = self.table, self.facts
+        rows, join = facts[f"rows_{source}"], facts.get("join", "")
+        leading = {"all1": 1, "1or2": 1, "pairs": 1, "all2": 2}.get(join)
+        if source == leading and (len(table) == rows or (join == "1or2" and not present[rows:].any())):
+            return np.where(np.arange(len(table)) < rows, np.arange(len(table)), ABSENT)
+        positions = [texts_of(table[facts[f"{role}_column_{source}"]]) for role in ("ra", "dec")]
+        held = np.flatnonzero(present)
+        same = np.ones(len(held), bool)
+        same[1:] = np.any([part[held][1:] != part[held][:-1] for part in positions], axis=0)
+        number = np.full(len(table), ABSENT)
+        number[held] = np.cumsum(same) - 1
+        if ("join" in facts and source != leading) or number.max(initial=-1) + 1 != rows:
+            raise InputError(
+                f"{self.name(source)}: rows cannot be counted, because the output does not hold all its rows in "
+                "their order",
+                ("give the id instead, or " if facts.get(f"id_column_{source}") else "write it with an id, or ")
+                + f"with the join {'all2' if source == 2 else 'all1'}",
+            )
+        return number
 
 
 def explanation_lines(match: SkyMatch, explanation: Explanation, source: int) -> list[str]:
@@ -125,121 +241,111 @@ def _brightness(catalogue: Catalogue, row: int) -> str:
     return f"{catalogue.magnitude_name} {catalogue.magnitude[row]:.2f}"
 
 
-def match_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
-    """One record of a match of two catalogues. facts : provenance. record : its id, or its row. source : 1 or 2.
+def match_lines(output: Output, asked: Asked) -> list[str]:
+    """One record of a match of two catalogues.
 
     Raises
     ------
     InputError : no such record in the table.
     """
-    rows = _found(table, facts, record, source, by_row)
-    names = [facts["name_1"], facts["name_2"]]
-    mine, other = names[source - 1], names[2 - source]
-    best = rows[_first_chosen(table, rows)]
-    words = _called(table, facts, best, source)
-    if _is_absent(table, "p_none", best) and _is_absent(table, "p_match", best):
-        return [f"{mine} {words} could not be used", *_where(table, facts, best, source)]
-    partner = None if _is_absent(table, "p_match", best) else _called(table, facts, best, 3 - source)
-    p = _value(table, "p_none" if partner is None else "p_match", best)
-    who = "has no partner" if partner is None else f"is {other} {partner}"
-    lines = [f"{mine} {words} {who}, probability {probability_text(float(p))}", *_where(table, facts, best, source)]
-    if partner is None and not _value(table, "n_within", best):
-        covered = bool(_value(table, "covered", best))
+    rows, source = output.rows_of(asked), asked.source
+    mine, other = output.name(source), output.name(3 - source)
+    best = rows[_first_chosen(output.table, rows)]
+    words, is_pair = output.called(best, source), output.value("p_match", best) is not None
+    if not is_pair and output.value("p_none", best) is None:
+        return [f"{mine} {words} could not be used", *output.properties(best, source)]
+    who = f"is {other} {output.called(best, 3 - source)}" if is_pair else "has no partner"
+    p = probability_text(float(output.value("p_match" if is_pair else "p_none", best)))
+    lines = [f"{mine} {words} {who}, probability {p}", *output.properties(best, source)]
+    if not is_pair and not output.value("n_within", best):
+        covered = bool(output.value("covered", best))
         return [*lines, *entry("candidates", "none" if covered else f"none: {other} does not cover that place")]
-    lines += entry("candidates", f"{count(_value(table, 'n_within', best))} within the gate")
-    lines += ["", f"Answers ({other})"]
-    lines += _answers(table, facts, rows, best, source)
-    rivals = _group(table, best)
-    details = [_pair(table, facts, int(row), names) for row in rivals if row not in rows]
-    return [*lines, *_competing(details)]
+    lines += entry("candidates", f"{count(output.value('n_within', best))} within the gate")
+    lines += ["", f"Answers ({other})", *_answers(output, rows, best, source)]
+    return [*lines, *_competing([_pair(output, int(row)) for row in output.group(best) if row not in rows])]
 
 
-def _answers(table: Table, facts: Mapping[str, Any], rows: IntArray, best: int, source: int) -> list[str]:
+def _answers(output: Output, rows: IntArray, best: int, source: int) -> list[str]:
     """The candidates that the table names, and "no partner"."""
     answers: dict[str, tuple[float, str]] = {}
     for row in rows.tolist():
-        if not _is_absent(table, "p_match", row):
-            east, north = (_value(table, name, row) for name in ("dx_arcsec", "dy_arcsec"))
-            details = f"{_value(table, 'sep_arcsec', row):.3f} arcsec ({east:+.3f} east, {north:+.3f} north), "
-            details += f"{_value(table, 'mahalanobis', row):.2f} σ, ln odds {_value(table, 'log_odds', row):+.2f}"
-            answers[_called(table, facts, row, 3 - source)] = float(_value(table, "p_match", row)), details
-    second = _value(table, "id_second", best)
-    mine = not _is_absent(table, facts.get(f"id_column_{source}") or f"ra_column_{source}", best)
-    if second is not None and mine and source == _side_of(table, facts, best):
-        answers.setdefault(str(second), (float(_value(table, "p_second", best)), "the most probable other candidate"))
-    if (alone := _value(table, "p_none", best)) is not None and source == _side_of(table, facts, best):
-        answers["no partner"] = float(alone), ""
+        if (p_match := output.value("p_match", row)) is not None:
+            east, north = (output.value(name, row) for name in ("dx_arcsec", "dy_arcsec"))
+            details = f"{output.value('sep_arcsec', row):.3f} arcsec ({east:+.3f} east, {north:+.3f} north), "
+            details += f"{output.value('mahalanobis', row):.2f} σ, ln odds {output.value('log_odds', row):+.2f}"
+            answers[output.called(row, 3 - source)] = float(p_match), details
+    # p_none and id_second of a row refer to the first catalogue, unless the row has no record of it.
+    if source == (1 if output.has(1, best) else 2):
+        second, alone = output.value("id_second", best), output.value("p_none", best)
+        if second is not None and output.facts.get("join") != "pairs":  # which has all candidates
+            name = str(second) if output.facts.get(f"id_column_{3 - source}") else f"row {second}"
+            answers.setdefault(name, (float(output.value("p_second", best)), "the most probable other candidate"))
+        if alone is not None:
+            answers["no partner"] = float(alone), ""
     wide = max(map(len, answers))
     order = sorted(answers.items(), key=lambda answer: -answer[1][0])
     return [f"    {name:{wide}}  {probability_text(p):>10}  {details}".rstrip() for name, (p, details) in order]
 
 
-def _side_of(table: Table, facts: Mapping[str, Any], row: int) -> int:
-    """The catalogue to which p_none and id_second of a row refer: the first, unless the row has no record of it."""
-    return 2 if _is_absent(table, facts.get("ra_column_1") or "", row) else 1
-
-
-def many_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
-    """One record of several catalogues, and its object. source : number of its catalogue, from 1."""
-    row = int(_found(table, facts, record, source, by_row)[0])
-    sources = source_numbers(facts)
+def many_lines(output: Output, asked: Asked) -> list[str]:
+    """One record of several catalogues, and its object."""
+    row, source = int(output.rows_of(asked)[0]), asked.source
+    sources = source_numbers(output.facts)
 
     def members(at: int) -> list[str]:
-        return [f"{facts[f'name_{k}']} {_called(table, facts, at, k)}" for k in sources
-                if not _is_absent(table, facts.get(f"ra_column_{k}") or "", at)]  # fmt: skip
+        return [f"{output.name(k)} {output.called(at, k)}" for k in sources if output.has(k, at)]
 
-    mine = f"{facts[f'name_{source}']} {_called(table, facts, row, source)}"
-    if _is_absent(table, "p_object", row):
-        return [f"{mine} could not be used", *_where(table, facts, row, source)]
+    mine, probability = f"{output.name(source)} {output.called(row, source)}", output.value("p_object", row)
+    if probability is None:
+        return [f"{mine} could not be used", *output.properties(row, source)]
     others = [name for name in members(row) if name != mine]
     who = f"is {' = '.join(others)}" if others else "has no partner in any catalogue"
-    p = float(_value(table, "p_object", row))
-    lines = [f"{mine} {who}, probability {probability_text(p)}", *_where(table, facts, row, source)]
-    if (chi_sq := _value(table, "chi_sq", row)) is not None:
+    p = probability_text(float(probability))
+    lines = [f"{mine} {who}, probability {p}", *output.properties(row, source)]
+    if (chi_sq := output.value("chi_sq", row)) is not None:
         free = 2 * (len(members(row)) - 1)
         lines += entry("residuals", f"χ² {chi_sq:.2f} of {free} degrees of freedom, by the quoted errors")
-    if (second := _value(table, "runner_up", row)) is not None:
-        lines += entry(
-            "next best", f"{second}, probability {probability_text(float(_value(table, 'p_runner_up', row)))}"
-        )
-    rivals = [int(other) for other in _group(table, row) if other != row]
-    return lines + _competing(
-        [f"{' = '.join(members(other))}, probability {probability_text(float(_value(table, 'p_object', other)))}"
-         for other in rivals]
-    )  # fmt: skip
+    if (second := output.value("runner_up", row)) is not None:
+        p = probability_text(float(output.value("p_runner_up", row)))
+        lines += entry("next best", f"{second}, probability {p}")
+    rivals = [int(other) for other in output.group(row) if other != row]
+    texts = [probability_text(float(output.value("p_object", other))) for other in rivals]
+    details = [f"{' = '.join(members(k))}, probability {p}" for k, p in zip(rivals, texts, strict=True)]
+    return lines + _competing(details)
 
 
-def frame_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
-    """One measurement (source 1) or star (source 2) of a frame. facts : provenance."""
-    column = "measurement" if source == 1 else "star"
-    rows = np.array([int(record)]) if by_row else np.flatnonzero(texts_of(table[column]) == record.strip())
+def frame_lines(output: Output, asked: Asked) -> list[str]:
+    """One measurement or star of a frame."""
+    table, facts, text = output.table, output.facts, asked.text
+    column = "measurement" if asked.source == 1 else "star"
+    rows = np.array([int(text)]) if asked.by_row else np.flatnonzero(texts_of(table[column]) == text.strip())
     if not len(rows) or not 0 <= rows[0] < len(table):
         listed = ", ".join(texts_of(table[column])[:3])
-        raise InputError(f"{facts['frame']} has no {column} {record}; its first are {listed}")
+        raise InputError(f"{facts['frame']} has no {column} {text}; its first are {listed}")
     row = int(rows[0])
-    fate, star, number = (_value(table, name, row) for name in ("fate", "star", "measurement"))
+    fate, star, number = (output.value(name, row) for name in ("fate", "star", "measurement"))
     mine = f"{facts['catalogue']} {star}" if number is None else f"measurement {number}"
     lines = [f"{mine} is {'a star that is ' * (fate == 'missing')}{fate}"]
     if fate == "identified":
         lines = [f"measurement {number} is {facts['catalogue']} {star}, "
-                 f"probability {probability_text(float(_value(table, 'p_match', row)))}"]  # fmt: skip
-        off = f"{_value(table, 'residual_x_px', row):+.2f}, {_value(table, 'residual_y_px', row):+.2f} px"
-        east, north = (_value(table, f"residual_{axis}_arcsec", row) for axis in ("east", "north"))
-        far = f"{_value(table, 'distance_sigma', row):.2f} σ"
+                 f"probability {probability_text(float(output.value('p_match', row)))}"]  # fmt: skip
+        off = f"{output.value('residual_x_px', row):+.2f}, {output.value('residual_y_px', row):+.2f} px"
+        east, north = (output.value(f"residual_{axis}_arcsec", row) for axis in ("east", "north"))
+        far = f"{output.value('distance_sigma', row):.2f} σ"
         lines += entry("measured − predicted", f"{off}; {east:+.3f}″ east, {north:+.3f}″ north; {far}")
-    lines += entry("position", f"x {_value(table, 'x_px', row):.2f}, y {_value(table, 'y_px', row):.2f} px")
-    magnitudes = [f"{words} {_value(table, name, row):.2f}" for name, words in
+    lines += entry("position", f"x {output.value('x_px', row):.2f}, y {output.value('y_px', row):.2f} px")
+    magnitudes = [f"{words} {output.value(name, row):.2f}" for name, words in
                   (("magnitude", "measured"), ("star_magnitude", "in the catalogue"))
-                  if _value(table, name, row) is not None]  # fmt: skip
+                  if output.value(name, row) is not None]  # fmt: skip
     lines += entry("magnitude", ", ".join(magnitudes)) if magnitudes else []
-    if (alone := _value(table, "p_none", row)) is not None:
+    if (alone := output.value("p_none", row)) is not None:
         lines += entry("no partner", f"probability {probability_text(float(alone))}")
-    second = _value(table, "second_star" if number is not None else "second_measurement", row)
+    second = output.value("second_star" if number is not None else "second_measurement", row)
     if second is not None:
-        lines += entry("next best", f"{second}, probability {probability_text(float(_value(table, 'p_second', row)))}")
-    if (seen := _value(table, "p_detect", row)) is not None:
+        lines += entry("next best", f"{second}, probability {probability_text(float(output.value('p_second', row)))}")
+    if (seen := output.value("p_detect", row)) is not None:
         lines += entry("completeness", f"{100 * float(seen):.0f} % at its magnitude")
-    return lines + (entry("remark", str(_value(table, "remark", row))) if _value(table, "remark", row) else [])
+    return lines + (entry("remark", str(output.value("remark", row))) if output.value("remark", row) else [])
 
 
 #: By number of an object, the times from which an explanation of it is valid, ascending, and its text.
@@ -450,46 +556,6 @@ def _nearest(times: NDArray[Any], at_s: float | None) -> float:
     return float(times.max() if at_s is None else times[np.argmin(np.abs(times - at_s))])
 
 
-def _found(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool) -> IntArray:
-    """The rows of the table with a record of a catalogue, given by its id or its row."""
-    name, column = facts[f"name_{source}"], facts.get(f"id_column_{source}")
-    # Records without a position are in the output, too.
-    present = ~_absent(table[column or facts[f"ra_column_{source}"]])
-    if column is not None and not by_row:
-        rows = np.flatnonzero(present & (texts_of(table[column]) == record.strip()))
-        if not len(rows):
-            listed = ", ".join(texts_of(table[column])[np.flatnonzero(present)[:3]])
-            raise InputError(f"{name} has no record with the id {record} in the output; its first ids are {listed}")
-        return rows
-    number, position = _whole_number(record, name), _row_numbers(table, facts, source, present)
-    rows = np.flatnonzero(position == number)
-    if not len(rows):
-        raise InputError(f"{name} has no row {number} in the output; rows are counted from 0")
-    return rows
-
-
-def _row_numbers(table: Table, facts: Mapping[str, Any], source: int, present: BoolArray) -> IntArray:
-    """(n,) the catalogue row of each row of the table, ABSENT for none; refused unless the table has them all."""
-    rows, join = facts[f"rows_{source}"], facts.get("join", "")
-    leading = {"all1": 1, "1or2": 1, "pairs": 1, "all2": 2}.get(join)
-    if source == leading and (len(table) == rows or (join == "1or2" and not present[rows:].any())):
-        return np.where(np.arange(len(table)) < rows, np.arange(len(table)), ABSENT)
-    positions = [texts_of(table[facts[f"{role}_column_{source}"]]) for role in ("ra", "dec")]
-    held = np.flatnonzero(present)
-    same = np.ones(len(held), bool)
-    same[1:] = np.any([part[held][1:] != part[held][:-1] for part in positions], axis=0)
-    number = np.full(len(table), ABSENT)
-    number[held] = np.cumsum(same) - 1
-    if ("join" in facts and source != leading) or number.max(initial=-1) + 1 != rows:
-        raise InputError(
-            f"{facts[f'name_{source}']}: rows cannot be counted, because the output does not hold all its rows in "
-            "their order",
-            ("give the id instead, or " if facts.get(f"id_column_{source}") else "write it with an id, or ")
-            + f"with the join {'all2' if source == 2 else 'all1'}",
-        )
-    return number
-
-
 def _whole_number(text: str, name: str) -> int:
     try:
         return int(text)
@@ -504,45 +570,13 @@ def _first_chosen(table: Table, rows: IntArray) -> int:
     return int(np.argmax(np.asarray(np.ma.filled(table["match_flag"][rows], 0)) == 1))
 
 
-def _called(table: Table, facts: Mapping[str, Any], row: int, source: int) -> str:
-    column = facts.get(f"id_column_{source}")
-    if column is not None:
-        return str(_value(table, column, row))
-    at = _coordinates(table, facts, row, source)
-    return f"at {' '.join(at)}" if at else "without a position"
-
-
-def _coordinates(table: Table, facts: Mapping[str, Any], row: int, source: int) -> list[str]:
-    """Both coordinates of a record as text; none if one is missing."""
-    at = [_value(table, facts[f"{role}_column_{source}"], row) for role in ("ra", "dec")]
-    if None in at:
-        return []
-    return [one if isinstance(one, str) else f"{one:{sign}.6f}" for one, sign in zip(at, ("", "+"), strict=True)]
-
-
-def _where(table: Table, facts: Mapping[str, Any], row: int, source: int) -> list[str]:
-    lines = entry("position", ", ".join(_coordinates(table, facts, row, source)) or "not known")
-    magnitude = facts.get(f"magnitude_column_{source}")
-    if magnitude is not None and (value := _value(table, magnitude, row)) is not None:
-        lines += entry("brightness", f"{magnitude} {float(value):.2f}")
-    return lines
-
-
-def _pair(table: Table, facts: Mapping[str, Any], row: int, names: Sequence[str]) -> str:
-    present = [k for k in (1, 2) if not _is_absent(table, facts[f"ra_column_{k}"], row)]
-    called = " = ".join(f"{names[k - 1]} {_called(table, facts, row, k)}" for k in present)
-    p = _value(table, "p_match" if len(present) == 2 else "p_none", row)
-    return f"{called}{' alone' * (len(present) == 1)}" + (
-        "" if p is None else f", probability {probability_text(float(p))}"
-    )
-
-
-def _group(table: Table, row: int) -> IntArray:
-    """The rows of the same group, including this one; none where the row has no group."""
-    if _is_absent(table, "group_id", row):
-        return np.empty(0, np.int64)
-    same = np.asarray(np.ma.filled(table["group_id"], ABSENT)) == _value(table, "group_id", row)
-    return np.flatnonzero(same & ~_absent(table["group_id"]))
+def _pair(output: Output, row: int) -> str:
+    """The records of a row of a match, and their probability."""
+    present = [k for k in (1, 2) if output.has(k, row)]
+    called = " = ".join(f"{output.name(k)} {output.called(row, k)}" for k in present)
+    p = output.value("p_match" if len(present) == 2 else "p_none", row)
+    words = f"{called}{' alone' * (len(present) == 1)}"
+    return words if p is None else f"{words}, probability {probability_text(float(p))}"
 
 
 def _competing(details: Sequence[str]) -> list[str]:
@@ -567,10 +601,6 @@ def _absent(column: Any) -> BoolArray:
     if column.dtype.kind == "f":  # a masked float is NaN in FITS
         absent |= np.isnan(np.ma.getdata(column))
     return absent
-
-
-def _is_absent(table: Table, name: str, row: int) -> bool:
-    return _value(table, name, row) is None
 
 
 def _value(table: Table, name: str, row: int) -> Any:
