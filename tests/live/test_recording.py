@@ -18,6 +18,7 @@ from tests.live.test_inputs import free_port
 
 from sameas.cli.watch import _settings
 from sameas.errors import InputError
+from sameas.front.picture import match_picture
 from sameas.io.sensors.recording import FILE_S, RecordedInput, RecordedSource, Recorder, files_in, read
 from sameas.io.sensors.sources import read_reports, read_sources
 from sameas.io.sensors.stream import ReportStream
@@ -198,6 +199,10 @@ def test_a_recording_is_replayed_with_the_sensor_file_of_the_watch(tmp_path, sen
     lat, lon = again.picture.plane.to_geodetic([[again.situation.own_ship.x_m, again.situation.own_ship.y_m]])
     assert (float(lat[0]), float(lon[0])) == pytest.approx(SITE, abs=1e-6)
     assert again.picture.counts["radar"].taken == 21
+    # The picture of files reads the folder, too, and states the digest of each of its files.
+    picture = match_picture([tmp_path / "raw"], sensors=path, every=10.0)
+    assert picture.facts("x")["files"] == [str(one) for one in sorted((tmp_path / "raw").iterdir())]
+    assert len(picture.objects) > 0
 
 
 @pytest.mark.parametrize("content, words", [

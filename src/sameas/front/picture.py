@@ -22,6 +22,7 @@ from sameas.io import checksum
 from sameas.io.atomic import filling
 from sameas.io.format import json_text
 from sameas.io.sensors.format import ReadOptions, picture_time
+from sameas.io.sensors.recording import paths_in
 from sameas.io.sensors.sources import SensorSource, SourceOptions, read_source_options, read_sources, source_of
 from sameas.io.sensors.tables import TableText
 from sameas.io.sensors.tables import read as read_cells
@@ -267,7 +268,8 @@ class MatchPicture(Result):
 
     def facts(self, command: str) -> dict[str, Any]:
         """The provenance of the outputs; it depends on the command and the input files only."""
-        files = [path for path in dict.fromkeys(source.path for source in self.sources) if path.exists()]
+        given = [path for path in dict.fromkeys(source.path for source in self.sources) if path.exists()]
+        files = [one for path in given for one in (paths_in(path) if path.is_dir() else [path])]
         return made_by(command) | {
             "files": [str(path) for path in files], "sha256": [checksum(path) for path in files],
         }  # fmt: skip

@@ -204,6 +204,11 @@ def read(file: SensorFile) -> list[Reports]:
     ]
 
 
+def paths_in(folder: Path) -> list[Path]:
+    """The paths of the recordings in a folder, in the order of their names."""
+    return [path for path in sorted(folder.iterdir()) if _NAME.fullmatch(path.name)]
+
+
 def files_in(folder: Path) -> Iterator[SensorFile]:
     """The recordings in a folder, the files of each input as one, in the order of their times.
 
@@ -211,14 +216,14 @@ def files_in(folder: Path) -> Iterator[SensorFile]:
     ------
     InputError : there is none.
     """
-    wires: dict[str, list[tuple[str, Path]]] = {}
-    for path in sorted(folder.iterdir()):
+    wires: dict[str, list[Path]] = {}
+    for path in paths_in(folder):
         if found := _NAME.fullmatch(path.name):
-            wires.setdefault(found["wire"], []).append((path.name, path))
+            wires.setdefault(found["wire"], []).append(path)
     if not wires:
         raise InputError(f"{folder}: is a directory without recordings of sameas watch", "give a file")
     for wire, paths in wires.items():
-        yield SensorFile(folder, b"\n".join(content(path) for _, path in paths), wire, ReadOptions(wire))
+        yield SensorFile(folder, b"\n".join(content(path) for path in paths), wire, ReadOptions(wire))
 
 
 FORMAT = SensorFormat(
