@@ -126,8 +126,9 @@ def _log_weight(sets: Sets, chosen: BoolArray) -> FloatArray:
     return np.asarray(np.bincount(sets.group[chosen], sets.log_weight[chosen], len(sets.start) - 1), np.float64)
 
 
-#: Attributes of identity in the tables of a picture.
-TEXTS = ("mmsi", "icao", "callsign", "name", "mode_a", "type")
+#: Attributes of identity in the tables of a picture: names of an object, and what is reported with them.
+NAMES, WITH_NAMES = ("mmsi", "icao", "callsign", "name"), ("mode_a", "type")
+TEXTS = (*NAMES, *WITH_NAMES)
 #: Attributes that are unique to an object.
 UNIQUE_IDS = ("mmsi", "icao", "callsign")
 #: Work limits of an instant. In crowded pictures (500 objects, 0.1 others within σ) the excluded sets change
@@ -325,15 +326,15 @@ class RecordTexts:
         return {number: self._without_foreign(number, words) for number, words in out.items()}
 
     def _without_foreign(self, number: int, words: NDArray[Any]) -> NDArray[Any]:
-        """The texts of an object without those that only others have now; Mode A code and type came with them."""
+        """The texts of an object without the names that only others have now; then what came with them goes, too."""
         foreign = [
             column
-            for column, value in enumerate(words[:-2].tolist())
+            for column, value in enumerate(words[: len(NAMES)].tolist())
             if value != "" and number not in self.holders.get((column, value), {number})
         ]
         if not foreign:
             return words
-        dropped = np.isin(np.arange(len(TEXTS)), [*foreign, len(TEXTS) - 2, len(TEXTS) - 1])
+        dropped = np.isin(np.arange(len(TEXTS)), [*foreign, *range(len(NAMES), len(TEXTS))])
         return np.where(dropped, "", words).astype(object)
 
 
