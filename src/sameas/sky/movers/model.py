@@ -26,6 +26,36 @@ from sameas.space import ARCSEC_PER_RADIAN
 
 
 @dataclass(frozen=True)
+class StationaryTuning:
+    """Parameters of the search for stationary sources and for detections fixed on the chip, all chosen.
+
+    Attributes
+    ----------
+    within_sigmas : tracks with rates within this many errors of 0 are counted as stationary or slow.
+    prior_counts : prior counts of stationary and of moving tracks among these.
+    least_tracks : minimum number of tracks for the offset of an exposure and the error scale.
+    iterations : maximum number of searches, each with the offsets and error scale of the previous one.
+    farthest_arcsec, most_pairs : maximum dither, and maximum number of pairs that are searched for one.
+    least_pairs, excess : minimum number of pairs with a common vector, absolute and as a multiple of the chance number.
+    most_tried : maximum number of vectors that are tried in one cell: a thousand detections at one place have a million
+        pairs, and counting the neighbours of each took half of the search's time.
+    """
+
+    within_sigmas: float = 5.0
+    prior_counts: tuple[float, float] = (0.1, 0.3)
+    least_tracks: int = 10
+    iterations: int = 4
+    farthest_arcsec: float = 60.0
+    most_pairs: int = 500_000
+    least_pairs: int = 8
+    excess: float = 8.0
+    most_tried: int = 100
+
+
+DEFAULT_STATIONARY = StationaryTuning()
+
+
+@dataclass(frozen=True)
 class Tuning:
     """Parameters of the search for movers.
 
@@ -67,6 +97,7 @@ class Tuning:
     sharp_arcsec_per_min : maximum error of rates, to separate a common motion from the main belt, whose scatter is 0.05
         and more. least_alike, alike_excess : minimum number of tracklets within three errors of a rate, absolute and as
         a multiple of the number expected from those within twelve errors.
+    stationary : of the search for stationary sources.
     """
 
     fastest_arcsec_per_min: float = 60.0
@@ -101,6 +132,7 @@ class Tuning:
     sharp_arcsec_per_min: float = 0.012
     least_alike: int = 8
     alike_excess: float = 8.0
+    stationary: StationaryTuning = DEFAULT_STATIONARY
 
 
 DEFAULT_TUNING = Tuning()

@@ -244,7 +244,7 @@ def _excluded(detections: Detections, tuning: Tuning) -> tuple[Stationary, int, 
     """The stationary sources, the number of others fixed on the chip, and the rest: rows and corrected detections."""
     stationary = stationary_sources(detections, tuning)
     rest = stationary.rest(detections)
-    moves = ~fixed_on_chip(rest)
+    moves = ~fixed_on_chip(rest, tuning.stationary)
     return stationary, int(np.count_nonzero(~moves)), np.flatnonzero(~stationary.rows)[moves], rest.some(moves)
 
 

@@ -26,43 +26,20 @@ from scipy.special import expit, logsumexp
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.sky.movers.detections import Detections
 from sameas.sky.movers.links import candidate_links, learn
-from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
+from sameas.sky.movers.model import (
+    DEFAULT_STATIONARY,
+    DEFAULT_TUNING,
+    MotionModel,
+    StationaryTuning,
+    Surroundings,
+    Tuning,
+)
 from sameas.sky.movers.rates import SOLAR_SYSTEM, EclipticAxes, RateDensity
 from sameas.sky.movers.tracks import compete, grow
 from sameas.space import ARCSEC_PER_RADIAN
 
 #: Rate density of stationary sources: 1σ of 1e-4 arcsec/min, 1″ in a week.
 _AT_REST = RateDensity.of([1.0], [(0.0, 0.0)], [(1e-4, 1e-4)])
-
-
-@dataclass(frozen=True)
-class StationaryTuning:
-    """Parameters of the search for stationary sources and for detections fixed on the chip, all chosen.
-
-    Attributes
-    ----------
-    within_sigmas : tracks with rates within this many errors of 0 are counted as stationary or slow.
-    prior_counts : prior counts of stationary and of moving tracks among these.
-    least_tracks : minimum number of tracks for the offset of an exposure and the error scale.
-    iterations : maximum number of searches, each with the offsets and error scale of the previous one.
-    farthest_arcsec, most_pairs : maximum dither, and maximum number of pairs that are searched for one.
-    least_pairs, excess : minimum number of pairs with a common vector, absolute and as a multiple of the chance number.
-    most_tried : maximum number of vectors that are tried in one cell: a thousand detections at one place have a million
-        pairs, and counting the neighbours of each took half of the search's time.
-    """
-
-    within_sigmas: float = 5.0
-    prior_counts: tuple[float, float] = (0.1, 0.3)
-    least_tracks: int = 10
-    iterations: int = 4
-    farthest_arcsec: float = 60.0
-    most_pairs: int = 500_000
-    least_pairs: int = 8
-    excess: float = 8.0
-    most_tried: int = 100
-
-
-STATIONARY_TUNING = StationaryTuning()
 
 
 @dataclass(frozen=True)
@@ -98,16 +75,16 @@ class Stationary:
 
     def probability(self, around: Surroundings, members: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
         """(k,) probability that tracks are stationary. members : (k, S), rows of corrected detections."""
-        return _probabilities(_Rates.of(around, members, tuning), self.counts)
+        return _probabilities(_Rates.of(around, members, tuning), self.counts, tuning.stationary)
 
 
 def stationary_sources(detections: Detections, tuning: Tuning = DEFAULT_TUNING) -> Stationary:
     """The sources that are more probably stationary than moving or unrelated."""
     no_offset = np.zeros((len(detections.frame_names), 2))
-    found = Stationary(np.zeros(len(detections), bool), 0, STATIONARY_TUNING.prior_counts, no_offset, 1.0)
+    found = Stationary(np.zeros(len(detections), bool), 0, tuning.stationary.prior_counts, no_offset, 1.0)
     typical = detections.typical_sigma_arcsec
 
-    for iteration in range(STATIONARY_TUNING.iterations):
+    for iteration in range(tuning.stationary.iterations):
         previous = found
         found = _searched(previous.corrected(detections), previous, iteration == 0, tuning)
         changed = np.abs(found.offset_arcsec - previous.offset_arcsec).max(initial=0.0)
@@ -129,14 +106,15 @@ def _searched(detections: Detections, previous: Stationary, first: bool, tuning:
     likely = np.flatnonzero(found.chosen & (found.shares(n)[0] > 0.5))
     members = found.members[likely]
     if first:
-        offset, scale = _robust_offsets(around, members)
+        offset, scale = _robust_offsets(around, members, tuning.stationary.least_tracks)
     else:
         rates = _Rates.of(around, members, tuning)
-        p = _probabilities(rates, _counts(rates))
-        offset, scale = _fitted_offsets(around, members[p > 0.5], np.zeros_like(previous.offset_arcsec), straight=False)
+        p = _probabilities(rates, _counts(rates, tuning.stationary), tuning.stationary)
+        least, no_offset = tuning.stationary.least_tracks, np.zeros_like(previous.offset_arcsec)
+        offset, scale = _fitted_offsets(around, members[p > 0.5], no_offset, least, straight=False)
     rates = _Rates.of(around, members, tuning, scale)
-    counts = _counts(rates)
-    stationary = members[_probabilities(rates, counts) > 0.5]
+    counts = _counts(rates, tuning.stationary)
+    stationary = members[_probabilities(rates, counts, tuning.stationary) > 0.5]
     rows = np.zeros(n, bool)
     rows[stationary[stationary >= 0]] = True
     return Stationary(rows, len(stationary), counts, previous.offset_arcsec + offset, previous.error_scale * scale)
@@ -173,9 +151,12 @@ class _Rates:
             possible = present[:, column] & (present.sum(axis=1) > 2)
             log_prior.append(np.where(possible, math.log(tuning.outlier / (1.0 - tuning.outlier)), -np.inf))
         at_rest = np.array([q + f.log_residual + f.log_stationary() for q, f in zip(log_prior, fits, strict=True)])
-        moving = np.array([q + f.log_residual + f.log_moving(reference) for q, f in zip(log_prior, fits, strict=True)])
+        within = tuning.stationary.within_sigmas
+        moving = np.array(
+            [q + f.log_residual + f.log_moving(reference, within) for q, f in zip(log_prior, fits, strict=True)]
+        )
         best = np.maximum(at_rest, moving).argmax(axis=0)
-        near = np.array([f.chi2 for f in fits])[best, np.arange(len(members))] < STATIONARY_TUNING.within_sigmas**2
+        near = np.array([f.chi2 for f in fits])[best, np.arange(len(members))] < within**2
         return cls(logsumexp(at_rest, axis=0) - logsumexp(moving, axis=0), near)
 
 
@@ -215,44 +196,44 @@ class _RateFit:
         """(k,) ln of the density of the measured rate if the true one is 0."""
         return -0.5 * self.chi2 - np.log(2.0 * math.pi * self.variance)
 
-    def log_moving(self, reference: FloatArray) -> FloatArray:
+    def log_moving(self, reference: FloatArray, within_sigmas: float) -> FloatArray:
         """(k,) the same for movers: uniform within a few errors of 0, or that of the Solar System if larger.
 
-        reference : (k, 2) rate of a circular orbit.
+        reference : (k, 2) rate of a circular orbit. within_sigmas : number of these errors.
         """
-        uniform = -np.log(math.pi * STATIONARY_TUNING.within_sigmas**2 * self.variance)
+        uniform = -np.log(math.pi * within_sigmas**2 * self.variance)
         error = self.variance[:, None, None] * np.eye(2)
         return np.maximum(SOLAR_SYSTEM.log_density(self.rate - reference, error), uniform)
 
 
-def _counts(rates: _Rates) -> tuple[float, float]:
+def _counts(rates: _Rates, tuning: StationaryTuning) -> tuple[float, float]:
     """Numbers of stationary and of moving tracks with rates near 0, by EM."""
     log_ratio = rates.log_ratio[rates.near]
     stationary, moving = (
-        0.5 * len(log_ratio) + STATIONARY_TUNING.prior_counts[0],
-        0.5 * len(log_ratio) + STATIONARY_TUNING.prior_counts[1],
+        0.5 * len(log_ratio) + tuning.prior_counts[0],
+        0.5 * len(log_ratio) + tuning.prior_counts[1],
     )
     for _ in range(50):
         p = float(expit(log_ratio + math.log(stationary / moving)).sum())
         stationary, moving = (
-            p + STATIONARY_TUNING.prior_counts[0],
-            len(log_ratio) - p + STATIONARY_TUNING.prior_counts[1],
+            p + tuning.prior_counts[0],
+            len(log_ratio) - p + tuning.prior_counts[1],
         )
     return stationary, moving
 
 
-def _probabilities(rates: _Rates, counts: tuple[float, float]) -> FloatArray:
+def _probabilities(rates: _Rates, counts: tuple[float, float], tuning: StationaryTuning) -> FloatArray:
     """(k,) probability that tracks are stationary, with counts that exclude the track itself."""
     stationary, moving = counts
     own = rates.near * expit(rates.log_ratio + math.log(stationary / moving))
     others = (
-        np.maximum(stationary - own, STATIONARY_TUNING.prior_counts[0]),
-        np.maximum(moving - (rates.near - own), STATIONARY_TUNING.prior_counts[1]),
+        np.maximum(stationary - own, tuning.prior_counts[0]),
+        np.maximum(moving - (rates.near - own), tuning.prior_counts[1]),
     )
     return np.asarray(expit(rates.log_ratio + np.log(others[0] / others[1])))
 
 
-def _robust_offsets(around: Surroundings, members: IntArray) -> tuple[FloatArray, float]:
+def _robust_offsets(around: Surroundings, members: IntArray, least_tracks: int) -> tuple[FloatArray, float]:
     """Offsets and error scale as :func:`_fitted_offsets`, from tracks of which some move.
 
     Residuals from linear motion show all offsets except a linear drift, for movers too. If these exceed half an error,
@@ -260,27 +241,28 @@ def _robust_offsets(around: Surroundings, members: IntArray) -> tuple[FloatArray
     offsets by less than three times this size.
     """
     no_offset = np.zeros((len(around.detections.frame_names), 2))
-    offset, scale = _fitted_offsets(around, members, no_offset, straight=True)
+    offset, scale = _fitted_offsets(around, members, no_offset, least_tracks, straight=True)
     size = float(np.sqrt((offset**2).mean()))
     if size > 0.5 * around.detections.typical_sigma_arcsec:
-        from_means, _ = _fitted_offsets(around, members, offset, straight=False)
+        from_means, _ = _fitted_offsets(around, members, offset, least_tracks, straight=False)
         if np.abs(from_means - offset).max() < 3.0 * size:
             return from_means, scale
     return offset, scale
 
 
 def _fitted_offsets(
-    around: Surroundings, members: IntArray, offset: FloatArray, *, straight: bool
+    around: Surroundings, members: IntArray, offset: FloatArray, least_tracks: int, *, straight: bool
 ) -> tuple[FloatArray, float]:
     """(f, 2) offset of each exposure, arcsec east and north, and the ratio of true to quoted errors.
 
     members : (k, S) detections of tracks; medians of their residuals are used. offset : (f, 2) initial values.
+    least_tracks : for the offset of an exposure and the ratio.
     straight : residuals from linear motion, else from the mean position.
     """
     detections, offset = around.detections, offset.copy()
     parameters = 2 if straight else 1
     members = members[(members >= 0).sum(axis=1) > parameters]
-    if len(members) < STATIONARY_TUNING.least_tracks:
+    if len(members) < least_tracks:
         return offset, 1.0
     present = members >= 0
     rows = np.where(present, members, members[:, :1])
@@ -291,7 +273,7 @@ def _fitted_offsets(
         residual = _residuals(position - offset[frame], minutes, present, straight)
         for k in np.unique(frame[present]).tolist():
             of_exposure = residual[present & (frame == k)]
-            if len(of_exposure) >= STATIONARY_TUNING.least_tracks:
+            if len(of_exposure) >= least_tracks:
                 offset[k] += np.median(of_exposure, axis=0)
         offset -= offset.mean(axis=0)
     residual = _residuals(position - offset[frame], minutes, present, straight)
@@ -317,18 +299,18 @@ def _residuals(position: FloatArray, minutes: FloatArray, present: BoolArray, st
     return np.asarray(residual)
 
 
-def fixed_on_chip(detections: Detections) -> BoolArray:
+def fixed_on_chip(detections: Detections, tuning: StationaryTuning = DEFAULT_STATIONARY) -> BoolArray:
     """(n,) mask of the detections fixed on the chip; empty without a pattern in three exposures that is not a motion.
 
     detections : without stationary sources.
     """
     fixed = np.zeros(len(detections), bool)
     rows = [np.flatnonzero(detections.frame == k) for k in range(len(detections.frame_names))]
-    usable = [k for k, of_exposure in enumerate(rows) if len(of_exposure) >= STATIONARY_TUNING.least_pairs]
+    usable = [k for k, of_exposure in enumerate(rows) if len(of_exposure) >= tuning.least_pairs]
     if len(usable) < 3:
         return fixed
     axes, width = detections.axes(), 3.0 * math.sqrt(2.0) * detections.typical_sigma_arcsec
-    steps = {b: _common_step(axes, rows[a], rows[b], width) for a, b in itertools.pairwise(usable)}
+    steps = {b: _common_step(axes, rows[a], rows[b], width, tuning) for a, b in itertools.pairwise(usable)}
     common_steps = {b: step for b, step in steps.items() if step is not None}
     previous = dict(zip(usable[1:], usable, strict=False))
     if len(common_steps) < 2 or _one_motion(common_steps, previous, detections.frame_mjd, width):
@@ -343,31 +325,33 @@ def fixed_on_chip(detections: Detections) -> BoolArray:
     return fixed
 
 
-def _common_step(axes: EclipticAxes, first: IntArray, second: IntArray, width: float) -> FloatArray | None:
+def _common_step(
+    axes: EclipticAxes, first: IntArray, second: IntArray, width: float, tuning: StationaryTuning
+) -> FloatArray | None:
     """(2,) most common vector from detections of one exposure to those of another, arcsec on the ecliptic axes.
 
     None if it is not more common than by chance.
     """
     trees = cKDTree(axes.unit[first]), cKDTree(axes.unit[second])
-    farthest = STATIONARY_TUNING.farthest_arcsec
+    farthest = tuning.farthest_arcsec
     while farthest > 4.0 * width:
-        if trees[0].count_neighbors(trees[1], farthest / ARCSEC_PER_RADIAN) <= STATIONARY_TUNING.most_pairs:
+        if trees[0].count_neighbors(trees[1], farthest / ARCSEC_PER_RADIAN) <= tuning.most_pairs:
             break
         farthest *= 0.7
     pairs = trees[0].sparse_distance_matrix(trees[1], farthest / ARCSEC_PER_RADIAN, output_type="ndarray")
-    if len(pairs) < STATIONARY_TUNING.least_pairs:
+    if len(pairs) < tuning.least_pairs:
         return None
     step = axes.offsets(first[pairs["i"]], second[pairs["j"]])
-    tree, tried = cKDTree(step), _thinned(step, 0.5 * width)
+    tree, tried = cKDTree(step), _thinned(step, 0.5 * width, tuning.most_tried)
     near = tree.query_ball_point(step[tried], width, return_length=True)
     best, most = step[tried[near.argmax()]], int(near.max())
     around = tree.query_ball_point(best, 4.0 * width, return_length=True) - most
-    if most < STATIONARY_TUNING.least_pairs or most < STATIONARY_TUNING.excess * around / 15.0:
+    if most < tuning.least_pairs or most < tuning.excess * around / 15.0:
         return None
     return np.median(step[tree.query_ball_point(best, width)], axis=0)
 
 
-def _thinned(step: FloatArray, side: float) -> IntArray:
+def _thinned(step: FloatArray, side: float, most_tried: int) -> IntArray:
     """Rows of the vectors (n, 2), ascending: all, or ``most_tried`` evenly chosen in a cell of more."""
     column, row = np.floor((step - step.min(axis=0)) / side).astype(np.int64).T
     cell = column * (int(row.max()) + 1) + row
@@ -375,7 +359,7 @@ def _thinned(step: FloatArray, side: float) -> IntArray:
     first = np.flatnonzero(np.diff(cell[order], prepend=-1))
     count = np.diff(first, append=len(cell))
     rank = np.arange(len(cell)) - np.repeat(first, count)
-    return np.sort(order[rank % np.repeat(-(-count // STATIONARY_TUNING.most_tried), count) == 0])
+    return np.sort(order[rank % np.repeat(-(-count // most_tried), count) == 0])
 
 
 def _one_motion(steps: dict[int, FloatArray], previous: dict[int, int], mjd: FloatArray, width: float) -> bool:
