@@ -324,7 +324,8 @@ function facts() {
   el("n-found").textContent = grouped(found.length); el("n-alone").textContent = grouped(alone.length); el("n-beyond").textContent = grouped(beyond.length); el("beyond").hidden = !beyond.length; el("n-lost").textContent = grouped(lost.length);
   table(el("plate"), [["placed by", `${p.found_by}, odds ${p.odds}; next best ${p.next_best_odds}`], ["order", `${plate.order} (BIC ${Object.entries(plate.bic).map(([o, v]) => `${o}: ${fix(v, 0)}`).join(", ")})`],
     ["residuals, robust 1σ", `${fix(r.scatter_arcsec[0], 3)}″ east, ${fix(r.scatter_arcsec[1], 3)}″ north`], ["rms", `${fix(r.rms_arcsec[0], 3)}″, ${fix(r.rms_arcsec[1], 3)}″`],
-    ...(plate.error_scale > 1.005 ? [["errors of the terms", `${fix(plate.error_scale, 2)} times what the quoted errors give, as the residuals are`]] : []), ["y axis", `${fix(p.rotation_deg, 3)}° (north through east), ${p.mirrored ? "mirrored" : "not mirrored"}`],
+    ...(plate.error_scale > 1.005 ? [["errors of the terms", `${fix(plate.error_scale, 2)} times what the quoted errors give, as the residuals are`]] : []),
+    ...(plate.floor_arcsec ? [["floor of the errors", `${plate.floor_arcsec.toPrecision(2)}″ per axis, as bright stars are off by more than their errors`]] : []), ["y axis", `${fix(p.rotation_deg, 3)}° (north through east), ${p.mirrored ? "mirrored" : "not mirrored"}`],
     ["tangent point", `${fix(plate.tangent_ra_deg, 6)}°, ${fix(plate.tangent_dec_deg, 6)}°`]]);
   const names = []; for (let n = 0; n <= plate.order; n++) for (let b = 0; b <= n; b++) names.push(n === 0 ? "1" : `${n - b ? "u" + (n - b > 1 ? "²³⁴⁵"[n - b - 2] : "") : ""}${b ? "v" + (b > 1 ? "²³⁴⁵"[b - 2] : "") : ""}`);
   const line = (cells, tag) => { const tr = document.createElement("tr"); tr.append(...cells.map(t => text(tag, t))); return tr; };

@@ -216,7 +216,8 @@ def quality(found: FrameIdentification) -> Figure:
 def _model(found: FrameIdentification) -> str:
     plate = found.plate
     larger = f", rms residual {plate.error_scale:.2f} times the quoted errors" if plate.error_scale > 1.005 else ""
-    return f"plate model of order {plate.order}{larger}"
+    floor = f", floor of {plate.floor_arcsec:.2g}″" if plate.floor_arcsec else ""
+    return f"plate model of order {plate.order}{larger}{floor}"
 
 
 def _arrows(axes: Axes, found: FrameIdentification) -> None:

@@ -379,6 +379,8 @@ def _notes(result: Identification, estimate: Estimate, plate: PlateModel, conver
         notes.append("identification and plate had not converged at the last iteration")
     if plate.error_scale > 3.0:
         notes.append(f"residuals from the plate model are {plate.error_scale:.1f} times the quoted errors")
+    elif plate.floor_arcsec > 0.9 * float(np.sqrt(np.mean(plate.rms_arcsec**2))):
+        notes.append(f"residuals from the plate model are {plate.floor_arcsec:.2g}″ whatever the quoted errors")
     if result.approximate_pairs:
         notes.append(f"{result.approximate_pairs} candidates lie in large groups; their probabilities are approximate")
     return tuple(notes)

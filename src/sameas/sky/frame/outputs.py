@@ -390,6 +390,7 @@ def _plate(identification: FrameIdentification) -> dict[str, Any]:
         "left_out": {str(order): float(value) for order, value in plate.leave_one_out.items()},
         "effective_pairs": plate.effective_pairs,
         "error_scale": plate.error_scale,
+        "floor_arcsec": plate.floor_arcsec,
         "tangent_ra_deg": float(ra),
         "tangent_dec_deg": float(dec),
         "middle_px": plate.polynomial.middle_px.tolist(),
