@@ -101,12 +101,13 @@ class Background:
         usable = ~frame.masked & (variance > 0) & np.isfinite(variance)
         if not usable.any():
             raise InputError(f"{frame.name}: the sky has no noise at all; the frame is empty or was clipped")
-        normal = np.where(usable, (frame.image - level) / np.sqrt(np.where(usable, variance, 1)), np.nan)
+        middle = _middle(frame.shape, tuning)
+        normal = (frame.image[middle] - level[middle]) / np.sqrt(np.where(usable[middle], variance[middle], 1))
         return cls(
             level.astype(np.float32),
             np.where(usable, variance, np.inf).astype(np.float32),
             1 / gain if known else 0.0,
-            noise_correlation(normal, tuning),
+            noise_correlation(np.where(usable[middle], normal, np.nan), tuning),
         )
 
     def factor(self, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -141,18 +142,38 @@ def _meshes(frame: Frame, box_px: int) -> tuple[FloatArray, FloatArray]:
                 bkg_estimator=SExtractorBackground(),
                 bkg_rms_estimator=StdBackgroundRMS(),
             )
-            return np.asarray(sky.background, float), np.asarray(sky.background_rms, float)
+            meshes = np.asarray(sky.background_mesh, float), np.asarray(sky.background_rms_mesh, float)
     except ValueError as error:
         raise InputError(f"{frame.name}: too few usable pixels for a background ({error})") from error
+    return _interpolated(meshes[0], box_px, frame.shape), _interpolated(meshes[1], box_px, frame.shape)
+
+
+def _interpolated(mesh: FloatArray, box_px: int, shape: tuple[int, int]) -> FloatArray:
+    """(rows, columns) a mesh of boxes at every pixel, by bicubic splines, within the range of the mesh.
+
+    That of photutils, one axis after the other, which takes less time.
+    """
+    from scipy.ndimage import zoom
+
+    rows, columns = (
+        zoom(np.eye(boxes), (box_px, 1), order=3, mode="reflect", grid_mode=True)[:length]
+        for boxes, length in zip(mesh.shape, shape, strict=True)
+    )
+    return np.asarray(np.clip(rows @ mesh @ columns.T, mesh.min(), mesh.max()))
+
+
+def _middle(shape: tuple[int, ...], tuning: CentroidTuning) -> tuple[slice, ...]:
+    """The middle of the frame, in which the noise correlation is measured."""
+    half = tuning.noise_side_px // 2
+    return tuple(slice(max(0, size // 2 - half), size // 2 + half) for size in shape)
 
 
 def noise_correlation(normal: FloatArray, tuning: CentroidTuning) -> FloatArray:
     """The noise correlation at small offsets, from normalised pixels without stars."""
-    reach, half = tuning.noise_reach_px, tuning.noise_side_px // 2
+    reach = tuning.noise_reach_px
     independent = np.zeros((2 * reach + 1, 2 * reach + 1))
     independent[reach, reach] = 1
-    rows, columns = (slice(max(0, size // 2 - half), size // 2 + half) for size in normal.shape)
-    part = normal[rows, columns]
+    part = normal[_middle(normal.shape, tuning)]
     from scipy.ndimage import maximum_filter, uniform_filter
 
     usable = np.isfinite(part)
@@ -216,12 +237,16 @@ class PSF:
 
     def light(self, dx: Any, dy: Any) -> Any:
         """Fraction of a star's flux in pixels at (dx, dy) px from its centre."""
+        xx, xy, yy, scale, norm, beta = self.terms().tolist()
+        return norm * (1 + scale * (xx * dx**2 + 2 * xy * dx * dy + yy * dy**2)) ** -beta
+
+    def terms(self) -> FloatArray:
+        """(6,) inverse matrix xx, xy, yy, scale s, norm and β of norm · (1 + s r²)^−β."""
         inverse = np.linalg.inv(self.matrix)
-        r2 = inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2
         # Both profiles fall to half their peak at r² = 2 ln 2.
         scale = (2 ** (1 / self.beta) - 1) / (2 * math.log(2))
         norm = (self.beta - 1) * scale / (math.pi * math.sqrt(float(np.linalg.det(self.matrix))))
-        return norm * (1 + scale * r2) ** -self.beta
+        return np.array([inverse[0, 0], inverse[0, 1], inverse[1, 1], scale, norm, self.beta])
 
     def window_fraction(self) -> float:
         """Fraction of a star's flux within its window, Σ w I over the flux."""
@@ -347,6 +372,10 @@ class Subtracted:
     flux: FloatArray
     psf: PSF
 
+    def own_light(self) -> tuple[FloatArray, FloatArray]:
+        """(n, 3) positions and fluxes, and (6,) the profile, as :func:`sameas.kernels.frames.windowed` takes them."""
+        return np.column_stack([self.xy, self.flux]), self.psf.terms()
+
     def add_back(self, stamps: Stamps, rows: IntArray) -> Stamps:
         """The stamps of some stars with their own light added back; all other stars stay subtracted."""
         dx, dy = stamps.x - self.xy[rows, 0, None, None], stamps.y - self.xy[rows, 1, None, None]
@@ -355,7 +384,7 @@ class Subtracted:
 
 
 def centroids(
-    light: FloatArray,
+    light: Image | FloatArray,
     background: Background,
     xy: FloatArray,
     windows: FloatArray,
@@ -371,16 +400,16 @@ def centroids(
     half = np.clip(np.ceil(tuning.stamp_sigmas * largest).astype(int) + 1, 4, tuning.max_width_px)
     # Half-widths are rounded up to a geometric series, so that stamps have few sizes.
     half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), tuning.max_width_px)
-    parts: list[tuple[IntArray, Centroids]] = []
-    for size in np.unique(half):
-        members = np.flatnonzero(half == size)
-        step = max(1, tuning.pixels_at_once // (2 * size + 1) ** 2)
-        for first in range(0, len(members), step):
-            rows = members[first : first + step]
-            stamps = cut_stamps(light, background, np.rint(xy[rows]).astype(int), int(size))
-            stamps = stamps if subtracted is None else subtracted.add_back(stamps, rows)
-            parts.append((rows, _iterated(stamps, xy[rows], windows[rows], background, tuning)))
-    return _concatenated(n, parts)
+    from sameas.kernels.frames import windowed
+
+    inverse = np.asarray(np.linalg.inv(windows), float).reshape(n, 4)[:, [0, 1, 3]]
+    limit = np.sqrt(np.trace(windows, axis1=1, axis2=2))
+    sums = windowed(
+        light, background.variance, np.asarray(xy, float), inverse, half, limit,
+        *((np.zeros((n, 3)), np.zeros(6)) if subtracted is None else subtracted.own_light()),
+        background.inverse_gain, tuning.steps, tuning.converged_px,
+    )  # fmt: skip
+    return _of_sums(sums, windows, inverse, background)
 
 
 def cut_stamps(light: FloatArray, background: Background, centre: IntArray, half: int) -> Stamps:
@@ -402,96 +431,36 @@ def cut_stamps(light: FloatArray, background: Background, centre: IntArray, half
     )
 
 
-def _iterated(
-    stamps: Stamps, start: FloatArray, windows: FloatArray, background: Background, tuning: CentroidTuning
-) -> Centroids:
-    """The centroids of stamps from a start (n, 2) by the iteration x ← x + 2 Σ w I d / Σ w I."""
-    inverse = np.asarray(np.linalg.inv(windows), float)
-    limit = np.sqrt(np.trace(windows, axis1=1, axis2=2))[:, None]
-    reach = 0.5 + 0.8 * limit  # a centroid farther from its start has moved to another star
-    xy, moving = start.copy(), np.arange(len(start))
-    converged = np.zeros(len(start), bool)
-    for _ in range(tuning.steps):
-        part = Stamps(*(plane[moving] for plane in stamps))  # type: ignore[arg-type]
-        dx, dy, w = _window(part, xy[moving], inverse[moving])
-        wi = w * part.light
-        total = wi.sum((1, 2))
-        first = np.stack([(wi * dx).sum((1, 2)), (wi * dy).sum((1, 2))], axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            step = 2 * first / total[:, None]
-        valid = np.isfinite(step).all(axis=1) & (total > 0)
-        step = np.where(valid[:, None], np.clip(step, -0.5 * limit[moving], 0.5 * limit[moving]), 0.0)
-        xy[moving] += step
-        short = (np.abs(step) < tuning.converged_px).all(axis=1)
-        diverged = (np.abs(xy[moving] - start[moving]) > reach[moving]).any(axis=1)
-        converged[moving[short & valid]] = True
-        moving = moving[~short & ~diverged]
-        if not len(moving):
-            break
-    diverged = (np.abs(xy - start) > reach).any(axis=1)
-    xy = np.where(diverged[:, None], start, xy)
-    return _measured(stamps, xy, windows, inverse, converged & ~diverged, background)
+def _of_sums(sums: FloatArray, windows: FloatArray, inverse: FloatArray, background: Background) -> Centroids:
+    """The centroids of the sums over their windows, with their covariances."""
+    from sameas.kernels import frames
 
-
-def _window(stamps: Stamps, xy: FloatArray, inverse: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    dx, dy = stamps.x - xy[:, 0, None, None], stamps.y - xy[:, 1, None, None]
-    a, b, c = (inverse[:, i, j, None, None] for i, j in ((0, 0), (0, 1), (1, 1)))
-    return dx, dy, np.exp(-0.5 * (a * dx**2 + 2 * b * dx * dy + c * dy**2))
-
-
-def _measured(
-    stamps: Stamps,
-    xy: FloatArray,
-    windows: FloatArray,
-    inverse: FloatArray,
-    converged: BoolArray,
-    background: Background,
-) -> Centroids:
-    dx, dy, w = _window(stamps, xy, inverse)
-    wi = w * stamps.light
-    total = wi.sum((1, 2))
+    total = sums[:, frames.WEIGHT]
     safe = np.where(np.abs(total) > 0, total, 1.0)
-    moments = _matrix(wi, dx, dy) / safe[:, None, None]
-    jacobian = np.eye(2) - moments @ inverse
+    moments = _matrices(sums, frames.MOMENTS) / safe[:, None, None]
+    jacobian = np.eye(2) - moments @ inverse[:, [[0, 1], [1, 2]]]
     # Photon noise from the observed light: its sum over a window is hardly noisy.
     flux_factor, centroid_factor = background.factor(np.linalg.det(windows) ** 0.25)
-    sky = w**2 * stamps.variance
-    photon_variance = w**2 * stamps.light * background.inverse_gain
-    moment_covariance = _matrix(sky, dx, dy) * centroid_factor[:, None, None]
-    photon_covariance = _matrix(photon_variance, dx, dy)
-    moment_covariance = moment_covariance + np.where(
+    photon_covariance = _matrices(sums, frames.PHOTONS)
+    moment_covariance = _matrices(sums, frames.SKY) * centroid_factor[:, None, None] + np.where(
         (np.linalg.eigvalsh(photon_covariance)[:, 0] > 0)[:, None, None], photon_covariance, 0.0
     )
-    variance = sky.sum((1, 2)) * flux_factor + np.maximum(photon_variance.sum((1, 2)), 0.0)
     return Centroids(
-        xy=xy,
+        xy=sums[:, [frames.X, frames.Y]],
         weight=total,
-        weight_variance=variance,
+        weight_variance=sums[:, frames.SKY_SUM] * flux_factor + np.maximum(sums[:, frames.PHOTON_SUM], 0.0),
         jacobian=jacobian,
         moment_covariance=moment_covariance,
         moments=moments,
-        usable=(w**2 * stamps.usable).sum((1, 2)) / (w**2).sum((1, 2)),
-        at_edge=stamps.at_edge,
-        converged=converged,
+        usable=sums[:, frames.USABLE] / sums[:, frames.WHOLE],
+        at_edge=sums[:, frames.AT_EDGE] > 0,
+        converged=sums[:, frames.CONVERGED] > 0,
     )
 
 
-def _matrix(weights: FloatArray, dx: FloatArray, dy: FloatArray) -> FloatArray:
-    """(n, 2, 2) Σ weight d dᵀ."""
-    xx, xy, yy = ((weights * product).sum((1, 2)) for product in (dx * dx, dx * dy, dy * dy))
-    return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
-
-
-def _concatenated(n: int, parts: list[tuple[IntArray, Centroids]]) -> Centroids:
-    """The centroids of n stars from parts with their rows."""
-    shapes = {"xy": (n, 2), "jacobian": (n, 2, 2), "moment_covariance": (n, 2, 2), "moments": (n, 2, 2)}
-    kinds = {"at_edge": bool, "converged": bool}
-    names = Centroids.__dataclass_fields__
-    whole = {name: np.zeros(shapes.get(name, (n,)), kinds.get(name, float)) for name in names}
-    for rows, part in parts:
-        for name in names:
-            whole[name][rows] = getattr(part, name)
-    return Centroids(**whole)
+def _matrices(sums: FloatArray, first: int) -> FloatArray:
+    """(n, 2, 2) of three columns xx, xy, yy."""
+    return sums[:, [[first, first + 1], [first + 1, first + 2]]]
 
 
 def adaptive(

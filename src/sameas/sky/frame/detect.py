@@ -1,6 +1,6 @@
 """Star detection on a frame: from pixels to :class:`Measurements`.
 
-Background and peaks come from photutils (BSD-3); centroids and their covariances are our own. On simulated frames
+The background comes from photutils (BSD-3); centroids and their covariances are our own. On simulated frames
 (``scripts/bench centroids``) the windowed centroids of ``sep`` and photutils are as good as ours for single
 well-sampled stars; their errors are twice ours for bright stars with a FWHM of 1.5 px, and a third larger on trailed
 frames. Neither gives a covariance, subtracts neighbours before measuring, or allows for correlated pixel noise. ``sep``
@@ -10,7 +10,6 @@ is by far the fastest, but LGPL; photutils' deblending takes longer than everyth
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
-from sameas.errors import InputError, optional
+from sameas.errors import InputError
 from sameas.sky.frame.centroid import (
     DEFAULT_CENTROIDS,
     FWHM_PER_SIGMA,
@@ -212,9 +211,33 @@ def significance(light: FloatArray, background: Background, psf: PSF, min_usable
     signal = oaconvolve((light * weight).astype(np.float32), kernel, mode="same")
     noise_sq = oaconvolve(weight, kernel**2, mode="same")
     factor = float(background.factor(np.array([psf.sigma_px]))[0][0])
-    usable = oaconvolve((weight > 0).astype(np.float32), kernel**2, mode="same")
-    enough = usable > min_usable * float((kernel**2).sum())
+    enough = _usable_share(weight > 0, kernel**2) > min_usable
     return np.where(enough, signal * np.sqrt(typical_weight / factor) / np.sqrt(np.maximum(noise_sq, 1e-12)), 0.0)
+
+
+def _usable_share(usable: BoolArray, kernel: FloatArray) -> FloatArray:
+    """(rows, columns) share of the kernel (k, k) that lies on usable pixels."""
+    from scipy.signal import oaconvolve
+
+    from sameas.kernels.frames import take_away
+
+    kernel = kernel / kernel.sum()
+    # Without unusable pixels the share depends on the distance from the edges only.
+    rows, columns = (_from_edges(length, len(kernel) // 2) for length in usable.shape)
+    share = oaconvolve(np.ones((rows[-1] + 1, columns[-1] + 1), np.float32), kernel, mode="same")[
+        rows[:, None], columns
+    ]
+    at_rows, at_columns = np.nonzero(~usable)
+    take_away(share, at_rows, at_columns, kernel)
+    return np.asarray(share)
+
+
+def _from_edges(length: int, half: int) -> IntArray:
+    """(length,) the index in an axis of at most 4 half + 1 pixels that is as far from both ends, up to 2 half."""
+    index = np.arange(length)
+    if length <= 4 * half + 1:
+        return index
+    return np.minimum(index, 2 * half) + np.maximum(index - (length - 1 - 2 * half), 0)
 
 
 def photon_noise(light: FloatArray, background: Background) -> FloatArray:
@@ -228,16 +251,13 @@ def peaks(snr: FloatArray, noise: FloatArray, psf: PSF, detection: Detection) ->
     Stars are maxima of the significance; two maxima without a saddle between them are one star.
     noise : (rows, columns) from :func:`photon_noise`: a saddle must be deeper than photon noise can make it.
     """
-    with optional("finding stars on frames needs photutils", "frames"):
-        from photutils.detection import find_peaks
-    box = 2 * max(1, round(psf.sigma_px)) + 1
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # photutils warns if there are no peaks; the caller refuses with a remedy
-        table = find_peaks(snr, detection.threshold_sigmas, box_size=box)
-    if table is None or not len(table):
+    from sameas.kernels.frames import local_maxima
+
+    y, x = local_maxima(snr, detection.threshold_sigmas, max(1, round(psf.sigma_px)))
+    if not len(x):
         return np.empty((0, 2)), np.empty(0)
-    names = ("x_peak", "y_peak", "peak_value")
-    x, y, value = (np.asarray(table[name], float) for name in names)
+    value = snr[y, x].astype(float)
+    x, y = x.astype(float), y.astype(float)
     order = np.lexsort((x, y, -value))
     xy, value = np.column_stack([x, y])[order], value[order]
     keep = _separated(snr, noise, xy, value, psf, detection.tuning)
@@ -248,22 +268,17 @@ def _separated(
     snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, psf: PSF, tuning: DetectionTuning
 ) -> IntArray:
     """Rows of the peaks with a saddle between them and every higher peak within reach."""
-    from scipy.ndimage import map_coordinates
     from scipy.spatial import cKDTree
+
+    from sameas.kernels.frames import saddles
 
     reach_px = tuning.saddle_widths * psf.fwhm_px
     pairs = cKDTree(xy).query_pairs(reach_px, output_type="ndarray")
     if not len(pairs):
         return np.arange(len(xy))
     higher, lower = pairs.min(axis=1), pairs.max(axis=1)
-    fraction = np.linspace(0, 1, 2 + int(np.ceil(reach_px)))[1:-1]
-    segment = xy[higher][:, None, :] + fraction[:, None] * (xy[lower] - xy[higher])[:, None, :]
-    # A ridge may pass half a pixel from the centres of its end pixels: the best of three parallel lines is used.
-    direction = (xy[lower] - xy[higher]) / np.linalg.norm(xy[lower] - xy[higher], axis=1, keepdims=True)
-    normal = np.column_stack([-direction[:, 1], direction[:, 0]])[:, None, :]
-    lines = [segment + offset * normal for offset in (-tuning.ridge_px, 0.0, tuning.ridge_px)]
-    profiles = [map_coordinates(snr, [line[..., 1], line[..., 0]], order=1, mode="nearest") for line in lines]
-    saddle = np.max(profiles, axis=0).min(axis=1)
+    # A ridge may pass half a pixel from the centres of its end pixels.
+    saddle = saddles(snr, xy[higher], xy[lower], int(np.ceil(reach_px)), tuning.ridge_px)
     x, y = xy[lower].astype(int).T
     random_depth = np.sqrt(tuning.saddle_sigmas**2 + tuning.saddle_photons**2 * (noise[y, x] ** 2 - 1))
     depth = np.maximum(random_depth, tuning.saddle_share * value[lower])
@@ -473,7 +488,7 @@ def _deblended(
     blended_xy = stars.xy
     for _ in range(passes):
         subtracted = Subtracted(stars.xy, np.maximum(stars.weight, 0) / window_fraction, psf)
-        residual = light - _model(subtracted, light.shape, tuning.pixels_at_once)
+        residual = _without(light, subtracted, tuning.pixels_at_once)
         stars = centroids(residual, background, xy, windows[: len(xy)], tuning, subtracted)
         is_star = _is_star(stars, snr, detection.threshold_sigmas, psf)
         if not is_star.all():
@@ -481,9 +496,7 @@ def _deblended(
             snr, blended_xy, xy = snr[is_star], blended_xy[is_star], xy[is_star]
     flux = np.maximum(stars.weight, 0) / window_fraction
     subtracted = Subtracted(stars.xy, flux, psf)
-    return _Deblended(
-        stars, flux, snr, blended_xy, light - _model(subtracted, light.shape, tuning.pixels_at_once), subtracted
-    )
+    return _Deblended(stars, flux, snr, blended_xy, _without(light, subtracted, tuning.pixels_at_once), subtracted)
 
 
 def _is_star(stars: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> BoolArray:
@@ -497,21 +510,23 @@ def _is_star(stars: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> B
     return np.asarray(is_star | (np.arange(len(snr)) == 0))
 
 
-def _model(subtracted: Subtracted, shape: tuple[int, ...], pixels_at_once: int) -> FloatArray:
-    """(rows, columns) model light of all stars, drawn in batches of this many pixels."""
-    model = np.zeros(shape)
+def _without(light: FloatArray, subtracted: Subtracted, pixels_at_once: int) -> FloatArray:
+    """(rows, columns) the light without that of the stars, which is drawn in batches of this many pixels."""
+    from sameas.kernels.frames import add_stamps
+
+    model = np.zeros(light.shape)
     half = int(np.ceil(4 * subtracted.psf.fwhm_px))
     reach = np.arange(-half, half + 1)
     step = max(1, pixels_at_once // len(reach) ** 2)
-    for first in range(0, len(subtracted.xy), step):
-        xy, flux = subtracted.xy[first : first + step], subtracted.flux[first : first + step]
-        centre = np.rint(xy).astype(int)
-        x, y = centre[:, 0, None, None] + reach[None, None, :], centre[:, 1, None, None] + reach[None, :, None]
-        light = flux[:, None, None] * subtracted.psf.light(x - xy[:, 0, None, None], y - xy[:, 1, None, None])
-        inside = (x >= 0) & (x < shape[1]) & (y >= 0) & (y < shape[0])
-        cell = (np.clip(y, 0, shape[0] - 1) * shape[1] + np.clip(x, 0, shape[1] - 1)).ravel()
-        model += np.bincount(cell, np.where(inside, light, 0).ravel(), minlength=model.size).reshape(shape)
-    return model
+    by_row = np.argsort(subtracted.xy[:, 1], kind="stable")  # neighbours in memory
+    for first in range(0, len(by_row), step):
+        rows = by_row[first : first + step]
+        xy, flux = subtracted.xy[rows], subtracted.flux[rows]
+        x, y = np.rint(xy).astype(np.int64).T - half
+        dx = (x - xy[:, 0])[:, None, None] + (reach + half)[None, None, :]
+        dy = (y - xy[:, 1])[:, None, None] + (reach + half)[None, :, None]
+        add_stamps(model, x, y, flux[:, None, None] * subtracted.psf.light(dx, dy))
+    return (light - model).astype(light.dtype)
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ A :class:`Pointing` is a linear map between pixels and the plane; :class:`PlateM
 ξ east and η north on the tangent plane, arcsec. Each pair is weighted by its probability; its covariance is the sum of
 the measurement's, transformed to the plane, and the star's, and of a floor common to all pairs if the residuals show
 one: blends, turbulence and the detector move bright stars by more than their photon noise, and without it a few of them
-would decide the plate. The order p is given, or chosen by leave-one-out likelihood, at most the order of least BIC, and such that its WCS can be inverted. :meth:`PlateModel.predict` gives the
-pixel of a star with its covariance, :meth:`PlateModel.to_sky` the inverse, :meth:`PlateModel.to_wcs` an astropy WCS
-(TAN, or TAN-SIP: Shupe et al. 2005, ASP 347, 491).
+would decide the plate. The order p is given, or chosen by leave-one-out likelihood, at most the order of least BIC, and
+such that its WCS can be inverted. :meth:`PlateModel.predict` gives the pixel of a star with its covariance,
+:meth:`PlateModel.to_sky` the inverse, :meth:`PlateModel.to_wcs` an astropy WCS (TAN, or TAN-SIP: Shupe et al. 2005, ASP
+347, 491).
 """
 
 from __future__ import annotations
@@ -555,7 +556,7 @@ def _fitted(
     star_covariance = propagated(to_local, unpack(stars.covariance_arcsec, 2))
     basis, tail_weight = polynomial.basis(stars.px), np.ones(len(plane))
     q = basis.shape[1]
-    floor_sq = 0.0
+    floor_sq, residual = 0.0, np.zeros_like(plane)
     for iteration in range(tuning.iterations):
         slope = polynomial.slope(stars.px)
         total = star_covariance + propagated(slope, unpack(stars.covariance_px, 2))
@@ -611,7 +612,9 @@ def _floor_squared(
     if least >= most:
         return 0.0
     floors = np.concatenate([[0.0], np.geomspace(max(least, 1e-6 * most), most, tuning.floor_steps)])
-    misfit = np.array([_restricted_misfit(squares, quoted + floor, terms_per_axis, p_match, tuning) for floor in floors])
+    misfit = np.array(
+        [_restricted_misfit(squares, quoted + floor, terms_per_axis, p_match, tuning) for floor in floors]
+    )
     best = int(np.argmin(misfit))
     return float(floors[best]) if misfit[best] < misfit[0] - tuning.floor_gain else 0.0
 
@@ -648,7 +651,9 @@ def _bic(
     """
     n, prior = 2.0 * float(p_match.sum()), tuning.quoted_weight
     limit = tuning.tail_sigmas**2
-    loss = np.where(normalised_sq > limit, limit * (1.0 + np.log(np.maximum(normalised_sq / limit, 1.0))), normalised_sq)
+    loss = np.where(
+        normalised_sq > limit, limit * (1.0 + np.log(np.maximum(normalised_sq / limit, 1.0))), normalised_sq
+    )
     # Ratio of the maximum-likelihood scale to the one by degrees of freedom.
     ratio = max(n - parameters + prior, 1.0) / (n + prior)
     return n * math.log(scale_sq * ratio) + float(p_match @ loss) / ratio + parameters * math.log(n / 2.0)
