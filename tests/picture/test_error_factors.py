@@ -72,8 +72,8 @@ def test_many_sources_are_estimated_in_blocks():
 
 def test_without_certain_or_new_pairs_nothing_is_learned_of_errors():
     before = ErrorFactors().of_sources(("a", "b"))
-    # The mean of the prior: half as stated, half log-normal.
-    assert before.factor == pytest.approx(np.full(2, 1.067), abs=0.01) and not before.lines()
+    # Before any evidence the variance of the errors is the stated one.
+    assert before.factor == pytest.approx(np.ones(2), abs=1e-6) and not before.lines()
     again = after_pairs(np.random.default_rng(4), (3.0, 3.0), 500, (10.0, 10.0), weight=0.0)
     assert again.factor == pytest.approx(before.factor) and not again.lines()
 

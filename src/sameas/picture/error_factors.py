@@ -6,11 +6,13 @@ their sources, and D the covariance of the motion since the reports. The posteri
 
     p(f_1 … f_S) ∝ Π_a p(f_a) exp Σ_{a<b} L_ab(f_a, f_b),
 
-L_ab the log-likelihood of all differences of the two sources. The prior p(f) is log-normal about 1, plus a point mass
-at f = 1. More than ``BLOCK`` sources are split into blocks, each in the mean field of the others. A difference that is
-correlated with previous ones of its pair counts by what it adds to them (:func:`information`), and the differences of m
-tracks of one object count as m − 1 (:func:`pairs_within`). A share ``factor_outliers`` (1 %) of the differences are
-outliers with ``factor_outlier`` times the errors: a wrong time stamp, an antenna far from the centre, a false pair.
+L_ab the log-likelihood of all differences of the two sources. The prior p(f) is log-normal, plus a point mass at f = 1,
+with a mean square of 1: the stated variance is the expected one. So is that with the root mean square of the posterior,
+which is used. More than ``BLOCK`` sources are split into blocks, each in the mean field of the others. A difference
+that is correlated with previous ones of its pair counts by what it adds to them (:func:`information`), and the
+differences of m tracks of one object count as m − 1 (:func:`pairs_within`). A share ``factor_outliers`` (1 %) of the
+differences are outliers with ``factor_outlier`` times the errors: a wrong time stamp, an antenna far from the centre, a
+false pair.
 
 Sure pairs are selected for being near, so where pairs are sure only by chance, factors come out too small. The
 residuals of single tracks from report to report, ν ~ N(0, f² (R + R′ − ρ (L L′ᵀ + L′ Lᵀ)) + κ D) as below, do not
@@ -318,8 +320,8 @@ class ErrorFactors:
     log_likely : (S B, S B, K, K) L_ab of parts a < b, by the factors of both.
     log_shifts : (S B, K, 2ρ) ln p of the residuals of their tracks, with κ on all of the motion, and with κ on all but
     the errors of measured velocities. reports : (S B,) how many reports these are from.
-    factor : (S,) mean of each source's factor. sigma : (S,) 1σ of its logarithm. by_range : (S, B) the factor of each
-    range band.
+    factor : (S,) root mean square of each source's factor: the variance of its errors is the mean over the posterior.
+    sigma : (S,) 1σ of its logarithm. by_range : (S, B) the factor of each range band.
     """
 
     names: tuple[str, ...] = ()
@@ -479,7 +481,7 @@ class ErrorFactors:
                 weight[block] = _marginals(own[block] + field_, pairwise[np.ix_(block, block)])
         mean = weight @ logs
         sigma = np.sqrt(np.maximum(weight @ logs**2 - mean**2, 0.0))
-        factor = weight @ np.exp(logs)
+        factor = np.sqrt(weight @ np.exp(2.0 * logs))
         return replace(
             self, factor=factor, sigma=sigma, by_range=self._by_range(factor, weight, of_parts, logs, tuning)
         )
@@ -489,8 +491,8 @@ class ErrorFactors:
     ) -> FloatArray:
         """(S, B) the factors of the range bands: that of the source where it has evidence of one band only.
 
-        factor, weight : (S,), (S, K) mean and posterior of the sources' factors. pairwise : (S B, S B, K, K) L of
-        parts, symmetrised.
+        factor, weight : (S,), (S, K) root mean square and posterior of the sources' factors. pairwise : (S B, S B, K,
+        K) L of parts, symmetrised.
         """
         n, k = weight.shape
         log_pairs = np.einsum("stfg,tg->sf", pairwise, np.repeat(weight, RANGE_BANDS, axis=0))
@@ -500,7 +502,9 @@ class ErrorFactors:
         change = 0.5 * np.eye(k) + 0.5 * ratio / ratio.sum(axis=1, keepdims=True)
         prior = np.repeat(np.log(weight @ change + 1e-300), RANGE_BANDS, axis=0)
         of_bands = np.exp(log_softmax(prior + _of_residuals(self.log_shifts, tuning) + log_pairs, axis=1))
-        return np.where(several[:, None], (of_bands @ np.exp(logs)).reshape(n, RANGE_BANDS), factor[:, None])
+        return np.where(
+            several[:, None], np.sqrt(of_bands @ np.exp(2.0 * logs)).reshape(n, RANGE_BANDS), factor[:, None]
+        )
 
 
 def information(n_previous: IntArray, rho: FloatArray, lasting_rho: FloatArray) -> FloatArray:
@@ -554,7 +558,8 @@ def _of_residuals(log_shifts: FloatArray, tuning: Tuning) -> FloatArray:
 
 def _log_prior(logs: FloatArray, tuning: Tuning) -> FloatArray:
     """(K,) ln of the prior probability of factors with these logarithms."""
-    log_normal = np.exp(-0.5 * (logs / tuning.error_factor_sigma) ** 2)
+    # With this median the mean square is 1: the variance before any evidence is the stated one.
+    log_normal = np.exp(-0.5 * ((logs + tuning.error_factor_sigma**2) / tuning.error_factor_sigma) ** 2)
     as_stated = np.abs(logs) == np.abs(logs).min()
     share = tuning.errors_as_stated
     return np.asarray(np.log((1.0 - share) * log_normal / log_normal.sum() + share * as_stated / as_stated.sum()))
