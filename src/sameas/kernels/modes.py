@@ -54,12 +54,7 @@ def filter_modes(
         dt = time_s[row] - time_s[last]
         if not dt > 0.0:
             # A second report of one time is no further evidence.
-            for j in range(modes):
-                log_weight[row, j] = log_weight[last, j]
-                for v in range(4):
-                    mean[row, j, v] = mean[last, j, v]
-                    for w in range(4):
-                        spread[row, j, v, w] = spread[last, j, v, w]
+            _repeat(log_weight, mean, spread, last, row)
             continue
         p_change = -math.expm1(-dt / exchange_s)
         for i in range(modes):
@@ -82,6 +77,17 @@ def filter_modes(
         for j in range(modes):
             log_weight[row, j] = _merged(log_case[:, j], means[:, j], spreads[:, j], mean[row, j], spread[row, j])
         _normalise(log_weight[row])
+
+
+@part
+def _repeat(log_weight: FloatArray, mean: FloatArray, spread: FloatArray, last: int, row: int) -> None:
+    """Copy the modes of the report ``last`` to ``row``; in loops, since whole arrays take seconds to compile."""
+    for j in range(log_weight.shape[1]):
+        log_weight[row, j] = log_weight[last, j]
+        for v in range(4):
+            mean[row, j, v] = mean[last, j, v]
+            for w in range(4):
+                spread[row, j, v, w] = spread[last, j, v, w]
 
 
 @part
