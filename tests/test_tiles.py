@@ -188,6 +188,18 @@ def test_a_file_that_is_cut_off_is_refused_or_its_tiles_are(tmp_path):
     assert seen == {"refused", "right", "cut off"}
 
 
+def test_a_directory_that_unpacks_to_too_much_is_refused(tmp_path):
+    bomb = gzip.compress(bytes(80 << 20))
+    head = (
+        b"PMTiles\x03"
+        + struct.pack("<11Q", 127, len(bomb), 127, 0, 127, 0, 127, 0, 0, 0, 0)
+        + bytes([1, 2, 1, 2, 0, 1])
+    )
+    (tmp_path / "bomb").write_bytes(head.ljust(127, b"\0") + bomb)
+    with pytest.raises(InputError, match="unpacks to too much"):
+        open_chart(tmp_path / "bomb")
+
+
 def test_damaged_directories_end_in_a_refusal(tmp_path):
     whole = bytearray(pmtiles(tmp_path / "whole").read_bytes())
     rng = np.random.default_rng(4)

@@ -199,6 +199,13 @@ def coast(path: Path) -> object:
     return read_coast(path)
 
 
+def chart(path: Path) -> object:
+    from sameas.maps.tiles import open_chart
+
+    opened = open_chart(path)
+    return [opened.tile(z, x, y) for z in range(4) for x in range(1 << z) for y in range(1 << z)]
+
+
 def elements(path: Path) -> object:
     from sameas.sky.movers.orbits import Elements
 
@@ -432,6 +439,36 @@ def coasts() -> list[bytes]:
     return [json.dumps({"type": "FeatureCollection", "features": features}).encode()]
 
 
+def tiles_sqlite() -> list[bytes]:
+    import sqlite3
+
+    with tempfile.TemporaryDirectory() as folder:
+        base = sqlite3.connect(Path(folder) / "tiles.mbtiles")
+        base.execute("CREATE TABLE metadata (name TEXT, value TEXT)")
+        base.execute("CREATE TABLE tiles (zoom_level INT, tile_column INT, tile_row INT, tile_data BLOB)")
+        base.execute("INSERT INTO metadata VALUES ('format', 'jpg'), ('bounds', '-2,50,-1,51')")
+        rows = [(z, x, 0, b"\xff\xd8\xff" + bytes(9)) for z in range(3) for x in range(1 << z)]
+        base.executemany("INSERT INTO tiles VALUES (?, ?, ?, ?)", rows)
+        base.commit()
+        base.close()
+        return [(Path(folder) / "tiles.mbtiles").read_bytes()]
+
+
+def recordings() -> list[bytes]:
+    from sameas.io.sensors.recording import RecordedInput, RecordedSource, Recorder
+
+    every = []
+    for seed, format_name in ((ships_log()[0], "nmea"), (asterix()[0], "asterix"), (sensor_json()[0], None)):
+        sources = (RecordedSource("ais", "ais"), RecordedSource("all", "tracks"))
+        with tempfile.TemporaryDirectory() as folder:
+            recorder = Recorder(Path(folder), RecordedInput(sources, format_name))
+            cuts = range(0, len(seed), max(len(seed) // 5, 1))
+            recorder.write([(1.7e9 + k, seed[a : a + cuts.step], k % 2, False) for k, a in enumerate(cuts)])
+            recorder.close()
+            every.append(next(Path(folder).iterdir()).read_bytes())
+    return every
+
+
 ORBITS = b"""\
 00001    3.34  0.15 K2555 188.70269   73.27343   80.25221   10.58780  0.0794013  0.21424651   2.7660512  0 E2024-V47  7330 125 1801-2024 0.80 M-v 30k MPCLINUX   4000      (1) Ceres              20241101
 00433   10.40  0.15 K2555 310.55432  178.92978  304.27009   10.82847  0.2228359  0.55977529   1.4581207  0 E2024-V47  9999  59 1893-2024 0.50 M-v 3Ek MPCLINUX   1804    (433) Eros               20241101
@@ -453,6 +490,9 @@ errors = { range_m = 25.0, bearing_deg = 0.5 }
 [sources.ais]
 kind = "ais"
 input = "tcp://127.0.0.1:5001"
+[sources.boat]
+kind = "ais"
+input = { url = "ws://127.0.0.1:3000", username = "mate", password = { env = "HOME" } }
 """
 
 
@@ -527,6 +567,9 @@ TARGETS: Mapping[str, Target] = {
     "sensors.toml": Target(".toml", lambda: [SENSORS_TOML], sensors_toml),
     "report.toml": Target(".toml", lambda: [REPORT_TOML], report_toml),
     "coast": Target(".geojson", coasts, coast),
+    "pmtiles": Target(".pmtiles", lambda: [(TESTS / "data" / "tiles.pmtiles").read_bytes()], chart),
+    "mbtiles": Target(".mbtiles", tiles_sqlite, chart),
+    "recording": Target(".jsonl", recordings, sensor),
     "orbits": Target(".txt", lambda: [ORBITS], elements),
     "orbits json": Target(".json", small_bodies, elements),
     "signal k": Target(".jsonl", signal_k, sensor),

@@ -9,7 +9,6 @@ PMTiles are read here, in some eighty lines, and not with a library: the directo
 
 from __future__ import annotations
 
-import gzip
 import html
 import json
 import math
@@ -239,7 +238,14 @@ class _PMTiles:
 
     @staticmethod
     def _unpacked(data: bytes, packing: int) -> bytes:
-        return gzip.decompress(data) if packing == 2 and data else data
+        if packing != 2 or not data:
+            return data
+        # A few bytes may unpack to many.
+        unpacking = zlib.decompressobj(zlib.MAX_WBITS | 16)
+        out = unpacking.decompress(data, _MOST_DIRECTORY)
+        if unpacking.unconsumed_tail or not unpacking.eof:
+            raise ValueError("a part is cut off, or unpacks to too much")
+        return out
 
     def _read_directory(self, at: int, size: int) -> _Directory:
         data = self._unpacked(self._read(at, size, _MOST_DIRECTORY), self._packing)
