@@ -153,6 +153,39 @@ def test_the_major_axis_of_an_ellipse_is_along_its_position_angle() -> None:
     np.testing.assert_allclose(np.linalg.det(matrix), 1.0)
 
 
+@pytest.mark.parametrize("epochs", [{}, {"meanobsmjd": [57000.0, 57000.0]}])
+def test_the_co_sigma_of_wise_is_the_signed_root_of_the_covariance(epochs: dict[str, list[float]]) -> None:
+    """Explanatory supplements of AllWISE and CatWISE: V = σ·|σ|, so the sign is that of the correlation."""
+    table = Table(
+        {
+            "ra": [10.0, 11.0], "dec": [20.0, 21.0], "sigra": [0.2, 0.3], "sigdec": [0.1, 0.3],
+            "sigradec": [-0.1, 0.15], "w1mpro": [15.0, 16.0], **epochs,
+        }
+    )  # fmt: skip
+    table["sigradec"].unit = "arcsec"
+    source = catalogue(table)
+    assert source.records().covariance == pytest.approx(np.array([[0.04, -0.01, 0.01], [0.09, 0.0225, 0.09]]))
+    assert "co-sigma sigradec" in source.interpretation[1]
+
+
+@pytest.mark.parametrize(("names", "percent"), [
+    (("RAJ2000", "DEJ2000", "Conf_95_SemiMajor", "Conf_95_SemiMinor", "Conf_95_PosAng"), 95),
+    (("RAJ2000", "DEJ2000", "Conf_68_SemiMajor", "Conf_68_SemiMinor", "Conf_68_PosAng"), 68),
+    (("ra", "dec", "semi_major_axis_95", "semi_minor_axis_95", "position_angle_95"), 95),
+])  # fmt: skip
+def test_ellipses_of_fermi_contain_what_their_names_say(names: tuple[str, ...], percent: int) -> None:
+    source = catalogue(Table(dict(zip(names, ([10.0], [20.0], [0.02], [0.01], [90.0]), strict=True))))
+    sigma_sq = np.array([72.0, 36.0]) ** 2 / (-2.0 * np.log(1.0 - percent / 100.0))
+    assert source.records().covariance == pytest.approx(np.array([[sigma_sq[0], 0.0, sigma_sq[1]]]))
+
+
+def test_components_of_askap_are_read_with_their_errors() -> None:
+    names = ("component_name", "ra_deg_cont", "dec_deg_cont", "ra_err", "dec_err")
+    source = catalogue(Table(dict(zip(names, (["J1"], [10.0], [20.0], [0.4], [0.3]), strict=True))))
+    assert source.records().covariance == pytest.approx(np.array([[0.16, 0.09]]))
+    assert source.ids.tolist() == ["J1"] and not source.doubts[:-1]
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("stilts") is None, reason="needs STILTS")
 def test_error_ellipses_agree_with_stilts(tmp_path: Path) -> None:

@@ -690,6 +690,11 @@ def _position_sigmas(
     east, north = columns
     if error.correlation:
         return east, north, np.nan_to_num(column_values.numbers(table, error.correlation, source))
+    if error.co_sigma:
+        root = column_values.numbers(table, error.co_sigma, source)
+        root = root * column_values.factor(error.columns[0].unit, "arcsec")
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return east, north, np.nan_to_num(root * np.abs(root) / (east * north), posinf=0.0, neginf=0.0)
     if error.covariance:
         unit = column_values.unit_of(table, error.covariance)
         native = column_values.factor(error.columns[0].unit, "arcsec") ** 2

@@ -204,7 +204,7 @@ class PositionError:
     ``sigma_arcsec`` for all ("number"), that of a survey by magnitude ("survey"), or "unknown", to be estimated.
 
     reason : origin of a number. survey : source of typical errors. guessed_unit : the unit of the columns is not stated
-    and was guessed from the size of the numbers.
+    and was guessed from the size of the numbers. co_sigma : column of the root of the covariance with its sign.
     angle_from : zero point of the ellipse angle, which increases towards the other axis. containment : probability that
     the position lies within the circle or ellipse; 0 if the sizes are standard deviations.
     """
@@ -214,6 +214,7 @@ class PositionError:
     sigma_arcsec: float = np.nan
     correlation: str = ""
     covariance: str = ""
+    co_sigma: str = ""
     angle_from: Literal["north", "east"] = "north"
     reason: str = "option"
     survey: Survey | None = None
@@ -305,6 +306,8 @@ class ColumnChoice:
         line = f"errors: {_listed(*self.error.columns)}, {shape}"
         if self.error.correlation:
             line += f", correlation {self.error.correlation}"
+        if self.error.co_sigma:
+            line += f", co-sigma {self.error.co_sigma}"
         return line + (f", covariance {self.error.covariance}" if self.error.covariance else "")
 
 

@@ -502,6 +502,7 @@ def _error_columns(
         columns,
         correlation=correlation,
         covariance=covariance,
+        co_sigma="" if correlation or covariance else search.find(error_names.co_sigma) or "",
         angle_from=error_names.angle_from,
         guessed_unit=guessed,
         containment=error_names.containment,

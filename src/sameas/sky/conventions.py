@@ -27,9 +27,10 @@ class ErrorNames:
     """Columns of one position error: "circle" (σ), "axes" (σ east, σ north), "ellipse" (a, b, angle in degrees),
     "variances" (east, north), "inverse variances" (of right ascension, without cos δ, and of declination).
 
-    unit : assumed unit, "" for none. covariance : column of the covariance of east and north. angle_from : zero point
-    of the ellipse angle, which increases towards the other axis. containment : probability that the position lies
-    within the circle or ellipse of this size; 0 if the sizes are standard deviations per axis.
+    unit : assumed unit, "" for none. covariance : column of the covariance of east and north. co_sigma : column of its
+    root with its sign, s in V = s·|s|. angle_from : zero point of the ellipse angle, which increases towards the other
+    axis. containment : probability that the position lies within the circle or ellipse of this size; 0 if the sizes are
+    standard deviations per axis.
     """
 
     kind: ErrorKind
@@ -38,6 +39,7 @@ class ErrorNames:
     covariance: str = ""
     angle_from: Literal["north", "east"] = "north"
     containment: float = 0.0
+    co_sigma: str = ""
 
 
 @dataclass(frozen=True)
@@ -431,7 +433,7 @@ _CATWISE = Convention(
     marks=("meanobsmjd",),
     ids=("source_name", "source_id"),
     # The solution without motion, at the mean epoch; motions of single faint sources are noise of 0.1″/yr.
-    errors=(ErrorNames("axes", ("sigra", "sigdec"), "arcsec"),),
+    errors=(ErrorNames("axes", ("sigra", "sigdec"), "arcsec", co_sigma="sigradec"),),
     epochs=("meanobsmjd",),
     magnitudes=(("w1mpro", "w1sigmpro"),),
     over=("ra_pm",),
@@ -453,7 +455,8 @@ _ALLWISE = (
         marks=("w1mpro", "sigradec"),
         without=("meanobsmjd",),
         ids=("designation", "source_id"),
-        errors=(ErrorNames("axes", ("sigra", "sigdec"), "arcsec"),),
+        # Explanatory supplement, II.1.a: one σ, and V = sigradec·|sigradec|.
+        errors=(ErrorNames("axes", ("sigra", "sigdec"), "arcsec", co_sigma="sigradec"),),
         epochs=("w1mjdmean",),
         epoch_jyr=2010.5,
         magnitudes=(("w1mpro", "w1sigmpro"),),
@@ -526,14 +529,44 @@ _CHANDRA = Convention(
         ErrorNames("ellipse", ("err_ellipse_r0", "err_ellipse_r1", "err_ellipse_ang"), "arcsec", containment=0.95),
     ),
 )
-_FERMI = Convention(
-    title="Fermi LAT",
-    position=("RAJ2000", "DEJ2000"),
-    marks=("Conf_95_SemiMajor",),
-    ids=("Source_Name",),
-    errors=(
-        ErrorNames("ellipse", ("Conf_95_SemiMajor", "Conf_95_SemiMinor", "Conf_95_PosAng"), "deg", containment=0.95),
+_FERMI = (
+    Convention(
+        title="Fermi LAT",
+        position=("RAJ2000", "DEJ2000"),
+        marks=("Conf_95_SemiMajor", "Conf_68_SemiMajor"),
+        ids=("Source_Name",),
+        errors=tuple(
+            ErrorNames(
+                "ellipse",
+                (f"Conf_{percent}_SemiMajor", f"Conf_{percent}_SemiMinor", f"Conf_{percent}_PosAng"),
+                "deg",
+                containment=percent / 100.0,
+            )
+            for percent in (95, 68)
+        ),
     ),
+    Convention(
+        title="Fermi LAT at HEASARC",
+        position=("ra", "dec"),
+        marks=("semi_major_axis_95", "semi_major_axis_68"),
+        ids=("name", "source_name"),
+        errors=tuple(
+            ErrorNames(
+                "ellipse",
+                (f"semi_major_axis_{percent}", f"semi_minor_axis_{percent}", f"position_angle_{percent}"),
+                "deg",
+                containment=percent / 100.0,
+            )
+            for percent in (95, 68)
+        ),
+    ),
+)
+# Components of Selavy, the source finder of ASKAP (EMU, RACS): ra_err and dec_err are along the sky, arcsec.
+_ASKAP = Convention(
+    title="ASKAP",
+    position=("ra_deg_cont", "dec_deg_cont"),
+    ids=("component_name", "component_id"),
+    errors=(ErrorNames("axes", ("ra_err", "dec_err"), "arcsec"),),
 )
 # Sexagesimal parts in separate columns, as at the CDS and in journals.
 _IN_PARTS = Convention(
@@ -626,7 +659,8 @@ CONVENTIONS: tuple[Convention, ...] = (
     _EROSITA,
     _ROSAT,
     _CHANDRA,
-    _FERMI,
+    *_FERMI,
+    _ASKAP,
     _SAMEAS_FRAME,
     *_sextractor("WIN"),
     *_sextractor("PSF"),
