@@ -57,6 +57,30 @@ def test_problems_of_both_catalogues_are_reported_in_sentences(refused):
     assert "did you mean 'ra'? Also: second: no column 'rra' for --ra" in refused(lambda t: None, "--ra", "rra")
 
 
+@pytest.mark.parametrize(("typed", "alternative"), [
+    (["--prior-completeness", "0.9"], "Completeness is estimated"),
+    (["--mag", "OPT:MAG", "auto"], "--column2 NAME"),
+    (["--acceptable-prob", "0.5"], "match_flag"),
+    (["--min-prob", "0.1"], "p_match"),
+    (["join=all1"], "--join all1"),
+    (["find=best"], "always one to one"),
+    (["error=1"], "No radius is needed"),
+    (["ra1=RA"], "--ra1 RA"),
+    (["values1=ra dec 3*err"], "--sigma1"),
+    (["ifmt2=csv"], "--format2 csv"),
+])  # fmt: skip
+def test_arguments_of_nway_and_stilts_are_refused_with_ours(typed, alternative):
+    done = CliRunner().invoke(app, ["match", "a.csv", "b.csv", "-o", "c.csv", *typed])
+    words = " ".join(done.output.replace("│", " ").split())
+    assert done.exit_code == 2 and alternative in words, words
+
+
+def test_tables_named_as_in_stilts_are_refused_with_the_order_of_ours():
+    done = CliRunner().invoke(app, ["match", "in1=a.csv", "in2=b.csv", "out=c.csv"])
+    words = " ".join(done.output.replace("│", " ").split())
+    assert done.exit_code == 2 and "sameas match FIRST SECOND -o OUT" in words, words
+
+
 @pytest.mark.parametrize("option", ["--radius", "--within", "--max-sep"])
 @pytest.mark.parametrize("command", ["match", "many"])
 def test_a_radius_option_is_refused_with_the_alternative(command, option):

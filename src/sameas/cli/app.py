@@ -14,6 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 
 import sameas
 from sameas.cli.options import ellipses_split
+from sameas.cli.peers import NWAY, refuse_arguments_of_stilts
 from sameas.front.options import NO_RADIUS, RADIUS
 
 
@@ -90,6 +91,8 @@ class _Recorded(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         _as_typed(self, ctx)
         ctx.meta["typed"] = shlex.join(["sameas", str(self.name), *args])
+        if self.name in _WITH_ERRORS:
+            refuse_arguments_of_stilts(args)
         try:
             return super().parse_args(ctx, ellipses_split(args))
         except Exception as error:
@@ -98,6 +101,9 @@ class _Recorded(TyperCommand):
             if self.name in _WITH_ERRORS and name.strip("-").replace("-", "_") in RADIUS:
                 unknown.possibilities = None  # similar in letters only
                 unknown.message = f"No such option: {name}. No radius is needed: {NO_RADIUS}, or give --sigma ARCSEC."
+            elif self.name in _WITH_ERRORS and name in NWAY:
+                unknown.possibilities = None
+                unknown.message = f"No such option: {name}. {NWAY[name]}"
             raise
 
 
