@@ -701,4 +701,15 @@ def test_the_jitter_of_a_position_alongside_is_no_speed_and_a_measured_speed_is_
     ship = own_ship_at(keeper, now, 33.0027, "9.72,90.0")
     assert (ship.vx_m_per_s, ship.vy_m_per_s) == pytest.approx((5.0, 0.0), abs=0.01)
     assert own_ship_at(keeper, now, 33.0027, "0.0,").vx_m_per_s == 0.0
+    # A receiver that fails leaves no ship where she was, and says so; targets go on.
+    [wire] = keeper.wires.values()
+    for _ in range(2):
+        now[0] += 40.0
+        wire._received(sentence("RATTM,05,2.0,45.6,T,9.0,180.0,T,,,N,,T,,,A"), last=True)
+        situation = keeper.tick()
+    assert situation.own_ship is None
+    words = "own ship: bridge has given no position for 60 s; no approach is watched"
+    assert words in [alarm.text for alarm in situation.alarms]
+    assert own_ship_at(keeper, now, 33.1) is not None
+    assert words not in [alarm.text for alarm in keeper.situation.alarms]
     keeper.close()

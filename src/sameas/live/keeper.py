@@ -226,7 +226,8 @@ class Keeper:
             own_ship = self._own_ship(instant_s, state)
             situation = Situation.of(self._tick, state, self.picture.plane, (), own_ship, self.picture.height_model)
             alarms = [*_identity_alarms(state), *self._source_alarms(), *self._fault_alarms(situation),
-                      *self._cpa_alarms(situation), *self._folder_alarms(), *self._pace_alarms()]  # fmt: skip
+                      *self._own_ship_alarms(situation), *self._cpa_alarms(situation), *self._folder_alarms(),
+                      *self._pace_alarms()]  # fmt: skip
             situation = replace(situation, alarms=tuple(alarms))
             self._raise_alarms(alarms, instant_s)
             self.deltas.append(Delta.between(self.situation, situation))
@@ -348,6 +349,9 @@ class Keeper:
         if own.source is not None and own.source in self.settings.sources:
             wire = self.wires.get(self.settings.sources[own.source].url or "")
             lat, lon, heading = self._station if wire is None else wire.stream.own_ship
+            if wire is not None and self._taken_s - wire.stream.own_ship_s > self.settings.watch.silent_s:
+                # Approaches to where she was would be worse than none.
+                return None
         if lat is None or lon is None or not math.isfinite(lat + lon):
             return None
         east, north = plane.of_geodetic([lat], [lon])[0].tolist()
@@ -429,6 +433,18 @@ class Keeper:
                 )
                 self.counters[f"dropped {url}"] = wire.queue.dropped
         return out
+
+    def _own_ship_alarms(self, situation: Situation) -> list[Alarm]:
+        """An alarm where own ship's position is to be on the wire of a source, and is not: no approach is computed."""
+        own, silent_s = self.settings.watch.own_ship, self.settings.watch.silent_s
+        if self.replay is not None or own is None or own.source is None or situation.own_ship is not None:
+            return []
+        wire = self.wires.get(self.settings.sources[own.source].url or "")
+        last_s = self._began_s if wire is None else max(wire.stream.own_ship_s, self._began_s)
+        if self._taken_s - last_s <= silent_s:
+            return []
+        text = f"own ship: {own.source} has given no position for {silent_s:.0f} s; no approach is watched"
+        return [Alarm("own ship", "source", text)]
 
     def _silent_wires(self) -> list[str]:
         """The wires of several sources on which nothing has arrived for too long."""

@@ -75,7 +75,8 @@ class Target:
 class ArpaState:
     """Own ship before these lines. has_ttm : whether TTM sentences have occurred. targets : by number.
 
-    speed, course : over ground, m/s and degrees. measured_s : clock time of the last TTM, by the number of the target.
+    speed, course : over ground, m/s and degrees. positions : number of positions of own ship so far.
+    measured_s : clock time of the last TTM, by the number of the target.
     """
 
     heading: float = math.nan
@@ -83,6 +84,7 @@ class ArpaState:
     lon: float = math.nan
     speed: float = math.nan
     course: float = math.nan
+    positions: int = 0
     has_ttm: bool = False
     targets: dict[str, Target] = field(default_factory=dict)
     measured_s: dict[str, float] = field(default_factory=dict)
@@ -220,6 +222,7 @@ def _own_ship(log: Log, ship: ArpaState) -> dict[str, FloatArray]:
                 continue
             for name, value in position.items():
                 columns[name][index] = np.nan if value is None else value
+            ship.positions += "lat" in position and bool(np.isfinite(columns["lat"][index] + columns["lon"][index]))
     known = {name: _latest(values) for name, values in columns.items()}
     for name, values in known.items():
         setattr(ship, name, float(values[-1]) if len(values) else getattr(ship, name))

@@ -46,11 +46,15 @@ _LONGEST_M = 1000.0
 
 @dataclass
 class Vessels:
-    """State before these lines: latest fields with their times, by context; context and position of own ship."""
+    """State before these lines: latest fields with their times, by context; context and position of own ship.
+
+    positions : number of positions of own ship so far.
+    """
 
     fields: dict[str, dict[str, tuple[float, Any]]] = field(default_factory=dict)
     own_context: str = "vessels.self"
     station: tuple[float, float] = (math.nan, math.nan)
+    positions: int = 0
 
 
 def read(lines: Sequence[str], source: str, vessels: Vessels | None = None) -> list[Reports]:
@@ -138,6 +142,7 @@ def _add_delta(
             raise ValueError("position outside the earth")
         elif is_own:
             vessels.station = position_deg
+            vessels.positions += 1
         else:
             match_mmsi = _MMSI.search(context)
             mmsi = match_mmsi[1] if match_mmsi else None

@@ -93,6 +93,8 @@ class ReportStream:
         self._latest: sbs.Latest = {}
         self._aircraft: dict[str, object] = {}
         self._blocks: set[tuple[int, bytes]] = set()
+        #: Receive time of the last position of own ship.
+        self.own_ship_s = -math.inf
 
     def feed(self, data: bytes, received_s: float, *, connection: int = 0, last: bool = False) -> None:
         """Adds bytes received at this time.
@@ -190,6 +192,16 @@ class ReportStream:
         """
         if not self._lines and not self._datagrams:
             return []
+        received_s = max([*(when for when, _ in self._lines[-1:]), *(when for when, _ in self._datagrams[-1:])])
+        positions = self._ship.positions + self._vessels.positions
+        try:
+            return self._decoded()
+        finally:
+            if self._ship.positions + self._vessels.positions > positions:
+                self.own_ship_s = received_s
+
+    def _decoded(self) -> list[Reports]:
+        """The reports in the lines and datagrams that wait."""
         lines, datagrams = self._lines, self._datagrams
         self._lines, self._datagrams = [], []
         texts, received = [text for _, text in lines], [when for when, _ in lines]
