@@ -14,6 +14,7 @@ import pytest
 from astropy.table import Table
 
 from sameas.errors import InputError
+from sameas.report.frame import frame_lines
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.field import Cone, StarField
@@ -266,8 +267,6 @@ def test_a_star_close_to_another_is_missing_because_of_it() -> None:
 
 @pytest.mark.slow
 def test_measurements_fainter_than_the_catalogue_are_reported(seen: Scene, found: FrameIdentification) -> None:
-    from sameas.report.frame import frame_lines
-
     assert not len(found.beyond_catalogue)
     table = seen.catalogue.table
     limit = 16.0
@@ -295,6 +294,8 @@ def test_a_given_plate_order_is_kept(seen: Scene) -> None:
     # The missing distortion is a floor of all residuals, and is said.
     assert linear.plate.order == 1 and linear.plate.floor_arcsec > 0.2
     assert any("whatever the quoted errors" in note for note in linear.notes)
+    words = " ".join(" ".join(frame_lines(summary(linear))).split())
+    assert re.search(r"errors 1\.\d\d times those quoted and a floor of 0\.\d+″", words)
 
 
 def test_the_summary_is_plain_json(found: FrameIdentification) -> None:

@@ -30,7 +30,7 @@ def frame_lines(summary: Mapping[str, Any]) -> list[str]:
     middle = f"RA {place['middle_ra_deg']:.5f}° Dec {place['middle_dec_deg']:+.5f}°"
     hand = "mirrored" if place["mirrored"] else "not mirrored"
     order = f"order {plate['order']} on {plate['effective_pairs']:.1f} pairs, errors {plate['error_scale']:.2f} times"
-    order += f" and a floor of {plate['floor_arcsec']:.2g}″" if plate.get("floor_arcsec") else ""
+    order += " those quoted" + (f" and a floor of {plate['floor_arcsec']:.2g}″" if plate.get("floor_arcsec") else "")
     lines = [
         f"Frame: {summary['frame']}",
         *(line for words in summary.get("exposure", {}).get("read", ()) for line in _note_lines(words)),
@@ -41,7 +41,7 @@ def frame_lines(summary: Mapping[str, Any]) -> list[str]:
         *entry(
             "scale", f"{place['scale_arcsec_per_px']:.4f}″ per pixel; y axis at {place['rotation_deg']:.2f}°, {hand}"
         ),
-        *entry("plate model", f"{order} those quoted"),
+        *entry("plate model", order),
         "",
         *_understood(summary),
         f"Found in {summary['catalogue']}",
