@@ -9,7 +9,7 @@ import struct
 import pytest
 from tests.live.test_inputs import free_port, until
 
-from sameas.errors import InputError
+from sameas.errors import InputError, MissingPackage
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.inputs import Wire
 from sameas.live.settings import read_settings
@@ -140,7 +140,8 @@ def test_an_address_that_subscribes_is_left_as_it_is(path, line, sends):
         writer.write(frame(delta()))
         try:
             async with asyncio.timeout(0.5):
-                sent.append(await unmasked(reader))
+                kind, text = await unmasked(reader)
+                sent.extend([text] if kind == 1 else [])
         except TimeoutError:
             pass
         await asyncio.sleep(30.0)
@@ -184,7 +185,7 @@ def test_a_refusal_is_named_without_the_secret(login, words):
 @pytest.mark.parametrize(("sent", "words"), [
     (b"\xf1\x00", "what arrives is no WebSocket"),
     (b"\x85\x00", "what arrives is no WebSocket"),
-    (b"\x82\x7f" + b"\x7f" * 8, "a frame that is too long"),
+    (b"\x82\x7f" + b"\x7f" * 8, "a message of more than 16 MB"),
 ])  # fmt: skip
 def test_what_is_no_websocket_ends_the_connection(sent, words):
     async def serve(reader, writer):
@@ -239,3 +240,9 @@ def test_a_login_is_given_in_the_settings_or_in_the_environment(tmp_path, monkey
 def test_a_wrong_login_is_refused(tmp_path, given, url, words):
     with pytest.raises(InputError, match=words):
         login_of(tmp_path, given, url)
+
+
+def test_an_address_of_a_websocket_needs_its_package(monkeypatch):
+    monkeypatch.setattr("sameas.live.websocket.find_spec", lambda name: None)
+    with pytest.raises(MissingPackage, match=r"ws:// and wss:// need websockets: pip install 'sameas\[live\]'"):
+        Wire("ws://127.0.0.1:3000", ReportStream("boat"))

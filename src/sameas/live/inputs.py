@@ -34,7 +34,7 @@ from urllib.parse import parse_qs, urlsplit
 from sameas.errors import InputError
 from sameas.io.sensors.recording import Recorder
 from sameas.io.sensors.stream import ReportStream, format_of
-from sameas.live.websocket import Login, WebSocket, require_readable
+from sameas.live.websocket import Login, connected, require_readable
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 
@@ -249,31 +249,23 @@ class Wire:
     async def _web_socket(self) -> None:
         # The token may have expired since the last connection.
         token = await self.login.ask_token(self.url, ANSWER_S)
-        try:
-            async with asyncio.timeout(ANSWER_S):
-                opened = await WebSocket.open(self.url, token)
-        except TimeoutError:
-            raise TimeoutError(f"no answer for {ANSWER_S:.0f} s") from None
-        _keep_alive(opened.writer)
-        connection = self._set_connected()
-        try:
-            if "subscribe=" not in self.url or "subscribe=none" in self.url:
-                await opened.send(_SUBSCRIPTION)
-            messages = opened.messages()
-            while True:
-                async with asyncio.timeout(SILENT_S):
-                    message = await anext(messages, None)
-                if message is None:
-                    return
-                # A message is a line, however it is printed.
-                self._received(message.replace(b"\n", b" ") + b"\n", connection)
-        except TimeoutError:
-            raise TimeoutError(f"no data for {SILENT_S:.0f} s") from None
-        finally:
-            self._ended(connection)
-            opened.writer.close()
-            with suppress(OSError):
-                await opened.writer.wait_closed()
+        subscribes = "subscribe=" in self.url and "subscribe=none" not in self.url
+        async with connected(self.url, token, None if subscribes else _SUBSCRIPTION, ANSWER_S) as opened:
+            connection = self._set_connected()
+            try:
+                messages = aiter(opened)
+                while True:
+                    async with asyncio.timeout(SILENT_S):
+                        message = await anext(messages, None)
+                    if message is None:
+                        return
+                    data = message.encode() if isinstance(message, str) else message
+                    # A message is a line, however it is printed.
+                    self._received(data.replace(b"\n", b" ") + b"\n", connection)
+            except TimeoutError:
+                raise ConnectionError(f"no data for {SILENT_S:.0f} s") from None
+            finally:
+                self._ended(connection)
 
     async def _listen(self) -> None:
         parts = urlsplit(self.url)

@@ -17,6 +17,7 @@ import re
 import sqlite3
 import struct
 import zlib
+from bisect import bisect_right
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -214,7 +215,7 @@ class _PMTiles:
         number, place = tile_number(zoom, column, row), self._root
         for _ in range(_MOST_LEVELS):
             directory = self._directory(*place)
-            k = _last_not_above(directory.first, number)
+            k = bisect_right(directory.first, number) - 1
             if k < 0:
                 return None
             offset, length = directory.offset[k], directory.length[k]
@@ -273,15 +274,6 @@ def _varints(data: bytes) -> list[int]:
             numbers.append(value)
             value = shift = 0
     return numbers
-
-
-def _last_not_above(ascending: tuple[int, ...], value: int) -> int:
-    """Index of the last number that is not above the value; −1 where all are."""
-    low, high = 0, len(ascending)
-    while low < high:
-        middle = (low + high) // 2
-        low, high = (middle + 1, high) if ascending[middle] <= value else (low, middle)
-    return low - 1
 
 
 def tile_number(zoom: int, column: int, row: int) -> int:
