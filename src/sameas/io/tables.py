@@ -250,8 +250,12 @@ def _format_in(path: Path, name: str | None) -> Format:
     """The format of a file to be read; other content is refused before a library reads it."""
     if os.path.isdir(path):  # Path.is_dir raises if a name is too long
         raise InputError(f"{path}: is a directory; give a file")
-    if not os.path.exists(path):
-        raise InputError(f"{path}: no such file{_similar_names(path)}")
+    try:
+        os.stat(path)
+    except PermissionError:  # the folder may not be looked into, where os.path.exists would answer no
+        raise
+    except (OSError, ValueError):
+        raise InputError(f"{path}: no such file{_similar_names(path)}") from None
     if path.is_fifo():
         raise InputError(f"{path}: is a pipe, and a table is read more than once; save it as a file first")
     first = first_bytes(path)
