@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from typing import Any
 
@@ -56,11 +57,12 @@ SHIP: dict[str, Any] = {
 }
 
 
-def cable(k):
-    """One second of a ship's log: own ship, a radar target, an AIS report."""
+def cable(k, at=None):
+    """One second of a ship's log, k seconds after noon, or of the time ``at``: own ship, a radar target, AIS."""
+    at = at or datetime(2024, 5, 1, 12, 0, 0, tzinfo=UTC) + timedelta(seconds=k)
     minutes = f"{60 * SITE[0] % 60:07.4f}"
-    own = sentence(f"GPRMC,{120000 + k}.00,A,50{minutes},N,00057.0000,W,0.0,0.0,010524,,,A")
-    target = sentence(f"RATTM,01,{2.0 + k / 100:.2f},45.0,T,5.0,90.0,T,,,N,,T,,{120000 + k}.00,A")
+    own = sentence(f"GPRMC,{at:%H%M%S}.00,A,50{minutes},N,00057.0000,W,0.0,0.0,{at:%d%m%y},,,A")
+    target = sentence(f"RATTM,01,{2.0 + k / 100:.2f},45.0,T,5.0,90.0,T,,,N,,T,,{at:%H%M%S}.00,A")
     return own + target + pyais.encode_dict(SHIP, talker_id="AI", sentence_type="VDM")[0].encode() + b"\r\n"
 
 
@@ -233,10 +235,11 @@ def test_a_watch_that_is_killed_has_recorded_what_came_before_its_last_tick(tmp_
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             k, end = 0, time.monotonic() + 120.0
             while not list((tmp_path / "raw").glob("*")) and time.monotonic() < end:
-                sender.sendto(cable(k % 50), ("127.0.0.1", port))
+                # The radar's targets have stamps of their own, the AIS reports the time of receipt.
+                sender.sendto(cable(k % 50, datetime.now(UTC)), ("127.0.0.1", port))
                 k += 1
                 time.sleep(0.1)
-            sent = [b"".join((cable(0), f"$GPTXT,{n}\r\n".encode())) for n in range(20)]
+            sent = [b"".join((cable(0, datetime.now(UTC)), f"$GPTXT,{n}\r\n".encode())) for n in range(20)]
             for data in sent:
                 sender.sendto(data, ("127.0.0.1", port))
             marks = [f"$GPTXT,{n}\\r\\n" for n in range(20)]
