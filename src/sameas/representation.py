@@ -87,6 +87,15 @@ def count(number: int | np.integer) -> str:
     return f"{int(number):,}".replace(",", " ")
 
 
+def listed(names: Sequence[str]) -> str:
+    """Names in a sentence.
+
+    >>> listed(["ais"]), listed(["ais", "radar", "mlat"])
+    ('ais', 'ais, radar and mlat')
+    """
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
 def counted(number: int | np.integer, noun: str, plural: str = "") -> str:
     """A number with its noun, or its noun and verb; without ``plural`` the noun gets an s.
 

@@ -10,7 +10,7 @@ from sameas.tracks.feed import Feed
 from sameas.tracks.live_feed import LiveFeed
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Motion, SensorErrors
-from sameas.tracks.stationary import ADRIFT, MIN_VARIANCE, drift_walk, stationary
+from sameas.tracks.stationary import ADRIFT, MIN_VARIANCE, stationary
 from sameas.tracks.tuning import DEFAULT_TUNING
 
 VESSELS = Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=0.2)
@@ -29,7 +29,7 @@ def simulated(rng, n, reports, every_s):
     slow."""
     (share, speed), step_s = shares(), 2.0
     mode = rng.choice(4, n, p=share)
-    walk = np.array([0.0, 0.0, drift_walk(DEFAULT_TUNING), 0.01])
+    walk = np.array([0.0, 0.0, DEFAULT_TUNING.drift_walk_m2_per_s3, 0.01])
     p_change = -np.expm1(-step_s / (DEFAULT_TUNING.rest_s * (1.0 - VESSELS.stationary_share)))
     velocity = speed[mode, None] * rng.standard_normal((n, 2))
     place, rows, is_slow = np.zeros((n, 2)), [], []
@@ -73,7 +73,7 @@ def test_the_modes_after_two_reports_are_the_exact_mixture(way, monkeypatch):
     monkeypatch.setattr("sameas.tracks.stationary.filter_modes", getattr(filter_modes, way))
     _, modes = stationary(made, VESSELS)
     (share, speed), error = shares(), np.diag([SIGMA_M**2] * 2 + [SIGMA_M_PER_S**2] * 2) + MIN_VARIANCE * np.eye(4)
-    walk = [0.0, 0.0, drift_walk(DEFAULT_TUNING), 0.01]
+    walk = [0.0, 0.0, DEFAULT_TUNING.drift_walk_m2_per_s3, 0.01]
     p_change = -np.expm1(-dt / (DEFAULT_TUNING.rest_s * (1.0 - VESSELS.stationary_share)))
     for k in range(n):
         first, second = made.state[k], made.state[n + k]

@@ -14,8 +14,8 @@ from typer.core import TyperCommand, TyperGroup
 
 import sameas
 from sameas.cli.options import ellipses_split
-from sameas.cli.peers import NWAY, refuse_arguments_of_stilts
-from sameas.front.options import NO_RADIUS, RADIUS
+from sameas.cli.peers import NO_RADIUS_NEEDED, NWAY, refuse_arguments_of_stilts
+from sameas.front.options import RADIUS
 
 
 class _AsTyped:
@@ -98,12 +98,10 @@ class _Recorded(TyperCommand):
         except Exception as error:
             unknown: Any = error
             name = getattr(unknown, "option_name", None) or ""
-            if self.name in _WITH_ERRORS and name.strip("-").replace("-", "_") in RADIUS:
+            instead = NO_RADIUS_NEEDED if name.strip("-").replace("-", "_") in RADIUS else NWAY.get(name)
+            if self.name in _WITH_ERRORS and instead is not None:
                 unknown.possibilities = None  # similar in letters only
-                unknown.message = f"No such option: {name}. No radius is needed: {NO_RADIUS}, or give --sigma ARCSEC."
-            elif self.name in _WITH_ERRORS and name in NWAY:
-                unknown.possibilities = None
-                unknown.message = f"No such option: {name}. {NWAY[name]}"
+                unknown.message = f"No such option: {name}. {instead}"
             raise
 
 

@@ -9,6 +9,8 @@ import typer
 
 from sameas.front.options import NO_RADIUS
 
+#: For options that give a radius.
+NO_RADIUS_NEEDED = f"No radius is needed: {NO_RADIUS}, or give --sigma ARCSEC."
 #: Options of NWAY, and what to do instead.
 NWAY = {
     "--prior-completeness": "Completeness is estimated, by magnitude if there is one.",
@@ -25,7 +27,7 @@ STILTS = {
     **dict.fromkeys(("in1", "in2", "out", "ofmt", "omode"), "Write sameas match FIRST SECOND -o OUT."),
     "join": "Write --join {}.",
     "find": "The answer is always one to one; --join pairs writes all candidates.",
-    **dict.fromkeys(("error", "params", "matcher"), f"No radius is needed: {NO_RADIUS}, or give --sigma ARCSEC."),
+    **dict.fromkeys(("error", "params", "matcher"), NO_RADIUS_NEEDED),
     **{
         f"values{k}": f"Write --ra{k} NAME --dec{k} NAME --sigma{k} NAME, or --ellipse{k} A,B,PA (one σ)." for k in "12"
     },

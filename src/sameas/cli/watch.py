@@ -10,6 +10,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -168,8 +169,6 @@ def _settings(
     files: list[str], sensors: Path | None, start: str | None, pace: float, every_s: float | None
 ) -> tuple[Settings, Replay | None]:
     """The settings, and the replay if files are given."""
-    from dataclasses import replace
-
     from sameas.io.sensors.sources import read_source_options, read_sources
     from sameas.live.inputs import Replay
     from sameas.live.settings import LiveSource, Settings, WatchSettings, read_settings
@@ -194,17 +193,13 @@ def _settings(
 
 
 def _with_record(settings: Settings, folder: Path) -> Settings:
-    from dataclasses import replace
-
     return replace(settings, watch=replace(settings.watch, record=str(folder)))
 
 
 def _with_chart(settings: Settings, chart: Path) -> Settings:
-    from dataclasses import replace
+    from sameas.live.settings import read_chart
 
-    from sameas.live.settings import require_chart
-
-    require_chart(str(chart))
+    read_chart(str(chart))
     return replace(settings, watch=replace(settings.watch, chart=str(chart)))
 
 

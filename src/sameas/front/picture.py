@@ -36,12 +36,11 @@ from sameas.report.picture import (
     doubt_lines,
     estimated_lines,
     found_lines,
-    listed,
     read_lines,
     scene_lines,
 )
 from sameas.report.prose import Lines, Result, in_one, span
-from sameas.representation import count, counted
+from sameas.representation import count, counted, listed
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene

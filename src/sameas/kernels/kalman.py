@@ -31,31 +31,35 @@ def states_moved(
 
     walk : (n,) m²/s³, random walk of the velocities. late_s : 1σ of the time stamps, 0 for exact ones.
     """
-    cross = np.empty((2, 2))
     for k in range(len(state)):
-        t, p, x, out = dt[k], covariance[k], predicted[k], predicted_covariance[k]
-        size = abs(t)
-        for v in range(2):
-            x[v], x[2 + v] = state[k, v] + t * state[k, 2 + v], state[k, 2 + v]
-            for w in range(2):
-                cross[v, w] = p[v, 2 + w] + t * p[2 + v, 2 + w]
-                out[v, 2 + w] = out[2 + w, v] = cross[v, w]
-                out[2 + v, 2 + w] = 0.5 * (p[2 + v, 2 + w] + p[2 + w, 2 + v])
-        for v in range(2):
-            for w in range(2):
-                one, other = p[v, w] + t * (p[2 + v, w] + cross[v, w]), p[w, v] + t * (p[2 + w, v] + cross[w, v])
-                out[v, w] = 0.5 * (one + other)
-        # Q of :func:`sameas.tracks.alignment.process_noise`, by axis.
-        q_position, q_cross, q_speed = walk[k] * (size * size * size) / 3.0, walk[k] * t * size / 2.0, walk[k] * size
-        for v in range(2):
-            out[v, v] += q_position
-            out[v, 2 + v] += q_cross
-            out[2 + v, v] += q_cross
-            out[2 + v, 2 + v] += q_speed
+        x, out = predicted[k], predicted_covariance[k]
+        state_moved(state[k], covariance[k], dt[k], walk[k], x, out)
         if late_s != 0.0:
             for v in range(2):
                 for w in range(2):
                     out[v, w] += late_s * late_s * (x[2 + v] * x[2 + w] + out[2 + v, 2 + w])
+
+
+@part
+def state_moved(state: FloatArray, p: FloatArray, t: float, walk: float, x: FloatArray, out: FloatArray) -> None:
+    """Write one state and its covariance after ``t`` seconds of a random walk of its velocity, F x and F P Fᵀ + Q."""
+    size = abs(t)
+    for v in range(2):
+        x[v], x[2 + v] = state[v] + t * state[2 + v], state[2 + v]
+        for w in range(2):
+            out[v, 2 + w] = out[2 + w, v] = p[v, 2 + w] + t * p[2 + v, 2 + w]
+            out[2 + v, 2 + w] = 0.5 * (p[2 + v, 2 + w] + p[2 + w, 2 + v])
+    for v in range(2):
+        for w in range(2):
+            one, other = p[v, w] + t * (p[2 + v, w] + out[v, 2 + w]), p[w, v] + t * (p[2 + w, v] + out[w, 2 + v])
+            out[v, w] = 0.5 * (one + other)
+    # Q of :func:`sameas.tracks.alignment.process_noise`, by axis.
+    q_position, q_cross, q_speed = walk * (size * size * size) / 3.0, walk * t * size / 2.0, walk * size
+    for v in range(2):
+        out[v, v] += q_position
+        out[v, 2 + v] += q_cross
+        out[2 + v, v] += q_cross
+        out[2 + v, 2 + v] += q_speed
 
 
 @small_by(_work)

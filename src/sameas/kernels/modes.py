@@ -8,7 +8,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.kernels.compiled import part, small_by
-from sameas.kernels.kalman import inverse_root
+from sameas.kernels.kalman import inverse_root, state_moved
 from sameas.kernels.linear import positive_2, solve_2
 
 #: ln of the least weight of a mode from which others are predicted.
@@ -98,19 +98,8 @@ def _predict(
     if walk < 0.0:
         x[0], x[1], x[2], x[3] = mean[0], mean[1], 0.0, 0.0
         _new_velocity(spread, dt, speed, 1.0, 1.0, p)
-        return
-    for v in range(2):
-        x[v], x[2 + v] = mean[v] + dt * mean[2 + v], mean[2 + v]
-        for w in range(2):
-            speeds = spread[2 + v, 2 + w]
-            p[v, w] = spread[v, w] + dt * (spread[v, 2 + w] + spread[2 + v, w] + dt * speeds)
-            p[v, 2 + w] = p[2 + w, v] = spread[v, 2 + w] + dt * speeds
-            p[2 + v, 2 + w] = speeds
-    for v in range(2):
-        p[v, v] += walk * dt * dt * dt / 3.0
-        p[v, 2 + v] += 0.5 * walk * dt * dt
-        p[2 + v, v] += 0.5 * walk * dt * dt
-        p[2 + v, 2 + v] += walk * dt
+    else:
+        state_moved(mean, spread, dt, walk, x, p)
 
 
 @part
@@ -148,16 +137,23 @@ def _new_velocity(place: FloatArray, dt: float, speed: float, path: float, both:
 
 
 @part
-def _normalise(log_weight: FloatArray) -> None:
-    """Normalise weights (M,), given as logarithms."""
+def _log_sum(log_weight: FloatArray) -> float:
+    """ln of the sum of weights given as logarithms."""
     top = -math.inf
     for value in log_weight:
         top = max(top, value)
     total = 0.0
     for value in log_weight:
         total += math.exp(value - top)
+    return top + math.log(total)
+
+
+@part
+def _normalise(log_weight: FloatArray) -> None:
+    """Normalise weights (M,), given as logarithms."""
+    log_total = _log_sum(log_weight)
     for j in range(len(log_weight)):
-        log_weight[j] -= top + math.log(total)
+        log_weight[j] -= log_total
 
 
 @part
@@ -218,23 +214,18 @@ def _merged(
     log_case: FloatArray, means: FloatArray, spreads: FloatArray, mean: FloatArray, spread: FloatArray
 ) -> float:
     """Write the mean (4,) and covariance (4, 4) of a mixture of M Gaussians, and return ln of their whole weight."""
-    top = -math.inf
-    for value in log_case:
-        top = max(top, value)
-    total = 0.0
-    for value in log_case:
-        total += math.exp(value - top)
+    log_total = _log_sum(log_case)
     for v in range(4):
         mean[v] = 0.0
         for w in range(4):
             spread[v, w] = 0.0
     for i in range(len(log_case)):
-        if log_case[i] - top > LEAST:
+        if log_case[i] - log_total > LEAST:
             for v in range(4):
-                mean[v] += math.exp(log_case[i] - top) / total * means[i, v]
+                mean[v] += math.exp(log_case[i] - log_total) * means[i, v]
     for i in range(len(log_case)):
-        if log_case[i] - top > LEAST:
-            weight = math.exp(log_case[i] - top) / total
+        if log_case[i] - log_total > LEAST:
+            weight = math.exp(log_case[i] - log_total)
             for v in range(4):
                 for w in range(v + 1):
                     apart = (means[i, v] - mean[v]) * (means[i, w] - mean[w])
@@ -242,4 +233,4 @@ def _merged(
     for v in range(4):
         for w in range(v):
             spread[w, v] = spread[v, w]
-    return top + math.log(total)
+    return log_total

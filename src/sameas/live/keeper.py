@@ -14,7 +14,7 @@ import sqlite3
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -34,6 +34,7 @@ from sameas.live.situation import Alarm, OwnShipState, Situation
 from sameas.picture.deception import Fault
 from sameas.picture.live import LivePicture, estimated, faults_of
 from sameas.picture.picture_state import PictureState
+from sameas.representation import listed
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 
@@ -347,7 +348,7 @@ class Keeper:
         heading = math.nan
         lat, lon = own.lat_deg, own.lon_deg
         if own.source is not None and own.source in self.settings.sources:
-            wire = self.wires.get(self.settings.sources[own.source].url or "")
+            wire = self._own_wire()
             lat, lon, heading = self._station if wire is None else wire.stream.own_ship
             if wire is not None and self._taken_s - wire.stream.own_ship_s > self.settings.watch.silent_s:
                 # Approaches to where she was would be worse than none.
@@ -364,11 +365,15 @@ class Keeper:
             return OwnShipState(east, north, speed * math.sin(angle), speed * math.cos(angle), heading)
         return OwnShipState(east, north, *self._own_velocity(now_s), heading)
 
-    def _own_over_ground(self) -> tuple[float, float]:
-        """Speed (m/s) and course (degrees) of own ship as her receiver gives them, NaN where it does not."""
+    def _own_wire(self) -> Wire | None:
+        """The wire of the source that gives own ship's position; None where no source does, or it is replayed."""
         own = self.settings.watch.own_ship
         source = None if own is None or own.source is None else self.settings.sources.get(own.source)
-        wire = None if source is None else self.wires.get(source.url or "")
+        return None if source is None else self.wires.get(source.url or "")
+
+    def _own_over_ground(self) -> tuple[float, float]:
+        """Speed (m/s) and course (degrees) of own ship as her receiver gives them, NaN where it does not."""
+        wire = self._own_wire()
         speed, course = (math.nan, math.nan) if wire is None else wire.stream.own_velocity
         # One that rests has no course.
         return speed, 0.0 if speed == 0.0 and math.isnan(course) else course
@@ -407,8 +412,9 @@ class Keeper:
         return out
 
     def _source_alarms(self) -> list[Alarm]:
-        watch, out, clock_s = self.settings.watch, self._wire_alarms(), self._taken_s
-        on_silent = {name for url in self._silent_wires() for name in self._names_on(url)}
+        watch, clock_s, silent = self.settings.watch, self._taken_s, self._silent_wires()
+        out = [self._wire_alarm(url, names) for url, names in silent.items()]
+        on_silent = {name for names in silent.values() for name in names}
         for name, state in self.sources.items() if self.replay is None else ():
             if name in on_silent:
                 continue
@@ -416,8 +422,7 @@ class Keeper:
             if never and (reason := self._misfit(name)):
                 out.append(Alarm(f"silent {name}", "source", f"{name}: none of its data can be used: {reason}"))
             elif clock_s - max(state.last_s, self._began_s) > watch.silent_s and not self._gives_own_ship(name):
-                since = f"for {watch.silent_s:.0f} s" if math.isfinite(state.last_s) else "since the watch began"
-                text = f"{name} has sent no report {since}: {self._silence(name)}"
+                text = f"{name} has sent no report {self._since(state.last_s)}: {self._silence(name)}"
                 out.append(Alarm(f"silent {name}", "source", text))
             elif abs(state.delay_s) > watch.clock_s:
                 sense = "behind" if state.delay_s > 0.0 else "ahead of"
@@ -439,38 +444,35 @@ class Keeper:
         own, silent_s = self.settings.watch.own_ship, self.settings.watch.silent_s
         if self.replay is not None or own is None or own.source is None or situation.own_ship is not None:
             return []
-        wire = self.wires.get(self.settings.sources[own.source].url or "")
+        wire = self._own_wire()
         last_s = self._began_s if wire is None else max(wire.stream.own_ship_s, self._began_s)
         if self._taken_s - last_s <= silent_s:
             return []
         text = f"own ship: {own.source} has given no position for {silent_s:.0f} s; no approach is watched"
         return [Alarm("own ship", "source", text)]
 
-    def _silent_wires(self) -> list[str]:
-        """The wires of several sources on which nothing has arrived for too long."""
-        watch = self.settings.watch
-        return [
+    def _silent_wires(self) -> dict[str, list[str]]:
+        """The wires of several sources on which nothing has arrived for too long, with the names of their sources."""
+        silent = [
             url for url, wire in self.wires.items()
-            if len(self._names_on(url)) > 1
-            and self._taken_s - max(wire.state.last_s, self._began_s) > watch.silent_s
+            if self._taken_s - max(wire.state.last_s, self._began_s) > self.settings.watch.silent_s
         ]  # fmt: skip
+        return {url: names for url in silent if len(names := self._names_on(url)) > 1}
 
-    def _wire_alarms(self) -> list[Alarm]:
-        """One alarm for each wire of several sources that is silent: these have one cause."""
-        out = []
-        for url in self._silent_wires():
-            wire, names = self.wires[url], self._names_on(url)
-            begun = math.isfinite(wire.state.last_s)
-            since = f"for {self.settings.watch.silent_s:.0f} s" if begun else "since the watch began"
-            what = "nothing has arrived" if wire.state.connected else "it is not connected"
-            why = "" if wire.state.connected else f" ({wire.state.error or 'no answer'})"
-            text = f"{url}, of {_and(names)}, is silent {since}: {what}{why}"
-            out.append(Alarm(f"silent {url}", "source", text))
-        return out
+    def _wire_alarm(self, url: str, names: Sequence[str]) -> Alarm:
+        """The alarm of a silent wire of several sources, one for all: their silence has one cause."""
+        state = self.wires[url].state
+        since = self._since(state.last_s)
+        why = "nothing has arrived" if state.connected else f"it is not connected ({state.error or 'no answer'})"
+        return Alarm(f"silent {url}", "source", f"{url}, of {listed(names)}, is silent {since}: {why}")
+
+    def _since(self, last_s: float) -> str:
+        """For how long something is silent whose last sign was at ``last_s``, −∞ for none, in words."""
+        return f"for {self.settings.watch.silent_s:.0f} s" if math.isfinite(last_s) else "since the watch began"
 
     def _gives_own_ship(self, name: str) -> bool:
         """Whether the wire of a source gives the position of own ship now; it need not give reports, too."""
-        own, wire = self.settings.watch.own_ship, self.wires.get(self.settings.sources[name].url or "")
+        own, wire = self.settings.watch.own_ship, self._own_wire()
         if own is None or own.source != name or wire is None or math.isnan(wire.stream.own_ship[0]):
             return False
         return self._taken_s - wire.state.last_s <= self.settings.watch.silent_s
@@ -776,15 +778,6 @@ def _in_settings(error: InputError, name: str) -> str:
 
     text = error.words.with_options(key) if isinstance(error.words, Message) else str(error)
     return text.removeprefix(f"{name}: ")
-
-
-def _and(names: list[str]) -> str:
-    """The names as a list in words.
-
-    >>> _and(["a", "b", "c"])
-    'a, b and c'
-    """
-    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
 
 
 def _is_time_zone(seconds: float) -> bool:

@@ -15,7 +15,6 @@ import math
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,10 +22,11 @@ import numpy as np
 from sameas.errors import InputError, optional
 from sameas.live.keeper import Delta, Keeper
 from sameas.live.outputs import geojson, metrics
+from sameas.live.settings import read_chart
 from sameas.live.situation import OBJECT, RECORD, Situation
-from sameas.maps.outline import Coast, read_coast
+from sameas.maps.outline import Coast
 from sameas.maps.sheet import MapSensor, MapSheet
-from sameas.maps.tiles import Chart, is_tiles, open_chart
+from sameas.maps.tiles import Chart
 from sameas.pages.map import map_page
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.source import Site
@@ -184,7 +184,8 @@ class _Handlers:
         """A tile of the user's chart; 204 where the chart has none there."""
         from starlette.responses import Response
 
-        chart = _chart(self.keeper.settings.watch.chart)
+        path = self.keeper.settings.watch.chart
+        chart = None if path is None else read_chart(path)
         if not isinstance(chart, Chart):
             return _json({"error": "the watch has no chart of tiles"}, 404)
         zoom, column, row = (int(request.path_params[name]) for name in ("zoom", "column", "row"))
@@ -307,7 +308,7 @@ def live_page(keeper: Keeper, operator: bool) -> str:
     sensors += [MapSensor(name, source.description.kind) for name, source in keeper.settings.sources.items()
                 if name not in {sensor.name for sensor in sensors}]  # fmt: skip
     instant_s = keeper.now_s() if situation is None else situation.time_s
-    chart = _chart(watch.chart)
+    chart = None if watch.chart is None else read_chart(watch.chart)
     title = "Live picture" if keeper.replay is None else f"Replay, {keeper.replay.pace:g} × real time"
     sheet = MapSheet.of(
         title, _filled(objects), records, instants_s=np.array([instant_s]), sensors=sensors, plane=plane,
@@ -323,14 +324,6 @@ def live_page(keeper: Keeper, operator: bool) -> str:
         },
     }  # fmt: skip
     return map_page(sheet, live)
-
-
-@lru_cache(maxsize=4)
-def _chart(path: str | None) -> Coast | Chart | None:
-    """The user's chart, if there is one."""
-    if path is None:
-        return None
-    return open_chart(path) if is_tiles(path) else read_coast(path)
 
 
 def _same_plane(site: Site, plane: LocalPlane | None) -> bool:

@@ -24,6 +24,7 @@ import os
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,8 @@ from sameas.io.sensors.recording import RecordedInput, RecordedSource
 from sameas.io.sensors.sources import ZONED
 from sameas.io.sensors.stream import STREAM_FORMATS
 from sameas.live.websocket import Login
-from sameas.maps.outline import read_coast
-from sameas.maps.tiles import is_tiles, open_chart
+from sameas.maps.outline import Coast, read_coast
+from sameas.maps.tiles import Chart, is_tiles, open_chart
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
@@ -253,7 +254,7 @@ def _watch(table: Any, where: str, sources: Mapping[str, LiveSource]) -> WatchSe
             values[key] = str(Path(where.split(": ")[0]).parent / value)
             if key == "chart":
                 # A map without its shores is found out too late.
-                require_chart(values[key])
+                read_chart(values[key])
         elif isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < math.inf:
             raise InputError(f"{where}.{key} is {value!r}; give a number, 0 or more")
         else:
@@ -263,12 +264,10 @@ def _watch(table: Any, where: str, sources: Mapping[str, LiveSource]) -> WatchSe
     return WatchSettings(**values)
 
 
-def require_chart(path: str) -> None:
-    """Refuses a file that is no chart: land and shores, or tiles."""
-    if is_tiles(path):
-        open_chart(path)
-    else:
-        read_coast(path)
+@lru_cache(maxsize=4)
+def read_chart(path: str) -> Coast | Chart:
+    """The user's chart: land and shores, or tiles; any other file is refused."""
+    return open_chart(path) if is_tiles(path) else read_coast(path)
 
 
 def _own_ship(given: Any, where: str, sources: Mapping[str, LiveSource]) -> OwnShip:

@@ -41,6 +41,8 @@ _MOST_DIRECTORY, _MOST_TILE = 64 << 20, 16 << 20
 _MOST_LEVELS = 4
 #: Directories that are kept unpacked.
 _KEPT_DIRECTORIES = 64
+#: What reading a damaged file raises.
+_DAMAGED = (sqlite3.Error, OverflowError, EOFError, zlib.error, ValueError, IndexError, struct.error)
 
 
 @dataclass(frozen=True)
@@ -68,16 +70,7 @@ class Chart:
         where = f"{self.path}: tile {zoom}/{column}/{row}"
         try:
             data = self._tiles.tile(zoom, column, row)
-        except (
-            OSError,
-            OverflowError,
-            EOFError,
-            zlib.error,
-            sqlite3.Error,
-            ValueError,
-            IndexError,
-            struct.error,
-        ) as error:
+        except (OSError, *_DAMAGED) as error:
             raise InputError(f"{where} cannot be read ({error})", "the file is damaged; copy it again") from None
         if not data:
             return None
@@ -112,7 +105,7 @@ def open_chart(path: str | os.PathLike[str]) -> Chart:
         kind, about = opened.kind, opened.about
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except (sqlite3.Error, OverflowError, EOFError, zlib.error, ValueError, IndexError, struct.error) as error:
+    except _DAMAGED as error:
         raise InputError(
             f"{path}: its tiles cannot be read ({error})", "give a whole file of MBTiles 1.3 or PMTiles 3"
         ) from None

@@ -8,7 +8,7 @@ from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.summary import Summary
 from sameas.picture.watch import Watch
 from sameas.report.prose import ALARM, DOUBT, entry, moment, span
-from sameas.representation import counted
+from sameas.representation import counted, listed
 from sameas.tracks.scene import Scene
 
 
@@ -63,15 +63,6 @@ def assumed_lines(scene: Scene) -> Iterator[str]:
             taken.setdefault((described.kind, numbers), []).append(described.name)
     for (kind, numbers), names in taken.items():
         yield from entry("assumed", f"{listed(names)} ({kind}): {numbers}")
-
-
-def listed(names: Sequence[str]) -> str:
-    """Names in a sentence.
-
-    >>> listed(["ais"]), listed(["ais", "radar", "mlat"])
-    ('ais', 'ais, radar and mlat')
-    """
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _number(value: object) -> str:

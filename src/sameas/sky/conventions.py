@@ -529,36 +529,30 @@ _CHANDRA = Convention(
         ErrorNames("ellipse", ("err_ellipse_r0", "err_ellipse_r1", "err_ellipse_ang"), "arcsec", containment=0.95),
     ),
 )
+
+
+def _ellipses_of_95_and_68(*names: str) -> tuple[ErrorNames, ...]:
+    """The 95 % and the 68 % ellipses of a table: names of the axes and the position angle, {} for the percentage."""
+    return tuple(
+        ErrorNames("ellipse", tuple(name.format(percent) for name in names), "deg", containment=percent / 100.0)
+        for percent in (95, 68)
+    )
+
+
 _FERMI = (
     Convention(
         title="Fermi LAT",
         position=("RAJ2000", "DEJ2000"),
         marks=("Conf_95_SemiMajor", "Conf_68_SemiMajor"),
         ids=("Source_Name",),
-        errors=tuple(
-            ErrorNames(
-                "ellipse",
-                (f"Conf_{percent}_SemiMajor", f"Conf_{percent}_SemiMinor", f"Conf_{percent}_PosAng"),
-                "deg",
-                containment=percent / 100.0,
-            )
-            for percent in (95, 68)
-        ),
+        errors=_ellipses_of_95_and_68("Conf_{}_SemiMajor", "Conf_{}_SemiMinor", "Conf_{}_PosAng"),
     ),
     Convention(
         title="Fermi LAT at HEASARC",
         position=("ra", "dec"),
         marks=("semi_major_axis_95", "semi_major_axis_68"),
         ids=("name", "source_name"),
-        errors=tuple(
-            ErrorNames(
-                "ellipse",
-                (f"semi_major_axis_{percent}", f"semi_minor_axis_{percent}", f"position_angle_{percent}"),
-                "deg",
-                containment=percent / 100.0,
-            )
-            for percent in (95, 68)
-        ),
+        errors=_ellipses_of_95_and_68("semi_major_axis_{}", "semi_minor_axis_{}", "position_angle_{}"),
     ),
 )
 # Components of Selavy, the source finder of ASKAP (EMU, RACS): ra_err and dec_err are along the sky, arcsec.

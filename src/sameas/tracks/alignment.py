@@ -213,6 +213,17 @@ def moved(
     return there, out
 
 
+def track_numbers(track: NDArray[Any]) -> IntArray:
+    """(n,) the number of each track, from 0, in the order of their names (n,).
+
+    >>> track_numbers(np.array(["b", "a", "b"])).tolist()
+    [1, 0, 1]
+    """
+    # Names need not be comparable; their texts are.
+    names = track if track.dtype.kind in "iu" else track.astype(str)
+    return np.unique(names, return_inverse=True)[1]
+
+
 @dataclass(frozen=True)
 class Succession:
     """The order of a source's reports within its tracks, for :meth:`at` at many instants.
@@ -234,8 +245,7 @@ class Succession:
         >>> Succession.of(np.array([5.0, 0.0, 9.0]), np.array(["a", "a", "b"])).at(6.0).tolist()
         [0]
         """
-        # Names need not be comparable; their texts are.
-        _, number = np.unique(track.astype(str), return_inverse=True)
+        number = track_numbers(track)
         rows = np.lexsort([time_s, number])
         final = np.append(np.diff(number[rows]) != 0, True) if len(rows) else np.empty(0, bool)
         return cls(rows, time_s[rows], final)
@@ -286,7 +296,7 @@ class Steps:
         assert reports.track is not None
         rows = np.flatnonzero(reports.usable)
         rows = rows[np.argsort(reports.rows[rows], kind="stable")]
-        _, number = np.unique(reports.track[rows].astype(str), return_inverse=True)
+        number = track_numbers(reports.track[rows])
         order = np.argsort(number, kind="stable")
         rows, number = rows[order], number[order]
         same = number[1:] == number[:-1]
@@ -526,7 +536,7 @@ def by_turn(reports: States, usable: BoolArray) -> list[IntArray]:
     """The first report of each track, then the second, …; in each list, tracks with more reports come first."""
     rows = np.flatnonzero(usable)
     assert reports.track is not None
-    _, number = np.unique(reports.track[rows].astype(str), return_inverse=True)
+    number = track_numbers(reports.track[rows])
     count = np.bincount(number)
     # By descending number of reports, so that the tracks of a list are the first ones of the list before.
     rank = np.empty(len(count), np.int64)

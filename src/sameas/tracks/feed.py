@@ -23,7 +23,7 @@ from sameas.evidence.identity import MODELS
 from sameas.gate import ChiSquare
 from sameas.gaussian import mahalanobis_sq
 from sameas.representation import counted, in_short
-from sameas.tracks.alignment import States, Succession, are_unfiltered, follow, with_minutes
+from sameas.tracks.alignment import States, Succession, are_unfiltered, follow, track_numbers, with_minutes
 from sameas.tracks.biases import corrected
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.kinds import KINDS
@@ -31,7 +31,7 @@ from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import AntennaRotation, scans_of, seen_from
 from sameas.tracks.source import Description
-from sameas.tracks.stationary import ADRIFT, drift_walk, stationary
+from sameas.tracks.stationary import ADRIFT, stationary
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
@@ -48,7 +48,7 @@ def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None, tuning: Tuni
     """
     if track is None or len(time_s) < 2:
         return math.inf
-    _, number = np.unique(track.astype(str), return_inverse=True)
+    number = track_numbers(track)
     order = np.lexsort([time_s, number])
     gaps = np.diff(time_s[order])[np.diff(number[order]) == 0]
     return float(np.quantile(gaps, tuning.timeout_quantile, method="higher")) if len(gaps) else math.inf
@@ -71,8 +71,7 @@ def position_updates(reports: States, tuning: Tuning = DEFAULT_TUNING) -> tuple[
     if reports.track is None or len(reports) < 2:
         return reports, ()
     usable = np.flatnonzero(reports.usable)
-    track = reports.track[usable]
-    _, number = np.unique(track if track.dtype.kind in "iu" else track.astype(str), return_inverse=True)
+    number = track_numbers(reports.track[usable])
     stale = stale_positions(number, reports.time_s[usable], reports.state[usable], reports.covariance[usable], tuning)
     repeats = usable[stale]
     if not len(repeats):
@@ -230,9 +229,9 @@ class Feed:
     def walk_m2_per_s3(self) -> FloatArray:
         """(n,) power density of the velocity random walk of each report's object, the mean over its modes of motion."""
         walk = walk_of(self.description)
-        if self.p_slow is None or self.p_stationary is None:
+        if self.p_slow is None:
             return np.full(len(self.reports), walk)
-        return walk * (1.0 - self.p_stationary) + drift_walk(self.tuning) * self.p_slow[:, ADRIFT]
+        return walk * (1.0 - self.p_slow.sum(axis=1)) + self.tuning.drift_walk_m2_per_s3 * self.p_slow[:, ADRIFT]
 
     @cached_property
     def p_stationary(self) -> FloatArray | None:

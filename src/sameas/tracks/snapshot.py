@@ -20,7 +20,7 @@ from sameas.many.observations import LinearPart, Observations, Source
 from sameas.records import Records
 from sameas.registration.weights import PlacedSources as Weighing
 from sameas.space import Plane
-from sameas.tracks.alignment import Earlier, States, aged, moved, process_noise
+from sameas.tracks.alignment import Earlier, States, aged, moved, process_noise, track_numbers
 from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME, AzimuthBias, BiasModel, RelativeBias
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, SlowBearing
@@ -284,7 +284,7 @@ def _typical_count(feed: Feed) -> float:
     reports = feed.reports
     if reports.track is None:
         return len(reports) / max(len(np.unique(feed.scan_s)), 1)
-    _, number = np.unique(reports.track.astype(str), return_inverse=True)
+    number = track_numbers(reports.track)
     first, last = np.full(number.max() + 1, np.inf), np.full(number.max() + 1, -np.inf)
     np.minimum.at(first, number, reports.time_s)
     np.maximum.at(last, number, reports.time_s)

@@ -32,7 +32,7 @@ from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, symmetric
 from sameas.kernels.modes import filter_modes
-from sameas.tracks.alignment import States
+from sameas.tracks.alignment import States, track_numbers
 from sameas.tracks.source import Motion
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
@@ -118,11 +118,6 @@ def stationary(
     return States(reports.time_s, state, covariance, reports.track, reports.rows), modes
 
 
-def drift_walk(tuning: Tuning) -> float:
-    """m²/s³ random walk of the velocity of a vessel adrift."""
-    return 2.0 * tuning.drift_m_per_s**2 / tuning.drift_s
-
-
 @dataclass(frozen=True)
 class _Model:
     """speed, walk, share : (MODES,) as of :func:`sameas.kernels.modes.filter_modes`. exchange_s : mean time after which
@@ -140,7 +135,7 @@ class _Model:
         moves = 1.0 - at_rest
         return cls(
             np.array([tuning.alongside * slow, slow, tuning.drift_m_per_s, speed]),
-            np.array([-1.0, -1.0, drift_walk(tuning), motion.acceleration_m2_per_s3 or 0.0]),
+            np.array([-1.0, -1.0, tuning.drift_walk_m2_per_s3, motion.acceleration_m2_per_s3 or 0.0]),
             np.array([at_rest / 2.0] * 2 + [tuning.drift_share * moves, (1.0 - tuning.drift_share) * moves]),
             tuning.rest_s * moves,
         )
@@ -150,8 +145,7 @@ class _Model:
         rows = np.flatnonzero(reports.usable)
         begins = np.ones(len(rows), bool)
         if reports.track is not None:
-            track = reports.track[rows]
-            _, number = np.unique(track if track.dtype.kind in "iu" else track.astype(str), return_inverse=True)
+            number = track_numbers(reports.track[rows])
             order = np.lexsort([reports.time_s[rows], number])
             rows, number = rows[order], number[order]
             begins[1:] = (number[1:] != number[:-1]) | ~has_velocity[rows[:-1]]

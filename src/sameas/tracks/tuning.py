@@ -279,5 +279,10 @@ class Tuning:
 
     heights: HeightTuning = HeightTuning()
 
+    @property
+    def drift_walk_m2_per_s3(self) -> float:
+        """Random walk of the velocity of a vessel adrift."""
+        return 2.0 * self.drift_m_per_s**2 / self.drift_s
+
 
 DEFAULT_TUNING = Tuning()
