@@ -261,3 +261,8 @@ def test_missing_pyais_is_reported_with_the_remedy(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyais", None)
     with pytest.raises(InputError, match=r"AIS messages need pyais: pip install 'sameas\[targets\]'"):
         reports(["!AIVDM,1,1,,B,15M67FC000G?ufbE`FepT@3n00Sa,0*5C"])
+
+
+def test_the_navigational_status_is_kept_and_unknown_where_it_is_not_set():
+    found = reports([line for status in (5, 1, 15) for line in message(mmsi=235070762 + status, status=status)])
+    assert found.extra["nav_status"].tolist()[:2] == [5.0, 1.0] and np.isnan(found.extra["nav_status"][2])

@@ -346,3 +346,15 @@ def test_the_speed_of_own_ship_is_that_of_her_receiver():
     boat.feed(json.dumps({"context": "vessels.self", "updates": [update]}).encode() + b"\n", 0.0)
     boat.reports()
     assert boat.own_velocity == pytest.approx((3.0, 90.0))
+
+
+def test_the_state_of_a_ship_of_signal_k_is_the_status_of_her_ais():
+    stream, found = ReportStream("sk", "signalk"), []
+    for state in ("moored", "motoring"):
+        values = [{"path": "navigation.state", "value": state},
+                  {"path": "navigation.position", "value": {"latitude": 50.1, "longitude": -1.1}}]  # fmt: skip
+        update = {"timestamp": "2026-01-01T00:00:00Z", "values": values}
+        line = json.dumps({"context": "vessels.urn:mrn:imo:mmsi:235070762", "updates": [update]})
+        stream.feed(line.encode() + b"\n", 0.0)
+        found += [reports.extra["nav_status"][0] for reports in stream.reports()]
+    assert found[0] == 5.0 and np.isnan(found[1])

@@ -26,6 +26,7 @@ from sameas.errors import Argument, InputError, Message, reading
 from sameas.io.sensors.recording import Recorder
 from sameas.io.sensors.sources import ZONED
 from sameas.io.sensors.stream import ReportStream
+from sameas.live.approaches import Approaches
 from sameas.live.inputs import Replay, Wire
 from sameas.live.journal import Journal, load_state, save_state
 from sameas.live.outputs import sinks_of
@@ -42,10 +43,6 @@ T = TypeVar("T")
 LOG = logging.getLogger("sameas.live")
 #: An alarm ends when its condition has been absent for this many seconds of picture time.
 ALARM_ENDS_S = 10.0
-#: An active alarm of closest approach ends beyond this multiple of its limits.
-CPA_HOLDS = 1.2
-#: CPA in metres that raises an alarm unless it is given, 0.5 nm, while own ship is at least this fast, m/s (1 kn).
-CPA_M, UNDER_WAY_M_PER_S = 926.0, 0.514
 #: Number of deltas that are kept for listeners that reconnect.
 KEPT_DELTAS = 300
 #: A source that never gave a report raises an alarm when its data have been unusable for this many seconds.
@@ -147,6 +144,7 @@ class Keeper:
         # Whether no tick will follow.
         self.ended = False
         self._alarms: dict[str, tuple[int, float]] = {}
+        self.approaches = Approaches(settings.watch)
         # Latitude, longitude and heading of the sensor with the last replayed report of the source of own ship.
         self._station = (math.nan, math.nan, math.nan)
         self._own: deque[tuple[float, float, float]] = deque(maxlen=30)
@@ -227,7 +225,8 @@ class Keeper:
             own_ship = self._own_ship(instant_s, state)
             situation = Situation.of(self._tick, state, self.picture.plane, (), own_ship, self.picture.height_model)
             alarms = [*_identity_alarms(state), *self._source_alarms(), *self._fault_alarms(situation),
-                      *self._own_ship_alarms(situation), *self._cpa_alarms(situation), *self._folder_alarms(),
+                      *self._own_ship_alarms(situation), *self._approach_alarms(situation),
+                      *self._folder_alarms(),
                       *self._pace_alarms()]  # fmt: skip
             situation = replace(situation, alarms=tuple(alarms))
             self._raise_alarms(alarms, instant_s)
@@ -316,6 +315,7 @@ class Keeper:
             state.set_error(_in_settings(error, name), self._taken_s)
             return
         state.last_s, state.error = received_s, ""
+        self.approaches.take(reports)
         own = self.settings.watch.own_ship
         if self.replay is not None and own is not None and own.source == name:
             self._station = _last_station(reports, self._station)
@@ -365,6 +365,10 @@ class Keeper:
             return OwnShipState(east, north, speed * math.sin(angle), speed * math.cos(angle), heading)
         return OwnShipState(east, north, *self._own_velocity(now_s), heading)
 
+    def _approach_alarms(self, situation: Situation) -> list[Alarm]:
+        wire = self._own_wire()
+        return self.approaches.alarms(situation, self._alarms, "" if wire is None else wire.stream.own_mmsi)
+
     def _own_wire(self) -> Wire | None:
         """The wire of the source that gives own ship's position; None where no source does, or it is replayed."""
         own = self.settings.watch.own_ship
@@ -386,30 +390,6 @@ class Keeper:
         times, east, north = np.array(recent).T
         slope = np.polynomial.polynomial.polyfit(times - times[-1], np.column_stack([east, north]), 1)[1]
         return float(slope[0]), float(slope[1])
-
-    def _cpa_alarms(self, situation: Situation) -> list[Alarm]:
-        watch, out, ship = self.settings.watch, [], situation.own_ship
-        cpa_m = watch.cpa_m
-        if cpa_m is None:
-            under_way = ship is not None and math.hypot(ship.vx_m_per_s, ship.vy_m_per_s) > UNDER_WAY_M_PER_S
-            cpa_m = CPA_M if under_way else 0.0
-        own = watch.own_ship.mmsi if watch.own_ship else None
-        stages = dict(zip(situation.objects["object"].tolist(), situation.objects["stage"].tolist(), strict=True))
-        label = dict(zip(situation.objects["object"].tolist(), situation.objects["label"].tolist(), strict=True))
-        mmsi = dict(zip(situation.objects["object"].tolist(), situation.objects["mmsi"].tolist(), strict=True))
-        for number, (metres, seconds) in situation.cpa.items():
-            # An alarm that is active holds a little longer, so that one approach is not many alarms.
-            holds = CPA_HOLDS if f"cpa {number}" in self._alarms else 1.0
-            if (
-                metres < holds * cpa_m
-                and seconds < holds * watch.tcpa_s
-                and stages[number] in ("confirmed", "coasting")
-            ):
-                if own and mmsi[number] == own:
-                    continue
-                text = f"{label[number] or f'object {number}'} will pass at {metres:.0f} m in {seconds / 60.0:.1f} min"
-                out.append(Alarm(f"cpa {number}", "cpa", text, (number,)))
-        return out
 
     def _source_alarms(self) -> list[Alarm]:
         watch, clock_s, silent = self.settings.watch, self._taken_s, self._silent_wires()
@@ -754,6 +734,7 @@ class Keeper:
             "ok": bool(ticking), "tick": self._tick,
             "time_s": None if self.situation is None else self.situation.time_s,
             "objects": 0 if self.situation is None else len(self.situation.objects["object"]),
+            "harbour": self.approaches.in_harbour, "berthed": len(self.approaches.berthed),
             "faults": self.counters["faults"], "sources": sources, "wires": wires,
             "outputs": {f"{sink.format} {sink.url}": {"failed": sink.failed, "unnumbered": sink.numbers.unnumbered}
                         for sink in self.sinks},

@@ -289,6 +289,7 @@ def _event(kind: str, keeper: Keeper, situation: Situation, delta: Delta) -> str
                 "heading": None if math.isnan(own.heading_deg) else round(own.heading_deg, 1),
             },
             "geographic": keeper.picture.plane is not None,
+            "berthed": sorted(keeper.approaches.berthed),
             "cpa": {n: [round(metres), round(seconds)] for n, (metres, seconds) in situation.cpa.items()},
             "alarms": keeper.alarm_list()[:100],
             "biases": {name: [found["text"], found["established"]] for name, found in keeper.biases().items()},

@@ -68,6 +68,8 @@ class WatchSettings:
     own_ship : for CPA and TCPA. cpa_m, tcpa_s : an object with a smaller CPA and TCPA raises an alarm. If cpa_m is not
         given, it is 0.5 nm while own ship makes way, and there is no alarm while she does not: a radar on shore, or a
         ship in port, has many vessels close by.
+    harbour_kn : while own ship is slower, an object that is alongside is an alarm only if it is about to be hit; 0: as
+        any other is (:mod:`sameas.live.approaches`).
     silent_s : a source without reports for this long, or since the start, raises an alarm. clock_s : so does a source
         whose time stamps differ from the receive times by more.
     faults_every_s : time between two searches of the last minutes for deception and source faults; 0: never. Two
@@ -88,6 +90,7 @@ class WatchSettings:
     own_ship: OwnShip | None = None
     cpa_m: float | None = None
     tcpa_s: float = 1200.0
+    harbour_kn: float = 10.0
     silent_s: float = 60.0
     clock_s: float = 30.0
     faults_every_s: float = 30.0

@@ -8,7 +8,7 @@ const O = Object.fromEntries(data.live.object.map((name, k) => [name, k])),
 const OBJECT_TEXTS = ["label", "mmsi", "icao", "callsign", "name", "mode_a", "type"];
 const sourceNumber = new Map(data.sensors.map((s, k) => [s.name, k]));
 let frames = [],
-  present = { t: NaN, objects: new Map(), records: new Map(), own: null, cpa: {} },
+  present = { t: NaN, objects: new Map(), records: new Map(), own: null, cpa: {}, berthed: [] },
   tick = 0,
   watching = true,
   receivedAt = performance.now();
@@ -93,6 +93,7 @@ function applyDelta(delta) {
   present.t = delta.t;
   present.own = delta.own;
   present.cpa = delta.cpa || {};
+  present.berthed = delta.berthed || [];
   showBiases(delta.biases || {});
   beginOwnShip();
   if (centres.own) showOwnShip();
@@ -231,6 +232,9 @@ function showOwnShip() {
     turn = earth ? earth.north(own.x, own.y) : 0,
     over = speed < 0.05 * KNOT ? "" : `  ${course(Math.atan2(own.vx, own.vy) / RAD - turn)}`;
   ownWords.textContent = `own ship ${knots(speed)}${over}${own.heading === null ? "" : `, heading ${course(own.heading)}`}`;
+  // What raises no alarm must be seen.
+  const berthed = present.berthed.length;
+  if (berthed) ownWords.append(text("span", ` – harbour: no CPA alarms of ${berthed} alongside`, "berthed"));
 }
 el("ring").addEventListener("change", () => (el("ring").dataset.chosen = "yes"));
 overlays.push(c => {
@@ -262,6 +266,7 @@ furtherFacts.push(r => {
     ? [
         ["CPA", distance(near[0])],
         ["TCPA", duration(Math.round(near[1]))],
+        ...(present.berthed.includes(numberOf(r)) ? [["CPA alarm", "none: alongside, in a harbour"]] : []),
       ]
     : [];
 });

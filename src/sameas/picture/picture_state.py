@@ -17,6 +17,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
@@ -30,6 +31,7 @@ from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.scene import Instant
+from sameas.tracks.stationary import MODES, mode_shares
 
 
 class InstantObjects(Protocol):
@@ -333,6 +335,27 @@ class PictureState(Generic[W]):
         at, source = np.nonzero(self.members >= 0)
         out[self.members[at, source]] = at
         return out
+
+    @cached_property
+    def p_modes(self) -> FloatArray:
+        """(n, MODES) probability that an object is alongside, at anchor, adrift, and under way, by all its records.
+
+        The evidence of the sources is independent: each has its own reports of the motion. NaN where none tells it.
+        """
+        scan, n = self.scan, len(self.members)
+        evidence, share = np.zeros((n, MODES)), None
+        for s, feed in enumerate(scan.now.feeds):
+            records = np.arange(scan.start[s], scan.start[s + 1])
+            ratios = feed.log_mode_ratios(scan.row[records], self.now.instant_s)
+            np.add.at(evidence, self.object_of_record[records], ratios)
+            if share is None:
+                share = mode_shares(feed.description.motion, feed.tuning)
+        if share is None:
+            return np.full((n, MODES), np.nan)
+        unknown = ~evidence.any(axis=1)
+        p = softmax(evidence + np.log(share), axis=1)
+        p[unknown] = np.nan
+        return np.asarray(p)
 
     @property
     def runner_up(self) -> IntArray:

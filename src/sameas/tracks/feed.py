@@ -31,8 +31,11 @@ from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import AntennaRotation, scans_of, seen_from
 from sameas.tracks.source import Description
-from sameas.tracks.stationary import ADRIFT, stationary
+from sameas.tracks.stationary import ADRIFT, MODES, RESTS, mode_shares, stationary
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
+
+#: Smallest probability of a mode of motion.
+MIN_P = 1e-12
 
 
 def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None, tuning: Tuning = DEFAULT_TUNING) -> float:
@@ -238,6 +241,26 @@ class Feed:
         """(n,) probability that a report is of an object alongside, at anchor or adrift; None if the motion has no such
         objects."""
         return None if self.p_slow is None else self.p_slow.sum(axis=1)
+
+    def log_mode_ratios(self, row: IntArray, instant_s: float) -> FloatArray:
+        """(len(row), MODES) ln of the probability of each mode of motion at the instant over the mode's share.
+
+        0 where the velocity is unknown. After a report the probabilities return to the shares, as modes change: at
+        three minutes a ship that was alongside may have left.
+        """
+        out = np.zeros((len(row), MODES))
+        motion, tuning = self.description.motion, self.tuning
+        share = mode_shares(motion, tuning)
+        if share is None or self.p_slow is None or not isinstance(self.reports, States):
+            return out
+        unknown_variance = tuning.unknown_velocity_share * float(motion.speed_m_per_s or 0.0) ** 2
+        known = self.reports.covariance[row, 2, 2] < unknown_variance
+        slow = self.p_slow[row[known]]
+        p = np.column_stack([slow, np.maximum(1.0 - slow.sum(axis=1), 0.0)])
+        age_s = np.maximum(instant_s - self.reports.time_s[row[known]], 0.0)
+        kept = np.exp(-age_s / (tuning.rest_s * share[RESTS:].sum()))[:, None]
+        out[known] = np.log(np.maximum(share + kept * (p - share), MIN_P)) - np.log(share)
+        return out
 
     @cached_property
     def track_timeout_s(self) -> float:

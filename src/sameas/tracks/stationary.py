@@ -118,6 +118,15 @@ def stationary(
     return States(reports.time_s, state, covariance, reports.track, reports.rows), modes
 
 
+def mode_shares(motion: Motion, tuning: Tuning = DEFAULT_TUNING) -> FloatArray | None:
+    """(MODES,) the share of each mode; None if the motion has no stationary objects."""
+    at_rest = motion.stationary_share
+    if not motion.stationary_m_per_s or not motion.speed_m_per_s or not at_rest:
+        return None
+    moves = 1.0 - at_rest
+    return np.array([at_rest / 2.0] * 2 + [tuning.drift_share * moves, (1.0 - tuning.drift_share) * moves])
+
+
 @dataclass(frozen=True)
 class _Model:
     """speed, walk, share : (MODES,) as of :func:`sameas.kernels.modes.filter_modes`. exchange_s : mean time after which
@@ -130,14 +139,13 @@ class _Model:
 
     @classmethod
     def of(cls, motion: Motion, tuning: Tuning) -> _Model:
-        slow, speed, at_rest = motion.stationary_m_per_s, motion.speed_m_per_s, motion.stationary_share
-        assert slow and speed and at_rest
-        moves = 1.0 - at_rest
+        slow, speed, share = motion.stationary_m_per_s, motion.speed_m_per_s, mode_shares(motion, tuning)
+        assert slow and speed and share is not None
         return cls(
             np.array([tuning.alongside * slow, slow, tuning.drift_m_per_s, speed]),
             np.array([-1.0, -1.0, tuning.drift_walk_m2_per_s3, motion.acceleration_m2_per_s3 or 0.0]),
-            np.array([at_rest / 2.0] * 2 + [tuning.drift_share * moves, (1.0 - tuning.drift_share) * moves]),
-            tuning.rest_s * moves,
+            share,
+            tuning.rest_s * float(share[RESTS:].sum()),
         )
 
     def filtered(self, reports: States, has_velocity: BoolArray, known: Modes | None) -> Modes:

@@ -221,8 +221,8 @@ def read(log: Log, source: str, start_s: float | None = None, state: ReceiverSta
     return replace(reports, counted_clock=clock == COUNTED)
 
 
-def own_ship(sentence: Sentence) -> dict[str, float | None]:
-    """The latitude, longitude and heading of own ship that a VDO sentence gives.
+def own_ship(sentence: Sentence) -> dict[str, Any]:
+    """The latitude, longitude and heading of own ship that a VDO sentence gives, and her MMSI.
 
     Raises
     ------
@@ -237,7 +237,8 @@ def own_ship(sentence: Sentence) -> dict[str, float | None]:
     message = AisMessage(sentence.line, 0, True, decoded)
     if message.type not in _POSITIONS or _unusable(message):
         return {}
-    fields: dict[str, float | None] = {"lat": float(decoded.lat), "lon": float(decoded.lon)}
+    mmsi = f"{int(decoded.mmsi):09d}"
+    fields: dict[str, Any] = {"lat": float(decoded.lat), "lon": float(decoded.lon), "mmsi": mmsi}
     heading = _available(getattr(decoded, "heading", None), 360)
     return fields if heading is None else fields | {"heading": heading}
 
@@ -389,6 +390,7 @@ def _rows(positions: Sequence[AisMessage], statics: Mapping[str, list[Static]]) 
                 "course_deg": _available(decoded.course, 360.0),
                 "heading_deg": _available(getattr(decoded, "heading", None), 360),
                 "message_type": message.type,
+                "nav_status": _available(getattr(decoded, "status", None), 15),
                 "accuracy_flag": float(bool(decoded.accuracy)),
                 "raim_flag": float(bool(decoded.raim)),
                 "reckoned": float(second in (61, 62)),

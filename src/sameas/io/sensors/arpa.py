@@ -75,7 +75,8 @@ class Target:
 class ArpaState:
     """Own ship before these lines. has_ttm : whether TTM sentences have occurred. targets : by number.
 
-    speed, course : over ground, m/s and degrees. positions : number of positions of own ship so far.
+    speed, course : over ground, m/s and degrees. mmsi : of own ship, "" before her AIS gave it. positions : number of
+    positions of own ship so far.
     measured_s : clock time of the last TTM, by the number of the target.
     """
 
@@ -84,6 +85,7 @@ class ArpaState:
     lon: float = math.nan
     speed: float = math.nan
     course: float = math.nan
+    mmsi: str = ""
     positions: int = 0
     has_ttm: bool = False
     targets: dict[str, Target] = field(default_factory=dict)
@@ -220,6 +222,7 @@ def _own_ship(log: Log, ship: ArpaState) -> dict[str, FloatArray]:
                 position = reader(sentence)
             except (ValueError, IndexError):
                 continue
+            ship.mmsi = position.pop("mmsi", ship.mmsi)
             for name, value in position.items():
                 columns[name][index] = np.nan if value is None else value
             ship.positions += "lat" in position and bool(np.isfinite(columns["lat"][index] + columns["lon"][index]))
@@ -250,7 +253,7 @@ def _velocity(s: Sentence, speed: int, course: int) -> dict[str, float | None]:
     return given if degrees is None else given | {"course": degrees}
 
 
-_OWN_SHIP: Mapping[str, Callable[[Sentence], dict[str, float | None]]] = {
+_OWN_SHIP: Mapping[str, Callable[[Sentence], dict[str, Any]]] = {
     "OSD": lambda s: {"heading": s.number(1) if s.field(2) != "V" else None},
     "HDT": lambda s: {"heading": s.number(1)},
     "THS": lambda s: {"heading": s.number(1) if s.field(2) != "V" else None},

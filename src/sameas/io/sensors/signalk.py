@@ -37,6 +37,8 @@ _SIZES = {
     "design.length": "length_m", "design.beam": "width_m", "sensors.ais.fromBow": "to_bow_m",
     "sensors.gps.fromBow": "to_bow_m",
 }  # fmt: skip
+#: Values of navigation.state with their code of AIS, of those that tell ships at rest apart.
+_STATES = {"anchored": 1.0, "not under command": 2.0, "moored": 5.0, "aground": 6.0}
 _TEXTS = {"name": "name", "communication.callsignVhf": "callsign", "registrations.imo": "imo"}
 #: Fields older than this, in seconds, are not joined to a position (chosen).
 _STALE_S = 60.0
@@ -55,6 +57,12 @@ class Vessels:
     own_context: str = "vessels.self"
     station: tuple[float, float] = (math.nan, math.nan)
     positions: int = 0
+
+    @property
+    def own_mmsi(self) -> str:
+        """The MMSI of own ship, if her context has it; else empty."""
+        found = _MMSI.search(self.own_context)
+        return found[1] if found else ""
 
 
 def read(lines: Sequence[str], source: str, vessels: Vessels | None = None) -> list[Reports]:
@@ -130,6 +138,8 @@ def _add_delta(
             elif path in _NUMBERS and value is not None:
                 column, scale = _NUMBERS[path]
                 fields[column] = (time_s, scale * float(value))
+            elif path == "navigation.state" and isinstance(value, str):
+                fields["nav_status"] = (math.inf, _STATES.get(value.lower(), math.nan))
             elif path in _SIZES:
                 size = value.get("overall", value.get("hull")) if isinstance(value, Mapping) else value
                 if size is not None and 0.0 <= float(size) < _LONGEST_M:

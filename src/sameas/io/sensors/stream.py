@@ -175,6 +175,11 @@ class ReportStream:
         return self._ship.lat, self._ship.lon, self._ship.heading
 
     @property
+    def own_mmsi(self) -> str:
+        """The MMSI of own ship where the stream gives it; else empty."""
+        return self._vessels.own_mmsi if self.format == "signalk" else self._ship.mmsi
+
+    @property
     def own_velocity(self) -> tuple[float, float]:
         """The latest speed (m/s) and course (degrees) of own ship over ground in the stream, NaN where unknown."""
         if self.format == "signalk":

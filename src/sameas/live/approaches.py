@@ -1,0 +1,147 @@
+"""Approaches: which closest approaches to own ship are alarms.
+
+At sea every object that will pass close enough and soon enough is one, at rest or not: a ship at anchor ahead is in the
+way. In a harbour, berthed ships are many, and a course that leads past quays always points at some of them. While own
+ship is slow, an object that is alongside therefore raises an alarm only where it is about to be hit. An object is
+alongside if
+
+- its AIS says that it is moored, and its motion agrees; or its motion alone says so: the probability of the mode
+  "alongside" (:mod:`sameas.tracks.stationary`);
+- its AIS does not say that it is at anchor, aground or not under command;
+- others that are alongside are near, as at a quay or in a marina. What does not move at sea is alone: a platform, a
+  wreck, a ship at anchor in a calm.
+
+A slow radar target without AIS beside one that is alongside is that ship, or the quay.
+
+A ship that leaves her berth loses the probability with her first reports, or those of a radar, and is watched as any
+other; also as a new, tentative object, while AIS still reports her at the quay every three minutes. The page counts the
+berthed ships without an alarm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sameas.live.settings import WatchSettings
+from sameas.live.situation import Alarm, Situation
+from sameas.tracks.reports import Reports
+from sameas.tracks.stationary import RESTS
+
+KNOT_M_PER_S = 1852.0 / 3600.0
+#: An active alarm of closest approach ends beyond this multiple of its limits.
+CPA_HOLDS = 1.2
+#: CPA in metres that raises an alarm unless it is given, 0.5 nm, while own ship is at least this fast, m/s (1 kn).
+CPA_M, UNDER_WAY_M_PER_S = 926.0, KNOT_M_PER_S
+#: Own ship leaves the harbour at this multiple of its speed.
+HARBOUR_HOLDS = 1.25
+#: An object is alongside from the first probability on, and no longer below the second. Reports every three minutes
+#: take 12 minutes to the first.
+ALONGSIDE_FROM, ALONGSIDE_BELOW = 0.8, 0.5
+#: So many others are alongside within so many metres.
+COMPANIONS, COMPANY_M = 2, 926.0
+#: A target without AIS within so many metres of an object alongside, and slower than this, m/s (2 kn), is alongside.
+BESIDE_M, SLOW_M_PER_S = 100.0, 2.0 * KNOT_M_PER_S
+#: A tentative object raises an alarm once it has been in the picture for so many seconds.
+TENTATIVE_S = 30.0
+#: An object alongside is about to be hit if it will be passed at less than own ship's way in the first number of
+#: seconds, within the second: at 6 kn 46 m and 185 m.
+HIT_CPA_S, HIT_TCPA_S = 15.0, 60.0
+#: Navigational status of AIS (ITU-R M.1371): moored; not under command, at anchor, aground.
+MOORED, HAZARDS = 5.0, (1.0, 2.0, 6.0)
+#: Statuses of so many MMSIs are kept; a flood of forged ones fills no memory.
+MOST_STATUSES = 100_000
+
+
+@dataclass
+class Approaches:
+    """The alarms of approaches, tick after tick.
+
+    in_harbour : whether own ship is slow enough. berthed : objects without an alarm because they are alongside.
+    """
+
+    watch: WatchSettings
+    in_harbour: bool = False
+    berthed: frozenset[int] = frozenset()
+    _alongside: frozenset[int] = frozenset()
+    #: Since when an object is in the picture, while it is tentative.
+    _since_s: dict[int, float] = field(default_factory=dict)
+    #: The last navigational status by MMSI.
+    _status: dict[str, float] = field(default_factory=dict)
+
+    def take(self, reports: Reports) -> None:
+        """Takes the navigational status of reports that have one."""
+        status = reports.extra.get("nav_status")
+        if status is not None and reports.mmsi is not None:
+            if len(self._status) > MOST_STATUSES:
+                self._status.clear()
+            self._status |= {
+                str(mmsi): value
+                for mmsi, value in zip(reports.mmsi.tolist(), status.tolist(), strict=True)
+                if mmsi and value == value
+            }
+
+    def alarms(self, situation: Situation, active: Container[str], own_mmsi: str = "") -> list[Alarm]:
+        """The alarms of a situation.
+
+        active : keys of the alarms of the last one. own_mmsi : of own ship, if her transponder gives it: stations on
+        shore receive her as well.
+        """
+        watch, ship, out, berthed = self.watch, situation.own_ship, [], set()
+        speed = 0.0 if ship is None else math.hypot(ship.vx_m_per_s, ship.vy_m_per_s)
+        cpa_m = watch.cpa_m
+        if cpa_m is None:
+            cpa_m = CPA_M if speed > UNDER_WAY_M_PER_S else 0.0
+        limit = watch.harbour_kn * KNOT_M_PER_S
+        self.in_harbour = ship is not None and speed < limit * (HARBOUR_HOLDS if self.in_harbour else 1.0)
+        self._alongside = self._objects_alongside(situation)
+        own = {own_mmsi, watch.own_ship.mmsi or "" if watch.own_ship else ""} - {""}
+        objects = situation.objects
+        numbers, stages, labels, mmsis = (objects[name].tolist() for name in ("object", "stage", "label", "mmsi"))
+        texts = dict(zip(numbers, zip(labels, mmsis, strict=True), strict=True))
+        tentative = [number for number, stage in zip(numbers, stages, strict=True) if stage == "tentative"]
+        self._since_s = {number: self._since_s.get(number, situation.time_s) for number in tentative}
+        for number, (metres, seconds) in situation.cpa.items():
+            label, mmsi = texts[number]
+            # An alarm that is active holds a little longer, so that one approach is not many alarms.
+            holds = CPA_HOLDS if f"cpa {number}" in active else 1.0
+            near = metres < holds * cpa_m and seconds < holds * watch.tcpa_s
+            settled = situation.time_s - self._since_s.get(number, -math.inf) >= TENTATIVE_S
+            if not near or not settled or mmsi in own:
+                continue
+            hit = metres < holds * HIT_CPA_S * speed and seconds < holds * HIT_TCPA_S
+            if self.in_harbour and number in self._alongside and not hit:
+                berthed.add(number)
+                continue
+            text = f"{label or f'object {number}'} will pass at {metres:.0f} m in {seconds / 60.0:.1f} min"
+            out.append(Alarm(f"cpa {number}", "cpa", text, (number,)))
+        self.berthed = frozenset(berthed)
+        return out
+
+    def _objects_alongside(self, situation: Situation) -> frozenset[int]:
+        objects, p_modes = situation.objects, situation.p_modes
+        number, mmsi = objects["object"].tolist(), objects["mmsi"].tolist()
+        x, y, speed = (np.ma.filled(objects[name], np.nan) for name in ("x_m", "y_m", "speed_m_per_s"))
+        place, placed = np.column_stack([x, y]), np.isfinite(x + y)
+        at_rest = np.zeros(len(number), bool)
+        for k in np.flatnonzero(placed).tolist():
+            p, status = p_modes.get(number[k]), self._status.get(mmsi[k])
+            if p is not None and status not in HAZARDS:
+                moored = status == MOORED and p[:RESTS].sum() >= ALONGSIDE_BELOW
+                enough = ALONGSIDE_BELOW if number[k] in self._alongside else ALONGSIDE_FROM
+                at_rest[k] = moored or p[0] >= enough
+        found = np.flatnonzero(at_rest)
+        if len(found) <= COMPANIONS:
+            return frozenset()
+        tree = cKDTree(place[found])
+        found = found[tree.query_ball_point(place[found], COMPANY_M, return_length=True) > COMPANIONS]
+        with np.errstate(invalid="ignore"):
+            unnamed = np.flatnonzero(placed & ~at_rest & (objects["mmsi"] == "") & ~(speed > SLOW_M_PER_S))
+        if len(found) and len(unnamed):
+            beside = cKDTree(place[found]).query(place[unnamed])[0] <= BESIDE_M
+            found = np.concatenate([found, unnamed[beside]])
+        return frozenset(number[k] for k in found.tolist())
