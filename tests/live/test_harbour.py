@@ -103,7 +103,7 @@ def at_anchor(east, north, swing_m=120.0, period_s=1500.0):
 
 
 def berthed(rng, n=26):
-    """Ships at both sides of a basin 260 m wide, 2.6 km long, and at its end, that the departing ship turns away from."""
+    """Ships at both sides of a basin 260 m wide and 2.6 km long, and two elsewhere."""
     rows = {}
     for k in range(n):
         side = -1.0 if k % 2 else 1.0
@@ -184,7 +184,7 @@ def test_a_berthed_ship_that_begins_to_move_across_the_course_is_an_alarm(radar,
     alarms = sea.run(1000.0, interval_s={"211000001": interval_s})
     # The radar's track is an object of its own until AIS reports again.
     [name] = alarms
-    assert (name == "211000001" or radar and name.startswith("object")) and leaves_s < alarms[name] <= leaves_s + 60.0
+    assert (name == "211000001" or (radar and name.startswith("object"))) and leaves_s < alarms[name] <= leaves_s + 60.0
 
 
 def test_own_ship_in_the_ais_of_others_is_no_approach(tmp_path):
