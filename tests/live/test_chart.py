@@ -1,5 +1,6 @@
 """Chart tiles of the user below the live map: at their places, fluent, and behind the rules of the server (slow)."""
 
+import json
 import sqlite3
 from contextlib import closing
 
@@ -28,31 +29,36 @@ def places(lat, lon, zoom):
     return (np.asarray(lon) + 180.0) / 360.0 * 2**zoom, (0.5 - np.arcsinh(np.tan(lat)) / (2.0 * np.pi)) * 2**zoom
 
 
-@pytest.fixture
-def chart(tmp_path):
-    """Tiles of one grey each within half a degree of the radar; every fifth is missing at the deepest zoom."""
-    path, rows = tmp_path / "harbour.mbtiles", []
-    for zoom in ZOOMS:
-        (west, south), (east, north) = (places(SITE[0] + d, SITE[1] - s * 0.5, zoom) for d, s in ((-0.4, 1), (0.4, -1)))
-        for column in range(int(west), int(east) + 1):
-            for row in range(int(north), int(south) + 1):
-                if zoom < max(ZOOMS) or (column + row) % 5:
-                    picture = png(np.full((256, 256), grey(zoom, column, row), np.uint8))
-                    rows.append((zoom, column, (1 << zoom) - 1 - row, picture))
-    about = {"name": "harbour", "format": "png", "attribution": "<b>&copy; Harbour office</b>"}
+def tile_file(path, pictures, about):
+    """An MBTiles file of {(zoom, column, row): picture}."""
+    rows = [(zoom, column, (1 << zoom) - 1 - row, picture) for (zoom, column, row), picture in pictures.items()]
     with closing(sqlite3.connect(path)) as base, base:
         base.execute("CREATE TABLE metadata (name TEXT, value TEXT)")
         base.execute("CREATE TABLE tiles (zoom_level INT, tile_column INT, tile_row INT, tile_data BLOB)")
         base.execute("CREATE INDEX place ON tiles (zoom_level, tile_column, tile_row)")
         base.executemany("INSERT INTO metadata VALUES (?, ?)", list(about.items()))
         base.executemany("INSERT INTO tiles VALUES (?, ?, ?, ?)", rows)
+
+
+@pytest.fixture
+def chart(tmp_path):
+    """Tiles of one grey each within half a degree of the radar; every fifth is missing at the deepest zoom."""
+    path, rows = tmp_path / "harbour.mbtiles", {}
+    for zoom in ZOOMS:
+        (west, south), (east, north) = (places(SITE[0] + d, SITE[1] - s * 0.5, zoom) for d, s in ((-0.4, 1), (0.4, -1)))
+        for column in range(int(west), int(east) + 1):
+            for row in range(int(north), int(south) + 1):
+                if zoom < max(ZOOMS) or (column + row) % 5:
+                    rows[zoom, column, row] = png(np.full((256, 256), grey(zoom, column, row), np.uint8))
+    about = {"name": "harbour", "format": "png", "attribution": "<b>&copy; Harbour office</b>"}
+    tile_file(path, rows, about)
     return path
 
 
 @pytest.fixture
 def charted(tmp_path, chart):
     """A keeper whose map has the chart."""
-    made = Keeper(settings(chart=str(chart)), tmp_path / "state", replay=replay(until_s=2400.0))
+    made = Keeper(settings(chart=(str(chart),)), tmp_path / "state", replay=replay(until_s=2400.0))
     yield made
     if made.journal is not None:
         made.close()
@@ -62,13 +68,14 @@ def test_tiles_are_served_behind_the_token(charted):
     zoom = 12
     column, row = (int(v) for v in places(*SITE, zoom))
     with served(charted, Access("0.0.0.0", "op", "view")) as url:
-        assert ask(f"{url}/chart/{zoom}/{column}/{row}")[0] == 401
-        status, headers, _ = ask_bytes(f"{url}/chart/{zoom}/{column}/{row}", Authorization="Bearer view")
+        assert ask(f"{url}/chart/0/{zoom}/{column}/{row}")[0] == 401
+        status, headers, _ = ask_bytes(f"{url}/chart/0/{zoom}/{column}/{row}", Authorization="Bearer view")
         assert status == 200 and headers["content-type"] == "image/png"
         assert headers["x-content-type-options"] == "nosniff" and headers["cache-control"] == "private, max-age=600"
-        assert ask_bytes(f"{url}/chart/{zoom}/0/0", Authorization="Bearer view")[0] == 204
-        assert ask_bytes(f"{url}/chart/99/0/0", Authorization="Bearer view")[0] == 204
-        assert ask_bytes(f"{url}/chart/{zoom}/{column}/../../etc", Authorization="Bearer view")[0] == 404
+        assert ask_bytes(f"{url}/chart/0/{zoom}/0/0", Authorization="Bearer view")[0] == 204
+        assert ask_bytes(f"{url}/chart/0/99/0/0", Authorization="Bearer view")[0] == 204
+        assert ask_bytes(f"{url}/chart/1/{zoom}/{column}/{row}", Authorization="Bearer view")[0] == 404
+        assert ask_bytes(f"{url}/chart/0/{zoom}/{column}/../../etc", Authorization="Bearer view")[0] == 404
 
 
 def ask_bytes(url, **headers):
@@ -84,7 +91,7 @@ def ask_bytes(url, **headers):
 
 def test_a_watch_without_tiles_serves_none(keeper):
     with served(keeper) as url:
-        assert ask(f"{url}/chart/1/0/0")[0] == 404
+        assert ask(f"{url}/chart/0/1/0/0")[0] == 404
 
 
 #: Screen places and their greys, well inside the chart and away from symbols.
@@ -184,5 +191,68 @@ def test_panning_over_a_chart_copies_its_tiles_and_asks_for_each_once(charted, t
             assert steps < 30
             asked = [one for one in page.requests if "/chart/" in one]
             assert 4 <= len(asked) == len(set(asked))
+        finally:
+            page.close()
+
+
+BOX = [[-1.6, 50.3], [-0.3, 50.3], [-0.3, 50.8], [-1.6, 50.8], [-1.6, 50.3]]
+LINES = [{"type": "Polygon", "coordinates": [BOX]},
+         {"type": "LineString", "coordinates": [[-0.96, 50.5], [-0.92, 50.5]]}]  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_charts_lie_on_each_other_and_each_can_be_switched_off(chart, tmp_path):
+    files = [tmp_path / name for name in ("land.geojson", "above.mbtiles", "fairway.geojson")]
+    for path, feature in ((files[0], 0), (files[2], 1)):
+        path.write_text(json.dumps(LINES[feature]))
+    above = {(12, *(int(v) for v in places(*SITE, 12))): png(np.full((256, 256), 255, np.uint8))}
+    tile_file(files[1], above, {"format": "png", "attribution": "Pilots"})
+    order = tuple(map(str, (files[0], chart, files[1], files[2])))
+    keeper = Keeper(settings(chart=order), replay=replay(until_s=2400.0))
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url)
+        try:
+            page.until("mapPage.live && mapPage.live.tick > 3")
+            names = page.js(
+                "[...document.querySelectorAll('[data-layer^=chart]')].map(e => e.parentNode.textContent.trim())"
+            )
+            assert names == ["fairway", "above", "harbour", "land"]
+            page.js(ONLY_THE_CHART.replace("!== 'chart'", ".slice(0, 5) !== 'chart'"))
+            scale = 256 * 2.0**12 / (40_075_017 * np.cos(np.radians(SITE[0])))
+            # Beside own ship, in the one tile of the upper chart; and where the fairway is.
+            page.js(f"mapPage.view.scale = {scale}; mapPage.view.x = 0; mapPage.view.y = 0; mapPage.paint()")
+            page.until("mapPage.chartIsDrawn()")
+
+            def colour(number=None):
+                """Of a place two kilometres from own ship, after a click on the tick of a chart."""
+                if number is not None:
+                    page.js(f"document.querySelector('[data-layer=\"chart {number}\"]').click()")
+                page.until("mapPage.chartIsDrawn()")
+                page.js("mapPage.paint()")
+                return page.js("""(() => { const c = document.getElementById('chart'), r = devicePixelRatio;
+                  const [u, v] = mapPage.toScreen(...PLACE);
+                  return [...c.getContext('2d').getImageData(Math.round(u * r), Math.round(v * r), 1, 1).data]; })()
+                  """.replace("PLACE", json.dumps(place)))  # fmt: skip
+
+            west, north = (int(v) for v in places(*SITE, 12))
+            lon, lat = (west + 0.3) / 2**12 * 360.0 - 180.0, None
+            y = (north + 0.3) / 2**12
+            lat = np.degrees(np.arctan(np.sinh(np.pi * (1.0 - 2.0 * y))))
+            place = LocalPlane(*page.js("mapPage.earth.toEarth(0, 0)")).of_geodetic([lat], [lon])[0].tolist()
+            assert colour() == [255, 255, 255, 255]
+            shade = grey(12, west, north)
+            assert np.abs(np.array(colour(3)[:3]) - shade).max() <= 3
+            land = colour(2)
+            assert np.ptp(land[:3]) > 0 or abs(land[0] - shade) > 3
+            assert colour(1) != land
+            # The fairway: its line is there with its tick alone.
+            place = LocalPlane(*page.js("mapPage.earth.toEarth(0, 0)")).of_geodetic([50.5], [-0.94])[0].tolist()
+            on = colour()
+            assert colour(4) != on and colour(4) == on
+            assert page.js("document.getElementById('credit').textContent").startswith(
+                "chart: © Harbour office, Pilots"
+            )
+            assert page.errors == [] and page.complaints == []
         finally:
             page.close()

@@ -480,6 +480,7 @@ def test_settings_are_read_and_unknown_ones_refused(tmp_path):
         ("[watch]\noutputs = 3\n", "outputs is 3; give a list"),
         ("[watch]\nchart = 3\n", "chart is 3; give the name of a file in quotes"),
         ('[watch]\nchart = "shores.geojson"\n', "shores.geojson"),
+        ('[watch]\nchart = ["shores.geojson", 3]\n', "give the name of a file in quotes, or a list of them"),
         ('[sources.b]\nkind = "ais"\ninputs = "udp://127.0.0.1:1"\n', "'inputs' is not known; did you mean input?"),
         ('[sources.b]\ninput = "udp://127.0.0.1:1"\n', 'has no kind; give kind = "…", one of marine radar'),
         ('[sources.b]\nkind = "other"\ninput = "udp://127.0.0.1:1"\n', "give motion = .* and misses = "),

@@ -101,9 +101,12 @@ def watch(
         str | None, option("--viewer-token", panel=_MAP, metavar="TEXT", help="Token that may only view.")
     ] = None,
     chart: Annotated[
-        Path | None,
+        list[Path] | None,
         option(
-            "--chart", panel=_MAP, metavar="FILE", help="Chart below the objects: MBTiles, PMTiles or GeoJSON of land."
+            "--chart",
+            panel=_MAP,
+            metavar="FILE",
+            help="Chart below the objects: MBTiles, PMTiles or GeoJSON of land; again for charts above it.",
         ),
     ] = None,
     no_map: Annotated[bool, option("--no-map", panel=_MAP, help="Serve no map.")] = False,
@@ -120,7 +123,7 @@ def watch(
         from sameas.live.keeper import Keeper
 
         settings, replay = _settings(files or [], sensors, start, pace, duration_s(every))
-        settings = settings if chart is None else _with_chart(settings, chart)
+        settings = _with_charts(settings, chart) if chart else settings
         if record is not None and replay is not None:
             raise InputError("--record: files are replayed, and nothing is received", "leave it out")
         settings = settings if record is None else _with_record(settings, record)
@@ -196,11 +199,12 @@ def _with_record(settings: Settings, folder: Path) -> Settings:
     return replace(settings, watch=replace(settings.watch, record=str(folder)))
 
 
-def _with_chart(settings: Settings, chart: Path) -> Settings:
+def _with_charts(settings: Settings, charts: Sequence[Path]) -> Settings:
     from sameas.live.settings import read_chart
 
-    read_chart(str(chart))
-    return replace(settings, watch=replace(settings.watch, chart=str(chart)))
+    for chart in charts:
+        read_chart(str(chart))
+    return replace(settings, watch=replace(settings.watch, chart=tuple(map(str, charts))))
 
 
 def _origin(sources: Sequence[SensorSource]) -> LocalPlane | None:

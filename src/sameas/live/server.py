@@ -13,8 +13,9 @@ import hmac
 import json
 import math
 import secrets
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -107,7 +108,7 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
         Route("/", guarded(handlers.page)),
         Route("/events", guarded(handlers.events)),
         Route("/history", guarded(handlers.history)),
-        Route("/chart/{zoom:int}/{column:int}/{row:int}", guarded(handlers.tile)),
+        Route("/chart/{number:int}/{zoom:int}/{column:int}/{row:int}", guarded(handlers.tile)),
         Route("/objects", guarded(handlers.objects)),
         Route("/objects.geojson", guarded(handlers.objects_geojson)),
         Route("/objects/{number:int}/why", guarded(handlers.why)),
@@ -181,13 +182,13 @@ class _Handlers:
         return StreamingResponse(stream, media_type="text/event-stream", headers=_HEADERS | {"X-Accel-Buffering": "no"})
 
     async def tile(self, request: Request, role: str) -> Response:
-        """A tile of the user's chart; 204 where the chart has none there."""
+        """A tile of a chart of the user; 204 where the chart has none there."""
         from starlette.responses import Response
 
-        path = self.keeper.settings.watch.chart
-        chart = None if path is None else read_chart(path)
+        charts, number = self.keeper.settings.watch.chart, int(request.path_params["number"])
+        chart = read_chart(charts[number]) if number < len(charts) else None
         if not isinstance(chart, Chart):
-            return _json({"error": "the watch has no chart of tiles"}, 404)
+            return _json({"error": "the watch has no such chart of tiles"}, 404)
         zoom, column, row = (int(request.path_params[name]) for name in ("zoom", "column", "row"))
         try:
             found = await asyncio.to_thread(chart.tile, zoom, column, row)
@@ -309,22 +310,36 @@ def live_page(keeper: Keeper, operator: bool) -> str:
     sensors += [MapSensor(name, source.description.kind) for name, source in keeper.settings.sources.items()
                 if name not in {sensor.name for sensor in sensors}]  # fmt: skip
     instant_s = keeper.now_s() if situation is None else situation.time_s
-    chart = None if watch.chart is None else read_chart(watch.chart)
+    charts = [read_chart(path) for path in watch.chart]
+    # The first one is the land.
+    lines = [] if plane is None else [chart.in_plane(plane) for chart in charts if isinstance(chart, Coast)]
     title = "Live picture" if keeper.replay is None else f"Replay, {keeper.replay.pace:g} × real time"
     sheet = MapSheet.of(
         title, _filled(objects), records, instants_s=np.array([instant_s]), sensors=sensors, plane=plane,
         summary=[*(str(one) for one in keeper.picture.biases.values()), *keeper.picture.errors],
-        ground=chart.in_plane(plane) if isinstance(chart, Coast) and plane is not None else None,
+        ground=lines[0] if lines else None, overlays=lines[1:],
     )  # fmt: skip
     live = {
         "object": list(OBJECT), "record": list(RECORD), "operator": operator, "tick": watch.every_s,
         "every": max(10.0, watch.every_s), "history": watch.history_s,
         "word": "live" if keeper.replay is None else "replay",
-        "chart": None if not isinstance(chart, Chart) else {
-            "zooms": chart.zooms, "bounds": chart.bounds_deg, "credit": chart.credit,
-        },
+        "charts": _charts(watch.chart, charts),
     }  # fmt: skip
     return map_page(sheet, live)
+
+
+def _charts(paths: Sequence[str], charts: Sequence[Coast | Chart]) -> list[dict[str, Any]]:
+    """What the page is told of each chart. overlay : number of the overlay; None for the land."""
+    out: list[dict[str, Any]] = []
+    n_lines = 0
+    for path, chart in zip(paths, charts, strict=True):
+        name = {"name": Path(path).stem}
+        if isinstance(chart, Chart):
+            out.append(name | {"zooms": chart.zooms, "bounds": chart.bounds_deg, "credit": chart.credit})
+        else:
+            out.append(name | {"overlay": n_lines - 1 if n_lines else None})
+            n_lines += 1
+    return out
 
 
 def _same_plane(site: Site, plane: LocalPlane | None) -> bool:

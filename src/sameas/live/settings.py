@@ -79,7 +79,8 @@ class WatchSettings:
     outputs : ``udp://HOST:PORT`` with a format: ``{ url = …, format = "nmea" }``.
     record : folder into which the received bytes are written, hour by hour. record_hours : files that are older are
         deleted; 0: none are.
-    chart : GeoJSON, MBTiles or PMTiles file, drawn below the objects.
+    chart : GeoJSON, MBTiles or PMTiles files, drawn below the objects, the first one lowest. The first GeoJSON is the
+        land, others are lines.
     """
 
     every_s: float = 1.0
@@ -100,7 +101,7 @@ class WatchSettings:
     outputs: tuple[Mapping[str, str], ...] = ()
     record: str | None = None
     record_hours: float = 0.0
-    chart: str | None = None
+    chart: tuple[str, ...] = ()
 
     @property
     def origin(self) -> LocalPlane | None:
@@ -250,14 +251,18 @@ def _watch(table: Any, where: str, sources: Mapping[str, LiveSource]) -> WatchSe
             if not isinstance(value, list):
                 raise InputError(f"{where}.outputs is {value!r}; give a list")
             values[key] = tuple(value)
-        elif key in ("chart", "record"):
+        elif key == "record":
             if not isinstance(value, str):
-                what = "file" if key == "chart" else "folder"
-                raise InputError(f"{where}.{key} is {value!r}; give the name of a {what} in quotes")
+                raise InputError(f"{where}.{key} is {value!r}; give the name of a folder in quotes")
             values[key] = str(Path(where.split(": ")[0]).parent / value)
-            if key == "chart":
+        elif key == "chart":
+            files = [value] if isinstance(value, str) else value
+            if not isinstance(files, list) or not all(isinstance(file, str) for file in files):
+                raise InputError(f"{where}.chart is {value!r}; give the name of a file in quotes, or a list of them")
+            values[key] = tuple(str(Path(where.split(": ")[0]).parent / file) for file in files)
+            for file in values[key]:
                 # A map without its shores is found out too late.
-                read_chart(values[key])
+                read_chart(file)
         elif isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < math.inf:
             raise InputError(f"{where}.{key} is {value!r}; give a number, 0 or more")
         else:
@@ -267,7 +272,7 @@ def _watch(table: Any, where: str, sources: Mapping[str, LiveSource]) -> WatchSe
     return WatchSettings(**values)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=32)
 def read_chart(path: str) -> Coast | Chart:
     """The user's chart: land and shores, or tiles; any other file is refused."""
     return open_chart(path) if is_tiles(path) else read_coast(path)

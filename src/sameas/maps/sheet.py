@@ -126,7 +126,8 @@ class MapSheet:
     plane : of x and y; None for the user's own plane, which has no coast.
     summary : lines printed next to the map.
     texts : explanations by (index in ``instants_s``, number of the object); each is valid until the object's next one.
-    ground : coasts given by the user, in the plane; None: those of :func:`sameas.maps.outline`.
+    ground : coasts given by the user, in the plane; None: those of :func:`sameas.maps.outline`. overlays : further
+        lines given by the user.
     """
 
     title: str
@@ -139,6 +140,7 @@ class MapSheet:
     alarms: tuple[MapAlarm, ...] = ()
     texts: Mapping[tuple[int, int], str] = field(default_factory=dict)
     ground: Outline | None = None
+    overlays: tuple[Outline, ...] = ()
 
     @classmethod
     def of(
@@ -154,6 +156,7 @@ class MapSheet:
         alarms: Sequence[MapAlarm] = (),
         texts: Mapping[tuple[int, int], str] | None = None,
         ground: Outline | None = None,
+        overlays: Sequence[Outline] = (),
     ) -> MapSheet:
         """A checked and sorted sheet; unknown columns are ignored.
 
@@ -187,6 +190,7 @@ class MapSheet:
             title, {name: column[by_object] for name, column in rows.items()},
             {name: column[by_source] for name, column in marks.items()}, times, (*sensors, *added), plane,
             tuple(summary), tuple(alarms), dict(texts or {}), ground,
+            tuple(overlays),
         )  # fmt: skip
 
     @property

@@ -11,6 +11,9 @@ const landPath = path(data.land, true),
   coastPath = path(data.coast, false),
   borderPath = path(data.borders, false);
 
+// The layer that the land is, where it is a chart of the user; it can be switched off.
+let landLayer = null;
+
 const ANTENNA = new Path2D("M0 7V-7M-6 7H6M-7-7Q0 1 7-7"),
   NORTH_ARROW = new Path2D("M0 20V-18M-5-9 0-18 5-9");
 
@@ -22,11 +25,7 @@ function ground(c, w, h) {
   c.translate(w / 2, h / 2);
   c.scale(view.scale, -view.scale);
   c.translate(-view.x, -view.y);
-  c.fillStyle = colour.land;
-  c.fill(landPath);
-  c.lineWidth = 1 / view.scale;
-  c.strokeStyle = colour.coast;
-  c.stroke(coastPath);
+  if (landLayer === null || shown[landLayer]) land(c);
   c.setLineDash([6 / view.scale, 3 / view.scale]);
   c.strokeStyle = colour.border;
   c.stroke(borderPath);
@@ -37,6 +36,13 @@ function ground(c, w, h) {
   if (shown.coverage) coverage(c);
   rings(c, w, h);
   sites(c);
+}
+function land(c) {
+  c.fillStyle = colour.land;
+  c.fill(landPath);
+  c.lineWidth = 1 / view.scale;
+  c.strokeStyle = colour.coast;
+  c.stroke(coastPath);
 }
 
 const font = "11px system-ui, 'DejaVu Sans', sans-serif";

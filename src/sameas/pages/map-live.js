@@ -315,15 +315,17 @@ function reloaded() {
   const kept = JSON.parse(sessionStorage.getItem(KEPT_VIEW) || "{}");
   if (Date.now() - (kept.at || 0) < RELOADS_APART_MS) return false;
   const { x, y, scale } = view;
-  sessionStorage.setItem(KEPT_VIEW, JSON.stringify({ at: Date.now(), night, place: data.origin && { x, y, scale } }));
+  sessionStorage.setItem(KEPT_VIEW, JSON.stringify({ at: Date.now(), night, off: layersOff(), place: data.origin && { x, y, scale } }));
   location.reload();
   return true;
 }
+const layersOff = () => [...document.querySelectorAll("[data-layer]")].filter(e => !e.checked).map(e => e.dataset.layer);
 function restoreView() {
   const kept = JSON.parse(sessionStorage.getItem(KEPT_VIEW) || "{}");
   if (!kept.at || kept.restored) return;
   sessionStorage.setItem(KEPT_VIEW, JSON.stringify({ at: kept.at, restored: true }));
   theme(kept.night);
+  for (const e of document.querySelectorAll("[data-layer]")) if ((kept.off || []).includes(e.dataset.layer) === e.checked) e.click();
   const place = () => {
     Object.assign(view, kept.place);
     clampView();

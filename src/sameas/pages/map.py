@@ -100,7 +100,7 @@ def write_map_page(sheet: MapSheet, path: str | os.PathLike[str]) -> None:
 def map_page(sheet: MapSheet, live: Mapping[str, Any] | None = None) -> str:
     """The page of a sheet as text.
 
-    live : settings for ``map-live.js`` of a served page that is updated, and of its ``chart``; None for a file.
+    live : settings for ``map-live.js`` of a served page that is updated, and of its ``charts``; None for a file.
     """
     objects, strings = _objects(sheet)
     records, tracks = _records(sheet)
@@ -156,6 +156,10 @@ def _ground(sheet: MapSheet) -> dict[str, Any]:
         "land": _points(lines.land),
         "coast": _points(lines.coast),
         "borders": _points(lines.borders),
+        "overlays": [
+            {"land": _points(own.land), "coast": _points(own.coast)}
+            for own in (overlay.within(*box) for overlay in sheet.overlays)
+        ],
     }
 
 
