@@ -21,7 +21,7 @@ from sameas.front.request import program
 from sameas.io import read_table, write_table
 from sameas.io.atomic import filling
 from sameas.sky.frame.image import Frame
-from sameas.sky.series import DEFAULT_SERIES, Exposure, Series, tie
+from sameas.sky.series import DEFAULT_SERIES, Exposure, Series, SeriesTuning, tie
 
 #: Extensions of frames in a folder, without that of a compression.
 ENDINGS = (".fits", ".fit", ".fts")
@@ -119,10 +119,13 @@ class FieldSeries:
     filter: str
 
 
-def series_of(done: Sequence[IdentifiedFrame], *, by_filter: bool = True) -> tuple[list[FieldSeries], list[str]]:
+def series_of(
+    done: Sequence[IdentifiedFrame], *, by_filter: bool = True, tuning: SeriesTuning = DEFAULT_SERIES
+) -> tuple[list[FieldSeries], list[str]]:
     """The series among identified frames, the longest first, and the reasons why other frames are in none.
 
     by_filter : one series per filter; False for the search of movers, which uses all frames of a field.
+    tuning : of :func:`sameas.sky.series.tie`.
     """
     kept, reasons = [], []
     for one in done:
@@ -131,13 +134,13 @@ def series_of(done: Sequence[IdentifiedFrame], *, by_filter: bool = True) -> tup
         except InputError as error:
             reasons.append(str(error))
     found = []
-    for group in _fields(kept, by_filter):
+    for group in _fields(kept, by_filter, tuning.overlap):
         if len(group) < 2:
             reasons.append(f"{group[0][1].name}: the only frame of its field and filter; no series")
             continue
         group = sorted(group, key=lambda pair: pair[1].mjd_utc)
         try:
-            series = tie([exposure for _, exposure in group])
+            series = tie([exposure for _, exposure in group], tuning)
         except InputError as error:
             reasons.append(str(error))
             continue
@@ -149,12 +152,12 @@ def series_of(done: Sequence[IdentifiedFrame], *, by_filter: bool = True) -> tup
 
 
 def _fields(
-    frames: Sequence[tuple[IdentifiedFrame, Exposure]], by_filter: bool
+    frames: Sequence[tuple[IdentifiedFrame, Exposure]], by_filter: bool, overlap: float
 ) -> list[list[tuple[IdentifiedFrame, Exposure]]]:
     """Groups of frames with nearby centres, and of one filter if ``by_filter``."""
 
     def together(one: IdentifiedFrame, other: IdentifiedFrame) -> bool:
-        return (not by_filter or one.filter == other.filter) and _near(one, other)
+        return (not by_filter or one.filter == other.filter) and _near(one, other, overlap)
 
     groups: list[list[tuple[IdentifiedFrame, Exposure]]] = []
     for frame in frames:
@@ -166,13 +169,13 @@ def _fields(
     return groups
 
 
-def _near(one: IdentifiedFrame, other: IdentifiedFrame) -> bool:
+def _near(one: IdentifiedFrame, other: IdentifiedFrame, overlap: float) -> bool:
     a, b = one.summary["place"], other.summary["place"]
     north = b["middle_dec_deg"] - a["middle_dec_deg"]
     east = ((b["middle_ra_deg"] - a["middle_ra_deg"] + 180.0) % 360.0 - 180.0) * math.cos(
         math.radians(a["middle_dec_deg"])
     )
-    return math.hypot(east, north) < DEFAULT_SERIES.overlap * math.hypot(a["width_deg"], a["height_deg"])
+    return math.hypot(east, north) < overlap * math.hypot(a["width_deg"], a["height_deg"])
 
 
 def write_series(each: Sequence[FieldSeries], folder: str | Path, facts: Mapping[str, Any]) -> list[str]:

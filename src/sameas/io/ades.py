@@ -21,6 +21,7 @@ import numpy as np
 from sameas.arrays import IntArray
 from sameas.errors import InputError
 from sameas.io.atomic import replacing
+from sameas.sky.frame.measurements import POGSON
 
 if TYPE_CHECKING:
     from sameas.sky.movers.known import KnownObjects
@@ -203,7 +204,7 @@ def observations(
     detections, out = found.detections, []
     if series is None:
         error = np.where(detections.magnitude_error > 0, detections.magnitude_error, np.nan)
-        covariance, magnitude, snr = detections.covariance, detections.magnitude, 1.0857 / error
+        covariance, magnitude, snr = detections.covariance, detections.magnitude, POGSON / error
     else:
         covariance, magnitude, snr = (
             np.concatenate([getattr(exposure, name) for exposure in series.exposures])[detections.rows]

@@ -31,7 +31,7 @@ from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.doubts import completed, disjoint_doubt, epoch_doubt, in_icrs
 from sameas.sky.evidence_columns import AUTO, columns_of, magnitudes_of
-from sameas.sky.systematics import DEFAULT_WARP, Rotation, Warp, find_rotation, find_warp, residual_rotation
+from sameas.sky.systematics import DEFAULT_WARP, Rotation, Warp, WarpTuning, find_rotation, find_warp, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
 
 if TYPE_CHECKING:
@@ -92,6 +92,7 @@ class CrossmatchTuning:
     sort_by_position : whether records are sorted by position. Samples of every k-th record then do not depend on the
         order of the table's rows, and neighbours on the sky are neighbours in memory (a million rows in table order
         take a third longer).
+    warp : of the smooth warp that is searched with a shift and rotation.
     """
 
     max_records_per_error: float = 20.0
@@ -108,6 +109,7 @@ class CrossmatchTuning:
     b1950_arcsec: float = 2.0
     b1950_share: float = 0.2
     sort_by_position: bool = True
+    warp: WarpTuning = DEFAULT_WARP
 
 
 TUNING = CrossmatchTuning()
@@ -239,7 +241,7 @@ def match(
     ----------
     first, second : the catalogues.
     options : given values. progress : called with the name of the current stage.
-    tuning : thresholds for refusing or doubting the result.
+    tuning : thresholds for refusing or doubting the result, and of the warp.
 
     Raises
     ------
@@ -263,9 +265,9 @@ def match(
     )  # fmt: skip
     result, estimate = run_match(one, two)
     warp: Warp | None = None
-    for _ in range(DEFAULT_WARP.passes if search is not None else 0):
+    for _ in range(tuning.warp.passes if search is not None else 0):
         progress("warp")
-        next_warp = find_warp(result, warp)
+        next_warp = find_warp(result, warp, tuning.warp)
         if next_warp is None:
             break
         warp = next_warp

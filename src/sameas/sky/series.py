@@ -34,7 +34,7 @@ from sameas.evidence import Field
 from sameas.prior import PerPair
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
+from sameas.sky.frame.measurements import PIXEL_FLAGS, POGSON, Flag
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 if TYPE_CHECKING:
@@ -633,7 +633,7 @@ def gather(
     residual = np.where(has_row[..., None], place[at] - middle[:, None], np.nan)
     raw = np.where(has_row, _instrumental(flux)[at], np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.where(has_row & (flux[at] > 0), 1.0857 * measured.flux_err[at] / flux[at], np.nan)
+        error = np.where(has_row & (flux[at] > 0), POGSON * measured.flux_err[at] / flux[at], np.nan)
     usable = np.isfinite(raw) & np.isfinite(error) & whole[at]
     often = usable.sum(axis=1) >= max(2.0, tuning.often * frames)
     zero, zero_error, ensemble, floor = _ensemble(raw, error, usable & often[:, None], tuning)

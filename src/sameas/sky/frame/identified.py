@@ -29,15 +29,12 @@ from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.doubts import EPOCH, MovedPairs, Questioned
 from sameas.sky.frame.field import Cone, StarField
-from sameas.sky.frame.measurements import Flag, Measurements
+from sameas.sky.frame.measurements import POGSON, Flag, Measurements
 from sameas.sky.frame.photometry import Completeness, ZeroPoint, instrumental
 from sameas.sky.frame.place import Placement, place
 from sameas.sky.frame.plate import MatchedStars, PlateModel, Pointing, directions_deg, fit_plate, terms
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.space import chord_angle_deg
-
-#: Error in magnitudes per relative error of the flux.
-POGSON = 2.5 / math.log(10.0)
 
 
 @dataclass(frozen=True)

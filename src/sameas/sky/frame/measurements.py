@@ -6,6 +6,7 @@ FITS headers, DS9 and SExtractor count from 1.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import IntFlag
 from typing import TYPE_CHECKING, Any
@@ -38,6 +39,9 @@ class Flag(IntFlag):
         """The names of the bits that are set, "saturated, edge"; empty for none."""
         return ", ".join(str(flag.name).lower() for flag in cls if int(flag) & int(bits))
 
+
+#: Magnitudes per unit of ln flux (Pogson 1856): times the relative error of a flux, the error of its magnitude.
+POGSON = 2.5 / math.log(10.0)
 
 PIXEL_FLAGS = Flag.SATURATED | Flag.HOT | Flag.COSMIC | Flag.MASKED
 

@@ -23,7 +23,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.result import AMBIGUOUS
 from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
-from sameas.sky.frame.measurements import Flag
+from sameas.sky.frame.measurements import POGSON, Flag
 from sameas.sky.frame.place import odds_in_words
 from sameas.sky.frame.plate import directions_deg
 from sameas.sky.output_columns import meta_of
@@ -203,7 +203,7 @@ def _photometry_columns(identification: FrameIdentification, unidentified: IntAr
     partner = identification.result.answers_1.partner
     colour = _selected(stars.colour, partner)
     with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.where(m.flux > 0, 1.0857 * m.flux_err / m.flux, np.nan)
+        error = np.where(m.flux > 0, POGSON * m.flux_err / m.flux, np.nan)
     zero_point = identification.zero_point
     magnitude = None if zero_point is None else zero_point(m.flux, colour.filled(np.nan))
     return {

@@ -34,7 +34,7 @@ from sameas.kernels.linear import best_motion
 from sameas.representation import in_short
 from sameas.sky.frame.centroid import FWHM_PER_SIGMA, Background
 from sameas.sky.frame.image import Frame
-from sameas.sky.frame.measurements import Flag
+from sameas.sky.frame.measurements import POGSON, Flag
 from sameas.sky.movers.detections import Detections
 from sameas.sky.movers.rates import EclipticAxes, reference_rate, sun_longitude_deg
 from sameas.sky.movers.search import ADDED, Movers
@@ -673,7 +673,7 @@ def _movers(
     detections = Detections.of(
         ra, dec, (mjd0 + minutes / 1440.0).ravel(), sigma_arcsec=sigma.ravel(),
         frame=np.tile([0, 1, 2], k), magnitude=np.repeat(magnitude, 3),
-        magnitude_error=np.repeat(1.0857 / np.maximum(peaks.snr, 1.0), 3), name="frames stacked along motions",
+        magnitude_error=np.repeat(POGSON / np.maximum(peaks.snr, 1.0), 3), name="frames stacked along motions",
     )  # fmt: skip
     detections = replace(detections, frame_names=names)
     members = np.arange(3 * k).reshape(k, 3)

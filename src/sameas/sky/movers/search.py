@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.representation import in_short
+from sameas.sky.frame.measurements import POGSON
 from sameas.sky.movers.detections import Detections, TrailRates
 from sameas.sky.movers.links import candidate_links, learn, rates_between, with_far_links
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning, min_detected
@@ -484,7 +485,7 @@ def unexplained_detections(series: Series) -> Detections:
     at = np.flatnonzero(series.unexplained)
     ra, dec = series.sky(series.place[at])
     mjd = np.array([e.mjd_utc for e in series.exposures])[series.frame[at]]
-    error = np.concatenate([1.0857 * e.flux_err / np.maximum(e.flux, 1e-9) for e in series.exposures])[at]
+    error = np.concatenate([POGSON * e.flux_err / np.maximum(e.flux, 1e-9) for e in series.exposures])[at]
     seen = Detections.of(
         ra, dec, mjd, sigma_arcsec=series.sigma_arcsec[at], frame=np.array([f"{k:05d}" for k in series.frame[at]]),
         magnitude=series.magnitude[at], magnitude_error=np.where(np.isfinite(series.magnitude[at]), error, np.nan),
