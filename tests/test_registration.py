@@ -12,7 +12,7 @@ from sameas.evidence import Field
 from sameas.kernels import offsets
 from sameas.prior import CommonObjects
 from sameas.registration import Affine, SensorBias, Shift, Similarity, register
-from sameas.registration.hough import vote
+from sameas.registration.hough import HoughSearch
 from sameas.registration.offsets import Offset
 from sameas.registration.solution import OffsetPrior, Trials, _missing_information, _normal_equations
 from sameas.registration.weights import PlacedSources, weigh
@@ -265,7 +265,7 @@ def test_many_records_are_registered_by_images_and_by_patches():
 def test_offsets_with_errors_far_smaller_than_the_field_are_refined_in_steps():
     x = np.random.default_rng(3).uniform(0, 60, (40, 2))
     first, second = Records.of(x, sigma=1e-6), Records.of(x + np.array([30.0, 1.0]), sigma=1e-6)
-    votes = vote(first, second, Shift().placed(first, second), 8)
+    votes = HoughSearch(first, second, Shift().placed(first, second)).vote(8)
     np.testing.assert_allclose(votes.theta[0], [-30.0, -1.0], atol=1e-5)
     assert register(first, second, Shift()).common == pytest.approx(40.0, abs=0.01)
 

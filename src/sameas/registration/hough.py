@@ -142,60 +142,107 @@ class Votes:
     patch: IntArray
     patches: tuple[IntArray, ...]
 
-
-def vote(first: Records, second: Records, model: Offset, count: int, tuning: Tuning = DEFAULT_TUNING) -> Votes:
-    """The ``count`` offsets of a placed model with the most votes."""
-    if model.turns():
-        entries, patches = _on_patches(first, second, model, count, tuning)
-    else:
-        entries, patches = _by_sample(first, second, model, count, tuning)
-    entries.sort(key=lambda entry: -entry[0])
-    entries = [entry for entry in entries if entry[0] >= tuning.peak_share * entries[0][0]][:count]
-    p = len(model.names)
-    return Votes(
-        np.array([theta for _, _, theta in entries]).reshape(-1, p), np.array([score for score, _, _ in entries]),
-        np.array([number for _, number, _ in entries], np.int64), patches,
-    )  # fmt: skip
+    def with_zero(self) -> Votes:
+        """These, and the offset 0."""
+        theta = np.concatenate([self.theta, np.zeros((1, self.theta.shape[1]))])
+        return Votes(theta, np.append(self.score, 0.0), np.append(self.patch, 0), self.patches)
 
 
 #: Score, number of the patch, and θ of each initial offset.
 Entries = list[tuple[float, int, FloatArray]]
 
 
-def _by_sample(
-    first: Records, second: Records, model: Offset, count: int, tuning: Tuning
-) -> tuple[Entries, tuple[IntArray, ...]]:
-    """The votes of a few records of the second source, then of more, until one peak is clear."""
-    n, size = len(second), tuning.first_records
-    while True:
-        rows = np.linspace(0, n - 1, min(size, n)).astype(np.int64)
-        peaks = _shifts(first, second, model, rows, np.zeros(len(model.names)), 1.0, count, tuning)
-        best = max((score for score, _ in peaks), default=0.0)
-        near = sum(score >= tuning.peak_share * best for score, _ in peaks)
-        if len(rows) == n or (best >= tuning.decided_score and near <= tuning.few_peaks):
-            return [(score, 0, theta) for score, theta in peaks], (rows,)
-        size *= tuning.more_records
+@dataclass(frozen=True)
+class HoughSearch:
+    """Two sources, an offset model placed on them, and the tuning of the search."""
+
+    first: Records
+    second: Records
+    model: Offset
+    tuning: Tuning = DEFAULT_TUNING
+
+    def vote(self, count: int) -> Votes:
+        """The ``count`` offsets with the most votes."""
+        entries, patches = self._on_patches(count) if self.model.turns() else self._by_sample(count)
+        entries.sort(key=lambda entry: -entry[0])
+        entries = [entry for entry in entries if entry[0] >= self.tuning.peak_share * entries[0][0]][:count]
+        p = len(self.model.names)
+        return Votes(
+            np.array([theta for _, _, theta in entries]).reshape(-1, p), np.array([score for score, _, _ in entries]),
+            np.array([number for _, number, _ in entries], np.int64), patches,
+        )  # fmt: skip
+
+    def _by_sample(self, count: int) -> tuple[Entries, tuple[IntArray, ...]]:
+        """The votes of a few records of the second source, then of more, until one peak is clear."""
+        n, size, tuning = len(self.second), self.tuning.first_records, self.tuning
+        while True:
+            rows = np.linspace(0, n - 1, min(size, n)).astype(np.int64)
+            peaks = self._shifts(rows, np.zeros(len(self.model.names)), 1.0, count)
+            best = max((score for score, _ in peaks), default=0.0)
+            near = sum(score >= tuning.peak_share * best for score, _ in peaks)
+            if len(rows) == n or (best >= tuning.decided_score and near <= tuning.few_peaks):
+                return [(score, 0, theta) for score, theta in peaks], (rows,)
+            size *= tuning.more_records
+
+    def _on_patches(self, count: int) -> tuple[Entries, tuple[IntArray, ...]]:
+        """The votes at every node of the grid, of all records or of small patches."""
+        entries: Entries = []
+        patches = _patches(self.model.chart(self.second.features), self.tuning.patch_records)
+        # On small patches true votes are clear; otherwise chance votes may outnumber them, and more peaks are kept.
+        each, cell = (count, 1.0) if len(patches) == 1 else (self.tuning.node_peaks, self.tuning.patch_cell_sigmas)
+        for number, rows in enumerate(patches):
+            for node in self._grid(rows):
+                entries += [(score, number, theta) for score, theta in self._shifts(rows, node, cell, each)]
+        return entries, patches
+
+    def _grid(self, rows: IntArray) -> Iterator[FloatArray]:
+        """θ of every grid node: the parameters that do not shift the chart, in steps that hardly distort the patch."""
+        p, sigma, tuning = len(self.model.names), typical_sigma(self.first, self.second), self.tuning
+        axes = []
+        jacobian = self.model.jacobian(self.second.features, np.zeros(p))[rows]
+        for direction, width in self.model.turns():
+            move = jacobian @ direction
+            distortion = float(np.sqrt(np.sum((move - move.mean(axis=0)) ** 2, axis=1)).max(initial=0.0))
+            reach = tuning.reach_widths * width
+            steps = min(math.ceil(reach * distortion / (tuning.step_sigmas * sigma)), tuning.max_steps // 2)
+            axes.append(
+                [direction * at for at in np.linspace(-reach, reach, 2 * steps + 1)] if steps else [0.0 * direction]
+            )
+        for parts in product(*axes):
+            yield np.sum(parts, axis=0) if parts else np.zeros(p)
+
+    def _shifts(self, rows: IntArray, node: FloatArray, cell: float, count: int) -> list[Peak]:
+        """The shifts with the most votes at one node of the grid, as (score, θ); ``cell`` : size of the cells in σ."""
+        first, second, model = self.first, self.second, self.model
+        d, periods = first.d, np.array(model.periods(first.d))
+        moved = model.moved(second.features, node)
+        sigma = np.hypot(_chart_sigma(model, first, first.features), _chart_sigma(model, second, moved))
+        one, two = np.ascontiguousarray(model.chart(first.features)), model.chart(moved)[rows]
+        limit = np.empty(d)
+        for axis, (which, per) in enumerate(model.voted(d)):
+            width = 0.0 if which is None else model.widths[which]
+            limit[axis] = (3.5 * width / abs(per) if width < math.inf else math.inf) + 3.0 * sigma[axis]
+        if len(one) * len(two) <= self.tuning.max_pairs:
+            low = np.where(np.isfinite(periods), -0.5 * periods, one.min(axis=0) - two.max(axis=0)) - 3.0 * sigma
+            high = np.where(np.isfinite(periods), 0.5 * periods, one.max(axis=0) - two.min(axis=0)) + 3.0 * sigma
+            box = np.maximum(low, -limit), np.maximum(np.minimum(high, limit), np.maximum(low, -limit))
+            peaks = Charts(one, two, periods, sigma * cell, self.tuning).peaks(box, count)
+        else:
+            peaks = Charts(one, two, periods, sigma, self.tuning).correlated_peaks(limit, count)
+        result = []
+        for score, shift in peaks:
+            theta = node.copy()
+            for axis, (which, per) in enumerate(model.voted(d)):
+                if which is not None:
+                    theta[which] += per * shift[axis]
+            result.append((score, theta))
+        return result
 
 
-def _on_patches(
-    first: Records, second: Records, model: Offset, count: int, tuning: Tuning
-) -> tuple[Entries, tuple[IntArray, ...]]:
-    """The votes at every node of the grid, of all records or of small patches."""
-    entries: Entries = []
-    patches = _patches(model.chart(second.features), tuning)
-    # On small patches true votes are clear; otherwise chance votes may outnumber them, and more peaks are kept.
-    each, cell = (count, 1.0) if len(patches) == 1 else (tuning.node_peaks, tuning.patch_cell_sigmas)
-    for number, rows in enumerate(patches):
-        for node in _grid(first, second, model, rows, tuning):
-            shifts = _shifts(first, second, model, rows, node, cell, each, tuning)
-            entries += [(score, number, theta) for score, theta in shifts]
-    return entries, patches
-
-
-def _patches(chart: FloatArray, tuning: Tuning) -> tuple[IntArray, ...]:
+def _patches(chart: FloatArray, size: int) -> tuple[IntArray, ...]:
     """Rows of all records, or of the patches nearest to the centre of the field and to those of its quarters."""
     n, d = chart.shape
-    if n <= 2 * tuning.patch_records:
+    if n <= 2 * size:
         return (np.arange(n),)
     spread = np.maximum(chart.std(axis=0), 1e-300)
     signs = [np.zeros(d), *(np.array(s) for s in product((-0.8, 0.8), repeat=min(d, 2)))]
@@ -203,25 +250,8 @@ def _patches(chart: FloatArray, tuning: Tuning) -> tuple[IntArray, ...]:
     for sign in signs:
         middle = chart.mean(axis=0) + spread * np.pad(sign, (0, d - len(sign)))
         distance = np.sum(((chart - middle) / spread) ** 2, axis=1)
-        patches.append(np.argpartition(distance, tuning.patch_records)[: tuning.patch_records])
+        patches.append(np.argpartition(distance, size)[:size])
     return tuple(patches)
-
-
-def _grid(first: Records, second: Records, model: Offset, rows: IntArray, tuning: Tuning) -> Iterator[FloatArray]:
-    """θ of every grid node: the parameters that do not shift the chart, in steps that hardly distort the patch."""
-    p, sigma = len(model.names), typical_sigma(first, second)
-    axes = []
-    jacobian = model.jacobian(second.features, np.zeros(p))[rows]
-    for direction, width in model.turns():
-        move = jacobian @ direction
-        distortion = float(np.sqrt(np.sum((move - move.mean(axis=0)) ** 2, axis=1)).max(initial=0.0))
-        reach = tuning.reach_widths * width
-        steps = min(math.ceil(reach * distortion / (tuning.step_sigmas * sigma)), tuning.max_steps // 2)
-        axes.append(
-            [direction * at for at in np.linspace(-reach, reach, 2 * steps + 1)] if steps else [0.0 * direction]
-        )
-    for parts in product(*axes):
-        yield np.sum(parts, axis=0) if parts else np.zeros(p)
 
 
 def typical_sigma(first: Records, second: Records) -> float:
@@ -253,83 +283,79 @@ def wrapped(difference: FloatArray, periods: ArrayLike) -> FloatArray:
     return np.asarray(difference - turns * np.where(np.isfinite(period), period, 0.0))
 
 
-def _shifts(
-    first: Records,
-    second: Records,
-    model: Offset,
-    rows: IntArray,
-    node: FloatArray,
-    cell: float,
-    count: int,
-    tuning: Tuning,
-) -> list[Peak]:
-    """The shifts with the most votes at one node of the grid, as (score, θ); ``cell`` : size of the cells in σ."""
-    d, periods = first.d, np.array(model.periods(first.d))
-    moved = model.moved(second.features, node)
-    sigma = np.hypot(_chart_sigma(model, first, first.features), _chart_sigma(model, second, moved))
-    one, two = np.ascontiguousarray(model.chart(first.features)), model.chart(moved)[rows]
-    limit = np.empty(d)
-    for axis, (which, per) in enumerate(model.voted(d)):
-        width = 0.0 if which is None else model.widths[which]
-        limit[axis] = (3.5 * width / abs(per) if width < math.inf else math.inf) + 3.0 * sigma[axis]
-    if len(one) * len(two) <= tuning.max_pairs:
-        low = np.where(np.isfinite(periods), -0.5 * periods, one.min(axis=0) - two.max(axis=0)) - 3.0 * sigma
-        high = np.where(np.isfinite(periods), 0.5 * periods, one.max(axis=0) - two.min(axis=0)) + 3.0 * sigma
-        box = np.maximum(low, -limit), np.maximum(np.minimum(high, limit), np.maximum(low, -limit))
-        peaks = _peaks((one, two), periods, box, sigma * cell, count, tuning)
-    else:
-        peaks = _correlated_peaks(one, two, periods, limit, sigma, count, tuning)
-    result = []
-    for score, shift in peaks:
-        theta = node.copy()
-        for axis, (which, per) in enumerate(model.voted(d)):
-            if which is not None:
-                theta[which] += per * shift[axis]
-        result.append((score, theta))
-    return result
+@dataclass(frozen=True)
+class Charts:
+    """Records of both sources in the chart, (n₁, d) and (n₂, d), its periods (d,), and σ of a difference (d,)."""
 
+    one: FloatArray
+    two: FloatArray
+    periods: FloatArray
+    sigma: FloatArray
+    tuning: Tuning
 
-def _peaks(
-    records: tuple[FloatArray, FloatArray],
-    periods: FloatArray,
-    box: tuple[FloatArray, FloatArray],
-    sigma: FloatArray,
-    count: int,
-    tuning: Tuning,
-    density: float | None = None,
-) -> list[Peak]:
-    """Peaks of the differences of records within a box, in coarse cells first if needed, then in fine ones.
+    def peaks(self, box: tuple[FloatArray, FloatArray], count: int, density: float | None = None) -> list[Peak]:
+        """Peaks of the differences of records within a box, in coarse cells first if needed, then in fine ones.
 
-    box : its low and high corner. density : of chance votes; estimated from the surroundings if not given.
-    """
-    from sameas.kernels.offsets import tally
+        box : its low and high corner. density : of chance votes; estimated from the surroundings if not given.
+        """
+        from sameas.kernels.offsets import tally
 
-    low, high = box
-    most = min(max(64 * len(records[0]) * len(records[1]), 4096), tuning.max_cells)
-    size = sigma * _coarser((high - low) / sigma, most)
-    # One more cell at either end, which stays empty.
-    cells, start = np.maximum(np.ceil((high - low) / size).astype(np.int64), 1) + 2, low - size
-    votes = tally(*records, periods, start, size, cells).reshape(tuple(cells))
-    chance = None if density is None else density * float(size.prod())
-    if np.all(size <= tuning.fine_sigmas * sigma):
-        return [
-            (score, start + (cell + 0.5) * size)
-            for score, cell, _ in _crowded(votes, count, chance, tuning.peak_share, tuning.peak_cells)
-        ]
-    result: list[Peak] = []
-    for _, cell, chance_votes in _crowded(votes, min(count, tuning.coarse_peaks), chance, 0.0, 1):
-        block = start + (cell - 1.0) * size, start + (cell + 2.0) * size
-        result += _peaks(
-            records,
-            periods,
-            block,
-            sigma,
-            max(1, count // tuning.coarse_peaks),
-            tuning,
-            chance_votes / float(size.prod()),
-        )
-    result.sort(key=lambda entry: -entry[0])
-    return result[:count]
+        (low, high), sigma, tuning = box, self.sigma, self.tuning
+        most = min(max(64 * len(self.one) * len(self.two), 4096), tuning.max_cells)
+        size = sigma * _coarser((high - low) / sigma, most)
+        # One more cell at either end, which stays empty.
+        cells, start = np.maximum(np.ceil((high - low) / size).astype(np.int64), 1) + 2, low - size
+        votes = tally(self.one, self.two, self.periods, start, size, cells).reshape(tuple(cells))
+        chance = None if density is None else density * float(size.prod())
+        if np.all(size <= tuning.fine_sigmas * sigma):
+            return [
+                (score, start + (cell + 0.5) * size)
+                for score, cell, _ in _crowded(votes, count, chance, tuning.peak_share, tuning.peak_cells)
+            ]
+        result: list[Peak] = []
+        for _, cell, chance_votes in _crowded(votes, min(count, tuning.coarse_peaks), chance, 0.0, 1):
+            block = start + (cell - 1.0) * size, start + (cell + 2.0) * size
+            result += self.peaks(block, max(1, count // tuning.coarse_peaks), chance_votes / float(size.prod()))
+        result.sort(key=lambda entry: -entry[0])
+        return result[:count]
+
+    def correlated_peaks(self, limit: FloatArray, count: int) -> list[Peak]:
+        """Peaks when the pairs are too many to list: by correlation of both sources' densities (FFT)."""
+        from scipy.signal import fftconvolve
+        from scipy.spatial import cKDTree
+
+        one, two, sigma, tuning = self.one, self.two, self.sigma, self.tuning
+        origin_1, origin_2, d = one.min(axis=0), two.min(axis=0), one.shape[1]
+        span = np.maximum(np.maximum(one.max(axis=0) - origin_1, two.max(axis=0) - origin_2), sigma)
+        size = sigma * _coarser(span / sigma, tuning.max_cells / 2.0)
+        cells = np.ceil(span / size).astype(int) + 1
+        densities = [_density((one - origin_1) / size, cells), _density((two - origin_2) / size, cells)]
+        votes = np.pad(fftconvolve(densities[0], densities[1][(slice(None, None, -1),) * d]).clip(0.0), 1)
+        start = origin_1 - origin_2 - cells * size
+        for v in range(d):
+            shift = wrapped(start[v] + np.arange(votes.shape[v]) * size[v], self.periods[v])
+            votes *= np.expand_dims(np.abs(shift) <= limit[v] + size[v], tuple(u for u in range(d) if u != v))
+        if np.all(size <= tuning.fine_sigmas * sigma):
+            return [
+                (score, start + cell * size)
+                for score, cell, _ in _crowded(votes, count, None, tuning.peak_share, tuning.peak_cells)
+            ]
+        tree = cKDTree(one / size)
+        sample = two[np.linspace(0, len(two) - 1, min(tuning.vote_sample, len(two))).astype(np.int64)]
+        result: list[Peak] = []
+        for _, cell, chance_votes in _crowded(votes, tuning.coarse_peaks, None, 0.0, 1):
+            centre = start + cell * size
+            near = tree.query_ball_point((sample + centre) / size, 1.5, p=np.inf, return_sorted=False)
+            at = np.repeat(np.arange(len(sample)), [len(rows) for rows in near])
+            rows = np.array([row for rows in near for row in rows], np.int64)
+            difference, box = one[rows] - sample[at], (centre - 1.5 * size, centre + 1.5 * size)
+            density = chance_votes / float(size.prod()) * len(sample) / len(two)
+            origin = np.zeros((1, d))
+            result += Charts(difference, origin, np.full(d, np.inf), sigma, tuning).peaks(
+                box, max(1, count // tuning.coarse_peaks), density
+            )
+        result.sort(key=lambda entry: -entry[0])
+        return result[:count]
 
 
 def _coarser(extent_sigmas: FloatArray, most: float) -> float:
@@ -388,52 +414,6 @@ def _surroundings(votes: FloatArray, cell: IntArray) -> FloatArray:
     smooth = ndimage.uniform_filter(blocks, 3, mode="constant") / ndimage.uniform_filter(filled, 3, mode="constant")
     at = tuple(cell[:, axis] // side[axis] for axis in range(votes.ndim))
     return np.asarray(np.maximum(smooth[at], least))
-
-
-def _correlated_peaks(
-    one: FloatArray,
-    two: FloatArray,
-    periods: FloatArray,
-    limit: FloatArray,
-    sigma: FloatArray,
-    count: int,
-    tuning: Tuning,
-) -> list[Peak]:
-    """Peaks when the pairs are too many to list: by correlation of both sources' densities (FFT)."""
-    from scipy.signal import fftconvolve
-    from scipy.spatial import cKDTree
-
-    origin_1, origin_2, d = one.min(axis=0), two.min(axis=0), one.shape[1]
-    span = np.maximum(np.maximum(one.max(axis=0) - origin_1, two.max(axis=0) - origin_2), sigma)
-    size = sigma * _coarser(span / sigma, tuning.max_cells / 2.0)
-    cells = np.ceil(span / size).astype(int) + 1
-    densities = [_density((one - origin_1) / size, cells), _density((two - origin_2) / size, cells)]
-    votes = np.pad(fftconvolve(densities[0], densities[1][(slice(None, None, -1),) * d]).clip(0.0), 1)
-    start = origin_1 - origin_2 - cells * size
-    for v in range(d):
-        shift = wrapped(start[v] + np.arange(votes.shape[v]) * size[v], periods[v])
-        votes *= np.expand_dims(np.abs(shift) <= limit[v] + size[v], tuple(u for u in range(d) if u != v))
-    if np.all(size <= tuning.fine_sigmas * sigma):
-        return [
-            (score, start + cell * size)
-            for score, cell, _ in _crowded(votes, count, None, tuning.peak_share, tuning.peak_cells)
-        ]
-    tree = cKDTree(one / size)
-    sample = two[np.linspace(0, len(two) - 1, min(tuning.vote_sample, len(two))).astype(np.int64)]
-    result: list[Peak] = []
-    for _, cell, chance_votes in _crowded(votes, tuning.coarse_peaks, None, 0.0, 1):
-        centre = start + cell * size
-        near = tree.query_ball_point((sample + centre) / size, 1.5, p=np.inf, return_sorted=False)
-        at = np.repeat(np.arange(len(sample)), [len(rows) for rows in near])
-        rows = np.array([row for rows in near for row in rows], np.int64)
-        difference, box = one[rows] - sample[at], (centre - 1.5 * size, centre + 1.5 * size)
-        density = chance_votes / float(size.prod()) * len(sample) / len(two)
-        origin = np.zeros((1, d))
-        result += _peaks(
-            (difference, origin), np.full(d, np.inf), box, sigma, max(1, count // tuning.coarse_peaks), tuning, density
-        )
-    result.sort(key=lambda entry: -entry[0])
-    return result[:count]
 
 
 def _density(at: FloatArray, cells: IntArray) -> FloatArray:

@@ -26,7 +26,7 @@ from sameas.gate.gate import feature_count
 from sameas.gaussian import LOG_2PI, inverse, log_determinant, mahalanobis_sq, propagated, symmetric
 from sameas.prior import EVIDENCE_ALONE, Prior
 from sameas.records import Records
-from sameas.registration.hough import DEFAULT_TUNING, Tuning, Votes, vote
+from sameas.registration.hough import DEFAULT_TUNING, HoughSearch, Tuning, Votes
 from sameas.registration.offsets import Offset
 from sameas.registration.weights import (
     PlacedSources,
@@ -443,7 +443,7 @@ def register(
             raise InputError(f"{records.source} has no usable records; no offset can be found")
     placed = model.placed(first, second)
     scene = PlacedSources.of(first, second, placed, tuning)
-    solutions = refine(scene, _initial_offsets(first, second, placed, tuning), max_iterations)
+    solutions = refine(scene, _initial_offsets(HoughSearch(first, second, placed, tuning)), max_iterations)
     best = solutions[0]
     registered = _registered(scene, best)
     if rule is None:
@@ -458,14 +458,11 @@ def register(
     )  # fmt: skip
 
 
-def _initial_offsets(first: Records, second: Records, model: Offset, tuning: Tuning) -> Votes:
+def _initial_offsets(search: HoughSearch) -> Votes:
     """The offsets with the most votes, and the offset 0."""
-    on_grid = bool(model.turns())
-    few = min(tuning.starts, tuning.refined_records * 16 // len(second))
-    count = tuning.starts if on_grid else max(few, tuning.min_starts)
-    votes = vote(first, second, model, count, tuning)
-    theta = np.concatenate([votes.theta, np.zeros((1, len(model.names)))])
-    return Votes(theta, np.append(votes.score, 0.0), np.append(votes.patch, 0), votes.patches)
+    tuning = search.tuning
+    few = min(tuning.starts, tuning.refined_records * 16 // len(search.second))
+    return search.vote(tuning.starts if search.model.turns() else max(few, tuning.min_starts)).with_zero()
 
 
 def _credible(rival: Solution, log_evidence: float, tuning: Tuning) -> bool:

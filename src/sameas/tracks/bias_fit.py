@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import inverse, log_determinant, propagated, symmetric
-from sameas.registration.hough import Votes, vote
+from sameas.registration.hough import HoughSearch
 from sameas.registration.solution import displacement_sigmas, refine
 from sameas.registration.weights import Weighed, weigh
 from sameas.tracks.biases import RelativeBias
@@ -160,13 +160,8 @@ def _starting_points(pool: Pool) -> FloatArray:
     ):
         scan, at = pool.scans[large[k]], pool.columns[large[k]]
         weighing = scan.weighing
-        votes = vote(
-            weighing.first, weighing.second, weighing.model, pool.tuning.search_offsets, pool.tuning.registration
-        )
-        none = np.zeros((1, len(at)))
-        votes = Votes(
-            np.concatenate([votes.theta, none]), np.append(votes.score, 0.0), np.append(votes.patch, 0), votes.patches
-        )
+        search = HoughSearch(weighing.first, weighing.second, weighing.model, pool.tuning.registration)
+        votes = search.vote(pool.tuning.search_offsets).with_zero()
         for solution in refine(weighing, votes, pool.tuning.search_steps):
             theta = np.zeros(len(pool.biases))
             theta[at] = solution.theta
