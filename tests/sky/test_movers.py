@@ -117,7 +117,7 @@ def test_links_of_a_long_series_agree_with_those_among_all_pairs(monkeypatch):
     every = np.column_stack(np.triu_indices(n, 1))
     monkeypatch.setattr("sameas.sky.movers.links._pairs", lambda *_: every)
     monkeypatch.setattr("sameas.sky.movers.links.Reach.__call__", lambda _, minutes: np.full(len(minutes), 1e9))
-    slow = candidate_links(around, model, Tuning(pairs_at_once=10_000))
+    slow = candidate_links(replace(around, tuning=Tuning(pairs_at_once=10_000)), model)
     assert len(quick) > 100 and (set(zip(quick.i, quick.j, strict=True)) == set(zip(slow.i, slow.j, strict=True)))
 
 

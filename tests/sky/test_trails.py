@@ -118,7 +118,7 @@ def test_links_against_the_direction_of_a_trail_are_less_probable():
         around = Surroundings.of(replace(bare, trail=rates))
         minutes, ends = np.array([7.2]), (np.array([0]), np.array([1]))
         rate = around.axes.offsets(*ends) / minutes[:, None]
-        return [float(trail_ratio(around, DEFAULT_TUNING, end, rate, minutes)[0]) for end in ends]
+        return [float(trail_ratio(around, end, rate, minutes)[0]) for end in ends]
 
     along, back = log_ratios([(east, 0.0), (-east, 0.0)])
     assert along == pytest.approx(back, abs=0.1) and along > 2.0

@@ -24,7 +24,7 @@ from sameas.assignment import assign
 from sameas.groups import laid_out
 from sameas.posterior import posterior
 from sameas.prior import EVIDENCE_ALONE
-from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
+from sameas.sky.movers.model import MotionModel, Surroundings
 from sameas.space import ARCSEC_PER_RADIAN
 
 #: ln of the density of an unrelated magnitude: uniform over 8 mag.
@@ -57,55 +57,57 @@ class Links:
         return Links(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
-def candidate_links(around: Surroundings, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Links:
+def candidate_links(around: Surroundings, model: MotionModel) -> Links:
     """The links with sufficient ln λ within the reach of the model, ordered by the exposure of j."""
-    reach = Reach.of(around, model, tuning)
-    return _best_links(around, _links_of(around, model, tuning, reach, _pairs(around, reach, tuning)), tuning)
+    reach = Reach.of(around, model)
+    return _best_links(around, _links_of(around, model, reach, _pairs(around, reach)))
 
 
-def with_far_links(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Links:
+def with_far_links(around: Surroundings, links: Links, model: MotionModel) -> Links:
     """The links, and links of fast movers that are too improbable alone or outnumbered by chance pairs.
 
     Such a link is tried if detections of three consecutive exposures (at most one skipped between two) lie on a
     straight line: few of a hundred chance pairs have a third.
     """
-    supported = replace(tuning, min_log_ratio=min(tuning.min_log_ratio, tuning.min_supported))
-    reach = Reach.of(around, model, supported)
+    tuning = around.tuning
+    least = min(tuning.min_log_ratio, tuning.min_supported)
+    supported = replace(around, tuning=replace(tuning, min_log_ratio=least))
+    reach = Reach.of(supported, model)
     reach = replace(reach, arcsec=reach.uncapped)
-    pairs = _supported(around, reach, tuning)
+    pairs = _supported(around, reach)
     if not len(pairs):
         return links
-    far = _links_of(around, model, supported, reach, pairs)
+    far = _links_of(supported, model, reach, pairs)
     n = len(around.detections)
     far = far.only(~np.isin(far.i * n + far.j, links.i * n + links.j))
-    far = _best_links(around, far, tuning)
+    far = _best_links(around, far)
     far = replace(far, far=np.ones(len(far), bool))
     both = Links(*(np.concatenate([getattr(p, name) for p in (links, far)]) for name in Links.__dataclass_fields__))
     return both.only(np.lexsort([both.i, around.detections.frame[both.j]]))
 
 
-def _links_of(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Reach, pairs: IntArray) -> Links:
+def _links_of(around: Surroundings, model: MotionModel, reach: Reach, pairs: IntArray) -> Links:
     """The links among some pairs, evaluated in chunks."""
+    size = around.tuning.pairs_at_once
     parts = [
-        _evaluated(around, model, tuning, reach, pairs[first : first + tuning.pairs_at_once])
-        for first in range(0, max(len(pairs), 1), tuning.pairs_at_once)
+        _evaluated(around, model, reach, pairs[first : first + size]) for first in range(0, max(len(pairs), 1), size)
     ]
     return Links(*(np.concatenate([getattr(p, name) for p in parts]) for name in Links.__dataclass_fields__))
 
 
-def _best_links(around: Surroundings, links: Links, tuning: Tuning) -> Links:
+def _best_links(around: Surroundings, links: Links) -> Links:
     """The best links of each detection to later ones, ordered by the exposure of the later one."""
     order = np.lexsort([-links.log_ratio, links.i])
     rank = np.arange(len(order)) - np.searchsorted(links.i[order], links.i[order])
-    links = links.only(order[rank < tuning.links])
+    links = links.only(order[rank < around.tuning.links])
     return links.only(np.lexsort([links.i, around.detections.frame[links.j]]))
 
 
-def _pairs(around: Surroundings, reach: Reach, tuning: Tuning) -> IntArray:
+def _pairs(around: Surroundings, reach: Reach) -> IntArray:
     """(m, 2) pairs of detections within the maximum reach of a link."""
     seen, unit = around.detections, around.axes.unit
     frames = len(seen.frame_names)
-    apart = _frames_apart(around, tuning.misses)
+    apart = _frames_apart(around)
     if apart >= 0.5 * frames:
         return cKDTree(unit).query_pairs(reach.most() / ARCSEC_PER_RADIAN, output_type="ndarray")
     when = seen.frame_mjd * 1440.0
@@ -114,15 +116,15 @@ def _pairs(around: Surroundings, reach: Reach, tuning: Tuning) -> IntArray:
     return tree.query_pairs(radius, p=np.inf, output_type="ndarray")
 
 
-def _frames_apart(around: Surroundings, misses: int) -> int:
+def _frames_apart(around: Surroundings) -> int:
     """Maximum difference in exposure number between linked detections: small if all exposures show one field.
 
-    The 99th percentile over positions of the span with at most ``misses`` exposures in between that covered it.
+    The 99th percentile over positions of the span with at most ``Tuning.misses`` exposures in between that covered it.
     """
     before = around.coverage.before
     sampled = before[:: max(1, len(before) // 500)]
     spans = [
-        np.searchsorted(covered, covered[1:][np.diff(covered) > 0] + misses, side="right")
+        np.searchsorted(covered, covered[1:][np.diff(covered) > 0] + around.tuning.misses, side="right")
         - np.flatnonzero(np.diff(covered))
         - 1
         for covered in sampled
@@ -130,9 +132,9 @@ def _frames_apart(around: Surroundings, misses: int) -> int:
     return int(np.percentile(np.concatenate(spans), 99.0)) + 1
 
 
-def _evaluated(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Reach, pairs: IntArray) -> Links:
+def _evaluated(around: Surroundings, model: MotionModel, reach: Reach, pairs: IntArray) -> Links:
     """The links among some pairs with sufficient ln λ."""
-    seen, t, unit = around.detections, around.minutes, around.axes.unit
+    seen, t, unit, tuning = around.detections, around.minutes, around.axes.unit, around.tuning
     i, j = pairs.T
     minutes = t[j] - t[i]
     # Nearly all pairs are too far apart for their time difference: they are dropped first.
@@ -154,8 +156,8 @@ def _evaluated(around: Surroundings, model: MotionModel, tuning: Tuning, reach: 
     kept = np.flatnonzero(np.hypot(*offset.T) <= tuning.fastest_arcsec_per_min * minutes + 1.0)
     i, j, minutes, offset, misses = i[kept], j[kept], minutes[kept], offset[kept], misses[kept]
     rate, error = rates_of(around, i, j, minutes, offset)
-    log_brightness = brightness_ratio(around, model, tuning, i, j)
-    trail_i, trail_j = (trail_ratio(around, tuning, end, offset / minutes[:, None], minutes) for end in (i, j))
+    log_brightness = brightness_ratio(around, model, i, j)
+    trail_i, trail_j = (trail_ratio(around, end, offset / minutes[:, None], minutes) for end in (i, j))
     log_brightness += trail_j
     log_ratio = (
         model.log_odds + model.rates.log_density(rate, error) - 2.0 * np.log(minutes) - around.log_density[j]
@@ -165,12 +167,12 @@ def _evaluated(around: Surroundings, model: MotionModel, tuning: Tuning, reach: 
     return links.only(log_ratio > tuning.min_log_ratio)
 
 
-def _supported(around: Surroundings, far: Reach, tuning: Tuning) -> IntArray:
+def _supported(around: Surroundings, far: Reach) -> IntArray:
     """(m, 2) pairs of fast movers with a third detection in line.
 
     far : maximum distance of a mover by time.
     """
-    seen, unit = around.detections, around.axes.unit
+    seen, unit, tuning = around.detections, around.axes.unit, around.tuning
     order = np.argsort(seen.frame, kind="stable")
     bounds = np.searchsorted(seen.frame[order], np.arange(len(seen.frame_names) + 1))
     rows = [order[a:b] for a, b in itertools.pairwise(bounds.tolist())]
@@ -245,9 +247,9 @@ class Reach:
         return float(self.arcsec[: np.searchsorted(self.minutes, minutes) + 1].max())
 
     @classmethod
-    def of(cls, around: Surroundings, model: MotionModel, tuning: Tuning) -> Reach:
+    def of(cls, around: Surroundings, model: MotionModel) -> Reach:
         """The reach for some detections and a model."""
-        span = float(np.ptp(around.minutes))
+        span, tuning = float(np.ptp(around.minutes)), around.tuning
         minutes = np.geomspace(max(span * 1e-4, 1e-3), max(span, 1e-2), 200)
         low_density = float(np.percentile(around.log_density, 1.0))
         spread = np.sqrt(np.linalg.eigvalsh(model.rates.covariance).max(axis=1))
@@ -266,29 +268,27 @@ class Reach:
         return cls(minutes, np.minimum(best, max(limit, 3.0 * error)), best)
 
 
-def brightness_ratio(around: Surroundings, model: MotionModel, tuning: Tuning, i: IntArray, j: IntArray) -> FloatArray:
+def brightness_ratio(around: Surroundings, model: MotionModel, i: IntArray, j: IntArray) -> FloatArray:
     """(m,) ln likelihood ratio of the magnitude of j given that of i; 0 where one is not measured."""
-    seen = around.detections
+    seen, odd = around.detections, around.tuning.odd_brightness
     difference = seen.magnitude[j] - seen.magnitude[i]
     a, b = seen.band[i], seen.band[j]
     error = np.nan_to_num(seen.magnitude_error[i]) ** 2 + np.nan_to_num(seen.magnitude_error[j]) ** 2
     variance = error + model.colour_sigma[a, b] ** 2
     off = difference - model.colour[a, b]
-    same = np.log1p(-tuning.odd_brightness) - 0.5 * (off**2 / variance + np.log(2 * np.pi * variance))
+    same = np.log1p(-odd) - 0.5 * (off**2 / variance + np.log(2 * np.pi * variance))
     with np.errstate(invalid="ignore"):
-        out = np.logaddexp(same, math.log(tuning.odd_brightness) + _LOG_UNIFORM_MAG) - around.log_brightness[j]
+        out = np.logaddexp(same, math.log(odd) + _LOG_UNIFORM_MAG) - around.log_brightness[j]
     return np.where(np.isfinite(out), out, 0.0)
 
 
-def trail_ratio(
-    around: Surroundings, tuning: Tuning, end: IntArray, rate: FloatArray, minutes: FloatArray
-) -> FloatArray:
+def trail_ratio(around: Surroundings, end: IntArray, rate: FloatArray, minutes: FloatArray) -> FloatArray:
     """(m,) ln likelihood ratio of the trails of some detections given the rates (m, 2) of their links.
 
     A trail vector v, of either sign, has the density ½ N(v; r) + ½ N(v; −r) about the rate r, and 1/(2π |v|² · range)
     if unrelated.
     """
-    trail = around.detections.trail
+    trail, tuning = around.detections.trail, around.tuning
     if trail is None:
         return np.zeros(len(end))
     v = around.trail[end]
@@ -317,25 +317,21 @@ def link_probabilities(links: Links, n: int) -> FloatArray:
     return out
 
 
-def learn(
-    around: Surroundings, model: MotionModel, tuning: Tuning = DEFAULT_TUNING, *, counts: float = 30.0
-) -> MotionModel:
+def learn(around: Surroundings, model: MotionModel, *, counts: float = 30.0) -> MotionModel:
     """The model estimated from these detections by EM; no identities are needed.
 
     counts : weight of the prior model, in links.
     """
-    for _ in range(tuning.iterations):
-        links = candidate_links(around, model, tuning)
+    for _ in range(around.tuning.iterations):
+        links = candidate_links(around, model)
         p = link_probabilities(links, len(around.detections))
-        model, before = _maximised(around, links, p, model, tuning, counts), model
+        model, before = _maximised(around, links, p, model, counts), model
         if abs(model.log_odds - before.log_odds) < 0.02 and abs(model.p_detect - before.p_detect) < 0.005:
             break
     return model
 
 
-def _maximised(
-    around: Surroundings, links: Links, p: FloatArray, model: MotionModel, tuning: Tuning, counts: float
-) -> MotionModel:
+def _maximised(around: Surroundings, links: Links, p: FloatArray, model: MotionModel, counts: float) -> MotionModel:
     """The model that maximises the expected likelihood, given link probabilities ``p`` (M step)."""
     if p.sum() < 1.0:
         return model
@@ -346,10 +342,10 @@ def _maximised(
     sharp = np.sqrt(np.trace(error, axis1=1, axis2=2)) < 1.0
     rates = model.rates.refined(rate[sharp], error[sharp], p[sharp], counts=counts)
     n, share = len(around.detections), float(p.sum())
-    p_next = min((share + counts * tuning.prior_share) / (n + counts), 0.95)
+    p_next = min((share + counts * around.tuning.prior_share) / (n + counts), 0.95)
     missed = float((p * links.misses).sum())
     p_detect = (share + 2.0) / (share + missed + 3.0)
-    colour, sigma = _colours(around, links, p, model, tuning, counts)
+    colour, sigma = _colours(around, links, p, model, counts)
     return replace(
         model,
         rates=rates,
@@ -362,10 +358,10 @@ def _maximised(
 
 
 def _colours(
-    around: Surroundings, links: Links, p: FloatArray, model: MotionModel, tuning: Tuning, counts: float
+    around: Surroundings, links: Links, p: FloatArray, model: MotionModel, counts: float
 ) -> tuple[FloatArray, FloatArray]:
     """Mean differences of magnitude between bands and their scatter, by EM with unrelated magnitudes as outliers."""
-    seen = around.detections
+    seen, tuning = around.detections, around.tuning
     difference = seen.magnitude[links.j] - seen.magnitude[links.i]
     error = np.nan_to_num(seen.magnitude_error[links.i]) ** 2 + np.nan_to_num(seen.magnitude_error[links.j]) ** 2
     colour, sigma = model.colour.copy(), model.colour_sigma.copy()

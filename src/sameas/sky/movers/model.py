@@ -204,6 +204,7 @@ class Surroundings:
     log_brightness : (n,) ln of the density per magnitude at its magnitude in its band, NaN where not measured.
     coverage : which exposures cover which cell of the sky. cell : (n,) the cell of each detection.
     trail : (n, 2) rate by the trail, arcsec/min on these axes, of either sign; NaN without one.
+    tuning : of the search among them.
     """
 
     detections: Detections
@@ -217,6 +218,7 @@ class Surroundings:
     coverage: ExposureCoverage
     cell: IntArray
     trail: FloatArray
+    tuning: Tuning = DEFAULT_TUNING
 
     @classmethod
     def of(cls, detections: Detections, tuning: Tuning = DEFAULT_TUNING) -> Surroundings:
@@ -229,7 +231,7 @@ class Surroundings:
         return cls(
             detections, axes, minutes, axes.rotated(detections.covariance), np.log(density),
             np.log(np.maximum(density / (tuning.crowded * wide), 1.0)), reference_rate(elongation),
-            _brightness(detections), coverage, coverage.cell(axes.unit), _trail(detections, axes),
+            _brightness(detections), coverage, coverage.cell(axes.unit), _trail(detections, axes), tuning,
         )  # fmt: skip
 
     def misses(self, i: IntArray, j: IntArray) -> IntArray:

@@ -233,8 +233,8 @@ def find_movers(
         if others:
             model = learn_motion(*others, tuning=tuning)
         else:
-            model, influence = _learned(around, MotionModel(), tuning.model_counts, tuning)
-    found = _found(around, model, influence, tuning, least, min_probability, stationary)
+            model, influence = _learned(around, MotionModel(), tuning.model_counts)
+    found = _found(around, model, influence, least, min_probability, stationary)
     same_rate = _same_rate(found, tuning)
     found = replace(found.only(~same_rate), same_rate=int(same_rate.sum()))
     members = np.where(found.members >= 0, at[found.members], ABSENT)
@@ -273,7 +273,6 @@ def _found(
     around: Surroundings,
     model: MotionModel,
     influence: Influence | None,
-    tuning: Tuning,
     least: int,
     min_probability: float,
     stationary: Stationary | None = None,
@@ -284,11 +283,11 @@ def _found(
     probability that slow tracklets are stationary.
     """
     detections = around.detections
-    model = model.for_bands(detections.bands, tuning)
-    competition = _competition(around, model, influence, tuning)
+    model = model.for_bands(detections.bands, around.tuning)
+    competition = _competition(around, model, influence)
     p_stationary = np.zeros(len(competition.tracks))
     if stationary is not None:
-        p_stationary = stationary.probability(around, competition.members, tuning)
+        p_stationary = stationary.probability(around, competition.members)
     return _movers(detections, model, competition, least, min_probability, p_stationary)
 
 
@@ -307,7 +306,7 @@ def learn_motion(
     for night in nights:
         _, _, _, rest = _excluded(night, tuning)
         if len(np.unique(rest.frame)) > 1:
-            model, _ = _learned(Surroundings.of(rest, tuning), model, counts, tuning)
+            model, _ = _learned(Surroundings.of(rest, tuning), model, counts)
     return model
 
 
@@ -338,36 +337,34 @@ class Influence:
         return replace(tracks, log_weight=weight)
 
 
-def _learned(
-    around: Surroundings, model: MotionModel, counts: float, tuning: Tuning
-) -> tuple[MotionModel, Influence | None]:
+def _learned(around: Surroundings, model: MotionModel, counts: float) -> tuple[MotionModel, Influence | None]:
     """The model updated with the detections of one night, without stationary ones, and their influence on it."""
-    rates = model.rates
+    rates, tuning = model.rates, around.tuning
     # Links too fast for the main belt are too many and carry too little information each.
     likely = replace(tuning, min_log_ratio=max(tuning.min_log_ratio, DEFAULT_TUNING.min_log_ratio))
-    model = learn(around, model.for_bands(around.detections.bands, tuning), likely, counts=counts)
-    return _learned_from_tracks(around, model, rates, tuning, counts * tuning.track_counts)
+    model = learn(replace(around, tuning=likely), model.for_bands(around.detections.bands, tuning), counts=counts)
+    return _learned_from_tracks(around, model, rates, counts * tuning.track_counts)
 
 
-def _competition(around: Surroundings, model: MotionModel, influence: Influence | None, tuning: Tuning) -> Competition:
+def _competition(around: Surroundings, model: MotionModel, influence: Influence | None) -> Competition:
     """The competition of the tracks along all links, near and far, for the detections."""
-    links = with_far_links(around, candidate_links(around, model, tuning), model, tuning)
-    tracks = grow(around, links, model, tuning)
+    links = with_far_links(around, candidate_links(around, model), model)
+    tracks = grow(around, links, model)
     if influence is not None:
         tracks = influence.corrected(around, tracks, model)
-    return compete(tracks, len(around.detections), tuning)
+    return compete(tracks, len(around.detections), around.tuning)
 
 
 def _learned_from_tracks(
-    around: Surroundings, model: MotionModel, rates: RateDensity, tuning: Tuning, counts: float
+    around: Surroundings, model: MotionModel, rates: RateDensity, counts: float
 ) -> tuple[MotionModel, Influence]:
     """The model with rates, track starts and detection probability estimated from whole tracks.
 
     rates : of the prior model. Among many false detections links alone do not show fast movers; straight tracks over
     three or more exposures do.
     """
-    n = len(around.detections)
-    competition = _competition(around, model, None, tuning)
+    n, tuning = len(around.detections), around.tuning
+    competition = _competition(around, model, None)
     # Chip defects make pairs of any rate: where three exposures covered the position, pairs are not used.
     used = (competition.p_track > 0.01) & (competition.tracks.size >= min_detected(competition.tracks.n_covered))
     p, tracks, members = competition.p_track[used], competition.tracks.only(used), competition.members[used]
@@ -530,7 +527,7 @@ def search(
         if len(np.unique(series.frame[series.unexplained])) < 2:
             return _no_movers(_no_detections(series)), series
         around = Surroundings.of(unexplained_detections(series), motion)
-        found = _found(around, *_learned(around, MotionModel(), tuning.counts, motion), motion, 2, 0.0)
+        found = _found(around, *_learned(around, MotionModel(), tuning.counts), 2, 0.0)
         slow, stuck = _stationary_and_fixed(found, series, tuning)
         if not (slow | stuck).any():
             break

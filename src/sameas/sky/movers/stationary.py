@@ -73,9 +73,9 @@ class Stationary:
         """The other detections, corrected."""
         return self.corrected(detections).some(np.flatnonzero(~self.rows))
 
-    def probability(self, around: Surroundings, members: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+    def probability(self, around: Surroundings, members: IntArray) -> FloatArray:
         """(k,) probability that tracks are stationary. members : (k, S), rows of corrected detections."""
-        return _probabilities(_Rates.of(around, members, tuning), self.counts, tuning.stationary)
+        return _probabilities(_Rates.of(around, members), self.counts, around.tuning.stationary)
 
 
 def stationary_sources(detections: Detections, tuning: Tuning = DEFAULT_TUNING) -> Stationary:
@@ -96,23 +96,23 @@ def stationary_sources(detections: Detections, tuning: Tuning = DEFAULT_TUNING) 
 def _searched(detections: Detections, previous: Stationary, first: bool, tuning: Tuning) -> Stationary:
     """The stationary sources among corrected detections, with the accumulated offsets and error scale."""
     n, around = len(detections), Surroundings.of(detections, tuning)
-    at_rest = replace(around, reference=np.zeros(n))
     # Stationary tracks have few alternatives: the second best ones through a star skip an exposure.
-    tuning = replace(tuning, bend_arcsec_per_min2=0.0, min_log_ratio=DEFAULT_TUNING.min_log_ratio, tracks=6)
+    straight = replace(tuning, bend_arcsec_per_min2=0.0, min_log_ratio=DEFAULT_TUNING.min_log_ratio, tracks=6)
+    at_rest = replace(around, reference=np.zeros(n), tuning=straight)
     model = MotionModel(rates=_AT_REST).for_bands(detections.bands, tuning)
-    model = learn(at_rest, model, tuning)
+    model = learn(at_rest, model)
     model = replace(model, rates=_AT_REST, log_begin=model.log_odds)
-    found = compete(grow(at_rest, candidate_links(at_rest, model, tuning), model, tuning), n, tuning)
+    found = compete(grow(at_rest, candidate_links(at_rest, model), model), n, tuning)
     likely = np.flatnonzero(found.chosen & (found.shares(n)[0] > 0.5))
     members = found.members[likely]
     if first:
         offset, scale = _robust_offsets(around, members, tuning.stationary.least_tracks)
     else:
-        rates = _Rates.of(around, members, tuning)
+        rates = _Rates.of(around, members)
         p = _probabilities(rates, _counts(rates, tuning.stationary), tuning.stationary)
         least, no_offset = tuning.stationary.least_tracks, np.zeros_like(previous.offset_arcsec)
         offset, scale = _fitted_offsets(around, members[p > 0.5], no_offset, least, straight=False)
-    rates = _Rates.of(around, members, tuning, scale)
+    rates = _Rates.of(around, members, scale)
     counts = _counts(rates, tuning.stationary)
     stationary = members[_probabilities(rates, counts, tuning.stationary) > 0.5]
     rows = np.zeros(n, bool)
@@ -132,9 +132,9 @@ class _Rates:
     near: BoolArray
 
     @classmethod
-    def of(cls, around: Surroundings, members: IntArray, tuning: Tuning, scale: float = 1.0) -> _Rates:
+    def of(cls, around: Surroundings, members: IntArray, scale: float = 1.0) -> _Rates:
         """The evidence of tracks with members (k, S), errors multiplied by ``scale``; one member may be an outlier."""
-        present = members >= 0
+        present, tuning = members >= 0, around.tuning
         rows = np.where(present, members, members[:, :1])
         origin = np.repeat(members[:, 0], members.shape[1])
         position = around.axes.offsets(origin, rows.ravel()).reshape(*members.shape, 2)

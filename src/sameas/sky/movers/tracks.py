@@ -94,7 +94,7 @@ class _Extendable:
         )
 
 
-def grow(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Tracks:
+def grow(around: Surroundings, links: Links, model: MotionModel) -> Tracks:
     """The tracks along the links: for each detection, the best ones that end there."""
     detections = around.detections
     order = np.argsort(detections.frame[links.j], kind="stable")
@@ -111,12 +111,12 @@ def grow(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning 
         to_frame = links.only(slice(bounds[frame], bounds[frame + 1]))  # type: ignore[arg-type]
         if not len(to_frame):
             continue
-        grown = [_new_tracks(around, to_frame, model, tuning)]
+        grown = [_new_tracks(around, to_frame, model)]
         row, parent = ranges(start[to_frame.i], count[to_frame.i])
         if len(row):
-            grown.append(_extended(around, to_frame.only(row), _gathered(kept, offsets, parent), parent, model, tuning))
+            grown.append(_extended(around, to_frame.only(row), _gathered(kept, offsets, parent), parent, model))
         kinds = np.concatenate([to_frame.far.astype(np.int64), np.full(len(row) and len(grown[-1].tracks), 2)])
-        level = _best_per_detection(_Extendable.concatenated(grown), kinds, tuning.tracks)
+        level = _best_per_detection(_Extendable.concatenated(grown), kinds, around.tuning.tracks)
         size = np.bincount(level.tracks.last, minlength=len(detections))
         ended = np.flatnonzero(size)
         count[ended] = size[ended]
@@ -126,7 +126,7 @@ def grow(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning 
         for n, old in enumerate(kept[:-1]):
             if len(old.covariance) and last_use[detections.frame[old.tracks.last[0]]] <= frame:
                 kept[n] = replace(old, covariance=old.covariance[:0])
-    return _with_outer_exposures(around, Tracks.concatenated([level.tracks for level in kept]), model, tuning)
+    return _with_outer_exposures(around, Tracks.concatenated([level.tracks for level in kept]), model)
 
 
 def _gathered(levels: list[_Extendable], offsets: list[int], number: IntArray) -> _Extendable:
@@ -149,9 +149,9 @@ def _no_tracks() -> _Extendable:
     return _Extendable(tracks, np.empty((0, 6, 6)))
 
 
-def _with_outer_exposures(around: Surroundings, tracks: Tracks, model: MotionModel, tuning: Tuning) -> Tracks:
+def _with_outer_exposures(around: Surroundings, tracks: Tracks, model: MotionModel) -> Tracks:
     """The tracks with the misses in the exposures before and after them that covered their extrapolated positions."""
-    detections, when = around.detections, around.detections.frame_mjd * 1440.0
+    detections, tuning, when = around.detections, around.tuning, around.detections.frame_mjd * 1440.0
     frames, first_minutes = len(when), detections.mjd_utc * 1440.0
     # Misses only lower the weight, and dominated tracks do not compete.
     selected = np.flatnonzero((tracks.log_weight > tuning.min_ended) & ~_dominated(tracks, tuning))
@@ -193,9 +193,9 @@ def _best_per_detection(grown: _Extendable, kind: IntArray, most: int) -> _Exten
     return grown.only(order[np.arange(len(order)) - np.searchsorted(code, code) < most])
 
 
-def _new_tracks(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning) -> _Extendable:
+def _new_tracks(around: Surroundings, links: Links, model: MotionModel) -> _Extendable:
     """Tracks of two detections, one per link."""
-    m = len(links)
+    m, tuning = len(links), around.tuning
     rate, error = rates_of(around, links.i, links.j, links.minutes, links.offset)
     mean, rate_covariance = model.rates.prior_at(rate, error)
     state = np.zeros((m, 6))
@@ -222,10 +222,10 @@ def _new_tracks(around: Surroundings, links: Links, model: MotionModel, tuning: 
 
 
 def _extended(
-    around: Surroundings, links: Links, tracks: _Extendable, parent: IntArray, model: MotionModel, tuning: Tuning
+    around: Surroundings, links: Links, tracks: _Extendable, parent: IntArray, model: MotionModel
 ) -> _Extendable:
     """Tracks extended by one detection along a link from their end; ``links`` and ``tracks`` are (m,) each."""
-    parents = tracks.tracks
+    parents, tuning = tracks.tracks, around.tuning
     minutes = around.minutes[links.j] - around.minutes[parents.first]
     offset = around.axes.offsets(parents.first, links.j)
     noise = around.covariance[links.j]
