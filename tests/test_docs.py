@@ -193,6 +193,15 @@ def test_readme_shows_the_body_of_identify():
     assert body.rstrip() in (HOME / "README.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(HOME)))
+def test_pages_import_public_names_only(page):
+    """From the packages that list their public names, and from the adapters."""
+    public = ("", ".evidence", ".io", ".io.sensors", ".picture", ".score", ".simulate", ".sky", ".tracks")
+    for block in blocks(page):
+        for module in re.findall(r"^(?:from|import) sameas([\w.]*)", block.code, flags=re.MULTILINE):
+            assert module in public or module.startswith(".adapters."), f"{page.name}: sameas{module}"
+
+
 def test_every_option_is_documented():
     import inspect
 

@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 
 from sameas import Field, InputError, Records, Sphere, identify
 from sameas.many.fusion import (
-    Filter,
+    KalmanFilter,
     bar_shalom_campo,
     covariance_intersection,
     independent,
@@ -19,7 +19,7 @@ from sameas.many.fusion import (
 DT = 2.0
 MOTION = np.array([[1.0, DT], [0.0, 1.0]])
 NOISE = 4.0 * np.array([[DT**4 / 4, DT**3 / 2], [DT**3 / 2, DT**2]])
-RADAR, LIDAR = Filter([[1.0, 0.0]], [[400.0]]), Filter([[1.0, 0.0], [0.0, 1.0]], [[100.0, 0.0], [0.0, 9.0]])
+RADAR, LIDAR = KalmanFilter([[1.0, 0.0]], [[400.0]]), KalmanFilter([[1.0, 0.0], [0.0, 1.0]], [[100.0, 0.0], [0.0, 9.0]])
 
 
 def covariances(rng, *shape, d=3):
@@ -215,6 +215,6 @@ def test_invalid_cross_covariances_are_refused(cross, words):
 
 def test_a_filter_without_steady_state_is_refused():
     with pytest.raises(InputError, match="never settles"):
-        steady_tracks(MOTION, NOISE, Filter([[0.0, 1.0]], [[1.0]]), RADAR)
+        steady_tracks(MOTION, NOISE, KalmanFilter([[0.0, 1.0]], [[1.0]]), RADAR)
     with pytest.raises(InputError, match=r"give \(m, 2\)"):
-        steady_tracks(MOTION, NOISE, Filter([[1.0]], [[1.0]]), RADAR)
+        steady_tracks(MOTION, NOISE, KalmanFilter([[1.0]], [[1.0]]), RADAR)

@@ -35,9 +35,14 @@ from .front.picture import MatchPicture as MatchPicture
 from .front.picture import match_picture as match_picture
 from .gate import Box as Box
 from .gate import ChiSquare as ChiSquare
+from .gate import Pairs as Pairs
 from .gate import Radius as Radius
 from .io import read_table as read_table
 from .io import write_table as write_table
+from .many.fusion import KalmanFilter as KalmanFilter
+from .many.fusion import SteadyTracks as SteadyTracks
+from .many.fusion import steady_tracks as steady_tracks
+from .many.fusion import without_common as without_common
 from .many.identify import identify_many as identify_many
 from .many.identify import identify_sequentially as identify_sequentially
 from .many.objects import Objects as Objects
@@ -47,7 +52,9 @@ from .many.observations import Observations as Observations
 from .many.observations import Region as Region
 from .many.rules import MissedObjects as MissedObjects
 from .many.rules import PoissonObjects as PoissonObjects
+from .partitions.hats import write_hats as write_hats
 from .prior import CommonObjects as CommonObjects
+from .prior import LogPrior as LogPrior
 from .prior import PerPair as PerPair
 from .records import Records as Records
 from .registration import Affine as Affine
@@ -58,9 +65,11 @@ from .registration import Similarity as Similarity
 from .registration import register as register
 from .result import Identification as Identification
 from .result import Loss as Loss
+from .result import evaluate_choice as evaluate_choice
 from .result import least_loss as least_loss
 from .result import most_right as most_right
 from .space import Plane as Plane
 from .space import Sphere as Sphere
+from .space import unit_vectors as unit_vectors
 
 __version__: str

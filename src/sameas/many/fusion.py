@@ -158,7 +158,7 @@ def _estimates(states: ArrayLike, covariances: ArrayLike) -> tuple[FloatArray, F
 
 @in_short
 @dataclass(frozen=True)
-class Filter:
+class KalmanFilter:
     """A source's Kalman filter: measurement ``matrix`` H (m, L), and ``covariance`` R (m, m) of its measurements."""
 
     matrix: ArrayLike
@@ -185,7 +185,7 @@ class SteadyTracks:
         return np.sqrt(np.diag(self.first + self.second) / np.diag(self.residual))
 
 
-def steady_tracks(transition: ArrayLike, process: ArrayLike, first: Filter, second: Filter) -> SteadyTracks:
+def steady_tracks(transition: ArrayLike, process: ArrayLike, first: KalmanFilter, second: KalmanFilter) -> SteadyTracks:
     """Steady-state covariances of two filters that track one target with measurements at the same times.
 
     Parameters
@@ -204,7 +204,7 @@ def steady_tracks(transition: ArrayLike, process: ArrayLike, first: Filter, seco
     >>> dt, q = 1.0, 25.0
     >>> motion = [[1.0, dt], [0.0, 1.0]]
     >>> noise = q * np.array([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]])
-    >>> sensor = Filter([[1.0, 0.0]], [[30.0**2]])
+    >>> sensor = KalmanFilter([[1.0, 0.0]], [[30.0**2]])
     >>> steady_tracks(motion, noise, sensor, sensor).widening.round(2)
     array([1.11, 1.87])
     """
@@ -222,18 +222,18 @@ def steady_tracks(transition: ArrayLike, process: ArrayLike, first: Filter, seco
     return SteadyTracks(steady[0][0], steady[1][0], cross)
 
 
-def _steady_state(f: FloatArray, q: FloatArray, one: Filter) -> tuple[FloatArray, FloatArray]:
+def _steady_state(f: FloatArray, q: FloatArray, one: KalmanFilter) -> tuple[FloatArray, FloatArray]:
     """Covariance after the update, and gain, of a filter in steady state."""
     from scipy.linalg import solve_discrete_are
 
     h, r = (np.asarray(x, dtype=np.float64) for x in (one.matrix, one.covariance))
     if h.ndim != 2 or h.shape[1] != len(f) or r.shape != (len(h), len(h)):
-        raise InputError(f"Filter: matrix {h.shape}, covariance {r.shape}; give (m, {len(f)}) and (m, m)")
+        raise InputError(f"KalmanFilter: matrix {h.shape}, covariance {r.shape}; give (m, {len(f)}) and (m, m)")
     try:
         predicted = solve_discrete_are(f.T, h.T, q, r)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise InputError(
-            f"Filter: it never settles ({error}); does it measure what the target's state needs?"
+            f"KalmanFilter: it never settles ({error}); does it measure what the target's state needs?"
         ) from None
     gain = predicted @ h.T @ inverse(h @ predicted @ h.T + r)
     keep = np.eye(len(f)) - gain @ h
