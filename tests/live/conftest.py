@@ -79,7 +79,9 @@ def served(keeper, access=None):
 
     made = socket.socket()
     made.bind(("127.0.0.1", 0))
-    config = uvicorn.Config(application(keeper, access or Access()), log_level="error", timeout_graceful_shutdown=1)
+    config = uvicorn.Config(
+        application(keeper, access or Access()), log_level="error", timeout_graceful_shutdown=1, ws="none"
+    )
     server, over = Server(config), threading.Event()
 
     async def run():

@@ -232,8 +232,9 @@ def _server(
     except OSError as error:
         listener.close()
         raise InputError(f"{host}:{port} cannot be served on ({error.strerror})", "give another --port") from error
+    # The map has server-sent events; looking for WebSockets would import a package that other versions warn about.
     config = uvicorn.Config(
-        application(keeper, access), log_level="warning", access_log=False, timeout_graceful_shutdown=1
+        application(keeper, access), log_level="warning", access_log=False, timeout_graceful_shutdown=1, ws="none"
     )
     say(_addresses(host, listener.getsockname()[1], access))
     return uvicorn.Server(config), listener

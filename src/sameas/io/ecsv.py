@@ -34,6 +34,8 @@ def is_ecsv(path: Path, first: bytes) -> bool:
 FORMAT = Format("ecsv", "ECSV", (".ecsv", ".ecsv.gz"), signatures=(_SIGNATURE,), recognised=is_ecsv)
 
 _KEY = "sameas"
+#: Texts of cells without a value; "null" is that of the Gaia archive, whose files call themselves ECSV.
+_NULLS = ["", "null"]
 #: Names of columns are looked for in so many bytes.
 _HEAD_BYTES = 1 << 22
 
@@ -49,7 +51,7 @@ def read(path: Path, hdu: None) -> Table:
         raise InputError(f"{path}: a column has a unit with a power that no unit has; correct its header")
     table = _bulk_read(path)
     if table is None:
-        table = Table.read(path, format="ascii.ecsv")
+        table = Table.read(path, format="ascii.ecsv", fill_values=[(text, "0") for text in _NULLS])
     table.meta.pop(_KEY, None)
     if unended(content):
         table.meta["sameas_notes"] = [may_be_cut(path)]
@@ -103,8 +105,7 @@ def _bulk_read(path: Path) -> Table | None:
     from astropy.io.ascii import InconsistentTableError
 
     try:
-        # "null": files of the Gaia archive call themselves ECSV and say so.
-        return read_ecsv(path, engine="pyarrow", null_values=["", "null"])
+        return read_ecsv(path, engine="pyarrow", null_values=_NULLS)
     except TypeError:  # float128
         return None
     except InconsistentTableError as error:
