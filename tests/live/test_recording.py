@@ -17,7 +17,7 @@ import pytest
 from tests.live.conftest import SITE, START_S
 from tests.live.test_inputs import free_port
 
-from sameas.cli.watch import _settings
+from sameas.cli.watch import _recorded, _settings
 from sameas.errors import InputError
 from sameas.front.picture import match_picture
 from sameas.io.sensors.recording import FILE_S, RecordedInput, RecordedSource, Recorder, files_in, read
@@ -266,3 +266,110 @@ def test_a_watch_that_is_killed_has_recorded_what_came_before_its_last_tick(tmp_
         capture_output=True, text=True, cwd=tmp_path, timeout=120.0, check=False,
     )  # fmt: skip
     assert done.returncode == 0 and "ais: " in done.stdout and "radar: " in done.stdout, done.stdout + done.stderr
+
+
+def ticked(keeper, now, pieces, until_s):
+    """The alarms that began and the late reports, tick by tick, while pieces are received."""
+    found, pieces = [], list(pieces)
+    while now[0] < until_s:
+        now[0] += 1.0
+        while pieces and pieces[0][0] <= now[0]:
+            when, url, data = pieces.pop(0)
+            keeper.wires[url].play((when, data, 1, True))
+        situation = keeper.tick()
+        counts = keeper.picture.counts
+        found.append((now[0], sorted(alarm.text for alarm in situation.alarms), {n: c.late for n, c in counts.items()},
+                      sorted(situation.members.items())))  # fmt: skip
+    keeper.close()
+    return found
+
+
+def test_a_recording_is_replayed_as_it_was_received(tmp_path):
+    """A report 25 s late, a clock that jumps by 45 s, a source that falls silent, a flood: all of it once more."""
+    path, begin_s = tmp_path / "sensors.toml", START_S + 4800.0
+    path.write_text(
+        '[watch]\nregister_every_s = 0\nfaults_every_s = 0\nsilent_s = 20\nrecord = "raw"\nlag_s = 5\n'
+        f"plane = {{ lat_deg = {SITE[0]}, lon_deg = {SITE[1]} }}\n"
+        '[sources.north]\nkind = "ais"\ninput = { url = "tcp://127.0.0.1:10110", format = "table" }\n'
+        '[sources.south]\nkind = "ais"\ninput = { url = "tcp://127.0.0.1:10111", format = "table" }\n'
+    )
+    north, south = "tcp://127.0.0.1:10110", "tcp://127.0.0.1:10111"
+
+    def line(t, mmsi, lat=0.0):
+        columns = {
+            "time": begin_s + t,
+            "lat": SITE[0] + 0.01 + lat,
+            "lon": SITE[1],
+            "mmsi": mmsi,
+            "sog_kn": 0,
+            "cog_deg": 0,
+        }
+        return json.dumps(columns).encode() + b"\n"
+
+    pieces = [(begin_s + t, north, line(t + 45.0 * (t > 30), "235000001")) for t in range(0, 60, 2)]
+    pieces += [(begin_s + t + 0.3, south, line(t, "235000002", 0.01)) for t in range(0, 20, 2)]
+    # Of a ship of its own, which only this report shows late; and then nothing.
+    pieces.append((begin_s + 20.3, south, line(-4.7, "235000002", 0.01)))
+    pieces.sort(key=lambda one: one[0])
+    now = [begin_s - 1.0]
+    keeper = Keeper(read_settings(path), clock=lambda: now[0])
+    keeper.wires[south].queue.max_bytes = 4000
+    flood = [(begin_s + 10.6, south, line(10.0, "235000003", 0.02))] * 100
+    live = ticked(keeper, now, sorted(pieces + flood, key=lambda one: one[0]), begin_s + 58.0)
+    words = " ".join(text for _, texts, *_ in live for text in texts)
+    assert "time stamps are 45 s ahead" in words and "south has sent no report" in words and "the oldest data" in words
+    assert live[-1][2]["south"] == 1
+
+    settings, playback = _recorded([str(tmp_path / "raw")], path, 8.0, None)
+    real = [1000.0]
+    again = Keeper(settings, playback=playback, clock=lambda: real[0])
+    playback.begin(1000.0, begin_s - 1.0 + 1e-9)
+    found = []
+    while len(found) < len(live):
+        # Eight times as fast.
+        real[0] += 1.0 / 8.0
+        situation = again.tick()
+        counts = again.picture.counts
+        found.append((round(again.clock(), 6), sorted(alarm.text for alarm in situation.alarms),
+                      {n: c.late for n, c in counts.items()}, sorted(situation.members.items())))  # fmt: skip
+    again.close()
+    assert (
+        found == live
+        and playback.done
+        and not [
+            one for one in (tmp_path / "raw").iterdir() if b"235000003" not in one.read_bytes() and "south" in one.name
+        ]
+    )
+    # By the times of reports nothing is late, and the flood is told.
+    [_, source] = read_sources([tmp_path / "raw"])
+    assert sum(source.reports.passed_over.values()) > 0
+    assert "pieces that a flood dropped" in source.reports.passed_over
+
+
+def test_a_replay_as_received_waits_for_the_picture_and_ends_with_the_recording(tmp_path, sensors):
+    path, _ = sensors
+    names = [RecordedSource("ais", "ais"), RecordedSource("radar", "marine radar")]
+    pieces = [(START_S + 4800.0 + k, cable(k), 1, True) for k in range(40)]
+    folder = recorded(tmp_path, pieces, names)
+    before = sorted(one.read_bytes() for one in folder.iterdir())
+    out = subprocess.run(
+        [sys.executable, "-m", "sameas", "watch", "--sensors", str(path), str(folder), "--as-received", "--pace", "40",
+         "--no-map"], capture_output=True, text=True, timeout=300.0,
+    )  # fmt: skip
+    assert out.returncode == 0, out.stderr
+    # Ticks of 0.2 s of the recording.
+    assert any(f"Watched: {n} instants, 2 objects" in out.stdout for n in range(195, 203)), out.stdout
+    assert "radar: 40 reports" in out.stdout and "ais: 40 reports" in out.stdout
+    # Nothing listens, and it is not recorded again.
+    assert "replayed" in out.stdout and "listening" not in out.stdout
+    assert sorted(one.read_bytes() for one in folder.iterdir()) == before
+
+
+@pytest.mark.parametrize(("files", "given", "words"), [
+    (["raw"], False, "which inputs are recorded"), ([], True, "which inputs are recorded"),
+    (["sensors.toml"], True, "is no recording of sameas watch"), (["raw"], True, "has no input for tower"),
+])  # fmt: skip
+def test_what_cannot_be_replayed_as_received_is_refused(files, given, words, tmp_path, sensors):
+    recorded(tmp_path, [(START_S, cable(0), 1, True)], [RecordedSource("tower", "tracks")])
+    with pytest.raises(InputError, match=words):
+        _recorded([str(tmp_path / file) for file in files], sensors[0] if given else None, 1.0, None)

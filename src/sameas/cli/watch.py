@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import uvicorn
 
     from sameas.io.sensors.sources import SensorSource
-    from sameas.live.inputs import Replay
+    from sameas.live.inputs import Playback, Replay
     from sameas.live.keeper import Keeper
     from sameas.live.server import Access
     from sameas.live.settings import Settings
@@ -74,6 +74,15 @@ def watch(
         float,
         option("--pace", panel=_INPUTS, metavar="N", show_default=True, help="Replay N times as fast as recorded."),
     ] = 1.0,
+    as_received: Annotated[
+        bool,
+        option(
+            "--as-received",
+            panel=_INPUTS,
+            help="Replay recordings by the times of receipt, not by those of the reports: late reports and clocks that "
+            "jump come again as they came.",
+        ),
+    ] = False,
     record: Annotated[
         Path | None,
         option(
@@ -122,13 +131,18 @@ def watch(
     with answering(debug, sensor_option):
         from sameas.live.keeper import Keeper
 
-        settings, replay = _settings(files or [], sensors, start, pace, duration_s(every))
+        if as_received:
+            settings, playback = _recorded(files or [], sensors, pace, duration_s(every))
+            replay = None
+        else:
+            playback = None
+            settings, replay = _settings(files or [], sensors, start, pace, duration_s(every))
         settings = _with_charts(settings, chart) if chart else settings
-        if record is not None and replay is not None:
+        if record is not None and (replay or playback) is not None:
             raise InputError("--record: files are replayed, and nothing is received", "leave it out")
         settings = settings if record is None else _with_record(settings, record)
         share_compilation(quiet, "picture")
-        keeper = Keeper(settings, output, replay=replay)
+        keeper = Keeper(settings, output, replay=replay, playback=playback)
         to_stdout = any(sink.url.startswith("stdout:") for sink in keeper.sinks)
         say = Printer(quiet, sys.stderr if to_stdout else None)
         until_s = None if duration is None else time.monotonic() + (duration_s(duration) or 0.0)
@@ -193,6 +207,30 @@ def _settings(
     if every_s is not None:
         settings = replace(settings, watch=replace(settings.watch, every_s=every_s))
     return settings, replay
+
+
+def _recorded(files: list[str], sensors: Path | None, pace: float, every_s: float | None) -> tuple[Settings, Playback]:
+    """The settings, and recordings to replay as they were received on the inputs of these."""
+    from sameas.io.sensors.recording import Recording, recordings
+    from sameas.live.inputs import Playback
+    from sameas.live.settings import read_settings
+
+    if sensors is None or not files:
+        raise InputError("--as-received: which inputs are recorded?", "give --sensors, and the folder of --record")
+    settings = read_settings(sensors)
+    played = []
+    for file in files:
+        for recorded in recordings(Path(file)):
+            recording = Recording.of(recorded)
+            names = [source.name for source in recording.recorded.sources]
+            urls = {settings.sources[name].url for name in names if name in settings.sources} - {None}
+            if len(urls) != 1:
+                known = f"{sensors} has no input for" if not urls else f"{sensors} has several inputs for"
+                raise InputError(f"{file}: {known} {', '.join(names)}", "give the sensor file of that watch")
+            played.append((str(urls.pop()), recording))
+    if every_s is not None:
+        settings = replace(settings, watch=replace(settings.watch, every_s=every_s))
+    return settings, Playback(played, pace)
 
 
 def _with_record(settings: Settings, folder: Path) -> Settings:
@@ -284,8 +322,7 @@ async def _run(
             loop.add_signal_handler(number, over.set)
 
     def ends() -> bool:
-        done = keeper.replay is not None and keeper.replay.done
-        return over.is_set() or (until_s is not None and time.monotonic() >= until_s) or (done and until_s is None)
+        return over.is_set() or (keeper.done if until_s is None else time.monotonic() >= until_s)
 
     served = None
     if server is not None:

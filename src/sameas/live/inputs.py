@@ -32,7 +32,7 @@ from http.client import HTTPException
 from urllib.parse import parse_qs, urlsplit
 
 from sameas.errors import InputError
-from sameas.io.sensors.recording import Recorder
+from sameas.io.sensors.recording import Piece, Recorder, Recording
 from sameas.io.sensors.stream import ReportStream, format_of
 from sameas.live.websocket import Login, connected, require_readable
 from sameas.tracks.coordinates import LocalPlane
@@ -54,8 +54,6 @@ MOST_SENDERS = 1000
 _SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "ws", "wss", "file", "serial", "stdin")
 #: A Signal K server sends deltas over TCP only to a client that subscribes (Signal K 1.7, "Subscription protocol").
 _SUBSCRIPTION = '{"context":"*","subscribe":[{"path":"*","policy":"instant"}]}'
-#: A piece of data: receive time, bytes, number of its connection, whether it is the last of this connection.
-Piece = tuple[float, bytes, int, bool]
 
 
 @dataclass
@@ -130,6 +128,8 @@ class Wire:
         self.url, self.stream, self.clock, self.recorder = url, stream, clock, recorder
         self.login = login or Login()
         self.queue, self.state = BoundedQueue(max_bytes), WireState()
+        # Number of dropped pieces that the recording says.
+        self._dropped = 0
         parts = urlsplit(url)
         _require_readable(url)
         if parts.scheme in ("udp", "tcp-listen"):
@@ -167,8 +167,7 @@ class Wire:
         InputError : the data cannot be decoded to reports; they are dropped.
         """
         pieces = self.queue.take(max_bytes)
-        if self.recorder is not None:
-            self.recorder.write(pieces)
+        self._record(pieces)
         for received_s, data, connection, last in pieces:
             self.stream.feed(data, received_s, connection=connection, last=last)
         return self.stream.reports()
@@ -176,8 +175,22 @@ class Wire:
     def close(self) -> None:
         """Records what is still in the queue, and closes the recording."""
         if self.recorder is not None:
-            self.recorder.write(self.queue.take(self.queue.max_bytes + 1))
+            self._record(self.queue.take(self.queue.max_bytes + 1))
             self.recorder.close()
+
+    def play(self, piece: Piece, dropped: int = 0) -> None:
+        """Takes a piece of a recording as if it were received now. dropped : number of those lost before it."""
+        received_s, data, connection, last = piece
+        self.state.connected, self.state.last_s = True, received_s
+        self.state.received += len(data)
+        self.queue.dropped += dropped
+        self.queue.put(data, received_s, connection, last=last)
+
+    def _record(self, pieces: list[Piece]) -> None:
+        if self.recorder is not None and pieces:
+            dropped = self.queue.dropped
+            self.recorder.write(pieces, dropped - self._dropped)
+            self._dropped = dropped
 
     def _received(self, data: bytes, connection: int = 0, *, last: bool = False) -> None:
         now_s = self.clock()
@@ -512,4 +525,75 @@ class Replay:
             if stop > self._next[s]:
                 out.append((name, reports.where(range(self._next[s], stop))))
                 self._next[s] = stop
+        return out
+
+
+@dataclass
+class Playback:
+    """Replays recordings as they were received: each piece at its receive time, ``pace`` times as fast.
+
+    Late reports, clocks that jump, sources that fall silent and floods come again as they came.
+
+    Parameters
+    ----------
+    recordings : each with the wire that it was received on. pace : seconds of the recording per second of the clock.
+
+    Example
+    -------
+    >>> from sameas.io.sensors.recording import RecordedInput
+    >>> pieces = [(100.0, b"a", 1, False), (107.0, b"b", 1, False)]
+    >>> played = Playback([("tcp://ais:1", Recording(RecordedInput(()), pieces, [0, 2, 0]))], pace=2.0)
+    >>> played.begin(50.0)
+    >>> played.time_s(52.0), played.take(104.0), played.done
+    (104.0, [('tcp://ais:1', (100.0, b'a', 1, False), 0)], False)
+    >>> played.take(107.0), played.done
+    ([('tcp://ais:1', (107.0, b'b', 1, False), 2)], True)
+    """
+
+    recordings: list[tuple[str, Recording]]
+    pace: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.pace < float("inf"):
+            raise InputError(f"replay: pace is {self.pace}; give a factor above 0")
+        self._pieces: list[tuple[float, str, Piece, int]] = []
+        for url, recording in self.recordings:
+            until_s = -math.inf
+            for piece, dropped in zip(recording.pieces, recording.dropped, strict=False):
+                # The clock of the receiver may have been set back: the order of receipt stays.
+                until_s = max(until_s, piece[0])
+                self._pieces.append((until_s, url, piece, dropped))
+        if not self._pieces:
+            raise InputError("replay: the recordings have no data")
+        self._pieces.sort(key=lambda one: one[0])
+        self.first_s, self.last_s = self._pieces[0][0], self._pieces[-1][0]
+        self._next, self._began_s = 0, 0.0
+        self._started = False
+
+    def begin(self, clock_s: float, from_s: float | None = None) -> None:
+        """Starts at this time of the clock, with the first piece or those after ``from_s``."""
+        start_s = self.first_s if from_s is None else from_s
+        self._began_s, self._started = clock_s - (start_s - self.first_s) / self.pace, True
+        while from_s is not None and not self.done and self._pieces[self._next][0] <= from_s:
+            self._next += 1
+
+    def wait(self, seconds: float) -> None:
+        """Stops the replay for this many seconds of the recording."""
+        self._began_s += seconds / self.pace
+
+    def time_s(self, clock_s: float) -> float:
+        """The time of the recording at this time of the clock; the first before the beginning."""
+        return self.first_s + self.pace * (clock_s - self._began_s) if self._started else self.first_s
+
+    @property
+    def done(self) -> bool:
+        """Whether all pieces have been taken."""
+        return self._next >= len(self._pieces)
+
+    def take(self, until_s: float) -> list[tuple[str, Piece, int]]:
+        """The pieces up to this time that have not been taken yet: wire, piece, and number of those lost before it."""
+        out = []
+        while not self.done and self._pieces[self._next][0] <= until_s:
+            out.append(self._pieces[self._next][1:])
+            self._next += 1
         return out

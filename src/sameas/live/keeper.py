@@ -27,7 +27,7 @@ from sameas.io.sensors.recording import Recorder
 from sameas.io.sensors.sources import ZONED
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.approaches import Approaches
-from sameas.live.inputs import Replay, Wire
+from sameas.live.inputs import Playback, Replay, Wire
 from sameas.live.journal import Journal, load_state, save_state
 from sameas.live.outputs import sinks_of
 from sameas.live.settings import Settings
@@ -107,7 +107,8 @@ class Keeper:
     Parameters
     ----------
     settings : sources and watch options. folder : for state, journal and archive; None writes none of them.
-    replay : reports of files instead of wires. clock : UTC in seconds.
+    replay : reports of files instead of wires. playback : recordings of the wires, as they were received. clock : UTC
+        in seconds.
 
     Raises
     ------
@@ -120,10 +121,23 @@ class Keeper:
         folder: Path | None = None,
         *,
         replay: Replay | None = None,
+        playback: Playback | None = None,
         clock: Callable[[], float] = time.time,
     ) -> None:
+        if playback is not None:
+            # All times are those of the recording, which is not recorded again.
+            real_clock, played = clock, playback
+            settings = replace(settings, watch=replace(settings.watch, record=None))
+
+            def clock() -> float:
+                return played.time_s(real_clock())
+
+        self._real_clock = clock if playback is None else real_clock
         self.settings, self.folder, self.replay, self.clock = settings, folder, replay, clock
+        self.playback = playback
         self.wires = _wires(settings, clock) if replay is None else {}
+        for wire in self.wires.values() if playback is not None else ():
+            wire.state.open_word = "replayed"
         self.sources = {name: SourceState() for name in settings.sources}
         self.situation: Situation | None = None
         # The state of the last tick, from which explanations are made.
@@ -205,6 +219,18 @@ class Keeper:
         now_s = clock_s if self.replay is None else self.replay.now_s(clock_s)
         return now_s - self.settings.watch.behind_s
 
+    @property
+    def pace(self) -> float | None:
+        """How many times as fast files or recordings are replayed; None where nothing is."""
+        replayed = self.replay or self.playback
+        return None if replayed is None else replayed.pace
+
+    @property
+    def done(self) -> bool:
+        """Whether all that is replayed has been taken."""
+        replayed = self.replay or self.playback
+        return replayed is not None and replayed.done
+
     def tick(self, now_s: float | None = None) -> Situation | None:
         """Processes the new reports and returns the situation then; None, and a log entry, where this failed."""
         began = time.perf_counter()
@@ -281,6 +307,9 @@ class Keeper:
 
     def _take_reports(self, until_s: float) -> None:
         self._taken_s = self.clock()
+        if self.playback is not None:
+            for url, piece, dropped in self.playback.take(self._taken_s):
+                self.wires[url].play(piece, dropped)
         if self.replay is not None:
             for name, reports in self.replay.take(until_s):
                 self._add(name, reports, self.clock())
@@ -581,13 +610,16 @@ class Keeper:
 
         stop : ends the wait for the next tick, so that ``until`` is checked at once.
         """
-        readers = [asyncio.create_task(wire.run()) for wire in self.wires.values()]
+        wires = self.wires.values() if self.playback is None else ()
+        readers = [asyncio.create_task(wire.run()) for wire in wires]
         every_s = self.settings.watch.every_s
         registration: asyncio.Task[None] | None = None
         search: asyncio.Task[None] | None = None
         if self.replay is not None:
             from_s = self.picture.instant_s if self.restored else None
             self.replay.begin(self.clock(), from_s if from_s is not None and math.isfinite(from_s) else None)
+        if self.playback is not None:
+            self.playback.begin(self._real_clock(), self.picture.instant_s if self.restored else None)
         next_s = self.clock()
         try:
             while until is None or not until():
@@ -597,6 +629,11 @@ class Keeper:
                 if self.replay is not None:
                     self.replay.wait(late_s)
                     self.waited_s += late_s
+                if self.playback is not None:
+                    # Ticks are as far apart in the recording as they were.
+                    self.playback.wait(late_s)
+                    next_s -= late_s
+                    self.waited_s += late_s / self.playback.pace
                 await asyncio.to_thread(self._tick_and_send)
                 self._tell_listeners()
                 every = self.settings.watch.register_every_s
@@ -610,7 +647,7 @@ class Keeper:
                     self._searched_s = self.picture.instant_s
                     search = asyncio.create_task(asyncio.to_thread(self.search))
                 next_s += every_s
-                wait_s = max(next_s - self.clock(), 0.0)
+                wait_s = max(next_s - self.clock(), 0.0) / (1.0 if self.playback is None else self.playback.pace)
                 if stop is None:
                     await asyncio.sleep(wait_s)
                 else:
@@ -707,7 +744,7 @@ class Keeper:
     def health(self) -> dict[str, Any]:
         """Whether the picture advances, and the counters of every source and wire."""
         age_s = None if self.situation is None else self.now_s() - self.situation.time_s
-        late_s = max(10.0 * self.settings.watch.every_s * (self.replay.pace if self.replay else 1.0), 10.0)
+        late_s = max(10.0 * self.settings.watch.every_s * (self.pace or 1.0), 10.0)
         ticking = age_s is not None and age_s < late_s
         counts, biases = self.picture.counts, self.biases()
         sources = {

@@ -2,14 +2,16 @@
 
 A recording is a text file of JSON lines for each input. The first line names the sources of the input; every other line
 is a piece of data: ``t`` its receive time, ``c`` the number of its connection, ``last`` where nothing follows on this
-connection (a datagram, or its end), and ``text``, or ``base64`` for bytes that are no text. It is read by the same
-:class:`~sameas.io.sensors.stream.ReportStream` that reads the input itself.
+connection (a datagram, or its end), and ``text``, or ``base64`` for bytes that are no text. A line with ``dropped`` in
+place of these says how many pieces were lost there, because more arrived than could be read. A recording is read by the
+same :class:`~sameas.io.sensors.stream.ReportStream` that reads the input itself.
 """
 
 from __future__ import annotations
 
 import base64
 import json
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,6 +29,8 @@ from sameas.tracks.reports import Damaged, NoReports, Reports, joined
 MAGIC = b'{"recording of sameas watch"'
 #: A file is closed and a new one begun after this many seconds or bytes.
 FILE_S, FILE_BYTES = 3600.0, 64 << 20
+#: A piece of data: receive time, bytes, number of its connection, whether it is the last of this connection.
+Piece = tuple[float, bytes, int, bool]
 _NAME = re.compile(r"(?P<wire>.+)-(?P<began>\d{8}T\d{6})Z(-\d+)?\.jsonl")
 
 
@@ -95,11 +99,12 @@ class Recorder:
         self._file: IO[bytes] | None = None
         self._began_s, self._size = 0.0, 0
 
-    def write(self, pieces: Sequence[tuple[float, bytes, int, bool]]) -> None:
-        """Writes pieces of (receive time, bytes, connection, whether it is the last one of it)."""
+    def write(self, pieces: Sequence[Piece], dropped: int = 0) -> None:
+        """Writes pieces. dropped : number of those before them that were lost."""
         if not pieces:
             return
-        lines = b"".join(map(_line, pieces))
+        note = json.dumps({"t": round(pieces[0][0], 6), "dropped": dropped}).encode() + b"\n" if dropped else b""
+        lines = note + b"".join(map(_line, pieces))
         try:
             file = self._open(pieces[0][0])
             # Unbuffered: the lines are the system's once this returns.
@@ -146,7 +151,7 @@ class Recorder:
         self._file = None
 
 
-def _line(piece: tuple[float, bytes, int, bool]) -> bytes:
+def _line(piece: Piece) -> bytes:
     received_s, data, connection, last = piece
     line: dict[str, Any] = {"t": round(received_s, 6), "c": connection}
     if last:
@@ -158,6 +163,46 @@ def _line(piece: tuple[float, bytes, int, bool]) -> bytes:
     return json.dumps(line, ensure_ascii=False).encode() + b"\n"
 
 
+@dataclass(frozen=True)
+class Recording:
+    """What one input received, in the order of receipt. dropped : number of pieces lost before each piece, and after
+    the last one. damaged : number of lines that cannot be read."""
+
+    recorded: RecordedInput
+    pieces: list[Piece]
+    dropped: list[int]
+    damaged: int = 0
+
+    @classmethod
+    def of(cls, file: SensorFile) -> Recording:
+        """The recording in a file.
+
+        Raises
+        ------
+        InputError : the first line is damaged.
+        """
+        pieces: list[Piece] = []
+        dropped, damaged = [0], 0
+        for line in file.content.split(b"\n"):
+            if line.startswith(MAGIC) or not line:
+                continue
+            try:
+                piece = json.loads(line)
+                received_s = float(piece["t"])
+                if not math.isfinite(received_s):
+                    raise ValueError("no time")
+                if "dropped" in piece:
+                    dropped[-1] += max(int(piece["dropped"]), 0)
+                    continue
+                data = base64.b64decode(piece["base64"]) if "base64" in piece else piece["text"].encode("utf-8")
+                pieces.append((received_s, data, int(piece["c"]), bool(piece.get("last"))))
+                dropped.append(0)
+            except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
+                # A watch that was killed may have left a part of a line.
+                damaged += 1
+        return cls(RecordedInput.of_head(file.content.partition(b"\n")[0], file.source), pieces, dropped, damaged)
+
+
 def read(file: SensorFile) -> list[Reports]:
     """The reports of a recording, one :class:`Reports` for each source of its input that has any.
 
@@ -165,25 +210,16 @@ def read(file: SensorFile) -> list[Reports]:
     ------
     InputError : no report; the first line is damaged.
     """
-    recorded = RecordedInput.of_head(file.content.partition(b"\n")[0], file.source)
+    recording = Recording.of(file)
+    recorded = recording.recorded
     zone = file.options.time_zone or recorded.options.get("time_zone")
     options = ReadOptions(
         recorded.name, columns=file.options.columns or recorded.options.get("columns"), time_zone=zone,
         units=file.options.units or recorded.options.get("units"), kind=recorded.sources[0].kind,
     )  # fmt: skip
-    stream, damaged = ReportStream(recorded.name, recorded.format, options), 0
-    for line in file.content.split(b"\n"):
-        if line.startswith(MAGIC) or not line:
-            continue
-        try:
-            piece = json.loads(line)
-            data = base64.b64decode(piece["base64"]) if "base64" in piece else piece["text"].encode("utf-8")
-            received_s, connection = float(piece["t"]), int(piece["c"])
-        except (ValueError, KeyError, TypeError, AttributeError):
-            # A watch that was killed may have left a part of a line.
-            damaged += 1
-            continue
-        stream.feed(data, received_s, connection=connection, last=bool(piece.get("last")))
+    stream = ReportStream(recorded.name, recorded.format, options)
+    for received_s, data, connection, last in recording.pieces:
+        stream.feed(data, received_s, connection=connection, last=last)
     parts: dict[str, list[Reports]] = {}
     for reports in stream.reports():
         taken = next((one.name for one in recorded.sources if one.takes(reports)), None)
@@ -191,9 +227,8 @@ def read(file: SensorFile) -> list[Reports]:
             stream.passed_over[f"reports of no source: {reports.source}"] += len(reports)
         else:
             parts.setdefault(taken, []).append(reports)
-    unused = dict(stream.damaged + stream.passed_over) | (
-        {"damaged lines of the recording": damaged} if damaged else {}
-    )
+    lost = {"damaged lines of the recording": recording.damaged, "pieces that a flood dropped": sum(recording.dropped)}
+    unused = dict(stream.damaged + stream.passed_over) | {reason: n for reason, n in lost.items() if n}
     if not parts:
         reasons = ", ".join(f"{n} × {reason}" for reason, n in unused.items())
         raise NoReports(f"{file.source}: no report in the recording{f': {reasons}' if reasons else ''}")
@@ -207,6 +242,21 @@ def read(file: SensorFile) -> list[Reports]:
 def paths_in(folder: Path) -> list[Path]:
     """The paths of the recordings in a folder, in the order of their names."""
     return [path for path in sorted(folder.iterdir()) if _NAME.fullmatch(path.name)]
+
+
+def recordings(path: Path) -> list[SensorFile]:
+    """The recordings in a folder, the files of each input as one; or a single file.
+
+    Raises
+    ------
+    InputError : there is none; the file is no recording.
+    """
+    if path.is_dir():
+        return list(files_in(path))
+    file = SensorFile.of(path, ReadOptions())
+    if not file.head.startswith(MAGIC):
+        raise InputError(f"{path}: is no recording of sameas watch", "give the folder of --record")
+    return [file]
 
 
 def files_in(folder: Path) -> Iterator[SensorFile]:
