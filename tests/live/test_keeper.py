@@ -714,3 +714,29 @@ def test_the_jitter_of_a_position_alongside_is_no_speed_and_a_measured_speed_is_
     assert own_ship_at(keeper, now, 33.1) is not None
     assert words not in [alarm.text for alarm in keeper.situation.alarms]
     keeper.close()
+
+
+def test_alarms_without_a_folder_are_acknowledged_and_kept_when_they_end():
+    keeper = Keeper(settings(), replay=replay())
+    alarm = Alarm("cpa 1", "cpa", "A will pass at 100 m in 2.0 min", (1,))
+    ticked(keeper, 2.0)
+    keeper._raise_alarms([alarm], START_S + 2.0)
+    [one] = keeper.alarm_list()
+    assert (one["text"], one["objects"], one["active"], one["acknowledged_by"]) == (alarm.text, [1], 1, None)
+    assert keeper.acknowledge(one["id"], "mate") and not keeper.acknowledge(one["id"], "mate")
+    assert keeper.alarm_list()[0]["acknowledged_by"] == "mate"
+    keeper._raise_alarms([], START_S + 60.0)
+    [one] = keeper.alarm_list()
+    assert (one["active"], one["acknowledged_by"], one["last_s"]) == (0, "mate", START_S + 2.0)
+    # One that begins again is another.
+    keeper._raise_alarms([alarm], START_S + 90.0)
+    assert [one["active"] for one in keeper.alarm_list()] == [1, 0]
+    keeper.close()
+
+
+def test_an_alarm_that_is_none_is_not_acknowledged(tmp_path):
+    for folder in (tmp_path, None):
+        keeper = Keeper(settings(), folder, replay=replay())
+        assert not any(keeper.acknowledge(number, "mate") for number in (7, 2**63, -(10**30)))
+        assert not keeper._refusal
+        keeper.close()

@@ -53,6 +53,8 @@ MISFIT_LINES = 20
 MOST_SENSORS = 20
 #: An alarm is raised if half of so many last ticks take longer than their interval by this factor.
 SLOW_TICKS, SLOWER = 10, 1.2
+#: Largest number of alarms that are kept where there is no journal.
+MOST_UNSAVED = 500
 #: Number of ticks whose durations are kept.
 KEPT_DURATIONS = 600
 
@@ -167,6 +169,8 @@ class Keeper:
         self._suspected: frozenset[str] = frozenset()
         #: Sensors whose reports no source takes, by wire.
         self._foreign: dict[str, set[str]] = {}
+        #: Alarms that are not in the journal, by their negative ids, as it would have them.
+        self._unsaved: dict[int, dict[str, Any]] = {}
         #: Why the journal or the state could not be written when last tried.
         self._refusals: dict[str, str] = {}
         self._tick = 0
@@ -586,7 +590,7 @@ class Keeper:
     def _raise_alarms(self, alarms: list[Alarm], now_s: float) -> None:
         """Writes new alarms to the journal, and ends those whose condition has been absent for ``ALARM_ENDS_S``.
 
-        Alarms that are not in the journal have negative ids.
+        Alarms that are not in the journal, because there is none or the disk refuses, have negative ids.
         """
         for alarm in alarms:
             known = self._alarms.get(alarm.key)
@@ -595,13 +599,33 @@ class Keeper:
                 self.begun.append((now_s, alarm))
             number = -self.counters["alarms"] if known is None else known[0]
             if number < 0:
-                number = self._try_journal(partial(Journal.alarm, alarm=alarm, time_s=now_s)) or number
+                number = self._saved(number, alarm, now_s)
             self._alarms[alarm.key] = (number, now_s)
         for key, (alarm_id, held_s) in list(self._alarms.items()):
             if now_s - held_s > ALARM_ENDS_S:
                 del self._alarms[key]
                 if alarm_id > 0:
                     self._try_journal(partial(Journal.ended, alarm_id=alarm_id, time_s=held_s))
+                elif alarm_id in self._unsaved:
+                    self._unsaved[alarm_id] |= {"active": 0, "last_s": held_s}
+
+    def _saved(self, number: int, alarm: Alarm, now_s: float) -> int:
+        """The id of an alarm in the journal; where it cannot be written there, it is kept here, and the id stays."""
+        saved = self._try_journal(partial(Journal.alarm, alarm=alarm, time_s=now_s))
+        if saved is None:
+            self._unsaved.setdefault(number, {
+                "id": number, "key": alarm.key, "kind": alarm.kind, "text": alarm.text, "objects": list(alarm.objects),
+                "first_s": now_s, "last_s": now_s, "active": 1, "acknowledged_s": None, "acknowledged_by": None,
+            })  # fmt: skip
+            if len(self._unsaved) > MOST_UNSAVED:
+                ended = [one for one, row in self._unsaved.items() if not row["active"]]
+                self._unsaved.pop(ended[0] if ended else next(iter(self._unsaved)))
+            return number
+        before = self._unsaved.pop(number, None)
+        if before is not None and before["acknowledged_s"] is not None:
+            who, when_s = before["acknowledged_by"], before["acknowledged_s"]
+            self._try_journal(lambda journal: journal.acknowledge(saved, who, when_s))
+        return saved
 
     # ---- the loop ----
 
@@ -707,14 +731,8 @@ class Keeper:
         """The alarms, the newest first, with their ids and whether they are active."""
         with self.lock:
             journalled = self._try_journal(Journal.alarms) or []
-            active = [] if self.situation is None else self.situation.alarms
-            others = [
-                {"id": self._alarms[a.key][0], "key": a.key, "kind": a.kind, "text": a.text, "objects": list(a.objects),
-                 "active": 1, "first_s": self._alarms[a.key][1], "last_s": self._alarms[a.key][1],
-                 "acknowledged_s": None, "acknowledged_by": None}
-                for a in active if a.key in self._alarms and self._alarms[a.key][0] < 0
-            ]  # fmt: skip
-            return [*others, *journalled]
+            unsaved = [dict(row) for _, row in sorted(self._unsaved.items())]
+            return [*unsaved, *journalled]
 
     def why(self, number: int) -> str:
         """Why its records are this object now; a sentence where no source shows it."""
@@ -728,6 +746,13 @@ class Keeper:
         with self.lock:
             # In a replay, alarms and those who acknowledge them live in the time of the picture.
             time_s = self.clock() if self.replay is None or self.situation is None else self.situation.time_s
+            if (row := self._unsaved.get(alarm_id)) is not None:
+                fresh = row["acknowledged_s"] is None
+                row |= {"acknowledged_s": time_s, "acknowledged_by": who[:80]} if fresh else {}
+                return fresh
+            # Larger numbers are none of SQLite's.
+            if not 0 < alarm_id < 1 << 63:
+                return False
             return bool(self._try_journal(lambda journal: journal.acknowledge(alarm_id, who, time_s)))
 
     def biases(self) -> dict[str, dict[str, Any]]:

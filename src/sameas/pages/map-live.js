@@ -219,8 +219,21 @@ function beginOwnShip() {
   lines.splice(0);
   el("rows").replaceChildren();
   document.body.classList.add("own-ship");
+  beginAtOwnShip();
   el("zone").closest("p").after(ownWords);
   heads();
+}
+// The first view is about own ship, not of all aircraft within sight; the button of the whole picture has these.
+const OWN_VIEW_M = 6 * MILE;
+function beginAtOwnShip() {
+  const [west, south, east, north] = data.extent;
+  if (tick > 0 || restored || Math.max(east - west, north - south) < 4 * OWN_VIEW_M) return;
+  const place = () => {
+    Object.assign(view, { x: present.own.x, y: present.own.y, scale: Math.min(view.w, view.h) / 2 / OWN_VIEW_M });
+    clampView();
+    draw();
+  };
+  requestAnimationFrame(() => requestAnimationFrame(place));
 }
 // What own ship's receiver says of her, beside the time.
 const ownWords = text("p", "", "hint");
@@ -231,10 +244,10 @@ function showOwnShip() {
   const speed = Math.hypot(own.vx, own.vy),
     turn = earth ? earth.north(own.x, own.y) : 0,
     over = speed < 0.05 * KNOT ? "" : `  ${course(Math.atan2(own.vx, own.vy) / RAD - turn)}`;
-  ownWords.textContent = `own ship ${knots(speed)}${over}${own.heading === null ? "" : `, heading ${course(own.heading)}`}`;
-  // What raises no alarm must be seen.
-  const berthed = present.berthed.length;
-  if (berthed) ownWords.append(text("span", ` – harbour: no CPA alarms of ${berthed} alongside`, "berthed"));
+  // What raises no alarm must be seen, on a narrow screen too: it is first.
+  const berthed = present.berthed.length,
+    harbour = berthed ? `harbour: ${berthed} alongside without CPA alarm – ` : "";
+  ownWords.textContent = `${harbour}own ship ${knots(speed)}${over}${own.heading === null ? "" : `, heading ${course(own.heading)}`}`;
 }
 el("ring").addEventListener("change", () => (el("ring").dataset.chosen = "yes"));
 overlays.push(c => {
@@ -320,9 +333,11 @@ function reloaded() {
   return true;
 }
 const layersOff = () => [...document.querySelectorAll("[data-layer]")].filter(e => !e.checked).map(e => e.dataset.layer);
+let restored = false;
 function restoreView() {
   const kept = JSON.parse(sessionStorage.getItem(KEPT_VIEW) || "{}");
   if (!kept.at || kept.restored) return;
+  restored = true;
   sessionStorage.setItem(KEPT_VIEW, JSON.stringify({ at: kept.at, restored: true }));
   theme(kept.night);
   for (const e of document.querySelectorAll("[data-layer]")) if ((kept.off || []).includes(e.dataset.layer) === e.checked) e.click();
@@ -347,8 +362,8 @@ function receive(event) {
     return;
   }
   receivedAt = performance.now();
-  tick = delta.tick;
   applyDelta(delta);
+  tick = delta.tick;
   mark();
   if (queued) return;
   queued = true;
