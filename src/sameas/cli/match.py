@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions, SkyMatch
 
-#: Size of both files from which tables and cached kernels are read ahead: so many records need compiled kernels.
+#: Size of both files from which tables and cached kernels are read ahead: larger files need compiled kernels.
 READ_AHEAD_BYTES = 32_000_000
 
 _PANELS = {"": "Columns of both catalogues", "1": "First catalogue alone", "2": "Second catalogue alone"}

@@ -36,7 +36,7 @@ FORMAT = Format("ecsv", "ECSV", (".ecsv", ".ecsv.gz"), signatures=(_SIGNATURE,),
 _KEY = "sameas"
 #: Texts of cells without a value; "null" is that of the Gaia archive, whose files call themselves ECSV.
 _NULLS = ["", "null"]
-#: Names of columns are looked for in so many bytes.
+#: Bytes at the beginning of a file in which the names of columns are looked for.
 _HEAD_BYTES = 1 << 22
 
 

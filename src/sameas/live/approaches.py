@@ -42,18 +42,18 @@ HARBOUR_HOLDS = 1.25
 #: An object is alongside from the first probability on, and no longer below the second. Reports every three minutes
 #: take 12 minutes to the first.
 ALONGSIDE_FROM, ALONGSIDE_BELOW = 0.8, 0.5
-#: So many others are alongside within so many metres.
+#: Least number of others alongside, and the distance in metres within which they are.
 COMPANIONS, COMPANY_M = 2, 926.0
-#: A target without AIS within so many metres of an object alongside, and slower than this, m/s (2 kn), is alongside.
+#: A target without AIS is alongside within this distance of an object alongside, metres, below this speed, m/s (2 kn).
 BESIDE_M, SLOW_M_PER_S = 100.0, 2.0 * KNOT_M_PER_S
-#: A tentative object raises an alarm once it has been in the picture for so many seconds.
+#: A tentative object raises an alarm once it has been in the picture for this time, seconds.
 TENTATIVE_S = 30.0
 #: An object alongside is about to be hit if it will be passed at less than own ship's way in the first number of
 #: seconds, within the second: at 6 kn 46 m and 185 m.
 HIT_CPA_S, HIT_TCPA_S = 15.0, 60.0
 #: Navigational status of AIS (ITU-R M.1371): moored; not under command, at anchor, aground.
 MOORED, HAZARDS = 5.0, (1.0, 2.0, 6.0)
-#: Statuses of so many MMSIs are kept; a flood of forged ones fills no memory.
+#: Most MMSIs whose statuses are kept: a flood of forged ones fills no memory.
 MOST_STATUSES = 100_000
 
 

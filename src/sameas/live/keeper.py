@@ -47,11 +47,11 @@ ALARM_ENDS_S = 10.0
 KEPT_DELTAS = 300
 #: A source that never gave a report raises an alarm when its data have been unusable for this many seconds.
 MISFIT_S = 5.0
-#: The same if so many lines were damaged, and none of them was good.
+#: The same if this many lines were damaged and none was good.
 MISFIT_LINES = 20
 #: Largest number of sensors of a wire that are named where no source takes their reports.
 MOST_SENSORS = 20
-#: An alarm is raised if half of so many last ticks take longer than their interval by this factor.
+#: An alarm is raised if half of the last SLOW_TICKS ticks take longer than their interval by the factor SLOWER.
 SLOW_TICKS, SLOWER = 10, 1.2
 #: Largest number of alarms that are kept where there is no journal.
 MOST_UNSAVED = 500

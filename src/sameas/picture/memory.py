@@ -505,7 +505,7 @@ class TrackMemory:
         first, second = (places_in(tracks.number, number) for number in (track_pairs.first, track_pairs.second))
         rivals = Rivals.of(first, second, tracks.source[first], tracks.source[second])
         log_ratio = track_pairs.log_ratio + track_pairs.log_reported - track_pairs.log_now
-        chi_sq = DEFAULT_TUNING.manoeuvre_chi_sq if tracks.scan is None else tracks.scan.tuning.manoeuvre_chi_sq
+        chi_sq = math.inf if tracks.scan is None else tracks.scan.tuning.manoeuvre_chi_sq
         agrees = track_pairs.chi_sq <= chi_sq
         # With an agreeing rival, ids may have been swapped: the mean offset may mix several objects.
         alone = rivals.max_other(np.where(agrees, 0.0, -np.inf)) < 0.0

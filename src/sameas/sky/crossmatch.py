@@ -88,7 +88,8 @@ class CrossmatchTuning:
     duplicate_sigmas, duplicate_share : close pairs within one catalogue are doubted if they exceed the number expected
         by chance by this many standard deviations and by this share of the records.
     b1950_records, b1950_arcsec, b1950_share : with hardly any common objects the equinox of a catalogue may be B1950 if
-        this share of about so many of its records then lies that near to a record of the other, and far more than else.
+        this share of about ``b1950_records`` of its records then lies within ``b1950_arcsec`` of a record of the other,
+        and far more than else.
     sort_by_position : whether records are sorted by position. Samples of every k-th record then do not depend on the
         order of the table's rows, and neighbours on the sky are neighbours in memory (a million rows in table order
         take a third longer).

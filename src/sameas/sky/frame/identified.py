@@ -59,6 +59,9 @@ class RefinementTuning:
     least_common_px, largest_common_px, common_steps : grid of the common error of stars.
     p_sure : minimum probability of the pairs used for it. tail_share, tail_factor : share of outliers (doubles, blends)
         among them, and the factor on their errors.
+    merged_widths : two stars closer than this, in FWHM, are measured as one.
+    hidden_widths, brighter_mag : a saturated star hides others within this radius, in FWHM, that are fainter than it by
+        at least this many magnitudes.
     """
 
     margin_px: float = 2.0
@@ -80,6 +83,9 @@ class RefinementTuning:
     p_sure: float = 0.9
     tail_share: float = 0.05
     tail_factor: float = 5.0
+    merged_widths: float = 1.5
+    hidden_widths: float = 4.0
+    brighter_mag: float = 0.5
 
 
 DEFAULT_REFINEMENT = RefinementTuning()

@@ -31,13 +31,6 @@ from sameas.sky.output_columns import meta_of
 if TYPE_CHECKING:
     from astropy.table import Table
 
-#: Two stars closer than this, FWHM, are measured as one (chosen).
-MERGED_WIDTHS = 1.5
-#: Radius within which a saturated star hides others, FWHM (chosen).
-HIDDEN_WIDTHS = 4.0
-#: Minimum difference in magnitude for a saturated star to hide another (chosen).
-BRIGHTER = 0.5
-
 
 def listing(identification: FrameIdentification, *, faint: bool = True) -> Table:
     """The table of a frame; absent values are masked.
@@ -227,11 +220,11 @@ def why_missing(identification: FrameIdentification, rows: IntArray) -> list[str
     """Texts on why stars, rows (k,), were not identified: what was measured at the position of each."""
     from scipy.spatial import cKDTree
 
-    m, px = identification.measured, identification.predicted_px
+    m, px, tuning = identification.measured, identification.predicted_px, identification.tuning
     width = m.psf_fwhm_px
     owner = identification.result.answers_1.partner
     tree = cKDTree(np.column_stack([m.x_px, m.y_px]))
-    reach = [width * MERGED_WIDTHS, width * HIDDEN_WIDTHS]
+    reach = [width * tuning.merged_widths, width * tuning.hidden_widths]
     close, in_wings = (tree.query_ball_point(px[rows], radius, return_sorted=True) for radius in reach)
     edge = np.minimum(px[rows], np.array(m.shape[::-1]) - 1 - px[rows]).min(axis=1)
     words = []
@@ -246,7 +239,7 @@ def why_missing(identification: FrameIdentification, rows: IntArray) -> list[str
             words.append(_nearby_measurement(identification, int(i), int(row), owner))
         elif edge[k] < width:
             words.append("on the edge of the frame")
-        elif identification.p_detect[row] < identification.tuning.p_expected:
+        elif identification.p_detect[row] < tuning.p_expected:
             words.append(f"completeness at its magnitude {100 * identification.p_detect[row]:.0f} %")
         elif hidden:
             words.append(f"in the wings of measurement {hidden[0]}, which is saturated")
@@ -258,7 +251,8 @@ def why_missing(identification: FrameIdentification, rows: IntArray) -> list[str
 def _is_brighter(identification: FrameIdentification, i: int, row: int, owner: np.ma.MaskedArray) -> bool:
     if np.ma.getmaskarray(owner)[i]:
         return True
-    return bool(identification.stars.magnitude[owner[i]] < identification.stars.magnitude[row] - BRIGHTER)
+    magnitude = identification.stars.magnitude
+    return bool(magnitude[owner[i]] < magnitude[row] - identification.tuning.brighter_mag)
 
 
 def _nearby_measurement(identification: FrameIdentification, i: int, row: int, owner: np.ma.MaskedArray) -> str:
