@@ -11,7 +11,7 @@ from sameas.many.fusion import (
     KalmanFilter,
     bar_shalom_campo,
     covariance_intersection,
-    independent,
+    fuse_independent,
     steady_tracks,
     without_common,
 )
@@ -30,7 +30,7 @@ def covariances(rng, *shape, d=3):
 def test_independent_fusion_is_the_generalized_least_squares_estimate():
     rng = np.random.default_rng(1)
     x, p = rng.normal(size=(4, 3)), covariances(rng, 4)
-    fused = independent(x, p)
+    fused = fuse_independent(x, p)
     joint = np.zeros((12, 12))
     for k in range(4):
         joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = p[k]
@@ -43,7 +43,7 @@ def test_independent_fusion_is_the_generalized_least_squares_estimate():
 def test_large_coordinates_lose_no_precision():
     rng = np.random.default_rng(2)
     x, p = rng.normal(size=(5, 3, 2)), covariances(rng, 5, 3, d=2)
-    np.testing.assert_allclose(independent(x + 1e7, p).state - 1e7, independent(x, p).state, atol=1e-8)
+    np.testing.assert_allclose(fuse_independent(x + 1e7, p).state - 1e7, fuse_independent(x, p).state, atol=1e-8)
 
 
 def test_a_known_cross_covariance_gives_the_minimum_variance_estimate():
@@ -64,7 +64,7 @@ def test_zero_cross_covariance_equals_independent_fusion():
     rng = np.random.default_rng(4)
     x, p = rng.normal(size=(2, 3)), covariances(rng, 2)
     one = bar_shalom_campo(x[0], p[0], x[1], p[1], np.zeros((3, 3)))
-    two = independent(x, p)
+    two = fuse_independent(x, p)
     np.testing.assert_allclose(one.state, two.state, rtol=1e-9)
     np.testing.assert_allclose(one.covariance, two.covariance, rtol=1e-9)
 
@@ -118,24 +118,24 @@ def test_a_repeated_estimate_adds_no_information():
     p = np.array([[2.0, 0.3], [0.3, 1.0]])
     fused = covariance_intersection(np.ones((2, 2)), np.stack([p, p]))
     np.testing.assert_allclose(fused.covariance[0], p, rtol=1e-9)
-    np.testing.assert_allclose(independent(np.ones((2, 2)), np.stack([p, p])).covariance[0], p / 2, rtol=1e-9)
+    np.testing.assert_allclose(fuse_independent(np.ones((2, 2)), np.stack([p, p])).covariance[0], p / 2, rtol=1e-9)
 
 
 def test_the_order_of_estimates_changes_nothing():
     rng = np.random.default_rng(7)
     x, p = rng.normal(size=(4, 3)), covariances(rng, 4)
     turn = rng.permutation(4)
-    for fuse in (independent, covariance_intersection):
+    for fuse in (fuse_independent, covariance_intersection):
         np.testing.assert_allclose(fuse(x, p).state, fuse(x[turn], p[turn]).state, atol=1e-6)
 
 
 def test_invalid_estimates_are_refused_with_a_clear_message():
     with pytest.raises(InputError, match=r"give \(n, k, L\)"):
-        independent(np.zeros((2, 3)), np.zeros((2, 2, 2)))
+        fuse_independent(np.zeros((2, 3)), np.zeros((2, 2, 2)))
     with pytest.raises(InputError, match="estimate 1 is not positive definite"):
-        independent(np.zeros((2, 1)), np.array([[[1.0]], [[-1.0]]]))
+        fuse_independent(np.zeros((2, 1)), np.array([[[1.0]], [[-1.0]]]))
     with pytest.raises(InputError, match="not finite"):
-        independent(np.array([[np.nan], [0.0]]), np.ones((2, 1, 1)))
+        fuse_independent(np.array([[np.nan], [0.0]]), np.ones((2, 1, 1)))
     with pytest.raises(InputError, match="larger than the covariances allow"):
         bar_shalom_campo([0.0], [[1.0]], [0.0], [[1.0]], [[1.5]])
     with pytest.raises(InputError, match='"determinant" or "trace"'):

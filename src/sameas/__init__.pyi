@@ -39,8 +39,12 @@ from .gate import Pairs as Pairs
 from .gate import Radius as Radius
 from .io import read_table as read_table
 from .io import write_table as write_table
+from .many.fusion import Fused as Fused
 from .many.fusion import KalmanFilter as KalmanFilter
 from .many.fusion import SteadyTracks as SteadyTracks
+from .many.fusion import bar_shalom_campo as bar_shalom_campo
+from .many.fusion import covariance_intersection as covariance_intersection
+from .many.fusion import fuse_independent as fuse_independent
 from .many.fusion import steady_tracks as steady_tracks
 from .many.fusion import without_common as without_common
 from .many.identify import identify_many as identify_many

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import typer
 
 from sameas.errors import Argument, Message
-from sameas.front.options import COLUMN_OPTIONS, SIDE_OPTIONS, ColumnOption
+from sameas.front.options import COLUMN_OPTIONS, SIDE_OPTIONS, ColumnOption, replace_keywords
 
 _QUOTES = "'"
 
@@ -47,15 +47,13 @@ def with_columns(
     """
 
     def with_signature(command: Callable[..., None]) -> Callable[..., None]:
-        written = inspect.signature(command, eval_str=True)
-        kept = [p for p in written.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
-        more = [
+        of_catalogues = [
             _parameter(one, side, panel, numbered_hidden and side != "")
             for side, panel in panels.items()
             for one in options
         ]
-        command.__signature__ = written.replace(parameters=[*kept, *more])  # type: ignore[attr-defined]
-        command.__annotations__ = {p.name: p.annotation for p in (*kept, *more)}
+        replace_keywords(command, of_catalogues, eval_str=True)
+        command.__annotations__ = {p.name: p.annotation for p in inspect.signature(command).parameters.values()}
         return command
 
     return with_signature

@@ -141,14 +141,24 @@ def side_parameters(sides: int) -> list[str]:
     return [f"{one.parameter}{side or ''}" for side in range(sides + 1) for one in SIDE_OPTIONS]
 
 
+def replace_keywords(
+    function: Callable[..., Any], parameters: Sequence[inspect.Parameter], *, eval_str: bool = False
+) -> None:
+    """Puts keyword parameters into the signature of a function in place of its ``**keywords``.
+
+    eval_str : whether annotations are evaluated, as by ``inspect.signature``.
+    """
+    written = inspect.signature(function, eval_str=eval_str)
+    kept = [p for p in written.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+    function.__signature__ = written.replace(parameters=[*kept, *parameters])  # type: ignore[attr-defined]
+
+
 def with_side_options(sides: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Decorator that adds the options of this many catalogues to the signature of a function with ``**columns``."""
 
     def with_signature(function: Callable[..., Any]) -> Callable[..., Any]:
-        written = inspect.signature(function)
-        kept = [p for p in written.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
-        more = [inspect.Parameter(n, inspect.Parameter.KEYWORD_ONLY, default=None) for n in side_parameters(sides)]
-        function.__signature__ = written.replace(parameters=[*kept, *more])  # type: ignore[attr-defined]
+        names = side_parameters(sides)
+        replace_keywords(function, [inspect.Parameter(n, inspect.Parameter.KEYWORD_ONLY, default=None) for n in names])
         return function
 
     return with_signature

@@ -1,6 +1,6 @@
 """Fusion: one state from several estimates, according to the correlation of their errors.
 
-- :func:`independent`: independent errors; weights are inverse covariances.
+- :func:`fuse_independent`: independent errors; weights are inverse covariances.
 - :func:`bar_shalom_campo`: two estimates of known cross-covariance (common process noise, a shared sensor).
 - :func:`covariance_intersection`: unknown correlation; the result is consistent for any.
 
@@ -42,7 +42,7 @@ class Fused:
     weights: FloatArray | None = None
 
 
-def independent(states: ArrayLike, covariances: ArrayLike) -> Fused:
+def fuse_independent(states: ArrayLike, covariances: ArrayLike) -> Fused:
     """The estimate of least variance from k estimates with independent errors.
 
     states : (k, L), or (n, k, L) for n objects at once. covariances : (k, L, L) or (n, k, L, L).
