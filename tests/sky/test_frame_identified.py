@@ -20,7 +20,7 @@ from sameas.sky.frame.detect import detect
 from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.identified import FrameIdentification, Refinement, footprint, search_cone, solve
 from sameas.sky.frame.image import MasterFrames, read
-from sameas.sky.frame.measurements import Measurements
+from sameas.sky.frame.measurements import Flag, Measurements
 from sameas.sky.frame.outputs import ERROR_TERM_NAMES, listing, summary
 from sameas.sky.frame.photometry import Completeness, ZeroPoint
 from sameas.sky.frame.plate import Pointing, directions_deg
@@ -361,6 +361,22 @@ def test_a_nonlinear_response_is_found_and_a_linear_one_kept() -> None:
         assert zero is not None and min(len(zero.bend), 2) == terms
         assert np.median(np.abs(zero(10 ** (-0.4 * seen)) - magnitude)) < 0.05
     assert ZeroPoint.of(np.ones(2), np.ones(2), colour[:2], np.ones(2)) is None
+
+
+def test_saturated_stars_do_not_bend_the_magnitudes_of_a_linear_detector(
+    seen: Scene, found: FrameIdentification
+) -> None:
+    """They lost up to 1.5 mag, and a curve of third order was fitted through them."""
+    flux, i = seen.measured.flux.copy(), found.pairs[0]
+    bright = i[np.argsort(-flux[i])[: len(i) // 6]]
+    full = flux[bright].min()
+    flags = seen.measured.flags.copy()
+    flux[bright], flags[bright] = full * (flux[bright] / full) ** 0.5, Flag.SATURATED
+    hint = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
+    lossy = solve(replace(seen.measured, flux=flux, flags=flags), seen.catalogue, hint, epoch_jyr=2020.0)
+    assert found.zero_point is not None and lossy.zero_point is not None and not found.zero_point.bend
+    assert not lossy.zero_point.bend
+    assert abs(lossy.zero_point.zero_point - found.zero_point.zero_point) < 4 * found.zero_point.sigma
 
 
 def test_completeness_drops_where_stars_are_lost() -> None:

@@ -290,10 +290,17 @@ function diagrams() {
   el("zero").textContent = zero ? zero.words + (data.odd.length ? `; dark: ${grouped(data.odd.length)} brighter or fainter than catalogued` : "") : "no magnitudes to compare";
   el("magnitudes").hidden = !zero;
   if (zero) {
-    const [a, b] = range(known.map(i => m.inst[i]), 0.03), [p, q] = range(known.map(bright), 0.03);
-    [c, X, Y] = axes(el("magnitudes"), [b, a], [q, p], "instrumental magnitude", "catalogue magnitude");
-    dots(c, known.map(i => [m.inst[i], bright(i)]), X, Y, colour.east); dots(c, data.odd.map(i => [m.inst[i], bright(i)]), X, Y, colour.odd);
-    c.strokeStyle = colour.north; c.lineWidth = 2; c.beginPath(); data.relation.forEach(([x, y], k) => k ? c.lineTo(X(x), Y(y)) : c.moveTo(X(x), Y(y))); c.stroke();
+    // The zero point by each star: on magnitudes against each other, a scatter of hundredths is not visible.
+    const line = data.relation.filter(([x, y]) => x !== null && y !== null).map(([x, y]) => [y, y - x]), centre = line[line.length >> 1][1];
+    const high = Math.max(12 * zero.scatter_mag, 0.1, 1.2 * Math.max(...line.map(([, y]) => Math.abs(y - centre))));
+    const each = i => centre + Math.min(Math.max(bright(i) - m.inst[i] - centre, -0.98 * high), 0.98 * high);
+    const outside = known.filter(i => Math.abs(bright(i) - m.inst[i] - centre) > high).length;
+    if (outside) el("zero").textContent += `; at the edge: ${grouped(outside)} beyond ± ${fix(high, 2)} mag`;
+    const ends = range(known.map(bright), 0.03);
+    [c, X, Y] = axes(el("magnitudes"), ends, [centre - high, centre + high], "magnitude", "catalogue − instrumental [mag]");
+    dots(c, known.map(i => [bright(i), each(i)]), X, Y, colour.east); dots(c, data.odd.filter(i => bright(i) !== null).map(i => [bright(i), each(i)]), X, Y, colour.odd);
+    c.strokeStyle = colour.north; c.lineWidth = 2; c.beginPath();
+    line.filter(([x]) => x > ends[0] && x < ends[1]).forEach(([x, y], k) => k ? c.lineTo(X(x), Y(y)) : c.moveTo(X(x), Y(y))); c.stroke();
   }
   const curve = summary.brightness.completeness;
   el("shown").textContent = curve ? curve.words : "the catalogue has no magnitudes";

@@ -182,7 +182,7 @@ def _relation(found: FrameIdentification) -> list[list[float | None]]:
         return []
     measured = instrumental(found.measured.flux[found.pairs[0]])
     grid = np.linspace(np.nanmin(measured), np.nanmax(measured), 60)
-    return [[rounded(a, 3), rounded(b, 3)] for a, b in zip(grid, found.zero_point(10 ** (-0.4 * grid)), strict=True)]
+    return [[rounded(a, 5), rounded(b, 5)] for a, b in zip(grid, found.zero_point(10 ** (-0.4 * grid)), strict=True)]
 
 
 def _masked(column: np.ma.MaskedArray) -> zip[tuple[Any, Any]]:

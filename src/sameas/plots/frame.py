@@ -18,6 +18,7 @@ from sameas.plots.sheet import DOTS_PER_INCH, FAINT, FILL, FIRST, FOUND, INK, SE
 from sameas.representation import count, counted
 from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
+from sameas.sky.frame.measurements import Flag
 from sameas.sky.frame.outputs import orientation
 from sameas.sky.frame.photometry import instrumental
 
@@ -35,6 +36,8 @@ BLUE, YELLOW, RED = "#2f9bff", "#ffe14a", "#d9522e"
 NIGHT, PAPER, DIM = "#0b0d12", "#e8e6df", "#a9adb5"
 #: Maximum number of residual arrows, of the brightest identified stars.
 ARROWS = 1500
+#: Half the height of the diagram of zero points: this many times their scatter, and mag at least (chosen).
+LIMIT_SCATTERS, LEAST_LIMIT_MAG = 12.0, 0.1
 
 
 def picture(found: FrameIdentification, frame: Frame, *, brightest: int | None = None) -> Figure:
@@ -296,23 +299,33 @@ def _running(axes: Axes, magnitude: FloatArray, found: FrameIdentification) -> N
 
 
 def _magnitudes(axes: Axes, found: FrameIdentification) -> None:
-    """Catalogue magnitudes against instrumental ones, with the fitted relation."""
+    """Catalogue minus instrumental magnitudes, the zero point by each star, with the fitted relation."""
     i, j, _ = found.pairs
-    measured, zero = instrumental(found.measured.flux[i]), found.zero_point
+    zero = found.zero_point
     if zero is None or not np.isfinite(found.stars.magnitude[j]).any():
         axes.text(0.5, 0.5, "no magnitudes to compare", ha="center", transform=axes.transAxes, color=FAINT)
         tidy(axes, "", "", "magnitudes")
         return
-    corrected = found.stars.magnitude[j] - (
-        zero(found.measured.flux[i], found.stars.colour[j]) - zero(found.measured.flux[i])
-    )
-    axes.plot(measured, corrected, ".", ms=_dot(i), color=FIRST, alpha=0.5)
-    grid = np.linspace(np.nanmin(measured), np.nanmax(measured), 200)
-    axes.plot(grid, zero(10 ** (-0.4 * grid)), color=FOUND, lw=1.8)
-    axes.invert_xaxis()
-    axes.invert_yaxis()
-    colour = " of mean colour" if zero.colour_term else ""
-    tidy(axes, "instrumental magnitude, −2.5 log flux", f"magnitude{colour}, {found.stars.name}", _zero_words(found))
+    flux = found.measured.flux[i]
+    magnitude, fitted = found.stars.magnitude[j], zero(flux) - instrumental(flux)
+    by_star = fitted - found.excess_mag
+    centre = float(np.nanmedian(fitted))
+    limit = max(LIMIT_SCATTERS * zero.scatter, LEAST_LIMIT_MAG, 1.2 * float(np.nanmax(np.abs(fitted - centre))))
+    saturated = (found.measured.flags[i] & Flag.SATURATED) != 0
+    for some, colour, label in ((~saturated, FIRST, None), (saturated, SECOND, "saturated")):
+        if some.any():
+            shown = np.clip(by_star[some], centre - 0.98 * limit, centre + 0.98 * limit)
+            axes.plot(magnitude[some], shown, ".", ms=_dot(i), color=colour, alpha=0.5, label=label)
+    within = (zero(flux) >= np.nanmin(magnitude)) & (zero(flux) <= np.nanmax(magnitude))
+    order = np.flatnonzero(within)[np.argsort(zero(flux)[within])]
+    axes.plot(zero(flux)[order], fitted[order], color=FOUND, lw=1.8)
+    axes.set_ylim(centre - limit, centre + limit)
+    if saturated.any():
+        axes.legend(frameon=False, fontsize=9.5, loc="upper right")
+    beyond = int(np.count_nonzero(np.abs(by_star - centre) > limit))
+    words = _zero_words(found) + (f"; {beyond} beyond the edges" if beyond else "")
+    axes.ticklabel_format(axis="y", useOffset=False)
+    tidy(axes, f"magnitude, {found.stars.name}", "catalogue minus instrumental magnitude", textwrap.fill(words, 58))
 
 
 def _zero_words(found: FrameIdentification) -> str:
@@ -321,7 +334,7 @@ def _zero_words(found: FrameIdentification) -> str:
     words = f"zero point {zero.words}"
     if zero.colour_term:
         words += f", colour term {zero.colour_term:+.3f}".replace("-", "−")
-    return f"{words}; scatter {zero.scatter:.2f} mag"
+    return f"{words}; scatter {zero.scatter:.3f} mag"
 
 
 def _complete(axes: Axes, found: FrameIdentification) -> None:

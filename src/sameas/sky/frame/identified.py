@@ -48,6 +48,7 @@ class RefinementTuning:
     pairs_beyond_linear : with more pairs than this the first plate may have an order above 1.
     saturated_mag : standard error of the magnitude of a saturated star, which loses part of its light.
     min_p_detect : minimum detection probability of a candidate star.
+    calibrators : unblended, or else unsaturated, stars from which the zero point is taken from these alone.
     few_pairs : with fewer pairs the root mean square is used instead of the robust scatter.
     limit_quantile, shallow_share : quantile of the identified magnitudes taken as the limit of the catalogue, and the
         minimum share of all measurements that are fainter and unidentified in a shallow catalogue.
@@ -69,6 +70,7 @@ class RefinementTuning:
     saturated_mag: float = 0.5
     pairs_beyond_linear: int = 30
     min_p_detect: float = 0.01
+    calibrators: float = 60.0
     few_pairs: int = 20
     limit_quantile: float = 0.98
     shallow_share: float = 0.2
@@ -267,12 +269,28 @@ def identify_frame(
         if converged and iteration > 1:
             break
     i, j, p = result.matches.rows_1, result.matches.rows_2, result.matches.p_match
-    zero = ZeroPoint.of(measured.flux[i], stars.magnitude[j], stars.colour[j], p)
+    zero = _zero_point(measured, stars, i, j, p, tuning)
     notes = _notes(result, estimate, plate, converged)
     return FrameIdentification(
         measured, stars, placement, plate, result, estimate, px, covariance, candidate, zero, completeness, iteration,
         converged, notes, tuning,
     )  # fmt: skip
+
+
+def _zero_point(
+    measured: Measurements, stars: StarField, i: IntArray, j: IntArray, p: FloatArray, tuning: RefinementTuning
+) -> ZeroPoint | None:
+    """The zero point of unblended stars, if they are too few of all unsaturated ones, or of all.
+
+    Saturated stars have lost light, and blended ones keep some of their neighbours': with them, a linear detector would
+    seem to need a curve.
+    """
+    known = np.isfinite(stars.magnitude[j])
+    for bits in (Flag.SATURATED | Flag.BLENDED, Flag.SATURATED, 0):
+        used = np.where((measured.flags[i] & np.uint16(bits)) == 0, p, 0.0)
+        if used[known].sum() >= tuning.calibrators:
+            break
+    return ZeroPoint.of(measured.flux[i], stars.magnitude[j], stars.colour[j], used)
 
 
 def _first_plate(
