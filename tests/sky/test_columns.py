@@ -447,3 +447,15 @@ def test_the_axes_of_an_ellipse_without_a_unit_have_the_same_one() -> None:
     catalogue = Catalogue.of(table, "x", options=CatalogueOptions(ellipse="a,b,pa"))
     assert "a, b [arcsec, guessed by its size]" in catalogue.interpretation[1]
     assert str(catalogue.doubts[0]).startswith("the unit of a, b is not stated; by its size arcsec")
+
+
+def test_an_error_that_is_used_for_the_parallax_is_not_said_to_be_unused():
+    """The listing named parallax_error as the parallax's, and below as not used."""
+    table = Table({"ra": [10.0, 11.0], "dec": [1.0, 2.0], "parallax": [1.0, 2.0], "parallax_error": [0.1, 0.1],
+                   "pmra": [1.0, 1.0], "pmdec": [1.0, 1.0]})  # fmt: skip
+    for name, unit in (("ra", "deg"), ("dec", "deg"), ("parallax", "mas"), ("parallax_error", "mas")):
+        table[name].unit = unit
+    found = choose(table, CatalogueOptions(), "gaia")
+    assert found.motion_errors[0].name == "parallax_error" and not any(
+        "parallax_error" in str(note) for note in found.notes
+    )

@@ -458,14 +458,14 @@ def column_lines(columns: ColumnEvidence, names: tuple[str, str]) -> list[str]:
 def _completeness(curve: DetectionCurve) -> str:
     """The largest completeness, and the magnitude at which it falls to half of that."""
     best = int(np.argmax(curve.probability - curve.standard_error))
-    words = f"{percent(curve.probability[best])} at {curve.band} {curve.edges[best]:g}–{curve.edges[best + 1]:g}"
+    words = f"{100 * curve.probability[best]:.1f} % at {curve.band} {curve.edges[best]:g}–{curve.edges[best + 1]:g}"
     fainter = np.flatnonzero(curve.probability[best:] < 0.5 * curve.probability[best]) + best
     if len(fainter):
         k = int(fainter[0])
         low, high, half = curve.probability[k], curve.probability[k - 1], 0.5 * curve.probability[best]
         at = curve.middle[k] + (half - low) / (high - low) * (curve.middle[k - 1] - curve.middle[k])
         return f"{words}, half as many at {at:.1f}"
-    return f"{words}, {percent(curve.probability[-1])} of the faintest"
+    return f"{words}, {100 * curve.probability[-1]:.1f} % of the faintest"
 
 
 def _errors_in_words(match: SkyMatch) -> str:

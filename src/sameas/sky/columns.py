@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -234,7 +234,8 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
     if magnitude is None and options.magnitude is None:
         notes = (*notes, *_unused_bands(search))
     if error.kind == "unknown":
-        notes = (*notes, *_unused_errors(search))
+        used = {getattr(column, "name", column) for column in (*motion_errors, magnitude_error)}
+        notes = (*notes, *_unused_errors(search, used))
         survey_errors = survey_of(convention.title, _year(search, epoch), _texts(search))
         error = error if survey_errors is None else PositionError("survey", survey=survey_errors)
     choice = ColumnChoice(
@@ -673,12 +674,13 @@ def _bands(search: ColumnSearch) -> dict[str, u.UnitBase | None]:
     }
 
 
-def _unused_errors(search: ColumnSearch) -> tuple[Message, ...]:
-    """A note if columns that are named as errors are angles, by their unit."""
+def _unused_errors(search: ColumnSearch, used: Collection[str | None]) -> tuple[Message, ...]:
+    """A note if columns that are named as errors are angles, by their unit, without those used for something else."""
     names = [
         name
         for name in search.table.colnames
-        if _ERROR_WORDS.search(name)
+        if name not in used
+        and _ERROR_WORDS.search(name)
         and (unit := column_values.unit_of(search.table, name)) is not None
         and unit.is_equivalent(u.deg)
     ]
