@@ -36,8 +36,6 @@ class GradesTuning:
     records_per_cell, max_grades : records of the poorer source per cell of the table of two grades, and greatest
         number of grades.
     pseudo_count : pseudo-pairs per cell of the table, distributed as for unrelated grades.
-    max_loss : the most that the uncertainty of a cell's count takes from its logarithm: a rare pair must stay
-        possible.
     min_gain : the evidence is used if twice its gain in ln likelihood exceeds this per cell of the table.
         Uninformative grades stay below 4, even in crowded fields with uncertain pairs; for stars it reaches 30 and
         more.
@@ -54,7 +52,6 @@ class GradesTuning:
     records_per_cell: float = 20.0
     max_grades: int = 16
     pseudo_count: float = 0.1
-    max_loss: float = 1.0
     min_gain: float = 6.0
     shared_pseudo_count: float = 2.0
     records_per_sky_cell: float = 25.0
@@ -148,14 +145,17 @@ class Grades:
         cls, setting: Setting, photometry: Photometry | None, tuning: GradesTuning = DEFAULT_GRADES
     ) -> Grades | None:
         """Before any fit; None with too few records, or with equal errors in both sources."""
-        number = min(int(math.sqrt(min(setting.n_counted) / tuning.records_per_cell)), tuning.max_grades)
+        cells = min(setting.n_counted) / tuning.records_per_cell
+        number = min(int(math.sqrt(cells)), tuning.max_grades)
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
         if number < 2 or all(volume.max() < tuning.min_volume_ratio * volume.min() for volume in volumes):
             return None
-        one, two = (
-            Scale.of(volume, magnitude, number, tuning)
-            for volume, magnitude in zip(volumes, _magnitudes(photometry), strict=True)
-        )
+        magnitudes = _magnitudes(photometry)
+        one, two = (Scale.of(*side, number, tuning) for side in zip(volumes, magnitudes, strict=True))
+        if one.apart or two.apart:
+            # Grades of their own for records without a magnitude must not make the table of pairs sparse.
+            number = max(min(int(math.sqrt(cells / (1 + one.apart) / (1 + two.apart))), tuning.max_grades), 1)
+            one, two = (Scale.of(*side, number, tuning) for side in zip(volumes, magnitudes, strict=True))
         placed = _grades_and_cells((one, two), volumes, setting, photometry, tuning)
         return cls((one, two), *placed, by_magnitude=photometry is not None, tuning=tuning)
 
@@ -195,8 +195,7 @@ class Grades:
         information = np.zeros((k1, k2))
         count_pairs(pairs.i, pairs.j, *self.grades, p_counted**2, information)
         information += pseudo
-        loss = np.minimum(0.5 / information, self.tuning.max_loss)
-        log_ratio = np.log(counted / counted.sum()) - loss - np.log(chance)
+        log_ratio = np.log(counted / counted.sum()) - np.log(chance)
         # The pair's own contribution to ln of the count, subtracted from its evidence: without it the count of its
         # cell falls by p / Σ p², because the other pairs become less probable, but not below the pseudo-pairs.
         remaining = np.maximum(1.0 - p_counted / information.ravel()[at], (pseudo / counted).ravel()[at])
