@@ -118,3 +118,28 @@ def many_blocks(rng, draw, blocks=40, most=5):
             ratios[n1 + i, n2 + j] = x
         n1, n2 = n1 + int(a), n2 + int(b)
     return n1, n2, ratios
+
+
+def counterparts_of_ellipses(rng, *, n=600, share=0.85, factor=1.0):
+    """X-ray sources in a dense catalogue, about six of its records within 3σ: the sources (n), the catalogue, the
+    partner of every source (−1 for none) and the catalogue's magnitudes, whose partners are brighter.
+
+    factor : of the true errors to the quoted ones, ellipses of 3 to 8 arcsec.
+    """
+    n_other, side = 20_000, 2546.0
+    place, magnitude = rng.uniform(0.0, side, (n_other, 2)), 26.0 + np.log10(rng.uniform(1e-3, 1.0, n_other)) / 0.3
+    weight = np.exp(-1.3 * magnitude)
+    found = rng.choice(n_other, rng.binomial(n, share), replace=False, p=weight / weight.sum())
+    partner = rng.permutation(np.concatenate([found, np.full(n - len(found), -1)]))
+    centre = np.where(partner[:, None] >= 0, place[partner], rng.uniform(0.0, side, (n, 2)))
+    major, angle = np.exp(rng.uniform(np.log(3.0), np.log(8.0), n)), rng.uniform(0.0, np.pi, n)
+    axes = np.stack([major, major * rng.uniform(0.5, 1.0, n)], axis=1)
+    root = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)
+    root = root * axes[:, None, :]
+    measured = centre + factor * np.einsum("nvw,nw->nv", root, rng.standard_normal((n, 2)))
+    first = Records.of(measured, covariance=root @ root.transpose(0, 2, 1), source="sources")
+    sigma = rng.uniform(0.1, 0.3, n_other)
+    second = Records.of(
+        place + factor * sigma[:, None] * rng.standard_normal((n_other, 2)), sigma=sigma[:, None], source="catalogue"
+    )
+    return first, second, partner, magnitude

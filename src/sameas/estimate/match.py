@@ -178,9 +178,8 @@ class Estimate:
     @cached_property
     def quantities(self) -> Mapping[str, Quantity]:
         """All numbers by name, with standard errors; see ``sameas.estimate.quantity.quantities``."""
-        return quantities(
-            self.answer, self.coverage, self.photometry, errors=self.errors_estimated, learned_from=self.learned_from
-        )
+        errors = self.errors if self.errors_estimated else None
+        return quantities(self.answer, self.coverage, self.photometry, errors=errors, learned_from=self.learned_from)
 
     @property
     def detection_1(self) -> DetectionCurve | None:
@@ -736,7 +735,7 @@ def _notes(result: _GateResult, common: float) -> tuple[str, ...]:
             else "the quoted errors are used"
         )
         notes.append(f"too few pairs ({common:.1f}) to judge the errors; {consequence}")
-    if estimates.photometry is not None and estimates.photometry.chains is None:
+    if estimates.photometry is not None and not estimates.photometry.has_relation:
         few = f"too few pairs with magnitudes of both (of {common:.1f})"
         notes.append(f"{few} to fit the magnitudes; they are not used")
     relation = None if estimates.photometry is None else estimates.photometry.first_relation

@@ -58,6 +58,8 @@ class RelationTuning:
         give no noticeable gain.
     curve_records, curve_records_in_em, own_band_records : records for a curve of the shares, in the last fit and in
         EM iterations, and for relations between bands of a source. shares : of the curves of the shares.
+    max_curve_factor : the records for a curve are those of a share of one half; with other shares more have the same
+        information, up to this factor.
     """
 
     pseudo_unrelated: float = 0.5
@@ -78,6 +80,7 @@ class RelationTuning:
     curve_records: int = 2_000
     curve_records_in_em: int = 1_000
     own_band_records: int = 1_000
+    max_curve_factor: float = 50.0
     shares: ShareTuning = DEFAULT_SHARES
 
 
@@ -299,8 +302,12 @@ class Photometry:
             _fit_chain(side, compared.tilted(tilt), np.where(used, p_pair, 0.0), start, tilt, tuning, last=last)
             for side, compared, start, tilt in zip(self.sides, sides, previous, tilts, strict=True)
         )
-        chains = (forth, back) if any(forth.related) and any(back.related) else None
-        return replace(self, chains=chains, curves=curves)
+        return replace(self, chains=(forth, back), curves=curves)
+
+    @property
+    def has_relation(self) -> bool:
+        """Whether the magnitudes of both sources were compared: enough pairs have both."""
+        return self.chains is not None and all(any(chain.related) for chain in self.chains)
 
     @property
     def share_missing(self) -> float:
@@ -328,7 +335,7 @@ class Photometry:
     @property
     def is_fitted(self) -> bool:
         """Whether there is any fit."""
-        return self.chains is not None or self.curves != (None, None)
+        return self.has_relation or self.curves != (None, None)
 
     @property
     def first_relation(self) -> Relation | None:
@@ -464,7 +471,9 @@ def _fit_curve(
     n_records = tuning.curve_records if last else tuning.curve_records_in_em
     magnitude = side.measured.values[:, 0]
     rows = np.flatnonzero(np.isfinite(magnitude) & covered)
-    rows = rows[:: max(1, -(-len(rows) // n_records))]
     if len(rows) < tuning.min_pairs:
         return None
+    mean = float(p_partner[rows].mean())
+    n_records = int(n_records * min(0.25 / max(mean * (1.0 - mean), 1e-9), tuning.max_curve_factor))
+    rows = rows[:: max(1, -(-len(rows) // n_records))]
     return ShareCurve.fit(magnitude[rows], share[rows], p_partner[rows], previous, tuning.shares)

@@ -335,7 +335,7 @@ class SourceMagnitudes:
                     without = regressors.of_own(band).log_density(alone[earlier], background)
                     comparisons.append(Comparison(regressors, background, without))
             bands.append(tuple(comparisons))
-        return Comparisons(len(rows), tuple(bands))
+        return Comparisons(len(rows), tuple(bands), own.values[:, 0])
 
 
 @in_short
@@ -350,10 +350,11 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Comparisons:
-    """The comparisons of m pairs, per band of one source."""
+    """The comparisons of m pairs, per band of one source. first_band : (m,) magnitudes in the first, NaN if missing."""
 
     m: int
     bands: tuple[tuple[Comparison, ...], ...]
+    first_band: FloatArray
 
     def tilted(self, tilt: PartnerTilt | None) -> Comparisons:
         """The same with the magnitudes of records with a partner as background of the first band."""
@@ -370,7 +371,8 @@ class Chain:
 
     ``related[k]`` holds the density of band k given its source's earlier bands and the other source's, by pattern of
     the measured ones. A pattern without a relation, because hardly any pair has it, adds nothing. tilt : of the first
-    band of pairs with unrelated magnitudes; None if these are distributed like those of all records.
+    band of pairs with unrelated magnitudes, or without a magnitude of the other source; None if these are distributed
+    like those of all records.
     """
 
     related: tuple[Mapping[Pattern, Relation], ...]
@@ -379,12 +381,15 @@ class Chain:
     def log_ratio(self, compared: Comparisons) -> FloatArray:
         """(m,) for the compared magnitudes of the pairs."""
         total = np.zeros(compared.m)
-        for related, comparisons in zip(self.related, compared.tilted(self.tilt).bands, strict=True):
+        for band, (related, comparisons) in enumerate(zip(self.related, compared.tilted(self.tilt).bands, strict=True)):
+            if band == 0 and self.tilt is not None:
+                known = np.isfinite(compared.first_band)
+                total[known] = self.tilt(compared.first_band[known])
             for comparison in comparisons:
                 regressors, relation = comparison.regressors, related.get(comparison.regressors.pattern)
                 if relation is not None:
-                    log_density = regressors.log_density(relation, comparison.background)
-                    total[regressors.rows] += log_density - comparison.log_without
+                    gain = regressors.log_density(relation, comparison.background) - comparison.log_without
+                    total[regressors.rows] = gain if band == 0 else total[regressors.rows] + gain
         return total
 
 

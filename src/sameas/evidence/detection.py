@@ -223,8 +223,10 @@ class ShareCurve:
         """The curve of greatest penalised likelihood, from magnitudes (n,), shares at the records' positions, and the
         probabilities of a partner; a few steps from ``start`` if given."""
         if start is None:
-            weights = np.ones(len(magnitude))
-            knots = knots_of(magnitude, weights, tuning.per_knot, tuning.max_knots, tuning.sorted_values)
+            # Records with and without a partner in equal parts; with a share of one half, every record counts as one.
+            mean = min(max(float(p_partner.mean()), tuning.min_share), 1.0 - tuning.min_share)
+            weights = 2.0 * ((1.0 - mean) * p_partner + mean * (1.0 - p_partner))
+            knots = knots_of(magnitude, weights, tuning.per_knot, tuning.max_knots, len(magnitude))
             start = cls(knots, np.zeros(len(knots)), tuning)
         from sameas.kernels.relation import climb
 
