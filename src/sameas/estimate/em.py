@@ -180,6 +180,14 @@ class Estimates:
             excess = clustering(self.setting, tuning)
         return replace(self, companions=None if excess is None else Companions.of(excess, self.setting, tuning))
 
+    def _change(self, partner: Both) -> float:
+        """Sum of the changes of the counted records' probabilities of a partner, in the source with the smaller sum.
+
+        Not the change of their sum: it passes through 0 while errors and shares still move in opposite directions.
+        """
+        changes = zip(self.p_partner, partner, self.counted, strict=True)
+        return min(float(np.abs(new - old)[counted].sum()) for old, new, counted in changes)
+
     def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Estimates:
         local_shares = _local_shares(self.setting, partner, counted)
         return replace(self, p_partner=partner, counted=counted, local_shares=local_shares)
@@ -317,7 +325,7 @@ class Estimates:
         )
         p_counted = self.setting.p_counted(p_pair)
         n_common = float(p_counted.sum())
-        change = 0.0 if math.isnan(self.change) else n_common - self.n_common
+        change = 0.0 if math.isnan(self.change) else self._change(partner)
         estimates = replace(self, n_common=n_common, change=change)
         estimates = estimates._with_partners(partner, self.setting.counted)
         companions, least = self.companions, self.tuning.min_companion_share

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, median, weighted_median
+from sameas.arrays import BoolArray, FloatArray, IntArray, median, weighted_median
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.photometry import Photometry
+from sameas.evidence import Errors
+from sameas.evidence.detection import Hats
 from sameas.gate.gate import quantile
 from sameas.kernels import threads
 from sameas.result import Identification
@@ -19,6 +21,10 @@ from sameas.space import Sphere
 
 #: Greatest share of the information on a share that may be missing.
 MAX_MISSING = 0.95
+#: Lower limit of the information on a parameter: a prior of ± 6 on curves of shares, and far wider on the rest.
+LEAST_INFORMATION = 1.0 / 36.0
+#: Records whose scores are computed, at most, and least probability of their pairs.
+MOST_SCORED, LEAST_SCORED = 20_000, 1e-6
 #: Decimals of a printed quantity; one that needs more is printed with an exponent (chosen).
 MOST_DECIMALS = 6
 
@@ -51,17 +57,18 @@ def quantities(
     coverage: Coverage,
     photometry: Photometry | None,
     *,
-    errors: bool,
+    errors: Errors | None,
     learned_from: tuple[int, int],
 ) -> Mapping[str, Quantity]:
-    """All estimated numbers; ``errors`` says whether the error scale was estimated.
+    """All estimated numbers; ``errors`` are those of the evidence if they were estimated, else None.
 
     common : number of common objects. share_1, share_2 : probability that the other source shows a covered record.
     density_common, density_only_1, density_only_2 : per (unit of the residuals)^d where both observe.
     error_scale : factor on the quoted errors. zero_point, scatter, colour_BAND, brightness_unrelated : of the
     magnitudes, see :func:`_of_relation`. learned_from : number of records of each source used for the estimates.
     """
-    works = [partial(_Share.of, answer, coverage, source, learned_from[source - 1]) for source in (1, 2)]
+    scores = _Scores(errors, photometry)
+    works = [partial(_Share.of, answer, coverage, source, learned_from[source - 1], scores) for source in (1, 2)]
     shares = threads.each(works, len(answer.pairs))
     best = min(shares, key=lambda share: share.count_error)
     common = Quantity(best.found, best.count_error)
@@ -74,7 +81,7 @@ def quantities(
         for name, number in counts.items():
             error = math.sqrt(max(number, 0.5) + common.standard_error**2)
             quantities[name] = Quantity(number / volume, error / volume, unit)
-    if errors:
+    if errors is not None:
         quantities["error_scale"] = _error_scale(answer)
     if photometry is not None:
         quantities |= _of_relation(photometry)
@@ -86,46 +93,111 @@ class _Share:
     """Of ``number`` covered records, ``found`` are expected to have a partner; ``unsure`` is Σ p(1 − p).
 
     left_out : ratio of records not used for the estimate to those used, 0 if all were used.
+    parameter_variance : variance of ``found`` because its parameters are estimated, if from all records.
     """
 
     number: int
     found: float
     unsure: float
     left_out: float
+    parameter_variance: float
 
     @classmethod
-    def of(cls, answer: Identification, coverage: Coverage, source: int, learned_from: int) -> _Share:
+    def of(cls, answer: Identification, coverage: Coverage, source: int, learned_from: int, scores: _Scores) -> _Share:
         records, at = (answer.first, answer.pairs.i) if source == 1 else (answer.second, answer.pairs.j)
-        partner = np.clip(np.bincount(at, answer.p_pair, len(records)), 0.0, 1.0)
         covered = coverage.covered[source - 1]
-        partner = np.compress(covered, partner)
-        unsure = float((partner * (1.0 - partner)).sum())
-        return cls(len(partner), float(partner.sum()), unsure, len(records) / max(learned_from, 1) - 1.0)
+        all_partners = np.minimum(np.bincount(at, answer.p_pair, len(records)).astype(np.float64), 1.0)
+        partner = np.compress(covered, all_partners)
+        number, found, unsure = len(partner), float(partner.sum()), float((partner * (1.0 - partner)).sum())
+        variance = scores.variance(answer, source, covered, all_partners)
+        return cls(number, found, unsure, len(records) / max(learned_from, 1) - 1.0, variance)
 
     @property
     def share(self) -> float:
-        return (self.found + 0.5) / (self.number + 1.0)
-
-    @property
-    def missing(self) -> float:
-        """The share of the information that is missing because pairs are uncertain."""
-        whole = self.number * self.share * (1.0 - self.share)
-        return min(self.unsure / max(whole, 1e-300), MAX_MISSING)
+        return _share(self.found, self.number)
 
     @property
     def count_error(self) -> float:
-        """Standard error of ``found`` as the number of true pairs, including that of the estimated share.
-
-        The error of a share estimated from a sample contributes in proportion to the missing information.
-        """
-        return math.sqrt(self.unsure / (1.0 - self.missing) * (1.0 + self.missing**2 * self.left_out))
+        """Standard error of ``found`` as the number of true pairs, including that of the estimated parameters."""
+        return math.sqrt(self.unsure + (1.0 + self.left_out) * self.parameter_variance)
 
     def quantity(self) -> Quantity:
         """The share as a probability."""
+        number = max(self.number, 1)
         binomial = self.share * (1.0 - self.share) / (self.number + 1.0)
-        sampling = self.unsure * self.missing**2 * self.left_out / max(self.number, 1) ** 2
-        error = math.sqrt((binomial + sampling) / (1.0 - self.missing))
-        return Quantity(self.found / max(self.number, 1), error)
+        parameters = (self.unsure + (1.0 + self.left_out) * self.parameter_variance) / number**2
+        return Quantity(self.found / number, math.sqrt(binomial + parameters))
+
+
+def _share(found: float, number: int) -> float:
+    """The share of ``number`` records, with half a record of each kind more."""
+    return (found + 0.5) / (number + 1.0)
+
+
+@dataclass(frozen=True)
+class _Scores:
+    """What changes the probabilities of all pairs together, if estimated: the errors' scale, the shares by magnitude.
+
+    errors : of the evidence, or None if they were not estimated. photometry : or None.
+    """
+
+    errors: Errors | None
+    photometry: Photometry | None
+
+    def variance(self, answer: Identification, source: int, covered: BoolArray, partner: FloatArray) -> float:
+        """Variance of the expected number of partners, Σ p over the ``covered`` records of a source (n,), because
+        parameters θ are estimated: gᵀ I⁻¹ g, with g = ∂Σp/∂θ and the information I = Σ s sᵀ.
+
+        The score s of a record is the expected score of the complete data [Louis 1982]: p − share for the logit of the
+        share, Σ_j p_j ∂ ln(density of pair j)/∂θ for others; then ∂p/∂θ is 1 − p times it. Competition between records
+        is ignored.
+        """
+        pairs = answer.pairs
+        own, other = (pairs.i, pairs.j) if source == 1 else (pairs.j, pairs.i)
+        step = max(1, -(-len(covered) // MOST_SCORED))
+        chosen = np.zeros(len(covered), np.bool_)
+        chosen[::step] = covered[::step]
+        place = np.cumsum(chosen) - 1
+        used = np.flatnonzero(chosen[own] & (answer.p_pair > LEAST_SCORED))
+        at, weight, p = place[own[used]], answer.p_pair[used], partner[chosen]
+        share = _share(float(p.sum()), len(p))
+        whole, unsure = len(p) * share * (1.0 - share), float((p * (1.0 - p)).sum())
+        others = [
+            np.bincount(at, weight * values, len(p))
+            for values in self._of_pairs(answer, used, source, other[used].astype(np.int64))
+        ]
+        scores = np.column_stack([p - share, *others])
+        information = scores.T @ scores + LEAST_INFORMATION * np.eye(scores.shape[1])
+        information[0, 0] = max(whole - unsure, (1.0 - MAX_MISSING) * whole, LEAST_INFORMATION)
+        gradient = np.append(unsure, (1.0 - p) @ scores[:, 1:])
+        return step * float(gradient @ np.linalg.solve(information, gradient))
+
+    def _of_pairs(self, answer: Identification, used: IntArray, source: int, other: IntArray) -> Iterator[FloatArray]:
+        """(u,) derivatives of the ln density of pairs ``used`` (u,), whose other records are these, by each parameter
+        besides the share."""
+        if self.errors is not None:
+            yield _scale_scores(answer, self.errors, used)
+        curve = None if self.photometry is None else self.photometry.curves[2 - source]
+        if self.photometry is None or curve is None:
+            return
+        magnitude = self.photometry.sides[2 - source].measured.values[other, 0]
+        known, weight = np.isfinite(magnitude), answer.p_pair[used]
+        hats = Hats.at(curve.knots, np.where(known, magnitude, curve.knots[0]))
+        for knot in np.eye(len(curve.knots)):
+            basis = np.where(known, hats.curve(knot), 0.0)
+            # The magnitudes of the partners are a density: a common factor is part of the share.
+            yield np.where(known, basis - weight @ basis / max(float(weight[known].sum()), 1e-300), 0.0)
+
+
+def _scale_scores(answer: Identification, errors: Errors, used: IntArray) -> FloatArray:
+    """(u,) derivatives of the ln densities of the residuals of pairs ``used`` (u,) by ln of a factor on all errors."""
+    square, d = errors.pairs(answer.pairs.part(used)).mahalanobis_sq, answer.pairs.d
+    density, score = np.zeros(len(square)), np.zeros(len(square))
+    for scale, share in zip(errors.scales, errors.shares, strict=True):
+        normal = share * scale**-d * np.exp(-0.5 * square / scale**2)
+        density += normal
+        score += normal * (square / scale**2 - d)
+    return np.divide(score, density, out=np.zeros(len(square)), where=density > 0.0)
 
 
 def _error_scale(answer: Identification) -> Quantity:
