@@ -170,7 +170,7 @@ def test_in_a_crowd_pairs_are_equal_and_probabilities_nearly_equal(tmp_path):
 @pytest.mark.slow
 def test_probabilities_of_percolating_groups_do_not_depend_on_the_halo_boundary(tmp_path):
     """Whether a group is summed exactly must depend on the whole group, not only on its part in the halo."""
-    tables = sky((0.0, 0.0), 12_000, 1.5, seed=2)
+    tables = sky((0.0, 0.0), 12_000, 2.2, seed=2)
     work = sameas.match(
         *stored(tmp_path, tables, (50_000, 50_000)), sigma="pos_err", sigma_unit="arcsec"
     ).estimated.work
@@ -185,10 +185,13 @@ def test_probabilities_of_percolating_groups_do_not_depend_on_the_halo_boundary(
         return max((abs(p - truth[i, j]) for i, j, p in stated), default=0.0)
 
     numbers, rows = np.unique(one.stored >> 2 * (29 - 13), return_counts=True)
-    cell = Cell(13, int(numbers[rows.argmax()]))
-    first = work.decide_patch(Patch(cell.order, np.array([cell.number])), work.halo_arcsec)
-    assert first.n_doubtful > 0 and error(first, work.identified(first.one, first.two)) > 1e-6
-    parts = work.decide([cell])
+
+    def first_differs(cell):
+        first = work.decide_patch(Patch(cell.order, np.array([cell.number])), work.halo_arcsec)
+        return first.n_doubtful > 0 and error(first, work.identified(first.one, first.two)) > 1e-6
+
+    busiest = [Cell(13, int(number)) for number in numbers[np.argsort(-rows)]]
+    parts = work.decide([next(filter(first_differs, busiest[:12]))])
     assert max(error(part, part.result) for part in parts) < 1e-9 and parts[-1].n_doubtful == 0
 
 
