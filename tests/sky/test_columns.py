@@ -13,7 +13,7 @@ from sameas.errors import InputError
 from sameas.sky import Catalogue
 from sameas.sky.column_choice import CatalogueOptions, ColumnChoice
 from sameas.sky.columns import choose
-from sameas.sky.conventions import CONVENTIONS
+from sameas.sky.conventions import CONVENTIONS, ErrorNames
 
 GAIA = ["source_id", "ra", "dec", "ra_error", "dec_error", "ra_dec_corr", "ref_epoch", "phot_g_mean_mag"]
 GAIA_MOTION = ["parallax", "parallax_error", "pmra", "pmra_error", "pmdec", "pmdec_error", "pmra_pmdec_corr"]
@@ -397,7 +397,7 @@ def test_positions_of_des_are_chosen_among_those_of_sextractor() -> None:
 
 def test_every_convention_is_recognised_by_its_own_names() -> None:
     for convention in CONVENTIONS:
-        error = convention.errors[0]
+        error = convention.errors[0] if convention.errors else ErrorNames("axes", ())
         table = made(*convention.position, *convention.marks[:1], *error.names)
         choice = chosen(table, sigma_unit=None if error.unit else "arcsec")
         assert names_of(choice) == [*convention.position, *error.names], convention.title
@@ -459,3 +459,67 @@ def test_an_error_that_is_used_for_the_parallax_is_not_said_to_be_unused():
     assert found.motion_errors[0].name == "parallax_error" and not any(
         "parallax_error" in str(note) for note in found.notes
     )
+
+
+@pytest.mark.parametrize(
+    ("columns", "title", "error", "epoch", "magnitude"),
+    [
+        # Names ignore case: e_gmag of SDSS and DES was Gaia's e_Gmag, and Gaia's errors were assumed.
+        (("RA_ICRS", "DE_ICRS", "CoadID", "gmag", "e_gmag"), "plain names", (), None, "gmag"),
+        (("RA_ICRS", "DE_ICRS", "objID", "e_RA_ICRS", "e_DE_ICRS", "gmag", "e_gmag"), "plain names",
+         ("e_RA_ICRS", "e_DE_ICRS"), None, "gmag"),
+        # A cross-identification with Hipparcos is not its catalogue of 1991.25.
+        (("RAJ2000", "DEJ2000", "e_RAJ2000", "e_DEJ2000", "TIC", "HIP", "Tmag", "RAdeg", "DEdeg"),
+         "TESS Input Catalog at VizieR (IV/38, IV/39)", ("e_RAJ2000", "e_DEJ2000"), 2000.0, "Tmag"),
+        (("ra", "dec", "e_RA", "e_Dec", "ID", "Tmag"), "TESS Input Catalog", ("e_RA", "e_Dec"), 2000.0, "Tmag"),
+        # 4XMM has a RADEC_ERR beside its POSERR and was refused.
+        (("RA", "DEC", "POSERR", "RADEC_ERR", "SYSERRCC", "SC_RA", "SC_DEC", "SC_POSERR"), "XMM-Newton", ("POSERR",),
+         None, None),
+        (("RA_ICRS", "DE_ICRS", "4XMM", "ePos"), "XMM-Newton at VizieR", ("ePos",), None, None),
+        (("RA_ICRS", "DE_ICRS", "1eRASS", "ePos"), "eROSITA at VizieR", ("ePos",), None, None),
+        (("RAICRS", "DEICRS", "2CXO", "r0", "r1", "PA"), "Chandra Source Catalog at VizieR (IX/57)", ("r0", "r1", "PA"),
+         None, None),
+        (("ra", "dec", "objid", "nuv_mag", "fuv_mag", "nuv_poserr", "fuv_poserr"), "GALEX", ("nuv_poserr",), None,
+         "nuv_mag"),
+        # Any table may have an objID: SDSS' errors are not assumed for it.
+        (("ra", "dec", "objid"), "SDSS, by its objID", (), None, None),
+        (("RA", "Dec", "objid", "plx", "dplx", "pmra", "dpmra", "pmdec", "dpmdec", "Gaia"), "ATLAS Refcat2", (), 2015.5,
+         "Gaia"),
+        (("RAgaia", "DEgaia", "e_RAgaia", "e_DEgaia", "EPucac", "RAucac", "DEucac", "pmUR", "pmUD", "Gmag"),
+         "UCAC5 (I/340)", ("e_RAgaia", "e_DEgaia"), 2015.0, "Gmag"),
+        (("objectId", "coord_ra", "coord_dec", "coord_raErr", "coord_decErr", "coord_ra_dec_Cov", "r_psfMag"), "LSST",
+         ("coord_raErr", "coord_decErr"), None, "r_psfMag"),
+    ],
+)  # fmt: skip
+def test_surveys_are_read_as_their_archives_serve_them(columns, title, error, epoch, magnitude) -> None:
+    choice = chosen(made(*columns))
+    assert (choice.convention, choice.magnitude, choice.epoch.jyr) == (title, magnitude, epoch)
+    assert tuple(column.name for column in choice.error.columns) == error
+    assert choice.error.kind == "unknown" or error
+    assert "coord_ra_dec_Cov" not in columns or choice.error.covariance == "coord_ra_dec_Cov"
+
+
+def test_errors_of_other_names_are_found_by_their_ucds_and_contain_what_their_descriptions_say() -> None:
+    """As VizieR serves catalogues of γ-ray sources: ellipses of 68 and of 95 %."""
+    table = made(
+        "RAdeg", "DEdeg", "a68", "b68", "t68", "a95", "b95", "t95", units=dict.fromkeys(["RAdeg", "DEdeg"], "deg")
+    )
+    for percent in ("68", "95"):
+        for name, ucd in (("a", "phys.angSize.smajAxis"), ("b", "phys.angSize.sminAxis"), ("t", "pos.posAng")):
+            column = table[name + percent]
+            column.unit, column.meta = "deg", {"ucd": f"{ucd};pos.errorEllipse"}
+            column.description = f"Of the error ellipse at {percent}% confidence"
+    choice = chosen(table)
+    assert [column.name for column in choice.error.columns] == ["a68", "b68", "t68"]
+    assert (choice.error.kind, choice.error.containment) == ("ellipse", 0.68)
+    plain = made("RAdeg", "DEdeg", "x", "y")
+    for name, axis in (("x", "ra"), ("y", "dec")):
+        plain[name].unit, plain[name].meta = "arcsec", {"ucd": f"stat.error;pos.eq.{axis}"}
+    assert [column.name for column in chosen(plain).error.columns] == ["x", "y"]
+
+
+def test_a_radius_contains_what_its_description_says() -> None:
+    table = made("RA", "DEC", "poserr", units={"poserr": "arcsec"})
+    assert chosen(table).error.containment == 0.0
+    table["poserr"].description = "Position error (90% confidence)"
+    assert chosen(table).error.containment == 0.9

@@ -193,6 +193,8 @@ def _squeezed(name: str) -> str:
 _POSITION_ERROR = re.compile(
     r"_(?:pos_?err(?:or)?|e_pos|pos_sigma|sigma_pos|radec_err)(?:_(?:arcsec|mas|deg))?$", re.IGNORECASE
 )
+#: A probability in the description of a radius or an ellipse.
+_CONFIDENCE = re.compile(r"\b(6[38]|9[059]|6[38]\.\d+)\s?(?:%|per ?cent)", re.IGNORECASE)
 _DESCRIBED_EPOCH = re.compile(r"\bEp(?:och)?\s*[=:]?\s*J?\s*((?:18|19|20)\d\d(?:\.\d+)?)", re.IGNORECASE)
 
 
@@ -431,7 +433,8 @@ def _position_error(search: ColumnSearch, convention: Convention) -> PositionErr
             f"{' or '.join(','.join(names) for names in found)}",
             naming("give {sigma:NAME}"),
         )
-    for error_names in found.values():
+    by_ucd = _errors_by_ucd(search)
+    for error_names in (*found.values(), *([by_ucd] if by_ucd else [])):
         return _error_columns(search, error_names, convention)
     return PositionError("unknown")
 
@@ -488,7 +491,7 @@ def _error_columns(
     if kind in ("variances", "inverse variances"):
         target = ("arcsec2", "the square of an angle") if kind == "variances" else ("1/arcsec2", "an angle to the -2")
         squares = tuple(search.checked(search.column(n, error_names.unit), *target) for n in names)
-        return PositionError(kind, squares, covariance=search.find(error_names.covariance) or "")
+        return PositionError(kind, squares, covariance=search.first(error_names.covariance) or "")
     columns = search.angles(names[:2], error_names.unit, of_ra=kind == "axes")
     if kind == "ellipse":
         columns = (*columns, search.checked(search.column(names[2], "deg"), "deg", "an angle"))
@@ -496,8 +499,9 @@ def _error_columns(
     correlation = search.required(stated, "correlation") if stated else ""
     if not stated and kind == "axes" and convention:
         correlation = next((n for i, j, w in convention.correlations if (i, j) == (0, 1) and (n := search.find(w))), "")
-    covariance = "" if correlation or kind != "axes" else search.find(error_names.covariance) or ""
+    covariance = "" if correlation or kind != "axes" else search.first(error_names.covariance) or ""
     guessed = any(column.reason == GUESSED for column in columns)
+    containment = error_names.containment or (_stated_containment(search, names[0]) if kind != "axes" else 0.0)
     return PositionError(
         kind,
         columns,
@@ -506,8 +510,34 @@ def _error_columns(
         co_sigma="" if correlation or covariance else search.find(error_names.co_sigma) or "",
         angle_from=error_names.angle_from,
         guessed_unit=guessed,
-        containment=error_names.containment,
+        containment=containment,
     )
+
+
+def _stated_containment(search: ColumnSearch, name: str) -> float:
+    """The probability of a circle or an ellipse by the description of its column, "90% confidence"; 0 if not stated."""
+    percent = _CONFIDENCE.search(str(search.table[name].info.description or ""))
+    return float(percent[1]) / 100.0 if percent else 0.0
+
+
+def _errors_by_ucd(search: ColumnSearch) -> ErrorNames | None:
+    """The position error by its UCDs: an ellipse, the errors of both axes, or a radius; None unless there is one.
+
+    Of several ellipses it is the first, such as those of 68 and of 95 % confidence.
+    """
+    ucds = {name: search.ucd(name) for name in search.table.colnames}
+    of_error = {name: ucd for name, ucd in ucds.items() if "stat.error" in ucd or "pos.errorellipse" in ucd}
+    parts = [
+        [name for name, ucd in of_error.items() if any(word in ucd for word in words)]
+        for words in (("smajaxis",), ("sminaxis",), ("pos.posang",))
+    ]
+    if parts[0] and len(parts[0]) == len(parts[1]) == len(parts[2]):
+        return ErrorNames("ellipse", tuple(part[0] for part in parts))
+    of_axes = [[n for n, ucd in ucds.items() if ucd.startswith(f"stat.error;pos.eq.{axis}")] for axis in ("ra", "dec")]
+    if all(len(names) == 1 for names in of_axes):
+        return ErrorNames("axes", (of_axes[0][0], of_axes[1][0]))
+    radii = [n for n, ucd in of_error.items() if ucd in ("stat.error;pos", "stat.error;pos.eq", "pos.errorellipse")]
+    return ErrorNames("circle", (radii[0],)) if len(radii) == 1 else None
 
 
 def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[str, ...]]:

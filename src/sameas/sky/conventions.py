@@ -27,16 +27,16 @@ class ErrorNames:
     """Columns of one position error: "circle" (σ), "axes" (σ east, σ north), "ellipse" (a, b, angle in degrees),
     "variances" (east, north), "inverse variances" (of right ascension, without cos δ, and of declination).
 
-    unit : assumed unit, "" for none. covariance : column of the covariance of east and north. co_sigma : column of its
-    root with its sign, s in V = s·|s|. angle_from : zero point of the ellipse angle, which increases towards the other
-    axis. containment : probability that the position lies within the circle or ellipse of this size; 0 if the sizes are
-    standard deviations per axis.
+    unit : assumed unit, "" for none. covariance : columns of the covariance of east and north, the first found.
+    co_sigma : column of its root with its sign, s in V = s·|s|. angle_from : zero point of the ellipse angle, which
+    increases towards the other axis. containment : probability that the position lies within the circle or ellipse of
+    this size; 0 if the sizes are standard deviations per axis.
     """
 
     kind: ErrorKind
     names: tuple[str, ...]
     unit: str = ""
-    covariance: str = ""
+    covariance: tuple[str, ...] = ()
     angle_from: Literal["north", "east"] = "north"
     containment: float = 0.0
     co_sigma: str = ""
@@ -162,6 +162,21 @@ PLAIN_MAGNITUDES = (
     ("rmag", "e_rmag"),
     *_SEXTRACTOR_MAGNITUDES,
     *_TWOMASS_MAGNITUDES,
+    ("Tmag", "e_Tmag"),
+    ("ksAperMag3", "ksAperMag3Err"),
+    ("kAperMag3", "kAperMag3Err"),
+    ("jAperMag3", "jAperMag3Err"),
+    ("Ksap3", "e_Ksap3"),
+    ("Jap3", "e_Jap3"),
+    ("r_psf", "e_r_psf"),
+    ("g_psf", "e_g_psf"),
+    ("MAG_PSF_R", "MAGERR_PSF_R"),
+    ("MAG_PSF_G", "MAGERR_PSF_G"),
+    ("r_psfMag", "r_psfMagErr"),
+    ("i_psfMag", "i_psfMagErr"),
+    ("i_psfflux_mag", "i_psfflux_magerr"),
+    ("magpsf", "sigmapsf"),
+    ("medianmag", ""),
     ("mag", "magerr"),
     ("mag", "mag_err"),
     ("mag", "e_mag"),
@@ -184,6 +199,8 @@ PLAIN_EPOCHS = (
     "epoch",
     "epoch_jyr",
     "mean_epoch",
+    "mean_jd",
+    "mean_mjd",
     "mjd",
     "obs_mjd",
     "jd",
@@ -194,7 +211,18 @@ PLAIN_EPOCHS = (
 )
 PLAIN_CIRCLES = tuple(
     ErrorNames("circle", (stem + suffix,))
-    for stem in ("sigma", "pos_err", "poserr", "e_pos", "pos_error", "pos_sigma", "positional_error", "err", "error")
+    for stem in (
+        "sigma",
+        "pos_err",
+        "poserr",
+        "e_pos",
+        "ePos",
+        "pos_error",
+        "pos_sigma",
+        "positional_error",
+        "err",
+        "error",
+    )
     for suffix in ("", "_arcsec", "_mas", "_deg")
 )
 
@@ -273,7 +301,9 @@ _GAIA = Convention(
 _GAIA_VIZIER = Convention(
     title="Gaia at VizieR",
     position=("RA_ICRS", "DE_ICRS"),
-    marks=("Source", "DR3Name", "EDR3Name", "DR2Name", "GaiaDR3", "GaiaEDR3", "GaiaDR2", "RPlx", "RUWE", "e_Gmag"),
+    marks=("Source", "DR3Name", "EDR3Name", "DR2Name", "GaiaDR3", "GaiaEDR3", "GaiaDR2", "RPlx", "RUWE", "FG", "BPmag"),
+    # Of ATLAS Refcat2, which has Gaia's magnitudes; "e_Gmag" is no mark, as names ignore case: SDSS has e_gmag.
+    without=("rp1", "r10"),
     ids=("Source", "DR3Name", "EDR3Name", "DR2Name", "GaiaDR3", "GaiaEDR3", "GaiaDR2"),
     errors=(ErrorNames("axes", ("e_RA_ICRS", "e_DE_ICRS"), "mas"),),
     motions=(_VIZIER_MOTION,),
@@ -301,6 +331,7 @@ _HIPPARCOS = tuple(
         title="Hipparcos (I/239)",
         position=position,
         marks=("HIP",),
+        without=("TIC", "Tmag", "Source", "DR3Name", "EDR3Name", "DR2Name"),
         ids=("HIP",),
         errors=(ErrorNames("axes", ("e_" + position[0], "e_" + position[1]), "mas"),),
         motions=(_VIZIER_MOTION,),
@@ -342,8 +373,8 @@ _LSST = tuple(
         ids=("diaSourceId", "sourceId", "diaObjectId", "objectId"),
         # raErr is along the sky, times cos δ (LSST reference catalogue schema).
         errors=(
-            ErrorNames("axes", ("raErr", "decErr"), "deg", "ra_dec_Cov"),
-            ErrorNames("axes", ("coord_raErr", "coord_decErr"), "deg", "coord_ra_coord_dec_Cov"),
+            ErrorNames("axes", ("raErr", "decErr"), "deg", ("ra_dec_Cov",)),
+            ErrorNames("axes", ("coord_raErr", "coord_decErr"), "deg", ("coord_ra_dec_Cov", "coord_ra_coord_dec_Cov")),
         ),
         motions=(_LSST_MOTION,),
         epochs=("midpointMjdTai", "midPointTai", "radecMjdTai", "expMidptMJD"),
@@ -362,19 +393,25 @@ _SAMEAS_FRAME = Convention(
     position=("ra_deg", "dec_deg"),
     marks=("cov_ee_arcsec2",),
     measured="measurement",
-    errors=(ErrorNames("variances", ("cov_ee_arcsec2", "cov_nn_arcsec2"), "arcsec2", "cov_en_arcsec2"),),
+    errors=(ErrorNames("variances", ("cov_ee_arcsec2", "cov_nn_arcsec2"), "arcsec2", ("cov_en_arcsec2",)),),
     magnitudes=(("magnitude", "magnitude_err"),),
 )
-_SDSS = Convention(
-    title="SDSS",
-    position=("ra", "dec"),
-    without=("ra_ivar", "brickid"),
-    marks=("objID", "psfMag_r", "modelMag_r", "petroMag_r", "camcol", "rerun"),
-    ids=("objID",),
-    # SDSS schema, PhotoObjAll: raErr "error in RA (* cos(Dec), that is, proper units)", arcsec.
-    errors=(ErrorNames("axes", ("raErr", "decErr"), "arcsec"),),
-    epochs=("mjd", "mjd_r"),
-    magnitudes=(("psfMag_r", "psfMagErr_r"), ("modelMag_r", "modelMagErr_r"), ("r", "err_r")),
+_SDSS = tuple(
+    Convention(
+        title=title,
+        position=("ra", "dec"),
+        without=("ra_ivar", "brickid", "dplx", "nuv_mag", "fuv_mag"),
+        marks=marks,
+        ids=("objID",),
+        # SDSS schema, PhotoObjAll: raErr "error in RA (* cos(Dec), that is, proper units)", arcsec.
+        errors=(ErrorNames("axes", ("raErr", "decErr"), "arcsec"),),
+        epochs=("mjd", "mjd_r"),
+        magnitudes=(("psfMag_r", "psfMagErr_r"), ("modelMag_r", "modelMagErr_r"), ("r", "err_r")),
+    )
+    for title, marks in (
+        ("SDSS", ("psfMag_r", "modelMag_r", "petroMag_r", "cModelMag_r", "camcol", "rerun", "specObjID")),
+        ("SDSS, by its objID", ("objID",)),  # others have such a column: the survey's errors are not assumed
+    )
 )
 _TRACTOR = Convention(
     title="Legacy Surveys, tractor",
@@ -499,10 +536,48 @@ _XMM = tuple(
         (("SC_RA", "SC_DEC"), ("SC_POSERR",), ("SRCID",), (), ()),
     )
 )
+_XMM_HEASARC = Convention(
+    title="XMM-Newton at HEASARC",
+    position=("ra", "dec"),
+    marks=("ep_8_flux",),
+    ids=("name",),
+    # The statistical and the systematic error together, as POSERR.
+    errors=(ErrorNames("circle", ("error_radius",), "arcsec", containment=_RADIAL),),
+)
+_X_RAYS_AT_VIZIER = tuple(
+    Convention(
+        title=title,
+        position=position,
+        marks=marks,
+        ids=marks,
+        errors=errors,
+        epochs=("MJD",),
+    )
+    for title, marks, position, errors in (
+        (
+            "XMM-Newton at VizieR", ("4XMM", "_4XMM", "3XMM", "_3XMM", "2XMM", "_2XMM"), ("RA_ICRS", "DE_ICRS"),
+            (ErrorNames("circle", ("ePos",), "arcsec", containment=_RADIAL),),
+        ),
+        (
+            "eROSITA at VizieR", ("1eRASS", "_1eRASS", "DetUID"), ("RA_ICRS", "DE_ICRS"),
+            (ErrorNames("circle", ("ePos",), "arcsec"),),
+        ),
+        (
+            # Evans et al. 2020, ApJS 247, 54: the radius of 90 % confidence.
+            "Swift XRT at VizieR (IX/58)", ("2SXPS", "_2SXPS"), ("RA_ICRS", "DE_ICRS"),
+            tuple(ErrorNames("circle", (name,), "arcsec", containment=0.9) for name in ("Err90", "ePos", "e_Pos")),
+        ),
+        (
+            "Chandra Source Catalog at VizieR (IX/57)", ("2CXO", "_2CXO"), ("RAICRS", "DEICRS"),
+            (ErrorNames("ellipse", ("r0", "r1", "PA"), "arcsec", containment=0.95),),
+        ),
+    )
+)  # fmt: skip
 _EROSITA = Convention(
     title="eROSITA",
     position=("RA", "DEC"),
     marks=("RADEC_ERR", "DETUID", "ML_FLUX_1", "ID_SRC"),
+    without=("POSERR", "SC_POSERR", "SYSERRCC"),  # 4XMM has a RADEC_ERR without the systematic error
     ids=("DETUID", "IAUNAME"),
     # Merloni et al. 2024, A&A 682, A34, table D.1 and section 6.2: POS_ERR is the σ of a Rayleigh distribution.
     errors=(
@@ -522,11 +597,15 @@ _ROSAT = Convention(
 _CHANDRA = Convention(
     title="Chandra Source Catalog",
     position=("ra", "dec"),
-    marks=("err_ellipse_r0",),
+    marks=("err_ellipse_r0", "error_ellipse_major_axis"),
     ids=("name",),
-    # CSC 2, Source Position and Position Errors: the 95 % confidence level error ellipse, arcsec.
-    errors=(
-        ErrorNames("ellipse", ("err_ellipse_r0", "err_ellipse_r1", "err_ellipse_ang"), "arcsec", containment=0.95),
+    # CSC 2, Source Position and Position Errors: the 95 % confidence level error ellipse, arcsec; also at HEASARC.
+    errors=tuple(
+        ErrorNames("ellipse", names, "arcsec", containment=0.95)
+        for names in (
+            ("err_ellipse_r0", "err_ellipse_r1", "err_ellipse_ang"),
+            ("error_ellipse_major_axis", "error_ellipse_minor_axis", "error_ellipse_angle"),
+        )
     ),
 )
 
@@ -561,6 +640,64 @@ _ASKAP = Convention(
     position=("ra_deg_cont", "dec_deg_cont"),
     ids=("component_name", "component_id"),
     errors=(ErrorNames("axes", ("ra_err", "dec_err"), "arcsec"),),
+)
+_GALEX = Convention(
+    title="GALEX",
+    position=("ra", "dec"),
+    marks=("nuv_mag", "fuv_mag"),
+    ids=("objid",),
+    # The position is that of the near ultraviolet where it has one.
+    errors=tuple(ErrorNames("circle", (name,), "arcsec") for name in ("nuv_poserr", "fuv_poserr")),
+    magnitudes=(("nuv_mag", "nuv_magerr"), ("fuv_mag", "fuv_magerr")),
+)
+_REFCAT2 = Convention(
+    title="ATLAS Refcat2",
+    position=("RA", "Dec"),
+    marks=("dpmra", "dplx"),
+    ids=("objid",),
+    motions=(MotionNames(("plx", "pmra", "pmdec", ""), ("dplx", "dpmra", "dpmdec", "")),),
+    # Tonry et al. 2018, ApJ 867, 105: positions of Gaia DR2 where it has the star.
+    epoch_jyr=2015.5,
+    magnitudes=(("Gaia", "dGaia"), ("r", "dr")),
+)
+_TIC = (
+    Convention(
+        title="TESS Input Catalog",
+        position=("ra", "dec"),
+        marks=("Tmag",),
+        ids=("TIC", "ID"),
+        # Stassun et al. 2018, AJ 156, 102, appendix: ra, dec at the epoch 2000.0, their errors in mas.
+        errors=(ErrorNames("axes", ("e_RA", "e_Dec"), "mas"),),
+        motions=(MotionNames(("plx", "pmRA", "pmDEC", ""), ("e_plx", "e_pmRA", "e_pmDEC", "")),),
+        epoch_jyr=2000.0,
+        magnitudes=(("Tmag", "e_Tmag"),),
+        over=("RA_orig",),
+    ),
+    Convention(
+        title="TESS Input Catalog at VizieR (IV/38, IV/39)",
+        position=("RAJ2000", "DEJ2000"),
+        marks=("TIC", "Tmag"),
+        ids=("TIC",),
+        errors=(
+            ErrorNames("axes", ("e_RAJ2000", "e_DEJ2000"), "mas"),
+            ErrorNames("axes", ("e_RAdeg", "e_DEdeg"), "mas"),
+        ),
+        motions=(_VIZIER_MOTION,),
+        epoch_jyr=2000.0,
+        magnitudes=(("Tmag", "e_Tmag"),),
+        over=("RAOdeg", "RAdeg"),
+    ),
+)
+_UCAC5 = Convention(
+    title="UCAC5 (I/340)",
+    position=("RAgaia", "DEgaia"),
+    ids=("SrcIDgaia",),
+    # Zacharias et al. 2017, AJ 153, 166: Gaia's positions at 2015.0, motions from the UCAC to them.
+    errors=(ErrorNames("axes", ("e_RAgaia", "e_DEgaia"), "mas"),),
+    motions=(MotionNames(("", "pmUR", "pmUD", ""), ("", "e_pmUR", "e_pmUD", "")),),
+    epoch_jyr=2015.0,
+    only_epoch=True,
+    magnitudes=(("Gmag", ""), ("f.mag", ""), ("f_mag", "")),
 )
 # Sexagesimal parts in separate columns, as at the CDS and in journals.
 _IN_PARTS = Convention(
@@ -643,18 +780,24 @@ CONVENTIONS: tuple[Convention, ...] = (
     *_ALLWISE,
     _CATWISE,
     _TRACTOR,
-    _SDSS,
+    *_SDSS,
     _PANSTARRS,
     _UCAC4,
     *_USNO_B1,
     *_DES,
     *_LSST,
     *_XMM,
+    _XMM_HEASARC,
     _EROSITA,
     _ROSAT,
     _CHANDRA,
     *_FERMI,
+    *_X_RAYS_AT_VIZIER,
     _ASKAP,
+    _GALEX,
+    _REFCAT2,
+    *_TIC,
+    _UCAC5,
     _SAMEAS_FRAME,
     *_sextractor("WIN"),
     *_sextractor("PSF"),

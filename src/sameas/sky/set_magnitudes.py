@@ -62,7 +62,7 @@ class MagnitudeEdge:
         """
         photometry = match.estimate.photometry
         magnitudes = magnitudes_of(*catalogues, AUTO)
-        if photometry is None or not photometry.has_relation or magnitudes is None:
+        if photometry is None or photometry.chains is None or not photometry.has_relation or magnitudes is None:
             return None
         one, two = (
             replace(side, measured=given.of(some))
