@@ -143,6 +143,14 @@ def test_a_dry_run_prints_its_interpretation_and_writes_nothing(tmp_path, sameas
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_dry_run_names_the_options_for_what_it_assumed(tmp_path, sameas, field_files):
+    """It named the arguments of Python, sigma1=ARCSEC."""
+    table = field(120, 2)
+    table.remove_columns([name for name in table.colnames if name not in ("ra", "dec")])
+    text = " ".join(sameas("match", save(table, tmp_path / "bare.csv"), field_files[1], "--dry-run").stdout.split())
+    assert "--sigma1 ARCSEC" in text and "sigma1=" not in text
+
+
 def test_options_of_one_catalogue_override_those_of_both(sameas, field_files):
     text = sameas("match", *field_files, "--dry-run", "--sigma", "0.3", "--sigma2", "0.2").stdout
     assert "0.3 arcsec on each axis (option)" in text and "0.2 arcsec on each axis (option)" in text

@@ -395,7 +395,7 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
         _, moved, one, two = together
         pace("densities")
         coverage = Coverage.of(one, two)
-        lines = coverage_lines(moved, coverage, assumed + density_doubts(coverage, request.options))
+        lines = coverage_lines(moved, coverage, assumed + density_doubts(coverage, request.options), in_options)
     printer([*lines, "", "Nothing was identified or written (--dry-run)."])
 
 
