@@ -227,6 +227,11 @@ class ColumnEvidence:
             return None
         return Columns(self.log_ratio, given, self.associations)
 
+    def design(self, source: int, rows: IntArray) -> FloatArray:
+        """(k, P) basis functions of the source's fit at these records (k,); P is 0 without a fit."""
+        fit, side = self.fits[source - 1], _to_fit(self.sides[source - 1])
+        return np.zeros((len(rows), 0)) if fit is None else fit.bases.design([column.take(rows) for column in side])
+
     def _with_log_ratio(self) -> ColumnEvidence:
         """With ln r of the records by the fits."""
         if self.folds is None or not any(fit is not None for fit in self.fits):

@@ -179,7 +179,9 @@ class Estimate:
     def quantities(self) -> Mapping[str, Quantity]:
         """All numbers by name, with standard errors; see ``sameas.estimate.quantity.quantities``."""
         errors = self.errors if self.errors_estimated else None
-        return quantities(self.answer, self.coverage, self.photometry, errors=errors, learned_from=self.learned_from)
+        return quantities(
+            self.answer, self.coverage, self.photometry, self.columns, errors=errors, learned_from=self.learned_from
+        )
 
     @property
     def detection_1(self) -> DetectionCurve | None:

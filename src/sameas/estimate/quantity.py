@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, median, weighted_median
+from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.photometry import Photometry
 from sameas.evidence import Errors
@@ -56,6 +57,7 @@ def quantities(
     answer: Identification,
     coverage: Coverage,
     photometry: Photometry | None,
+    columns: ColumnEvidence | None,
     *,
     errors: Errors | None,
     learned_from: tuple[int, int],
@@ -67,7 +69,7 @@ def quantities(
     error_scale : factor on the quoted errors. zero_point, scatter, colour_BAND, brightness_unrelated : of the
     magnitudes, see :func:`_of_relation`. learned_from : number of records of each source used for the estimates.
     """
-    scores = _Scores(errors, photometry)
+    scores = _Scores(errors, photometry, columns)
     works = [partial(_Share.of, answer, coverage, source, learned_from[source - 1], scores) for source in (1, 2)]
     shares = threads.each(works, len(answer.pairs))
     best = min(shares, key=lambda share: share.count_error)
@@ -136,13 +138,15 @@ def _share(found: float, number: int) -> float:
 
 @dataclass(frozen=True)
 class _Scores:
-    """What changes the probabilities of all pairs together, if estimated: the errors' scale, the shares by magnitude.
+    """What changes the probabilities of all pairs together, if estimated: the errors' scale, the shares by magnitude
+    and by other columns.
 
-    errors : of the evidence, or None if they were not estimated. photometry : or None.
+    errors : of the evidence, or None if they were not estimated. photometry, columns : or None.
     """
 
     errors: Errors | None
     photometry: Photometry | None
+    columns: ColumnEvidence | None
 
     def variance(self, answer: Identification, source: int, covered: BoolArray, partner: FloatArray) -> float:
         """Variance of the expected number of partners, Σ p over the ``covered`` records of a source (n,), because
@@ -177,6 +181,10 @@ class _Scores:
         besides the share."""
         if self.errors is not None:
             yield _scale_scores(answer, self.errors, used)
+        if self.columns is not None:
+            p_pair = answer.p_pair[used]
+            for basis in self.columns.design(3 - source, other).T:
+                yield basis - p_pair @ basis / max(float(p_pair.sum()), 1e-300)
         curve = None if self.photometry is None else self.photometry.curves[2 - source]
         if self.photometry is None or curve is None:
             return
