@@ -36,6 +36,7 @@ class GradesTuning:
     records_per_cell, max_grades : records of the poorer source per cell of the table of two grades, and greatest
         number of grades.
     pseudo_count : pseudo-pairs per cell of the table, distributed as for unrelated grades.
+    max_fitted_gain : limit of what a cell's pairs gain because its count is fitted to them, in ln likelihood per pair.
     min_gain : the evidence is used if twice its gain in ln likelihood exceeds this per cell of the table.
         Uninformative grades stay below 4, even in crowded fields with uncertain pairs; for stars it reaches 30 and
         more.
@@ -52,6 +53,7 @@ class GradesTuning:
     records_per_cell: float = 20.0
     max_grades: int = 16
     pseudo_count: float = 0.1
+    max_fitted_gain: float = 1.0
     min_gain: float = 6.0
     shared_pseudo_count: float = 2.0
     records_per_sky_cell: float = 25.0
@@ -200,7 +202,9 @@ class Grades:
         # cell falls by p / Σ p², because the other pairs become less probable, but not below the pseudo-pairs.
         remaining = np.maximum(1.0 - p_counted / information.ravel()[at], (pseudo / counted).ravel()[at])
         own = -np.log(remaining)
-        twice_gain = 2.0 * float(p_counted @ (log_ratio.ravel()[at] - own))
+        # The logarithm of a cell's count is uncertain by 1/√information: fitted to its own pairs, it gains half a pair.
+        fitted = np.minimum(0.5 / information, self.tuning.max_fitted_gain)
+        twice_gain = 2.0 * float(p_counted @ ((log_ratio - fitted).ravel()[at] - own))
         significant = twice_gain > self.tuning.min_gain * (k1 * k2 - 1)
         rule = Precision(self.grades, log_ratio, TrainingPairs(pairs, at, own)) if significant else None
         return replace(self, rule=rule)

@@ -48,7 +48,7 @@ class RefinementTuning:
     pairs_beyond_linear : with more pairs than this the first plate may have an order above 1.
     saturated_mag : standard error of the magnitude of a saturated star, which loses part of its light.
     min_p_detect : minimum detection probability of a candidate star.
-    calibrators : unblended, or else unsaturated, stars from which the zero point is taken from these alone.
+    calibrators : unblended, or else unsaturated, stars for a zero point from these alone.
     few_pairs : with fewer pairs the root mean square is used instead of the robust scatter.
     limit_quantile, shallow_share : quantile of the identified magnitudes taken as the limit of the catalogue, and the
         minimum share of all measurements that are fainter and unidentified in a shallow catalogue.
@@ -280,17 +280,19 @@ def identify_frame(
 def _zero_point(
     measured: Measurements, stars: StarField, i: IntArray, j: IntArray, p: FloatArray, tuning: RefinementTuning
 ) -> ZeroPoint | None:
-    """The zero point of unblended stars, if they are too few of all unsaturated ones, or of all.
+    """The zero point of unblended and unsaturated stars if there are enough and the detector is linear, else of all.
 
     Saturated stars have lost light, and blended ones keep some of their neighbours': with them, a linear detector would
-    seem to need a curve.
+    seem to need a curve. That of a photographic plate is fitted to all.
     """
+    calibration = measured.flux[i], stars.magnitude[j], stars.colour[j]
     known = np.isfinite(stars.magnitude[j])
-    for bits in (Flag.SATURATED | Flag.BLENDED, Flag.SATURATED, 0):
+    for bits in (Flag.SATURATED | Flag.BLENDED, Flag.SATURATED):
         used = np.where((measured.flags[i] & np.uint16(bits)) == 0, p, 0.0)
-        if used[known].sum() >= tuning.calibrators:
-            break
-    return ZeroPoint.of(measured.flux[i], stars.magnitude[j], stars.colour[j], used)
+        zero = ZeroPoint.of(*calibration, used) if used[known].sum() >= tuning.calibrators else None
+        if zero is not None and not zero.bend:
+            return zero
+    return ZeroPoint.of(*calibration, p)
 
 
 def _first_plate(
