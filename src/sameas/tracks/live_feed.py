@@ -60,12 +60,16 @@ class LiveTuning:
     plots_s, plot_periods : plots of a source without ids are kept for ``plots_s`` seconds and for at least this many
         periods, to estimate the rotation of the antenna.
     gaps : the track timeout is computed from this many of the last gaps within tracks.
+    least_rows, spare_rows : a table of at most this many rows is not made smaller, nor one with less than this multiple
+        of those in use.
     """
 
     id_timeout_s: float = 3600.0
     plots_s: float = 30.0
     plot_periods: float = 12.0
     gaps: int = 4096
+    least_rows: int = 2048
+    spare_rows: float = 4.0
 
 
 @dataclass
@@ -254,6 +258,29 @@ class LiveFeed:
         """Frees the rows of dropped reports for new ones; to be called after each instant."""
         self._free = np.concatenate([self._free, self._freed])
         self._freed = np.empty(0, np.int64)
+        if len(self._rows) > max(self.live.least_rows, self.live.spare_rows * (len(self._rows) - len(self._free))):
+            self._shrink()
+
+    def _shrink(self) -> None:
+        """Gives back rows that a flood of reports has left empty.
+
+        New reports take the lowest rows, and those beyond twice the number in use are cut off once no instant needs a
+        report there: it has been replaced, or its track has ended.
+        """
+        rows, self._free = self._rows, np.sort(self._free)
+        taken = np.flatnonzero(rows.taken)
+        size = max(self.live.least_rows // 2, 2 * len(taken))
+        beyond = taken[taken >= size]
+        ended_s = self._instant_s - self.lag_s - max(self.track_timeout_s(), 2.0 * self.tuning.stationary_timeout_s)
+        if (rows.time_s[beyond] >= ended_s).any() or (len(beyond) and not self._named):
+            return
+        place = np.arange(len(rows))
+        place[beyond] = self._free[: len(beyond)]
+        rows.put(place[beyond], rows.only(np.isin(np.arange(len(rows)), beyond)))
+        self._order = place[self._order]
+        self._free = self._free[len(beyond) :]
+        self._free = self._free[self._free < size]
+        self._rows = rows.only(np.arange(len(rows)) < size)
 
     def track_timeout_s(self, delay_s: float = 0.0) -> float:
         """Seconds without a report after which a track has ended; infinite while no track has two reports.
