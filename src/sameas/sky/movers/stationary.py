@@ -106,12 +106,12 @@ def _searched(detections: Detections, previous: Stationary, first: bool, tuning:
     likely = np.flatnonzero(found.chosen & (found.shares(n)[0] > 0.5))
     members = found.members[likely]
     if first:
-        offset, scale = _robust_offsets(around, members, tuning.stationary.least_tracks)
+        offset, scale = _robust_offsets(around, members)
     else:
         rates = _Rates.of(around, members)
         p = _probabilities(rates, _counts(rates, tuning.stationary), tuning.stationary)
-        least, no_offset = tuning.stationary.least_tracks, np.zeros_like(previous.offset_arcsec)
-        offset, scale = _fitted_offsets(around, members[p > 0.5], no_offset, least, straight=False)
+        no_offset = np.zeros_like(previous.offset_arcsec)
+        offset, scale = _fitted_offsets(around, members[p > 0.5], no_offset, straight=False)
     rates = _Rates.of(around, members, scale)
     counts = _counts(rates, tuning.stationary)
     stationary = members[_probabilities(rates, counts, tuning.stationary) > 0.5]
@@ -233,7 +233,7 @@ def _probabilities(rates: _Rates, counts: tuple[float, float], tuning: Stationar
     return np.asarray(expit(rates.log_ratio + np.log(others[0] / others[1])))
 
 
-def _robust_offsets(around: Surroundings, members: IntArray, least_tracks: int) -> tuple[FloatArray, float]:
+def _robust_offsets(around: Surroundings, members: IntArray) -> tuple[FloatArray, float]:
     """Offsets and error scale as :func:`_fitted_offsets`, from tracks of which some move.
 
     Residuals from linear motion show all offsets except a linear drift, for movers too. If these exceed half an error,
@@ -241,25 +241,24 @@ def _robust_offsets(around: Surroundings, members: IntArray, least_tracks: int) 
     offsets by less than three times this size.
     """
     no_offset = np.zeros((len(around.detections.frame_names), 2))
-    offset, scale = _fitted_offsets(around, members, no_offset, least_tracks, straight=True)
+    offset, scale = _fitted_offsets(around, members, no_offset, straight=True)
     size = float(np.sqrt((offset**2).mean()))
     if size > 0.5 * around.detections.typical_sigma_arcsec:
-        from_means, _ = _fitted_offsets(around, members, offset, least_tracks, straight=False)
+        from_means, _ = _fitted_offsets(around, members, offset, straight=False)
         if np.abs(from_means - offset).max() < 3.0 * size:
             return from_means, scale
     return offset, scale
 
 
 def _fitted_offsets(
-    around: Surroundings, members: IntArray, offset: FloatArray, least_tracks: int, *, straight: bool
+    around: Surroundings, members: IntArray, offset: FloatArray, *, straight: bool
 ) -> tuple[FloatArray, float]:
     """(f, 2) offset of each exposure, arcsec east and north, and the ratio of true to quoted errors.
 
     members : (k, S) detections of tracks; medians of their residuals are used. offset : (f, 2) initial values.
-    least_tracks : for the offset of an exposure and the ratio.
     straight : residuals from linear motion, else from the mean position.
     """
-    detections, offset = around.detections, offset.copy()
+    detections, offset, least_tracks = around.detections, offset.copy(), around.tuning.stationary.least_tracks
     parameters = 2 if straight else 1
     members = members[(members >= 0).sum(axis=1) > parameters]
     if len(members) < least_tracks:
