@@ -215,3 +215,41 @@ def test_a_name_that_is_no_text_is_missing(kind, depth, tmp_path):
         lines = [json.dumps(made(50.0, None)), hostile, json.dumps(made(51.0, "x", 20))]
         [found] = read(tmp_path, "a.json", "\n".join(lines) + "\n", format=kind)
         assert found.lat_deg.tolist() == [50.0, 50.5, 51.0] and found.name.tolist() == [None, None, "x"]
+
+
+def table(times, mmsi="235000001"):
+    return "time,mmsi,lat,lon\n" + "".join(f"{t},{mmsi},{50.0 + 1e-5 * (t % 1000)},-1.0\n" for t in times)
+
+
+@pytest.mark.parametrize("days", [30.0, -365.0, 1.0])
+def test_a_wrong_date_is_one_damaged_line_and_does_not_stretch_the_picture(days, tmp_path):
+    times = [1_714_560_000 + 5 * k for k in range(200)]
+    wrong = [*times[:57], times[57] + int(86400 * days), *times[58:]]
+    (tmp_path / "ais.csv").write_text(table(wrong))
+    [source] = read_sources([tmp_path / "ais.csv"])
+    assert damage(source.reports) == {59: "a time far from all others"} and len(source.reports) == 199
+    assert np.ptp(source.reports.time_s) == 995.0
+
+
+@pytest.mark.parametrize("times", [
+    # Sessions on two days; satellites that see a ship now and then; a log that ends after a night's pause.
+    [*range(0, 1000, 5), *range(86_400, 86_460, 5)], list(range(0, 5_000_000, 50_000)),
+    [*range(0, 100_000, 500), 140_000],
+])  # fmt: skip
+def test_times_far_from_each_other_are_no_wrong_dates(times, tmp_path):
+    (tmp_path / "ais.csv").write_text(table([1_714_560_000 + t for t in times]))
+    [source] = read_sources([tmp_path / "ais.csv"])
+    assert len(source.reports) == len(times) and damage(source.reports) == {}
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])
+def test_text_of_other_encodings_with_a_byte_order_mark_is_read(encoding, tmp_path):
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    content = (
+        mark + table(range(1_714_560_000, 1_714_560_100, 5)).replace("mmsi", "name").replace("235000001", "Ærø")
+    ).encode(encoding)
+    [found] = read(tmp_path, "a.csv", content)
+    assert len(found) == 20 and set(found.name) == {"Ærø"}
+    # A file that only begins like one is none.
+    with pytest.raises(InputError, match="is binary"):
+        read(tmp_path, "b.csv", b"\xff\xfe" + bytes(99))

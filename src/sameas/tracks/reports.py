@@ -316,6 +316,41 @@ def of_rows(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 _MATRICES = ("covariance_m2", "velocity_covariance_m2_per_s2")
+#: Reports are of a wrong date if at most so many at a time, and at most this share of all, are apart from the others by
+#: more than these seconds, and by more than all others last.
+STRAY_REPORTS, STRAY_SHARE, STRAY_S = 3, 0.01, 6 * 3600.0
+
+
+def without_stray_times(reports: Reports) -> Reports:
+    """The reports without those of a wrong date, which are damaged: a few, days from all others.
+
+    One wrong date would make the picture of five minutes one of a month. A log that is split into sessions keeps all.
+
+    >>> t = [*range(300), 2_592_000.0]
+    >>> reports = Reports.of("ais", "table", {"time_s": t, "x_m": [0.0] * 301, "y_m": [0.0] * 301})
+    >>> without_stray_times(reports).damaged.sentences()
+    ['1 line damaged: a time far from all others (line 301)']
+    """
+    order = np.argsort(reports.time_s, kind="stable")
+    time_s = reports.time_s[order]
+    cuts = np.flatnonzero(np.diff(time_s) > STRAY_S) + 1
+    starts, ends = np.append(0, cuts), np.append(cuts, len(time_s))
+    if not len(cuts):
+        return reports
+    main = int(np.argmax(ends - starts))
+    first_s, last_s = time_s[starts[main]], time_s[ends[main] - 1]
+    stray = np.zeros(len(time_s), bool)
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        apart_s = max(first_s - time_s[end - 1], time_s[start] - last_s)
+        few = end - start <= STRAY_REPORTS
+        stray[order[start:end]] = few and apart_s > max(STRAY_S, last_s - first_s)
+    if not 0 < stray.sum() <= STRAY_SHARE * len(time_s):
+        return reports
+    lines = [(int(line), "a time far from all others") for line in reports.line[stray]]
+    before = zip(reports.damaged.lines.tolist(), reports.damaged.reasons.tolist(), strict=True)
+    return replace(reports.where(~stray), damaged=Damaged.of([*before, *lines], reports.damaged.unit))
+
+
 _TEXTS = ("track_id", "mmsi", "imo", "icao", "callsign", "mode_a", "name", "type")
 _NO_COLUMNS = ("source", "kind", "extra", "damaged", "passed_over", "notes", "counted_clock")
 _COLUMNS = tuple(f.name for f in fields(Reports) if f.name not in _NO_COLUMNS)

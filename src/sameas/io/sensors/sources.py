@@ -27,7 +27,7 @@ from sameas.errors import Argument, InputError, Message, reading
 from sameas.io.sensors import aircraft, arpa, asterix, mode_s, recording, sbs, signalk, tables
 from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat, kind_by_name, kind_of
 from sameas.tracks.kinds import KINDS
-from sameas.tracks.reports import NoReports, Reports
+from sameas.tracks.reports import NoReports, Reports, without_stray_times
 from sameas.tracks.source import Description, source_tables
 
 # Reading: the reports in a file, whose format is detected from its content.
@@ -222,6 +222,7 @@ def read_sources(
             reading = replace(reading, start=start)
         try:
             for reports in _recorded(path) if path.is_dir() else read_reports(path, reading):
+                reports = without_stray_times(reports)
                 sources.append(source_of(reports, described.get(reports.source), path))
         except InputError as error:
             wrongly_described = isinstance(error, tables.NotInTable) or bool(error.words.arguments)
