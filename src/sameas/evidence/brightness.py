@@ -348,6 +348,7 @@ class Comparison:
     log_without: FloatArray
 
 
+@in_short
 @dataclass(frozen=True)
 class Comparisons:
     """The comparisons of m pairs, per band of one source. first_band : (m,) magnitudes in the first, NaN if missing."""
