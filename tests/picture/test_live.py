@@ -9,7 +9,7 @@ from tests.picture.modelled_scenes import describe, feed, straight
 
 from sameas.errors import InputError
 from sameas.picture import LivePicture, PlotPicture, picture_states
-from sameas.picture.live import Registered
+from sameas.picture.live import Registered, Window
 from sameas.tracks import Clutter, Description, LocalPlane, MissRate, Motion, Scene, SensorErrors, Site, Timing
 from sameas.tracks.biases import TIME
 from sameas.tracks.registration import SourceBiases
@@ -321,3 +321,14 @@ def test_a_delay_of_the_stamps_is_removed_live_and_estimated_again_in_every_wind
     assert np.mean((after[-1].members >= 0).sum(axis=1) > 1) > 0.8
     assert [d.bias.time_s for d, _ in picture.recent()] == [None, DEFAULT_TUNING.delay_s]
     assert picture.descriptions[1].bias.time_s is None
+
+
+@pytest.mark.parametrize("off_s", [30 * 86400.0, -30 * 86400.0])
+def test_a_wrong_date_does_not_stretch_the_last_minutes_that_are_searched(off_s):
+    picture = LivePicture([Description("ais", "ais")], window=Window(span_s=60.0))
+    for t in np.arange(0.0, 200.0, 5.0):
+        row = {"time_s": [1e9 + t + off_s * (t == 100.0)], "x_m": [t], "y_m": [0.0], "mmsi": ["235000001"]}
+        picture.add("ais", Reports.of("ais", "ais", row))
+        picture.advance(1e9 + t)
+    [(_, recent)] = picture.recent()
+    assert np.ptp(recent.time_s) <= 65.0 and len(recent) >= 12

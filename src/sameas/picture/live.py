@@ -44,6 +44,10 @@ from sameas.tracks.tuning import Tuning as TracksTuning
 LiveState = PictureState[Watch] | PictureState[PlotPicture]
 
 
+#: Reports that are further from the present than this multiple of the window are of a wrong date.
+STRAY_SPANS = 6.0
+
+
 @dataclass(frozen=True)
 class Window:
     """The reports used for biases and faults: of the last ``span_s`` seconds, at most ``reports`` per source.
@@ -212,11 +216,20 @@ class LivePicture:
             for other in self._feeds.values():
                 other.plane = self.plane
         feed.add(reports)
-        recent = self._recent[source]
-        recent.append(reports)
+        self._keep_recent(source, reports)
+
+    def _keep_recent(self, source: str, reports: Reports) -> None:
+        """Keeps reports for the searches in the last minutes; those of a wrong date would stretch these to days."""
+        recent, newest_s = self._recent[source], self._feeds[source].counts.newest_s
+        if math.isfinite(self._last_s):
+            newest_s = min(newest_s, self._last_s)
+            near = np.abs(reports.time_s - self._last_s) <= STRAY_SPANS * self.window.span_s
+            reports = reports if near.all() else reports.where(near)
+        if len(reports):
+            recent.append(reports)
         n = sum(len(part) for part in recent)
         while len(recent) > 1 and (
-            n > self.window.reports or float(recent[0].time_s.max()) < feed.counts.newest_s - self.window.span_s
+            n > self.window.reports or float(recent[0].time_s.max()) < newest_s - self.window.span_s
         ):
             n -= len(recent.popleft())
 
