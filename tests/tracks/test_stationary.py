@@ -10,7 +10,7 @@ from sameas.tracks.feed import Feed
 from sameas.tracks.live_feed import LiveFeed
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Motion, SensorErrors
-from sameas.tracks.stationary import ADRIFT, MIN_VARIANCE, stationary
+from sameas.tracks.stationary import ADRIFT, FILTERED, MIN_VARIANCE, stationary
 from sameas.tracks.tuning import DEFAULT_TUNING
 
 VESSELS = Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=0.2)
@@ -18,18 +18,19 @@ SIGMA_M, SIGMA_M_PER_S = 5.0, 0.5
 
 
 def shares():
-    """Shares of objects alongside, at anchor, adrift and under way, and 1σ of their velocities."""
+    """Shares of objects alongside, at anchor, adrift, under way on a steady course and otherwise; 1σ of their
+    velocities, and the walks of these."""
     w, drift = VESSELS.stationary_share, DEFAULT_TUNING.drift_share
-    share = np.array([w / 2.0, w / 2.0, (1.0 - w) * drift, (1.0 - w) * (1.0 - drift)])
-    return share, np.array([0.01, 0.1, DEFAULT_TUNING.drift_m_per_s, 8.0])
+    share = np.array([w / 2.0] * 2 + [(1.0 - w) * drift] + [(1.0 - w) * (1.0 - drift) / 2.0] * 2)
+    slow_walk = DEFAULT_TUNING.drift_walk_m2_per_s3
+    return share, np.array([0.01, 0.1, DEFAULT_TUNING.drift_m_per_s, 8.0, 8.0]), [0.0, 0.0, slow_walk, slow_walk, 0.01]
 
 
 def simulated(rng, n, reports, every_s):
     """Reports of n objects whose mode of motion changes as the model says; and whether each report is of one that is
     slow."""
-    (share, speed), step_s = shares(), 2.0
-    mode = rng.choice(4, n, p=share)
-    walk = np.array([0.0, 0.0, DEFAULT_TUNING.drift_walk_m2_per_s3, 0.01])
+    (share, speed, walk), step_s = shares(), 2.0
+    mode = rng.choice(FILTERED, n, p=share)
     p_change = -np.expm1(-step_s / (DEFAULT_TUNING.rest_s * (1.0 - VESSELS.stationary_share)))
     velocity = speed[mode, None] * rng.standard_normal((n, 2))
     place, rows, is_slow = np.zeros((n, 2)), [], []
@@ -40,8 +41,8 @@ def simulated(rng, n, reports, every_s):
         is_slow.append(mode < 3)
         for _ in range(round(every_s / step_s)):
             place = place + step_s * velocity
-            velocity = velocity + np.sqrt(walk[mode] * step_s)[:, None] * rng.standard_normal((n, 2))
-            new = rng.choice(4, n, p=share)
+            velocity = velocity + np.sqrt(np.array(walk)[mode] * step_s)[:, None] * rng.standard_normal((n, 2))
+            new = rng.choice(FILTERED, n, p=share)
             changes = (rng.random(n) < p_change) & (new != mode) & ((mode > 1) | (new > 1))
             mode = np.where(changes, new, mode)
             velocity = np.where(changes[:, None], speed[mode, None] * rng.standard_normal((n, 2)), velocity)
@@ -72,13 +73,15 @@ def test_the_modes_after_two_reports_are_the_exact_mixture(way, monkeypatch):
     made = states(np.repeat([0.0, dt], n), place, measured, np.tile(np.arange(n), 2))
     monkeypatch.setattr("sameas.tracks.stationary.filter_modes", getattr(filter_modes, way))
     _, modes = stationary(made, VESSELS)
-    (share, speed), error = shares(), np.diag([SIGMA_M**2] * 2 + [SIGMA_M_PER_S**2] * 2) + MIN_VARIANCE * np.eye(4)
-    walk = [0.0, 0.0, DEFAULT_TUNING.drift_walk_m2_per_s3, 0.01]
+    (share, speed, walk), error = (
+        shares(),
+        np.diag([SIGMA_M**2] * 2 + [SIGMA_M_PER_S**2] * 2) + MIN_VARIANCE * np.eye(4),
+    )
     p_change = -np.expm1(-dt / (DEFAULT_TUNING.rest_s * (1.0 - VESSELS.stationary_share)))
     for k in range(n):
         first, second = made.state[k], made.state[n + k]
-        weight = np.zeros((4, 4))
-        for i in range(4):
+        weight = np.zeros((FILTERED, FILTERED))
+        for i in range(FILTERED):
             s, total = speed[i] ** 2, error[2, 2] + speed[i] ** 2
             p_first = share[i] * multivariate_normal.pdf(first[2:], cov=total * np.eye(2))
             x, p = (
@@ -86,7 +89,7 @@ def test_the_modes_after_two_reports_are_the_exact_mixture(way, monkeypatch):
                 np.diag([error[0, 0]] * 2 + [error[2, 2] * s / total] * 2),
             )
             stays = 1.0
-            for j in range(4):
+            for j in range(FILTERED):
                 if j == i or (i < 2 and j < 2):
                     continue
                 stays -= p_change * share[j]
@@ -116,6 +119,16 @@ def test_a_vessel_adrift_is_not_at_rest_though_each_report_would_allow_it(speed)
     assert np.all(modes.p_slow[20:, ADRIFT] > 0.9)
     np.testing.assert_allclose(now.state[20:, 2:], velocity[20:], atol=0.15)
     assert np.all(np.sqrt(now.covariance[20:, 2, 2]) < 0.2)
+
+
+@pytest.mark.parametrize("speed", [2.0, 3.0, 6.0])
+def test_a_vessel_on_a_steady_course_is_not_adrift(speed):
+    rng, time_s = np.random.default_rng(2), 10.0 * np.arange(90)
+    velocity = np.column_stack([np.full(90, speed), np.zeros(90)])
+    place = time_s[:, None] * velocity + SIGMA_M * rng.standard_normal((90, 2))
+    measured = velocity + SIGMA_M_PER_S * rng.standard_normal((90, 2))
+    _, modes = stationary(states(time_s, place, measured, ["a"] * 90), VESSELS)
+    assert np.all(modes.p_slow.sum(axis=1) < 0.1)
 
 
 def test_a_vessel_at_anchor_keeps_its_place_by_its_earlier_reports():

@@ -48,7 +48,7 @@ from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import scans_of
 from sameas.tracks.source import Description
-from sameas.tracks.stationary import MODES, SLOW, Modes, stationary
+from sameas.tracks.stationary import FILTERED, SLOW, Modes, stationary
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
@@ -638,8 +638,8 @@ class _Rows:
         ("time_s", (), -math.inf), ("measured", (4,), math.nan), ("measured_covariance", (4, 4), math.nan),
         ("filtered", (4,), math.nan), ("filtered_covariance", (4, 4), math.nan), ("state", (4,), math.nan),
         ("covariance", (4, 4), math.nan), ("p_slow", (SLOW,), 0.0), ("sensor_m", (2,), math.nan),
-        ("modes", (MODES,), math.nan), ("modes_mean", (MODES, 4), math.nan),
-        ("modes_covariance", (MODES, 4, 4), math.nan),
+        ("modes", (FILTERED,), math.nan), ("modes_mean", (FILTERED, 4), math.nan),
+        ("modes_covariance", (FILTERED, 4, 4), math.nan),
         ("heights", (4,), math.nan), ("late_s", (), -math.inf), ("trend", (4,), math.nan),
     )  # fmt: skip
     time_s: FloatArray

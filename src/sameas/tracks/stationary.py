@@ -2,17 +2,20 @@
 
 Vessels at anchor report a velocity of about 0. The velocity random walk of a vessel under way would move one at anchor
 by 150 m between two reports three minutes apart; it swings by 15 m, and one alongside stays where it is. A vessel
-adrift, or one that waits for a pilot, keeps a slow velocity for minutes. So an object is in one of four modes of
+adrift, or one that waits for a pilot, keeps a slow velocity for minutes. So an object is in one of five modes of
 motion, each with a share of all objects and a velocity of 0 ± s per axis; w is ``motion.stationary_share``:
 
     alongside    w/2              s = ``tuning.alongside`` · motion.stationary_m_per_s, new at each report
     at anchor    w/2              s = motion.stationary_m_per_s, new at each report
     adrift       a share of 1−w   s = ``tuning.drift_m_per_s``, with a random walk of 2 s²/``tuning.drift_s``
-    under way    all others       s = motion.speed_m_per_s, with the random walk of the motion
+    steady       half of others   s = motion.speed_m_per_s, with the random walk of those adrift
+    under way    half of others   s = motion.speed_m_per_s, with the random walk of the motion
 
 From one report alone, even a velocity of exactly 0 with an error of 0.5 m/s leaves 6 % for a vessel under way, whose
 walk then dominates the mean covariance: after three minutes 7 times the variance of the errors of those at anchor. And
-0.3 ± 0.3 m/s may be the velocity of a vessel at anchor, but not report after report. So the modes are filtered over
+0.3 ± 0.3 m/s may be the velocity of a vessel at anchor, but not report after report. A steady course fits the walk of
+those adrift better than that of a motion with turns, at any speed: without a mode of their own, ships at 4 kn would be
+adrift. So the modes are filtered over
 each track. Each has a Kalman filter of position and velocity, and a probability, which changes by the density of each
 report. Modes change as a Markov process: after a mean time of (1 − w) ``rest_s`` the mode is drawn anew by the shares,
 except that one at rest does not follow the other, so that ``rest_s`` is the mean time at rest. The change is at an
@@ -38,6 +41,8 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 #: Modes of motion: alongside, at anchor, adrift, under way. The first RESTS are at rest, the first SLOW are slow.
 RESTS, SLOW, MODES = 2, 3, 4
+#: Modes that are filtered: those under way on a steady course and others apart.
+FILTERED = MODES + 1
 ADRIFT = 2
 #: Smallest variance of a reported coordinate, m² or m²/s²: errors may be stated as 0.
 MIN_VARIANCE = 1e-6
@@ -47,8 +52,8 @@ MIN_VARIANCE = 1e-6
 class Modes:
     """Modes of motion of the objects of n reports, by all reports of their tracks so far.
 
-    log_p : (n, MODES) ln of their probabilities; NaN where the velocity is unknown. mean, covariance : (n, MODES, 4),
-    (n, MODES, 4, 4) state in each mode.
+    log_p : (n, FILTERED) ln of their probabilities; NaN where the velocity is unknown. mean, covariance : (n, FILTERED,
+    4), (n, FILTERED, 4, 4) state in each mode.
     """
 
     log_p: FloatArray
@@ -57,7 +62,7 @@ class Modes:
 
     @classmethod
     def unknown(cls, n: int) -> Modes:
-        return cls(*(np.full((n, MODES, *shape), np.nan) for shape in ((), (4,), (4, 4))))
+        return cls(*(np.full((n, FILTERED, *shape), np.nan) for shape in ((), (4,), (4, 4))))
 
     @property
     def p_slow(self) -> FloatArray:
@@ -129,8 +134,8 @@ def mode_shares(motion: Motion, tuning: Tuning = DEFAULT_TUNING) -> FloatArray |
 
 @dataclass(frozen=True)
 class _Model:
-    """speed, walk, share : (MODES,) as of :func:`sameas.kernels.modes.filter_modes`. exchange_s : mean time after which
-    the mode is drawn anew."""
+    """speed, walk, share : (FILTERED,) as of :func:`sameas.kernels.modes.filter_modes`. exchange_s : mean time after
+    which the mode is drawn anew."""
 
     speed: FloatArray
     walk: FloatArray
@@ -142,9 +147,9 @@ class _Model:
         slow, speed, share = motion.stationary_m_per_s, motion.speed_m_per_s, mode_shares(motion, tuning)
         assert slow and speed and share is not None
         return cls(
-            np.array([tuning.alongside * slow, slow, tuning.drift_m_per_s, speed]),
-            np.array([-1.0, -1.0, tuning.drift_walk_m2_per_s3, motion.acceleration_m2_per_s3 or 0.0]),
-            share,
+            np.array([tuning.alongside * slow, slow, tuning.drift_m_per_s, speed, speed]),
+            np.array([-1.0, -1.0, *[tuning.drift_walk_m2_per_s3] * 2, motion.acceleration_m2_per_s3 or 0.0]),
+            np.append(share[:SLOW], np.repeat(share[SLOW:] / 2.0, 2)),
             tuning.rest_s * float(share[RESTS:].sum()),
         )
 
