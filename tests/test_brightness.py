@@ -415,6 +415,7 @@ def test_knots_follow_the_weight():
     assert len(knots_of(np.full(50, 3.0), np.ones(50), 10.0, 6)) == 1
 
 
+@pytest.mark.slow
 def test_a_simulated_exposure_has_the_stated_false_and_uncatalogued_shares():
     sky = Sky(stars_per_deg2=400_000.0)
     made = exposure(np.random.default_rng(15), sky, side_deg=0.2)

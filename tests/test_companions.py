@@ -109,6 +109,7 @@ def test_a_poisson_field_has_no_companions(chance: float) -> None:
     assert [clustering(setting_of(scene)) for scene in scenes] == [None] * 10
 
 
+@pytest.mark.slow
 def test_companions_change_nothing_in_a_poisson_field() -> None:
     (scene,) = fields(2, 1, share=0.0, chance=0.3, missing=0.2)
     with_them, _ = match(scene.first, scene.second)

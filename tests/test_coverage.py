@@ -191,6 +191,7 @@ def test_densities_in_clumps_agree_with_the_definition():
         np.testing.assert_allclose(density, defined(cover, weights, side), rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "of_each", "extent"), [(1000, 5, 30.0), (150, 20, 20.0), (300, 8, 4.0)])
 def test_in_clumps_smaller_than_cells_as_many_pairs_are_wrong_as_expected(n, of_each, extent):
     """Densities of cells alone gave 146 wrong pairs where 38 were expected, 571 where 221 were, and 760 where 457 were:

@@ -39,6 +39,7 @@ def queried(rng, area, n, radius, mean, share=0.7, sigma=(0.5, 0.1)):
     return first, Records.of(position[order], sigma=sigma[1], space=Sphere(), source="Gaia"), np.arange(n), label[order]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("area", [WIDE, NARROW])
 @pytest.mark.parametrize(("n", "radius", "mean"), [(300, 10.0, 1.0), (60, 60.0, 3.0), (150, 30.0, 20.0)])
 def test_of_cone_searches_around_targets_as_many_pairs_are_wrong_as_expected(area, n, radius, mean):
@@ -117,6 +118,7 @@ def both_queried(rng, area, n, radius, mean, listed=True):
     return *sides, *labels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("listed", [True, False])
 @pytest.mark.parametrize(
     ("n", "radius", "mean"), [(300, 60.0, 4.0), (200, 15.0, 3.0), (60, 60.0, 60.0), (1000, 60.0, 20.0)]

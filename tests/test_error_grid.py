@@ -80,6 +80,7 @@ def test_one_floor_for_all_axes_equals_equal_floors_per_axis():
     np.testing.assert_allclose(typical, np.sqrt([0.25 * 0.09 + 0.75 * 0.25, 0.25 * 0.09 + 0.75 * 0.01]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("objects, floor, scale", [(20, 0.15, 1.0), (40, 0.5, 1.0), (100, 0.05, 1.0), (60, 0.0, 16.0)])
 def test_clear_partners_are_found_whatever_the_quoted_errors(objects, floor, scale):
     for seed in range(3):
@@ -103,6 +104,7 @@ def test_true_errors_of_many_pairs_stay_as_quoted():
     assert found == true and wrong == 0 and not estimate.errors.as_modelled
 
 
+@pytest.mark.slow
 def test_scaling_all_errors_leaves_the_results_unchanged():
     scene = formal_field(np.random.default_rng(10), 60, floor_arcsec=0.0)
     base, (true, *_) = counts(scene)[4], counts(scene)
@@ -130,6 +132,7 @@ def test_the_order_of_the_sources_and_of_their_rows_does_not_matter():
 # ---- the grid ----
 
 
+@pytest.mark.slow
 def test_without_common_objects_no_partner_is_found():
     rng = np.random.default_rng(12)
     first, second = (

@@ -75,6 +75,7 @@ def test_errors_that_grow_toward_the_rim_are_found() -> None:
     assert trend.quantity == "distance from the centre" and np.all(np.diff(trend.sigma) > 0.0)
 
 
+@pytest.mark.slow
 def test_true_quoted_errors_that_differ_are_kept() -> None:
     """With large errors and many neighbours, pairs of p > ½ are biased to small residuals."""
     scene, _, errors = growing_field(np.random.default_rng([7, 0]), 3000, rim_is_worse)
@@ -113,6 +114,7 @@ def test_added_variances_follow_the_rows_of_a_table() -> None:
     assert errors.as_modelled and errors == Errors()
 
 
+@pytest.mark.slow
 def test_a_long_tail_is_reached_with_every_error_model() -> None:
     """Bright stars with one error of ten far too large: growth with magnitude, and a tail of binaries to sixty times.
 

@@ -166,6 +166,7 @@ def test_swapping_the_sources_swaps_the_estimate():
     assert forth.share_1 == pytest.approx(back.share_2, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_progress_is_reported():
     _, first, second = scene(9, extent=12.0)
     steps = []

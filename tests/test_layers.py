@@ -108,6 +108,7 @@ def test_a_class_name_stands_for_one_thing():
     assert {name: where for name, where in homes.items() if len(where) > 1} == {}
 
 
+@pytest.mark.slow
 def test_no_test_patches_a_constant():
     """What tunes a stage is a field of its tuning, of which a test passes another."""
     patched = re.compile(r'setattr\(\s*(?:"sameas[\w.]*\.|[\w.]+,\s*")([A-Z][A-Z0-9_]+)"')
@@ -117,6 +118,7 @@ def test_no_test_patches_a_constant():
             assert not known & set(patched.findall(path.read_text(encoding="utf-8"))), path
 
 
+@pytest.mark.slow
 def test_very_short_modules_have_many_importers():
     assert too_small() == []
 

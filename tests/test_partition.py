@@ -150,6 +150,7 @@ def by_samples(sets, n, chosen):
     return share
 
 
+@pytest.mark.slow
 def test_samples_agree_with_the_sum():
     apart = []
     for seed in range(12):
@@ -185,6 +186,7 @@ def couples(rng, n=4):
     return identify_many(sources, rule=PoissonObjects(1e-5, 0.01), tuning=replace(TUNING, max_steps=3_000_000))
 
 
+@pytest.mark.slow
 def test_samples_agree_with_the_sum_for_certain_objects_with_exchangeable_neighbours():
     """Belief propagation converges to one of the two assignments here: rms error 0.17, largest 0.77."""
     apart = []

@@ -261,6 +261,7 @@ def test_outer_joins_write_every_row_once(tmp_path):
     assert set(on_one_machine(found)[0].items()) <= set(zip(joined["id_1"], joined["id_2"], strict=True))
 
 
+@pytest.mark.slow
 def test_pandas_reads_whole_numbers_of_every_partition_as_such(tmp_path):
     """Rows without a partner have no id of it; as a float a long id would be rounded."""
     pandas = pytest.importorskip("pandas")
@@ -327,6 +328,7 @@ def test_doubts_about_the_columns_of_partitions_are_reported(tmp_path):
     assert "pmra has no column of errors" in found.report()
 
 
+@pytest.mark.slow
 def test_a_broken_partition_is_named_and_finished_ones_are_kept(tmp_path):
     tables = sky((0.0, 0.0), 3_000, 0.3, seed=11)
     a, b = stored(tmp_path, tables, (400, 400))
@@ -549,6 +551,7 @@ def test_a_catalogue_with_wrong_or_missing_properties_is_named(tmp_path):
             sameas.match(*pair)
 
 
+@pytest.mark.slow
 def test_an_output_is_a_folder_whose_records_are_not_explained(tmp_path):
     paths = stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=14), (300, 300))
     found = sameas.match(*paths, sigma="pos_err")

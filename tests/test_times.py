@@ -31,6 +31,7 @@ def test_old_leap_seconds_cause_no_download(room, fetches):
     assert seconds == 35 and (asked > 0) == fetches
 
 
+@pytest.mark.slow
 def test_a_position_on_the_earth_needs_no_network(monkeypatch):
     from astropy.coordinates import EarthLocation
     from astropy.time import Time

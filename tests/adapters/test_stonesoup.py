@@ -52,6 +52,7 @@ def names_of(associations):
     return {frozenset(track.id for track in one.objects) for one in associations}
 
 
+@pytest.mark.slow
 def test_tracks_of_different_times_are_aligned_by_the_predictor():
     rng, states = scene(1)
     radar = tracks_of(rng, states[:17], 25.0, 0.0, [f"r{k}" for k in range(17)])

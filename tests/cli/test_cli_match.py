@@ -143,6 +143,7 @@ def test_a_dry_run_prints_its_interpretation_and_writes_nothing(tmp_path, sameas
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_dry_run_names_the_options_for_what_it_assumed(tmp_path, sameas, field_files):
     """It named the arguments of Python, sigma1=ARCSEC."""
     table = field(120, 2)

@@ -43,6 +43,7 @@ def test_a_terminated_process_prints_one_line_and_leaves_no_draft(number, code, 
     assert [entry.name for entry in tmp_path.iterdir()] == ["never.csv"]
 
 
+@pytest.mark.slow
 def test_a_table_is_not_read_from_a_pipe(tmp_path, field_files):
     os.mkfifo(tmp_path / "pipe.csv")
     done = run("match", field_files[0], tmp_path / "pipe.csv", "-o", tmp_path / "o.fits", "-q")
@@ -200,6 +201,7 @@ def _read(terminal):
         return b""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("end", "code", "output"),
     [
@@ -406,6 +408,7 @@ def _answer(path):
     return {name: table[name].tolist() for name in table.colnames}
 
 
+@pytest.mark.slow
 def test_a_signal_during_object_deletion_prints_no_traceback():
     program = """
 import os, signal, time

@@ -88,6 +88,7 @@ def test_a_wrong_aim_is_told_from_that_of_the_header(made, tmp_path):
         sameas.match_frame(tmp_path / "aimed.fits", stars, aim=(WHERE[0], WHERE[1] + 1.0), scale=(1.9, 2.1), radius=0.2)
 
 
+@pytest.mark.slow
 def test_without_magnitudes_the_plot_has_no_empty_panels(made, found):
     """There were two empty panels, with axes from 0 to 1."""
     pytest.importorskip("matplotlib")

@@ -267,6 +267,7 @@ def test_duplicate_objects_with_their_own_errors_are_doubted():
     assert doubt.startswith("in second ") and "one object given twice" in doubt and "p_second" in doubt
 
 
+@pytest.mark.slow
 def test_data_frame_libraries_are_imported_only_for_data_frames():
     program = (
         "import sys, sameas; sameas.match({'ra': [1.0, 2.0], 'dec': [1.0, 2.0]}, {'ra': [1.0], 'dec': [1.0]}, sigma=1);"

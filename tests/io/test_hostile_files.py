@@ -164,6 +164,7 @@ def test_compressed_text_that_expands_without_limit(ending, head, row, tmp_path)
     assert "unpacks to more than 32 MB" in read(tmp_path / f"t{ending}", content)
 
 
+@pytest.mark.slow
 def test_provenance_of_a_compressed_votable_is_read_in_bounded_memory(tmp_path):
     (tmp_path / "t.vot.gz").write_bytes(gzip.compress(b'<?xml version="1.0"?><VOTABLE>' + b" " * 300_000_000, 1))
     assert read_provenance(tmp_path / "t.vot.gz") == {}
@@ -195,6 +196,7 @@ def sentence(body):
     return b"%s*%02X\n" % (body, int(np.bitwise_xor.reduce(list(body[1:]))))
 
 
+@pytest.mark.slow
 def test_many_static_reports_of_one_ship(tmp_path):
     pytest.importorskip("pyais")
     position = sentence(b"!AIVDM,1,1,,A,13P8fPP000ww:`tK>QqrqiL20000,0")

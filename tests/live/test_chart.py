@@ -64,6 +64,7 @@ def charted(tmp_path, chart):
         made.close()
 
 
+@pytest.mark.slow
 def test_tiles_are_served_behind_the_token(charted):
     zoom = 12
     column, row = (int(v) for v in places(*SITE, zoom))
@@ -89,6 +90,7 @@ def ask_bytes(url, **headers):
         return error.code, dict(error.headers), error.read()
 
 
+@pytest.mark.slow
 def test_a_watch_without_tiles_serves_none(keeper):
     with served(keeper) as url:
         assert ask(f"{url}/chart/0/1/0/0")[0] == 404

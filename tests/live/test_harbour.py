@@ -187,6 +187,7 @@ def test_a_berthed_ship_that_begins_to_move_across_the_course_is_an_alarm(radar,
     assert (name == "211000001" or (radar and name.startswith("object"))) and leaves_s < alarms[name] <= leaves_s + 60.0
 
 
+@pytest.mark.slow
 def test_own_ship_in_the_ais_of_others_is_no_approach(tmp_path):
     """A station on shore receives her, too; her own transponder (VDO) says which ship she is."""
     pyais = pytest.importorskip("pyais")

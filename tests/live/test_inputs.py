@@ -136,6 +136,7 @@ def test_a_datagram_address_of_another_machine_is_named():
     assert asyncio.run(run()) == ("192.0.2.7 is no address of this machine; give udp://0.0.0.0:5000 for any sender")
 
 
+@pytest.mark.slow
 def test_a_signal_k_server_is_asked_for_its_deltas_and_a_refusal_is_named():
     """The server of Signal K greets, and sends nothing until a client subscribes."""
 

@@ -95,6 +95,7 @@ def test_a_resumed_watch_takes_a_new_lag_and_refuses_another_plane(tmp_path):
         Keeper(settings(plane={"lat_deg": 50.6, "lon_deg": -1.0}), tmp_path / "state", replay=replay())
 
 
+@pytest.mark.slow
 def test_a_watch_with_another_sensor_file_keeps_its_object_numbers_and_uses_the_file(tmp_path):
     """A corrected site was ignored, and with a further source the numbers of the journal were given again."""
     first = Keeper(settings(), tmp_path, replay=replay())
@@ -353,6 +354,7 @@ def test_a_close_approach_is_an_alarm_until_it_has_passed(tmp_path):
     keeper.close()
 
 
+@pytest.mark.slow
 def test_a_replay_skips_nothing_while_kernels_are_compiled(tmp_path, monkeypatch):
     """A registration that compiled for a minute between two ticks cost a replay at pace 8 eight minutes."""
     keeper = Keeper(settings(every_s=0.05), tmp_path, replay=replay(pace=20.0))
@@ -385,6 +387,7 @@ def test_unusable_reports_do_not_stop_the_keeper(keeper):
     keeper.close()
 
 
+@pytest.mark.slow
 def test_a_failed_registration_or_search_does_not_stop_the_keeper(tmp_path, monkeypatch):
     def failing(*arguments):
         raise ZeroDivisionError("a fault of ours")
@@ -686,6 +689,7 @@ def own_ship_at(keeper, now, position, more=""):
     return keeper.tick().own_ship
 
 
+@pytest.mark.slow
 def test_the_jitter_of_a_position_alongside_is_no_speed_and_a_measured_speed_is_taken_as_it_is(tmp_path):
     path, now = tmp_path / "sensors.toml", [1_714_564_800.0]
     path.write_text(

@@ -114,6 +114,7 @@ def test_a_recording_gives_the_reports_that_the_stream_gave(tmp_path):
     assert [reports.source for reports in read_reports(path)] == ["ais", "radar"]
 
 
+@pytest.mark.slow
 def test_bytes_that_are_no_text_are_recorded(tmp_path, keeper):
     for _ in range(40):
         situation = keeper.tick(START_S + 60.0)
@@ -284,6 +285,7 @@ def ticked(keeper, now, pieces, until_s):
     return found
 
 
+@pytest.mark.slow
 def test_a_recording_is_replayed_as_it_was_received(tmp_path):
     """A report 25 s late, a clock that jumps by 45 s, a source that falls silent, a flood: all of it once more."""
     path, begin_s = tmp_path / "sensors.toml", START_S + 4800.0
@@ -346,6 +348,7 @@ def test_a_recording_is_replayed_as_it_was_received(tmp_path):
     assert "pieces that a flood dropped" in source.reports.passed_over
 
 
+@pytest.mark.slow
 def test_a_replay_as_received_waits_for_the_picture_and_ends_with_the_recording(tmp_path, sensors):
     path, _ = sensors
     names = [RecordedSource("ais", "ais"), RecordedSource("radar", "marine radar")]

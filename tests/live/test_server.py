@@ -141,6 +141,7 @@ def test_biases_are_served_and_printed(keeper):
         assert f'sameas_source_biases_established{{source="radar"}} {int(established)}' in served_words
 
 
+@pytest.mark.slow
 def test_requests_with_another_host_name_are_refused(keeper):
     with served(keeper) as url:
         assert ask(f"{url}/objects", Host="evil.example:80")[0] == 421
@@ -148,6 +149,7 @@ def test_requests_with_another_host_name_are_refused(keeper):
         assert ask(f"{url}/alarms/999/acknowledge", "POST", X_Sameas="1")[0] == 404
 
 
+@pytest.mark.slow
 def test_beyond_the_loopback_tokens_give_roles(keeper):
     with served(keeper, Access("0.0.0.0", "op-secret", "view-secret")) as url:
         assert ask(f"{url}/objects")[0] == 401 and ask(f"{url}/objects?token=wrong")[0] == 401

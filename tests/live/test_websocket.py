@@ -102,6 +102,7 @@ def watched(server, done, path="", **made):
     return asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_a_server_is_subscribed_to_and_messages_of_every_size_are_read():
     subscribed = []
 
@@ -129,6 +130,7 @@ def test_a_server_is_subscribed_to_and_messages_of_every_size_are_read():
     assert subscribed[1] == (10, b"are you there?")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("path", "line", "sends"), [
     ("", "GET /signalk/v1/stream?subscribe=none HTTP/1.1", True),
     ("/signalk/v1/stream?subscribe=all", "GET /signalk/v1/stream?subscribe=all HTTP/1.1", False),
@@ -157,6 +159,7 @@ async def one_delta(reader, writer):
     await asyncio.sleep(30.0)
 
 
+@pytest.mark.slow
 def test_a_token_or_a_login_opens_the_stream_again_after_it_broke():
     for login, posts in ((Login(token="abc"), 0), (Login(username="mate", password="pw"), 2)):
 
@@ -182,6 +185,7 @@ def test_a_refusal_is_named_without_the_secret(login, words):
     assert "wrong" not in repr(login) and "old" not in repr(login)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sent", "words"), [
     (b"\xf1\x00", "what arrives is no WebSocket"),
     (b"\x85\x00", "what arrives is no WebSocket"),

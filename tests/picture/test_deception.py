@@ -171,6 +171,7 @@ def ais_alone(is_false):
     return faults(Scene.of([(ais, Reports.of(ais.name, reports.kind, columns))]))
 
 
+@pytest.mark.slow
 def test_a_jump_is_found_without_a_radar_and_one_false_position_is_none():
     assert not ais_alone(lambda time_s: time_s == 200.0)
     (fault,) = ais_alone(lambda time_s: time_s > 200.0)

@@ -188,6 +188,7 @@ def test_errors_stated_half_as_large_do_not_make_a_picture_overconfident():
     assert right > 0.93 * total
 
 
+@pytest.mark.slow
 def test_a_picture_reports_whose_errors_are_wrongly_stated():
     for stated, due in ((1.0, []), (2.0, ["tracker 0", "tracker 1", "tracker 2"])):
         scene, times = crowd(1, stated)
@@ -226,6 +227,7 @@ def map_error(seed, ships=300, seconds=330):
     return Scene.of([(site, plots), (Description("ais", "ais"), Reports.of("ais", "ais", columns))], plane)
 
 
+@pytest.mark.slow
 def test_errors_that_persist_and_grow_with_range_do_not_split_ships():
     *_, state = picture_states(map_error(1), np.arange(16.0, 331.0, 8.0), Watch())
     joint = state.members[(state.members >= 0).all(axis=1)]

@@ -232,6 +232,7 @@ def test_biases_are_estimated_from_the_last_minutes_and_removed():
     assert several[0] < 0.2 < 0.5 < several[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [0.0, 2.5])
 def test_a_report_stays_current_until_the_next_one_can_have_arrived(delay_s):
     """Latency, transport and a delay of the stamps make reports older than the interval before the next one arrives."""
@@ -266,6 +267,7 @@ def test_a_picture_of_plots_without_ids_goes_on_with_its_own_sources_only():
         picture.describe([radar, Description("ais", "ais")])
 
 
+@pytest.mark.slow
 def test_reports_that_drift_against_the_instants_are_always_there():
     """A report of each second that arrives 0.6 s later; the instants are 3 ms later every time."""
     picture, arrived, present = LivePicture([Description("sbs", "ads-b", timing=Timing(period_s=1.0))]), 20, []
@@ -303,6 +305,7 @@ def test_refusals_name_the_error():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s", [3.0, -5.0])
 def test_a_delay_of_the_stamps_is_removed_live_and_estimated_again_in_every_window(late_s):
     from tests.tracks.test_delays import aircraft

@@ -61,6 +61,7 @@ def passed_by(seed):
     ]), times  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_ferry_that_turned_unreported_stays_one_when_another_passes_her():
     apart = 0
     for seed in range(4):

@@ -343,17 +343,20 @@ def p_one(scene, every_s=30.0):
     return np.array(out[len(out) // 2 :])
 
 
+@pytest.mark.slow
 def test_a_lasting_separation_beyond_correlated_errors_is_two_objects():
     # One scan cannot distinguish 75 m from 0 with σ = 31 m; minutes can, if errors are uncorrelated.
     assert np.mean([p_one(beside(seed, 75.0)) for seed in (2, 3, 4)]) < 0.25
 
 
+@pytest.mark.slow
 def test_errors_measured_on_other_tracks_override_stated_ones():
     # 30 m are stated for both, other tracks show 8 m: 100 m apart are two objects.
     p = p_one(beside(2, 100.0, sigma_m=(8.0, 8.0), stated_m=(30.0, 30.0), others=12))
     assert p[-5:].mean() < 0.5
 
 
+@pytest.mark.slow
 def test_a_ship_seen_by_both_sources_stays_one_object_for_any_stated_errors():
     for stated_m in ((30.0, 8.0), (45.0, 15.0)):
         assert p_one(beside(2, 0.0, stated_m=stated_m, radar_sees_it=True)).min() > 0.999
@@ -432,6 +435,7 @@ def test_two_tracks_of_a_wrong_ship_count_twice_against_it():
         assert history([0, 2, 4]) - history(wrong) == pytest.approx(joint)
 
 
+@pytest.mark.slow
 def test_swaps_of_ships_abreast_are_found_over_many_reports():
     rates = []
     for seed in range(3):
@@ -467,6 +471,7 @@ def overflight(seed, kinds=("ais", "ads-b"), ids=("mmsi", "icao"), sigma_m=(5.0,
     return Scene.of(sources, plane)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", [("ais", "ads-b"), ("tracks", "tracks")])
 def test_an_aircraft_over_a_ship_does_not_join_it(kinds):
     ids = ("mmsi", "icao") if kinds[0] == "ais" else ("track_id", "track_id")

@@ -135,6 +135,7 @@ def test_an_identified_object_that_returns_gets_its_old_number():
     assert o["stage"][mine][-1] == "confirmed"
 
 
+@pytest.mark.slow
 def test_an_aircraft_over_a_ship_takes_its_address_and_its_number_along():
     """For some instants an aircraft was one object with a ship below: she kept its address, it stayed tentative."""
     rng, times = np.random.default_rng(2), np.arange(0.0, 401.0, 5.0)

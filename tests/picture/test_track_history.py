@@ -87,6 +87,7 @@ def anchorage(seed):
     return Scene.of([(ais, reports.where(due)), *radars]), times, mmsi[0]
 
 
+@pytest.mark.slow
 def test_tracks_that_never_were_of_a_moored_vessel_are_no_sign_that_she_departed():
     for seed in range(3):
         scene, times, moored = anchorage(seed)

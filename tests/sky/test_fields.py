@@ -46,6 +46,7 @@ def test_disjoint_fields_raise_a_doubt_with_possible_misreadings(misread: Any, w
         assert wanted in doubts[0] or (swapped and "do they show" in doubts[0])
 
 
+@pytest.mark.slow
 def test_a_common_field_without_common_objects_is_not_reported_as_disjoint() -> None:
     first, second = _field(), _field()
     second["ra"] = second["ra"] + 0.01

@@ -96,6 +96,7 @@ def test_a_negative_is_refused_by_its_cause():
         detect(negative)
 
 
+@pytest.mark.slow
 def test_hot_pixels_and_cosmic_rays_are_masked_and_stars_are_not():
     rng = np.random.default_rng(7)
     camera = Camera(shape=(640, 640), hot_pixels=150, hot_e=5000.0, cosmics=60, saturation_e=1e9)
@@ -250,6 +251,7 @@ def with_gain(frame, gain):
     return replace(frame, facts=replace(frame.facts, gain_e_per_adu=gain))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("psf", "camera"),
     [
@@ -272,6 +274,7 @@ def test_errors_of_bright_stars_are_right_without_a_gain(psf, camera):
     assert gain == pytest.approx(camera.gain_e_per_adu, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_gain_that_the_stars_contradict_is_doubted():
     rng = np.random.default_rng(6)
     seen = frame_of(rng, **grid(rng, bright=6.0), camera=WIDE, psf=Moffat(3.0))

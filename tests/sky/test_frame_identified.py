@@ -104,6 +104,7 @@ def wrong(found: FrameIdentification, truth: np.ndarray) -> int:
     return int(np.sum(found.stars.rows[j] != truth[i]))
 
 
+@pytest.mark.slow
 def test_a_wrong_time_of_the_frame_raises_a_doubt_that_names_the_right_one(seen: Scene, found: FrameIdentification):
     assert not any("proper motions" in note for note in found.notes)
     hint = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
@@ -363,6 +364,7 @@ def test_a_nonlinear_response_is_found_and_a_linear_one_kept() -> None:
     assert ZeroPoint.of(np.ones(2), np.ones(2), colour[:2], np.ones(2)) is None
 
 
+@pytest.mark.slow
 def test_saturated_stars_do_not_bend_the_magnitudes_of_a_linear_detector(
     seen: Scene, found: FrameIdentification
 ) -> None:

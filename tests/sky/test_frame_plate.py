@@ -128,6 +128,7 @@ def with_floor(stars: MatchedStars, rng: np.random.Generator, floor_px: float) -
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("floor_px", [0.03, 0.0])
 def test_a_floor_of_bright_stars_is_found_and_does_not_bend_the_plate(floor_px: float) -> None:
     squares, errors, best, floors = [], [], [], []

@@ -97,6 +97,7 @@ def test_an_unknown_join_names_the_known_ones(matched):
         joined(matched, "1in2")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seam", [10.0, 359.99])
 def test_the_internal_order_of_records_does_not_matter(seam):
     """Sorted by position or in table order: equal joined table, blends and explanations."""

@@ -111,6 +111,7 @@ def with_magnitudes(scene: Sky, seed: int = 5) -> list[Catalogue]:
     return catalogues
 
 
+@pytest.mark.slow
 def test_magnitudes_make_fewer_objects_wrong_and_probabilities_stay_true(scene: Sky) -> None:
     catalogues, truth = with_magnitudes(scene), {one for one in scene.truth() if sum(row >= 0 for row in one) > 1}
     wrong, stated = {}, {}
@@ -335,6 +336,7 @@ def test_without_epochs_nothing_is_propagated() -> None:
     assert "pmra_object" not in joined_many(found).colnames
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("apart", [0.0, 0.3])
 def test_a_catalogue_with_copied_positions_does_not_split_objects(apart: float) -> None:
     drawn = crowded_sky(np.random.default_rng(3), 300, 0.2)
@@ -488,6 +490,7 @@ def _three_crowded(rng: np.random.Generator) -> list[Table]:
     return tables
 
 
+@pytest.mark.slow
 def test_the_order_of_the_rows_changes_no_object() -> None:
     """Local densities follow each record, for any order of records in tables and matches."""
     rng = np.random.default_rng(2)

@@ -276,6 +276,7 @@ def test_two_stars_closer_than_their_errors_are_no_movers():
     assert len(found) == 0 and found.stationary.rows.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [14, 19])
 def test_a_chance_track_does_not_support_itself_through_learning(seed):
     """Chance lines of three once raised the learned frequency of their own rate, and were stated 0.97 and 0.92."""
@@ -283,6 +284,7 @@ def test_a_chance_track_does_not_support_itself_through_learning(seed):
     assert len(find_movers(detections, least=3)) == 0
 
 
+@pytest.mark.slow
 def test_stars_with_a_nearby_false_detection_are_no_slow_movers():
     """Among 800 stars with errors 2.5 times those quoted, a star was once a candidate of 0.73."""
     detections, truth = night(3, movers=3, false=100, stars=800, larger=2.5, p_detect=1.0)
@@ -388,6 +390,7 @@ def test_the_detection_probability_is_learned_from_movers_with_three_detections(
     assert abs(_detection_probability(np.ones(len(shown)), shown, np.full(len(shown), 5), 0.7) - p) < 0.02
 
 
+@pytest.mark.slow
 def test_clustered_false_detections_are_no_movers():
     """Halos of bright stars give many false detections on every exposure, without more movers."""
     for seed in (41, 42):

@@ -101,6 +101,7 @@ def test_motions_in_another_convention_are_not_taken_for_a_wrong_epoch(misread: 
     assert len(doubts) == 1 and words.format(side=2 if swapped else 1) in doubts[0], doubts
 
 
+@pytest.mark.slow
 def test_quoted_errors_below_a_floor_do_not_bias_the_epoch():
     """By the quoted errors the brightest stars had all the weight, and those that moved most counted as outliers."""
     years = []

@@ -136,6 +136,7 @@ def test_two_sources_without_a_reference_are_corrected_for_the_difference_of_the
     assert abs(difference - 2.0) < 0.3
 
 
+@pytest.mark.slow
 def test_ships_of_one_speed_whose_antennas_are_all_aft_show_no_delay():
     """An antenna 8 m aft of the centre of all hulls looks as a delay of 2 s at 4 m/s; described extents say so."""
     for seed in range(3):

@@ -164,6 +164,7 @@ def test_the_history_tells_vessels_alongside_from_those_at_anchor(slow, kind):
     assert np.median(swings_m2) == pytest.approx((slow * age_s) ** 2, rel=0.5, abs=6.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every_s", [10.0, 180.0])
 def test_the_probability_by_all_reports_is_the_frequency(every_s):
     made, lies = simulated(np.random.default_rng(4), 4000, 8, every_s)

@@ -303,6 +303,7 @@ def test_json_lines_lists_and_parquet_agree(tmp_path):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DATA.exists(), reason="the shared data sets are not here")
 def test_the_solent_file_is_read():
     [made] = read_reports(DATA / "SolentAIS_20160112_130211.csv")
