@@ -13,6 +13,8 @@ from sameas.kernels.linear import positive_2, solve_2
 
 #: ln of the least weight of a mode from which others are predicted.
 LEAST = -40.0
+#: Half the χ² of a reported velocity beyond which no object has just come into a mode slower than the last one.
+FAR = 46.0
 LOG_2PI = math.log(2.0 * math.pi)
 
 
@@ -68,6 +70,8 @@ def filter_modes(
                 if j == i or (walk[i] < 0.0 and walk[j] < 0.0):
                     continue
                 p_stays -= p_change * share[j]
+                if speed[j] < speed[modes - 1] and _half_chi_sq(z, error, speed[j]) > FAR:
+                    continue
                 _new_velocity(half_way, dt, speed[j], 1.0 / 3.0, 0.5, p)
                 log_p = _updated(x, p, z, error, total, root, crossed, means[i, j], spreads[i, j])
                 log_case[i, j] = log_weight[last, i] + math.log(p_change * share[j]) + log_p
@@ -77,6 +81,13 @@ def filter_modes(
         for j in range(modes):
             log_weight[row, j] = _merged(log_case[:, j], means[:, j], spreads[:, j], mean[row, j], spread[row, j])
         _normalise(log_weight[row])
+
+
+@part
+def _half_chi_sq(state: FloatArray, covariance: FloatArray, speed: float) -> float:
+    """A lower bound of half the χ² of the velocity of a state, if it is 0 ± ``speed``."""
+    square = state[2] * state[2] + state[3] * state[3]
+    return 0.5 * square / (speed * speed + covariance[2, 2] + covariance[3, 3])
 
 
 @part
@@ -142,6 +153,8 @@ def _log_sum(log_weight: FloatArray) -> float:
     top = -math.inf
     for value in log_weight:
         top = max(top, value)
+    if top == -math.inf:
+        return top
     total = 0.0
     for value in log_weight:
         total += math.exp(value - top)
