@@ -131,12 +131,13 @@ def watch(
     with answering(debug, sensor_option):
         from sameas.live.keeper import Keeper
 
+        every_s, replay, playback = duration_s(every), None, None
         if as_received:
-            settings, playback = _recorded(files or [], sensors, pace, duration_s(every))
-            replay = None
+            settings, playback = _recorded(files or [], sensors, pace)
         else:
-            playback = None
-            settings, replay = _settings(files or [], sensors, start, pace, duration_s(every))
+            settings, replay = _settings(files or [], sensors, start, pace)
+        if every_s is not None:
+            settings = replace(settings, watch=replace(settings.watch, every_s=every_s))
         settings = _with_charts(settings, chart) if chart else settings
         if record is not None and (replay or playback) is not None:
             raise InputError("--record: files are replayed, and nothing is received", "leave it out")
@@ -182,9 +183,7 @@ def _source_lines(name: str, health: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _settings(
-    files: list[str], sensors: Path | None, start: str | None, pace: float, every_s: float | None
-) -> tuple[Settings, Replay | None]:
+def _settings(files: list[str], sensors: Path | None, start: str | None, pace: float) -> tuple[Settings, Replay | None]:
     """The settings, and the replay if files are given."""
     from sameas.io.sensors.sources import read_source_options, read_sources
     from sameas.live.inputs import Replay
@@ -204,12 +203,10 @@ def _settings(
         replay = Replay([(source.description.name, source.reports) for source in sources], pace, _origin(sources))
         live = {source.description.name: LiveSource(source.description) for source in sources}
         settings = Settings(live, settings.watch)
-    if every_s is not None:
-        settings = replace(settings, watch=replace(settings.watch, every_s=every_s))
     return settings, replay
 
 
-def _recorded(files: list[str], sensors: Path | None, pace: float, every_s: float | None) -> tuple[Settings, Playback]:
+def _recorded(files: list[str], sensors: Path | None, pace: float) -> tuple[Settings, Playback]:
     """The settings, and recordings to replay as they were received on the inputs of these."""
     from sameas.io.sensors.recording import Recording, recordings
     from sameas.live.inputs import Playback
@@ -228,8 +225,6 @@ def _recorded(files: list[str], sensors: Path | None, pace: float, every_s: floa
                 known = f"{sensors} has no input for" if not urls else f"{sensors} has several inputs for"
                 raise InputError(f"{file}: {known} {', '.join(names)}", "give the sensor file of that watch")
             played.append((str(urls.pop()), recording))
-    if every_s is not None:
-        settings = replace(settings, watch=replace(settings.watch, every_s=every_s))
     return settings, Playback(played, pace)
 
 

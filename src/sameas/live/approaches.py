@@ -27,12 +27,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import cKDTree
 
+from sameas.io.sensors.format import KNOT_M_PER_S
 from sameas.live.settings import WatchSettings
 from sameas.live.situation import Alarm, Situation
+from sameas.picture.live import LiveState
 from sameas.tracks.reports import Reports
 from sameas.tracks.stationary import RESTS
 
-KNOT_M_PER_S = 1852.0 / 3600.0
 #: An active alarm of closest approach ends beyond this multiple of its limits.
 CPA_HOLDS = 1.2
 #: CPA in metres that raises an alarm unless it is given, 0.5 nm, while own ship is at least this fast, m/s (1 kn).
@@ -85,21 +86,23 @@ class Approaches:
                 if mmsi and value == value
             }
 
-    def alarms(self, situation: Situation, active: Container[str], own_mmsi: str = "") -> list[Alarm]:
-        """The alarms of a situation.
+    def alarms(self, situation: Situation, state: LiveState, active: Container[str], own_mmsi: str = "") -> list[Alarm]:
+        """The alarms of a situation; none without an own ship.
 
-        active : keys of the alarms of the last one. own_mmsi : of own ship, if her transponder gives it: stations on
-        shore receive her as well.
+        state : the picture of the situation. active : keys of the alarms of the last one. own_mmsi : of own ship, if
+        her transponder gives it: stations on shore receive her as well.
         """
         watch, ship, out, berthed = self.watch, situation.own_ship, [], set()
+        if watch.own_ship is None:
+            return []
         speed = 0.0 if ship is None else math.hypot(ship.vx_m_per_s, ship.vy_m_per_s)
         cpa_m = watch.cpa_m
         if cpa_m is None:
             cpa_m = CPA_M if speed > UNDER_WAY_M_PER_S else 0.0
         limit = watch.harbour_kn * KNOT_M_PER_S
         self.in_harbour = ship is not None and speed < limit * (HARBOUR_HOLDS if self.in_harbour else 1.0)
-        self._alongside = self._objects_alongside(situation)
-        own = {own_mmsi, watch.own_ship.mmsi or "" if watch.own_ship else ""} - {""}
+        self._alongside = self._objects_alongside(situation, state)
+        own = {own_mmsi, watch.own_ship.mmsi or ""} - {""}
         objects = situation.objects
         numbers, stages, labels, mmsis = (objects[name].tolist() for name in ("object", "stage", "label", "mmsi"))
         texts = dict(zip(numbers, zip(labels, mmsis, strict=True), strict=True))
@@ -122,15 +125,15 @@ class Approaches:
         self.berthed = frozenset(berthed)
         return out
 
-    def _objects_alongside(self, situation: Situation) -> frozenset[int]:
-        objects, p_modes = situation.objects, situation.p_modes
+    def _objects_alongside(self, situation: Situation, state: LiveState) -> frozenset[int]:
+        objects, p_modes = situation.objects, dict(zip(state.number.tolist(), state.p_modes, strict=True))
         number, mmsi = objects["object"].tolist(), objects["mmsi"].tolist()
         x, y, speed = (np.ma.filled(objects[name], np.nan) for name in ("x_m", "y_m", "speed_m_per_s"))
         place, placed = np.column_stack([x, y]), np.isfinite(x + y)
         at_rest = np.zeros(len(number), bool)
         for k in np.flatnonzero(placed).tolist():
             p, status = p_modes.get(number[k]), self._status.get(mmsi[k])
-            if p is not None and status not in HAZARDS:
+            if p is not None and not np.isnan(p[0]) and status not in HAZARDS:
                 moored = status == MOORED and p[:RESTS].sum() >= ALONGSIDE_BELOW
                 enough = ALONGSIDE_BELOW if number[k] in self._alongside else ALONGSIDE_FROM
                 at_rest[k] = moored or p[0] >= enough

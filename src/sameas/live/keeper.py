@@ -33,7 +33,7 @@ from sameas.live.outputs import sinks_of
 from sameas.live.settings import Settings
 from sameas.live.situation import Alarm, OwnShipState, Situation
 from sameas.picture.deception import Fault
-from sameas.picture.live import LivePicture, estimated, faults_of
+from sameas.picture.live import LivePicture, LiveState, estimated, faults_of
 from sameas.picture.picture_state import PictureState
 from sameas.representation import listed
 from sameas.tracks.coordinates import LocalPlane
@@ -226,14 +226,16 @@ class Keeper:
     @property
     def pace(self) -> float | None:
         """How many times as fast files or recordings are replayed; None where nothing is."""
-        replayed = self.replay or self.playback
-        return None if replayed is None else replayed.pace
+        return None if self._replayed is None else self._replayed.pace
 
     @property
     def done(self) -> bool:
         """Whether all that is replayed has been taken."""
-        replayed = self.replay or self.playback
-        return replayed is not None and replayed.done
+        return self._replayed is not None and self._replayed.done
+
+    @property
+    def _replayed(self) -> Replay | Playback | None:
+        return self.replay or self.playback
 
     def tick(self, now_s: float | None = None) -> Situation | None:
         """Processes the new reports and returns the situation then; None, and a log entry, where this failed."""
@@ -255,9 +257,8 @@ class Keeper:
             own_ship = self._own_ship(instant_s, state)
             situation = Situation.of(self._tick, state, self.picture.plane, (), own_ship, self.picture.height_model)
             alarms = [*_identity_alarms(state), *self._source_alarms(), *self._fault_alarms(situation),
-                      *self._own_ship_alarms(situation), *self._approach_alarms(situation),
-                      *self._folder_alarms(),
-                      *self._pace_alarms()]  # fmt: skip
+                      *self._own_ship_alarms(situation), *self._approach_alarms(situation, state),
+                      *self._folder_alarms(), *self._pace_alarms()]  # fmt: skip
             situation = replace(situation, alarms=tuple(alarms))
             self._raise_alarms(alarms, instant_s)
             self.deltas.append(Delta.between(self.situation, situation))
@@ -398,9 +399,9 @@ class Keeper:
             return OwnShipState(east, north, speed * math.sin(angle), speed * math.cos(angle), heading)
         return OwnShipState(east, north, *self._own_velocity(now_s), heading)
 
-    def _approach_alarms(self, situation: Situation) -> list[Alarm]:
+    def _approach_alarms(self, situation: Situation, state: LiveState) -> list[Alarm]:
         wire = self._own_wire()
-        return self.approaches.alarms(situation, self._alarms, "" if wire is None else wire.stream.own_mmsi)
+        return self.approaches.alarms(situation, state, self._alarms, "" if wire is None else wire.stream.own_mmsi)
 
     def _own_wire(self) -> Wire | None:
         """The wire of the source that gives own ship's position; None where no source does, or it is replayed."""

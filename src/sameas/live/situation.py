@@ -66,7 +66,6 @@ class Situation:
     cpa : distance (m) and time (s) of the closest approach to own ship, by the number of the object; closing objects
         only.
     heights : conversion of the objects' heights to heights above the ellipsoid.
-    p_modes : probability of each mode of motion (:mod:`sameas.tracks.stationary`) of the objects where it is known.
     """
 
     tick: int
@@ -78,7 +77,6 @@ class Situation:
     alarms: tuple[Alarm, ...] = ()
     own_ship: OwnShipState | None = None
     heights: HeightModel | None = None
-    p_modes: Mapping[int, FloatArray] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -102,7 +100,6 @@ class Situation:
             tick, state.now.instant_s, plane, with_degrees(objects, plane), with_degrees(records, plane),
             {number: tuple(tracks) for number, tracks in members.items()}, tuple(alarms), own_ship,
             heights,
-            {number: p for number, p in zip(state.number.tolist(), state.p_modes, strict=True) if not np.isnan(p[0])},
         )  # fmt: skip
 
     @cached_property
