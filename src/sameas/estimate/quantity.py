@@ -181,20 +181,26 @@ class _Scores:
         besides the share."""
         if self.errors is not None:
             yield _scale_scores(answer, self.errors, used)
+        weight = answer.p_pair[used]
         if self.columns is not None:
-            p_pair = answer.p_pair[used]
             for basis in self.columns.design(3 - source, other).T:
-                yield basis - p_pair @ basis / max(float(p_pair.sum()), 1e-300)
+                yield _centred(basis, weight)
         curve = None if self.photometry is None else self.photometry.curves[2 - source]
         if self.photometry is None or curve is None:
             return
         magnitude = self.photometry.sides[2 - source].measured.values[other, 0]
-        known, weight = np.isfinite(magnitude), answer.p_pair[used]
+        known = np.isfinite(magnitude)
         hats = Hats.at(curve.knots, np.where(known, magnitude, curve.knots[0]))
         for knot in np.eye(len(curve.knots)):
-            basis = np.where(known, hats.curve(knot), 0.0)
-            # The magnitudes of the partners are a density: a common factor is part of the share.
-            yield np.where(known, basis - weight @ basis / max(float(weight[known].sum()), 1e-300), 0.0)
+            score = np.zeros(len(known))
+            score[known] = _centred(hats.curve(knot)[known], weight[known])
+            yield score
+
+
+def _centred(basis: FloatArray, weight: FloatArray) -> FloatArray:
+    """The values less their weighted mean: the evidence of partners is a density, and a common factor is part of the
+    share."""
+    return np.asarray(basis - weight @ basis / max(float(weight.sum()), 1e-300))
 
 
 def _scale_scores(answer: Identification, errors: Errors, used: IntArray) -> FloatArray:

@@ -253,8 +253,7 @@ class Feed:
         share = mode_shares(motion, tuning)
         if share is None or self.p_slow is None or not isinstance(self.reports, States):
             return out
-        unknown_variance = tuning.unknown_velocity_share * float(motion.speed_m_per_s or 0.0) ** 2
-        known = self.reports.covariance[row, 2, 2] < unknown_variance
+        known = tuning.is_known(self.reports.covariance[row, 2, 2], motion.speed_m_per_s or 0.0)
         slow = self.p_slow[row[known]]
         p = np.column_stack([slow, np.maximum(1.0 - slow.sum(axis=1), 0.0)])
         age_s = np.maximum(instant_s - self.reports.time_s[row[known]], 0.0)
@@ -298,9 +297,7 @@ class Feed:
         """Whether any report has a velocity."""
         speed = self.description.motion.speed_m_per_s or math.inf
         reports = self.reports
-        return isinstance(reports, States) and bool(
-            np.any(reports.covariance[:, 2, 2] < self.tuning.unknown_velocity_share * speed**2)
-        )
+        return isinstance(reports, States) and bool(self.tuning.is_known(reports.covariance[:, 2, 2], speed).any())
 
     def sensor_at(self, instant_s: float) -> FloatArray | None:
         """(2,) position of the sensor at its last report up to the instant; None if it is unknown."""

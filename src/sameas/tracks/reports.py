@@ -316,8 +316,8 @@ def of_rows(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 _MATRICES = ("covariance_m2", "velocity_covariance_m2_per_s2")
-#: Reports are of a wrong date if at most so many at a time, and at most this share of all, are apart from the others by
-#: more than these seconds, and by more than all others last.
+#: Reports are of a wrong date if they are at most STRAY_REPORTS at a time and STRAY_SHARE of all, and apart from the
+#: others by more than STRAY_S seconds, and by more than all others last.
 STRAY_REPORTS, STRAY_SHARE, STRAY_S = 3, 0.01, 6 * 3600.0
 
 

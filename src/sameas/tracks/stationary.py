@@ -15,11 +15,11 @@ From one report alone, even a velocity of exactly 0 with an error of 0.5 m/s lea
 walk then dominates the mean covariance: after three minutes 7 times the variance of the errors of those at anchor. And
 0.3 ± 0.3 m/s may be the velocity of a vessel at anchor, but not report after report. A steady course fits the walk of
 those adrift better than that of a motion with turns, at any speed: without a mode of their own, ships at 4 kn would be
-adrift. So the modes are filtered over
-each track. Each has a Kalman filter of position and velocity, and a probability, which changes by the density of each
-report. Modes change as a Markov process: after a mean time of (1 − w) ``rest_s`` the mode is drawn anew by the shares,
-except that one at rest does not follow the other, so that ``rest_s`` is the mean time at rest. The change is at an
-unknown time between two reports, with the mean and variance of a uniform distribution.
+adrift. So the modes are filtered over each track. Each has a Kalman filter of position and velocity, and a probability,
+which changes by the density of each report. Modes change as a Markov process: after a mean time of (1 − w) ``rest_s``
+the mode is drawn anew by the shares, except that one at rest does not follow the other, so that ``rest_s`` is the mean
+time at rest. The change is at an unknown time between two reports, with the mean and variance of a uniform
+distribution.
 
 Source: the generalised pseudo-Bayesian estimator of second order (Bar-Shalom, Li and Kirubarajan 2001, 11.6.5); the
 mixture is their 1.4.16.
@@ -96,7 +96,7 @@ def stationary(
     if motion.stationary_share >= 1.0:
         share = motion.stationary_share
         raise InputError(f"motion.stationary_share is {share}; give the share of stationary objects, below 1")
-    has_velocity = reports.usable & (reports.covariance[:, 2, 2] < tuning.unknown_velocity_share * speed**2)
+    has_velocity = reports.usable & tuning.is_known(reports.covariance[:, 2, 2], speed)
     model = _Model.of(motion, tuning)
     modes = model.filtered(reports, has_velocity, known)
     rows = np.flatnonzero(has_velocity)

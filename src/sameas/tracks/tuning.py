@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray
 from sameas.registration.hough import DEFAULT_TUNING as REGISTRATION
 from sameas.registration.hough import Tuning as RegistrationTuning
 
@@ -278,6 +281,11 @@ class Tuning:
     near_m: float = 50e3
 
     heights: HeightTuning = HeightTuning()
+
+    def is_known(self, variance: FloatArray, speed_m_per_s: float) -> BoolArray:
+        """(n,) whether velocities with these variances per axis (n,) are known, of objects with 1σ of velocity per axis
+        ``speed_m_per_s``."""
+        return np.asarray(variance < self.unknown_velocity_share * speed_m_per_s**2)
 
     @property
     def drift_walk_m2_per_s3(self) -> float:
