@@ -392,8 +392,8 @@ def test_a_failed_registration_or_search_does_not_stop_the_keeper(tmp_path, monk
     def failing(*arguments):
         raise ZeroDivisionError("a fault of ours")
 
-    for name in ("estimated", "faults_of"):
-        monkeypatch.setattr(f"sameas.live.keeper.{name}", failing)
+    for name in ("picture.live.estimated", "live.keeper.faults_of"):
+        monkeypatch.setattr(f"sameas.{name}", failing)
     keeper = Keeper(settings(register_every_s=0.1, faults_every_s=0.1, every_s=0.05), tmp_path, replay=replay())
     asyncio.run(keeper.run(until=lambda: keeper._tick >= 3))
     assert keeper.journal is None and load_state(tmp_path)["tick"] == 3

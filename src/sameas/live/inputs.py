@@ -444,8 +444,34 @@ def in_words(seconds: float) -> str:
     return f"{seconds:.0f} s"
 
 
+class Paced:
+    """What is replayed: its time runs from ``first_s`` to ``last_s``, ``pace`` times as fast as the clock."""
+
+    pace: float
+    first_s: float
+    last_s: float
+    _began_s = math.inf
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.pace < math.inf:
+            raise InputError(f"replay: pace is {self.pace}; give a factor above 0")
+
+    def begin(self, clock_s: float, from_s: float | None = None) -> None:
+        """Starts at this time of the clock, from its beginning or after ``from_s``."""
+        start_s = self.first_s if from_s is None else from_s
+        self._began_s = clock_s - (start_s - self.first_s) / self.pace
+
+    def wait(self, seconds: float) -> None:
+        """Stops for this many seconds of the clock."""
+        self._began_s += seconds
+
+    def time_s(self, clock_s: float) -> float:
+        """The replayed time at this time of the clock; the first before the beginning."""
+        return self.first_s if math.isinf(self._began_s) else self.first_s + self.pace * (clock_s - self._began_s)
+
+
 @dataclass
-class Replay:
+class Replay(Paced):
     """Replays the reports of files in the order of their times, at ``pace`` times real time.
 
     Parameters
@@ -468,31 +494,20 @@ class Replay:
     origin: LocalPlane | None = None
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.pace < float("inf"):
-            raise InputError(f"replay: pace is {self.pace}; give a factor above 0")
+        super().__post_init__()
         self.sources = [(name, reports.in_time_order()) for name, reports in self.sources if len(reports)]
         if not self.sources:
             raise InputError("replay: no source has a report")
         self.first_s = min(float(reports.time_s[0]) for _, reports in self.sources)
         self.last_s = max(float(reports.time_s[-1]) for _, reports in self.sources)
         self._next = [0] * len(self.sources)
-        self._began_s = 0.0
-
-    def begin(self, clock_s: float, from_s: float | None = None) -> None:
-        """Starts the replay at this time of the clock, with the first report or at ``from_s``."""
-        start_s = self.first_s if from_s is None else from_s
-        self._began_s = clock_s - (start_s - self.first_s) / self.pace
-
-    def wait(self, seconds: float) -> None:
-        """Stops the replay for this many seconds of the clock."""
-        self._began_s += seconds
 
     def now_s(self, clock_s: float) -> float:
         """The replayed time at this time of the clock; the last report's where that has passed.
 
         At 100 times real time an instant may be 100 s after the last report: its objects would have ended.
         """
-        return min(self.first_s + self.pace * (clock_s - self._began_s), self.last_s)
+        return min(self.time_s(clock_s), self.last_s)
 
     @property
     def done(self) -> bool:
@@ -529,7 +544,7 @@ class Replay:
 
 
 @dataclass
-class Playback:
+class Playback(Paced):
     """Replays recordings as they were received: each piece at its receive time, ``pace`` times as fast.
 
     Late reports, clocks that jump, sources that fall silent and floods come again as they came.
@@ -554,8 +569,7 @@ class Playback:
     pace: float = 1.0
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.pace < float("inf"):
-            raise InputError(f"replay: pace is {self.pace}; give a factor above 0")
+        super().__post_init__()
         self._pieces: list[tuple[float, str, Piece, int]] = []
         for url, recording in self.recordings:
             until_s = -math.inf
@@ -567,23 +581,12 @@ class Playback:
             raise InputError("replay: the recordings have no data")
         self._pieces.sort(key=lambda one: one[0])
         self.first_s, self.last_s = self._pieces[0][0], self._pieces[-1][0]
-        self._next, self._began_s = 0, 0.0
-        self._started = False
+        self._next = 0
 
     def begin(self, clock_s: float, from_s: float | None = None) -> None:
-        """Starts at this time of the clock, with the first piece or those after ``from_s``."""
-        start_s = self.first_s if from_s is None else from_s
-        self._began_s, self._started = clock_s - (start_s - self.first_s) / self.pace, True
-        while from_s is not None and not self.done and self._pieces[self._next][0] <= from_s:
-            self._next += 1
-
-    def wait(self, seconds: float) -> None:
-        """Stops the replay for this many seconds of the recording."""
-        self._began_s += seconds / self.pace
-
-    def time_s(self, clock_s: float) -> float:
-        """The time of the recording at this time of the clock; the first before the beginning."""
-        return self.first_s + self.pace * (clock_s - self._began_s) if self._started else self.first_s
+        super().begin(clock_s, from_s)
+        if from_s is not None:
+            self.take(from_s)
 
     @property
     def done(self) -> bool:

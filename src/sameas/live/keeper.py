@@ -33,7 +33,7 @@ from sameas.live.outputs import sinks_of
 from sameas.live.settings import Settings
 from sameas.live.situation import Alarm, OwnShipState, Situation
 from sameas.picture.deception import Fault
-from sameas.picture.live import LivePicture, LiveState, estimated, faults_of
+from sameas.picture.live import LivePicture, LiveState, faults_of
 from sameas.picture.picture_state import PictureState
 from sameas.representation import listed
 from sameas.tracks.coordinates import LocalPlane
@@ -286,7 +286,7 @@ class Keeper:
     def register(self) -> None:
         """Estimates the biases of the sources from the last minutes; a failure is logged and changes nothing."""
         try:
-            self.picture.take_off(estimated(self.picture.recent(), self.picture.plane, self.picture.tuning))
+            self.picture.register()
         except Exception as error:
             # A failed bias fit must not end the watch: the previous biases stay in use.
             LOG.info("registration: %s", error, exc_info=not isinstance(error, InputError))
@@ -640,25 +640,24 @@ class Keeper:
         every_s = self.settings.watch.every_s
         registration: asyncio.Task[None] | None = None
         search: asyncio.Task[None] | None = None
-        if self.replay is not None:
-            from_s = self.picture.instant_s if self.restored else None
-            self.replay.begin(self.clock(), from_s if from_s is not None and math.isfinite(from_s) else None)
-        if self.playback is not None:
-            self.playback.begin(self._real_clock(), self.picture.instant_s if self.restored else None)
+        replayed = self._replayed
+        if replayed is not None:
+            from_s = self.picture.instant_s
+            replayed.begin(self._real_clock(), from_s if self.restored and math.isfinite(from_s) else None)
+        # Seconds of the keeper's clock in a second: that of a recording runs at its pace.
+        tempo = 1.0 if self.playback is None else self.playback.pace
         next_s = self.clock()
         try:
             while until is None or not until():
                 # Missed ticks are not caught up: the next one has all reports. A replay waits instead.
                 late_s = max(self.clock() - next_s, 0.0)
                 next_s += late_s
-                if self.replay is not None:
-                    self.replay.wait(late_s)
-                    self.waited_s += late_s
+                if replayed is not None:
+                    replayed.wait(late_s / tempo)
+                    self.waited_s += late_s / tempo
                 if self.playback is not None:
                     # Ticks are as far apart in the recording as they were.
-                    self.playback.wait(late_s)
                     next_s -= late_s
-                    self.waited_s += late_s / self.playback.pace
                 await asyncio.to_thread(self._tick_and_send)
                 self._tell_listeners()
                 every = self.settings.watch.register_every_s
@@ -672,7 +671,7 @@ class Keeper:
                     self._searched_s = self.picture.instant_s
                     search = asyncio.create_task(asyncio.to_thread(self.search))
                 next_s += every_s
-                wait_s = max(next_s - self.clock(), 0.0) / (1.0 if self.playback is None else self.playback.pace)
+                wait_s = max(next_s - self.clock(), 0.0) / tempo
                 if stop is None:
                     await asyncio.sleep(wait_s)
                 else:
