@@ -13,7 +13,7 @@ from tests.live.test_inputs import free_port
 from sameas.live.keeper import Keeper
 from sameas.live.server import Access
 from sameas.live.settings import read_settings
-from sameas.live.situation import Situation
+from sameas.live.situation import Alarm, Situation
 from sameas.picture.live import Registered
 from sameas.registration import Parameter
 from sameas.tracks.registration import SourceBiases
@@ -227,5 +227,33 @@ def test_own_ship_is_shown_with_her_speed_and_alarms_that_nobody_acknowledged_ar
             )
             page.until("document.getElementById('alarm-button').classList.contains('acknowledged')")
             assert not page.js("document.title").startswith("⚠") and page.errors == []
+        finally:
+            page.close()
+
+
+def test_a_crowd_of_forged_ships_is_folded_and_hides_no_other_alarm(keeper, tmp_path, monkeypatch):
+    silent = Alarm("silent coast", "source", "coast has sent no report")
+    forged = [Alarm(f"identity mmsi {k}", "identity", f"MMSI {k} is forged") for k in range(130)]
+    ticks = iter([[silent]])
+    monkeypatch.setattr("sameas.live.keeper._identity_alarms", lambda state: next(ticks, [silent, *forged]))
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url)
+        try:
+            page.until("document.querySelectorAll('#alarms li.current').length === 131")
+            rows = "[...document.querySelectorAll('#alarms > ul > li')].map(e => e.textContent)"
+            page.until(f"{rows}.length === 7")
+            shown = page.js(rows)
+            assert any("coast has sent no report" in one for one in shown)
+            assert any("and 125 more of identity" in one for one in shown)
+            # An open one stays open when the list changes.
+            page.js("document.querySelector('#alarms details').open = true")
+            page.js("document.querySelector('#alarms > ul > li .acknowledge').click()")
+            page.until("document.querySelector('#alarms details')?.textContent.includes('124 more')", 30.0)
+            assert page.js("document.querySelector('#alarms details').open")
+            [button] = ["[...document.querySelectorAll('#alarms .acknowledge')].find(e => / all /.test(e.textContent))"]
+            page.js(f"{button}.click()")
+            page.until("[...document.querySelectorAll('#alarms .acknowledge')].length === 1", 60.0)
+            assert "coast" in page.js("document.querySelector('#alarms .acknowledge').closest('li').textContent")
+            assert page.errors == []
         finally:
             page.close()

@@ -211,6 +211,44 @@ def test_the_terminal_shows_an_alarm_once_however_long_the_ticks_are():
     keeper.close()
 
 
+def test_a_flood_of_alarms_is_a_few_lines_with_a_count_and_hides_no_other_alarm():
+    from sameas.cli.watch import _News
+
+    keeper, clock = Keeper(settings(), replay=replay()), [0.0]
+    news = _News(keeper, clock=lambda: clock[0])
+    forged = [Alarm(f"identity mmsi {k}", "identity", f"MMSI {k} is forged", (k,)) for k in range(400)]
+    keeper._raise_alarms([*forged[:350], Alarm("silent radar", "source", "radar is silent")], START_S)
+    lines = news()
+    assert [line.endswith(f" MMSI {k} is forged") for k, line in enumerate(lines)] == [True] * 5 + [False, False]
+    assert "radar is silent" in lines[5] and "and 345 more of identity" in lines[6]
+    # Further ones within the minute are one line at its end.
+    clock[0] = 30.0
+    keeper._raise_alarms(forged[350:], START_S + 30.0)
+    assert news() == []
+    clock[0] = 61.0
+    [line] = news()
+    assert "and 50 more of identity" in line
+    clock[0] = 130.0
+    keeper._raise_alarms([Alarm("identity mmsi 500", "identity", "MMSI 500 is forged", (1,))], START_S + 130.0)
+    assert len(news()) == 1
+    keeper.close()
+
+
+def test_every_second_names_the_most_urgent_approaches():
+    """An approach is a danger of its own, whatever began a while ago."""
+    from sameas.cli.watch import _News
+
+    keeper, clock = Keeper(settings(), replay=replay()), [0.0]
+    news = _News(keeper, clock=lambda: clock[0])
+    fleet = [Alarm(f"cpa {k}", "cpa", f"{k} will pass", (k,)) for k in range(100)]
+    keeper._raise_alarms(fleet[:90], START_S)
+    assert len(news()) == 6
+    clock[0] = 1.0
+    keeper._raise_alarms(fleet[90:91], START_S + 1.0)
+    assert len(news()) == 1
+    keeper.close()
+
+
 def test_a_source_that_never_sends_is_an_alarm_with_the_reason(tmp_path):
     path, now = tmp_path / "sensors.toml", [1000.0]
     path.write_text(

@@ -6,11 +6,13 @@ import asyncio
 import contextlib
 import gc
 import logging
+import math
 import signal
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
     from sameas.tracks.coordinates import LocalPlane
 
 LOG = logging.getLogger("sameas.live")
+#: Alarms of one condition that have a line of their own, and the seconds for which those after them are counted.
+FEW, CROWD_S = 5, 60.0
 _INPUTS, _MAP = "What is read", "The map"
 
 
@@ -287,23 +291,55 @@ def _addresses(host: str, port: int, access: Access) -> list[str]:
 
 
 class _News:
-    """Lines on what has changed since the last call: connections, and alarms that begin."""
+    """Lines on what has changed since the last call: connections, and alarms that begin.
 
-    def __init__(self, keeper: Keeper) -> None:
-        self.keeper = keeper
+    A forger can raise hundreds of alarms. Of each condition the first :data:`FEW` within a minute have a line of their
+    own, and those after them a count. An approach is a danger of its own: of these every call names the first.
+    """
+
+    def __init__(self, keeper: Keeper, clock: Callable[[], float] = time.monotonic) -> None:
+        self.keeper, self.clock = keeper, clock
         self.connections: dict[str, tuple[str, int]] = {}
+        self.crowds: dict[str, _Crowd] = defaultdict(_Crowd)
 
     def __call__(self) -> list[str]:
-        lines = []
+        lines, now_s = [], self.clock()
         for url, wire in self.keeper.wires.items():
             words, connection = str(wire.state), (str(wire.state), wire.state.connections)
             if words and connection != self.connections.get(url):
                 self.connections[url] = connection
                 lines.append(f"  {url}: {words}")
+        for condition, crowd in self.crowds.items():
+            if condition == "cpa" or now_s - crowd.since_s >= CROWD_S:
+                crowd.named, crowd.since_s = 0, now_s
         while self.keeper.begun:
             time_s, alarm = self.keeper.begun.popleft()
-            lines.append(f"{ALARM}{datetime.fromtimestamp(time_s, UTC):%H:%M:%S} {alarm.text}")
+            crowd = self.crowds[alarm.condition]
+            if crowd.named == 0:
+                crowd.since_s = now_s
+            crowd.last_s = time_s
+            if crowd.named < FEW:
+                crowd.named += 1
+                lines.append(f"{ALARM}{datetime.fromtimestamp(time_s, UTC):%H:%M:%S} {alarm.text}")
+            else:
+                crowd.more += 1
+        for condition, crowd in self.crowds.items():
+            if crowd.more and (condition == "cpa" or now_s - crowd.counted_s >= CROWD_S):
+                words = f"and {count(crowd.more)} more of {condition}; the page and the journal list them"
+                lines.append(f"{ALARM}{datetime.fromtimestamp(crowd.last_s, UTC):%H:%M:%S} {words}")
+                crowd.more, crowd.counted_s = 0, now_s
         return lines
+
+
+@dataclass
+class _Crowd:
+    """Alarms of one condition: how many were named since when, how many were not yet, and when these were counted."""
+
+    named: int = 0
+    since_s: float = -math.inf
+    more: int = 0
+    counted_s: float = -math.inf
+    last_s: float = 0.0
 
 
 async def _run(

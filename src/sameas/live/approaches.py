@@ -108,7 +108,8 @@ class Approaches:
         texts = dict(zip(numbers, zip(labels, mmsis, strict=True), strict=True))
         tentative = [number for number, stage in zip(numbers, stages, strict=True) if stage == "tentative"]
         self._since_s = {number: self._since_s.get(number, situation.time_s) for number in tentative}
-        for number, (metres, seconds) in situation.cpa.items():
+        # The most urgent first: of many at once only the first are named.
+        for number, (metres, seconds) in sorted(situation.cpa.items(), key=lambda one: one[1][1]):
             label, mmsi = texts[number]
             # An alarm that is active holds a little longer, so that one approach is not many alarms.
             holds = CPA_HOLDS if f"cpa {number}" in active else 1.0

@@ -199,11 +199,12 @@ class Journal:
         )
         return cursor.rowcount > 0
 
-    def alarms(self, *, most: int = 500) -> list[dict[str, Any]]:
-        """The last ``most`` alarms, the newest first."""
+    def alarms(self, *, most_ended: int = 500) -> list[dict[str, Any]]:
+        """All active alarms and the last ``most_ended`` others, the newest first."""
         cursor = self._base.execute(
             "SELECT id, key, kind, text, objects, first_s, last_s, active, acknowledged_s, acknowledged_by FROM alarms "
-            "ORDER BY id DESC LIMIT ?", (most,),
+            "WHERE active = 1 OR id IN (SELECT id FROM alarms WHERE active = 0 ORDER BY id DESC LIMIT ?) "
+            "ORDER BY id DESC", (most_ended,),
         )  # fmt: skip
         names = [column[0] for column in cursor.description]
         out = [dict(zip(names, row, strict=True)) for row in cursor]

@@ -53,8 +53,11 @@ MISFIT_LINES = 20
 MOST_SENSORS = 20
 #: An alarm is raised if half of the last SLOW_TICKS ticks take longer than their interval by the factor SLOWER.
 SLOW_TICKS, SLOWER = 10, 1.2
-#: Largest number of alarms that are kept where there is no journal.
+#: Alarms that are kept where there is no journal, once they have ended; those that are active are kept whatever their
+#: number.
 MOST_UNSAVED = 500
+#: Largest number of alarms that wait for a terminal that takes none: it may be stopped.
+MOST_BEGUN = 100_000
 #: Number of ticks whose durations are kept.
 KEPT_DURATIONS = 600
 
@@ -147,7 +150,7 @@ class Keeper:
         self.deltas: deque[Delta] = deque(maxlen=KEPT_DELTAS)
         self.history: deque[Situation] = deque()
         #: Alarms that began, with their times, for the terminal, which takes them.
-        self.begun: deque[tuple[float, Alarm]] = deque(maxlen=KEPT_DELTAS)
+        self.begun: deque[tuple[float, Alarm]] = deque(maxlen=MOST_BEGUN)
         self.counters: Counter[str] = Counter()
         # The last exception of a tick.
         self._fault = ""
@@ -618,9 +621,9 @@ class Keeper:
                 "id": number, "key": alarm.key, "kind": alarm.kind, "text": alarm.text, "objects": list(alarm.objects),
                 "first_s": now_s, "last_s": now_s, "active": 1, "acknowledged_s": None, "acknowledged_by": None,
             })  # fmt: skip
-            if len(self._unsaved) > MOST_UNSAVED:
-                ended = [one for one, row in self._unsaved.items() if not row["active"]]
-                self._unsaved.pop(ended[0] if ended else next(iter(self._unsaved)))
+            ended = [one for one, row in self._unsaved.items() if not row["active"]]
+            if ended and len(self._unsaved) > MOST_UNSAVED:
+                del self._unsaved[ended[0]]
             return number
         before = self._unsaved.pop(number, None)
         if before is not None and before["acknowledged_s"] is not None:
@@ -727,10 +730,10 @@ class Keeper:
 
     # ---- queries ----
 
-    def alarm_list(self) -> list[dict[str, Any]]:
-        """The alarms, the newest first, with their ids and whether they are active."""
+    def alarm_list(self, most_ended: int = MOST_UNSAVED) -> list[dict[str, Any]]:
+        """The active alarms and the last ``most_ended`` others, the newest first, with their ids."""
         with self.lock:
-            journalled = self._try_journal(Journal.alarms) or []
+            journalled = self._try_journal(partial(Journal.alarms, most_ended=most_ended)) or []
             unsaved = [dict(row) for _, row in sorted(self._unsaved.items())]
             return [*unsaved, *journalled]
 

@@ -292,7 +292,7 @@ def _event(kind: str, keeper: Keeper, situation: Situation, delta: Delta) -> str
             "geographic": keeper.picture.plane is not None,
             "berthed": sorted(keeper.approaches.berthed),
             "cpa": {n: [round(metres), round(seconds)] for n, (metres, seconds) in situation.cpa.items()},
-            "alarms": keeper.alarm_list()[:100],
+            "alarms": keeper.alarm_list(most_ended=100),
             "biases": {name: [found["text"], found["established"]] for name, found in keeper.biases().items()},
         }  # fmt: skip
     return f"id: {delta.tick}\nevent: {kind}\ndata: {json.dumps(content, allow_nan=False, separators=(',', ':'))}\n\n"

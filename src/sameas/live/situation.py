@@ -42,6 +42,11 @@ class Alarm:
     text: str
     objects: tuple[int, ...] = ()
 
+    @property
+    def condition(self) -> str:
+        """What is wrong, without where: the first word of the key, such as ``identity``, ``jumped``, ``cpa``."""
+        return self.key.partition(" ")[0]
+
 
 @dataclass(frozen=True)
 class OwnShipState:

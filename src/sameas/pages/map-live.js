@@ -112,21 +112,28 @@ function renew() {
 // ---- alarms; operators may acknowledge them ----
 let alarmWords = "";
 function applyAlarms(alarms) {
-  const words = JSON.stringify(alarms);
-  if (words === alarmWords) return;
-  alarmWords = words;
-  // Active ones first, of these those that nobody acknowledged; then the newest, and of one time the nearest approach.
-  const order = a => [!a.active, a.acknowledged_s !== null, -a.first_s, present.cpa[a.objects[0]]?.[1] ?? 0, -a.id];
+  // Active ones first, of these those that nobody acknowledged; then approaches, the most urgent first, and the newest.
+  const approaches = a => a.kind === "cpa" && !!a.active;
+  const urgency = a => (approaches(a) ? (present.cpa[a.objects[0]]?.[1] ?? 0) : -a.first_s);
+  const order = a => [!a.active, a.acknowledged_s !== null, !approaches(a), urgency(a), -a.id];
   alarms.sort((a, b) => {
     const [p, q] = [order(a), order(b)],
       k = p.findIndex((v, i) => v !== q[i]);
     return k < 0 ? 0 : p[k] - q[k];
   });
+  // Approaches that have rows of their own are the most urgent ones: these change while their alarms stay the same.
+  const byId = (a, b) => a.id - b.id,
+    urgent = alarms.filter(approaches).slice(0, CROWD_ROWS).sort(byId);
+  const words = JSON.stringify([[...alarms].sort(byId), urgent]);
+  if (words === alarmWords) return;
+  alarmWords = words;
   data.alarms.splice(
     0,
     Infinity,
     ...alarms.map(a => ({
       text: a.text,
+      condition: a.key.split(" ")[0],
+      id: a.id,
       time: a.first_s,
       objects: a.objects,
       active: !!a.active,
@@ -138,7 +145,14 @@ function applyAlarms(alarms) {
           return [text("span", `acknowledged ${clock(a.acknowledged_s)[0]} by ${a.acknowledged_by}`, "hint")];
         if (!data.live.operator) return [];
         const button = text("button", "acknowledge", "acknowledge");
-        button.addEventListener("click", () => acknowledge(a.id, button));
+        button.addEventListener("click", () => acknowledge([a.id], button));
+        return [button];
+      },
+      // Every approach is looked at before it is acknowledged (IMO MSC.302(87), alerts of category A).
+      besideAll: crowd => {
+        if (!crowd[0].fresh || crowd[0].condition === "cpa" || !data.live.operator) return [];
+        const button = text("button", `acknowledge all ${crowd.length}`, "acknowledge");
+        button.addEventListener("click", () => acknowledge(crowd.map(one => one.id), button));
         return [button];
       },
     })),
@@ -153,22 +167,26 @@ function applyAlarms(alarms) {
 const windowTitle = document.title;
 // An alarm keeps the text it was raised with; the present closest approach follows it.
 function showApproaches() {
-  const buttons = el("alarms").querySelectorAll("li > button:first-child");
-  data.alarms.forEach((a, k) => {
-    const near = a.approaching === null ? null : present.cpa[a.approaching];
-    let place = buttons[k].querySelector(".hint");
-    if (!near) return place?.remove();
-    if (!place) buttons[k].append((place = text("span", "", "hint")));
-    place.textContent = ` – now ${near[0]} m in ${(near[1] / 60).toFixed(1)} min`;
-  });
-}
-async function acknowledge(id, button) {
-  let done = false;
-  try {
-    done = (await fetch(`alarms/${id}/acknowledge`, { method: "POST", headers: { "X-Sameas": "1" } })).ok;
-  } catch {
-    /* said below */
+  for (const a of data.alarms) {
+    const near = a.approaching === null ? null : present.cpa[a.approaching],
+      button = a.item.querySelector("button");
+    let place = button.querySelector(".hint");
+    if (!near) place?.remove();
+    else {
+      if (!place) button.append((place = text("span", "", "hint")));
+      place.textContent = ` – now ${near[0]} m in ${(near[1] / 60).toFixed(1)} min`;
+    }
   }
+}
+async function acknowledge(ids, button) {
+  let done = true;
+  for (const id of ids)
+    try {
+      const answer = await fetch(`alarms/${id}/acknowledge`, { method: "POST", headers: { "X-Sameas": "1" } });
+      done &&= answer.ok;
+    } catch {
+      done = false;
+    }
   if (!done) button.textContent = "not acknowledged; try again";
 }
 

@@ -192,25 +192,46 @@ function memberTable(r, rows, cls = "") {
 }
 
 // ---- alarms, summary, legend ----
+// Of alarms of one condition, a crowd, the first ones have rows of their own and the others are folded.
+const CROWD_ROWS = 5;
+const openCrowds = new Set();
+function alarmRow(a) {
+  const button = text("button", `${a.time === null ? "" : clock(a.time)[0] + "  "}${a.text}`);
+  button.addEventListener("click", () => {
+    if (a.instant !== null) show(a.instant);
+    if (a.objects.length) pick(a.objects[0], true);
+  });
+  a.item = document.createElement("li");
+  a.item.append(button, ...(a.beside ? a.beside() : []));
+  return a.item;
+}
+function crowdRow(key, crowd) {
+  const row = document.createElement("li"),
+    fold = document.createElement("details"),
+    list = document.createElement("ul");
+  fold.open = openCrowds.has(key);
+  fold.addEventListener("toggle", () => openCrowds[fold.open ? "add" : "delete"](key));
+  list.append(...crowd.slice(CROWD_ROWS).map(alarmRow));
+  fold.append(text("summary", `and ${crowd.length - CROWD_ROWS} more of ${crowd[0].condition}`), list);
+  row.append(fold, ...(crowd[0].besideAll ? crowd[0].besideAll(crowd) : []));
+  return row;
+}
 function listAlarms() {
-  const list = document.createElement("ul");
-  for (const a of data.alarms) {
-    const item = document.createElement("li"),
-      button = text("button", `${a.time === null ? "" : clock(a.time)[0] + "  "}${a.text}`);
-    button.addEventListener("click", () => {
-      if (a.instant !== null) show(a.instant);
-      if (a.objects.length) pick(a.objects[0], true);
-    });
-    item.append(button, ...(a.beside ? a.beside() : []));
-    list.append(item);
+  const list = document.createElement("ul"),
+    crowds = new Map();
+  data.alarms.forEach((a, k) => {
+    const key = a.condition ? `${a.active} ${a.fresh} ${a.condition}` : k;
+    if (!crowds.has(key)) crowds.set(key, []);
+    crowds.get(key).push(a);
+  });
+  for (const [key, crowd] of crowds) {
+    list.append(...crowd.slice(0, CROWD_ROWS).map(alarmRow));
+    if (crowd.length > CROWD_ROWS) list.append(crowdRow(key, crowd));
   }
   el("alarms").replaceChildren(data.alarms.length ? list : text("p", "No alarms.", "hint"));
 }
 function showAlarms() {
-  const items = el("alarms").querySelectorAll("li");
-  data.alarms.forEach((a, k) => {
-    items[k].className = isActive(a, now.k) ? "current" : "past";
-  });
+  for (const a of data.alarms) a.item.className = isActive(a, now.k) ? "current" : "past";
   const current = data.alarms.filter(a => isActive(a, now.k)).length;
   el("tab-alarms").replaceChildren(
     "Alarms",
