@@ -13,6 +13,7 @@ from sameas.many.observations import Region, joint_density, records_of
 from sameas.many.rules import PoissonObjects
 from sameas.picture.bernoulli import KNOWN, BernoulliObjects, BernoulliTable, Sighting
 from sameas.picture.plot_tracker import PlotTracker
+from sameas.picture.tuning import Tuning
 from sameas.records import Records
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
@@ -92,6 +93,13 @@ def test_two_that_cross_keep_their_numbers_among_misses_and_clutter(seed):
     assert changes == 0, numbers
     assert len(np.unique(numbers)) == 2
     assert np.quantile(off, 0.95) < 6.0
+
+
+def test_the_odds_of_separate_objects_are_bounded_by_the_tuning():
+    scene, _ = crossing(0)
+    tracker = PlotTracker(correlation_s=0.0, tuning=Tuning(separate_log_odds=0.5))
+    odds = np.concatenate([f.prior_objects.separate_log_odds.ravel() for f in followed(scene, range(6, 16), tracker)])
+    assert np.abs(odds).max() == 0.5
 
 
 @pytest.mark.slow
@@ -362,7 +370,7 @@ def looked(before, seen, q=0.3, split=0.02):
     """BernoulliTable objects after scans of two sources."""
     seen = np.asarray(seen, float)
     same = np.full(seen.shape, q)
-    return before.after(Sighting(seen, np.ones(2), same)).with_separate_odds(seen, same, np.full(2, split))
+    return before.after(Sighting(seen, np.ones(2), same)).with_separate_odds(seen, same, np.full(2, split), Tuning())
 
 
 def test_existence_follows_bayes_and_misses_are_remembered():

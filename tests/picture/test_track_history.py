@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from modelled_scenes import describe, feed, straight
+from modelled_scenes import describe, feed, straight, two_meet
 
 from sameas.picture import Picture
 from sameas.picture.object_ids import TrackHistory
@@ -18,7 +18,7 @@ from sameas.tracks.source import Motion
 def shown(history, instant_s, number):
     """One track, of an object."""
     one = np.ones(1, np.int64)
-    return history.advance(instant_s, 7 * one, number * one, np.zeros(1, bool), np.array([1, 2]))
+    return history.advance(instant_s, 7 * one, number * one, np.zeros(1, bool), np.array([1, 2]), Tuning())
 
 
 def test_shares_sum_to_one_and_change_over_minutes():
@@ -40,6 +40,16 @@ def test_a_number_returns_with_its_long_standing_tracks():
     at, row = shown(history, 300.0, 2).of(np.array([7]))
     assert at.tolist() == [0, 0] and history.number.tolist() == [1]
     assert shown(history, 300.0, 2).number[row].tolist() == [1, 2]
+
+
+@pytest.mark.slow
+def test_shares_change_within_the_time_of_the_tuning():
+    scene, times = two_meet(0, 60.0, swap_s=150.0)
+    # After 1000 times its time constant, a history has the last instant only: each track is of one object.
+    watch = Watch(tuning=Tuning(history_s=0.01))
+    for time_s in times[10:25].tolist():
+        watch = watch.advance(scene.at(time_s)).watch
+    assert watch.objects.history.share.tolist() == [1.0] * 4
 
 
 def ferry(seed, stops_s=200.0):

@@ -238,7 +238,7 @@ class BernoulliTable(ObjectTable):
         )  # fmt: skip
 
     def with_separate_odds(
-        self, p_detected: FloatArray, usual_q: FloatArray, split: FloatArray, tuning: Tuning = DEFAULT_TUNING
+        self, p_detected: FloatArray, usual_q: FloatArray, split: FloatArray, tuning: Tuning
     ) -> BernoulliTable:
         """The objects with the odds, after completed scans, that two of them are separate objects.
 

@@ -168,7 +168,7 @@ class TrackHistory(ColumnTable):
         number: IntArray,
         unique: BoolArray,
         alive: IntArray,
-        tuning: Tuning = DEFAULT_TUNING,
+        tuning: Tuning,
     ) -> TrackHistory:
         """The history after a later instant.
 
@@ -343,7 +343,7 @@ class NamedObjects(PictureObjects):
         ]
         n_numbers = int(number.max(initial=self.n_numbers))
         objects = replace(parts[0].in_order(*parts[1:]), instant_s=instant_s, n_numbers=n_numbers)
-        return objects._with_history(self, detections)
+        return objects._with_history(self, detections, tuning)
 
     def _matches(self, detections: UnnumberedObjects, density_per_m2: float, tuning: Tuning) -> IntArray:
         """(n,) the row of each object of the instant among these, ABSENT for none."""
@@ -468,12 +468,12 @@ class NamedObjects(PictureObjects):
         stage = np.where(ended, ENDED, np.where(tentative, TENTATIVE, COASTING))
         return replace(self.undetected(stage), n_missing=n_missing)
 
-    def _with_history(self, before: NamedObjects, detections: UnnumberedObjects) -> NamedObjects:
+    def _with_history(self, before: NamedObjects, detections: UnnumberedObjects, tuning: Tuning) -> NamedObjects:
         """These objects with the history after the instant."""
         has_track = detections.tracks >= 0
         number, alive = self.numbers(len(detections))[np.nonzero(has_track)[0]], self.number[self.stage != ENDED]
         history = before.history.advance(
-            self.instant_s, detections.tracks[has_track], number, detections.unique[has_track], alive
+            self.instant_s, detections.tracks[has_track], number, detections.unique[has_track], alive, tuning
         )
         return replace(self, history=history)
 

@@ -107,7 +107,7 @@ class PlotTracker:
         )
         split = np.array([d.resolution.split or self.tuning.split for d in now.descriptions])
         objects = objects.with_(new).with_separate_odds(
-            np.vstack([p_detected, new.hits]), np.vstack([before.usual_q, new_q]), split
+            np.vstack([p_detected, new.hits]), np.vstack([before.usual_q, new_q]), split, self.tuning
         )
         density = objects_per_m2(now)
         objects = objects.merged(density, self.tuning)
@@ -129,7 +129,8 @@ class PlotTracker:
             return np.column_stack([self._usual_q(other, records.features[:, :2], now) for other in now.feeds])
         sensor = feed.sensor_at(now.instant_s)
         sigma, extent = feed.reports.sigma_deg[records.ids], feed.description.errors.extent_m or 0.0
-        weight = pointed_at(records.features[:, 0], sigma, (0.0, 0.0) if sensor is None else sensor, places, extent)
+        sensor = np.zeros(2) if sensor is None else sensor
+        weight = pointed_at(records.features[:, 0], sigma, sensor, places, extent, feed.tuning)
         points_nowhere = ~weight.any(axis=1)
         columns = []
         for other in now.feeds:
