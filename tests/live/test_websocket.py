@@ -4,7 +4,10 @@ import asyncio
 import base64
 import hashlib
 import json
+import shutil
+import ssl
 import struct
+import subprocess
 
 import pytest
 from tests.live.test_inputs import free_port, until
@@ -83,13 +86,13 @@ class Server:
             writer.close()
 
 
-def watched(server, done, path="", **made):
+def watched(server, done, path="", tls=None, **made):
     """The wire after ``done(wire)`` is true, connected to the server."""
 
     async def run():
         port = free_port()
-        wire = Wire(f"ws://127.0.0.1:{port}{path}", ReportStream("boat"), **made)
-        async with await asyncio.start_server(server, "127.0.0.1", port):
+        wire = Wire(f"{'wss' if tls else 'ws'}://127.0.0.1:{port}{path}", ReportStream("boat"), **made)
+        async with await asyncio.start_server(server, "127.0.0.1", port, ssl=tls):
             task = asyncio.create_task(wire.run())
             try:
                 await until(lambda: done(wire) or server.errors, 20.0)
@@ -175,7 +178,7 @@ def test_a_token_or_a_login_opens_the_stream_again_after_it_broke():
 
 
 @pytest.mark.parametrize(("login", "words"), [
-    (None, "the server wants a token, or a user name and a password"),
+    (None, "the server wants a token: give token, username and password, or access_file in its input"),
     (Login(token="old"), "the server refused the token"),
     (Login(username="mate", password="wrong"), "the server refused the user name or the password"),
 ])  # fmt: skip
@@ -218,6 +221,135 @@ def test_another_server_is_named(answer, words):
     assert words in watched(Other(None), lambda wire: wire.state.error).state.error
 
 
+class Guarded(Server):
+    """A server that gives its token to devices that its administrator approves. answers : one for each question.
+
+    Where they are used up, the request is forgotten.
+    """
+
+    def __init__(self, answers):
+        super().__init__(one_delta, token="granted")
+        self.answers, self.devices = list(answers), []
+
+    async def __call__(self, reader, writer):
+        head = await reader.readuntil(b"\r\n\r\n")
+        if b" /signalk/v1/stream" in head.partition(b"\r\n")[0]:
+            replayed = asyncio.StreamReader()
+            replayed.feed_data(head)
+            return await super().__call__(replayed, writer)
+        self.asked.append(head.partition(b"\r\n")[0].decode())
+        if head.startswith(b"POST /signalk/v1/access/requests "):
+            length = int(head.lower().partition(b"content-length: ")[2].partition(b"\r\n")[0])
+            self.devices.append(json.loads(await reader.readexactly(length)))
+            status, answer = "202 Accepted", {"state": "PENDING", "href": "/signalk/v1/requests/7"}
+        else:
+            status, answer = self.answers.pop(0) if self.answers else ("404 Not Found", {})
+        body = json.dumps(answer).encode()
+        writer.write(f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\nConnection: close\r\n\r\n".encode() + body)
+        await writer.drain()
+        writer.close()
+
+
+PENDING = ("200 OK", {"state": "PENDING", "statusCode": 202})
+GRANTED = {"permission": "APPROVED", "token": "granted"}
+POST, GET = "POST /signalk/v1/access/requests HTTP/1.1", "GET /signalk/v1/requests/7 HTTP/1.1"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "granted", [{"state": "COMPLETED", "accessRequest": GRANTED}, {"state": "COMPLETED"} | GRANTED]
+)
+def test_access_is_requested_once_and_the_token_kept_for_its_owner(tmp_path, granted):
+    file = tmp_path / "access.json"
+    server, login = Guarded([PENDING, PENDING, ("200 OK", granted)]), Login(access_file=file)
+    errors = []
+
+    def done(wire):
+        errors.append(wire.state.error)
+        return len(wire.queue)
+
+    watched(server, done, login=login)
+    [device] = server.devices
+    assert device["permissions"] == "readonly" and device["description"].startswith("sameas on ")
+    assert any(device["clientId"] in error and error.startswith("waits for access") for error in errors)
+    assert (
+        server.asked[:4] == ["POST /signalk/v1/access/requests HTTP/1.1"] + ["GET /signalk/v1/requests/7 HTTP/1.1"] * 3
+    )
+    assert json.loads(file.read_text())["token"] == "granted" and file.stat().st_mode & 0o777 == 0o600
+    # The next watch uses the token, and asks nothing.
+    again = Guarded([])
+    watched(again, lambda wire: len(wire.queue), login=login)
+    assert again.asked == ["GET /signalk/v1/stream?subscribe=none HTTP/1.1"]
+    # One that the server refuses has expired: the same device asks for another.
+    kept = json.loads(file.read_text())
+    file.write_text(json.dumps(kept | {"token": "old"}))
+    third = Guarded([("200 OK", granted)])
+    watched(third, lambda wire: len(wire.queue), login=login)
+    assert third.devices[0]["clientId"] == device["clientId"] and json.loads(file.read_text()) == kept
+
+
+@pytest.mark.slow
+def test_a_denied_request_is_not_made_again_and_a_forgotten_one_is(tmp_path):
+    file = tmp_path / "access.json"
+    denied = Guarded([("200 OK", {"state": "COMPLETED", "accessRequest": {"permission": "DENIED"}})])
+    wire = watched(denied, lambda wire: "remove" in wire.state.error, login=Login(access_file=file))
+    assert len(denied.devices) == 1
+    assert wire.state.error == f"an administrator of the server has denied access; remove {file} to ask again"
+    file.unlink()
+    forgetful = Guarded([])
+    watched(forgetful, lambda wire: len(forgetful.devices) == 2, login=Login(access_file=file))
+    assert forgetful.devices[0] == forgetful.devices[1]
+
+
+def test_a_server_without_access_requests_and_a_foreign_file_are_named(tmp_path):
+    class Without(Server):
+        async def __call__(self, reader, writer):
+            await reader.readuntil(b"\r\n\r\n")
+            writer.write(b"HTTP/1.1 501 Not Implemented\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
+            await writer.drain()
+            writer.close()
+
+    file = tmp_path / "access.json"
+    wire = watched(Without(None), lambda wire: wire.state.error, login=Login(access_file=file))
+    assert wire.state.error == (
+        "the server takes no access request (it answered 501); give token, or username and password"
+    )
+    file.write_text("[1]")
+    wire = watched(Without(None), lambda wire: wire.state.error, login=Login(access_file=file))
+    assert wire.state.error.startswith(f"{file}: keeps no access request")
+
+
+@pytest.fixture(scope="session")
+def certificate(tmp_path_factory):
+    """Certificate and key of a server that calls itself boat.local."""
+    folder = tmp_path_factory.mktemp("tls")
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("needs openssl")
+    subprocess.run(
+        [openssl, "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2",
+         "-subj", "/CN=boat.local", "-addext", "subjectAltName=DNS:boat.local", "-keyout", folder / "key.pem",
+         "-out", folder / "boat.pem"], check=True, capture_output=True,
+    )  # fmt: skip
+    tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    tls.load_cert_chain(folder / "boat.pem", folder / "key.pem")
+    return folder / "boat.pem", tls
+
+
+@pytest.mark.slow
+def test_a_server_with_a_certificate_of_its_own_is_read_where_it_is_trusted_and_named(certificate):
+    file, tls = certificate
+    login = Login(username="mate", password="pw", ca_file=file, server_name="boat.local")
+    server = Server(one_delta, {"mate": "pw"}, "abc")
+    wire = watched(server, lambda wire: len(wire.queue), tls=tls, login=login)
+    assert [line.split()[0] for line in server.asked] == ["POST", "GET"]
+    for missing, key in ((Login(), "ca_file"), (Login(ca_file=file), "server_name")):
+        server = Server(one_delta)
+        wire = watched(server, lambda wire: wire.state.error, tls=tls, login=missing)
+        assert wire.state.error.startswith("its certificate is not trusted (")
+        assert wire.state.error.endswith(f"); give {key} in its input") and not server.asked
+
+
 SOURCE = '[sources.boat]\nkind = "ais"\ninput = {{ url = "{url}", {given} }}\n'
 
 
@@ -233,12 +365,17 @@ def test_a_login_is_given_in_the_settings_or_in_the_environment(tmp_path, monkey
     given = 'username = "mate", password = { env = "BOAT" }'
     assert login_of(tmp_path, given, "wss://boat") == Login(username="mate", password="secret")
     assert login_of(tmp_path, 'format = "signalk"') is None
+    # Files are beside the settings.
+    assert login_of(tmp_path, 'access_file = "boat.json"') == Login(access_file=tmp_path / "boat.json")
 
 
 @pytest.mark.parametrize(("given", "url", "words"), [
     ('token = "abc"', "tcp://boat:8375", "token is for ws:// and wss:// only; leave it out"),
     ('password = "abc"', "ws://boat", "password, but no username; give both"),
     ("token = 3", "ws://boat", r'input.token is no text of one line; give it in quotes, or \{ env'),
+    ('ca_file = "boat.pem"', "ws://boat", "ca_file is for wss:// and https:// only; leave it out"),
+    ('ca_file = "none.pem"', "wss://boat", "none.pem: No such file or directory; give that of the server"),
+    ('ca_file = "sensors.toml"', "wss://boat", "sensors.toml: holds no certificate in PEM form"),
     ('token = { env = "NO_SUCH_NAME" }', "ws://boat", "the environment has no NO_SUCH_NAME; set it"),
 ])  # fmt: skip
 def test_a_wrong_login_is_refused(tmp_path, given, url, words):

@@ -153,6 +153,8 @@ class Wire:
                 raise
             except (OSError, HTTPException, InputError) as error:
                 self.state.error = _cause(error)
+                if isinstance(error, PermissionError):
+                    self.login.forget_token()
             self.state.connected = False
             if scheme == "stdin":
                 return
@@ -263,7 +265,8 @@ class Wire:
         # The token may have expired since the last connection.
         token = await self.login.ask_token(self.url, ANSWER_S)
         subscribes = "subscribe=" in self.url and "subscribe=none" not in self.url
-        async with connected(self.url, token, None if subscribes else _SUBSCRIPTION, ANSWER_S) as opened:
+        request, tls = None if subscribes else _SUBSCRIPTION, self.login.tls()
+        async with connected(self.url, token, request, ANSWER_S, tls) as opened:
             connection = self._set_connected()
             try:
                 messages = aiter(opened)
@@ -307,8 +310,10 @@ class Wire:
                     writer.close()
 
     async def _polled(self) -> None:
+        tls = self.login.tls()
+
         def fetched() -> bytes:
-            with urllib.request.urlopen(self.url, timeout=5.0) as answer:
+            with urllib.request.urlopen(self.url, timeout=5.0, context=tls) as answer:
                 return bytes(answer.read(32 << 20))
 
         while True:
@@ -400,6 +405,9 @@ def _cause(error: Exception) -> str:
     reason = getattr(error, "reason", error)
     if isinstance(error, urllib.error.HTTPError):
         return str(error)
+    if isinstance(reason, ssl.SSLCertVerificationError):
+        key = "server_name" if "mismatch" in reason.verify_message else "ca_file"
+        return f"its certificate is not trusted ({reason.verify_message.rstrip('.')}); give {key} in its input"
     # The numbers of TLS errors are OpenSSL's.
     if not isinstance(reason, OSError) or reason.errno is None or isinstance(reason, ssl.SSLError):
         return str(reason) or type(error).__name__

@@ -21,6 +21,7 @@ from __future__ import annotations
 import difflib
 import math
 import os
+import ssl
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
@@ -179,7 +180,7 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
     given = {"url": given} if isinstance(given, str) else {} if given is None else given
     if not isinstance(given, Mapping):
         raise InputError(f'{where}.input is {given!r}; give "udp://HOST:PORT", or {{ url = "…", format = "…" }}')
-    known = ("url", "format", "sensor", "columns", "units", "time_zone", "token", "username", "password")
+    known = ("url", "format", "sensor", "columns", "units", "time_zone", *(f.name for f in fields(Login)))
     for key in given:
         if key not in known:
             raise InputError(f"{where}.input: {key!r} is not known", _instead_of(key, known))
@@ -211,15 +212,26 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
 
 def _login(given: Mapping[str, Any], where: str) -> Login | None:
     """The login in an input; a secret may be in the environment: { env = "NAME" }."""
-    secrets = {name: _secret(given[name], f"{where}.{name}") for name in ("token", "username", "password")
-               if name in given}  # fmt: skip
-    if not secrets:
+    texts = {f.name: _secret(given[f.name], f"{where}.{f.name}") for f in fields(Login) if f.name in given}
+    if not texts:
         return None
-    if not str(given.get("url", "")).startswith(("ws://", "wss://")):
-        raise InputError(f"{where}: {next(iter(secrets))} is for ws:// and wss:// only", "leave it out")
-    if "password" in secrets and "username" not in secrets:
+    scheme = str(given.get("url", "")).partition(":")[0]
+    for name in texts:
+        schemes = ("wss", "https") if name in ("ca_file", "server_name") else ("ws", "wss")
+        if scheme not in schemes:
+            raise InputError(f"{where}: {name} is for {schemes[0]}:// and {schemes[1]}:// only", "leave it out")
+    if "password" in texts and "username" not in texts:
         raise InputError(f"{where}: password, but no username; give both")
-    return Login(**secrets)
+    folder = Path(where.split(": ")[0]).parent
+    access_file, ca_file = (folder / texts[name] if name in texts else None for name in ("access_file", "ca_file"))
+    login = Login(texts.get("token"), texts.get("username"), texts.get("password"), access_file, ca_file,
+                  texts.get("server_name"))  # fmt: skip
+    try:
+        login.tls()
+    except OSError as error:
+        reason = "holds no certificate in PEM form" if isinstance(error, ssl.SSLError) else error.strerror
+        raise InputError(f"{where}.ca_file: {ca_file}: {reason}", "give that of the server or its authority") from None
+    return login
 
 
 def _secret(value: Any, where: str) -> str:

@@ -1,19 +1,29 @@
-"""A Signal K server over WebSocket: the connection, and the login for a token."""
+"""A Signal K server over WebSocket: the connection, the certificates, and the login or access request for a token.
+
+Access requests: a device asks once, an administrator of the server approves or denies it there, and the device asks
+for the answer until then (Signal K 1.7, "Access Requests").
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
+import os
+import ssl
 import urllib.error
 import urllib.request
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from pathlib import Path
+from socket import gethostname
+from typing import TYPE_CHECKING, Any
 from urllib.parse import SplitResult, urlsplit, urlunsplit
+from uuid import uuid4
 
-from sameas.errors import InputError, MissingPackage
+from sameas.errors import InputError, MissingPackage, reading
+from sameas.io.atomic import replacing
 
 if TYPE_CHECKING:
     from websockets.asyncio.client import ClientConnection
@@ -23,51 +33,183 @@ if TYPE_CHECKING:
 MOST_BYTES, MOST_ANSWER = 16 << 20, 1 << 16
 #: Where a Signal K server takes a user name and a password (Signal K 1.7, "Security").
 _LOGIN_PATH = "/signalk/v1/auth/login"
+#: Where it takes the request of a device for access.
+_ACCESS_PATH = "/signalk/v1/access/requests"
 _STREAM_PATH = "/signalk/v1/stream"
 
 
 @dataclass(frozen=True)
 class Login:
-    """How to be let in: a token, or a user name and a password, with which a token is asked for."""
+    """How to be let in: a token; or a user name and a password, with which a token is asked for; or an access request.
+
+    Attributes
+    ----------
+    access_file : keeps the request for access, and the token that an administrator of the server has granted.
+    ca_file : certificates (PEM) that are trusted instead of those of the system. server_name : for which the server's
+        certificate is made, if it is another than in the address.
+    """
 
     token: str | None = None
     username: str | None = None
     password: str | None = None
+    access_file: Path | None = None
+    ca_file: Path | None = None
+    server_name: str | None = None
 
     def __repr__(self) -> str:
         """Without secrets: it may be printed."""
         return f"Login({'a token' if self.token else self.username!r})"
+
+    def tls(self) -> ssl.SSLContext:
+        """The certificates to trust. No connection is made without verification.
+
+        Raises
+        ------
+        OSError : the file cannot be read, or holds no certificate.
+        """
+        context = _NamedServer(ssl.PROTOCOL_TLS_CLIENT)
+        context.server_name = self.server_name
+        if self.ca_file is None:
+            context.load_default_certs()
+        else:
+            context.load_verify_locations(self.ca_file)
+        return context
 
     async def ask_token(self, url: str, timeout_s: float) -> str | None:
         """The token, asked of the server of a WebSocket where there is none yet; None where nothing is given.
 
         Raises
         ------
-        OSError : the server cannot be reached, or refuses.
+        OSError : the server cannot be reached, refuses, or its administrator has not granted access yet.
         """
-        if self.token is not None or self.username is None:
-            return self.token
-        return await asyncio.to_thread(self._logged_in, url, timeout_s)
+        if self.token is None and self.username is not None:
+            return await asyncio.to_thread(self._logged_in, _Server.of(url, self.tls(), timeout_s))
+        if self.token is None and self.access_file is not None:
+            return await asyncio.to_thread(self._granted, _Server.of(url, self.tls(), timeout_s), self.access_file)
+        return self.token
 
-    def _logged_in(self, url: str, timeout_s: float) -> str:
+    def forget_token(self) -> None:
+        """Drops a granted token that the server refused: it has expired, or was revoked. The next one is requested."""
+        if self.access_file is not None and "token" in (kept := _read_access(self.access_file)):
+            _write_access(self.access_file, {"clientId": kept["clientId"]})
+
+    def _logged_in(self, server: _Server) -> str:
+        status, answer = server.ask(_LOGIN_PATH, {"username": self.username, "password": self.password or ""})
+        if status in (400, 401, 403):
+            raise ConnectionError("the server refused the user name or the password")
+        if status != 200:
+            raise ConnectionError(f"login: the server answered {status}")
+        return _token_in(answer, _LOGIN_PATH)
+
+    def _granted(self, server: _Server, file: Path) -> str:
+        """The granted token. A request is made once, and its state is asked for with every further attempt."""
+        kept = _read_access(file)
+        if "token" in kept:
+            return str(kept["token"])
+        if kept.get("denied"):
+            raise ConnectionError(f"an administrator of the server has denied access; remove {file} to ask again")
+        if "href" not in kept:
+            body = {
+                "clientId": kept["clientId"],
+                "description": f"sameas on {gethostname()}",
+                "permissions": "readonly",
+            }
+            status, answer = server.ask(_ACCESS_PATH, body)
+            if not isinstance(href := answer.get("href"), str) or not href.startswith("/"):
+                words = answer.get("message") or f"it answered {status}"
+                raise ConnectionError(
+                    f"the server takes no access request ({words}); give token, or username and password"
+                )
+            kept = {"clientId": kept["clientId"], "href": href}
+            _write_access(file, kept)
+        status, answer = server.ask(str(kept["href"]))
+        # In the answers of version 1 of the server, and in those of the specification.
+        found = answer.get("accessRequest", answer)
+        permission = found.get("permission") if isinstance(found, dict) else None
+        if permission == "APPROVED":
+            token = _token_in(found, _ACCESS_PATH)
+            _write_access(file, {"clientId": kept["clientId"], "token": token})
+            return token
+        if permission == "DENIED":
+            _write_access(file, {"clientId": kept["clientId"], "denied": True})
+            raise ConnectionError("an administrator of the server has denied access")
+        if answer.get("state") != "PENDING":
+            # The server has forgotten the request, as after a restart.
+            _write_access(file, {"clientId": kept["clientId"]})
+        raise ConnectionError(
+            f"waits for access: an administrator of the server has to approve device {kept['clientId']}"
+        )
+
+
+class _NamedServer(ssl.SSLContext):
+    """A context that expects a certificate for ``server_name`` where it is given, whatever the address."""
+
+    server_name: str | None = None
+
+    def wrap_socket(self, *args: Any, **options: Any) -> ssl.SSLSocket:
+        return super().wrap_socket(*args, **self._named(options))
+
+    def wrap_bio(self, *args: Any, **options: Any) -> ssl.SSLObject:
+        return super().wrap_bio(*args, **self._named(options))
+
+    def _named(self, options: dict[str, Any]) -> dict[str, Any]:
+        return options if self.server_name is None else options | {"server_hostname": self.server_name}
+
+
+@dataclass(frozen=True)
+class _Server:
+    """The HTTP interface of the server of a WebSocket."""
+
+    address: str
+    tls: ssl.SSLContext
+    timeout_s: float
+
+    @classmethod
+    def of(cls, url: str, tls: ssl.SSLContext, timeout_s: float) -> _Server:
         parts = urlsplit(url)
-        address = f"{'https' if parts.scheme == 'wss' else 'http'}://{_host(parts)}{_LOGIN_PATH}"
-        body = json.dumps({"username": self.username, "password": self.password or ""}).encode()
-        request = urllib.request.Request(address, body, {"Content-Type": "application/json"}, method="POST")
+        return cls(f"{'https' if parts.scheme == 'wss' else 'http'}://{_host(parts)}", tls, timeout_s)
+
+    def ask(self, path: str, body: object = None) -> tuple[int, dict[str, Any]]:
+        """Status and answer, empty where it is no JSON object; posts ``body`` where it is given."""
+        data = None if body is None else json.dumps(body).encode()
+        request = urllib.request.Request(self.address + path, data, {"Content-Type": "application/json"})
         try:
-            with urllib.request.urlopen(request, timeout=timeout_s) as answer:
-                token = json.loads(answer.read(MOST_ANSWER))["token"]
+            with urllib.request.urlopen(request, timeout=self.timeout_s, context=self.tls) as answer:
+                status, content = answer.status, answer.read(MOST_ANSWER)
         except urllib.error.HTTPError as error:
-            refused = error.code in (400, 401, 403)
-            error.close()
-            raise ConnectionError(
-                "the server refused the user name or the password" if refused else f"login: {error}"
-            ) from None
-        except (ValueError, KeyError, TypeError):
-            raise ConnectionError(f"{_LOGIN_PATH} gave no token: is this a Signal K server?") from None
-        if not isinstance(token, str) or not token.isprintable():
-            raise ConnectionError(f"{_LOGIN_PATH} gave no token: is this a Signal K server?")
-        return token
+            with error:
+                status, content = error.code, error.read(MOST_ANSWER)
+        with suppress(ValueError):
+            if isinstance(found := json.loads(content), dict):
+                return status, found
+        return status, {}
+
+
+def _token_in(answer: Mapping[str, Any], path: str) -> str:
+    token = answer.get("token")
+    if not isinstance(token, str) or not token.isprintable():
+        raise ConnectionError(f"{path} gave no token: is this a Signal K server?")
+    return token
+
+
+def _read_access(file: Path) -> dict[str, Any]:
+    """What is kept of an access request; the name of a new device where the file does not exist.
+
+    Raises
+    ------
+    InputError : the file is another one.
+    """
+    if not file.exists():
+        _write_access(file, {"clientId": str(uuid4())})
+    with reading(str(file), "keeps no access request"):
+        kept: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        return {"clientId": str(kept["clientId"])} | kept
+
+
+def _write_access(file: Path, kept: Mapping[str, Any]) -> None:
+    with replacing(file) as draft:
+        os.chmod(draft, 0o600)
+        draft.write_text(json.dumps(kept) + "\n", encoding="utf-8")
 
 
 def require_readable(url: str) -> None:
@@ -91,14 +233,15 @@ def _host(parts: SplitResult) -> str:
 
 @asynccontextmanager
 async def connected(
-    url: str, token: str | None, request: str | None, timeout_s: float
+    url: str, token: str | None, request: str | None, timeout_s: float, tls: ssl.SSLContext
 ) -> AsyncIterator[ClientConnection]:
     """A connection to a ``ws://`` or ``wss://`` address; one without a path is that of a Signal K stream.
 
-    request : a message that is sent first.
+    request : a message that is sent first. tls : certificates to trust.
 
     Raises
     ------
+    PermissionError : the server refuses the token.
     OSError : there is no connection, the server refuses it, or what arrives is no WebSocket.
     """
     from websockets import exceptions
@@ -110,7 +253,7 @@ async def connected(
     try:
         async with connect(
             address, additional_headers={"Authorization": f"Bearer {token}"} if token else None, max_size=MOST_BYTES,
-            open_timeout=timeout_s, close_timeout=1.0, proxy=None,
+            open_timeout=timeout_s, close_timeout=1.0, proxy=None, ssl=tls if parts.scheme == "wss" else None,
         ) as connection:  # fmt: skip
             if request is not None:
                 # What the other side has sent before it closed can be read.
@@ -118,7 +261,9 @@ async def connected(
                     await connection.send(request)
             yield connection
     except exceptions.InvalidStatus as error:
-        raise ConnectionError(_refusal(error.response.status_code, token)) from None
+        status = error.response.status_code
+        kind = PermissionError if status in (401, 403) else ConnectionError
+        raise kind(_refusal(status, token)) from None
     except exceptions.InvalidMessage:
         raise ConnectionError("the other side does not speak HTTP") from None
     except exceptions.InvalidHandshake:
@@ -139,7 +284,8 @@ def _break(error: ConnectionClosedError) -> str:
 
 def _refusal(status: int, token: str | None) -> str:
     if status in (401, 403):
-        return "the server refused the token" if token else "the server wants a token, or a user name and a password"
+        wants = "the server wants a token: give token, username and password, or access_file in its input"
+        return "the server refused the token" if token else wants
     if status == 404:
         return f"the server has no such address; that of a Signal K stream ends in {_STREAM_PATH}"
     return f"the server answered {status}, and no WebSocket"
