@@ -402,9 +402,9 @@ def _require_serial() -> None:
 
 def _cause(error: Exception) -> str:
     """What broke a wire, in the words of the operating system."""
-    reason = getattr(error, "reason", error)
     if isinstance(error, urllib.error.HTTPError):
         return str(error)
+    reason = error.reason if isinstance(error, urllib.error.URLError) else error
     if isinstance(reason, ssl.SSLCertVerificationError):
         key = "server_name" if "mismatch" in reason.verify_message else "ca_file"
         return f"its certificate is not trusted ({reason.verify_message.rstrip('.')}); give {key} in its input"
