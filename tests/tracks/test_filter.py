@@ -173,28 +173,10 @@ def test_reports_without_position_are_unchanged():
     assert np.isnan(followed.states.state[2]).all() and np.isnan(followed.nis[2])
 
 
-def test_independent_velocities_are_used_on_request():
-    reports, truth = scene(np.random.default_rng(7))
-    rng = np.random.default_rng(8)
-    covariance = reports.covariance.copy()
-    covariance[:, 2:, 2:] = 0.01 * np.eye(2)
-    state = reports.state.copy()
-    state[:, 2:] = truth[:, 2:] + 0.1 * rng.standard_normal((len(truth), 2))
-    doppler = States(reports.time_s, state, covariance, reports.track, reports.rows)
-    four = follow(doppler, acceleration_m2_per_s3=Q, features=4)
-    assert np.nanmean(four.nis) == pytest.approx(4.0, rel=0.1)
-    two = follow(doppler, acceleration_m2_per_s3=Q)
-    error = [np.mean((f.states.state - truth)[:, 2:] ** 2) for f in (two, four)]
-    assert error[1] < 0.2 * error[0]
-
-
 def test_invalid_input_is_refused():
     bare = States.of([0.0], np.zeros((1, 2)), np.eye(2), speed_m_per_s=8.0)
     with pytest.raises(InputError, match="name no tracks"):
         follow(bare, acceleration_m2_per_s3=Q)
-    named = States.of([0.0], np.zeros((1, 2)), np.eye(2), speed_m_per_s=8.0, track=["a"])
-    with pytest.raises(InputError, match="give 2 "):
-        follow(named, acceleration_m2_per_s3=Q, features=3)
 
 
 def test_a_gap_of_a_day_is_no_manoeuvre():

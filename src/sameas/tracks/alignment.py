@@ -397,6 +397,10 @@ class FilteredTracks:
     trend: FloatArray
 
 
+#: A row of :attr:`InnovationTrend.table` without innovations.
+NO_TREND = (0.0, 0.0, 0.0, math.inf)
+
+
 @dataclass(frozen=True)
 class InnovationTrend:
     """The recent innovations of tracks, by which a manoeuvre is detected; rows of (n, 4) arrays.
@@ -420,11 +424,6 @@ class InnovationTrend:
     @property
     def table(self) -> FloatArray:
         return np.column_stack([self.total, self.weight, self.since_s])
-
-    @classmethod
-    def none(cls, n: int) -> FloatArray:
-        """(n, 4) without innovations."""
-        return np.tile([0.0, 0.0, 0.0, math.inf], (n, 1))
 
     def with_manoeuvres(
         self, covariance: FloatArray, dt_s: FloatArray, walk: float, tuning: Tuning
@@ -465,31 +464,28 @@ def follow(
     reports: States,
     *,
     acceleration_m2_per_s3: float,
-    features: int = 2,
     trend: FloatArray | None = None,
     tuning: Tuning = DEFAULT_TUNING,
 ) -> FilteredTracks:
-    """The filtered track state after each report of a source with track ids.
+    """The filtered track state after each report of a source with track ids, by the positions.
+
+    A reported velocity counts at the start of a track only.
 
     Parameters
     ----------
     reports : in any order; they are filtered in order of time.
     acceleration_m2_per_s3 : power density of the velocity's random walk.
-    features : 2 to use positions only, with the reported velocity at the start of a track; 4 to use both, for sources
-        that measure velocities independently (Doppler).
     trend : (n, 4) :attr:`FilteredTracks.trend` at the first report of each track, where that is a filtered state.
 
     Source: METHOD 1 (prediction); Bar-Shalom, Li and Kirubarajan 2001, sections 5.2 and 6.2.
     """
     if reports.track is None:
         raise InputError("follow: reports name no tracks; give the source's own track numbers or identities")
-    if features not in (2, 4):
-        raise InputError(f"follow: features is {features}; give 2 (positions) or 4 (positions and velocities)")
     usable = reports.usable
     state, covariance = reports.state.copy(), reports.covariance.copy()
     nis, began = np.full(len(reports), np.nan), np.zeros(len(reports), bool)
-    trends = InnovationTrend.none(len(reports)) if trend is None else trend.copy()
-    limit = ChiSquare(1.0 - tuning.new_track_probability).limit(features)
+    trends = np.tile(NO_TREND, (len(reports), 1)) if trend is None else trend.copy()
+    limit = ChiSquare(1.0 - tuning.new_track_probability).limit(2)
     before = np.empty(0, np.int64)
     for now in by_turn(reports, usable):
         if not len(before):
@@ -501,21 +497,16 @@ def follow(
         recent = InnovationTrend.of(trends[before])
         p_before, walk, since_s = recent.with_manoeuvres(covariance[before], dt, acceleration_m2_per_s3, tuning)
         predicted, p_predicted = moved(state[before], p_before, dt, walk)
-        innovation = reports.state[now, :features] - predicted[:, :features]
-        total = p_predicted[:, :features, :features] + reports.covariance[now, :features, :features]
-        updated = Gaussian(predicted, p_predicted).updated(
-            Gaussian(reports.state[now, :features], reports.covariance[now, :features, :features])
-        )
+        position = Gaussian(reports.state[now, :2], reports.covariance[now, :2, :2])
+        innovation = position.mean - predicted[:, :2]
+        total = p_predicted[:, :2, :2] + position.covariance
+        updated = Gaussian(predicted, p_predicted).updated(position)
         chi_sq = mahalanobis_sq(innovation, total)
         starts = chi_sq > limit
         continues = now[~starts]
         state[continues], covariance[continues] = updated.mean[~starts], updated.covariance[~starts]
         nis[continues], began[now[starts]] = chi_sq[~starts], True
-        trends[now] = np.where(
-            starts[:, None],
-            InnovationTrend.none(1),
-            recent.updated(innovation[:, :2], total[:, :2, :2], since_s, tuning),
-        )
+        trends[now] = np.where(starts[:, None], NO_TREND, recent.updated(innovation, total, since_s, tuning))
         before = now
     return FilteredTracks(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began, trends)
 

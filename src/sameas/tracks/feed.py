@@ -209,7 +209,7 @@ class Feed:
             p_slow = None if modes is None else modes.p_slow
         given_times = None if scan_times_s is None else np.asarray(scan_times_s, np.float64)
         scans = scans_of(
-            in_plane.time_s, description.timing.period_s, _bearings(in_plane, sensor_m), given_times, placed.tuning
+            in_plane.time_s, description.timing.period_s, bearings_of(in_plane, sensor_m), given_times, placed.tuning
         )
         scan_times = scans.scan_s if given_times is None else np.concatenate([given_times, scans.scan_s])
         attributes = {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
@@ -344,7 +344,7 @@ class Feed:
         return density if features == 2 else density / (2.0 * math.pi * speed**2)
 
 
-def _bearings(in_plane: States | Directions, sensor_m: FloatArray | None) -> FloatArray | None:
+def bearings_of(in_plane: States | Directions, sensor_m: FloatArray | None) -> FloatArray | None:
     """(n,) bearings of bare plots, from which the antenna rotation is estimated; None for tracks."""
     if in_plane.track is not None:
         return None

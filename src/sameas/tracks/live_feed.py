@@ -20,12 +20,12 @@ from itertools import repeat
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import MODELS
 from sameas.kernels.zones import merge_rows
-from sameas.tracks.alignment import InnovationTrend, States, Succession, are_unfiltered, follow
+from sameas.tracks.alignment import NO_TREND, States, Succession, are_unfiltered, follow
 from sameas.tracks.biases import TIME, corrected
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.feed import (
@@ -33,6 +33,7 @@ from sameas.tracks.feed import (
     Branches,
     Feed,
     at_reported_positions,
+    bearings_of,
     fastest,
     in_motion,
     known_biases,
@@ -45,6 +46,7 @@ from sameas.tracks.feed import (
 from sameas.tracks.heights import HeightColumns
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import Directions, PlacedReports
+from sameas.tracks.registration import unbiased
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import scans_of
 from sameas.tracks.source import Description
@@ -227,7 +229,7 @@ class LiveFeed:
         if math.isfinite(self._instant_s):
             self._spacings_s = (*self._spacings_s[-8:], instant_s - self._instant_s)
         self._instant_s = instant_s
-        rows = self._rows.visible(("measured",) if self._directions or not self._named else ())
+        rows = self._rows.visible(("measured",) if self._directions else ())
         time_s, sensor_m = rows.time_s, rows.sensor_m if np.isfinite(rows.sensor_m).any() else None
         track = rows.name if self._named else None
         row = np.arange(len(rows))
@@ -239,8 +241,11 @@ class LiveFeed:
         scan_s, scan_times_s, rotation = time_s, np.unique(time_s[rows.taken]), None
         if not self._named:
             live = np.flatnonzero(rows.taken)
-            bearing = self._bearings(rows, live)
-            scans = scans_of(time_s[live], self.description.timing.period_s, bearing, None, self.tuning)
+            bearing = bearings_of(reports, sensor_m)
+            scans = scans_of(
+                time_s[live], self.description.timing.period_s, None if bearing is None else bearing[live], None,
+                self.tuning,
+            )  # fmt: skip
             scan_s = np.full(len(rows), -math.inf)
             scan_s[live], scan_times_s, rotation = scans.scan_s, np.unique(scans.scan_s), scans.rotation
         p_slow = None
@@ -328,10 +333,8 @@ class LiveFeed:
             velocity is None
             or not np.isfinite(velocity).any()
             or placed.description.kind in (*CORRELATED_KINDS, "tracks")
+            or placed.reports.kind in ("arpa", "asterix 048")
         ):
-            self.to_tracks = need_filtering(placed)
-            return
-        if placed.reports.kind in ("arpa", "asterix 048"):
             self.to_tracks = need_filtering(placed)
             return
         rows, taken = self._rows, np.flatnonzero(self._rows.taken)
@@ -522,7 +525,7 @@ class LiveFeed:
         )
         tracks = follow(
             reports, acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning,
-            trend=np.where(is_start[:, None], table.trend[at], InnovationTrend.none(1)),
+            trend=np.where(is_start[:, None], table.trend[at], NO_TREND),
         )  # fmt: skip
         updated = np.flatnonzero(~is_start)
         table.trend[at[updated]] = tracks.trend[updated]
@@ -601,14 +604,6 @@ class LiveFeed:
             return self._order
         return live[np.lexsort([rows.serial[live], rows.time_s[live], rows.number[live]])]
 
-    def _bearings(self, rows: _Rows, live: IntArray) -> FloatArray | None:
-        if self._directions:
-            return rows.measured[live, 0]
-        if not np.isfinite(rows.sensor_m).any():
-            return None
-        arm = rows.measured[live, :2] - rows.sensor_m[live]
-        return np.asarray(np.degrees(np.arctan2(arm[:, 0], arm[:, 1])))
-
 
 def _sigma_m(covariance: FloatArray) -> FloatArray:
     """(n,) √ of the trace of positions' covariances."""
@@ -617,14 +612,11 @@ def _sigma_m(covariance: FloatArray) -> FloatArray:
 
 def unbiased_now(feed: Feed, biases: FloatArray, covariance: FloatArray, track_timeout_s: float) -> Feed:
     """A live feed corrected for biases (6,) with covariance (6, 6); the order of its reports stays."""
-    reports = corrected(feed.reports, feed.sensor_m, biases, covariance)
-    unbiased = replace(
-        feed, reports=reports, scan_times_s=feed.scan_times_s - biases[TIME], scan_s=feed.scan_s - biases[TIME]
-    )
+    now = unbiased(feed, biases, covariance)
     if feed.reports.track is None:
-        return unbiased
+        return now
     succession = replace(feed.succession, time_s=feed.succession.time_s - biases[TIME])
-    return unbiased.with_succession(succession, track_timeout_s)
+    return now.with_succession(succession, track_timeout_s)
 
 
 #: Columns that a feed needs.
@@ -634,13 +626,13 @@ _VISIBLE = ("time_s", "state", "covariance", "p_slow", "sensor_m", "heights", "n
 class _Rows:
     """A table of reports; taken : (n,) whether a row is in use."""
 
-    ARRAYS: tuple[tuple[str, tuple[int, ...], float], ...] = (
+    ARRAYS: tuple[tuple[str, tuple[int, ...], ArrayLike], ...] = (
         ("time_s", (), -math.inf), ("measured", (4,), math.nan), ("measured_covariance", (4, 4), math.nan),
         ("filtered", (4,), math.nan), ("filtered_covariance", (4, 4), math.nan), ("state", (4,), math.nan),
         ("covariance", (4, 4), math.nan), ("p_slow", (SLOW,), 0.0), ("sensor_m", (2,), math.nan),
         ("modes", (FILTERED,), math.nan), ("modes_mean", (FILTERED, 4), math.nan),
         ("modes_covariance", (FILTERED, 4, 4), math.nan),
-        ("heights", (4,), math.nan), ("late_s", (), -math.inf), ("trend", (4,), math.nan),
+        ("heights", (4,), math.nan), ("late_s", (), -math.inf), ("trend", (4,), NO_TREND),
     )  # fmt: skip
     time_s: FloatArray
     measured: FloatArray
@@ -660,7 +652,7 @@ class _Rows:
 
     def __init__(self, n: int) -> None:
         for name, shape, empty in self.ARRAYS:
-            setattr(self, name, np.full((n, *shape), empty))
+            setattr(self, name, np.full((n, *shape), empty, np.float64))
         self.taken = np.zeros(n, bool)
         self.number = np.full(n, ABSENT)
         self.serial = np.full(n, ABSENT)
@@ -671,22 +663,10 @@ class _Rows:
         return len(self.taken)
 
     @classmethod
-    def _without_states(cls, n: int) -> _Rows:
-        """Rows without the columns of times and states, to be set by the caller."""
-        rows = cls(0)
-        rows.p_slow, rows.sensor_m = np.zeros((n, SLOW)), np.full((n, 2), np.nan)
-        modes = Modes.unknown(n)
-        rows.modes, rows.modes_mean, rows.modes_covariance = modes.log_p, modes.mean, modes.covariance
-        rows.heights = np.full((n, 4), np.nan)
-        rows.number, rows.serial, rows.name = np.full(n, ABSENT), np.full(n, ABSENT), np.full(n, "", object)
-        rows.late_s, rows.trend = np.full(n, -np.inf), InnovationTrend.none(n)
-        return rows
-
-    @classmethod
     def of_states(
         cls, in_plane: States, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
     ) -> _Rows:
-        rows = cls._without_states(len(usable))
+        rows = cls(len(usable))
         for column in ("measured", "filtered", "state"):
             setattr(rows, column, in_plane.state[usable])
         for column in ("measured_covariance", "filtered_covariance", "covariance"):
