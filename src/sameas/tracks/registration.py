@@ -236,16 +236,14 @@ def _mutual(one: Feed, other: Feed) -> tuple[RegisteredFeed, RegisteredFeed]:
     fit = _mutual_delay_fit(one, other)
     if fit is None:
         scans = common_scans(ComparedSource(one, 0), ComparedSource(other, 6))
-        if not scans:
-            notes = _no_common_time(names[0], [other]), _no_common_time(names[1], [one])
-            biases = [
-                SourceBiases(name, established=False, notes=(note,)) for name, note in zip(names, notes, strict=True)
-            ]
-            return (one, biases[0]), (other, biases[1])
         if not _observable(scans):
-            notes = _not_observable(names[0], [other]), _not_observable(names[1], [one])
-            biases = [SourceBiases(name, notes=(note,)) for name, note in zip(names, notes, strict=True)]
-            return (one, biases[0]), (other, biases[1])
+            note = _not_observable if scans else _no_common_time
+            first, second = (
+                (feed, SourceBiases(feed.description.name, established=bool(scans),
+                                    notes=(note(feed.description.name, [partner]),)))
+                for feed, partner in ((one, other), (other, one))
+            )  # fmt: skip
+            return first, second
         fit = fit_biases(scans, one.tuning)
     gauge = (
         f"{names[0]} and {names[1]} have no reference: a bias that displaces both alike cannot be seen, and is assumed "
