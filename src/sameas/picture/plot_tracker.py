@@ -40,7 +40,7 @@ from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import aged
 from sameas.tracks.feed import Feed, walk_of
 from sameas.tracks.placement import Directions
-from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant
+from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, places_of
 from sameas.tracks.snapshot import pointed_at
 
 
@@ -86,7 +86,7 @@ class PlotTracker:
         """
         _require_plots(now, before)
         prior_objects = BernoulliTable.none(len(now.feeds)) if before is None else self._carried(before, now)
-        places = np.concatenate([prior_objects.state[:, :2], *(_places(source) for source in now.sources)])
+        places = np.concatenate([prior_objects.state[:, :2], *(places_of(source) for source in now.sources)])
         usual_q = np.column_stack([self._usual_q(feed, prior_objects.state[:, :2], now) for feed in now.feeds])
         q = prior_objects.expected_q(usual_q, self.sighting_scans, self.min_q)
         q_of, false = {}, {}
@@ -365,11 +365,6 @@ def _scan_times(now: Instant, before: TrackedPlots | None) -> tuple[FloatArray, 
     is_first = ~np.isfinite(before.scan_s)
     gap = np.where(is_first, math.inf, scan_s - np.where(is_first, 0.0, before.scan_s))
     return scan_s, np.where(scan_s > before.scan_s, gap, before.gap_s)
-
-
-def _places(source: Source) -> FloatArray:
-    records = records_of(source)
-    return records.features[:, :2] if records.d > 1 else np.empty((0, 2))
 
 
 def _weighted(source: Source, share: FloatArray, least: float) -> Source:

@@ -240,7 +240,7 @@ class Instant:
         The miss probability of a source is the mean over the positions of all records, so it is high for a source that
         covers few of them.
         """
-        places = np.concatenate([np.empty((0, 2)), *(_places(source) for source in self.sources)])
+        places = np.concatenate([np.empty((0, 2)), *(places_of(source) for source in self.sources)])
         q = tuple(feed.mean_q(places, self.instant_s) for feed in self.feeds)
         pairs = zip(self.feeds, self.sources, strict=True)
         return PoissonObjects(self.density, q, tuple(feed.clutter(records_of(source).d) for feed, source in pairs))
@@ -291,7 +291,8 @@ def _objects(snapshots: Sequence[Snapshot], area_m2: float) -> float:
     return most
 
 
-def _places(source: Source) -> FloatArray:
+def places_of(source: Source) -> FloatArray:
+    """(n, 2) the positions of a source's records; none for directions."""
     records = records_of(source)
     return records.features[:, :2] if records.d > 1 else np.empty((0, 2))
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.many.observations import LinearPart, Observations, Source
 from sameas.records import Records
 from sameas.registration.weights import PlacedSources as Weighing
@@ -116,10 +116,10 @@ class Snapshot:
         old = aged(self.covariance, density)
         if not old.any():
             return self
-        keep = ~old
-        return Snapshot(
-            self.feed, self.rows[keep], self.time_s[keep], self.state[keep], self.covariance[keep], self.rows[old]
-        )
+        return self._only(~old, self.rows[old])
+
+    def _only(self, keep: BoolArray, aged: IntArray) -> Snapshot:
+        return Snapshot(self.feed, self.rows[keep], self.time_s[keep], self.state[keep], self.covariance[keep], aged)
 
     def source(self, instant_s: float, features: int, places: FloatArray) -> Source:
         """Records or observations for the core; places : (p, 2) records of all sources with positions."""
@@ -318,14 +318,7 @@ def _of_positions(
     has_velocity = other.covariance[:, 2, 2] < 0.99 * (other.feed.description.motion.speed_m_per_s or math.inf) ** 2
     timed = bool(has_velocity.mean() >= 0.5)
     if timed:
-        other = Snapshot(
-            other.feed,
-            other.rows[has_velocity],
-            other.time_s[has_velocity],
-            other.state[has_velocity],
-            other.covariance[has_velocity],
-            other.aged,
-        )
+        other = other._only(has_velocity, other.aged)
     velocity = other.state[:, 2:] if timed else np.zeros((len(other.rows), 2))
     widths = [side.widths() * np.where(np.arange(6) == TIME, float(timed), 1.0) for side in sides]
     models = [BiasModel(side.feed.sensor_at(instant_s)) for side in sides]
