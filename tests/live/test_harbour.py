@@ -1,5 +1,7 @@
 """Alarms of approaches in a harbour: berthed ships are many and no danger, those at anchor ahead are."""
 
+import json
+
 import numpy as np
 import pytest
 from tests.live.conftest import START_S, replay
@@ -127,6 +129,22 @@ def test_a_departure_along_berthed_ships_raises_no_alarms_of_them(radar, says_so
     )
     # The ship a kilometre beyond all others, right ahead for ten minutes.
     assert set(alarms) <= {"211000091"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quay_m", [None, 30.0, 250.0])
+def test_a_ship_that_lies_alone_is_berthed_where_the_chart_has_a_quay_beside_her(tmp_path, quay_m):
+    """She sends no status, and no other ship is near. quay_m : how far the land of the chart is from her."""
+    chart = []
+    if quay_m is not None:
+        ring = [(80.0 + quay_m, 2000.0), (900.0, 2000.0), (900.0, 4000.0), (80.0 + quay_m, 4000.0)]
+        ring = [[-1.0 + east / 71_695.7, 50.0 + north / 111_229.0] for east, north in [*ring, ring[0]]]
+        chart = [tmp_path / "quays.geojson"]
+        chart[0].write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+    own = leg((0.0, 0.0), (1200, 0, 0), (2000, 5.0, 0))
+    sea = Sea(own, {"211000091": at(80.0, 3300.0)}, chart=tuple(map(str, chart)))
+    assert set(sea.run(2200.0, every_s=10.0)) == (set() if quay_m == 30.0 else {"211000091"})
+    assert (len(sea.keeper.approaches.berthed) == 1) == (quay_m == 30.0)
 
 
 @pytest.mark.slow

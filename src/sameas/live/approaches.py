@@ -8,8 +8,8 @@ alongside if
 - its AIS says that it is moored, and its motion agrees; or its motion alone says so: the probability of the mode
   "alongside" (:mod:`sameas.tracks.stationary`);
 - its AIS does not say that it is at anchor, aground or not under command;
-- others that are alongside are near, as at a quay or in a marina. What does not move at sea is alone: a platform, a
-  wreck, a ship at anchor in a calm.
+- others that are alongside are near, as at a quay or in a marina, or the land of the user's chart is beside it. What
+  does not move at sea is alone: a platform, a wreck, a ship at anchor in a calm.
 
 A slow radar target without AIS beside one that is alongside is that ship, or the quay.
 
@@ -21,16 +21,19 @@ berthed ships without an alarm.
 from __future__ import annotations
 
 import math
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from sameas.arrays import BoolArray, FloatArray
 from sameas.io.sensors.format import KNOT_M_PER_S
-from sameas.live.settings import WatchSettings
+from sameas.live.settings import WatchSettings, read_chart
 from sameas.live.situation import Alarm, Situation
+from sameas.maps.outline import Coast
 from sameas.picture.live import LiveState
+from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 from sameas.tracks.stationary import RESTS
 
@@ -45,6 +48,8 @@ HARBOUR_HOLDS = 1.25
 ALONGSIDE_FROM, ALONGSIDE_BELOW = 0.8, 0.5
 #: Least number of others alongside, and the distance in metres within which they are.
 COMPANIONS, COMPANY_M = 2, 926.0
+#: An object at rest this near to a line of the user's chart is at a quay, metres: half a beam, and the errors of both.
+QUAY_M = 75.0
 #: A target without AIS is alongside within this distance of an object alongside, metres, below this speed, m/s (2 kn).
 BESIDE_M, SLOW_M_PER_S = 100.0, 2.0 * KNOT_M_PER_S
 #: A tentative object raises an alarm once it has been in the picture for this time, seconds.
@@ -69,6 +74,9 @@ class Approaches:
     in_harbour: bool = False
     berthed: frozenset[int] = frozenset()
     _alongside: frozenset[int] = frozenset()
+    #: The land of the user's chart in the plane, and whether the place of an object at rest is beside it.
+    _quays: _Quays | None = None
+    _at_quay: dict[tuple[float, float], bool] = field(default_factory=dict)
     #: Since when an object is in the picture, while it is tentative.
     _since_s: dict[int, float] = field(default_factory=dict)
     #: The last navigational status by MMSI.
@@ -139,13 +147,56 @@ class Approaches:
                 enough = ALONGSIDE_BELOW if number[k] in self._alongside else ALONGSIDE_FROM
                 at_rest[k] = moored or p[0] >= enough
         found = np.flatnonzero(at_rest)
-        if len(found) <= COMPANIONS:
+        if not len(found):
             return frozenset()
-        tree = cKDTree(place[found])
-        found = found[tree.query_ball_point(place[found], COMPANY_M, return_length=True) > COMPANIONS]
+        company = cKDTree(place[found]).query_ball_point(place[found], COMPANY_M, return_length=True) > COMPANIONS
+        found = found[company | self._beside_land(place[found], situation.plane)]
         with np.errstate(invalid="ignore"):
             unnamed = np.flatnonzero(placed & ~at_rest & (objects["mmsi"] == "") & ~(speed > SLOW_M_PER_S))
         if len(found) and len(unnamed):
             beside = cKDTree(place[found]).query(place[unnamed])[0] <= BESIDE_M
             found = np.concatenate([found, unnamed[beside]])
         return frozenset(number[k] for k in found.tolist())
+
+    def _beside_land(self, place: FloatArray, plane: LocalPlane | None) -> BoolArray:
+        """(n,) whether the land of the user's chart, the first one with lines, is beside each place (n, 2)."""
+        charts = [] if plane is None else [read_chart(path) for path in self.watch.chart]
+        land = next((chart for chart in charts if isinstance(chart, Coast)), None)
+        if land is None or plane is None:
+            return np.zeros(len(place), bool)
+        if self._quays is None:
+            self._quays = _Quays.of(land.in_plane(plane).coast)
+        # An object at rest stays in its square of 10 m.
+        squares = [(x, y) for x, y in (place / 10.0).round().tolist()]
+        fresh = [one for one in squares if one not in self._at_quay]
+        self._at_quay = {one: self._at_quay[one] for one in squares if one in self._at_quay}
+        self._at_quay |= {one: self._quays.distance_m(np.multiply(one, 10.0)) <= QUAY_M for one in fresh}
+        return np.array([self._at_quay[one] for one in squares])
+
+
+@dataclass(frozen=True)
+class _Quays:
+    """The lines of a chart as segments, from ``start`` to ``start + along``, (n, 2) metres in the plane."""
+
+    start: FloatArray
+    along: FloatArray
+
+    @classmethod
+    def of(cls, lines: Sequence[FloatArray]) -> _Quays:
+        """The segments of lines, each (n, 2)."""
+        none = [np.zeros((0, 2))]
+        return cls(
+            np.concatenate(none + [line[:-1] for line in lines]),
+            np.concatenate(none + [np.diff(line, axis=0) for line in lines]),
+        )
+
+    def distance_m(self, place: FloatArray) -> float:
+        """From a place (2,) to the nearest point of the lines; infinite without lines.
+
+        >>> _Quays.of([np.array([[0.0, 0.0], [100.0, 0.0]])]).distance_m(np.array([130.0, 40.0]))
+        50.0
+        """
+        length_sq = np.maximum((self.along**2).sum(axis=1), 1e-12)
+        fraction = np.clip(((place - self.start) * self.along).sum(axis=1) / length_sq, 0.0, 1.0)
+        apart = self.start + fraction[:, None] * self.along - place
+        return float(np.sqrt((apart**2).sum(axis=1).min(initial=np.inf)))
