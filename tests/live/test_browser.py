@@ -141,17 +141,17 @@ def test_ranges_are_from_own_ship_and_an_approach_at_the_limit_is_one_alarm(keep
             page.close()
 
 
-def test_the_legend_shows_the_biases_of_a_source(keeper, tmp_path):
+def test_the_page_shows_the_offsets_of_the_sensors_and_an_operator_holds_them(keeper, tmp_path):
     azimuth = {"azimuth_deg": Parameter(1.5, 0.1, "deg")}
     keeper.picture.take_off(Registered((SourceBiases("radar", ("ais",), azimuth, established=False),)))
     with served(keeper) as url:
         page = Browser(tmp_path / "profile", url)
         try:
-            lines = "[...document.querySelectorAll('#sources .bias')].filter(e => !e.hidden)"
-            shown = f"{lines}.map(e => e.textContent).join()"
-            page.until(f"mapPage.live && {shown} === 'azimuth +1.500 ± 0.100°, not established'")
-            assert page.errors == []
-            page.picture(tmp_path / "legend.png")
+            sensors = "document.getElementById('summary').textContent"
+            page.until(f"mapPage.live && {sensors}.includes('azimuth +1.500 ± 0.100°not established, not subtracted')")
+            page.js("document.querySelector('.sensor button').click()")
+            page.until(f"{sensors}.includes('not subtracted, held')")
+            assert keeper.picture.held == {"radar"} and page.errors == []
         finally:
             page.close()
 

@@ -1,6 +1,7 @@
 """The HTTP server: event streams, tokens, and endpoints for other programs."""
 
 import json
+import pickle
 import re
 import socket
 import subprocess
@@ -8,18 +9,22 @@ import sys
 import time
 import urllib.error
 import urllib.request
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.live.conftest import EVIL, START_S, served
+from tests.live.conftest import EVIL, START_S, descriptions, replay, served
 
 from sameas.cli.watch import _addresses, _source_lines
-from sameas.live.keeper import Delta
+from sameas.live.keeper import Delta, Keeper
 from sameas.live.outputs import metrics
 from sameas.live.server import Access, _event
+from sameas.live.settings import LiveSource, Settings, WatchSettings
 from sameas.picture.live import Registered
 from sameas.registration import Parameter
+from sameas.tracks import Timing
 from sameas.tracks.registration import SourceBiases
+from sameas.tracks.source import KnownBiases
 
 
 def ask(url, method="GET", **headers):
@@ -123,6 +128,41 @@ def test_objects_metrics_and_health_are_served(keeper):
         status, headers, body = ask(url)
         assert status == 200 and "connect-src 'self'" in body and "script-src 'sha256-" in body
         assert EVIL not in body and headers["x-frame-options"] == "DENY"
+
+
+def test_an_operator_holds_the_biases_of_a_source(keeper):
+    def found(value, established=True):
+        biases = {"azimuth_deg": Parameter(value, 0.1, "deg")}
+        theta = np.array([0.0, np.radians(value), 0.0, 0.0, 0.0, 0.0])
+        return Registered((SourceBiases("radar", ("ais",), biases, established=established, theta=theta,
+                                        covariance=1e-9 * np.eye(6)),))  # fmt: skip
+
+    def alignment():
+        return keeper.alignment()["radar"]
+
+    with served(keeper, Access("0.0.0.0", "op", "view")) as url:
+        keeper.picture.take_off(found(1.5))
+        assert alignment()["offsets"] == ["azimuth +1.500 ± 0.100°"] and alignment()["state"] == "subtracted"
+        path = f"{url}/sources/radar/hold"
+        assert ask(path, "POST", Authorization="Bearer view", X_Sameas="1")[0] == 403
+        assert ask(path, "POST", Authorization="Bearer op")[0] == 403 and not alignment()["held"]
+        assert ask(path, "POST", Authorization="Bearer op", X_Sameas="1")[0] == 200 and alignment()["held"]
+        assert ask(f"{url}/sources/none/hold", "POST", Authorization="Bearer op", X_Sameas="1")[0] == 404
+        keeper.picture.take_off(found(4.0))
+        assert alignment()["offsets"] == ["azimuth +1.500 ± 0.100°"]
+        assert pickle.loads(pickle.dumps(keeper.picture)).held == {"radar"}
+        assert ask(path, "DELETE", Authorization="Bearer op", X_Sameas="1")[0] == 200 and not alignment()["held"]
+        keeper.picture.take_off(found(4.0))
+        assert alignment()["offsets"] == ["azimuth +4.000 ± 0.100°"]
+
+
+def test_what_the_sensor_file_subtracts_is_shown():
+    known = KnownBiases(azimuth_deg=2.0, range_m=-35.0)
+    radar = replace(descriptions()[1], calibration=known, timing=Timing(latency_s=0.5))
+    keeper = Keeper(Settings({"radar": LiveSource(radar)}, WatchSettings()), replay=replay())
+    assert keeper.alignment()["radar"]["described"] == "range -35 m, azimuth +2°, stamps +0.5 s late"
+    assert keeper.alignment()["radar"]["state"] == "none estimated"
+    keeper.close()
 
 
 def test_biases_are_served_and_printed(keeper):

@@ -38,6 +38,7 @@ from sameas.picture.picture_state import PictureState
 from sameas.representation import listed
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
+from sameas.tracks.source import Description
 
 T = TypeVar("T")
 LOG = logging.getLogger("sameas.live")
@@ -769,6 +770,32 @@ class Keeper:
             for name, found in self.picture.estimates.items() if found.parameters
         }  # fmt: skip
 
+    def alignment(self) -> dict[str, dict[str, Any]]:
+        """By source, what is subtracted from its reports and why, in words, and whether an operator holds it."""
+        out = {}
+        for name, source in self.settings.sources.items():
+            found, held = self.picture.estimates.get(name), name in self.picture.held
+            subtracted = name in self.picture.biases
+            state = "subtracted" if subtracted else "not established, not subtracted"
+            if found is None or not found.parameters:
+                state = "the others are compared with it" if found is not None and not found.notes else "none estimated"
+            out[name] = {
+                "described": _known_biases(source.description), "held": held, "state": state,
+                "offsets": [] if found is None else [text for text in found.values.split(", ") if text],
+                "by": "" if found is None or not found.parameters else f"{found.tracks:.0f} tracks in common with "
+                f"{listed(found.against)}, log evidence {found.log_evidence:.0f}",
+                "notes": [] if found is None else list(found.notes),
+            }  # fmt: skip
+        return out
+
+    def hold(self, source: str, held: bool) -> bool:
+        """Keeps the biases of a source as they are, or releases them; False for an unknown source."""
+        with self.lock:
+            if source not in self.settings.sources:
+                return False
+            self.picture.hold(source, held)
+            return True
+
     def health(self) -> dict[str, Any]:
         """Whether the picture advances, and the counters of every source and wire."""
         age_s = None if self.situation is None else self.now_s() - self.situation.time_s
@@ -804,6 +831,16 @@ class Keeper:
             "outputs": {f"{sink.format} {sink.url}": {"failed": sink.failed, "unnumbered": sink.numbers.unnumbered}
                         for sink in self.sinks},
         }  # fmt: skip
+
+
+def _known_biases(description: Description) -> str:
+    """Printable: the biases that the description gives, and that are subtracted; empty for none."""
+    known, late_s = description.calibration, description.timing.latency_s
+    texts = {
+        "range {:+g} m": known.range_m, "azimuth {:+g}°": known.azimuth_deg, "range gain {:+g}": known.range_gain,
+        "east {:+g} m": known.east_m, "north {:+g} m": known.north_m, "stamps {:+g} s late": late_s or None,
+    }  # fmt: skip
+    return ", ".join(text.format(value) for text, value in texts.items() if value is not None)
 
 
 def _last_station(reports: Reports, before: tuple[float, float, float]) -> tuple[float, float, float]:

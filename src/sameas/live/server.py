@@ -103,7 +103,7 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
         from starlette.routing import Route
     handlers = _Handlers(keeper, access or Access(), Clients())
     guarded = handlers.guarded
-    acknowledge = guarded(handlers.acknowledge, operator=True, changes=True)
+    acknowledge, hold = (guarded(one, operator=True, changes=True) for one in (handlers.acknowledge, handlers.hold))
     return Starlette(routes=[
         Route("/", guarded(handlers.page)),
         Route("/events", guarded(handlers.events)),
@@ -114,6 +114,7 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
         Route("/objects/{number:int}/why", guarded(handlers.why)),
         Route("/alarms", guarded(handlers.alarms)),
         Route("/alarms/{alarm:int}/acknowledge", acknowledge, methods=["POST"]),
+        Route("/sources/{source:path}/hold", hold, methods=["POST", "DELETE"]),
         Route("/metrics", guarded(handlers.prometheus)),
         Route("/health", handlers.health),
     ])  # fmt: skip
@@ -154,7 +155,7 @@ class _Handlers:
             if role is None:
                 return _json({"error": "give a token: ?token=…, or Authorization: Bearer …"}, 401)
             if operator and role != "operator":
-                return _json({"error": "viewers may not acknowledge alarms"}, 403)
+                return _json({"error": "viewers may only look"}, 403)
             if changes and request.headers.get("x-sameas") != "1":
                 return _json({"error": "give the header X-Sameas: 1"}, 403)
             return await handler(request, role)
@@ -234,6 +235,12 @@ class _Handlers:
         done = self.keeper.acknowledge(int(request.path_params["alarm"]), f"operator at {who}")
         return _json({"acknowledged": done}, 200 if done else 404)
 
+    async def hold(self, request: Request, role: str) -> Response:
+        """Keeps the biases of a source as they are (POST), or releases them (DELETE)."""
+        held = request.method == "POST"
+        done = self.keeper.hold(str(request.path_params["source"]), held)
+        return _json({"held": held} if done else {"error": "there is no such source"}, 200 if done else 404)
+
     async def prometheus(self, request: Request, role: str) -> Response:
         from starlette.responses import PlainTextResponse
 
@@ -293,7 +300,7 @@ def _event(kind: str, keeper: Keeper, situation: Situation, delta: Delta) -> str
             "berthed": sorted(keeper.approaches.berthed),
             "cpa": {n: [round(metres), round(seconds)] for n, (metres, seconds) in situation.cpa.items()},
             "alarms": keeper.alarm_list(most_ended=100),
-            "biases": {name: [found["text"], found["established"]] for name, found in keeper.biases().items()},
+            "alignment": keeper.alignment(), "errors": list(keeper.picture.errors),
         }  # fmt: skip
     return f"id: {delta.tick}\nevent: {kind}\ndata: {json.dumps(content, allow_nan=False, separators=(',', ':'))}\n\n"
 
@@ -316,7 +323,6 @@ def live_page(keeper: Keeper, operator: bool) -> str:
     title = "Live picture" if keeper.pace is None else f"Replay, {keeper.pace:g} × real time"
     sheet = MapSheet.of(
         title, _filled(objects), records, instants_s=np.array([instant_s]), sensors=sensors, plane=plane,
-        summary=[*(str(one) for one in keeper.picture.biases.values()), *keeper.picture.errors],
         ground=lines[0] if lines else None, overlays=lines[1:],
     )  # fmt: skip
     live = {

@@ -94,7 +94,7 @@ function applyDelta(delta) {
   present.own = delta.own;
   present.cpa = delta.cpa || {};
   present.berthed = delta.berthed || [];
-  showBiases(delta.biases || {});
+  showSensors(delta.alignment || {}, delta.errors || []);
   beginOwnShip();
   if (centres.own) showOwnShip();
   applyAlarms(delta.alarms || []);
@@ -180,14 +180,54 @@ function showApproaches() {
 }
 async function acknowledge(ids, button) {
   let done = true;
-  for (const id of ids)
-    try {
-      const answer = await fetch(`alarms/${id}/acknowledge`, { method: "POST", headers: { "X-Sameas": "1" } });
-      done &&= answer.ok;
-    } catch {
-      done = false;
-    }
+  for (const id of ids) done = (await changed(`alarms/${id}/acknowledge`, "POST")) && done;
   if (!done) button.textContent = "not acknowledged; try again";
+}
+// Whether the server has done what an operator asks for.
+async function changed(path, method) {
+  try {
+    return (await fetch(path, { method, headers: { "X-Sameas": "1" } })).ok;
+  } catch {
+    return false;
+  }
+}
+
+// ---- the sensors: their offsets, which of them are subtracted, and which an operator holds ----
+el("tab-summary").textContent = "Sensors";
+let sensorWords = "";
+function showSensors(alignment, errors) {
+  const words = JSON.stringify([alignment, errors]);
+  if (words === sensorWords) return;
+  sensorWords = words;
+  const parts = data.sensors.flatMap((sensor, k) => (alignment[sensor.name] ? [sensorPart(sensor.name, k, alignment[sensor.name])] : []));
+  parts.push(text("p", "± is one standard error. Offsets are subtracted once they are established; one that is held stays as it is. To fix offsets for good, give them as calibration in the sensor file.", "hint"));
+  parts.push(...errors.map(line => text("p", line)));
+  el("summary").replaceChildren(...parts);
+}
+function sensorPart(name, k, a) {
+  const part = document.createElement("div"),
+    head = text("h3", ""),
+    lines = document.createElement("ul"),
+    state = a.offsets.length ? a.state : `offsets: ${a.state}`;
+  head.append(sourceIcon(k), ` ${name} `, text("span", data.sensors[k].kind, "hint"));
+  lines.append(...a.offsets.map(line => text("li", line)));
+  lines.append(text("li", a.held ? `${state}, held` : state, a.state === "subtracted" ? "established" : "hint"));
+  if (a.described) lines.append(text("li", `from the sensor file, subtracted: ${a.described}`));
+  for (const line of [a.by, ...a.notes]) if (line) lines.append(text("li", line, "hint"));
+  part.className = "sensor";
+  part.append(head, lines);
+  // What the others are compared with has no offsets.
+  if (data.live.operator && a.offsets.length) {
+    const button = text("button", a.held ? "release" : "hold");
+    button.setAttribute("aria-label", `${a.held ? "release" : "hold"} the offsets of ${name}`);
+    button.addEventListener("click", () => hold(name, !a.held, button));
+    part.append(button);
+  }
+  return part;
+}
+async function hold(name, held, button) {
+  const done = await changed(`sources/${encodeURIComponent(name)}/hold`, held ? "POST" : "DELETE");
+  button.textContent = done ? "…" : "not done; try again";
 }
 
 // ---- explanations, of the present only ----

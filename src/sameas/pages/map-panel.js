@@ -278,7 +278,7 @@ function showHelp() {
 }
 function showLegend() {
   el("sources").replaceChildren(
-    ...data.sensors.flatMap((s, k) => {
+    ...data.sensors.map((s, k) => {
       const label = document.createElement("label"),
         tick = document.createElement("input");
       tick.type = "checkbox";
@@ -298,10 +298,7 @@ function showLegend() {
         text("span", s.kind === s.name ? "" : s.kind, "kind"),
         count,
       );
-      const bias = text("div", "", "bias hint");
-      bias.dataset.bias = s.name;
-      bias.hidden = true;
-      return [label, bias];
+      return label;
     }),
   );
   const samples = [
@@ -329,14 +326,6 @@ function showLegend() {
       return s;
     }),
   );
-}
-// Biases of live sources: by name, their text and whether they are established and so subtracted.
-function showBiases(biases) {
-  for (const e of document.querySelectorAll("[data-bias]")) {
-    const [words, established] = biases[e.dataset.bias] || ["", true];
-    e.hidden = !words;
-    e.textContent = words && `${words}, ${established ? "subtracted" : "not established"}`;
-  }
 }
 function showCounts() {
   const counts = data.sensors.map(() => 0);

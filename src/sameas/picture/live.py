@@ -110,6 +110,7 @@ class LivePicture:
         self._carried: Watch | PlotPicture | None = watch
         self._biases: dict[str, SourceBiases] = {}
         self._estimates: dict[str, SourceBiases] = {}
+        self._held: frozenset[str] = frozenset()
         self._heights: HeightModel | None = None
         #: Conversion of the heights of the last instant; None if none was reported.
         self.height_model: HeightModel | None = None
@@ -148,8 +149,23 @@ class LivePicture:
 
     @property
     def estimates(self) -> Mapping[str, SourceBiases]:
-        """By source, the biases that are subtracted, else those last estimated, which are not established."""
+        """By source, the biases that are subtracted, else those last estimated."""
         return self._estimates | self._biases
+
+    @property
+    def held(self) -> frozenset[str]:
+        """The sources whose biases stay as they are."""
+        return self._held
+
+    def hold(self, source: str, held: bool = True) -> None:
+        """Keeps the biases that are subtracted from a source, or none, as they are; ``held=False`` releases them.
+
+        Raises
+        ------
+        InputError : an unknown source.
+        """
+        self._require(source)
+        self._held = self._held | {source} if held else self._held - {source}
 
     @property
     def errors(self) -> tuple[str, ...]:
@@ -190,6 +206,7 @@ class LivePicture:
                 self._recent[description.name] = deque()
             self._biases.pop(description.name, None)
             self._estimates.pop(description.name, None)
+            self._held -= {description.name}
         return tuple(changed)
 
     def add(self, source: str, reports: Reports) -> None:
@@ -199,8 +216,7 @@ class LivePicture:
         ------
         InputError : an unknown source; a number is missing that the reports need. Then nothing is added.
         """
-        if source not in self._feeds:
-            raise InputError(f"live picture: there is no source {source!r}", f"give one of {', '.join(self._feeds)}")
+        self._require(source)
         if not len(reports):
             return
         feed = self._feeds[source]
@@ -217,6 +233,10 @@ class LivePicture:
                 other.plane = self.plane
         feed.add(reports)
         self._keep_recent(source, reports)
+
+    def _require(self, source: str) -> None:
+        if source not in self._feeds:
+            raise InputError(f"live picture: there is no source {source!r}", f"give one of {', '.join(self._feeds)}")
 
     def _keep_recent(self, source: str, reports: Reports) -> None:
         """Keeps reports for the searches in the last minutes; those of a wrong date would stretch these to days."""
@@ -297,11 +317,11 @@ class LivePicture:
         return gathered(list(self._sightings))
 
     def take_off(self, found: Registered) -> None:
-        """Subtracts the established biases at later instants; for the other sources the previous ones stay."""
+        """Subtracts the established biases at later instants; for other sources, and those held, the previous stay."""
         self._heights = found.heights or self._heights
         for biases in found.biases:
             self._estimates[biases.source] = biases
-            if biases.established and biases.theta is not None:
+            if biases.established and biases.theta is not None and biases.source not in self._held:
                 self._biases[biases.source] = biases
 
     def _keep_sightings(self, state: LiveState) -> None:
