@@ -19,7 +19,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.maps.tiles import is_tiles
 from sameas.ragged import Ragged
-from sameas.tracks.coordinates import EARTH_M, LocalPlane, geodesy
+from sameas.tracks.coordinates import EARTH_M, LocalPlane
 
 #: Cells and steps of the data in degrees, and cells in a row: as in scripts/make-outline.
 CELL_DEG, STEP_DEG, COLUMNS = 5.0, 0.0005, 72
@@ -112,8 +112,7 @@ class _Line:
         number, share = _subdivided(steps)
         fine = steps[number] + share[:, None] * (steps[np.minimum(number + 1, len(steps) - 1)] - steps[number])
         lon, lat = fine[:, 0] * STEP_DEG - 180.0, fine[:, 1] * STEP_DEG - 90.0
-        east, north, _ = geodesy().geodetic2enu(lat, lon, np.zeros_like(lat), plane.lat_deg, plane.lon_deg, 0.0)
-        return np.column_stack([east, north])
+        return plane.enu(lat, lon)[:, :2]
 
     def along_cells(self) -> BoolArray:
         """(m − 1,) sides of the closed ring along the edge of its cell: they are no coast."""
@@ -212,10 +211,9 @@ class Coast:
         coast: list[FloatArray] = []
         for places, role in zip(self.lines, self.roles, strict=True):
             lon, lat = places.T
-            east, north, up = geodesy().geodetic2enu(lat, lon, np.zeros_like(lat), plane.lat_deg, plane.lon_deg, 0.0)
-            if ((np.hypot(east, north) > FARTHEST_M) | (up < -FARTHEST_M)).any():
+            line, up = np.split(plane.enu(lat, lon), [2], axis=1)
+            if ((np.hypot(*line.T) > FARTHEST_M) | (up[:, 0] < -FARTHEST_M)).any():
                 continue
-            line = np.column_stack([east, north])
             coast.append(line)
             ring = line[:-1] if np.array_equal(line[0], line[-1]) else line
             if role != "shore" and len(ring) >= 3:

@@ -14,7 +14,7 @@ from sameas.maps.outline import Outline, outline
 from sameas.maps.sheet import MapSensor, MapSheet, members_of, seen_by_several
 from sameas.plots.sheet import FAINT, INK, ellipse, nice_length, sheet
 from sameas.representation import count, counted
-from sameas.tracks.coordinates import MILE_M, LocalPlane, geodesy
+from sameas.tracks.coordinates import MILE_M, LocalPlane
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,23 +70,18 @@ def graticule(
     found = []
     for value in np.arange(np.ceil(max(low, -LAST_DEG) / up), np.floor(min(high, LAST_DEG) / up) + 1) * up:
         along = plane.lon_deg + np.linspace(first, last, POINTS)
-        found.append(GridLine(_placed(plane, np.full(POINTS, value), along), _words(value, "NS", 2, up), True))
+        found.append(GridLine(plane.enu(np.full(POINTS, value), along)[:, :2], _words(value, "NS", 2, up), True))
     start, stop = plane.lon_deg + first, plane.lon_deg + last
     for value in np.arange(np.ceil(start / across), np.ceil(stop / across) + (last - first < 360.0)) * across:
         up_to = np.linspace(max(low, -LAST_DEG), min(high, LAST_DEG), POINTS)
         east = (value + 180.0) % 360.0 - 180.0
-        found.append(GridLine(_placed(plane, up_to, np.full(POINTS, value)), _words(east, "EW", 3, across), False))
+        found.append(GridLine(plane.enu(up_to, np.full(POINTS, value))[:, :2], _words(east, "EW", 3, across), False))
     return found
 
 
 def _contains_pole(plane: LocalPlane, pole: float, box: tuple[float, float, float, float]) -> bool:
-    x, y = _placed(plane, np.array([pole]), np.array([0.0]))[0]
+    x, y, _ = plane.enu(np.array([pole]), np.array([0.0]))[0]
     return bool(box[0] < x < box[2] and box[1] < y < box[3])
-
-
-def _placed(plane: LocalPlane, lat: FloatArray, lon: FloatArray) -> FloatArray:
-    east, north, _ = geodesy().geodetic2enu(lat, lon, np.zeros_like(lat), plane.lat_deg, plane.lon_deg, 0.0)
-    return np.column_stack([east, north])
 
 
 def _words(degrees: float, letters: str, width: int, step: float) -> str:

@@ -32,6 +32,20 @@ SMALL_FIELD_DEG = 5.0
 EVERYWHERE_FLAT = Plane()
 
 
+def range_and_azimuth(arm: FloatArray) -> FloatArray:
+    """(…, 2) range, and azimuth in degrees clockwise from north, of positions (…, 2) relative to a sensor."""
+    return np.stack([np.hypot(arm[..., 0], arm[..., 1]), np.degrees(np.arctan2(arm[..., 0], arm[..., 1]))], axis=-1)
+
+
+def line_of_sight(arm: FloatArray, least: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Range, at least ``least``, of positions (…, 2) relative to a sensor, and the unit vectors along and across
+    (clockwise) the line of sight."""
+    angle = np.arctan2(arm[..., 0], arm[..., 1])
+    sine, cosine = np.sin(angle), np.cos(angle)
+    along, across = np.stack([sine, cosine], axis=-1), np.stack([cosine, -sine], axis=-1)
+    return np.maximum(np.hypot(arm[..., 0], arm[..., 1]), least), along, across
+
+
 class Offset:
     """Interface of an offset model. Features are (…, n, d), θ is (p,) or (…, 1, p): all methods broadcast.
 
@@ -399,14 +413,13 @@ class SensorBias(Offset):
 
     def carried(self, features: FloatArray, theta: FloatArray) -> FloatArray:
         distance, out, across, bias = self._polar(features, theta)
-        measured, read_out, read_across = self._read(features)
+        measured, read_out, read_across = line_of_sight(features - np.array(self.position))
         ratio = distance / np.maximum(measured, 1e-300)
         along = out[..., :, None] * read_out[..., None, :] / (1.0 + bias[..., 2])[..., None, None]
         return np.asarray(along + ratio[..., None, None] * across[..., :, None] * read_across[..., None, :])
 
     def chart(self, features: FloatArray) -> FloatArray:
-        arm = features - np.array(self.position)
-        return np.stack([np.hypot(arm[..., 0], arm[..., 1]), np.degrees(np.arctan2(arm[..., 0], arm[..., 1]))], axis=-1)
+        return range_and_azimuth(features - np.array(self.position))
 
     def periods(self, d: int) -> list[float]:
         return [math.inf, 360.0]
@@ -419,19 +432,11 @@ class SensorBias(Offset):
         p = len(self.which)
         return [(np.eye(p)[at], self.widths[at]) for at, k in enumerate(self.which) if k >= 2]
 
-    def _read(self, features: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Measured range, and the unit vectors along and across (clockwise) the measured line of sight."""
-        arm = features - np.array(self.position)
-        angle = np.arctan2(arm[..., 0], arm[..., 1])
-        sine, cosine = np.sin(angle), np.cos(angle)
-        along, across = np.stack([sine, cosine], axis=-1), np.stack([cosine, -sine], axis=-1)
-        return np.hypot(arm[..., 0], arm[..., 1]), along, across
-
     def _polar(self, features: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Corrected range, unit vectors along and across the corrected line of sight, and all four biases."""
         bias = np.zeros((*theta.shape[:-1], 4))
         bias[..., list(self.which)] = theta
-        read, along, across = self._read(features)
+        read, along, across = line_of_sight(features - np.array(self.position))
         distance = (read - bias[..., 0]) / (1.0 + bias[..., 2])
         turn = RADIAN * bias[..., 1]
         cosine, sine = np.cos(turn)[..., None], np.sin(turn)[..., None]

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.gaussian import propagated
 from sameas.records import Records
-from sameas.registration.offsets import RADIAN, Offset
+from sameas.registration.offsets import RADIAN, Offset, line_of_sight, range_and_azimuth
 from sameas.tracks.alignment import States
 from sameas.tracks.placement import Directions
 
@@ -29,6 +29,8 @@ from sameas.tracks.placement import Directions
 #: too far east and north (m).
 BIASES = ("range_m", "azimuth_deg", "range_gain", "time_s", "east_m", "north_m")
 RANGE, AZIMUTH, GAIN, TIME, EAST, NORTH = range(6)
+#: Least range of an object from its sensor in metres, for the derivatives.
+MIN_RANGE_M = 1e-6
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class BiasModel:
             measured, by_position, polar = before, eye, np.zeros((*before.shape, 3))
         else:
             site = np.asarray(self.site_m, dtype=np.float64)
-            true_m, along, across = _polar(before - site)
+            true_m, along, across = line_of_sight(before - site, MIN_RANGE_M)
             measured_m = true_m * (1.0 + theta[..., GAIN]) + theta[..., RANGE]
             along_out, across_out = _rotated(along, across, theta[..., AZIMUTH])
             measured = site + measured_m[..., None] * along_out
@@ -74,21 +76,13 @@ class BiasModel:
         measured = measured_position - theta[..., EAST:]
         if self.site_m is not None:
             site = np.asarray(self.site_m, dtype=np.float64)
-            measured_m, along_out, across_out = _polar(measured - site)
+            measured_m, along_out, across_out = line_of_sight(measured - site, MIN_RANGE_M)
             along, _ = _rotated(along_out, across_out, -theta[..., AZIMUTH])
             measured = site + ((measured_m - theta[..., RANGE]) / (1.0 + theta[..., GAIN]))[..., None] * along
         position = measured + velocity * theta[..., TIME, None]
         forward = self.forward(position, velocity, theta)
         back = _inverse(forward.by_position)
         return Displaced(position, back, -back @ forward.by_bias)
-
-
-def _polar(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Range (at least 1e-6 m), and the unit vectors along and across (clockwise) the line of sight."""
-    angle = np.arctan2(arm[..., 0], arm[..., 1])
-    sine, cosine = np.sin(angle), np.cos(angle)
-    distance = np.maximum(np.hypot(arm[..., 0], arm[..., 1]), 1e-6)
-    return distance, np.stack([sine, cosine], axis=-1), np.stack([cosine, -sine], axis=-1)
 
 
 def _rotated(along: FloatArray, across: FloatArray, azimuth_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -168,10 +162,7 @@ class RelativeBias(Offset):
 
     def chart(self, features: FloatArray) -> FloatArray:
         site = self._charted()[1]
-        if site is None:
-            return features
-        arm = features - np.asarray(site)
-        return np.stack([np.hypot(arm[..., 0], arm[..., 1]), np.degrees(np.arctan2(arm[..., 0], arm[..., 1]))], axis=-1)
+        return features if site is None else range_and_azimuth(features - np.asarray(site))
 
     def periods(self, d: int) -> list[float]:
         return [math.inf, math.inf if self._charted()[1] is None else 360.0]

@@ -108,7 +108,7 @@ class LocalPlane:
         """
         lat, lon = _numbers(lat_deg, lon_deg)
         _degrees(source, lat, lon)
-        east, north, up = geodesy().geodetic2enu(lat, lon, np.zeros_like(lat), self.lat_deg, self.lon_deg, 0.0)
+        east, north, up = self.enu(lat, lon).T
         position = np.column_stack([east, north])
         with np.errstate(invalid="ignore"):
             beyond = np.hypot(np.hypot(east, north), up) > FARTHEST_M
@@ -122,6 +122,11 @@ class LocalPlane:
             )
         position[beyond] = np.nan
         return position
+
+    def enu(self, lat_deg: FloatArray, lon_deg: FloatArray) -> FloatArray:
+        """(n, 3) east, north and up in metres of places (n,) on the ellipsoid, wherever they are."""
+        none = np.zeros_like(lat_deg)
+        return np.column_stack(geodesy().geodetic2enu(lat_deg, lon_deg, none, self.lat_deg, self.lon_deg, 0.0))
 
     def to_geodetic(self, position: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """(n,) latitude and longitude in degrees of positions (n, 2) in the plane."""

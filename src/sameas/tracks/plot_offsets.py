@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, inverse
 from sameas.ragged import flattened
-from sameas.registration.offsets import RADIAN
+from sameas.registration.offsets import RADIAN, line_of_sight, range_and_azimuth
 from sameas.tracks.alignment import States, Succession, moved
 from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import AZIMUTH, EAST, GAIN, NORTH, RANGE, TIME
@@ -92,10 +92,8 @@ class Plots:
 
 def _sight(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Range (at least 1 m), azimuth (°) and (n, 2, 2) unit vectors along and across (clockwise) lines of sight."""
-    angle = np.arctan2(arm[:, 0], arm[:, 1])
-    sine, cosine = np.sin(angle), np.cos(angle)
-    frame = np.stack([np.stack([sine, cosine], axis=-1), np.stack([cosine, -sine], axis=-1)], axis=-2)
-    return np.maximum(np.hypot(*arm.T), 1.0), np.degrees(angle), frame
+    range_m, *frame = line_of_sight(arm, 1.0)
+    return range_m, range_and_azimuth(arm)[:, 1], np.stack(frame, axis=-2)
 
 
 @dataclass(frozen=True)
