@@ -170,9 +170,7 @@ def estimate(
     counts = CellCounts.sum([one.counts for side in counted for one in side])
     del counted
     places = Places.of(counts, healpix.area_arcsec2(order))
-    steps, cells = drawn(counts, tuning.sampling)
-    volume = places.within(counts, cells, steps)
-    sampled, learned, assumed = _learn_from_sample(work, sigma, places, steps, cells, volume, options, tuning, progress)
+    sampled, learned, assumed = _learn_from_sample(work, sigma, places, counts, options, tuning, progress)
     final = tuple(replace(s, catalogue=without_rows(c)) for s, c in zip(work.sides, sampled, strict=True))
     work = replace(work, sides=(final[0], final[1]), learned=learned)
     halo, margin = _halos(work, tuning)
@@ -287,18 +285,16 @@ def _learn_from_sample(
     work: Work,
     sigma: float,
     places: Places,
-    steps: int,
-    cells: IntArray,
-    volume: float,
+    counts: CellCounts,
     options: MatchOptions,
     tuning: RunTuning,
     progress: Progress,
 ) -> tuple[list[Catalogue], Learned, tuple[str, ...]]:
     """The sample's catalogues with errors and epochs completed, the estimates, and doubts on what was assumed.
 
-    sigma : median error of a residual, arcsec. cells : (c,) of the sample, ``steps`` orders coarser than the counts;
-    volume : theirs.
+    sigma : median error of a residual, arcsec.
     """
+    steps, cells = drawn(counts, tuning.sampling)
     order = work.sides[0].cell_order - steps
     margin = tuning.margin_gates * 6.4 * sigma + 2.0 * _motion(work)
     fine = max(min(healpix.order_of_width(margin), 24), order)
@@ -312,7 +308,10 @@ def _learn_from_sample(
             for part, c, side in zip(rows, (one, two), work.sides, strict=True)]  # fmt: skip
     counted = [np.isin(part.cells >> 2 * steps, cells) for part in parts]
     sample = SampleRecords(
-        (parts[0].records, parts[1].records), (parts[0].cells, parts[1].cells), (counted[0], counted[1]), volume
+        (parts[0].records, parts[1].records),
+        (parts[0].cells, parts[1].cells),
+        (counted[0], counted[1]),
+        places.within(counts, cells, steps),
     )
     learned = learn(
         sample, places, Assumed(options.errors(), options.gate(), options.density(), options.precision),

@@ -251,12 +251,8 @@ class HatsCatalogue:
         names = list(dict.fromkeys(columns))
         for file in self._files(cell):
             with _naming(file, cell), parquet.ParquetFile(file, memory_map=True) as opened:
-                stored = CELL in opened.schema_arrow.names
-                wanted = list(dict.fromkeys([*names, *([CELL] if stored else self.position)]))
-                for batch in opened.iter_batches(max_rows, columns=wanted, use_threads=False):
-                    part = pa.Table.from_batches([batch])
-                    cells = part.column(CELL) if stored else pa.chunked_array([self._cells(part, stored)])
-                    yield _with_cells_last(part, cells, names)
+                for batch in opened.iter_batches(max_rows, columns=self._needed(opened, names), use_threads=False):
+                    yield self._with_cells(pa.Table.from_batches([batch]), names)
 
     def chunks(self, number: int, size: int, columns: list[str]) -> list[pa.Table]:
         """``number`` tables of ``size`` rows consecutive on the sky, equally spaced among all rows, with their cells; a
@@ -303,8 +299,7 @@ class HatsCatalogue:
         with parquet.ParquetFile(file, memory_map=True) as opened:
             stored = CELL in opened.schema_arrow.names
             if stored and whole and opened.metadata.num_rows:
-                part = opened.read(list(dict.fromkeys([*names, CELL])), use_threads=False)
-                return [_with_cells_last(part, part.column(CELL), names)]
+                return [self._with_cells(opened.read(self._needed(opened, names), use_threads=False), names)]
             for number in range(opened.num_row_groups):
                 if stored and not whole and _outside(opened.metadata.row_group(number), stretch):
                     continue
@@ -316,19 +311,22 @@ class HatsCatalogue:
 
     def _read(self, opened: parquet.ParquetFile, number: int, names: list[str]) -> pa.Table:
         """A row group, with its rows' cells in the last column."""
+        return self._with_cells(opened.read_row_group(number, self._needed(opened, names), use_threads=False), names)
+
+    def _needed(self, opened: parquet.ParquetFile, names: list[str]) -> list[str]:
+        """The columns, and those that give the cells."""
+        return list(dict.fromkeys([*names, *([CELL] if CELL in opened.schema_arrow.names else self.position)]))
+
+    def _with_cells(self, part: pa.Table, names: list[str]) -> pa.Table:
+        """The columns, and the rows' cells in the last one."""
         import pyarrow as pa
 
-        stored = CELL in opened.schema_arrow.names
-        wanted = list(dict.fromkeys([*names, *([CELL] if stored else self.position)]))
-        part = opened.read_row_group(number, wanted, use_threads=False)
-        cells = part.column(CELL) if stored else pa.chunked_array([self._cells(part, stored)])
-        return _with_cells_last(part, cells, names)
-
-    def _cells(self, key: pa.Table, stored: bool) -> IntArray:
-        if stored:
-            return numbers_of(key, CELL)
-        ra, dec = (numbers_of(key, name).astype(np.float64) for name in self.position)
-        return cells_of(np.column_stack([ra, dec]), FINEST)
+        if CELL not in part.column_names:
+            ra, dec = (numbers_of(part, name).astype(np.float64) for name in self.position)
+            part = part.append_column(CELL, pa.array(cells_of(np.column_stack([ra, dec]), FINEST)))
+        kept = [*(name for name in names if name != CELL), CELL]
+        part = part.select(kept)
+        return part.set_column(len(kept) - 1, CELL, part.column(CELL).cast(pa.int64())).replace_schema_metadata()
 
     @cached_property
     def partition_rows(self) -> IntArray:
@@ -346,14 +344,6 @@ class HatsCatalogue:
         files = [(str(file.relative_to(self.path)), file.stat().st_size, file.stat().st_mtime_ns)
                 for cell in self.cells for file in self._files(cell)]  # fmt: skip
         return hashlib.sha256(json.dumps(files).encode()).hexdigest()
-
-
-def _with_cells_last(part: pa.Table, cells: pa.Array, names: list[str]) -> pa.Table:
-    import pyarrow as pa
-
-    kept = [name for name in names if name != CELL]  # a selection of no columns would have no rows
-    schema = pa.schema([*(part.schema.field(name) for name in kept), pa.field(CELL, pa.int64())])
-    return pa.Table.from_arrays([*(part.column(name) for name in kept), cells.cast(pa.int64())], schema=schema)
 
 
 @dataclass(frozen=True)

@@ -153,27 +153,18 @@ def _file_of(folder: Path, task: Task) -> Path:
 
 @in_short
 @dataclass(frozen=True)
-class Written:
-    """The output of a run.
+class Written(PartSums):
+    """The output of a run, with the sums of all its parts.
 
-    path : the collection. rows, partitions : of the joined catalogue. pairs : identified. expected_wrong,
-    expected_common : expected numbers of wrong pairs among them and of common objects. doubtful : rows of both
-    catalogues whose answer a wider halo might change. halo_arcsec : the widest. decided : tasks decided in this call,
-    the others were already written. cpu_seconds : of these. read : records in all pieces and their halos, counted again
-    for each widened halo.
+    path : the collection. rows, partitions : of the joined catalogue. decided : tasks decided in this call, the others
+    were already written. cpu_seconds : of these.
     """
 
     path: Path
     rows: int
     partitions: int
-    pairs: int
-    expected_common: float
-    expected_wrong: float
-    doubtful: int
-    halo_arcsec: float
     decided: int
     cpu_seconds: float
-    read: int
 
 
 def write(
@@ -291,8 +282,8 @@ def _write_all(
     # Added in the order of the sky, so that the sums do not depend on the workers.
     in_order = sorted(finished, key=lambda decided: (decided.cell.order, decided.cell.number))
     sums = PartSums.of([decided.sums for decided in in_order])
-    return Written(path, rows, len(non_empty), sums.pairs, sums.expected_common, sums.expected_wrong, sums.doubtful,
-                   sums.halo_arcsec, len(tasks), cpu_seconds, sums.read)  # fmt: skip
+    return Written(**asdict(sums), path=path, rows=rows, partitions=len(non_empty), decided=len(tasks),
+                   cpu_seconds=cpu_seconds)  # fmt: skip
 
 
 def _decided_earlier(scratch: Path, catalogue: Path, task: Task) -> Decided | None:
