@@ -23,7 +23,7 @@ import numpy as np
 
 from sameas.errors import InputError
 from sameas.picture.deception import Fault, faults_and_deceptions, sightings_of
-from sameas.picture.picture import Columns, error_lines, gathered
+from sameas.picture.picture import Columns, error_lines, gathered, object_columns, record_columns, with_degrees
 from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
@@ -85,6 +85,8 @@ class LivePicture:
     ...     state = picture.advance(t)
     >>> state.objects.number.tolist(), (state.members >= 0).sum(axis=1).tolist()
     ([1], [2])
+    >>> picture.objects["object"].tolist(), picture.objects["x_m"].round().tolist(), picture.objects["members"].tolist()
+    ([1], [50.0], ['radar:1 ais:1'])
     """
 
     def __init__(
@@ -117,10 +119,12 @@ class LivePicture:
         self._recent: dict[str, deque[Reports]] = {name: deque() for name in names}
         self._sightings: deque[Columns] = deque()
         self._last_s = -math.inf
+        self._state: LiveState | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """The state without the reports of the last minutes; estimated biases stay."""
-        return self.__dict__ | {"_recent": {name: deque() for name in self._recent}, "_sightings": deque()}
+        """The state without the reports of the last minutes and the last instant; estimated biases stay."""
+        recent: dict[str, deque[Reports]] = {name: deque() for name in self._recent}
+        return self.__dict__ | {"_recent": recent, "_sightings": deque(), "_state": None}
 
     @property
     def descriptions(self) -> tuple[Description, ...]:
@@ -141,6 +145,16 @@ class LivePicture:
     def counts(self) -> Mapping[str, ReportCounts]:
         """By source, the counts of its reports."""
         return {name: feed.counts for name, feed in self._feeds.items()}
+
+    @property
+    def objects(self) -> Columns:
+        """The objects of the last instant as columns, as of ``Picture.objects``; empty before the first."""
+        return {} if self._state is None else with_degrees(object_columns(self._state), self.plane)
+
+    @property
+    def records(self) -> Columns:
+        """The records of the last instant as columns, as of ``Picture.records``; empty before the first."""
+        return {} if self._state is None else with_degrees(record_columns(self._state), self.plane)
 
     @property
     def biases(self) -> Mapping[str, SourceBiases]:
@@ -274,7 +288,7 @@ class LivePicture:
             state = carried.at(scene, instant_s)
         else:
             state = carried.advance(scene.at(instant_s, features=self.features))
-        self._carried, self._last_s = state.watch, instant_s
+        self._carried, self._last_s, self._state = state.watch, instant_s, state
         for feed in self._feeds.values():
             feed.release()
         self._keep_sightings(state)

@@ -364,9 +364,10 @@ class PlacedReports:
         """A value of the description; refused if it is missing."""
         value = getattr(getattr(self.description, part), name)
         if value is None:
+            own = ", or covariance_m2 with its reports" if name == "position_m" else ""
             raise InputError(
                 f"{self.description.name}: {part}.{name} is not known and {self.description.kind!r} assumes none",
-                Message(f"give {part} = {{ {name} = … }} in its ", Argument("description")),
+                Message(f"give {part} = {{ {name} = … }} in its ", Argument("description"), own),
             )
         return float(value)
 
