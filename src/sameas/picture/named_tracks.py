@@ -164,9 +164,8 @@ class NamedTracks:
         number, source = track_of_record[place], correlation.numbers(scan)[scan.source[place]]
         continuing = np.flatnonzero((places_in(self.number, number) >= 0) & scan.placed[place])
         continuing = continuing[np.argsort(number[continuing])]
-        step, correlation, factors = self._step(
-            scan, number[continuing], place[continuing], source[continuing], correlation, factors
-        )
+        known = replace(self, error_correlation=correlation, error_factors=factors)
+        step, correlation, factors = known._step(scan, number[continuing], place[continuing], source[continuing])
         is_new = number < 0
         number[is_new] = self.n_numbers + np.arange(np.count_nonzero(is_new))
         track_of_record[place] = number
@@ -213,9 +212,8 @@ class NamedTracks:
         return by_name, absent
 
     def _step(
-        self, scan: Scan, number: IntArray, place: IntArray, source: IntArray, correlation: ErrorCorrelation,
-        factors: ErrorFactors,
-    ) -> tuple[Step, ErrorCorrelation, ErrorFactors]:  # fmt: skip
+        self, scan: Scan, number: IntArray, place: IntArray, source: IntArray
+    ) -> tuple[Step, ErrorCorrelation, ErrorFactors]:
         """The step of continuing tracks, without those that restart, and the updated error estimates.
 
         number, place, source : (m,) of the tracks: their numbers, ascending, records of the scan, and sources.
@@ -237,7 +235,7 @@ class NamedTracks:
             last, place, previous.reported_covariance, scan.reported_covariance, old, new, root_last, root, motion
         )
         correlation, factors = self._error_estimates(
-            scan, (last, place), source, (dt, elapsed), shift, (root_last, root), motion, correlation, factors
+            scan, (last, place), source, (dt, elapsed), shift, (root_last, root), motion
         )
         slope, noise = np.empty((len(at), 2, 4)), np.empty((len(at), 2, 2))
         share, decaying = correlation.lasting(source, scan.tuning), correlation.decaying(source, elapsed, scan.tuning)
@@ -265,8 +263,7 @@ class NamedTracks:
 
     def _error_estimates(
         self, scan: Scan, reports: tuple[IntArray, IntArray], source: IntArray, times_s: tuple[FloatArray, FloatArray],
-        shift: FloatArray, roots: tuple[FloatArray, FloatArray], motion: FloatArray, correlation: ErrorCorrelation,
-        factors: ErrorFactors,
+        shift: FloatArray, roots: tuple[FloatArray, FloatArray], motion: FloatArray,
     ) -> tuple[ErrorCorrelation, ErrorFactors]:  # fmt: skip
         """The error correlation and error factors after new reports of tracks.
 
@@ -286,20 +283,20 @@ class NamedTracks:
 
         position = scan.state[place, :2]
         sample = evenly(position, MAX_REPORTS)
-        correlation = correlation.updated(
+        correlation = self.error_correlation.updated(
             source[sample], elapsed[sample], shift[sample], (r_last[sample] + r_new[sample], common(sample)),
             motion[sample], scan.tuning,
         )  # fmt: skip
         to_stated = 1.0 / previous.error_factor[last, None, None], 1.0 / scan.error_factor[place, None, None]
         as_stated = to_stated[0] ** 2 * r_last + to_stated[1] ** 2 * r_new
         part = source * RANGE_BANDS + scan.range_band[place]
-        sample = factors.informative(part, position, as_stated, motion)
+        sample = self.error_factors.informative(part, position, as_stated, motion)
         last = last[sample]
         # The part of the motion covariance that comes from errors of measured velocities.
         dt, moving = times_s[0][k[sample], None, None], previous.moving[last, None, None]
         cross, velocity = (previous.reported_covariance[last, v, 2:] for v in (slice(2), slice(2, 4)))
         by_velocity = np.where(moving, dt * (cross + cross.transpose(0, 2, 1) + dt * velocity), 0.0)
-        factors = factors.with_shifts(
+        factors = self.error_factors.with_shifts(
             part[sample], shift[sample],
             (as_stated[sample], (to_stated[0] * to_stated[1])[sample] * common(sample)),
             (motion[sample], growth(by_velocity)), scan.tuning,

@@ -34,42 +34,13 @@ from sameas.tracks.scene import Instant
 from sameas.tracks.stationary import MODES, mode_shares
 
 
-class InstantObjects(Protocol):
-    """The interface of the detected objects of an instant, (n,) each.
-
-    members : (n, S) records of the scan, ABSENT for none. probability : that exactly these records are one object.
-    runner_up : (n, S) the most probable other set with one of these records. p_runner_up : its probability, 0 for none.
-    p_alone : (records,) probability that a record has no partner. group : number of the object's group.
-    names : names, in explanations, of members that are not records.
-    by_hysteresis : whether an object is shown only because it was at the previous instant
-        (:mod:`sameas.picture.watch`).
-    """
-
-    @property
-    def members(self) -> IntArray: ...
-    @property
-    def probability(self) -> FloatArray: ...
-    @property
-    def runner_up(self) -> IntArray: ...
-    @property
-    def p_runner_up(self) -> FloatArray: ...
-    @property
-    def p_alone(self) -> FloatArray: ...
-    @property
-    def group(self) -> IntArray: ...
-    @property
-    def names(self) -> Mapping[Name, Name]: ...
-    @property
-    def by_hysteresis(self) -> BoolArray: ...
-
-    def explain(self, row: int) -> ObjectExplanation:
-        """The explanation why object ``row`` has its records; it names other objects by their rows."""
-        ...
-
-
 @dataclass(frozen=True)
 class IdentifiedObjects:
-    """The objects of ``identify_many``; ``identification`` is None if no source has a record."""
+    """The objects of ``identify_many``; ``identification`` is None if no source has a record.
+
+    by_hysteresis : (n,) whether an object is shown only because it was at the previous instant
+        (:mod:`sameas.picture.watch`).
+    """
 
     scan: Scan
     identification: Objects | None
@@ -121,7 +92,7 @@ class IdentifiedObjects:
 
     @property
     def names(self) -> Mapping[Name, Name]:
-        """Empty: all members are records."""
+        """Names, in explanations, of members that are not records: none."""
         return {}
 
     def explain(self, row: int) -> ObjectExplanation:
@@ -309,7 +280,7 @@ class PictureState(Generic[W]):
 
     now: Instant
     scan: Scan
-    detections: InstantObjects
+    detections: IdentifiedObjects | TrackedObjects
     states: ObjectStates
     watch: W
 
