@@ -235,40 +235,43 @@ def test_sources_in_local_metres_give_no_geojson(sameas, tmp_path):
     assert "3 confirmed; seen: 3 by 2 sources at once" in shown.stdout
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ("lat,lon,mmsi\n1,2,3\n", "no column of time among: lat, lon, mmsi; give file = { columns = { time_s = "
-                                  "\"NAME\" } } in its table [sources.NAME] of the --sensors file"),
-        ("time,lat,lon\n2024-05-01T12:00:00Z,50,1\n", "what kind of sensor is it? Neither its name nor its columns"),
-        ("time,lat,lon,mmsi\n23:10:00,50,1,235000001\n", "give start, the UTC date of the first row: --start, or"),
-        ("time,track_id,range_m,bearing_deg\n0,1,2,3\n",
-         "the sensor's position is not known; give site = { lat_deg = …, lon_deg = … } in its description, "
-         "its table in a TOML file given with --sensors"),
-    ],
-)  # fmt: skip
-def test_unusable_files_are_refused_with_a_remedy(content, words, refused, coast, tmp_path):
-    (tmp_path / "other.csv").write_text(content)
-    assert words in refused(coast / "ais.csv", tmp_path / "other.csv")
+UNUSABLE = [
+    ("", "is empty"),
+    ("time,lat,lon,mmsi\n", "names columns, but has no row that can be used"),
+    ("hello\n", "no format of sensors fits; as a table, its line 1 does not name columns"),
+    ("Dear sir,\nnothing\n", "no columns of time and a position among"),
+    (b"\x93\x00\x01" * 999, "is binary, but neither ASTERIX, pcap nor Parquet"),
+    (b"PAR1" + bytes(90), "cannot be read as CSV, Parquet or JSON lines"),
+    ("lat,lon,mmsi\n1,2,3\n", "no column of time among: lat, lon, mmsi; give file = { columns = { time_s = "
+                              "\"NAME\" } } in its table [sources.NAME] of the --sensors file"),
+    ("time,lat,lon\n2024-05-01T12:00:00Z,50,1\n", "what kind of sensor is it? Neither its name nor its columns"),
+    ("time,lat,lon,mmsi\n23:10:00,50,1,235000001\n", "give start, the UTC date of the first row: --start, or"),
+    ("time,track_id,range_m,bearing_deg\n0,1,2,3\n",
+     "the sensor's position is not known; give site = { lat_deg = …, lon_deg = … } in its description"),
+    (None, "no such file"),
+]  # fmt: skip
+
+
+def put(path, content):
+    if content is not None:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+@pytest.mark.parametrize(("content", "words"), UNUSABLE)
+def test_unusable_files_are_refused_with_a_remedy(content, words, refused, tmp_path):
+    assert words in refused(put(tmp_path / "other.csv", content))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ("", "is empty"),
-        ("time,lat,lon,mmsi\n", "names columns, but has no row that can be used"),
-        ("hello\n", "no format of sensors fits; as a table, its line 1 does not name columns"),
-    ],
-)
-def test_an_unreadable_file_is_set_aside_and_reported(content, words, sameas, refused, coast, tmp_path):
-    (tmp_path / "other.csv").write_text(content)
-    out = tmp_path / "picture"
-    result = sameas("picture", coast / "ais.csv", tmp_path / "other.csv", "-o", out, "--quiet", *QUICK, exit_code=1)
+@pytest.mark.parametrize(("content", "words"), UNUSABLE)
+def test_an_unusable_file_is_set_aside_and_reported_where_others_can_be_used(content, words, sameas, coast, tmp_path):
+    other, out = put(tmp_path / "other.csv", content), tmp_path / "picture"
+    result = sameas("picture", coast / "ais.csv", other, "-o", out, "--quiet", *QUICK, exit_code=1)
     assert result.stderr.startswith("sameas: doubt: set aside: ") and words in result.stderr
     summary = json.loads((out / "summary.json").read_text())
     assert [source["name"] for source in summary["sources"]] == ["ais"] and words in summary["doubts"][0]
-    assert words in refused(tmp_path / "other.csv")  # where there is no other
+    assert words not in sameas("picture", coast / "ais.csv", other, "--without", "other", "-o", out, *QUICK).stdout
 
 
 @pytest.mark.parametrize(
@@ -276,18 +279,45 @@ def test_an_unreadable_file_is_set_aside_and_reported(content, words, sameas, re
     [
         (None, "s.toml: cannot be read as TOML (No such file or directory)"),
         ("[sources.radar", "s.toml: cannot be read as TOML (Expected ']'"),
-        (TOML.replace("radar]", "lidar]"), "lidar is described, but no file belongs to it; there are ais, radar"),
-        (TOML.replace("lon_deg", "long_deg"), "radar: 'long_deg' in site is not known; did you mean lon_deg?"),
-        (TOML.replace("= 20", '= "20 m"'), "radar: errors.range_m is '20 m'; give a number"),
-        (TOML + "file = 3\n", "sources.radar.file is 3; give a path, or { path = "),
-        (TOML + 'file = { columns = "d" }\n', "sources.radar.file.columns is 'd'; give { range_m = \"d\" }"),
-        (TOML + "file = { path = 3 }\n", "sources.radar.file.path is 3; give a text"),
     ],
 )
-def test_invalid_descriptions_are_refused_with_a_remedy(toml, words, refused, coast, tmp_path):
-    if toml is not None:
-        (tmp_path / "s.toml").write_text(toml)
+def test_a_file_that_describes_nothing_is_refused_with_a_remedy(toml, words, refused, coast, tmp_path):
+    put(tmp_path / "s.toml", toml)
     assert words in refused(coast / "ais.csv", coast / "radar.csv", "-s", tmp_path / "s.toml")
+
+
+SITE = f"site = {{ lat_deg = {LAT}, lon_deg = {LON} }}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("toml", "words", "used"),
+    [
+        (TOML + '[sources.lidar]\nkind = "lidar"\n',
+         "lidar is described, but no file belongs to it; there are ais, radar", ["ais", "radar"]),
+        (TOML.replace("lon_deg", "long_deg"), "radar: 'long_deg' in site is not known; did you mean lon_deg?", ["ais"]),
+        (TOML.replace("= 20", '= "20 m"'), "radar: errors.range_m is '20 m'; give a number", ["ais"]),
+        (TOML.replace("marine", "quantum"), "radar: kind is 'quantum radar'; give one of marine radar", ["ais"]),
+        (TOML + "file = 3\n", "sources.radar.file is 3; give a path, or { path = ", ["ais"]),
+        (TOML + 'file = { columns = "d" }\n', "sources.radar.file.columns is 'd'; give { range_m = \"d\" }", ["ais"]),
+        (TOML + "file = { path = 3 }\n", "sources.radar.file.path is 3; give a text", ["ais"]),
+        (TOML + 'file = { columns = { range_m = "Range" } }\n', "radar: no column 'Range' among: time, tr", ["ais"]),
+        (TOML.replace(SITE, ""), "radar: the sensor's position is not known; give site = {", ["ais"]),
+        (TOML.replace(SITE, "site = { lat_deg = 50.6 }"), "radar: site: give lat_deg and lon_deg, or east_m", ["ais"]),
+        (TOML.replace(SITE, f"site = {{ lat_deg = {LON}, lon_deg = {LAT} }}"), "radar: lies 7", ["ais"]),
+        (TOML.replace("marine radar", "other"), "radar: motion.speed_m_per_s is not known and 'other'", ["ais"]),
+        ("[sources.ais]\nkind = 7\n" + TOML, "ais: kind is '7'; give one of", ["radar"]),
+    ],
+)  # fmt: skip
+def test_a_source_that_is_not_described_rightly_is_set_aside(toml, words, used, sameas, coast, tmp_path):
+    toml, out = put(tmp_path / "s.toml", toml), tmp_path / "picture"
+    files = coast / "ais.csv", coast / "radar.csv"
+    result = sameas("picture", *files, "-s", toml, "-o", out, "--quiet", *QUICK, exit_code=1)
+    assert "sameas: doubt: set aside: " in result.stderr and words in result.stderr
+    summary = json.loads((out / "summary.json").read_text())
+    assert [source["name"] for source in summary["sources"]] == used and words in summary["doubts"][0]
+    result = sameas("watch", *files, "-s", toml, "--pace", "1000", "--no-map", exit_code=1)
+    assert words in " ".join(result.stdout.split()) and f"  {used[-1]}: " in result.stdout
 
 
 @pytest.mark.slow
@@ -390,3 +420,41 @@ def test_a_zero_byte_in_a_log_is_one_damaged_line(tmp_path):
     )
     [source] = read_sources([tmp_path / "log.nmea"])
     assert len(source.reports) == 1 and source.reports.damaged.lines.tolist() == [2]
+
+
+@pytest.mark.slow
+def test_a_watch_begins_without_the_inputs_that_cannot_be_used(sameas, tmp_path):
+    toml = put(
+        tmp_path / "s.toml",
+        """
+[watch]
+every_s = 0.2
+own_ship = { source = "bridge" }
+[sources.ais]
+kind = "ais"
+input = "udp://127.0.0.1:0?"
+[sources.north]
+kind = "ais"
+input = "tcp-listen://127.0.0.1:18642"
+[sources.bridge]
+kind = "marine radar"
+input = { url = "10.0.0.5:10110", format = "nmea" }
+[sources.approach]
+kind = "air radar"
+input = { url = "udp://239.1.1.1:8600", format = "astrix" }
+[sources.recorded]
+kind = "marine radar"
+""",
+    )
+    result = sameas("watch", "-s", toml, "--no-map", "--for", "2s", exit_code=1)
+    shown = " ".join(result.stdout.split())
+    for words in (
+        "set aside: input 'udp://127.0.0.1:0?': has no port; give udp://HOST:PORT",
+        "set aside: input '10.0.0.5:10110': is not a known kind of input; give udp://10.0.0.5:10110, or tcp://",
+        "sources.approach.input: format is 'astrix'; give one of",
+        "set aside: recorded: has no input; give input = ",
+    ):
+        assert words in shown
+    assert shown.count("is set aside: ") == 4 and " north: 0 reports" in shown  # an alarm for each
+    toml.write_text(toml.read_text().replace("tcp-listen", "telnet"))
+    assert "input 'udp://127.0.0.1:0?': has no port" in sameas("watch", "-s", toml, "--no-map", exit_code=1).stderr

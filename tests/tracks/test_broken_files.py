@@ -158,13 +158,13 @@ def test_one_unreadable_source_does_not_stop_the_others(tmp_path):
     (tmp_path / "coast.csv").write_text("time,lat,lon,mmsi\n1700000000,2,3,235070762\n")
     (tmp_path / "radar.parquet").write_bytes(b"PAR1" + bytes(90) + b"PAR1")
     files = [tmp_path / "coast.csv", tmp_path / "radar.parquet"]
-    set_aside: list[InputError] = []
+    set_aside: dict[str, InputError] = {}
     [coast] = read_sources(files, set_aside=set_aside)
-    assert coast.description.name == "coast" and ["radar" in str(error) for error in set_aside] == [True]
+    assert coast.description.name == "coast" and list(set_aside) == ["radar"] and "radar" in str(set_aside["radar"])
     with pytest.raises(InputError, match="radar"):
         read_sources(files)
     with pytest.raises(InputError, match="radar"):
-        read_sources(files[1:], set_aside=[])
+        read_sources(files[1:], set_aside={})
 
 
 def delta(latitude, name="x", second=0):

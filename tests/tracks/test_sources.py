@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -122,14 +123,21 @@ def test_a_format_named_like_a_kind_of_source_has_that_kind(folder, monkeypatch)
         'columns = { range_m = "d" }, units = { d = "furlong" }',
     ],
 )
-def test_a_description_that_does_not_fit_its_file_is_an_error_where_others_can_be_read(given, tmp_path):
+def test_a_description_that_does_not_fit_its_file_sets_its_source_aside(given, tmp_path):
     (tmp_path / "ais.csv").write_text("time,lat,lon,mmsi\n0,50.0,-1.0,235000001\n")
     (tmp_path / "radar.csv").write_text("time,d,bearing\n0,900,45\n")
     (tmp_path / "sensors.toml").write_text(
         f'[sources.radar]\nkind = "marine radar"\nfile = {{ path = "radar.csv", {given} }}\n'
     )
-    with pytest.raises(InputError, match=r"radar: .*(among: time, d, bearing|did you mean range_m|unit 'furlong')"):
-        read_sources([tmp_path / "ais.csv"], read_source_options(tmp_path / "sensors.toml"), set_aside=[])
+    words, options = (
+        r"radar: .*(among: time, d, bearing|did you mean range_m|unit 'furlong')",
+        tmp_path / "sensors.toml",
+    )
+    with pytest.raises(InputError, match=words):
+        read_sources([tmp_path / "ais.csv"], read_source_options(options))
+    set_aside: dict[str, InputError] = {}
+    [ais] = read_sources([tmp_path / "ais.csv"], read_source_options(options), set_aside=set_aside)
+    assert ais.description.name == "ais" and re.search(words, str(set_aside["radar"]))
 
 
 DATA = Path(__file__).parent / "data"

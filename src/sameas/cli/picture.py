@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +20,7 @@ from sameas.front.picture import Instants, Method, PictureOutputs, older, pictur
 from sameas.io.atomic import filling
 from sameas.io.sensors.sources import read_source_options, read_sources
 from sameas.maps.outline import read_coast
-from sameas.report.picture import doubt_lines, read_lines
+from sameas.report.picture import read_lines
 
 _TIMES, _METHOD, _FILES = "The instants", "The method", "Outputs"
 TABLES = ("parquet", "csv")
@@ -110,7 +111,8 @@ def picture(
         method = Method(not no_registration, not no_identity, not no_memory, tuple(without or ()))
         land = None if coast is None else read_coast(coast)
         outputs = PictureOutputs(output, format, not no_map, not no_image, ctx.meta.get("typed", ""), land)
-        unread: list[InputError] = []
+        set_aside: dict[str, InputError] = {}
+        words = partial(_with_options, sensors)
         with filling(output) as draft:
             with Pace(quiet) as pace:
 
@@ -120,36 +122,41 @@ def picture(
 
                 pace("reading")
                 with _remedies(sensors):
-                    described = read_source_options(sensors) if sensors else None
-                    sources = method.included(read_sources(files or [], described, start=start, set_aside=unread))
+                    described = read_source_options(sensors, set_aside=set_aside) if sensors else None
+                    read = read_sources(files or [], described, start=start, set_aside=set_aside)
+                sources = method.included(read, set_aside)
                 say(read_lines((source.reports.source, source.lines()) for source in sources))
-                left_out = [f"set aside: {in_options(error.words, sensor_option)}" for error in unread]
-                printer(doubt_lines(left_out))
                 share_compilation(quiet, "picture")
                 with _remedies(sensors):
                     result = pictured(
-                        sources, when, method, call=outputs.command, unread=left_out, progress=pace, say=say
-                    )
+                        sources, when, method, call=outputs.command, set_aside=set_aside, words=words, progress=pace,
+                        say=say,
+                    )  # fmt: skip
                 pace("writing")
                 written = write(result, draft, outputs, notice)
             seconds = time.perf_counter() - began
         printer(["", f"Output: {output}/: {', '.join(written)}", f"Time: {seconds:.1f} s"])
         if left := older(output, written):
             notice(f"of an earlier picture, and not of this one: {', '.join(str(output / name) for name in left)}")
-    if unread:
+    if set_aside:
         raise typer.Exit(INPUT_ERROR)
 
 
 @contextmanager
 def _remedies(sensors: Path | None) -> Iterator[None]:
-    """Adds the command's options to remedies that name arguments of the library."""
+    """Names the command's options in remedies that name arguments of the library."""
     try:
         yield
     except InputError as error:
-        file = str(sensors) if sensors else "a TOML file given with --sensors"
-        options = {
-            "description": f", its table in {file}",
-            "start": ": --start, or file = { start = … } in its description",
-        }
-        more = next((options[argument.name] for argument in error.words.arguments if argument.name in options), "")
-        raise InputError(in_options(error.words, sensor_option) + more) from error
+        raise InputError(_with_options(sensors, error)) from error
+
+
+def _with_options(sensors: Path | None, error: InputError) -> str:
+    """The words of an error with the command's options in place of the library's arguments."""
+    file = str(sensors) if sensors else "a TOML file given with --sensors"
+    options = {
+        "description": f", its table in {file}",
+        "start": ": --start, or file = { start = … } in its description",
+    }
+    more = next((options[argument.name] for argument in error.words.arguments if argument.name in options), "")
+    return in_options(error.words, sensor_option) + more

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sameas.cli.options import Debug, Quiet, option, sensor_option
-from sameas.cli.outcome import answering
+from sameas.cli.options import Debug, Quiet, in_options, option, sensor_option
+from sameas.cli.outcome import INPUT_ERROR, answering
 from sameas.cli.picture import duration_s
 from sameas.cli.terminal import Printer, share_compilation
 from sameas.errors import InputError, optional
@@ -32,12 +32,10 @@ if TYPE_CHECKING:
 
     import uvicorn
 
-    from sameas.io.sensors.sources import SensorSource
     from sameas.live.inputs import Playback, Replay
     from sameas.live.keeper import Keeper
     from sameas.live.server import Access
     from sameas.live.settings import Settings
-    from sameas.tracks.coordinates import LocalPlane
 
 LOG = logging.getLogger("sameas.live")
 #: Alarms of one condition that have a line of their own, and the seconds for which those after them are counted.
@@ -151,6 +149,7 @@ def watch(
         to_stdout = any(sink.url.startswith("stdout:") for sink in keeper.sinks)
         say = Printer(quiet, sys.stderr if to_stdout else None)
         until_s = None if duration is None else time.monotonic() + (duration_s(duration) or 0.0)
+        say(f"{DOUBT}set aside: {words}" for words in settings.set_aside.values())
         say(f"{DOUBT}{line}" for line in (replay.apart() if replay else ()))
         if keeper.restored:
             say([_resumption(keeper)])
@@ -165,6 +164,8 @@ def watch(
             say([f"  The replay waited {keeper.waited_s:.0f} s for the picture: it was slower than --pace {pace:g}"])
         for name, one in state["sources"].items():
             say(_source_lines(name, one))
+    if settings.set_aside:
+        raise typer.Exit(INPUT_ERROR)
 
 
 def _resumption(keeper: Keeper) -> str:
@@ -188,26 +189,34 @@ def _source_lines(name: str, health: dict[str, Any]) -> list[str]:
 
 
 def _settings(files: list[str], sensors: Path | None, start: str | None, pace: float) -> tuple[Settings, Replay | None]:
-    """The settings, and the replay if files are given."""
+    """The settings, and the replay if files are given. Sources that cannot be used are set aside, if others can."""
     from sameas.io.sensors.sources import read_source_options, read_sources
     from sameas.live.inputs import Replay
     from sameas.live.settings import LiveSource, Settings, WatchSettings, read_settings
+    from sameas.tracks.scene import Scene
 
-    settings = Settings({}, WatchSettings()) if sensors is None else read_settings(sensors)
-    replay = None
-    if files or not any(source.url for source in settings.sources.values()):
-        options = {} if sensors is None else read_source_options(sensors)
-        if not files and not any(one.path for one in options.values()):
+    aside: dict[str, InputError] = {}
+    settings = Settings({}, WatchSettings()) if sensors is None else read_settings(sensors, set_aside=aside)
+    live, replay = dict(settings.sources), None
+    if files or not any(source.url for source in live.values()):
+        options = {} if sensors is None else read_source_options(sensors, set_aside=aside)
+        if not files and not aside and not any(one.path for one in options.values()):
             raise InputError(
                 f"{sensors}: no source has an input",
                 'give input = "udp://HOST:PORT", "tcp://HOST:PORT", "serial:…" in its table, or files to replay',
             )
-        sources = read_sources(list(files), options, start=start)
+        sources = read_sources(list(files), options, start=start, set_aside=aside)
         # The plane is centred on all positions, not on the first.
-        replay = Replay([(source.description.name, source.reports) for source in sources], pace, _origin(sources))
+        scene = Scene.of([(source.description, source.reports) for source in sources], set_aside=aside)
+        sources = [source for source in sources if source.description.name not in aside]
+        replay = Replay([(source.description.name, source.reports) for source in sources], pace, scene.plane)
         live = {source.description.name: LiveSource(source.description) for source in sources}
-        settings = Settings(live, settings.watch)
-    return settings, replay
+    else:
+        for name in [name for name, source in live.items() if source.url is None]:
+            aside[name] = InputError(f"{name}: has no input", 'give input = "udp://HOST:PORT", serial: … in its table')
+            del live[name]
+    words = {name: in_options(error.words, sensor_option) for name, error in aside.items()}
+    return Settings(live, settings.watch, words), replay
 
 
 def _recorded(files: list[str], sensors: Path | None, pace: float) -> tuple[Settings, Playback]:
@@ -242,13 +251,6 @@ def _with_charts(settings: Settings, charts: Sequence[Path]) -> Settings:
     for chart in charts:
         read_chart(str(chart))
     return replace(settings, watch=replace(settings.watch, chart=tuple(map(str, charts))))
-
-
-def _origin(sources: Sequence[SensorSource]) -> LocalPlane | None:
-    """The plane about the positions of all files; None for positions in metres on a local plane."""
-    from sameas.tracks.scene import Scene
-
-    return Scene.of([(source.description, source.reports) for source in sources]).plane
 
 
 def _server(

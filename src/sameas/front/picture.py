@@ -98,8 +98,10 @@ class Method:
     memory: bool = True
     without: tuple[str, ...] = ()
 
-    def included(self, sources: Sequence[SensorSource]) -> list[SensorSource]:
-        """The sources that are not excluded.
+    def included(
+        self, sources: Sequence[SensorSource], set_aside: dict[str, InputError] | None = None
+    ) -> list[SensorSource]:
+        """The sources that are not excluded. set_aside : the errors of others; those of excluded ones are removed.
 
         Raises
         ------
@@ -107,7 +109,7 @@ class Method:
         """
         names = [source.description.name for source in sources]
         for name in self.without:
-            if name not in names:
+            if (set_aside is None or set_aside.pop(name, None) is None) and name not in names:
                 words = Message(Argument("without", name), ": there is no such source")
                 raise InputError(words, f"give one of {', '.join(names)}")
         included = [source for source in sources if source.description.name not in self.without]
@@ -399,7 +401,8 @@ def pictured(
     method: Method,
     *,
     call: str = "",
-    unread: Sequence[str] = (),
+    set_aside: dict[str, InputError] | None = None,
+    words: Callable[[InputError], str] = str,
     progress: Callable[[str], object] = lambda stage: None,
     say: Callable[[Iterable[str]], object] = lambda lines: None,
 ) -> MatchPicture:
@@ -407,11 +410,17 @@ def pictured(
 
     Parameters
     ----------
-    call : the call or command that makes it. unread : doubts about files that could not be read.
+    call : the call or command that makes it.
+    set_aside : the errors of sources that cannot be used, by name. It receives those of sources that cannot be placed;
+        without it, the first of these is raised. words : of such an error.
     progress : called with the name of each step. say : called with the lines of the report, section by section.
     """
     progress("the sensors' places and times")
-    scene = Scene.of([(source.description, source.reports) for source in sources])
+    scene = Scene.of([(source.description, source.reports) for source in sources], set_aside=set_aside)
+    placed = {feed.description.name for feed in scene.feeds}
+    sources = [source for source in sources if source.description.name in placed]
+    left_out = [f"set aside: {words(error)}" for error in (set_aside or {}).values()]
+    say(doubt_lines(left_out))
     times = when.of(scene.span_s)
     say(scene_lines(scene, method.watch(scene)))
     progress("looking for what is wrong")
@@ -434,7 +443,7 @@ def pictured(
             naming("give {at}, or {begin} and {end}, within that span"),
         )
     say([*found_lines(picture.summary), *estimated_lines(scene), *assumed_lines(scene)])
-    return MatchPicture(picture, sources, scene, biases, (*unread, *doubts), call)
+    return MatchPicture(picture, sources, scene, biases, (*left_out, *doubts), call)
 
 
 def match_picture(

@@ -34,7 +34,8 @@ from urllib.parse import parse_qs, urlsplit
 from sameas.errors import InputError
 from sameas.io.sensors.recording import Piece, Recorder, Recording
 from sameas.io.sensors.stream import ReportStream, format_of
-from sameas.live.websocket import Login, connected, require_readable
+from sameas.live import websocket
+from sameas.live.websocket import Login, connected
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 
@@ -131,7 +132,7 @@ class Wire:
         # Number of dropped pieces that the recording says.
         self._dropped = 0
         parts = urlsplit(url)
-        _require_readable(url)
+        require_readable(url)
         if parts.scheme in ("udp", "tcp-listen"):
             self.state.open_word = "listening"
 
@@ -374,11 +375,11 @@ def _keep_alive(writer: asyncio.StreamWriter) -> None:
             connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
-def _require_readable(url: str) -> None:
+def require_readable(url: str) -> None:
     """Refuses an address that can never be read, whatever is connected later."""
     parts = urlsplit(url)
     if parts.scheme in ("ws", "wss"):
-        require_readable(url)
+        websocket.require_readable(url)
     if parts.scheme not in _SCHEMES:
         remedy = f"give one of {', '.join(_SCHEMES)}"
         if re.fullmatch(r"[\w.-]+:\d+", url):

@@ -431,7 +431,9 @@ class Keeper:
 
     def _source_alarms(self) -> list[Alarm]:
         watch, clock_s, silent = self.settings.watch, self._taken_s, self._silent_wires()
-        out = [self._wire_alarm(url, names) for url, names in silent.items()]
+        out = [Alarm(f"set aside {name}", "source", f"{name} is set aside: {why}")
+               for name, why in self.settings.set_aside.items()]  # fmt: skip
+        out += [self._wire_alarm(url, names) for url, names in silent.items()]
         on_silent = {name for names in silent.values() for name in names}
         for name, state in self.sources.items() if self.replay is None else ():
             if name in on_silent:
@@ -828,6 +830,7 @@ class Keeper:
             "objects": 0 if self.situation is None else len(self.situation.objects["object"]),
             "harbour": self.approaches.in_harbour, "berthed": len(self.approaches.berthed),
             "faults": self.counters["faults"], "sources": sources, "wires": wires,
+            "set_aside": dict(self.settings.set_aside),
             "outputs": {f"{sink.format} {sink.url}": {"failed": sink.failed, "unnumbered": sink.numbers.unnumbered}
                         for sink in self.sinks},
         }  # fmt: skip

@@ -32,8 +32,9 @@ from typing import Any
 from sameas.errors import InputError, reading
 from sameas.io.sensors.format import ReadOptions
 from sameas.io.sensors.recording import RecordedInput, RecordedSource
-from sameas.io.sensors.sources import ZONED
+from sameas.io.sensors.sources import ZONED, setting_aside
 from sameas.io.sensors.stream import STREAM_FORMATS
+from sameas.live.inputs import require_readable
 from sameas.live.websocket import Login
 from sameas.maps.outline import Coast, read_coast
 from sameas.maps.tiles import Chart, is_tiles, open_chart
@@ -136,10 +137,11 @@ class LiveSource:
 
 @dataclass(frozen=True)
 class Settings:
-    """All sources by name, and the options of the watch."""
+    """All sources by name, and the options of the watch. set_aside : by name, why other sources cannot be used."""
 
     sources: Mapping[str, LiveSource]
     watch: WatchSettings = field(default_factory=WatchSettings)
+    set_aside: Mapping[str, str] = field(default_factory=dict)
 
     def recorded_input(self, url: str) -> RecordedInput:
         """What a recording of a wire says of it."""
@@ -150,8 +152,10 @@ class Settings:
         return RecordedInput(tuple(source.recorded for source in on_wire), on_wire[0].format, given)
 
 
-def read_settings(path: str | Path) -> Settings:
+def read_settings(path: str | Path, *, set_aside: dict[str, InputError] | None = None) -> Settings:
     """The settings of a TOML file.
+
+    set_aside : receives the errors of sources that cannot be used, by name. Without it, the first one is raised.
 
     Raises
     ------
@@ -160,8 +164,11 @@ def read_settings(path: str | Path) -> Settings:
     tables = source_tables(path)
     content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     with reading(str(path), "is not a description of a watch"):
-        sources = {name: _source(name, table, f"{path}: sources.{name}") for name, table in tables.items()}
-        return Settings(sources, _watch(content.get("watch", {}), f"{path}: watch", sources))
+        sources: dict[str, LiveSource] = {}
+        for name, table in tables.items():
+            with setting_aside(name, set_aside):
+                sources[name] = _source(name, table, f"{path}: sources.{name}")
+        return Settings(sources, _watch(content.get("watch", {}), f"{path}: watch", tables))
 
 
 def _instead_of(key: str, known: Iterable[str]) -> str:
@@ -197,6 +204,8 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
         raise InputError(
             f"{where}.input: the times of {given['format']} have no time_zone: they are UTC", "leave it out"
         )
+    if isinstance(url := given.get("url"), str):
+        require_readable(url)
     description = Description.from_mapping(name, described)
     if given and (description.motion.acceleration_m2_per_s3 is None or description.misses.q is None):
         raise InputError(
@@ -245,7 +254,7 @@ def _secret(value: Any, where: str) -> str:
     return value
 
 
-def _watch(table: Any, where: str, sources: Mapping[str, LiveSource]) -> WatchSettings:
+def _watch(table: Any, where: str, sources: Iterable[str]) -> WatchSettings:
     if not isinstance(table, Mapping):
         raise InputError(f"{where} is no table; give [watch]")
     known = {f.name for f in fields(WatchSettings)}
@@ -290,7 +299,7 @@ def read_chart(path: str) -> Coast | Chart:
     return open_chart(path) if is_tiles(path) else read_coast(path)
 
 
-def _own_ship(given: Any, where: str, sources: Mapping[str, LiveSource]) -> OwnShip:
+def _own_ship(given: Any, where: str, sources: Iterable[str]) -> OwnShip:
     known = [f.name for f in fields(OwnShip)]
     if not isinstance(given, Mapping) or not given or not set(given) <= set(known):
         raise InputError(f"{where} is {given!r}; give lat_deg and lon_deg, mmsi, or source")

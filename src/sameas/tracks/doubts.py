@@ -244,25 +244,24 @@ def _comparable(feed: Feed, others: Sequence[Feed]) -> list[Feed]:
     return [o for o in others if len(feed.reports) and len(o.reports) and (own or isinstance(o.reports, States))]
 
 
-def too_far_apart(sources: Sequence[Source], tuning: Tuning = DEFAULT_TUNING) -> tuple[str, ...]:
-    """Sentences on sources too far from the source with the most positions for one plane.
+def too_far_apart(sources: Sequence[Source], tuning: Tuning = DEFAULT_TUNING) -> dict[str, str]:
+    """By name, sentences on sources too far for one plane from that which is near most others.
 
-    The site of a sensor counts where its reports have no positions in degrees.
+    Of several such, that with the most positions. The site of a sensor counts where its reports have no positions in
+    degrees.
     """
     positions = [_geodetic_positions(*source) for source in sources]
-    counts = [0 if p is None else len(p[0]) for p in positions]
-    if not counts or not max(counts):
-        return ()
-    reference = int(np.argmax(counts))
-    reference_position = positions[reference]
-    assert reference_position is not None
-    middle = LocalPlane.about(*reference_position)
-    reach = max(tuning.near_extents * float(np.quantile(_distance_m(middle, reference_position), 0.9)), tuning.near_m)
-    sentences = []
-    for k, position in enumerate(positions):
-        if position is not None and k != reference and _median_distance_m(middle, position) > FARTHEST_M:
-            sentences.append(_far_sentence(sources[k], sources[reference], reach))
-    return tuple(sentences)
+    known = {k: position for k, position in enumerate(positions) if position is not None and len(position[0])}
+    if not known:
+        return {}
+    far: dict[int, list[int]] = {}
+    for k, position in known.items():
+        middle = LocalPlane.about(*position)
+        far[k] = [n for n, other in known.items() if n != k and _median_distance_m(middle, other) > FARTHEST_M]
+    home = min(known, key=lambda k: (len(far[k]), -len(known[k][0]), k))
+    middle = LocalPlane.about(*known[home])
+    reach = max(tuning.near_extents * float(np.quantile(_distance_m(middle, known[home]), 0.9)), tuning.near_m)
+    return {sources[k][0].name: _far_sentence(sources[k], sources[home], reach) for k in far[home]}
 
 
 def _far_sentence(source: Source, home: Source, reach_m: float) -> str:

@@ -328,6 +328,11 @@ class Feed:
         q = self.q_at(places, instant_s) if len(places) else self._require_q(anywhere)
         return float(np.clip(q.mean(), 1e-6, 1.0 - 1e-6))
 
+    def require_numbers(self) -> None:
+        """Refuses a source whose misses or motion are not known: no instant could be identified with it."""
+        self.mean_q(np.empty((0, 2)), 0.0)
+        walk_of(self.description)
+
     def _require_q(self, q: FloatArray) -> FloatArray:
         if not np.isfinite(q).all():
             name = self.description.name

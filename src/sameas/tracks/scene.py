@@ -75,25 +75,43 @@ class Scene:
         sources: Sequence[tuple[Description, Reports]],
         plane: LocalPlane | None = None,
         tuning: Tuning = DEFAULT_TUNING,
+        *,
+        set_aside: dict[str, InputError] | None = None,
     ) -> Scene:
         """A scene of descriptions and their reports, in the given plane or in one about the middle of the positions.
 
         No plane is needed if all sources give metres in one plane of the user's own. Reports with ids are filtered to
         tracks first if they are unfiltered measurements (:func:`sameas.tracks.feed.need_filtering`).
+
+        set_aside : receives the errors of sources that cannot be placed, such as a radar without a site, by name, if
+            others can. Without it, and if no source can be placed, the first error is raised.
         """
-        if far := too_far_apart(sources, tuning):
-            raise InputError("; ".join(far))
-        if plane is None and (middle := _middle(sources)) is not None:
-            plane = LocalPlane.about(*middle)
         names = [description.name for description, _ in sources]
         if len(set(names)) < len(names):
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
-        all_placed = (
-            PlacedReports(of_their_objects(description, reports, tuning), reports, plane, tuning)
-            for description, reports in sources
-        )
-        feeds = tuple(Feed.of_placed(placed, to_tracks=need_filtering(placed)) for placed in all_placed)
-        return cls(feeds, plane, tuning)
+        if far := too_far_apart(sources, tuning):
+            if set_aside is None:
+                raise InputError("; ".join(far.values()))
+            set_aside |= {name: InputError(words) for name, words in far.items()}
+        sources = [source for source in sources if source[0].name not in far]
+        if plane is None and (middle := _middle(sources)) is not None:
+            plane = LocalPlane.about(*middle)
+        feeds: list[Feed] = []
+        for description, reports in sources:
+            placed = PlacedReports(of_their_objects(description, reports, tuning), reports, plane, tuning)
+            try:
+                feed = Feed.of_placed(placed, to_tracks=need_filtering(placed))
+                if set_aside is not None:
+                    feed.require_numbers()
+            except InputError as error:
+                if set_aside is None:
+                    raise
+                set_aside[description.name] = error
+            else:
+                feeds.append(feed)
+        if set_aside and not feeds:
+            raise next(iter(set_aside.values()))
+        return cls(tuple(feeds), plane, tuning)
 
     @property
     def span_s(self) -> tuple[float, float]:

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
@@ -151,14 +152,33 @@ class SensorSource:
         return [f"{first}, read as {self.description.kind}: {self.why_kind}", *rest]
 
 
-def read_source_options(path: str | Path) -> dict[str, SourceOptions]:
+def read_source_options(
+    path: str | Path, *, set_aside: dict[str, InputError] | None = None
+) -> dict[str, SourceOptions]:
     """The options of every source in a TOML file, by name.
+
+    set_aside : receives the errors of tables that cannot be used, by name. Without it, the first one is raised.
 
     Raises
     ------
     InputError : not TOML, no sources, an unknown name.
     """
-    return {name: _options(name, table, Path(path)) for name, table in source_tables(path).items()}
+    found: dict[str, SourceOptions] = {}
+    for name, table in source_tables(path).items():
+        with setting_aside(name, set_aside):
+            found[name] = _options(name, table, Path(path))
+    return found
+
+
+@contextmanager
+def setting_aside(name: str, set_aside: dict[str, InputError] | None) -> Iterator[None]:
+    """Takes the error of a source that cannot be used, where it may be set aside, so that the others can."""
+    try:
+        yield
+    except InputError as error:
+        if set_aside is None:
+            raise
+        set_aside.setdefault(name, error)
 
 
 def _options(name: str, table: Mapping[str, Any], toml: Path) -> SourceOptions:
@@ -191,7 +211,7 @@ def read_sources(
     options: Mapping[str, SourceOptions] | None = None,
     *,
     start: str | None = None,
-    set_aside: list[InputError] | None = None,
+    set_aside: dict[str, InputError] | None = None,
 ) -> list[SensorSource]:
     """All sources of the given files, and of files named in the descriptions, with their descriptions.
 
@@ -201,45 +221,45 @@ def read_sources(
         several sensors (a log of AIS and radar) gives NAME:ais, NAME:arpa.
     options : by name, from :func:`read_source_options`.
     start : UTC of the first line of files with the time of day only.
-    set_aside : receives the errors of files that exist but cannot be read, if others can. Without it, and if no file
-        can be read, the first error is raised. An error of a description, such as the name of a column that the file
-        does not have, is always raised.
+    set_aside : the errors of sources that cannot be used, by name. Those in it are not read, and it receives those that
+        cannot be read, or have no file, if others can. Without it, and if no source can be read, the first error is
+        raised.
 
     Raises
     ------
-    InputError : a description without a file, two sources of one name, an unknown kind, an unreadable file.
+    InputError : no files, two sources of one name; without ``set_aside`` a description without a file, an unknown kind,
+        an unreadable file.
     """
     described = dict(options or {})
     named = [_named(str(file)) for file in files]
     named += [(name, one.path) for name, one in described.items() if one.path and name not in dict(named)]
     if not named:
+        if set_aside:
+            raise next(iter(set_aside.values()))
         raise InputError("no files; give the sensors' files, or descriptions that name them")
     sources: list[SensorSource] = []
-    unread: dict[str, InputError] = {}
     for name, path in named:
+        if set_aside and name in set_aside:
+            continue
         reading = described[name].options if name in described else ReadOptions(name)
         if reading.start is None:
             reading = replace(reading, start=start)
-        try:
+        with setting_aside(name, set_aside):
             for reports in _recorded(path) if path.is_dir() else read_reports(path, reading):
-                reports = without_stray_times(reports)
-                sources.append(source_of(reports, described.get(reports.source), path))
-        except InputError as error:
-            wrongly_described = isinstance(error, tables.NotInTable) or bool(error.words.arguments)
-            if set_aside is None or not path.is_file() or wrongly_described:
-                raise
-            unread[name] = error
-    if unread and not sources:
-        raise next(iter(unread.values()))
-    if set_aside is not None:
-        set_aside += unread.values()
-    # A source may have been silent while its input was recorded.
-    if not any(path.is_dir() for _, path in named):
-        _check_all_used(sources, {name: one for name, one in described.items() if name not in unread})
+                if not set_aside or reports.source not in set_aside:
+                    with setting_aside(reports.source, set_aside):
+                        sources.append(source_of(without_stray_times(reports), described.get(reports.source), path))
     names = [source.description.name for source in sources]
     duplicate = next((name for name in names if names.count(name) > 1), None)
     if duplicate is not None:
         raise InputError(f"two sources are called {duplicate}; name them, as in {duplicate}2=FILE")
+    if set_aside and not sources:
+        raise next(iter(set_aside.values()))
+    # A source may have been silent while its input was recorded.
+    if not any(path.is_dir() for _, path in named):
+        for name in described:
+            with setting_aside(name, set_aside):
+                _check_used(name, names, set_aside or {})
     return sources
 
 
@@ -313,11 +333,10 @@ def toml_table(name: str) -> str:
     return f"[sources.{name}]" if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'[sources."{name}"]'
 
 
-def _check_all_used(sources: Sequence[SensorSource], options: Mapping[str, SourceOptions]) -> None:
-    names = [source.description.name for source in sources]
-    for name in options:
-        if name not in names:
-            raise InputError(
-                f"{name} is described, but no file belongs to it; there are {', '.join(names)}: give {name}=FILE, "
-                f"or describe {toml_table(names[-1])}"
-            )
+def _check_used(name: str, read: Sequence[str], set_aside: Mapping[str, InputError]) -> None:
+    """Refuses a description to which no file belongs."""
+    if name not in read and name not in set_aside and name.rpartition(":")[0] not in set_aside:
+        raise InputError(
+            f"{name} is described, but no file belongs to it; there are {', '.join(read)}: give {name}=FILE, "
+            f"or describe {toml_table(read[-1])}"
+        )

@@ -188,10 +188,6 @@ class Choice:
         return _stem(self.name)[0] in self.quantity.translations
 
 
-class NotInTable(InputError):
-    """The description of a table names a column, a quantity or a unit that there is not."""
-
-
 def choose(
     names: Sequence[str],
     source: str,
@@ -260,10 +256,10 @@ def _check_named(names: Sequence[str], source: str, named: Mapping[str, str], un
     for column in named:
         if column not in quantities:
             near = difflib.get_close_matches(column, sorted(quantities), n=3)
-            raise NotInTable(f"{source}: {column!r} is not a quantity; did you mean {' or '.join(near) or 'lat_deg'}?")
+            raise InputError(f"{source}: {column!r} is not a quantity; did you mean {' or '.join(near) or 'lat_deg'}?")
     for name in [*(name for name in named.values() if name), *units]:
         if name not in names:
-            raise NotInTable(f"{source}: no column {name!r} among: {', '.join(names)}")
+            raise InputError(f"{source}: no column {name!r} among: {', '.join(names)}")
 
 
 def _stem(name: str) -> tuple[str, str]:
@@ -303,7 +299,7 @@ def _choice(
     if name in units:
         unit = re.sub(r"[^a-z0-9]", "", units[name].lower())
         if unit not in factors:
-            raise NotInTable(f"{source}: column {name!r}: unit {units[name]!r} is none of {', '.join(factors)}")
+            raise InputError(f"{source}: column {name!r}: unit {units[name]!r} is none of {', '.join(factors)}")
         return Choice(name, quantity, factors[unit], f"{name} is in {units[name]}, as said")
     stem, unit = stem_and_unit
     if unit in factors and stem + unit not in quantity.names:
