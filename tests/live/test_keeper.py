@@ -24,6 +24,7 @@ from tests.live.conftest import SITE, START_S, descriptions, harbour, replay, se
 
 from sameas.errors import InputError
 from sameas.io import read_table
+from sameas.live.inputs import SteadyClock
 from sameas.live.journal import LAYOUT, Journal, load_state
 from sameas.live.keeper import Delta, Keeper
 from sameas.live.outputs import sentence
@@ -247,6 +248,67 @@ def test_every_second_names_the_most_urgent_approaches():
     keeper._raise_alarms(fleet[90:91], START_S + 1.0)
     assert len(news()) == 1
     keeper.close()
+
+
+def listening(tmp_path, clock, folder=None):
+    """A keeper with one source of tracks in degrees, and its wire."""
+    path = tmp_path / "sensors.toml"
+    path.write_text(
+        '[watch]\nplane = { lat_deg = 50.0, lon_deg = -1.0 }\n[sources.far]\nkind = "tracks"\n'
+        'errors = { position_m = 20 }\ninput = { url = "tcp://127.0.0.1:10110", format = "table" }\n'
+    )
+    keeper = Keeper(read_settings(path), folder, clock=clock)
+    return keeper, keeper.wires["tcp://127.0.0.1:10110"]
+
+
+def line(time_s):
+    return f'{{"time": {time_s}, "lat": 50.0, "lon": -1.0, "track_id": "7"}}\n'.encode()
+
+
+@pytest.mark.parametrize(("off_s", "words"), [
+    (86400.0, "far: its time stamps are 1.0 days ahead of the times of receipt"),
+    (-START_S, "far: its time stamps are 19844.4 days behind the times of receipt"),
+    (3600.0, "far: its time stamps are 1.0 h ahead of the times of receipt (a time zone? give time_zone in its input)"),
+])  # fmt: skip
+def test_stamps_of_tomorrow_and_of_1970_are_one_alarm_and_fill_no_memory(tmp_path, off_s, words):
+    now = [START_S]
+    keeper, wire = listening(tmp_path, lambda: now[0])
+    for k in range(40):
+        now[0] = START_S + k
+        wire._received(line(now[0] + off_s))
+        situation = keeper.tick()
+    assert [alarm.text for alarm in situation.alarms] == [words] and len(situation.objects["object"]) == 0
+    assert keeper.health()["sources"]["far"]["refused"] == (40 if off_s > 0.0 else 0)
+    assert keeper.picture.counts["far"].taken == (0 if off_s > 0.0 else 40)
+    keeper.close()
+
+
+def test_a_clock_that_is_set_back_does_not_stop_the_picture(tmp_path):
+    steady, wall = [0.0], [START_S]
+    keeper, _ = listening(tmp_path, SteadyClock(lambda: wall[0], lambda: steady[0]), tmp_path / "state")
+
+    def after(seconds, step_s=0.0):
+        steady[0] += seconds
+        wall[0] += seconds + step_s
+        return keeper.tick()
+
+    assert after(1.0).time_s == START_S + 1.0
+    back = after(1.0, -3600.0)
+    assert back.time_s == START_S + 2.0
+    assert [alarm.text for alarm in back.alarms] == [
+        "the clock of this computer was set back by 1.0 h; the watch keeps the time before: set it right"
+    ]
+    assert after(1.0).time_s == START_S + 3.0
+    # Set right again.
+    assert after(1.0, 3600.0).alarms == () and keeper.clock.set_back_s == 0.0
+    assert after(1.0, 7200.0).time_s == START_S + 7205.0
+    keeper.close()
+    # A watch that begins with a clock before its state says that it stands still.
+    again, _ = listening(tmp_path, lambda: START_S, tmp_path / "state")
+    [alarm] = again.tick().alarms
+    assert alarm.text.startswith("the picture is 2.0 h later than the clock of this computer, and stands still until")
+    assert not again.health()["ok"]
+    again.close()
 
 
 def test_a_source_that_never_sends_is_an_alarm_with_the_reason(tmp_path):

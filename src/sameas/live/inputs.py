@@ -441,6 +441,33 @@ def _udp_socket(host: str, port: int, interface: str) -> socket.socket:
     return udp
 
 
+class SteadyClock:
+    """UTC in seconds that is never set back: where the computer's clock is, it goes on as before, by ``set_back_s``.
+
+    A clock that is set forward is followed: a small computer has no time of its own until a network gives it.
+
+    Parameters
+    ----------
+    wall : the clock of the computer. steady : seconds that nobody sets.
+    """
+
+    def __init__(self, wall: Callable[[], float] = time.time, steady: Callable[[], float] = time.monotonic) -> None:
+        self._wall, self._steady = wall, steady
+        self._lock = threading.Lock()
+        self._last = wall(), steady()
+        self.set_back_s = 0.0
+
+    def __call__(self) -> float:
+        with self._lock:
+            wall_s, steady_s = self._wall(), self._steady()
+            step_s = (wall_s - self._last[0]) - (steady_s - self._last[1])
+            self._last = wall_s, steady_s
+            # Networks correct clocks by fractions of a second all the time.
+            if abs(step_s) > 1.0:
+                self.set_back_s = max(self.set_back_s - step_s, 0.0)
+            return wall_s + self.set_back_s
+
+
 def in_words(seconds: float) -> str:
     """A time in the largest unit that fits.
 

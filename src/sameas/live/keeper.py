@@ -27,7 +27,7 @@ from sameas.io.sensors.recording import Recorder
 from sameas.io.sensors.sources import ZONED
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.approaches import Approaches
-from sameas.live.inputs import Playback, Replay, Wire
+from sameas.live.inputs import Playback, Replay, SteadyClock, Wire, in_words
 from sameas.live.journal import Journal, load_state, save_state
 from sameas.live.outputs import sinks_of
 from sameas.live.settings import Settings
@@ -50,6 +50,10 @@ KEPT_DELTAS = 300
 MISFIT_S = 5.0
 #: The same if this many lines were damaged and none was good.
 MISFIT_LINES = 20
+#: Reports whose stamps are later than this many seconds from now are refused: kept until then, they would fill memory.
+AHEAD_S = 600.0
+#: The picture stands still if the clock is this many seconds before its last instant.
+STANDS_S = 5.0
 #: Largest number of sensors of a wire that are named where no source takes their reports.
 MOST_SENSORS = 20
 #: An alarm is raised if half of the last SLOW_TICKS ticks take longer than their interval by the factor SLOWER.
@@ -114,7 +118,7 @@ class Keeper:
     ----------
     settings : sources and watch options. folder : for state, journal and archive; None writes none of them.
     replay : reports of files instead of wires. playback : recordings of the wires, as they were received. clock : UTC
-        in seconds.
+        in seconds; that of the computer if not given.
 
     Raises
     ------
@@ -128,8 +132,9 @@ class Keeper:
         *,
         replay: Replay | None = None,
         playback: Playback | None = None,
-        clock: Callable[[], float] = time.time,
+        clock: Callable[[], float] | None = None,
     ) -> None:
+        clock = clock or SteadyClock()
         if playback is not None:
             # All times are those of the recording, which is not recorded again.
             real_clock, played = clock, playback
@@ -262,7 +267,7 @@ class Keeper:
             situation = Situation.of(self._tick, state, self.picture.plane, (), own_ship, self.picture.height_model)
             alarms = [*_identity_alarms(state), *self._source_alarms(), *self._fault_alarms(situation),
                       *self._own_ship_alarms(situation), *self._approach_alarms(situation, state),
-                      *self._folder_alarms(), *self._pace_alarms()]  # fmt: skip
+                      *self._folder_alarms(), *self._pace_alarms(), *self._clock_alarms()]  # fmt: skip
             situation = replace(situation, alarms=tuple(alarms))
             self._raise_alarms(alarms, instant_s)
             self.deltas.append(Delta.between(self.situation, situation))
@@ -346,6 +351,15 @@ class Keeper:
 
     def _add(self, name: str, reports: Reports, received_s: float) -> None:
         state = self.sources[name]
+        if self.replay is None:
+            # Older ones may have waited in the queue.
+            state.delay_s = received_s - float(np.median(np.sort(reports.time_s)[-5:]))
+            ahead = reports.time_s > self._taken_s + AHEAD_S
+            if ahead.any():
+                state.refused += int(ahead.sum())
+                reports, state.last_s = reports.where(~ahead), received_s
+        if not len(reports):
+            return
         try:
             self.picture.add(name, reports)
         except InputError as error:
@@ -357,9 +371,6 @@ class Keeper:
         own = self.settings.watch.own_ship
         if self.replay is not None and own is not None and own.source == name:
             self._station = _last_station(reports, self._station)
-        if self.replay is None:
-            # Older ones may have waited in the queue.
-            state.delay_s = received_s - float(np.median(np.sort(reports.time_s)[-5:]))
 
     def _keep_history(self, situation: Situation) -> None:
         """Keeps a situation every 10 s, or every tick where these are longer, for the history that pages show."""
@@ -447,7 +458,8 @@ class Keeper:
             elif abs(state.delay_s) > watch.clock_s:
                 sense = "behind" if state.delay_s > 0.0 else "ahead of"
                 zone = self._zone_hint(name) if _is_time_zone(state.delay_s) else ""
-                text = f"{name}: its time stamps are {abs(state.delay_s):.0f} s {sense} the times of receipt{zone}"
+                by = in_words(abs(state.delay_s))
+                text = f"{name}: its time stamps are {by} {sense} the times of receipt{zone}"
                 out.append(Alarm(f"clock {name}", "source", text))
         for url, wire in self.wires.items():
             if wire.queue.dropped > self.counters[f"dropped {url}"]:
@@ -559,6 +571,22 @@ class Keeper:
             "longer every_s, or fewer sources"
         )
         return [Alarm("pace", "fault", text)]
+
+    def _clock_alarms(self) -> list[Alarm]:
+        """Alarms where the clock of this computer was set back, now or while the watch was ended."""
+        alarms = []
+        if isinstance(self.clock, SteadyClock) and self.clock.set_back_s > 0.0:
+            by = in_words(self.clock.set_back_s)
+            text = f"the clock of this computer was set back by {by}; the watch keeps the time before: set it right"
+            alarms.append(Alarm("set back", "fault", text))
+        early_s = self.picture.instant_s - self.now_s()
+        if self.replay is None and early_s > STANDS_S:
+            text = (
+                f"the picture is {in_words(early_s)} later than the clock of this computer, and stands still until "
+                "then: set the clock right, or move the folder of its state away and begin anew"
+            )
+            alarms.append(Alarm("stands still", "fault", text))
+        return alarms
 
     @property
     def _refusal(self) -> str:
@@ -802,7 +830,7 @@ class Keeper:
         """Whether the picture advances, and the counters of every source and wire."""
         age_s = None if self.situation is None else self.now_s() - self.situation.time_s
         late_s = max(10.0 * self.settings.watch.every_s * (self.pace or 1.0), 10.0)
-        ticking = age_s is not None and age_s < late_s
+        ticking = age_s is not None and abs(age_s) < late_s
         counts, biases = self.picture.counts, self.biases()
         sources = {
             name: {
@@ -867,8 +895,8 @@ def _in_settings(error: InputError, name: str) -> str:
 
 
 def _is_time_zone(seconds: float) -> bool:
-    """Whether a difference is a multiple of a quarter of an hour, within a minute: time zones are such."""
-    return abs(seconds) > 600.0 and abs(seconds - 900.0 * round(seconds / 900.0)) < 60.0
+    """Whether a difference is a multiple of a quarter of an hour, within a minute, up to 14 h: time zones are such."""
+    return 600.0 < abs(seconds) < 50_500.0 and abs(seconds - 900.0 * round(seconds / 900.0)) < 60.0
 
 
 def _wires(settings: Settings, clock: Callable[[], float]) -> dict[str, Wire]:
