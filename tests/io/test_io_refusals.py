@@ -131,7 +131,10 @@ def test_csv_that_is_not_utf8(tmp_path):
     # Arrow's own traceback for a row that it cannot decode would be a warning here, and an error.
     assert "(line 3); save it as UTF-8" in refusal(tmp_path / "t.csv", "name,n\na,1\nÅ,1,2\n".encode("latin-1"))
     assert "(line 1); save it as UTF-8" in refusal(tmp_path / "t.csv", "Ångström,n\n1,1\n".encode("latin-1"))
-    assert "is UTF-16 text, not CSV; save it as UTF-8" in refusal(tmp_path / "t.csv", "name,n\na,1\n".encode("utf-16"))
+    header = "# %ECSV 1.0\n# ---\n# datatype:\n# - {name: a, datatype: int64}\na\n1\n"
+    message = refusal(tmp_path / "t.ecsv", header.encode("utf-16"))
+    assert "is UTF-16 text, not ECSV; save it as UTF-8" in message
+    assert "is UTF-16 text, not CSV" in refusal(tmp_path / "t.csv", b"\xff\xfe" + bytes(99))
 
 
 @pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])

@@ -218,3 +218,15 @@ def test_ecsv_under_another_name_is_read_as_ecsv(ending, tmp_path):
     table = read_table(tmp_path / f"g{ending}")
     assert table["source_id"].tolist() == [4295806720000000001, 2] and table["pmra"].tolist() == [None, 1.5]
     assert table["pmra"].unit == "mas/yr"
+
+
+@pytest.mark.parametrize("ending", ["", ".gz"])
+@pytest.mark.parametrize("content", [SEXTRACTOR, VIZIER, IPAC, "name,ra\nÅ,1\nβ 𝛽,2\n"])
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
+def test_text_in_utf_16_is_read_as_that_in_utf_8(encoding, content, ending, tmp_path):
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    packed = gzip.compress if ending else bytes
+    (tmp_path / f"wide.txt{ending}").write_bytes(packed((mark + content).encode(encoding)))
+    (tmp_path / f"plain.txt{ending}").write_bytes(packed(content.encode()))
+    wide, plain = (read_table(tmp_path / f"{name}.txt{ending}") for name in ("wide", "plain"))
+    assert wide.colnames == plain.colnames and len(wide) == 2 and wide.pformat() == plain.pformat()

@@ -14,6 +14,7 @@ from sameas.errors import InputError
 from sameas.io.sensors import ReadOptions, read_reports
 from sameas.io.sensors.sources import read_source_options, read_sources
 from sameas.io.sensors.tables import cells_of_csv, cells_of_json, choose, read
+from sameas.tracks.reports import Reports
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "stonesoup_demos"
 KNOT = 1852.0 / 3600.0
@@ -557,3 +558,53 @@ def test_a_length_without_the_place_of_the_antenna_moves_nothing_and_says_so():
     assert (made.lat_deg[0], made.lon_deg[0]) == (54.5, 10.25) and made.covariance_m2[0, 2] > 15.0**2
     [note] = [note for note in made.notes if "hull" in note]
     assert "are not moved" in note and "middle of the hull" not in note
+
+
+def test_values_that_mean_not_available_are_no_bearings_speeds_or_heights(tmp_path):
+    rows = [
+        "0,235000001,50.0,-1.0,10.0,90.0,91,20,",  # good
+        "1,235000001,50.0,-1.0,102.3,360.0,511,20,",  # of AIS
+        "2,235000001,91.0,181.0,10.0,90.0,91,20,",
+        "3,235000001,50.0,-1.0,1023,3600,-999,-9999,",
+        "4,235000001,50.0,-999,10.0,90.0,91,99999999,",
+        "5,235000001,50.0,-1.0,-1,9999,999,20,",
+    ]
+    (tmp_path / "ais.csv").write_text("time,mmsi,lat,lon,sog_kn,cog,heading,alt_m,length\n" + "\n".join(rows) + "\n")
+    [found] = read_reports(tmp_path / "ais.csv")
+    assert dict(zip(found.damaged.lines, found.damaged.reasons, strict=True)) == {4: "no position", 6: "no position"}
+    np.testing.assert_allclose(found.speed_m_per_s / 0.514444, [10.0, np.nan, np.nan, np.nan], rtol=1e-5)
+    np.testing.assert_array_equal(found.course_deg, [90.0, np.nan, np.nan, np.nan])
+    np.testing.assert_array_equal(found.heading_deg, [91.0, np.nan, np.nan, np.nan])
+    np.testing.assert_array_equal(found.alt_m, [20.0, 20.0, np.nan, 20.0])
+    assert "ais.csv: heading: 3 values of -999, 511, 999 not used: missing" in found.notes
+
+
+def test_bearings_and_ranges_that_mean_not_available_are_no_plots(tmp_path):
+    good = [f"{t},{4000 + t},{(40 + t) % 360}" for t in range(20)]
+    bad = ["20,4100,-999", "21,4200,511", "22,-999,40", "23,9999,40", "24,9999,41", "25,9999,42", "26,4300,3600"]
+    (tmp_path / "radar.csv").write_text("time,range_m,bearing_deg\n" + "\n".join([*good, *bad]) + "\n")
+    [found] = read_reports(tmp_path / "radar.csv")
+    assert found.damaged.counts() == {"no position": 3, "a distance below 0": 1}
+    assert found.range_m is not None and np.isnan(found.range_m).tolist() == [False] * 20 + [True] * 3
+    assert "radar.csv: range_m: 3 values of 9999 not used: missing" in found.notes
+    # One of 9999 m among many distances is a distance.
+    (tmp_path / "radar.csv").write_text("time,range_m,bearing_deg\n" + "\n".join([*good, bad[3]]) + "\n")
+    [found] = read_reports(tmp_path / "radar.csv")
+    assert len(found) == 21
+
+
+@pytest.mark.parametrize(("heights", "kept"), [
+    ("0", 0), ("99999", 0), ("-9999", 0), ("5000", 12), ("", 0), ("250000", 0),
+])  # fmt: skip
+def test_heights_that_a_source_does_not_measure_are_none(heights, kept, tmp_path):
+    rows = "".join(f"{t},4ca7a8,50.0,-1.0,{heights}\n" for t in range(0, 36, 3))
+    (tmp_path / "adsb.csv").write_text("time,icao,lat,lon,alt_m\n" + rows)
+    [found] = read_reports(tmp_path / "adsb.csv")
+    assert (0 if found.alt_m is None else int(np.isfinite(found.alt_m).sum())) == kept
+
+
+def test_angles_a_little_beyond_a_turn_are_angles():
+    made = Reports.of("radar", "table", {"time_s": [0.0] * 5, "range_m": [9.0] * 5,
+                                         "bearing_deg": [-170.0, 361.5, -0.5, 700.0, 511.0]})  # fmt: skip
+    assert made.bearing_deg is not None and made.bearing_deg.tolist() == [190.0, 1.5, 359.5]
+    assert made.damaged.counts() == {"no position": 2}

@@ -26,7 +26,7 @@ from sameas.bounds import TEXT_UNPACKING, check_columns, unpacked
 from sameas.errors import InputError
 from sameas.io.arrow import FEW_ROWS, array_of, column_of, numbers_in
 from sameas.io.atomic import replacing, together
-from sameas.io.format import TEXT_EXTENSIONS, Format, json_text
+from sameas.io.format import TEXT_EXTENSIONS, UTF_16, Format, in_utf_8, json_text
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -174,13 +174,14 @@ def opened(path: Path) -> Any:
 
 
 def content_of(path: Path) -> pa.Buffer:
-    """The bytes of a file, decompressed if its name ends in .gz."""
+    """The bytes of a text, decompressed if its name ends in .gz, and in UTF-8 if it is UTF-16."""
     import pyarrow as pa
 
-    if path.suffix.lower() != ".gz":
-        with pa.memory_map(os.fsencode(path)) as file:  # a file name may have bytes that are not UTF-8
-            return file.read_buffer()
-    return pa.py_buffer(unpacked(path, TEXT_UNPACKING))
+    if path.suffix.lower() == ".gz":
+        return pa.py_buffer(in_utf_8(unpacked(path, TEXT_UNPACKING)))
+    with pa.memory_map(os.fsencode(path)) as file:  # a file name may have bytes that are not UTF-8
+        buffer = file.read_buffer()
+    return pa.py_buffer(in_utf_8(buffer.to_pybytes())) if bytes(buffer[:2]) in UTF_16 else buffer
 
 
 def _header(text: pa.Buffer, path: Path) -> TableHead:

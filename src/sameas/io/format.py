@@ -7,6 +7,7 @@ imported inside these functions, so that the list is cheap to import.
 
 from __future__ import annotations
 
+import codecs
 import importlib
 import json
 import os
@@ -30,6 +31,8 @@ _SURROGATE = re.compile("[\ud800-\udfff]")
 _PLAIN = (".csv", ".tsv", ".txt", ".dat", ".asc", ".ascii", ".cat", ".tbl", ".ipac", ".mrt")
 #: Extensions of text files, which do not determine the format.
 TEXT_EXTENSIONS: tuple[str, ...] = (*_PLAIN, *(f"{extension}.gz" for extension in _PLAIN))
+#: The first bytes of texts in UTF-16.
+UTF_16 = codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE
 
 
 @dataclass(frozen=True)
@@ -174,6 +177,22 @@ def unit_of(text: str, format: str | None = None) -> UnitBase:
 # Text cells: bytes to Unicode and back, for whole columns at once.
 #
 # NumPy converts cell by cell; nearly all text in catalogues is ASCII, where it is enough to widen the bytes.
+
+
+def in_utf_8(content: bytes) -> bytes:
+    """UTF-16 text, as spreadsheets and Windows save it, in UTF-8; all other bytes unchanged.
+
+    >>> in_utf_8("ra,dec".encode("utf-16")), in_utf_8(b"ra,dec")
+    (b'ra,dec', b'ra,dec')
+    """
+    if content[:2] not in UTF_16:
+        return content
+    try:
+        # Of the beginning of a file, the last letter may be half.
+        text = codecs.getincrementaldecoder("utf-16")().decode(content)
+    except UnicodeDecodeError:
+        return content
+    return content if "\0" in text else text.encode("utf-8", "replace")
 
 
 def unicode_of(cells: NDArray[Any]) -> NDArray[Any]:

@@ -17,7 +17,7 @@ from sameas.errors import Argument, InputError, Message, first_line, printable, 
 from sameas.io import ascii as text
 from sameas.io import csv, ecsv, fits, parquet, votable
 from sameas.io.atomic import replacing
-from sameas.io.format import TEXT_EXTENSIONS, Format, LazyTable, plain
+from sameas.io.format import TEXT_EXTENSIONS, UTF_16, Format, LazyTable, in_utf_8, plain
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -100,7 +100,7 @@ def kind_of(first: bytes) -> str | None:
         return "an XML file without a table"
     if text.startswith((b"{", b"[{")):
         return "a JSON file"
-    if first.startswith((b"\xff\xfe", b"\xfe\xff")):
+    if first.startswith(UTF_16):
         return _UTF_16
     return "a binary file" if b"\x00" in first else None
 
@@ -261,10 +261,13 @@ def _format_in(path: Path, name: str | None) -> Format:
     first = first_bytes(path)
     if not first:
         raise InputError(f"{path}: is empty")
-    known = _recognised(path, first) if name is None else _named(name, path)
+    text_of_head = in_utf_8(first)
+    known = _recognised(path, text_of_head) if name is None else _named(name, path)
     if known is None:
         raise _unknown_extension(path, known_formats())
-    _check_kind(path, known, kind_of(first[:4096]))
+    # The readers of text take UTF-16, too; ECSV is UTF-8 by its standard.
+    of_text = known in (*text.TEXT_FORMATS, csv.FORMAT)
+    _check_kind(path, known, kind_of((text_of_head if of_text else first)[:4096]))
     return known
 
 

@@ -191,8 +191,8 @@ class Reports:
         ------
         InputError : no time, no position, columns of different lengths, a latitude beyond ±90°.
 
-        Rows with an invalid time, an infinite position or a negative range are excluded as damaged; other infinite
-        values become absent.
+        Rows with an invalid time, an infinite or impossible position or a negative range are excluded as damaged; other
+        infinite and impossible values become absent (:data:`POSSIBLE`).
         """
         if "time_s" not in columns:
             raise InputError(f"{source}: no time; give a column time_s (UTC, seconds since 1970)")
@@ -208,6 +208,7 @@ class Reports:
             elif name in ("time_s", "line") or not _is_empty(array):
                 own[name] = _typed(name, array)
         about = Damaged() if damaged is None else damaged
+        own = _with_infinite_impossible(own)
         own, extra, about = _without_infinite(source, own, extra, about)
         reports = cls(
             source, kind, **own, extra=extra, damaged=about, passed_over=passed_over or {}, notes=tuple(notes)
@@ -356,6 +357,33 @@ _NO_COLUMNS = ("source", "kind", "extra", "damaged", "passed_over", "notes", "co
 _COLUMNS = tuple(f.name for f in fields(Reports) if f.name not in _NO_COLUMNS)
 _PLACES = ("lat_deg", "lon_deg", "x_m", "y_m", "range_m", "bearing_deg")
 _ANGLES = ("bearing_deg", "course_deg", "heading_deg")
+_HEIGHTS, _SPEEDS = ("alt_m", "pressure_alt_m"), ("speed_m_per_s", "length_m", "width_m")
+#: Lowest and highest value of a quantity; beyond are marks of a missing value, such as −999, 3600 or 9999. Angles may
+#: be a quarter beyond a turn, as after the subtraction of an offset. 511 is the missing heading of AIS.
+POSSIBLE: Mapping[str, tuple[float, float]] = {
+    **dict.fromkeys(_ANGLES, (-360.0, 450.0)), "elevation_deg": (-90.0, 90.0), "lon_deg": (-360.0, 360.0),
+    "station_lat_deg": (-90.0, 90.0), "station_lon_deg": (-360.0, 360.0),
+    **dict.fromkeys(_HEIGHTS, (-900.0, 90e3)), **dict.fromkeys(_SPEEDS, (0.0, 20e3)),
+}  # fmt: skip
+
+
+def _with_infinite_impossible(own: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns, infinite in place of values that are not possible (:data:`POSSIBLE`).
+
+    >>> _with_infinite_impossible({"heading_deg": np.array([511.0, -170.0, np.nan, 3600.0])})["heading_deg"].tolist()
+    [inf, -170.0, nan, inf]
+    """
+    out = dict(own)
+    for name, (lowest, highest) in POSSIBLE.items():
+        if name in own:
+            with np.errstate(invalid="ignore"):
+                impossible = (own[name] < lowest) | (own[name] > highest)
+            if impossible.any():
+                out[name] = np.where(impossible, np.inf, own[name])
+    if "bearing_deg" in own and ("lat_deg" in own or "x_m" in own):
+        # No position is made of it.
+        out["bearing_deg"] = np.where(np.isinf(out["bearing_deg"]), np.nan, out["bearing_deg"])
+    return out
 
 
 def _without_infinite(

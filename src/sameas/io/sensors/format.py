@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.bounds import MAGIC, Unpacking, unpacked
 from sameas.errors import Argument, InputError, Message
+from sameas.io.format import in_utf_8
 from sameas.tracks.coordinates import FOOT_M, MILE_M
 from sameas.tracks.reports import LAST_S, Reports
 
@@ -339,18 +340,7 @@ def content(path: str | os.PathLike[str]) -> bytes:
         content_bytes = unpacked(path, _UNPACKING)
     if not content_bytes:
         raise InputError(f"{path}: is empty")
-    return _utf_8(content_bytes)
-
-
-def _utf_8(content_bytes: bytes) -> bytes:
-    """UTF-16 text, as spreadsheets and Windows save it, as UTF-8; all other bytes unchanged."""
-    if content_bytes[:2] not in (b"\xff\xfe", b"\xfe\xff"):
-        return content_bytes
-    try:
-        text = content_bytes.decode("utf-16")
-    except UnicodeDecodeError:
-        return content_bytes
-    return content_bytes if "\0" in text else text.encode("utf-8")
+    return in_utf_8(content_bytes)
 
 
 def lines_of(content_bytes: bytes) -> list[str]:

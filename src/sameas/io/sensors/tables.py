@@ -50,8 +50,9 @@ from sameas.io.sensors.format import (
     utc_of,
 )
 from sameas.io.sensors.languages import DATES, HOURS, names_in, plain
+from sameas.representation import counted
 from sameas.tracks.coordinates import FOOT_M, MILE_M
-from sameas.tracks.reports import Damaged, Reports
+from sameas.tracks.reports import POSSIBLE, Damaged, Reports
 
 #: Units by kind of quantity: as written at the end of a name, and their factor to our unit.
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -565,6 +566,7 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     values = {
         name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
     }
+    marks = _mark_unavailable(values, chosen, is_ais)
     start_s = start_seconds(options.start, source)
     values["time_s"], note = _times(cells, chosen, source, start_s, damaged, options.time_zone)
     _mark_unusable(values, cells.lines, damaged)
@@ -576,8 +578,9 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     values, repeated = _without_repeats(_with_track_id(values))
     counts = {"base station or aid to navigation": stations, "position repeated": repeated}
     passed_over = {what: count for what, count in counts.items() if count}
+    unavailable = [f"{source}: {one}" for one in marks]
     truncated = [f"{source}: its last line has no line end: it may be incomplete"] * cells.unended
-    notes = [note, *truncated, *(f"{source}: {choice.why}" for choice in chosen.values() if choice.why)]
+    notes = [note, *truncated, *unavailable, *(f"{source}: {choice.why}" for choice in chosen.values() if choice.why)]
     if translated := [f"{c.name} as {c.quantity.column}" for c in chosen.values() if c.translated]:
         notes.append(f"{source}: columns read by their names: {', '.join(translated)}")
     used = {choice.name for choice in chosen.values()}
@@ -902,6 +905,56 @@ def _seconds_of_day(cell: str | SupportsFloat) -> float:
 def _mark(rows: BoolArray, lines: IntArray, damaged: dict[int, str], reason: str) -> None:
     for line in lines[rows]:
         damaged.setdefault(int(line), reason)
+
+
+#: Values of AIS that mean "not available" (ITU-R M.1371, table 48), also as the integers of the message.
+_OF_AIS: Mapping[str, tuple[float, ...]] = {
+    "speed_m_per_s": (102.3, 1023.0), "course_deg": (360.0, 3600.0), "heading_deg": (511.0,), "lon_deg": (181.0,),
+}  # fmt: skip
+#: Rows in which a number of nines only must stand to mean that there is no value, if no other number is as frequent.
+_NINES = 3
+
+
+def _mark_unavailable(values: dict[str, NDArray[Any]], chosen: Mapping[str, Choice], is_ais: bool) -> list[str]:
+    """Makes values that mean "not available" NaN, in place, and returns sentences on them.
+
+    They are those of AIS; impossible ones (:data:`~sameas.tracks.reports.POSSIBLE`); a number of nines only, such as
+    −999 or 9999, that is the most frequent value of its column; and heights that are all 0.
+    """
+    sentences = []
+    for name, column in values.items():
+        if column.dtype.kind != "f" or not len(column):
+            continue
+        given = column / chosen[name].factor
+        missing = np.isin(np.round(given, 4), _OF_AIS.get(name, ())) if is_ais else np.zeros(len(column), bool)
+        missing |= np.round(given, 4) == _nines(given)
+        lowest, highest = POSSIBLE.get(name, (-math.inf, math.inf))
+        with np.errstate(invalid="ignore"):
+            missing |= (column < lowest) | (column > highest)
+            missing |= name in ("heading_deg", "course_deg", "bearing_deg") and given == 511.0
+        if name in ("alt_m", "pressure_alt_m") and len(column) >= _NINES and not np.nan_to_num(column).any():
+            missing = column == 0.0
+        if missing.any():
+            values[name] = np.where(missing, np.nan, column)
+            which = ", ".join(f"{value:g}" for value in np.unique(given[missing])[:3].tolist())
+            sentences.append(
+                f"{chosen[name].name}: {counted(int(missing.sum()), 'value')} of {which} not used: missing"
+            )
+    return sentences
+
+
+def _nines(column: FloatArray) -> float:
+    """The number of nines only that is the most frequent value of a column; NaN where there is none.
+
+    >>> _nines(np.array([9999.0, 5.0, 9999.0, 7.0, 9999.0])), _nines(np.array([9999.0, 5.0, 7.0]))
+    (9999.0, nan)
+    """
+    known = column[np.isfinite(column)]
+    found, counts = np.unique(known, return_counts=True)
+    if not len(found) or counts.max() < _NINES:
+        return math.nan
+    most = float(found[np.argmax(counts)])
+    return most if re.fullmatch(r"-?9{3,}(\.9+)?", f"{most:.12g}") else math.nan
 
 
 def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int, str]) -> None:
