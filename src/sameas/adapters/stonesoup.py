@@ -141,11 +141,11 @@ def _state_at(track: Track, instant: datetime.datetime) -> State | None:
 
 
 def _associations(
-    found: Objects, tracks: Sequence[Sequence[Track]], instant: datetime.datetime
+    objects: Objects, tracks: Sequence[Sequence[Track]], instant: datetime.datetime
 ) -> set[ProbableAssociation]:
     """An association for each object with tracks of two or more sets."""
     associations = set()
-    for members, probability in zip(found.members, found.probability, strict=True):
+    for members, probability in zip(objects.members, objects.probability, strict=True):
         rows = [(number, int(row)) for number, row in enumerate(members) if row is not np.ma.masked]
         if len(rows) > 1:
             together = {tracks[number][row] for number, row in rows}

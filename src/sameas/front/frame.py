@@ -158,10 +158,10 @@ class MatchFrame(Result):
         """A summary in one line."""
         from sameas.representation import count
 
-        found = self.summary["found"]
-        stars = f"{count(found['identified'])} of {count(found['measurements'])} measurements identified"
+        counts = self.summary["found"]
+        stars = f"{count(counts['identified'])} of {count(counts['measurements'])} measurements identified"
         return (
-            f"Match of {self.frame.name} with {self.catalogue.name}: {stars}, {count(found['missing'])} stars missing"
+            f"Match of {self.frame.name} with {self.catalogue.name}: {stars}, {count(counts['missing'])} stars missing"
         )
 
 
@@ -248,8 +248,8 @@ def match_frame(
         motion=motion,
     )
     frame = image if isinstance(image, Frame) else framing.frame_of(request, progress)
-    found, stars = _found_on(frame, request, stars, progress)
-    return MatchFrame(found, frame, stars, request, call_text(match_frame, (image, catalogue), own | stated))
+    match, stars = _found_on(frame, request, stars, progress)
+    return MatchFrame(match, frame, stars, request, call_text(match_frame, (image, catalogue), own | stated))
 
 
 def _found_on(

@@ -79,30 +79,30 @@ def hints(pointing: PointingOptions, frame: Frame, *, whole_sky: bool = True) ->
     ------
     InputError : the pointing or the scale is unknown.
     """
-    found: list[Hint] = []
+    candidates: list[Hint] = []
     wcs = _solution(frame) if pointing.header and pointing.aim_deg is None else None
     if wcs is not None:
-        found.append(ApproximateWcs(wcs, radius_deg=pointing.radius_deg))
+        candidates.append(ApproximateWcs(wcs, radius_deg=pointing.radius_deg))
     scale = pointing.scale_arcsec or _scale(frame, wcs)
     aim = pointing.aim_deg or frame.facts.aim_deg
     if scale is None:
-        if found:
-            return found
+        if candidates:
+            return candidates
         where = "the aim is known, but not the scale" if aim else "no plate solution and no aim in the header"
         more = "{scale:LO,HI} (arcsec per pixel)"
         raise InputError(f"{frame.name}: {where}", naming(f"give {more}" if aim else f"give {{aim:RA,DEC}} and {more}"))
     if aim is not None:
         half_deg = 0.5 * math.hypot(*frame.shape) * scale[1] / 3600.0
         radius = pointing.radius_deg if pointing.radius_deg is not None else max(OFF_DEG, OFF_FRAMES * half_deg)
-        found.append(Aim(*aim, radius_deg=min(radius, 180.0), scale_arcsec=scale))
-    elif not found:
+        candidates.append(Aim(*aim, radius_deg=min(radius, 180.0), scale_arcsec=scale))
+    elif not candidates:
         if not whole_sky:
             raise InputError(
                 f"{frame.name}: no aim in the header",
                 naming("give {aim:RA,DEC}, or {catalogue:'bright'} for the whole sky"),
             )
-        found.append(AllSky(scale))
-    return found
+        candidates.append(AllSky(scale))
+    return candidates
 
 
 def _header_elsewhere(pointing: PointingOptions, own_hints: Sequence[Hint], frame: Frame) -> str:
@@ -232,28 +232,28 @@ def fulfil(
     progress("detecting")
     measured = detect(frame, Detection(threshold_sigmas=request.threshold_sigmas))
     detected = time.perf_counter()
-    found, stars = found_on(request, frame, measured, progress)
+    match, stars = found_on(request, frame, measured, progress)
     solved = time.perf_counter()
     progress("writing")
-    return write(request, frame, found, summary_of(found, frame, stars, words), [detected - began, solved - detected])
+    return write(request, frame, match, summary_of(match, frame, stars, words), [detected - began, solved - detected])
 
 
 def summary_of(
-    found: FrameIdentification, frame: Frame, stars: Catalogue, words: Callable[[str], str] = str
+    match: FrameIdentification, frame: Frame, stars: Catalogue, words: Callable[[str], str] = str
 ) -> dict[str, Any]:
     """The summary of a frame, with the interpretation of its catalogue and the doubts about it.
 
     words : formats a message that names arguments.
     """
-    notes = [*map(words, found.notes), *(f"doubt: {words(doubt)}" for doubt in stars.doubts)]
-    outcome = summary(replace(found, notes=tuple(notes)), frame)
+    notes = [*map(words, match.notes), *(f"doubt: {words(doubt)}" for doubt in stars.doubts)]
+    outcome = summary(replace(match, notes=tuple(notes)), frame)
     return outcome | {"understood": [words(line) for line in stars.interpretation]}
 
 
 def write(
     request: FrameRequest,
     frame: Frame,
-    found: FrameIdentification,
+    match: FrameIdentification,
     facts: dict[str, Any],
     seconds: Sequence[float] = (),
     digest: str | None = None,
@@ -270,7 +270,7 @@ def write(
     }  # fmt: skip
     with filling(request.folder) as folder:
         drafts = replace(request, folder=str(folder))
-        _write(drafts, frame, found, outcome, facts)
+        _write(drafts, frame, match, outcome, facts)
         if "SOURCE_DATE_EPOCH" not in os.environ:  # set for reproducible outputs
             steps = [*seconds, time.perf_counter() - began]
             named = ("to_detections", "to_identification", "to_outputs")[-len(steps) :]
@@ -320,7 +320,7 @@ def found_on(
     all_sky = next((hint for hint in own_hints if isinstance(hint, AllSky)), None)
     progress("identifying" if all_sky is None else "searching the whole sky")
     try:
-        found = solve(
+        match = solve(
             measured,
             stars,
             own_hints,
@@ -340,35 +340,35 @@ def found_on(
             "doubt: the header has no time of the exposure (DATE-OBS, MJD-OBS, JD), so the stars were left at "
             f"epoch {stars.epoch_jyr:.1f}; "
         )
-        found = replace(found, notes=(*found.notes, Message(text, naming("give {time:DATE}"))))
-    return found, stars
+        match = replace(match, notes=(*match.notes, Message(text, naming("give {time:DATE}"))))
+    return match, stars
 
 
 def _write(
-    request: FrameRequest, frame: Frame, found: FrameIdentification, outcome: dict[str, Any], facts: dict[str, Any]
+    request: FrameRequest, frame: Frame, match: FrameIdentification, outcome: dict[str, Any], facts: dict[str, Any]
 ) -> None:
     paths = request.outputs()
-    rows = listing(found)
+    rows = listing(match)
     if outcome["epoch_jyr"] is not None:
         rows.meta["REFEPOCH"] = outcome["epoch_jyr"]
     write_table(rows, paths["table"], provenance=_provenance(outcome))
-    write_solution(found.plate, paths["solution"])
-    radius = 2.0 * found.measured.psf_fwhm_px * outcome["place"]["scale_arcsec_per_px"]
+    write_solution(match.plate, paths["solution"])
+    radius = 2.0 * match.measured.psf_fwhm_px * outcome["place"]["scale_arcsec_per_px"]
     write_regions(rows, paths["regions"], radius_arcsec=radius)
     if "copy" in paths:
-        write_copy(found.plate, request.path, paths["copy"])
+        write_copy(match.plate, request.path, paths["copy"])
     if "page" in paths:
         from sameas.pages.frame import write_frame_page
 
-        write_frame_page(found, frame, paths["page"], brightest=request.brightest, facts=facts)
+        write_frame_page(match, frame, paths["page"], brightest=request.brightest, facts=facts)
     if "picture" in paths:
         from sameas.plots.frame import picture, quality
         from sameas.plots.sheet import save
 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            save(picture(found, frame, brightest=request.brightest), paths["picture"])
-            save(quality(found), paths["quality"])
+            save(picture(match, frame, brightest=request.brightest), paths["picture"])
+            save(quality(match), paths["quality"])
 
 
 def _provenance(outcome: Mapping[str, Any]) -> dict[str, Any]:

@@ -142,9 +142,9 @@ class MatchMany(Result):
 
         names = [catalogue.name for catalogue in self.sky.catalogues]
         wanted = (first or names[0], second or next(n for n in names if n != (first or names[0])))
-        for pair, found in self.sky.two_by_two.items():
+        for pair, match in self.sky.two_by_two.items():
             if set(pair) == set(wanted):
-                return draw(found, name)
+                return draw(match, name)
         raise InputError(f"no catalogues {wanted[0]} and {wanted[1]}; give two of {', '.join(names)}")
 
     def write(
@@ -251,8 +251,8 @@ def match_many(
     options.of_two().check()
     request = Request(tuple(map(as_source, sources)), options, stated, tuple(names or ()))
     catalogues = request.catalogues()
-    found = identified(request, catalogues, progress=progress)
-    return MatchMany(found, request, least, call_text(match_many, sources, own | stated))
+    match = identified(request, catalogues, progress=progress)
+    return MatchMany(match, request, least, call_text(match_many, sources, own | stated))
 
 
 def identified(
@@ -261,5 +261,5 @@ def identified(
     """The match of the catalogues of a request, which are read already."""
     from sameas.sky.many import match_many as identify
 
-    found: ManyMatch = request.naming_sides(lambda: identify(catalogues, request.options, progress=progress))
-    return found
+    match: ManyMatch = request.naming_sides(lambda: identify(catalogues, request.options, progress=progress))
+    return match

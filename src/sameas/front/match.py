@@ -63,10 +63,10 @@ class Match(Result):
     call: str = ""
 
     @classmethod
-    def of_sky(cls, found: SkyMatch, request: Request[MatchOptions], **table: Any) -> Match:
+    def of_sky(cls, match: SkyMatch, request: Request[MatchOptions], **table: Any) -> Match:
         """The match of two catalogues, with the request that it answers."""
         notes = (request.twice,) if request.twice else ()
-        return cls(found.result, found.estimate, found, request=request, notes=notes, **table)
+        return cls(match.result, match.estimate, match, request=request, notes=notes, **table)
 
     def __len__(self) -> int:
         return len(self.identification.matches)
@@ -276,15 +276,15 @@ class Match(Result):
         return f"Match of {' and '.join(sizes)}: {pairs}, {wrong} expected wrong"
 
 
-def draw(found: SkyMatch, name: str, record: Any = None) -> Figure:
+def draw(match: SkyMatch, name: str, record: Any = None) -> Figure:
     """The plot ``name`` of a match of two catalogues; see :meth:`Match.plot`."""
     from sameas import plots
 
     if name not in PLOTS:
         raise InputError(f"there is no plot {name!r}; give one of {', '.join(PLOTS)}")
     if name == PLOTS[-1]:
-        return plots.group(found, record=record)
-    figure: Figure = getattr(plots, name)(found)
+        return plots.group(match, record=record)
+    figure: Figure = getattr(plots, name)(match)
     return figure
 
 

@@ -86,17 +86,17 @@ class MoverOptions:
         observer = None if header is None else Observer.read(header)
         return cls(least, probability, None if elements is None else Elements.read(elements), observer, reported, site)
 
-    def in_report(self, found: Movers) -> BoolArray:
+    def in_report(self, movers: Movers) -> BoolArray:
         """(n,) which tracklets are in the report."""
-        return found.p_tracklet >= self.reported
+        return movers.p_tracklet >= self.reported
 
-    def table(self, found: Movers, known: KnownObjects | None) -> Table:
+    def table(self, movers: Movers, known: KnownObjects | None) -> Table:
         """The tracklets, with the names of known objects and whether each is in the report, where there is one."""
-        table = found.table()
+        table = movers.table()
         if known is not None:
-            known.into(table, found)
+            known.into(table, movers)
         if self.observer is not None:
-            table["in_report"] = self.in_report(found)
+            table["in_report"] = self.in_report(movers)
         return table
 
 
@@ -168,12 +168,12 @@ class NightMovers:
 
 
 def _write_reports(
-    found: Movers, known: KnownObjects | None, options: MoverOptions, paths: Iterable[Path],
+    movers: Movers, known: KnownObjects | None, options: MoverOptions, paths: Iterable[Path],
     series: Series | None = None,
 ) -> None:  # fmt: skip
     """Write the reports of the options' observer, one path for each of :data:`sameas.io.ades.REPORTS`."""
     assert options.observer is not None
-    rows = observations(found, known, np.flatnonzero(options.in_report(found)), series)
+    rows = observations(movers, known, np.flatnonzero(options.in_report(movers)), series)
     for path, write in zip(paths, REPORTS.values(), strict=True):
         write(rows, options.observer, path, software=f"sameas {sameas.__version__}")
 
@@ -183,14 +183,16 @@ def night_movers(
 ) -> NightMovers:
     """The movers of a night of detections, named where elements are given. progress, say : as :func:`read_night`."""
     progress("searching")
-    found = find_movers(night.detections, others=night.others, least=options.least, min_probability=options.probability)
-    say([*excluded_lines(found), *model_lines(found), "", *mover_lines(found), ""])
+    movers = find_movers(
+        night.detections, others=night.others, least=options.least, min_probability=options.probability
+    )
+    say([*excluded_lines(movers), *model_lines(movers), "", *mover_lines(movers), ""])
     known = None
     if options.elements is not None:
         progress("predicting known objects")
-        known = name_movers(found, options.elements, site=options.site)
-        say([*known_lines(found, known, options.site is not None), ""])
-    return NightMovers(found, known, options, night.paths)
+        known = name_movers(movers, options.elements, site=options.site)
+        say([*known_lines(movers, known, options.site is not None), ""])
+    return NightMovers(movers, known, options, night.paths)
 
 
 @dataclass(frozen=True)
@@ -244,12 +246,12 @@ class SeriesMovers:
         from sameas.front.series import write_folder
         from sameas.pages.frame import write_movers_page
 
-        found, series, known, below = self.found, self.field.series, self.known, self.below
+        movers, series, known, below = self.found, self.field.series, self.known, self.below
         facts = {**program(), "catalogue": catalogue}
-        tables = {"movers": found.detection_table(), "tracklets": self.options.table(found, known)}
+        tables = {"movers": movers.detection_table(), "tracklets": self.options.table(movers, known)}
         if below is not None:
             tables["below-limit"] = below.table()
-        in_report = None if self.options.observer is None else self.options.in_report(found)
+        in_report = None if self.options.observer is None else self.options.in_report(movers)
         written = []
         with filling(folder) as draft:
             for name in ("movers", "tracklets"):
@@ -257,13 +259,13 @@ class SeriesMovers:
                 write_table(tables[name], draft / written[-1], provenance=facts)
             if in_report is not None:
                 reports = [f"report.{end}" for end in REPORTS]
-                _write_reports(found, known, self.options, [draft / name for name in reports], series)
+                _write_reports(movers, known, self.options, [draft / name for name in reports], series)
                 written += reports
             if below is not None:
                 written.append("below-limit.fits")
                 write_table(tables["below-limit"], draft / written[-1], provenance=facts)
             shown = None if below is None else (below.candidates.movers, below.pixels, below.known)
-            write_movers_page(draft / "movers.html", title, found, series, self.pixels, known, shown, in_report)
+            write_movers_page(draft / "movers.html", title, movers, series, self.pixels, known, shown, in_report)
             written += ["movers.html", *self._drawn(draft)]
             link = "movers.html", self._link_words()
             written += write_folder(
@@ -282,10 +284,10 @@ class SeriesMovers:
         return ["movers.png"]
 
     def _link_words(self) -> str:
-        known, found = self.known, self.found
-        names = [] if known is None else [known.name(k) for k in range(len(found)) if known.object[k] >= 0]
+        known, movers = self.known, self.found
+        names = [] if known is None else [known.name(k) for k in range(len(movers)) if known.object[k] >= 0]
         shown = ", ".join(names[:3]) + (" …" if len(names) > 3 else "")
-        return f"Movers: {counted(len(found), 'candidate')}{f', {shown} among them' if names else ''}"
+        return f"Movers: {counted(len(movers), 'candidate')}{f', {shown} among them' if names else ''}"
 
 
 def series_movers(
@@ -324,23 +326,23 @@ def series_movers(
         )
     members = fields[0].members
     tied = with_trails(fields[0].series, (one.frame() for one in members))
-    found, series = search(tied, least=options.least, min_probability=min(options.probability, FAINT))
+    movers, series = search(tied, least=options.least, min_probability=min(options.probability, FAINT))
     field = replace(fields[0], series=series)
-    pixels = stack(found, series, (one.frame() for one in members))
-    found, pixels = confirmed(found, pixels, options.probability)
+    pixels = stack(movers, series, (one.frame() for one in members))
+    movers, pixels = confirmed(movers, pixels, options.probability)
     options = replace(options, site=options.site or _site(members))
-    found = replace(found, near_earth=near_earth_scores(found, options.site))
-    say(["", *series_lines(series), "", *model_lines(found), "", *mover_lines(found)])
+    movers = replace(movers, near_earth=near_earth_scores(movers, options.site))
+    say(["", *series_lines(series), "", *model_lines(movers), "", *mover_lines(movers)])
     known = None
     if options.elements is not None:
-        known = name_movers(found, options.elements, site=options.site)
-        say(["", *known_lines(found, known, options.site is not None)])
-    below = None if below_limit is None else _below(found, field, known, options, below_limit, say)
-    return SeriesMovers(found, field, pixels, known, below, options, tuple(failed), tuple(reasons))
+        known = name_movers(movers, options.elements, site=options.site)
+        say(["", *known_lines(movers, known, options.site is not None)])
+    below = None if below_limit is None else _below(movers, field, known, options, below_limit, say)
+    return SeriesMovers(movers, field, pixels, known, below, options, tuple(failed), tuple(reasons))
 
 
 def _below(
-    found: Movers, field: FieldSeries, known: KnownObjects | None, options: MoverOptions, fastest: float, say: Say
+    movers: Movers, field: FieldSeries, known: KnownObjects | None, options: MoverOptions, fastest: float, say: Say
 ) -> FaintMovers:
     """The search below the detection limit, to a rate in arcsec/min."""
     from sameas.sky.movers.below_limit import Plan, search_below_limit
@@ -348,11 +350,11 @@ def _below(
 
     say(["", *plan_lines(Plan.of(field.series, fastest))])
     frames = [one.frame for one in field.members]
-    below = search_below_limit(found, field.series, frames, fastest, min_probability=options.probability)
+    below = search_below_limit(movers, field.series, frames, fastest, min_probability=options.probability)
     say(below_lines(below))
     names, elements = None, options.elements
     if elements is not None and known is not None:
-        named = {known.name(k) for k in range(len(found)) if known.object[k] >= 0}
+        named = {known.name(k) for k in range(len(movers)) if known.object[k] >= 0}
         rest = elements.some(np.array([k for k, name in enumerate(elements.name) if name not in named], np.int64))
         names = name_movers(below.movers, rest, site=options.site)
         if len(below):

@@ -388,10 +388,10 @@ def _source(source: SensorSource) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _offset(found: SourceBiases) -> dict[str, Any]:
+def _offset(biases: SourceBiases) -> dict[str, Any]:
     return {
-        "source": found.source, "against": list(found.against), "established": found.established,
-        "parameters": {name: asdict(it) for name, it in found.parameters.items()}, "words": list(found.lines()),
+        "source": biases.source, "against": list(biases.against), "established": biases.established,
+        "parameters": {name: asdict(it) for name, it in biases.parameters.items()}, "words": list(biases.lines()),
     }  # fmt: skip
 
 

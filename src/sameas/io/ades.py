@@ -195,13 +195,13 @@ class Observation:
 
 
 def observations(
-    found: Movers, known: KnownObjects | None, which: IntArray, series: Series | None = None
+    movers: Movers, known: KnownObjects | None, which: IntArray, series: Series | None = None
 ) -> list[Observation]:
     """The rows of a report of those tracklets, tracklet by tracklet.
 
     series : that the detections are of; magnitudes are then those of its frames, errors have those of their plates.
     """
-    detections, out = found.detections, []
+    detections, out = movers.detections, []
     if series is None:
         error = np.where(detections.magnitude_error > 0, detections.magnitude_error, np.nan)
         covariance, magnitude, snr = detections.covariance, detections.magnitude, POGSON / error
@@ -211,10 +211,10 @@ def observations(
             for name in ("covariance", "magnitude", "snr")
         )
     for k in which.tolist():
-        for row in found.members[k][found.members[k] >= 0].tolist():
+        for row in movers.members[k][movers.members[k] >= 0].tolist():
             out.append(
                 Observation.of(
-                    found.names[k], detections.mjd_utc[row], (detections.ra_deg[row], detections.dec_deg[row]),
+                    movers.names[k], detections.mjd_utc[row], (detections.ra_deg[row], detections.dec_deg[row]),
                     covariance[row], magnitude=float(magnitude[row]),
                     magnitude_error=float(detections.magnitude_error[row]),
                     snr=float(snr[row]), permanent="" if known is None else known.number(k),

@@ -36,7 +36,7 @@ COMPETITORS, LEAST = 6, 1e-6
 
 
 def write_frame_page(
-    found: FrameIdentification,
+    match: FrameIdentification,
     frame: Frame,
     path: str | os.PathLike[str],
     *,
@@ -53,97 +53,97 @@ def write_frame_page(
     InputError : the path cannot be written.
     """
     with replacing(path) as draft:
-        draft.write_text(frame_page(found, frame, brightest=brightest, facts=facts), encoding="utf-8")
+        draft.write_text(frame_page(match, frame, brightest=brightest, facts=facts), encoding="utf-8")
 
 
 def frame_page(
-    found: FrameIdentification, frame: Frame, *, brightest: int | None = None, facts: Mapping[str, Any] | None = None
+    match: FrameIdentification, frame: Frame, *, brightest: int | None = None, facts: Mapping[str, Any] | None = None
 ) -> str:
     """The page as text; arguments as for :func:`write_frame_page`."""
     factor = binning(frame.shape)
     grey = stretched(binned(frame.image, factor))[::-1]
     picture = base64.b64encode(png(np.ascontiguousarray(grey))).decode("ascii")
-    facts = summary(found, frame) if facts is None else facts
+    facts = summary(match, frame) if facts is None else facts
     marks = {
         "css": asset("frame.css"),
         "js": asset("chart.js") + asset("frame.js"),
         "picture": picture,
-        "data": script_safe(_data(found, facts, factor, brightest)),
+        "data": script_safe(_data(match, facts, factor, brightest)),
     }
-    return page_of("frame.html", found.measured.name, "identified", marks)
+    return page_of("frame.html", match.measured.name, "identified", marks)
 
 
-def _data(found: FrameIdentification, facts: Mapping[str, Any], factor: int, brightest: int | None) -> dict[str, Any]:
-    rows, columns = found.measured.shape
-    listed = _listed_stars(found)
-    number = np.full(len(found.stars), ABSENT)
+def _data(match: FrameIdentification, facts: Mapping[str, Any], factor: int, brightest: int | None) -> dict[str, Any]:
+    rows, columns = match.measured.shape
+    listed = _listed_stars(match)
+    number = np.full(len(match.stars), ABSENT)
     number[listed] = np.arange(len(listed))
     return {
-        "name": found.measured.name,
-        "catalogue": found.stars.name,
-        "colour": found.stars.colour_name,
+        "name": match.measured.name,
+        "catalogue": match.stars.name,
+        "colour": match.stars.colour_name,
         "shape": [rows, columns],
         "bin": factor,
-        "width_px": rounded(found.measured.psf_fwhm_px, 2),
+        "width_px": rounded(match.measured.psf_fwhm_px, 2),
         "brightest": brightest,
-        "expected": found.tuning.p_expected,
-        "odd": found.pairs[0][found.odd_brightness].tolist(),
+        "expected": match.tuning.p_expected,
+        "odd": match.pairs[0][match.odd_brightness].tolist(),
         "summary": facts,
-        "measured": _measured(found, number),
-        "stars": _stars(found, listed),
-        "relation": _relation(found),
+        "measured": _measured(match, number),
+        "stars": _stars(match, listed),
+        "relation": _relation(match),
     }
 
 
-def _listed_stars(found: FrameIdentification) -> IntArray:
+def _listed_stars(match: FrameIdentification) -> IntArray:
     """Rows of the catalogue stars on the page: identified, candidates, or missing."""
-    listed = np.zeros(len(found.stars), np.bool_)
-    listed[found.missing] = True
-    listed[found.result.rows_2[found.result.p_pair >= LEAST]] = True
-    listed[found.pairs[1]] = True
+    listed = np.zeros(len(match.stars), np.bool_)
+    listed[match.missing] = True
+    listed[match.result.rows_2[match.result.p_pair >= LEAST]] = True
+    listed[match.pairs[1]] = True
     return np.flatnonzero(listed)
 
 
-def _measured(found: FrameIdentification, number: IntArray) -> dict[str, Any]:
-    m, result = found.measured, found.result
-    ra, dec, _ = found.plate.to_sky(m.x_px, m.y_px)
+def _measured(match: FrameIdentification, number: IntArray) -> dict[str, Any]:
+    m, result = match.measured, match.result
+    ra, dec, _ = match.plate.to_sky(m.x_px, m.y_px)
     partner = result.answers_1.partner
     sigma = m.sigma_px()
     flags = sorted({Flag.words(bits) for bits in m.flags})
     magnitude = np.full(len(m), np.nan)
-    if found.zero_point is not None:
+    if match.zero_point is not None:
         rows = np.where(np.ma.getmaskarray(partner), 0, np.ma.getdata(partner))
-        colour = np.where(np.ma.getmaskarray(partner), np.nan, found.stars.colour[rows])
-        magnitude = found.zero_point(m.flux, colour)
+        colour = np.where(np.ma.getmaskarray(partner), np.nan, match.stars.colour[rows])
+        magnitude = match.zero_point(m.flux, colour)
     px, arc, chi = np.full((len(m), 2), np.nan), np.full((len(m), 2), np.nan), np.full(len(m), np.nan)
-    i = found.pairs[0]
-    px[i], arc[i], chi[i] = found.residual_px, found.residual_arcsec, result.matches.mahalanobis
+    i = match.pairs[0]
+    px[i], arc[i], chi[i] = match.residual_px, match.residual_arcsec, result.matches.mahalanobis
     excess = np.full(len(m), np.nan)
-    excess[i] = found.excess_mag
+    excess[i] = match.excess_mag
     return {
         "x": column(m.x_px, 2), "y": column(m.y_px, 2), "sx": column(sigma[:, 0], 3), "sy": column(sigma[:, 1], 3),
         "ra": column(ra, 6), "dec": column(dec, 6), "flux": column(m.flux, 1),
         "inst": column(instrumental(m.flux), 3),
         "mag": column(magnitude, 3), "excess": column(excess, 2), "snr": column(m.snr, 1), "fwhm": column(m.fwhm_px, 2),
-        "beyond": found.beyond_catalogue.tolist(),
+        "beyond": match.beyond_catalogue.tolist(),
         "words": flags, "flags": [flags.index(Flag.words(bits)) for bits in m.flags],
         "star": [None if masked else int(number[row]) for row, masked in _masked(partner)],
         "none": column(result.answers_1.p_none.filled(np.nan), 6),
         "dx": column(px[:, 0], 3), "dy": column(px[:, 1], 3), "de": column(arc[:, 0], 4),
         "dn": column(arc[:, 1], 4), "chi": column(chi, 2),
-        "rivals": _rivals(found, number),
+        "rivals": _rivals(match, number),
     }  # fmt: skip
 
 
-def _rivals(found: FrameIdentification, number: IntArray) -> list[list[list[Any]]]:
+def _rivals(match: FrameIdentification, number: IntArray) -> list[list[list[Any]]]:
     """Per measurement its candidates, most probable first.
 
     Each is [star, probability, offset x, y in px, distance in quoted σ, 1 if chosen].
     """
-    result = found.result
+    result = match.result
     candidates = np.flatnonzero((result.p_pair >= LEAST) | result.chosen)
     candidates = candidates[np.argsort(-result.p_pair[candidates], kind="stable")]
-    rivals: list[list[list[Any]]] = [[] for _ in range(len(found.measured))]
+    rivals: list[list[list[Any]]] = [[] for _ in range(len(match.measured))]
     for e in candidates:
         candidates_of = rivals[int(result.rows_1[e])]
         if len(candidates_of) < COMPETITORS:
@@ -156,33 +156,33 @@ def _rivals(found: FrameIdentification, number: IntArray) -> list[list[list[Any]
     return rivals
 
 
-def _stars(found: FrameIdentification, listed: IntArray) -> dict[str, Any]:
-    stars, px = found.stars, found.predicted_px[listed]
+def _stars(match: FrameIdentification, listed: IntArray) -> dict[str, Any]:
+    stars, px = match.stars, match.predicted_px[listed]
     owner = np.full(len(stars), ABSENT)
-    owner[found.pairs[1]] = found.pairs[0]
+    owner[match.pairs[1]] = match.pairs[0]
     missing = np.zeros(len(stars), np.bool_)
-    missing[found.missing] = True
+    missing[match.missing] = True
     missing_rows = np.flatnonzero(missing[listed])
     words = [""] * len(listed)
-    for k, why in zip(missing_rows, why_missing(found, listed[missing_rows]), strict=True):
+    for k, why in zip(missing_rows, why_missing(match, listed[missing_rows]), strict=True):
         words[int(k)] = why
     return {
         "id": [str(name) for name in stars.ids[listed]], "x": column(px[:, 0], 2), "y": column(px[:, 1], 2),
         "ra": column(stars.ra_deg[listed], 6), "dec": column(stars.dec_deg[listed], 6),
         "mag": column(stars.magnitude[listed], 3), "tint": column(stars.colour[listed], 3),
         "east": column(stars.moved_arcsec[listed, 0], 3), "north": column(stars.moved_arcsec[listed, 1], 3),
-        "shown": column(found.p_detect[listed], 3), "missing": missing[listed].astype(int).tolist(), "why": words,
+        "shown": column(match.p_detect[listed], 3), "missing": missing[listed].astype(int).tolist(), "why": words,
         "owner": [None if row < 0 else int(row) for row in owner[listed]],
     }  # fmt: skip
 
 
-def _relation(found: FrameIdentification) -> list[list[float | None]]:
+def _relation(match: FrameIdentification) -> list[list[float | None]]:
     """Points (instrumental magnitude, magnitude) of the fitted relation, for a line in the diagram."""
-    if found.zero_point is None or not len(found.pairs[0]):
+    if match.zero_point is None or not len(match.pairs[0]):
         return []
-    measured = instrumental(found.measured.flux[found.pairs[0]])
+    measured = instrumental(match.measured.flux[match.pairs[0]])
     grid = np.linspace(np.nanmin(measured), np.nanmax(measured), 60)
-    return [[rounded(a, 5), rounded(b, 5)] for a, b in zip(grid, found.zero_point(10 ** (-0.4 * grid)), strict=True)]
+    return [[rounded(a, 5), rounded(b, 5)] for a, b in zip(grid, match.zero_point(10 ** (-0.4 * grid)), strict=True)]
 
 
 def _masked(column: np.ma.MaskedArray) -> zip[tuple[Any, Any]]:
@@ -240,10 +240,10 @@ def write_movers_page(
         draft.write_text(page_of("movers.html", title, "movers", marks), encoding="utf-8")
 
 
-def _mover(found: Movers, series: Series, pixels: Stack, known: KnownObjects | None, k: int) -> dict[str, Any]:
+def _mover(movers: Movers, series: Series, pixels: Stack, known: KnownObjects | None, k: int) -> dict[str, Any]:
     shown = _frames(pixels, k)
-    detections, rows = found.detections, found.members[k][found.members[k] >= 0]
-    east, north = found.rate_arcsec_per_min[k]
+    detections, rows = movers.detections, movers.members[k][movers.members[k] >= 0]
+    east, north = movers.rate_arcsec_per_min[k]
     light = detections.magnitude[rows]
     fixed = pixels.fixed[k]
     usual = float(np.nanmedian(pixels.error[k])) if np.isfinite(pixels.error[k]).any() else 1.0
@@ -266,20 +266,20 @@ def _mover(found: Movers, series: Series, pixels: Stack, known: KnownObjects | N
             "frame": detections.frame_names[detections.frame[row]], "mjd": float(detections.mjd_utc[row]),
             "ra": float(detections.ra_deg[row]), "dec": float(detections.dec_deg[row]),
             "magnitude": rounded(detections.magnitude[row], 3),
-            "p": rounded(found.p_member[k, n], 6), "east": rounded(found.residual_arcsec[row, 0], 4),
-            "north": rounded(found.residual_arcsec[row, 1], 4),
+            "p": rounded(movers.p_member[k, n], 6), "east": rounded(movers.residual_arcsec[row, 0], 4),
+            "north": rounded(movers.residual_arcsec[row, 1], 4),
             "sigma": rounded(float(np.sqrt(detections.covariance[row, 0])), 4),
         }
         for n, row in enumerate(rows.tolist())
     ]  # fmt: skip
     return {
-        "name": found.names[k], "p": float(found.p_tracklet[k]), "chance": float(found.expected_chance[k]),
+        "name": movers.names[k], "p": float(movers.p_tracklet[k]), "chance": float(movers.expected_chance[k]),
         "rate": float(np.hypot(east, north)), "angle": float(np.degrees(np.arctan2(east, north)) % 360.0),
-        "scatter": rounded(found.scatter_arcsec[k], 4),
+        "scatter": rounded(movers.scatter_arcsec[k], 4),
         "magnitude": rounded(float(np.nanmedian(light)), 3) if np.isfinite(light).any() else None,
         "snr": rounded(pixels.snr[k], 2), "scale": pixels.scale_arcsec_per_px, "frames": frames, "rows": each,
-        "reasons": [list(one) for one in reasons(found, pixels, k)], "known": _known(found, known, k),
-        "added": found.added,
+        "reasons": [list(one) for one in reasons(movers, pixels, k)], "known": _known(movers, known, k),
+        "added": movers.added,
         "along": _sheet(pixels.along[k][shown], top), "fixed": None if fixed is None else _sheet(fixed[shown], top),
         "stack": _sheet(pixels.stacked[k][None], max(_WHITE, 0.8 * float(pixels.stacked[k].max()))),
     }  # fmt: skip
@@ -295,10 +295,10 @@ def _frames(pixels: Stack, k: int) -> NDArray[np.int64]:
     return np.asarray(choice[np.unique(np.linspace(0, len(choice) - 1, MAX_FRAMES).astype(np.int64))])
 
 
-def _known(found: Movers, known: KnownObjects | None, k: int) -> dict[str, Any] | None:
+def _known(movers: Movers, known: KnownObjects | None, k: int) -> dict[str, Any] | None:
     if known is None or known.object[k] < 0:
         return None
-    east, north = known.mean_offset(found, k)
+    east, north = known.mean_offset(movers, k)
     return {
         "name": known.name(k), "p": float(known.p[k]), "east": rounded(east, 3), "north": rounded(north, 3),
         "v": rounded(known.magnitude[k], 2),

@@ -300,9 +300,9 @@ class LivePicture:
         It takes as long as for a file of these minutes. To estimate in another process, use :meth:`recent`,
         :func:`estimated` and :meth:`take_off`.
         """
-        found = estimated(self.recent(), self.plane, self.tuning)
-        self.take_off(found)
-        return found.biases
+        registered = estimated(self.recent(), self.plane, self.tuning)
+        self.take_off(registered)
+        return registered.biases
 
     def recent(self) -> list[tuple[Description, Reports]]:
         """The sources that have reports in the last minutes, with these reports.
@@ -330,10 +330,10 @@ class LivePicture:
         """The records of instants of the last minutes, for :func:`sameas.picture.deception.deceptions`."""
         return gathered(list(self._sightings))
 
-    def take_off(self, found: Registered) -> None:
+    def take_off(self, registered: Registered) -> None:
         """Subtracts the established biases at later instants; for other sources, and those held, the previous stay."""
-        self._heights = found.heights or self._heights
-        for biases in found.biases:
+        self._heights = registered.heights or self._heights
+        for biases in registered.biases:
             self._estimates[biases.source] = biases
             if biases.established and biases.theta is not None and biases.source not in self._held:
                 self._biases[biases.source] = biases

@@ -40,12 +40,12 @@ ARROWS = 1500
 LIMIT_SCATTERS, LEAST_LIMIT_MAG = 12.0, 0.1
 
 
-def picture(found: FrameIdentification, frame: Frame, *, brightest: int | None = None) -> Figure:
+def picture(match: FrameIdentification, frame: Frame, *, brightest: int | None = None) -> Figure:
     """The image with marks on identified stars, unidentified measurements and missing stars.
 
     brightest : maximum number of identified stars to mark, the brightest first; None: all.
     """
-    rows, columns = found.measured.shape
+    rows, columns = match.measured.shape
     side = 11.0
     wide, high = (side, side * rows / columns) if columns >= rows else (side * columns / rows, side)
     wide, high = max(wide, 5.0), max(high, 4.0)
@@ -56,27 +56,27 @@ def picture(found: FrameIdentification, frame: Frame, *, brightest: int | None =
     extent = (-0.5, columns - 0.5, -0.5, rows - 0.5)
     axes.imshow(grey, cmap="gray", origin="lower", extent=extent, interpolation="antialiased", vmin=0, vmax=255)
     axes.set_axis_off()
-    handles = _marks(axes, found, brightest)
-    _compass(axes, found)
-    _scale_bar(axes, found)
-    _words(figure, found, handles, total)
+    handles = _marks(axes, match, brightest)
+    _compass(axes, match)
+    _scale_bar(axes, match)
+    _words(figure, match, handles, total)
     axes.set_xlim(extent[:2])
     axes.set_ylim(extent[2:])
     return figure
 
 
-def brightest_pairs(found: FrameIdentification, number: int | None) -> IntArray:
+def brightest_pairs(match: FrameIdentification, number: int | None) -> IntArray:
     """(number,) indices of the identified pairs, brightest first; all if ``number`` is None."""
-    order = np.argsort(-found.measured.flux[found.pairs[0]], kind="stable")
+    order = np.argsort(-match.measured.flux[match.pairs[0]], kind="stable")
     return order[:number]
 
 
-def _marks(axes: Axes, found: FrameIdentification, brightest: int | None) -> list[Any]:
+def _marks(axes: Axes, match: FrameIdentification, brightest: int | None) -> list[Any]:
     """Draws circles (larger for brighter stars), crosses and diamonds; returns the handles of the legend."""
     from matplotlib.collections import EllipseCollection
 
-    m, (i, _, p) = found.measured, found.pairs
-    marked = brightest_pairs(found, brightest)
+    m, (i, _, p) = match.measured, match.pairs
+    marked = brightest_pairs(match, brightest)
     unit = m.psf_fwhm_px * max(1.0, m.shape[1] / 1600)
     magnitude = instrumental(m.flux[i[marked]])
     faint = float(np.nanquantile(instrumental(m.flux), 0.9))
@@ -99,9 +99,9 @@ def _marks(axes: Axes, found: FrameIdentification, brightest: int | None) -> lis
                 transOffset=axes.transData,
             )
         )
-    beyond = found.beyond_catalogue
-    unidentified = np.setdiff1d(found.result.leftovers_1, beyond)
-    missing = found.predicted_px[found.missing]
+    beyond = match.beyond_catalogue
+    unidentified = np.setdiff1d(match.result.leftovers_1, beyond)
+    missing = match.predicted_px[match.missing]
     axes.plot(m.x_px[unidentified], m.y_px[unidentified], "x", color=YELLOW, ms=3.2, mew=0.6, alpha=0.9)
     axes.plot(*missing.T, "D", color="none", markeredgecolor=RED, ms=4.4, mew=0.7)
     dotted = int(np.count_nonzero(~sure))
@@ -134,10 +134,10 @@ def _beyond(number: int) -> str:
     return f" (and {count(number)} fainter than its limit, not marked)" if number else ""
 
 
-def _compass(axes: Axes, found: FrameIdentification) -> None:
+def _compass(axes: Axes, match: FrameIdentification) -> None:
     """Arrows north and east in the upper right corner."""
-    rows, columns = found.measured.shape
-    slope = found.plate.polynomial.slope(np.array([[columns - 1.0, rows - 1.0]]) / 2.0)[0]
+    rows, columns = match.measured.shape
+    slope = match.plate.polynomial.slope(np.array([[columns - 1.0, rows - 1.0]]) / 2.0)[0]
     to_px = np.linalg.inv(slope)
     length = 0.055 * min(rows, columns)
     at = np.array([columns - 1.9 * length, rows - 1.9 * length])
@@ -151,9 +151,9 @@ def _compass(axes: Axes, found: FrameIdentification) -> None:
         )
 
 
-def _scale_bar(axes: Axes, found: FrameIdentification) -> None:
-    rows, columns = found.measured.shape
-    scale = orientation(found)[0]
+def _scale_bar(axes: Axes, match: FrameIdentification) -> None:
+    rows, columns = match.measured.shape
+    scale = orientation(match)[0]
     units = ((3600.0, "°"), (60.0, "′"), (1.0, "″"))
     unit, words = next((each for each in units if 0.22 * columns * scale >= each[0]), units[-1])
     longest = 0.22 * columns * scale / unit
@@ -164,18 +164,18 @@ def _scale_bar(axes: Axes, found: FrameIdentification) -> None:
     axes.text(x + px / 2, y + 0.012 * rows, f"{length:g}{words}", color=PAPER, fontsize=10, ha="center", va="bottom")
 
 
-def _words(figure: Figure, found: FrameIdentification, handles: list[Any], high: float) -> None:
-    rows, columns = found.measured.shape
-    ra, dec, _ = found.plate.to_sky((columns - 1) / 2.0, (rows - 1) / 2.0)
-    scale = orientation(found)[0]
-    scatter = found.scatter_arcsec
+def _words(figure: Figure, match: FrameIdentification, handles: list[Any], high: float) -> None:
+    rows, columns = match.measured.shape
+    ra, dec, _ = match.plate.to_sky((columns - 1) / 2.0, (rows - 1) / 2.0)
+    scale = orientation(match)[0]
+    scatter = match.scatter_arcsec
     left = 0.25 / figure.get_figwidth()
-    figure.text(left, 1 - 0.34 / high, found.measured.name, color=PAPER, fontsize=15, fontweight="bold", va="center")
-    when = "" if found.stars.epoch_jyr is None else f" · epoch {found.stars.epoch_jyr:.2f}"
+    figure.text(left, 1 - 0.34 / high, match.measured.name, color=PAPER, fontsize=15, fontweight="bold", va="center")
+    when = "" if match.stars.epoch_jyr is None else f" · epoch {match.stars.epoch_jyr:.2f}"
     size = f"{_angle(columns * scale)} × {_angle(rows * scale)}, {scale:.3g}″ per pixel"
     figure.text(
         left, 1 - 0.62 / high,
-        f"{ra[0]:.4f}° {dec[0]:+.4f}° · {size}{when} · {found.stars.name} · "
+        f"{ra[0]:.4f}° {dec[0]:+.4f}° · {size}{when} · {match.stars.name} · "
         f"scatter {scatter[0]:.2g}″ × {scatter[1]:.2g}″",
         color=DIM, fontsize=10, va="center",
     )  # fmt: skip
@@ -194,41 +194,41 @@ def _angle(arcsec: float) -> str:
     return f"{arcsec:.3g}″"
 
 
-def quality(found: FrameIdentification) -> Figure:
+def quality(match: FrameIdentification) -> Figure:
     """Four panels: residuals over the frame and by magnitude, the photometric relation, and completeness.
 
     The last two need magnitudes of the catalogue.
     """
-    left, i = found.residual_arcsec, found.pairs[0]
-    scatter = found.scatter_arcsec
-    subtitle = f"{count(len(i))} identified stars of {found.stars.name} on {found.measured.name}; {_model(found)}"
+    left, i = match.residual_arcsec, match.pairs[0]
+    scatter = match.scatter_arcsec
+    subtitle = f"{count(len(i))} identified stars of {match.stars.name} on {match.measured.name}; {_model(match)}"
     title = "No star was identified" if not len(i) else f"Stars lie within {scatter[0]:.2g}″ × {scatter[1]:.2g}″ (1σ)"
-    with_magnitudes = found.zero_point is not None or found.completeness is not None
+    with_magnitudes = match.zero_point is not None or match.completeness is not None
     figure = sheet(title, subtitle, 12.0, 10.4 if with_magnitudes else 5.8)
     if not len(i):
         return figure
     panels = figure.subplots(2 if with_magnitudes else 1, 2).ravel()
-    _arrows(panels[0], found)
-    _against_brightness(panels[1], found, left)
+    _arrows(panels[0], match)
+    _against_brightness(panels[1], match, left)
     if with_magnitudes:
-        _magnitudes(panels[2], found)
-        _complete(panels[3], found)
+        _magnitudes(panels[2], match)
+        _complete(panels[3], match)
     return figure
 
 
-def _model(found: FrameIdentification) -> str:
-    plate = found.plate
+def _model(match: FrameIdentification) -> str:
+    plate = match.plate
     larger = f", rms residual {plate.error_scale:.2f} times the quoted errors" if plate.error_scale > 1.005 else ""
     floor = f", floor of {plate.floor_arcsec:.2g}″" if plate.floor_arcsec else ""
     return f"plate model of order {plate.order}{larger}{floor}"
 
 
-def _arrows(axes: Axes, found: FrameIdentification) -> None:
+def _arrows(axes: Axes, match: FrameIdentification) -> None:
     """Residuals as magnified arrows."""
-    kept = brightest_pairs(found, ARROWS)
-    i = found.pairs[0][kept]
-    rows, columns = found.measured.shape
-    px = found.residual_px[kept]
+    kept = brightest_pairs(match, ARROWS)
+    i = match.pairs[0][kept]
+    rows, columns = match.measured.shape
+    px = match.residual_px[kept]
     length = np.hypot(*px.T)
     # A quantile of the small residuals: wrong pairs and doubles must not shorten the other arrows.
     typical = max(float(np.quantile(length, 0.7)), 1e-6)
@@ -236,11 +236,11 @@ def _arrows(axes: Axes, found: FrameIdentification) -> None:
     magnified *= max((f for f in (1, 2, 5) if f * magnified * typical <= 0.05 * max(rows, columns)), default=1)
     drawn = length <= 3 * typical
     axes.quiver(
-        found.measured.x_px[i][drawn], found.measured.y_px[i][drawn], *(magnified * px[drawn]).T,
+        match.measured.x_px[i][drawn], match.measured.y_px[i][drawn], *(magnified * px[drawn]).T,
         angles="xy", scale_units="xy", scale=1.0, width=0.0022, color=FIRST, alpha=0.75,
     )  # fmt: skip
-    bar = nice_length(0.12 * columns / magnified * orientation(found)[0])
-    reach = bar / orientation(found)[0] * magnified
+    bar = nice_length(0.12 * columns / magnified * orientation(match)[0])
+    reach = bar / orientation(match)[0] * magnified
     axes.plot([0.03 * columns, 0.03 * columns + reach], [1.03 * rows] * 2, color=INK, lw=2, clip_on=False)
     axes.text(0.03 * columns + reach * 1.15, 1.03 * rows, f"{bar:g}″", va="center", fontsize=9.5, color=INK)
     axes.set_aspect("equal")
@@ -252,21 +252,21 @@ def _arrows(axes: Axes, found: FrameIdentification) -> None:
     tidy(axes, "x [px]", "y [px]", words)
 
 
-def _brightness(found: FrameIdentification) -> tuple[FloatArray, str]:
+def _brightness(match: FrameIdentification) -> tuple[FloatArray, str]:
     """Magnitudes of the identified pairs and their name: of the catalogue, else instrumental."""
-    i, j, _ = found.pairs
-    if np.isfinite(found.stars.magnitude[j]).sum() > 2:
-        return found.stars.magnitude[j], f"magnitude, {found.stars.name}"
-    return instrumental(found.measured.flux[i]), "instrumental magnitude"
+    i, j, _ = match.pairs
+    if np.isfinite(match.stars.magnitude[j]).sum() > 2:
+        return match.stars.magnitude[j], f"magnitude, {match.stars.name}"
+    return instrumental(match.measured.flux[i]), "instrumental magnitude"
 
 
-def _against_brightness(axes: Axes, found: FrameIdentification, left: FloatArray) -> None:
-    magnitude, words = _brightness(found)
-    limit = 4.0 * max(float(np.nanmax(found.scatter_arcsec)), 1e-6)
+def _against_brightness(axes: Axes, match: FrameIdentification, left: FloatArray) -> None:
+    magnitude, words = _brightness(match)
+    limit = 4.0 * max(float(np.nanmax(match.scatter_arcsec)), 1e-6)
     for values, colour, name in ((left[:, 0], FIRST, "east"), (left[:, 1], SECOND, "north")):
         axes.plot(magnitude, np.clip(values, -limit, limit), ".", ms=_dot(left), color=colour, alpha=0.45, label=name)
     axes.axhline(0.0, color=FAINT, lw=0.7)
-    _running(axes, magnitude, found)
+    _running(axes, magnitude, match)
     axes.set_ylim(-1.05 * limit, 1.05 * limit)
     far = int(np.count_nonzero(np.abs(left).max(axis=1) > limit))
     edge = f"; {count(far)} beyond the edges" if far else ""
@@ -279,14 +279,14 @@ def _dot(points: FloatArray | IntArray) -> float:
     return 2.6 if len(points) > 200 else 6.0
 
 
-def _running(axes: Axes, magnitude: FloatArray, found: FrameIdentification) -> None:
+def _running(axes: Axes, magnitude: FloatArray, match: FrameIdentification) -> None:
     """Draws the robust standard deviation per axis in bins of equal number, and the quoted errors."""
     known = np.flatnonzero(np.isfinite(magnitude))
     if len(known) < 60:
         return
-    left, pairs = found.residual_arcsec, found.result.pairs
-    covariance = pairs.covariance_of(found.result.matches.pair)
-    quoted = orientation(found)[0] * np.sqrt(0.5 * np.einsum("mvv->m", covariance))
+    left, pairs = match.residual_arcsec, match.result.pairs
+    covariance = pairs.covariance_of(match.result.matches.pair)
+    quoted = orientation(match)[0] * np.sqrt(0.5 * np.einsum("mvv->m", covariance))
     parts = np.array_split(known[np.argsort(magnitude[known])], min(12, len(known) // 30))
     x = [float(np.median(magnitude[part])) for part in parts]
     sigma = np.array([float(np.median(quoted[part])) for part in parts])
@@ -298,20 +298,20 @@ def _running(axes: Axes, magnitude: FloatArray, found: FrameIdentification) -> N
             axes.plot(x, sign * np.array(s), color=colour, lw=1.6)
 
 
-def _magnitudes(axes: Axes, found: FrameIdentification) -> None:
+def _magnitudes(axes: Axes, match: FrameIdentification) -> None:
     """Catalogue minus instrumental magnitudes, the zero point by each star, with the fitted relation."""
-    i, j, _ = found.pairs
-    zero = found.zero_point
-    if zero is None or not np.isfinite(found.stars.magnitude[j]).any():
+    i, j, _ = match.pairs
+    zero = match.zero_point
+    if zero is None or not np.isfinite(match.stars.magnitude[j]).any():
         axes.text(0.5, 0.5, "no magnitudes to compare", ha="center", transform=axes.transAxes, color=FAINT)
         tidy(axes, "", "", "magnitudes")
         return
-    flux = found.measured.flux[i]
-    magnitude, fitted = found.stars.magnitude[j], zero(flux) - instrumental(flux)
-    by_star = fitted - found.excess_mag
+    flux = match.measured.flux[i]
+    magnitude, fitted = match.stars.magnitude[j], zero(flux) - instrumental(flux)
+    by_star = fitted - match.excess_mag
     centre = float(np.nanmedian(fitted))
     limit = max(LIMIT_SCATTERS * zero.scatter, LEAST_LIMIT_MAG, 1.2 * float(np.nanmax(np.abs(fitted - centre))))
-    saturated = (found.measured.flags[i] & Flag.SATURATED) != 0
+    saturated = (match.measured.flags[i] & Flag.SATURATED) != 0
     for some, colour, label in ((~saturated, FIRST, None), (saturated, SECOND, "saturated")):
         if some.any():
             shown = np.clip(by_star[some], centre - 0.98 * limit, centre + 0.98 * limit)
@@ -323,13 +323,13 @@ def _magnitudes(axes: Axes, found: FrameIdentification) -> None:
     if saturated.any():
         axes.legend(frameon=False, fontsize=9.5, loc="upper right")
     beyond = int(np.count_nonzero(np.abs(by_star - centre) > limit))
-    words = _zero_words(found) + (f"; {beyond} beyond the edges" if beyond else "")
+    words = _zero_words(match) + (f"; {beyond} beyond the edges" if beyond else "")
     axes.ticklabel_format(axis="y", useOffset=False)
-    tidy(axes, f"magnitude, {found.stars.name}", "catalogue minus instrumental magnitude", textwrap.fill(words, 58))
+    tidy(axes, f"magnitude, {match.stars.name}", "catalogue minus instrumental magnitude", textwrap.fill(words, 58))
 
 
-def _zero_words(found: FrameIdentification) -> str:
-    zero = found.zero_point
+def _zero_words(match: FrameIdentification) -> str:
+    zero = match.zero_point
     assert zero is not None
     words = f"zero point {zero.words}"
     if zero.colour_term:
@@ -337,16 +337,16 @@ def _zero_words(found: FrameIdentification) -> str:
     return f"{words}; scatter {zero.scatter:.3f} mag"
 
 
-def _complete(axes: Axes, found: FrameIdentification) -> None:
+def _complete(axes: Axes, match: FrameIdentification) -> None:
     """Catalogue stars on the frame and identified ones by magnitude; the identified share with its standard error."""
-    curve = found.completeness
+    curve = match.completeness
     if curve is None:
         axes.text(0.5, 0.5, "the catalogue has no magnitudes", ha="center", transform=axes.transAxes, color=FAINT)
         tidy(axes, "", "", "completeness")
         return
     axes.stairs(curve.stars, curve.edges, fill=True, color=FILL, label="in the catalogue")
     axes.stairs(curve.identified, curve.edges, fill=True, color=FOUND, alpha=0.55, label="identified")
-    tidy(axes, f"magnitude, {found.stars.name}", "stars on the frame", textwrap.fill(curve.describe(), 58))
+    tidy(axes, f"magnitude, {match.stars.name}", "stars on the frame", textwrap.fill(curve.describe(), 58))
     axes.legend(frameon=False, fontsize=9.5, loc="center left")
     share = axes.twinx()
     middle, some = 0.5 * (curve.edges[1:] + curve.edges[:-1]), curve.stars > 0
@@ -444,11 +444,11 @@ RING_WIDTHS = 1.7
 
 
 def mover_picture(
-    found: Movers, series: Series, pixels: Stack, known: KnownObjects | None = None, k: int = 0
+    movers: Movers, series: Series, pixels: Stack, known: KnownObjects | None = None, k: int = 0
 ) -> Figure:
     """Two images of one candidate, north up and east left.
 
-    found, pixels : results of the search and of the stacking. known : known objects. k : the candidate; 0 is the most
+    movers, pixels : results of the search and of the stacking. known : known objects. k : the candidate; 0 is the most
     probable. Left: maximum over the frames at fixed sky positions, or the frame on which it is brightest if the mover
     goes too far for that. Right: mean along its motion.
 
@@ -485,8 +485,8 @@ def mover_picture(
     _ring(right, middle, width, BLUE, "-")
     for axes in (left, right):
         _arcsec_bar(axes, pixels.scale_arcsec_per_px)
-    figure.text(0.018, 0.957, _name(found, known, k), color=PAPER, fontsize=16, fontweight="bold", va="center")
-    figure.text(0.018, 0.916, _facts(found, series, known, k), color=DIM, fontsize=10.5, va="center")
+    figure.text(0.018, 0.957, _name(movers, known, k), color=PAPER, fontsize=16, fontweight="bold", va="center")
+    figure.text(0.018, 0.916, _facts(movers, series, known, k), color=DIM, fontsize=10.5, va="center")
     figure.text(0.982, 0.022, "north up, east left", color=DIM, fontsize=9.5, ha="right", va="center")
     return figure
 
@@ -523,28 +523,28 @@ def _arcsec_bar(axes: Axes, arcsec_per_px: float) -> None:
     axes.text(x, y - 0.015 * (high - low), f"{length:g}″", color=PAPER, fontsize=10, ha="right", va="bottom")
 
 
-def _name(found: Movers, known: KnownObjects | None, k: int) -> str:
+def _name(movers: Movers, known: KnownObjects | None, k: int) -> str:
     if known is None or known.object[k] < 0:
-        return found.names[k]
+        return movers.names[k]
     number, name = known.number(k), known.name(k)
     return f"({number}) {name.removeprefix(number).strip()}" if number else name
 
 
-def _facts(found: Movers, series: Series, known: KnownObjects | None, k: int) -> str:
-    east, north = found.rate_arcsec_per_min[k]
-    rows = found.members[k][found.members[k] >= 0]
-    light = found.detections.magnitude[rows]
-    span = 1440.0 * float(np.ptp(found.detections.mjd_utc[rows]))
-    day = datetime.fromtimestamp((found.detections.mjd_utc[rows[0]] - 40587.0) * 86400.0, UTC)
+def _facts(movers: Movers, series: Series, known: KnownObjects | None, k: int) -> str:
+    east, north = movers.rate_arcsec_per_min[k]
+    rows = movers.members[k][movers.members[k] >= 0]
+    light = movers.detections.magnitude[rows]
+    span = 1440.0 * float(np.ptp(movers.detections.mjd_utc[rows]))
+    day = datetime.fromtimestamp((movers.detections.mjd_utc[rows[0]] - 40587.0) * 86400.0, UTC)
     words = [
         f"{day:%Y-%m-%d}", f"{len(rows)} of {len(series.exposures)} frames, {span:.0f} min",
         f"{math.hypot(east, north):.2f}″/min towards {math.degrees(math.atan2(east, north)) % 360:.0f}°",
     ]  # fmt: skip
     if np.isfinite(light).any() and not series.stars.scale.startswith("instrumental"):
         words.append(f"{np.nanmedian(light):.1f} mag")
-    words.append(f"{found.scatter_arcsec[k]:.2f}″ about straight motion")
+    words.append(f"{movers.scatter_arcsec[k]:.2f}″ about straight motion")
     if known is not None and known.object[k] >= 0:
-        off = known.mean_offset(found, k)
+        off = known.mean_offset(movers, k)
         words.append(
             "O−C " + ", ".join(f"{v:+.2f}″" for v in np.round(off, 2) + 0.0).replace("-", "−") + " east, north"
         )

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def frame_lines(summary: Mapping[str, Any]) -> list[str]:
     """The full report of one frame."""
-    place, plate, found = summary["place"], summary["plate"], summary["found"]
+    place, plate, counts = summary["place"], summary["plate"], summary["found"]
     size = f"{place['columns']} × {place['rows']} px, {_angle(place['width_deg'])} × {_angle(place['height_deg'])}"
     middle = f"RA {place['middle_ra_deg']:.5f}° Dec {place['middle_dec_deg']:+.5f}°"
     hand = "mirrored" if place["mirrored"] else "not mirrored"
@@ -45,11 +45,11 @@ def frame_lines(summary: Mapping[str, Any]) -> list[str]:
         "",
         *_understood(summary),
         f"Found in {summary['catalogue']}",
-        *entry("measurements", f"{count(found['measurements'])}, of which {count(found['identified'])} identified"),
-        *entry("not in the catalogue", _unmatched(found)),
-        *entry("missing stars", f"{count(found['missing'])} of {count(found['stars_on_frame'])} on the frame"),
+        *entry("measurements", f"{count(counts['measurements'])}, of which {count(counts['identified'])} identified"),
+        *entry("not in the catalogue", _unmatched(counts)),
+        *entry("missing stars", f"{count(counts['missing'])} of {count(counts['stars_on_frame'])} on the frame"),
         *entry(
-            "expected wrong", f"{found['expected_wrong']:.1f}; {count(found['ambiguous'])} with probability below 0.9"
+            "expected wrong", f"{counts['expected_wrong']:.1f}; {count(counts['ambiguous'])} with probability below 0.9"
         ),
         *entry("scatter", _scatter(summary)),
         *_estimated(summary),
@@ -69,13 +69,11 @@ def _understood(summary: Mapping[str, Any]) -> list[str]:
 
 def one_line(name: str, summary: Mapping[str, Any], state: str) -> str:
     """One line on a frame of a folder, from its summary. state : when it was done, or the run time."""
-    found, place = summary["found"], summary["place"]
-    words = (
-        f"{count(found['identified'])} of {count(found['measurements'])} identified, {count(found['missing'])} missing"
-    )
+    counts, place = summary["found"], summary["place"]
+    words = f"{count(counts['identified'])} of {count(counts['measurements'])} identified"
     return (
-        f"{name}: {words}, scatter {_scatter(summary)}, {place['scale_arcsec_per_px']:.4f}″/px, "
-        f"odds {place['odds']}; {state}"
+        f"{name}: {words}, {count(counts['missing'])} missing, scatter {_scatter(summary)}, "
+        f"{place['scale_arcsec_per_px']:.4f}″/px, odds {place['odds']}; {state}"
     )
 
 
@@ -165,14 +163,14 @@ def searched_lines(seen: Detections) -> list[str]:
     return lines
 
 
-def excluded_lines(found: Movers) -> list[str]:
+def excluded_lines(movers: Movers) -> list[str]:
     """What was excluded: stationary sources, detections fixed on the chip, and tracklets of one common rate."""
-    lines, stationary = [], found.stationary
+    lines, stationary = [], movers.stationary
     if stationary is not None and stationary.places:
         rows, places = counted(int(stationary.rows.sum()), "detection"), counted(stationary.places, "place")
         lines.append(f"Stationary: {rows} at {places}, excluded")
         off = float(np.hypot(*stationary.offset_arcsec.T).max())
-        if off > 0.5 * found.detections.typical_sigma_arcsec:
+        if off > 0.5 * movers.detections.typical_sigma_arcsec:
             lines.append(
                 f"{DOUBT}positions of an exposure differ from those of the others by up to {off:.2f}″; "
                 "the search corrects this, the output has the positions as given"
@@ -182,48 +180,48 @@ def excluded_lines(found: Movers) -> list[str]:
                 f"{DOUBT}stationary sources scatter {stationary.error_scale:.2f} times as much as the errors allow; "
                 "the search multiplies the errors by that"
             )
-    if found.fixed:
+    if movers.fixed:
         lines.append(
-            f"{DOUBT}{count(found.fixed)} detections move by one step from exposure to exposure, and by another to the "
-            "next: they are fixed on the chip, and excluded"
+            f"{DOUBT}{count(movers.fixed)} detections move by one step from exposure to exposure, and by another to "
+            "the next: they are fixed on the chip, and excluded"
         )
-    if found.same_rate:
+    if movers.same_rate:
         lines.append(
-            f"{DOUBT}{count(found.same_rate)} tracklets of one rate are excluded: chip defects under a drifting "
+            f"{DOUBT}{count(movers.same_rate)} tracklets of one rate are excluded: chip defects under a drifting "
             "telescope look like this; give the frames themselves, with a catalogue, to tell them from movers"
         )
     return lines
 
 
-def mover_lines(found: Movers) -> list[str]:
+def mover_lines(movers: Movers) -> list[str]:
     """The tracklets."""
-    if not len(found):
+    if not len(movers):
         return ["Movers: none"]
-    expected = float(found.p_tracklet.sum())
+    expected = float(movers.p_tracklet.sum())
     lines = [
-        f"Movers: {count(len(found))}, of which {expected:.1f} are expected to be real",
+        f"Movers: {count(len(movers))}, of which {expected:.1f} are expected to be real",
         "  name      n       p  expected by chance  rate ″/min   angle  scatter ″",
     ]
-    rate = np.hypot(*found.rate_arcsec_per_min.T)
-    angle = np.degrees(np.arctan2(*found.rate_arcsec_per_min.T)) % 360.0
-    for k in range(min(len(found), MAX_LISTED)):
-        scatter = found.scatter_arcsec[k]
+    rate = np.hypot(*movers.rate_arcsec_per_min.T)
+    angle = np.degrees(np.arctan2(*movers.rate_arcsec_per_min.T)) % 360.0
+    for k in range(min(len(movers), MAX_LISTED)):
+        scatter = movers.scatter_arcsec[k]
         scatter_text = f"{scatter:9.3f}" if np.isfinite(scatter) else "        –"
         lines.append(
-            f"  {found.names[k]:8} {found.size[k]:3d}  {found.p_tracklet[k]:.4f}  {found.expected_chance[k]:18.1e}"
+            f"  {movers.names[k]:8} {movers.size[k]:3d}  {movers.p_tracklet[k]:.4f}  {movers.expected_chance[k]:18.1e}"
             f"  {rate[k]:10.3f}  {angle[k]:5.1f}°  {scatter_text}"
         )
-    if found.near_earth is not None:
-        near = [f"{found.names[k]} {found.near_earth[k]:.0f}" for k in range(min(len(found), MAX_LISTED))]
+    if movers.near_earth is not None:
+        near = [f"{movers.names[k]} {movers.near_earth[k]:.0f}" for k in range(min(len(movers), MAX_LISTED))]
         lines.append(f"  digest2 score for a near-Earth object, of 100: {', '.join(near)}")
-    if len(found) > MAX_LISTED:
-        lines.append(f"  … and {count(len(found) - MAX_LISTED)} more")
+    if len(movers) > MAX_LISTED:
+        lines.append(f"  … and {count(len(movers) - MAX_LISTED)} more")
     return lines
 
 
-def model_lines(found: Movers) -> list[str]:
+def model_lines(movers: Movers) -> list[str]:
     """The model of the movers: detection probability and distribution of rates."""
-    m = found.model
+    m = movers.model
     top = int(np.argmax(m.rates.share))
     sigma = np.sqrt(np.diag(m.rates.covariance[top]))
     return [
@@ -233,13 +231,13 @@ def model_lines(found: Movers) -> list[str]:
     ]
 
 
-def report_lines(found: Movers, least: float, changed_by: str) -> list[str]:
+def report_lines(movers: Movers, least: float, changed_by: str) -> list[str]:
     """The number of tracklets in the report, and those excluded by their probability, which ``changed_by`` changes."""
-    reported = found.p_tracklet >= least
+    reported = movers.p_tracklet >= least
     if reported.all():
-        return [f"  it contains {counted(len(found), 'tracklet')}"]
+        return [f"  it contains {counted(len(movers), 'tracklet')}"]
     excluded = np.flatnonzero(~reported)
-    shown = ", ".join(f"{found.names[k]} ({found.p_tracklet[k]:.2f})" for k in excluded[:5])
+    shown = ", ".join(f"{movers.names[k]} ({movers.p_tracklet[k]:.2f})" for k in excluded[:5])
     are, them = ("is", "it") if len(excluded) == 1 else ("are", "them")
     return [
         f"  it contains {counted(int(reported.sum()), 'tracklet')}; {count(len(excluded))} {are} excluded, "
@@ -261,20 +259,20 @@ def plan_lines(plan: Plan) -> list[str]:
 
 def below_lines(below: BelowLimit) -> list[str]:
     """The movers found by stacking, below the limit of single frames."""
-    found = below.movers
-    if not len(found):
+    movers = below.movers
+    if not len(movers):
         return ["  no more are found there"]
     lines = [
-        f"  {count(len(found))} more, of which {float(found.p_tracklet.sum()):.1f} are expected to be real",
+        f"  {count(len(movers))} more, of which {float(movers.p_tracklet.sum()):.1f} are expected to be real",
         "  name      S/N       p  expected by chance  rate ″/min   angle  frames",
     ]
-    rate, angle = np.hypot(*found.rate_arcsec_per_min.T), np.degrees(np.arctan2(*found.rate_arcsec_per_min.T)) % 360.0
+    rate, angle = np.hypot(*movers.rate_arcsec_per_min.T), np.degrees(np.arctan2(*movers.rate_arcsec_per_min.T)) % 360.0
     lines += [
-        f"  {found.names[k]:8} {below.snr[k]:4.1f}  {found.p_tracklet[k]:.4f}  {found.expected_chance[k]:18.1e}"
+        f"  {movers.names[k]:8} {below.snr[k]:4.1f}  {movers.p_tracklet[k]:.4f}  {movers.expected_chance[k]:18.1e}"
         f"  {rate[k]:10.3f}  {angle[k]:5.1f}°  {below.frames[k]:6d}"
-        for k in range(min(len(found), MAX_LISTED))
+        for k in range(min(len(movers), MAX_LISTED))
     ]
-    return [*lines, *([f"  … and {count(len(found) - MAX_LISTED)} more"] if len(found) > MAX_LISTED else [])]
+    return [*lines, *([f"  … and {count(len(movers) - MAX_LISTED)} more"] if len(movers) > MAX_LISTED else [])]
 
 
 def series_lines(series: Series) -> list[str]:
@@ -314,7 +312,7 @@ def star_lines(series: Series, filter: str = "") -> list[str]:
     return [*lines, *(f"{DOUBT}{note}" for note in series.notes)]
 
 
-def known_lines(found: Movers, known: KnownObjects, on_earth: bool) -> list[str]:
+def known_lines(movers: Movers, known: KnownObjects, on_earth: bool) -> list[str]:
     """The tracklets identified with known objects, with O−C."""
     lines = [f"Known objects: {count(len(known.elements))} predicted near the field"]
     if not on_earth:
@@ -322,30 +320,30 @@ def known_lines(found: Movers, known: KnownObjects, on_earth: bool) -> list[str]
     for k, owner in enumerate(known.object):
         if owner < 0:
             continue
-        east, north = known.mean_offset(found, k)
+        east, north = known.mean_offset(movers, k)
         lines.append(
-            f"  {found.names[k]} is {known.name(k)}, p {known.p[k]:.4f}, O−C {east:+.2f}″ east, {north:+.2f}″ north, "
+            f"  {movers.names[k]} is {known.name(k)}, p {known.p[k]:.4f}, O−C {east:+.2f}″ east, {north:+.2f}″ north, "
             f"predicted V {known.magnitude[k]:.1f}"
         )
     unknown = int((known.object < 0).sum())
-    return [*lines, f"  {unknown} of {len(found)} tracklets match none of them"] if unknown else lines
+    return [*lines, f"  {unknown} of {len(movers)} tracklets match none of them"] if unknown else lines
 
 
-def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
+def reasons(movers: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
     """The evidence for tracklet k: sentences, each with whether it is a doubt."""
-    seen, rows = found.detections, found.members[k][found.members[k] >= 0]
+    seen, rows = movers.detections, movers.members[k][movers.members[k] >= 0]
     frames = len(pixels.flux[k])
-    if found.added:
+    if movers.added:
         return [
             ("too faint for one frame; found by stacking the frames along its motion", False),
-            (f"by chance {_small(found.expected_chance[k])} peaks as bright are expected at such rates, by the same "
-             "frames in scrambled order", bool(found.expected_chance[k] > 0.1)),
+            (f"by chance {_small(movers.expected_chance[k])} peaks as bright are expected at such rates, by the same "
+             "frames in scrambled order", bool(movers.expected_chance[k] > 0.1)),
             ("its three positions are from stacks of the first, middle and last frames", False),
             _stacked(float(pixels.snr[k])),
         ]  # fmt: skip
-    out = [(f"by chance {_small(found.expected_chance[k])} tracklets with as much evidence are expected",
-            bool(found.expected_chance[k] > 0.1))]  # fmt: skip
-    scatter, quoted = found.scatter_arcsec[k], float(np.sqrt(seen.covariance[rows][:, [0, 2]].mean()))
+    out = [(f"by chance {_small(movers.expected_chance[k])} tracklets with as much evidence are expected",
+            bool(movers.expected_chance[k] > 0.1))]  # fmt: skip
+    scatter, quoted = movers.scatter_arcsec[k], float(np.sqrt(seen.covariance[rows][:, [0, 2]].mean()))
     if np.isfinite(scatter):
         ratio = scatter / quoted
         words = f"{len(rows)} detections scatter by {scatter:.2f}″ about straight motion, {ratio:.1f} times quoted"
@@ -366,8 +364,8 @@ def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
     off = frames - int(usable.sum())
     if off:
         out.append((f"on {off} of {frames} frames it is off the edge or on unusable pixels", False))
-    if found.near_earth is not None and np.isfinite(found.near_earth[k]):
-        out.append((f"its digest2 score is {found.near_earth[k]:.0f} of 100 for a near-Earth object", False))
+    if movers.near_earth is not None and np.isfinite(movers.near_earth[k]):
+        out.append((f"its digest2 score is {movers.near_earth[k]:.0f} of 100 for a near-Earth object", False))
     out.append(_stacked(float(pixels.snr[k])))
     return out
 

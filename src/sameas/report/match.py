@@ -220,15 +220,15 @@ def _pairs(match: SkyMatch) -> list[str]:
     return [*entry("groups", groups), *_identified(result), *entry("probabilities", methods or "none")]
 
 
-def _identified(found: Identification) -> list[str]:
+def _identified(result: Identification) -> list[str]:
     """The number of identified pairs, and how many are expected to be wrong."""
-    wrong, pairs = found.expected_wrong, len(found.matches)
-    ambiguous = int(np.count_nonzero(found.matches.p_match < AMBIGUOUS))
+    wrong, pairs = result.expected_wrong, len(result.matches)
+    ambiguous = int(np.count_nonzero(result.matches.p_match < AMBIGUOUS))
     return [
-        *entry("pairs", f"{count(pairs)} identified among {counted(len(found.pairs), 'candidate')}"),
+        *entry("pairs", f"{count(pairs)} identified among {counted(len(result.pairs), 'candidate')}"),
         *entry(
             "expected wrong",
-            f"{wrong:.1f} of the identified ({percent(wrong / max(pairs, 1))}); missed: {found.expected_missed:.1f}",
+            f"{wrong:.1f} of the identified ({percent(wrong / max(pairs, 1))}); missed: {result.expected_missed:.1f}",
         ),
         *entry("ambiguous", f"{count(ambiguous)} identified with a probability below {AMBIGUOUS:g}"),
     ]
@@ -519,9 +519,9 @@ def quoted_errors(scale: Quantity) -> str:
 # Of two identified sources of records, without columns, magnitudes or epochs.
 
 
-def records_lines(found: Identification, estimate: Estimate) -> list[str]:
+def records_lines(result: Identification, estimate: Estimate) -> list[str]:
     """The estimates from both sources, and the results."""
-    one, two = found.first.source, found.second.source
+    one, two = result.first.source, result.second.source
     shares = [f"{percent(share)} of {name}" for share, name in ((estimate.share_1, one), (estimate.share_2, two))]
     scale = estimate.quantities.get("error_scale")
     errors = f"typically {estimate.typical_scale:.2f} times the quoted ones" if scale is None else quoted_errors(scale)
@@ -533,9 +533,9 @@ def records_lines(found: Identification, estimate: Estimate) -> list[str]:
         *(DOUBT + note for note in estimate.notes),
         "",
         "Found",
-        *_records_row(found.first, found.answers_1),
-        *_records_row(found.second, found.answers_2),
-        *_identified(found),
+        *_records_row(result.first, result.answers_1),
+        *_records_row(result.second, result.answers_2),
+        *_identified(result),
     ]
 
 

@@ -130,34 +130,34 @@ class RecordsMatch:
 
 def pair_table(result: Identification) -> Table:
     """The identified pairs: rows and ids of both, probability, separation, sorted by the first source."""
-    found = result.matches
+    matches = result.matches
     columns: dict[str, NDArray[Any]] = {
-        "row_1": found.rows_1, "row_2": found.rows_2,
-        "id_1": result.first.ids[found.rows_1], "id_2": result.second.ids[found.rows_2], "p_match": found.p_match,
+        "row_1": matches.rows_1, "row_2": matches.rows_2,
+        "id_1": result.first.ids[matches.rows_1], "id_2": result.second.ids[matches.rows_2], "p_match": matches.p_match,
     }  # fmt: skip
-    columns[_separation_names(result)[0]] = np.linalg.norm(found.residual, axis=1)
-    columns |= {"mahalanobis": found.mahalanobis, "log_odds": found.log_odds}
+    columns[_separation_names(result)[0]] = np.linalg.norm(matches.residual, axis=1)
+    columns |= {"mahalanobis": matches.mahalanobis, "log_odds": matches.log_odds}
     table = Table()
     for name, values in columns.items():
         table.add_column(Column(values, **attributes_of(name)), name=name, copy=False)
     return table
 
 
-def blend_table(first: Records, second: Records, found: Blends) -> Table:
+def blend_table(first: Records, second: Records, blends: Blends) -> Table:
     """One row per record of the coarse source, by its rows: its best answer (partners) and probabilities."""
     table, order = Table(), np.argsort(first.rows)
     columns: dict[str, tuple[NDArray[Any], str]] = {
         "row_1": (first.rows[order], "row in the first source"),
         "id_1": (first.ids[first.rows[order]], "id in the first source"),
     }
-    partners = found.partner[order], found.other[order]
+    partners = blends.partner[order], blends.other[order]
     for mark, partner, which in zip(("", "b"), partners, ("object", "other object of a blend"), strict=True):
         rows = np.ma.array(second.rows[partner.filled(0)], mask=np.ma.getmaskarray(partner))
         columns[f"row_2{mark}"] = rows, f"row of the {which} in the second source"
         ids = np.ma.array(second.ids[rows.filled(0)], mask=np.ma.getmaskarray(partner))
         columns[f"id_2{mark}"] = ids, f"id of the {which} in the second source"
-    columns["p_match"] = found.p_match[order], "probability of this answer"
-    columns["p_blend"] = found.p_blend[order], "probability that the record is two objects, whichever"
+    columns["p_match"] = blends.p_match[order], "probability of this answer"
+    columns["p_blend"] = blends.p_blend[order], "probability that the record is two objects, whichever"
     for name, (values, words) in columns.items():
         column = MaskedColumn if isinstance(values, np.ma.MaskedArray) else Column
         table.add_column(column(values, description=words), name=name)
@@ -310,10 +310,10 @@ def joined_rows(match: Joinable, join: str) -> JoinedRows:
     result = match.result
     if join == "pairs":
         return _every_answer(result)
-    found = result.matches
-    both = JoinedRows(found.rows_1, found.rows_2, np.arange(len(found)))
-    alone_1 = _others(len(match.first), found.rows_1)
-    alone_2 = _others(len(match.second), found.rows_2)
+    matches = result.matches
+    both = JoinedRows(matches.rows_1, matches.rows_2, np.arange(len(matches)))
+    alone_1 = _others(len(match.first), matches.rows_1)
+    alone_2 = _others(len(match.second), matches.rows_2)
     only_1 = JoinedRows(alone_1, np.full(len(alone_1), ABSENT), np.full(len(alone_1), ABSENT))
     only_2 = JoinedRows(np.full(len(alone_2), ABSENT), alone_2, np.full(len(alone_2), ABSENT))
     parts = {
@@ -425,8 +425,8 @@ class _JoinedColumns:
         result = self.match.result
         if self.rows.answers:
             return result.pairs.residual, np.sqrt(result.pairs.mahalanobis_sq), result.log_odds, result.p_pair
-        found = result.matches
-        return found.residual, found.mahalanobis, found.log_odds, found.p_match
+        matches = result.matches
+        return matches.residual, matches.mahalanobis, matches.log_odds, matches.p_match
 
     def _of_pair(self, values: NDArray[Any]) -> np.ma.MaskedArray:
         absent = self.rows.absent

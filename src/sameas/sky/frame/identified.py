@@ -456,34 +456,34 @@ def solve(
     near_frame[placement.rows_stars] = True
     new_row = np.cumsum(near_frame) - 1
     placement = replace(placement, rows_stars=new_row[placement.rows_stars])
-    found = identify_frame(measured, stars[near_frame], placement, refinement)
+    match = identify_frame(measured, stars[near_frame], placement, refinement)
     if catalogue.error_is_unknown:
-        found = _with_common_error(found, refinement)
-    doubt = _epoch_doubt(found, catalogue)
-    return replace(found, notes=(*found.notes, doubt)) if doubt else found
+        match = _with_common_error(match, refinement)
+    doubt = _epoch_doubt(match, catalogue)
+    return replace(match, notes=(*match.notes, doubt)) if doubt else match
 
 
-def _epoch_doubt(found: FrameIdentification, catalogue: Catalogue) -> str:
+def _epoch_doubt(match: FrameIdentification, catalogue: Catalogue) -> str:
     """A doubt about the time of the frame or the convention of the proper motions; empty if none.
 
     The plate model has taken the mean of the motions, and what varies with the place, out of the residuals; the same
     polynomials are taken out of the motions.
     """
-    epoch_jyr, stars, result = found.stars.epoch_jyr, found.stars, found.result
+    epoch_jyr, stars, result = match.stars.epoch_jyr, match.stars, match.result
     if epoch_jyr is None or not catalogue.has_motion:
         return ""
-    scale = found.placement.pointing.scale_arcsec
-    some = np.flatnonzero(found.pairs[2] >= found.tuning.p_sure)
+    scale = match.placement.pointing.scale_arcsec
+    some = np.flatnonzero(match.pairs[2] >= match.tuning.p_sure)
     variance = scale**2 * np.einsum(
-        "mvv->m", found.estimate.errors.typical_covariance(result.pairs, result.matches.pair[some])
+        "mvv->m", match.estimate.errors.typical_covariance(result.pairs, result.matches.pair[some])
     )
-    astrometry = catalogue.astrometry[stars.rows[found.pairs[1][some]]]
+    astrometry = catalogue.astrometry[stars.rows[match.pairs[1][some]]]
     motion = astrometry.motion_arcsec_per_yr
-    residual = -found.residual_arcsec[some]
+    residual = -match.residual_arcsec[some]
     known = np.isfinite(motion).all(axis=1) & ((residual**2).sum(axis=1) < EPOCH.largest_sigmas**2 * variance / 2.0)
     weight = np.sqrt(2.0 / variance[known])[:, None]
-    xy = found.predicted_px[found.pairs[1][some[known]]] / max(found.measured.shape)
-    basis = weight * np.stack([xy[:, 0] ** a * xy[:, 1] ** b for a, b in terms(found.plate.order)], axis=1)
+    xy = match.predicted_px[match.pairs[1][some[known]]] / max(match.measured.shape)
+    basis = weight * np.stack([xy[:, 0] ** a * xy[:, 1] ** b for a, b in terms(match.plate.order)], axis=1)
 
     def remaining(values: FloatArray) -> FloatArray:
         """(m, 2) without what the plate model could take up."""
@@ -498,27 +498,27 @@ def _epoch_doubt(found: FrameIdentification, catalogue: Catalogue) -> str:
         np.cos(np.radians(astrometry.dec_deg[known])),
         remaining,
     )
-    questioned = Questioned(found.measured.name, epoch_jyr, naming("give {epoch_jyr:YEAR}"))
+    questioned = Questioned(match.measured.name, epoch_jyr, naming("give {epoch_jyr:YEAR}"))
     if catalogue.choice.epoch.reason == "assumed" and catalogue.epoch_jyr is not None:
         questioned = Questioned(catalogue.name, catalogue.epoch_jyr, naming("give {epoch:YEAR}"), moved=True)
     text, _ = pairs.doubt(catalogue, "", questioned)
     return Message("doubt: ", text) if text else ""
 
 
-def common_star_error(found: FrameIdentification) -> float:
+def common_star_error(match: FrameIdentification) -> float:
     """The common position error of the stars, arcsec per axis, from the residuals and the errors of the measurements.
 
     The maximum-likelihood s for residuals with variances σ² + s², σ the error of the measurement. The residuals are
     scaled for the degrees of freedom of the plate model.
     """
-    i, _, p = found.pairs
-    tuning = found.tuning
+    i, _, p = match.pairs
+    tuning = match.tuning
     sure = p >= tuning.p_sure
-    scale = found.placement.pointing.scale_arcsec
-    residual = found.residual_arcsec[sure]
-    parameters = (found.plate.order + 1) * (found.plate.order + 2) // 2
+    scale = match.placement.pointing.scale_arcsec
+    residual = match.residual_arcsec[sure]
+    parameters = (match.plate.order + 1) * (match.plate.order + 2) // 2
     residual_sq = residual**2 * len(residual) / max(len(residual) - parameters, 1)
-    sigma2 = scale**2 * found.measured.covariance[i[sure]][:, [0, 2]].mean(axis=1, keepdims=True)
+    sigma2 = scale**2 * match.measured.covariance[i[sure]][:, [0, 2]].mean(axis=1, keepdims=True)
     s2 = (scale * np.geomspace(tuning.least_common_px, tuning.largest_common_px, tuning.common_steps)) ** 2
     log_likelihood = [_log_tailed(residual_sq, sigma2 + variance, tuning).sum() for variance in s2]
     return float(np.sqrt(s2[int(np.argmax(log_likelihood))]))
@@ -531,12 +531,12 @@ def _log_tailed(residual_sq: FloatArray, variance: FloatArray, tuning: Refinemen
     return np.asarray(np.log((1.0 - tuning.tail_share) * core + tuning.tail_share * tail + 1e-300))
 
 
-def _with_common_error(found: FrameIdentification, refinement: Refinement | None) -> FrameIdentification:
+def _with_common_error(match: FrameIdentification, refinement: Refinement | None) -> FrameIdentification:
     """The identification repeated with the common error estimated from the residuals, and a doubt that reports it."""
-    sigma = common_star_error(found)
-    repeated = identify_frame(found.measured, found.stars.with_error(sigma), found.placement, refinement)
+    sigma = common_star_error(match)
+    repeated = identify_frame(match.measured, match.stars.with_error(sigma), match.placement, refinement)
     text = (
-        f"doubt: {found.stars.name}: it has no position errors; {sigma:.2g} arcsec on each axis was assumed, estimated "
+        f"doubt: {match.stars.name}: it has no position errors; {sigma:.2g} arcsec on each axis was assumed, estimated "
         "from the residuals; "
     )
     return replace(repeated, notes=(*repeated.notes, Message(text, naming("give {sigma:ARCSEC} or {sigma:COLUMN}"))))

@@ -213,7 +213,7 @@ class _Peaks:
 
 
 def search_below_limit(
-    found: Movers,
+    movers: Movers,
     series: Series,
     frames: Sequence[Callable[[], Frame]],
     fastest: float,
@@ -223,7 +223,7 @@ def search_below_limit(
 ) -> BelowLimit:
     """Movers that are visible in the stacked frames but on no single one.
 
-    found : the tracklets of the series, whose light is excluded, and whose motion model is used. frames : functions
+    movers : the tracklets of the series, whose light is excluded, and whose motion model is used. frames : functions
     that return the calibrated frames in the order of ``series.exposures``; each is read once per strip. fastest :
     maximum rate, arcsec/min; the cost grows with its square (:class:`Plan`).
 
@@ -232,7 +232,7 @@ def search_below_limit(
     InputError : fewer than five frames; a rate that is too low.
     """
     plan = Plan.of(series, fastest, tuning)
-    known = predicted(found, series), _signal_to_noise(found, series)
+    known = predicted(movers, series), _signal_to_noise(movers, series)
     real, chance = [], []
     order = _scrambled(len(plan.minutes))
     groups = _thirds(len(plan.minutes))
@@ -250,7 +250,7 @@ def search_below_limit(
     chance_peaks = _Peaks.concatenated(chance)
     tail = _tail(chance_peaks.t, tuning)
     speed = np.hypot(*chance_peaks.rate[np.argsort(-chance_peaks.t)[: tuning.chance]].T)
-    return _answer(found, series, plan, peaks, tail, _Speeds.of(speed, plan), min_probability)
+    return _answer(movers, series, plan, peaks, tail, _Speeds.of(speed, plan), min_probability)
 
 
 def _to_sky(series: Series, n: int) -> ChipMap:
@@ -290,10 +290,10 @@ def _planes(
     return signal, weight, measured
 
 
-def _signal_to_noise(found: Movers, series: Series) -> FloatArray:
+def _signal_to_noise(movers: Movers, series: Series) -> FloatArray:
     """(k,) largest signal to noise among the detections of each tracklet."""
     snr = np.concatenate([e.snr for e in series.exposures])
-    return np.array([float(snr[found.detections.rows[one[one >= 0]]].max()) for one in found.members])
+    return np.array([float(snr[movers.detections.rows[one[one >= 0]]].max()) for one in movers.members])
 
 
 def _filtered(
@@ -630,7 +630,7 @@ def _answer(
     return BelowLimit(movers, chosen.snr, (chosen.weight > 0).sum(axis=1), chosen.flux, path, tail, plan)
 
 
-def _rate_ratio(found: Movers, series: Series, plan: Plan, peaks: _Peaks) -> FloatArray:
+def _rate_ratio(movers: Movers, series: Series, plan: Plan, peaks: _Peaks) -> FloatArray:
     """(n,) ln ratio of the model's rate density to the uniform one of chance."""
     if not len(peaks.t):
         return np.empty(0)
@@ -643,18 +643,18 @@ def _rate_ratio(found: Movers, series: Series, plan: Plan, peaks: _Peaks) -> Flo
     rate[:, 0] -= reference_rate(axes.longitude_deg - sun_longitude_deg(mjd))
     error = (0.5 * plan.width * plan.scale / np.ptp(plan.minutes)) ** 2 * np.eye(2)[None].repeat(len(ra), axis=0)
     fastest = float(np.hypot(*plan.rates.T).max())
-    return np.asarray(found.model.rates.log_density(rate, error) + math.log(math.pi * fastest**2))
+    return np.asarray(movers.model.rates.log_density(rate, error) + math.log(math.pi * fastest**2))
 
 
 def _movers(
-    found: Movers, series: Series, plan: Plan, peaks: _Peaks, p: FloatArray, log_weight: FloatArray,
+    movers: Movers, series: Series, plan: Plan, peaks: _Peaks, p: FloatArray, log_weight: FloatArray,
     chance: FloatArray,
 ) -> Movers:  # fmt: skip
     """The candidates as tracklets of three positions, of the first, middle and last frames."""
     groups, k = _thirds(len(plan.minutes)), len(p)
     names = tuple(f"frames {g[0] + 1}–{g[-1] + 1} stacked" for g in groups)
     if not k:
-        return replace(found, prefix=ADDED).only(np.empty(0, np.int64))
+        return replace(movers, prefix=ADDED).only(np.empty(0, np.int64))
     mjd0 = 0.5 * (series.exposures[0].mjd_utc + series.exposures[-1].mjd_utc)
     minutes, places, sigma = np.empty((k, 3)), np.empty((k, 3, 2)), np.empty((k, 3))
     for g, rows in enumerate(groups):
@@ -678,5 +678,5 @@ def _movers(
     detections = replace(detections, frame_names=names)
     members = np.arange(3 * k).reshape(k, 3)
     p_member = np.repeat(p[:, None], 3, axis=1)
-    return Movers(detections, found.model, members, p, p, p_member, log_weight, chance, 0.0, np.zeros((k, 6)),
+    return Movers(detections, movers.model, members, p, p, p_member, log_weight, chance, 0.0, np.zeros((k, 6)),
                   np.full(k, 3), np.zeros(k), prefix=ADDED)  # fmt: skip

@@ -74,17 +74,17 @@ class KnownObjects:
         """The permanent number of tracklet k, '' if it has none."""
         return self.elements.number[self.object[k]] if self.object[k] >= 0 else ""
 
-    def mean_offset(self, found: Movers, k: int) -> FloatArray:
+    def mean_offset(self, movers: Movers, k: int) -> FloatArray:
         """(2,) mean O−C of tracklet k, arcsec east and north."""
-        rows = found.members[k]
+        rows = movers.members[k]
         return np.asarray(np.mean(self.offset_arcsec[rows[rows >= 0]], axis=0))
 
-    def into(self, table: Table, found: Movers) -> None:
+    def into(self, table: Table, movers: Movers) -> None:
         """Adds the object of each tracklet, its probability and mean O−C to the table of the tracklets."""
         known = self.object >= 0
-        offset = np.array([self.mean_offset(found, k) if known[k] else [np.nan] * 2 for k in range(len(found))])
+        offset = np.array([self.mean_offset(movers, k) if known[k] else [np.nan] * 2 for k in range(len(movers))])
         offset = offset.reshape(-1, 2)
-        table["object"] = np.ma.MaskedArray(np.array([self.name(k) for k in range(len(found))], dtype=str), ~known)
+        table["object"] = np.ma.MaskedArray(np.array([self.name(k) for k in range(len(movers))], dtype=str), ~known)
         table["p_object"] = np.ma.MaskedArray(self.p, ~known)
         for name, values in (("o_c_east_arcsec", offset[:, 0]), ("o_c_north_arcsec", offset[:, 1])):
             table[name] = np.ma.masked_invalid(values)
@@ -92,7 +92,7 @@ class KnownObjects:
 
 
 def name_movers(
-    found: Movers,
+    movers: Movers,
     elements: Elements,
     *,
     site: tuple[float, float, float] | None = None,
@@ -100,7 +100,7 @@ def name_movers(
 ) -> KnownObjects:
     """The known objects among the tracklets.
 
-    found : the tracklets. elements : of known objects; those older than twenty years are ignored. site : latitude,
+    movers : the tracklets. elements : of known objects; those older than twenty years are ignored. site : latitude,
     longitude (degrees, east positive) and height (metres) of the observer; None for the centre of the Earth, an error
     of up to 8″ for the main belt.
 
@@ -108,20 +108,20 @@ def name_movers(
     -------
     >>> named = name_movers(found, Elements.read("MPCORB.DAT"), site=(42.61, -71.485, 100.0))  # doctest: +SKIP
     """
-    k, detections = len(found), found.detections
+    k, detections = len(movers), movers.detections
     owner, p = np.full(k, ABSENT), np.zeros(k)
     offset, magnitude = np.full((len(detections), 2), np.nan), np.full(k, np.nan)
     if not k:
         return KnownObjects(elements.some(np.empty(0, np.int64)), owner, p, offset, magnitude)
     unit = detections.axes().unit
-    fields = _fields(unit[found.members[:, 0]], tuning.field_deg)
+    fields = _fields(unit[movers.members[:, 0]], tuning.field_deg)
     middle = float(np.median(detections.mjd_utc))
     elements = elements.some(np.flatnonzero(np.abs(elements.epoch_mjd - middle) < 365.25 * tuning.oldest_years))
     # With several fields all orbits are integrated to the night once; from there only over hours.
     state = states(elements, middle) if len(fields) > 1 else None
     is_near = np.zeros(len(elements), bool)
     for rows in fields:
-        in_field = found.only(rows)
+        in_field = movers.only(rows)
         directions = unit[in_field.members[in_field.members >= 0]]
         match = _of_field(in_field, directions, elements, state, middle, site, tuning)
         is_near[match.near] = True
@@ -129,7 +129,7 @@ def name_movers(
         offset[match.rows] = match.offset
     owner = _once(owner, p)
     p = np.where(owner >= 0, p, 0.0)
-    unmatched = found.members[owner < 0]
+    unmatched = movers.members[owner < 0]
     offset[unmatched[unmatched >= 0]] = np.nan
     magnitude[owner < 0] = np.nan
     near_all = np.flatnonzero(is_near)
@@ -176,11 +176,11 @@ class _FieldMatch:
 
 
 def _of_field(
-    found: Movers, unit_of: FloatArray, all_elements: Elements, state: FloatArray | None, middle: float,
+    movers: Movers, unit_of: FloatArray, all_elements: Elements, state: FloatArray | None, middle: float,
     site: tuple[float, float, float] | None, tuning: KnownObjectsTuning,
 ) -> _FieldMatch:  # fmt: skip
     """The match of the tracklets of one field. unit_of : (m, 3) directions of their detections."""
-    k, detections = len(found), found.detections
+    k, detections = len(movers), movers.detections
     owner, p, magnitude = np.full(k, ABSENT), np.zeros(k), np.full(k, np.nan)
     offset = np.full((len(detections), 2), np.nan)
     unit = mean_direction(unit_of)
@@ -191,15 +191,15 @@ def _of_field(
     if not len(near_rows):
         return _FieldMatch(no_rows, owner, p, magnitude, no_rows, np.empty((0, 2)))
     elements = all_elements.some(near_rows)
-    times = np.unique(detections.mjd_utc[found.members[found.members >= 0]])
+    times = np.unique(detections.mjd_utc[movers.members[movers.members >= 0]])
     place = None if site is None else geocentric_km(*site, times)
     start = None if state is None else (middle, state[:, :, near_rows])
     predicted_sky = ephemeris(elements, times, place, start=start)
     at = _plane(predicted_sky.ra_deg, predicted_sky.dec_deg, ra0, dec0)  # (objects, times, 2)
-    measured, covariance = _records_of(found, ra0, dec0)
+    measured, covariance = _records_of(movers, ra0, dec0)
     predicted = np.empty((k, len(elements), 4))
     for row in range(k):
-        rows = found.members[row][found.members[row] >= 0]
+        rows = movers.members[row][movers.members[row] >= 0]
         time_index = np.searchsorted(times, detections.mjd_utc[rows])
         predicted[row] = _mean_and_motion(at[:, time_index], times[time_index])
     sigma = tuning.error_factor * np.hypot(predicted_sky.sigma_arcsec.mean(axis=1), 0.05)
@@ -220,7 +220,7 @@ def _of_field(
         if probability < tuning.min_probability:
             continue
         owner[row], p[row] = known, probability
-        rows = found.members[row][found.members[row] >= 0]
+        rows = movers.members[row][movers.members[row] >= 0]
         time_index = np.searchsorted(times, detections.mjd_utc[rows])
         observed = _plane(detections.ra_deg[rows], detections.dec_deg[rows], ra0, dec0)
         offset[rows] = observed - at[known, time_index]
@@ -230,11 +230,11 @@ def _of_field(
     return _FieldMatch(near_rows, owner, p, magnitude, known, offset[known])
 
 
-def _records_of(found: Movers, ra0: float, dec0: float) -> tuple[FloatArray, FloatArray]:
+def _records_of(movers: Movers, ra0: float, dec0: float) -> tuple[FloatArray, FloatArray]:
     """(k, 4) mean position and motion of each tracklet, arcsec, and (k, 4, 4) their covariances."""
-    detections = found.detections
-    out, covariance = np.empty((len(found), 4)), np.zeros((len(found), 4, 4))
-    for row, members in enumerate(found.members):
+    detections = movers.detections
+    out, covariance = np.empty((len(movers), 4)), np.zeros((len(movers), 4, 4))
+    for row, members in enumerate(movers.members):
         rows = members[members >= 0]
         t = detections.mjd_utc[rows]
         out[row] = _mean_and_motion(_plane(detections.ra_deg[rows], detections.dec_deg[rows], ra0, dec0)[None], t)[0]
@@ -272,11 +272,11 @@ def _plane(ra_deg: FloatArray, dec_deg: FloatArray, ra0: float, dec0: float) -> 
 _STATIONS = "Code  Long.   cos      sin    Name\n500   0.00000 0.000000 0.000000Geocentric\n"
 
 
-def near_earth_scores(found: Movers, site: tuple[float, float, float] | None = None) -> FloatArray | None:
+def near_earth_scores(movers: Movers, site: tuple[float, float, float] | None = None) -> FloatArray | None:
     """(k,) scores from 0 to 100 that tracklets are near-Earth objects without a designation; None without ``digest2``.
 
-    found : the tracklets. site : latitude, longitude (degrees, east positive) and height (metres) of the observer; None
-    for the centre of the Earth. Scores of 65 and more go to the confirmation page of the Minor Planet Center.
+    movers : the tracklets. site : latitude, longitude (degrees, east positive) and height (metres) of the observer;
+    None for the centre of the Earth. Scores of 65 and more go to the confirmation page of the Minor Planet Center.
     Magnitudes are assumed to be V.
 
     Example
@@ -288,8 +288,8 @@ def near_earth_scores(found: Movers, site: tuple[float, float, float] | None = N
         from digest2 import Digest2, Observation
     except ImportError:
         return None
-    detections, out = found.detections, np.full(len(found), np.nan)
-    if not len(found):
+    detections, out = movers.detections, np.full(len(movers), np.nan)
+    if not len(movers):
         return out
     sigma = np.sqrt(detections.covariance[:, [0, 2]])
     magnitude = np.nan_to_num(detections.magnitude)
@@ -297,7 +297,7 @@ def near_earth_scores(found: Movers, site: tuple[float, float, float] | None = N
         stations = Path(folder) / "stations"
         stations.write_text(_STATIONS, encoding="ascii")
         with Digest2(obscodes_path=str(stations)) as digest:
-            for k, members in enumerate(found.members):
+            for k, members in enumerate(movers.members):
                 rows = members[members >= 0]
                 observer = np.zeros((len(rows), 3))
                 if site is not None:

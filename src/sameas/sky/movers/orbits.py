@@ -243,15 +243,15 @@ def _number_of(packed: str) -> str:
     return str(letters.index(packed[0]) * 10000 + int(packed[1:])) if packed[1:].isdigit() else ""
 
 
-def _usable(found: Elements, path: str | Path) -> Elements:
+def _usable(elements: Elements, path: str | Path) -> Elements:
     columns = np.column_stack([
-        found.epoch_mjd, found.perihelion_au, found.eccentricity, found.inclination_deg, found.node_deg,
-        found.argument_deg, found.perihelion_mjd,
+        elements.epoch_mjd, elements.perihelion_au, elements.eccentricity, elements.inclination_deg, elements.node_deg,
+        elements.argument_deg, elements.perihelion_mjd,
     ])  # fmt: skip
-    good = np.flatnonzero(np.isfinite(columns).all(axis=1) & (found.perihelion_au > 0))
+    good = np.flatnonzero(np.isfinite(columns).all(axis=1) & (elements.perihelion_au > 0))
     if not len(good):
         raise InputError(f"{path}: no row has all its elements")
-    return found.some(good)
+    return elements.some(good)
 
 
 @dataclass(frozen=True)

@@ -249,17 +249,17 @@ def _excluded(detections: Detections, tuning: Tuning) -> tuple[Stationary, int, 
     return stationary, int(np.count_nonzero(~moves)), np.flatnonzero(~stationary.rows)[moves], rest.some(moves)
 
 
-def _same_rate(found: Movers, tuning: Tuning) -> BoolArray:
+def _same_rate(movers: Movers, tuning: Tuning) -> BoolArray:
     """(k,) mask of the tracklets with a common rate: chip defects moved over the sky by a steady drift."""
-    same_rate = np.zeros(len(found), bool)
-    first, last = found.members[:, 0], _last(found)
-    detections = found.detections
+    same_rate = np.zeros(len(movers), bool)
+    first, last = movers.members[:, 0], _last(movers)
+    detections = movers.detections
     variance = 0.5 * (detections.covariance[:, 0] + detections.covariance[:, 2])
     error = np.sqrt(variance[first] + variance[last]) / (
         (detections.mjd_utc[last] - detections.mjd_utc[first]) * 1440.0
     )
-    sharp = np.flatnonzero((found.size > 2) & (error < tuning.sharp_arcsec_per_min))
-    rate, error = found.rate_arcsec_per_min[sharp], error[sharp]
+    sharp = np.flatnonzero((movers.size > 2) & (error < tuning.sharp_arcsec_per_min))
+    rate, error = movers.rate_arcsec_per_min[sharp], error[sharp]
     if len(sharp):
         tree = cKDTree(rate)
         near, far = (tree.query_ball_point(rate, sigmas * error, return_length=True) for sigmas in (3.0, 12.0))
@@ -404,22 +404,28 @@ def _detection_probability(weight: FloatArray, n_detected: IntArray, n_covered: 
 
 
 def _movers(
-    detections: Detections, model: MotionModel, found: Competition, least: int, p_least: float, p_stationary: FloatArray
+    detections: Detections,
+    model: MotionModel,
+    competition: Competition,
+    least: int,
+    p_least: float,
+    p_stationary: FloatArray,
 ) -> Movers:
     """The chosen tracks as tracklets, the most probable first, with probabilities reduced by ``p_stationary``."""
-    p_tracklet, p_member = found.shares(len(detections))
+    p_tracklet, p_member = competition.shares(len(detections))
     p_moving = 1.0 - p_stationary
     p_tracklet, p_member = p_moving * p_tracklet, p_moving[:, None] * p_member
-    keep = np.flatnonzero(found.chosen)
-    keep = keep[(found.tracks.size[keep] >= least) & (p_tracklet[keep] >= p_least)]
-    keep = keep[np.lexsort([found.members[keep, 0], -found.tracks.log_weight[keep]])]
-    weight = found.tracks.log_weight[keep]
-    width = int(found.tracks.size[keep].max(initial=2))
+    keep = np.flatnonzero(competition.chosen)
+    keep = keep[(competition.tracks.size[keep] >= least) & (p_tracklet[keep] >= p_least)]
+    keep = keep[np.lexsort([competition.members[keep, 0], -competition.tracks.log_weight[keep]])]
+    weight = competition.tracks.log_weight[keep]
+    width = int(competition.tracks.size[keep].max(initial=2))
     chance = len(detections) * np.exp(-np.clip(weight, -50.0, 700.0))
     return Movers(
-        detections, model, found.members[keep][:, :width], p_tracklet[keep], (p_moving * found.p_track)[keep],
-        p_member[keep][:, :width], weight, chance, found.gap, found.tracks.state[keep],
-        found.tracks.n_covered[keep], found.tracks.log_missed[keep],
+        detections, model, competition.members[keep][:, :width], p_tracklet[keep],
+        (p_moving * competition.p_track)[keep], p_member[keep][:, :width], weight, chance, competition.gap,
+        competition.tracks.state[keep],
+        competition.tracks.n_covered[keep], competition.tracks.log_missed[keep],
     )  # fmt: skip
 
 
@@ -541,16 +547,16 @@ def search(
     return found.only(wanted), series
 
 
-def _stationary_and_fixed(found: Movers, series: Series, tuning: MoverTuning) -> tuple[BoolArray, BoolArray]:
+def _stationary_and_fixed(movers: Movers, series: Series, tuning: MoverTuning) -> tuple[BoolArray, BoolArray]:
     """(k,) masks of the tracklets that are stationary on the sky, and of those that may be fixed on the chip."""
-    over_sky = _moved_arcsec(found) / series.scale_arcsec_per_px
-    rows = found.detections.rows[found.members[:, 0]], found.detections.rows[_last(found)]
+    over_sky = _moved_arcsec(movers) / series.scale_arcsec_per_px
+    rows = movers.detections.rows[movers.members[:, 0]], movers.detections.rows[_last(movers)]
     first, last = (_chip(series, selected) for selected in rows)
     over_chip = np.hypot(*(last - first).T)
     error = np.hypot(*(series.sigma_arcsec[selected] for selected in rows)) / series.scale_arcsec_per_px
     stuck = (over_chip < tuning.min_move_px + 2.0 * error) & (over_chip < tuning.drift * over_sky)
     # Blends and faint stars move with the seeing; a linear motion of many times its scatter is real.
-    creeps = (found.size >= 5) & (over_sky > tuning.creep_px) & (_moved_sigmas(found) > tuning.creep_sigmas)
+    creeps = (movers.size >= 5) & (over_sky > tuning.creep_px) & (_moved_sigmas(movers) > tuning.creep_sigmas)
     return (over_sky < tuning.min_move_px) & ~creeps, stuck
 
 
@@ -563,9 +569,9 @@ def _chip(series: Series, rows: IntArray) -> FloatArray:
     return out
 
 
-def _last(found: Movers) -> IntArray:
+def _last(movers: Movers) -> IntArray:
     """(k,) the last detection of each tracklet."""
-    return np.asarray(found.members[np.arange(len(found)), found.size - 1])
+    return np.asarray(movers.members[np.arange(len(movers)), movers.size - 1])
 
 
 def _no_detections(series: Series) -> Detections:
@@ -586,19 +592,19 @@ def _no_movers(detections: Detections) -> Movers:
     )  # fmt: skip
 
 
-def _moved_arcsec(found: Movers) -> FloatArray:
+def _moved_arcsec(movers: Movers) -> FloatArray:
     """(k,) motion of each tracklet between its first and last detection, arcsec."""
-    minutes = (found.detections.mjd_utc[_last(found)] - found.detections.mjd_utc[found.members[:, 0]]) * 1440.0
-    return np.asarray(np.hypot(*found.rate_arcsec_per_min.T) * minutes)
+    minutes = (movers.detections.mjd_utc[_last(movers)] - movers.detections.mjd_utc[movers.members[:, 0]]) * 1440.0
+    return np.asarray(np.hypot(*movers.rate_arcsec_per_min.T) * minutes)
 
 
-def _moved_sigmas(found: Movers) -> FloatArray:
+def _moved_sigmas(movers: Movers) -> FloatArray:
     """(k,) motion of each tracklet over its error, by the larger of its scatter and the quoted errors."""
-    present = found.members >= 0
-    count = found.size
-    detections, rows = found.detections, np.maximum(found.members, 0)
+    present = movers.members >= 0
+    count = movers.size
+    detections, rows = movers.detections, np.maximum(movers.members, 0)
     quoted = np.where(present, 0.5 * (detections.covariance[rows][..., 0] + detections.covariance[rows][..., 2]), 0.0)
-    sigma = np.maximum(np.nan_to_num(found.scatter_arcsec), np.sqrt(quoted.sum(axis=1) / count))
+    sigma = np.maximum(np.nan_to_num(movers.scatter_arcsec), np.sqrt(quoted.sum(axis=1) / count))
     t = np.where(present, 1440.0 * (detections.mjd_utc[rows] - detections.mjd_utc[rows[:, :1]]), 0.0)
     time_off = np.where(present, t - (t.sum(axis=1) / count)[:, None], 0.0)
-    return np.asarray(np.hypot(*found.rate_arcsec_per_min.T) * np.sqrt((time_off**2).sum(axis=1)) / sigma)
+    return np.asarray(np.hypot(*movers.rate_arcsec_per_min.T) * np.sqrt((time_off**2).sum(axis=1)) / sigma)

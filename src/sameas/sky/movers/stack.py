@@ -110,7 +110,7 @@ class Stack:
 
 
 def stack(
-    found: Movers,
+    movers: Movers,
     series: Series,
     frames: Iterable[Frame],
     place: FloatArray | None = None,
@@ -118,13 +118,13 @@ def stack(
 ) -> Stack:
     """The tracklets measured in the pixels of the frames.
 
-    found : tracklets of the series. frames : calibrated, in the order of ``series.exposures``, used one at a time.
+    movers : tracklets of the series. frames : calibrated, in the order of ``series.exposures``, used one at a time.
     place : (k, f, 2) arcsec, positions of movers below the limit of single frames; None for tracklets of detections.
     """
-    k, f = min(len(found), tuning.max_tracklets), len(series.exposures)
+    k, f = min(len(movers), tuning.max_tracklets), len(series.exposures)
     scale = series.scale_arcsec_per_px
     blind = place is not None
-    place = (predicted(found, series) if place is None else place)[:k]
+    place = (predicted(movers, series) if place is None else place)[:k]
     size, half = 2 * tuning.half_px + 1, _fixed_halves(place, scale, tuning)
     chip, flux, error = np.full((k, f, 2), np.nan), np.full((k, f), np.nan), np.full((k, f), np.nan)
     along = np.zeros((k, f, size, size), np.float32)
@@ -149,9 +149,9 @@ def stack(
     zero = series.stars.zero_point
     factor = 10 ** (-0.4 * np.nan_to_num(np.where(np.isfinite(zero), np.nanmean(zero) - zero, 0.0)))
     flux, error = flux / factor, error / factor
-    detected = np.zeros((k, f), bool) if blind else _detected(found, series)[:k]
-    log_ratio = np.zeros(k) if blind else _evidence(found, flux, error, hidden, detected, tuning)
-    p = found.p_tracklet[:k]
+    detected = np.zeros((k, f), bool) if blind else _detected(movers, series)[:k]
+    log_ratio = np.zeros(k) if blind else _evidence(movers, flux, error, hidden, detected, tuning)
+    p = movers.p_tracklet[:k]
     with np.errstate(divide="ignore", over="ignore"):
         odds = np.log(np.maximum(p, 1e-300)) - np.log(np.maximum(1 - p, 1e-16)) + log_ratio
         p = 1.0 / (1.0 + np.exp(-np.clip(odds, -700, 700)))
@@ -161,13 +161,13 @@ def stack(
     )  # fmt: skip
 
 
-def predicted(found: Movers, series: Series) -> FloatArray:
+def predicted(movers: Movers, series: Series) -> FloatArray:
     """(k, f, 2) positions by a fit of linear motion, or quadratic with enough detections and time, arcsec."""
     minutes = np.array([e.mjd_utc for e in series.exposures]) * 1440.0
     minutes -= minutes.mean()
-    path = np.empty((len(found), len(minutes), 2))
-    for k, members in enumerate(found.members):
-        rows = found.detections.rows[members[members >= 0]]
+    path = np.empty((len(movers), len(minutes), 2))
+    for k, members in enumerate(movers.members):
+        rows = movers.detections.rows[members[members >= 0]]
         t, positions = minutes[series.frame[rows]], series.place[rows]
         weight = 1.0 / series.sigma_arcsec[rows]
         order = 2 if len(rows) >= 6 and np.ptp(t) > 0.7 * np.ptp(minutes) else 1
@@ -306,16 +306,16 @@ def _grid(place: FloatArray, half: int, scale: float) -> FloatArray:
     return np.asarray(place + np.stack([east, north], axis=-1))
 
 
-def _detected(found: Movers, series: Series) -> BoolArray:
+def _detected(movers: Movers, series: Series) -> BoolArray:
     """(k, f) mask of the frames on which each tracklet has a detection."""
-    out = np.zeros((len(found), len(series.exposures)), bool)
-    k, column = np.nonzero(found.members >= 0)
-    out[k, series.frame[found.detections.rows[found.members[k, column]]]] = True
+    out = np.zeros((len(movers), len(series.exposures)), bool)
+    k, column = np.nonzero(movers.members >= 0)
+    out[k, series.frame[movers.detections.rows[movers.members[k, column]]]] = True
     return out
 
 
 def _evidence(
-    found: Movers,
+    movers: Movers,
     flux: FloatArray,
     error: FloatArray,
     hidden: BoolArray,
@@ -338,7 +338,7 @@ def _evidence(
     gain = np.where(missed, np.minimum(log_ratio, 3.0), 0.0).sum(axis=1)
     gain -= np.logaddexp(math.log1p(-tuning.unlisted), math.log(tuning.unlisted) + gain)
     # This replaces the misses counted by the search.
-    return np.asarray(gain - found.log_missed[: len(flux)])
+    return np.asarray(gain - movers.log_missed[: len(flux)])
 
 
 def _stacked(
@@ -361,23 +361,23 @@ def _stacked(
     return out, snr
 
 
-def confirmed(found: Movers, stacked: Stack, min_probability: float) -> tuple[Movers, Stack]:
+def confirmed(movers: Movers, stacked: Stack, min_probability: float) -> tuple[Movers, Stack]:
     """The tracklets with the evidence of forced photometry, those less probable than the minimum excluded."""
-    p = np.concatenate([stacked.p, found.p_tracklet[len(stacked) :]])
-    change = np.concatenate([stacked.log_ratio, np.zeros(len(found) - len(stacked))])
-    share = p / np.maximum(found.p_tracklet, 1e-300)
-    found = replace(
-        found, p_tracklet=p, p_exact=np.minimum(share * found.p_exact, p),
-        p_member=np.minimum(share[:, None] * found.p_member, 1.0), log_weight=found.log_weight + change,
-        expected_chance=found.expected_chance * np.exp(-change),
-        log_missed=np.where(np.arange(len(found)) < len(stacked), 0.0, found.log_missed),
+    p = np.concatenate([stacked.p, movers.p_tracklet[len(stacked) :]])
+    change = np.concatenate([stacked.log_ratio, np.zeros(len(movers) - len(stacked))])
+    share = p / np.maximum(movers.p_tracklet, 1e-300)
+    movers = replace(
+        movers, p_tracklet=p, p_exact=np.minimum(share * movers.p_exact, p),
+        p_member=np.minimum(share[:, None] * movers.p_member, 1.0), log_weight=movers.log_weight + change,
+        expected_chance=movers.expected_chance * np.exp(-change),
+        log_missed=np.where(np.arange(len(movers)) < len(stacked), 0.0, movers.log_missed),
     )  # fmt: skip
     keep = p >= min_probability
     measured = keep[: len(stacked)]
     names = ("place", "chip", "flux", "error", "hidden", "detected", "log_ratio", "p", "along", "stacked", "snr")
     parts = {name: getattr(stacked, name)[measured] for name in names}
     fixed = tuple(cutouts for cutouts, used in zip(stacked.fixed, measured, strict=True) if used)
-    return found.only(keep), replace(stacked, **parts, fixed=fixed)
+    return movers.only(keep), replace(stacked, **parts, fixed=fixed)
 
 
 #: Flags of measurements that are not light of the sky, or incomplete.
