@@ -100,6 +100,44 @@ def heading_or_course(heading_deg: FloatArray, course_deg: FloatArray, speed_m_p
     return np.where(np.isfinite(heading_deg), heading_deg, course)
 
 
+def at_hull_centres(values: Mapping[str, Any], sides: Sequence[FloatArray | None]) -> tuple[dict[str, Any], list[str]]:
+    """The positions of AIS at the middle of the hull where the place of the antenna is known, with the extent of the
+    hull in their errors where its size is known; and notes on both.
+
+    sides : distances (n,) of the antenna from bow, stern, port and starboard, None where there is no column.
+    """
+    n = len(values["time_s"])
+    unknown = np.full(n, np.nan)
+    bow, stern, port, starboard = (unknown if side is None else side for side in sides)
+    length, width = values.get("length_m", unknown), values.get("width_m", unknown)
+    with np.errstate(invalid="ignore"):
+        has_antenna = (bow + stern > 0.0) & (port + starboard > 0.0)
+        known = has_antenna | (length > 0.0)
+        width = np.where(width > 0.0, width, length / LENGTH_PER_WIDTH)
+    if not known.any():
+        return dict(values), []
+    # Bow and port 0: a size without the position of the antenna. Tables differ in which of C and D is port (Danish AIS
+    # has it last, ITU-R M.1371 third): the antenna is taken to be in the middle of the width.
+    middle = (port + starboard) / 2.0
+    hull = Hull(
+        np.where(has_antenna, bow, 0.0),
+        np.where(has_antenna, stern, length),
+        np.where(has_antenna, middle, 0.0),
+        np.where(has_antenna, middle, width),
+    )
+    motion = (values.get(name, unknown) for name in ("heading_deg", "course_deg", "speed_m_per_s"))
+    lat, lon, extent = hull.centre(values["lat_deg"], values["lon_deg"], heading_or_course(*motion))
+    stated = values.get("covariance_m2", np.full((n, 3), np.nan))
+    base = np.where(np.isfinite(stated).all(axis=1)[:, None], stated, round_covariance(np.full(n, AIS_SIGMA_M[False])))
+    moved = known & hull.antenna_known
+    places = {"lat_deg": np.where(moved, lat, values["lat_deg"]), "lon_deg": np.where(moved, lon, values["lon_deg"])}
+    notes = [f"where the antenna's place on the hull is known, {HULL_CENTRES}"] * bool(hull.antenna_known.any())
+    if (known & ~hull.antenna_known).any():
+        notes.append("where only the length of a ship is known, positions are not moved, and their errors include the "
+                     "antenna's unknown place on the hull")  # fmt: skip
+    return dict(values) | places | {"covariance_m2": np.where(known[:, None], base + extent, stated)}, notes
+
+
 def _positive(size: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
         return np.where(size > 0.0, size, np.nan)

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from sameas.io.sensors.ais import LENGTH_PER_WIDTH, Hull, heading_or_course
-from sameas.io.sensors.format import AIS_SIGMA_M, SensorFormat, instant, of_json, plain_text, round_covariance
+from sameas.io.sensors.ais import LENGTH_PER_WIDTH, at_hull_centres
+from sameas.io.sensors.format import SensorFormat, instant, of_json, plain_text
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 _MMSI = re.compile(r"mmsi:(\d{9})$")
@@ -30,7 +30,6 @@ _NUMBERS = {
     "navigation.courseOverGroundTrue": ("course_deg", 180.0 / math.pi),
     "navigation.headingTrue": ("heading_deg", 180.0 / math.pi),
 }
-#: Paths of texts, with their column; the same are keys of the value of the path "".
 #: Paths of sizes in metres, with their column; the length may be an object. The signs of ``fromCenter`` differ between
 #: servers, so that antennas are taken to be on the centre line.
 _SIZES = {
@@ -39,6 +38,7 @@ _SIZES = {
 }  # fmt: skip
 #: Values of navigation.state with their code of AIS, of those that tell ships at rest apart.
 _STATES = {"anchored": 1.0, "not under command": 2.0, "moored": 5.0, "aground": 6.0}
+#: Paths of texts, with their column; the same are keys of the value of the path "".
 _TEXTS = {"name": "name", "communication.callsignVhf": "callsign", "registrations.imo": "imo"}
 #: Fields older than this, in seconds, are not joined to a position (chosen).
 _STALE_S = 60.0
@@ -167,29 +167,13 @@ def _add_delta(
 
 def _at_hull_centres(columns: dict[str, Any]) -> dict[str, Any]:
     """The columns with the positions of ships of known length at the middle of the hull, its extent in their errors."""
-    n = len(columns["time_s"])
-    unknown = np.full(n, np.nan)
+    unknown = np.full(len(columns["time_s"]), np.nan)
     length, width, bow = (columns.get(name, unknown) for name in ("length_m", "width_m", "to_bow_m"))
     with np.errstate(invalid="ignore"):
-        known = length > 0.0
-        width = np.where(width > 0.0, width, length / LENGTH_PER_WIDTH)
-        has_antenna = known & (bow > 0.0) & (bow <= length)
+        side = np.where(width > 0.0, width, length / LENGTH_PER_WIDTH) / 2.0
+        bow = np.where((bow > 0.0) & (bow <= length), bow, np.nan)
     columns.pop("to_bow_m", None)
-    if not known.any():
-        return columns
-    # Bow and port 0: the place of the antenna is not known.
-    hull = Hull(
-        np.where(has_antenna, bow, 0.0), np.where(has_antenna, length - bow, length),
-        np.where(has_antenna, width / 2.0, 0.0), np.where(has_antenna, width / 2.0, width),
-    )  # fmt: skip
-    given = (columns.get(name, unknown) for name in ("heading_deg", "course_deg", "speed_m_per_s"))
-    lat, lon, extent = hull.centre(columns["lat_deg"], columns["lon_deg"], heading_or_course(*given))
-    covariance = round_covariance(np.full(n, AIS_SIGMA_M[False])) + extent
-    return columns | {
-        "lat_deg": np.where(has_antenna, lat, columns["lat_deg"]),
-        "lon_deg": np.where(has_antenna, lon, columns["lon_deg"]),
-        "covariance_m2": np.where(known[:, None], covariance, np.nan),
-    }
+    return at_hull_centres(columns, (bow, length - bow, side, side))[0]
 
 
 def _texts(path: str, value: Any) -> Iterator[tuple[str, str]]:

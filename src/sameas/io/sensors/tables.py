@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.bounds import check_columns
 from sameas.errors import Argument, InputError, Message, naming
-from sameas.io.sensors.ais import HULL_CENTRES, LENGTH_PER_WIDTH, SIDES, Hull, heading_or_course
+from sameas.io.sensors.ais import SIDES, at_hull_centres
 from sameas.io.sensors.format import (
     AIS_SIGMA_M,
     DAY_S,
@@ -591,7 +591,12 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     values = _with_covariances(values)
     sides = [values.pop(f"to_{side}_m", None) for side in SIDES]
     if is_ais and "lat_deg" in values:
-        values, hulls = _at_hull_centres(values, sides)
+        angles = {
+            name: np.where((values[name] >= 0.0) & (values[name] < 360.0), values[name], np.nan)
+            for name in ("heading_deg", "course_deg") if name in values
+        }  # fmt: skip
+        centred, hulls = at_hull_centres(values | angles, sides)
+        values = centred | {name: values[name] for name in angles}
         notes += [f"{source}: {one}" for one in hulls]
     return Reports.of(
         source, "table", values, damaged=Damaged.of(damaged.items()),
@@ -629,46 +634,6 @@ def _with_flagged_errors(cells: TableText, chosen: dict[str, Choice]) -> tuple[T
         replace(cells, columns=others | {choice.name: errors}),
         chosen | {"sigma_m": replace(choice, factor=1.0, why=why)},
     )
-
-
-def _at_hull_centres(values: Mapping[str, Any], sides: Sequence[FloatArray | None]) -> tuple[dict[str, Any], list[str]]:
-    """The positions of AIS at the middle of the hull where the place of the antenna is known, with the extent of the
-    hull in their errors where its size is known; and notes on both.
-
-    sides : distances (n,) of the antenna from bow, stern, port and starboard, None where there is no column.
-    """
-    n = len(values["lat_deg"])
-    unknown = np.full(n, np.nan)
-    bow, stern, port, starboard = (unknown if side is None else side for side in sides)
-    length, width = values.get("length_m", unknown), values.get("width_m", unknown)
-    with np.errstate(invalid="ignore"):
-        has_antenna = (bow + stern > 0.0) & (port + starboard > 0.0)
-        known = has_antenna | (length > 0.0)
-        width = np.where(width > 0.0, width, length / LENGTH_PER_WIDTH)
-    if not known.any():
-        return dict(values), []
-    # Bow and port 0: a size without the position of the antenna. Tables differ in which of C and D is port (Danish AIS
-    # has it last, ITU-R M.1371 third): the antenna is taken to be in the middle of the width.
-    middle = (port + starboard) / 2.0
-    hull = Hull(
-        np.where(has_antenna, bow, 0.0),
-        np.where(has_antenna, stern, length),
-        np.where(has_antenna, middle, 0.0),
-        np.where(has_antenna, middle, width),
-    )
-    angles = [np.where((angle >= 0.0) & (angle < 360.0), angle, np.nan)
-              for angle in (values.get("heading_deg", unknown), values.get("course_deg", unknown))]  # fmt: skip
-    heading = heading_or_course(angles[0], angles[1], values.get("speed_m_per_s", unknown))
-    lat, lon, extent = hull.centre(values["lat_deg"], values["lon_deg"], heading)
-    stated = values.get("covariance_m2", np.full((n, 3), np.nan))
-    base = np.where(np.isfinite(stated).all(axis=1)[:, None], stated, round_covariance(np.full(n, AIS_SIGMA_M[False])))
-    moved = known & hull.antenna_known
-    places = {"lat_deg": np.where(moved, lat, values["lat_deg"]), "lon_deg": np.where(moved, lon, values["lon_deg"])}
-    notes = [f"where the antenna's place on the hull is known, {HULL_CENTRES}"] * bool(hull.antenna_known.any())
-    if (known & ~hull.antenna_known).any():
-        notes.append("where only the length of a ship is known, positions are not moved, and their errors include the "
-                     "antenna's unknown place on the hull")  # fmt: skip
-    return dict(values) | places | {"covariance_m2": np.where(known[:, None], base + extent, stated)}, notes
 
 
 def _delimiter_of(line: str) -> str:
