@@ -246,7 +246,7 @@ UNUSABLE = [
                               "\"NAME\" } } in its table [sources.NAME] of the --sensors file"),
     ("time,lat,lon\n2024-05-01T12:00:00Z,50,1\n", "what kind of sensor is it? Neither its name nor its columns"),
     ("time,lat,lon,mmsi\n23:10:00,50,1,235000001\n", "give start, the UTC date of the first row: --start, or"),
-    ("time,track_id,range_m,bearing_deg\n0,1,2,3\n",
+    ("time,track_id,range_m,bearing_deg\n1714605000,1,2,3\n",
      "the sensor's position is not known; give site = { lat_deg = …, lon_deg = … } in its description"),
     (None, "no such file"),
 ]  # fmt: skip
@@ -420,6 +420,20 @@ def test_a_zero_byte_in_a_log_is_one_damaged_line(tmp_path):
     )
     [source] = read_sources([tmp_path / "log.nmea"])
     assert len(source.reports) == 1 and source.reports.damaged.lines.tolist() == [2]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("days", [-365, 30])
+def test_a_source_of_another_day_does_not_stretch_a_picture_or_a_replay(days, sameas, coast, tmp_path):
+    rows = list(csv.reader((coast / "radar.csv").read_text().splitlines()))
+    write(tmp_path / "radar.csv", rows[0], [[float(row[0]) + 86_400 * days, *row[1:]] for row in rows[1:]])
+    files = coast / "ais.csv", tmp_path / "radar.csv"
+    words = "set aside: ais: its reports are of 2024-05-01"  # the radar has more reports
+    options = "-s", coast / "sensors.toml"
+    result = sameas("picture", *files, *options, "--every", "20s", "-o", tmp_path / "out", *QUICK, exit_code=1)
+    assert words in " ".join(result.stdout.split()) and "Picture: 6 instants" in result.stdout
+    result = sameas("watch", *files, *options, "--pace", "1000", "--no-map", exit_code=1)
+    assert words in " ".join(result.stdout.split())
 
 
 @pytest.mark.slow

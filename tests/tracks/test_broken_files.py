@@ -242,6 +242,17 @@ def test_times_far_from_each_other_are_no_wrong_dates(times, tmp_path):
     assert len(source.reports) == len(times) and damage(source.reports) == {}
 
 
+def test_wrong_dates_here_and_there_are_damaged_lines_also_of_a_short_file(tmp_path):
+    times = [1_714_560_000 + 5 * k for k in range(200)]
+    wrong = [t - 365 * 86_400 if k % 50 == 7 else t for k, t in enumerate(times)]
+    (tmp_path / "ais.csv").write_text(table(wrong))
+    [source] = read_sources([tmp_path / "ais.csv"])
+    assert damage(source.reports) == dict.fromkeys([9, 59, 109, 159], "a time far from all others")
+    (tmp_path / "ais.csv").write_text(table([*times[:9], 0]))
+    [source] = read_sources([tmp_path / "ais.csv"])
+    assert damage(source.reports) == {11: "a time far from all others"}
+
+
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])
 def test_text_of_other_encodings_with_a_byte_order_mark_is_read(encoding, tmp_path):
     mark = "\ufeff" if encoding == "utf-16-be" else ""

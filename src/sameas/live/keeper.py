@@ -442,7 +442,7 @@ class Keeper:
 
     def _source_alarms(self) -> list[Alarm]:
         watch, clock_s, silent = self.settings.watch, self._taken_s, self._silent_wires()
-        out = [Alarm(f"set aside {name}", "source", f"{name} is set aside: {why}")
+        out = [Alarm(f"set aside {name}", "source", f"{name} is set aside: {why.removeprefix(name + ': ')}")
                for name, why in self.settings.set_aside.items()]  # fmt: skip
         out += [self._wire_alarm(url, names) for url, names in silent.items()]
         on_silent = {name for names in silent.values() for name in names}

@@ -4,7 +4,8 @@ A longitude of the wrong sign, kilometres for metres, a clock in another time zo
 given, and matches well in another unit, sign or order. These guesses (:class:`UnitGuess`) are tried only for sources
 that match no other, and only to name the remedy: data are never changed.
 
-- :func:`doubts`: on the sources of a scene. :func:`too_far_apart`: on sources too far apart for one plane.
+- :func:`doubts`: on the sources of a scene. :func:`too_far_apart`: on sources too far apart for one plane,
+  :func:`of_other_days`: for one time.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 #: Units in which a length may be given, in metres.
 LENGTHS = (("kilometres", 1000.0), ("nautical miles", MILE_M), ("feet", FOOT_M), ("millimetres", 0.001))
+#: Seconds of a day.
+DAY_S = 86400.0
 #: Hours between time zones, and seconds by which GPS time is ahead of UTC since 2017.
 HOURS, LEAP_S = (*range(-12, 0), *range(1, 15)), 18.0
 DEGREE = 180.0 / math.pi
@@ -262,6 +265,34 @@ def too_far_apart(sources: Sequence[Source], tuning: Tuning = DEFAULT_TUNING) ->
     middle = LocalPlane.about(*known[home])
     reach = max(tuning.near_extents * float(np.quantile(_distance_m(middle, known[home]), 0.9)), tuning.near_m)
     return {sources[k][0].name: _far_sentence(sources[k], sources[home], reach) for k in far[home]}
+
+
+def of_other_days(sources: Sequence[Source]) -> dict[str, str]:
+    """By name, sentences on sources whose reports are days from those of most others: a picture has one time.
+
+    Most are the most sources without a pause of a day between them, and of several such, those with most reports. The
+    pause to the others is longer than all of these last.
+    """
+    spans = sorted((float(r.time_s.min()), float(r.time_s.max()), d.name, len(r)) for d, r in sources if len(r))
+    sessions: list[list[tuple[float, float, str, int]]] = []
+    last_s = -math.inf
+    for span in spans:
+        if span[0] - last_s > DAY_S:
+            sessions.append([])
+        sessions[-1].append(span)
+        last_s = max(last_s, span[1])
+    if len(sessions) < 2:
+        return {}
+    home = max(sessions, key=lambda session: (len(session), sum(span[3] for span in session)))
+    first_s, last_s = home[0][0], max(span[1] for span in home)
+    theirs = " to ".join(_span(np.array([first_s, last_s])))
+    return {
+        name: f"{name}: its reports are of {' to '.join(_span(np.array([first, last])))}, days from those of others, "
+        f"{theirs}; check its clock and its date"
+        for session in sessions if session is not home
+        for first, last, name, _ in session
+        if max(first_s - last, first - last_s) > last_s - first_s
+    }  # fmt: skip
 
 
 def _far_sentence(source: Source, home: Source, reach_m: float) -> str:

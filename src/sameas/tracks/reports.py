@@ -317,13 +317,13 @@ def of_rows(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 _MATRICES = ("covariance_m2", "velocity_covariance_m2_per_s2")
-#: Reports are of a wrong date if they are at most STRAY_REPORTS at a time and STRAY_SHARE of all, and apart from the
-#: others by more than STRAY_S seconds, and by more than all others last.
-STRAY_REPORTS, STRAY_SHARE, STRAY_S = 3, 0.01, 6 * 3600.0
+#: Reports are of a wrong date if at most STRAY_REPORTS follow each other in the file, they are at most STRAY_SHARE of
+#: all, and apart from the others by more than STRAY_S, in seconds, and by more than all others last.
+STRAY_REPORTS, STRAY_SHARE, STRAY_S = 3, 0.05, 6 * 3600.0
 
 
 def without_stray_times(reports: Reports) -> Reports:
-    """The reports without those of a wrong date, which are damaged: a few, days from all others.
+    """The reports without those of a wrong date, which are damaged: a few at a time, days from all others.
 
     One wrong date would make the picture of five minutes one of a month. A log that is split into sessions keeps all.
 
@@ -335,17 +335,17 @@ def without_stray_times(reports: Reports) -> Reports:
     order = np.argsort(reports.time_s, kind="stable")
     time_s = reports.time_s[order]
     cuts = np.flatnonzero(np.diff(time_s) > STRAY_S) + 1
-    starts, ends = np.append(0, cuts), np.append(cuts, len(time_s))
     if not len(cuts):
         return reports
+    starts, ends = np.append(0, cuts), np.append(cuts, len(time_s))
     main = int(np.argmax(ends - starts))
     first_s, last_s = time_s[starts[main]], time_s[ends[main] - 1]
-    stray = np.zeros(len(time_s), bool)
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        apart_s = max(first_s - time_s[end - 1], time_s[start] - last_s)
-        few = end - start <= STRAY_REPORTS
-        stray[order[start:end]] = few and apart_s > max(STRAY_S, last_s - first_s)
-    if not 0 < stray.sum() <= STRAY_SHARE * len(time_s):
+    apart = np.maximum(first_s - reports.time_s, reports.time_s - last_s) > max(STRAY_S, last_s - first_s)
+    # The length of the run of lines, in the order of the file, to which each belongs.
+    changes = np.flatnonzero(np.diff(apart)) + 1
+    lengths = np.diff(np.concatenate([[0], changes, [len(apart)]]))
+    stray = apart & (np.repeat(lengths, lengths) <= STRAY_REPORTS)
+    if not 0 < stray.sum() <= max(1.0, STRAY_SHARE * len(time_s)) or ends[main] - starts[main] <= STRAY_REPORTS:
         return reports
     lines = [(int(line), "a time far from all others") for line in reports.line[stray]]
     before = zip(reports.damaged.lines.tolist(), reports.damaged.reasons.tolist(), strict=True)

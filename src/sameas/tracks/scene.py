@@ -37,7 +37,7 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.doubts import doubts, too_far_apart
+from sameas.tracks.doubts import doubts, of_other_days, too_far_apart
 from sameas.tracks.error_fit import TrackErrorFit, fit_errors
 from sameas.tracks.feed import Feed, need_filtering, of_their_objects
 from sameas.tracks.heights import HeightModel, HeightReports, heights_of
@@ -89,9 +89,11 @@ class Scene:
         names = [description.name for description, _ in sources]
         if len(set(names)) < len(names):
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
-        if far := too_far_apart(sources, tuning):
-            if set_aside is None:
-                raise InputError("; ".join(far.values()))
+        far = too_far_apart(sources, tuning)
+        if set_aside is None and far:
+            raise InputError("; ".join(far.values()))
+        if set_aside is not None:
+            far |= of_other_days(sources)
             set_aside |= {name: InputError(words) for name, words in far.items()}
         sources = [source for source in sources if source[0].name not in far]
         if plane is None and (middle := _middle(sources)) is not None:

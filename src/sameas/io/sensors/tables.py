@@ -892,7 +892,7 @@ def _mark_unavailable(values: dict[str, NDArray[Any]], chosen: Mapping[str, Choi
             continue
         given = column / chosen[name].factor
         missing = np.isin(np.round(given, 4), _OF_AIS.get(name, ())) if is_ais else np.zeros(len(column), bool)
-        missing |= np.round(given, 4) == _nines(given)
+        missing |= np.isin(np.round(given, 4), _nines(given))
         lowest, highest = POSSIBLE.get(name, (-math.inf, math.inf))
         with np.errstate(invalid="ignore"):
             missing |= (column < lowest) | (column > highest)
@@ -908,18 +908,19 @@ def _mark_unavailable(values: dict[str, NDArray[Any]], chosen: Mapping[str, Choi
     return sentences
 
 
-def _nines(column: FloatArray) -> float:
-    """The number of nines only that is the most frequent value of a column; NaN where there is none.
+def _nines(column: FloatArray) -> FloatArray:
+    """The numbers of nines only of which no other number of a column is more frequent.
 
     >>> _nines(np.array([9999.0, 5.0, 9999.0, 7.0, 9999.0])), _nines(np.array([9999.0, 5.0, 7.0]))
-    (9999.0, nan)
+    (array([9999.]), array([], dtype=float64))
     """
-    known = column[np.isfinite(column)]
-    found, counts = np.unique(known, return_counts=True)
+    found, counts = np.unique(np.round(column[np.isfinite(column)], 4), return_counts=True)
     if not len(found) or counts.max() < _NINES:
-        return math.nan
-    most = float(found[np.argmax(counts)])
-    return most if re.fullmatch(r"-?9{3,}(\.9+)?", f"{most:.12g}") else math.nan
+        return np.empty(0)
+    frequent = found[counts >= max(_NINES, 0.1 * counts.max())]
+    nines = np.array([bool(re.fullmatch(r"-?9{3,}(\.9+)?", f"{value:.12g}")) for value in frequent.tolist()])
+    most = counts[~np.isin(found, frequent[nines])].max(initial=0)
+    return np.array([value for value in frequent[nines].tolist() if counts[found == value][0] > most])
 
 
 def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int, str]) -> None:
