@@ -257,3 +257,53 @@ def test_a_crowd_of_forged_ships_is_folded_and_hides_no_other_alarm(keeper, tmp_
             assert page.errors == []
         finally:
             page.close()
+
+
+def test_keys_go_back_in_time_open_the_alarms_and_choose_colours_that_stay(keeper, tmp_path):
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url)
+
+        def key(name):
+            page.do("Input.dispatchKeyEvent", type="keyDown", key=name, code=name)
+            page.do("Input.dispatchKeyEvent", type="keyUp", key=name, code=name)
+
+        try:
+            page.until("mapPage.live && document.getElementById('slider').max > 2")
+            key("ArrowLeft")
+            page.until("document.body.dataset.live === 'back'")
+            held, tick = page.js("mapPage.now.time"), page.js("mapPage.live.tick")
+            page.until(f"mapPage.live.tick > {tick + 3}")
+            assert page.js("mapPage.now.time") == held
+            key(" ")
+            page.until(f"document.body.dataset.live === 'yes' && mapPage.now.time > {held}")
+            key("Home")
+            page.until("document.body.dataset.live === 'back' && mapPage.now.k === 0")
+            key("a")
+            page.until("!document.getElementById('alarms').hidden")
+            night = "document.documentElement.classList.contains('night')"
+            before = page.js(night)
+            key("d")
+            assert page.js(night) != before
+            page.do("Page.reload")
+            page.until("document.body?.dataset.ready === 'yes'")
+            page.until(f"{night} === {str(not before).lower()}")
+            assert page.errors == []
+        finally:
+            page.close()
+
+
+def test_on_a_tablet_own_ship_is_not_covered_and_dangers_are_first(keeper, tmp_path):
+    keeper.settings.watch.__dict__.update(cpa_m=1500.0, tcpa_s=1e5)
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url, (1024, 768))
+        try:
+            page.until("mapPage.live && document.querySelectorAll('#alarms li.current').length", 60.0)
+            assert page.js("document.getElementById('legend').open") is False
+            rows = "[...document.querySelectorAll('#rows tr[data-number]')]"
+            page.until(
+                f"{rows}[0]?.classList.contains('alarmed') && !{rows}.at(-1).classList.contains('alarmed')", 60.0
+            )
+            assert page.js("document.querySelector('#list th[aria-sort=ascending]').dataset.key") == "cpa"
+            assert page.errors == []
+        finally:
+            page.close()

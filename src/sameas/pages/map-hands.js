@@ -135,6 +135,25 @@ function theme(dark) {
     draw();
   }
 }
+// The colours that were last chosen here: a page that is opened at night does not dazzle.
+const THEME = "sameas map colours";
+function chooseTheme(dark) {
+  theme(dark);
+  try {
+    localStorage.setItem(THEME, dark ? "night" : "day");
+  } catch {
+    /* a page from a file may have no storage */
+  }
+}
+function usualTheme() {
+  let kept = null;
+  try {
+    kept = localStorage.getItem(THEME);
+  } catch {
+    /* as above */
+  }
+  theme(kept ? kept === "night" : matchMedia("(prefers-color-scheme: dark)").matches);
+}
 const nearestPeriod = (wanted, periods) =>
   periods.reduce((best, s) => (Math.abs(Math.log(s / wanted)) < Math.abs(Math.log(best / wanted)) ? s : best));
 // Default length of course vectors: for fast objects a tenth of the chart, shorter if there are many objects.
@@ -168,10 +187,10 @@ function keys(e) {
     onButton = /^(BUTTON|SUMMARY)$/.test(e.target.tagName);
   const moves = { ArrowLeft: [-step, 0], ArrowRight: [step, 0], ArrowUp: [0, step], ArrowDown: [0, -step] };
   const acts = {
-    ArrowLeft: () => show(now.k - 1),
-    ArrowRight: () => show(now.k + 1),
-    Home: () => show(0),
-    End: () => show(last),
+    ArrowLeft: () => el("back").click(),
+    ArrowRight: () => el("on").click(),
+    Home: () => slideTo(0),
+    End: () => slideTo(last),
     "+": () => zoom(1.5),
     "=": () => zoom(1.5),
     "-": () => zoom(1 / 1.5),
@@ -179,17 +198,23 @@ function keys(e) {
     n: () => neighbour(1),
     p: () => neighbour(-1),
     f: follow,
-    d: () => theme(!night),
+    d: () => chooseTheme(!night),
+    a: () => el("alarm-button").click(),
     Escape: () => pick(null),
   };
   if (onChart && moves[e.key]) {
     following = false;
     centre(view.x + moves[e.key][0], view.y + moves[e.key][1]);
-  } else if (e.key === " " && !onButton) play(!playing);
+  } else if (e.key === " " && !onButton) el("play").click();
   else if (e.target === slider && /^(Arrow|Home|End)/.test(e.key)) return;
   else if (acts[e.key] || acts[e.key.toLowerCase()]) (acts[e.key] || acts[e.key.toLowerCase()])();
   else return;
   e.preventDefault();
+}
+// By key as by hand: a live page has its own buttons.
+function slideTo(k) {
+  slider.value = k;
+  slider.dispatchEvent(new Event("input"));
 }
 function follow() {
   following = !following && picked !== null;
@@ -309,7 +334,7 @@ function onButtons() {
     farther: () => zoom(1 / 1.6),
     whole,
     follow,
-    theme: () => theme(!night),
+    theme: () => chooseTheme(!night),
   };
   for (const [id, act] of Object.entries(acts)) el(id).addEventListener("click", act);
   slider.addEventListener("input", () => {
@@ -339,7 +364,8 @@ function onResize() {
 }
 function start() {
   slider.max = last;
-  if (matchMedia("(max-width: 860px)").matches) el("legend").open = false;
+  // It must not cover the middle of the chart, where own ship is.
+  if (el("chart-place").clientWidth < 700) el("legend").open = false;
   el("credit").textContent = data.land.length ? data.credit : "";
   choices();
   heads();
@@ -347,7 +373,7 @@ function start() {
   showSummary();
   showHelp();
   tabs();
-  theme(matchMedia("(prefers-color-scheme: dark)").matches);
+  usualTheme();
   pointers();
   onTables();
   onButtons();

@@ -13,9 +13,10 @@ const COLUMNS = [
     say: r => (now.members.get(numberOf(r)).length > 1 ? probability(objects.p[r]).replace("> 0.9999", "1.00").replace("< 0.0001", "0.00") : ""),
   },
 ];
-const order = { key: "number", down: false };
-// Only visible rows are in the document: a picture may have thousands of objects.
-const ROW_HEIGHT = 25,
+// Of approaches to own ship, objects in an alarm are first until the user chooses an order.
+const order = { key: "number", down: false, alarmsFirst: false };
+// Only visible rows are in the document: a picture may have thousands of objects. A finger needs higher ones.
+const ROW_HEIGHT = matchMedia("(pointer: coarse)").matches ? 40 : 25,
   MARGIN = 4;
 // Maximum number of source icons in a row; further sources are counted.
 const MOST_ICONS = 4;
@@ -40,6 +41,7 @@ function heads() {
       button.addEventListener("click", () => {
         order.down = order.key === column.key && !order.down;
         order.key = column.key;
+        order.alarmsFirst = false;
         listing();
       });
       th.append(button);
@@ -62,12 +64,13 @@ function listed() {
     sign = order.down ? -1 : 1,
     words = el("search").value.trim().toLowerCase();
   const key = new Map(now.rows.map(r => [r, column.of(r)]));
-  const rank = v => (typeof v === "number" && Number.isNaN(v) ? 1 : 0);
+  const rank = v => (typeof v === "number" && Number.isNaN(v) ? 1 : 0),
+    calm = r => (order.alarmsFirst && now.alarmed.has(numberOf(r)) ? 0 : 1);
   return now.rows
     .filter(r => wanted(r, words))
     .sort((a, b) => {
       const [u, v] = [key.get(a), key.get(b)];
-      return rank(u) - rank(v) || sign * (u < v ? -1 : u > v ? 1 : 0) || numberOf(a) - numberOf(b);
+      return calm(a) - calm(b) || rank(u) - rank(v) || sign * (u < v ? -1 : u > v ? 1 : 0) || numberOf(a) - numberOf(b);
     });
 }
 function line() {

@@ -273,6 +273,7 @@ function beginOwnShip() {
       say: r => (approachOf(r) ? (approachOf(r)[1] / 60).toFixed(1) : ""),
     },
   );
+  if (order.key === "number") Object.assign(order, { key: "cpa", alarmsFirst: true });
   // Rows with the former columns.
   lines.splice(0);
   el("rows").replaceChildren();
@@ -386,7 +387,7 @@ function reloaded() {
   const kept = JSON.parse(sessionStorage.getItem(KEPT_VIEW) || "{}");
   if (Date.now() - (kept.at || 0) < RELOADS_APART_MS) return false;
   const { x, y, scale } = view;
-  sessionStorage.setItem(KEPT_VIEW, JSON.stringify({ at: Date.now(), night, off: layersOff(), place: data.origin && { x, y, scale } }));
+  sessionStorage.setItem(KEPT_VIEW, JSON.stringify({ at: Date.now(), off: layersOff(), place: data.origin && { x, y, scale } }));
   location.reload();
   return true;
 }
@@ -397,7 +398,6 @@ function restoreView() {
   if (!kept.at || kept.restored) return;
   restored = true;
   sessionStorage.setItem(KEPT_VIEW, JSON.stringify({ at: kept.at, restored: true }));
-  theme(kept.night);
   for (const e of document.querySelectorAll("[data-layer]")) if ((kept.off || []).includes(e.dataset.layer) === e.checked) e.click();
   const place = () => {
     Object.assign(view, kept.place);

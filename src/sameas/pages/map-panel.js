@@ -254,6 +254,7 @@ function showHelp() {
     ["arrows", "move the chart when it has the focus"],
     ["N P", "next, previous object"],
     ["F", "centre on the selected object"],
+    ["A", "alarms"],
     ["D", "day or night"],
     ["Esc", "deselect the object"],
   ];
