@@ -1,5 +1,7 @@
 """Recordings of what a watch receives: byte for byte, hour by hour, after a kill, and replayed by its sensor file."""
 
+import errno
+import io
 import json
 import os
 import signal
@@ -180,6 +182,38 @@ def test_a_disk_that_refuses_is_an_alarm_and_the_next_piece_is_tried_again(tmp_p
     wire._received(cable(2), 1, last=True)
     keeper.close()
     assert len(read_reports(next((tmp_path / "raw").iterdir()))[1]) == 2
+
+
+@pytest.mark.parametrize("room", [0, 20])
+def test_a_full_disk_is_left_without_files_that_hold_nothing(tmp_path, monkeypatch, room):
+    """Each further piece is tried again: a file for each of them would use up the names of the disk."""
+    left = [1 << 20]
+
+    class Disk(io.FileIO):
+        def write(self, data):
+            n = min(len(data), left[0])
+            left[0] -= n
+            if data and not n:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return super().write(data[:n])
+
+    monkeypatch.setattr(
+        "sameas.io.sensors.recording.open", lambda path, mode, buffering: Disk(path, "x"), raising=False
+    )
+    recorder = Recorder(tmp_path, RecordedInput((RecordedSource("a", "ais"),)))
+    recorder.write([(START_S, b"x", 0, True)])
+    [first] = tmp_path.iterdir()
+    for k in range(5):
+        # As much as is left at any time.
+        left[0] = room
+        recorder.write([(START_S + 1.0 + k, b"y", 0, True)])
+        assert recorder.error in ("No space left on device", "the disk is full")
+        assert list(tmp_path.iterdir()) == [first]
+    left[0] = 1 << 20
+    recorder.write([(START_S + 10.0, b"z", 0, True)])
+    recorder.close()
+    assert recorder.error == "" and recorder.lost == 5
+    assert ['"z"' in path.read_text() for path in sorted(tmp_path.iterdir())] == [False, True]
 
 
 def test_a_recording_is_replayed_with_the_sensor_file_of_the_watch(tmp_path, sensors):

@@ -112,6 +112,9 @@ class Recorder:
                 raise OSError("the disk is full")
         except OSError as error:
             self.error, self.lost = error.strerror or str(error), self.lost + len(pieces)
+            if self._file is not None and self._size == 0:
+                # It holds nothing, and with every further piece there would be another one.
+                Path(self._file.name).unlink(missing_ok=True)
             self.close()
             return
         self.error, self.written, self._size = "", self.written + len(lines), self._size + len(lines)
@@ -132,7 +135,8 @@ class Recorder:
                 number += 1
         os.chmod(path, 0o600)
         self._file, self._began_s, self._size = file, now_s, 0
-        file.write(self.recorded.head())
+        if file.write(head := self.recorded.head()) != len(head):
+            raise OSError("the disk is full")
         self._delete_old(now_s)
         return file
 
