@@ -335,3 +335,12 @@ def test_a_wrong_date_does_not_stretch_the_last_minutes_that_are_searched(off_s)
         picture.advance(1e9 + t)
     [(_, recent)] = picture.recent()
     assert np.ptp(recent.time_s) <= 65.0 and len(recent) >= 12
+
+
+def test_a_first_position_of_zero_degrees_is_not_the_middle_of_the_picture():
+    picture = LivePicture([Description("ais", "ais"), Description("other", "ais")])
+    fix: dict[str, Any] = {"time_s": [0.0], "lat_deg": [0.0], "lon_deg": [0.0], "mmsi": ["235000001"]}
+    with pytest.raises(InputError, match="other: its latitudes and longitudes are 0, and no other position"):
+        picture.add("other", Reports.of("other", "ais", fix))
+    picture.add("ais", Reports.of("ais", "ais", fix | {"lat_deg": [50.5], "lon_deg": [-1.0]}))
+    assert len(picture.advance(1.0).objects.number) == 1

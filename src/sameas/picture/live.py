@@ -242,7 +242,11 @@ class LivePicture:
                 raise InputError(
                     f"{source}: gives latitudes and longitudes, others metres of their own", "give the plane"
                 )
-            self.plane = LocalPlane.about(places[0], places[1])
+            somewhere = (places[0] != 0.0) | (places[1] != 0.0)
+            if not somewhere.any():
+                # As of a receiver that has no position yet: a plane about it would have no place for any other.
+                raise InputError(f"{source}: its latitudes and longitudes are 0, and no other position is known yet")
+            self.plane = LocalPlane.about(places[0][somewhere], places[1][somewhere])
             for other in self._feeds.values():
                 other.plane = self.plane
         feed.add(reports)

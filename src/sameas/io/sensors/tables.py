@@ -876,6 +876,8 @@ def _mark(rows: BoolArray, lines: IntArray, damaged: dict[int, str], reason: str
 _OF_AIS: Mapping[str, tuple[float, ...]] = {
     "speed_m_per_s": (102.3, 1023.0), "course_deg": (360.0, 3600.0), "heading_deg": (511.0,), "lon_deg": (181.0,),
 }  # fmt: skip
+#: The highest speed of AIS, that of search and rescue aircraft.
+FASTEST_AIS_M_PER_S = 1022.0 * KNOT_M_PER_S
 #: Rows in which a number of nines only must stand to mean that there is no value, if no other number is as frequent.
 _NINES = 3
 
@@ -894,6 +896,7 @@ def _mark_unavailable(values: dict[str, NDArray[Any]], chosen: Mapping[str, Choi
         missing = np.isin(np.round(given, 4), _OF_AIS.get(name, ())) if is_ais else np.zeros(len(column), bool)
         missing |= np.isin(np.round(given, 4), _nines(given))
         lowest, highest = POSSIBLE.get(name, (-math.inf, math.inf))
+        highest = FASTEST_AIS_M_PER_S if is_ais and name == "speed_m_per_s" else highest
         with np.errstate(invalid="ignore"):
             missing |= (column < lowest) | (column > highest)
             missing |= name in ("heading_deg", "course_deg", "bearing_deg") and given == 511.0
