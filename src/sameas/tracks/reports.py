@@ -44,6 +44,10 @@ class Damaged:
         pairs = sorted(lines)
         return cls(np.array([n for n, _ in pairs], np.int64), np.array([r for _, r in pairs], object), unit)
 
+    def with_lines(self, lines: Iterable[tuple[int, str]]) -> Damaged:
+        """These lines and others."""
+        return Damaged.of([*zip(self.lines.tolist(), self.reasons.tolist(), strict=True), *lines], self.unit)
+
     def counts(self) -> dict[str, int]:
         """Number of damaged lines by reason, the most frequent first."""
         reasons, counts = np.unique(self.reasons.astype(str), return_counts=True)
@@ -348,8 +352,7 @@ def without_stray_times(reports: Reports) -> Reports:
     if not 0 < stray.sum() <= max(1.0, STRAY_SHARE * len(time_s)) or ends[main] - starts[main] <= STRAY_REPORTS:
         return reports
     lines = [(int(line), "a time far from all others") for line in reports.line[stray]]
-    before = zip(reports.damaged.lines.tolist(), reports.damaged.reasons.tolist(), strict=True)
-    return replace(reports.where(~stray), damaged=Damaged.of([*before, *lines], reports.damaged.unit))
+    return replace(reports.where(~stray), damaged=reports.damaged.with_lines(lines))
 
 
 _TEXTS = ("track_id", "mmsi", "imo", "icao", "callsign", "mode_a", "name", "type")
@@ -415,13 +418,10 @@ def _without_infinite(
             raise InputError(f"{source}: all ranges are negative; give the distances from the sensor")
         what = "time" if no_time.all() else "position"
         raise InputError(f"{source}: no report has a {what} that is a finite number")
-    lines = [
-        *zip(damaged.lines, damaged.reasons, strict=True),
-        *zip(own["line"][excluded], reasons[excluded], strict=True),
-    ]
+    lines = zip(own["line"][excluded], reasons[excluded], strict=True)
     kept = ~(no_time | no_position)
     own, extra = ({name: column[kept] for name, column in columns.items()} for columns in (own, extra))
-    return own, extra, Damaged.of(lines, damaged.unit)
+    return own, extra, damaged.with_lines(lines)
 
 
 def _typed(name: str, array: NDArray[Any]) -> NDArray[Any]:
