@@ -288,7 +288,7 @@ def finest(levels: Sequence[GridLevel], max_cells: float) -> GridLevel:
 
 
 def levels_of(
-    first: Records, second: Records, tuning: CellsTuning = DEFAULT_CELLS
+    first: Records, second: Records, tuning: CellsTuning
 ) -> tuple[float, tuple[GridLevel, ...], Discs | None]:
     """Volume of the region of both sources, which must have records, its levels of cells, and its discs."""
     kind = _SphereCells if isinstance(first.space, Sphere) else _BoxCells

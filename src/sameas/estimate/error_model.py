@@ -151,9 +151,7 @@ def error_model(answer: Identification, tuning: ErrorFitTuning = DEFAULT_ERROR_F
     return fit_error_model(answer.pairs, answer.p_pair, tuning.max_pairs, tuning)
 
 
-def fit_error_model(
-    pairs: Pairs, p_pair: FloatArray, most: int, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT
-) -> ErrorModel:
+def fit_error_model(pairs: Pairs, p_pair: FloatArray, most: int, tuning: ErrorFitTuning) -> ErrorModel:
     """The error model of pairs with these (m,) probabilities, fitted to at most ``most`` of them."""
     probable = _sample(p_pair, most, tuning)
     weight = p_pair[probable]
@@ -222,9 +220,7 @@ def _fit_mixture(mahalanobis_sq: FloatArray, d: int, weight: FloatArray, scales:
     return Errors(tuple(scales.tolist()), tuple((shares / shares.sum()).tolist()))
 
 
-def factor_on_quoted(
-    errors: Errors, pairs: Pairs, p_pair: FloatArray, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT
-) -> float:
+def factor_on_quoted(errors: Errors, pairs: Pairs, p_pair: FloatArray, tuning: ErrorFitTuning) -> float:
     """Median over the probable pairs of modelled over quoted error, without the mixture."""
     if not errors.as_modelled or not len(pairs):
         return 1.0
@@ -234,7 +230,7 @@ def factor_on_quoted(
     return float(np.median(ratio) ** (0.5 / pairs.d))
 
 
-def fit_spread(pairs: Pairs, p_pair: FloatArray, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT) -> Errors:
+def fit_spread(pairs: Pairs, p_pair: FloatArray, tuning: ErrorFitTuning) -> Errors:
     """Distribution of the residuals of pairs (m,) relative to their quoted covariances: a mixture of scales."""
     probable = _sample(p_pair, tuning.max_pairs, tuning)
     if not len(probable):

@@ -110,9 +110,7 @@ class Covariate:
         return self.values[records.rows[at]]
 
 
-def covariates(
-    coverage: Coverage, photometry: Photometry | None, tuning: TrendTuning = DEFAULT_TRENDS
-) -> list[Covariate]:
+def covariates(coverage: Coverage, photometry: Photometry | None, tuning: TrendTuning) -> list[Covariate]:
     """The quantities that the errors of these records may depend on."""
     quantities, sides = [], (coverage.first, coverage.second)
     if photometry is not None:

@@ -342,7 +342,7 @@ def match_sample(
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
     columns: ColumnEvidence | None = None,
     max_iterations: int = 30,
-    tuning: MatchTuning = DEFAULT_MATCH,
+    tuning: MatchTuning,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> SampleMatch:
     """The estimates from a sample drawn by the caller.

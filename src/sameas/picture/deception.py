@@ -300,7 +300,7 @@ def deceptions(
 
 
 def faults_and_deceptions(
-    feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
+    feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning
 ) -> tuple[Fault, ...]:
     """The faults of the sources, and the deceptions in the records of a picture that they do not explain.
 

@@ -153,7 +153,7 @@ class ErrorCorrelation:
         factor = np.append(self.factor, np.full(len(new), np.nan))
         return replace(self, names=names, log_probable=log_probable, log_prior=log_prior, factor=factor)
 
-    def with_factors(self, factor: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> ErrorCorrelation:
+    def with_factors(self, factor: FloatArray, tuning: Tuning) -> ErrorCorrelation:
         """The estimate by other error factors of the sources, (S,).
 
         Residuals of tracks measure f² (1 − ρ), and differences of pairs the same. Where f has changed by more than
@@ -201,7 +201,7 @@ class ErrorCorrelation:
         given = _rho(elapsed_s, np.nan_to_num(fixed_s))[at, source]
         return np.where(np.isfinite(fixed_s)[source], given, mean)
 
-    def of_mean(self, source: IntArray, every_s: float, count: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+    def of_mean(self, source: IntArray, every_s: float, count: IntArray, tuning: Tuning) -> FloatArray:
         """(n,) variance of the mean of ``count`` (n,) reports ``every_s`` apart, relative to that of one report."""
         steps = np.arange(1, int(count.max(initial=1)))
         correlation = self.correlation(

@@ -55,7 +55,7 @@ class CommonTracks:
         detection_place: IntArray,
         share: FloatArray,
         unique: BoolArray,
-        tuning: Tuning = DEFAULT_TUNING,
+        tuning: Tuning,
     ) -> CommonTracks:
         """Of common tracks (m,): each adds ln(1 + s/ε), ε ``id_reassigned``.
 
@@ -327,7 +327,7 @@ class NamedObjects(PictureObjects):
         detections: UnnumberedObjects,
         density_per_m2: float,
         stages: Stages,
-        tuning: Tuning = DEFAULT_TUNING,
+        tuning: Tuning,
     ) -> NamedObjects:
         """The objects at a later instant; density_per_m2 : of objects in the plane."""
         alive = self.take(np.flatnonzero(self.stage != ENDED))

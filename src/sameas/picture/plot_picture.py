@@ -129,7 +129,7 @@ class Confirmation:
         after: TrackedPlots,
         lifetime_s: float,
         real: float,
-        tuning: Tuning = DEFAULT_TUNING,
+        tuning: Tuning,
     ) -> Confirmation:
         """The confirmation after the scans of ``after``."""
         unseen_share, last = self.unseen_share, {} if before is None else before.last_number

@@ -183,7 +183,7 @@ class TrackedPlots:
         prior_objects: BernoulliTable,
         rule: BernoulliObjects,
         usual_q: FloatArray,
-        tuning: Tuning = DEFAULT_TUNING,
+        tuning: Tuning,
     ) -> TrackedPlots:
         """The objects from the joint identification of the current scans and the prior objects."""
         with_records = [s for s, source in enumerate(now.sources) if len(records_of(source))]

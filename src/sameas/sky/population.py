@@ -294,7 +294,7 @@ class Population:
         chi_sq: FloatArray,
         probability: FloatArray,
         coverages: Coverages,
-        tuning: PopulationTuning = TUNING,
+        tuning: PopulationTuning,
     ) -> Population:
         """The maximum-likelihood population given probabilities of sets (k, S) (the M step)."""
         patterns = patterns_of(sets)
@@ -334,7 +334,7 @@ def initial_population(
     p_partner: Mapping[tuple[int, int], FloatArray],
     errors: Mapping[int, Errors],
     estimates_errors: bool,
-    tuning: PopulationTuning = TUNING,
+    tuning: PopulationTuning,
 ) -> Population:
     """The initial population of EM, from the pairwise matches, with independent non-detections.
 

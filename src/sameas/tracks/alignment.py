@@ -511,7 +511,7 @@ def follow(
     return FilteredTracks(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began, trends)
 
 
-def are_unfiltered(reports: States, *, acceleration_m2_per_s3: float, tuning: Tuning = DEFAULT_TUNING) -> bool:
+def are_unfiltered(reports: States, *, acceleration_m2_per_s3: float, tuning: Tuning) -> bool:
     """Whether the reports of a source with track ids are independent measurements, not smoothed by a tracker.
 
     Independent measurements scatter by their stated errors, and their NIS has a χ² distribution with two degrees of

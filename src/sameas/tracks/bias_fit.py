@@ -128,7 +128,7 @@ class Pool:
         return [np.full(count, 0.5 * size) for size in sizes]
 
 
-def fit_biases(scans: Sequence[CommonScan], tuning: Tuning = DEFAULT_TUNING) -> BiasFit:
+def fit_biases(scans: Sequence[CommonScan], tuning: Tuning) -> BiasFit:
     """The biases of maximum posterior probability of the sources of these scans, at least one of which shows a bias."""
     pool = Pool(tuple(scans), tuning)
     theta = _annealed(pool, _starting_points(pool))

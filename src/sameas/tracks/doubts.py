@@ -247,7 +247,7 @@ def _comparable(feed: Feed, others: Sequence[Feed]) -> list[Feed]:
     return [o for o in others if len(feed.reports) and len(o.reports) and (own or isinstance(o.reports, States))]
 
 
-def too_far_apart(sources: Sequence[Source], tuning: Tuning = DEFAULT_TUNING) -> dict[str, str]:
+def too_far_apart(sources: Sequence[Source], tuning: Tuning) -> dict[str, str]:
     """By name, sentences on sources too far for one plane from that which is near most others.
 
     Of several such, that with the most positions. The site of a sensor counts where its reports have no positions in

@@ -87,7 +87,7 @@ def position_updates(reports: States, tuning: Tuning = DEFAULT_TUNING) -> tuple[
 
 
 def stale_positions(
-    track: IntArray, time_s: FloatArray, state: FloatArray, covariance: FloatArray, tuning: Tuning = DEFAULT_TUNING
+    track: IntArray, time_s: FloatArray, state: FloatArray, covariance: FloatArray, tuning: Tuning
 ) -> IntArray:
     """(k,) rows of reports (n,) with a position that their object had left: it repeats that of the report before.
 
@@ -394,7 +394,7 @@ def need_filtering(placed: PlacedReports) -> bool:
     )
 
 
-def of_aircraft(reports: Reports, tuning: Tuning = DEFAULT_TUNING) -> BoolArray:
+def of_aircraft(reports: Reports, tuning: Tuning) -> BoolArray:
     """(n,) whether a report is of an aircraft: it has an address, a Mode A code, a pressure height, or its speed."""
     out = np.zeros(len(reports), bool)
     for column in (reports.icao, reports.mode_a):
@@ -408,12 +408,12 @@ def of_aircraft(reports: Reports, tuning: Tuning = DEFAULT_TUNING) -> BoolArray:
     return out
 
 
-def fastest_vessel_m_per_s(tuning: Tuning = DEFAULT_TUNING) -> float:
+def fastest_vessel_m_per_s(tuning: Tuning) -> float:
     """The speed above which an object is an aircraft."""
     return tuning.max_speed_sigmas * float(KINDS["ais"].defaults["motion.speed_m_per_s"][0])  # type: ignore[arg-type]
 
 
-def of_their_objects(description: Description, reports: Reports, tuning: Tuning = DEFAULT_TUNING) -> Description:
+def of_their_objects(description: Description, reports: Reports, tuning: Tuning) -> Description:
     """The description of tracks of another system, with the motion of aircraft if most of its reports are of those.
 
     Tracks of ships and of aircraft come in one format; no other kind has both.

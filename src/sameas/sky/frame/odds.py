@@ -301,9 +301,7 @@ def _excess(problem: PlateProblem, verdict: Verdict, residual: FloatArray) -> fl
     return math.sqrt(max(square - typical, 0.05**2))
 
 
-def refitted_on(
-    verdict: Verdict, problem: PlateProblem, px: FloatArray, tuning: OddsTuning = DEFAULT_ODDS_TUNING
-) -> Verdict:
+def refitted_on(verdict: Verdict, problem: PlateProblem, px: FloatArray, tuning: OddsTuning) -> Verdict:
     """The pairs of a verdict refitted to other pixels (n, 2) of the same measurements."""
     on_px = replace(problem, px=px)
     pointing = verdict.pointing

@@ -78,7 +78,7 @@ class Stationary:
         return _probabilities(_Rates.of(around, members), self.counts, around.tuning.stationary)
 
 
-def stationary_sources(detections: Detections, tuning: Tuning = DEFAULT_TUNING) -> Stationary:
+def stationary_sources(detections: Detections, tuning: Tuning) -> Stationary:
     """The sources that are more probably stationary than moving or unrelated."""
     no_offset = np.zeros((len(detections.frame_names), 2))
     found = Stationary(np.zeros(len(detections), bool), 0, tuning.stationary.prior_counts, no_offset, 1.0)

@@ -27,7 +27,7 @@ from sameas.many.marginals import additive_answer
 from sameas.many.sets import Sets
 from sameas.ragged import Ragged, ranges
 from sameas.sky.movers.links import Links, rates_of
-from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
+from sameas.sky.movers.model import MotionModel, Surroundings, Tuning
 
 
 @dataclass(frozen=True)
@@ -311,7 +311,7 @@ class Competition:
         return np.minimum(p_tracklet, 1.0), np.minimum(p_member, 1.0)
 
 
-def compete(tracks: Tracks, n: int, tuning: Tuning = DEFAULT_TUNING, *, time_limit_s: float = 20.0) -> Competition:
+def compete(tracks: Tracks, n: int, tuning: Tuning, *, time_limit_s: float = 20.0) -> Competition:
     """The best selection of tracks without common detections, and the probability of each, by set packing.
 
     tracks : of n detections. Tracks with a certain extension and tracks with a low weight do not compete.
