@@ -189,6 +189,37 @@ def test_a_radar_on_shore_is_no_own_ship_in_danger_unless_a_distance_is_given():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("beside_m", [None, 100.0, 900.0])
+def test_an_approaching_ship_that_no_source_shows_any_more_is_an_alarm(beside_m):
+    """Unless another object is where she should be, which another source may have found: she has a new number then."""
+    sources = {"ais": LiveSource(Description("ais", "ais"))}
+    watch = WatchSettings(own_ship=OwnShip(lat_deg=50.0, lon_deg=-1.0), cpa_m=500.0, register_every_s=0.0,
+                          plane={"lat_deg": 50.0, "lon_deg": -1.0})  # fmt: skip
+    keeper = Keeper(Settings(sources, watch), replay=replay())
+    keeper.replay.sources, keeper.replay._next = [], []
+
+    def report(t, mmsi, east):
+        row: dict[str, Any] = {"time_s": [START_S + t], "lat_deg": [50.0 + (8000.0 - 10.0 * t) / 111_240.0]}
+        row |= {"lon_deg": [-1.0 + east / 71_695.7], "mmsi": [mmsi], "vx_m_per_s": [0.0], "vy_m_per_s": [-10.0]}
+        keeper._add("ais", Reports.of("ais", "ais", row), START_S + t)
+
+    first_s = np.inf
+    for t in np.arange(0.0, 300.0, 10.0):
+        if t < 100.0:
+            report(t, "235000001", 100.0)
+        if beside_m is not None:
+            report(t, "235000002", 100.0 + beside_m)
+        for alarm in keeper.tick(START_S + t).alarms:
+            if alarm.condition == "lost":
+                assert alarm.text.startswith(
+                    "235000001 is lost: no source shows it any more, and it will pass at 100 m"
+                )
+                first_s = min(first_s, t)
+    keeper.close()
+    assert first_s == np.inf if beside_m == 100.0 else 150.0 < first_s < 200.0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("knots", "kinds"), [(5.0, {"cpa"}), (0.5, set())])
 def test_a_ship_under_way_is_warned_of_approaches_and_one_in_port_is_not(knots, kinds):
     def moved(keeper, t):

@@ -13,6 +13,8 @@ alongside if
 
 A slow radar target without AIS beside one that is alongside is that ship, or the quay.
 
+An approaching object that no source shows any more is an alarm of its own, while its approach is extrapolated.
+
 A ship that leaves her berth loses the probability with her first reports, or those of a radar, and is watched as any
 other; also as a new, tentative object, while AIS still reports her at the quay every three minutes. The page counts the
 berthed ships without an alarm.
@@ -54,6 +56,9 @@ QUAY_M = 75.0
 BESIDE_M, SLOW_M_PER_S = 100.0, 2.0 * KNOT_M_PER_S
 #: A tentative object raises an alarm once it has been in the picture for this time, seconds.
 TENTATIVE_S = 30.0
+#: An approaching object is lost if no source has shown it for this time, seconds (IEC 62388: AIS of a ship under way),
+#: and none shows another object within the distance, metres: that would be the same one under another number.
+LOST_S, LOST_M = 60.0, 300.0
 #: An object alongside is about to be hit if it will be passed at less than own ship's way in the first number of
 #: seconds, within the second: at 6 kn 46 m and 185 m.
 HIT_CPA_S, HIT_TCPA_S = 15.0, 60.0
@@ -79,6 +84,8 @@ class Approaches:
     _at_quay: dict[tuple[float, float], bool] = field(default_factory=dict)
     #: Since when an object is in the picture, while it is tentative.
     _since_s: dict[int, float] = field(default_factory=dict)
+    #: Since when no source shows an object.
+    _coasting_s: dict[int, float] = field(default_factory=dict)
     #: The last navigational status by MMSI.
     _status: dict[str, float] = field(default_factory=dict)
 
@@ -116,6 +123,7 @@ class Approaches:
         texts = dict(zip(numbers, zip(labels, mmsis, strict=True), strict=True))
         tentative = [number for number, stage in zip(numbers, stages, strict=True) if stage == "tentative"]
         self._since_s = {number: self._since_s.get(number, situation.time_s) for number in tentative}
+        lost = self._lost(situation)
         # The most urgent first: of many at once only the first are named.
         for number, (metres, seconds) in sorted(situation.cpa.items(), key=lambda one: one[1][1]):
             label, mmsi = texts[number]
@@ -129,10 +137,26 @@ class Approaches:
             if self.in_harbour and number in self._alongside and not hit:
                 berthed.add(number)
                 continue
-            text = f"{label or f'object {number}'} will pass at {metres:.0f} m in {seconds / 60.0:.1f} min"
-            out.append(Alarm(f"cpa {number}", "cpa", text, (number,)))
+            name, passes = label or f"object {number}", f"will pass at {metres:.0f} m in {seconds / 60.0:.1f} min"
+            out.append(Alarm(f"cpa {number}", "cpa", f"{name} {passes}", (number,)))
+            if number in lost:
+                text = f"{name} is lost: no source shows it any more, and it {passes}"
+                out.append(Alarm(f"lost {number}", "cpa", text, (number,)))
         self.berthed = frozenset(berthed)
         return out
+
+    def _lost(self, situation: Situation) -> set[int]:
+        """The objects that no source has shown for a while, unless another one is where they should be."""
+        objects, now_s = situation.objects, situation.time_s
+        number, coasts = objects["object"], objects["stage"] == "coasting"
+        self._coasting_s = {n: self._coasting_s.get(n, now_s) for n in number[coasts].tolist()}
+        late = np.array([now_s - self._coasting_s.get(n, now_s) >= LOST_S for n in number.tolist()], bool)
+        place = np.column_stack([np.ma.filled(objects[name], np.nan) for name in ("x_m", "y_m")])
+        late &= np.isfinite(place).all(axis=1)
+        shown = place[~coasts & np.isfinite(place).all(axis=1)]
+        if late.any() and len(shown):
+            late[late] = cKDTree(shown).query(place[late])[0] > LOST_M
+        return set(number[late].tolist())
 
     def _objects_alongside(self, situation: Situation, state: LiveState) -> frozenset[int]:
         objects, p_modes = situation.objects, dict(zip(state.number.tolist(), state.p_modes, strict=True))

@@ -150,7 +150,7 @@ function applyAlarms(alarms) {
       },
       // Every approach is looked at before it is acknowledged (IMO MSC.302(87), alerts of category A).
       besideAll: crowd => {
-        if (!crowd[0].fresh || crowd[0].condition === "cpa" || !data.live.operator) return [];
+        if (!crowd[0].fresh || crowd[0].approaching !== null || !data.live.operator) return [];
         const button = text("button", `acknowledge all ${crowd.length}`, "acknowledge");
         button.addEventListener("click", () => acknowledge(crowd.map(one => one.id), button));
         return [button];
