@@ -482,7 +482,7 @@ def mover_picture(
     stacked = pixels.stacked[k]
     _show(right, stacked, f"fixed on the mover: the mean of {len(pixels.along[k])} frames, S/N {pixels.snr[k]:.0f}")
     middle = (np.array(stacked.shape[::-1]) - 1) / 2
-    _ring(right, middle, width, BLUE, "-")
+    _ring(right, middle, width, BLUE)
     for axes in (left, right):
         _arcsec_bar(axes, pixels.scale_arcsec_per_px)
     figure.text(0.018, 0.957, _name(movers, known, k), color=PAPER, fontsize=16, fontweight="bold", va="center")
@@ -508,10 +508,10 @@ def _show(axes: Axes, light: FloatArray, words: str) -> None:
     axes.set_title(words, color=DIM, fontsize=10.5, loc="left", pad=4)
 
 
-def _ring(axes: Axes, at: FloatArray, radius: float, colour: str, style: str) -> None:
+def _ring(axes: Axes, at: FloatArray, radius: float, colour: str) -> None:
     from matplotlib.patches import Circle
 
-    axes.add_patch(Circle((at[0], at[1]), radius, fill=False, edgecolor=colour, lw=0.9, ls=style))
+    axes.add_patch(Circle((at[0], at[1]), radius, fill=False, edgecolor=colour, lw=0.9))
 
 
 def _arcsec_bar(axes: Axes, arcsec_per_px: float) -> None:

@@ -310,9 +310,9 @@ class Catalogue:
         """The same catalogue with other position errors."""
         return Catalogue._of_choice(self.table, replace(self.choice, error=error), self.options, self.name)
 
-    def with_epoch(self, epoch_jyr: float, reason: str) -> Catalogue:
-        """The same catalogue with one epoch for all rows. reason : origin of the epoch."""
-        epoch = Epoch(jyr=epoch_jyr, reason=reason)
+    def with_epoch(self, epoch_jyr: float) -> Catalogue:
+        """The same catalogue with one epoch assumed for all rows."""
+        epoch = Epoch(jyr=epoch_jyr, reason="assumed")
         return Catalogue._of_choice(self.table, replace(self.choice, epoch=epoch), self.options, self.name)
 
     def records(self, epoch_jyr: float | None = None) -> Records:

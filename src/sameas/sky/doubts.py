@@ -88,7 +88,7 @@ def completed(
     for k, catalogue in enumerate(result):
         epoch = _epoch_of_others(result, k, epoch_jyr)
         if epoch is not None:
-            result[k] = catalogue.with_epoch(epoch, "assumed")
+            result[k] = catalogue.with_epoch(epoch)
             text = f"{catalogue.name}: its epoch is not known; {epoch:g} was assumed, so its positions are not moved; "
             doubts.append(Message(text, naming(f"give {{epoch{k + 1}:YEAR}}")))
     with_epochs = tuple(result)
