@@ -58,7 +58,7 @@ def sampled(begin: IntArray, entry: IntArray, source: IntArray, weight: FloatArr
     k, n = len(weight), len(source)
     total, since_step = np.zeros(k), np.zeros(k, np.int64)
     code, key, table = _keys(begin, entry, n)
-    member_begin, member_sets = _memberships(begin, entry, n)
+    member_begin, member_sets = memberships(begin, entry, n, np.ones(len(weight), np.bool_))
     sets = KeyedSets(begin, entry, source, code, key, table, member_begin, member_sets)
     set_of = _sets_of_records(chosen, sets)
     records, old, new = _records_in_sets(set_of), _sets_of_a_step(source), _sets_of_a_step(source)
@@ -292,16 +292,19 @@ def _part_key(s: int, mask: int, sets: KeyedSets) -> int:
 
 
 @part
-def _memberships(begin: IntArray, entry: IntArray, n: int) -> tuple[IntArray, IntArray]:
-    """The sets of each record, as CSR."""
-    member_begin = np.zeros(n + 1, np.int64)
-    for record in entry[: begin[-1]]:
-        member_begin[record + 1] += 1
+def memberships(begin: IntArray, entry: IntArray, n: int, kept: BoolArray) -> tuple[IntArray, IntArray]:
+    """The kept sets, of (k,), of each of n records, as CSR."""
+    start = np.zeros(n + 1, np.int64)
+    for s in range(len(kept)):
+        if kept[s]:
+            for e in range(begin[s], begin[s + 1]):
+                start[entry[e] + 1] += 1
     for r in range(n):
-        member_begin[r + 1] += member_begin[r]
-    fill, member_sets = member_begin[:-1].copy(), np.empty(member_begin[n], np.int64)
-    for s in range(len(begin) - 1):
-        for e in range(begin[s], begin[s + 1]):
-            member_sets[fill[entry[e]]] = s
-            fill[entry[e]] += 1
-    return member_begin, member_sets
+        start[r + 1] += start[r]
+    fill, sets = start[:-1].copy(), np.empty(start[n], np.int64)
+    for s in range(len(kept)):
+        if kept[s]:
+            for e in range(begin[s], begin[s + 1]):
+                sets[fill[entry[e]]] = s
+                fill[entry[e]] += 1
+    return start, sets

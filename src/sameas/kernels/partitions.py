@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import inlined, kernel, part, small_by
 from sameas.kernels.components import root
-from sameas.kernels.partition_samples import sampled
+from sameas.kernels.partition_samples import memberships, sampled
 
 NONE = -1
 #: Most sweeps over the duals of a group, most prunings of its sets, and most sweeps that exchange sets of a partition
@@ -572,24 +572,12 @@ def _anneal(begin: IntArray, entry: IntArray, weight: FloatArray, sweeps: int, d
     """
     k, n = len(weight), len(dual)
     x = np.zeros(k)
-    start, sets = np.zeros(n + 1, np.int64), np.empty(len(entry), np.int64)
     for temperature in TEMPERATURES:
         # Sets of negligible x at this temperature are skipped until the next one.
-        start[:] = 0
         for s in range(k):
             exponent = -_cost(s, begin, entry, weight, dual) / temperature
             x[s] = math.exp(min(exponent, 50.0)) if exponent > MIN_EXPONENT or begin[s + 1] - begin[s] == 1 else 0.0
-            if x[s] > 0.0:
-                for e in range(begin[s], begin[s + 1]):
-                    start[entry[e] + 1] += 1
-        for r in range(n):
-            start[r + 1] += start[r]
-        fill = start[:-1].copy()
-        for s in range(k):
-            if x[s] > 0.0:
-                for e in range(begin[s], begin[s + 1]):
-                    sets[fill[entry[e]]] = s
-                    fill[entry[e]] += 1
+        start, sets = memberships(begin, entry, n, x > 0.0)
         for sweep in range(sweeps):
             for step in range(n):
                 r = step if sweep % 2 == 0 else n - 1 - step
@@ -648,7 +636,7 @@ def _prune(
         cost = np.empty(k)
         for s in range(k):
             cost[s] = _cost(s, begin, entry, weight, dual)
-        _descend(*_sets_of_records(begin, entry, n, 2), cost, dual)
+        _descend(*memberships(begin, entry, n, begin[1:] - begin[:-1] >= 2), cost, dual)
         if iteration == 0:
             _greedy(begin, entry, weight, cost, hint, n)
         best_weight[:], bound[:] = 0.0, 0.0
@@ -718,25 +706,6 @@ def _cost(s: int, begin: IntArray, entry: IntArray, weight: FloatArray, dual: Fl
     for e in range(begin[s], begin[s + 1]):
         cost += dual[entry[e]]
     return cost
-
-
-@part
-def _sets_of_records(begin: IntArray, entry: IntArray, n: int, least: int) -> tuple[IntArray, IntArray]:
-    """The sets of at least ``least`` records of each of n records, as CSR."""
-    start = np.zeros(n + 1, np.int64)
-    for s in range(len(begin) - 1):
-        if begin[s + 1] - begin[s] >= least:
-            for e in range(begin[s], begin[s + 1]):
-                start[entry[e] + 1] += 1
-    for r in range(n):
-        start[r + 1] += start[r]
-    fill, sets = start[:-1].copy(), np.empty(start[n], np.int64)
-    for s in range(len(begin) - 1):
-        if begin[s + 1] - begin[s] >= least:
-            for e in range(begin[s], begin[s + 1]):
-                sets[fill[entry[e]]] = s
-                fill[entry[e]] += 1
-    return start, sets
 
 
 @part
