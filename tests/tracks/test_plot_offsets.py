@@ -6,7 +6,7 @@ import pytest
 from sameas.errors import InputError
 from sameas.simulate.boat_radar import boat_radar
 from sameas.simulate.sensors import Bias
-from sameas.tracks import plot_offsets
+from sameas.tracks import Description, Reports, SensorErrors, Site, plot_offsets
 from sameas.tracks.plot_offsets import fit_plots, shows_bare_plots, shows_tracks
 from sameas.tracks.scene import Scene
 
@@ -56,6 +56,36 @@ def test_vessels_never_seen_by_the_radar_establish_no_offset(seed):
     assert not found.established and registered.feeds[0] is scene.feeds[0]
     assert "is not corrected" in " ".join(found.notes)
     assert len(scene.doubts()) == 1 and scene.doubts()[0].startswith("radar: ")
+
+
+def with_other_ships(seed, minutes, ships=8):
+    """AIS of some ships, and a radar that shows as many others, all under way."""
+    rng = np.random.default_rng(seed)
+    place, speed = rng.uniform(-6e3, 6e3, (2, ships, 2)), rng.normal(0.0, 5.0, (2, ships, 2))
+    plots, fixes = [], []
+    for t in np.arange(0.0, 60.0 * minutes, 3.0):
+        of_others, of_own = place + speed * t
+        seen = of_others[rng.random(ships) < 0.9]
+        plots += [(t, *one) for one in seen + 25.0 * rng.standard_normal(seen.shape)]
+        fixes += [
+            (t, *of_own[k] + 10.0 * rng.standard_normal(2), *speed[1, k], k) for k in range(int(t / 3) % 4, ships, 4)
+        ]
+    time_s, x_m, y_m = np.transpose(plots)
+    columns = {"range_m": np.hypot(x_m, y_m), "bearing_deg": np.degrees(np.arctan2(x_m, y_m))}
+    radar = Reports.of("radar", "table", {"time_s": time_s, **columns})
+    time_s, x_m, y_m, vx, vy, mmsi = np.transpose(fixes)
+    motion = {"vx_m_per_s": vx, "vy_m_per_s": vy, "mmsi": mmsi.astype(int)}
+    ais = Reports.of("ais", "ais", {"time_s": time_s, "x_m": x_m, "y_m": y_m, **motion})
+    errors = SensorErrors(range_m=20.0, range_share=0.0, bearing_deg=0.3, extent_m=5.0)
+    described = Description("radar", "marine radar", site=Site(east_m=0.0, north_m=0.0), errors=errors)
+    return Scene.of([(described, radar), (Description("ais", "ais", errors=SensorErrors(position_m=10.0)), ais)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("minutes", [1.5, 10.0])
+def test_other_ships_that_cross_the_paths_of_tracks_establish_no_offset(minutes):
+    fits = [with_other_ships(seed, minutes).registered()[1][0] for seed in range(20)]
+    assert [fit.log_evidence for fit in fits if fit.established] == []
 
 
 @pytest.mark.slow

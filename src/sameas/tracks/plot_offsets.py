@@ -12,8 +12,10 @@ after, when a moving object would have left (fixed echoes), plus plots at the sa
 
 The plots of one object are not independent: errors of its hull, the antenna of the other source and its companions are
 the same in all scans. So the evidence of a track is bounded: with probability ε another object accompanies the track,
-and L/(1 + ε L) is its likelihood ratio against no object in common. A constant place of the echo on the hull is a
-parameter of each track in the final fit, and so included in the standard errors.
+and L/(1 + ε L) is its likelihood ratio against no object in common. ε is ``companion`` of the tuning, or the share of
+other azimuths at which some object seems to be a track, if that is larger. One track alone establishes no offset: the
+evidence is that without the track that fits best. A constant place of the echo on the hull is a parameter of each track
+in the final fit, and so included in the standard errors.
 
 The azimuth is searched over the whole range of its prior, which is a Cauchy distribution: a wrongly installed compass
 may be off by any angle.
@@ -250,6 +252,22 @@ class AzimuthSearch:
     azimuth_deg: FloatArray
     log_likelihood: FloatArray
 
+    def log_companion(self, tuning: Tuning) -> float:
+        """ln of the probability that another object than its own accompanies a track.
+
+        At least ``companion``, and the share of azimuths at which the plots of any object seem to be of a track, apart
+        from the best azimuths of each: where many move, another one crosses its path at some azimuth.
+        """
+        best = np.argmax(self.log_likelihood, axis=2)[:, :, None]
+        grid = np.arange(len(self.azimuth_deg))
+        unlike = self.log_likelihood <= 0.0
+        low = np.max(np.where(unlike & (grid < best), grid, -1), axis=2, keepdims=True)
+        high = np.min(np.where(unlike & (grid > best), grid, len(grid)), axis=2, keepdims=True)
+        elsewhere = (grid <= low) | (grid >= high)
+        odds = np.log(tuning.companion) + self.log_likelihood
+        share = np.sum(np.exp(odds - np.logaddexp(0.0, odds)) * elsewhere) / max(int(elsewhere.sum()), 1)
+        return float(np.log(max(share, tuning.companion)))
+
 
 def search_azimuth(pairs: PlotPairs, widths: FloatArray, tuning: Tuning) -> AzimuthSearch:
     """ln L of each track at each azimuth, with the other biases integrated over their priors."""
@@ -294,25 +312,30 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
         return None
     search = search_azimuth(pairs, widths, tuning)
     # The evidence against no object in common is bounded per track; the comparison of azimuths is not.
-    bounded = search.log_likelihood - np.logaddexp(0.0, search.log_likelihood + np.log(tuning.companion))
+    log_companion = search.log_companion(tuning)
+    bounded = search.log_likelihood - np.logaddexp(0.0, search.log_likelihood + log_companion)
     width = float(widths[AZIMUTH])
     log_prior = -np.log(np.pi * width * (1.0 + (search.azimuth_deg / width) ** 2))
     step = float(search.azimuth_deg[1] - search.azimuth_deg[0])
     log_posterior = np.logaddexp.reduce(bounded.sum(axis=1), axis=0) - np.log(len(tuning.plot_scales)) + log_prior
-    peaks: list[tuple[float, int, int]] = []
+    peaks: list[tuple[float, int, int, slice]] = []
     for low, high in _peaks(log_posterior, tuning):
         inside = search.log_likelihood[:, :, low:high].sum(axis=1)
         scale, position = divmod(int(np.argmax(inside)), high - low)
-        peaks.append((float(np.logaddexp.reduce(log_posterior[low:high]) + np.log(step)), scale, low + position))
-    evidence, s, at = max(peaks)
+        mass = float(np.logaddexp.reduce(log_posterior[low:high]) + np.log(step))
+        peaks.append((mass, scale, low + position, slice(low, high)))
+    evidence, s, at, peak = max(peaks, key=lambda one: one[:3])
+    # An object that moves like one track by chance is no offset: the other tracks must agree by themselves.
+    others = np.delete(bounded[s], np.argmax(bounded[s, :, at]), axis=0).sum(axis=0) + log_prior
+    evidence = min(evidence, float(np.logaddexp.reduce(others[peak]) + np.log(step)))
     start = np.zeros(len(FITTED))
     start[FITTED.index(AZIMUTH)] = search.azimuth_deg[at]
     best = _refined(pairs, widths, start, tuning.plot_scales[s], plots, tuning)
     rivals = []
-    for _, _, other in [peak for peak in peaks if peak[2] != at]:
+    for other in [one[2] for one in peaks if one[2] != at]:
         # A track's preference between two azimuths is bounded like its evidence against no object in common.
         lead = search.log_likelihood[s, :, at] - search.log_likelihood[s, :, other]
-        limit = -float(np.log(tuning.companion))
+        limit = -log_companion
         log_ratio = float(np.clip(lead, -limit, limit).sum() + log_prior[at] - log_prior[other])
         theta = np.where(best.biases == AZIMUTH, search.azimuth_deg[other], best.theta)
         if log_ratio < tuning.registration.decisive:
