@@ -135,8 +135,8 @@ class Match(Result):
                 raise InputError(f"blends: fluxes of shape {flux.shape}; give one for each of {second.n_table} rows")
             flux = flux[second.rows]
         errors, coverage = self.estimate.errors, self.estimate.coverage
-        found = find_blends(first, second, resolution, errors=errors, flux=flux, coverage=coverage)
-        return blend_table(first, second, found)
+        blends = find_blends(first, second, resolution, errors=errors, flux=flux, coverage=coverage)
+        return blend_table(first, second, blends)
 
     @cached_property
     def table(self) -> Table:
@@ -161,8 +161,8 @@ class Match(Result):
         """The table of :meth:`joined`, not computed yet; by default that of :attr:`table`."""
         from sameas.sky.joins import JoinedTable, RecordsMatch
 
-        found = RecordsMatch(self.identification, self.estimate.coverage) if self.sky is None else self.sky
-        return JoinedTable(found, join or self.join, self.nway_columns if nway_columns is None else nway_columns)
+        matched = RecordsMatch(self.identification, self.estimate.coverage) if self.sky is None else self.sky
+        return JoinedTable(matched, join or self.join, self.nway_columns if nway_columns is None else nway_columns)
 
     def report(self) -> str:
         """The report that the command prints."""
@@ -399,8 +399,8 @@ def match(
 
         options = MatchOptions(gate_sigmas=gate_sigmas, error_scale=error_scale)
         assumed = Assumed(options.errors(), options.gate(), density, precision)
-        found = _match_records(first, second, assumed, magnitudes, _listed(evidence), progress)
-        return replace(found, join=join, nway_columns=nway_columns, call=call)
+        matched = _match_records(first, second, assumed, magnitudes, _listed(evidence), progress)
+        return replace(matched, join=join, nway_columns=nway_columns, call=call)
     from sameas.front.request import Request
     from sameas.sky import crossmatch
     from sameas.sky.output_columns import check_join
@@ -430,9 +430,9 @@ def identified(
     """The match of a request whose catalogues have been read. table : ``join``, ``nway_columns``, ``call``."""
     from sameas.sky import crossmatch
 
-    found = request.naming_sides(lambda: crossmatch.match(*catalogues, request.options, progress=progress))
-    found.estimate.coverage.release()
-    return Match.of_sky(found, request, **table)
+    matched = request.naming_sides(lambda: crossmatch.match(*catalogues, request.options, progress=progress))
+    matched.estimate.coverage.release()
+    return Match.of_sky(matched, request, **table)
 
 
 def _listed(evidence: Column | Related | Iterable[Column | Related]) -> list[Column | Related]:

@@ -68,7 +68,7 @@ class PartitionedMatch:
         from sameas.sky.catalogue import CatalogueOptions
 
         stated = [CatalogueOptions(**fields_of(self.request.columns, side)) for side in (1, 2)]
-        found: Estimated = self.request.naming_sides(
+        estimated: Estimated = self.request.naming_sides(
             lambda: estimate(
                 self.catalogues,
                 (stated[0], stated[1]),
@@ -80,7 +80,7 @@ class PartitionedMatch:
                 progress=self.progress,
             )
         )
-        return found
+        return estimated
 
     def write(
         self,
@@ -158,10 +158,10 @@ class PartitionedMatch:
         from sameas.report.prose import DOUBT, entry, figures, percent
         from sameas.representation import count
 
-        found = self.estimated
-        learned, work = found.learned, found.work
+        estimated = self.estimated
+        learned, work = estimated.learned, estimated.work
         for side, (stored, rows, catalogue) in enumerate(
-            zip(self.catalogues, found.rows, found.catalogues, strict=True), 1
+            zip(self.catalogues, estimated.rows, estimated.catalogues, strict=True), 1
         ):
             yield f"Catalogue {side}: {stored.name}, {count(rows)} rows in {count(len(stored.cells))} partitions"
             for line in catalogue.interpretation:
@@ -171,8 +171,8 @@ class PartitionedMatch:
                 )
             yield ""
         yield "Estimated, once for all partitions"
-        yield from entry("epoch", found.moved)
-        one, two = found.sample
+        yield from entry("epoch", estimated.moved)
+        one, two = estimated.sample
         yield from entry("sample", f"{count(one)} and {count(two)} records")
         shares = " and ".join(percent(share) for share in learned.means)
         yield from entry("have a partner", f"{shares} of the records of both")
@@ -213,15 +213,15 @@ def both_hats(first: object, second: object) -> bool:
     ------
     InputError : only one of them is, or has partitions without their properties.
     """
-    found = [is_hats(source) for source in (first, second)]
-    if any(found) and not all(found):
-        if without_properties(bare := second if found[0] else first):
+    in_parts = [is_hats(source) for source in (first, second)]
+    if any(in_parts) and not all(in_parts):
+        if without_properties(bare := second if in_parts[0] else first):
             raise InputError(f"{bare}: has partitions, but no hats.properties", "restore it, or import it again")
         raise InputError(
-            f"{first if found[0] else second}: a HATS catalogue is matched with another one",
+            f"{first if in_parts[0] else second}: a HATS catalogue is matched with another one",
             "import the other with hats-import, or give a table of both",
         )
-    return all(found)
+    return all(in_parts)
 
 
 def refuse_file_name(path: str | os.PathLike[str]) -> None:

@@ -287,7 +287,7 @@ class MatchPicture(Result):
             "ambiguous_groups_per_instant": summary.ambiguous_groups, "places": asdict(summary.places),
             "alarms": [str(alarm) for alarm in (*summary.alarms, *summary.faults)],
             "doubts": [*self.source_doubts, *summary.notes],
-            "offsets": [_offset(found) for found in self.biases],
+            "offsets": [_offset(biases) for biases in self.biases],
             "misses": [asdict(misses) for misses in summary.misses],
             "estimated": [*self.scene.estimated, *summary.errors],
             "assumed": [asdict(line) for feed in self.scene.feeds for line in feed.description.assumed],
@@ -369,11 +369,11 @@ def _drawn(result: MatchPicture, draft: Path, outputs: PictureOutputs, warn: Cal
 def _map_alarms(picture: Picture) -> Iterator[MapAlarm]:
     """The alarms and faults, each with the objects of its records."""
     records = picture.records
-    for found in picture.summary.alarms:
+    for alarmed in picture.summary.alarms:
         concerned = np.zeros(len(records["row"]), bool)
-        for source, row in (found.alarm.first, found.alarm.second):
+        for source, row in (alarmed.alarm.first, alarmed.alarm.second):
             concerned |= (records["source"] == source) & (records["row"] == row)
-        yield MapAlarm(str(found), found.first_s, tuple(np.unique(records["object"][concerned]).tolist()))
+        yield MapAlarm(str(alarmed), alarmed.first_s, tuple(np.unique(records["object"][concerned]).tolist()))
     for fault in picture.summary.faults:
         concerned = (records["source"] == fault.source) & (records["track_id"] == (fault.track or None))
         yield MapAlarm(str(fault), fault.first_s, tuple(np.unique(records["object"][concerned]).tolist()))
@@ -434,7 +434,7 @@ def pictured(
         progress("the sensors' offsets")
         scene, biases = scene.registered()
     progress(counted(len(times), "instant"))
-    lines = [line for found in biases for line in found.lines()]
+    lines = [line for source_biases in biases for line in source_biases.lines()]
     lines += dict.fromkeys(note for heights in scene.heights if heights is not None for note in heights.notes)
     picture = Picture.of(scene, times, watch=method.watch(scene), biases=lines, progress=progress)
     if not len(picture.records["row"]):

@@ -434,13 +434,13 @@ def _rotation_values(rotation: Rotation) -> dict[str, Any]:
 def _quantities(match: SkyMatch) -> dict[str, float]:
     """All estimates that have a standard error, with it."""
     estimate = match.estimate
-    found = dict(estimate.quantities)
+    quantities = dict(estimate.quantities)
     if estimate.tail is not None:
-        found["error_tail_share"] = estimate.tail.share
+        quantities["error_tail_share"] = estimate.tail.share
     if estimate.error_model is not None:
-        found |= {ERROR_TERM_NAMES[name]: quantity for name, quantity in estimate.error_model.terms.items()}
+        quantities |= {ERROR_TERM_NAMES[name]: quantity for name, quantity in estimate.error_model.terms.items()}
     facts = {}
-    for name, quantity in found.items():
+    for name, quantity in quantities.items():
         if math.isfinite(quantity.standard_error):
             facts[f"estimated_{name}"] = quantity.value
             facts[f"estimated_{name}_error"] = quantity.standard_error

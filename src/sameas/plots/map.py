@@ -67,16 +67,16 @@ def graticule(
     up = next((step for step in STEPS if step >= wide), STEPS[-1]) / 60.0
     shrunk = max(np.cos(np.radians(plane.lat_deg)), 0.03)
     across = next((step for step in STEPS if step * shrunk >= wide), STEPS[-1]) / 60.0
-    found = []
+    grid = []
     for value in np.arange(np.ceil(max(low, -LAST_DEG) / up), np.floor(min(high, LAST_DEG) / up) + 1) * up:
         along = plane.lon_deg + np.linspace(first, last, POINTS)
-        found.append(GridLine(plane.enu(np.full(POINTS, value), along)[:, :2], _words(value, "NS", 2, up), True))
+        grid.append(GridLine(plane.enu(np.full(POINTS, value), along)[:, :2], _words(value, "NS", 2, up), True))
     start, stop = plane.lon_deg + first, plane.lon_deg + last
     for value in np.arange(np.ceil(start / across), np.ceil(stop / across) + (last - first < 360.0)) * across:
         up_to = np.linspace(max(low, -LAST_DEG), min(high, LAST_DEG), POINTS)
         east = (value + 180.0) % 360.0 - 180.0
-        found.append(GridLine(plane.enu(up_to, np.full(POINTS, value))[:, :2], _words(east, "EW", 3, across), False))
-    return found
+        grid.append(GridLine(plane.enu(up_to, np.full(POINTS, value))[:, :2], _words(east, "EW", 3, across), False))
+    return grid
 
 
 def _contains_pole(plane: LocalPlane, pole: float, box: tuple[float, float, float, float]) -> bool:
@@ -97,12 +97,12 @@ def _metres(west: float, south: float, east: float, north: float, lines: int) ->
     power = 10.0 ** np.floor(np.log10(max(east - west, north - south) / lines))
     step = next(s * power for s in (1, 2, 5, 10) if s * power * lines >= max(east - west, north - south) * 0.999)
     unit, word = (1000.0, "km") if step >= 1000 else (1.0, "m")
-    found = []
+    grid = []
     for value in np.arange(np.ceil(west / step), np.floor(east / step) + 1) * step:
-        found.append(GridLine(np.array([[value, south], [value, north]]), f"x {value / unit:g} {word}", False))
+        grid.append(GridLine(np.array([[value, south], [value, north]]), f"x {value / unit:g} {word}", False))
     for value in np.arange(np.ceil(south / step), np.floor(north / step) + 1) * step:
-        found.append(GridLine(np.array([[west, value], [east, value]]), f"y {value / unit:g} {word}", True))
-    return found
+        grid.append(GridLine(np.array([[west, value], [east, value]]), f"y {value / unit:g} {word}", True))
+    return grid
 
 
 #: Colours and marks of sources, as on the page in day colours.

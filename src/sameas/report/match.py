@@ -345,12 +345,12 @@ def _share(share: Quantity) -> str:
 
 def _unmatched(match: SkyMatch) -> list[str]:
     """Densities of the records that are in one catalogue only."""
-    found = match.estimate.quantities
-    if "density_only_1" not in found:
+    quantities = match.estimate.quantities
+    if "density_only_1" not in quantities:
         return []
     per_deg2 = [
         Quantity(ARCSEC2_PER_DEG2 * q.value, ARCSEC2_PER_DEG2 * q.standard_error)
-        for q in (found["density_only_1"], found["density_only_2"])
+        for q in (quantities["density_only_1"], quantities["density_only_2"])
     ]
     words = f"{per_deg2[0]} of {match.first.name} and {per_deg2[1]} of {match.second.name} per square degree"
     return entry("only in one catalogue", words)
@@ -557,9 +557,9 @@ def many_estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> 
     for name, rotation in match.rotations.items():
         lines += entry("offset", f"added to {name}: {rotation}")
     for (first, second), pair in match.two_by_two.items():
-        found = pair.estimate
-        numbers = f"{figures(found.common)} common, gate {found.gate_sigmas:.1f} σ"
-        lines += entry("two by two", f"{first} and {second}: {numbers}, residuals {found.typical_scale:.2f} σ")
+        estimate = pair.estimate
+        numbers = f"{figures(estimate.common)} common, gate {estimate.gate_sigmas:.1f} σ"
+        lines += entry("two by two", f"{first} and {second}: {numbers}, residuals {estimate.typical_scale:.2f} σ")
     for (first, second), information in match.magnitude_information.items():
         lines += entry("magnitudes", f"{first} and {second}: worth {information:.2f} (ln) for a common object")
     rounds = f"{match.iterations} iteration{'s' * (match.iterations > 1)}" + (
@@ -594,12 +594,12 @@ _COLUMN_WIDTHS = (12, 12, 12, 13)
 
 
 def _objects(match: ManyMatch) -> list[str]:
-    found = ~np.ma.getmaskarray(match.objects.members)
+    present = ~np.ma.getmaskarray(match.objects.members)
     names = [catalogue.name for catalogue in match.catalogues]
     rows = []
     for pattern, expected in match.expected.items():
         inside = np.array([name in pattern for name in names])
-        number = int((found == inside).all(axis=1).sum())
+        number = int((present == inside).all(axis=1).sum())
         if number or expected >= 0.5:
             rows.append((len(pattern), " = ".join(name for name in names if name in pattern), number, expected))
     rows.sort(key=lambda row: (-row[0], -row[2]))

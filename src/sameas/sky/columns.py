@@ -93,18 +93,18 @@ class ColumnSearch:
 
     def find_all(self, wanted: tuple[str, ...]) -> tuple[str, ...] | None:
         """The columns of these names, or None if one is missing."""
-        found = [self.find(name) for name in wanted]
-        return None if None in found else tuple(name for name in found if name)
+        columns = [self.find(name) for name in wanted]
+        return None if None in columns else tuple(name for name in columns if name)
 
     def first(self, wanted: tuple[str, ...]) -> str | None:
         """The first of these names that is a column."""
-        return next((found for name in wanted if (found := self.find(name))), None)
+        return next((column for name in wanted if (column := self.find(name))), None)
 
     def required(self, wanted: str, option: str) -> str:
         """The column named by an option."""
-        found = self.find(wanted.strip())
-        if found:
-            return found
+        column = self.find(wanted.strip())
+        if column:
+            return column
         lower = {name.lower(): name for name in self.table.colnames}
         close = [lower[name] for name in difflib.get_close_matches(wanted.strip().lower(), lower, n=3)]
         hint = f"did you mean {' or '.join(map(repr, close))}?" if close else f"it has: {self.listing()}"
@@ -181,8 +181,8 @@ def _suffix_unit(name: str) -> str:
 
 
 def _bracketed_unit(name: str) -> str:
-    found = _BRACKETED.search(name)
-    return _UNIT_WORDS.get(found[1].lower(), "") if found else ""
+    match = _BRACKETED.search(name)
+    return _UNIT_WORDS.get(match[1].lower(), "") if match else ""
 
 
 def _squeezed(name: str) -> str:
@@ -391,7 +391,7 @@ def _direction(search: ColumnSearch, name: str, convention: Convention, axis: in
     """The column of right ascension or longitude (axis 0), declination or latitude (axis 1)."""
     right_ascension, unit = axis == 0 and convention.frame in ("icrs", "B1950"), convention.unit
     if convention.parts:
-        parts = tuple(found for part in convention.parts[axis] if (found := search.find(part)))
+        parts = tuple(part_name for part in convention.parts[axis] if (part_name := search.find(part)))
         unit_text = f"{'hours' if right_ascension else 'degrees'} in {', '.join(parts)}"
         return ChosenColumn(name, unit_text, "by convention", parts)
     if column_values.is_sexagesimal(search.table, name):
@@ -476,10 +476,10 @@ def _number_of_option(search: ColumnSearch, number: float, unit: str) -> Positio
 
 def _circles_by_ending(search: ColumnSearch) -> tuple[ErrorNames, ...]:
     """Position errors with a survey prefix: ``xmm_poserr_arcsec``."""
-    found = [name for name in search.table.colnames if _POSITION_ERROR.search(name)]
+    names = [name for name in search.table.colnames if _POSITION_ERROR.search(name)]
     radial = conventions.CONFIDENCE_RADII[-1].containment
     return tuple(
-        ErrorNames("circle", (name,), containment=radial if "radec_err" in name.lower() else 0.0) for name in found
+        ErrorNames("circle", (name,), containment=radial if "radec_err" in name.lower() else 0.0) for name in names
     )
 
 
@@ -621,20 +621,20 @@ def _year(search: ColumnSearch, epoch: Epoch) -> float | None:
 def _released_epoch(search: ColumnSearch, convention: Convention) -> Epoch | None:
     """The epoch of the data release named in the texts or implied by the columns; None unless there is exactly one."""
     texts = _texts(search)
-    found = {
+    reasons = {
         epoch: f"the table states {match[0]}"
         for pattern, epoch in convention.releases
         for text in texts
         if (match := re.search(pattern, text, re.IGNORECASE))
     }
-    found |= {
+    reasons |= {
         epoch: f"of the release that has {column}"
         for wanted, epoch in convention.release_columns
         if (column := search.find(wanted))
     }
-    if len(found) != 1:
+    if len(reasons) != 1:
         return None
-    (epoch, reason), *_ = found.items()
+    (epoch, reason), *_ = reasons.items()
     return Epoch(jyr=epoch, reason=reason)
 
 

@@ -436,11 +436,11 @@ def _floors(
     for k in range(frames):
         rows = np.flatnonzero(good & (frame == k))
         distance, at = tree.query(place[rows], distance_upper_bound=0.5 * tuning.tie_arcsec)
-        found = np.isfinite(distance)
+        matched = np.isfinite(distance)
         residual = np.full((len(first), 2), np.nan)
-        residual[at[found]] = place[rows[found]]
+        residual[at[matched]] = place[rows[matched]]
         var = np.full(len(first), np.nan)
-        var[at[found]] = variance[rows[found]]
+        var[at[matched]] = variance[rows[matched]]
         offsets.append(residual)
         variances.append(var)
     stack = np.array(offsets)
@@ -482,7 +482,7 @@ def _stationary(
         if not len(rows):
             continue
         distance, at = cKDTree(place[rows]).query(place, NEIGHBOURS, distance_upper_bound=widest, workers=-1)
-        found = np.zeros(n, bool)
+        detected = np.zeros(n, bool)
         for column in range(NEIGHBOURS):
             i = np.flatnonzero(np.isfinite(distance[:, column]) & (frame != k))
             j = rows[at[i, column]]
@@ -494,8 +494,8 @@ def _stationary(
             s2[i] += w * t**2
             off0[i] += w[:, None] * offset
             off1[i] += (w * t)[:, None] * offset
-            found[i] = True
-        hits += found
+            detected[i] = True
+        hits += detected
     determinant = s0 * s2 - s1**2
     span = float(np.ptp(minutes))
     with np.errstate(all="ignore"):
@@ -688,9 +688,9 @@ def _rows(
                 sums[free] / weights[free, None], sigma=1.0 / np.sqrt(weights[free]), source="stars"
             )
             rule, prior = Field(max(len(in_frame), 1) / area), PerPair(log_odds)
-            found = identify(frame_records, star_records, rule=rule, prior=prior).matches
-            rows[free[found.rows_2], k] = in_frame[found.rows_1]
-            new[found.rows_1] = False
+            matches = identify(frame_records, star_records, rule=rule, prior=prior).matches
+            rows[free[matches.rows_2], k] = in_frame[matches.rows_1]
+            new[matches.rows_1] = False
         new_rows = in_frame[new]
         rows[count + np.arange(len(new_rows)), k] = new_rows
         count += len(new_rows)

@@ -149,9 +149,9 @@ def _of_json(text: str, path: str | Path) -> Elements:
         passage = np.where(np.isfinite(passage), passage, epoch - column("ma") / motion)
     names = [" ".join(str(row[at["full_name"]]).split()) for row in rows]
     numbers = [name.split()[0] if name.split()[0].isdigit() else "" for name in names]
-    found = _elements(names, numbers, epoch, q, e, column("i"), column("om"), column("w"), passage, column("H"),
+    elements = _elements(names, numbers, epoch, q, e, column("i"), column("om"), column("w"), passage, column("H"),
                    column("G"), column("condition_code"))  # fmt: skip
-    return _usable(found, path)
+    return _usable(elements, path)
 
 
 def _of_objects(objects: Sequence[Any], path: str | Path) -> Elements:
@@ -178,9 +178,9 @@ def _of_objects(objects: Sequence[Any], path: str | Path) -> Elements:
         if given.get("data") is not None and set(_COVARIANCE) <= set(labels):
             at = [labels.index(label) for label in _COVARIANCE]  # others are of non-gravitational forces
             covariance[k] = np.array(given["data"], dtype=np.float64)[np.ix_(at, at)]
-    found = _elements(names, numbers, *np.array(rows, dtype=np.float64).T)
+    elements = _elements(names, numbers, *np.array(rows, dtype=np.float64).T)
     known = np.isfinite(covariance).all(axis=(1, 2))
-    return _usable(replace(found, covariance=covariance) if known.any() else found, path)
+    return _usable(replace(elements, covariance=covariance) if known.any() else elements, path)
 
 
 def _elements(names: Sequence[str], numbers: Sequence[str], *columns: FloatArray) -> Elements:
@@ -204,9 +204,9 @@ def _of_mpcorb(text: str, path: str | Path) -> Elements:
     m = (m + 180.0) % 360.0 - 180.0
     names = [(line[166:194].strip() or line[:7].strip()) for line in rows]
     numbers = [_number_of(line[:7].strip()) for line in rows]
-    found = _elements(names, numbers, epoch, a * (1 - e), e, column(60, 68), column(49, 57), column(38, 46),
+    elements = _elements(names, numbers, epoch, a * (1 - e), e, column(60, 68), column(49, 57), column(38, 46),
                    epoch - m / motion, column(9, 13), column(15, 19), column(106, 106))  # fmt: skip
-    return _usable(found, path)
+    return _usable(elements, path)
 
 
 def _number(value: str | SupportsFloat) -> float:

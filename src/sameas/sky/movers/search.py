@@ -234,11 +234,11 @@ def find_movers(
             model = learn_motion(*others, tuning=tuning)
         else:
             model, influence = _learned(around, MotionModel(), tuning.model_counts)
-    found = _found(around, model, influence, least, min_probability, stationary)
-    same_rate = _same_rate(found, tuning)
-    found = replace(found.only(~same_rate), same_rate=int(same_rate.sum()))
-    members = np.where(found.members >= 0, at[found.members], ABSENT)
-    return replace(found, detections=detections, members=members, stationary=stationary, fixed=fixed)
+    movers = _found(around, model, influence, least, min_probability, stationary)
+    same_rate = _same_rate(movers, tuning)
+    movers = replace(movers.only(~same_rate), same_rate=int(same_rate.sum()))
+    members = np.where(movers.members >= 0, at[movers.members], ABSENT)
+    return replace(movers, detections=detections, members=members, stationary=stationary, fixed=fixed)
 
 
 def _excluded(detections: Detections, tuning: Tuning) -> tuple[Stationary, int, IntArray, Detections]:
@@ -533,18 +533,18 @@ def search(
         if len(np.unique(series.frame[series.unexplained])) < 2:
             return _no_movers(_no_detections(series)), series
         around = Surroundings.of(unexplained_detections(series), motion)
-        found = _found(around, *_learned(around, MotionModel(), tuning.counts), 2, 0.0)
-        slow, stuck = _stationary_and_fixed(found, series, tuning)
+        movers = _found(around, *_learned(around, MotionModel(), tuning.counts), 2, 0.0)
+        slow, stuck = _stationary_and_fixed(movers, series, tuning)
         if not (slow | stuck).any():
             break
         stationary, fixed = series.stationary.copy(), series.fixed.copy()
         for mask, selected in ((stationary, slow), (fixed, stuck & ~slow)):
-            members = found.members[selected]
-            mask[found.detections.rows[members[members >= 0]]] = True
+            members = movers.members[selected]
+            mask[movers.detections.rows[members[members >= 0]]] = True
         series = replace(series, stationary=stationary, fixed=fixed)
-    slow, stuck = _stationary_and_fixed(found, series, tuning)
-    wanted = (found.size >= least) & (found.p_tracklet >= min_probability) & ~slow & ~stuck
-    return found.only(wanted), series
+    slow, stuck = _stationary_and_fixed(movers, series, tuning)
+    wanted = (movers.size >= least) & (movers.p_tracklet >= min_probability) & ~slow & ~stuck
+    return movers.only(wanted), series
 
 
 def _stationary_and_fixed(movers: Movers, series: Series, tuning: MoverTuning) -> tuple[BoolArray, BoolArray]:

@@ -81,16 +81,16 @@ class Stationary:
 def stationary_sources(detections: Detections, tuning: Tuning) -> Stationary:
     """The sources that are more probably stationary than moving or unrelated."""
     no_offset = np.zeros((len(detections.frame_names), 2))
-    found = Stationary(np.zeros(len(detections), bool), 0, tuning.stationary.prior_counts, no_offset, 1.0)
+    sources = Stationary(np.zeros(len(detections), bool), 0, tuning.stationary.prior_counts, no_offset, 1.0)
     typical = detections.typical_sigma_arcsec
 
     for iteration in range(tuning.stationary.iterations):
-        previous = found
-        found = _searched(previous.corrected(detections), previous, iteration == 0, tuning)
-        changed = np.abs(found.offset_arcsec - previous.offset_arcsec).max(initial=0.0)
-        if changed < 0.2 * typical and found.error_scale < 1.1 * previous.error_scale:
+        previous = sources
+        sources = _searched(previous.corrected(detections), previous, iteration == 0, tuning)
+        changed = np.abs(sources.offset_arcsec - previous.offset_arcsec).max(initial=0.0)
+        if changed < 0.2 * typical and sources.error_scale < 1.1 * previous.error_scale:
             break
-    return found
+    return sources
 
 
 def _searched(detections: Detections, previous: Stationary, first: bool, tuning: Tuning) -> Stationary:
@@ -102,9 +102,9 @@ def _searched(detections: Detections, previous: Stationary, first: bool, tuning:
     model = MotionModel(rates=_AT_REST).for_bands(detections.bands, tuning)
     model = learn(at_rest, model)
     model = replace(model, rates=_AT_REST, log_begin=model.log_odds)
-    found = compete(grow(at_rest, candidate_links(at_rest, model), model), n, tuning)
-    likely = np.flatnonzero(found.chosen & (found.shares(n)[0] > 0.5))
-    members = found.members[likely]
+    competition = compete(grow(at_rest, candidate_links(at_rest, model), model), n, tuning)
+    likely = np.flatnonzero(competition.chosen & (competition.shares(n)[0] > 0.5))
+    members = competition.members[likely]
     if first:
         offset, scale = _robust_offsets(around, members)
     else:
