@@ -173,8 +173,9 @@ class Approaches:
         found = np.flatnonzero(at_rest)
         if not len(found):
             return frozenset()
-        company = cKDTree(place[found]).query_ball_point(place[found], COMPANY_M, return_length=True) > COMPANIONS
-        found = found[company | self._beside_land(place[found], situation.plane)]
+        berthed = cKDTree(place[found]).query_ball_point(place[found], COMPANY_M, return_length=True) > COMPANIONS
+        berthed[~berthed] = self._beside_land(place[found[~berthed]], situation.plane)
+        found = found[berthed]
         with np.errstate(invalid="ignore"):
             unnamed = np.flatnonzero(placed & ~at_rest & (objects["mmsi"] == "") & ~(speed > SLOW_M_PER_S))
         if len(found) and len(unnamed):
@@ -195,7 +196,7 @@ class Approaches:
         fresh = [one for one in squares if one not in self._at_quay]
         self._at_quay = {one: self._at_quay[one] for one in squares if one in self._at_quay}
         self._at_quay |= {one: self._quays.distance_m(np.multiply(one, 10.0)) <= QUAY_M for one in fresh}
-        return np.array([self._at_quay[one] for one in squares])
+        return np.array([self._at_quay[one] for one in squares], bool)
 
 
 @dataclass(frozen=True)
