@@ -202,7 +202,7 @@ def test_an_ambiguous_source_does_not_hinder_another():
         if f.prior_of[k] >= 0 and f.members[k, 0] >= 0:
             off.append(np.linalg.norm(f.prior_objects.state[f.prior_of[k], :2] - boat(t)))
             open_.append(f.probability[k])
-            assert f.p_own[0][f.members[k, 0]] > 0.9
+            assert f.p_association[0][f.prior_of[k], f.members[k, 0]] > 0.9
     assert len(off) > 40 and np.median(open_) < 0.6
     assert np.sqrt(np.mean(np.square(off))) < 3.0
 
@@ -406,3 +406,21 @@ def test_object_tables_can_be_split_and_joined():
         assert pair.separate_log_odds[0, 1] == apart.separate_log_odds[a, b] and pair.number.tolist() == [a + 1, b + 1]
     rejoined = apart.take(np.arange(2)).with_(apart.take(np.arange(2, 5)))
     assert rejoined.number.tolist() == whole.number.tolist() and rejoined.separate_log_odds[0, 4] == 0.0
+
+
+def test_an_object_that_one_source_of_many_shows_in_clutter_is_found():
+    # With ρ πσ² objects expected where others would have to miss it, each plot alone is of an object with p < 0.01.
+    rng = np.random.default_rng(4)
+    radar = sensor("radar", 4.0, 1.5, 0.2, 30.0)
+    blind = [sensor(f"camera {k}", 4.0, 1.5, 0.5, 1.0) for k in range(3)]
+    feeds = plots(rng, radar, [course((50.0, 20.0), (2.0, 0.0))], 60.0), *(plots(rng, b, [], 60.0) for b in blind)
+    tracker, tracks, born, there_at = PlotTracker(correlation_s=0.0), None, [], []
+    for t in np.arange(1.5, 59.0, 1.5).tolist():
+        now = replace(Scene(feeds).at(t, features=POSITION_AND_VELOCITY), region=REGION, density=1e-9)
+        tracks = tracker.advance(now, tracks)
+        born += [tracks.existence[k] for k in np.flatnonzero(tracks.prior_of < 0)]
+        near = np.linalg.norm(tracks.state[:, :2] - (50.0 + 2.0 * t, 20.0), axis=1) < 12.0
+        there_at.append(tracks.existence[near].max(initial=0.0) > 0.5)
+        assert not (tracks.existence[~near] > 0.9).any()
+    assert max(born) < 0.01
+    assert np.mean(there_at[15:]) > 0.7

@@ -8,11 +8,11 @@ import pytest
 
 from sameas import match_picture
 from sameas.picture.plot_tracker import PlotTracker
-from sameas.tracks.error_fit import fit_errors
+from sameas.tracks.error_fit import TrackErrorFit, _field_size, fit_errors
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
-from sameas.tracks.source import Clutter, Description, SensorErrors, Site, Timing
+from sameas.tracks.source import Clutter, Description, MissRate, SensorErrors, Site, Timing
 
 SITE = Site(east_m=0.0, north_m=0.0)
 #: 1σ of ranges (m) and bearings (°), wander over the hull (m), period (s), clutter per scan, time stamp lateness (s).
@@ -33,14 +33,18 @@ def course(vessel, t):
     return (first, other)[vessel]
 
 
-def feed_of(rng, name, described, until_s=UNTIL_S):
-    """Plots of a sensor at the origin."""
+def feed_of(rng, name, described, until_s=UNTIL_S, p_shown=lambda range_m: 0.8, period_s=None, twice=0.0, empty=True):
+    """Plots of a sensor at the origin; twice : probability that it shows a vessel as two plots.
+    empty : whether the times of empty scans are known."""
     a, b, e, period, clutter, late = TRUTH[name]
+    clutter, period = (clutter, period) if period_s is None else (clutter * period_s / period, period_s)
+    times = np.arange(0.0, until_s, period)
     columns = {"time_s": [], "bearing_deg": [], "range_m": []}
-    for t in np.arange(0.0, until_s, period).tolist():
+    for t in times.tolist():
         plots = []
         for vessel in (0, 1):
-            if rng.random() < 0.8:
+            is_shown = rng.random() < p_shown(np.hypot(*course(vessel, t)))
+            for _ in range(is_shown * (1 + (twice > 0.0 and rng.random() < twice))):
                 place = course(vessel, t) + e * rng.standard_normal(2)
                 r, beta = np.hypot(*place), np.degrees(np.arctan2(*place))
                 plots.append((r + a * rng.standard_normal(), beta + b * rng.standard_normal()))
@@ -51,13 +55,13 @@ def feed_of(rng, name, described, until_s=UNTIL_S):
                 columns[key].append(value)
     if name == "camera":
         del columns["range_m"]
-    return Feed.of(described, Reports.of(name, "table", columns))
+    return Feed.of(described, Reports.of(name, "table", columns), scan_times_s=times + late if empty else None)
 
 
 def scene(seed, until_s=UNTIL_S, **described):
     rng = np.random.default_rng(seed)
     parts = {name: described.get(name, Description(name, KIND[name], site=SITE)) for name in TRUTH}
-    return Scene(tuple(feed_of(rng, name, each, until_s) for name, each in parts.items()))
+    return Scene(tuple(feed_of(rng, name, each, until_s, empty=False) for name, each in parts.items()))
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +93,9 @@ def test_estimated_numbers_are_reported_and_not_listed_as_assumed(fitted):
     after, fit = fitted
     listed = {f"{line.source} {line.name}" for feed in after.feeds for line in feed.description.assumed}
     assert not {"lidar errors.range_m", "radar errors.bearing_deg", "camera clutter.per_deg"} & listed
-    assert "lidar misses.q" in listed
+    assert not {"lidar misses.q", "radar misses.q", "camera misses.q"} & listed
+    assert "lidar resolution.range_m" in listed
+    assert " misses " in fit.lines()[0]
     assert fit.lines()[1].startswith("radar: range ± ") and fit.lines()[1].endswith(" s late")
 
 
@@ -151,3 +157,51 @@ def test_a_picture_of_bare_plots_reports_its_estimates(tmp_path):
     summary = json.loads((tmp_path / "picture" / "summary.json").read_text())
     assert [line.split(":")[0] for line in summary["estimated"]] == ["lidar", "radar"]
     assert not {"errors.range_m", "clutter.per_km2"} & {line["name"] for line in summary["assumed"]}
+
+
+@pytest.mark.slow
+def test_how_often_a_source_misses_an_object_is_estimated_by_range():
+    def shown(range_m):
+        return 0.9 if range_m < 80.0 else 0.3
+
+    found = []
+    for seed in (7, 8, 9):
+        rng = np.random.default_rng(seed)
+        parts = [Description(name, KIND[name], site=SITE) for name in TRUTH]
+        feeds = [feed_of(rng, p.name, p, p_shown=shown if p.name == "lidar" else lambda r: 0.8) for p in parts]
+        misses = [feed.description.misses for feed in fit_errors(feeds).feeds]
+        found.append([*misses[0].at([50.0, 120.0]), *(np.mean(each.at([60.0, 110.0])) for each in misses[1:])])
+    near, far, radar, camera = np.mean(found, axis=0)
+    assert near < 0.35 and far > 0.5
+    assert radar == pytest.approx(0.2, abs=0.1) and 0.1 < camera < 0.4
+
+
+def test_miss_rates_that_the_user_gave_and_those_of_two_sources_are_kept():
+    given = Description("lidar", "lidar", site=SITE, misses=MissRate(0.15))
+    after, _ = scene(2, lidar=given).with_fitted_errors()
+    assert after.feeds[0].description.misses == MissRate(0.15)
+    pair, _ = replace(after, feeds=scene(2).feeds[:2]).with_fitted_errors()
+    assert [feed.description.misses.q for feed in pair.feeds] == [0.3, 0.1]
+    assert all("misses" not in line for line in TrackErrorFit(pair.feeds, ("lidar", "radar")).lines())
+
+
+@pytest.mark.slow
+def test_scans_that_no_other_source_can_be_compared_with_are_no_clutter():
+    rng = np.random.default_rng(11)
+    parts = {name: Description(name, KIND[name], site=SITE) for name in TRUTH}
+    feeds = [feed_of(rng, name, each, period_s=0.1 if name == "camera" else None) for name, each in parts.items()]
+    camera = fit_errors(feeds).feeds[2]
+    assert len(camera.scan_times_s) == 2000
+    # 0.6 false plots in each exposure, of which one in five is nearest to one of the lidar.
+    assert camera.description.clutter.per_deg == pytest.approx(0.6 / 360.0, rel=0.4)
+
+
+@pytest.mark.slow
+def test_second_plots_of_a_hull_count_as_clutter():
+    rng = np.random.default_rng(12)
+    parts = {name: Description(name, KIND[name], site=SITE) for name in TRUTH}
+    feeds = [feed_of(rng, name, each, twice=0.5 if name == "lidar" else 0.0) for name, each in parts.items()]
+    lidar = fit_errors(feeds).feeds[0]
+    per_scan = lidar.description.clutter.per_km2 * _field_size(lidar)
+    # 1.6 vessels, half of them twice, and 0.3 false plots.
+    assert per_scan == pytest.approx(1.1, rel=0.3)

@@ -163,13 +163,14 @@ class BernoulliTable(ObjectTable):
     A source that missed an object six times is not expected to detect it now, so each object has its own counts of hits
     and misses. Two objects at one place that no scan resolves are duplicates of one object (:meth:`merged`).
 
-    existence : probability of existence.
+    existence, initial : probability of existence, now and with the first scan.
     hits, misses : (m, S) weighted numbers of scans of each source that detected and missed it; older ones count less.
     separate_log_odds : (m, m) log-odds, by the scans, that two objects are not one.
     """
 
     WHOLE = frozenset({"separate_log_odds"})
     existence: FloatArray = field(default_factory=lambda: np.empty(0))
+    initial: FloatArray = field(default_factory=lambda: np.empty(0))
     hits: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     misses: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     separate_log_odds: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
@@ -200,7 +201,7 @@ class BernoulliTable(ObjectTable):
         """New objects."""
         separate_log_odds = np.zeros((len(number), len(number)))
         bounded = np.clip(existence, least, 1.0 - least)
-        return cls(number, state, covariance, bounded, hits, np.zeros_like(hits), separate_log_odds)
+        return cls(number, state, covariance, bounded, bounded, hits, np.zeros_like(hits), separate_log_odds)
 
     def take(self, which: NDArray[Any]) -> BernoulliTable:
         """Some of the objects: a mask (m,) or places."""
@@ -295,6 +296,7 @@ class BernoulliTable(ObjectTable):
         columns["state"][i], columns["covariance"][i] = self.state[kept_place], self.covariance[kept_place]
         columns["number"][i] = min(self.number[i], self.number[j])
         columns["existence"][i] = 1.0 - (1.0 - self.existence[i]) * (1.0 - self.existence[j])
+        columns["initial"][i] = np.maximum(self.initial[i], self.initial[j])
         columns["hits"][i] = self.hits[i] + self.hits[j]
         columns["misses"][i] = np.minimum(self.misses[i], self.misses[j])
         return BernoulliTable(**columns).take(np.arange(len(self)) != j)

@@ -100,9 +100,9 @@ class PlotTracker:
         """The prior objects for the scans of ``now``: those of ``before`` updated by its scans that are not current any
         more, and predicted."""
         dt = now.instant_s - before.now.instant_s
-        retired = before.retired_members(now)
+        retired = before.retired(before.members, now)
         p_detected, (new, new_q) = before.p_detected(retired), before.new_objects(retired)
-        objects = before.fused(retired, self.correlation_s).after(
+        objects = before.fused(before.retired(before.likely_members, now), self.correlation_s).after(
             Sighting(p_detected, before.scans_over(now), before.rule.known_q), self.tuning.min_probability
         )
         split = np.array([d.resolution.split or self.tuning.split for d in now.descriptions])
@@ -111,7 +111,8 @@ class PlotTracker:
         )
         density = objects_per_m2(now)
         objects = objects.merged(density, self.tuning)
-        objects = objects.take((objects.existence > self.tuning.min_existence) & ~aged(objects.covariance, density))
+        least = np.minimum(self.tuning.min_existence, self.tuning.min_share_of_initial * objects.initial)
+        objects = objects.take((objects.existence > least) & ~aged(objects.covariance, density))
         walk = max(walk_of(description) for description in now.descriptions)
         return objects.predicted(dt, walk).aged(dt, self.lifetime_s, self.sighting_s)
 
@@ -221,7 +222,7 @@ class TrackedPlots:
         """States and covariances; those of prior objects are not constrained by the region."""
         state, covariance = np.empty((len(self), 4)), np.empty((len(self), 4, 4))
         for region, which in ((self._wide_region, self.prior_of >= 0), (self.now.region, self.prior_of < 0)):
-            joint = self._pooled(which, self.members[which], np.ones(len(self.scan_s)), region)
+            joint = self._pooled(which, self.likely_members[which], np.ones(len(self.scan_s)), region)
             state[which], covariance[which] = joint.state, joint.covariance
         covariance[:, :2, :2] += self.now.shared_error_m**2 * np.eye(2)
         return state, covariance
@@ -237,11 +238,37 @@ class TrackedPlots:
 
         count : (S,) the weight of a record that is certainly of its object, per source.
         """
-        pairs = zip(self.now.sources, self.p_own, count, strict=True)
-        sources = [_weighted(source, p_own * share, self.tuning.min_probability) for source, p_own, share in pairs]
-        return joint_density(
-            [self.prior_objects.records, *sources], np.column_stack([self.prior_of[which], sets]), region
-        )
+        sources: list[Source] = [self.prior_objects.records]
+        columns = [self.prior_of[which]]
+        for s, source in enumerate(self.now.sources):
+            at = np.flatnonzero(sets[:, s] >= 0)
+            weight = self._p_of_existing(s, np.flatnonzero(which)[at], sets[at, s]) * count[s]
+            sources.append(_weighted(source, sets[at, s], np.maximum(weight, self.tuning.min_probability)))
+            columns.append(np.full(len(sets), ABSENT))
+            columns[-1][at] = np.arange(len(at))
+        return joint_density(sources, np.column_stack(columns), region)
+
+    def _p_of_existing(self, s: int, objects: IntArray, rows: IntArray) -> FloatArray:
+        """(k,) probability, if an object exists, that a record of a source is of it; 1 for new objects."""
+        prior, out = self.prior_of[objects], np.ones(len(objects))
+        has = prior >= 0
+        out[has] = self.p_association[s][prior[has], rows[has]] / self.existence[objects[has]]
+        return np.minimum(out, 1.0)
+
+    @cached_property
+    def likely_members(self) -> IntArray:
+        """(n, S) the members, and where a prior object has none of a source, the record that is its member with a
+        probability of ``likely_member`` if it exists. An object that hardly exists yet has no members in the most
+        probable hypothesis, but its state is that of one that exists."""
+        out, prior = self.members.copy(), np.flatnonzero(self.prior_of >= 0)
+        for s, p in enumerate(self.p_association):
+            if p.shape[1]:
+                best = p[self.prior_of[prior]].argmax(axis=1)
+                likely = (self.members[prior, s] < 0) & (
+                    self._p_of_existing(s, prior, best) > self.tuning.likely_member
+                )
+                out[prior[likely], s] = best[likely]
+        return out
 
     @cached_property
     def last_number(self) -> Mapping[tuple[int, int], int]:
@@ -251,12 +278,12 @@ class TrackedPlots:
         rows = self.members[at, s].tolist()
         return {(k, int(ids[k][row])): n for k, row, n in zip(s.tolist(), rows, self.number[at].tolist(), strict=True)}
 
-    def retired_members(self, now: Instant) -> IntArray:
-        """(n, S) the members whose scans are not current at a later instant, ABSENT for the others."""
-        out = self.members.copy()
+    def retired(self, members: IntArray, now: Instant) -> IntArray:
+        """(n, S) those of the members whose scans are not current at a later instant, ABSENT for the others."""
+        out = members.copy()
         for s, (before, after) in enumerate(zip(self.now.sources, now.sources, strict=True)):
             is_current = np.append(np.isin(records_of(before).ids, records_of(after).ids), True)
-            out[is_current[self.members[:, s]], s] = -1
+            out[is_current[members[:, s]], s] = ABSENT
         return out
 
     def scans_over(self, now: Instant) -> FloatArray:
@@ -291,26 +318,16 @@ class TrackedPlots:
         ]
         return np.asarray(np.clip(np.column_stack(parts), 0.0, 1.0))
 
-    @cached_property
-    def p_own(self) -> tuple[FloatArray, ...]:
-        """Per source (rows,) probability that a record is of its assigned prior object, 1 for new objects."""
-        out = tuple(np.ones(p.shape[1]) for p in self.p_association)
-        at, s = np.nonzero((self.members >= 0) & (self.prior_of >= 0)[:, None])
-        for n, source in zip(at.tolist(), s.tolist(), strict=True):
-            row = self.members[n, source]
-            out[source][row] = self.p_association[source][self.prior_of[n], row]
-        return out
-
     def fused(self, sets: IntArray, correlation_s: float) -> BernoulliTable:
         """The prior objects updated by their records ``sets``, weighted by Δt/τ (at most 1) times the probability that
-        the record is of the object."""
-        at = np.flatnonzero((self.prior_of >= 0) & (sets >= 0).any(axis=1))
-        if not len(at):
+        the record is of the object if that exists."""
+        which = (self.prior_of >= 0) & (sets >= 0).any(axis=1)
+        if not which.any():
             return self.prior_objects
         count = np.minimum(self.gap_s / correlation_s, 1.0) if correlation_s > 0.0 else np.ones(len(self.gap_s))
-        joint = self._pooled(at, sets[at], count, self._wide_region)
+        joint = self._pooled(which, sets[which], count, self._wide_region)
         state, covariance = self.prior_objects.state.copy(), self.prior_objects.covariance.copy()
-        state[self.prior_of[at]], covariance[self.prior_of[at]] = joint.state, joint.covariance
+        state[self.prior_of[which]], covariance[self.prior_of[which]] = joint.state, joint.covariance
         return replace(self.prior_objects, state=state, covariance=covariance)
 
     def new_objects(self, sets: IntArray) -> tuple[BernoulliTable, FloatArray]:
@@ -367,10 +384,10 @@ def _scan_times(now: Instant, before: TrackedPlots | None) -> tuple[FloatArray, 
     return scan_s, np.where(scan_s > before.scan_s, gap, before.gap_s)
 
 
-def _weighted(source: Source, share: FloatArray, least: float) -> Source:
-    """The source with the covariances of its records divided by weights (rows,) of at least ``least``."""
-    records = records_of(source)
-    weighted = replace(records, covariance=records.covariance / np.maximum(share[records.rows], least)[:, None])
+def _weighted(source: Source, rows: IntArray, weight: FloatArray) -> Source:
+    """The records ``rows`` of a source, with their covariances divided by weights (k,)."""
+    records = records_of(source).part(rows)
+    weighted = replace(records, covariance=records.covariance / weight[:, None])
     return replace(source, records=weighted) if isinstance(source, Observations) else weighted
 
 

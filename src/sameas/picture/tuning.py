@@ -73,7 +73,10 @@ class Tuning:
     em_steps : EM iterations per instant; they continue from the previous instant.
 
     split : probability that a scan shows one object as two, if neither the description nor the kind has it.
-    min_existence : objects of plots without ids are dropped below this probability.
+    min_existence, min_share_of_initial : objects of plots without ids are dropped below the first probability and below
+        this share of that with their first scan: among much clutter the first plot of a real object is below the first.
+    likely_member : a record updates the state of an object that may not exist if, in case it does, the record is its
+        with this probability.
     region_factor : factor on the region's covariance for the states of objects that are already tracked.
     min_probability : probabilities of existence are clipped to this distance from 0 and 1, so that later scans can
         change them.
@@ -157,6 +160,8 @@ class Tuning:
 
     split: float = 0.02
     min_existence: float = 0.01
+    min_share_of_initial: float = 0.1
+    likely_member: float = 0.9
     region_factor: float = 1e4
     min_probability: float = 1e-6
     separate_log_odds: float = 5.0

@@ -1,4 +1,4 @@
-"""Error fit: the errors, clutter and latency of sources of plots without ids, from the differences between sources.
+"""Error fit: errors, misses, clutter and latency of sources of plots without ids, from the differences between sources.
 
 The errors assumed for a kind of sensor are often wrong by a factor of three, and a detector's clutter by a hundred. No
 source has the truth, but the variance of the difference of two sources is the sum of theirs (Gray and Allan 1974, the
@@ -13,6 +13,10 @@ by chance, with uniform density in the box. Values not given by the user have lo
 in time, so the scans within ``fit_correlation_s`` count as one. For a source with possible latency, several latencies
 are tried. All fits are averaged with their posterior probabilities as weights.
 
+A source misses the share of the others' plots that has no plot of it in its nearest scan, of those that a third source
+confirms as real: without a third one, false plots and missed objects cannot be told apart. By range, in bins of equal
+weight, as a table.
+
 Sensors at one place all detect the near side of a hull. This common error does not appear in differences. It is assumed
 to have half the variance of the scatter, e² averaged in logarithms (chosen: three recordings give 0.3 to 1.2), and is
 a part of the errors of fused positions that further sources do not reduce.
@@ -21,7 +25,7 @@ a part of the errors of fused positions that further sources do not reduce.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -35,7 +39,7 @@ from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.scans import usual_period_s
-from sameas.tracks.source import Description
+from sameas.tracks.source import Description, MissRate
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
@@ -60,6 +64,7 @@ class TrackErrorFit:
                 continue
             words = [] if isinstance(feed.reports, Directions) else [f"range ± {errors.range_m:.2g} m"]
             words += [f"bearing ± {errors.bearing_deg:.2g}°", f"hull ± {errors.extent_m:.2g} m"]
+            words += [] if _is_assumed(described, MISSES) else [f"misses {_percents(described.misses)}"]
             if isinstance(feed.reports, Directions):
                 words.append(f"clutter {described.clutter.per_deg or 0.0:.2g} per degree")
             else:
@@ -68,6 +73,17 @@ class TrackErrorFit:
                 words.append(f"stamps {described.timing.latency_s:.2g} s late")
             out.append(f"{described.name}: {', '.join(words)}")
         return out
+
+
+#: Name of the assumption of how often a source misses an object.
+MISSES = "misses.q"
+
+
+def _percents(misses: MissRate) -> str:
+    """Such as "20 %" or "10 to 60 %"."""
+    percent = 100.0 * np.atleast_1d(np.asarray(misses.q, np.float64))
+    low, high = (f"{q:.0f}" for q in (percent.min(), percent.max()))
+    return f"{low} %" if low == high else f"{low} to {high} %"
 
 
 @dataclass(frozen=True)
@@ -147,8 +163,9 @@ def fit_errors(
     p_pair = expit(mean.model.log_odds(mean.pairs))
     if float(p_pair @ mean.pairs.weight) < tuning.fit_pairs:
         return TrackErrorFit(tuple(feeds))
-    out = list(feeds)
-    for k, feed, description in zip(at, mean.feeds, _described(mean, latency_s, p_pair), strict=True):
+    out, misses = list(feeds), _misses(mean, p_pair, tuning)
+    densities = _clutter(mean, misses, p_pair, tuning)
+    for k, feed, description in zip(at, mean.feeds, _described(mean, latency_s, misses, densities), strict=True):
         out[k] = _rebuilt(feed, description, plane)
     shared = math.sqrt(tuning.shared_hull) * math.exp(float(mean.model.logs[2].mean()))
     return TrackErrorFit(tuple(out), tuple(feed.description.name for feed in fittable), shared)
@@ -283,10 +300,21 @@ def _updated_logs(pairs: _Pairs, p: FloatArray, logs: FloatArray, prior: _Prior)
     return logs
 
 
-def _pairs(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning) -> _Pairs:
-    """The pairs of plots of any two sources, between scans that are nearest in time."""
+@dataclass(frozen=True)
+class _MatchedScans:
+    """Scans of two sources nearest in time: the sources, the numbers and the rows of the scans, the time, and the
+    weight in independent scans."""
+
+    sources: tuple[int, int]
+    numbers: tuple[int, int]
+    rows: tuple[IntArray, IntArray]
+    time_s: float
+    weight: float
+
+
+def _matched_scans(feeds: Sequence[Feed], tuning: Tuning) -> Iterator[_MatchedScans]:
+    """For any two sources, not both of directions, each scan of that with fewer and the nearest one of the other."""
     scans = [_scans(feed) for feed in feeds]
-    parts: list[list[Any]] = []
     for s, t in combinations(range(len(feeds)), 2):
         if all(isinstance(feeds[k].reports, Directions) for k in (s, t)):
             continue
@@ -298,12 +326,20 @@ def _pairs(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning) -> _Pairs:
         step = max(len(times) // tuning.fit_scans, 1)
         nearest = _nearest(scans[other][0], times)
         gap = np.abs(scans[other][0][nearest] - times)
+        weight = min(step * period / tuning.fit_correlation_s, 1.0)
         for k in range(0, len(times), step):
             if gap[k] <= 0.6 * period_other:
-                one, two = (rows[k], scans[other][1][nearest[k]])[:: 1 if fewer == s else -1]
-                i, j = (side.ravel() for side in np.meshgrid(one, two, indexing="ij"))
-                weight = min(step * period / tuning.fit_correlation_s, 1.0)
-                parts.append([np.full(len(i), s), np.full(len(i), t), i, j, np.full(len(i), weight)])
+                numbers, both = (k, int(nearest[k])), (rows[k], scans[other][1][nearest[k]])
+                yield _MatchedScans((fewer, other), numbers, both, float(times[k]), weight)
+
+
+def _pairs(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning) -> _Pairs:
+    """The pairs of plots of any two sources, between scans that are nearest in time."""
+    parts: list[list[Any]] = []
+    for match in _matched_scans(feeds, tuning):
+        i, j = (side.ravel() for side in np.meshgrid(*match.rows, indexing="ij"))
+        s, t = match.sources
+        parts.append([np.full(len(i), s), np.full(len(i), t), i, j, np.full(len(i), match.weight)])
     if not parts:
         none, no_rows = np.empty(0), np.empty(0, np.int64)
         return _Pairs(no_rows, no_rows, no_rows, no_rows, none, none, none, np.empty(0, bool), none, none)
@@ -350,11 +386,11 @@ def _compared(feeds: Sequence[Feed], prior: _Prior, columns: Sequence[NDArray[An
 
 
 def _scans(feed: Feed) -> tuple[FloatArray, list[IntArray]]:
-    """The times of the scans with usable reports, and the rows of each."""
-    rows = np.flatnonzero(feed.reports.usable)
-    times, number = np.unique(feed.scan_s[rows], return_inverse=True)
+    """The times of the scans, including empty ones, and the rows of the usable reports of each."""
+    times, rows = feed.scan_times_s, np.flatnonzero(feed.reports.usable)
+    number = np.searchsorted(times, feed.scan_s[rows])
     order = np.argsort(number, kind="stable")
-    return times, np.split(rows[order], np.cumsum(np.bincount(number))[:-1]) if len(rows) else []
+    return times, np.split(rows[order], np.cumsum(np.bincount(number, minlength=len(times)))[:-1])
 
 
 def _nearest(times: FloatArray, at: FloatArray) -> IntArray:
@@ -365,10 +401,11 @@ def _nearest(times: FloatArray, at: FloatArray) -> IntArray:
     return np.where(np.abs(times[after] - at) < np.abs(times[before] - at), after, before)
 
 
-def _described(best: _Fit, latency_s: FloatArray, p_pair: FloatArray) -> list[Description]:
-    """The descriptions with the estimated numbers."""
+def _described(
+    best: _Fit, latency_s: FloatArray, misses: Sequence[MissRate], densities: Sequence[float]
+) -> list[Description]:
+    """The descriptions with the estimated numbers; densities : of clutter."""
     out = []
-    densities = _clutter(best, p_pair)
     for k, feed in enumerate(best.feeds):
         description = feed.description
         a, b, e = np.exp(best.model.logs[:, k]).tolist()
@@ -380,34 +417,117 @@ def _described(best: _Fit, latency_s: FloatArray, p_pair: FloatArray) -> list[De
         estimated = {name for name in new if _is_assumed(description, name)}
         if description.errors.extent_m is None:
             estimated.add("errors.extent_m")
-        parts = {
+        parts: dict[str, Any] = {
             part: replace(
                 getattr(description, part),
                 **{name.partition(".")[2]: new[name] for name in estimated if name.startswith(f"{part}.")},
             )
             for part in ("errors", "clutter", "timing")
         }
+        if misses[k] is not description.misses:
+            parts["misses"] = misses[k]
+            estimated.add(MISSES)
         assumed = tuple(line for line in description.assumed if line.name not in estimated)
         out.append(replace(description, assumed=assumed, **parts))
     return out
 
 
-def _clutter(best: _Fit, p_pair: FloatArray) -> list[float]:
-    """Clutter per km² or per degree in the field of each source: its plots without a partner, minus those of objects
-    that all other sources miss."""
-    pairs, out = best.pairs, []
-    q = [
-        float(np.mean(feed.description.misses.q if feed.description.misses.q is not None else 0.5))
-        for feed in best.feeds
+def _misses(best: _Fit, p_pair: FloatArray, tuning: Tuning) -> list[MissRate]:
+    """The miss rates of the sources, by range where enough scans tell; those described where too few do, or where the
+    user gave them."""
+    feeds, partner = best.feeds, _p_partner(best.feeds, best.pairs, p_pair)
+    placed = [not isinstance(feed.reports, Directions) for feed in feeds]
+    parts: list[list[list[FloatArray]]] = [[] for _ in feeds]
+    for match in _matched_scans(feeds, tuning):
+        for reference, source, rows in zip(match.sources, match.sources[::-1], match.rows, strict=True):
+            sensor, others = feeds[source].sensor_at(match.time_s), set(range(len(feeds))) - {reference, source}
+            if not placed[reference] or sensor is None or not len(rows):
+                continue
+            arm = feeds[reference].reports.state[rows, :2] - sensor  # type: ignore[union-attr]
+            range_m, bearing = np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1]))
+            p_real = 1.0 - np.prod([1.0 - partner[reference, other][rows] for other in others], axis=0)
+            # An object at one time may be in the scans of all references.
+            weight = match.weight / (sum(placed) - placed[source])
+            weight = weight * p_real * feeds[source].description.coverage.covers(range_m, bearing)
+            parts[source].append([range_m, weight, partner[reference, source][rows]])
+    return [
+        _miss_rate(feed.description, own, tuning) if own and _is_assumed(feed.description, MISSES)
+        else feed.description.misses
+        for feed, own in zip(feeds, parts, strict=True)
+    ]  # fmt: skip
+
+
+def _p_partner(feeds: Sequence[Feed], pairs: _Pairs, p_pair: FloatArray) -> dict[tuple[int, int], FloatArray]:
+    """By two sources, (n,) the probability that each report of the first is one object with a report of the second."""
+    p_alone = {(s, t): np.ones(len(feeds[s].reports)) for s in range(len(feeds)) for t in range(len(feeds)) if s != t}
+    for (s, t), p in p_alone.items():
+        for own, other, rows in ((pairs.s, pairs.t, pairs.i), (pairs.t, pairs.s, pairs.j)):
+            of_both = (own == s) & (other == t)
+            np.multiply.at(p, rows[of_both], 1.0 - p_pair[of_both])
+    return {key: 1.0 - p for key, p in p_alone.items()}
+
+
+def _p_first(feeds: Sequence[Feed], pairs: _Pairs, p_pair: FloatArray) -> list[FloatArray]:
+    """By source, (n,) the share of each report in its object: below 1 where its scan has further reports that are one
+    object with the same report of another source, such as those of the two ends of a hull."""
+    shares, total = ([np.zeros(len(feed.reports)) for feed in feeds] for _ in range(2))
+    for own, other, rows, partner in ((pairs.s, pairs.t, pairs.i, pairs.j), (pairs.t, pairs.s, pairs.j, pairs.i)):
+        for k, feed in enumerate(feeds):
+            at = np.flatnonzero(own == k)
+            scan = np.searchsorted(feed.scan_times_s, feed.scan_s[rows[at]])
+            _, group = np.unique(np.column_stack([scan, other[at], partner[at]]), axis=0, return_inverse=True)
+            in_scan = np.bincount(group.ravel(), p_pair[at])[group.ravel()]
+            np.add.at(shares[k], rows[at], p_pair[at] / np.maximum(in_scan, 1.0))
+            np.add.at(total[k], rows[at], p_pair[at])
+    return [
+        np.where(sums > 0.0, share / np.maximum(sums, 1e-300), 1.0) for share, sums in zip(shares, total, strict=True)
     ]
+
+
+def _miss_rate(described: Description, parts: Sequence[Sequence[FloatArray]], tuning: Tuning) -> MissRate:
+    """The miss rate of a source: in each bin of range the mean of the described one, weighted as ``fit_prior_scans``
+    scans, and of the shares that the bin's plots show.
+
+    parts : ranges of others' plots, weights in independent scans, and probabilities that the source shows them.
+    """
+    range_m, weight, p_shown = (np.concatenate(column) for column in zip(*parts, strict=True))
+    total = float(weight.sum())
+    bins = min(int(total / tuning.fit_bin_scans), tuning.fit_bins)
+    if not bins:
+        return described.misses
+    order = np.argsort(range_m, kind="stable")
+    range_m, weight, p_shown = range_m[order], weight[order], p_shown[order]
+    number = np.minimum((np.cumsum(weight) - 0.5 * weight) / total * bins, bins - 1).astype(np.int64)
+    scans, missed, total_m = (
+        np.bincount(number, weight * x, bins) for x in (np.ones_like(weight), 1.0 - p_shown, range_m)
+    )
+    middle_m = np.asarray(total_m / scans)
+    q = (tuning.fit_prior_scans * described.misses.at(middle_m) + missed) / (tuning.fit_prior_scans + scans)
+    return MissRate(float(q[0])) if bins == 1 else MissRate(tuple(q.tolist()), tuple(middle_m.tolist()))
+
+
+def _clutter(best: _Fit, misses: Sequence[MissRate], p_pair: FloatArray, tuning: Tuning) -> list[float]:
+    """Clutter per km² or per degree in the field of each source.
+
+    A real plot is without a partner with the probability m that all sources miss it of which a scan is compared, a
+    false one always: per scan, β times the size of the field is Σ (p_alone − m) / Σ (1 − m). A second plot of an object
+    in one scan counts as false.
+    """
+    partner, p_first = _p_partner(best.feeds, best.pairs, p_pair), _p_first(best.feeds, best.pairs, p_pair)
+    q = [float(np.mean(each.q)) if each.q is not None else 0.5 for each in misses]
+    missed = [np.ones(len(feed.scan_times_s)) for feed in best.feeds]
+    for match in _matched_scans(best.feeds, tuning):
+        for (k, number), other in zip(zip(match.sources, match.numbers, strict=True), match.sources[::-1], strict=True):
+            missed[k][number] *= q[other]
+    out = []
     for k, feed in enumerate(best.feeds):
-        p_alone = np.ones(len(feed.reports))
-        for side, rows in ((pairs.s, pairs.i), (pairs.t, pairs.j)):
-            np.multiply.at(p_alone, rows[side == k], 1.0 - p_pair[side == k])
-        n_alone = float(p_alone.sum())
-        missed = float(np.prod([other for m, other in enumerate(q) if m != k]))
-        n_false = max(n_alone - (len(p_alone) - n_alone) * missed / (1.0 - missed), 0.0) + 1.0
-        out.append(n_false / (len(feed.scan_times_s) * _field_size(feed)))
+        rows = np.flatnonzero(feed.reports.usable)
+        p_known = 1.0 - np.prod([1.0 - p[rows] for (s, _), p in partner.items() if s == k], axis=0)
+        p_alone = 1.0 - p_first[k][rows] * p_known
+        p_missed = missed[k][np.searchsorted(feed.scan_times_s, feed.scan_s[rows])]
+        n_false = float(np.sum((p_alone - p_missed)[p_missed < 1.0]))
+        scans = float(np.sum(1.0 - missed[k]))
+        out.append((max(n_false, 0.0) + 1.0) / (max(scans, 1.0) * _field_size(feed)))
     return out
 
 

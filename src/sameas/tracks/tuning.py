@@ -133,6 +133,8 @@ class Tuning:
     shared_hull : share of the variance of the echo's place that is common to all sources at one place.
     fit_latencies : trial latencies, in 1σ of their prior.
     fit_real, fit_starts : initial share of real pairs, and starting points of EM, in 1σ of the prior from its medians.
+    fit_bin_scans, fit_bins : least weight of a bin of ranges for miss rates, in independent scans, and most bins.
+    fit_prior_scans : weight of the described miss rate in each, in scans.
     fit_steps, fit_tolerance : maximum number of EM iterations, and the change of a logarithm at which they end.
 
     fault_prior, sure_fault : prior probability of a fault of one kind, and the probability at which it is an alarm.
@@ -248,6 +250,9 @@ class Tuning:
     fit_real: float = 0.3
     fit_starts: tuple[float, ...] = (0.0, -2.0)
     fit_steps: int = 200
+    fit_bin_scans: float = 3.0
+    fit_bins: int = 5
+    fit_prior_scans: float = 2.0
     fit_tolerance: float = 1e-3
 
     fault_prior: float = 1e-3
