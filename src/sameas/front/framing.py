@@ -360,7 +360,7 @@ def _write(
     if "page" in paths:
         from sameas.pages.frame import write_frame_page
 
-        write_frame_page(match, frame, paths["page"], brightest=request.brightest, facts=facts)
+        write_frame_page(match, frame, paths["page"], facts, request.brightest)
     if "picture" in paths:
         from sameas.plots.frame import picture, quality
         from sameas.plots.sheet import save

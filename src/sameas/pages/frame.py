@@ -22,7 +22,7 @@ from sameas.report.frame import reasons
 from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
-from sameas.sky.frame.outputs import summary, why_missing
+from sameas.sky.frame.outputs import why_missing
 from sameas.sky.frame.photometry import instrumental
 
 if TYPE_CHECKING:
@@ -36,41 +36,28 @@ COMPETITORS, LEAST = 6, 1e-6
 
 
 def write_frame_page(
-    match: FrameIdentification,
-    frame: Frame,
-    path: str | os.PathLike[str],
-    *,
-    brightest: int | None = None,
-    facts: Mapping[str, Any] | None = None,
-) -> None:
+    match: FrameIdentification, frame: Frame, path: str | os.PathLike[str], facts: Mapping[str, Any],
+    brightest: int | None,
+) -> None:  # fmt: skip
     """Writes the page of an identified frame: one file, complete in itself.
 
-    brightest : number of the brightest identified stars marked at first, None for all; the page has a slider.
-    facts : result of :func:`sameas.sky.frame.outputs.summary` for this frame; computed here if None.
+    facts : result of :func:`sameas.sky.frame.outputs.summary` for this frame, with its provenance. brightest : number
+    of the brightest identified stars marked at first, None for all; the page has a slider.
 
     Raises
     ------
     InputError : the path cannot be written.
     """
-    with replacing(path) as draft:
-        draft.write_text(frame_page(match, frame, brightest=brightest, facts=facts), encoding="utf-8")
-
-
-def frame_page(
-    match: FrameIdentification, frame: Frame, *, brightest: int | None = None, facts: Mapping[str, Any] | None = None
-) -> str:
-    """The page as text; arguments as for :func:`write_frame_page`."""
     factor = binning(frame.shape)
     grey = stretched(binned(frame.image, factor))[::-1]
-    picture = base64.b64encode(png(np.ascontiguousarray(grey))).decode("ascii")
-    facts = summary(match, frame) if facts is None else facts
     marks = {
         "css": asset("frame.css"),
         "js": asset("chart.js") + asset("frame.js"),
-        "picture": picture,
+        "picture": base64.b64encode(png(np.ascontiguousarray(grey))).decode("ascii"),
         "data": script_safe(_data(match, facts, factor, brightest)),
     }
-    return page_of("frame.html", match.measured.name, "identified", marks)
+    with replacing(path) as draft:
+        draft.write_text(page_of("frame.html", match.measured.name, "identified", marks), encoding="utf-8")
 
 
 def _data(match: FrameIdentification, facts: Mapping[str, Any], factor: int, brightest: int | None) -> dict[str, Any]:
