@@ -100,3 +100,11 @@ def test_a_negative_range_is_set_aside_and_other_rows_are_kept():
     assert reports.range_m.tolist() == [100.0, 120.0] and reports.damaged.counts() == {"a distance below 0": 1}
     with pytest.raises(InputError, match="all ranges are negative"):
         Reports.of("radar", "table", columns | {"range_m": [-1.0, -2.0, -3.0]})
+
+
+def test_a_ship_at_rest_without_a_course_has_a_velocity():
+    given = {"time_s": [0.0] * 4, "x_m": [0.0] * 4, "y_m": [0.0] * 4, "speed_m_per_s": [0.0, 0.1, 3.0, 0.1],
+             "course_deg": [np.nan, np.nan, np.nan, 90.0]}  # fmt: skip
+    velocity = Reports.of("ais", "ais", given).velocity_m_per_s()
+    assert velocity is not None
+    np.testing.assert_allclose(velocity, [[0.0, 0.0], [0.0, 0.0], [np.nan, np.nan], [0.1, 0.0]], atol=1e-12)

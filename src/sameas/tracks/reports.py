@@ -22,6 +22,8 @@ from sameas.representation import counted, in_short
 TextArray = NDArray[np.object_]
 #: Seconds from 1970 to the end of the year 9999; larger absolute values are not accepted as times.
 LAST_S = 253402300800.0
+#: The 1σ error of a speed of AIS (``errors.speed_m_per_s`` of its kind): up to this a speed does not differ from 0.
+AT_REST_M_PER_S = 0.3
 
 
 @dataclass(frozen=True)
@@ -241,15 +243,17 @@ class Reports:
     def velocity_m_per_s(self) -> FloatArray | None:
         """(n, 2) velocity to the east and north (or along x and y), NaN if absent; None if the source has none.
 
-        A speed of 0 is a velocity even without a course.
+        A speed of at most :data:`AT_REST_M_PER_S` is a velocity of 0 even without a course.
         """
         if self.vx_m_per_s is not None and self.vy_m_per_s is not None:
             return np.column_stack([self.vx_m_per_s, self.vy_m_per_s])
         if self.speed_m_per_s is None:
             return None
         course = np.full(len(self), np.nan) if self.course_deg is None else np.radians(self.course_deg)
-        course = np.where(self.speed_m_per_s == 0.0, 0.0, course)
-        return np.asarray(self.speed_m_per_s[:, None] * np.column_stack([np.sin(course), np.cos(course)]), np.float64)
+        with np.errstate(invalid="ignore"):
+            at_rest = np.isnan(course) & (self.speed_m_per_s <= AT_REST_M_PER_S)
+        speed, course = np.where(at_rest, 0.0, self.speed_m_per_s), np.where(at_rest, 0.0, course)
+        return np.asarray(speed[:, None] * np.column_stack([np.sin(course), np.cos(course)]), np.float64)
 
     def where(self, rows: ArrayLike) -> Reports:
         """The reports of the given rows, a mask (n,) or row numbers; ``damaged`` is kept."""
