@@ -14,6 +14,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 
@@ -63,9 +64,9 @@ def place_guesses(reports: Reports) -> Iterator[UnitGuess]:
     """Possible mistakes in geodetic coordinates: of positions, or of the sensor's site."""
     if reports.position == "geodetic":
         yield UnitGuess("longitudes look like they have the wrong sign", "the sign turned",
-                      "turn the sign of its longitudes (west is negative)", _with_signs(1.0, -1.0))  # fmt: skip
+                      "turn the sign of its longitudes (west is negative)", _scaled(-1.0, "lon_deg"))  # fmt: skip
         yield UnitGuess("latitudes look like they have the wrong sign", "the sign turned",
-                      "turn the sign of its latitudes (south is negative)", _with_signs(-1.0, 1.0))  # fmt: skip
+                      "turn the sign of its latitudes (south is negative)", _scaled(-1.0, "lat_deg"))  # fmt: skip
         yield UnitGuess("latitudes and longitudes look exchanged", "them exchanged",
                       "exchange the two columns, or name them", _with_exchange)  # fmt: skip
         yield UnitGuess("latitudes and longitudes look like radians", "them read so",
@@ -84,9 +85,9 @@ def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
     if reports.position == "local":
         yield UnitGuess("x and y look exchanged", "them exchanged", "name the columns: x is east, y is north",
                       lambda about, reports: (about, replace(reports, x_m=reports.y_m, y_m=reports.x_m)))  # fmt: skip
-        yield from (_in_length("coordinates", unit, _with_coordinates(m)) for unit, m in LENGTHS)
+        yield from (_in_length("coordinates", unit, _scaled(m, "x_m", "y_m")) for unit, m in LENGTHS)
     if reports.position == "polar":
-        yield from (_in_length("ranges", unit, _with_ranges(m)) for unit, m in LENGTHS)
+        yield from (_in_length("ranges", unit, _scaled(m, "range_m")) for unit, m in LENGTHS)
     if reports.bearing_deg is not None:
         yield UnitGuess("bearings look like radians", "them read so", "give their unit as rad",
                       _with_bearings(lambda bearing: bearing * DEGREE, 2.0 * math.pi + 0.01))  # fmt: skip
@@ -103,10 +104,10 @@ def clock_guesses() -> Iterator[tuple[str, str, float]]:
     yield "clock looks 18 s ahead, as that of satellites", "take the leap seconds off its times", LEAP_S
 
 
-def _with_signs(of_lat: float, of_lon: float) -> Read:
+def _scaled(factor: float, *columns: str) -> Read:
     def read(about: Description, reports: Reports) -> Source | None:
-        lat, lon = np.asarray(reports.lat_deg), np.asarray(reports.lon_deg)
-        return about, replace(reports, lat_deg=of_lat * lat, lon_deg=of_lon * lon)
+        scaled: dict[str, Any] = {name: factor * np.asarray(getattr(reports, name)) for name in columns}
+        return about, replace(reports, **scaled)
 
     return read
 
@@ -138,20 +139,6 @@ def _in_length(what: str, unit: str, read: Read) -> UnitGuess:
     return UnitGuess(
         f"{what} look like {unit}", "them read so", f"give their unit as {unit}, or convert them to metres", read
     )
-
-
-def _with_coordinates(metres: float) -> Read:
-    def read(about: Description, reports: Reports) -> Source | None:
-        return about, replace(reports, x_m=metres * np.asarray(reports.x_m), y_m=metres * np.asarray(reports.y_m))
-
-    return read
-
-
-def _with_ranges(metres: float) -> Read:
-    def read(about: Description, reports: Reports) -> Source | None:
-        return about, replace(reports, range_m=metres * np.asarray(reports.range_m))
-
-    return read
 
 
 def _with_bearings(changed: Callable[[FloatArray], FloatArray], most: float) -> Read:
