@@ -8,11 +8,13 @@ import pytest
 from modelled_scenes import describe, feed, straight
 
 from sameas.picture import LivePicture
+from sameas.picture.deception import source_faults
 from sameas.picture.picture import Picture, instants
 from sameas.picture.tuning import Tuning
 from sameas.picture.watch import Watch
 from sameas.report.picture import found_lines
 from sameas.report.prose import ALARM
+from sameas.tracks import Description, SensorErrors, Site
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 
@@ -186,3 +188,27 @@ def test_ships_that_exchange_their_mmsi_back_are_a_second_alarm():
     columns = reports.columns() | {"track_id": names, "mmsi": names}
     found = faults(Scene.of([(ais, Reports.of(ais.name, reports.kind, columns))]))
     assert [(fault.kind, fault.first_s) for fault in found] == [("exchanged", 130.0), ("exchanged", 290.0)]
+
+
+def of_a_tracker(seed, jump_s, ships=8):
+    """The feeds of a radar's plots with track numbers, over ten minutes; from the middle on its clock is ahead."""
+    rng = np.random.default_rng(seed)
+    place, speed, plots = rng.uniform(-6e3, 6e3, (ships, 2)), rng.normal(0.0, 5.0, (ships, 2)), []
+    for t in np.arange(0.0, 600.0, 3.0):
+        weave = np.column_stack([60.0 * np.sin(t / 60.0 + np.arange(ships)), np.zeros(ships)])
+        east, north = (place + speed * t + weave * (seed % 2)).T
+        for k in np.flatnonzero(rng.random(ships) < 0.9):
+            distance, bearing = np.hypot(east[k], north[k]), np.degrees(np.arctan2(east[k], north[k]))
+            plot = distance + 20.0 * rng.normal(), bearing + 0.3 * rng.normal()
+            plots.append((t + (jump_s if t > 300.0 else 0.0), *plot, f"{k}"))
+    columns = dict(zip(("time_s", "range_m", "bearing_deg", "track_id"), zip(*plots, strict=True), strict=True))
+    errors = SensorErrors(range_m=20.0, range_share=0.0, bearing_deg=0.3, extent_m=5.0)
+    radar = Description("radar", "marine radar", site=Site(east_m=0.0, north_m=0.0), errors=errors)
+    return Scene.of([(radar, Reports.of("radar", "table", columns))]).feeds
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("jump_s", "kinds"), [(0.0, []), (30.0, ["clock"]), (-30.0, ["clock"])])
+def test_a_clock_that_jumps_is_found_in_plots_that_are_filtered_to_tracks(jump_s, kinds):
+    for seed in range(6):
+        assert [fault.kind for fault in source_faults(of_a_tracker(seed, jump_s))] == kinds

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,8 +35,8 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
-from sameas.tracks.alignment import States, Steps, jump_of
-from sameas.tracks.feed import CORRELATED_KINDS, Feed, fastest_vessel_m_per_s
+from sameas.tracks.alignment import States, Steps, follow, followed_back, jump_of
+from sameas.tracks.feed import CORRELATED_KINDS, Feed, fastest_vessel_m_per_s, walk_of
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
 
@@ -91,7 +91,10 @@ def clock_jumps(feed: Feed) -> list[Fault]:
     reports, tuning = feed.reports, feed.tuning
     if not isinstance(reports, States) or reports.track is None or not feed.has_velocities:
         return []
-    steps = Steps.of(reports, feed.walk_m2_per_s3, tuning)
+    before, after = reports, None
+    if feed.measured is not None and feed.description.kind not in CORRELATED_KINDS:
+        before, after = _filtered_both_ways(feed.measured, feed)
+    steps = Steps.of(before, feed.walk_m2_per_s3, tuning, after)
     jumps: list[Fault] = []
     ahead = np.arange(*tuning.clock_search_s)
     seconds = np.concatenate([-ahead[::-1], ahead])
@@ -111,6 +114,24 @@ def clock_jumps(feed: Feed) -> list[Fault]:
         columns = ("first", "second", "late_s", "sigma_s", "track")
         steps = Steps(*(getattr(steps, name)[~across_jump] for name in columns))
     return jumps
+
+
+def _filtered_both_ways(measured: States, feed: Feed) -> tuple[States, States]:
+    """Measured positions filtered to tracks forwards and backwards; where the stamps of the file go back, anew."""
+    at = np.argsort(measured.rows, kind="stable")
+    part = np.empty(len(measured), np.int64)
+    part[at] = np.cumsum(np.diff(measured.time_s[at], prepend=-np.inf) < -feed.tuning.clock_search_s[0])
+    assert measured.track is not None
+    names = np.array([f"{n} {name}" for n, name in zip(part.tolist(), measured.track.tolist(), strict=True)], object)
+    speed = feed.description.motion.speed_m_per_s or 0.0
+    given = States.of(
+        measured.time_s, measured.state[:, :2], measured.covariance[:, :2, :2], track=names, speed_m_per_s=speed
+    )
+    walk = walk_of(feed.description)
+    forwards = follow(given, acceleration_m2_per_s3=walk, tuning=feed.tuning).states
+    back = followed_back(given, acceleration_m2_per_s3=walk, speed_m_per_s=speed, tuning=feed.tuning)
+    track, rows = measured.track, measured.rows
+    return replace(forwards, track=track, rows=rows), replace(back, track=track, rows=rows)
 
 
 def _ended(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:

@@ -291,9 +291,14 @@ class Steps:
     track: IntArray
 
     @classmethod
-    def of(cls, reports: States, walk: FloatArray, tuning: Tuning) -> Steps:
-        """Of reports with velocities, in the order of the file."""
+    def of(cls, reports: States, walk: FloatArray, tuning: Tuning, later: States | None = None) -> Steps:
+        """Of reports with velocities, in the order of the file.
+
+        later : the states that the later report of each pair is taken from, for reports that are filtered: they are to
+            be filtered backwards (:func:`followed_back`), since a filter follows a track where its clock jumps.
+        """
         assert reports.track is not None
+        ends = reports if later is None else later
         rows = np.flatnonzero(reports.usable)
         rows = rows[np.argsort(reports.rows[rows], kind="stable")]
         number = track_numbers(reports.track[rows])
@@ -301,19 +306,19 @@ class Steps:
         rows, number = rows[order], number[order]
         same = number[1:] == number[:-1]
         a, b, track = rows[:-1][same], rows[1:][same], number[1:][same]
-        velocity = 0.5 * (reports.state[a, 2:] + reports.state[b, 2:])
+        velocity = 0.5 * (reports.state[a, 2:] + ends.state[b, 2:])
         speed = np.maximum(np.hypot(*velocity.T), 1e-9)
-        step, dt = reports.state[b, :2] - reports.state[a, :2], reports.time_s[b] - reports.time_s[a]
+        step, dt = ends.state[b, :2] - reports.state[a, :2], reports.time_s[b] - reports.time_s[a]
         residual = step - velocity * dt[:, None]
         along = np.einsum("nv,nv->n", residual, velocity) / speed
         across = np.abs(residual[:, 0] * velocity[:, 1] - residual[:, 1] * velocity[:, 0]) / speed
-        total = reports.covariance[a] + reports.covariance[b]
+        total = reports.covariance[a] + ends.covariance[b]
         # An upper limit of the true time between the reports, whether or not the stamps are wrong.
         elapsed = np.hypot(*step.T) / speed + np.abs(dt)
         variance = 0.5 * np.einsum("nvv->n", total[:, :2, :2]) + walk[a] * elapsed**3 / 6.0
         variance = variance + elapsed**2 * np.einsum("nvv->n", total[:, 2:, 2:]) / 8.0
         known = total[:, 2, 2] < 0.1 * speed**2 + 1.0
-        turned = np.hypot(*(reports.state[a, 2:] - reports.state[b, 2:]).T) > 0.3 * speed
+        turned = np.hypot(*(reports.state[a, 2:] - ends.state[b, 2:]).T) > 0.3 * speed
         kept = known & ~turned & (speed > tuning.clock_speed_m_per_s) & (across < 4.0 * np.sqrt(variance))
         kept &= elapsed < tuning.clock_gap_s
         sigma = np.sqrt(variance) / speed
@@ -372,6 +377,20 @@ def with_minutes(reports: States, walk: FloatArray, tuning: Tuning) -> tuple[Sta
         reports = replace(reports, time_s=np.where(at >= row, reports.time_s - jump_s, reports.time_s))
         count -= round(jump_s / 60.0)
     return reports, count
+
+
+def followed_back(measured: States, *, acceleration_m2_per_s3: float, speed_m_per_s: float, tuning: Tuning) -> States:
+    """The tracks of measured positions, each state filtered from the reports at and after it."""
+    back = States.of(
+        -measured.time_s, measured.state[:, :2], measured.covariance[:, :2, :2], track=measured.track,
+        speed_m_per_s=speed_m_per_s,
+    )  # fmt: skip
+    tracks = follow(back, acceleration_m2_per_s3=acceleration_m2_per_s3, tuning=tuning).states
+    state, covariance = tracks.state.copy(), tracks.covariance.copy()
+    state[:, 2:] *= -1.0
+    covariance[:, :2, 2:] *= -1.0
+    covariance[:, 2:, :2] *= -1.0
+    return replace(measured, state=state, covariance=covariance)
 
 
 #: Median of χ² of two degrees of freedom.
