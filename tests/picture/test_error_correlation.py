@@ -1,5 +1,7 @@
 """The correlation time of errors is learned from a source's own tracks, for any assumed process noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from modelled_scenes import describe, feed, straight
@@ -7,8 +9,9 @@ from modelled_scenes import describe, feed, straight
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
 from sameas.kernels.kalman import add_evidence, correlated_shifts, update_in_plane
 from sameas.picture import TrackMemory, Watch
-from sameas.picture.error_factors import CORRELATIONS
+from sameas.picture.error_factors import CORRELATIONS, ErrorCorrelation
 from sameas.picture.tables import Scan
+from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.tracks.scene import Scene
 
 
@@ -123,3 +126,63 @@ def test_errors_of_kilometres_in_one_direction_give_finite_evidence(way):
     shift, motion = rng.normal(size=(300, 2)), np.zeros((300, 2, 2))
     getattr(correlated_shifts, way)(shift, both, shared, motion, CORRELATIONS, shares, 1e-6, log_p)
     assert np.isfinite(log_p).all()
+
+
+def known_share(share, names=("one", "two", "three")):
+    """An estimate that is sure of one lasting share for all sources but the last, which has none."""
+    at = DEFAULT_TUNING.lasting_shares.index(share)
+    log_probable = np.full((len(names), len(DEFAULT_TUNING.lasting_shares), len(DEFAULT_TUNING.correlation_s)), -50.0)
+    log_probable[:-1, at, 0] = log_probable[-1, 0, 0] = 0.0
+    return log_probable
+
+
+@pytest.mark.parametrize(("true", "lowest"), [(0.9, 0.6), (0.0, -0.1)])
+def test_errors_of_measured_velocities_do_not_count_as_new_errors(true, lowest):
+    # After a minute they are larger than the errors of positions, and the random walk that is assumed is not there.
+    rng, n = np.random.default_rng(1), 400
+    position, velocity, walk = (variance * np.ones((n, 1, 1)) * np.eye(2) for variance in (25.0**2, 900.0, 720.0))
+    shift = rng.standard_normal((n, 2)) * np.sqrt(2.0 * (1.0 - true) * 25.0**2 + 900.0)
+    prior = np.zeros((1, len(DEFAULT_TUNING.lasting_shares), len(DEFAULT_TUNING.correlation_s)))
+    estimate = ErrorCorrelation(("one",), prior, prior).updated(
+        np.zeros(n, np.int64), np.full(n, 60.0), shift, (2.0 * position, position), (velocity + walk, velocity)
+    )
+    (correlation,) = estimate.correlation(np.zeros(1, np.int64), np.array([60.0]))
+    assert lowest < correlation < true + 0.1
+
+
+def test_only_evidence_that_was_weighed_by_too_low_a_share_is_outgrown():
+    estimate = ErrorCorrelation(("one", "two", "three"), known_share(0.1), known_share(0.1), used=np.full(3, np.nan))
+    for share, outgrown in ((0.1, False), (0.25, False), (0.5, True), (0.25, False), (0.1, False), (0.9, True)):
+        estimate, found = replace(estimate, log_probable=known_share(share)).weighing(DEFAULT_TUNING)
+        assert found.tolist() == [outgrown, outgrown, False], share
+        assert estimate.used[2] == pytest.approx(0.0, abs=1e-6)
+    assert estimate.used[0] == pytest.approx(0.9)
+
+
+def test_pairs_lose_the_evidence_that_was_outgrown_and_only_that():
+    rng = np.random.default_rng(5)
+    times = np.arange(4) * 10.0
+    x, v = straight([[0.0, 0.0], [60.0, 0.0]], 4.0 * np.ones((2, 2)), times)
+    names = ("one", "two", "three")
+    sources = [feed(rng, describe(name, "tracks"), times, x, v, 0.0, ["a", "b"]) for name in names]
+    watch = Watch()
+    for time_s in times:
+        watch = watch.advance(Scene.of(sources).at(time_s)).watch
+    memory = watch.memory
+    order = memory.tracks.error_correlation.names
+    log_probable = known_share(0.97)
+    log_probable[[order.index("one"), order.index("two"), order.index("three")]] = log_probable[[0, 2, 2]]
+    used = np.zeros(3)
+    correlation = replace(memory.tracks.error_correlation, log_probable=log_probable, used=used)
+    after = replace(memory, tracks=replace(memory.tracks, error_correlation=correlation))
+    after = after._with_present_correlation(DEFAULT_TUNING)
+    source_of = dict(zip(memory.tracks.number.tolist(), memory.tracks.source.tolist(), strict=True))
+    pairs = zip(memory.track_pairs.first.tolist(), memory.track_pairs.second.tolist(), strict=True)
+    outgrown = np.array([order.index("one") in (source_of[a], source_of[b]) for a, b in pairs])
+    assert outgrown.any() and not outgrown.all() and (memory.track_pairs.log_ratio[outgrown] != 0.0).all()
+    for column in ("log_ratio", "log_convoy", "by_model"):
+        assert not getattr(after.track_pairs, column)[outgrown].any()
+        np.testing.assert_array_equal(
+            getattr(after.track_pairs, column)[~outgrown], getattr(memory.track_pairs, column)[~outgrown]
+        )
+    assert after.tracks.error_correlation.used[order.index("one")] == pytest.approx(0.97)

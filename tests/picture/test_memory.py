@@ -80,8 +80,9 @@ def half_constant(seed, factors, n=60, every_s=10.0, instants=30):
     scene, tuning = Scene.of(sources), Tuning()
     known = np.full((2, len(tuning.lasting_shares), len(tuning.correlation_s)), -1e9)
     known[:, tuning.lasting_shares.index(0.5), 0] = 0.0
+    unknown = np.full(2, np.nan)
     memory = TrackMemory(
-        tracks=NamedTracks(error_correlation=ErrorCorrelation(("one", "two"), known, known, np.full(2, np.nan)))
+        tracks=NamedTracks(error_correlation=ErrorCorrelation(("one", "two"), known, known, unknown, unknown))
     )
     for k, time_s in enumerate(times):
         memory = memory.advance(memory.error_factors.applied(Scan.of(scene.at(time_s), tuning)))

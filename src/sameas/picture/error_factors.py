@@ -127,14 +127,16 @@ class ErrorCorrelation:
 
     names : of the sources. log_probable : (S, s, τ) ln of the probability of each lasting share and each τ, up to a
     constant; log_prior : (S, s, τ) before any evidence. factor : (S,) the error factors by which the evidence was
-    judged, NaN before any. fixed_s : τ by source where the user gives it; these are not estimated, and have no
-    lasting share.
+    judged, NaN before any. used : (S,) the lowest lasting share by which the evidence of pairs was weighed since it was
+    last dropped, NaN before any (:meth:`weighing`). fixed_s : τ by source where the user gives it; these are not
+    estimated, and have no lasting share.
     """
 
     names: tuple[str, ...] = ()
     log_probable: FloatArray = field(default_factory=lambda: np.empty((0, 0, 0)))
     log_prior: FloatArray = field(default_factory=lambda: np.empty((0, 0, 0)))
     factor: FloatArray = field(default_factory=lambda: np.empty(0))
+    used: FloatArray = field(default_factory=lambda: np.empty(0))
     fixed_s: Mapping[str, float] = field(default_factory=dict)
 
     def of_sources(self, scan: Scan) -> ErrorCorrelation:
@@ -150,8 +152,8 @@ class ErrorCorrelation:
             np.concatenate([before, prior]) if self.names else prior for before in (self.log_probable, self.log_prior)
         )
         names = (*self.names, *(description.name for description in new))
-        factor = np.append(self.factor, np.full(len(new), np.nan))
-        return replace(self, names=names, log_probable=log_probable, log_prior=log_prior, factor=factor)
+        factor, used = (np.append(before, np.full(len(new), np.nan)) for before in (self.factor, self.used))
+        return replace(self, names=names, log_probable=log_probable, log_prior=log_prior, factor=factor, used=used)
 
     def with_factors(self, factor: FloatArray, tuning: Tuning) -> ErrorCorrelation:
         """The estimate by other error factors of the sources, (S,).
@@ -172,6 +174,17 @@ class ErrorCorrelation:
     def begun_anew(self, before: ErrorCorrelation) -> BoolArray:
         """(S,) of which sources the estimate began anew since ``before``, of the same sources."""
         return np.asarray(np.isfinite(before.factor) & (self.factor != before.factor))
+
+    def weighing(self, tuning: Tuning) -> tuple[ErrorCorrelation, BoolArray]:
+        """The estimate before it weighs the evidence of the next reports, and (S,) of which sources the previous
+        evidence was weighed by a lasting share too low by ``lasting_restart``.
+
+        That evidence counted constant errors as new ones, again with every report, and would outweigh all that follows.
+        Evidence weighed by too high a share is only too weak.
+        """
+        lasting = self.lasting(np.arange(len(self.names)), tuning)
+        outgrown = lasting > self.used + tuning.lasting_restart
+        return replace(self, used=np.where(outgrown, lasting, np.fmin(self.used, lasting))), outgrown
 
     def numbers(self, scan: Scan) -> IntArray:
         """(S,) the index in ``names`` of each source of a scan."""
@@ -230,7 +243,7 @@ class ErrorCorrelation:
         elapsed_s: FloatArray,
         shift: FloatArray,
         errors: tuple[FloatArray, FloatArray],
-        motion: FloatArray,
+        motion: tuple[FloatArray, FloatArray],
         tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorCorrelation:
         """The estimate after new reports of tracks; reports after a manoeuvre are ignored.
@@ -238,13 +251,23 @@ class ErrorCorrelation:
         Parameters
         ----------
         source, elapsed_s, shift : (n,), (n,), (n, 2) the source, Δt and ν of each report.
-        errors : R + R′ and L L′ᵀ, (n, 2, 2) each. motion : (n, 2, 2) D.
+        errors : R + R′ and L L′ᵀ, (n, 2, 2) each. motion : D, and what is in it from the errors of measured velocities.
         """
-        steady = mahalanobis_sq(shift, errors[0] + motion) <= tuning.manoeuvre_chi_sq
-        source, elapsed_s, shift, motion = source[steady], elapsed_s[steady], shift[steady], motion[steady]
+        steady = mahalanobis_sq(shift, errors[0] + motion[0]) <= tuning.manoeuvre_chi_sq
+        source, elapsed_s, shift, motion = (
+            source[steady],
+            elapsed_s[steady],
+            shift[steady],
+            (motion[0][steady], motion[1][steady]),
+        )
         total, common = errors[0][steady], (errors[1] + errors[1].transpose(0, 2, 1))[steady]
-        log_p = np.empty((len(source), len(CORRELATIONS)))
-        correlated_shifts(shift, total, common, motion, CORRELATIONS, np.array(tuning.motion_shares), MIN_M2, log_p)
+        fixed, scaled = _two_cases(motion)
+        total, common, shift = (np.concatenate([each, each]) for each in (total, common, shift))
+        log_p = np.empty((len(shift), len(CORRELATIONS)))
+        correlated_shifts(
+            shift, total + fixed, common, scaled, CORRELATIONS, np.array(tuning.motion_shares), MIN_M2, log_p
+        )
+        log_p = np.logaddexp(*np.split(log_p, 2))
         return self._with_evidence(source, elapsed_s, log_p, np.ones(len(log_p)), tuning)
 
     def with_sure_pairs(
@@ -296,6 +319,14 @@ class ErrorCorrelation:
         rho = key[:, 2:] * _rho(1e-3 * key[:, 1], np.array(tuning.correlation_s))
         add_evidence(key[:, 0].astype(np.int64), rho, sums, CORRELATIONS, np.array(tuning.lasting_shares), log_probable)
         return replace(self, log_probable=log_probable)
+
+
+def _two_cases(motion: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """(2n, 2, 2) what κ does not apply to, and what it does: all of the motion D, or all but the errors of measured
+    velocities, which are as stated. motion : (n, 2, 2) D, and what is in it from these errors."""
+    whole, by_velocity = motion
+    rest = growth(whole - by_velocity)
+    return np.concatenate([np.zeros_like(whole), by_velocity]), np.concatenate([whole, rest])
 
 
 def _rho(elapsed_s: FloatArray, tau_s: FloatArray) -> FloatArray:
@@ -377,11 +408,7 @@ class ErrorFactors:
             return self
         total, common = errors[0], errors[1] + errors[1].transpose(0, 2, 1)
         log_outlier = log_density(shift, tuning.factor_outlier**2 * total) - np.log(1.0 / tuning.factor_outliers - 1.0)
-        # Two cases: κ applies to all of the motion, or to all but the errors of velocities, which are as stated.
-        fixed, scaled = (
-            np.concatenate([np.zeros_like(motion[1]), motion[1]]),
-            np.concatenate([motion[0], growth(motion[0] - motion[1])]),
-        )
+        fixed, scaled = _two_cases(motion)
         # All factors at once, (factors, twice n, …).
         sq = np.array(tuning.error_factors)[:, None, None, None] ** 2
         total, common = (sq * np.concatenate([each, each]) for each in (total, common))

@@ -419,8 +419,9 @@ class TrackMemory:
                 f"the picture is at {self.tracks.instant_s:g} s and was given {scan.now.instant_s:g} s; "
                 "give instants in the order of time"
             )
-        before = self._with_present_factors()
-        correlation = replace(self.tracks.error_correlation, fixed_s=self.correlation_s)
+        before = self._with_present_factors()._with_present_correlation(scan.tuning)
+        used = before.tracks.error_correlation.used
+        correlation = replace(self.tracks.error_correlation, fixed_s=self.correlation_s, used=used)
         tracks, step = replace(before.tracks, error_correlation=correlation).advance(scan, track_of_record)
         kind = {description.name: description.kind for description in scan.now.descriptions}
         known = len(self.swaps.log_probable)
@@ -454,6 +455,22 @@ class TrackMemory:
             rows[restart], delta[restart], (after[0][restart], after[1][restart]), lasting
         )
         return replace(self, tracks=tracks, track_pairs=track_pairs)
+
+    def _with_present_correlation(self, tuning: Tuning) -> TrackMemory:
+        """The memory of the previous instant without evidence that the present correlation of errors refutes:
+        :meth:`ErrorCorrelation.weighing`."""
+        if not self.tracks.error_correlation.names:
+            return self
+        correlation, outgrown = self.tracks.error_correlation.weighing(tuning)
+        tracks, pairs = replace(self.tracks, error_correlation=correlation), self.track_pairs
+        if not outgrown.any() or tracks.scan is None:
+            return replace(self, tracks=tracks)
+        a, b = (places_in(tracks.number, k) for k in (pairs.first, pairs.second))
+        rows = np.flatnonzero((a >= 0) & (b >= 0) & (outgrown[tracks.source[a]] | outgrown[tracks.source[b]]))
+        a, b = tracks.place[a[rows]], tracks.place[b[rows]]
+        delta, covariance = tracks.scan.state[a, :2] - tracks.scan.state[b, :2], tracks.scan.covariance[:, :2, :2]
+        errors = (covariance[a], covariance[b]), (tracks.lasting[a], tracks.lasting[b])
+        return replace(self, tracks=tracks, track_pairs=pairs.without_evidence(rows, delta, *errors))
 
     def rule(self) -> PreviousScans:
         """The rule of previous scans for the records of the instant."""

@@ -281,25 +281,27 @@ class NamedTracks:
             """L L′ᵀ: the covariance of two reports with fully correlated errors."""
             return np.asarray(roots[0][k[which]] @ roots[1][k[which]].transpose(0, 2, 1))
 
+        def motions(which: IntArray) -> tuple[FloatArray, FloatArray]:
+            """D, and the part of it that comes from errors of measured velocities."""
+            dt, moving = times_s[0][k[which], None, None], previous.moving[last[which], None, None]
+            cross, velocity = (previous.reported_covariance[last[which], v, 2:] for v in (slice(2), slice(2, 4)))
+            by_velocity = np.where(moving, dt * (cross + cross.transpose(0, 2, 1) + dt * velocity), 0.0)
+            return motion[which], growth(by_velocity)
+
         position = scan.state[place, :2]
         sample = evenly(position, MAX_REPORTS)
         correlation = self.error_correlation.updated(
             source[sample], elapsed[sample], shift[sample], (r_last[sample] + r_new[sample], common(sample)),
-            motion[sample], scan.tuning,
+            motions(sample), scan.tuning,
         )  # fmt: skip
         to_stated = 1.0 / previous.error_factor[last, None, None], 1.0 / scan.error_factor[place, None, None]
         as_stated = to_stated[0] ** 2 * r_last + to_stated[1] ** 2 * r_new
         part = source * RANGE_BANDS + scan.range_band[place]
         sample = self.error_factors.informative(part, position, as_stated, motion)
-        last = last[sample]
-        # The part of the motion covariance that comes from errors of measured velocities.
-        dt, moving = times_s[0][k[sample], None, None], previous.moving[last, None, None]
-        cross, velocity = (previous.reported_covariance[last, v, 2:] for v in (slice(2), slice(2, 4)))
-        by_velocity = np.where(moving, dt * (cross + cross.transpose(0, 2, 1) + dt * velocity), 0.0)
         factors = self.error_factors.with_shifts(
             part[sample], shift[sample],
             (as_stated[sample], (to_stated[0] * to_stated[1])[sample] * common(sample)),
-            (motion[sample], growth(by_velocity)), scan.tuning,
+            motions(sample), scan.tuning,
         )  # fmt: skip
         return correlation, factors
 

@@ -227,6 +227,19 @@ class TrackPairs(ColumnTable):
         errors[rows] = _without_history(delta, covariances, lasting)
         return replace(self, row=np.arange(len(self)), errors=errors, new_errors=np.empty((0, WIDTH)))
 
+    def without_evidence(
+        self, rows: IntArray, delta: FloatArray, covariances: tuple[FloatArray, FloatArray],
+        lasting: tuple[FloatArray, FloatArray],
+    ) -> TrackPairs:  # fmt: skip
+        """The table with the pairs ``rows`` (k,) as of new ones: errors as by :meth:`without_history`, and no ln r."""
+        if not len(rows):
+            return self
+        out = self.without_history(rows, delta, covariances, lasting)
+        changed = {name: getattr(out, name).copy() for name in ("log_ratio", "log_convoy", "by_model")}
+        for column in changed.values():
+            column[rows] = 0.0
+        return replace(out, **changed)
+
     def stepped(
         self, step: Step, reassigned: float, swaps: SwapRates, per_m2: float, tuning: Tuning = DEFAULT_TUNING
     ) -> tuple[TrackPairs, SwapRates]:

@@ -34,6 +34,7 @@ class Tuning:
     correlation_sigma : prior 1σ of ln(τ + 1 s) about that of the source's kind. correlation_restart : change of ln of a
         source's error factor beyond which its error correlation is estimated anew.
     lasting_shares : grid of lasting shares of the variance of a source's errors; the prior is uniform.
+    lasting_restart : evidence on pairs that was weighed by a share lower by this than the present one is dropped.
     lasting_s : time between two comparisons of a sure pair, to estimate lasting shares. sure_pair : a pair is sure at
         or above this probability.
     min_offsets : a mean offset of two tracks is used from this many differences ``lasting_s`` apart on.
@@ -116,6 +117,7 @@ class Tuning:
     correlation_sigma: float = 3.0
     correlation_restart: float = 0.2
     lasting_shares: tuple[float, ...] = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97)
+    lasting_restart: float = 0.25
     lasting_s: float = 60.0
     sure_pair: float = 0.999
     min_offsets: int = 3
