@@ -458,7 +458,7 @@ class TrackMemory:
 
     def _with_present_correlation(self, tuning: Tuning) -> TrackMemory:
         """The memory of the previous instant without evidence that the present correlation of errors refutes:
-        :meth:`ErrorCorrelation.weighing`."""
+        :meth:`sameas.picture.error_factors.ErrorCorrelation.weighing`."""
         if not self.tracks.error_correlation.names:
             return self
         correlation, outgrown = self.tracks.error_correlation.weighing(tuning)
