@@ -1,4 +1,4 @@
-"""Sensor troubles: azimuth offsets of a radar in clutter, and alarms for sources that deceive or fail.
+"""Sensor troubles: azimuth offsets of a radar in clutter, heights, and alarms for sources that deceive or fail.
 
 Also prints the tables of ``memory`` (stated probabilities) and of ``autoferry`` (errors of fused positions).
 
@@ -8,24 +8,35 @@ and three standard errors (or 0.5°); established and not right is false. In sce
 established offset is false. Other methods get the same plots and AIS: the azimuth at which most plots lie within a
 radius of a vessel (fixed radius), the median rotation to the nearest vessel (nearest neighbour), and a fit that weighs
 every pair of 16 instants. Stone Soup has no registration.
+
+Heights: couples of aircraft cross in the plane or fly on one path, 300 or 7 000 m apart in height, seen by ADS-B and
+by multilateration with heights of ± 20 m, in a part of the records, or with a bias. Right is an aircraft whose two
+records are one object and nothing else is. Other methods get the positions of the same instants, in the plane or with
+the heights.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 
 import numpy as np
 
 from benchmarks import autoferry, memory, motion
 from benchmarks.autoferry_models import describe_all, models_from_others
 from benchmarks.autoferry_scenes import FOLDER, SCENARIOS, scene_of
+from benchmarks.contenders import Pairing, compass, nearest_one, stone_soup
+from benchmarks.memory import instant_evidence
 from benchmarks.picture import World, solent
 from benchmarks.tables import Table, report
 from sameas.picture.deception import source_faults
-from sameas.picture.picture import Picture
+from sameas.picture.picture import Picture, picture_states
+from sameas.picture.picture_state import PictureState
+from sameas.picture.watch import Watch
+from sameas.records import Records
 from sameas.simulate.boat_radar import BoatRadarScene, boat_radar
 from sameas.simulate.sensors import Bias, SensorOutput
 from sameas.tracks.bias_fit import BiasFit, fit_biases
@@ -35,7 +46,7 @@ from sameas.tracks.plot_offsets import Plots, candidates, fit_plots
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.snapshot import ComparedSource, common_scans
-from sameas.tracks.source import Description
+from sameas.tracks.source import Description, SensorErrors
 
 #: Radius of the peers: plots within it belong to a vessel.
 RADIUS_M = 60.0
@@ -315,10 +326,119 @@ def _of_the_solent(seed: int) -> tuple[tuple[Description, Reports], tuple[Descri
     return (radar[0], moved), (Description("ais", "ais"), motion.between(log, begin, begin + 600.0))
 
 
+@dataclass(frozen=True)
+class Levels:
+    """One line of heights: metres between the aircraft of a couple, whether they fly on one path, the share of records
+    with a height, the bias of those of multilateration."""
+
+    words: str
+    apart_m: float
+    on_one_path: bool = True
+    known: float = 1.0
+    bias_m: float = 0.0
+
+
+LEVELS = (
+    Levels("crossing, no heights", 300.0, on_one_path=False, known=0.0),
+    Levels("crossing, 7 000 m apart", 7000.0, on_one_path=False),
+    Levels("on one path, no heights", 300.0, known=0.0),
+    Levels("on one path, 300 m apart", 300.0),
+    Levels("the same, one source 150 m too high", 300.0, bias_m=150.0),
+    Levels("the same, half of the heights missing", 300.0, known=0.5),
+)
+#: Couples of a scene; 1σ of their positions by each source and of all heights, metres; seconds between reports.
+COUPLES, POSITION_M, HEIGHT_M, EVERY_S = 10, {"ads-b": 100.0, "mlat": 200.0}, 20.0, 4.0
+
+
+def couples(levels: Levels, seed: int) -> Scene:
+    """Aircraft 2k and 2k + 1 fly on one line with 150 m/s, one above the other or towards each other so that they meet
+    after a minute; the track ids are their numbers."""
+    rng = np.random.default_rng((seed, int(levels.apart_m)))
+    number, sign = np.arange(2 * COUPLES), np.tile([1.0, 1.0 if levels.on_one_path else -1.0], COUPLES)
+    angle = np.repeat(rng.uniform(0.0, 2.0 * np.pi, COUPLES), 2)
+    speed = 150.0 * sign[:, None] * np.column_stack([np.sin(angle), np.cos(angle)])
+    middle = 40e3 * np.column_stack(np.divmod(number // 2, 4))
+    height = 3000.0 + 700.0 * (number // 2) + levels.apart_m * (number % 2)
+    sources = []
+    for name, sigma in POSITION_M.items():
+        parts = []
+        for t in np.arange(0.0, 120.0, EVERY_S):
+            place = middle + (t - 60.0) * speed + sigma * rng.standard_normal(middle.shape)
+            level = height + HEIGHT_M * rng.standard_normal(len(number)) + (levels.bias_m if name == "mlat" else 0.0)
+            known = rng.random(len(number)) < levels.known
+            parts.append([np.full(len(number), t), *place.T, np.where(known, level, np.nan), number])
+        time_s, x, y, level, track = (np.concatenate(column) for column in zip(*parts, strict=True))
+        columns = {"time_s": time_s, "x_m": x, "y_m": y, "track_id": track.astype(int).astype(str).astype(object)}
+        columns |= {"alt_m": level} if levels.known else {}
+        errors = SensorErrors(position_m=sigma, height_m=HEIGHT_M)
+        sources.append((Description(name, name, errors=errors), Reports.of(name, "table", columns)))
+    return Scene.of(sources)
+
+
+def heights(scenes: int) -> Table:
+    """Share of the aircraft with the right pair of records, by each method."""
+    pairings: dict[str, Pairing] = {"nearest": nearest_one, "1852 m": compass}
+    if find_spec("stonesoup") is not None:
+        pairings["Stone Soup"] = stone_soup
+    names = ("sameas, an instant", "sameas", *pairings, *(f"{name}, heights" for name in pairings if name != "1852 m"))
+    rows: list[list[object]] = []
+    for levels in LEVELS:
+        right = {name: list[bool]() for name in names}
+        for seed in range(scenes):
+            scene = couples(levels, seed)
+            for name, watch in (
+                ("sameas, an instant", Watch(evidence=instant_evidence, bound=1.0)),
+                ("sameas", Watch()),
+            ):
+                for state in picture_states(scene, np.arange(40.0, 81.0, EVERY_S), watch):
+                    track = state.scan.track
+                    sets = [tuple(track[members[members >= 0]]) for members in state.members]
+                    right[name] += [(one, one) in sets for one in map(str, range(2 * COUPLES))]
+                    if name == "sameas":
+                        add_others(right, state, pairings)
+        rows.append(
+            [levels.words, len(right["sameas"]), *(100.0 * float(np.mean(r)) if r else None for r in right.values())]
+        )
+    return Table(
+        "Aircraft above each other: per cent with the right pair of records", ("couples", "aircraft", *names), rows,
+        ("other methods: the states at the instant, 3σ; with heights: records with a height, σ 20 m, no offset known",),
+    )  # fmt: skip
+
+
+def add_others(right: dict[str, list[bool]], state: PictureState, pairings: Mapping[str, Pairing]) -> None:
+    """Add to the results of the other methods those of an instant."""
+    scan, n = state.scan, len(state.now.sources)
+    rows = [np.arange(scan.start[s], scan.start[s + 1]) for s in range(n)]
+    levels = [
+        np.full((len(own), 3), np.nan) if h is None else h for own, h in zip(rows, state.now.heights, strict=True)
+    ]
+    for name, pairing in pairings.items():
+        for label, with_heights in ((name, False), (f"{name}, heights", True)):
+            if label not in right or (with_heights and not np.isfinite(levels[0][:, 0]).any()):
+                continue
+            records, kept = [], []
+            for own, level in zip(rows, levels, strict=True):
+                kept.append(own[np.isfinite(level[:, 0])] if with_heights else own)
+                place, covariance = scan.state[kept[-1], :2], scan.covariance[kept[-1], :2, :2]
+                if with_heights:
+                    z = level[np.isfinite(level[:, 0]), 0]
+                    whole = np.tile(HEIGHT_M**2 * np.eye(3), (len(z), 1, 1))
+                    whole[:, :2, :2] = covariance
+                    place, covariance = np.column_stack([place, z]), whole
+                records.append(Records.of(place, covariance=covariance, source=f"source {len(records)}"))
+            i, j = pairing(records[0], records[1], np.zeros(len(records[1])))
+            found = list(zip(scan.track[kept[0][i]], scan.track[kept[1][j]], strict=True))
+            right[label] += [
+                (one, one) in found and sum(one in pair for pair in found) == 1 for one in map(str, range(2 * COUPLES))
+            ]
+
+
 def tables(options: argparse.Namespace) -> Iterator[Table]:
     """All tables."""
     if "offsets" in options.only:
         yield offsets(options.scenes)
+    if "heights" in options.only:
+        yield heights(min(options.scenes, 10))
     if "alarms" in options.only:
         yield alarms(min(options.scenes, 20))
     if "positions" in options.only and FOLDER.exists():
@@ -334,7 +454,7 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench sensors", description=__doc__)
     parser.add_argument("--scenes", type=int, default=100, help="modelled scenes of each line (default 100)")
-    sections = ("alarms", "deception", "memory", "offsets", "positions")
+    sections = ("alarms", "deception", "heights", "memory", "offsets", "positions")
     parser.add_argument("--only", nargs="+", choices=sections, default=sections, help="sections to print")
     report("sensors", tables(parser.parse_args()))
 
