@@ -181,6 +181,19 @@ def test_a_jump_is_found_without_a_radar_and_one_false_position_is_none():
     assert f"{MMSI[0]} jumps by 9" in str(fault) and "faster than it can move: another sender" in str(fault)
 
 
+@pytest.mark.parametrize("states_speed", [True, False])
+def test_a_helicopter_that_states_her_speed_does_not_jump(states_speed):
+    # She hovers, is not heard for a minute in which she flies 3.6 km, and hovers again.
+    time_s = np.concatenate([np.arange(0.0, 200.0, 10.0), [260.0], np.arange(270.0, 470.0, 10.0)])
+    x_m = np.where(time_s < 260.0, 0.0, 3600.0)
+    speed = np.where(np.isin(time_s, [190.0, 260.0]) & states_speed, 60.0, 0.0)
+    columns = {"time_s": time_s, "x_m": x_m, "y_m": np.zeros(len(time_s)), "speed_m_per_s": speed}
+    columns |= {"course_deg": np.full(len(time_s), 90.0), "mmsi": np.full(len(time_s), "111232001")}
+    reports = Reports.of("ais", "ais", columns)
+    found = faults(Scene.of([(Description("ais", "ais", errors=SensorErrors(position_m=10.0)), reports)]))
+    assert [fault.kind for fault in found] == ([] if states_speed else ["jumped"])
+
+
 def test_ships_that_exchange_their_mmsi_back_are_a_second_alarm():
     _, (ais, reports) = sources()
     track, swapped = reports.track_id.astype(object), (reports.time_s > 120.0) & (reports.time_s <= 280.0)

@@ -36,7 +36,7 @@ from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
 from sameas.tracks.alignment import States, Steps, follow, followed_back, jump_of
-from sameas.tracks.feed import CORRELATED_KINDS, Feed, fastest_vessel_m_per_s, walk_of
+from sameas.tracks.feed import CORRELATED_KINDS, Feed, fastest, fastest_vessel_m_per_s, walk_of
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
 
@@ -546,7 +546,8 @@ def _jumps_of(feed: Feed, n_around: int) -> list[_Jump]:
     rows = rows[np.lexsort([reports.time_s[rows], number[rows]])]
     number, time_s, place = number[rows], reports.time_s[rows], reports.state[rows, :2]
     radius = feed.tuning.position_sigmas * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
-    reach = radius[1:] + radius[:-1] + feed.tuning.max_speed_sigmas * speed * np.diff(time_s)
+    limit, state = feed.tuning.max_speed_sigmas * speed, reports.state[rows]
+    reach = radius[1:] + radius[:-1] + fastest(limit, state[:-1], state[1:], feed.tuning) * np.diff(time_s)
     same_track = np.diff(number) == 0
     far = same_track & (np.hypot(*np.diff(place, axis=0).T) > reach)
     jumps = []
