@@ -8,11 +8,12 @@ import pytest
 
 from sameas import match_picture
 from sameas.picture.plot_tracker import PlotTracker
-from sameas.tracks.error_fit import TrackErrorFit, _field_size, fit_errors
+from sameas.tracks.error_fit import TrackErrorFit, _field_size, _miss_rate, fit_errors
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
 from sameas.tracks.source import Clutter, Description, MissRate, SensorErrors, Site, Timing
+from sameas.tracks.tuning import DEFAULT_TUNING
 
 SITE = Site(east_m=0.0, north_m=0.0)
 #: 1σ of ranges (m) and bearings (°), wander over the hull (m), period (s), clutter per scan, time stamp lateness (s).
@@ -205,3 +206,11 @@ def test_second_plots_of_a_hull_count_as_clutter():
     per_scan = lidar.description.clutter.per_km2 * _field_size(lidar)
     # 1.6 vessels, half of them twice, and 0.3 false plots.
     assert per_scan == pytest.approx(1.1, rel=0.3)
+
+
+@pytest.mark.parametrize("range_m", [[50.0] * 60, [50.0] * 59 + [50.2], [50.0] * 30 + [90.0] * 30, list(range(60))])
+@pytest.mark.parametrize("weight", [[0.5] * 60, [0.0] * 30 + [1.0] * 30, [0.01] * 59 + [30.0], [1.0, 0.0] * 30])
+def test_miss_rates_of_ships_that_lie_still_or_weigh_nothing_are_defined(range_m, weight):
+    part = [np.array(range_m, np.float64), np.array(weight), np.full(60, 0.6)]
+    found = _miss_rate(Description("lidar", "lidar", misses=MissRate(0.3)), [part], DEFAULT_TUNING)
+    assert np.all((found.at([10.0, 50.0, 100.0]) >= 0.3) & (found.at([10.0, 50.0, 100.0]) < 0.4))

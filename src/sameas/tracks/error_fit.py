@@ -496,8 +496,12 @@ def _miss_rate(described: Description, parts: Sequence[Sequence[FloatArray]], tu
     if not bins:
         return described.misses
     order = np.argsort(range_m, kind="stable")
-    range_m, weight, p_shown = range_m[order], weight[order], p_shown[order]
+    order = order[weight[order] > 0.0]
+    range_m, weight, p_shown = np.round(range_m[order]), weight[order], p_shown[order]
     number = np.minimum((np.cumsum(weight) - 0.5 * weight) / total * bins, bins - 1).astype(np.int64)
+    # Plots at one distance in metres, such as those of one moored ship, are in one bin.
+    number = np.unique(np.maximum.accumulate(number[np.searchsorted(range_m, range_m)]), return_inverse=True)[1]
+    bins = int(number[-1]) + 1
     scans, missed, total_m = (
         np.bincount(number, weight * x, bins) for x in (np.ones_like(weight), 1.0 - p_shown, range_m)
     )
