@@ -87,11 +87,7 @@ def exact_posterior(trial: Trial, kind: Kind, ships: tuple[int, int], first_s: f
 def shown(state: PictureState, trial: Trial, ships: tuple[int, int]) -> tuple[tuple[int, int] | None, float]:
     """Which tracks the object with the AIS of the first ship has (0 own, 1 those of the other), and its probability;
     None if it is none of the four answers."""
-    scan = state.scan
-    names = [feed.description.name for feed in trial.scene.feeds]
-    of = [names.index(description.name) for description in scan.now.descriptions]
-    true = np.array([trial.truth[of[s]][row] for s, row in zip(scan.source, scan.row, strict=True)])
-    source = np.array(of)[scan.source]
+    source, true = trial.truth_of(state.scan)
     (own,) = np.flatnonzero((source == 0) & (true == ships[0]))
     (n,) = np.flatnonzero((state.members == own).any(axis=1))
     tracks = {int(source[k]): int(true[k]) for k in state.members[n] if k >= 0}
@@ -101,9 +97,8 @@ def shown(state: PictureState, trial: Trial, ships: tuple[int, int]) -> tuple[tu
 
 
 def judged(kind: Kind, seeds: Sequence[int], every_s: float, way: str) -> np.ndarray:
-    """(n, 4) of each pair and instant: probability stated, exact one of the same answer, whether it is right, and
-    metres between the ships. Objects that are none of the four answers count as wrong, with an exact probability of
-    0."""
+    """(n, 3) of each pair and instant: probability stated, exact one of the same answer, whether it is right. Objects
+    that are none of the four answers count as wrong, with an exact probability of 0."""
     rows = []
     for seed in seeds:
         true, log = anchored(seed)
@@ -114,13 +109,11 @@ def judged(kind: Kind, seeds: Sequence[int], every_s: float, way: str) -> np.nda
             now_s = state.now.instant_s
             if now_s < first + SETTLED_S:
                 continue
-            places = true.at(now_s)[:, :2]
             for k in range(PAIRS):
                 ships = 2 * k, 2 * k + 1
                 answer, stated = shown(state, trial, ships)
                 exact = 0.0 if answer is None else exact_posterior(trial, kind, ships, first, now_s)[answer]
-                metres = float(np.hypot(*(places[ships[0]] - places[ships[1]])))
-                rows.append((stated, exact, answer == (0, 0), metres))
+                rows.append((stated, exact, answer == (0, 0)))
     return np.array(rows, np.float64)
 
 
@@ -129,7 +122,7 @@ def table(seeds: Sequence[int], every_s: float, only: str) -> Iterator[Table]:
     rows: list[list[object]] = []
     for kind in (kind for kind in KINDS if not any(t.swaps for t in kind.trackers) and only in kind.words):
         for way in ("memory", "memory, errors known"):
-            stated, exact, right, _ = judged(kind, seeds, every_s, way).T
+            stated, exact, right = judged(kind, seeds, every_s, way).T
             losses = [-np.log(np.clip(np.where(right > 0, p, 1.0 - p), 1e-9, 1.0)).mean() for p in (stated, exact)]
             near = np.minimum(stated, exact) < 0.99
             odds = np.abs(np.log(stated / (1.0 - stated)) - np.log(exact / (1.0 - exact)))[

@@ -144,6 +144,12 @@ class Trial:
             truth.append(owner)
         return cls(Scene.of(sources, true.plane), tuple(truth), true)
 
+    def truth_of(self, scan: Scan) -> tuple[np.ndarray, np.ndarray]:
+        """(n,), (n,) the source in ``truth`` and the true object of each record of a scan."""
+        names = [feed.description.name for feed in self.scene.feeds]
+        source = np.array([names.index(d.name) for d in scan.now.descriptions])[scan.source]
+        return source, np.array([self.truth[s][row] for s, row in zip(source, scan.row, strict=True)])
+
 
 def _tracks(
     true: TrueMotion, times_of: list[tuple[int, np.ndarray]], errors: Errors, name: str, rng: np.random.Generator
@@ -247,10 +253,7 @@ class Score:
     def of(cls, trial: Trial, instants_s: np.ndarray, watch: Watch, seed: int) -> Score:
         rows: list[tuple[float, ...]] = []
         for state in picture_states(trial.scene, instants_s, watch):
-            scan = state.scan
-            names = [feed.description.name for feed in trial.scene.feeds]
-            of = [names.index(d.name) for d in scan.now.descriptions]
-            true = np.array([trial.truth[of[s]][row] for s, row in zip(scan.source, scan.row, strict=True)])
+            scan, (_, true) = state.scan, trial.truth_of(state.scan)
             places = trial.true.at(state.now.instant_s)[:, :2]
             fused = state.states.state[:, :2]
             distance = np.hypot(*(fused[:, None] - fused).transpose(2, 0, 1))

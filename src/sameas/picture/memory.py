@@ -420,8 +420,7 @@ class TrackMemory:
                 "give instants in the order of time"
             )
         before = self._with_present_factors()._with_present_correlation(scan.tuning)
-        used = before.tracks.error_correlation.used
-        correlation = replace(self.tracks.error_correlation, fixed_s=self.correlation_s, used=used)
+        correlation = replace(before.tracks.error_correlation, fixed_s=self.correlation_s)
         tracks, step = replace(before.tracks, error_correlation=correlation).advance(scan, track_of_record)
         kind = {description.name: description.kind for description in scan.now.descriptions}
         known = len(self.swaps.log_probable)
@@ -440,10 +439,12 @@ class TrackMemory:
         tracks, changed = self.tracks.with_present_factors()
         if tracks is self.tracks or tracks.scan is None or self.tracks.scan is None:
             return self
-        scan, record = tracks.scan, np.append(tracks.place, ABSENT)
-        a, b = (record[places_in(tracks.number, k)] for k in (self.track_pairs.first, self.track_pairs.second))
-        rows = np.flatnonzero((a >= 0) & (b >= 0) & (changed[a] | changed[b]))
-        a, b, before, covariance = a[rows], b[rows], self.tracks.scan.covariance[:, :2, :2], scan.covariance[:, :2, :2]
+        rows, a, b = self._pairs_with(changed)
+        scan, before, covariance = (
+            tracks.scan,
+            self.tracks.scan.covariance[:, :2, :2],
+            tracks.scan.covariance[:, :2, :2],
+        )
         change = scan.error_factor / self.tracks.scan.error_factor
         delta, after = scan.state[a, :2] - scan.state[b, :2], (covariance[a], covariance[b])
         track_pairs = self.track_pairs.with_errors(rows, delta, (before[a], before[b]), after, (change[a], change[b]))
@@ -462,15 +463,26 @@ class TrackMemory:
         if not self.tracks.error_correlation.names:
             return self
         correlation, outgrown = self.tracks.error_correlation.weighing(tuning)
-        tracks, pairs = replace(self.tracks, error_correlation=correlation), self.track_pairs
-        if not outgrown.any() or tracks.scan is None:
-            return replace(self, tracks=tracks)
-        a, b = (places_in(tracks.number, k) for k in (pairs.first, pairs.second))
-        rows = np.flatnonzero((a >= 0) & (b >= 0) & (outgrown[tracks.source[a]] | outgrown[tracks.source[b]]))
-        a, b = tracks.place[a[rows]], tracks.place[b[rows]]
-        delta, covariance = tracks.scan.state[a, :2] - tracks.scan.state[b, :2], tracks.scan.covariance[:, :2, :2]
-        errors = (covariance[a], covariance[b]), (tracks.lasting[a], tracks.lasting[b])
-        return replace(self, tracks=tracks, track_pairs=pairs.without_evidence(rows, delta, *errors))
+        out, scan = replace(self, tracks=replace(self.tracks, error_correlation=correlation)), self.tracks.scan
+        if not outgrown.any() or scan is None:
+            return out
+        rows, a, b = out._pairs_with(outgrown[correlation.numbers(scan)[scan.source]])
+        delta, covariance, lasting = (
+            scan.state[a, :2] - scan.state[b, :2],
+            scan.covariance[:, :2, :2],
+            self.tracks.lasting,
+        )
+        track_pairs = self.track_pairs.without_evidence(
+            rows, delta, (covariance[a], covariance[b]), (lasting[a], lasting[b])
+        )
+        return replace(out, track_pairs=track_pairs)
+
+    def _pairs_with(self, changed: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
+        """(m,) the pairs with a record of the last scan that ``changed`` (n,), and the records of their two tracks."""
+        record, number = np.append(self.tracks.place, ABSENT), self.tracks.number
+        a, b = (record[places_in(number, k)] for k in (self.track_pairs.first, self.track_pairs.second))
+        rows = np.flatnonzero((a >= 0) & (b >= 0) & (changed[a] | changed[b]))
+        return rows, a[rows], b[rows]
 
     def rule(self) -> PreviousScans:
         """The rule of previous scans for the records of the instant."""

@@ -239,10 +239,10 @@ class TrackedPlots:
         count : (S,) the weight of a record that is certainly of its object, per source.
         """
         sources: list[Source] = [self.prior_objects.records]
-        columns = [self.prior_of[which]]
+        columns, objects = [self.prior_of[which]], np.flatnonzero(which)
         for s, source in enumerate(self.now.sources):
             at = np.flatnonzero(sets[:, s] >= 0)
-            weight = self._p_of_existing(s, np.flatnonzero(which)[at], sets[at, s]) * count[s]
+            weight = self._p_of_existing(s, objects[at], sets[at, s]) * count[s]
             sources.append(_weighted(source, sets[at, s], np.maximum(weight, self.tuning.min_probability)))
             columns.append(np.full(len(sets), ABSENT))
             columns[-1][at] = np.arange(len(at))

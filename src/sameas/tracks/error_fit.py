@@ -25,7 +25,7 @@ a part of the errors of fused positions that further sources do not reduce.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -163,8 +163,9 @@ def fit_errors(
     p_pair = expit(mean.model.log_odds(mean.pairs))
     if float(p_pair @ mean.pairs.weight) < tuning.fit_pairs:
         return TrackErrorFit(tuple(feeds))
-    out, misses = list(feeds), _misses(mean, p_pair, tuning)
-    densities = _clutter(mean, misses, p_pair, tuning)
+    matches, partner = list(_matched_scans(mean.feeds, tuning)), _p_partner(mean.feeds, mean.pairs, p_pair)
+    out, misses = list(feeds), _misses(mean.feeds, matches, partner, tuning)
+    densities = _clutter(mean, misses, matches, partner, p_pair)
     for k, feed, description in zip(at, mean.feeds, _described(mean, latency_s, misses, densities), strict=True):
         out[k] = _rebuilt(feed, description, plane)
     shared = math.sqrt(tuning.shared_hull) * math.exp(float(mean.model.logs[2].mean()))
@@ -432,13 +433,15 @@ def _described(
     return out
 
 
-def _misses(best: _Fit, p_pair: FloatArray, tuning: Tuning) -> list[MissRate]:
+def _misses(
+    feeds: Sequence[Feed], matches: Sequence[_MatchedScans], partner: Mapping[tuple[int, int], FloatArray],
+    tuning: Tuning,
+) -> list[MissRate]:  # fmt: skip
     """The miss rates of the sources, by range where enough scans tell; those described where too few do, or where the
-    user gave them."""
-    feeds, partner = best.feeds, _p_partner(best.feeds, best.pairs, p_pair)
+    user gave them. partner : of :func:`_p_partner`."""
     placed = [not isinstance(feed.reports, Directions) for feed in feeds]
     parts: list[list[list[FloatArray]]] = [[] for _ in feeds]
-    for match in _matched_scans(feeds, tuning):
+    for match in matches:
         for reference, source, rows in zip(match.sources, match.sources[::-1], match.rows, strict=True):
             sensor, others = feeds[source].sensor_at(match.time_s), set(range(len(feeds))) - {reference, source}
             if not placed[reference] or sensor is None or not len(rows):
@@ -510,17 +513,20 @@ def _miss_rate(described: Description, parts: Sequence[Sequence[FloatArray]], tu
     return MissRate(float(q[0])) if bins == 1 else MissRate(tuple(q.tolist()), tuple(middle_m.tolist()))
 
 
-def _clutter(best: _Fit, misses: Sequence[MissRate], p_pair: FloatArray, tuning: Tuning) -> list[float]:
+def _clutter(
+    best: _Fit, misses: Sequence[MissRate], matches: Sequence[_MatchedScans],
+    partner: Mapping[tuple[int, int], FloatArray], p_pair: FloatArray,
+) -> list[float]:  # fmt: skip
     """Clutter per km² or per degree in the field of each source.
 
     A real plot is without a partner with the probability m that all sources miss it of which a scan is compared, a
     false one always: per scan, β times the size of the field is Σ (p_alone − m) / Σ (1 − m). A second plot of an object
     in one scan counts as false.
     """
-    partner, p_first = _p_partner(best.feeds, best.pairs, p_pair), _p_first(best.feeds, best.pairs, p_pair)
+    p_first = _p_first(best.feeds, best.pairs, p_pair)
     q = [float(np.mean(each.q)) if each.q is not None else 0.5 for each in misses]
     missed = [np.ones(len(feed.scan_times_s)) for feed in best.feeds]
-    for match in _matched_scans(best.feeds, tuning):
+    for match in matches:
         for (k, number), other in zip(zip(match.sources, match.numbers, strict=True), match.sources[::-1], strict=True):
             missed[k][number] *= q[other]
     out = []
