@@ -329,13 +329,14 @@ def _of_the_solent(seed: int) -> tuple[tuple[Description, Reports], tuple[Descri
 @dataclass(frozen=True)
 class Levels:
     """One line of heights: metres between the aircraft of a couple, whether they fly on one path, the share of records
-    with a height, the bias of those of multilateration."""
+    with a height, the bias of those of multilateration, and the vertical speed of one, up, and of the other, down."""
 
     words: str
     apart_m: float
     on_one_path: bool = True
     known: float = 1.0
     bias_m: float = 0.0
+    climb_m_per_s: float = 0.0
 
 
 LEVELS = (
@@ -345,14 +346,16 @@ LEVELS = (
     Levels("on one path, 300 m apart", 300.0),
     Levels("the same, one source 150 m too high", 300.0, bias_m=150.0),
     Levels("the same, half of the heights missing", 300.0, known=0.5),
+    Levels("one climbs, one descends, no heights", 300.0, known=0.0, climb_m_per_s=8.0),
 )
-#: Couples of a scene; 1σ of their positions by each source and of all heights, metres; seconds between reports.
-COUPLES, POSITION_M, HEIGHT_M, EVERY_S = 10, {"ads-b": 100.0, "mlat": 200.0}, 20.0, 4.0
+#: Couples of a scene; 1σ of their positions by each source and of all heights, metres, and of all vertical speeds, m/s;
+#: seconds between reports.
+COUPLES, POSITION_M, HEIGHT_M, CLIMB_M_PER_S, EVERY_S = 10, {"ads-b": 100.0, "mlat": 200.0}, 20.0, 1.0, 4.0
 
 
 def couples(levels: Levels, seed: int) -> Scene:
     """Aircraft 2k and 2k + 1 fly on one line with 150 m/s, one above the other or towards each other so that they meet
-    after a minute; the track ids are their numbers."""
+    after a minute; the track ids are their numbers. Vertical speeds are reported where they are not 0."""
     rng = np.random.default_rng((seed, int(levels.apart_m)))
     number, sign = np.arange(2 * COUPLES), np.tile([1.0, 1.0 if levels.on_one_path else -1.0], COUPLES)
     angle = np.repeat(rng.uniform(0.0, 2.0 * np.pi, COUPLES), 2)
@@ -370,6 +373,9 @@ def couples(levels: Levels, seed: int) -> Scene:
         time_s, x, y, level, track = (np.concatenate(column) for column in zip(*parts, strict=True))
         columns = {"time_s": time_s, "x_m": x, "y_m": y, "track_id": track.astype(int).astype(str).astype(object)}
         columns |= {"alt_m": level} if levels.known else {}
+        if levels.climb_m_per_s:
+            climb = np.where(track % 2, -levels.climb_m_per_s, levels.climb_m_per_s)
+            columns["climb_m_per_s"] = climb + CLIMB_M_PER_S * rng.standard_normal(len(climb))
         errors = SensorErrors(position_m=sigma, height_m=HEIGHT_M)
         sources.append((Description(name, name, errors=errors), Reports.of(name, "table", columns)))
     return Scene.of(sources)

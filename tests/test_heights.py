@@ -1,4 +1,4 @@
-"""Heights as evidence, against numerical integration."""
+"""Heights and vertical speeds as evidence, against numerical integration."""
 
 from __future__ import annotations
 
@@ -57,10 +57,39 @@ def test_common_heights_have_less_weight_and_wrong_ones_are_bounded() -> None:
     assert far == pytest.approx(np.log(0.01))
 
 
+def test_the_ratio_of_two_vertical_speeds_agrees_with_its_integral_and_adds_to_that_of_heights() -> None:
+    tuning = HeightEvidenceTuning(wrong_climb=1e-9)
+    level = {"a": np.array([[3000.0, 20.0]]), "b": np.array([[3000.0, 20.0]])}
+    for v, w, s, t in ((-9.0, -8.0, 1.5, 1.5), (6.0, 4.0, 0.5, 3.0)):
+        speeds = {"a": np.array([[v, s]]), "b": np.array([[w, t]])}
+        found = Heights(level, tuning, climbs=speeds)(pairs(1, 1)).terms
+
+        def weight(x: float, v: float = v, w: float = w, s: float = s, t: float = t) -> float:
+            return float(norm.pdf(v, x, s) * norm.pdf(w, x, t))
+
+        same = quad(weight, -15.0, 15.0, points=[v, w])[0] / 30.0
+        assert found["vertical speed"][0] == pytest.approx(np.log(same * 30.0**2), abs=0.02)
+        assert found["height"][0] == Heights(level, tuning)(pairs(1, 1)).log_ratio[0]
+
+
+def test_wrong_vertical_speeds_are_bounded_and_those_of_level_flight_are_weak_evidence() -> None:
+    none = {"a": np.full((9, 2), np.nan), "b": np.full((9, 2), np.nan)}
+    level, climbs = np.full((9, 2), [0.0, 1.5]), np.full((9, 2), [0.0, 1.5])
+    climbs[0, 0] = 12.0
+    here = pairs(9, 9)
+    found = Heights(none, climbs={"a": climbs, "b": climbs})(here).log_ratio
+    ratio = {(i, j): r for i, j, r in zip(here.i.tolist(), here.j.tolist(), found.tolist(), strict=True)}
+    assert ratio[0, 0] > 1.0 and ratio[0, 0] > ratio[1, 1] + 0.8 and 0.0 < ratio[1, 1] < 1.0
+    assert ratio[0, 1] == pytest.approx(np.log(0.05), abs=0.01)
+    assert not Heights(none, climbs={"a": level})(pairs(9, 9)).log_ratio.any()
+
+
 def test_invalid_heights_are_refused_with_a_clear_message() -> None:
     with pytest.raises(InputError, match=r"a: row 1: the height's error is 0.0; give metres above 0"):
         Heights({"a": np.array([[1.0, 1.0], [2.0, 0.0]])})
     with pytest.raises(InputError, match=r"a: heights have the shape \(3,\)"):
         Heights({"a": np.zeros(3)})
+    with pytest.raises(InputError, match=r"a: row 0: the vertical speed's error is -1.0; give m/s above 0"):
+        Heights({}, climbs={"a": np.array([[1.0, -1.0]])})
     with pytest.raises(InputError, match="a: 1 heights for 2 rows"):
         Heights({"a": np.ones((1, 2)), "b": np.ones((1, 2))})(pairs(2, 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,28 @@ def test_heights_distinguish_two_aircraft_over_one_place(other: str, shift_m: fl
     assert np.ma.compressed(picture.objects["sigma_height_m"]).max() < 100.0
     if shift_m:
         assert any("subtracted" in note for heights in scene.heights for note in heights.notes)
+
+
+@pytest.mark.slow_after(1)
+def test_vertical_speeds_distinguish_two_aircraft_whose_heights_no_source_reports() -> None:
+    """One climbs, the other descends, on one course and 200 m apart at most; both sources report vertical speeds."""
+
+    def found(with_climbs: bool) -> tuple[int, int]:
+        right, wrong = 0, 0
+        for seed in range(3):
+            rng, sources = np.random.default_rng(seed), []
+            for name in "ab":
+                description, reports = crossing(rng, name, "pressure_alt_m", with_heights=False)
+                climb = np.where(reports.track_id == f"{name}0", 9.0, -9.0) + rng.normal(0.0, 1.0, len(reports))
+                sources.append((description, replace(reports, climb_m_per_s=climb if with_climbs else None)))
+            picture = Picture.of(Scene.of(sources), np.arange(20.0, 200.0, 30.0))
+            assert ("climb_m_per_s" in picture.objects) == with_climbs
+            one = counts(picture)
+            right, wrong = right + one[0], wrong + one[1]
+        return right, wrong
+
+    without, (right, wrong) = found(False), found(True)
+    assert without[1] >= 3 and wrong == 0 and right >= 30, (without, right, wrong)
 
 
 @pytest.mark.slow
@@ -136,7 +159,7 @@ def test_heights_follow_from_elevation_and_vertical_speed() -> None:
     assert measured.height_m[0] == pytest.approx(100.0 + 8682.0 + 190.0, abs=2.0)
     assert measured.sigma_m[0] == pytest.approx(86.0, rel=0.02) and np.isnan(measured.height_m[1])
     later = reported.at(np.array([0]), np.array([6.0]))
-    assert later[0].tolist() == [8060.0, pytest.approx(np.hypot(20.0, 9.0)), 10.0]
+    assert later[0].tolist() == [8060.0, pytest.approx(np.hypot(20.0, 9.0)), 10.0, pytest.approx(np.sqrt(1.5**2 + 6.0))]
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Heights as evidence: two aircraft at one position are different if their heights differ.
+"""Heights as evidence: two aircraft at one position are different if their heights or vertical speeds differ.
 
 The likelihood ratio of heights h₁, h₂ with 1σ errors σ₁, σ₂ is
 
@@ -6,6 +6,9 @@ The likelihood ratio of heights h₁, h₂ with 1σ errors σ₁, σ₂ is
 
 with p the density of the heights of the other objects, and w the probability that one of the two is an outlier: a
 garbled code, another object's reply. Heights of different kinds (pressure, geometric) must be converted to one before.
+
+That of vertical speeds is the same with their density, 1σ errors and w. Most aircraft are level, so equal speeds of 0
+are weak evidence; an aircraft that climbs is distinguished from one that descends through its height.
 """
 
 from __future__ import annotations
@@ -29,29 +32,114 @@ from sameas.representation import in_short
 class HeightEvidenceTuning:
     """The constants of the evidence of heights (chosen).
 
-    wrong : probability that one of two heights is an outlier.
-    usual_m : prior span of heights. usual_weight : number of objects that the prior counts as.
-    bandwidth_m : 1σ of the smoothing of known heights to their density.
+    wrong, wrong_climb : probability that one of two heights is an outlier, and one of two vertical speeds: trackers
+        follow a change late.
+    usual_m, usual_m_per_s : prior span of heights, and of vertical speeds. usual_weight : number of objects that the
+        prior counts as.
+    bandwidth_m, bandwidth_m_per_s : 1σ of the smoothing of known values to their density.
     """
 
     wrong: float = 0.01
+    wrong_climb: float = 0.05
     usual_m: float = 13_000.0
+    usual_m_per_s: float = 30.0
     usual_weight: float = 10.0
     bandwidth_m: float = 150.0
+    bandwidth_m_per_s: float = 2.0
 
 
 DEFAULT_TUNING = HeightEvidenceTuning()
 
 
+@dataclass(frozen=True)
+class _Quantity:
+    """One quantity of all sources: by source name (n_table, 2) value and its 1σ, NaN if unknown.
+
+    wrong, usual, usual_weight, bandwidth : of :class:`HeightEvidenceTuning`.
+    """
+
+    word: str
+    unit: str
+    values: Mapping[str, FloatArray]
+    wrong: float
+    usual: float
+    usual_weight: float
+    bandwidth: float
+
+    def checked(self) -> None:
+        """Raise InputError for values of the wrong shape or without an error."""
+        for source, values in self.values.items():
+            table = np.asarray(values, dtype=np.float64)
+            if table.ndim != 2 or table.shape[1] != 2:
+                raise InputError(
+                    f"{source}: {self.word}s have the shape {table.shape}; give (n, 2): {self.word} and its error"
+                )
+            known = np.isfinite(table[:, 0])
+            if np.any(~(table[known, 1] > 0.0)):
+                row = np.flatnonzero(known)[np.argmin(table[known, 1] > 0.0)]
+                raise InputError(
+                    f"{source}: row {row}: the {self.word}'s error is {table[row, 1]}; give {self.unit} above 0"
+                )
+
+    def log_ratio(self, pairs: Pairs) -> FloatArray:
+        """(pairs,) ln r; 0 if one of the two is unknown."""
+        one, two = self._of(pairs.first), self._of(pairs.second)
+        out = np.zeros(len(pairs))
+        if one is None or two is None:
+            return out
+        (h, s), (k, t) = one[pairs.first.rows[pairs.i]].T, two[pairs.second.rows[pairs.j]].T
+        both: BoolArray = np.isfinite(h) & np.isfinite(k)
+        if not both.any():
+            return out
+        h, s, k, t = h[both], s[both], k[both], t[both]
+        variance = s**2 + t**2
+        same = -0.5 * ((h - k) ** 2 / variance + np.log(2.0 * np.pi * variance))
+        other = 0.5 * (self._log_density(h) + self._log_density(k))
+        out[both] = np.logaddexp(math.log1p(-self.wrong) + same - other, math.log(self.wrong))
+        return out
+
+    def _of(self, records: Records) -> FloatArray | None:
+        values = self.values.get(records.source)
+        if values is None:
+            return None
+        table = np.asarray(values, dtype=np.float64)
+        if len(table) != records.n_table:
+            raise InputError(
+                f"{records.source}: {len(table)} {self.word}s for {records.n_table} rows; give one for every row"
+            )
+        return table
+
+    @cached_property
+    def _known(self) -> FloatArray:
+        """(n,) all known values, ascending."""
+        every = [np.asarray(values, dtype=np.float64)[:, 0] for values in self.values.values()]
+        known = np.concatenate([np.empty(0), *every])
+        return np.sort(known[np.isfinite(known)])
+
+    def _log_density(self, value: FloatArray) -> FloatArray:
+        """(m,) ln p of values, one of each source being those of the pair itself."""
+        known, width = self._known, self.bandwidth
+        grid = np.arange(-5, int((known[-1] - known[0]) / width) + 7) * width + known[0]
+        counts = np.bincount(np.rint((known - grid[0]) / width).astype(np.int64), minlength=len(grid))
+        steps = np.arange(-4, 5)
+        kernel = np.exp(-0.5 * steps**2)
+        smooth = np.convolve(counts, kernel / kernel.sum(), mode="same") / width
+        own = 2.0 * kernel[4] / kernel.sum() / width
+        others = np.maximum(np.interp(value, grid, smooth) - own, 0.0)
+        total = max(len(known) - 2.0, 0.0) + self.usual_weight
+        return np.asarray(np.log((others + self.usual_weight / self.usual) / total))
+
+
 @in_short
 @dataclass(frozen=True)
 class Heights(Rule):
-    """The heights of the records, in addition to their positions.
+    """The heights and vertical speeds of the records, in addition to their positions.
 
     Parameters
     ----------
     heights : by the source's name, (n_table, 2) height and its 1σ error of every row of its table, metres; NaN where a
         record has none. All are of one kind.
+    climbs : the same of vertical speeds, m/s upwards; sources without any may be left out.
 
     Example
     -------
@@ -66,60 +154,26 @@ class Heights(Rule):
 
     heights: Mapping[str, FloatArray] = field(repr=False)
     tuning: HeightEvidenceTuning = DEFAULT_TUNING
+    climbs: Mapping[str, FloatArray] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        for source, values in self.heights.items():
-            sigma = np.asarray(values, dtype=np.float64)
-            if sigma.ndim != 2 or sigma.shape[1] != 2:
-                raise InputError(f"{source}: heights have the shape {sigma.shape}; give (n, 2): height and its error")
-            known = np.isfinite(sigma[:, 0])
-            if np.any(~(sigma[known, 1] > 0.0)):
-                row = np.flatnonzero(known)[np.argmin(sigma[known, 1] > 0.0)]
-                raise InputError(f"{source}: row {row}: the height's error is {sigma[row, 1]}; give metres above 0")
+        self._height.checked()
+        self._climb.checked()
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        one, two = self._of(pairs.first), self._of(pairs.second)
-        out = np.zeros(len(pairs))
-        if one is None or two is None:
-            return Evidence({"height": out})
-        (h, s), (k, t) = one[pairs.first.rows[pairs.i]].T, two[pairs.second.rows[pairs.j]].T
-        both: BoolArray = np.isfinite(h) & np.isfinite(k)
-        h, s, k, t = h[both], s[both], k[both], t[both]
-        variance = s**2 + t**2
-        same = -0.5 * ((h - k) ** 2 / variance + np.log(2.0 * np.pi * variance))
-        other = 0.5 * (self._log_density(h) + self._log_density(k))
-        wrong = self.tuning.wrong
-        out[both] = np.logaddexp(math.log1p(-wrong) + same - other, math.log(wrong))
-        return Evidence({"height": out})
-
-    def _of(self, records: Records) -> FloatArray | None:
-        values = self.heights.get(records.source)
-        if values is None:
-            return None
-        table = np.asarray(values, dtype=np.float64)
-        if len(table) != records.n_table:
-            raise InputError(
-                f"{records.source}: {len(table)} heights for {records.n_table} rows; give one for every row"
-            )
-        return table
+        parts = {"height": self._height.log_ratio(pairs)}
+        if self.climbs:
+            parts["vertical speed"] = self._climb.log_ratio(pairs)
+        return Evidence(parts)
 
     @cached_property
-    def _known(self) -> FloatArray:
-        """(n,) all known heights, ascending."""
-        every = [np.asarray(values, dtype=np.float64)[:, 0] for values in self.heights.values()]
-        heights = np.concatenate([np.empty(0), *every])
-        return np.sort(heights[np.isfinite(heights)])
+    def _height(self) -> _Quantity:
+        t = self.tuning
+        return _Quantity("height", "metres", self.heights, t.wrong, t.usual_m, t.usual_weight, t.bandwidth_m)
 
-    def _log_density(self, height: FloatArray) -> FloatArray:
-        """(m,) ln p of heights, one of each source being those of the pair itself."""
-        tuning, known = self.tuning, self._known
-        width = tuning.bandwidth_m
-        grid = np.arange(-5, int((known[-1] - known[0]) / width) + 7) * width + known[0]
-        counts = np.bincount(np.rint((known - grid[0]) / width).astype(np.int64), minlength=len(grid))
-        steps = np.arange(-4, 5)
-        kernel = np.exp(-0.5 * steps**2)
-        smooth = np.convolve(counts, kernel / kernel.sum(), mode="same") / width
-        own = 2.0 * kernel[4] / kernel.sum() / width
-        others = np.maximum(np.interp(height, grid, smooth) - own, 0.0)
-        total = max(len(known) - 2.0, 0.0) + tuning.usual_weight
-        return np.asarray(np.log((others + tuning.usual_weight / tuning.usual_m) / total))
+    @cached_property
+    def _climb(self) -> _Quantity:
+        t = self.tuning
+        return _Quantity(
+            "vertical speed", "m/s", self.climbs, t.wrong_climb, t.usual_m_per_s, t.usual_weight, t.bandwidth_m_per_s
+        )

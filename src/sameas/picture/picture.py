@@ -319,20 +319,22 @@ def _height_columns(height: FloatArray, sigma: FloatArray) -> Columns:
 
 
 def _fused_heights(state: PictureState[Carried], at: IntArray) -> Columns:
-    """The heights of the objects and their 1σ: precision-weighted means over their records."""
+    """The heights of the objects, their 1σ, and vertical speeds: precision-weighted means over their records."""
     if not _has_heights(state):
         return {}
     # The last row is for "no record".
-    height, sigma, climb = np.vstack([state.scan.heights, np.full((1, 3), np.nan)]).T
+    height, sigma, climb, sigma_climb = np.vstack([state.scan.heights, np.full((1, 4), np.nan)]).T
     members = np.vstack([state.members, np.full((1, state.members.shape[1]), ABSENT)])
+    (height, sigma), (climb, _) = (_weighted(*one, members[at]) for one in ((height, sigma), (climb, sigma_climb)))
+    return {**_height_columns(height, sigma), "climb_m_per_s": _masked(climb, ~np.isfinite(climb))}
+
+
+def _weighted(value: FloatArray, sigma: FloatArray, members: IntArray) -> tuple[FloatArray, FloatArray]:
+    """(k,), (k,) precision-weighted means over the members (k, S) and their 1σ; NaN where none has a value."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        weight = np.where(np.isfinite(height), 1.0 / sigma**2, 0.0)[members]
+        weight = np.where(np.isfinite(value), 1.0 / sigma**2, 0.0)[members]
         total = weight.sum(axis=1)
-        mean = (weight * np.nan_to_num(height)[members]).sum(axis=1) / total
-        reported = np.isfinite(climb)[members]
-        rate = np.where(reported, np.nan_to_num(climb)[members], 0.0).sum(axis=1) / reported.sum(axis=1)
-        deviation = 1.0 / np.sqrt(total)
-    return {**_height_columns(mean[at], deviation[at]), "climb_m_per_s": _masked(rate[at], ~np.isfinite(rate[at]))}
+        return (weight * np.nan_to_num(value)[members]).sum(axis=1) / total, 1.0 / np.sqrt(total)
 
 
 def _memberships(state: PictureState[Carried], at: IntArray) -> Columns:

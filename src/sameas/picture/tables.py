@@ -54,7 +54,7 @@ class Scan:
     placed : whether the record has a position. moving : whether it has a velocity.
     manoeuvre_covariance : (n, 4, 4) part of the covariance that allows for a manoeuvre
         (:mod:`sameas.picture.track_pairs`).
-    heights : (n, 3) height and its 1σ, metres, and vertical speed, m/s; NaN where a record has none.
+    heights : (n, 4) height and its 1σ, metres, vertical speed and its 1σ, m/s; NaN where a record has none.
     range_band : (n,) octave of the distance from the sensor: 0 beyond half the range of its coverage, 1 beyond a
         quarter, … ``RANGE_BANDS`` − 1; 0 without a sensor or a range.
     error_factor : (n,) by which the stated 1σ of positions is multiplied (:mod:`sameas.picture.error_factors`).
@@ -177,7 +177,7 @@ _EMPTY: dict[str, NDArray[Any]] = {
     "reported_covariance": np.empty((0, 4, 4)),
     "state": np.empty((0, 4)),
     "covariance": np.empty((0, 4, 4)),
-    "heights": np.empty((0, 3)),
+    "heights": np.empty((0, 4)),
     "range_band": np.empty(0, np.int64),
 }
 
@@ -204,7 +204,7 @@ def _part(
         "speed_m_per_s": np.full(n, description.motion.speed_m_per_s or math.inf),
         "reported_state": reported_state, "reported_covariance": reported_covariance,
         "state": state, "covariance": covariance,
-        "heights": np.full((n, 3), np.nan) if heights is None else heights[table],
+        "heights": np.full((n, 4), np.nan) if heights is None else heights[table],
         "range_band": _range_bands(feed, row, reported_state[:, :2]),
     }  # fmt: skip
 

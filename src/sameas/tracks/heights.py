@@ -33,6 +33,7 @@ class HeightReports:
     """The heights of a source's reports, all of one kind, (n,) each, NaN where a report has none.
 
     height_m, sigma_m : height and its 1σ. climb_m_per_s, sigma_climb_m_per_s : vertical speed and its 1σ.
+    climb_noise_m2_per_s3 : growth of the variance of vertical speeds with the age of a report.
     kind : PRESSURE or GEOMETRIC. notes : how they were converted to that kind, printable.
     """
 
@@ -40,14 +41,18 @@ class HeightReports:
     sigma_m: FloatArray
     climb_m_per_s: FloatArray
     sigma_climb_m_per_s: FloatArray
+    climb_noise_m2_per_s3: float
     kind: str
     notes: tuple[str, ...] = ()
 
     def at(self, rows: IntArray, age_s: FloatArray) -> FloatArray:
-        """(k, 3) heights, their 1σ and vertical speeds of ``rows``, moved forward by ``age_s``; NaN if not reported."""
-        climb = self.climb_m_per_s[rows]
+        """(k, 4) heights, their 1σ, vertical speeds and their 1σ of ``rows``, moved forward by ``age_s``; NaN if not
+        reported."""
+        climb, sigma_climb = self.climb_m_per_s[rows], self.sigma_climb_m_per_s[rows]
         height = self.height_m[rows] + np.nan_to_num(climb) * age_s
-        return np.column_stack([height, np.hypot(self.sigma_m[rows], self.sigma_climb_m_per_s[rows] * age_s), climb])
+        changed = np.hypot(sigma_climb, np.sqrt(self.climb_noise_m2_per_s3 * age_s))
+        sigma_now = np.where(np.isfinite(climb), changed, np.nan)
+        return np.column_stack([height, np.hypot(self.sigma_m[rows], sigma_climb * age_s), climb, sigma_now])
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,7 @@ class HeightColumns:
     def of(
         cls, description: Description, reports: Reports, tuning: HeightTuning = DEFAULT_TUNING.heights
     ) -> HeightColumns | None:
-        """The heights of reports with positions; None if no report has a height."""
+        """The heights of reports with positions; None if no report has a height or a vertical speed."""
         n, absent = len(reports), np.full(len(reports), np.nan)
         pressure = absent if reports.pressure_alt_m is None else reports.pressure_alt_m
         geometric = absent if reports.alt_m is None else reports.alt_m
@@ -86,8 +91,8 @@ class HeightColumns:
 
     @property
     def any(self) -> bool:
-        """Whether any report has a height."""
-        return bool(np.isfinite(self.pressure_m).any() or np.isfinite(self.geometric_m).any())
+        """Whether any report has a height or a vertical speed."""
+        return any(np.isfinite(c).any() for c in (self.pressure_m, self.geometric_m, self.climb_m_per_s))
 
     @property
     def table(self) -> FloatArray:
@@ -176,7 +181,8 @@ class HeightModel:
         sigma = np.where(only_other, np.hypot(one.sigma_m, extra), one.sigma_m)
         climb = one.climb_m_per_s
         sigma_climb = np.where(np.isfinite(climb), tuning.reported_climb_m_per_s, tuning.climb_m_per_s)
-        return HeightReports(height, np.where(np.isfinite(height), sigma, np.nan), climb, sigma_climb, self.kind, notes)
+        sigma = np.where(np.isfinite(height), sigma, np.nan)
+        return HeightReports(height, sigma, climb, sigma_climb, tuning.climb_noise_m2_per_s3, self.kind, notes)
 
     def heights(self, source: str, columns: HeightColumns) -> HeightReports:
         """The heights of a source, all of ``kind``, corrected for its offset."""

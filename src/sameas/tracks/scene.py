@@ -200,8 +200,8 @@ class Instant:
         source's reports.
     age_s : per source (n,) age of each record's report.
     aged : per source the rows of reports excluded as too uncertain to distinguish objects.
-    heights : per source (n, 3) heights of the records and their 1σ, metres, and vertical speeds, m/s, NaN if unknown;
-        None if no report of the source has a height.
+    heights : per source (n, 4) heights of the records and their 1σ, metres, vertical speeds and their 1σ, m/s, NaN if
+        unknown; None if no report of the source has either.
     region : of the objects; needed by ``identify_many`` if a source observes a part of the state.
     density : objects per m² at the middle of the region (per m² and (m/s)² with velocities as features).
     shared_error_m : of the scene; not included in the covariances.
@@ -246,9 +246,11 @@ class Instant:
         return Identity(columns)
 
     def height(self) -> Heights:
-        """The rule of the records' heights, to be added to a rule of positions."""
-        given = zip(self.feeds, self.heights, strict=True)
-        return Heights({feed.description.name: heights[:, :2] for feed, heights in given if heights is not None})
+        """The rule of the records' heights and vertical speeds, to be added to a rule of positions."""
+        pairs = zip(self.feeds, self.heights, strict=True)
+        given = {feed.description.name: heights for feed, heights in pairs if heights is not None}
+        climbs = {name: heights[:, 2:] for name, heights in given.items() if np.isfinite(heights[:, 2]).any()}
+        return Heights({name: heights[:, :2] for name, heights in given.items()}, climbs=climbs)
 
     def alarms(self) -> list[IdentityConflict]:
         """Identities reported at two places too far apart for one object: forged, duplicate or wrong."""

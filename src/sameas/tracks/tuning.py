@@ -16,8 +16,10 @@ class HeightTuning:
     """Fixed parameters of heights, chosen. Units are in the names.
 
     sigma_m : 1σ of a height without a stated error. climb_m_per_s : 1σ of an unknown vertical speed;
-    reported_climb_m_per_s : of a reported one. pressure_m, pressure_share : 1σ of the difference between pressure
-    height and height above the ellipsoid if it is not estimated: at the ground, and as a share of the height.
+    reported_climb_m_per_s : of a reported one; climb_noise_m2_per_s3 : growth of its variance with age, so that an
+    aircraft that climbs at 10 m/s may be level after a minute and a half.
+    pressure_m, pressure_share : 1σ of the difference between pressure height and height above the ellipsoid if it is
+    not estimated: at the ground, and as a share of the height.
     offset_m : 1σ of the offset between two sources of one kind.
     min_reports, min_span_m : minimum number of reports with both heights for a line, and minimum span of their heights
     for its gain.
@@ -29,6 +31,7 @@ class HeightTuning:
     sigma_m: float = 60.0
     climb_m_per_s: float = 8.0
     reported_climb_m_per_s: float = 1.5
+    climb_noise_m2_per_s3: float = 1.0
     pressure_m: float = 250.0
     pressure_share: float = 0.04
     offset_m: float = 300.0
