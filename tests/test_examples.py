@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
+from sameas.io import read_table
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NORTH_OF_DEG = 60.0
 
@@ -152,3 +154,7 @@ def test_the_asteroid_of_the_night_is_found_named_and_reported(
     off = re.search(r"off by +(0\.\d+)″", printed)
     assert off is not None and float(off[1]) < 0.1
     assert (tmp_path / "movers" / "movers.png").stat().st_size > 20_000
+    for row in read_table(tmp_path / "movers" / "movers.fits"):
+        seen = read_table(tmp_path / "movers" / f"{Path(row['exposure']).stem}.stars.fits")
+        own = seen[np.ma.filled(seen["measurement"], -1) == row["measurement"]]
+        assert abs(own["ra_deg"] - row["ra_deg"]) < 1e-4 and abs(own["dec_deg"] - row["dec_deg"]) < 1e-4

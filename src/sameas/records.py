@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray, taken
 from sameas.errors import InputError
 from sameas.kernels.compiled import runs_compiled
-from sameas.representation import in_short
+from sameas.representation import counted, in_short
 from sameas.space import Plane, Space, Sphere
 
 #: Up to this many rows are checked one by one by compiled kernels; NumPy is faster for more (measured).
@@ -326,7 +326,7 @@ def _checked_ids(ids: Sequence[Any] | NDArray[Any] | None, n: int, source: str) 
         twice = ordered[same[0]]
         rows = np.flatnonzero(array.astype(ordered.dtype) == twice)
         raise InputError(
-            f"{source}: {len(same)} ids are not unique (first: {twice!s} in rows {rows[0]} and {rows[1]}); "
+            f"{source}: {counted(len(same), 'id is', 'ids are')} not unique (first: {twice!s} in rows {rows[0]} and {rows[1]}); "
             "give a unique id column, or none to number the rows"
         )
     return array

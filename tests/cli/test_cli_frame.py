@@ -23,7 +23,7 @@ from browser import CHROMIUM, Browser
 from sameas.errors import InputError
 from sameas.io import read_provenance, read_table, write_table
 from sameas.io.catalogues import COLUMNS, GaiaArchive, catalogue, rounded
-from sameas.report.frame import frame_lines
+from sameas.report.frame import frame_lines, frames_lines
 from sameas.simulate.frames import Camera, GaussianProfile, Lens, frame_of_sky
 from sameas.sky.catalogue import CatalogueOptions
 from sameas.sky.frame.field import Cone
@@ -129,6 +129,22 @@ def test_errors_of_frame_and_catalogue_are_reported_as_for_a_match(done):
     ) in " ".join(" ".join(words).split())
     apart = frame_lines(facts | {"estimated": {"error_factor_frame": [1.4, 0.1]}, "error_note": ""})
     assert "by source those of night.fits × 1.40 ± 0.10 " in " ".join(" ".join(apart).split())
+
+
+def test_doubts_of_several_frames_are_listed_once():
+    def summary(name, *notes):
+        return {"frame": name, "catalogue": "stars", "understood": ["epoch: 2016.0"], "notes": notes,
+                "exposure": {"read": ("exposure 240 s", "doubt: the gain is not known")}}  # fmt: skip
+
+    lines = frames_lines(
+        [summary("a.fits", "doubt: 0.19 arcsec was assumed"), summary("b.fits", "doubt: 0.2 arcsec was assumed")]
+    )
+    assert [" ".join(line.split()) for line in lines] == [
+        "", "Catalogue: stars", "epoch 2016.0",
+        "doubt 2 frames, the first a.fits: the gain is not known",
+        "doubt 2 frames, the first a.fits: 0.19 arcsec was assumed",
+    ]  # fmt: skip
+    assert frames_lines([]) == []
 
 
 @pytest.mark.slow
@@ -484,6 +500,9 @@ def test_a_folder_of_frames_is_one_product(files, sameas, tmp_path):
     assert "Frames: 5; 4 done, 1 failed" in words and "dark" not in words
     assert "Series: 3 frames in V over 20.0 minutes" in words and "on all frames" in words
     assert "red.fits: the only frame of its field and filter; no series" in words
+    assert "Catalogue: stars position ra, dec" in words
+    order = [line.partition(":")[0] for line in done.stdout.splitlines() if " identified, " in line]
+    assert order == ["n0", "n1", "n2", "red"]
     stars, frames = read_table(out / "series.stars.fits"), read_table(out / "series.frames.fits")
     assert len(frames) == 3 and stars["frame_magnitude"].shape == (len(stars), 3) and len(stars) > 90
     named = stars[~np.ma.getmaskarray(stars["id"])]

@@ -243,6 +243,13 @@ except SystemExit:
     assert "match" in done.stdout and "explain" in done.stdout
 
 
+def test_paragraphs_of_a_help_are_filled():
+    """Line breaks of a docstring were kept in all paragraphs but the first."""
+    from sameas.cli.app import _command
+
+    assert all("\n" not in part for part in _command("movers").help.split("\n\n"))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("rows", "side_deg"), [(60, 1.0), (1000, 0.02)])
 def test_a_short_run_imports_no_unneeded_modules(tmp_path, rows, side_deg):

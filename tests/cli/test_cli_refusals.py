@@ -130,7 +130,7 @@ def test_given_ids_must_be_unique(refused):
     def twice(table):
         table["name"][2] = "s1"
 
-    assert "1 ids are not unique (first: s1 in rows 1 and 2)" in refused(twice, "--id1", "name")
+    assert "1 id is not unique (first: s1 in rows 1 and 2)" in refused(twice, "--id1", "name")
 
 
 def test_tables_without_usable_rows(refused):

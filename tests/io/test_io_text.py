@@ -222,11 +222,37 @@ def test_ecsv_under_another_name_is_read_as_ecsv(ending, tmp_path):
 
 @pytest.mark.parametrize("ending", ["", ".gz"])
 @pytest.mark.parametrize("content", [SEXTRACTOR, VIZIER, IPAC, "name,ra\nÅ,1\nβ 𝛽,2\n"])
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "markless utf-16-be", "markless utf-16-le"])
 def test_text_in_utf_16_is_read_as_that_in_utf_8(encoding, content, ending, tmp_path):
     mark = "\ufeff" if encoding == "utf-16-be" else ""
+    encoding = encoding.removeprefix("markless ")
     packed = gzip.compress if ending else bytes
     (tmp_path / f"wide.txt{ending}").write_bytes(packed((mark + content).encode(encoding)))
     (tmp_path / f"plain.txt{ending}").write_bytes(packed(content.encode()))
     wide, plain = (read_table(tmp_path / f"{name}.txt{ending}") for name in ("wide", "plain"))
     assert wide.colnames == plain.colnames and len(wide) == 2 and wide.pformat() == plain.pformat()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        'name,ra,dec,n\na,"150,125","-2,5",7\nb,"+150,25","2,125e0",\n',
+        "name;ra;dec;n\na;150,125;-2,5;7\nb;150,25;2,125;\n",
+    ],
+)
+def test_commas_within_numbers_are_decimal_points_where_none_has_a_point(content, tmp_path):
+    """As spreadsheets write them in most of Europe."""
+    (tmp_path / "t.csv").write_text(content)
+    table = read_table(tmp_path / "t.csv")
+    assert table["ra"].tolist() == [150.125, 150.25] and table["dec"].tolist() == [-2.5, 2.125]
+    assert table["name"].tolist() == ["a", "b"] and table["n"].tolist() == [7, None]
+    assert table.meta["sameas_notes"] == [f"{tmp_path / 't.csv'}: commas within numbers are read as decimal points"]
+
+
+@pytest.mark.parametrize(
+    "content", ['x,n\n1.5,"12,345"\n2.5,"1,5"\n', 'x,n\n1,"12,345"\n2,"1,500"\n', 'x,n\n1,"12,5"\n2,"1,5 m"\n']
+)
+def test_commas_that_may_separate_thousands_are_kept(content, tmp_path):
+    (tmp_path / "t.csv").write_text(content)
+    table = read_table(tmp_path / "t.csv")
+    assert table["n"].dtype.kind == "U" and "sameas_notes" not in table.meta

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import os
 import shlex
 from functools import cache
@@ -117,8 +118,13 @@ def _command(name: str) -> Any:
     """A command with its options."""
     alone = typer.Typer(add_completion=False)
     function = getattr(importlib.import_module(f"sameas.cli.{name}"), name)
-    alone.command(name, cls=_Recorded, no_args_is_help=name != "picture")(function)
+    alone.command(name, cls=_Recorded, help=_unwrapped(function), no_args_is_help=name != "picture")(function)
     return typer.main.get_command(alone)
+
+
+def _unwrapped(function: Any) -> str:
+    """A docstring with each paragraph on one line: typer keeps the line breaks of all but the first."""
+    return "\n\n".join(" ".join(part.split()) for part in (inspect.getdoc(function) or "").split("\n\n"))
 
 
 def _print_version(wanted: bool) -> None:

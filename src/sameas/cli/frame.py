@@ -167,7 +167,7 @@ def _run(requests: list[FrameRequest], processes: int, again: bool, quiet: bool,
     """
     from sameas.cli.frames import identified, print_outcome, run_all
     from sameas.cli.terminal import Printer, notice, share_compilation
-    from sameas.report.frame import frame_lines, totals
+    from sameas.report.frame import frame_lines, frames_lines, totals
 
     printer = Printer(quiet)
     many = len(requests) > 1
@@ -186,6 +186,7 @@ def _run(requests: list[FrameRequest], processes: int, again: bool, quiet: bool,
     if many:
         failed, skipped = sum(o.summary is None for o in outcomes), sum(o.skipped for o in outcomes)
         printer([totals(len(outcomes) - failed - skipped, skipped, failed)])
+        printer(frames_lines([one.summary for one in outcomes if one.summary is not None]))
         if series is None:
             printer(["Each by itself; give their folder instead for a series: stars over all frames, and one page"])
     if series is not None:

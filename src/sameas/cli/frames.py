@@ -158,7 +158,7 @@ def run_all(
     """The outcomes of all frames, in the order of the frames.
 
     processes : number of worker processes. again : repeat frames that have outputs. shown : show progress rows on a
-    terminal. tell : called with each outcome when it is complete.
+    terminal. tell : called with each outcome, in that order, when it and all before it are complete.
     """
     if len(requests) == 1 or processes == 1:
         outcomes = []
@@ -188,6 +188,7 @@ def _in_processes(
         listener = threading.Thread(target=_listen, args=(stages, row), daemon=True)
         listener.start()
         futures: dict[Future[Outcome], int] = {}
+        told = 0
         try:
             with _without_interrupts():
                 for number, request in enumerate(requests):
@@ -199,8 +200,10 @@ def _in_processes(
                 except Exception as error:  # the process itself has died
                     outcome = Outcome(requests[number], None, f"{requests[number].path}: the process ended ({error})")
                 row(number, _state(outcome))
-                tell(outcome)
                 outcomes[number] = outcome
+                while told in outcomes:
+                    tell(outcomes[told])
+                    told += 1
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
             for process in multiprocessing.active_children():

@@ -384,7 +384,7 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
     from sameas.estimate.coverage import Coverage
     from sameas.report.match import coverage_lines
     from sameas.sky.crossmatch import at_common_epoch, density_doubts
-    from sameas.sky.doubts import completed
+    from sameas.sky.doubts import completed, disjoint_doubt
 
     printer = Printer(quiet)
     with Pace(quiet) as pace:
@@ -395,7 +395,10 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
         _, moved, one, two = together
         pace("densities")
         coverage = Coverage.of(one, two)
-        lines = coverage_lines(moved, coverage, assumed + density_doubts(coverage, request.options), in_options)
+        doubts = (*assumed, *density_doubts(coverage, request.options))
+        if coverage.common_volume == 0.0:
+            doubts += disjoint_doubt(first, second, one, two)
+        lines = coverage_lines(moved, coverage, doubts, in_options)
     printer([*lines, "", "Nothing was identified or written (--dry-run)."])
 
 

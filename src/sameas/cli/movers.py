@@ -139,8 +139,8 @@ def movers(
 ) -> None:
     """Find what moves: tracklets of detections, how sure each is, and each of its detections.
 
-    With --catalog the files are the frames of a series, and -o is a folder. Else give the detections of one night,
-    stars taken away; all that moves over two exposures or more is linked one to one.
+    With --catalog the files are the frames of a series, and -o is a folder. Without it they are tables of the
+    detections of one night: stationary ones are excluded, the others are linked one to one over two exposures or more.
     """
     if output is None and tracklets is None and catalog is None:
         raise typer.BadParameter("give -o OUT, the table to write", param_hint="-o")
@@ -218,7 +218,7 @@ def run_series(
     from sameas.cli.terminal import Printer, share_compilation
     from sameas.front.movers import series_movers
     from sameas.io.ades import REPORTS
-    from sameas.report.frame import report_lines
+    from sameas.report.frame import frames_lines, report_lines
 
     began, printer = clock.perf_counter(), Printer(quiet)
     options = read_options()
@@ -227,6 +227,7 @@ def run_series(
     requests = [replace(template, path=path, name=name) for path, name in zip(frames, names_of(frames), strict=True)]
     tell = partial(print_outcome, printer=printer)
     done, failed = identified(run_all(requests, processes=processes, again=False, shown=not quiet, tell=tell))
+    printer(frames_lines([one.summary for one in done]))
     movers = series_movers(done, options, failed=failed, below_limit=below_limit, say=printer)
     written = movers.write(Path(template.folder), _title(paths), template.catalogue)
     if options.observer is not None:

@@ -104,8 +104,8 @@ def one_of(names: Sequence[str] | Callable[[], Sequence[str]]) -> Callable[[str 
         if value in known:
             return value
         close = difflib.get_close_matches(value.lower(), known, n=2, cutoff=0.5)
-        hint = f"did you mean {' or '.join(close)}? " if close else ""
-        raise typer.BadParameter(f"{value!r} is not known; {hint}It is one of {', '.join(known)}.")
+        hint = f"did you mean {' or '.join(close)}? It" if close else "it"
+        raise typer.BadParameter(f"{value!r} is not known; {hint} is one of {', '.join(known)}.")
 
     return check
 

@@ -248,7 +248,7 @@ class SeriesMovers:
 
         movers, series, known, below = self.found, self.field.series, self.known, self.below
         facts = {**program(), "catalogue": catalogue}
-        tables = {"movers": movers.detection_table(), "tracklets": self.options.table(movers, known)}
+        tables = {"movers": self._detections(), "tracklets": self.options.table(movers, known)}
         if below is not None:
             tables["below-limit"] = below.table()
         in_report = None if self.options.observer is None else self.options.in_report(movers)
@@ -272,6 +272,13 @@ class SeriesMovers:
                 [self.field], draft, title, {"catalogue": catalogue}, self.failed, self.reasons, link
             )
         return written
+
+    def _detections(self) -> Table:
+        """One row per detection of a tracklet; ``measurement`` is its number in the table of its frame."""
+        table = self.found.detection_table()
+        table.rename_column("id", "measurement")
+        table.remove_column("row")
+        return table
 
     def _drawn(self, folder: Path) -> list[str]:
         """Draw the first candidate, if there is one and matplotlib is installed."""

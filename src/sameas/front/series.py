@@ -6,7 +6,6 @@ Series are made from the outputs of identified frames (:mod:`sameas.front.framin
 from __future__ import annotations
 
 import gzip
-import itertools
 import math
 import os
 import zlib
@@ -202,16 +201,7 @@ def write_folder(
     from sameas.pages.frame import series_field, write_series_page
 
     written = write_series(each, folder, facts)
-    fields = [
-        series_field(
-            one.name,
-            one.series,
-            [m.summary for m in one.members],
-            [doubts_of(m.summary) for m in one.members],
-            one.filter,
-        )
-        for one in each
-    ]
+    fields = [series_field(one.name, one.series, [m.summary for m in one.members], one.filter) for one in each]
     write_series_page(folder / "index.html", title, fields, failed=failed, reasons=reasons, movers=movers)
     return [*written, "index.html"]
 
@@ -233,9 +223,3 @@ def folder_of_series(
     say([f"{DOUBT}{reason}" for reason in reasons])
     with filling(folder) as draft:
         return write_folder(each, draft, title, facts, failed, reasons)
-
-
-def doubts_of(summary: Mapping[str, Any]) -> list[str]:
-    """The doubts in the summary of a frame."""
-    notes = itertools.chain(summary["exposure"]["read"], summary["notes"])
-    return [note for note in notes if note.startswith("doubt") or "not converged" in note]

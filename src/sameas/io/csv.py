@@ -26,7 +26,7 @@ from sameas.bounds import TEXT_UNPACKING, check_columns, unpacked
 from sameas.errors import InputError
 from sameas.io.arrow import FEW_ROWS, array_of, column_of, numbers_in
 from sameas.io.atomic import replacing, together
-from sameas.io.format import TEXT_EXTENSIONS, UTF_16, Format, in_utf_8, json_text
+from sameas.io.format import TEXT_EXTENSIONS, Format, in_utf_8, json_text, utf_16_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -70,10 +70,12 @@ def table_of(text: pa.Buffer, head: TableHead, path: Path) -> Table:
     """The table in a text with known names, delimiter and first row; column types are inferred from the cells."""
     from astropy.table import Table
 
-    content = _parsed(text, head, path)
+    content, commas = _parsed(text, head, path)
     table = Table([_column(name, content.column(i), path) for i, name in enumerate(head.names)], copy=False)
-    if unended(text):
-        table.meta["sameas_notes"] = [may_be_cut(path)]
+    notes = [f"{path}: commas within numbers are read as decimal points"] if commas else []
+    notes += [may_be_cut(path)] if unended(text) else []
+    if notes:
+        table.meta["sameas_notes"] = notes
     return table
 
 
@@ -181,7 +183,7 @@ def content_of(path: Path) -> pa.Buffer:
         return pa.py_buffer(in_utf_8(unpacked(path, TEXT_UNPACKING)))
     with pa.memory_map(os.fsencode(path)) as file:  # a file name may have bytes that are not UTF-8
         buffer = file.read_buffer()
-    return pa.py_buffer(in_utf_8(buffer.to_pybytes())) if bytes(buffer[:2]) in UTF_16 else buffer
+    return pa.py_buffer(in_utf_8(buffer.to_pybytes())) if utf_16_of(bytes(buffer[:64])) else buffer
 
 
 def _header(text: pa.Buffer, path: Path) -> TableHead:
@@ -246,11 +248,13 @@ def is_number(text: str) -> bool:
     return text.lower() not in ("nan", "inf", "infinity")
 
 
-def _parsed(text: pa.Buffer, header: TableHead, path: Path) -> pa.Table:
-    """The rows, with integers beyond 63 bits and dates kept exactly as written."""
+def _parsed(text: pa.Buffer, header: TableHead, path: Path) -> tuple[pa.Table, bool]:
+    """The rows, with integers beyond 63 bits and dates kept exactly as written; and whether decimals have commas."""
     import pyarrow as pa
 
-    content = _arrow(text, header, path, {})
+    content, point = _arrow(text, header, path, {}), "."
+    if _decimal_commas(content):
+        content, point = _arrow(text, header, path, {}, ","), ","
     again, large = {}, []
     for name, column in zip(content.column_names, content.columns, strict=True):
         if pa.types.is_temporal(column.type):
@@ -263,7 +267,29 @@ def _parsed(text: pa.Buffer, header: TableHead, path: Path) -> pa.Table:
     if large:
         spelled = _arrow(text, header, path, dict.fromkeys(large, pa.string()))
         again |= {name: pa.uint64() if _all_whole(spelled.column(name)) else pa.float64() for name in large}
-    return _arrow(text, header, path, again) if again else content
+    return _arrow(text, header, path, again, point) if again else content, point == ","
+
+
+#: A number with a comma; and one whose comma may separate thousands.
+_COMMA, _THOUSANDS = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*"), re.compile(r"\s*[+-]?\d{1,3},\d{3}\s*")
+
+
+def _decimal_commas(content: pa.Table) -> bool:
+    """Whether commas are decimal points: some columns consist of numbers with commas, not all of them with three digits
+    after it, and no number of the table has a point."""
+    import pyarrow as pa
+
+    decimal = False
+    for column in content.columns:
+        if pa.types.is_floating(column.type) and any(np.isfinite(numbers_in(chunk)).any() for chunk in column.chunks):
+            return False
+        if pa.types.is_string(column.type):
+            cells = (cell for chunk in column.chunks for cell in chunk if cell.is_valid)
+            first = next(cells, None)
+            if first is not None and _COMMA.fullmatch(first.as_py()):
+                texts = [first.as_py(), *(cell.as_py() for cell in cells)]
+                decimal |= all(map(_COMMA.fullmatch, texts)) and not all(map(_THOUSANDS.fullmatch, texts))
+    return decimal
 
 
 def _all_whole(column: pa.ChunkedArray) -> bool:
@@ -278,7 +304,9 @@ def _all_whole(column: pa.ChunkedArray) -> bool:
     return True
 
 
-def _arrow(text: pa.Buffer, header: TableHead, path: Path, kinds: Mapping[str, Any]) -> pa.Table:
+def _arrow(
+    text: pa.Buffer, header: TableHead, path: Path, kinds: Mapping[str, Any], decimal_point: str = "."
+) -> pa.Table:
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
@@ -293,7 +321,9 @@ def _arrow(text: pa.Buffer, header: TableHead, path: Path, kinds: Mapping[str, A
             pa.BufferReader(text),
             arrow_csv.ReadOptions(use_threads=threads, column_names=header.names, skip_rows=header.lines),
             arrow_csv.ParseOptions(delimiter=header.delimiter, newlines_in_values=True, invalid_row_handler=handler),
-            arrow_csv.ConvertOptions(null_values=_NULLS, strings_can_be_null=True, column_types=kinds),
+            arrow_csv.ConvertOptions(
+                null_values=_NULLS, strings_can_be_null=True, column_types=kinds, decimal_point=decimal_point
+            ),
         )
 
     if not _has_rows(text, header):

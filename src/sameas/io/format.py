@@ -179,17 +179,42 @@ def unit_of(text: str, format: str | None = None) -> UnitBase:
 # NumPy converts cell by cell; nearly all text in catalogues is ASCII, where it is enough to widen the bytes.
 
 
+#: Bytes from which UTF-16 without a byte order mark is recognised, and the least of them.
+_MARKLESS_BYTES, _LEAST_BYTES = 64, 8
+#: Least share of Latin letters among the first letters of a text (chosen; names of columns are Latin).
+_LATIN = 0.75
+_PRINTED = frozenset(b"\t\n\r") | frozenset(range(32, 127))
+
+
+def utf_16_of(first: bytes) -> str | None:
+    """The variant of UTF-16 of a text by its first bytes: with a byte order mark, or without one if it begins with
+    mostly Latin letters, every other byte of which is 0. None for other bytes.
+
+    >>> utf_16_of("ra,dec".encode("utf-16")), utf_16_of("ra,dec".encode("utf-16-be")), utf_16_of(b"ra,dec")
+    ('utf-16', 'utf-16-be', None)
+    """
+    if first[:2] in UTF_16:
+        return "utf-16"
+    start = first[:_MARKLESS_BYTES]
+    for codec, letters, zeros in (("utf-16-le", start[::2], start[1::2]), ("utf-16-be", start[1::2], start[::2])):
+        latin = sum(high == 0 and low in _PRINTED for low, high in zip(letters, zeros, strict=False))
+        if len(start) >= _LEAST_BYTES and 0 not in letters and latin >= _LATIN * len(zeros):
+            return codec
+    return None
+
+
 def in_utf_8(content: bytes) -> bytes:
     """UTF-16 text, as spreadsheets and Windows save it, in UTF-8; all other bytes unchanged.
 
     >>> in_utf_8("ra,dec".encode("utf-16")), in_utf_8(b"ra,dec")
     (b'ra,dec', b'ra,dec')
     """
-    if content[:2] not in UTF_16:
+    codec = utf_16_of(content)
+    if codec is None:
         return content
     try:
         # Of the beginning of a file, the last letter may be half.
-        text = codecs.getincrementaldecoder("utf-16")().decode(content)
+        text = codecs.getincrementaldecoder(codec)().decode(content)
     except UnicodeDecodeError:
         return content
     return content if "\0" in text else text.encode("utf-8", "replace")

@@ -17,7 +17,7 @@ from sameas.errors import Argument, InputError, Message, first_line, printable, 
 from sameas.io import ascii as text
 from sameas.io import csv, ecsv, fits, parquet, votable
 from sameas.io.atomic import replacing
-from sameas.io.format import TEXT_EXTENSIONS, UTF_16, Format, LazyTable, in_utf_8, plain
+from sameas.io.format import TEXT_EXTENSIONS, Format, LazyTable, in_utf_8, plain, utf_16_of
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -100,7 +100,7 @@ def kind_of(first: bytes) -> str | None:
         return "an XML file without a table"
     if text.startswith((b"{", b"[{")):
         return "a JSON file"
-    if first.startswith(UTF_16):
+    if utf_16_of(first):
         return _UTF_16
     return "a binary file" if b"\x00" in first else None
 

@@ -18,7 +18,7 @@ from sameas.arrays import ABSENT, BoolArray, IntArray
 from sameas.io.atomic import replacing
 from sameas.pages import asset, column, page_of, png, rounded, script_safe
 from sameas.plots.frame import binned, binning, stretched
-from sameas.report.frame import reasons
+from sameas.report.frame import doubts_of, doubts_of_frames, reasons
 from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
@@ -288,7 +288,7 @@ def _known(movers: Movers, known: KnownObjects | None, k: int) -> dict[str, Any]
     east, north = known.mean_offset(movers, k)
     return {
         "name": known.name(k), "p": float(known.p[k]), "east": rounded(east, 3), "north": rounded(north, 3),
-        "v": rounded(known.magnitude[k], 2),
+        "v": rounded(known.magnitude[k], 1),
     }  # fmt: skip
 
 
@@ -306,13 +306,8 @@ def _sheet(cuts: NDArray[np.float32], top: float) -> dict[str, Any]:
 MAX_STARS, MIN_CONSTANT = 600, 200
 
 
-def series_field(
-    name: str, series: Series, summary: Sequence[Mapping[str, Any]], doubts: Sequence[Sequence[str]], filter: str = ""
-) -> dict[str, Any]:
-    """The data of one series for the page.
-
-    summary : of each frame, doubts : of each frame, both in the order of time.
-    """
+def series_field(name: str, series: Series, summaries: Sequence[Mapping[str, Any]], filter: str = "") -> dict[str, Any]:
+    """The data of one series for the page. summaries : of the frames in the order of time."""
     from sameas.sky.series import MIN_FLOOR_ARCSEC
 
     stars = series.stars
@@ -328,13 +323,14 @@ def series_field(
             "scatter": rounded(series.floor_arcsec[k], 3),
             "below": bool(series.floor_arcsec[k] <= MIN_FLOOR_ARCSEC),
             "width": rounded(one.get("psf_fwhm_px") or np.nan, 2),
-            "shift": column(series.shift_arcsec[k], 5), "doubts": list(doubts[k]),
+            "shift": column(series.shift_arcsec[k], 5), "doubts": len(doubts_of(one)),
         }
-        for k, (one, exposure) in enumerate(zip(summary, series.exposures, strict=True))
+        for k, (one, exposure) in enumerate(zip(summaries, series.exposures, strict=True))
     ]  # fmt: skip
     return {
         "name": name, "filter": filter, "middle": list(series.middle_deg), "frames": frames, "count": len(stars),
-        "scale": stars.scale, "floor": rounded(stars.floor_mag, 5), "notes": list(series.notes),
+        "scale": stars.scale, "floor": rounded(stars.floor_mag, 5),
+        "notes": [*series.notes, *doubts_of_frames(summaries)],
         "stars": {
             "number": shown.tolist(), "id": stars.name[shown].tolist(), "ra": column(ra, 6), "dec": column(dec, 6),
             "mag": column(stars.mean[shown], 3), "scatter": column(stars.scatter_mag[shown], 5),

@@ -13,7 +13,7 @@ function frames() {
     first.title = f.name;
     const number = w => cell("td", w, "number");
     tr.append(first, cell("td", clock(f.mjd)), number(grouped(f.measured)), number(grouped(f.identified)), number(grouped(f.missing)),
-      number(f.zero === null ? "–" : `${fix(f.zero, 3)} ± ${fix(f.zero_err, 3)}`), number(`${f.below ? "≤ " : ""}${fix(f.scatter, 3)}″`), number(`${fix(f.width, 1)} px`), cell("td", f.doubts.length ? `${f.doubts.length}, below` : "none", f.doubts.length ? "doubt" : ""));
+      number(f.zero === null ? "–" : `${fix(f.zero, 3)} ± ${fix(f.zero_err, 3)}`), number(`${f.below ? "≤ " : ""}${fix(f.scatter, 3)}″`), number(`${fix(f.width, 1)} px`), cell("td", f.doubts ? `${f.doubts}, below` : "none", f.doubts ? "doubt" : ""));
     return tr; });
   const failed = data.failed.map(([name, why]) => { const tr = document.createElement("tr"), words = cell("td", why); tr.className = "failed"; words.colSpan = 8; tr.append(cell("td", name), words); return tr; });
   el("frames").replaceChildren(head, ...rows, ...failed);
@@ -51,11 +51,7 @@ function star() {
   overTime("residuals", [[s.de[k].map((v, n) => [t[n], v]).filter(p => p[1] !== null), colour.east], [s.dn[k].map((v, n) => [t[n], v]).filter(p => p[1] !== null), colour.north]], "residual [″]");
 }
 function notes() {
-  // A doubt about several frames that differs in numbers only is listed once.
-  const alike = new Map(), plain = d => d.replace(/^doubt: /, "");
-  for (const f of field ? field.frames : []) for (const d of f.doubts) { const key = d.replace(/[0-9.e]+/g, "#"); alike.set(key, [...(alike.get(key) ?? []), `${f.name}: ${plain(d)}`]); }
-  const doubts = [...alike.values()].map(d => d.length > 1 ? `${d.length} frames, the first ${d[0]}` : d[0]);
-  const list = [...(field ? field.notes : []), ...doubts, ...data.reasons];
+  const list = [...(field ? field.notes : []), ...data.reasons];
   el("notes").replaceChildren(...(list.length ? list : ["nothing"]).map(n => text("li", n, list.length ? "doubt" : "")));
 }
 function show(f) {

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -75,6 +76,29 @@ def one_line(name: str, summary: Mapping[str, Any], state: str) -> str:
         f"{name}: {words}, {count(counts['missing'])} missing, scatter {_scatter(summary)}, "
         f"{place['scale_arcsec_per_px']:.4f}″/px, odds {place['odds']}; {state}"
     )
+
+
+def frames_lines(summaries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What is alike on several frames: the interpretation of their catalogue, and the doubts."""
+    if not summaries:
+        return []
+    understood = _understood(summaries[0])
+    return [*(["", *understood[:-1]] if understood else []), *(DOUBT + doubt for doubt in doubts_of_frames(summaries))]
+
+
+def doubts_of(summary: Mapping[str, Any]) -> list[str]:
+    """The doubts in the summary of a frame."""
+    notes = (*summary["exposure"]["read"], *summary["notes"])
+    return [note.removeprefix("doubt: ") for note in notes if note.startswith("doubt") or "not converged" in note]
+
+
+def doubts_of_frames(summaries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The doubts of several frames; those that differ in numbers only are one."""
+    alike: dict[str, list[str]] = {}
+    for summary in summaries:
+        for doubt in doubts_of(summary):
+            alike.setdefault(re.sub(r"[0-9.e]+", "#", doubt), []).append(f"{summary['frame']}: {doubt}")
+    return [f"{len(same)} frames, the first {same[0]}" if len(same) > 1 else same[0] for same in alike.values()]
 
 
 def totals(done: int, skipped: int, failed: int) -> str:
@@ -225,9 +249,9 @@ def model_lines(movers: Movers) -> list[str]:
     top = int(np.argmax(m.rates.share))
     sigma = np.sqrt(np.diag(m.rates.covariance[top]))
     return [
-        f"Model: an exposure shows {100 * m.p_detect:.0f} % of the movers in its field; rates within "
-        f"{sigma[0]:.2f} and {sigma[1]:.2f} ″/min (ecliptic longitude, latitude)",
-        "  of a main-belt orbit's",
+        f"Model: an exposure shows {100 * m.p_detect:.0f} % of the movers in its field; their rates scatter by "
+        f"{sigma[0]:.2f} and {sigma[1]:.2f} ″/min",
+        "  about that of a main-belt orbit (ecliptic longitude, latitude)",
     ]
 
 

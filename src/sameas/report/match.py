@@ -477,7 +477,7 @@ def _errors_in_words(match: SkyMatch) -> str:
     if scale is None and len(scales) == 1 and not e.errors.as_modelled:
         return "taken as quoted" if scales[0] == 1.0 else f"{scales[0]:g} times the quoted ones"
     words = f"typically {e.typical_scale:.2f} times the quoted ones" if scale is None else quoted_errors(scale)
-    if e.tail is None:
+    if e.tail is None or e.tail.share.value < 2.0 * e.tail.share.standard_error:  # few pairs do not show one
         return words
     far = f"{_share(e.tail.share)} of the pairs have errors about {times(e.tail.factor)} times the quoted ones"
     return f"{words}; a tail: {far}"

@@ -310,7 +310,7 @@ def at_common_epoch(
         if not len(records):
             counts = records.set_aside.counts()
             reasons = ", ".join(f"{reason} ({n})" for reason, n in counts.items())
-            remedy = naming("an error of 0 counts as none: give {sigma:ARCSEC}") if "no error" in counts else ""
+            remedy = naming("an error of 0 or less counts as none: give {sigma:ARCSEC}") if "no error" in counts else ""
             message = f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}"
             raise InputError(message, remedy, source=catalogue.name)
     return epoch, note, one, two
@@ -466,11 +466,12 @@ def _blend_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]
             count, within, sigmas = blends
             one, other = coarse.source, fine.source
             first = "" if coarse is result.first else f"; {one} must then be the first catalogue"
-            doubts.append(
+            seen = (
                 f"{one} may show two objects of {other} as one: within {within:.2g} arcsec of {count} of its pairs "
                 f"lies one of {other} without partner, and residuals point there ({sigmas:.0f} standard errors): "
-                f"`blends`, with the resolution of {one} in arcsec, lists them{first}"
             )
+            remedy = naming("{blends}"), f", with the resolution of {one} in arcsec, lists them{first}"
+            doubts.append(Message(seen, *remedy))
     return tuple(doubts)
 
 

@@ -27,6 +27,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.estimate.match import match
+from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors
 from sameas.gaussian import inverse, mahalanobis_sq, propagated
 from sameas.records import Records
@@ -94,7 +95,8 @@ class Rotation:
 
     def __str__(self) -> str:
         """The shift and rotation to be added to the second catalogue at the centre."""
-        east, north, about = (f"{v:+.4g} ± {e:.2g}" for v, e in zip(self.vector, self.standard_errors, strict=True))
+        each = (Quantity(float(v), float(e)) for v, e in zip(self.vector, self.standard_errors, strict=True))
+        east, north, about = (str(one) if str(one).startswith("-") else f"+{one}" for one in each)
         lon, lat = self.centre_deg
         return f"{east} arcsec east, {north} north, rotated by {about} arcsec about RA {lon:.3f}°, Dec {lat:+.3f}°"
 

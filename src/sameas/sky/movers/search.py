@@ -484,7 +484,8 @@ MOTION_TUNING = Tuning(min_log_ratio=-14.0)
 
 
 def unexplained_detections(series: Series) -> Detections:
-    """The detections of a series that are not explained otherwise; ``rows`` are rows of the series."""
+    """The detections of a series that are not explained otherwise; ``rows`` are rows of the series, ``ids`` the numbers
+    of the measurements in the tables of their frames."""
     at = np.flatnonzero(series.unexplained)
     ra, dec = series.sky(series.place[at])
     mjd = np.array([e.mjd_utc for e in series.exposures])[series.frame[at]]
@@ -496,7 +497,7 @@ def unexplained_detections(series: Series) -> Detections:
     )  # fmt: skip
     names = tuple(series.exposures[int(k)].name for k in seen.frame_names)
     rows = at[seen.rows]
-    return replace(seen, rows=rows, ids=rows, frame_names=names, trail=_trail_rates(series, rows))
+    return replace(seen, rows=rows, ids=series.row[rows], frame_names=names, trail=_trail_rates(series, rows))
 
 
 def _trail_rates(series: Series, rows: IntArray) -> TrailRates | None:
