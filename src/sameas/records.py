@@ -326,7 +326,7 @@ def _checked_ids(ids: Sequence[Any] | NDArray[Any] | None, n: int, source: str) 
         twice = ordered[same[0]]
         rows = np.flatnonzero(array.astype(ordered.dtype) == twice)
         raise InputError(
-            f"{source}: {counted(len(same), 'id is', 'ids are')} not unique (first: {twice!s} in rows {rows[0]} and {rows[1]}); "
-            "give a unique id column, or none to number the rows"
+            f"{source}: {counted(len(same), 'id is', 'ids are')} not unique "
+            f"(first: {twice!s} in rows {rows[0]} and {rows[1]}); give a unique id column, or none to number the rows"
         )
     return array

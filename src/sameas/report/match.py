@@ -412,9 +412,12 @@ def _brightness(match: SkyMatch) -> list[str]:
             lines += entry("completeness", f"of {mine.name} {other.name} shows {_completeness(curve)}")
     weights = ", ".join(f"{name} {value:.1f}" for name, value in e.decisive.items() if value)
     if weights:
-        changed = [f"; brightness changes {count(e.changed_by_brightness)} answers"] if e.photometry is not None else []
+        changed = (
+            [f"; brightness changes {counted(e.changed_by_brightness, 'answer')}"] if e.photometry is not None else []
+        )
         if "precision" in e.decisive:
-            changed.append(f"; precision, the sizes of the quoted errors, changes {count(e.changed_by_precision)}")
+            precision = counted(e.changed_by_precision, "answer")
+            changed.append(f"; precision, the sizes of the quoted errors, changes {precision}")
         lines += entry("what decides", f"median |ln odds| over the identified: {weights}{''.join(changed)}")
     return lines
 
