@@ -25,13 +25,14 @@ def pairs(path):
 
 @pytest.mark.slow
 def test_blends_are_written_next_to_the_joined_table(tmp_path, sameas, refusal):
-    made = blended_field(np.random.default_rng(6), objects=300)
+    made = blended_field(np.random.default_rng(7), objects=1000)
     files = [tmp_path / "coarse.csv", tmp_path / "fine.csv"]
     for records, path in zip((made.first, made.second), files, strict=True):
         ra, dec = records.features.T
         Table({"ra": ra, "dec": dec, "sigma": np.sqrt(records.covariance[:, 0])}).write(path)
     out = tmp_path / "out.fits"
     text = sameas("match", *files, "-o", out, "--sigma", "sigma", "--blends", "6").stdout
+    assert "--blends, with the resolution of coarse in arcsec, lists them" in " ".join(text.split())
     facts = read_table(tmp_path / "out-blends.fits")
     two = np.flatnonzero(~np.ma.getmaskarray(facts["row_2b"]))
     assert f"at 6 arcsec {len(two)} of {len(made.first)} records are two objects" in text and len(two) > 5
@@ -141,6 +142,14 @@ def test_a_dry_run_prints_its_interpretation_and_writes_nothing(tmp_path, sameas
     text = sameas("match", *field_files, "-o", tmp_path / "out.fits", "--dry-run").stdout
     assert "mean density there" in text and "Nothing was identified or written" in text
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dry_run_doubts_fields_that_lie_apart(tmp_path, sameas, field_files):
+    """Only the match itself said so."""
+    table = field(120, 2)
+    table["ra"] = table["ra"] / 15.0
+    text = " ".join(sameas("match", save(table, tmp_path / "hours.csv"), field_files[1], "--dry-run").stdout.split())
+    assert "the fields lie apart" in text and "in hours, ra of hours would lie in the field" in text
 
 
 @pytest.mark.slow

@@ -393,7 +393,7 @@ def test_duplicate_ids_are_replaced_unless_given_by_the_user() -> None:
     source = catalogue(table, sigma=1)
     assert list(source.ids) == [0, 1]
     assert "id: name is not unique, so rows are numbered" in source.interpretation
-    with pytest.raises(InputError, match="ids are not unique"):
+    with pytest.raises(InputError, match="1 id is not unique"):
         catalogue(table, sigma=1, id="name").records()
 
 

@@ -77,6 +77,12 @@ def test_standard_errors_are_those_of_repeated_trials():
     assert 0.75 < np.sqrt(np.mean(np.square(pulls))) < 1.35
 
 
+def test_a_rotation_is_shown_with_the_digits_of_its_errors():
+    rotation = Rotation((11.8, 85.2), np.array([-1.054e-4, -0.02352, 2.944]), np.diag([0.0015, 0.0015, 0.28]) ** 2)
+    shift = "-0.0001 ± 0.0015 arcsec east, -0.0235 ± 0.0015 north"
+    assert str(rotation) == f"{shift}, rotated by +2.94 ± 0.28 arcsec about RA 11.800°, Dec +85.200°"
+
+
 @pytest.mark.slow
 def test_unrelated_catalogues_are_reported():
     one, two = scene(Cap(10.0, 0.0, 0.3), 40, 1), scene(Cap(10.0, 0.0, 0.3), 40, 2)
