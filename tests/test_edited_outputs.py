@@ -142,7 +142,7 @@ def test_a_damaged_list_of_partitions_is_refused(name, content, words, tmp_path)
 def test_addresses_without_a_valid_port_are_refused(url):
     from dataclasses import replace
 
-    from sameas.live.keeper import _wires
+    from sameas.live.keeper import Keeper
     from sameas.live.outputs import sinks_of
 
     with pytest.raises(InputError, match="cannot be sent to"):
@@ -150,4 +150,4 @@ def test_addresses_without_a_valid_port_are_refused(url):
     given = settings()
     sources = {name: replace(source, url=url) for name, source in given.sources.items()}
     with pytest.raises(InputError, match="cannot be listened to"):
-        _wires(replace(given, sources=sources), float)
+        Keeper(replace(given, sources=sources))

@@ -109,5 +109,5 @@ def keeper(tmp_path):
     # Long enough for a busy machine: a replay that has ended shows no ships.
     made = Keeper(settings(), tmp_path / "state", replay=replay(until_s=2400.0))
     yield made
-    if made.journal is not None:
+    if made.store.journal is not None:
         made.close()

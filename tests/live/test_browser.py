@@ -235,7 +235,7 @@ def test_a_crowd_of_forged_ships_is_folded_and_hides_no_other_alarm(keeper, tmp_
     silent = Alarm("silent coast", "source", "coast has sent no report")
     forged = [Alarm(f"identity mmsi {k}", "identity", f"MMSI {k} is forged") for k in range(130)]
     ticks = iter([[silent]])
-    monkeypatch.setattr("sameas.live.keeper._identity_alarms", lambda state: next(ticks, [silent, *forged]))
+    monkeypatch.setattr("sameas.live.keeper.identity_alarms", lambda state: next(ticks, [silent, *forged]))
     with served(keeper) as url:
         page = Browser(tmp_path / "profile", url)
         try:

@@ -60,7 +60,7 @@ def charted(tmp_path, chart):
     """A keeper whose map has the chart."""
     made = Keeper(settings(chart=(str(chart),)), tmp_path / "state", replay=replay(until_s=2400.0))
     yield made
-    if made.journal is not None:
+    if made.store.journal is not None:
         made.close()
 
 

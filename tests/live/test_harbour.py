@@ -60,7 +60,7 @@ class Sea:
     def add(self, source, kind, rows, time_s):
         if rows:
             columns = {name: [row[name] for row in rows] for name in rows[0]}
-            self.keeper._add(source, Reports.of(source, kind, columns), time_s)
+            self.keeper.reception.add(source, Reports.of(source, kind, columns), time_s)
 
     def ais(self, t, mmsi, place, speed):
         # Errors of a receiver that move slowly, and a speed in tenths of a knot.

@@ -26,10 +26,10 @@ from sameas.errors import InputError
 from sameas.io import read_table
 from sameas.live.inputs import SteadyClock
 from sameas.live.journal import LAYOUT, Journal, load_state
-from sameas.live.keeper import Delta, Keeper
+from sameas.live.keeper import Keeper
 from sameas.live.outputs import sentence
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings, read_settings
-from sameas.live.situation import Alarm
+from sameas.live.situation import Alarm, Delta
 from sameas.tracks import Description, Site
 from sameas.tracks.reports import Reports
 
@@ -201,7 +201,7 @@ def test_an_approaching_ship_that_no_source_shows_any_more_is_an_alarm(beside_m)
     def report(t, mmsi, east):
         row: dict[str, Any] = {"time_s": [START_S + t], "lat_deg": [50.0 + (8000.0 - 10.0 * t) / 111_240.0]}
         row |= {"lon_deg": [-1.0 + east / 71_695.7], "mmsi": [mmsi], "vx_m_per_s": [0.0], "vy_m_per_s": [-10.0]}
-        keeper._add("ais", Reports.of("ais", "ais", row), START_S + t)
+        keeper.reception.add("ais", Reports.of("ais", "ais", row), START_S + t)
 
     first_s = np.inf
     for t in np.arange(0.0, 300.0, 10.0):
@@ -229,56 +229,6 @@ def test_a_ship_under_way_is_warned_of_approaches_and_one_in_port_is_not(knots, 
         keeper.picture.add("ais", Reports.of("ais", "ais", row))
 
     assert approach(OwnShip(mmsi="235000009"), also=moved) == kinds
-
-
-def test_the_terminal_shows_an_alarm_once_however_long_the_ticks_are():
-    from sameas.cli.watch import _News
-
-    keeper = Keeper(settings(), replay=replay())
-    news = _News(keeper)
-    for t in (0.0, 30.0, 60.0):
-        keeper._raise_alarms([Alarm("cpa 1", "cpa", "A will pass at 100 m in 2.0 min", (1,))], START_S + t)
-        keeper._raise_alarms([Alarm("cpa 1", "cpa", "A will pass at 100 m in 1.5 min", (1,))], START_S + t)
-    assert sum("will pass" in line for line in news()) == 1 and not news()
-    keeper.close()
-
-
-def test_a_flood_of_alarms_is_a_few_lines_with_a_count_and_hides_no_other_alarm():
-    from sameas.cli.watch import _News
-
-    keeper, clock = Keeper(settings(), replay=replay()), [0.0]
-    news = _News(keeper, clock=lambda: clock[0])
-    forged = [Alarm(f"identity mmsi {k}", "identity", f"MMSI {k} is forged", (k,)) for k in range(400)]
-    keeper._raise_alarms([*forged[:350], Alarm("silent radar", "source", "radar is silent")], START_S)
-    lines = news()
-    assert [line.endswith(f" MMSI {k} is forged") for k, line in enumerate(lines)] == [True] * 5 + [False, False]
-    assert "radar is silent" in lines[5] and "and 345 more of identity" in lines[6]
-    # Further ones within the minute are one line at its end.
-    clock[0] = 30.0
-    keeper._raise_alarms(forged[350:], START_S + 30.0)
-    assert news() == []
-    clock[0] = 61.0
-    [line] = news()
-    assert "and 50 more of identity" in line
-    clock[0] = 130.0
-    keeper._raise_alarms([Alarm("identity mmsi 500", "identity", "MMSI 500 is forged", (1,))], START_S + 130.0)
-    assert len(news()) == 1
-    keeper.close()
-
-
-def test_every_second_names_the_most_urgent_approaches():
-    """An approach is a danger of its own, whatever began a while ago."""
-    from sameas.cli.watch import _News
-
-    keeper, clock = Keeper(settings(), replay=replay()), [0.0]
-    news = _News(keeper, clock=lambda: clock[0])
-    fleet = [Alarm(f"cpa {k}", "cpa", f"{k} will pass", (k,)) for k in range(100)]
-    keeper._raise_alarms(fleet[:90], START_S)
-    assert len(news()) == 6
-    clock[0] = 1.0
-    keeper._raise_alarms(fleet[90:91], START_S + 1.0)
-    assert len(news()) == 1
-    keeper.close()
 
 
 def listening(tmp_path, clock, folder=None):
@@ -509,10 +459,10 @@ def test_a_replay_skips_nothing_while_kernels_are_compiled(tmp_path, monkeypatch
 
 def test_unusable_reports_do_not_stop_the_keeper(keeper):
     ticked(keeper, 20.0)
-    keeper._add("radar", Reports.of("radar", "table", {"time_s": [START_S], "x_m": [0.0], "y_m": [0.0]}), 0.0)
+    keeper.reception.add("radar", Reports.of("radar", "table", {"time_s": [START_S], "x_m": [0.0], "y_m": [0.0]}), 0.0)
     assert keeper.health()["sources"]["radar"]["refused"] == 0 or keeper.health()["sources"]["radar"]["error"]
     keeper.picture.advance = lambda instant_s: 1 / 0
-    assert keeper.tick(START_S + 22.0) is None and keeper.counters["faults"] == 1
+    assert keeper.tick(START_S + 22.0) is None and keeper.failed_ticks == 1
     del keeper.picture.advance
     assert keeper.tick(START_S + 24.0) is not None
     keeper.close()
@@ -527,12 +477,12 @@ def test_a_failed_registration_or_search_does_not_stop_the_keeper(tmp_path, monk
         monkeypatch.setattr(f"sameas.{name}", failing)
     keeper = Keeper(settings(register_every_s=0.1, faults_every_s=0.1, every_s=0.05), tmp_path, replay=replay())
     asyncio.run(keeper.run(until=lambda: keeper._tick >= 3))
-    assert keeper.journal is None and load_state(tmp_path)["tick"] == 3
+    assert keeper.store.journal is None and load_state(tmp_path)["tick"] == 3
     # Nor does an exception that the keeper does not catch.
     monkeypatch.setattr(Keeper, "register", failing)
     again = Keeper(settings(register_every_s=0.1, every_s=0.05), tmp_path, replay=replay())
     asyncio.run(again.run(until=lambda: again._tick >= 6))
-    assert again.restored and again.journal is None and load_state(tmp_path)["tick"] == 6
+    assert again.restored and again.store.journal is None and load_state(tmp_path)["tick"] == 6
 
 
 def test_a_damaged_state_is_refused(tmp_path):
@@ -656,10 +606,10 @@ def test_memory_stays_constant_over_an_hour_at_hundredfold_pace(tmp_path):
         keeper.tick(START_S + 5.0 * k)
         if k == 300:  # a source stops, and returns as a flood
             flood = made["radar"].where(np.flatnonzero(made["radar"].time_s > START_S + 1400.0)[:5000])
-            keeper._add("radar", flood, time.time())
+            keeper.reception.add("radar", flood, time.time())
         sizes.append(process.memory_info().rss / 1e6)
     assert sizes[-1] - sizes[360] < 30.0
-    assert len(numbers(keeper.situation)) == 5 and keeper.counters["faults"] == 0
+    assert len(numbers(keeper.situation)) == 5 and keeper.failed_ticks == 0
     keeper.close()
 
 
@@ -676,7 +626,7 @@ def test_a_state_that_cannot_be_saved_is_said_once_while_the_journal_can(tmp_pat
     assert all(any(alarm.key == "folder" for alarm in situation.alarms) for situation in situations[1:])
     monkeypatch.undo()
     keeper.tick(START_S + 12.0)
-    assert keeper._refusal == ""
+    assert keeper.store.refusal == ""
     keeper.close()
 
 
@@ -695,19 +645,19 @@ def test_a_full_disk_is_an_alarm_and_missing_entries_are_written_later(tmp_path)
     one, two = (Keeper(settings(), tmp_path / name, replay=replay()) for name in ("one", "two"))
     ticked(one, 60.0)
     ticked(two, 20.0)
-    [pages] = two.journal._base.execute("PRAGMA page_count").fetchone()
-    two.journal._base.execute(f"PRAGMA max_page_count = {pages}")
+    [pages] = two.store.journal._base.execute("PRAGMA page_count").fetchone()
+    two.store.journal._base.execute(f"PRAGMA max_page_count = {pages}")
     big = Alarm("flood", "source", "x" * 100_000)
-    assert two._try_journal(lambda journal: journal.alarm(big, 0.0)) is None
+    assert two.store.attempt(lambda journal: journal.alarm(big, 0.0)) is None
     situation = two.tick(START_S + 22.0)
     assert [alarm.text for alarm in situation.alarms if alarm.key == "folder"] == [
         f"{tmp_path / 'two'} cannot be written; events are not saved: database or disk is full"
     ]
     listed = {alarm["key"]: alarm["id"] for alarm in two.alarm_list()}
     assert "folder" in listed and not two.acknowledge(-1, "me")
-    two.journal._base.execute("PRAGMA max_page_count = 1000000")
+    two.store.journal._base.execute("PRAGMA max_page_count = 1000000")
     ticked(two, 60.0, 22.0)
-    assert not two._refusal
+    assert not two.store.refusal
     one.close()
     two.close()
     (joined, _, objects), (joined_2, alarms, objects_2) = events(tmp_path / "one"), events(tmp_path / "two")
@@ -849,29 +799,3 @@ def test_the_jitter_of_a_position_alongside_is_no_speed_and_a_measured_speed_is_
     assert own_ship_at(keeper, now, 33.1) is not None
     assert words not in [alarm.text for alarm in keeper.situation.alarms]
     keeper.close()
-
-
-def test_alarms_without_a_folder_are_acknowledged_and_kept_when_they_end():
-    keeper = Keeper(settings(), replay=replay())
-    alarm = Alarm("cpa 1", "cpa", "A will pass at 100 m in 2.0 min", (1,))
-    ticked(keeper, 2.0)
-    keeper._raise_alarms([alarm], START_S + 2.0)
-    [one] = keeper.alarm_list()
-    assert (one["text"], one["objects"], one["active"], one["acknowledged_by"]) == (alarm.text, [1], 1, None)
-    assert keeper.acknowledge(one["id"], "mate") and not keeper.acknowledge(one["id"], "mate")
-    assert keeper.alarm_list()[0]["acknowledged_by"] == "mate"
-    keeper._raise_alarms([], START_S + 60.0)
-    [one] = keeper.alarm_list()
-    assert (one["active"], one["acknowledged_by"], one["last_s"]) == (0, "mate", START_S + 2.0)
-    # One that begins again is another.
-    keeper._raise_alarms([alarm], START_S + 90.0)
-    assert [one["active"] for one in keeper.alarm_list()] == [1, 0]
-    keeper.close()
-
-
-def test_an_alarm_that_is_none_is_not_acknowledged(tmp_path):
-    for folder in (tmp_path, None):
-        keeper = Keeper(settings(), folder, replay=replay())
-        assert not any(keeper.acknowledge(number, "mate") for number in (7, 2**63, -(10**30)))
-        assert not keeper._refusal
-        keeper.close()

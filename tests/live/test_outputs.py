@@ -25,7 +25,7 @@ from sameas.live.outputs import (
     nmea,
     sinks_of,
 )
-from sameas.live.situation import OwnShipState
+from sameas.live.own_ship import OwnShipState
 from sameas.tracks.heights import GEOMETRIC, PRESSURE, HeightModel, _Line
 
 

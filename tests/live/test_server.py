@@ -16,10 +16,11 @@ import pytest
 from tests.live.conftest import EVIL, START_S, descriptions, replay, served
 
 from sameas.cli.watch import _addresses, _source_lines
-from sameas.live.keeper import Delta, Keeper
+from sameas.live.keeper import Keeper
 from sameas.live.outputs import metrics
 from sameas.live.server import Access, _event
 from sameas.live.settings import LiveSource, Settings, WatchSettings
+from sameas.live.situation import Delta
 from sameas.picture.live import Registered
 from sameas.registration import Parameter
 from sameas.tracks import Timing

@@ -11,7 +11,7 @@ import signal
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
     import uvicorn
 
-    from sameas.live.inputs import Playback, Replay
+    from sameas.live.alarms import AlarmLog
+    from sameas.live.inputs import Playback, Replay, Wire
     from sameas.live.keeper import Keeper
     from sameas.live.server import Access
     from sameas.live.settings import Settings
@@ -299,14 +300,16 @@ class _News:
     own, and those after them a count. An approach is a danger of its own: of these every call names the first.
     """
 
-    def __init__(self, keeper: Keeper, clock: Callable[[], float] = time.monotonic) -> None:
-        self.keeper, self.clock = keeper, clock
+    def __init__(
+        self, wires: Mapping[str, Wire], alarms: AlarmLog, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.wires, self.alarms, self.clock = wires, alarms, clock
         self.connections: dict[str, tuple[str, int]] = {}
         self.crowds: dict[str, _Crowd] = defaultdict(_Crowd)
 
     def __call__(self) -> list[str]:
         lines, now_s = [], self.clock()
-        for url, wire in self.keeper.wires.items():
+        for url, wire in self.wires.items():
             words, connection = str(wire.state), (str(wire.state), wire.state.connections)
             if words and connection != self.connections.get(url):
                 self.connections[url] = connection
@@ -314,8 +317,8 @@ class _News:
         for condition, crowd in self.crowds.items():
             if condition == "cpa" or now_s - crowd.since_s >= CROWD_S:
                 crowd.named, crowd.since_s = 0, now_s
-        while self.keeper.begun:
-            time_s, alarm = self.keeper.begun.popleft()
+        while self.alarms.begun:
+            time_s, alarm = self.alarms.begun.popleft()
             crowd = self.crowds[alarm.condition]
             if crowd.named == 0:
                 crowd.since_s = now_s
@@ -363,7 +366,7 @@ async def _run(
         server[0].install_signal_handlers = lambda: None  # type: ignore[attr-defined]  # of older versions
         server[0].capture_signals = contextlib.nullcontext  # type: ignore[method-assign,assignment]
         served = asyncio.create_task(server[0].serve(sockets=[server[1]]))
-    news = _News(keeper)
+    news = _News(keeper.wires, keeper.alarms)
 
     async def tell() -> None:
         while True:

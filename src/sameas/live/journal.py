@@ -4,17 +4,20 @@ Table ``identities`` has a row each time a track joins or leaves an object, ``ob
 object, ``alarms`` every alarm, who acknowledged it and when. SQLite runs in WAL mode: readers, and a restart after a
 kill, see complete ticks only. The state file is replaced atomically. Rows not yet archived, at most ten minutes of
 them, are lost when the process is killed. Only one watch may use a folder.
+
+:class:`Store` is what a running watch writes through: a full disk does not end it.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,6 +28,8 @@ from sameas.io.saved import dumps, loads
 from sameas.live.situation import Alarm, Situation
 from sameas.picture.picture import Columns, gathered
 
+T = TypeVar("T")
+LOG = logging.getLogger("sameas.live")
 _TABLES = """
 CREATE TABLE IF NOT EXISTS objects (object INTEGER PRIMARY KEY, first_s REAL, last_s REAL, confirmed INTEGER,
     label TEXT, mmsi TEXT, icao TEXT, callsign TEXT, name TEXT, type TEXT);
@@ -221,6 +226,64 @@ class Journal:
         finally:
             self._base.close()
             self._lock.close()
+
+
+class Store:
+    """The folder of a watch. A write that the disk refuses does not end the watch: it is tried again when due.
+
+    Parameters
+    ----------
+    folder : None: nothing is written. archive_every_s : as of :class:`Journal`.
+
+    Attributes
+    ----------
+    journal : None without a folder, and once it is closed.
+    """
+
+    def __init__(self, folder: Path | None, *, archive_every_s: float = 10.0) -> None:
+        self.folder = folder
+        self.journal = None if folder is None else Journal(folder, archive_every_s=archive_every_s)
+        # Why the journal or the state could not be written when last tried.
+        self._refusals: dict[str, str] = {}
+
+    @property
+    def refusal(self) -> str:
+        """Why something could not be written when last tried; empty if all was."""
+        return "; ".join(dict.fromkeys(self._refusals.values()))
+
+    def attempt(self, write: Callable[[Journal], T], what: str = "journal") -> T | None:
+        """The result of a write into the folder; None where there is no folder or the disk refuses.
+
+        what : is written or read. Its refusal is logged once, and holds until the same succeeds: alarms can be listed
+            while the disk is full.
+        """
+        if self.journal is None:
+            return None
+        try:
+            value = write(self.journal)
+        except (OSError, sqlite3.Error, InputError) as error:
+            if what not in self._refusals:
+                LOG.warning("%s: %s", self.folder, error)
+            self._refusals[what] = str(error)
+            return None
+        self._refusals.pop(what, None)
+        return value
+
+    def close(self) -> None:
+        """Closes the journal.
+
+        Raises
+        ------
+        InputError : the disk refused the journal or the last state; what was saved before stays.
+        """
+        refusal = self.refusal
+        self.attempt(Journal.close)
+        self.journal = None
+        if refusal or self.refusal:
+            raise InputError(
+                f"{self.folder}: the last state of the watch is not saved: {refusal or self.refusal}",
+                "make room, or give a folder that can be written",
+            )
 
 
 def _refused(folder: Path, error: Exception) -> InputError:

@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sameas.errors import InputError, optional
-from sameas.live.keeper import Delta, Keeper
+from sameas.live.keeper import Keeper
 from sameas.live.outputs import geojson, metrics
 from sameas.live.settings import read_chart
-from sameas.live.situation import OBJECT, RECORD, Situation
+from sameas.live.situation import OBJECT, RECORD, Delta, Situation
 from sameas.maps.outline import Coast
 from sameas.maps.sheet import MapSensor, MapSheet
 from sameas.maps.tiles import Chart

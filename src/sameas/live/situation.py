@@ -5,7 +5,6 @@ Journal, outputs and web page are made from situations only; none of them access
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
+from sameas.live.own_ship import OwnShipState
 from sameas.maps.sheet import ellipse_axes
 from sameas.picture.live import LiveState
 from sameas.picture.picture import Columns, object_columns, record_columns, with_degrees
@@ -46,17 +46,6 @@ class Alarm:
     def condition(self) -> str:
         """What is wrong, without where: the first word of the key, such as ``identity``, ``jumped``, ``cpa``."""
         return self.key.partition(" ")[0]
-
-
-@dataclass(frozen=True)
-class OwnShipState:
-    """Position (m) and velocity (m/s) of own ship in the plane; heading in degrees, NaN where unknown."""
-
-    x_m: float
-    y_m: float
-    vx_m_per_s: float = 0.0
-    vy_m_per_s: float = 0.0
-    heading_deg: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -184,6 +173,31 @@ class Situation:
                 one["cpa_m"], one["tcpa_s"] = round(cpa[number][0], 1), round(cpa[number][1], 1)
             out.append(one)
         return out
+
+
+@dataclass
+class Delta:
+    """The changes from one tick to the next, as sent to web pages."""
+
+    tick: int
+    time_s: float
+    objects: list[tuple[Any, ...]] = field(default_factory=list)
+    removed_objects: list[int] = field(default_factory=list)
+    records: list[tuple[Any, ...]] = field(default_factory=list)
+    removed_records: list[str] = field(default_factory=list)
+
+    @classmethod
+    def between(cls, previous: Situation | None, situation: Situation) -> Delta:
+        """The changes from one situation to the next; all rows where there was none before."""
+        old_objects = {} if previous is None else previous.object_rows
+        old_records = {} if previous is None else previous.record_rows
+        return cls(
+            situation.tick, situation.time_s,
+            [row for n, row in situation.object_rows.items() if old_objects.get(n) != row],
+            [n for n in old_objects if n not in situation.object_rows],
+            [row for key, row in situation.record_rows.items() if old_records.get(key) != row],
+            [key for key in old_records if key not in situation.record_rows],
+        )  # fmt: skip
 
 
 def closest_approach(place: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,135 @@
+"""Alarms: which are active, with their ids and who acknowledged them; and those that the picture itself gives.
+
+An alarm is active as long as its condition is found at the ticks. It is kept in the journal; where there is none, or
+the disk refuses, it is kept here, with a negative id.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from sameas.live.journal import Journal, Store
+from sameas.live.situation import Alarm, Situation
+from sameas.picture.deception import Fault
+from sameas.picture.picture_state import PictureState
+
+#: An alarm ends when its condition has been absent for this many seconds of picture time.
+ALARM_ENDS_S = 10.0
+#: Alarms that are kept where there is no journal, once they have ended; those that are active are kept whatever their
+#: number.
+MOST_UNSAVED = 500
+#: Largest number of alarms that wait for a terminal that takes none: it may be stopped.
+MOST_BEGUN = 100_000
+
+
+class AlarmLog:
+    """The alarms, tick after tick. ``key in log`` : whether the alarm of this condition is active.
+
+    Parameters
+    ----------
+    store : whose journal keeps them, and has those that were active when it was last closed. time_s : of the picture.
+
+    Attributes
+    ----------
+    begun : alarms that began, with their times, for the terminal, which takes them.
+    """
+
+    def __init__(self, store: Store, time_s: float) -> None:
+        self._store = store
+        self.begun: deque[tuple[float, Alarm]] = deque(maxlen=MOST_BEGUN)
+        # Id of each active alarm, and when its condition was last found.
+        active = {} if store.journal is None else store.journal.active()
+        self._active = {key: (alarm_id, time_s) for key, alarm_id in active.items()}
+        # Alarms that are not in the journal, by their negative ids, as it would have them.
+        self._unsaved: dict[int, dict[str, Any]] = {}
+        self._count = 0
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._active
+
+    def update(self, alarms: Sequence[Alarm], now_s: float) -> None:
+        """Begins the alarms that are new at a tick, and ends those that have been absent for ``ALARM_ENDS_S``."""
+        for alarm in alarms:
+            known = self._active.get(alarm.key)
+            if known is None:
+                self._count += 1
+                self.begun.append((now_s, alarm))
+            number = -self._count if known is None else known[0]
+            if number < 0:
+                number = self._saved(number, alarm, now_s)
+            self._active[alarm.key] = (number, now_s)
+        for key, (alarm_id, held_s) in list(self._active.items()):
+            if now_s - held_s > ALARM_ENDS_S:
+                del self._active[key]
+                if alarm_id > 0:
+                    self._store.attempt(partial(Journal.ended, alarm_id=alarm_id, time_s=held_s))
+                elif alarm_id in self._unsaved:
+                    self._unsaved[alarm_id] |= {"active": 0, "last_s": held_s}
+
+    def rows(self, most_ended: int = MOST_UNSAVED) -> list[dict[str, Any]]:
+        """The active alarms and the last ``most_ended`` others, the newest first, with the columns of the journal."""
+        journalled = self._store.attempt(partial(Journal.alarms, most_ended=most_ended), "list of alarms") or []
+        unsaved = [dict(row) for _, row in sorted(self._unsaved.items())]
+        ended = [row["id"] for row in unsaved if not row["active"]][:most_ended]
+        return [*(row for row in unsaved if row["active"] or row["id"] in ended), *journalled]
+
+    def acknowledge(self, alarm_id: int, who: str, time_s: float) -> bool:
+        """Records who acknowledged an alarm; False where the id is unknown or was acknowledged before."""
+        if (row := self._unsaved.get(alarm_id)) is not None:
+            fresh = row["acknowledged_s"] is None
+            row |= {"acknowledged_s": time_s, "acknowledged_by": who[:80]} if fresh else {}
+            return fresh
+        # Larger numbers are none of SQLite's.
+        if not 0 < alarm_id < 1 << 63:
+            return False
+        return bool(self._store.attempt(lambda journal: journal.acknowledge(alarm_id, who, time_s)))
+
+    def _saved(self, number: int, alarm: Alarm, now_s: float) -> int:
+        """The id of an alarm in the journal; where it cannot be written there, it is kept here, and the id stays."""
+        saved = self._store.attempt(partial(Journal.alarm, alarm=alarm, time_s=now_s))
+        if saved is None:
+            self._unsaved.setdefault(number, {
+                "id": number, "key": alarm.key, "kind": alarm.kind, "text": alarm.text, "objects": list(alarm.objects),
+                "first_s": now_s, "last_s": now_s, "active": 1, "acknowledged_s": None, "acknowledged_by": None,
+            })  # fmt: skip
+            ended = [one for one, row in self._unsaved.items() if not row["active"]]
+            if ended and len(self._unsaved) > MOST_UNSAVED:
+                del self._unsaved[ended[0]]
+            return number
+        before = self._unsaved.pop(number, None)
+        if before is not None and before["acknowledged_s"] is not None:
+            who, when_s = before["acknowledged_by"], before["acknowledged_s"]
+            self._store.attempt(lambda journal: journal.acknowledge(saved, who, when_s))
+        return saved
+
+
+def identity_alarms(state: PictureState[Any]) -> list[Alarm]:
+    """Alarms of identities that are reported at two places at once."""
+    out = []
+    number: Mapping[tuple[str, int], int] = {}
+    if state.alarms:
+        names = [d.name for d in state.scan.now.descriptions]
+        owner = state.number[state.object_of_record].tolist()
+        places = zip(state.scan.source.tolist(), state.scan.row.tolist(), owner, strict=True)
+        number = {(names[s], row): n for s, row, n in places}
+    for alarm in state.alarms:
+        text = (
+            f"{alarm.attribute.upper()} {alarm.value} is reported at two places {alarm.distance:.0f} m apart: "
+            "forged, duplicate or wrong"
+        )
+        objects = tuple(sorted({number[where] for where in (alarm.first, alarm.second) if where in number}))
+        out.append(Alarm(f"identity {alarm.attribute} {alarm.value}", "identity", text, objects))
+    return out
+
+
+def fault_alarms(faults: Mapping[str, Fault], situation: Situation) -> list[Alarm]:
+    """Alarms of deception of tracks and of faults of sources, by key; with the objects that have the tracks now."""
+    out = []
+    for key, fault in faults.items():
+        where = (fault.source, fault.track)
+        objects = tuple(n for n, tracks in situation.members.items() if where in tracks) if fault.track else ()
+        out.append(Alarm(key, "deception" if fault.track else "source", str(fault), objects))
+    return out

@@ -1,0 +1,150 @@
+"""Own ship: her position and velocity at every tick, from what the settings say of her.
+
+A fixed position; the object with her MMSI; or the sentences of her receiver on the wire of a source, or in its replayed
+reports.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sameas.live.inputs import Wire
+from sameas.live.settings import Settings
+from sameas.picture.picture_state import PictureState
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.reports import Reports
+
+#: Positions that are kept for a velocity, and seconds over which it is fitted.
+KEPT_POSITIONS, FIT_S = 30, 30.0
+
+
+@dataclass(frozen=True)
+class OwnShipState:
+    """Position (m) and velocity (m/s) of own ship in the plane; heading in degrees, NaN where unknown."""
+
+    x_m: float
+    y_m: float
+    vx_m_per_s: float = 0.0
+    vy_m_per_s: float = 0.0
+    heading_deg: float = math.nan
+
+
+class OwnShipMotion:
+    """Own ship's position and velocity, tick after tick.
+
+    Parameters
+    ----------
+    settings : which ship is own ship, if any. wires : by URL; one of them may give her position. replayed : whether
+        reports are replayed from files.
+    """
+
+    def __init__(self, settings: Settings, wires: Mapping[str, Wire], *, replayed: bool) -> None:
+        self.settings, self.silent_s, self.replayed = settings.watch.own_ship, settings.watch.silent_s, replayed
+        name = None if self.settings is None else self.settings.source
+        source = None if name is None else settings.sources.get(name)
+        # None where her source was set aside.
+        self._source = None if source is None else name
+        self.wire = None if source is None else wires.get(source.url or "")
+        # Latitude, longitude and heading with the last replayed report of her source.
+        self._station = (math.nan, math.nan, math.nan)
+        # Time, east and north of the last positions.
+        self._positions: deque[tuple[float, float, float]] = deque(maxlen=KEPT_POSITIONS)
+
+    def take(self, name: str, reports: Reports) -> None:
+        """Takes the position of the sensor from replayed reports of her source."""
+        if self.replayed and self._source == name:
+            self._station = _last_station(reports, self._station)
+
+    def at(
+        self, time_s: float, clock_s: float, state: PictureState[Any], plane: LocalPlane | None
+    ) -> OwnShipState | None:
+        """Her state at a time of the picture; None if it is unknown, or without an own ship.
+
+        clock_s : time of the clock, with which receive times of her sentences are compared. state : the picture then.
+        """
+        own = self.settings
+        if own is None:
+            return None
+        if own.mmsi is not None:
+            texts = state.watch.texts
+            for k, number in enumerate(state.objects.number.tolist()):
+                if number in texts and texts[number][0] == own.mmsi and state.objects.placed[k]:
+                    return OwnShipState(*state.objects.state[k].tolist())
+            return None
+        if plane is None:
+            return None
+        heading = math.nan
+        lat, lon = own.lat_deg, own.lon_deg
+        if self._source is not None:
+            lat, lon, heading = self._station if self.wire is None else self.wire.stream.own_ship
+            if self.wire is not None and clock_s - self.wire.stream.own_ship_s > self.silent_s:
+                # Approaches to where she was would be worse than none.
+                return None
+        if lat is None or lon is None or not math.isfinite(lat + lon):
+            return None
+        east, north = plane.of_geodetic([lat], [lon])[0].tolist()
+        # A position that stays is one, too: else the first jitter of a receiver alongside is the speed of a ship.
+        last = self._positions[-1] if self._positions else None
+        if last is None or last[1:] != (east, north) or time_s - last[0] >= 1.0:
+            self._positions.append((time_s, east, north))
+        return OwnShipState(east, north, *(self._given_velocity() or self._fitted_velocity(time_s)), heading)
+
+    def silence(self, clock_s: float, began_s: float) -> str:
+        """How long her position has been missing though a source is to give it; empty if it is not.
+
+        clock_s : as of :meth:`at`. began_s : when the reception began.
+        """
+        own = self.settings
+        if self.replayed or own is None or own.source is None:
+            return ""
+        last_s = began_s if self.wire is None else max(self.wire.stream.own_ship_s, began_s)
+        late = clock_s - last_s > self.silent_s
+        return f"{own.source} has given no position for {self.silent_s:.0f} s" if late else ""
+
+    def source(self, clock_s: float) -> str | None:
+        """The name of the source whose wire gives her position now; it need not give reports, too."""
+        wire = self.wire
+        if wire is None or math.isnan(wire.stream.own_ship[0]):
+            return None
+        return self._source if clock_s - wire.state.last_s <= self.silent_s else None
+
+    @property
+    def mmsi(self) -> str:
+        """Her MMSI as her transponder gives it; empty if it does not."""
+        return "" if self.wire is None else self.wire.stream.own_mmsi
+
+    def _given_velocity(self) -> tuple[float, float] | None:
+        """Her velocity (m/s east, north) as her receiver gives it; None if it does not."""
+        speed, course = (math.nan, math.nan) if self.wire is None else self.wire.stream.own_velocity
+        if speed == 0.0 and math.isnan(course):
+            # One that rests has no course.
+            course = 0.0
+        if not math.isfinite(speed + course):
+            return None
+        angle = math.radians(course)
+        return speed * math.sin(angle), speed * math.cos(angle)
+
+    def _fitted_velocity(self, time_s: float) -> tuple[float, float]:
+        """Slope (m/s east, north) of a line through the last positions; 0 where they span less than 1 s."""
+        recent = [one for one in self._positions if one[0] > time_s - FIT_S]
+        if len(recent) < 2 or recent[-1][0] - recent[0][0] < 1.0:
+            return 0.0, 0.0
+        times, east, north = np.array(recent).T
+        slope = np.polynomial.polynomial.polyfit(times - times[-1], np.column_stack([east, north]), 1)[1]
+        return float(slope[0]), float(slope[1])
+
+
+def _last_station(reports: Reports, before: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Latitude, longitude and heading of the sensor at the last report that has them; as before where none has."""
+    lat, lon = reports.station_lat_deg, reports.station_lon_deg
+    if lat is None or lon is None or not np.isfinite(lat + lon).any():
+        return before
+    last = int(np.flatnonzero(np.isfinite(lat + lon))[-1])
+    heading = reports.extra.get("station_heading_deg")
+    return float(lat[last]), float(lon[last]), math.nan if heading is None else float(heading[last])

@@ -1,0 +1,120 @@
+"""The log of alarms: they begin and end, are acknowledged, and a flood of them hides no other."""
+
+import sqlite3
+
+import pytest
+from tests.live.conftest import START_S
+
+from sameas.cli.watch import _News
+from sameas.live.alarms import AlarmLog
+from sameas.live.journal import Journal, Store
+from sameas.live.situation import Alarm
+
+
+def test_the_terminal_shows_an_alarm_once_however_long_the_ticks_are():
+    log = AlarmLog(Store(None), START_S)
+    news = _News({}, log)
+    for t in (0.0, 30.0, 60.0):
+        log.update([Alarm("cpa 1", "cpa", "A will pass at 100 m in 2.0 min", (1,))], START_S + t)
+        log.update([Alarm("cpa 1", "cpa", "A will pass at 100 m in 1.5 min", (1,))], START_S + t)
+    assert sum("will pass" in line for line in news()) == 1 and not news()
+
+
+def test_a_flood_of_alarms_is_a_few_lines_with_a_count_and_hides_no_other_alarm():
+    log, clock = AlarmLog(Store(None), START_S), [0.0]
+    news = _News({}, log, clock=lambda: clock[0])
+    forged = [Alarm(f"identity mmsi {k}", "identity", f"MMSI {k} is forged", (k,)) for k in range(400)]
+    log.update([*forged[:350], Alarm("silent radar", "source", "radar is silent")], START_S)
+    lines = news()
+    assert [line.endswith(f" MMSI {k} is forged") for k, line in enumerate(lines)] == [True] * 5 + [False, False]
+    assert "radar is silent" in lines[5] and "and 345 more of identity" in lines[6]
+    # Further ones within the minute are one line at its end.
+    clock[0] = 30.0
+    log.update(forged[350:], START_S + 30.0)
+    assert news() == []
+    clock[0] = 61.0
+    [line] = news()
+    assert "and 50 more of identity" in line
+    clock[0] = 130.0
+    log.update([Alarm("identity mmsi 500", "identity", "MMSI 500 is forged", (1,))], START_S + 130.0)
+    assert len(news()) == 1
+
+
+def test_every_second_names_the_most_urgent_approaches():
+    """An approach is a danger of its own, whatever began a while ago."""
+    log, clock = AlarmLog(Store(None), START_S), [0.0]
+    news = _News({}, log, clock=lambda: clock[0])
+    fleet = [Alarm(f"cpa {k}", "cpa", f"{k} will pass", (k,)) for k in range(100)]
+    log.update(fleet[:90], START_S)
+    assert len(news()) == 6
+    clock[0] = 1.0
+    log.update(fleet[90:91], START_S + 1.0)
+    assert len(news()) == 1
+
+
+def opened(folder):
+    """The log of a new watch in a folder, and its store."""
+    store = Store(folder)
+    return AlarmLog(store, START_S), store
+
+
+@pytest.mark.parametrize("saved", [True, False])
+def test_alarms_are_acknowledged_and_kept_when_they_end(saved, tmp_path):
+    log, store = opened(tmp_path / "state" if saved else None)
+    alarm = Alarm("cpa 1", "cpa", "A will pass at 100 m in 2.0 min", (1,))
+    log.update([alarm], START_S + 2.0)
+    [one] = log.rows()
+    assert (one["text"], one["objects"], one["active"], one["acknowledged_by"]) == (alarm.text, [1], 1, None)
+    assert (one["id"] > 0) == saved and "cpa 1" in log and "cpa 2" not in log
+    assert log.acknowledge(one["id"], "mate", START_S + 3.0)
+    assert not log.acknowledge(one["id"], "cook", START_S + 4.0)
+    assert (log.rows()[0]["acknowledged_by"], log.rows()[0]["acknowledged_s"]) == ("mate", START_S + 3.0)
+    # A condition that is absent for less than 10 s is the same alarm.
+    log.update([], START_S + 11.0)
+    log.update([alarm], START_S + 12.0)
+    log.update([], START_S + 60.0)
+    [one] = log.rows()
+    assert (one["active"], one["acknowledged_by"], one["last_s"]) == (0, "mate", START_S + 12.0)
+    # One that begins again is another.
+    log.update([alarm], START_S + 90.0)
+    assert [one["active"] for one in log.rows()] == [1, 0] and len(log.rows(most_ended=0)) == 1
+    store.close()
+
+
+def test_an_alarm_that_is_none_is_not_acknowledged(tmp_path):
+    for folder in (tmp_path / "state", None):
+        log, store = opened(folder)
+        assert not any(log.acknowledge(number, "mate", START_S) for number in (7, 2**63, -(10**30)))
+        assert not store.refusal
+        store.close()
+
+
+def test_alarms_that_the_disk_refused_are_in_the_journal_later_with_who_acknowledged_them(tmp_path, monkeypatch):
+    log, store = opened(tmp_path / "state")
+    alarm = Alarm("silent radar", "source", "radar is silent")
+
+    def full(*_, **__):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Journal, "alarm", full)
+        log.update([alarm], START_S)
+        [one] = log.rows()
+        assert one["id"] < 0 and store.refusal == "database or disk is full"
+        assert log.acknowledge(one["id"], "mate", START_S + 1.0)
+    log.update([alarm], START_S + 2.0)
+    [one] = log.rows()
+    assert one["id"] > 0 and (one["acknowledged_by"], one["acknowledged_s"]) == ("mate", START_S + 1.0)
+    assert store.refusal == ""
+    store.close()
+
+
+def test_alarms_that_were_active_when_a_watch_was_closed_go_on(tmp_path):
+    log, store = opened(tmp_path / "state")
+    alarm = Alarm("silent radar", "source", "radar is silent")
+    log.update([alarm], START_S)
+    store.close()
+    log, store = opened(tmp_path / "state")
+    log.update([alarm], START_S + 1.0)
+    assert len(log.rows()) == 1 and not log.begun
+    store.close()
