@@ -244,9 +244,7 @@ def fit_spread(pairs: Pairs, p_pair: FloatArray, tuning: ErrorFitTuning) -> Erro
     return Errors(scales, shares)
 
 
-def fit_variances(
-    residual: FloatArray, weight: FloatArray, parts: FloatArray, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT
-) -> FloatArray:
+def fit_variances(residual: FloatArray, weight: FloatArray, parts: FloatArray, tuning: ErrorFitTuning) -> FloatArray:
     """(k,) the θ ≥ 0 of greatest likelihood for residuals (m, d) of covariance Σ θ_k parts_k, parts (k, m, d, d).
 
     For degenerate parts only the sum of their terms is determined.

@@ -20,7 +20,13 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.error_model import DEFAULT_ERROR_FIT, fit_variances, log_likelihood, with_fitted_mixture
+from sameas.estimate.error_model import (
+    DEFAULT_ERROR_FIT,
+    ErrorFitTuning,
+    fit_variances,
+    log_likelihood,
+    with_fitted_mixture,
+)
 from sameas.estimate.photometry import Photometry
 from sameas.evidence import Errors
 from sameas.gate import Pairs
@@ -158,11 +164,12 @@ def with_trends(
     most: int,
     previous: Sequence[Trend] = (),
     tuning: TrendTuning = DEFAULT_TRENDS,
+    error_fit: ErrorFitTuning = DEFAULT_ERROR_FIT,
 ) -> tuple[Errors, tuple[Trend, ...], float]:
     """The errors with trends that these pairs support, the trends, and the gain in ln likelihood.
 
     errors : the present model. p_pair : (m,) probabilities. most : greatest number of pairs used. previous : trends
-    included in ``errors``, which are fitted again.
+    included in ``errors``, which are fitted again. error_fit : of the variances at the knots.
 
     Source: METHOD 6, "Errors that grow".
     """
@@ -187,7 +194,9 @@ def with_trends(
     chosen: list[_Hats] = []
     while len(chosen) < len(candidates):
         fits = [
-            (hats, *_fit_trends(some, weight, [*chosen, hats], tuning)) for hats in candidates if hats not in chosen
+            (hats, *_fit_trends(some, weight, [*chosen, hats], tuning, error_fit))
+            for hats in candidates
+            if hats not in chosen
         ]
         hats, value, model, trends = max(fits, key=lambda fit: fit[1])
         if value - best[0] < tuning.min_gain + 0.5 * n_knots * math.log(float(weight.sum())):
@@ -198,7 +207,7 @@ def with_trends(
         return errors, (), 0.0
     competing = _Competing.of(errors, pairs, p_pair, most, tuning)
     without = competing.reweighted(with_fitted_mixture(errors, some, weight))[1]
-    model, trends, fitted = _refit(competing, best, chosen, tuning)
+    model, trends, fitted = _refit(competing, best, chosen, tuning, error_fit)
     return model, trends, fitted - without
 
 
@@ -207,6 +216,7 @@ def _refit(
     initial: tuple[float, Errors, tuple[Trend, ...]],
     chosen: Sequence[_Hats],
     tuning: TrendTuning,
+    error_fit: ErrorFitTuning,
 ) -> tuple[Errors, tuple[Trend, ...], float]:
     """The trends fitted repeatedly with updated probabilities of the candidates, and the gain in ln likelihood."""
     (_, errors, trends), all_hats = initial, [each.at(competing.pairs) for each in chosen]
@@ -219,7 +229,7 @@ def _refit(
             break
         gain, likely = new_gain, weight > tuning.min_p
         some, hats = competing.pairs.part(np.flatnonzero(likely)), [each.part(likely) for each in all_hats]
-        _, errors, trends = _fit_trends(some, weight[likely], hats, tuning)
+        _, errors, trends = _fit_trends(some, weight[likely], hats, tuning, error_fit)
     return errors, trends, gain
 
 
@@ -316,14 +326,14 @@ def _score(errors: Errors, square: FloatArray, d: int) -> FloatArray:
 
 
 def _fit_trends(
-    pairs: Pairs, weight: FloatArray, hats: Sequence[_Hats], tuning: TrendTuning
+    pairs: Pairs, weight: FloatArray, hats: Sequence[_Hats], tuning: TrendTuning, error_fit: ErrorFitTuning
 ) -> tuple[float, Errors, tuple[Trend, ...]]:
     """ln likelihood of pairs with errors that grow with all these quantities, the errors, and their trends."""
     one, two = (unpack(of.covariance[at], pairs.d) for of, at in ((pairs.first, pairs.i), (pairs.second, pairs.j)))
     unit = float(np.median(np.einsum("mvv->m", one + two))) / pairs.d
     floor_covariance = unit * np.eye(pairs.d)
     parts = np.stack([one, two, *(hat[:, None, None] * floor_covariance for each in hats for hat in each.hats)])
-    theta = fit_variances(pairs.residual, weight, parts)
+    theta = fit_variances(pairs.residual, weight, parts, error_fit)
     total_variance = np.einsum("k,kmvv->m", theta, parts) / pairs.d
     ends = np.cumsum([2, *(len(each.hats) for each in hats)])
     trends = tuple(

@@ -452,7 +452,7 @@ def _fit_trends(search: _GateSearch, result: _GateResult, max_iterations: int) -
             break
         model, trends, gain = with_trends(
             estimates.errors, estimates.setting.pairs, result.p_counted, quantities, tuning.n_model_pairs,
-            search.trends, tuning.trends,
+            search.trends, tuning.trends, tuning.error_fit,
         )  # fmt: skip
         if gain < (tuning.min_trend_gain if search.trends else tuning.min_gain):
             break

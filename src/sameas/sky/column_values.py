@@ -268,7 +268,7 @@ def typical_errors(sigma: FloatArray, magnitude: FloatArray | None) -> FloatArra
 #
 # The galactic frame is that of the Hipparcos and Gaia catalogues (ESA 1997, SP-1200, vol. 1, section 1.5.3), the
 # ecliptic one that of J2000 with the obliquity of IAU 2006, 84381.406″; with other obliquities the difference is up to
-# 0.05″.
+# 0.05″ (orbital elements refer to that of IAU 1976, ``sky/movers/rates.py``).
 
 # Columns: the directions of the galactic x, y and z axes in ICRS (SP-1200, equation 1.5.11).
 _GALACTIC = np.array(

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.representation import counted, in_short
 
@@ -374,19 +374,23 @@ POSSIBLE: Mapping[str, tuple[float, float]] = {
 }  # fmt: skip
 
 
-def _with_infinite_impossible(own: Mapping[str, Any]) -> dict[str, Any]:
-    """The columns, infinite in place of values that are not possible (:data:`POSSIBLE`).
+def is_impossible(name: str, values: FloatArray) -> BoolArray:
+    """(n,) whether values of a column are not possible (:data:`POSSIBLE`); none are of a column without limits.
 
-    >>> _with_infinite_impossible({"heading_deg": np.array([511.0, -170.0, np.nan, 3600.0])})["heading_deg"].tolist()
-    [inf, -170.0, nan, inf]
+    >>> is_impossible("heading_deg", np.array([511.0, -170.0, np.nan, 3600.0])).tolist()
+    [True, False, False, True]
     """
+    lowest, highest = POSSIBLE.get(name, (-np.inf, np.inf))
+    with np.errstate(invalid="ignore"):
+        return np.asarray((values < lowest) | (values > highest))
+
+
+def _with_infinite_impossible(own: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns, infinite in place of values that are not possible."""
     out = dict(own)
-    for name, (lowest, highest) in POSSIBLE.items():
-        if name in own:
-            with np.errstate(invalid="ignore"):
-                impossible = (own[name] < lowest) | (own[name] > highest)
-            if impossible.any():
-                out[name] = np.where(impossible, np.inf, own[name])
+    for name in set(POSSIBLE) & set(own):
+        if (impossible := is_impossible(name, own[name])).any():
+            out[name] = np.where(impossible, np.inf, own[name])
     if "bearing_deg" in own and ("lat_deg" in own or "x_m" in own):
         # No position is made of it.
         out["bearing_deg"] = np.where(np.isinf(out["bearing_deg"]), np.nan, out["bearing_deg"])

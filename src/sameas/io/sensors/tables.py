@@ -52,7 +52,7 @@ from sameas.io.sensors.format import (
 from sameas.io.sensors.languages import DATES, HOURS, names_in, plain
 from sameas.representation import counted
 from sameas.tracks.coordinates import FOOT_M, MILE_M
-from sameas.tracks.reports import POSSIBLE, Damaged, Reports
+from sameas.tracks.reports import Damaged, Reports, is_impossible
 
 #: Units by kind of quantity: as written at the end of a name, and their factor to our unit.
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -895,11 +895,9 @@ def _mark_unavailable(values: dict[str, NDArray[Any]], chosen: Mapping[str, Choi
         given = column / chosen[name].factor
         missing = np.isin(np.round(given, 4), _OF_AIS.get(name, ())) if is_ais else np.zeros(len(column), bool)
         missing |= np.isin(np.round(given, 4), _nines(given))
-        lowest, highest = POSSIBLE.get(name, (-math.inf, math.inf))
-        highest = FASTEST_AIS_M_PER_S if is_ais and name == "speed_m_per_s" else highest
-        with np.errstate(invalid="ignore"):
-            missing |= (column < lowest) | (column > highest)
-            missing |= name in ("heading_deg", "course_deg", "bearing_deg") and given == 511.0
+        missing |= is_impossible(name, column)
+        missing |= is_ais and name == "speed_m_per_s" and column > FASTEST_AIS_M_PER_S
+        missing |= name in ("heading_deg", "course_deg", "bearing_deg") and given == 511.0
         if name in ("alt_m", "pressure_alt_m") and len(column) >= _NINES and not np.nan_to_num(column).any():
             missing = column == 0.0
         if missing.any():

@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError, optional, reading
 from sameas.sky.motion import AU_KM
-from sameas.sky.movers.rates import GAUSS
+from sameas.sky.movers.rates import GAUSS, OBLIQUITY
 
 #: Gauss's constant squared: GM of the Sun, au³/day².
 _GM_SUN = GAUSS**2
@@ -33,10 +33,13 @@ _MASS_RATIO = (6023600.0, 408523.71, 328900.56, 3098708.0, 1047.3486, 3497.898, 
 #: Index of Pluto, (134340) in lists of asteroids: an object closer than this is Pluto itself and not attracted by it.
 _PLUTO, _PLUTO_ITSELF_AU = 8, 0.03
 _LIGHT_AU_PER_DAY = 173.14463267424034
-_TILT = math.radians(84381.448 / 3600.0)
 #: Rotation from the ecliptic of J2000 to the axes of the ICRS equator.
 _TO_EQUATOR = np.array(
-    [[1.0, 0.0, 0.0], [0.0, math.cos(_TILT), -math.sin(_TILT)], [0.0, math.sin(_TILT), math.cos(_TILT)]]
+    [
+        [1.0, 0.0, 0.0],
+        [0.0, math.cos(OBLIQUITY), -math.sin(OBLIQUITY)],
+        [0.0, math.sin(OBLIQUITY), math.cos(OBLIQUITY)],
+    ]
 )
 #: Name of the elements that come with the package; ``elements.json`` gives their source.
 DEMO = "demo"

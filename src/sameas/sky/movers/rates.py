@@ -21,10 +21,11 @@ GAUSS = 0.01720209895
 _EARTH_ARCSEC_PER_MIN = GAUSS * ARCSEC_PER_RADIAN / 1440.0
 #: Radius of the orbit to which rates are relative, in the main belt.
 ORBIT_AU = 2.7
-#: Obliquity of the ecliptic of J2000, degrees (IAU 1976).
-_TILT = math.radians(23.4392911)
+#: Obliquity of the ecliptic of J2000, radians (IAU 1976): that to which orbital elements refer. Catalogues in ecliptic
+#: coordinates refer to that of IAU 2006 (``sky/column_values.py``).
+OBLIQUITY = math.radians(84381.448 / 3600.0)
 #: Direction of the pole of the ecliptic, ICRS.
-ECLIPTIC_POLE = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)])
+ECLIPTIC_POLE = np.array([0.0, -math.sin(OBLIQUITY), math.cos(OBLIQUITY)])
 
 
 def sun_longitude_deg(mjd: FloatArray) -> FloatArray:
@@ -48,7 +49,7 @@ def reference_rate(elongation_deg: FloatArray) -> FloatArray:
 
 def ecliptic_longitude_deg(unit: FloatArray) -> FloatArray:
     """(n,) ecliptic longitudes of directions (n, 3)."""
-    y = unit[:, 1] * math.cos(_TILT) + unit[:, 2] * math.sin(_TILT)
+    y = unit[:, 1] * math.cos(OBLIQUITY) + unit[:, 2] * math.sin(OBLIQUITY)
     return np.asarray(np.degrees(np.arctan2(y, unit[:, 0])) % 360.0)
 
 
