@@ -9,7 +9,7 @@ import pytest
 
 from problems import counterparts_of_ellipses
 from sameas import InputError, PoissonField, Records, identify
-from sameas.estimate.match import match
+from sameas.estimate.match import MatchTuning, match
 from sameas.estimate.photometry import Photometry, Sample, density_of, fit_relation
 from sameas.evidence import Brightness, Chain, Magnitudes, SourceMagnitudes
 from sameas.evidence.detection import DetectionCurve, Hats, ShareCurve, knots_of, logit, share_error
@@ -182,7 +182,8 @@ def test_too_few_pairs_to_learn_magnitudes_are_reported():
 def test_em_iterations_may_reach_their_limit_before_and_after_the_gate_widens(limit):
     made = exposure(np.random.default_rng(18), Sky(stars_per_deg2=60_000.0), side_deg=0.12)
     scene = misquoted(made.scene, 2.0)
-    answer, estimate = match(scene.first, scene.second, brightness=made.brightness, max_iterations=limit)
+    tuning = MatchTuning(max_iterations=limit)
+    answer, estimate = match(scene.first, scene.second, brightness=made.brightness, tuning=tuning)
     assert estimate.converged != any("had not converged" in note for note in estimate.notes)
     assert estimate.converged or estimate.iterations == limit
     assert len(answer.matches) > 0 and np.isfinite(answer.p_pair).all()

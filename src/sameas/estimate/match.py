@@ -73,6 +73,8 @@ class MatchTuning:
 
     Attributes
     ----------
+    max_iterations : EM iterations after which no further error model is tried; its iterations are at most two thirds of
+        these more.
     min_outer_share : the gate is widened when this share of the expected true pairs lies beyond 0.7 of its radius
         (4e-5 where errors are as quoted).
     max_gate_sigmas : greatest radius of the gate.
@@ -101,6 +103,7 @@ class MatchTuning:
         models before any iteration. coverage : of cells, densities and holes. error_fit : of factors, floors and tails.
     """
 
+    max_iterations: int = 30
     min_outer_share: float = 6e-5
     max_gate_sigmas: float = 400.0
     max_scale_excess: float = 1.25
@@ -255,7 +258,6 @@ def match(
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
     precision: bool = True,
     evidence: Sequence[Column | Related] = (),
-    max_iterations: int = 30,
     sampling: Sampling = Sampling(),  # noqa: B008
     tuning: MatchTuning = DEFAULT_MATCH,
     progress: Callable[[str], None] = lambda stage: None,
@@ -270,8 +272,6 @@ def match(
     brightness : magnitudes of every row of both tables, as evidence; None uses positions only.
     precision : whether the sizes of the quoted errors are evidence: faint objects have larger ones.
     evidence : columns used as evidence, of one source or related columns of both.
-    max_iterations : EM iterations after which no further error model is tried; its iterations are at most two
-        thirds of these more.
     sampling : size of the sample of large sources from which estimates are made.
     tuning : limits, such as the number of pairs below which probabilities are averaged over errors.
     progress : called with the name of each step.
@@ -294,9 +294,9 @@ def match(
     )
     scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
     if scan is not None and scan.contrast > tuning.min_gain and scan.common < tuning.grid.max_averaged:
-        return search.match_averaged(scan, max_iterations)
-    search, result, remarks = _fit(search, scan, errors, max_iterations)
-    answer, result = search.identify_all(result, max_iterations)
+        return search.match_averaged(scan)
+    search, result, remarks = _fit(search, scan, errors)
+    answer, result = search.identify_all(result)
     return answer, replace(_to_estimate(answer, search.coverage, result, remarks), trends=search.trends)
 
 
@@ -341,7 +341,6 @@ def match_sample(
     *,
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
     columns: ColumnEvidence | None = None,
-    max_iterations: int = 30,
     tuning: MatchTuning,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> SampleMatch:
@@ -360,8 +359,8 @@ def match_sample(
     )  # fmt: skip
     estimated = assumed.errors is None and assumed.gate is None
     scan = scan_errors(coverage, density, tuning.grid) if estimated else None
-    search, result, remarks = _fit(search, scan, assumed.errors, max_iterations)
-    answer, result = search.identify_all(result, max_iterations)
+    search, result, remarks = _fit(search, scan, assumed.errors)
+    answer, result = search.identify_all(result)
     estimate = _to_estimate(answer, coverage, result, remarks)
     (one, two), common = result.estimates.setting.n_counted, result.estimates.n_common
     share_1, share_2 = (min(1.0, common / max(n, 1)) for n in (one, two))
@@ -370,26 +369,26 @@ def match_sample(
 
 
 def _fit(
-    search: _GateSearch, scan: ErrorScan | None, errors: Errors | None, max_iterations: int
+    search: _GateSearch, scan: ErrorScan | None, errors: Errors | None
 ) -> tuple[_GateSearch, _GateResult, list[str]]:
     """The search with the fitted error model, its result, and remarks for the user."""
     tuning = search.tuning
     if scan is not None and scan.contrast > tuning.min_gain and scan.gain > tuning.min_gain:
         search = replace(search, gate_errors=scan.best)
-    result, remarks = search.run(errors, max_iterations), []
-    while errors is None and result.iterations < max_iterations:
+    result, remarks = search.run(errors, tuning.max_iterations), []
+    while errors is None and result.iterations < tuning.max_iterations:
         model, gain = result.better_model()
         if gain < tuning.min_gain:
             break
         changed = replace(search, gate_errors=model)
-        again = _rerun(changed, result, None, max_iterations)
+        again = _rerun(changed, result, None)
         if again.is_worse_than(result):
             break
         search, result = changed, again
     if errors is None:
-        search, result = _fit_tail(search, result, max_iterations)
+        search, result = _fit_tail(search, result)
     if tuning.fits_trends and errors is None and result.converged:
-        search, result = _fit_trends(search, result, max_iterations)
+        search, result = _fit_trends(search, result)
     if result.has_learned and not _has_excess(search.gate_errors.pairs(result.whole.pairs), result.gate_sigmas, tuning):
         more = search.photometry is not None or search.columns is not None
         assumed = "positions and quoted errors alone" if more else "the quoted errors"
@@ -397,21 +396,22 @@ def _fit(
         search = replace(
             search, photometry=None, precision=False, columns=given, trends=(), seed_errors=None, min_sigmas=0.0
         )
-        result = _rerun(search, result, errors or Errors(), max_iterations)
+        result = _rerun(search, result, errors or Errors())
         remarks.append(f"close candidates do not exceed what chance gives; {assumed} are used")
     return search, result, remarks
 
 
-def _rerun(search: _GateSearch, result: _GateResult, errors: Errors | None, max_iterations: int) -> _GateResult:
+def _rerun(search: _GateSearch, result: _GateResult, errors: Errors | None) -> _GateResult:
     """The result of a changed search with the remaining iterations, at least two thirds of all; all are counted.
 
     With each error model the gate is doubled anew; five times take 12 to 18 iterations.
     """
-    again = search.run(errors, max(max_iterations - result.iterations, 2 * max_iterations // 3, 5))
+    most = search.tuning.max_iterations
+    again = search.run(errors, max(most - result.iterations, 2 * most // 3, 5))
     return replace(again, iterations=result.iterations + again.iterations)
 
 
-def _fit_tail(search: _GateSearch, result: _GateResult, max_iterations: int) -> tuple[_GateSearch, _GateResult]:
+def _fit_tail(search: _GateSearch, result: _GateResult) -> tuple[_GateSearch, _GateResult]:
     """The search and result with a gate wide enough for the tail of the errors, if there is one.
 
     Within a gate for quoted errors, pairs of the tail are hidden among chance candidates, and their number is missing
@@ -422,11 +422,11 @@ def _fit_tail(search: _GateSearch, result: _GateResult, max_iterations: int) -> 
     late = replace(
         tuning, em=replace(tuning.em, scales=replace(scales, significant_tail_gain=tuning.suspect_tail_gain))
     )
-    while search.gate is None and result.suspects_tail() and result.iterations < max_iterations:
+    while search.gate is None and result.suspects_tail() and result.iterations < tuning.max_iterations:
         min_sigmas = tuning.gate_step * result.gate_sigmas
         seed_errors = _with_tail_seed(result.estimates.errors, tuning)
         wider = replace(search, min_sigmas=min_sigmas, seed_errors=seed_errors, tuning=late)
-        wider_result = _rerun(wider, result, None, max_iterations)
+        wider_result = _rerun(wider, result, None)
         if wider_result.estimates.tail_gain < tuning.min_tail_gain:
             break
         search, result = wider, wider_result
@@ -442,13 +442,13 @@ def _with_tail_seed(errors: Errors, tuning: MatchTuning) -> Errors:
     return replace(errors, scales=(*errors.scales, wide), shares=(*((1.0 - share) * x for x in errors.shares), share))
 
 
-def _fit_trends(search: _GateSearch, result: _GateResult, max_iterations: int) -> tuple[_GateSearch, _GateResult]:
+def _fit_trends(search: _GateSearch, result: _GateResult) -> tuple[_GateSearch, _GateResult]:
     """The search and result with errors that grow with magnitude or position, if the pairs show such growth."""
     tuning, quantities = search.tuning, covariates(search.coverage, search.photometry, search.tuning.trends)
     for _ in range(tuning.max_trend_fits):
         estimates = result.estimates
         few = estimates.n_common < tuning.em.min_pairs
-        if result.iterations >= max_iterations or not estimates.fits_errors or few:
+        if result.iterations >= tuning.max_iterations or not estimates.fits_errors or few:
             break
         model, trends, gain = with_trends(
             estimates.errors, estimates.setting.pairs, result.p_counted, quantities, tuning.n_model_pairs,
@@ -457,7 +457,7 @@ def _fit_trends(search: _GateSearch, result: _GateResult, max_iterations: int) -
         if gain < (tuning.min_trend_gain if search.trends else tuning.min_gain):
             break
         changed = replace(search, gate_errors=model, trends=trends)
-        again = _rerun(changed, result, None, max_iterations)
+        again = _rerun(changed, result, None)
         if again.is_worse_than(result):
             break
         search, result = changed, again
@@ -645,7 +645,7 @@ class _GateSearch:
         estimates, p_counted, n, converged = iterate(estimates, max_iterations, self.progress, narrow)
         return _GateResult(whole, estimates, p_counted, limit, n, converged, estimates.setting.n_counted, self.tuning)
 
-    def match_averaged(self, scan: ErrorScan, max_iterations: int) -> tuple[Identification, Estimate]:
+    def match_averaged(self, scan: ErrorScan) -> tuple[Identification, Estimate]:
         """All records identified, averaged over the errors that few pairs do not rule out."""
         first, second = self.coverage.first, self.coverage.second
         self.progress("gate")
@@ -658,7 +658,7 @@ class _GateSearch:
             whole, AS_QUOTED, self.photometry, self.density, share, self.precision, self.tuning.em, self.columns
         )
         estimates = replace(estimates, average=Average.of(error_average, pairs, scan.weight, scan.common))
-        estimates, p_counted, n, converged = iterate(estimates, max_iterations, self.progress)
+        estimates, p_counted, n, converged = iterate(estimates, self.tuning.max_iterations, self.progress)
         estimates = estimates.with_evidence(p_counted, last=True)
         self.progress("identification")
         average = estimates.average
@@ -672,7 +672,7 @@ class _GateSearch:
         estimate = _to_estimate(answer, self.coverage, result, [])
         return answer, replace(estimate, error_ranges=error_average.ranges(average.weight))
 
-    def identify_all(self, result: _GateResult, max_iterations: int) -> tuple[Identification, _GateResult]:
+    def identify_all(self, result: _GateResult) -> tuple[Identification, _GateResult]:
         """All records identified; after further iterations over all of them if a sample was not representative."""
         estimates = result.estimates
         if result.sampled:
@@ -683,7 +683,7 @@ class _GateSearch:
         ):
             return answer, replace(result, estimates=estimates)
         estimates = estimates.maximization(answer.p_pair, answer.evidence.log_ratio)
-        remaining = max(max_iterations - result.iterations, 5)
+        remaining = max(self.tuning.max_iterations - result.iterations, 5)
         estimates, p_counted, n, converged = iterate(estimates, remaining, self.progress)
         iterations, estimates = result.iterations + n, estimates.with_evidence(p_counted, last=True)
         whole = result.whole

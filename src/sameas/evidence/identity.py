@@ -204,6 +204,8 @@ class Size:
         return np.logaddexp(math.log1p(-self.wrong) + same - other, math.log(self.wrong))
 
 
+#: Attributes that only one object should have.
+UNIQUE = ("mmsi", "imo", "icao")
 #: Values of identities that are sent where none is set.
 UNSET: Mapping[str, tuple[str, ...]] = {
     "mmsi": ("0", "000000000", "111111111", "123456789", "999999999"),
@@ -365,26 +367,19 @@ class IdentityConflict:
         )
 
 
-def alarms(
-    sources: Sequence[Records],
-    identity: Identity,
-    *,
-    unique: Sequence[str] = ("mmsi", "imo", "icao"),
-    gate: ChiSquare | None = None,
-) -> list[IdentityConflict]:
+def alarms(sources: Sequence[Records], identity: Identity) -> list[IdentityConflict]:
     """Records of one instant with the same identity and contradicting positions, in one source or in two.
 
-    The gate excludes such pairs, so that :class:`Identity` never compares them.
+    The gate excludes such pairs, so that :class:`Identity` never compares them: positions beyond the default gate
+    contradict, and the attributes are those that only one object should have (:data:`UNIQUE`).
 
     Parameters
     ----------
     sources : records of one plane at one instant. identity : their attributes.
-    unique : attributes that only one object should have.
-    gate : positions beyond its quantile contradict; the default gate if not given.
     """
-    limit_of = gate or ChiSquare(DEFAULT_COMPLETENESS)
+    limit_of = ChiSquare(DEFAULT_COMPLETENESS)
     all_alarms = []
-    for name in unique:
+    for name in UNIQUE:
         values = [_SourceValues.of(records, identity, name) for records in sources if isinstance(records.space, Plane)]
         for s, first in enumerate(values):
             for second in values[s:]:

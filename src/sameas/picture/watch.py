@@ -42,7 +42,7 @@ BOUND = 4.0
 
 
 def with_hysteresis(
-    identification: Objects, previous_object: IntArray, log_bound: float, search_s: float = DEFAULT_TUNING.search_s
+    identification: Objects, previous_object: IntArray, log_bound: float, tuning: Tuning = DEFAULT_TUNING
 ) -> tuple[Objects, BoolArray]:
     """The objects of an instant, with those of the previous instant kept unless another answer is much more probable;
     and (n,) whether each object is shown only because it is kept.
@@ -63,7 +63,7 @@ def with_hysteresis(
     ----------
     previous_object : (records,) the object of each pooled record's track at the previous instant, ABSENT without one.
     log_bound : ln b; 0 to show the most probable answer always.
-    search_s : time limit of the search for the best partition of one group.
+    tuning : with the time limit of the search for the best partition of one group.
     """
     sets, answer, n = identification.sets, identification.answer, len(identification.pooled)
     if log_bound <= 0.0:
@@ -75,7 +75,7 @@ def with_hysteresis(
     if not resolve.any():
         return identification, np.zeros(len(identification), bool)
     with_links = replace(sets, log_weight=sets.log_weight + log_bound * _links(sets, previous_object))
-    best = best_sets(with_links, n, possible & resolve, time_limit_s=search_s, tuning=LIVE)
+    best = best_sets(with_links, n, possible & resolve, time_limit_s=tuning.search_s, tuning=LIVE)
     chosen = np.where(resolve, best, answer.chosen)
     change = _components(sets, chosen ^ answer.chosen, n)[sets.members.max(axis=1)]
     gain = np.bincount(change, sets.log_weight * (answer.chosen.astype(np.int64) - chosen), n)
@@ -209,7 +209,10 @@ class Watch:
         by_hysteresis = np.zeros(0, bool)
         if identification is not None:
             identification, by_hysteresis = with_hysteresis(
-                identification, self._previous_objects(identification.pooled, scan, memory), math.log(self.bound)
+                identification,
+                self._previous_objects(identification.pooled, scan, memory),
+                math.log(self.bound),
+                self.tuning,
             )
             memory = memory.with_pairs(identification.pooled)
         objects_now = IdentifiedObjects(scan, identification, by_hysteresis)

@@ -32,14 +32,11 @@ if TYPE_CHECKING:
     from astropy.table import Table
 
 
-def listing(identification: FrameIdentification, *, faint: bool = True) -> Table:
-    """The table of a frame; absent values are masked.
-
-    faint : whether stars that are too faint for the frame are listed too.
-    """
+def listing(identification: FrameIdentification) -> Table:
+    """The table of a frame; absent values are masked."""
     from astropy.table import MaskedColumn, Table
 
-    unidentified = _unidentified_stars(identification, faint)
+    unidentified = _unidentified_stars(identification)
     table = Table(masked=True)
     for name, (measured, star, unit, words) in _columns(identification, unidentified).items():
         parts = [_masked(measured, len(identification.measured)), _masked(star, len(unidentified))]
@@ -51,12 +48,10 @@ def listing(identification: FrameIdentification, *, faint: bool = True) -> Table
     return table
 
 
-def _unidentified_stars(identification: FrameIdentification, faint: bool) -> IntArray:
+def _unidentified_stars(identification: FrameIdentification) -> IntArray:
     """Rows of the stars on the frame without a measurement, brightest first."""
     unidentified = identification.inside.copy()
     unidentified[identification.pairs[1]] = False
-    if not faint:
-        unidentified &= identification.p_detect >= identification.tuning.p_expected
     rows = np.flatnonzero(unidentified)
     return rows[np.argsort(np.nan_to_num(identification.stars.magnitude[rows], nan=99.0), kind="stable")]
 
