@@ -25,13 +25,14 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from benchmarks import autoferry, memory, motion
+from benchmarks import autoferry, invented, memory, motion
 from benchmarks.autoferry_models import describe_all, models_from_others
 from benchmarks.autoferry_scenes import FOLDER, SCENARIOS, scene_of
 from benchmarks.contenders import Pairing, compass, nearest_one, stone_soup
 from benchmarks.memory import instant_evidence
 from benchmarks.picture import World, solent
 from benchmarks.tables import Table, report
+from benchmarks.watch_rules import SHIP_RULES, SOURCE_RULES, rule_alarms, source_alarms
 from sameas.picture.deception import source_faults
 from sameas.picture.picture import Picture, picture_states
 from sameas.picture.picture_state import PictureState
@@ -229,25 +230,30 @@ def alarms(scenes: int) -> Table:
     lines = []
     for words, sources_of in sets.items():
         for injected in INJECTED:
-            found = false = tried = 0
+            found = false = tried = by_rule = false_rules = 0
             for seed in range(scenes):
                 sources = sources_of(seed)
                 if sources is None:
                     continue
                 radar, (described, ais) = sources
                 changed = injected.change(ais, np.random.default_rng(seed))
-                kinds = {fault.kind for fault in source_faults(Scene.of([radar, (described, changed)]).feeds)}
+                feeds = Scene.of([radar, (described, changed)]).feeds
+                kinds = {fault.kind for fault in source_faults(feeds)}
                 tried, found, false = tried + 1, found + (injected.kind in kinds), false + len(kinds - {injected.kind})
+                kinds = {kind for kind, *_ in source_alarms(feeds)} & {one.kind for one in INJECTED}
+                by_rule, false_rules = by_rule + (injected.kind in kinds), false_rules + len(kinds - {injected.kind})
             if tried:
-                lines.append([words, injected.words, tried, found if injected.kind else None, false])
-    notes = ["false: alarms of another kind than the fault"]
+                seen = (found, by_rule) if injected.kind else (None, None)
+                lines.append([words, injected.words, tried, seen[0], false, seen[1], false_rules])
+    notes = ["false: alarms of another kind than the fault", SOURCE_RULES]
     if FOLDER.exists():
         count = sum(
             len(source_faults(scene_of(name, describe_all(models_from_others(name, SCENARIOS), name)).feeds))
             for name in SCENARIOS
         )
         notes.append(f"autoferry, {len(SCENARIOS)} unchanged recordings: {count} alarms")
-    return Table("Alarms", ("sources", "fault", "scenes", "found", "false"), lines, tuple(notes))
+    columns = ("sources", "fault", "scenes", "found", "false", "rules: found", "rules: false")
+    return Table("Alarms", columns, lines, tuple(notes))
 
 
 #: Change of the AIS of one ship from a moment on, and the expected alarm; "" without a change.
@@ -275,7 +281,7 @@ def deceptions(scenes: int) -> Table | None:
     if world is None:
         return None
     begin = float(world.log.time_s.min()) + 120.0
-    counts = {words: [0, 0, 0] for words, _ in DECEPTIONS}
+    counts = {words: [0, 0, 0, 0, 0] for words, _ in DECEPTIONS}
     for seed in range(scenes):
         rng = np.random.default_rng(seed)
         from_s = begin + 60.0 * (seed % 10)
@@ -297,12 +303,33 @@ def deceptions(scenes: int) -> Table | None:
             counts[words][0] += 1
             counts[words][1] += any(right)
             counts[words][2] += len(right) - sum(right)
-    lines = [[words, tried, right if expected else None, tried - right if expected else None, false]
-             for (words, expected), (tried, right, false) in zip(DECEPTIONS, counts.values(), strict=True)]  # fmt: skip
+            of_ship = _tracks_of(ship, world, [output for _, output in simulated])
+            kinds = {"dragged": ("alone", "jumped"), "silent": ("silent",)}.get(expected, ())
+            rules = [kind in kinds and (source, track) in of_ship for kind, source, track in rule_alarms(scene.feeds)]
+            counts[words][3] += any(rules)
+            counts[words][4] += len(rules) - sum(rules)
+    lines = [[words, tried, *((found, tried - found) if expected else (None, None)), false, rules if expected else None,
+              false_rules]
+             for (words, expected), (tried, found, false, rules, false_rules)
+             in zip(DECEPTIONS, counts.values(), strict=True)]  # fmt: skip
     return Table(
-        "Deception: real motion, modelled sensors", ("one ship's AIS", "scenes", "found", "missed", "false alarms"),
-        lines, ("Solent: all ships in 12 minutes of AIS (silent: 20), two modelled radars; false: any other alarm",),
+        "Deception: real motion, modelled sensors",
+        ("one ship's AIS", "scenes", "found", "missed", "false alarms", "rules: found", "rules: false alarms"), lines,
+        ("Solent: all ships in 12 minutes of AIS (silent: 20), two modelled radars; false: any other alarm",
+         SHIP_RULES),
     )  # fmt: skip
+
+
+def _tracks_of(ship: str, world: World, outputs: Sequence[SensorOutput]) -> set[tuple[str, str]]:
+    """The source and id of the tracks of a ship: her AIS, and those of the radars with mostly her plots."""
+    own, out = world.true.names.index(ship), {(world.described.name, ship)}
+    for output in outputs:
+        ids = output.reports.object_ids
+        assert ids is not None
+        for track in np.unique(ids.astype(str)):
+            if np.mean(output.truth[ids.astype(str) == track] == own) > 0.5:
+                out.add((output.reports.source, str(track)))
+    return out
 
 
 def _seen_by_all(world: World, log: Reports, outputs: Sequence[SensorOutput], rng: np.random.Generator) -> str:
@@ -447,6 +474,7 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
         yield heights(min(options.scenes, 10))
     if "alarms" in options.only:
         yield alarms(min(options.scenes, 20))
+        yield invented.table(min(options.scenes, 20))
     if "positions" in options.only and FOLDER.exists():
         yield autoferry.positions(0.5)
         yield autoferry.kinds_only(0.5)

@@ -16,6 +16,8 @@ object with a sensor's track for a while. Then
 - its reported positions jump farther than it can move, and stay there ("jumped"), or two tracks jump to each other's
   place ("exchanged": two ships with each other's MMSI). No sensor is needed for these.
 
+A ship that no radar sees where it sees others may be invented ("phantom", :mod:`sameas.picture.phantoms`).
+
 :func:`deceptions` finds them in the records of a picture, each with its log-odds; :func:`faults_and_deceptions` gives
 the faults of sources, and the deceptions that these do not explain.
 """
@@ -32,6 +34,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.picture.phantoms import Phantom, phantoms
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
@@ -45,7 +48,7 @@ from sameas.tracks.reports import Reports
 class Fault:
     """An alarm on one source, or on one of its tracks.
 
-    kind : "clock", "ended", "frozen", "flood", "dragged", "silent", "jumped" or "exchanged". source : name.
+    kind : "clock", "ended", "frozen", "flood", "dragged", "silent", "jumped", "exchanged" or "phantom". source : name.
     track : its id, "" for the whole source. first_s, last_s : begin and end of the fault. log_odds : against a sound
     source. words : what is wrong and what to do.
     """
@@ -316,8 +319,20 @@ def deceptions(
     dragged = {(fault.source, fault.track) for fault in alarms if fault.probability > tuning.sure_deception}
     for feed in feeds:
         alarms += [fault for fault in _jumped(feed, tuning) if (fault.source, fault.track) not in dragged]
+    alarms += [_phantom(one) for one in phantoms(feeds, records, tuning) if (one.source, one.track) not in dragged]
     alarms = [fault for fault in alarms if fault.probability > tuning.sure_deception]
     return tuple(sorted(alarms, key=lambda fault: fault.first_s))
+
+
+def _phantom(one: Phantom) -> Fault:
+    """The alarm of a ship that is never seen."""
+    shown = "never saw it" if one.seen == 0 else f"saw it {100.0 * one.seen / one.looks:.0f} % of the time"
+    words = (
+        f"{one.source}: {one.track} may be invented: {one.radar} {shown} in {one.minutes:.0f} min under way within "
+        f"{one.within_m / 1000.0:.1f} km, where it sees {one.others} others {100.0 * one.share:.0f} % of the time; "
+        "look out for it"
+    )
+    return Fault("phantom", one.source, one.first_s, one.last_s, min(one.log_odds, 50.0), words, one.track)
 
 
 def faults_and_deceptions(

@@ -100,6 +100,22 @@ class Tuning:
     silent_s, silent_odds : minimum duration of a silence, and its prior odds. sure_deception : probability at which
         either is an alarm.
 
+    look_s, min_looks : one look of a radar at a ship lasts this long; a ship with fewer looks is no phantom yet.
+    covered_q : places at which the described probability of a miss is as high are not covered.
+    under_way_m_per_s : least speed of vessels, and of aircraft, that a radar is expected to see: those at rest are
+        among the returns of land.
+    near_share : a radar sees a ship within this share of her range, besides the errors of both: its biases may be
+        unknown. turned_deg : angles about the radar of the places that give the rate of chance.
+    sight_deg, sight_between_deg, sight_height_m : a place is seen if another ship within the first angle of it is, or
+        one on either side within the second, in layers of the third for aircraft.
+    sight_moves_m : a radar that moves farther is on a ship.
+    comparable_ships : least number of ships that a radar sees, at a range and altogether. range_bins : of its rate.
+    steel_m, steel_share : shorter hulls are not expected to be seen, and longer ones are never seen this many times as
+        often as those of unknown length. detectabilities : number of steps of d.
+    mean_detectabilities, detectability_widths : grids of the mean and of a + b of the Beta distribution of d; the prior
+        is uniform. hidden_share, invented_share : a and b of the Beta priors of h and θ.
+    invented_odds : prior odds that any ship is invented.
+
     min_expected : the summary gives a miss rate from this many expected detections on.
     blocks : number of blocks of successive instants from whose scatter a miss rate's standard error is estimated.
     """
@@ -185,6 +201,27 @@ class Tuning:
     silent_s: float = 60.0
     silent_odds: float = 0.01
     sure_deception: float = 0.95
+
+    look_s: float = 30.0
+    min_looks: int = 6
+    covered_q: float = 0.9
+    under_way_m_per_s: tuple[float, float] = (1.5, 40.0)
+    near_share: float = 0.01
+    turned_deg: tuple[float, ...] = (-75.0, -45.0, -25.0, 25.0, 45.0, 75.0)
+    sight_deg: float = 3.0
+    sight_between_deg: float = 8.0
+    sight_height_m: float = 1000.0
+    sight_moves_m: float = 200.0
+    comparable_ships: int = 4
+    range_bins: int = 5
+    steel_m: float = 20.0
+    steel_share: float = 0.2
+    detectabilities: int = 50
+    mean_detectabilities: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98)
+    detectability_widths: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+    hidden_share: tuple[float, float] = (0.5, 200.0)
+    invented_share: tuple[float, float] = (1.0, 3.0)
+    invented_odds: float = 0.1
 
     min_expected: int = 20
     blocks: int = 12

@@ -1,0 +1,367 @@
+"""Phantoms: ships of AIS, or aircraft of ADS-B, that stand where a radar sees others and that it never sees.
+
+A transmitter can report ships that do not exist. What a radar says of a ship is a number of *looks*: intervals of
+``look_s`` in which the ship was under way within the coverage of the radar, at a place that it demonstrably sees
+(another ship, seen at about the same bearing, stood as far away or farther), and the number of these in which the radar
+showed anything near her.
+
+- A ship that exists is seen in a look with probability d·ρ(r): ρ is the relative rate of detections at range r, from
+  the ships that are seen; d, her detectability, is Beta distributed, with the mean and width that all ships together
+  show. Weak boats make that distribution wide.
+- A share h of the ships that exist is never seen (a hull of plastic, a filter of the radar), ``hidden_share`` a priori;
+  of aircraft and of hulls that state ``steel_m`` or more, ``steel_share`` as many. Shorter ones do not count.
+- A phantom is seen by chance only: at the rate c(r) at which the radar shows anything near places turned about it.
+
+Either no ship is invented, or a share θ of them is, a priori with ``invented_odds``. The unknown h, θ and the two
+parameters of the Beta distribution are integrated over, so the ships decide together: one that is never seen may be a
+plastic yacht, five of them among forty others are no chance. The model is a Beta-binomial mixture, as for occupancy
+with imperfect detection (Royle 2006, Biometrics 62, 97).
+
+:func:`phantoms` gives every ship that some radar should have seen, with her log-odds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.special import betainc, logit, logsumexp
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.tracks.feed import CORRELATED_KINDS, Feed
+from sameas.tracks.kinds import KINDS
+
+
+@dataclass(frozen=True)
+class Phantom:
+    """A ship that a radar should have seen.
+
+    source, track : of her reports. radar : its name. looks, seen : her looks, and those in which it showed anything
+    near her. others : number of the other ships that it sees, share : of their looks in which it does, within_m : the
+    range up to which it does. first_s, last_s : the first and the last look. log_odds : that she is invented.
+    """
+
+    source: str
+    track: str
+    radar: str
+    looks: int
+    seen: int
+    minutes: float
+    others: int
+    share: float
+    within_m: float
+    first_s: float
+    last_s: float
+    log_odds: float
+
+
+def phantoms(
+    feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
+) -> list[Phantom]:
+    """The ships that some radar should have seen, with the log-odds that they are invented, in order of their ids.
+
+    records : columns as of :func:`sameas.picture.deception.sightings_of`, of some minutes or of a whole picture. Where
+    two radars should have seen a ship, the one that has the least doubt that she exists decides.
+    """
+    if not len(records["time_s"]):
+        return []
+    least: dict[tuple[str, str], Phantom] = {}
+    for ships in (feed for feed in feeds if feed.description.kind in CORRELATED_KINDS):
+        for radar in filter(_sees_by_itself, feeds):
+            looks = _Looks.of(ships, radar, records, tuning)
+            for one in () if looks is None else looks.phantoms():
+                known = least.get((one.source, one.track))
+                if known is None or one.log_odds < known.log_odds:
+                    least[one.source, one.track] = one
+    return [least[key] for key in sorted(least)]
+
+
+def _sees_by_itself(feed: Feed) -> bool:
+    """Whether a source measures the positions of all that is in its range. ARPA targets may be acquired by hand."""
+    return (
+        feed.description.kind not in CORRELATED_KINDS
+        and not KINDS[feed.description.kind].directions
+        and feed.sensor_m is not None
+        and not (feed.raw_reports is not None and feed.raw_reports.kind == "arpa")
+    )
+
+
+@dataclass(frozen=True)
+class _Sightings:
+    """The records of the ships at the instants at which the radar shows anything, (k,) each.
+
+    ship : index of its track in ``names``. arm : (k, 2) position from the radar. moved : whether the ship is under way.
+    height_m : of the aircraft, NaN if unknown; 0 for vessels. seen : whether the radar shows anything near it.
+    chance : the share of the places turned about the radar near which it does.
+    """
+
+    names: tuple[str, ...]
+    ship: IntArray
+    time_s: FloatArray
+    arm: FloatArray
+    moved: BoolArray
+    height_m: FloatArray
+    seen: BoolArray
+    chance: FloatArray
+
+    def take(self, which: BoolArray) -> _Sightings:
+        """Some of the records."""
+        columns = ("ship", "time_s", "arm", "moved", "height_m", "seen", "chance")
+        return replace(self, **{name: getattr(self, name)[which] for name in columns})
+
+    @property
+    def range_m(self) -> FloatArray:
+        return np.asarray(np.hypot(*self.arm.T))
+
+
+def _sightings(ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tuning: Tuning) -> _Sightings | None:
+    """None where the source has no ids or the radar shows nothing."""
+    placed = ~np.ma.getmaskarray(records["x_m"])
+    position = np.column_stack([np.ma.filled(records[name], np.nan) for name in ("x_m", "y_m")])
+    variance = np.maximum(*(np.ma.filled(records[name], np.nan) for name in ("var_x_m2", "var_y_m2")))
+    own = np.flatnonzero((records["source"] == ships.description.name) & placed)
+    shown = np.flatnonzero((records["source"] == radar.description.name) & placed)
+    own = own[np.isin(records["time_s"][own], records["time_s"][shown])]
+    if not len(own) or ships.reports.track is None:
+        return None
+    names, ship = np.unique(records["track_id"][own].astype(str), return_inverse=True)
+    time_s, place = records["time_s"][own], position[own]
+    speed = _speeds(ship, time_s, place)
+    seen, chance = np.zeros(len(own), bool), np.zeros(len(own))
+    arm = np.empty((len(own), 2))
+    lag_s = 0.0 if radar.reports.track is None else tuning.tracker_lag_s
+    angle = np.radians(tuning.turned_deg)
+    turns = np.stack([np.stack([np.cos(angle), np.sin(angle)], -1), np.stack([-np.sin(angle), np.cos(angle)], -1)], 1)
+    for instant_s in np.unique(time_s):
+        rows, theirs = np.flatnonzero(time_s == instant_s), shown[records["time_s"][shown] == instant_s]
+        sensor = radar.sensor_at(float(instant_s))
+        assert sensor is not None
+        arm[rows] = place[rows] - sensor
+        echoes, sigma = position[theirs] - sensor, np.sqrt(variance[theirs])
+        tree = cKDTree(echoes)
+        reach = tuning.near_share * np.hypot(*arm[rows].T) + lag_s * speed[rows]
+        reach = reach + tuning.apart_sigmas * np.sqrt(variance[own[rows]])
+
+        def near(places: FloatArray, reach: FloatArray = reach, tree: Any = tree, sigma: FloatArray = sigma) -> Any:
+            distance, nearest = tree.query(places)
+            return distance <= reach + tuning.apart_sigmas * sigma[nearest]
+
+        objects = records["object"][own[rows]]
+        seen[rows] = near(arm[rows]) | np.isin(objects, records["object"][theirs])
+        chance[rows] = np.mean([near(arm[rows] @ turn) for turn in turns], axis=0)
+    fast = tuning.under_way_m_per_s[KINDS[ships.description.kind].target == "aircraft"]
+    heights = _heights(ships, names, ship, time_s)
+    return _Sightings(tuple(names.tolist()), ship, time_s, arm, speed > fast, heights, seen, chance)
+
+
+def _speeds(ship: IntArray, time_s: FloatArray, place: FloatArray) -> FloatArray:
+    """(k,) speeds over ground, from the positions of each ship; 0 for a ship with one record."""
+    out = np.zeros(len(ship))
+    for k in range(int(ship.max()) + 1):
+        rows = np.flatnonzero(ship == k)
+        rows = rows[np.argsort(time_s[rows], kind="stable")]
+        rows = rows[np.append(True, np.diff(time_s[rows]) > 0.0)]
+        if len(rows) > 1:
+            # Between the neighbours on both sides: errors of positions are no speed.
+            ends = np.clip(np.arange(len(rows)) + np.array([[-2], [2]]), 0, len(rows) - 1)
+            step = place[rows[ends[1]]] - place[rows[ends[0]]]
+            out[rows] = np.hypot(*step.T) / (time_s[rows[ends[1]]] - time_s[rows[ends[0]]])
+    return out
+
+
+def _heights(ships: Feed, names: NDArray[Any], ship: IntArray, time_s: FloatArray) -> FloatArray:
+    """(k,) heights of aircraft, interpolated in time; NaN where unknown. 0 for vessels."""
+    if KINDS[ships.description.kind].target != "aircraft":
+        return np.zeros(len(ship))
+    out, raw, rows = np.full(len(ship), np.nan), ships.raw_reports, ships.reports.rows
+    columns = () if raw is None else (raw.pressure_alt_m, raw.alt_m)
+    given = next((column for column in columns if column is not None and np.isfinite(column).any()), None)
+    if given is None or rows is None or ships.reports.track is None:
+        return out
+    track, height = ships.reports.track.astype(str), given[rows]
+    for k, name in enumerate(names):
+        own = np.flatnonzero((track == name) & np.isfinite(height))
+        if len(own):
+            own = own[np.argsort(ships.reports.time_s[own], kind="stable")]
+            out[ship == k] = np.interp(time_s[ship == k], ships.reports.time_s[own], height[own])
+    return out
+
+
+def _proven(one: _Sightings, bearing_deg: FloatArray, moving: bool, tuning: Tuning) -> BoolArray:
+    """(k,) whether the radar demonstrably sees the place of each record.
+
+    It saw another ship that was as far away or farther, and no higher, within ``sight_deg`` of its bearing, or one on
+    either side within ``sight_between_deg``. Land hides what is behind it, and nobody is seen there. The land about a
+    radar that moves changes: then within a minute.
+    """
+    known = np.isfinite(one.height_m)
+    band = (np.where(known, one.height_m, 0.0).clip(min=0.0) // tuning.sight_height_m).astype(np.int64)
+    minute = ((one.time_s - one.time_s.min()) // 60.0).astype(np.int64) if moving else np.zeros(len(band), np.int64)
+    cell = (bearing_deg % 360.0).astype(np.int64) % 360
+    seen = np.flatnonzero(one.seen & known)
+    seen = seen[np.argsort(-one.range_m[seen], kind="stable")]
+    place = np.column_stack([one.ship[seen], minute[seen], band[seen], cell[seen]])
+    # Of a ship in one cell the farthest record; unique takes the first.
+    seen = seen[np.sort(np.unique(place, axis=0, return_index=True)[1])]
+    out = np.zeros(len(band), bool)
+    for m, b in np.unique(np.column_stack([minute, band])[known], axis=0).tolist():
+        rows = np.flatnonzero((minute == m) & (band == b) & known)
+        by = seen[(np.abs(minute[seen] - m) <= 1) & (band[seen] <= b)]
+        turn = (bearing_deg[by] - bearing_deg[rows, None] + 180.0) % 360.0 - 180.0
+        farther = (one.ship[by] != one.ship[rows, None]) & (one.range_m[by] >= one.range_m[rows, None])
+        left, right = (farther & (side >= 0.0) & (side <= tuning.sight_between_deg) for side in (-turn, turn))
+        out[rows] = (farther & (np.abs(turn) <= tuning.sight_deg)).any(axis=1) | (left.any(axis=1) & right.any(axis=1))
+    return out
+
+
+@dataclass(frozen=True)
+class _Looks:
+    """The looks of a radar at ships: (n, b) their numbers by ship and range, and those with anything near the ship.
+
+    chance, relative : (b,) c and ρ. hidden : (n,) how many times h is each ship's. first_s, last_s : (n,) of each ship.
+    within_m : the range up to which it sees.
+    """
+
+    source: str
+    radar: str
+    names: tuple[str, ...]
+    looks: IntArray
+    seen: IntArray
+    chance: FloatArray
+    relative: FloatArray
+    hidden: FloatArray
+    first_s: FloatArray
+    last_s: FloatArray
+    within_m: float
+    tuning: Tuning
+
+    @classmethod
+    def of(cls, ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tuning: Tuning) -> _Looks | None:
+        """None where the radar sees too few ships."""
+        one = _sightings(ships, radar, records, tuning)
+        if one is None:
+            return None
+        sensor_m = radar.sensor_m
+        assert sensor_m is not None
+        moving = bool(np.ptp(sensor_m, axis=0).max() > tuning.sight_moves_m)
+        bearing = np.degrees(np.arctan2(one.arm[:, 0], one.arm[:, 1]))
+        covered = radar.description.q_at(one.range_m, bearing) < tuning.covered_q
+        length_m = _lengths(ships, one.names)
+        long_enough = ~(length_m < tuning.steel_m)[one.ship]
+        one = one.take(one.moved & covered & long_enough & _proven(one, bearing, moving, tuning))
+        if np.unique(one.ship[one.seen]).size < tuning.comparable_ships:
+            return None
+        # One look an interval: a tracker that shows a ship shows it again ten seconds later.
+        interval = ((one.time_s - one.time_s.min()) // tuning.look_s).astype(np.int64)
+        key, number = np.unique(one.ship * (int(interval.max()) + 1) + interval, return_inverse=True)
+        of_look = np.bincount(number)
+        seen = np.bincount(number, one.seen) > 0.0
+        range_m, chance = (np.bincount(number, column) / of_look for column in (one.range_m, one.chance))
+        ship = key // (int(interval.max()) + 1)
+        bins, far = _range_bins(range_m, seen, ship, tuning)
+        if not far > 0.0:
+            return None
+        n, n_bins = len(one.names), int(bins.max()) + 1
+        kept = range_m <= far
+        at = ship[kept] * n_bins + bins[kept]
+        looks, hits = (np.bincount(at, w, n * n_bins).reshape(n, -1) for w in (None, seen[kept]))
+        c = (np.bincount(bins[kept], chance[kept], n_bins) + 0.5) / (looks.sum(axis=0) + 1.0)
+        # Of ships that are seen more often than by chance; farther off never more often than nearer.
+        visible = hits.sum(axis=1) > looks.sum(axis=1) * max(2.0 * float(c.max()), 0.1)
+        rate = (hits[visible].sum(axis=0) + 0.5) / (looks[visible].sum(axis=0) + 1.0)
+        rate = np.minimum.accumulate(rate)
+        aircraft = KINDS[ships.description.kind].target == "aircraft"
+        hidden = np.where(aircraft | (length_m >= tuning.steel_m), tuning.steel_share, 1.0)
+        first, last = np.full(n, np.inf), np.full(n, -np.inf)
+        np.minimum.at(first, one.ship, one.time_s)
+        np.maximum.at(last, one.ship, one.time_s)
+        return cls(
+            ships.description.name, radar.description.name, one.names, looks.astype(np.int64), hits.astype(np.int64),
+            np.clip(c, 1e-3, 0.5), rate / rate.max(), hidden, first, last, far, tuning,
+        )  # fmt: skip
+
+    def phantoms(self) -> Iterator[Phantom]:
+        """The ships with enough looks, in the order of their ids."""
+        looks, seen = self.looks.sum(axis=1), self.seen.sum(axis=1)
+        chance = self.looks @ self.chance
+        are_seen = seen > np.maximum(2.0 * chance, 0.1 * looks)
+        if are_seen.sum() < self.tuning.comparable_ships:
+            return
+        share = float(seen[are_seen].sum() / looks[are_seen].sum())
+        log_odds = self.log_odds()
+        minutes = looks * self.tuning.look_s / 60.0
+        for k in np.flatnonzero(looks >= self.tuning.min_looks).tolist():
+            yield Phantom(
+                self.source, self.names[k], self.radar, int(looks[k]), int(seen[k]), float(minutes[k]),
+                int(are_seen.sum() - are_seen[k]), share, self.within_m, float(self.first_s[k]), float(self.last_s[k]),
+                float(log_odds[k]),
+            )  # fmt: skip
+
+    def log_odds(self) -> FloatArray:
+        """(n,) log-odds that each ship is invented."""
+        tuning = self.tuning
+        detectability = (np.arange(tuning.detectabilities) + 0.5) / tuning.detectabilities
+        edges = np.linspace(0.0, 1.0, tuning.detectabilities + 1)
+        missed = (1.0 - detectability[:, None] * self.relative) * (1.0 - self.chance)
+        # (n, d) ln of the probability of the looks of each ship with each detectability, and (n,) with none.
+        log_seen = self.seen @ np.log1p(-missed).T + (self.looks - self.seen) @ np.log(missed).T
+        log_none = self.seen @ np.log(self.chance) + (self.looks - self.seen) @ np.log1p(-self.chance)
+        share, p_hidden = _cells(np.append(0.0, np.logspace(-4.0, 0.0, 33)), *tuning.hidden_share)
+        theta, p_theta = _cells(np.linspace(0.0, 1.0, 21), *tuning.invented_share)
+        h = share * self.hidden[:, None]
+        log_all, log_none_invented, log_own = [], [], []
+        for mean in tuning.mean_detectabilities:
+            for width in tuning.detectability_widths:
+                weight = np.diff(betainc(mean * width, (1.0 - mean) * width, edges))
+                real = logsumexp(log_seen, b=np.maximum(weight, 1e-300), axis=1)
+                # (n, h) real ships, hidden or not; then (h, θ) all ships together.
+                exists = np.logaddexp(real[:, None] + np.log1p(-h), log_none[:, None] + np.log(h))
+                invented = log_none[:, None, None] + np.log(theta)
+                either = np.logaddexp(exists[:, :, None] + np.log1p(-theta), invented)
+                together = either.sum(axis=0) + np.log(p_hidden)[:, None] + np.log(p_theta)
+                log_none_invented.append(logsumexp(exists.sum(axis=0) + np.log(p_hidden)))
+                log_all.append(logsumexp(together))
+                log_own.append(logsumexp(together + invented - either, axis=(1, 2)))
+        log_prior = math.log(tuning.invented_odds)
+        log_total = np.logaddexp(logsumexp(log_none_invented), logsumexp(log_all) + log_prior)
+        log_p = np.minimum(logsumexp(log_own, axis=0) + log_prior - log_total, 0.0)
+        return np.asarray(logit(np.clip(np.exp(log_p), 1e-300, 1.0 - 1e-12)))
+
+
+def _cells(edges: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:
+    """Middles of cells of a share, and their probabilities under Beta(a, b)."""
+    return 0.5 * (edges[1:] + edges[:-1]), np.maximum(np.diff(betainc(a, b, edges)), 1e-300)
+
+
+def _range_bins(range_m: FloatArray, seen: BoolArray, ship: IntArray, tuning: Tuning) -> tuple[IntArray, float]:
+    """(k,) bin of each look, of equal numbers of looks with detections, and the range within which ships are compared.
+
+    That is the range beyond which fewer than ``comparable_ships`` ships are seen.
+    """
+    farthest = np.zeros(int(ship.max()) + 1)
+    np.maximum.at(farthest, ship[seen], range_m[seen])
+    far = float(np.sort(farthest)[-tuning.comparable_ships]) if len(farthest) >= tuning.comparable_ships else 0.0
+    inside = range_m[seen & (range_m <= far)]
+    if not len(inside):
+        return np.zeros(len(range_m), np.int64), 0.0
+    edges = np.quantile(inside, np.linspace(0.0, 1.0, tuning.range_bins + 1))[1:-1]
+    return np.searchsorted(edges, range_m), far
+
+
+def _lengths(ships: Feed, names: Sequence[str]) -> FloatArray:
+    """(n,) the least length that each track states, NaN without one."""
+    raw, track, rows = ships.raw_reports, ships.reports.track, ships.reports.rows
+    out = np.full(len(names), np.inf)
+    if raw is not None and raw.length_m is not None and track is not None and rows is not None:
+        length = raw.length_m[rows]
+        order = np.argsort(np.array(names))
+        at = np.searchsorted(np.array(names), track.astype(str), sorter=order).clip(max=len(names) - 1)
+        stated = (length > 0.0) & (np.array(names)[order[at]] == track.astype(str))
+        np.minimum.at(out, order[at[stated]], length[stated])
+    return np.where(np.isfinite(out), out, np.nan)
