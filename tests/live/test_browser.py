@@ -149,9 +149,19 @@ def test_the_page_shows_the_offsets_of_the_sensors_and_an_operator_holds_them(ke
         try:
             sensors = "document.getElementById('summary').textContent"
             page.until(f"mapPage.live && {sensors}.includes('azimuth +1.500 ± 0.100°not established, not subtracted')")
-            page.js("document.querySelector('.sensor button').click()")
+            page.js("document.querySelector('.sensor > button').click()")
             page.until(f"{sensors}.includes('not subtracted, held')")
-            assert keeper.picture.held == {"radar"} and page.errors == []
+            assert keeper.picture.held == {"radar"}
+            # One is set: a value in nautical miles, then one that is refused.
+            form = "document.querySelectorAll('.sensor form')[1]"
+            page.js(f"{form}.closest('details').open = true; {form}[0].value = 'range_m'; "
+                    f"{form}[0].dispatchEvent(new Event('change')); {form}[1].value = '0.05'; {form}[2].value = 'nm'; "
+                    f"{form}.requestSubmit()")  # fmt: skip
+            page.until(f"{sensors}.includes('range +92.6 m set by handsubtracted, held')")
+            page.js(f"{form}.closest('details').open = true; {form}[0].value = 'azimuth_deg'; {form}[1].value = '400'; "
+                    f"{form}[0].dispatchEvent(new Event('change')); {form}.requestSubmit()")  # fmt: skip
+            page.until(f"{form}.textContent.includes('azimuth_deg is 400')")
+            assert page.errors == []
         finally:
             page.close()
 

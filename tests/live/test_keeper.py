@@ -144,6 +144,34 @@ def test_identities_survive_a_kill(tmp_path):
 
 
 @pytest.mark.slow
+def test_offsets_that_an_operator_sets_survive_a_kill_and_end_with_their_sensor(tmp_path):
+    first = Keeper(settings(save_every_s=1e9), tmp_path, replay=replay())
+    ticked(first, 10.0)
+    first.set_offset("radar", "azimuth_deg", -2.0, "operator at bridge")
+    first.set_offset("ais", "time_s", 3.0)
+    first.hold("ais", False)
+    # Killed before the next state: the journal has it.
+    first.store.journal.close()
+    base = sqlite3.connect(tmp_path / "journal.sqlite")
+    rows = base.execute("SELECT source, event, bias, value, unit, by FROM offsets").fetchall()
+    base.close()
+    assert rows[0] == ("radar", "set", "azimuth_deg", -2.0, "deg", "operator at bridge")
+    assert [row[:2] for row in rows[1:]] == [("ais", "set"), ("ais", "released")]
+    again = Keeper(settings(), tmp_path, replay=replay())
+    assert again.picture.held == {"radar"} and set(again.picture.biases) == {"radar"}
+    assert again.alignment()["radar"]["offsets"] == ["azimuth -2.000° set by hand"]
+    ticked(again, 20.0)
+    again.close()
+    ais, radar = descriptions()
+    radar = replace(radar, site=Site(lat_deg=SITE[0], lon_deg=SITE[1], height_m=12.0))
+    other = Settings({d.name: LiveSource(d) for d in (ais, radar)}, settings().watch)
+    for made in (other, settings()):
+        last = Keeper(made, tmp_path, replay=replay())
+        assert last.picture.held == set() and not last.picture.biases
+        last.close()
+
+
+@pytest.mark.slow
 def test_deltas_add_up_to_the_frame(keeper):
     objects, records = {}, {}
     for k in range(1, 20):

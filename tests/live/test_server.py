@@ -157,6 +157,69 @@ def test_an_operator_holds_the_biases_of_a_source(keeper):
         assert alignment()["offsets"] == ["azimuth +4.000 ± 0.100°"]
 
 
+def told(url, content, **headers):
+    """The status and the answer to an offset that is sent."""
+    body = content if isinstance(content, bytes) else json.dumps(content).encode()
+    named = {name.replace("_", "-"): value for name, value in headers.items()}
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, body, named, method="POST"), timeout=10) as answer:
+            return answer.status, json.loads(answer.read())
+    except urllib.error.HTTPError as error:
+        return error.code, json.loads(error.read())
+
+
+def test_an_operator_sets_an_offset_which_is_subtracted_until_it_is_released(keeper):
+    def alignment():
+        return keeper.alignment()["radar"]
+
+    with served(keeper, Access("0.0.0.0", "op", "view")) as url:
+        path, op = f"{url}/sources/radar/offset", {"Authorization": "Bearer op", "X_Sameas": "1"}
+        nautical = {"bias": "range_m", "value": 0.1, "unit": "nm"}
+        assert told(path, nautical, Authorization="Bearer view", X_Sameas="1")[0] == 403
+        assert told(path, nautical, Authorization="Bearer op")[0] == 403 and not alignment()["held"]
+        assert told(path, nautical, **op) == (200, {"set": {"range_m": pytest.approx(185.2)}})
+        assert told(path, {"bias": "azimuth_deg", "value": -2}, **op)[0] == 200
+        assert alignment()["held"] and alignment()["state"] == "subtracted"
+        assert alignment()["offsets"] == ["range +185.2 m set by hand", "azimuth -2.000° set by hand"]
+        np.testing.assert_allclose(keeper.picture.biases["radar"].theta, [185.2, -2.0, 0.0, 0.0, 0.0, 0.0])
+        assert told(f"{url}/sources/none/offset", nautical, **op)[0] == 404
+        # The estimate goes on, and counts again after the release.
+        azimuth = {"azimuth_deg": Parameter(1.5, 0.1, "deg")}
+        keeper.picture.take_off(Registered((SourceBiases(
+            "radar", ("ais",), azimuth, theta=np.array([0.0, 1.5, 0.0, 0.0, 0.0, 0.0]), covariance=1e-9 * np.eye(6)
+        ),)))  # fmt: skip
+        assert alignment()["offsets"][1] == "azimuth -2.000° set by hand"
+        assert alignment()["notes"] == ["estimated now, not used: azimuth +1.500 ± 0.100°"]
+        assert ask(f"{url}/sources/radar/hold", "DELETE", Authorization="Bearer op", X_Sameas="1")[0] == 200
+        assert alignment()["offsets"] == ["azimuth +1.500 ± 0.100°"] and not alignment()["held"]
+
+
+@pytest.mark.parametrize(("content", "words"), [
+    (b"azimuth 2", "the request is no JSON"),
+    (b"[" * 900, "the request is no JSON"),
+    (b" " * 2000, "the request is too long"),
+    ([2.0], "there is no offset None"),
+    ({"bias": "tilt", "value": 1}, "there is no offset 'tilt'"),
+    ({"bias": "azimuth_deg", "value": "2"}, "azimuth_deg: the value is '2'"),
+    ({"bias": "azimuth_deg", "value": True}, "azimuth_deg: the value is True"),
+    (b'{"bias": "azimuth_deg", "value": NaN}', "azimuth_deg: the value is nan"),
+    ({"bias": "azimuth_deg", "value": 200}, "radar: azimuth_deg is 200"),
+    ({"bias": "azimuth_deg", "value": 2, "unit": "m"}, "azimuth_deg: the unit is 'm'"),
+    ({"bias": "azimuth_deg", "value": 2, "unit": []}, "azimuth_deg: the unit is []"),
+])  # fmt: skip
+def test_an_offset_that_no_sensor_has_is_refused(keeper, content, words):
+    with served(keeper) as url:
+        status, answer = told(f"{url}/sources/radar/offset", content, X_Sameas="1")
+    assert status == 400 and words in answer["error"] and not keeper.picture.held
+
+
+def test_ais_has_no_azimuth_to_set(keeper):
+    with served(keeper) as url:
+        status, answer = told(f"{url}/sources/ais/offset", {"bias": "azimuth_deg", "value": 2}, X_Sameas="1")
+        assert status == 400 and "give one of time_s, east_m, north_m" in answer["error"]
+        assert told(f"{url}/sources/ais/offset", {"bias": "time_s", "value": 2}, X_Sameas="1")[0] == 200
+
+
 def test_what_the_sensor_file_subtracts_is_shown():
     known = KnownBiases(azimuth_deg=2.0, range_m=-35.0)
     radar = replace(descriptions()[1], calibration=known, timing=Timing(latency_s=0.5))

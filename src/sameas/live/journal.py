@@ -1,7 +1,8 @@
 """The journal of identities and alarms (SQLite, one transaction per tick), the archive of objects (Parquet), the state.
 
 Table ``identities`` has a row each time a track joins or leaves an object, ``objects`` the last attributes of every
-object, ``alarms`` every alarm, who acknowledged it and when. SQLite runs in WAL mode: readers, and a restart after a
+object, ``alarms`` every alarm, who acknowledged it and when, ``offsets`` what an operator held, set and released.
+SQLite runs in WAL mode: readers, and a restart after a
 kill, see complete ticks only. The state file is replaced atomically. Rows not yet archived, at most ten minutes of
 them, are lost when the process is killed. Only one watch may use a folder.
 
@@ -38,6 +39,7 @@ CREATE TABLE IF NOT EXISTS identities (time_s REAL, object INTEGER, source TEXT,
 CREATE INDEX IF NOT EXISTS identities_object ON identities (object, time_s);
 CREATE TABLE IF NOT EXISTS alarms (id INTEGER PRIMARY KEY, key TEXT, kind TEXT, text TEXT, objects TEXT, first_s REAL,
     last_s REAL, active INTEGER, acknowledged_s REAL, acknowledged_by TEXT);
+CREATE TABLE IF NOT EXISTS offsets (time_s REAL, source TEXT, event TEXT, bias TEXT, value REAL, unit TEXT, by TEXT);
 CREATE INDEX IF NOT EXISTS alarms_active ON alarms (active, key);
 """
 #: An archive file is written after this many rows of objects, or this many seconds.
@@ -45,7 +47,7 @@ ARCHIVE_ROWS, ARCHIVE_S = 200_000, 600.0
 #: At most this many rows are kept in memory while the disk refuses them; the oldest are dropped first.
 WAITING_ROWS = 4 * ARCHIVE_ROWS
 #: Version of the layout of a saved state, raised with every change of it (``tests/live/test_keeper.py`` checks).
-LAYOUT = 33
+LAYOUT = 34
 _TEXTS = ("label", "mmsi", "icao", "callsign", "name", "type")
 
 
@@ -218,6 +220,27 @@ class Journal:
     def active(self) -> dict[str, int]:
         """Ids, by key, of the alarms that were active when the journal was last closed."""
         return self._active
+
+    # ---- offsets that an operator holds or sets ----
+
+    def offset(
+        self, source: str, event: str, who: str, time_s: float, set_: tuple[str, float, str] | None = None
+    ) -> None:
+        """Records that the offsets of a source were "held", "released", or one "set": its name, value and unit."""
+        row = (time_s, source, event, *(set_ or (None, None, None)), who[:80])
+        self._base.execute("INSERT INTO offsets VALUES (?,?,?,?,?,?,?)", row)
+
+    def offsets(self) -> dict[str, dict[str, float]]:
+        """By source whose offsets are held, those that were set since they were last released."""
+        held: dict[str, dict[str, float]] = {}
+        for source, event, bias, value in self._base.execute(
+            "SELECT source, event, bias, value FROM offsets ORDER BY rowid"
+        ):
+            if event == "released":
+                held.pop(source, None)
+            else:
+                held.setdefault(source, {}).update({} if bias is None else {bias: value})
+        return held
 
     def close(self) -> None:
         """Writes the waiting rows, and closes the files even when this fails."""

@@ -25,7 +25,7 @@ from sameas.errors import InputError, reading
 from sameas.live.alarms import MOST_UNSAVED, AlarmLog, fault_alarms, identity_alarms
 from sameas.live.approaches import Approaches
 from sameas.live.inputs import Playback, Replay, SteadyClock, in_words
-from sameas.live.journal import Store, load_state, save_state
+from sameas.live.journal import Journal, Store, load_state, save_state
 from sameas.live.outputs import sinks_of
 from sameas.live.own_ship import OwnShipMotion
 from sameas.live.reception import Reception
@@ -134,6 +134,8 @@ class Keeper:
                 self.picture.instant_s  # noqa: B018 (the state may hold anything by that name)
                 self._require_plane(self.picture.plane)
                 self.changed = self.picture.describe(descriptions, watch.lag_s)
+        if self.store.journal is not None:
+            self._restore_offsets(self.store.journal)
 
     def _require_plane(self, saved: LocalPlane | None) -> None:
         """Refuses another plane than that of the saved state: all its positions are in metres from there."""
@@ -431,22 +433,62 @@ class Keeper:
             state = "subtracted" if subtracted else "not established, not subtracted"
             if found is None or not found.parameters:
                 state = "the others are compared with it" if found is not None and not found.notes else "none estimated"
+            last = self.picture.last_estimates.get(name)
+            unused = (
+                f"estimated now, not used: {last.values}" if held and last is not None and last is not found else ""
+            )
             out[name] = {
                 "described": _known_biases(source.description), "held": held, "state": state,
+                "by_hand": list(self.picture.biases[name].by_hand) if subtracted else [],
+                "settable": list(self.picture.settable(name)),
                 "offsets": [] if found is None else [text for text in found.values.split(", ") if text],
-                "by": "" if found is None or not found.parameters else f"{found.tracks:.0f} tracks in common with "
+                "by": "" if found is None or not found.against else f"{found.tracks:.0f} tracks in common with "
                 f"{listed(found.against)}, log evidence {found.log_evidence:.0f}",
-                "notes": [] if found is None else list(found.notes),
+                "notes": [*([] if found is None else found.notes), *([unused] if unused else [])],
             }  # fmt: skip
         return out
 
-    def hold(self, source: str, held: bool) -> bool:
+    def hold(self, source: str, held: bool, who: str = "operator") -> bool:
         """Keeps the biases of a source as they are, or releases them; False for an unknown source."""
         with self.lock:
             if source not in self.settings.sources:
                 return False
             self.picture.hold(source, held)
+            self._journal_offset(source, "held" if held else "released", who)
             return True
+
+    def set_offset(self, source: str, bias: str, value: float, who: str = "operator") -> bool:
+        """Subtracts an offset as an operator sets it, and holds the source; False for an unknown source.
+
+        Raises
+        ------
+        InputError : as of :meth:`sameas.picture.live.LivePicture.set_offset`.
+        """
+        with self.lock:
+            if source not in self.settings.sources:
+                return False
+            self.picture.set_offset(source, bias, value)
+            unit = self.picture.biases[source].parameters[bias].unit
+            self._journal_offset(source, "set", who, (bias, value, unit))
+            return True
+
+    def _journal_offset(self, source: str, event: str, who: str, set_: tuple[str, float, str] | None = None) -> None:
+        """Writes what an operator did at once, and the state with the next tick."""
+        time_s = self.picture.instant_s if math.isfinite(self.picture.instant_s) else self.clock()
+        self.store.attempt(lambda journal: journal.offset(source, event, who, time_s, set_))
+        self._saved_s = -math.inf
+
+    def _restore_offsets(self, journal: Journal) -> None:
+        """What an operator did after the state was saved counts, too; a source described anew begins anew."""
+        for name, values in journal.offsets().items():
+            if name in self.changed or name not in self.settings.sources:
+                journal.offset(name, "released", "the sensor file", self.clock())
+                continue
+            for bias, value in values.items():
+                self.picture.set_offset(name, bias, value)
+            self.picture.hold(name)
+        for name in self.picture.held - set(journal.offsets()):
+            self.picture.hold(name, False)
 
     def health(self) -> dict[str, Any]:
         """Whether the picture advances, and the counters of every source and wire."""

@@ -103,7 +103,8 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
         from starlette.routing import Route
     handlers = _Handlers(keeper, access or Access(), Clients())
     guarded = handlers.guarded
-    acknowledge, hold = (guarded(one, operator=True, changes=True) for one in (handlers.acknowledge, handlers.hold))
+    changing = (handlers.acknowledge, handlers.hold, handlers.offset)
+    acknowledge, hold, offset = (guarded(one, operator=True, changes=True) for one in changing)
     return Starlette(routes=[
         Route("/", guarded(handlers.page)),
         Route("/events", guarded(handlers.events)),
@@ -114,6 +115,7 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
         Route("/objects/{number:int}/why", guarded(handlers.why)),
         Route("/alarms", guarded(handlers.alarms)),
         Route("/alarms/{alarm:int}/acknowledge", acknowledge, methods=["POST"]),
+        Route("/sources/{source:path}/offset", offset, methods=["POST"]),
         Route("/sources/{source:path}/hold", hold, methods=["POST", "DELETE"]),
         Route("/metrics", guarded(handlers.prometheus)),
         Route("/health", handlers.health),
@@ -128,6 +130,52 @@ def _json(content: object, status: int = 200, **headers: str) -> Response:
     from starlette.responses import JSONResponse
 
     return JSONResponse(content, status, headers=_HEADERS | headers)
+
+
+#: What an operator may set, in words, and the units in which, each in that of its name.
+OFFSETS: Mapping[str, tuple[str, Mapping[str, float]]] = {
+    "azimuth_deg": ("azimuth too far clockwise by", {"°": 1.0}),
+    "range_m": ("range too long by", {"m": 1.0, "nm": 1852.0}),
+    "range_gain": ("range too long by a share of", {"%": 0.01}),
+    "time_s": ("stamps late by", {"s": 1.0}),
+    "east_m": ("positions too far east by", {"m": 1.0}),
+    "north_m": ("positions too far north by", {"m": 1.0}),
+}
+#: Largest body of a request in bytes.
+MOST_BODY = 1000
+
+
+def _who(request: Request) -> str:
+    return f"operator at {request.client.host}" if request.client else "operator"
+
+
+async def _short_body(request: Request) -> bytes:
+    """The body of a request; refused where it is long, before it is read."""
+    body = b""
+    async for piece in request.stream():
+        body += piece
+        if len(body) > MOST_BODY:
+            raise InputError("the request is too long", 'give JSON such as {"bias": "azimuth_deg", "value": 2.0}')
+    return body
+
+
+def _offset(body: bytes) -> tuple[str, float]:
+    """The name and the value of a bias in its unit, from the body of a request."""
+    form = 'give JSON such as {"bias": "azimuth_deg", "value": 2.0, "unit": "°"}'
+    try:
+        given = json.loads(body)
+    except (ValueError, RecursionError):
+        raise InputError("the request is no JSON", form) from None
+    bias = given.get("bias") if isinstance(given, dict) else None
+    if not isinstance(bias, str) or bias not in OFFSETS:
+        raise InputError(f"there is no offset {bias!r}", f"give as bias one of {', '.join(OFFSETS)}")
+    value, units = given.get("value"), OFFSETS[bias][1]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{bias}: the value is {value!r}", form)
+    factor = units.get(given.get("unit")) if isinstance(given.get("unit", ""), str) else None
+    if "unit" in given and factor is None:
+        raise InputError(f"{bias}: the unit is {given['unit']!r}", f"give one of {', '.join(units)}, or none")
+    return bias, float(value) * (1.0 if factor is None else factor)
 
 
 @dataclass(frozen=True)
@@ -231,15 +279,24 @@ class _Handlers:
         return _json({"alarms": self.keeper.alarm_list()})
 
     async def acknowledge(self, request: Request, role: str) -> Response:
-        who = request.client.host if request.client else "operator"
-        done = self.keeper.acknowledge(int(request.path_params["alarm"]), f"operator at {who}")
+        done = self.keeper.acknowledge(int(request.path_params["alarm"]), _who(request))
         return _json({"acknowledged": done}, 200 if done else 404)
 
     async def hold(self, request: Request, role: str) -> Response:
         """Keeps the biases of a source as they are (POST), or releases them (DELETE)."""
         held = request.method == "POST"
-        done = self.keeper.hold(str(request.path_params["source"]), held)
+        done = self.keeper.hold(str(request.path_params["source"]), held, _who(request))
         return _json({"held": held} if done else {"error": "there is no such source"}, 200 if done else 404)
+
+    async def offset(self, request: Request, role: str) -> Response:
+        """Sets one bias of a source by hand: JSON with bias, value and, if not that of its name, unit."""
+        source = str(request.path_params["source"])
+        try:
+            bias, value = _offset(await _short_body(request))
+            done = self.keeper.set_offset(source, bias, value, _who(request))
+        except InputError as error:
+            return _json({"error": str(error)}, 400)
+        return _json({"set": {bias: value}} if done else {"error": "there is no such source"}, 200 if done else 404)
 
     async def prometheus(self, request: Request, role: str) -> Response:
         from starlette.responses import PlainTextResponse
@@ -330,6 +387,7 @@ def live_page(keeper: Keeper, operator: bool) -> str:
         "every": max(10.0, watch.every_s), "history": watch.history_s,
         "word": "live" if keeper.pace is None else "replay",
         "charts": _charts(watch.chart, charts),
+        "offsets": {bias: [words, list(units)] for bias, (words, units) in OFFSETS.items()},
     }  # fmt: skip
     return map_page(sheet, live)
 

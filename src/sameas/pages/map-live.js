@@ -197,10 +197,11 @@ el("tab-summary").textContent = "Sensors";
 let sensorWords = "";
 function showSensors(alignment, errors) {
   const words = JSON.stringify([alignment, errors]);
-  if (words === sensorWords) return;
+  // A form that is being filled in stays.
+  if (words === sensorWords || el("summary").querySelector("form :focus")) return;
   sensorWords = words;
   const parts = data.sensors.flatMap((sensor, k) => (alignment[sensor.name] ? [sensorPart(sensor.name, k, alignment[sensor.name])] : []));
-  parts.push(text("p", "± is one standard error. Offsets are subtracted once they are established; one that is held stays as it is. To fix offsets for good, give them as calibration in the sensor file.", "hint"));
+  parts.push(text("p", "± is one standard error. Offsets are subtracted once they are established; one that is held stays as it is. One that is set by hand is subtracted at once, exactly, until it is released; to fix offsets for good, give them as calibration in the sensor file.", "hint"));
   parts.push(...errors.map(line => text("p", line)));
   el("summary").replaceChildren(...parts);
 }
@@ -217,13 +218,49 @@ function sensorPart(name, k, a) {
   part.className = "sensor";
   part.append(head, lines);
   // What the others are compared with has no offsets.
-  if (data.live.operator && a.offsets.length) {
+  if (data.live.operator && (a.offsets.length || a.held)) {
     const button = text("button", a.held ? "release" : "hold");
     button.setAttribute("aria-label", `${a.held ? "release" : "hold"} the offsets of ${name}`);
     button.addEventListener("click", () => hold(name, !a.held, button));
     part.append(button);
   }
+  if (data.live.operator && a.settable.length) part.append(offsetForm(name, a.settable));
   return part;
+}
+function offsetForm(name, settable) {
+  const box = document.createElement("details"),
+    form = document.createElement("form"),
+    bias = document.createElement("select"),
+    value = document.createElement("input"),
+    unit = document.createElement("select"),
+    done = text("button", "set and hold"),
+    answer = text("p", "", "hint");
+  const option = (of, words) => Object.assign(text("option", words), { value: of });
+  const units = () => unit.replaceChildren(...data.live.offsets[bias.value][1].map(u => option(u, u)));
+  bias.append(...settable.map(one => option(one, data.live.offsets[one][0])));
+  bias.addEventListener("change", units);
+  units();
+  Object.assign(value, { type: "number", step: "any", required: true });
+  for (const [part, words] of [[bias, "which offset"], [value, "value"], [unit, "unit"]]) part.setAttribute("aria-label", `${words} of ${name}`);
+  answer.setAttribute("role", "status");
+  form.append(bias, value, unit, done, answer);
+  form.addEventListener("submit", async event => {
+    event.preventDefault();
+    const refusal = await sent(`sources/${encodeURIComponent(name)}/offset`, { bias: bias.value, value: value.valueAsNumber, unit: unit.value });
+    answer.textContent = refusal;
+    if (!refusal) done.blur();
+  });
+  box.append(text("summary", "set an offset by hand"), form);
+  return box;
+}
+// Why the server has not done what an operator asks for; empty where it has.
+async function sent(path, content) {
+  try {
+    const answer = await fetch(path, { method: "POST", headers: { "X-Sameas": "1", "Content-Type": "application/json" }, body: JSON.stringify(content) });
+    return answer.ok ? "" : (await answer.json()).error;
+  } catch {
+    return "not done; try again";
+  }
 }
 async function hold(name, held, button) {
   const done = await changed(`sources/${encodeURIComponent(name)}/hold`, held ? "POST" : "DELETE");

@@ -28,7 +28,7 @@ from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import Watch
-from sameas.tracks.biases import TIME
+from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.heights import HeightModel
@@ -167,6 +167,11 @@ class LivePicture:
         return self._estimates | self._biases
 
     @property
+    def last_estimates(self) -> Mapping[str, SourceBiases]:
+        """By source, the biases last estimated, whether subtracted or not."""
+        return dict(self._estimates)
+
+    @property
     def held(self) -> frozenset[str]:
         """The sources whose biases stay as they are."""
         return self._held
@@ -180,6 +185,41 @@ class LivePicture:
         """
         self._require(source)
         self._held = self._held | {source} if held else self._held - {source}
+        if not held and source in self._biases and self._biases[source].by_hand:
+            # What an operator has set ends with the hold; the last estimate counts again.
+            last = self._estimates.get(source)
+            if last is not None and last.established and last.theta is not None:
+                self._biases[source] = last
+            else:
+                del self._biases[source]
+
+    def set_offset(self, source: str, bias: str, value: float) -> None:
+        """Subtracts an offset of a source as an operator sets it, besides those subtracted now, and holds them.
+
+        bias : a name of ``sameas.tracks.biases.BIASES``. value : in its unit. It adds to what the description gives as
+        known (``calibration``). ``hold(source, False)`` ends it.
+
+        Raises
+        ------
+        InputError : an unknown source or bias; a value that no sensor has; a range or azimuth of a source without both.
+        """
+        self._require(source)
+        if bias not in self.settable(source):
+            known = ", ".join(self.settable(source)) or "none"
+            raise InputError(f"{source}: has no offset {bias!r} to set", f"give one of {known}")
+        self._biases[source] = self._biases.get(source, SourceBiases(source)).with_set(bias, value)
+        self._held |= {source}
+
+    def settable(self, source: str) -> tuple[str, ...]:
+        """The biases of a source that :meth:`set_offset` accepts."""
+        self._require(source)
+        description = self._feeds[source].description
+        if KINDS[description.kind].directions:
+            return (BIASES[AZIMUTH],)
+        feed = self._feeds[source]
+        # Before the first report the place of a sensor that moves is not known yet.
+        polar = description.site is not None or feed.has_sensor or not feed.has_reports
+        return tuple(bias for bias in BIASES if polar or bias not in (BIASES[RANGE], BIASES[AZIMUTH], BIASES[GAIN]))
 
     @property
     def errors(self) -> tuple[str, ...]:

@@ -146,6 +146,11 @@ class LiveFeed:
         return bool(self._named) or bool(self._rows.attributes)
 
     @property
+    def has_sensor(self) -> bool:
+        """Whether the place of its sensor is known at any of its current reports."""
+        return bool(np.isfinite(self._rows.sensor_m).any())
+
+    @property
     def has_reports(self) -> bool:
         """Whether any report was added."""
         return self._serial > 0

@@ -29,6 +29,9 @@ from sameas.tracks.snapshot import CommonScan, ComparedSource, bias_widths, comm
 from sameas.tracks.source import Description
 
 _UNITS = ("m", "deg", "", "s", "m", "m")
+#: Largest offsets that an operator may set, in the order of ``BIASES``.
+_MOST = (20_000.0, 180.0, 0.2, 600.0, 20_000.0, 20_000.0)
+_ENDS = {"range_m": " m", "azimuth_deg": "°", "range_gain": "", "time_s": " s late", "east_m": " m", "north_m": " m"}
 _TEXTS = {
     "range_m": "range {:+.1f} ± {:.1f} m", "azimuth_deg": "azimuth {:+.3f} ± {:.3f}°",
     "range_gain": "range gain {:+.5f} ± {:.5f}", "time_s": "stamps {:+.2f} ± {:.2f} s late",
@@ -50,6 +53,7 @@ class SourceBiases:
     log_evidence : log-odds of these biases against no object in common.
     established : whether these biases are decisively more probable than others and than no object in common. If not,
         the records are not corrected.
+    by_hand : names of the biases that an operator has set; they have no standard error.
     notes : doubts, printable sentences; also a delay that the description does not mention.
     theta, covariance : (6,) and (6, 6) the biases that are subtracted, in the order of ``BIASES``, and their
         covariance; None without a correction.
@@ -63,6 +67,7 @@ class SourceBiases:
     instants: int = 0
     log_evidence: float = 0.0
     established: bool = True
+    by_hand: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     theta: FloatArray | None = field(default=None, repr=False, compare=False)
     covariance: FloatArray | None = field(default=None, repr=False, compare=False)
@@ -70,7 +75,38 @@ class SourceBiases:
     @property
     def values(self) -> str:
         """Printable: each bias with its standard error; "" for a source that is not corrected."""
-        return ", ".join(_TEXTS[name].format(it.value, it.standard_error) for name, it in self.parameters.items())
+        return ", ".join(
+            _TEXTS[name].split(" ±")[0].format(it.value) + f"{_ENDS[name]} set by hand"
+            if name in self.by_hand
+            else _TEXTS[name].format(it.value, it.standard_error)
+            for name, it in self.parameters.items()
+        )
+
+    def with_set(self, name: str, value: float) -> SourceBiases:
+        """With one bias as an operator sets it, exactly; the others that are subtracted stay.
+
+        name : of ``BIASES``. value : in its unit: metres, degrees, seconds; a gain is a share.
+
+        Raises
+        ------
+        InputError : no such bias, or a value that no sensor has.
+        """
+        if name not in BIASES:
+            raise InputError(f"{self.source}: there is no offset {name!r}", f"give one of {', '.join(BIASES)}")
+        most = _MOST[BIASES.index(name)]
+        if not abs(value) <= most:
+            unit = _UNITS[BIASES.index(name)]
+            raise InputError(f"{self.source}: {name} is {value:g}", f"give −{most:g} to {most:g} {unit}".rstrip())
+        k = BIASES.index(name)
+        theta = np.zeros(len(BIASES)) if self.theta is None else self.theta.copy()
+        covariance = np.zeros((len(BIASES), len(BIASES))) if self.covariance is None else self.covariance.copy()
+        theta[k], covariance[k], covariance[:, k] = value, 0.0, 0.0
+        known = {} if self.theta is None else dict(self.parameters)
+        known[name] = Parameter(value, 0.0, _UNITS[k])
+        return replace(
+            self, parameters={bias: known[bias] for bias in BIASES if bias in known}, established=True,
+            by_hand=tuple(bias for bias in BIASES if bias in (*self.by_hand, name)), theta=theta, covariance=covariance,
+        )  # fmt: skip
 
     def __str__(self) -> str:
         if not self.parameters:
