@@ -53,10 +53,10 @@ class SourceBiases:
     log_evidence : log-odds of these biases against no object in common.
     established : whether these biases are decisively more probable than others and than no object in common. If not,
         the records are not corrected.
-    by_hand : names of the biases that an operator has set; they have no standard error.
     notes : doubts, printable sentences; also a delay that the description does not mention.
     theta, covariance : (6,) and (6, 6) the biases that are subtracted, in the order of ``BIASES``, and their
         covariance; None without a correction.
+    by_hand : names of the biases that an operator has set; they have no standard error.
     """
 
     source: str
@@ -67,10 +67,10 @@ class SourceBiases:
     instants: int = 0
     log_evidence: float = 0.0
     established: bool = True
-    by_hand: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     theta: FloatArray | None = field(default=None, repr=False, compare=False)
     covariance: FloatArray | None = field(default=None, repr=False, compare=False)
+    by_hand: tuple[str, ...] = ()
 
     @property
     def values(self) -> str:
