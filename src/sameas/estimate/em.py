@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
+from sameas.assignment import Hypothesis
 from sameas.errors import InputError
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.companions import DEFAULT_COMPANIONS, Companions, CompanionsTuning, clustering
@@ -26,8 +27,9 @@ from sameas.estimate.quantity import MAX_MISSING
 from sameas.estimate.sample import Setting
 from sameas.evidence import Brightness, Errors, PoissonField, Rule
 from sameas.evidence.detection import logit
+from sameas.groups import Groups
 from sameas.kernels import threads
-from sameas.posterior import by_messages
+from sameas.posterior import APPROXIMATE, Posterior, by_messages, posterior
 from sameas.representation import in_short
 
 
@@ -52,6 +54,7 @@ class EMTuning:
     tolerance, tolerance_number : converged when the expected remaining change of the number of common objects is at
         most this share of its standard error, or when its last change was at most this number.
     tolerance_weight : greatest change of the weights of averaged errors at convergence.
+    min_by_message : messages are corrected by exact sums if they give at least this share of the common objects.
     min_rate : lower limit of the ratio of one change to the previous one, for the expected remaining change.
     scales, grades : tuning of the mixture of error scales, and of the sizes of quoted errors. companions : tuning of
         companions; None ignores companions.
@@ -73,6 +76,7 @@ class EMTuning:
     tolerance: float = 0.2
     tolerance_number: float = 0.01
     tolerance_weight: float = 0.01
+    min_by_message: float = 0.02
     min_rate: float = 0.25
     scales: ScalesTuning = DEFAULT_SCALES
     grades: GradesTuning = DEFAULT_GRADES
@@ -245,6 +249,29 @@ class Estimates:
         return min(
             float((share * covered).sum()) for share, covered in zip(self.shares(), self.setting.covered, strict=True)
         )
+
+    def message_errors(self) -> FloatArray | None:
+        """(m,) probabilities of the pairs by exact sums around their records, minus those of the E-step by messages;
+        None if hardly any are by messages, or they are averaged over errors."""
+        if self.average is not None:
+            return None
+        by_message = 0.0
+
+        def difference(groups: Groups, best: Hypothesis) -> Posterior:
+            nonlocal by_message
+            rough = by_messages(groups, best)
+            approximate = rough.method[groups.group] == APPROXIMATE
+            by_message = float(rough.p_pair[groups.order][approximate].sum())
+            if by_message < self.tuning.min_by_message * self.n_common:
+                return rough
+            exact = posterior(groups, best)
+            return replace(exact, p_pair=exact.p_pair - rough.p_pair)
+
+        pairs, log_ratio = self.setting.pairs, self.rule()(self.setting.pairs).log_ratio
+        sums = HypothesisSums.of(
+            pairs, log_ratio, difference, self.companion_log_odds(), self.tuning.min_log_odds
+        )  # fmt: skip
+        return None if by_message < self.tuning.min_by_message * self.n_common else sums.p_pair
 
     def expectation(self) -> tuple[Estimates, FloatArray, FloatArray]:
         """The E-step.
@@ -442,10 +469,12 @@ def iterate(
     max_iterations: int,
     progress: Callable[[str], None],
     stop_early: Callable[[Estimates, FloatArray], bool] = lambda estimates, p_counted: False,
+    message_errors: FloatArray | None = None,
 ) -> tuple[Estimates, FloatArray, int, bool]:
     """EM iterations over one list of candidates, until they converge.
 
     stop_early : decides from the first iteration's estimates and probabilities whether to stop there.
+    message_errors : (m,) :meth:`Estimates.message_errors`, added to the probabilities by messages; None without.
 
     Returns the estimates, the (m,) probabilities of the counted pairs, the number of iterations, and whether they
     converged. Probabilities come from message passing: the M-step needs only sums over many pairs.
@@ -462,6 +491,8 @@ def iterate(
         progress(f"estimation, round {iteration}")
         previous = estimates
         estimates, p_pair, log_ratio = estimates.expectation()
+        if message_errors is not None:
+            p_pair = np.clip(p_pair + message_errors, 0.0, 1.0)
         p_counted = setting.p_counted(p_pair)
         if not math.isfinite(float(p_counted.sum())):
             raise InputError(

@@ -296,6 +296,7 @@ def match(
     if scan is not None and scan.contrast > tuning.min_gain and scan.common < tuning.grid.max_averaged:
         return search.match_averaged(scan)
     search, result, remarks = _fit(search, scan, errors)
+    result = search.without_message_errors(result)
     answer, result = search.identify_all(result)
     return answer, replace(_to_estimate(answer, search.coverage, result, remarks), trends=search.trends)
 
@@ -360,6 +361,7 @@ def match_sample(
     estimated = assumed.errors is None and assumed.gate is None
     scan = scan_errors(coverage, density, tuning.grid) if estimated else None
     search, result, remarks = _fit(search, scan, assumed.errors)
+    result = search.without_message_errors(result)
     answer, result = search.identify_all(result)
     estimate = _to_estimate(answer, coverage, result, remarks)
     (one, two), common = result.estimates.setting.n_counted, result.estimates.n_common
@@ -644,6 +646,26 @@ class _GateSearch:
 
         estimates, p_counted, n, converged = iterate(estimates, max_iterations, self.progress, narrow)
         return _GateResult(whole, estimates, p_counted, limit, n, converged, estimates.setting.n_counted, self.tuning)
+
+    def without_message_errors(self, result: _GateResult) -> _GateResult:
+        """The result after further iterations with the errors of messages removed.
+
+        In crowds messages give one true pair in a hundred less than exact sums, and the shares estimated from them
+        multiply that: fewer common objects are expected, so that pairs become less probable.
+        """
+        errors = result.estimates.message_errors()
+        if errors is None:
+            return result
+        most = self.tuning.max_iterations
+        remaining = max(most - result.iterations, 2 * most // 3, 5)
+        estimates, p_counted, n, converged = iterate(
+            result.estimates, remaining, self.progress, message_errors=errors
+        )  # fmt: skip
+        estimates = estimates.with_evidence(p_counted, last=True)
+        return replace(
+            result, estimates=estimates, p_counted=p_counted, iterations=result.iterations + n,
+            converged=result.converged and converged,
+        )  # fmt: skip
 
     def match_averaged(self, scan: ErrorScan) -> tuple[Identification, Estimate]:
         """All records identified, averaged over the errors that few pairs do not rule out."""
