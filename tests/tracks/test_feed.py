@@ -1,5 +1,6 @@
 """Feeds: plots are filtered into tracks where needed, repeated positions set aside, stationary vessels recognised."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from sameas.tracks.feed import Feed, need_filtering, position_updates, repeated
 from sameas.tracks.placement import PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
-from sameas.tracks.source import Description, MissRate, Motion, SensorErrors, Site
+from sameas.tracks.source import Description, MissRate, Motion, Resolution, SensorErrors, Site
 from sameas.tracks.stationary import ADRIFT, MIN_VARIANCE, stationary
 from sameas.tracks.tuning import DEFAULT_TUNING
 
@@ -323,3 +324,28 @@ def test_an_anchored_vessel_is_not_extrapolated_and_a_moving_one_is():
     assert sigma[1] > 130.0
     assert np.hypot(*(ahead[0, :2] - feed.reports.state[0, :2])) < 2.0
     assert ahead[1, 0] - feed.reports.state[1, 0] == pytest.approx(1080.0, rel=0.01)
+
+
+def test_the_probability_that_two_objects_have_one_echo_is_that_of_drawn_positions():
+    rng = np.random.default_rng(7)
+    cell = Resolution(range_m=40.0, bearing_deg=2.5)
+    radar = Description("radar", "marine radar", site=Site(east_m=300.0, north_m=-200.0), resolution=cell)
+    feed = Feed.of(radar, Reports.of("radar", "table", PLOTS))
+    sensor = feed.sensor_at(3.0)
+    one = np.array([[1500.0, 700.0], [1520.0, 760.0], [-900.0, 100.0]]) + sensor
+    other = np.array([[1490.0, 730.0], [1600.0, 900.0]]) + sensor
+    spread = [np.array([[400.0, 150.0], [150.0, 300.0]]), 20.0 * np.eye(2)]
+    found = feed.p_unresolved(3.0, (one, np.tile(spread[0], (3, 1, 1))), (other, np.tile(spread[1], (2, 1, 1))))
+    for i, j in np.ndindex(3, 2):
+        a, b = (rng.multivariate_normal(x, p, 40_000) - sensor for x, p in zip((one[i], other[j]), spread, strict=True))
+        turn = np.degrees(np.arctan2(*a.T) - np.arctan2(*b.T)) % 360.0
+        apart = abs(np.hypot(*a.T) - np.hypot(*b.T)), np.minimum(turn, 360.0 - turn)
+        assert found[i, j] == pytest.approx(np.mean((apart[0] < 40.0) & (apart[1] < 2.5)), abs=0.02)
+    assert 0.2 < found[0, 0] < 0.98 and found[2].max() == 0.0
+    camera = Feed.of(
+        Description("camera", "camera", site=Site(east_m=0.0, north_m=0.0), resolution=cell),
+        Reports.of("camera", "table", {"time_s": [0.0, 3.0], "bearing_deg": [1.0, 2.0]}),
+    )
+    without = replace(feed, description=replace(radar, resolution=Resolution(0.0, 0.0)))
+    places = one, np.tile(spread[0], (3, 1, 1))
+    assert not any(each.p_unresolved(3.0, places, places).any() for each in (without, camera))

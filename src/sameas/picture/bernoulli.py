@@ -239,24 +239,25 @@ class BernoulliTable(ObjectTable):
         )  # fmt: skip
 
     def with_separate_odds(
-        self, p_detected: FloatArray, usual_q: FloatArray, split: FloatArray, tuning: Tuning
+        self, p_detected: FloatArray, usual_q: FloatArray, split: FloatArray, unresolved: FloatArray, tuning: Tuning
     ) -> BernoulliTable:
         """The objects with the odds, after completed scans, that two of them are separate objects.
 
-        A scan that detects both has the probability (1 − q)² if they are separate, and (1 − q) times that of a split if
-        they are one; a scan that detects one of them (1 − q) q and 1 − q.
+        A scan that detects both has the probability (1 − q)² (1 − u) if they are separate, and (1 − q) times that of a
+        split if they are one; a scan that detects one of them (1 − q) (q + (1 − q) u) and 1 − q, with u the probability
+        that they are not resolved. An unresolved pair may be split like one object.
 
         p_detected : (m, S) as of :class:`Sighting`. usual_q : (m, S) described miss probability at their places.
-        split : (S,) probability that a scan of the source shows one object as two.
+        split : (S,) probability that a scan of the source shows one object as two. unresolved : (S, m, m) u.
         """
         separate_log_odds = self.separate_log_odds.copy()
-        for s in range(len(split)):
-            log_q, log_both = np.log(usual_q[:, s]), np.log1p(-usual_q[:, s]) - math.log(split[s])
-            p = p_detected[:, s]
+        for s, u in enumerate(unresolved):
+            q, p = usual_q[:, s], p_detected[:, s]
+            log_detected = np.log1p(-q)
+            log_both = 0.5 * (log_detected[:, None] + log_detected) + np.log((1.0 - u) / split[s] + u)
+            log_one = 0.5 * (np.log(q[:, None] + (1.0 - q[:, None]) * u) + np.log(q + (1.0 - q) * u))
             both, one = np.outer(p, p), np.outer(p, 1.0 - p)
-            separate_log_odds += 0.5 * both * (log_both[:, None] + log_both) + 0.5 * (one + one.T) * (
-                log_q[:, None] + log_q
-            )
+            separate_log_odds += both * log_both + (one + one.T) * log_one
         return replace(
             self, separate_log_odds=np.clip(separate_log_odds, -tuning.separate_log_odds, tuning.separate_log_odds)
         )

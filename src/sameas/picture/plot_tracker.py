@@ -88,7 +88,9 @@ class PlotTracker:
         prior_objects = BernoulliTable.none(len(now.feeds)) if before is None else self._carried(before, now)
         places = np.concatenate([prior_objects.state[:, :2], *(places_of(source) for source in now.sources)])
         usual_q = np.column_stack([self._usual_q(feed, prior_objects.state[:, :2], now) for feed in now.feeds])
-        q = prior_objects.expected_q(usual_q, self.sighting_scans, self.min_q)
+        # Of objects that the source does not resolve one has the record.
+        n_shared = 1.0 + np.einsum("smk,k->ms", _unresolved(prior_objects, now), prior_objects.existence)
+        q = 1.0 - (1.0 - prior_objects.expected_q(usual_q, self.sighting_scans, self.min_q)) / n_shared
         q_of, false = {}, {}
         for feed, source in zip(now.feeds, now.sources, strict=True):
             q_of[feed.description.name] = self._q_of(feed, source, places, now)
@@ -106,9 +108,11 @@ class PlotTracker:
             Sighting(p_detected, before.scans_over(now), before.rule.known_q), self.tuning.min_probability
         )
         split = np.array([d.resolution.split or self.tuning.split for d in now.descriptions])
-        objects = objects.with_(new).with_separate_odds(
-            np.vstack([p_detected, new.hits]), np.vstack([before.usual_q, new_q]), split, self.tuning
-        )
+        objects = objects.with_(new)
+        objects = objects.with_separate_odds(
+            np.vstack([p_detected, new.hits]), np.vstack([before.usual_q, new_q]), split,
+            _unresolved(objects, before.now), self.tuning,
+        )  # fmt: skip
         density = objects_per_m2(now)
         objects = objects.merged(density, self.tuning)
         least = np.minimum(self.tuning.min_existence, self.tuning.min_share_of_initial * objects.initial)
@@ -346,6 +350,14 @@ class TrackedPlots:
         q = np.array([np.mean(each, axis=0) for each in own_q])
         least = self.tuning.min_probability
         return BernoulliTable.born(self.number[at], joint.state, joint.covariance, self.existence[at], hits, least), q
+
+
+def _unresolved(objects: BernoulliTable, now: Instant) -> FloatArray:
+    """(S, m, m) probability that a source shows two of the objects as one record; 0 of an object with itself."""
+    places = objects.state[:, :2], objects.covariance[:, :2, :2]
+    out = np.array([feed.p_unresolved(now.instant_s, places, places) for feed in now.feeds])
+    out[:, np.arange(len(objects)), np.arange(len(objects))] = 0.0
+    return out
 
 
 def _require_plots(now: Instant, before: TrackedPlots | None) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
@@ -36,6 +37,8 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 #: Smallest probability of a mode of motion.
 MIN_P = 1e-12
+#: Smallest range from a sensor, and 1σ of a distance, at which objects are looked at for being resolved, metres.
+MIN_RANGE_M = 1.0
 
 
 def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None, tuning: Tuning = DEFAULT_TUNING) -> float:
@@ -321,6 +324,32 @@ class Feed:
             return self._require_q(self.description.misses.at(np.zeros(len(places))))
         arm = places - sensor
         return self._require_q(self.description.q_at(np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1]))))
+
+    def p_unresolved(
+        self, instant_s: float, one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]
+    ) -> FloatArray:
+        """(n, m) probability that the sensor shows an object of ``one`` and one of ``other`` as one record.
+
+        They are nearer to each other than its resolution in range and in bearing. 0 for a sensor without a known
+        position or resolution, and for directions: detectors draw a box about each of two ships that overlap.
+
+        one, other : (n, 2) positions with (n, 2, 2) covariances, m², and (m, 2) with (m, 2, 2).
+        """
+        out = np.zeros((len(one[0]), len(other[0])))
+        sensor, resolution = self.sensor_at(instant_s), self.description.resolution
+        cell_m, beam_deg = resolution.range_m, resolution.bearing_deg
+        if isinstance(self.reports, Directions) or sensor is None or not out.size or not cell_m or not beam_deg:
+            return out
+        arm = 0.5 * (one[0][:, None] + other[0]) - sensor
+        distance = np.maximum(np.hypot(*np.moveaxis(arm, -1, 0)), MIN_RANGE_M)
+        along = arm / distance[..., None]
+        axes = np.stack([along, along[..., ::-1] * (-1.0, 1.0)], axis=-2)
+        delta = one[0][:, None] - other[0]
+        apart = np.abs(np.einsum("nmij,nmj->nmi", axes, delta))
+        total = one[1][:, None] + other[1]
+        sigma = np.sqrt(np.maximum(np.einsum("nmij,nmjk,nmik->nmi", axes, total, axes), MIN_RANGE_M**2))
+        cell = np.stack([np.full_like(distance, cell_m), np.radians(beam_deg) * distance], axis=-1)
+        return np.asarray(np.prod(ndtr((cell - apart) / sigma) - ndtr((-cell - apart) / sigma), axis=-1))
 
     def mean_q(self, places: FloatArray, instant_s: float) -> float:
         """Mean probability that an object at one of the places (n, 2) is missed, within 1e-6 … 1 − 1e-6."""
