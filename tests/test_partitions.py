@@ -571,6 +571,26 @@ def test_options_that_would_depend_on_the_partition_are_refused(tmp_path):
         _ = sameas.match(*paths, sigma="pos_err", offset="find").estimated
 
 
+def test_the_command_speaks_of_partitions_as_of_tables_and_refuses_before_it_reads(tmp_path):
+    """A finished output was refused after the estimation; factors of the errors were left out; options had no dashes."""
+    sides = sky((0.0, 0.0), 600, 0.1, seed=17)
+    a, b = stored(tmp_path, sides, (300, 300))
+    out = tmp_path / "out"
+
+    def run(*options: str) -> str:
+        done = CliRunner().invoke(app, ["match", str(a), str(b), "-o", str(out), "--workers", "1", *options])
+        return " ".join(done.output.split())
+
+    assert "--sigma1; it has" in run("--sigma1", "nosuch")
+    assert "--offset: offsets are not fitted over partitions" in run("--sigma", "pos_err", "--offset", "find")
+    text = run("--sigma", "0.5")
+    assert "First catalogue: " in text and " times those quoted" in text and "HATS collection" in text
+    again = run("--sigma", "0.5")
+    assert "exists already" in again and "First catalogue" not in again
+    many = CliRunner().invoke(app, ["many", str(a), str(b), "-o", str(tmp_path / "many.fits")])
+    assert many.exit_code == 1 and "is a HATS catalogue" in many.output
+
+
 def test_options_that_need_the_whole_result_are_refused_over_partitions(tmp_path):
     a, b = stored(tmp_path, sky((0.0, 0.0), 100, 0.1, seed=16), (300, 300))
     for option in (("--certify",), ("--compare-nearest",), ("--pictures", "x"), ("--out-format", "csv")):

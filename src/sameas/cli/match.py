@@ -361,11 +361,12 @@ def over_partitions(
 ) -> None:
     """Match two HATS catalogues and write the result as a third; without an output print the estimates only."""
     from sameas.cli.terminal import Pace, Printer
-    from sameas.front.partitioned import PartitionedMatch, refuse_file_name, written_lines
+    from sameas.front.partitioned import PartitionedMatch, refuse_existing, refuse_file_name, written_lines
 
     began, printer = time.perf_counter(), Printer(quiet)
     if output is not None:
         refuse_file_name(output)
+        refuse_existing(output)
     with Pace(quiet) as pace:
         typed = f"sameas match {' '.join(request.paths)}"
         match = PartitionedMatch(request, join, nway_columns, typed, pace, workers)

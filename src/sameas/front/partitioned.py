@@ -118,12 +118,7 @@ class PartitionedMatch:
                 raise InputError(f"{path}: lies in an input", "give another name")
         facts = self.facts() | {"margin_arcsec": margin_arcsec, "piece_rows": piece_rows}
         if "estimated" not in self.__dict__:
-            scratch = target / ".sameas-run"
-            resumable = scratch.exists() or not target.exists() or not any(target.iterdir())
-            if not resumable:
-                raise InputError(
-                    f"{path}: exists already, and is not an unfinished match", "give another name, or remove it"
-                )
+            refuse_existing(target)
             with tempfile.TemporaryDirectory(prefix=".sameas-", dir=_made(target.parent)) as folder:
                 self.__dict__["estimated"] = self._estimated(Path(folder), workers, executor)
         return write(self.estimated, target, facts, margin_arcsec=margin_arcsec, workers=Workers(workers, executor),
@@ -154,29 +149,28 @@ class PartitionedMatch:
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
         """The lines of :meth:`report`. words : formats a message that names arguments."""
-        from sameas.report.match import column_lines
-        from sameas.report.prose import DOUBT, entry, figures, percent
-        from sameas.representation import count
+        from sameas.report.match import column_lines, modelled_errors
+        from sameas.report.prose import DOUBT, entry, figures, labelled, percent
+        from sameas.representation import ORDINALS, count, counted
 
         estimated = self.estimated
         learned, work = estimated.learned, estimated.work
         for side, (stored, rows, catalogue) in enumerate(
             zip(self.catalogues, estimated.rows, estimated.catalogues, strict=True), 1
         ):
-            yield f"Catalogue {side}: {stored.name}, {count(rows)} rows in {count(len(stored.cells))} partitions"
-            for line in catalogue.interpretation:
-                label, colon, text = words(line).partition(": ")
-                yield from entry(
-                    label if colon and len(label) < 24 else "note", text if colon and len(label) < 24 else line
-                )
+            parts = counted(len(stored.cells), "partition")
+            yield f"{ORDINALS[side - 1].capitalize()} catalogue: {stored.name}, {counted(rows, 'row')} in {parts}"
+            yield from labelled([words(self.request.words(line, side)) for line in catalogue.interpretation])
             yield ""
         yield "Estimated, once for all partitions"
         yield from entry("epoch", estimated.moved)
         one, two = estimated.sample
         yield from entry("sample", f"{count(one)} and {count(two)} records")
         shares = " and ".join(percent(share) for share in learned.means)
-        yield from entry("have a partner", f"{shares} of the records of both")
-        yield from entry("errors", f"{figures(learned.errors.typical_scale)} times what is quoted, typically")
+        yield from entry("have a partner", f"{shares} of their records")
+        errors = learned.errors
+        scaled = f"{errors.typical_scale:.2f} times those quoted, typically"
+        yield from entry("errors", modelled_errors(errors) if errors.as_modelled else scaled)
         yield from entry("gate", f"{figures(learned.gate_sigmas)} σ")
         if learned.columns is not None:
             nothing = entry("columns", "too few pairs to fit them; they are not used")
@@ -222,6 +216,13 @@ def both_hats(first: object, second: object) -> bool:
             "import the other with hats-import, or give a table of both",
         )
     return all(in_parts)
+
+
+def refuse_existing(path: str | os.PathLike[str]) -> None:
+    """Refuse an output folder that is not empty and not of an unfinished match."""
+    target = Path(path)
+    if target.is_dir() and any(target.iterdir()) and not (target / ".sameas-run").exists():
+        raise InputError(f"{path}: exists already, and is not an unfinished match", "give another name, or remove it")
 
 
 def refuse_file_name(path: str | os.PathLike[str]) -> None:

@@ -249,6 +249,8 @@ def _format_for(path: Path, name: str | None) -> Format:
 def _format_in(path: Path, name: str | None) -> Format:
     """The format of a file to be read; other content is refused before a library reads it."""
     if os.path.isdir(path):  # Path.is_dir raises if a name is too long
+        if any((path / name).exists() for name in ("hats.properties", "collection.properties")):
+            raise InputError(f"{path}: is a HATS catalogue; only two of them are matched together, here give a table")
         raise InputError(f"{path}: is a directory; give a file")
     try:
         os.stat(path)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.errors import InputError
+from sameas.errors import InputError, naming
 from sameas.estimate.match import Assumed
 from sameas.estimate.places import CellCounts, Learned, Places, SampleRecords, drawn, learn
 from sameas.estimate.sample import Sampling
@@ -139,7 +139,7 @@ def estimate(
     InputError : columns that are not recognised; no usable rows; a partition that cannot be read, by name.
     """
     if options.offset != "none":
-        raise InputError("offset: offsets are not fitted over partitions", "remove it before the import")
+        raise InputError(naming("{offset}: offsets are not fitted over partitions"), "remove it before the import")
     for one in options.evidence:
         for column in one.columns if isinstance(one, Related) else (one,):
             if not isinstance(column.values, str):
@@ -148,7 +148,8 @@ def estimate(
                 )
     for side in columns:
         if side.fill_errors:
-            raise InputError("fill_errors: typical errors would depend on the partition", "give every row an error")
+            typical = naming("{fill_errors}: typical errors would depend on the partition")
+            raise InputError(typical, "give every row an error")
     progress("columns")
     samples = tuple(_first_rows(one, chosen, tuning) for one, chosen in zip(stored, columns, strict=True))
     columns_of(samples[0], samples[1], options.evidence)  # refuses columns that do not exist
@@ -213,7 +214,10 @@ def _first_rows(stored: HatsCatalogue, options: CatalogueOptions, tuning: RunTun
     if not tables:
         raise InputError(f"{stored.name}: the catalogue has no rows")
     table = vstack(tables, metadata_conflicts="silent") if len(tables) > 1 else tables[0]
-    return Catalogue.of(Table(table, copy=False), stored.name, options=options)
+    try:
+        return Catalogue.of(Table(table, copy=False), stored.name, options=options)
+    except InputError as error:
+        raise InputError(error.words, source=stored.name) from error  # for the options of this side
 
 
 def _rows_of(table: pa.Table) -> Table:

@@ -21,6 +21,7 @@ from sameas.estimate.coverage import Coverage
 from sameas.estimate.error_model import ErrorModel
 from sameas.estimate.match import Estimate
 from sameas.estimate.quantity import Quantity
+from sameas.evidence import Errors
 from sameas.evidence.detection import DetectionCurve
 from sameas.gate.gate import quantile
 from sameas.kernels import threads
@@ -500,6 +501,11 @@ def _evidence_errors(match: SkyMatch) -> str:
     names = match.first.name, match.second.name
     if trends := [trend.words(names[trend.source], errors.typical_scale) for trend in match.estimate.trends]:
         return f"those of a pair on each axis, in arcsec, {'; '.join(trends)}"
+    return modelled_errors(errors)
+
+
+def modelled_errors(errors: Errors) -> str:
+    """The factors and the floor of an error model."""
     factors = [errors.typical_scale * factor for factor in (errors.factor_1, errors.factor_2)]
     both = (
         f"{factors[0]:.2f} times those quoted"
