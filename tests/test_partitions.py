@@ -572,7 +572,7 @@ def test_options_that_would_depend_on_the_partition_are_refused(tmp_path):
 
 
 def test_the_command_speaks_of_partitions_as_of_tables_and_refuses_before_it_reads(tmp_path):
-    """A finished output was refused after the estimation; factors of the errors were left out; options had no dashes."""
+    """A finished output was refused after the estimation, and options had no dashes."""
     sides = sky((0.0, 0.0), 600, 0.1, seed=17)
     a, b = stored(tmp_path, sides, (300, 300))
     out = tmp_path / "out"

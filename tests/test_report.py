@@ -81,7 +81,7 @@ def test_a_match_without_common_objects_is_reported():
     first = catalogue("left", np.array([10.0, 11.0]), np.zeros(2))
     second = catalogue("right", np.array([50.0, 51.0]), np.zeros(2))
     text = report(match(first, second))
-    assert "Residuals: no pair was identified" in text and "no common object is expected" in text
+    assert "Residuals: no pair was identified" in text and "the fields lie apart" in text
 
 
 def test_a_later_note_replaces_an_earlier_one_on_the_same_subject():

@@ -32,7 +32,7 @@ def test_blends_are_written_next_to_the_joined_table(tmp_path, sameas, refusal):
         Table({"ra": ra, "dec": dec, "sigma": np.sqrt(records.covariance[:, 0])}).write(path)
     out = tmp_path / "out.fits"
     text = sameas("match", *files, "-o", out, "--sigma", "sigma", "--blends", "6").stdout
-    assert "--blends, with the resolution of coarse in arcsec, lists them" in " ".join(text.split())
+    assert "a match with --blends, the resolution of coarse in arcsec, lists them" in " ".join(text.split())
     facts = read_table(tmp_path / "out-blends.fits")
     two = np.flatnonzero(~np.ma.getmaskarray(facts["row_2b"]))
     assert f"at 6 arcsec {len(two)} of {len(made.first)} records are two objects" in text and len(two) > 5

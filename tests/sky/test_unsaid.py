@@ -442,3 +442,22 @@ def test_rows_without_proper_motion_are_counted_with_the_scatter_that_is_assumed
     notes = [str(note) for note in catalogue(table, sigma=0.1, missing_pm_mas_per_yr=25.0).choice.notes]
     assert notes == ["1 of 2 rows has no proper motion: 0 ± 25 mas/yr on each axis is assumed"]
     assert not catalogue({"ra": [1.0], "dec": [2.0], "pmra": [np.nan], "pmdec": [np.nan]}, sigma=0.1).choice.notes
+
+
+def test_residuals_of_catalogues_without_motions_may_be_motions():
+    """The doubt asked for the units of the errors only."""
+    rng, n = np.random.default_rng(5), 300
+    ra, dec = rng.uniform(150.0, 150.4, n), rng.uniform(-0.2, 0.2, n)
+    motion = 16.0 * rng.normal(0.0, 0.3, (2, n)) / 3600.0
+    tables = {"ra": ra, "dec": dec, "id": np.arange(n)}, {"ra": ra + motion[0], "dec": dec + motion[1]}
+    found = sameas.match(*tables, sigma=0.02, epoch1=2000, epoch2=2016)
+    said = next(doubt for doubt in found.doubts if "residuals are" in doubt)
+    assert said.endswith("are their units right? Or have objects moved farther in 16 years than missing_pm says?")
+
+
+def test_fields_that_lie_apart_are_one_doubt():
+    """That no object is common, and that pairs are too few, follows."""
+    rng, n = np.random.default_rng(6), 200
+    ra, dec = rng.uniform(150.0, 150.2, n), rng.uniform(-0.1, 0.1, n)
+    found = sameas.match({"ra": ra, "dec": dec}, {"ra": ra + 20.0, "dec": dec}, sigma=0.2)
+    assert [doubt.partition(":")[0] for doubt in found.doubts] == ["the fields lie apart"]

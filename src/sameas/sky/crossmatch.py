@@ -284,7 +284,9 @@ def _doubts(
 ) -> tuple[str, ...]:
     """What looks wrong with a match. search : for a rotation, if any. disjoint : doubts about two separate fields."""
     result, estimate = match.result, match.estimate
-    doubts = _error_doubts(result, estimate, tuning) + _near_miss_doubts(result, estimate, tuning)
+    # That nothing is common follows from fields that lie apart.
+    notes = () if disjoint else estimate.notes
+    doubts = (*notes, *_error_doubts(match, tuning), *_near_miss_doubts(result, estimate, tuning))
     epoch_line, offset_explained = epoch_doubt(match.first, match.second, match.epoch_jyr, result, estimate.errors)
     doubts += (*disjoint, epoch_line) if epoch_line else disjoint
     if search is not None:
@@ -433,9 +435,9 @@ def density_doubts(coverage: Coverage, options: MatchOptions, tuning: Crossmatch
     return tuple(lines)
 
 
-def _error_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
-    """The notes of the estimate, and doubts about the unit of the errors and large groups."""
-    doubts = list(estimate.notes)
+def _error_doubts(match: SkyMatch, tuning: CrossmatchTuning) -> tuple[str, ...]:
+    """Doubts about the unit of the errors and large groups."""
+    result, estimate, doubts = match.result, match.estimate, []
     calls = [partial(median, records.covariance[:, 0]) for records in (result.first, result.second)]
     sigma = [math.sqrt(variance) for variance in threads.each(calls, len(result.first))]
     spacing = 0.5 * math.sqrt(estimate.coverage.common_volume / max(len(result.first), len(result.second)))
@@ -449,12 +451,26 @@ def _error_doubts(result: Identification, estimate: Estimate, tuning: Crossmatch
     scale = estimate.typical_scale
     least, largest = tuning.usual_scale
     if scale > largest or scale < least:
-        hint = "is one a copy of the other, or are their units wrong?" if scale < least else "are their units right?"
-        doubts.append(f"the residuals are {scale:.2g} times what the quoted errors say: {hint}")
+        size = f"the residuals are {scale:.2g} times what the quoted errors say: "
+        years = _unmoved_years(match.first, match.second)
+        if scale < least:
+            doubts.append(f"{size}is one a copy of the other, or are their units wrong?")
+        elif years < 1.0:
+            doubts.append(f"{size}are their units right?")
+        else:
+            moved = f"are their units right? Or have objects moved farther in {years:.0f} years than "
+            doubts.append(Message(size, moved, naming("{missing_pm}"), " says?"))
     if result.approximate_pairs:
         count = result.approximate_pairs
         doubts.append(f"{count} candidates lie in large groups; their probabilities are approximate")
     return tuple(doubts)
+
+
+def _unmoved_years(first: Catalogue, second: Catalogue) -> float:
+    """Years between the epochs of two catalogues without proper motions; 0 if one has some, or an epoch is unknown."""
+    if first.has_motion or second.has_motion or first.epoch_jyr is None or second.epoch_jyr is None:
+        return 0.0
+    return abs(first.epoch_jyr - second.epoch_jyr)
 
 
 def _blend_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
@@ -470,7 +486,7 @@ def _blend_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]
                 f"{one} may show two objects of {other} as one: within {within:.2g} arcsec of {count} of its pairs "
                 f"lies one of {other} without partner, and residuals point there ({sigmas:.0f} standard errors): "
             )
-            remedy = naming("{blends}"), f", with the resolution of {one} in arcsec, lists them{first}"
+            remedy = "a match with ", naming("{blends}"), f", the resolution of {one} in arcsec, lists them{first}"
             doubts.append(Message(seen, *remedy))
     return tuple(doubts)
 
