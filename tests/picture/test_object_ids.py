@@ -8,7 +8,9 @@ from modelled_scenes import describe, feed, straight, two_meet
 
 from sameas.errors import InputError
 from sameas.picture import Picture, Stages, Watch, instants, picture_states
-from sameas.tracks.reports import Reports
+from sameas.picture.object_ids import NamedObjects
+from sameas.picture.tuning import Tuning
+from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import Feed, Scene
 
 ALONE = Watch(evidence=lambda now, memory: now.rule() + now.identity(), bound=1.0)
@@ -119,20 +121,38 @@ def test_transponders_and_two_agreeing_sources_are_confirmed_at_once():
 
 
 @pytest.mark.slow
-def test_an_identified_object_that_returns_gets_its_old_number():
-    rng = np.random.default_rng(5)
-    early, late = np.arange(0.0, 100.0, 10.0), np.arange(2000.0, 2100.0, 20.0)
-    x, v = straight([[0.0, 0.0]], [[5.0, 0.0]], np.concatenate([early, late]))
-    others, still = straight(rng.uniform(-400, 400, (12, 2)), np.zeros((12, 2)), np.arange(0.0, 2100.0, 10.0))
-    ais, radar = describe("ais", "ais"), describe("radar", "tracks")
+@pytest.mark.parametrize(("hours", "kept_h", "same"), [(0.5, 24.0, True), (7.0, 24.0, True), (7.0, 6.0, False)])
+def test_an_identified_object_that_returns_gets_its_old_number(hours, kept_h, same):
+    rng, away_s = np.random.default_rng(5), 3600.0 * hours
+    early, late = np.arange(0.0, 100.0, 10.0), np.arange(away_s, away_s + 100.0, 20.0)
+    x, v = straight([[0.0, 0.0]], [[5.0 / hours, 0.0]], np.concatenate([early, late]))
+    others, still = straight(rng.uniform(-400, 400, (12, 2)), np.zeros((12, 2)), np.arange(0.0, away_s + 100.0, 30.0))
+    ais, radar = describe("ais", "ais"), describe("radar", "tracks", period_s=30.0)
     scene = Scene.of([
         feed(rng, ais, np.concatenate([early, late]), x, v, 600.0, ["a"], {"mmsi": ["235000001"]}),
-        feed(rng, radar, np.arange(0.0, 2100.0, 10.0), others, still, 60.0, [str(k) for k in range(12)]),
+        feed(rng, radar, np.arange(0.0, away_s + 100.0, 30.0), others, still, 60.0, [str(k) for k in range(12)]),
     ])  # fmt: skip
-    o = Picture.of(scene, instants((0.0, 2090.0), 30.0)).objects
+    watch = Watch(tuning=Tuning(return_s=3600.0 * kept_h))
+    o = Picture.of(scene, instants((0.0, away_s + 90.0), 30.0 if hours < 1.0 else 90.0), watch=watch).objects
     mine = o["mmsi"] == "235000001"
-    assert "ended" in o["stage"][mine] and len(set(o["object"][mine].tolist())) == 1
+    assert "ended" in o["stage"][mine] and (len(set(o["object"][mine].tolist())) == 1) == same
     assert o["stage"][mine][-1] == "confirmed"
+
+
+def test_ids_that_stay_away_are_forgotten_and_with_them_their_history():
+    """Every MMSI ever seen was kept: the memory of a watch of weeks grew, and its ticks became slower."""
+    rng, times = np.random.default_rng(1), np.arange(0.0, 2001.0, 20.0)
+    parts = [
+        feed(rng, describe("ais", "ais"), t, *straight([[900.0 * (k % 9), 0.0]], [[0.0, 0.0]], t), 60.0, [f"a{k}"],
+             {"mmsi": [f"{235000000 + k}"]})
+        for k, t in enumerate(times[:100].reshape(50, 2))
+    ]  # fmt: skip
+    scene = Scene.of([(parts[0][0], joined([reports for _, reports in parts]))])
+    for tuning, least, most in ((Tuning(return_s=200.0), 5, 16), (Tuning(most_absent=8), 8, 18), (Tuning(), 50, 50)):
+        tracks = Picture.of(scene, times, watch=Watch(tuning=tuning)).watch
+        assert isinstance(tracks, Watch) and isinstance(tracks.objects, NamedObjects)
+        known = sum(map(len, tracks.memory.tracks.by_name.values()))
+        assert least <= known <= most and len(np.unique(tracks.objects.history.track)) == known
 
 
 @pytest.mark.slow

@@ -134,6 +134,7 @@ class Keeper:
                 self.picture.instant_s  # noqa: B018 (the state may hold anything by that name)
                 self._require_plane(self.picture.plane)
                 self.changed = self.picture.describe(descriptions, watch.lag_s)
+        self.picture.return_s = 3600.0 * watch.return_h
         if self.store.journal is not None:
             self._restore_offsets(self.store.journal)
 

@@ -76,6 +76,7 @@ class WatchSettings:
         whose time stamps differ from the receive times by more.
     faults_every_s : time between two searches of the last minutes for deception and source faults; 0: never. Two
         successive searches must find a fault before it raises an alarm.
+    return_h : a ship or an aircraft that names itself and returns within these hours has its object number again.
     archive_every_s : time between archived ticks; 0: none. history_s : span of the history on the page.
     save_every_s : time between two writes of the state.
     outputs : ``udp://HOST:PORT`` with a format: ``{ url = …, format = "nmea" }``.
@@ -97,6 +98,7 @@ class WatchSettings:
     silent_s: float = 60.0
     clock_s: float = 30.0
     faults_every_s: float = 30.0
+    return_h: float = 24.0
     archive_every_s: float = 10.0
     history_s: float = 1800.0
     save_every_s: float = 5.0

@@ -113,6 +113,8 @@ class LivePicture:
         self._biases: dict[str, SourceBiases] = {}
         self._estimates: dict[str, SourceBiases] = {}
         self._held: frozenset[str] = frozenset()
+        #: Seconds for which an object that names itself keeps its number while it is away; None: as the watch says.
+        self.return_s: float | None = None
         self._heights: HeightModel | None = None
         #: Conversion of the heights of the last instant; None if none was reported.
         self.height_model: HeightModel | None = None
@@ -330,6 +332,9 @@ class LivePicture:
         state: LiveState
         if isinstance(carried, PlotPicture):
             state = carried.at(scene, instant_s)
+        elif self.return_s not in (None, carried.tuning.return_s):
+            kept = replace(carried, tuning=replace(carried.tuning, return_s=self.return_s))
+            state = kept.advance(scene.at(instant_s, features=self.features))
         else:
             state = carried.advance(scene.at(instant_s, features=self.features))
         self._carried, self._last_s, self._state = state.watch, instant_s, state

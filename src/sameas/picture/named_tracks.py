@@ -32,6 +32,7 @@ from sameas.gate import ChiSquare
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
 from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors, error_update, evenly, growth
 from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan
+from sameas.tracks.kinds import KINDS
 
 #: At most this many reports of an instant are used to estimate correlation times; more add no information.
 MAX_REPORTS = 256
@@ -97,8 +98,8 @@ class NamedTracks:
     Attributes
     ----------
     instant_s : the instant. n_numbers : count of numbers in use, and the number of the next new track.
-    by_name : number of a track, by source and id. absent : by number, the source, id and last scan time of the tracks
-        that are not in the scan of the instant.
+    by_name : number of a track, by source and id. absent : by number, the source and id of the tracks that are not in
+        the scan of the instant, and the time until which they keep it. forgotten : numbers that ended at this instant.
     number : (m,) ascending. place : (m,) the track's record in the scan of the instant.
     track_of_record : (n,) number of the track of each record of that scan, ABSENT for records without an id.
     error_mean, error_covariance : (m, 4), (m, 4, 4) of (e, z), given the track's own reports.
@@ -112,6 +113,7 @@ class NamedTracks:
     n_numbers: int = 0
     by_name: Mapping[str, Mapping[str, int]] = field(default_factory=dict, repr=False)
     absent: Mapping[int, tuple[str, str, float]] = field(default_factory=dict, repr=False)
+    forgotten: IntArray = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
     number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     place: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     track_of_record: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -154,7 +156,8 @@ class NamedTracks:
 
         track_of_record : (n,) :meth:`numbers_on` of the scan, where already known.
 
-        A track that is not in a scan keeps its number for ``id_timeout_s``, but has no history when it returns.
+        A track that is not in a scan keeps its number for ``id_timeout_s``, that of a source whose objects name
+        themselves for ``return_s``, but has no history when it returns.
         """
         correlation = self.error_correlation.of_sources(scan)
         factors = self.error_factors.of_sources(correlation.names, scan.tuning)
@@ -180,28 +183,34 @@ class NamedTracks:
         log_kept = np.append(step.log_kept, 0.0)[at]
         now_s = scan.now.instant_s
         is_new = number >= self.n_numbers
-        by_name, absent = self._names_after(scan, place[is_new], number[is_new], number)
+        by_name, absent, forgotten = self._names_after(scan, place[is_new], number[is_new], number)
         tracks = NamedTracks(
-            now_s, self.n_numbers + int(np.count_nonzero(is_new)), by_name, absent, number, place, track_of_record,
-            error_mean, error_covariance, log_kept, lasting, scan, correlation, source, factors,
+            now_s, self.n_numbers + int(np.count_nonzero(is_new)), by_name, absent, forgotten, number, place,
+            track_of_record, error_mean, error_covariance, log_kept, lasting, scan, correlation, source, factors,
         )  # fmt: skip
         return tracks, step
 
     def _names_after(
         self, scan: Scan, new_place: IntArray, new_number: IntArray, present: IntArray
-    ) -> tuple[Mapping[str, Mapping[str, int]], Mapping[int, tuple[str, str, float]]]:
-        """``by_name`` and ``absent`` after a scan: with its new tracks, without ids that have timed out."""
-        now_s, absent = scan.now.instant_s, dict(self.absent)
-        for k in np.intersect1d(present, np.fromiter(absent, np.int64, len(absent))).tolist():
-            del absent[k]
+    ) -> tuple[Mapping[str, Mapping[str, int]], Mapping[int, tuple[str, str, float]], IntArray]:
+        """``by_name``, ``absent`` and ``forgotten`` after a scan: with its new tracks, without ids that timed out."""
+        now_s, tuning = scan.now.instant_s, scan.tuning
+        returned = self.absent.keys() & set(present.tolist()) if self.absent else set[int]()
+        absent = {k: kept for k, kept in self.absent.items() if k not in returned} if returned else dict(self.absent)
         if self.scan is not None:
-            names = [description.name for description in self.scan.now.descriptions]
+            descriptions = self.scan.now.descriptions
             for at in np.flatnonzero(~np.isin(self.number, present)).tolist():
                 record = self.place[at]
-                absent[int(self.number[at])] = names[self.scan.source[record]], self.scan.track[record], self.instant_s
-        timed_out = [k for k, (_, _, last_s) in absent.items() if now_s - last_s > scan.tuning.id_timeout_s]
+                source = descriptions[self.scan.source[record]]
+                keep_s = tuning.return_s if KINDS[source.kind].self_named else tuning.id_timeout_s
+                absent[int(self.number[at])] = source.name, self.scan.track[record], self.instant_s + keep_s
+        timed_out = [k for k, (_, _, until_s) in absent.items() if now_s > until_s]
+        # The first ones have been absent for longest.
+        surplus = len(absent) - len(timed_out) - tuning.most_absent
+        if surplus > 0:
+            timed_out = [*timed_out, *[k for k in absent if k not in set(timed_out)][:surplus]]
         if not timed_out and not len(new_place):
-            return self.by_name, absent
+            return self.by_name, absent, np.empty(0, np.int64)
         by_name = {source: dict(numbers) for source, numbers in self.by_name.items()}
         for k in timed_out:
             source, name, _ = absent.pop(k)
@@ -209,7 +218,7 @@ class NamedTracks:
         sources = [description.name for description in scan.now.descriptions]
         for record, k in zip(new_place.tolist(), new_number.tolist(), strict=True):
             by_name.setdefault(sources[scan.source[record]], {})[scan.track[record]] = k
-        return by_name, absent
+        return by_name, absent, np.array(timed_out, np.int64)
 
     def _step(
         self, scan: Scan, number: IntArray, place: IntArray, source: IntArray

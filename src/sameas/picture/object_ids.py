@@ -168,6 +168,7 @@ class TrackHistory(ColumnTable):
         number: IntArray,
         unique: BoolArray,
         alive: IntArray,
+        forgotten: IntArray,
         tuning: Tuning,
     ) -> TrackHistory:
         """The history after a later instant.
@@ -176,11 +177,13 @@ class TrackHistory(ColumnTable):
         ----------
         track, number, unique : (m,) the tracks of its scan, their objects, and whether their ids are unique.
         alive : ascending numbers of the objects that have not ended. Of ended objects only unique ids are kept: a track
-            that was part of another object for a while returns with its own number.
+            that was part of another object for a while returns with its own number. forgotten : tracks whose ids have
+            timed out.
         """
         fade = math.exp(-(instant_s - self.instant_s) / tuning.history_s) if len(self) else 0.0
         in_scan = np.isin(self.track, track)
         keep = (places_in(alive, self.number) >= 0) | self.unique
+        keep &= ~np.isin(self.track, forgotten) if len(forgotten) else True
         earlier = TrackHistory(
             instant_s, self.track, self.number, np.where(in_scan, fade * self.share, self.share), self.last & ~in_scan,
             self.unique,
@@ -275,6 +278,7 @@ class UnnumberedObjects:
     track's id is unique. new_report : whether the object has a new report. new_plot : whether it has one of a source
     without track ids. is_certain : whether it certainly exists. existence : of its most probable track.
     walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of velocities.
+    forgotten : (f,) numbers of tracks whose ids have timed out.
     """
 
     states: ObjectStates
@@ -286,6 +290,7 @@ class UnnumberedObjects:
     existence: ExistenceOdds
     walk_m2_per_s3: FloatArray
     speed_m_per_s: FloatArray
+    forgotten: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.new_report)
@@ -473,8 +478,9 @@ class NamedObjects(PictureObjects):
         has_track = detections.tracks >= 0
         number, alive = self.numbers(len(detections))[np.nonzero(has_track)[0]], self.number[self.stage != ENDED]
         history = before.history.advance(
-            self.instant_s, detections.tracks[has_track], number, detections.unique[has_track], alive, tuning
-        )
+            self.instant_s, detections.tracks[has_track], number, detections.unique[has_track], alive,
+            detections.forgotten, tuning,
+        )  # fmt: skip
         return replace(self, history=history)
 
 

@@ -51,7 +51,9 @@ class Tuning:
     swap_rate, swap_sigma : prior median of h and 1σ of ln h.
     motion_shares : grid of shares of the largest motion noise; the prior is uniform.
     new_track_probability : a track restarts beyond the χ² limit that this share of correct reports exceeds.
-    id_timeout_s : a track id without reports keeps its number for this long.
+    id_timeout_s : a track id without reports keeps its number for this long. return_s : so does one of a source whose
+        objects name themselves (MMSI, ICAO address): an object that returns within it has its number again.
+        most_absent : largest number of ids without reports that are kept, those absent for longest are forgotten first.
     manoeuvre_every_s : mean time between two manoeuvres of an object.
     pair_timeout_s : two tracks are dropped as a pair when their positions have not agreed for this long.
     distant_chi_sq, distant_s : two tracks are not compared while their χ² is above the first, once their positions have
@@ -154,6 +156,8 @@ class Tuning:
     motion_shares: tuple[float, ...] = (1.0, 0.1, 0.01)
     new_track_probability: float = 1e-9
     id_timeout_s: float = 3600.0
+    return_s: float = 86_400.0
+    most_absent: int = 10_000
     manoeuvre_every_s: float = 600.0
     pair_timeout_s: float = 900.0
     distant_chi_sq: float = 60.0

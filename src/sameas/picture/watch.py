@@ -281,6 +281,7 @@ class Watch:
             _existence_odds(track, memory),
             walk,
             speed,
+            memory.tracks.forgotten,
         )
 
 
