@@ -4,7 +4,7 @@ Two ships lie up to 170 m apart, far from all others, and are reported by AIS an
 track has one ship for good, so there are four answers: which track of each tracker is of which ship. With the size and
 correlation of all errors given and the ships known to lie still, the exact posterior is that of the weighted mean
 positions of all reports of each track. The picture knows none of this: ships may move, tracks may swap their ids, and
-errors are estimated or, in the third method, given.
+errors are estimated or, in the second method, given.
 
 Log loss and share right are those of the object that the picture shows for the first ship of each pair; that it is
 another one than the most probable is its inertia. Standard errors are not given for differences: all methods are judged
@@ -33,6 +33,8 @@ from sameas.tracks.source import Description, Motion, SensorErrors
 PAIRS, ROW, APART_M = 24, 6, 2000.0
 #: Largest offset of the second ship from the first along each axis, metres.
 OFFSET_M = 120.0
+#: The methods that are judged.
+WAYS = ("memory", "memory, errors known")
 #: Seconds of a picture before its statements are judged: the exact posterior counts reports before its first instant.
 SETTLED_S = 300.0
 
@@ -96,33 +98,36 @@ def shown(state: PictureState, trial: Trial, ships: tuple[int, int]) -> tuple[tu
     return (int(tracks[1] != ships[0]), int(tracks[2] != ships[0])), float(state.probability[n])
 
 
-def judged(kind: Kind, seeds: Sequence[int], every_s: float, way: str) -> np.ndarray:
-    """(n, 3) of each pair and instant: probability stated, exact one of the same answer, whether it is right. Objects
-    that are none of the four answers count as wrong, with an exact probability of 0."""
-    rows = []
+def judged(kind: Kind, seeds: Sequence[int], every_s: float) -> dict[str, np.ndarray]:
+    """By method, (n, 3) of each pair and instant: probability stated, exact one of the same answer, whether it is
+    right. Objects that are none of the four answers count as wrong, with an exact probability of 0."""
+    rows: dict[str, list[tuple[float, float, bool]]] = {way: [] for way in WAYS}
     for seed in seeds:
         true, log = anchored(seed)
         trial = Trial.of(true, log, kind, seed, misses=0.01)
         first = float(log.time_s.min()) + WARM_S
         instants = np.arange(first, float(log.time_s.min()) + SPAN_S - 10.0, every_s)
-        for state in picture_states(trial.scene, instants, METHODS[way](kind)):
-            now_s = state.now.instant_s
+        each_way = (picture_states(trial.scene, instants, METHODS[way](kind)) for way in WAYS)
+        for states in zip(*each_way, strict=True):
+            now_s = states[0].now.instant_s
             if now_s < first + SETTLED_S:
                 continue
             for k in range(PAIRS):
                 ships = 2 * k, 2 * k + 1
-                answer, stated = shown(state, trial, ships)
-                exact = 0.0 if answer is None else exact_posterior(trial, kind, ships, first, now_s)[answer]
-                rows.append((stated, exact, answer == (0, 0)))
-    return np.array(rows, np.float64)
+                posterior = exact_posterior(trial, kind, ships, first, now_s)
+                for way, state in zip(WAYS, states, strict=True):
+                    answer, stated = shown(state, trial, ships)
+                    exact = 0.0 if answer is None else float(posterior[answer])
+                    rows[way].append((stated, exact, answer == (0, 0)))
+    return {way: np.array(some, np.float64) for way, some in rows.items()}
 
 
 def table(seeds: Sequence[int], every_s: float, only: str) -> Iterator[Table]:
     """The table of the kinds of errors without swaps, of which the exact posterior is known."""
     rows: list[list[object]] = []
     for kind in (kind for kind in KINDS if not any(t.swaps for t in kind.trackers) and only in kind.words):
-        for way in ("memory", "memory, errors known"):
-            stated, exact, right = judged(kind, seeds, every_s, way).T
+        for way, some in judged(kind, seeds, every_s).items():
+            stated, exact, right = some.T
             losses = [-np.log(np.clip(np.where(right > 0, p, 1.0 - p), 1e-9, 1.0)).mean() for p in (stated, exact)]
             near = np.minimum(stated, exact) < 0.99
             odds = np.abs(np.log(stated / (1.0 - stated)) - np.log(exact / (1.0 - exact)))[
