@@ -148,7 +148,7 @@ def test_a_reader_that_fails_names_the_file_and_the_library_error(tmp_path, monk
     def broken(*_):
         raise struct.error("unpack requires a buffer of 4 bytes")
 
-    monkeypatch.setattr("sameas.io.sensors.tables.cells_of_csv", broken)
+    monkeypatch.setattr("sameas.io.sensors.table_cells.cells_of_csv", broken)
     with pytest.raises(InputError, match=r"a\.csv: cannot be read as .*: unpack requires a buffer of 4 bytes") as found:
         read(tmp_path, "a.csv", "time,lat,lon\n1,2,3\n")
     assert isinstance(found.value.__cause__, struct.error)

@@ -13,7 +13,9 @@ from pyarrow import parquet
 from sameas.errors import InputError
 from sameas.io.sensors import ReadOptions, read_reports
 from sameas.io.sensors.sources import read_source_options, read_sources
-from sameas.io.sensors.tables import cells_of_csv, cells_of_json, choose, read
+from sameas.io.sensors.table_cells import cells_of_csv, cells_of_json
+from sameas.io.sensors.table_columns import choose
+from sameas.io.sensors.tables import read
 from sameas.tracks.reports import Reports
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "stonesoup_demos"

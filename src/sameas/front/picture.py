@@ -24,7 +24,7 @@ from sameas.io.format import json_text
 from sameas.io.sensors.format import ReadOptions, picture_time
 from sameas.io.sensors.recording import paths_in
 from sameas.io.sensors.sources import SensorSource, SourceOptions, read_source_options, read_sources, source_of
-from sameas.io.sensors.tables import TableText
+from sameas.io.sensors.table_cells import TableText
 from sameas.io.sensors.tables import read as read_cells
 from sameas.maps.outline import Coast
 from sameas.maps.sheet import MapAlarm, MapSensor, MapSheet

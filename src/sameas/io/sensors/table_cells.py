@@ -1,0 +1,237 @@
+"""The cells of tables of reports: texts and numbers by column, from CSV, Parquet or JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sameas.arrays import IntArray
+from sameas.bounds import check_columns
+from sameas.errors import InputError
+from sameas.io.sensors.format import SensorFile, json_lines, of_json
+from sameas.io.sensors.table_columns import QUANTITIES, rank_of, stem_of
+
+#: Texts of cells without a value.
+NULLS = {"", "null", "none", "na", "n/a", "-", "--", "nan", "unknown", "undefined"}
+#: Quantities of which a report has one at least.
+_PLACES = {"lat_deg", "x_m", "range_m", "bearing_deg"}
+_DELIMITERS = ",;\t|"
+#: Numbers with a decimal comma or none, and with a decimal point.
+_COMMA, _POINT = re.compile(r"\s*[+-]?\d+(,\d+)?\s*"), re.compile(r"\s*[+-]?\d+\.\d+\s*")
+#: Number of cells always read from a Parquet file, however small: it compresses equal cells (1 GB as Python lists).
+_CELLS = 1 << 24
+
+
+@dataclass(frozen=True)
+class _LazyColumns(Mapping[str, Sequence[Any]]):
+    """Columns that are converted on access, since few columns of a table are used."""
+
+    names: Sequence[str]
+    column: Callable[[str], Sequence[Any]]
+
+    def __getitem__(self, name: str) -> Sequence[Any]:
+        if name not in self.names:
+            raise KeyError(name)
+        return self.column(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True)
+class TableText:
+    """The cells of a table (text, numbers or None) by column, and the line number of each row.
+
+    unended : whether the last line has no line end.
+    """
+
+    columns: Mapping[str, Sequence[Any]]
+    lines: IntArray
+    damaged: tuple[tuple[int, str], ...] = ()
+    unended: bool = False
+
+
+def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
+    """The cells of lines separated by commas, semicolons, tabs or bars (ECSV: also blanks). Lines that begin with # are
+    comments."""
+    ecsv = bool(lines) and lines[0].startswith(ECSV)
+    # A comment with the delimiter of the rows may be the line of names, as in Danish AIS.
+    number = next(
+        (
+            k
+            for k, line in enumerate(lines, start=1)
+            if line.strip() and (line[0] != "#" or (_delimiter_of(line) and not ecsv))
+        ),
+        1,
+    )
+    header = lines[number - 1].lstrip("# ")
+    delimiter = _delimiter_of(header) or (" " if ecsv else "")
+    if not delimiter:
+        raise InputError(f"{source}: no format of sensors fits; as a table, its line {number} does not name columns")
+    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
+    check_columns(len(names), source)
+    counts = Counter(names)
+    duplicates = [name for name in names if counts[name] > 1]
+    if duplicates:
+        raise InputError(f"{source}: two columns are called {duplicates[0]}; rename one")
+    rows: list[list[str]] = []
+    line_numbers: list[int] = []
+    damaged: list[tuple[int, str]] = []
+    reader = csv.reader(io.StringIO("\n".join(lines[number:])), delimiter=delimiter)
+    for row in reader:
+        line = number + reader.line_num
+        if not row or row[0].startswith("#"):
+            continue
+        if len(row) == len(names):
+            rows.append(row)
+            line_numbers.append(line)
+        else:
+            damaged.append((line, f"has not {len(names)} cells"))
+    columns: dict[str, Sequence[Any]] = dict(
+        zip(names, zip(*rows, strict=True) if rows else [()] * len(names), strict=True)
+    )
+    if delimiter != "," and any("," in line for line in lines[number:]):
+        columns = _with_points(columns)
+    return TableText(columns, np.array(line_numbers, np.int64), tuple(damaged))
+
+
+def _with_points(columns: Mapping[str, Sequence[Any]]) -> dict[str, Sequence[Any]]:
+    """The columns with decimal points for decimal commas, unless any number of the table has a point: then a comma may
+    separate thousands. Changes columns of numbers only."""
+    if any(_POINT.fullmatch(cell) for cells in columns.values() for cell in cells):
+        return dict(columns)
+    numbers = {
+        name
+        for name, cells in columns.items()
+        if all(_COMMA.fullmatch(cell) or cell.strip().lower() in NULLS for cell in cells)
+    }
+    return {
+        name: tuple(cell.replace(",", ".") for cell in cells) if name in numbers else cells
+        for name, cells in columns.items()
+    }
+
+
+def cells_of_json(lines: Sequence[str], source: str) -> TableText:
+    """The cells of JSON objects, one per line or in one list; nested objects are flattened."""
+    rows: list[dict[str, Any]] = []
+    line_numbers: list[int] = []
+    damaged: list[tuple[int, str]] = []
+    try:
+        document = of_json("\n".join(lines))
+        objects = list(enumerate(_records(document), start=1))
+    except ValueError:
+        objects = json_lines(lines, damaged)
+    for number, value in objects:
+        if isinstance(value, dict):
+            rows.append(_flattened(value))
+            line_numbers.append(number)
+        else:
+            damaged.append((number, "no JSON object"))
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    if not names:
+        raise InputError(f"{source}: no JSON object with columns")
+    check_columns(len(names), source)
+
+    def column(name: str) -> list[Any]:
+        return [row.get(name) for row in rows]
+
+    return TableText(_LazyColumns(names, column), np.array(line_numbers, np.int64), tuple(damaged))
+
+
+def _records(document: Any) -> list[Any]:
+    """The records of a JSON document: itself, the items of its list, or those of the only list of objects in it, as of
+    servers that put their answer beside a state. A report may have a list of objects too, such as its tracks."""
+    if not isinstance(document, list | dict) or (isinstance(document, dict) and _has_position(document)):
+        return [document]
+    inner = [value for value in (document if isinstance(document, list) else document.values()) if _is_records(value)]
+    if len(inner) == 1:
+        return list(inner[0])
+    return document if isinstance(document, list) else [document]
+
+
+def _has_position(value: Mapping[str, Any]) -> bool:
+    stems = {name: stem_of(name) for name in _flattened(value)}
+    places = [quantity for quantity in QUANTITIES if quantity.column in _PLACES]
+    return any(rank_of(name, quantity, stems) is not None for name in stems for quantity in places)
+
+
+def _is_records(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(item, dict) for item in value)
+
+
+def cells_of_parquet(path: str | os.PathLike[str]) -> TableText:
+    """The cells of a Parquet file."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    # Not parquet.read_table: it takes the folders of a path for columns, as data sets in parts have them.
+    with parquet.ParquetFile(path) as file:
+        check_columns(len(file.schema_arrow), path)
+        cells, limit = file.metadata.num_rows * len(file.schema_arrow), max(_CELLS, 8 * os.path.getsize(path))
+        if cells > limit:
+            raise InputError(f"{path}: says {cells} cells; up to {limit} are read from a file of this size",
+                             "write the columns that are needed, or fewer rows")  # fmt: skip
+        table = file.read()
+    if len(set(table.column_names)) < len(table.column_names):
+        raise InputError(f"{path}: two columns have one name; rename one")
+    names = [field.name for field in table.schema if not pa.types.is_nested(field.type)]
+    if not names:
+        raise InputError(f"{path}: no column of numbers or text")
+
+    def column(name: str) -> list[Any]:
+        cells = table.column(name)
+        if not pa.types.is_timestamp(cells.type):
+            return list(cells.to_pylist())
+        microseconds = cells.cast(pa.timestamp("us"), safe=False).cast(pa.int64())
+        return [None if t is None else t / 1e6 for t in microseconds.to_pylist()]
+
+    return TableText(_LazyColumns(names, column), np.arange(1, table.num_rows + 1))
+
+
+def _delimiter_of(line: str) -> str:
+    """The delimiter in a line; "" where there is none."""
+    return next((sign for sign in _DELIMITERS if sign in line), "")
+
+
+def _flattened(nested: Mapping[str, Any]) -> dict[str, Any]:
+    row: dict[str, Any] = {}
+    for name, value in nested.items():
+        for inner, cell in value.items() if isinstance(value, dict) else [(name, value)]:
+            row[inner if inner not in row else f"{name}_{inner}"] = None if isinstance(cell, dict | list) else cell
+    return row
+
+
+PARQUET, ECSV = b"PAR1", "# %ECSV"
+
+
+def _of_windows(file: SensorFile) -> SensorFile:
+    """The file in UTF-8, where its text has other letters and is that of Windows (code page 1252), as Excel writes."""
+    try:
+        file.content.decode("utf-8")
+    except UnicodeDecodeError:
+        with suppress(UnicodeDecodeError):
+            return replace(file, content=file.content.decode("cp1252").encode())
+    return file
+
+
+def cells_of(file: SensorFile) -> TableText:
+    if file.content.startswith(PARQUET):
+        return cells_of_parquet(file.path)
+    file = _of_windows(file)
+    first = next((line.strip() for line in file.lines if line.strip()), "")
+    # The first line of a log may be truncated.
+    if first[:1] in "{[" or file.share_of_lines(r"\{.*") > 0.5:
+        return cells_of_json(file.lines, file.source)
+    return replace(cells_of_csv(file.lines, file.source), unended=file.unended)

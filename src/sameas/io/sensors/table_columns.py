@@ -1,0 +1,336 @@
+"""Columns of tables of reports, recognised by their names, and their units.
+
+Names are compared without case, blanks, signs and a unit at their end: ``SOG_knots``, ``sog (kn)`` and ``SOG`` are the
+same quantity. Columns named by the user take precedence. Two columns of equal rank are refused, with the choices.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
+
+from sameas.errors import Argument, InputError, Message
+from sameas.io.sensors.ais import SIDES
+from sameas.io.sensors.format import FEET_PER_MINUTE_M_PER_S, KNOT_M_PER_S
+from sameas.io.sensors.languages import names_in, plain
+from sameas.tracks.coordinates import FOOT_M, MILE_M
+
+#: Units by kind of quantity: as written at the end of a name, and their factor to our unit.
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "length": {"m": 1.0, "metres": 1.0, "meters": 1.0, "metre": 1.0, "meter": 1.0, "km": 1000.0, "ft": FOOT_M,
+               "feet": FOOT_M, "nm": MILE_M, "nmi": MILE_M, "cm": 0.01, "mm": 0.001, "sm": MILE_M, "seemeilen": MILE_M,
+               "milles": MILE_M, "millas": MILE_M, "miglia": MILE_M, "milhas": MILE_M, "sjomil": MILE_M,
+               "somil": MILE_M, "zeemijl": MILE_M, "metri": 1.0, "metros": 1.0},
+    "angle": {"deg": 1.0, "degrees": 1.0, "degree": 1.0, "rad": 57.29577951308232, "radians": 57.29577951308232,
+              "mrad": 0.05729577951308232, "grad": 1.0, "degres": 1.0, "grados": 1.0, "gradi": 1.0, "graus": 1.0,
+              "grader": 1.0, "graden": 1.0},
+    "speed": {"mps": 1.0, "ms": 1.0, "mpers": 1.0, "msec": 1.0, "kn": KNOT_M_PER_S, "kt": KNOT_M_PER_S,
+              "kts": KNOT_M_PER_S, "knots": KNOT_M_PER_S, "knot": KNOT_M_PER_S, "kmh": 1.0 / 3.6, "kph": 1.0 / 3.6,
+              "kmperh": 1.0 / 3.6, "mph": 0.44704, "fpm": FEET_PER_MINUTE_M_PER_S, "ftmin": FEET_PER_MINUTE_M_PER_S,
+              "knoten": KNOT_M_PER_S, "noeuds": KNOT_M_PER_S, "nds": KNOT_M_PER_S, "nudos": KNOT_M_PER_S,
+              "nodi": KNOT_M_PER_S, "nos": KNOT_M_PER_S, "knop": KNOT_M_PER_S, "knob": KNOT_M_PER_S,
+              "knopen": KNOT_M_PER_S},
+    "variance": {"m2": 1.0, "km2": 1e6},
+    "speed variance": {"m2s2": 1.0, "m2pers2": 1.0},
+    "time": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "utc": 0.0},
+    "text": {},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SensorQuantity:
+    """One quantity: its column in Reports, its kind, and its known names, the preferred first.
+
+    translations : names in other languages that are certain in a table.
+    """
+
+    column: str
+    kind: str
+    names: tuple[str, ...]
+    translations: tuple[str, ...] = ()
+
+
+def _quantity(column: str, kind: str, names: str) -> SensorQuantity:
+    return SensorQuantity(column, kind, tuple(names.split()))
+
+
+QUANTITIES = (
+    _quantity(
+        "time_s",
+        "time",
+        "lastposupdate time timestamp datetime basedatetime t utc timeutc utctime dt epoch unixtime unix date",
+    ),
+    _quantity("day_s", "time", "timeofday tod"),
+    _quantity("lat_deg", "angle", "lat latitude latitudewgs84"),
+    _quantity("lon_deg", "angle", "lon long longitude lng longitudewgs84"),
+    _quantity("alt_m", "length", "alt altitude geoaltitude geometricaltitude altgeom heightellipsoid height hae"),
+    _quantity("pressure_alt_m", "length", "pressurealtitude baroaltitude altbaro baroalt flightlevelaltitude"),
+    _quantity("x_m", "length", "x east e xeast easting xpos posx"),
+    _quantity("y_m", "length", "y north n ynorth northing ypos posy"),
+    _quantity("z_m", "length", "z up"),
+    _quantity("range_m", "length", "range rng rho distance dist slantrange r"),
+    _quantity(
+        "bearing_deg",
+        "angle",
+        "bearing brg azimuth az theta truebearing truebrg bearingtrue brgtrue bearingt brgt bearingdegt",
+    ),
+    _quantity("elevation_deg", "angle", "elevation el elev"),
+    _quantity("station_lat_deg", "angle", "stationlat sensorlat ownlat ownshiplat"),
+    _quantity("station_lon_deg", "angle", "stationlon sensorlon ownlon ownshiplon"),
+    _quantity("station_x_m", "length", "stationx sensorx ownx ownshipx"),
+    _quantity("station_y_m", "length", "stationy sensory owny ownshipy"),
+    _quantity("speed_m_per_s", "speed", "sog speed groundspeed gs velocity speedoverground"),
+    _quantity("course_deg", "angle", "cog course courseoverground track trackangle direction"),
+    _quantity("heading_deg", "angle", "heading hdg trueheading"),
+    _quantity("vx_m_per_s", "speed", "vx ve veast velx velocityx xvel vele xspeed xdot"),
+    _quantity("vy_m_per_s", "speed", "vy vn vnorth vely velocityy yvel veln yspeed ydot"),
+    _quantity("climb_m_per_s", "speed", "climb verticalrate vertrate rocd vrate vz"),
+    _quantity("sigma_m", "length", "sigma sigmapos sigmaposition positionsigma poserror accuracy std stddev"),
+    _quantity("sigma_x_m", "length", "sigmax sx stdx xstd xsigma xerr sigmaeast sigmae"),
+    _quantity("sigma_y_m", "length", "sigmay sy stdy ystd ysigma yerr sigmanorth sigman"),
+    _quantity("cov_xx", "variance", "covxx covee pxx varx xvar covarxx"),
+    _quantity("cov_xy", "variance", "covxy coven pxy covarxy covyx"),
+    _quantity("cov_yy", "variance", "covyy covnn pyy vary yvar covaryy"),
+    _quantity("cov_vxvx", "speed variance", "covvxvx varvx vxvar"),
+    _quantity("cov_vxvy", "speed variance", "covvxvy"),
+    _quantity("cov_vyvy", "speed variance", "covvyvy varvy vyvar"),
+    _quantity("sigma_vx", "speed", "sigmavx stdvx vxstd vxsigma sigmave"),
+    _quantity("sigma_vy", "speed", "sigmavy stdvy vystd vysigma sigmavn"),
+    _quantity("sigma_alt_m", "length", "sigmaalt sigmaz altsigma sigmaaltitude altstd"),
+    _quantity("sigma_range_m", "length", "sigmarange rangesigma rangestd stdrange sigmar"),
+    _quantity("sigma_bearing_deg", "angle", "sigmabearing bearingsigma bearingstd sigmaazimuth azimuthsigma sigmaaz"),
+    _quantity("sigma_elevation_deg", "angle", "sigmaelevation elevationsigma sigmael"),
+    _quantity(
+        "track_id",
+        "text",
+        "trackid tracknumber trackno tracknum id targetid target targetno targetnumber tgt tgtid tgtno trkid trkno "
+        "tracknr targetnr objectid uid shipid vesselid",
+    ),
+    _quantity("mmsi", "text", "mmsi sourcemmsi"),
+    _quantity("imo", "text", "imo imonumber"),
+    _quantity("icao", "text", "icao24 icao icaoaddress hex modes modesaddress"),
+    _quantity("callsign", "text", "callsign flight"),
+    _quantity("mode_a", "text", "squawk modea mode3a modea3"),
+    _quantity("name", "text", "name vesselname shipname"),
+    _quantity("type", "text", "type vesseltype shiptype typecode"),
+    _quantity("length_m", "length", "length loa"),
+    _quantity("width_m", "length", "width beam"),
+    *(
+        _quantity(f"to_{side}_m", "length", f"to{side} {side} dim{letter} dimension{letter} size{letter} {letter}")
+        for side, letter in zip(SIDES, "abcd", strict=True)
+    ),
+)
+#: Places of the antenna on the hull, A to D in AIS: other tables call other things by these letters.
+OF_THE_ANTENNA = tuple(f"to_{side}_m" for side in SIDES)
+#: Conventional units where none is stated: sentence, columns or kind of source that indicate it, names, unit.
+_CONVENTIONS = (
+    ("ship speeds are knots", ("mmsi", "sourcemmsi", "imo", "ais"), ("sog", "speed", "speedoverground"), "kn"),
+    ("speeds over ground (sog) are knots", ("sog", "speedoverground"), ("sog", "speedoverground"), "kn"),
+    ("speeds of aircraft are knots", ("groundspeed", "gs"), ("groundspeed", "gs"), "kn"),
+    ("altitudes are feet", ("groundspeed", "gs"), ("altitude", "alt", "geoaltitude", "altgeom", "altbaro",
+                                                   "baroaltitude"), "ft"),
+    ("vertical rates are feet a minute", ("groundspeed", "gs"), ("verticalrate", "rocd", "vertrate"), "fpm"),
+    ("speeds are knots in tables of flightradar24", ("direction",), ("speed",), "kn"),
+    ("altitudes are feet in tables of flightradar24", ("direction",), ("altitude",), "ft"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One recognised column: its name in the table, its quantity, and the factor of its unit to ours."""
+
+    name: str
+    quantity: SensorQuantity
+    factor: float
+    why: str
+
+    @property
+    def translated(self) -> bool:
+        """Whether its name is in another language than English."""
+        return stem_of(self.name)[0] in self.quantity.translations
+
+
+def choose(
+    names: Sequence[str],
+    source: str,
+    named: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    kind: str | None = None,
+) -> dict[str, Choice]:
+    """The recognised columns, by their column in Reports.
+
+    Parameters
+    ----------
+    names : of the table's columns.
+    source : its name in messages.
+    named : name of the column of a quantity (``lat_deg``, ``time_s`` …); None: the table does not have it.
+    units : unit of a column, by its name in the table.
+    kind : of the source, if known: speeds of AIS are knots.
+
+    Raises
+    ------
+    InputError : two columns of equal rank, an unknown name or unit.
+    """
+    named, units = dict(named or {}), dict(units or {})
+    _check_named(names, source, named, units)
+    stems = {name: stem_of(name) for name in names}
+    signs = {stem for stem, _ in stems.values()} | {kind or ""}
+    taken = set(named.values())
+    chosen: dict[str, Choice] = {}
+    for quantity in _quantities(stems):
+        if quantity.column in named:
+            if named[quantity.column]:
+                chosen[quantity.column] = _choice(
+                    named[quantity.column], quantity, stems[named[quantity.column]], units, signs, source
+                )
+            continue
+        candidates = [name for name in names if name not in taken and rank_of(name, quantity, stems) is not None]
+        if candidates:
+            best = min(rank_of(name, quantity, stems) or 0 for name in candidates)
+            equal = [name for name in candidates if rank_of(name, quantity, stems) == best]
+            if len(equal) > 1:
+                listed = ", ".join(map(repr, equal))
+                raise InputError(
+                    f"{source}: {len(equal)} columns may be {quantity.column}: {listed}",
+                    naming_columns(quantity.column),
+                )
+            chosen[quantity.column] = _choice(equal[0], quantity, stems[equal[0]], units, signs, source)
+            taken.add(equal[0])
+    if not (kind == "ais" or "mmsi" in chosen):
+        chosen = {column: choice for column, choice in chosen.items() if column not in OF_THE_ANTENNA}
+    return _with_courses(chosen, stems)
+
+
+def _quantities(stems: Mapping[str, tuple[str, str]]) -> tuple[SensorQuantity, ...]:
+    """The quantities with the names that are certain in this table, those of other languages after the English ones."""
+    known = {q.column for q in QUANTITIES if any(rank_of(name, q, stems) is not None for name in stems)}
+    more = names_in({stem for stem, _ in stems.values()}, known)
+    return tuple(replace(quantity, translations=more.get(quantity.column, ())) for quantity in QUANTITIES)
+
+
+def naming_columns(*quantities: str) -> Message:
+    """The remedy: name the columns of these quantities."""
+    return Message("give ", Argument("columns", "NAME", quantities))
+
+
+def _check_named(names: Sequence[str], source: str, named: Mapping[str, str], units: Mapping[str, str]) -> None:
+    quantities = {quantity.column for quantity in QUANTITIES}
+    for column in named:
+        if column not in quantities:
+            near = difflib.get_close_matches(column, sorted(quantities), n=3)
+            raise InputError(f"{source}: {column!r} is not a quantity; did you mean {' or '.join(near) or 'lat_deg'}?")
+    for name in [*(name for name in named.values() if name), *units]:
+        if name not in names:
+            raise InputError(f"{source}: no column {name!r} among: {', '.join(names)}")
+
+
+def stem_of(name: str) -> tuple[str, str]:
+    """The name without signs and unit, and the unit at its end, or ""."""
+    words = re.findall(r"[a-z0-9]+", plain(re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).replace("²", "2")))
+    known_units = {unit for kinds in UNITS.values() for unit in kinds}
+    for count in (4, 3, 2, 1):
+        unit = "".join(words[-count:])
+        if len(words) > count and unit in known_units:
+            stem = words[:-count]
+            # "Speed in kn", "Vitesse en noeuds".
+            return "".join(stem[:-1] if len(stem) > 1 and stem[-1] in ("in", "en", "em", "i") else stem), unit
+    return "".join(words), ""
+
+
+def rank_of(name: str, quantity: SensorQuantity, stems: Mapping[str, tuple[str, str]]) -> int | None:
+    """The rank of a name for a quantity, 0 for the best; None where it does not match."""
+    whole = "".join(stems[name])
+    stem, unit = stems[name]
+    for rank, known in enumerate((*quantity.names, *quantity.translations)):
+        if whole == known or (stem == known and unit in UNITS[quantity.kind]):
+            return rank
+    return None
+
+
+def _choice(
+    name: str,
+    quantity: SensorQuantity,
+    stem_and_unit: tuple[str, str],
+    units: Mapping[str, str],
+    signs: AbstractSet[str],
+    source: str,
+) -> Choice:
+    """The column with its unit: as said, as its name states, or by a convention that the signs (stems of the columns,
+    kind of the source) indicate."""
+    factors = UNITS[quantity.kind]
+    if name in units:
+        unit = re.sub(r"[^a-z0-9]", "", units[name].lower())
+        if unit not in factors:
+            raise InputError(f"{source}: column {name!r}: unit {units[name]!r} is none of {', '.join(factors)}")
+        return Choice(name, quantity, factors[unit], f"{name} is in {units[name]}, as said")
+    stem, unit = stem_and_unit
+    if unit in factors and stem + unit not in quantity.names:
+        return Choice(name, quantity, factors[unit], "")
+    if stem in quantity.translations and quantity.column == "speed_m_per_s":
+        stem = "speed"
+    for why, indicators, applies, unit in _CONVENTIONS:
+        if stem in applies and unit in factors and not signs.isdisjoint(indicators):
+            return Choice(name, quantity, factors[unit], f"{name} is read in {unit}: {why}")
+    if quantity.column in ("length_m", "width_m", *OF_THE_ANTENNA):
+        return Choice(name, quantity, 1.0, "")  # of ships, in metres everywhere
+    # Angles without a unit are degrees everywhere.
+    our_unit = {"length": "m", "speed": "m/s", "variance": "m²", "speed variance": "m²/s²"}.get(quantity.kind)
+    return Choice(name, quantity, 1.0, f"{name} is read in {our_unit}: its name states no unit" if our_unit else "")
+
+
+def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]]) -> dict[str, Choice]:
+    """Corrects ambiguous names of courses.
+
+    "track" is a course in tables with speeds, and a track number in others and beside another course; "heading" in
+    OpenSky's state vectors is the course over ground.
+    """
+    course, heading = chosen.get("course_deg"), chosen.get("heading_deg")
+    opensky = any(stems[name][0] == "lastposupdate" for name in stems)
+    if heading and course is None and opensky:
+        quantity = next(q for q in QUANTITIES if q.column == "course_deg")
+        why = f"{heading.name} is read as the course, as in OpenSky's states"
+        chosen["course_deg"] = Choice(chosen.pop("heading_deg").name, quantity, heading.factor, why)
+        return chosen
+    track = next((name for name in stems if "".join(stems[name]) == "track"), None)
+    if track is None:
+        return chosen
+    named = not {"track_id", "mmsi", "icao", "callsign"}.isdisjoint(chosen)
+    if course and course.name == track:
+        if "speed_m_per_s" in chosen:
+            why = f"{track} is read as the course of the speeds; if it is the number of a track, name it track_id"
+            return chosen if named else chosen | {"course_deg": replace(course, why=why)}
+        del chosen["course_deg"]
+    elif named:
+        return chosen
+    if "track_id" not in chosen and all(choice.name != track for choice in chosen.values()):
+        quantity = next(q for q in QUANTITIES if q.column == "track_id")
+        chosen["track_id"] = Choice(track, quantity, 1.0, f"{track} is read as a track number")
+    return chosen
+
+
+def require_columns(chosen: Mapping[str, Choice], names: Sequence[str], source: str) -> None:
+    """Refuses a table without times or positions; the message names all that is missing at once."""
+    listed = ", ".join(names)
+    times = () if {"time_s", "day_s"} & set(chosen) else ("time_s",)
+    words = "time and " if times else ""
+    for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m")):
+        if (pair[0] in chosen) != (pair[1] in chosen):
+            missing = pair[0] if pair[1] in chosen else pair[1]
+            raise InputError(
+                f"{source}: no column of {words}{missing} among: {listed}", naming_columns(*times, missing)
+            )
+    if "range_m" in chosen and not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
+        raise InputError(
+            f"{source}: ranges ({chosen['range_m'].name}), but no column of {words}bearings among: {listed}",
+            naming_columns(*times, "bearing_deg"),
+        )
+    if not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
+        raise InputError(
+            f"{source}: no columns of {words}a position among: {listed}",
+            Message(naming_columns(*times, "lat_deg", "lon_deg"), ", or those of x_m and y_m, range_m and bearing_deg"),
+        )
+    if times:
+        raise InputError(f"{source}: no column of time among: {listed}", naming_columns("time_s"))

@@ -1,0 +1,146 @@
+"""The times of tables of reports: dates, times of day and numbers, in UTC or a stated zone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any, SupportsFloat
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray
+from sameas.errors import InputError, naming
+from sameas.io.sensors.format import DAY_S, instant, seconds, unwrapped, utc_of
+from sameas.io.sensors.languages import DATES, HOURS, plain
+from sameas.io.sensors.table_cells import TableText
+from sameas.io.sensors.table_columns import Choice, stem_of
+
+#: Columns of tables whose dates like 01/05/2024 have the day first: Danish AIS.
+_DAY_FIRST_TABLES = ("typeofmobile",)
+_DAY_FIRST = re.compile(r"(\d{1,2})[/.-](\d{1,2})[/.-](\d{4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
+_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
+#: The offset of a time zone at the end of ISO text; Z is UTC.
+_ZONE = re.compile(r"T.*[+-]\d\d:?\d\d$| .*:\d\d[+-]\d\d:?\d\d$")
+
+
+def times_of(
+    cells: TableText,
+    chosen: Mapping[str, Choice],
+    source: str,
+    start_s: float | None,
+    time_zone: str | None,
+) -> tuple[FloatArray, str]:
+    """The time of each row, and a note on its interpretation."""
+    choice = chosen.get("time_s") or chosen["day_s"]
+    column = list(cells.columns[choice.name])
+    known = (*choice.quantity.names, *choice.quantity.translations)
+    parts = [
+        next((name for word in words for name in cells.columns if plain(name) == word), None)
+        for words in (DATES, [word for word in HOURS if word in known])
+    ]
+    if choice.name in parts and None not in parts:
+        days, hours = (cells.columns[str(part)] for part in parts)
+        column = [f"{day} {hour}" for day, hour in zip(days, hours, strict=True)]
+    if choice.quantity.column == "time_s":
+        # Of the languages that are read, only English has the month first.
+        day_first = any("".join(stem_of(name)) in _DAY_FIRST_TABLES for name in cells.columns)
+        day_first = day_first or any(one.translated for one in chosen.values())
+        times = _instants(column, choice, source, start_s, day_first)
+        if np.isfinite(times).any():
+            low = float(np.nanmax(np.abs(times))) < 1e8
+            if low:
+                note = "seconds from an origin of its own: all sources must use the same origin"
+                return times, f"{source}: {choice.name} is read as {note}"
+            offset, local = _zones(column)
+            times[local] = utc_of(times[local], time_zone)
+            zone = "UTC" if time_zone is None or not local.any() else f"the time of {time_zone}"
+            if offset.any():
+                others = f" that {offset.sum()} of {len(column)} rows state, the others as {zone}"
+                zone = "the time of its stated zone" if offset.all() else f"the time of the zone{others}"
+            return times, f"{source}: {choice.name} is read as {zone}"
+    times = np.array([_seconds_of_day(cell) for cell in column])
+    if not np.isfinite(times).any():
+        raise InputError(
+            f"{source}: no time can be read in column {choice.name!r} (first: {column[0]!r}); write ISO 8601"
+        )
+    if start_s is None:
+        raise InputError(
+            f"{source}: {choice.name!r} has the time of day only", naming("give {start}, the UTC date of the first row")
+        )
+    # The start is UTC, the times are of the zone.
+    start_s += start_s - float(utc_of(np.array([start_s]), time_zone)[0])
+    zone = time_zone or "UTC"
+    note = f"{source}: {choice.name} is read as {zone} time of day, counted on from the start"
+    return utc_of(unwrapped(times, DAY_S, start_s), time_zone), note
+
+
+def _zones(column: Sequence[Any]) -> tuple[BoolArray, BoolArray]:
+    """(n,) whether a cell states an offset from UTC, and whether it is a clock time without a zone."""
+    texts = ["" if cell is None or isinstance(cell, (int, float)) else str(cell).strip() for cell in column]
+    offset = np.array([_ZONE.search(text) is not None for text in texts], bool)
+    local = np.array([":" in text and re.search(r"(?i)(Z|UTC|GMT)$", text) is None for text in texts], bool)
+    return offset, local & ~offset
+
+
+def _instants(column: Sequence[Any], choice: Choice, source: str, start_s: float | None, day_first: bool) -> FloatArray:
+    """Times in seconds, from numbers, ISO text or dates like 13/01/2024; NaN where a cell is none of these.
+
+    day_first : whether dates of two readings have the day first.
+    """
+    try:
+        numbers = np.array(column, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        texts = ["" if cell is None else str(cell).strip() for cell in column]
+        if any(_DAY_FIRST.fullmatch(text) for text in texts[:100]):
+            return _day_month_dates(texts, source, start_s, day_first)
+        return np.array([np.nan if (time_s := instant(text)) is None else time_s for text in texts])
+    if choice.factor in (1.0, 0.0):
+        return np.array([seconds(number) for number in numbers])
+    return numbers * choice.factor
+
+
+def _day_month_dates(texts: Sequence[str], source: str, start_s: float | None, always_day_first: bool) -> FloatArray:
+    """Times from dates like 13/01/2024 12:00:00. A number above 12 shows which one is the day, else the kind of table
+    does, the start, or points between the numbers: these are written day first (DIN 5008, and wherever dates have
+    points)."""
+    day_first, month_first = (np.array([_of_date(text, day) for text in texts]) for day in (1, 2))
+    readable = [np.isfinite(day_first), np.isfinite(month_first)]
+    only = [bool((readable[k] & ~readable[1 - k]).any()) for k in (0, 1)]
+    if only[0] and only[1]:
+        raise InputError(f"{source}: some dates have the day first, others the month", "write them as 2024-01-13")
+    if only[0] or only[1]:
+        return day_first if only[0] else month_first
+    if not np.array_equal(day_first, month_first, equal_nan=True):
+        if always_day_first or (start_s is None and all("." in text[:3] for text in texts if text)):
+            return day_first
+        if start_s is None:
+            example = next(text for text in texts if _DAY_FIRST.fullmatch(text))
+            raise InputError(
+                f"{source}: dates like {example!r} can be read in two ways",
+                naming("give {start}, the UTC date of the first row, or write them as 2024-01-13"),
+            )
+        return min(day_first, month_first, key=lambda times: abs(float(times[np.isfinite(times)][0]) - start_s))
+    return day_first
+
+
+def _of_date(text: str, day: int) -> float:
+    """The time of a date like 13/01/2024 12:00:00 whose ``day``-th number is the day; NaN where it is none."""
+    match = _DAY_FIRST.fullmatch(text)
+    if match is None:
+        return np.nan
+    try:
+        moment = datetime(int(match[3]), int(match[3 - day]), int(match[day]), int(match[4]), int(match[5]), tzinfo=UTC)
+    except ValueError:
+        return np.nan
+    return moment.timestamp() + float(match[6] or 0.0)
+
+
+def _seconds_of_day(cell: str | SupportsFloat) -> float:
+    match = _OF_DAY.fullmatch(str(cell).strip())
+    if match:
+        return 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3])
+    try:
+        return float(cell)
+    except (TypeError, ValueError, OverflowError):
+        return np.nan
