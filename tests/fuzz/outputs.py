@@ -342,14 +342,14 @@ def _next() -> Any:
 @contextlib.contextmanager
 def _advanced(path: Path) -> Iterator[None]:
     """Within it, a watch with a changed journal uses the known next picture, which depends on the state only."""
-    from sameas.live.keeper import Keeper
+    from sameas.live.reception import Reception
     from sameas.picture.live import LivePicture
 
     with contextlib.ExitStack() as stack:
         if path.suffix == ".sqlite":
             picture = _next()
             stack.enter_context(mock.patch.object(LivePicture, "advance", lambda *_: picture))
-            stack.enter_context(mock.patch.object(Keeper, "_take_reports", lambda *_: None))
+            stack.enter_context(mock.patch.object(Reception, "take", lambda *_: None))
         yield
 
 
