@@ -487,8 +487,10 @@ def test_a_replay_skips_nothing_while_kernels_are_compiled(tmp_path, monkeypatch
 
 def test_unusable_reports_do_not_stop_the_keeper(keeper):
     ticked(keeper, 20.0)
-    keeper.reception.add("radar", Reports.of("radar", "table", {"time_s": [START_S], "x_m": [0.0], "y_m": [0.0]}), 0.0)
-    assert keeper.health()["sources"]["radar"]["refused"] == 0 or keeper.health()["sources"]["radar"]["error"]
+    from_nowhere = Reports.of("ais", "table", {"time_s": [START_S + 20.0], "range_m": [10.0], "bearing_deg": [0.0]})
+    keeper.reception.add("ais", from_nowhere, START_S + 20.0)
+    ais = keeper.health()["sources"]["ais"]
+    assert ais["refused"] == 1 and "the sensor's position is not known" in ais["error"]
     keeper.picture.advance = lambda instant_s: 1 / 0
     assert keeper.tick(START_S + 22.0) is None and keeper.failed_ticks == 1
     del keeper.picture.advance
