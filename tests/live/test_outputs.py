@@ -39,10 +39,10 @@ def situation(tmp_path_factory):
     return made
 
 
-def read_back(situation, format, stream_format):
+def read_back(situation, format, stream_format, renamed=(b"", b"")):
     stream = ReportStream("out", stream_format)
     for part in ENCODERS[format](situation):
-        stream.feed(part, situation.time_s, last=True)
+        stream.feed(part.replace(*renamed), situation.time_s, last=True)
     return stream.reports()
 
 
@@ -174,11 +174,32 @@ def test_of_more_than_a_hundred_targets_the_nearest_have_numbers():
 
 
 def test_signal_k_deltas_round_trip(situation):
-    [reports] = read_back(situation, "signalk", "signalk")
+    [reports] = read_back(situation, "signalk", "signalk", (b'"sameas"', b'"another"'))
     truth = {one["mmsi"]: one for one in situation.listed()}
     assert set(reports.mmsi) == set(truth)
     for k, mmsi in enumerate(reports.mmsi):
         assert reports.lat_deg[k] == pytest.approx(truth[mmsi]["lat_deg"])
+
+
+def test_objects_that_a_signal_k_server_sends_back_are_no_reports(situation):
+    """A server forwards what it is sent under the same ``$source``: the picture would take its own objects for AIS."""
+    stream = ReportStream("boat", "signalk")
+    for part in ENCODERS["signalk"](situation):
+        stream.feed(part, situation.time_s, last=True)
+    assert stream.reports() == []
+    assert stream.passed_over == {"update that sameas has sent": 5}
+
+
+def test_every_signal_k_delta_is_a_datagram_of_its_own(situation):
+    """A Signal K server parses a datagram as one delta: of several it took none."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
+        made.bind(("127.0.0.1", 0))
+        made.settimeout(5.0)
+        sink = Sink(f"udp://127.0.0.1:{made.getsockname()[1]}", "signalk")
+        sink.send(situation)
+        contexts = {json.loads(made.recv(65536))["context"] for _ in range(5)}
+        sink.close()
+    assert len(contexts) == 5
 
 
 def test_cursor_on_target_is_valid_xml_for_any_ship_name(situation):

@@ -25,6 +25,7 @@ import numpy as np
 
 from sameas.errors import InputError, reading
 from sameas.io.sensors.format import KNOT_M_PER_S
+from sameas.io.sensors.signalk import FUSED
 from sameas.live.situation import Situation
 from sameas.tracks.coordinates import FOOT_M, MILE_M
 from sameas.tracks.heights import GEOMETRIC
@@ -197,7 +198,7 @@ def signalk(situation: Situation) -> Iterator[bytes]:
             values.append({"path": "", "value": {"name": one["name"]}})
         mmsi = str(one.get("mmsi", ""))
         who = f"mrn:imo:mmsi:{mmsi}" if mmsi.isdigit() else f"mrn:sameas:object:{one['object']}"
-        update = {"$source": "sameas", "timestamp": _iso(situation.time_s), "values": values}
+        update = {"$source": FUSED, "timestamp": _iso(situation.time_s), "values": values}
         delta = {"context": f"vessels.urn:{who}", "updates": [update]}
         yield json.dumps(delta, ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
@@ -390,7 +391,7 @@ class Sink:
                 sys.stdout.buffer.write(part)
             sys.stdout.buffer.flush()
             return
-        for datagram in _datagrams(self._encode(situation), joined=self.format in ("nmea", "jsonl", "signalk")):
+        for datagram in _datagrams(self._encode(situation), joined=self.format in ("nmea", "jsonl")):
             try:
                 self._socket.sendto(datagram, self._address)
             except OSError:

@@ -2,7 +2,8 @@
 
 Positions of vessels become reports under their MMSI; speed, course, heading, name and size are in deltas of their own,
 and every position gets the latest of its vessel. Positions are moved to the middle of the hull, as those of AIS are.
-Own ship is ``vessels.self`` or ``self`` of the hello message; its position is that of the radars. Angles are radians,
+Own ship is ``vessels.self`` or ``self`` of the hello message; its position is that of the radars. What sameas has sent
+to the server comes back in its stream and is passed over: a fused object is no evidence of itself. Angles are radians,
 speeds m/s. Source: Signal K 1.7, "Delta format"; the Radar API of Signal K 2 puts targets under
 ``radars.ID.targets.NUMBER``.
 """
@@ -40,6 +41,8 @@ _SIZES = {
 _STATES = {"anchored": 1.0, "not under command": 2.0, "moored": 5.0, "aground": 6.0}
 #: Paths of texts, with their column; the same are keys of the value of the path "".
 _TEXTS = {"name": "name", "communication.callsignVhf": "callsign", "registrations.imo": "imo"}
+#: Source of the updates that sameas sends.
+FUSED = "sameas"
 #: Fields older than this, in seconds, are not joined to a position (chosen).
 _STALE_S = 60.0
 #: Sizes from here on, in metres, are none.
@@ -123,6 +126,9 @@ def _add_delta(
     is_own = context in ("vessels.self", vessels.own_context, f"vessels.{vessels.own_context}")
     fields = vessels.fields.setdefault("self" if is_own else context, {})
     for update in delta["updates"]:
+        if _is_fused(update):
+            passed_over["update that sameas has sent"] += 1
+            continue
         time_s = instant(str(update.get("timestamp", "")))
         if time_s is None:
             raise ValueError("an update without a time")
@@ -163,6 +169,13 @@ def _add_delta(
                 "line": number, "time_s": time_s, "lat_deg": position_deg[0], "lon_deg": position_deg[1], "mmsi": mmsi,
                 "track_id": mmsi or context, **last,
             })  # fmt: skip
+
+
+def _is_fused(update: Mapping[str, Any]) -> bool:
+    """Whether an update is an output of sameas (:func:`sameas.live.outputs.signalk`), as servers forward it."""
+    source = update.get("source")
+    label = source.get("label") if isinstance(source, Mapping) else source
+    return any(str(name).partition(".")[0] == FUSED for name in (update.get("$source"), label) if name)
 
 
 def _at_hull_centres(columns: dict[str, Any]) -> dict[str, Any]:
