@@ -84,30 +84,39 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     values, repeated = _without_repeats(_with_track_id(values))
     counts = {"base station or aid to navigation": stations, "position repeated": repeated}
     passed_over = {what: count for what, count in counts.items() if count}
-    unavailable = [f"{source}: {one}" for one in marks]
-    truncated = [f"{source}: its last line has no line end: it may be incomplete"] * cells.unended
-    notes = [note, *truncated, *unavailable, *(f"{source}: {choice.why}" for choice in chosen.values() if choice.why)]
+    truncated = ["its last line has no line end: it may be incomplete"] * cells.unended
+    values, hulls = _at_hulls(_with_covariances(values), is_ais)
+    more = [f"{source}: {one}" for one in (*truncated, *marks, *_interpretation(cells, chosen), *hulls)]
+    return Reports.of(
+        source, "table", values, damaged=Damaged.of(damaged.items()),
+        passed_over=passed_over, notes=[note, *more],
+    )  # fmt: skip
+
+
+def _interpretation(cells: TableText, chosen: Mapping[str, Choice]) -> list[str]:
+    """Sentences on how the columns are read, and on those that are not used."""
+    sentences = [choice.why for choice in chosen.values() if choice.why]
     if translated := [f"{c.name} as {c.quantity.column}" for c in chosen.values() if c.translated]:
-        notes.append(f"{source}: columns read by their names: {', '.join(translated)}")
+        sentences.append(f"columns read by their names: {', '.join(translated)}")
     used = {choice.name for choice in chosen.values()}
     unused = [name for name in cells.columns if name not in used and plain(name) not in (*DATES, *HOURS)]
     if unused:
         more = f" and {len(unused) - _LISTED} more" if len(unused) > _LISTED else ""
-        notes.append(f"{source}: columns not used: {', '.join(unused[:_LISTED])}{more}")
-    values = _with_covariances(values)
+        sentences.append(f"columns not used: {', '.join(unused[:_LISTED])}{more}")
+    return sentences
+
+
+def _at_hulls(values: dict[str, Any], is_ais: bool) -> tuple[dict[str, Any], list[str]]:
+    """The values of AIS at the centres of the hulls, without the places of antennas, and sentences on the shift."""
     sides = [values.pop(f"to_{side}_m", None) for side in SIDES]
-    if is_ais and "lat_deg" in values:
-        angles = {
-            name: np.where((values[name] >= 0.0) & (values[name] < 360.0), values[name], np.nan)
-            for name in ("heading_deg", "course_deg") if name in values
-        }  # fmt: skip
-        centred, hulls = at_hull_centres(values | angles, sides)
-        values = centred | {name: values[name] for name in angles}
-        notes += [f"{source}: {one}" for one in hulls]
-    return Reports.of(
-        source, "table", values, damaged=Damaged.of(damaged.items()),
-        passed_over=passed_over, notes=notes,
-    )  # fmt: skip
+    if not is_ais or "lat_deg" not in values:
+        return values, []
+    angles = {
+        name: np.where((values[name] >= 0.0) & (values[name] < 360.0), values[name], np.nan)
+        for name in ("heading_deg", "course_deg") if name in values
+    }  # fmt: skip
+    centred, sentences = at_hull_centres(values | angles, sides)
+    return centred | {name: values[name] for name in angles}, list(sentences)
 
 
 def _with_split_positions(cells: TableText) -> TableText:
