@@ -227,6 +227,7 @@ def _of_windows(file: SensorFile) -> SensorFile:
 
 
 def cells_of(file: SensorFile) -> TableText:
+    """The cells of a file: Parquet, JSON or separated text, whichever it is."""
     if file.content.startswith(PARQUET):
         return cells_of_parquet(file.path)
     file = _of_windows(file)

@@ -1,0 +1,89 @@
+"""The reception alone: who takes the reports of a wire, what is refused, and which silence is an alarm."""
+
+import pytest
+from tests.live.conftest import START_S
+
+from sameas.errors import InputError
+from sameas.live.inputs import Replay
+from sameas.live.reception import Reception
+from sameas.live.settings import LiveSource, Settings, WatchSettings
+from sameas.tracks import Description
+from sameas.tracks.reports import Reports
+
+URL = "udp://127.0.0.1:60004"
+
+
+class Receiver:
+    """A reception of two sources on one wire, its clock, and what was taken."""
+
+    def __init__(self, refuse=False, replay=None, **watch):
+        sources = {
+            name: LiveSource(Description(name, "tracks"), URL, "table", sensor=name) for name in ("east", "west")
+        }
+        self.now_s, self.taken, self.refuse = START_S, [], refuse
+        settings = Settings(sources, WatchSettings(**watch), {"mast": "mast: has no site"})
+        self.reception = Reception(settings, lambda: self.now_s, replay=replay, use=self.use)
+
+    def use(self, name, reports):
+        if self.refuse:
+            raise InputError(f"{name}: no site", "give one")
+        self.taken.append((name, len(reports)))
+
+    def alarms(self, after_s, excused=()):
+        self.now_s += after_s
+        self.reception.take(self.now_s)
+        return [alarm.key for alarm in self.reception.alarms(excused)]
+
+
+def at(time_s, n=1):
+    return Reports.of("west", "table", {"time_s": [time_s] * n, "x_m": [0.0] * n, "y_m": [0.0] * n})
+
+
+def test_reports_are_taken_and_those_far_ahead_refused():
+    receiver = Receiver()
+    receiver.reception.add("west", at(START_S - 3.0, 2), START_S)
+    receiver.reception.add("west", at(START_S + 601.0), START_S)
+    state = receiver.reception.sources["west"]
+    assert receiver.taken == [("west", 2)] and state.refused == 1 and state.delay_s == -601.0
+
+
+def test_reports_that_cannot_be_used_are_counted_with_the_reason_without_the_name():
+    receiver = Receiver(refuse=True)
+    receiver.reception.add("west", at(START_S, 3), START_S)
+    state = receiver.reception.sources["west"]
+    assert (state.refused, state.error) == (3, "no site; give one") and state.last_s == -float("inf")
+    receiver.refuse = False
+    receiver.reception.add("west", at(START_S), START_S)
+    assert state.error == "" and state.last_s == START_S
+
+
+def test_a_silent_source_is_an_alarm_unless_it_is_excused():
+    receiver = Receiver(silent_s=30.0)
+    assert receiver.alarms(29.0) == ["set aside mast"]
+    assert receiver.alarms(2.0) == ["set aside mast", f"silent {URL}"]
+    receiver.reception.wires[URL].state.last_s = receiver.now_s
+    receiver.reception.add("west", at(receiver.now_s), receiver.now_s)
+    assert receiver.alarms(0.0) == ["set aside mast", "silent east"]
+    assert receiver.alarms(0.0, excused={"east"}) == ["set aside mast"]
+
+
+def test_a_flood_is_an_alarm_each_time_that_more_is_dropped():
+    receiver = Receiver()
+    queue = receiver.reception.wires[URL].queue
+    queue.dropped = 3
+    assert f"flood {URL}" in receiver.alarms(1.0) and f"flood {URL}" not in receiver.alarms(1.0)
+    queue.dropped = 4
+    assert f"flood {URL}" in receiver.alarms(1.0)
+
+
+def test_a_replay_has_no_wires_and_no_silence():
+    receiver = Receiver(replay=Replay([("west", at(START_S, 2)), ("east", at(START_S + 50.0))]), silent_s=30.0)
+    assert receiver.reception.wires == {} and receiver.alarms(40.0) == ["set aside mast"]
+    assert receiver.taken == [("west", 2)]
+    receiver.alarms(10.0)
+    assert receiver.taken == [("west", 2), ("east", 1)]
+
+
+def test_a_source_without_a_wire_is_refused():
+    with pytest.raises(InputError, match="west: has no input"):
+        Reception(Settings({"west": LiveSource(Description("west", "tracks"))}), float, use=print)
