@@ -121,6 +121,14 @@ def watch(
             help="Chart below the objects: MBTiles, PMTiles or GeoJSON of land; again for charts above it.",
         ),
     ] = None,
+    zones: Annotated[
+        list[Path] | None,
+        option(
+            "--zones",
+            metavar="GEOJSON",
+            help="Guard zones: polygons, or points with radius_m; an object inside raises an alarm. Again for more.",
+        ),
+    ] = None,
     no_map: Annotated[bool, option("--no-map", panel=_MAP, help="Serve no map.")] = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -142,6 +150,7 @@ def watch(
         if every_s is not None:
             settings = replace(settings, watch=replace(settings.watch, every_s=every_s))
         settings = _with_charts(settings, chart) if chart else settings
+        settings = settings.with_zones(zones) if zones else settings
         if record is not None and (replay or playback) is not None:
             raise InputError("--record: files are replayed, and nothing is received", "leave it out")
         settings = settings if record is None else _with_record(settings, record)

@@ -24,6 +24,7 @@ import numpy as np
 from sameas.errors import InputError, reading
 from sameas.live.alarms import MOST_UNSAVED, AlarmLog, fault_alarms, identity_alarms
 from sameas.live.approaches import Approaches
+from sameas.live.guard import GuardZones
 from sameas.live.inputs import Playback, Replay, SteadyClock, in_words
 from sameas.live.journal import Journal, Store, load_state, save_state
 from sameas.live.outputs import sinks_of
@@ -105,6 +106,7 @@ class Keeper:
         # Whether no tick will follow.
         self.ended = False
         self.approaches = Approaches(settings.watch)
+        self.zones = GuardZones(settings.watch.zones)
         self.own_ship = OwnShipMotion(settings, self.wires, replayed=replay is not None)
         self._saved_s = -math.inf
         self._faults: dict[str, Fault] = {}
@@ -197,6 +199,7 @@ class Keeper:
             alarms = [*identity_alarms(state), *self.reception.alarms(excused={self.own_ship.source(clock_s)}),
                       *fault_alarms(self._faults, situation), *self._own_ship_alarms(situation),
                       *self.approaches.alarms(situation, state, self.alarms, self.own_ship.mmsi),
+                      *self.zones.alarms(situation, self.alarms, self.own_ship.mmsis),
                       *self._folder_alarms(), *self._pace_alarms(), *self._clock_alarms()]  # fmt: skip
             situation = replace(situation, alarms=tuple(alarms))
             self.alarms.update(alarms, instant_s)

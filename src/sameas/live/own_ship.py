@@ -119,6 +119,12 @@ class OwnShipMotion:
         """Her MMSI as her transponder gives it; empty if it does not."""
         return "" if self.wire is None else self.wire.stream.own_mmsi
 
+    @property
+    def mmsis(self) -> tuple[str, ...]:
+        """Her MMSIs, as her transponder and the settings give them."""
+        given = "" if self.settings is None else self.settings.mmsi or ""
+        return tuple(mmsi for mmsi in (self.mmsi, given) if mmsi)
+
     def _given_velocity(self) -> tuple[float, float] | None:
         """Her velocity (m/s east, north) as her receiver gives it; None if it does not."""
         speed, course = (math.nan, math.nan) if self.wire is None else self.wire.stream.own_velocity

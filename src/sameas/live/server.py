@@ -356,7 +356,7 @@ def _event(kind: str, keeper: Keeper, situation: Situation, delta: Delta) -> str
             "geographic": keeper.picture.plane is not None,
             "berthed": sorted(keeper.approaches.berthed),
             "cpa": {n: [round(metres), round(seconds)] for n, (metres, seconds) in situation.cpa.items()},
-            "alarms": keeper.alarm_list(most_ended=100),
+            "alarms": keeper.alarm_list(most_ended=100), "zones": keeper.zones.outlines,
             "alignment": keeper.alignment(), "errors": list(keeper.picture.errors),
         }  # fmt: skip
     return f"id: {delta.tick}\nevent: {kind}\ndata: {json.dumps(content, allow_nan=False, separators=(',', ':'))}\n\n"

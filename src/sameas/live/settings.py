@@ -24,7 +24,7 @@ import os
 import ssl
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ from sameas.io.sensors.sources import ZONED, setting_aside
 from sameas.io.sensors.stream import STREAM_FORMATS
 from sameas.live.inputs import require_readable
 from sameas.live.websocket import Login
+from sameas.live.zones import Zone, read_zones, require_names, zone_of
 from sameas.maps.outline import Coast, read_coast
 from sameas.maps.tiles import Chart, is_tiles, open_chart
 from sameas.tracks.coordinates import LocalPlane
@@ -84,6 +85,7 @@ class WatchSettings:
         deleted; 0: none are.
     chart : GeoJSON, MBTiles or PMTiles files, drawn below the objects, the first one lowest. The first GeoJSON is the
         land, others are lines.
+    zones : guard zones, GeoJSON files or tables (:mod:`sameas.live.zones`); an object inside raises an alarm.
     """
 
     every_s: float = 1.0
@@ -106,6 +108,7 @@ class WatchSettings:
     record: str | None = None
     record_hours: float = 0.0
     chart: tuple[str, ...] = ()
+    zones: tuple[Zone, ...] = ()
 
     @property
     def origin(self) -> LocalPlane | None:
@@ -144,6 +147,12 @@ class Settings:
     sources: Mapping[str, LiveSource]
     watch: WatchSettings = field(default_factory=WatchSettings)
     set_aside: Mapping[str, str] = field(default_factory=dict)
+
+    def with_zones(self, paths: Iterable[str | Path]) -> Settings:
+        """With the guard zones of GeoJSON files besides those it has; refused as of :func:`read_zones`."""
+        zones = (*self.watch.zones, *(zone for path in paths for zone in read_zones(path)))
+        require_names(zones, "--zones")
+        return replace(self, watch=replace(self.watch, zones=zones))
 
     def recorded_input(self, url: str) -> RecordedInput:
         """What a recording of a wire says of it."""
@@ -286,6 +295,8 @@ def _watch(table: Any, where: str, sources: Iterable[str]) -> WatchSettings:
             for file in values[key]:
                 # A map without its shores is found out too late.
                 read_chart(file)
+        elif key == "zones":
+            values[key] = _zones(value, f"{where}.zones")
         elif isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < math.inf:
             raise InputError(f"{where}.{key} is {value!r}; give a number, 0 or more")
         else:
@@ -293,6 +304,18 @@ def _watch(table: Any, where: str, sources: Iterable[str]) -> WatchSettings:
     if values.get("every_s", 1.0) <= 0.0:
         raise InputError(f"{where}.every_s is 0; give seconds above 0")
     return WatchSettings(**values)
+
+
+def _zones(value: Any, where: str) -> tuple[Zone, ...]:
+    """Guard zones: names of GeoJSON files beside the sensor file, and tables."""
+    zones: list[Zone] = []
+    for k, one in enumerate(value if isinstance(value, list) else [value]):
+        if isinstance(one, str):
+            zones += read_zones(Path(where.split(": ")[0]).parent / one)
+        else:
+            zones.append(zone_of(one, f"{where}[{k}]"))
+    require_names(zones, where)
+    return tuple(zones)
 
 
 @lru_cache(maxsize=32)

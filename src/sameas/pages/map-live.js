@@ -8,7 +8,7 @@ const O = Object.fromEntries(data.live.object.map((name, k) => [name, k])),
 const OBJECT_TEXTS = ["label", "mmsi", "icao", "callsign", "name", "mode_a", "type"];
 const sourceNumber = new Map(data.sensors.map((s, k) => [s.name, k]));
 let frames = [],
-  present = { t: NaN, objects: new Map(), records: new Map(), own: null, cpa: {}, berthed: [] },
+  present = { t: NaN, objects: new Map(), records: new Map(), own: null, cpa: {}, berthed: [], zones: [] },
   tick = 0,
   watching = true,
   receivedAt = performance.now();
@@ -93,6 +93,7 @@ function applyDelta(delta) {
   present.t = delta.t;
   present.own = delta.own;
   present.cpa = delta.cpa || {};
+  present.zones = delta.zones || [];
   present.berthed = delta.berthed || [];
   showSensors(delta.alignment || {}, delta.errors || []);
   beginOwnShip();
@@ -368,6 +369,20 @@ overlays.push(c => {
   c.lineWidth = 1;
   c.strokeStyle = colour.accent;
   c.stroke(ahead);
+});
+// Guard zones, where they are now.
+overlays.push(c => {
+  if (!watching) return;
+  c.setLineDash([8, 4]);
+  for (const [name, lines] of present.zones) {
+    const path = new Path2D();
+    for (const line of lines) line.forEach(([x, y], k) => path[k ? "lineTo" : "moveTo"](...toScreen(x, y)));
+    strokeOnHalo(c, path, colour.alarm, 1.5);
+    const [u, v] = toScreen(...lines[0].reduce((top, at) => (at[1] > top[1] ? at : top)));
+    Object.assign(c, { font, textAlign: "center", textBaseline: "middle" });
+    haloed(c, name.slice(0, 24), u, v - 9, colour.alarm);
+  }
+  c.setLineDash([]);
 });
 furtherFacts.push(r => {
   const near = approachOf(r);
