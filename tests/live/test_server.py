@@ -3,6 +3,7 @@
 import json
 import pickle
 import re
+import signal
 import socket
 import subprocess
 import sys
@@ -98,6 +99,46 @@ def test_an_open_event_stream_ends_with_the_watch(tmp_path):
             assert stream.readline() and stream.read()
         _, errors = process.communicate(timeout=30.0)
     assert process.returncode == 0 and "Traceback" not in errors and "ERROR" not in errors
+
+
+@pytest.mark.slow
+def test_a_watch_records_draws_a_chart_and_lets_viewers_only_look(tmp_path):
+    """The options of the command, which no other test gives to it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    (tmp_path / "sensors.toml").write_text(
+        f'[sources.coast]\nkind = "ais"\ninput = {{ url = "udp://127.0.0.1:{port}", format = "table" }}\n'
+    )
+    shore = [[-1.1, 50.0], [-1.0, 50.1], [-0.9, 50.0]]
+    (tmp_path / "shore.geojson").write_text(json.dumps({"type": "LineString", "coordinates": shore}))
+    command = [sys.executable, "-m", "sameas", "watch", "-s", "sensors.toml", "--record", "raw", "--chart",
+               "shore.geojson", "--host", "127.0.0.1", "--port", "0", "--token", "helm", "--viewer-token", "guest",
+               "--every", "0.2s"]  # fmt: skip
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            url = next(line for line in process.stdout if line.startswith("Map: ")).split()[1]
+            url, _, token = url.partition("?token=")
+            assert token == "helm" and opened(f"{url}alarms?token=guest")
+            guest, helm = {"Authorization": "Bearer guest"}, {"Authorization": "Bearer helm", "X-Sameas": "1"}
+            assert ask(f"{url}alarms")[0] == 401 and ask(f"{url}alarms", **guest)[0] == 200
+            assert ask(f"{url}alarms/7/acknowledge", "POST", **guest)[0] == 403
+            assert ask(f"{url}alarms/7/acknowledge", "POST", **helm)[0] == 404
+            end = time.monotonic() + 60.0
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+                while not list((tmp_path / "raw").glob("coast-*")) and time.monotonic() < end:
+                    row = {"time": time.time(), "lat": 50.02, "lon": -1.0, "mmsi": "235000001"}
+                    sender.sendto(json.dumps(row).encode() + b"\n", ("127.0.0.1", port))
+                    time.sleep(0.2)
+            page = ask(url, **guest)[2]
+            assert re.search(r'"charts": ?\[\{"name": ?"shore"', page)
+        finally:
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=60.0)
+    assert process.returncode == 0 and "Traceback" not in errors
+    [recorded] = (tmp_path / "raw").glob("coast-*")
+    assert "235000001" in recorded.read_text()
 
 
 @pytest.mark.slow
