@@ -334,7 +334,7 @@ def series_field(name: str, series: Series, summaries: Sequence[Mapping[str, Any
         "stars": {
             "number": shown.tolist(), "id": stars.name[shown].tolist(), "ra": column(ra, 6), "dec": column(dec, 6),
             "mag": column(stars.mean[shown], 3), "scatter": column(stars.scatter_mag[shown], 5),
-            "p": column(stars.p_constant[shown], 6), "curve": [column(row, 4) for row in stars.magnitude[shown]],
+            "p": column(stars.p_constant[shown], 9), "curve": [column(row, 4) for row in stars.magnitude[shown]],
             "err": [column(row, 4) for row in stars.error[shown]], "de": [column(row, 3) for row in left[..., 0]],
             "dn": [column(row, 3) for row in left[..., 1]],
         },
