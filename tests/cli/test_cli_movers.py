@@ -3,7 +3,9 @@
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from astropy.io import fits
 from typer.testing import CliRunner
 
 from sameas.cli.app import app
@@ -125,6 +127,17 @@ def test_improbable_tracklets_are_omitted_from_a_report_and_counted(luxembourg, 
     assert "it contains 2 tracklets" in result.output and unsure[0] in (tmp_path / "movers.psv").read_text()
     alone = run(luxembourg, "--sigma", 0.15, "-o", tmp_path / "m.csv", "--report-probability", 0.5)
     assert alone.exit_code == 2 and "there is no report" in " ".join(alone.output.split())
+
+
+def test_one_exposure_and_images_are_refused_with_what_to_do(table, tmp_path):
+    """It named --frame, which is no option."""
+    whole, one = read_table(table), tmp_path / "one.csv"
+    whole[:1].write(one)
+    said = " ".join(run(one, "--sigma", 0.2, "-o", tmp_path / "out.csv").output.split())
+    assert "1 usable row is of one exposure" in said and said.endswith("give --time NAME or --exposure NAME")
+    fits.PrimaryHDU(np.zeros((8, 8), np.float32)).writeto(tmp_path / "image.fits")
+    said = " ".join(run(tmp_path / "image.fits", "--sigma", 0.2, "-o", tmp_path / "out.csv").output.split())
+    assert "holds images only, no table" in said and "`sameas movers` with --catalog" in said
 
 
 def test_without_an_output_it_is_wrong_usage(table):

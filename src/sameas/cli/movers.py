@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sameas.cli.options import Debug, OutFormat, Overwrite, Quiet, frame_option, option, option_of, with_columns
+from sameas.cli.options import Debug, OutFormat, Overwrite, Quiet, frame_option, mover_option, option, with_columns
 from sameas.cli.outcome import answering
 from sameas.errors import InputError
 from sameas.front.options import SIDE_OPTIONS
@@ -166,7 +166,7 @@ def movers(
             options = _options(max(least, 3), probability, elements, report, report_probability, site)
             run_series(tuple(map(str, files)), template, options, below_limit, processes, quiet)
         return
-    with answering(debug, option_of):
+    with answering(debug, mover_option):
         from sameas.cli.outputs import Outputs
         from sameas.sky.movers.detections import DetectionColumns
 

@@ -75,6 +75,11 @@ def frame_option(argument: Argument) -> str:
     return _OF_FRAME.get(argument.name) or option_of(argument)
 
 
+def mover_option(argument: Argument) -> str:
+    """The option of ``sameas movers`` for an argument about tables."""
+    return "--exposure NAME" if argument.name == "frame" else option_of(argument)
+
+
 _OF_PICTURE = {
     "read_source_options": "--sensors", "at": "--at", "begin": "--from", "end": "--to", "every": "--every",
     "without": "--without",

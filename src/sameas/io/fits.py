@@ -173,7 +173,10 @@ def _chosen(hdus: HDUList, hdu: int | str | None, path: Path) -> tuple[int, list
 
     tables = _tables(hdus)
     if not tables:
-        raise InputError(f"{path}: holds images only, no table")
+        raise InputError(
+            f"{path}: holds images only, no table",
+            "`sameas frame` identifies the stars on images, `sameas movers` with --catalog what moves over them",
+        )
     listed = ", ".join(f"{number} ({hdus[number].name})" if hdus[number].name else str(number) for number in tables)
     if hdu is None:
         if len(tables) == 1:

@@ -340,7 +340,7 @@ def known_lines(movers: Movers, known: KnownObjects, on_earth: bool) -> list[str
     """The tracklets identified with known objects, with O−C."""
     lines = [f"Known objects: {count(len(known.elements))} predicted near the field"]
     if not on_earth:
-        lines.append(f"{DOUBT}the header has no station; positions are geocentric")
+        lines.append(f"{DOUBT}the place of the observer is not known, so positions are geocentric; give its site")
     for k, owner in enumerate(known.object):
         if owner < 0:
             continue

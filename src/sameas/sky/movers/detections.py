@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.records import SetAside
-from sameas.representation import in_short
+from sameas.representation import counted, in_short
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.movers.rates import EclipticAxes
 
@@ -146,8 +146,9 @@ class Detections:
         keep, number = keep[~repeated], number[~repeated]
         aside = np.flatnonzero(reasons != "")
         if len(np.unique(number)) < 2:
+            of_one = counted(len(keep), "usable row is", "usable rows are all")
             raise InputError(
-                f"{name}: {len(keep)} usable rows are all of one exposure; movers need two exposures or more",
+                f"{name}: {of_one} of one exposure; movers need two exposures or more",
                 naming("give {time:NAME} or {frame:NAME}"),
             )
         bands, band_of = np.unique(colours, return_inverse=True)
