@@ -523,6 +523,17 @@ def test_a_folder_of_frames_is_one_product(files, sameas, tmp_path):
             browser.close()
 
 
+def test_numbers_of_a_frame_are_refused_by_their_options(files, sameas):
+    """They were named as in Python: given gain_e_per_adu."""
+    for option, value, least in (
+        ("--gain", "-3", "above zero"),
+        ("--threshold", "0", "above 0"),
+        ("--read-noise", "-1", "zero or more"),
+    ):
+        said = sameas("frame", files.frame, "-c", files.stars, option, value, exit_code=1).stderr
+        assert said.endswith(f"{option} is {value}; give a number {least}\n")
+
+
 def test_a_folder_without_frames_is_refused(files, sameas, tmp_path):
     (tmp_path / "empty").mkdir()
     assert "no frames in this folder" in sameas("frame", tmp_path / "empty", "-c", files.stars, exit_code=1).stderr

@@ -207,7 +207,7 @@ def test_table_and_records_have_the_same_positions():
 
 
 def test_a_setting_out_of_range_is_refused():
-    with pytest.raises(InputError, match="threshold_sigmas 0,"):
+    with pytest.raises(InputError, match="threshold_sigmas is 0; give a number above 0"):
         Detection(threshold_sigmas=0)
 
 

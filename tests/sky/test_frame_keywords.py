@@ -138,7 +138,7 @@ def test_given_values_override_the_header_and_are_checked():
     found = facts(Given(gain_e_per_adu=2.5, exposure_s=10.0), EGAIN=0.8, EXPTIME=5.0)
     assert (found.gain_e_per_adu, found.exposure_s) == (2.5, 10.0)
     assert "gain 2.5 (given)" in found.lines
-    with pytest.raises(InputError, match=r"gain_e_per_adu is -1\.0; give a number above zero"):
+    with pytest.raises(InputError, match=r"gain_e_per_adu is -1; give a number above zero"):
         Given(gain_e_per_adu=-1.0)
 
 

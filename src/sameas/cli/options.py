@@ -67,7 +67,11 @@ def option_of(argument: Argument) -> str:
 
 
 #: Options of ``sameas frame`` that are named differently from the arguments.
-_OF_FRAME = {"epoch_jyr": "--time DATE", "cone": "--aim", "catalogue": "--catalog bright", "format": "its format"}
+_OF_FRAME = {
+    "epoch_jyr": "--time DATE", "cone": "--aim", "catalogue": "--catalog bright", "format": "its format",
+    "gain_e_per_adu": "--gain", "read_noise_e": "--read-noise", "saturation_adu": "--saturation",
+    "threshold_sigmas": "--threshold",
+}  # fmt: skip
 
 
 def frame_option(argument: Argument) -> str:

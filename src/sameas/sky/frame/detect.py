@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
-from sameas.errors import InputError
+from sameas.errors import Argument, InputError, Message
 from sameas.sky.frame.centroid import (
     DEFAULT_CENTROIDS,
     FWHM_PER_SIGMA,
@@ -111,11 +111,10 @@ class Detection:
     tuning: DetectionTuning = field(default=DetectionTuning(), repr=False)
 
     def __post_init__(self) -> None:
-        if not self.threshold_sigmas > 0 or self.box_px < 8 or not self.floor_px >= 0:
-            raise InputError(
-                f"Detection: threshold_sigmas {self.threshold_sigmas}, box_px {self.box_px}, floor_px {self.floor_px}; "
-                "give a threshold above 0, a mesh of 8 px or more, a floor of 0 or more"
-            )
+        least = {"threshold_sigmas": "above 0", "box_px": "of 8 or more", "floor_px": "of 0 or more"}
+        for name, right in zip(least, (self.threshold_sigmas > 0, self.box_px >= 8, self.floor_px >= 0), strict=True):
+            if not right:
+                raise InputError(Message(Argument(name), f" is {getattr(self, name):g}; give a number {least[name]}"))
 
 
 def flag_defects(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> Frame:

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.errors import InputError
+from sameas.errors import Argument, InputError, Message
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN
 
@@ -464,7 +464,7 @@ class Given:
             value = getattr(self, name)
             lowest = "zero or more" if name in ("read_noise_e", "exposure_s") else "above zero"
             if value is not None and not (math.isfinite(value) and (value > 0 or (value == 0 and "or" in lowest))):
-                raise InputError(f"given {name} is {value}; give a number {lowest}")
+                raise InputError(Message(Argument(name), f" is {value:g}; give a number {lowest}"))
 
 
 @in_short

@@ -279,9 +279,10 @@ def odds_in_words(log_odds: float) -> str:
 
 
 def _refusal(hint: Hint, best: Verdict | None, second: float) -> str:
+    by = f"{hint.words} {hint.ra_deg:.4f}°, {hint.dec_deg:+.4f}°" if isinstance(hint, Aim) else hint.words
     if best is None:
-        return f"no fit by {hint.words}"
-    words = f"by {hint.words} the best has odds {odds_in_words(best.log_odds)} ({len(best.stars)} stars)"
+        return f"no fit by {by}"
+    words = f"by {by} the best has odds {odds_in_words(best.log_odds)} ({len(best.stars)} stars)"
     return words + (f", another {odds_in_words(second)}" if second > 0 else "")
 
 
@@ -289,7 +290,7 @@ def _advice(hints: Sequence[Hint]) -> str:
     aims = [hint for hint in hints if isinstance(hint, Aim)]
     skies = [hint for hint in hints if isinstance(hint, AllSky)]
     radius = f" than {aims[0].radius_deg:.2g}°" if aims else ""
-    area = "an aim" if len(skies) == len(hints) else f"a larger radius{radius}"
+    area = f"another aim, a larger radius{radius}" if aims else "an aim" if skies else "a larger radius"
     tried = [aim.scale_arcsec for aim in aims] + [sky.scale_arcsec for sky in skies]
     scales = f" than {tried[0][0]:.3g} to {tried[0][1]:.3g}″ per pixel" if tried else ""
     binned = " (are pixels binned?)" if aims else ""
