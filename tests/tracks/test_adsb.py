@@ -53,6 +53,24 @@ def test_without_accuracy_the_containment_radius_is_used():
     np.testing.assert_allclose(made.covariance_m2[1:, 0], [(93 / RADIUS_95) ** 2, (92.6 / RADIUS_95) ** 2])
 
 
+def test_the_names_of_dump1090_mutability_are_read():
+    """A snapshot as the program of Debian writes it: height, speed and vertical rate were lost."""
+    old = {"hex": "4ca104", "flight": "EIN400  ", "lat": 50.899979, "lon": -0.918398, "nucp": 7, "seen_pos": 0.1,
+           "altitude": 34000, "vert_rate": 640, "track": 90, "speed": 400, "category": "A3", "mlat": [], "tisb": [],
+           "messages": 120, "seen": 0.1, "rssi": -49.5}  # fmt: skip
+    ground = old | {"hex": "4ca105", "altitude": "ground", "nucp": 0}
+    by_mlat = old | {"hex": "4ca106", "mlat": ["lat", "lon", "track", "speed"]}
+    made = aircraft.read(snapshots((1e9, [old, ground, by_mlat])), "roof")
+    assert made.pressure_alt_m[0] == pytest.approx(34000 * 0.3048)
+    assert made.climb_m_per_s[0] == pytest.approx(640 * 0.3048 / 60)
+    np.testing.assert_allclose(made.speed_m_per_s, 400 * 1852 / 3600)
+    np.testing.assert_allclose(made.covariance_m2[0, 0], (92.6 / RADIUS_95) ** 2)
+    assert made.extra["on_ground"].tolist() == [0.0, 1.0, 0.0] and made.extra["origin"][2] == "mlat"
+    assert np.isnan(made.covariance_m2[1:]).all()
+    mixed = aircraft.read(snapshots((1e9, [BARCELONA | {"altitude": 1, "speed": 1, "nucp": 1}])), "roof")
+    assert mixed.pressure_alt_m[0] == pytest.approx(36000 * 0.3048) and mixed.covariance_m2[0, 0] < 200.0
+
+
 def test_a_single_snapshot_over_many_lines_and_an_aircraft_on_the_ground():
     text = json.dumps({"now": 1e9, "aircraft": [BARCELONA | {"alt_baro": "ground"}, {"hex": "a1"}]}, indent=2)
     made = aircraft.read(text.split("\n"), "roof")

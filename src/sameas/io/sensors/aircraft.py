@@ -1,8 +1,9 @@
 """aircraft.json: snapshots of dump1090, readsb and tar1090, one per file or one per line.
 
 A snapshot has all aircraft, so most positions repeat the previous snapshot: only new positions become reports, at the
-time of the snapshot minus ``seen_pos``. Accuracy is NACp, else half the containment radius (``rc`` or NIC); positions
-by multilateration (mlat) and rebroadcast (tisb) state none and have no error of their own.
+time of the snapshot minus ``seen_pos``. Accuracy is NACp, else half the containment radius (``rc``, NIC or NUCp);
+positions by multilateration (mlat) and rebroadcast (tisb) state none and have no error of their own. The older names of
+dump1090-mutability (``altitude``, ``speed``, ``vert_rate``, ``nucp``) count as those of today.
 """
 
 from __future__ import annotations
@@ -48,6 +49,12 @@ _NUMBERS = {
     "rc": ("rc_m", 1.0),
     "sil": ("sil", 1.0),
 }
+#: Fields of dump1090-mutability, with their names today.
+_OLDER = {"altitude": "alt_baro", "speed": "gs", "vert_rate": "baro_rate"}
+#: Containment radius of each navigation uncertainty category of position, metres (RTCA DO-260, table 2-11).
+_RADIUS_OF_NUCP = {
+    9: 7.5, 8: 25.0, 7: 185.2, 6: 370.4, 5: 926.0, 4: 1852.0, 3: 3704.0, 2: 18_520.0, 1: 37_040.0,
+}  # fmt: skip
 
 
 def read(lines: Sequence[str], source: str, last: dict[str, Mapping[str, Any]] | None = None) -> Reports:
@@ -141,10 +148,22 @@ def _snapshots(lines: Sequence[str], damaged: list[tuple[int, str]]) -> Iterator
                 damaged.append((number, "no time"))
 
 
+def _with_names_of_today(aircraft: Mapping[str, Any]) -> Mapping[str, Any]:
+    """An aircraft with the fields of dump1090-mutability under the names that others use."""
+    renamed = {new: aircraft[old] for old, new in _OLDER.items() if old in aircraft and new not in aircraft}
+    if isinstance(by_mlat := aircraft.get("mlat"), list) and "lat" in by_mlat:
+        return {**aircraft, **renamed, "type": "mlat"}
+    category = aircraft.get("nucp")
+    if not {"rc", "nic"} & set(aircraft) and isinstance(category, int) and category in _RADIUS_OF_NUCP:
+        renamed["rc"] = _RADIUS_OF_NUCP[category]
+    return {**aircraft, **renamed}
+
+
 def _row(number: int, now: float, aircraft: Any) -> dict[str, Any] | str:
     """The row of a report, or the reason why there is none."""
     if not isinstance(aircraft, dict) or not isinstance(aircraft.get("hex"), str):
         return "aircraft without an address"
+    aircraft = _with_names_of_today(aircraft)
     if "lat" not in aircraft or "lon" not in aircraft:
         return _NO_POSITION
     try:
