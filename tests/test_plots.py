@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
+import sameas
 from sameas.errors import InputError
 from sameas.evidence import Errors
 from sameas.sky.catalogue import Catalogue, CatalogueOptions, ellipse_covariance
@@ -304,3 +305,19 @@ def test_the_scatter_of_long_ellipses_of_unequal_size_is_the_quoted_one() -> Non
 def test_all_possible_plots_are_drawn(stars: SkyMatch, strangers: SkyMatch) -> None:
     assert [name for name, _ in plots.every(stars)] == ["residuals", "normalised", "scatter", "certainty", "ambiguous"]
     assert "ambiguous" not in dict(plots.every(strangers)) and "scatter" in dict(plots.every(strangers))
+
+
+def test_errors_of_an_ambiguous_group_are_given_from_the_smallest_to_the_largest() -> None:
+    """It gave one typical error of two candidates, 0.11″, where one has 1 mas and the other 0.16″."""
+    rng, n = np.random.default_rng(8), 60
+    ra, dec = rng.uniform(10.0, 10.2, n), rng.uniform(0.0, 0.2, n)
+    one = {"ra": ra, "dec": dec, "err_arcsec": np.full(n, 0.3)}
+    near = {
+        "ra": np.append(ra, ra[0] + 0.2 / 3600),
+        "dec": np.append(dec, dec[0]),
+        "err_arcsec": np.append(np.full(n, 0.05), 0.2),
+    }
+    figure = sameas.match(one, near).plot("ambiguous")
+    words = [text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()]
+    assert any(word.endswith("error here 0.30″ on each axis") for word in words)
+    assert any(word.endswith("error here 50 mas to 0.20″ on each axis") for word in words)

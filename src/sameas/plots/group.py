@@ -50,9 +50,14 @@ class _CatalogueSide:
     marker: str
 
     @property
+    def errors(self) -> FloatArray:
+        """(n,) error on each axis, arcsec."""
+        return np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2.0)
+
+    @property
     def size(self) -> float:
         """The typical error in arcsec."""
-        return float(np.sqrt(np.median(np.trace(self.covariance, axis1=1, axis2=2)) / 2.0))
+        return float(np.sqrt(np.median(self.errors**2)))
 
 
 def most_ambiguous(match: SkyMatch) -> int:
@@ -308,7 +313,8 @@ def _key(axes: Axes, match: SkyMatch, sides: tuple[_CatalogueSide, _CatalogueSid
     entries: list[tuple[Any, str]] = []
     for side in sides:
         dot = Line2D([], [], color=side.colour, marker=side.marker, ls="", ms=6)
-        entries.append((dot, f"{side.catalogue.name}: error here {_arcsec(side.size)} on each axis"))
+        errors = dict.fromkeys(map(_arcsec, (side.errors.min(), side.errors.max())))
+        entries.append((dot, f"{side.catalogue.name}: error here {' to '.join(errors)} on each axis"))
     entries.append((Patch(facecolor=FIRST, alpha=0.3), "ellipses: 1, 2 and 3 σ of the quoted errors"))
     if containment(match.estimate.spread, INSIDE) > MIN_CONTOUR:
         wider = _wider(sides)
