@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from modelled_scenes import describe, feed, straight
 
+from sameas.picture import LivePicture
 from sameas.picture.phantoms import _Looks, _proven, _Sightings, phantoms
 from sameas.picture.picture import Picture
 from sameas.picture.tuning import Tuning
@@ -157,3 +158,15 @@ def test_a_place_is_seen_only_where_another_ship_at_its_bearing_is_seen_as_far_a
 def test_nothing_is_said_without_records():
     records = {"time_s": np.empty(0)}
     assert phantoms((), records) == []
+
+
+@pytest.mark.slow
+def test_a_live_picture_finds_a_fleet_in_ais_only_too():
+    made, invented = fleet(1, invented=5)
+    live = LivePicture([description for description, _ in made])
+    for now_s in TIMES:
+        for description, reports in made:
+            live.add(description.name, reports.where((reports.time_s > now_s - 10.0) & (reports.time_s <= now_s)))
+        live.advance(now_s)
+    found = live.faults()
+    assert {fault.kind for fault in found} == {"phantom"} and {fault.track for fault in found} <= invented

@@ -30,12 +30,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.special import betainc, logit, logsumexp
+from scipy.special import betainc, expit, logit, logsumexp
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
 from sameas.tracks.kinds import KINDS
+
+#: Cells of bearing.
+CELLS = 720
 
 
 @dataclass(frozen=True)
@@ -203,20 +206,49 @@ def _proven(one: _Sightings, bearing_deg: FloatArray, moving: bool, tuning: Tuni
     known = np.isfinite(one.height_m)
     band = (np.where(known, one.height_m, 0.0).clip(min=0.0) // tuning.sight_height_m).astype(np.int64)
     minute = ((one.time_s - one.time_s.min()) // 60.0).astype(np.int64) if moving else np.zeros(len(band), np.int64)
-    cell = (bearing_deg % 360.0).astype(np.int64) % 360
-    seen = np.flatnonzero(one.seen & known)
-    seen = seen[np.argsort(-one.range_m[seen], kind="stable")]
-    place = np.column_stack([one.ship[seen], minute[seen], band[seen], cell[seen]])
-    # Of a ship in one cell the farthest record; unique takes the first.
-    seen = seen[np.sort(np.unique(place, axis=0, return_index=True)[1])]
-    out = np.zeros(len(band), bool)
+    cell = (bearing_deg % 360.0 * CELLS / 360.0).astype(np.int64) % CELLS
+    seen, out = one.seen & known, np.zeros(len(band), bool)
+    # Two bearings this many cells apart differ by less than the angle.
+    near, wide = (int(angle * CELLS / 360.0) - 1 for angle in (tuning.sight_deg, tuning.sight_between_deg))
     for m, b in np.unique(np.column_stack([minute, band])[known], axis=0).tolist():
         rows = np.flatnonzero((minute == m) & (band == b) & known)
-        by = seen[(np.abs(minute[seen] - m) <= 1) & (band[seen] <= b)]
-        turn = (bearing_deg[by] - bearing_deg[rows, None] + 180.0) % 360.0 - 180.0
-        farther = (one.ship[by] != one.ship[rows, None]) & (one.range_m[by] >= one.range_m[rows, None])
-        left, right = (farther & (side >= 0.0) & (side <= tuning.sight_between_deg) for side in (-turn, turn))
-        out[rows] = (farther & (np.abs(turn) <= tuning.sight_deg)).any(axis=1) | (left.any(axis=1) & right.any(axis=1))
+        by = np.flatnonzero(seen & (np.abs(minute - m) <= 1) & (band <= b))
+        farthest = _two_farthest(cell[by], one.range_m[by], one.ship[by])
+        own = cell[rows], one.range_m[rows], one.ship[rows]
+        ahead, left, right = (
+            _as_far(_within(farthest, low, high), *own) for low, high in ((-near, near), (-wide, 0), (0, wide))
+        )
+        out[rows] = ahead | (left & right)
+    return out
+
+
+def _as_far(farthest: tuple[FloatArray, IntArray], cell: IntArray, range_m: FloatArray, ship: IntArray) -> BoolArray:
+    """(k,) whether another ship is as far away as each of these."""
+    distance, owner = farthest
+    return np.asarray(np.where(owner[cell, 0] == ship, distance[cell, 1], distance[cell, 0]) >= range_m)
+
+
+def _two_farthest(cell: IntArray, range_m: FloatArray, ship: IntArray) -> tuple[FloatArray, IntArray]:
+    """(CELLS, 2) ranges of the two farthest ships in each cell of bearing, −∞ for none, and (CELLS, 2) the ships."""
+    distance, owner = np.full((CELLS, 2), -np.inf), np.full((CELLS, 2), -1)
+    order = np.lexsort([-range_m, cell])
+    for place in range(2):
+        at, first = np.unique(cell[order], return_index=True)
+        distance[at, place], owner[at, place] = range_m[order[first]], ship[order[first]]
+        order = order[ship[order] != owner[cell[order], place]]
+    return distance, owner
+
+
+def _within(farthest: tuple[FloatArray, IntArray], low: int, high: int) -> tuple[FloatArray, IntArray]:
+    """The same of the cells from ``low`` to ``high`` about each one."""
+    cells = (np.arange(CELLS)[:, None] + np.arange(low, high + 1)) % CELLS
+    distance, owner = (column[cells].reshape(CELLS, -1) for column in farthest)
+    every = np.arange(CELLS)
+    out = np.full((CELLS, 2), -np.inf), np.full((CELLS, 2), -1)
+    for place in range(2):
+        best = distance.argmax(axis=1)
+        out[0][:, place], out[1][:, place] = distance[every, best], owner[every, best]
+        distance = np.where(owner == out[1][:, place, None], -np.inf, distance)
     return out
 
 
@@ -304,34 +336,40 @@ class _Looks:
             )  # fmt: skip
 
     def log_odds(self) -> FloatArray:
-        """(n,) log-odds that each ship is invented."""
-        tuning = self.tuning
-        detectability = (np.arange(tuning.detectabilities) + 0.5) / tuning.detectabilities
+        """(n,) log-odds that each ship is invented; 0 for those without looks."""
+        tuning, judged = self.tuning, self.looks.sum(axis=1) > 0
+        looks, seen = self.looks[judged], self.seen[judged]
         edges = np.linspace(0.0, 1.0, tuning.detectabilities + 1)
-        missed = (1.0 - detectability[:, None] * self.relative) * (1.0 - self.chance)
-        # (n, d) ln of the probability of the looks of each ship with each detectability, and (n,) with none.
-        log_seen = self.seen @ np.log1p(-missed).T + (self.looks - self.seen) @ np.log(missed).T
-        log_none = self.seen @ np.log(self.chance) + (self.looks - self.seen) @ np.log1p(-self.chance)
+        missed = (1.0 - 0.5 * (edges[1:] + edges[:-1])[:, None] * self.relative) * (1.0 - self.chance)
+        # (m, d) ln of the probability of the looks of each ship with each detectability, and (m,) with none.
+        log_seen = seen @ np.log1p(-missed).T + (looks - seen) @ np.log(missed).T
+        log_none = seen @ np.log(self.chance) + (looks - seen) @ np.log1p(-self.chance)
         share, p_hidden = _cells(np.append(0.0, np.logspace(-4.0, 0.0, 33)), *tuning.hidden_share)
         theta, p_theta = _cells(np.linspace(0.0, 1.0, 21), *tuning.invented_share)
-        h = share * self.hidden[:, None]
-        log_all, log_none_invented, log_own = [], [], []
+        h, log_prior = share * self.hidden[judged, None], np.log(p_hidden)[:, None] + np.log(p_theta)
+        peak = log_seen.max(axis=1)
+        # For each mean and width: ln of the evidence without and with invented ships, and the posterior with them.
+        log_without, log_with, own = [], [], []
         for mean in tuning.mean_detectabilities:
             for width in tuning.detectability_widths:
                 weight = np.diff(betainc(mean * width, (1.0 - mean) * width, edges))
-                real = logsumexp(log_seen, b=np.maximum(weight, 1e-300), axis=1)
-                # (n, h) real ships, hidden or not; then (h, θ) all ships together.
+                real = peak + np.log(np.maximum(np.exp(log_seen - peak[:, None]) @ weight, 1e-300))
+                # (m, h) ships that exist, hidden or not; the ratio of an invented one to that is 1/h at most.
                 exists = np.logaddexp(real[:, None] + np.log1p(-h), log_none[:, None] + np.log(h))
-                invented = log_none[:, None, None] + np.log(theta)
-                either = np.logaddexp(exists[:, :, None] + np.log1p(-theta), invented)
-                together = either.sum(axis=0) + np.log(p_hidden)[:, None] + np.log(p_theta)
-                log_none_invented.append(logsumexp(exists.sum(axis=0) + np.log(p_hidden)))
-                log_all.append(logsumexp(together))
-                log_own.append(logsumexp(together + invented - either, axis=(1, 2)))
-        log_prior = math.log(tuning.invented_odds)
-        log_total = np.logaddexp(logsumexp(log_none_invented), logsumexp(log_all) + log_prior)
-        log_p = np.minimum(logsumexp(log_own, axis=0) + log_prior - log_total, 0.0)
-        return np.asarray(logit(np.clip(np.exp(log_p), 1e-300, 1.0 - 1e-12)))
+                ratio = np.exp(log_none[:, None] - exists)[:, :, None]
+                mixed = 1.0 + theta * (ratio - 1.0)
+                log_exists = exists.sum(axis=0)
+                together = log_exists[:, None] + np.log(mixed).sum(axis=0) + log_prior
+                log_without.append(logsumexp(log_exists + np.log(p_hidden)))
+                log_with.append(logsumexp(together))
+                posterior = np.exp(together - log_with[-1])
+                own.append(((theta * ratio / mixed) * posterior).sum(axis=(1, 2)))
+        log_odds = logsumexp(log_with) - logsumexp(log_without) + math.log(tuning.invented_odds)
+        of_grid = np.exp(np.array(log_with) - logsumexp(log_with))
+        p = expit(log_odds) * (of_grid @ np.array(own))
+        out = np.zeros(len(judged))
+        out[judged] = logit(np.clip(p, 1e-300, 1.0 - 1e-12))
+        return out
 
 
 def _cells(edges: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:
