@@ -275,8 +275,12 @@ def test_no_transponder_text_stops_an_output(situation, monkeypatch):
     listed = [one | hostile for one in situation.listed()]
     monkeypatch.setattr(type(situation), "listed", lambda self: listed)
     one = {"reports": 1, "late": 0, "repeated": 0, "jumps": 0, "refused": 0}
-    health = {"ok": True, "tick": 1, "faults": 0, "objects": 1, "sources": {hostile["name"]: one}, "wires": {}}
-    lines = metrics(health, []).split("\n")[:-1]
+    health = {"ok": True, "tick": 1, "faults": 0, "objects": 1, "alarms": 0, "sources": {hostile["name"]: one},
+              "wires": {}, "timed": 1, "timed_s": 0.25}  # fmt: skip
+    lines = metrics(health, [0.25]).split("\n")[:-1]
+    names = [line.split()[2] for line in lines if line.startswith("# TYPE")]
+    assert names == [line.split()[2] for line in lines if line.startswith("# HELP")] and len(names) == len(set(names))
+    assert [line.split()[2] for line in lines if line.endswith(" counter") and "_total" not in line] == []
     assert all(re.fullmatch(r'#.*|[a-z_]+(\{[a-z]+="([^"\\\n]|\\.)*"\})? [0-9.]+', line) for line in lines), lines
     parts = {name: list(ENCODERS[name](situation)) for name in ENCODERS}
     assert all(parts.values())

@@ -26,7 +26,8 @@ MOST_BEGUN = 100_000
 
 
 class AlarmLog:
-    """The alarms, tick after tick. ``key in log`` : whether the alarm of this condition is active.
+    """The alarms, tick after tick. ``key in log`` : whether the alarm of this condition is active;
+    ``len(log)`` : how many are.
 
     Parameters
     ----------
@@ -49,6 +50,9 @@ class AlarmLog:
 
     def __contains__(self, key: object) -> bool:
         return key in self._active
+
+    def __len__(self) -> int:
+        return len(self._active)
 
     def update(self, alarms: Sequence[Alarm], now_s: float) -> None:
         """Begins the alarms that are new at a tick, and ends those that have been absent for ``ALARM_ENDS_S``."""

@@ -100,6 +100,8 @@ class Keeper:
         #: Seconds by which a replay waited for the picture.
         self.waited_s = 0.0
         self.durations_s: deque[float] = deque(maxlen=KEPT_DURATIONS)
+        # Number of all ticks since the start, and their durations together.
+        self._timed, self._timed_s = 0, 0.0
         self.lock = threading.Lock()
         self.sinks = sinks_of(settings.watch.outputs)
         self._listeners: set[asyncio.Event] = set()
@@ -210,6 +212,7 @@ class Keeper:
             if instant_s - self._saved_s >= self.settings.watch.save_every_s:
                 self.store.attempt(lambda journal: self.save(), "state")
         self.durations_s.append(time.perf_counter() - began)
+        self._timed, self._timed_s = self._timed + 1, self._timed_s + self.durations_s[-1]
         return situation
 
     def _tick_and_send(self) -> None:
@@ -514,7 +517,8 @@ class Keeper:
             "time_s": None if self.situation is None else self.situation.time_s,
             "objects": 0 if self.situation is None else len(self.situation.objects["object"]),
             "harbour": self.approaches.in_harbour, "berthed": len(self.approaches.berthed),
-            "faults": self.failed_ticks, "sources": sources,
+            "faults": self.failed_ticks, "alarms": len(self.alarms), "sources": sources,
+            "timed": self._timed, "timed_s": round(self._timed_s, 6),
             "wires": self.reception.wire_counters(),
             "set_aside": dict(self.settings.set_aside),
             "outputs": {f"{sink.format} {sink.url}": {"failed": sink.failed, "unnumbered": sink.numbers.unnumbered}

@@ -429,43 +429,65 @@ def _datagrams(parts: Iterator[bytes], *, joined: bool) -> Iterator[bytes]:
 
 
 def metrics(health: Mapping[str, Any], durations_s: Sequence[float]) -> str:
-    """Prometheus text (format 0.0.4) of a keeper's health and the durations of its last ticks."""
-    lines = [
-        "# HELP sameas_up Whether the picture is advancing.", "# TYPE sameas_up gauge",
-            f"sameas_up {int(health['ok'])}",
-        "# TYPE sameas_ticks_total counter", f"sameas_ticks_total {health['tick']}",
-        "# TYPE sameas_faults_total counter", f"sameas_faults_total {health['faults']}",
-        "# TYPE sameas_objects gauge", f"sameas_objects {health['objects']}",
-    ]  # fmt: skip
+    """Prometheus text (format 0.0.4) of a keeper's health; the quantiles are of the durations of its last ticks."""
+    sources, wires, outputs = health["sources"], health["wires"], health.get("outputs", {})
+    families = [
+        _family("up", "gauge", "Whether the picture is advancing.", [({}, int(health["ok"]))]),
+        _family("ticks_total", "counter", "Instants of the picture.", [({}, health["tick"])]),
+        _family("faults_total", "counter", "Instants that failed.", [({}, health["faults"])]),
+        _family("objects", "gauge", "Objects in the picture.", [({}, health["objects"])]),
+        _family("alarms", "gauge", "Alarms whose condition holds.", [({}, health["alarms"])]),
+    ]
     if durations_s:
-        lines.append("# TYPE sameas_tick_seconds summary")
-        for share in (0.5, 0.9, 0.99):
-            lines.append(f'sameas_tick_seconds{{quantile="{share}"}} {np.quantile(durations_s, share):.6f}')
-        lines += [f"sameas_tick_seconds_sum {sum(durations_s):.6f}", f"sameas_tick_seconds_count {len(durations_s)}"]
-    for name in ("reports", "late", "repeated", "jumps", "refused"):
-        lines.append(f"# TYPE sameas_source_{name}_total counter")
-        for source, numbers in health["sources"].items():
-            lines.append(f"sameas_source_{name}_total{{source={_label(source)}}} {numbers[name]}")
-    with_biases = {source: one["biases"] for source, one in health["sources"].items() if one.get("biases")}
-    for key, suffix in (("value", ""), ("sigma", "_sigma")):
-        lines.append(f"# TYPE sameas_source_bias{suffix} gauge")
-        for source, found in with_biases.items():
-            for bias, numbers in found["values"].items():
-                lines.append(
-                    f"sameas_source_bias{suffix}{{source={_label(source)},bias={_label(bias)}}} {numbers[key]:g}"
-                )
-    lines.append("# TYPE sameas_source_biases_established gauge")
-    for source, found in with_biases.items():
-        lines.append(f"sameas_source_biases_established{{source={_label(source)}}} {int(found['established'])}")
-    for name in ("bytes", "dropped", "damaged", "connections"):
-        lines.append(f"# TYPE sameas_wire_{name}_total counter")
-        for url, numbers in health["wires"].items():
-            lines.append(f"sameas_wire_{name}_total{{wire={_label(url)}}} {numbers[name]}")
-    for name in ("failed", "unnumbered"):
-        lines.append(f"# TYPE sameas_output_{name} {'counter' if name == 'failed' else 'gauge'}")
-        for url, numbers in health.get("outputs", {}).items():
-            lines.append(f"sameas_output_{name}{{output={_label(url)}}} {numbers[name]}")
-    return "\n".join(lines) + "\n"
+        quantiles = [({"quantile": str(q)}, round(float(np.quantile(durations_s, q)), 6)) for q in (0.5, 0.9, 0.99)]
+        families.append(_family("tick_seconds", "summary", "Time to decide an instant.", quantiles))
+        families.append(
+            [f"sameas_tick_seconds_sum {health['timed_s']:.6f}", f"sameas_tick_seconds_count {health['timed']}"]
+        )
+    for name, words in _OF_SOURCES.items():
+        values = [({"source": source}, one[name]) for source, one in sources.items()]
+        families.append(_family(f"source_{name}_total", "counter", words, values))
+    with_biases = {source: one["biases"] for source, one in sources.items() if one.get("biases")}
+    for key, suffix, words in (("value", "", "Estimated bias"), ("sigma", "_sigma", "Standard error of a bias")):
+        values = [
+            ({"source": source, "bias": bias}, format(numbers[key], "g"))
+            for source, found in with_biases.items()
+            for bias, numbers in found["values"].items()
+        ]
+        families.append(_family(f"source_bias{suffix}", "gauge", f"{words}, in the unit of its name.", values))
+    established = [({"source": source}, int(found["established"])) for source, found in with_biases.items()]
+    families.append(_family("source_biases_established", "gauge", "Whether biases are subtracted.", established))
+    for name, words in _OF_WIRES.items():
+        values = [({"wire": url}, numbers[name]) for url, numbers in wires.items()]
+        families.append(_family(f"wire_{name}_total", "counter", words, values))
+    for name, kind, words in (
+        ("failed_total", "counter", "Datagrams that could not be sent."),
+        ("unnumbered", "gauge", "Objects without a target number."),
+    ):
+        values = [({"output": url}, numbers[name.partition("_")[0]]) for url, numbers in outputs.items()]
+        families.append(_family(f"output_{name}", kind, words, values))
+    return "\n".join(line for family in families for line in family) + "\n"
+
+
+#: Counters of sources and of wires, with their help.
+_OF_SOURCES = {
+    "reports": "Reports that were taken in.", "late": "Reports that came later than the lag.",
+    "repeated": "Reports that came again.", "jumps": "Reports that no object can move to.",
+    "refused": "Reports with impossible values or times.",
+}  # fmt: skip
+_OF_WIRES = {
+    "bytes": "Bytes received.", "dropped": "Pieces of data dropped from a full queue.",
+    "damaged": "Lines or blocks damaged.", "connections": "Connections made.",
+}  # fmt: skip
+
+
+def _family(name: str, kind: str, words: str, samples: Sequence[tuple[Mapping[str, str], Any]]) -> list[str]:
+    """The lines of a metric: its help, its type, and its samples, labels with value."""
+    lines = [f"# HELP sameas_{name} {words}", f"# TYPE sameas_{name} {kind}"]
+    for labels, value in samples:
+        inside = ",".join(f"{key}={_label(text)}" for key, text in labels.items())
+        lines.append(f"sameas_{name}{f'{{{inside}}}' if inside else ''} {value}")
+    return lines
 
 
 def _label(text: str) -> str:
