@@ -108,7 +108,8 @@ def test_unknown_units(refused):
     def unitless(table):
         table["sigma"].unit = None
 
-    assert "is in furlong, which is not an angle" in refused(unitless, "--sigma-unit", "furlong")
+    said = refused(unitless, "--sigma-unit1", "furlong")
+    assert said.endswith("is in furlong, which is not an angle; give --sigma-unit1 UNIT, such as mas")
     assert "--sigma1 0 is not positive" in refused(unitless, "--sigma1", "0")
 
 

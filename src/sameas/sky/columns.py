@@ -144,7 +144,8 @@ class ColumnSearch:
         if without:
             guessed = self._guessed_unit(without)
             columns = [c if c.unit else replace(c, unit=guessed, reason=GUESSED) for c in columns]
-        return tuple(self.checked(column, "arcsec", "an angle") for column in columns)
+        remedy = naming("give {sigma_unit:UNIT}, such as mas")
+        return tuple(self.checked(column, "arcsec", "an angle", remedy=remedy) for column in columns)
 
     def _guessed_unit(self, names: list[str]) -> str:
         """The unit of error columns without one, guessed from their median."""
@@ -156,13 +157,14 @@ class ColumnSearch:
         moving = self.find_all(("pmra", "pmdec")) or self.find_all(("pmRA", "pmDE"))
         return "mas" if moving or middle > _LARGEST_IN_ARCSEC else "arcsec"
 
-    def checked(self, column: ChosenColumn, target: str, words: str, name: str = "") -> ChosenColumn:
-        """The column, refused if its unit cannot be converted to ``target``. name : the column's name in messages."""
+    def checked(self, column: ChosenColumn, target: str, words: str, name: str = "", remedy: str = "") -> ChosenColumn:
+        """The column, refused if its unit cannot be converted to ``target``. name : the column's name in messages.
+        remedy : what to do."""
         try:
             column_values.factor(column.unit, target)
         except (ValueError, TypeError):  # UnitConversionError, unknown unit
             unfit = f" is in {column.unit}, which is not {words}"
-            raise InputError(Message(f"{self.source}: ", name or repr(column.name), unfit)) from None
+            raise InputError(Message(f"{self.source}: ", name or repr(column.name), unfit), remedy) from None
         return column
 
     def motion_column(self, name: str, unit: str) -> ChosenColumn:
