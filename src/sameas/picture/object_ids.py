@@ -168,8 +168,8 @@ class TrackHistory(ColumnTable):
         number: IntArray,
         unique: BoolArray,
         alive: IntArray,
-        forgotten: IntArray,
         tuning: Tuning,
+        forgotten: IntArray | None = None,
     ) -> TrackHistory:
         """The history after a later instant.
 
@@ -178,12 +178,13 @@ class TrackHistory(ColumnTable):
         track, number, unique : (m,) the tracks of its scan, their objects, and whether their ids are unique.
         alive : ascending numbers of the objects that have not ended. Of ended objects only unique ids are kept: a track
             that was part of another object for a while returns with its own number. forgotten : tracks whose ids have
-            timed out.
+            timed out; None for none.
         """
         fade = math.exp(-(instant_s - self.instant_s) / tuning.history_s) if len(self) else 0.0
         in_scan = np.isin(self.track, track)
         keep = (places_in(alive, self.number) >= 0) | self.unique
-        keep &= ~np.isin(self.track, forgotten) if len(forgotten) else True
+        if forgotten is not None and len(forgotten):
+            keep &= ~np.isin(self.track, forgotten)
         earlier = TrackHistory(
             instant_s, self.track, self.number, np.where(in_scan, fade * self.share, self.share), self.last & ~in_scan,
             self.unique,
@@ -479,7 +480,7 @@ class NamedObjects(PictureObjects):
         number, alive = self.numbers(len(detections))[np.nonzero(has_track)[0]], self.number[self.stage != ENDED]
         history = before.history.advance(
             self.instant_s, detections.tracks[has_track], number, detections.unique[has_track], alive,
-            detections.forgotten, tuning,
+            tuning, detections.forgotten,
         )  # fmt: skip
         return replace(self, history=history)
 
