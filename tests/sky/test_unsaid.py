@@ -461,3 +461,18 @@ def test_fields_that_lie_apart_are_one_doubt():
     ra, dec = rng.uniform(150.0, 150.2, n), rng.uniform(-0.1, 0.1, n)
     found = sameas.match({"ra": ra, "dec": dec}, {"ra": ra + 20.0, "dec": dec}, sigma=0.2)
     assert [doubt.partition(":")[0] for doubt in found.doubts] == ["the fields lie apart"]
+
+
+def test_the_doubt_about_tiny_residuals_states_those_of_the_report():
+    """It stated 0.17, the smallest scale that is tried, beside a median residual of 0.05 in the report."""
+    rng, n = np.random.default_rng(7), 200
+    ra, dec = rng.uniform(150.0, 150.4, n), rng.uniform(-0.2, 0.2, n)
+    one, two = (
+        {"ra": ra + rng.normal(0.0, 0.05, n) / 3600, "dec": dec + rng.normal(0.0, 0.05, n) / 3600} for _ in (1, 2)
+    )
+    found = sameas.match(one, two, sigma=1.0)
+    said = next(doubt for doubt in found.doubts if "residuals are" in doubt)
+    stated = float(said.removeprefix("the residuals are ").partition(" ")[0])
+    assert stated == pytest.approx(0.05, abs=0.01) and stated == pytest.approx(
+        found.estimate.quantities["error_scale"].value, rel=0.1
+    )

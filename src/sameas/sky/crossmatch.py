@@ -451,7 +451,9 @@ def _error_doubts(match: SkyMatch, tuning: CrossmatchTuning) -> tuple[str, ...]:
     scale = estimate.typical_scale
     least, largest = tuning.usual_scale
     if scale > largest or scale < least:
-        size = f"the residuals are {scale:.2g} times what the quoted errors say: "
+        # Averaged over few pairs, the scale ends where the tried ones do.
+        seen = estimate.quantities.get("error_scale") if estimate.error_ranges is not None else None
+        size = f"the residuals are {scale if seen is None else seen.value:.2g} times what the quoted errors say: "
         years = _unmoved_years(match.first, match.second)
         if scale < least:
             doubts.append(f"{size}is one a copy of the other, or are their units wrong?")
