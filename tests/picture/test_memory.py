@@ -332,10 +332,10 @@ def test_memory_of_separated_tracks_counts_when_they_meet_again():
     np.testing.assert_allclose(ours, theirs, atol=0.01)
 
 
-def p_one(scene, every_s=30.0):
+def p_one(scene, every_s=30.0, watch=None):
     """(n,) the probability that "a0" and "r1" are one object at instants of the scene's second half."""
     out = []
-    for state in picture_states(scene, np.arange(30.0, scene.span_s[1], every_s), Watch()):
+    for state in picture_states(scene, np.arange(30.0, scene.span_s[1], every_s), watch or Watch()):
         names = np.append(state.scan.track, "")[state.members]
         first = (names == "a0").any(axis=1)
         together = first & (names == "r1").any(axis=1)
@@ -346,8 +346,49 @@ def p_one(scene, every_s=30.0):
 
 @pytest.mark.slow
 def test_a_lasting_separation_beyond_correlated_errors_is_two_objects():
-    # One scan cannot distinguish 75 m from 0 with σ = 31 m; minutes can, if errors are uncorrelated.
-    assert np.mean([p_one(beside(seed, 75.0)) for seed in (2, 3, 4)]) < 0.25
+    # One scan cannot distinguish 75 m from 0 with σ = 31 m; minutes can, at steps longer than its errors last.
+    watch = Watch(tuning=Tuning(memory_every_s=30.0))
+    assert np.mean([p_one(beside(seed, 75.0), watch=watch) for seed in (2, 3, 4)]) < 0.25
+
+
+def test_reports_between_two_instants_enter_the_memory_in_steps():
+    scene = beside(2, 60.0, minutes=2.0)
+    watch = Watch().advance(scene.at(30.0)).watch
+    found = watch.at(scene, 60.0)
+    by_hand = watch.passed(scene.at(40.0)).passed(scene.at(50.0)).advance(scene.at(60.0))
+    alone = watch.advance(scene.at(60.0))
+    pairs = [state.watch.memory.track_pairs for state in (found, by_hand, alone)]
+    np.testing.assert_array_equal(pairs[0].log_ratio, pairs[1].log_ratio)
+    np.testing.assert_array_equal(found.probability, by_hand.probability)
+    assert (pairs[0].log_ratio != pairs[2].log_ratio).any()
+    # Between two steps it stays, and the present positions count once.
+    between = found.watch.at(scene, 63.0)
+    assert between.watch.memory.tracks.instant_s == 60.0 and between.now.instant_s == 63.0
+    with pytest.raises(InputError, match="the picture is at 63 s and was given 62 s"):
+        between.watch.advance(scene.at(62.0))
+
+
+def test_tracks_that_begin_between_two_steps_of_the_memory_keep_their_numbers():
+    rng, times = np.random.default_rng(1), np.arange(0.0, 61.0, 1.0)
+    starts = (0, 12, 13, 17, 25)
+    x = np.stack([np.column_stack([4.0 * times, np.full(len(times), 900.0 * k)]) for k in range(len(starts))])
+    v = np.gradient(x, 1.0, axis=1)
+    whole = feed(rng, describe("a", "tracks"), times, x, v, 20.0, [f"t{k}" for k in range(len(starts))])
+    begun = np.array([t >= starts[int(name[1:])] for t, name in zip(whole[1].time_s, whole[1].track_id, strict=True)])
+    other = feed(rng, describe("b", "tracks"), times, x[:1], v[:1], 20.0, ["0"])
+    scene = Scene.of([(whole[0], whole[1].where(np.flatnonzero(begun))), other])
+    numbers, stepped = {}, set()
+    for state in picture_states(scene, times, Watch()):
+        assert isinstance(state.watch, Watch)
+        stepped.add(state.watch.memory.tracks.instant_s)
+        objects = state.watch.objects
+        for number, k in zip(objects.number.tolist(), objects.detection.tolist(), strict=True):
+            if k >= 0:
+                for track in state.scan.track[state.members[k][state.members[k] >= 0]]:
+                    numbers.setdefault(track, set()).add(number)
+    assert sorted(stepped) == [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0]
+    assert set(numbers) == {"0", *(f"t{k}" for k in range(len(starts)))}
+    assert all(len(found) == 1 for found in numbers.values()), numbers
 
 
 @pytest.mark.slow

@@ -434,6 +434,11 @@ class TrackMemory:
         existence = self.existence.advance(tracks)
         return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
 
+    def with_numbers_of(self, later: TrackMemory) -> TrackMemory:
+        """The memory with the numbers that a later one has given to the ids of tracks since, and no more of it."""
+        of_ids = {name: getattr(later.tracks, name) for name in ("by_name", "n_numbers", "absent")}
+        return replace(self, tracks=replace(self.tracks, **of_ids))
+
     def _with_present_factors(self) -> TrackMemory:
         """The memory of the previous instant by the present factors: :meth:`NamedTracks.with_present_factors`."""
         tracks, changed = self.tracks.with_present_factors()

@@ -214,7 +214,7 @@ class NamedTracks:
         by_name = {source: dict(numbers) for source, numbers in self.by_name.items()}
         for k in timed_out:
             source, name, _ = absent.pop(k)
-            del by_name[source][name]
+            by_name[source].pop(name, None)
         sources = [description.name for description in scan.now.descriptions]
         for record, k in zip(new_place.tolist(), new_number.tolist(), strict=True):
             by_name.setdefault(sources[scan.source[record]], {})[scan.track[record]] = k

@@ -74,7 +74,7 @@ def picture_states(
         if isinstance(carried, PlotPicture):
             state = carried.at(scene, instant_s)
         else:
-            state = carried.advance(scene.at(instant_s, features=features))
+            state = carried.at(scene, instant_s, features=features)
         carried = state.watch
         yield state
 

@@ -3,8 +3,12 @@
 :meth:`Watch.advance` gives the :class:`~sameas.picture.picture_state.PictureState` of the next instant and the watch
 after it:
 
-    state = watch.advance(scene.at(t))
+    state = watch.at(scene, t)
     watch = state.watch
+
+The memory of tracks takes in reports at steps of ``memory_every_s``, whatever the instants are that are shown. Between
+two of these the picture is that of the last step with the present positions; where instants are farther apart, the
+memory steps in between.
 """
 
 from __future__ import annotations
@@ -35,7 +39,7 @@ from sameas.picture.tables import Scan, object_states, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.tracks.scene import Instant
+from sameas.tracks.scene import POSITION, Instant, Scene
 
 #: Default b of :func:`with_hysteresis`: odds of a change (chosen).
 BOUND = 4.0
@@ -178,6 +182,8 @@ class Watch:
         each instant.
     stages : when objects are confirmed. gate : of ``identify_many``. tuning : other chosen numbers.
     objects, texts : the objects and their texts, updated from instant to instant.
+    shown, present, forgotten : the scan of the last instant shown, the numbers of its tracks, and the numbers that
+        ended since; updated likewise.
     """
 
     evidence: EvidenceOf = all_evidence
@@ -188,23 +194,61 @@ class Watch:
     tuning: Tuning = DEFAULT_TUNING
     objects: NamedObjects = field(default_factory=NamedObjects)
     texts: Mapping[int, NDArray[Any]] = field(default_factory=dict, repr=False)
+    shown: Scan | None = field(default=None, repr=False)
+    present: IntArray = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
+    forgotten: IntArray = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.bound < math.inf:
             raise InputError(f"Watch: bound is {self.bound}; give odds of 1 or more")
 
+    def at(self, scene: Scene, instant_s: float, *, features: int = POSITION) -> PictureState[Watch]:
+        """The picture at an instant not before the previous one, from all steps of the memory since.
+
+        features : as of ``Scene.at``.
+
+        Raises
+        ------
+        InputError : as of :meth:`advance`.
+        """
+        carried, since_s = self, instant_s - self.memory.tracks.instant_s
+        if math.isfinite(since_s):
+            n = min(int(since_s / self.tuning.memory_every_s + 1e-9), self.tuning.memory_steps)
+            for k in range(1, n):
+                carried = carried.passed(scene.at(instant_s - since_s * (1.0 - k / n), features=features))
+        return carried.advance(scene.at(instant_s, features=features))
+
+    def passed(self, now: Instant) -> Watch:
+        """The watch after an instant that is not shown: its reports are in the memory of tracks."""
+        _, memory = self._remembered(now)
+        return replace(self, memory=memory, forgotten=np.concatenate([self.forgotten, memory.tracks.forgotten]))
+
+    def _remembered(self, now: Instant) -> tuple[Scan, TrackMemory]:
+        """The scan of an instant, and the memory with it."""
+        scan = self.memory.error_factors.applied(Scan.of(now.with_records(), self.tuning))
+        track_of_record = self.memory.tracks.numbers_on(scan)
+        scan = self.memory.with_manoeuvres(scan, track_of_record, objects_per_m2(now), self.objects.history.together)
+        return scan, self.memory.advance(scan, track_of_record)
+
+    def _carried(self, memory: TrackMemory) -> TrackMemory:
+        """The memory for later instants: that of this instant where a step is due, else the previous one."""
+        elapsed_s = memory.tracks.instant_s - self.memory.tracks.instant_s
+        return memory if elapsed_s >= self.tuning.memory_every_s - 1e-6 else self.memory.with_numbers_of(memory)
+
     def advance(self, now: Instant) -> PictureState[Watch]:
-        """The picture at an instant not before the previous one.
+        """The picture at an instant not before the previous one, without steps of the memory in between.
 
         Raises
         ------
         InputError : the instant is before the previous one; a source lacks what its evidence needs.
         """
-        with_records = now.with_records()
-        scan = self.memory.error_factors.applied(Scan.of(with_records, self.tuning))
-        track_of_record = self.memory.tracks.numbers_on(scan)
-        scan = self.memory.with_manoeuvres(scan, track_of_record, objects_per_m2(now), self.objects.history.together)
-        with_records, memory = scan.now, self.memory.advance(scan, track_of_record)
+        if self.shown is not None and now.instant_s < self.shown.now.instant_s:
+            raise InputError(
+                f"the picture is at {self.shown.now.instant_s:g} s and was given {now.instant_s:g} s; "
+                "give instants in the order of time"
+            )
+        scan, memory = self._remembered(now)
+        with_records = scan.now
         identification = self._identify(with_records, memory)
         by_hysteresis = np.zeros(0, bool)
         if identification is not None:
@@ -224,13 +268,16 @@ class Watch:
         memory = memory.with_real(detections.tracks[_certain_pairs(members, identification, self.stages)])
         objects = self.objects.advance(now.instant_s, detections, objects_per_m2(now), self.stages, self.tuning)
         object_texts = RecordTexts.of(scan, members, texts, objects).of_objects(objects, self.texts)
-        carried = replace(self, memory=memory, objects=objects, texts=object_texts)
+        carried = replace(
+            self, memory=self._carried(memory), objects=objects, texts=object_texts, shown=scan,
+            present=memory.tracks.number, forgotten=np.empty(0, np.int64),
+        )  # fmt: skip
         return PictureState(now, scan, objects_now, detections.states, carried)
 
     def _previous_objects(self, pooled: PooledRecords, scan: Scan, memory: TrackMemory) -> IntArray:
         """(records,) the object of each pooled record's track at the previous instant, ABSENT without one."""
         track = memory.tracks.track_of_record
-        previous = np.where(places_in(self.memory.tracks.number, track) >= 0, self.objects.history.last_of(track), 0)
+        previous = np.where(places_in(self.present, track) >= 0, self.objects.history.last_of(track), 0)
         out = np.full(len(pooled), ABSENT)
         for s, (source_number, source) in enumerate(zip(pooled.given, pooled.sources, strict=True)):
             if source_number + 1 < len(scan.start):
@@ -266,7 +313,7 @@ class Watch:
         # Each record of a source without clutter is of a real object.
         clutter_free = np.array([feed.clutter(2) == 0.0 for feed in scan.now.feeds], dtype=bool)
         is_certain = (is_member & clutter_free).any(axis=1) | _certain_pairs(members, identification, self.stages)
-        is_new = np.append(scan.new_since(self.memory.tracks.scan), False)
+        is_new = np.append(scan.new_since(self.shown), False)
         new_plot = np.append(is_new[:-1] & (memory.tracks.track_of_record < 0), False)
         new_report, new_plot = (np.asarray(column[members].any(axis=1)) for column in (is_new, new_plot))
         walk = np.append(scan.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
@@ -281,7 +328,7 @@ class Watch:
             _existence_odds(track, memory),
             walk,
             speed,
-            memory.tracks.forgotten,
+            np.concatenate([self.forgotten, memory.tracks.forgotten]),
         )
 
 
