@@ -391,6 +391,31 @@ def test_tracks_that_begin_between_two_steps_of_the_memory_keep_their_numbers():
     assert all(len(found) == 1 for found in numbers.values()), numbers
 
 
+def test_tracks_that_begin_and_end_between_two_steps_of_the_memory_are_forgotten():
+    """A false track of six seconds, every 20 s another: their ids time out, and they count as short tracks."""
+    rng, times = np.random.default_rng(1), np.arange(0.0, 241.0, 1.0)
+    x = np.stack([np.column_stack([4.0 * times, np.full(len(times), 900.0 * k)]) for k in range(13)])
+    v = np.gradient(x, 1.0, axis=1)
+    description, reports = feed(rng, describe("a", "tracks"), times, x, v, 20.0, [f"t{k}" for k in range(13)])
+    k = np.array([int(name[1:]) for name in reports.track_id])
+    since = reports.time_s - 20.0 * k + 18.0
+    lives = (k == 0) | (since >= 1.0) & (since < 7.0)
+    other = feed(rng, describe("b", "tracks"), times, x[:1], v[:1], 20.0, ["0"])
+    scene = Scene.of([(description, reports.where(np.flatnonzero(lives))), other])
+    most, states = 0, picture_states(scene, times, Watch(tuning=Tuning(id_timeout_s=30.0)))
+    for state in states:
+        assert isinstance(state.watch, Watch)
+        tracks = state.watch.memory.tracks
+        most = max(most, sum(map(len, tracks.by_name.values())))
+    assert tracks.n_numbers == 14 and most <= 5
+    every_second = Watch(tuning=Tuning(id_timeout_s=30.0, memory_every_s=1.0))
+    whole = list(picture_states(scene, times, every_second))[-1].watch
+    assert isinstance(whole, Watch)
+    found, expected = (watch.memory.existence.mixture for watch in (state.watch, whole))
+    np.testing.assert_allclose(found.share, expected.share, rtol=1e-6)
+    np.testing.assert_allclose(found.false_s, expected.false_s, rtol=1e-6)
+
+
 @pytest.mark.slow
 def test_errors_measured_on_other_tracks_override_stated_ones():
     # 30 m are stated for both, other tracks show 8 m: 100 m apart are two objects.

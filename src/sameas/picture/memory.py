@@ -434,10 +434,10 @@ class TrackMemory:
         existence = self.existence.advance(tracks)
         return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
 
-    def with_numbers_of(self, later: TrackMemory) -> TrackMemory:
-        """The memory with the numbers that a later one has given to the ids of tracks since, and no more of it."""
-        of_ids = {name: getattr(later.tracks, name) for name in ("by_name", "n_numbers", "absent")}
-        return replace(self, tracks=replace(self.tracks, **of_ids))
+    def with_numbers_of(self, later: TrackMemory, tuning: Tuning = DEFAULT_TUNING) -> TrackMemory:
+        """The memory with the numbers that were given to the ids of tracks until a later instant, and their existence
+        then: false tracks may begin and end between two steps of the memory."""
+        return replace(self, tracks=self.tracks.with_numbers_of(later.tracks, tuning), existence=later.existence)
 
     def _with_present_factors(self) -> TrackMemory:
         """The memory of the previous instant by the present factors: :meth:`NamedTracks.with_present_factors`."""

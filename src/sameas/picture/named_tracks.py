@@ -32,6 +32,7 @@ from sameas.gate import ChiSquare
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
 from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors, error_update, evenly, growth
 from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.kinds import KINDS
 
 #: At most this many reports of an instant are used to estimate correlation times; more add no information.
@@ -197,13 +198,7 @@ class NamedTracks:
         now_s, tuning = scan.now.instant_s, scan.tuning
         returned = self.absent.keys() & set(present.tolist()) if self.absent else set[int]()
         absent = {k: kept for k, kept in self.absent.items() if k not in returned} if returned else dict(self.absent)
-        if self.scan is not None:
-            descriptions = self.scan.now.descriptions
-            for at in np.flatnonzero(~np.isin(self.number, present)).tolist():
-                record = self.place[at]
-                source = descriptions[self.scan.source[record]]
-                keep_s = tuning.return_s if KINDS[source.kind].self_named else tuning.id_timeout_s
-                absent[int(self.number[at])] = source.name, self.scan.track[record], self.instant_s + keep_s
+        absent |= self._without(present, tuning)
         timed_out = [k for k, (_, _, until_s) in absent.items() if now_s > until_s]
         # The first ones have been absent for longest.
         surplus = len(absent) - len(timed_out) - tuning.most_absent
@@ -219,6 +214,25 @@ class NamedTracks:
         for record, k in zip(new_place.tolist(), new_number.tolist(), strict=True):
             by_name.setdefault(sources[scan.source[record]], {})[scan.track[record]] = k
         return by_name, absent, np.array(timed_out, np.int64)
+
+    def _without(self, present: IntArray, tuning: Tuning) -> dict[int, tuple[str, str, float]]:
+        """As of ``absent``: the tracks of this instant whose numbers are not ``present``."""
+        out: dict[int, tuple[str, str, float]] = {}
+        if self.scan is None:
+            return out
+        descriptions = self.scan.now.descriptions
+        for at in np.flatnonzero(~np.isin(self.number, present)).tolist():
+            record = self.place[at]
+            source = descriptions[self.scan.source[record]]
+            keep_s = tuning.return_s if KINDS[source.kind].self_named else tuning.id_timeout_s
+            out[int(self.number[at])] = source.name, self.scan.track[record], self.instant_s + keep_s
+        return out
+
+    def with_numbers_of(self, later: NamedTracks, tuning: Tuning = DEFAULT_TUNING) -> NamedTracks:
+        """The tracks with the numbers that were given to ids until a later instant, and no more of it. Tracks that
+        began since are absent until they are reported again, so that their ids time out if they are not."""
+        absent = {**later.absent, **later._without(self.number, tuning)}
+        return replace(self, by_name=later.by_name, n_numbers=later.n_numbers, absent=absent)
 
     def _step(
         self, scan: Scan, number: IntArray, place: IntArray, source: IntArray

@@ -231,9 +231,12 @@ class Watch:
         return scan, self.memory.advance(scan, track_of_record)
 
     def _carried(self, memory: TrackMemory) -> TrackMemory:
-        """The memory for later instants: that of this instant where a step is due, else the previous one."""
+        """The memory for later instants: that of this instant where a step is due, or there is a new source; else the
+        previous one."""
         elapsed_s = memory.tracks.instant_s - self.memory.tracks.instant_s
-        return memory if elapsed_s >= self.tuning.memory_every_s - 1e-6 else self.memory.with_numbers_of(memory)
+        is_due = elapsed_s >= self.tuning.memory_every_s - 1e-6
+        known = memory.tracks.error_correlation.names == self.memory.tracks.error_correlation.names
+        return memory if is_due or not known else self.memory.with_numbers_of(memory, self.tuning)
 
     def advance(self, now: Instant) -> PictureState[Watch]:
         """The picture at an instant not before the previous one, without steps of the memory in between.
