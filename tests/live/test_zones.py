@@ -170,3 +170,16 @@ def test_an_object_on_the_border_is_one_alarm_and_own_ship_none():
         "guard zone own is not watched: the position of own ship is not known"
     ]
     keeper.close()
+
+
+def test_a_zone_raises_no_alarm_before_the_first_report(tmp_path):
+    """The plane of a picture is that of its first reports: until then a fixed own ship was said to have no position."""
+    path = tmp_path / "sensors.toml"
+    path.write_text(
+        "[watch]\nown_ship = { lat_deg = 50.55, lon_deg = -0.95 }\n"
+        'zones = [{ name = "ahead", radius_m = 1500 }]\n[sources.ais]\nkind = "ais"\ninput = "stdin:"\n'
+    )
+    keeper = Keeper(read_settings(path), tmp_path / "state", clock=lambda: START_S)
+    keeper.tick(START_S)
+    assert not [one for one in keeper.alarm_list() if "guard zone" in one["text"]]
+    keeper.close()

@@ -162,6 +162,8 @@ class GuardZones:
         for zone in self.zones:
             zone_now = placed(zone, situation.plane, situation.own_ship)
             if isinstance(zone_now, str):
+                if situation.plane is None and not len(objects["object"]):
+                    continue  # Before the first report no zone has a place.
                 out.append(Alarm(f"zone {zone.name}", "source", f"guard zone {zone.name} is not watched: {zone_now}"))
                 continue
             self.outlines.append((zone.name, zone_now.outline()))
