@@ -434,7 +434,7 @@ class TrackMemory:
         existence = self.existence.advance(tracks)
         return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
 
-    def with_numbers_of(self, later: TrackMemory, tuning: Tuning = DEFAULT_TUNING) -> TrackMemory:
+    def with_numbers_of(self, later: TrackMemory, tuning: Tuning) -> TrackMemory:
         """The memory with the numbers that were given to the ids of tracks until a later instant, and their existence
         then: false tracks may begin and end between two steps of the memory."""
         return replace(self, tracks=self.tracks.with_numbers_of(later.tracks, tuning), existence=later.existence)

@@ -32,7 +32,7 @@ from sameas.gate import ChiSquare
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
 from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors, error_update, evenly, growth
 from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.picture.tuning import Tuning
 from sameas.tracks.kinds import KINDS
 
 #: At most this many reports of an instant are used to estimate correlation times; more add no information.
@@ -228,7 +228,7 @@ class NamedTracks:
             out[int(self.number[at])] = source.name, self.scan.track[record], self.instant_s + keep_s
         return out
 
-    def with_numbers_of(self, later: NamedTracks, tuning: Tuning = DEFAULT_TUNING) -> NamedTracks:
+    def with_numbers_of(self, later: NamedTracks, tuning: Tuning) -> NamedTracks:
         """The tracks with the numbers that were given to ids until a later instant, and no more of it. Tracks that
         began since are absent until they are reported again, so that their ids time out if they are not."""
         absent = {**later.absent, **later._without(self.number, tuning)}
