@@ -14,7 +14,6 @@ from functools import cache
 
 import numpy as np
 from scipy.special import ndtri
-from scipy.stats import qmc
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.live.own_ship import OwnShipState
@@ -130,6 +129,8 @@ class PlacedZone:
 @cache
 def _normal_points() -> FloatArray:
     """(POINTS, 2) points of the standard normal distribution in the plane: a Sobol sequence."""
+    from scipy.stats import qmc
+
     even = qmc.Sobol(2, scramble=False).random_base2(POINTS.bit_length() - 1)
     # Shifted to the middles of its cells: none is at infinity.
     return np.asarray(ndtri(even + 0.5 / POINTS))
