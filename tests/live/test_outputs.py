@@ -46,6 +46,17 @@ def read_back(situation, format, stream_format, renamed=(b"", b"")):
     return stream.reports()
 
 
+def received(situation, format, count):
+    """The first datagrams that a sink sends."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
+        made.bind(("127.0.0.1", 0))
+        made.settimeout(5.0)
+        sink = Sink(f"udp://127.0.0.1:{made.getsockname()[1]}", format)
+        sink.send(situation)
+        sink.close()
+        return [made.recv(65536) for _ in range(count)]
+
+
 def placed(situation):
     return {one["object"]: one for one in situation.listed()}
 
@@ -192,13 +203,7 @@ def test_objects_that_a_signal_k_server_sends_back_are_no_reports(situation):
 
 def test_every_signal_k_delta_is_a_datagram_of_its_own(situation):
     """A Signal K server parses a datagram as one delta: of several it took none."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
-        made.bind(("127.0.0.1", 0))
-        made.settimeout(5.0)
-        sink = Sink(f"udp://127.0.0.1:{made.getsockname()[1]}", "signalk")
-        sink.send(situation)
-        contexts = {json.loads(made.recv(65536))["context"] for _ in range(5)}
-        sink.close()
+    contexts = {json.loads(datagram)["context"] for datagram in received(situation, "signalk", 5)}
     assert len(contexts) == 5
 
 
@@ -248,13 +253,7 @@ def test_lines_and_geojson_contain_every_object(situation):
 
 
 def test_a_sink_sends_what_fits_in_datagrams(situation):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
-        made.bind(("127.0.0.1", 0))
-        made.settimeout(5.0)
-        sink = Sink(f"udp://127.0.0.1:{made.getsockname()[1]}", "nmea")
-        sink.send(situation)
-        came = made.recv(65536)
-        sink.close()
+    [came] = received(situation, "nmea", 1)
     assert came.startswith(b"$RATTM") and len(came) <= 1400 and came.endswith(b"\r\n")
     for wrong in ({"url": "ftp://x", "format": "nmea"}, {"url": "udp://x:1", "format": "morse"}, {"url": "udp://x:1"}):
         with pytest.raises(InputError, match="output"):

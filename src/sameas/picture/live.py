@@ -332,10 +332,9 @@ class LivePicture:
         state: LiveState
         if isinstance(carried, PlotPicture):
             state = carried.at(scene, instant_s)
-        elif self.return_s not in (None, carried.tuning.return_s):
-            kept = replace(carried, tuning=replace(carried.tuning, return_s=self.return_s))
-            state = kept.at(scene, instant_s, features=self.features)
         else:
+            if self.return_s not in (None, carried.tuning.return_s):
+                carried = replace(carried, tuning=replace(carried.tuning, return_s=self.return_s))
             state = carried.at(scene, instant_s, features=self.features)
         self._carried, self._last_s, self._state = state.watch, instant_s, state
         for feed in self._feeds.values():

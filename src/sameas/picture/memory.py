@@ -414,11 +414,7 @@ class TrackMemory:
         ------
         InputError : the scan is of an instant before the previous one.
         """
-        if scan.now.instant_s < self.tracks.instant_s:
-            raise InputError(
-                f"the picture is at {self.tracks.instant_s:g} s and was given {scan.now.instant_s:g} s; "
-                "give instants in the order of time"
-            )
+        require_order(self.tracks.instant_s, scan.now.instant_s)
         before = self._with_present_factors()._with_present_correlation(scan.tuning)
         correlation = replace(before.tracks.error_correlation, fixed_s=self.correlation_s)
         tracks, step = replace(before.tracks, error_correlation=correlation).advance(scan, track_of_record)
@@ -686,3 +682,11 @@ class TrackMemory:
 
 def _trace(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.trace(covariance, axis1=1, axis2=2))
+
+
+def require_order(last_s: float, instant_s: float) -> None:
+    """Refuse an instant before the last one."""
+    if instant_s < last_s:
+        raise InputError(
+            f"the picture is at {last_s:g} s and was given {instant_s:g} s; give instants in the order of time"
+        )

@@ -32,7 +32,7 @@ from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import PoissonObjects, SetRule
 from sameas.many.sets import ManyTuning, Sets
-from sameas.picture.memory import TrackMemory
+from sameas.picture.memory import TrackMemory, require_order
 from sameas.picture.object_ids import ExistenceOdds, NamedObjects, Stages, UnnumberedObjects
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
 from sameas.picture.tables import Scan, object_states, objects_per_m2
@@ -245,11 +245,8 @@ class Watch:
         ------
         InputError : the instant is before the previous one; a source lacks what its evidence needs.
         """
-        if self.shown is not None and now.instant_s < self.shown.now.instant_s:
-            raise InputError(
-                f"the picture is at {self.shown.now.instant_s:g} s and was given {now.instant_s:g} s; "
-                "give instants in the order of time"
-            )
+        if self.shown is not None:
+            require_order(self.shown.now.instant_s, now.instant_s)
         scan, memory = self._remembered(now)
         with_records = scan.now
         identification = self._identify(with_records, memory)
