@@ -105,6 +105,11 @@ def test_an_excluded_sensor_and_a_single_instant(toml) -> None:
         sameas.match_picture(sources, sensors=toml, at="noon")
     with pytest.raises(InputError, match="give at, or every with begin and end, not both"):
         sameas.match_picture(sources, sensors=toml, at=START, every=3.0)
+    for series in ({"begin": 0}, {"end": 0.0}, {"every": 0.0}):
+        with pytest.raises(InputError, match="give at, or every with begin and end, not both"):
+            sameas.match_picture(sources, sensors=toml, at=START, **series)
+    with pytest.raises(InputError, match=r"\(begin=0\) to .* \(end=-5\): it ends before it begins"):
+        sameas.match_picture(sources, sensors=toml, begin=0, end=-5)
     with pytest.raises(InputError, match=r"give at, or begin and end, within that span"):
         sameas.match_picture(sources, sensors=toml, at=START + 1e6)
     with pytest.raises(InputError, match="radar is described, but no file belongs to it"):

@@ -84,7 +84,7 @@ class Instants:
 
     def _range_text(self, first_s: float, last_s: float) -> Message:
         begin, end = span(first_s, last_s).split(" to ", 1)
-        given = [Message(" (", Argument(name, str(value)), ")") if value else ""
+        given = [Message(" (", Argument(name, str(value)), ")") if value is not None else ""
                  for name, value in (("begin", self.begin), ("end", self.end))]  # fmt: skip
         return Message(begin, given[0], " to ", end, given[1])
 
@@ -493,7 +493,7 @@ def match_picture(
     alone = isinstance(sources, str | os.PathLike)
     given = [sources] if alone else list(sources.values() if isinstance(sources, Mapping) else sources)
     call = call_text(match_picture, given, stated)
-    if at is not None and (every or begin or end):
+    if at is not None and (every, begin, end) != (None, None, None):
         raise InputError("match_picture: give at, or every with begin and end, not both")
     described = read_source_options(Path(sensors)) if sensors is not None else {}
     excluded = (without,) if isinstance(without, str) else tuple(without)
