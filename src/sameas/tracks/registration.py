@@ -28,14 +28,31 @@ from sameas.tracks.plot_offsets import PlotFits, shows_bare_plots, shows_tracks
 from sameas.tracks.snapshot import CommonScan, ComparedSource, bias_widths, common_scans
 from sameas.tracks.source import Description
 
-_UNITS = ("m", "deg", "", "s", "m", "m")
-#: Largest offsets that an operator may set, in the order of ``BIASES``.
-_MOST = (20_000.0, 180.0, 0.2, 600.0, 20_000.0, 20_000.0)
-_ENDS = {"range_m": " m", "azimuth_deg": "°", "range_gain": "", "time_s": " s late", "east_m": " m", "north_m": " m"}
-_TEXTS = {
-    "range_m": "range {:+.1f} ± {:.1f} m", "azimuth_deg": "azimuth {:+.3f} ± {:.3f}°",
-    "range_gain": "range gain {:+.5f} ± {:.5f}", "time_s": "stamps {:+.2f} ± {:.2f} s late",
-    "east_m": "east {:+.1f} ± {:.1f} m", "north_m": "north {:+.1f} ± {:.1f} m",
+
+@dataclass(frozen=True)
+class _Words:
+    """A bias in print: its label, the digits after the point, what follows the number, its unit, and the largest one,
+    in this unit, that an operator may set."""
+
+    label: str
+    digits: int
+    end: str
+    unit: str
+    most: float
+
+    def text(self, value: float, standard_error: float | None) -> str:
+        """Printable: the value with its standard error; None: as an operator has set it."""
+        number = f"{self.label} {value:+.{self.digits}f}"
+        if standard_error is None:
+            return f"{number}{self.end} set by hand"
+        return f"{number} ± {standard_error:.{self.digits}f}{self.end}"
+
+
+#: By bias, in the order of ``BIASES``.
+_WORDS = {
+    "range_m": _Words("range", 1, " m", "m", 20_000.0), "azimuth_deg": _Words("azimuth", 3, "°", "deg", 180.0),
+    "range_gain": _Words("range gain", 5, "", "", 0.2), "time_s": _Words("stamps", 2, " s late", "s", 600.0),
+    "east_m": _Words("east", 1, " m", "m", 20_000.0), "north_m": _Words("north", 1, " m", "m", 20_000.0),
 }  # fmt: skip
 
 
@@ -76,9 +93,7 @@ class SourceBiases:
     def values(self) -> str:
         """Printable: each bias with its standard error; "" for a source that is not corrected."""
         return ", ".join(
-            _TEXTS[name].split(" ±")[0].format(it.value) + f"{_ENDS[name]} set by hand"
-            if name in self.by_hand
-            else _TEXTS[name].format(it.value, it.standard_error)
+            _WORDS[name].text(it.value, None if name in self.by_hand else it.standard_error)
             for name, it in self.parameters.items()
         )
 
@@ -93,16 +108,14 @@ class SourceBiases:
         """
         if name not in BIASES:
             raise InputError(f"{self.source}: there is no offset {name!r}", f"give one of {', '.join(BIASES)}")
-        most = _MOST[BIASES.index(name)]
+        k, most, unit = BIASES.index(name), _WORDS[name].most, _WORDS[name].unit
         if not abs(value) <= most:
-            unit = _UNITS[BIASES.index(name)]
             raise InputError(f"{self.source}: {name} is {value:g}", f"give −{most:g} to {most:g} {unit}".rstrip())
-        k = BIASES.index(name)
         theta = np.zeros(len(BIASES)) if self.theta is None else self.theta.copy()
         covariance = np.zeros((len(BIASES), len(BIASES))) if self.covariance is None else self.covariance.copy()
         theta[k], covariance[k], covariance[:, k] = value, 0.0, 0.0
         known = {} if self.theta is None else dict(self.parameters)
-        known[name] = Parameter(value, 0.0, _UNITS[k])
+        known[name] = Parameter(value, 0.0, unit)
         return replace(
             self, parameters={bias: known[bias] for bias in BIASES if bias in known}, established=True,
             by_hand=tuple(bias for bias in BIASES if bias in (*self.by_hand, name)), theta=theta, covariance=covariance,
@@ -330,7 +343,7 @@ def _corrected(feed: Feed, start: int, fit: BiasFit, against: tuple[str, ...]) -
     which = fit.biases[own] - start
     errors = np.sqrt(np.diag(fit.covariance))[own]
     parameters = {
-        BIASES[k]: Parameter(float(value), float(error), _UNITS[k])
+        BIASES[k]: Parameter(float(value), float(error), _WORDS[BIASES[k]].unit)
         for k, value, error in zip(which, fit.theta[own], errors, strict=True)
     }
     biases = SourceBiases(
