@@ -25,7 +25,7 @@ from sameas.errors import InputError
 from sameas.estimate.cells import GridLevel
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import DEFAULT_COVERAGE, Coverage, CoverageTuning
-from sameas.estimate.em import Estimates
+from sameas.estimate.em import EMTuning, Estimates
 from sameas.estimate.grades import Grades
 from sameas.estimate.match import DEFAULT_MATCH, Assumed, Estimate, MatchTuning, match_sample
 from sameas.estimate.photometry import Photometry
@@ -313,7 +313,7 @@ class Learned:
     errors : of the evidence. start, gate_sigmas : errors of the gate's distances, and its radius in these.
     means : overall shares with a partner. photometry, grades, columns : fits without records.
     density : of all records of each source if given by the user. places : densities, coverage and shares.
-    estimate : of the sample, for reports; None if not needed.
+    tuning : of the rule. estimate : of the sample, for reports; None if not needed.
     """
 
     errors: Errors
@@ -325,6 +325,7 @@ class Learned:
     columns: ColumnEvidence | None = field(repr=False)
     density: tuple[float, float] | None
     places: Places
+    tuning: EMTuning
     estimate: Estimate | None = field(repr=False, default=None)
 
     def pairs(self, first: Records, second: Records) -> Pairs:
@@ -357,7 +358,7 @@ class Learned:
         estimates = Estimates(
             setting, (np.full(n1, self.means[0]), np.full(n2, self.means[1])), counted,
             (share[at_1, 0], share[at_2, 1]), self.errors, False, photometry,
-            self.density,
+            self.density, tuning=self.tuning,
         )  # fmt: skip
         if self.grades is not None:
             estimates = replace(estimates, grades=self.grades.for_setting(setting, photometry))
@@ -434,7 +435,7 @@ def learn(
         _without_records(estimates.photometry),
         None if estimates.grades is None or estimates.grades.rule is None else _without_grades(estimates.grades),
         estimates.columns and estimates.columns.without_records(), assumed.density, places,
-        matched.estimate,
+        tuning.em, matched.estimate,
     )  # fmt: skip
 
 
