@@ -64,7 +64,7 @@ Source: autocorrelated errors of tracks as in Bar-Shalom, Li and Kirubarajan 200
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -261,13 +261,7 @@ class ErrorCorrelation:
             (motion[0][steady], motion[1][steady]),
         )
         total, common = errors[0][steady], (errors[1] + errors[1].transpose(0, 2, 1))[steady]
-        fixed, scaled = _two_cases(motion)
-        total, common, shift = (np.concatenate([each, each]) for each in (total, common, shift))
-        log_p = np.empty((len(shift), len(CORRELATIONS)))
-        correlated_shifts(
-            shift, total + fixed, common, scaled, CORRELATIONS, np.array(tuning.motion_shares), MIN_M2, log_p
-        )
-        log_p = np.logaddexp(*np.split(log_p, 2))
+        log_p = np.logaddexp(*_log_shifts(shift, (total, common), motion, CORRELATIONS, tuning))
         return self._with_evidence(source, elapsed_s, log_p, np.ones(len(log_p)), tuning)
 
     def with_sure_pairs(
@@ -321,12 +315,20 @@ class ErrorCorrelation:
         return replace(self, log_probable=log_probable)
 
 
-def _two_cases(motion: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """(2n, 2, 2) what κ does not apply to, and what it does: all of the motion D, or all but the errors of measured
-    velocities, which are as stated. motion : (n, 2, 2) D, and what is in it from these errors."""
-    whole, by_velocity = motion
-    rest = growth(whole - by_velocity)
-    return np.concatenate([np.zeros_like(whole), by_velocity]), np.concatenate([whole, rest])
+def _log_shifts(
+    shift: FloatArray, errors: Sequence[FloatArray], motion: Sequence[FloatArray], correlations: FloatArray,
+    tuning: Tuning,
+) -> FloatArray:  # fmt: skip
+    """(2, n, c) ln p of ν (n, 2) for correlations ρ (c,): with κ on all of the motion, and with κ on all but the errors
+    of measured velocities, which are as stated.
+
+    errors : (n, 2, 2) R + R′, and L L′ᵀ + L′ Lᵀ. motion : (n, 2, 2) D, and what is in it from these errors.
+    """
+    (total, common), (whole, by_velocity), shares = errors, motion, np.array(tuning.motion_shares)
+    log_p = np.empty((2, len(shift), len(correlations)))
+    for fixed, scaled, out in ((total, whole, log_p[0]), (total + by_velocity, growth(whole - by_velocity), log_p[1])):
+        correlated_shifts(shift, fixed, common, scaled, correlations, shares, MIN_M2, out)
+    return log_p
 
 
 def _rho(elapsed_s: FloatArray, tau_s: FloatArray) -> FloatArray:
@@ -408,18 +410,12 @@ class ErrorFactors:
             return self
         total, common = errors[0], errors[1] + errors[1].transpose(0, 2, 1)
         log_outlier = log_density(shift, tuning.factor_outlier**2 * total) - np.log(1.0 / tuning.factor_outliers - 1.0)
-        fixed, scaled = _two_cases(motion)
-        # All factors at once, (factors, twice n, …).
-        sq = np.array(tuning.error_factors)[:, None, None, None] ** 2
-        total, common = (sq * np.concatenate([each, each]) for each in (total, common))
-        log_p = np.empty((len(sq) * 2 * n, len(FACTOR_CORRELATIONS)))
-        correlated_shifts(
-            np.tile(shift, (2 * len(sq), 1)), (total + fixed).reshape(-1, 2, 2), common.reshape(-1, 2, 2),
-            np.tile(scaled, (len(sq), 1, 1)), FACTOR_CORRELATIONS, np.array(tuning.motion_shares), MIN_M2, log_p,
-        )  # fmt: skip
-        both_cases = (
-            log_p.reshape(len(sq), 2, n, len(FACTOR_CORRELATIONS)).transpose(0, 2, 1, 3).reshape(len(sq), n, -1)
-        )
+        # All factors at once, (factors times n, …).
+        sq = np.array(tuning.error_factors) ** 2
+        errors_of = [np.multiply.outer(sq, each).reshape(-1, 2, 2) for each in (total, common)]
+        motion_of = [np.tile(each, (len(sq), 1, 1)) for each in motion]
+        log_p = _log_shifts(np.tile(shift, (len(sq), 1)), errors_of, motion_of, FACTOR_CORRELATIONS, tuning)
+        both_cases = np.moveaxis(log_p.reshape(2, len(sq), n, -1), 0, 2).reshape(len(sq), n, -1)
         # Half weight: each report enters two successive residuals.
         log_likely = 0.5 * np.logaddexp(both_cases, log_outlier[:, None])
         log_shifts = self.log_shifts.copy()
