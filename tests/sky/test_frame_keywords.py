@@ -61,6 +61,29 @@ def test_the_time_scales_of_the_fits_standard_are_known(scale, shift_s):
     assert not any(line.startswith("doubt") for line in read.lines)
 
 
+@pytest.mark.parametrize(
+    ("cards", "doubt"),
+    [
+        ({"DATE_OBS": "18. Oct 2018"}, "doubt: DATE-OBS = '18. Oct 2018' is no time; MJD-OBS is used"),
+        ({"DATE_OBS": "2018-13-45T03:01:53"}, "doubt: DATE-OBS = '2018-13-45T03:01:53' is no time; MJD-OBS is used"),
+        ({"DATE_AVG": "now"}, "doubt: DATE-AVG = 'now' is no time; MJD-OBS is used"),
+        ({"DATE_OBS": "2017-10-18"}, "doubt: DATE-OBS = '2017-10-18' is not the day of MJD-OBS; MJD-OBS is used"),
+        ({"DATE_OBS": "2018-10-18"}, ""),
+        ({"UTSTART": "03:01:53"}, ""),
+    ],
+)
+def test_a_time_that_cannot_be_read_is_named_where_another_is_used(cards, doubt):
+    read = facts(MJD_OBS=Time("2018-10-18T03:01:53.784").mjd, EXPTIME=240.0, **cards)
+    assert abs((read.time() - Time(MIDDLE)).sec) < 1e-3
+    assert [line for line in read.lines if line.startswith("doubt")] == ([doubt] if doubt else [])
+
+
+def test_a_time_that_cannot_be_read_is_named_where_there_is_no_other():
+    lines = facts(DATE_OBS="yesterday", EXPTIME=2).lines
+    assert "doubt: DATE-OBS = 'yesterday' is no time" in lines
+    assert "doubt: the header has no time (DATE-OBS, MJD-OBS, JD); motion and movers need one" in lines
+
+
 def test_local_time_and_years_of_two_digits_are_named():
     lines = facts(DATE_OBS="2018-10-18T03:01:53", TIMESYS="LOCAL", EXPTIME=2).lines
     assert "doubt: TIMESYS = 'LOCAL' is no known time scale; times are taken as UTC" in lines

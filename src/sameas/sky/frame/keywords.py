@@ -281,11 +281,12 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
     for card in cards.all(_MIDDLE):
         day = _day(card)
         if day is not None:
-            return _time_of(day, scale, f"middle of the exposure ({card.name})", lines)
+            return _time_of(day, scale, f"middle of the exposure ({card.name})", lines + _unreadable(cards, card.name))
     start = _start(cards)
     if start is None:
-        return None, ()
+        return None, _unreadable(cards, "")
     card, day, remark = start
+    lines += _unreadable(cards, card.name)
     if card.says(r"\bmid"):
         return _time_of(day, scale, f"middle of the exposure ({card.name}, by its comment)", lines)
     lines += remark + _disagreement(cards, card, day, exposure_s)
@@ -352,11 +353,29 @@ def _start(cards: Cards) -> tuple[Card, float, tuple[str, ...]] | None:
     for card in cards.all(_COUNTED):
         day = _day(card)
         if day is not None:
-            return card, day, ()
+            return card, day, _other_day(card, day, dated)
     if dated is not None:
         noon = f"assumed: 12:00, for {dated[0].name} has no time of day; up to 12 h wrong"
         return dated[0], dated[1] + 0.5, (*remark, noon)
     return None
+
+
+def _other_day(used: Card, day: float, dated: tuple[Card, float] | None) -> tuple[str, ...]:
+    """A doubt if a date without a time of day is another day than the time used, by more than local dates differ."""
+    if dated is None or abs(dated[1] + 0.5 - day) <= 1.5:
+        return ()
+    return (f"doubt: {dated[0].name} = {dated[0].text()!r} is not the day of {used.name}; {used.name} is used",)
+
+
+def _unreadable(cards: Cards, used: str) -> tuple[str, ...]:
+    """A doubt about the first keyword of a time or a date, before the ``used`` one, that is neither."""
+    for card in cards.all((*_MIDDLE, *_START, *_COUNTED)):
+        if used.startswith(card.name):
+            break
+        if _day(card) is None and _date(card.text()) is None and _time_of_day(card.text()) is None:
+            instead = f"; {used} is used" if used else ""
+            return (f"doubt: {card.name} = {card.text()!r} is no time{instead}",)
+    return ()
 
 
 def _century(card: Card) -> tuple[str, ...]:
@@ -514,7 +533,7 @@ class Facts:
         if given.mid_time is not None:
             time, timing = given.mid_time, (f"middle of the exposure {given.mid_time.isot} (given)",)
         elif time is None:
-            timing = ("doubt: the header has no time (DATE-OBS, MJD-OBS, JD); motion and movers need one",)
+            timing = (*timing, "doubt: the header has no time (DATE-OBS, MJD-OBS, JD); motion and movers need one")
         site, placing = station(cards, time)
         if given.station is not None:
             site, placing = given.station, (f"station {given.station} (given)",)
