@@ -45,6 +45,17 @@ def test_paths_and_catalogues(stars, tmp_path):
         assert found.names == ("first", "plate") and len(found) == len(stars.ra)
 
 
+@pytest.mark.parametrize("end", ["ecsv", "fits"])
+def test_a_column_of_skycoord_in_a_file_is_that_in_memory(stars, tmp_path, end):
+    place = GUISES["skycoord"](stars.first)
+    table = QTable({"place": place, "seen": Time(np.full(len(place), 57000.0), format="mjd")})
+    table.write(tmp_path / f"first.{end}")
+    found = sameas.match(tmp_path / f"first.{end}", stars.second, sigma=0.05)
+    in_memory = sameas.match(table, stars.second, sigma=0.05)
+    assert found.pairs["row_2"].tolist() == in_memory.pairs["row_2"].tolist()
+    assert found.sky.moved == in_memory.sky.moved
+
+
 def test_the_command_and_python_write_equal_tables(stars, tmp_path, monkeypatch):
     from typer.testing import CliRunner
 

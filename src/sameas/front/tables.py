@@ -41,7 +41,7 @@ def table_of(data: Any, name: str, *, format: str | None = None, hdu: int | str 
     if isinstance(data, str | os.PathLike):
         from sameas.io import read_table
 
-        return read_table(data, format=format, hdu=hdu)
+        return _with_plain_places(read_table(data, format=format, hdu=hdu), name)
     table = _as_table(data, name)
     if table is None:
         raise InputError(
@@ -190,10 +190,9 @@ def _of_arrow(data: Any, name: str) -> Table | None:
 
 def _with_plain_places(table: Table, name: str) -> Table:
     """The table with plain columns instead of a ``SkyCoord`` column, which joins and files cannot hold."""
-    from astropy.coordinates import SkyCoord
     from astropy.table import Table
 
-    places = [column for column, cells in table.columns.items() if isinstance(cells, SkyCoord)]
+    places = [column for column, cells in table.columns.items() if type(cells).__name__ == "SkyCoord"]
     if not places:
         return table
     if len(places) > 1:

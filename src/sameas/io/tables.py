@@ -156,7 +156,7 @@ def read_table(path: str | os.PathLike[str], *, format: str | None = None, hdu: 
         raise InputError(Message(given, ", but only FITS files have several tables to choose from"))
     with reading(str(path), f"cannot be read as {known.label}"):
         table: Table = known.read(path) if known.read is not None else known.module().read(path, hdu)
-        check_facts({"": table.meta} | {name: column.meta for name, column in table.columns.items()}, path)
+        check_facts({"": table.meta} | {name: column.info.meta for name, column in table.columns.items()}, path)
     return table
 
 

@@ -256,10 +256,12 @@ def _with_meta(table: Table, document: Any, element: Any, path: Path) -> Table:
         value = param.value.item() if isinstance(param.value, np.generic) else param.value
         if isinstance(value, str | int | float | bool):
             table.meta.setdefault(param.name, value)
-    for system in document.iter_coosys():
-        for key in ("system", "equinox", "epoch"):
-            if getattr(system, key, None) is not None:
-                table.meta.setdefault(f"coosys_{key}", str(getattr(system, key)))
+    references = [field.ref for field in element.fields if field.ref]
+    systems = {system.ID: system for system in document.iter_coosys()}
+    used = next((systems[one] for one in references if one in systems), next(iter(systems.values()), None))
+    for key in ("system", "equinox", "epoch"):
+        if getattr(used, key, None) is not None:
+            table.meta.setdefault(f"coosys_{key}", str(getattr(used, key)))
     count = sum(1 for _ in document.iter_tables())
     if count > 1:
         table.meta["sameas_notes"] = [f"{path} holds {count} tables; used the first"]

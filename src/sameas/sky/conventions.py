@@ -248,8 +248,10 @@ BARE_RADII = tuple(
 #: Radii that contain a share of a galaxy's light.
 LIGHT_RADII = ("r50", "r_50", "r25", "r20", "r80", "r_80", "r50_r", "petroR50_r", "radius50", "radius_50")
 
-# Header keywords for the time of observation. Not EPOCH: in FITS it is the equinox.
-HEADER_EPOCHS = ("REF_EPOCH", "REFEPOCH", "epoch_jyr", "MJD-AVG", "MJD-MID", "DATE-AVG", "MJD-OBS", "DATE-OBS")
+# Header keywords for the time of observation, and that of a VOTable's COOSYS. Not EPOCH: in FITS it is the equinox.
+HEADER_EPOCHS = (
+    "REF_EPOCH", "REFEPOCH", "epoch_jyr", "COOSYS_EPOCH", "MJD-AVG", "MJD-MID", "DATE-AVG", "MJD-OBS", "DATE-OBS",
+)  # fmt: skip
 
 # Columns that VizieR computes in addition to the catalogue's own.
 VIZIER_COMPUTED = ("_RAJ2000", "_RA", "_RA_icrs", "_RA.icrs", "_RAB1950")
