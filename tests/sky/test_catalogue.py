@@ -16,6 +16,7 @@ from astropy.table import MaskedColumn, QTable, Table
 from astropy.time import Time
 
 from sameas.errors import InputError
+from sameas.io import read_table
 from sameas.sky import conventions
 from sameas.sky.catalogue import Catalogue, CatalogueOptions, ellipse_covariance
 
@@ -321,7 +322,7 @@ def test_an_invalid_epoch_is_refused() -> None:
     table = {"ra": [1.0], "dec": [50.0], "when": [7.0], "word": ["soon"]}
     with pytest.raises(InputError, match=r"column 'when' \(about 7\) is not an epoch; give a column of Julian years"):
         catalogue(table, sigma=1, epoch="when")
-    with pytest.raises(InputError, match="column 'word', row 0: 'soon' is not a number"):
+    with pytest.raises(InputError, match="row 0: 'soon' is not a year, an MJD, a JD or a date such as"):
         catalogue(table, sigma=1, epoch="word")
     with pytest.raises(InputError, match="row 0: '12,5' is not a number; write decimals with a point"):
         catalogue({"ra": ["12,5"], "dec": [50.0]}, sigma=1)
@@ -367,6 +368,18 @@ def test_suspicious_values_raise_a_doubt(change: dict[str, list[float]], options
     assert any(line.startswith(doubt) for line in doubts), doubts
 
 
+def test_the_epoch_of_a_votable_is_that_of_the_coordinate_system_of_its_columns(tmp_path: Path) -> None:
+    (tmp_path / "t.vot").write_text(
+        """<?xml version="1.0"?><VOTABLE version="1.4" xmlns="http://www.ivoa.net/xml/VOTable/v1.3"><RESOURCE>
+<COOSYS ID="old" system="eq_FK4" equinox="B1950"/><COOSYS ID="new" system="ICRS" epoch="J2015.5"/><TABLE>
+<FIELD name="ra" ref="new" datatype="double" unit="deg"/><FIELD name="dec" ref="new" datatype="double" unit="deg"/>
+<DATA><TABLEDATA><TR><TD>10.0</TD><TD>5.0</TD></TR></TABLEDATA></DATA></TABLE></RESOURCE></VOTABLE>"""
+    )
+    source = catalogue(read_table(tmp_path / "t.vot"), sigma=1)
+    assert "epoch: 2015.5 (header COOSYS_EPOCH)" in source.interpretation
+    np.testing.assert_array_equal(source.astrometry.ra_deg, [10.0])
+
+
 def test_ordinary_values_raise_no_doubt() -> None:
     assert catalogue(gaia()).doubts == ()
 
@@ -380,6 +393,44 @@ def test_numbers_impossible_in_their_unit_are_refused() -> None:
         catalogue({"ra": [100.0], "dec": [91.0]}, sigma=1)
     with pytest.raises(InputError, match="column 'ra', row 1: 'x' is not a number"):
         catalogue({"ra": ["1 2 3", "x"], "dec": ["1 2 3", "1 2 4"]}, sigma=1)
+
+
+def test_right_ascensions_beyond_a_turn_are_counted_or_refused() -> None:
+    ra = np.linspace(1.0, 300.0, 20)
+    table = {"ra": ra, "dec": np.full(20, 10.0)}
+    ra[[3, 7]] = 361.25, -190.0
+    source = catalogue(table, sigma=1)
+    assert source.doubts == (
+        "2 of 20 values of ra are beyond 360° or below −180° and were reduced to one turn (first: row 3, 361.25)",
+    )
+    np.testing.assert_array_equal(source.astrometry.ra_deg[[3, 7]], [1.25, 170.0])
+    with pytest.raises(InputError, match=r"ra is beyond 360° or below −180° in 2 rows \(first: row 0, 3600\); give"):
+        catalogue({"ra": [3600.0, 7200.0, 10.0], "dec": [1.0, 2.0, 3.0]}, sigma=1)
+    assert catalogue({"ra": [360.0, -180.0], "dec": [1.0, 2.0]}, sigma=1).doubts == ()
+
+
+def test_placeholders_of_right_ascension_are_missing_positions() -> None:
+    source = catalogue({"ra": [10.0, 999.0, -999.0, 20.0, 30.0], "dec": [1.0, 2.0, 3.0, 4.0, 5.0]}, sigma=1)
+    np.testing.assert_array_equal(np.isnan(source.astrometry.ra_deg), [False, True, True, False, False])
+    assert source.doubts == ("2 of 5 rows lack a position or a positive error and are set aside",)
+
+
+@pytest.mark.parametrize("placeholder", [99.0, 9999.0, 1e20])
+def test_placeholders_of_errors_are_missing_errors(placeholder: float) -> None:
+    sigma = np.full(20, 0.2)
+    sigma[4:7] = placeholder
+    source = catalogue({"ra": np.arange(20.0) + 1, "dec": np.arange(20.0), "sigma_arcsec": sigma})
+    assert len(source.records()) == 17
+    assert f"; {placeholder:g} counts as missing" in source.interpretation[1]
+    assert source.doubts[0].startswith("3 of 20 rows lack a position or a positive error and are set aside")
+    assert len(catalogue({"ra": [1.0, 2.0], "dec": [1.0, 2.0], "sigma_arcsec": [99.0, 40.0]}).records()) == 2
+
+
+def test_an_epoch_in_the_header_that_cannot_be_read_is_named() -> None:
+    table = Table({"ra": [1.0], "dec": [1.0]}, meta={"MJD-OBS": "?", "DATE-OBS": "2016-01-01T12:00:00"})
+    assert "epoch: 2016.0 (header DATE-OBS; MJD-OBS = '?' is no time)" in catalogue(table, sigma=1).interpretation
+    table.meta["DATE-OBS"] = "new"
+    assert "epoch: not known; MJD-OBS = '?' is no time" in catalogue(table, sigma=1).interpretation
 
 
 def test_magnitude_sentinels_are_missing_values() -> None:

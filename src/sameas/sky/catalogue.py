@@ -192,7 +192,7 @@ class Catalogue:
     astrometry : (n,) positions, motions and errors; NaN where the position or its error is missing, and in
         ``epoch_jyr`` where the epoch is not known.
     options : given by the user. choice : the chosen columns. interpretation : the same as lines to print.
-    doubts : what looks wrong.
+    doubts : what looks wrong. duplicates : the one about rows that repeat others, or "".
     has_motion : whether any row has a proper motion.
     magnitude, magnitude_error : (n,), NaN where not measured, or None. magnitude_name : the column.
     """
@@ -208,6 +208,7 @@ class Catalogue:
     options: CatalogueOptions = field(default_factory=CatalogueOptions)
     magnitude: FloatArray | None = None
     magnitude_error: FloatArray | None = None
+    duplicates: str = ""
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -271,9 +272,11 @@ class Catalogue:
         if not has_motion and not np.isfinite(astrometry.epoch_jyr).any():
             interpretation = (*interpretation, "without epoch and motion: used as it is; it cannot be moved")
         doubts = (epoch_doubt, _filled_note(filled_arcsec, choice), *doubts_of(astrometry, choice, options))
+        duplicates = _duplicate_doubt(rows, astrometry)
         doubts += (
             _not_measured_note(rows, choice),
-            _duplicate_doubt(rows, astrometry),
+            _turns_doubt(rows, choice, name),
+            duplicates,
             _precision_doubt(rows, choice, astrometry),
         )
         return cls(
@@ -284,6 +287,7 @@ class Catalogue:
             choice=choice,
             interpretation=interpretation + id_note + _unmeasured_magnitude_note(rows, choice, name),
             doubts=tuple(doubt for doubt in doubts if doubt),
+            duplicates=duplicates,
             has_motion=has_motion,
             options=options,
             magnitude=magnitude,
@@ -423,7 +427,7 @@ def _possible_declinations(ra: FloatArray, dec: FloatArray, source: str) -> Floa
         return dec
     message = f"{source}: declinations beyond ±90° in {counted(len(beyond), 'row')} (first: row {beyond[0]})"
     few = 2 * len(beyond) < np.count_nonzero(np.isfinite(dec))
-    if few and all(set(f"{abs(value):g}".replace(".", "")) == {"9"} for value in np.unique(dec[beyond])):
+    if few and column_values.is_placeholder(dec[beyond]).all():
         return np.where(np.abs(dec) > 90.0, np.nan, dec)
     if few:
         remedy: str = f"leave cells empty that were not measured ({dec[beyond[0]]:g} there)"
@@ -558,9 +562,46 @@ def _duplicate_doubt(table: Table, astrometry: Astrometry) -> str:
     )
 
 
+def _turns_doubt(table: Table, choice: ColumnChoice, source: str) -> str:
+    """A doubt about right ascensions (or longitudes) beyond a turn, which are reduced to one.
+
+    Raises
+    ------
+    InputError : most of them are, so that another unit or column is likelier.
+    """
+    if choice.ra.unit != "deg":
+        return ""  # refused beyond a turn when they are read
+    lon = _longitudes(table, choice, source)
+    with np.errstate(invalid="ignore"):
+        beyond = np.flatnonzero((lon > 360.0) | (lon < -180.0))
+    if not len(beyond):
+        return ""
+    first = f"first: row {beyond[0]}, {lon[beyond[0]]:g}"
+    if 2 * len(beyond) > np.count_nonzero(np.isfinite(lon)):
+        raise InputError(
+            f"{source}: {choice.ra.name} is beyond 360° or below −180° in {counted(len(beyond), 'row')} ({first})",
+            naming("give degrees, or another column: {ra:NAME}"),
+            source=source,
+        )
+    what = "is beyond 360° or below −180° and was" if len(beyond) == 1 else "are beyond 360° or below −180° and were"
+    return f"{len(beyond)} of {len(lon)} values of {choice.ra.name} {what} reduced to one turn ({first})"
+
+
+def _longitudes(table: Table, choice: ColumnChoice, source: str) -> FloatArray:
+    """(n,) right ascensions or longitudes in degrees, NaN for placeholders (999, −999 …)."""
+    lon = _degrees(table, choice.ra, source)
+    with np.errstate(invalid="ignore"):
+        beyond = np.flatnonzero(np.abs(lon) > 360.0)
+    placeholders = beyond[column_values.is_placeholder(lon[beyond])]
+    if len(placeholders):
+        lon = lon.copy()
+        lon[placeholders] = np.nan
+    return lon
+
+
 def _icrs_position(table: Table, choice: ColumnChoice, source: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
     """(n,) right ascension and declination, degrees, and the rotation of the axes of another frame (None for ICRS)."""
-    lon, lat = _degrees(table, choice.ra, source), _degrees(table, choice.dec, source)
+    lon, lat = _longitudes(table, choice, source), _degrees(table, choice.dec, source)
     if choice.measured:
         lon = np.where(_is_masked(table, choice.measured), np.nan, lon)
     if choice.frame == "icrs":
@@ -673,9 +714,11 @@ def _position_sigmas(
         with np.errstate(invalid="ignore", divide="ignore"):  # 0 states that nothing was measured
             east, north = (1.0 / np.sqrt(np.where(inverse > 0, inverse, np.nan)) for inverse in inverses)
         return east, north, None
+    numbers = [column_values.numbers(table, column.name, source) for column in error.columns]
+    if error.placeholders:
+        numbers[:2] = [np.where(np.isin(size, error.placeholders), np.nan, size) for size in numbers[:2]]
     columns = [
-        column_values.numbers(table, c.name, source)
-        * (1.0 if c.unit == SECONDS_OF_RA else column_values.factor(c.unit, "deg" if k == 2 else "arcsec"))
+        numbers[k] * (1.0 if c.unit == SECONDS_OF_RA else column_values.factor(c.unit, "deg" if k == 2 else "arcsec"))
         for k, c in enumerate(error.columns)
     ]
     with np.errstate(invalid="ignore"):

@@ -159,7 +159,7 @@ class CatalogueOptions:
         "column east,column north". sigma_unit : arcsec, mas, deg, ...
     ellipse : "a,b,angle": columns of one-sigma semi-axes and of the angle of a, degrees east of north.
     correlation : column of the correlation of east and north.
-    epoch : Julian year, ISO date, or column of Julian years, MJD, JD or dates.
+    epoch : Julian year, ISO date, or column of Julian years, MJD, JD or dates; "none" does without.
     pm : "column,column" of proper motion in right ascension (times cos δ) and declination, or "none".
     pm_sigma_mas_per_yr : error of proper motions where the table has none.
     sigma_floor_arcsec : added in quadrature to the position errors.
@@ -206,7 +206,8 @@ class PositionError:
     reason : origin of a number. survey : source of typical errors. guessed_unit : the unit of the columns is not stated
     and was guessed from the size of the numbers. co_sigma : column of the root of the covariance with its sign.
     angle_from : zero point of the ellipse angle, which increases towards the other axis. containment : probability that
-    the position lies within the circle or ellipse; 0 if the sizes are standard deviations.
+    the position lies within the circle or ellipse; 0 if the sizes are standard deviations. placeholders : numbers
+    that stand for missing errors.
     """
 
     kind: Literal["circle", "axes", "ellipse", "variances", "inverse variances", "number", "survey", "unknown"]
@@ -220,6 +221,7 @@ class PositionError:
     survey: Survey | None = None
     guessed_unit: bool = False
     containment: float = 0.0
+    placeholders: tuple[float, ...] = ()
 
     @property
     def divisor(self) -> float:
@@ -304,6 +306,8 @@ class ColumnChoice:
             shape = "radius" if self.error.kind == "circle" else shape
             shape += f"; contains {100 * self.error.containment:.0f} %: divided by {self.error.divisor:.3f} to get σ"
         line = f"errors: {_listed(*self.error.columns)}, {shape}"
+        if self.error.placeholders:
+            line += f"; {' and '.join(f'{one:g}' for one in self.error.placeholders)} counts as missing"
         if self.error.correlation:
             line += f", correlation {self.error.correlation}"
         if self.error.co_sigma:

@@ -16,7 +16,7 @@ from astropy import units as u
 from astropy.table import QTable, Table
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray, median
+from sameas.arrays import BoolArray, FloatArray, median
 from sameas.errors import InputError, naming
 from sameas.sky.conventions import SkyFrame
 from sameas.space import ARCSEC_PER_RADIAN
@@ -94,7 +94,7 @@ def numbers(table: Table, name: str, source: str) -> FloatArray:
     return np.asarray(np.ma.filled(values.astype(np.float64), np.nan))
 
 
-def _parsed(texts: list[str], reader: Any, name: str, source: str) -> FloatArray:
+def _parsed(texts: list[str], reader: Any, name: str, source: str, kind: str = "a number") -> FloatArray:
     values = np.full(len(texts), np.nan)
     for row, text in enumerate(texts):
         stripped = text.strip()
@@ -103,9 +103,20 @@ def _parsed(texts: list[str], reader: Any, name: str, source: str) -> FloatArray
                 values[row] = reader(stripped.replace("−", "-"))
             except ValueError:
                 remedy = "write decimals with a point" if re.fullmatch(r"[-+−]?\d+,\d+", stripped) else ""
-                message = f"{source}: column {name!r}, row {row}: {text!r} is not a number"
+                message = f"{source}: column {name!r}, row {row}: {text!r} is not {kind}"
                 raise InputError(message, remedy) from None
     return values
+
+
+def is_placeholder(values: FloatArray) -> BoolArray:
+    """(n,) whether the digits of numbers are nines only, as those that stand for missing values.
+
+    >>> is_placeholder(np.array([-999.0, 99.99, 361.2])).tolist()
+    [True, True, False]
+    """
+    different, of_value = np.unique(values, return_inverse=True)
+    nines = [set(f"{abs(value):g}".replace(".", "")) == {"9"} for value in different.tolist()]
+    return np.asarray(np.array(nines, dtype=np.bool_)[of_value])
 
 
 def measured(table: Table, name: str, source: str) -> tuple[FloatArray, tuple[int, str] | None]:
@@ -174,7 +185,7 @@ def years(table: Table, name: str, source: str) -> FloatArray:
     if hasattr(column, "jyear"):
         return np.asarray(np.ma.filled(np.ma.asarray(column.jyear, dtype=np.float64), np.nan))
     if is_text(table, name):
-        return _parsed(_texts(table, name), year_of, name, source)
+        return _parsed(_texts(table, name), year_of, name, source, "a year, an MJD, a JD or a date such as 2016-01-31")
     if column.dtype.kind == "M":
         return _years_of_dates(np.asarray(column, dtype="datetime64[us]"))
     values = numbers(table, name, source)

@@ -18,7 +18,7 @@ import numpy as np
 from astropy import units as u
 from astropy.table import Table
 
-from sameas.arrays import median
+from sameas.arrays import FloatArray, median
 from sameas.errors import Argument, InputError, Message, naming
 from sameas.sky import column_values, conventions
 from sameas.sky.column_choice import (
@@ -504,6 +504,7 @@ def _error_columns(
     covariance = "" if correlation or kind != "axes" else search.first(error_names.covariance) or ""
     guessed = any(column.reason == GUESSED for column in columns)
     containment = error_names.containment or (_stated_containment(search, names[0]) if kind != "axes" else 0.0)
+    sizes = np.concatenate([column_values.numbers(search.table, column.name, search.source) for column in columns[:2]])
     return PositionError(
         kind,
         columns,
@@ -513,7 +514,20 @@ def _error_columns(
         angle_from=error_names.angle_from,
         guessed_unit=guessed,
         containment=containment,
+        placeholders=_placeholders(sizes),
     )
+
+
+#: Numbers that may stand for a missing error: of nines only from the first, any from the second, if they exceed the
+#: median error so many times (chosen).
+_LEAST_NINES, _NO_ERROR, _TIMES_THE_MEDIAN = 90.0, 1e10, 20.0
+
+
+def _placeholders(sizes: FloatArray) -> tuple[float, ...]:
+    """The numbers among errors (n,) that stand for missing ones, such as 99, 9999 or 1e20."""
+    positive = sizes[(sizes > 0.0) & np.isfinite(sizes)]
+    large = np.unique(positive[positive > max(_LEAST_NINES, _TIMES_THE_MEDIAN * median(positive))])
+    return tuple(large[(large > _NO_ERROR) | column_values.is_placeholder(large)].tolist()) if len(large) else ()
 
 
 def _stated_containment(search: ColumnSearch, name: str) -> float:
@@ -588,6 +602,8 @@ def _error_of(search: ColumnSearch, name: str | None) -> str | None:
 def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
     stated, table = search.options.epoch, search.table
     if stated is not None:
+        if str(stated).lower() == "none":
+            return Epoch(reason="not used, option")
         try:
             return Epoch(jyr=column_values.year_of(str(stated)), reason="option")
         except ValueError:
@@ -651,13 +667,15 @@ def _texts(search: ColumnSearch) -> list[str]:
 
 def _header_epoch(table: Table) -> Epoch:
     header = {str(key).upper(): value for key, value in table.meta.items()}
+    unread = ""
     for key in conventions.HEADER_EPOCHS:
         if key.upper() in header:
+            text = str(header[key.upper()])
             try:
-                return Epoch(jyr=column_values.year_of(str(header[key.upper()])), reason=f"header {key}")
+                return Epoch(jyr=column_values.year_of(text), reason=f"header {key}{unread}")
             except ValueError:
-                continue
-    return Epoch()
+                unread = unread or f"; {key} = {text!r} is no time"
+    return Epoch(reason=f"{Epoch.reason}{unread}")
 
 
 def _id(search: ColumnSearch, convention: Convention) -> str | None:
