@@ -55,6 +55,34 @@ def test_the_remedy_names_the_options(table, tmp_path):
     assert not out.exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "times", "words"),
+    [
+        ("jd", lambda minutes: 1.7e9 + 60.0 * minutes, "of seconds since 1970 the MJD is 40587 + seconds / 86400"),
+        ("date_obs", lambda minutes: 60.0 * minutes, "column 'date_obs' (about 2400) is no MJD or JD"),
+        ("mjd", lambda minutes: 50.0 * minutes, "column 'mjd' (about 2000) is no MJD or JD between 1890 and 2150"),
+    ],
+)
+def test_times_in_seconds_are_refused_with_the_option_of_the_time(table, tmp_path, name, times, words):
+    night = read_table(table)
+    step = np.searchsorted(np.unique(night["mjd"]), night["mjd"])
+    night.remove_column("mjd")
+    night[name] = times(20.0 + 20.0 * step)
+    night.write(tmp_path / "seconds.csv")
+    result = run(tmp_path / "seconds.csv", "--sigma", 0.2, "-o", tmp_path / "movers.csv")
+    assert result.exit_code == 1 and words in result.output
+    assert "--time NAME with MJD, JD or dates in UTC" in result.output and "--epoch" not in result.output
+
+
+def test_doubts_about_the_columns_of_a_table_are_said(table, tmp_path):
+    night = read_table(table)
+    night["err"], night["ra"][3] = 0.2, night["ra"][3] + 360.0
+    night.write(tmp_path / "night2.csv")
+    words = " ".join(run(tmp_path / "night2.csv", "-o", tmp_path / "movers.csv").output.split())
+    assert "doubt night2: the unit of err is not stated; by its size arcsec: give --sigma-unit UNIT" in words
+    assert "values of ra is beyond 360° or below −180° and was reduced to one turn (first: row 3" in words
+
+
 WHO = (
     '[observatory]\nmpcCode = "810"\n[submitter]\nname = "J. Doe"\n[telescope]\ndesign = "Reflector"\n'
     'aperture = "0.36"\ndetector = "CCD"\n[report]\nastCat = "Gaia3"\nband = "G"\n'

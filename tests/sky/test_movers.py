@@ -9,8 +9,9 @@ from moving import night
 
 from sameas import InputError
 from sameas.report.frame import excluded_lines
-from sameas.sky import Detections, MotionModel, find_movers, learn_motion
+from sameas.sky import Catalogue, CatalogueOptions, Detections, MotionModel, find_movers, learn_motion
 from sameas.sky.movers import stationary
+from sameas.sky.movers.detections import detections_of
 from sameas.sky.movers.known import near_earth_scores
 from sameas.sky.movers.links import candidate_links, link_probabilities
 from sameas.sky.movers.model import DEFAULT_STATIONARY, Surroundings, Tuning
@@ -222,7 +223,7 @@ def test_fast_tracklets_score_as_near_earth_objects():
     [
         ({"sigma_arcsec": None}, "error of the positions is not known"),
         ({"sigma_arcsec": 0.0}, "3 position errors are not positive"),
-        ({"mjd_utc": [2460000.5] * 3}, "not an MJD between 1850 and 2150"),
+        ({"mjd_utc": [2460000.5] * 3}, "not an MJD between 1890 and 2150"),
         ({"mjd_utc": [60000.0] * 3}, "all of one exposure"),
         ({"dec_deg": [1.0, 2.0]}, "2 values of dec for 3 rows"),
         ({"ra_deg": ["a", "b", "c"]}, "ra is not a column of numbers"),
@@ -247,6 +248,15 @@ def test_doubtful_rows_are_set_aside_with_the_reason():
     assert seen.set_aside.counts() == {
         "no position": 1, "no time": 1, "the same place in the same exposure as another row": 1
     }  # fmt: skip
+
+
+def test_a_few_impossible_times_are_set_aside_and_those_of_tai_become_utc():
+    seen = Detections.of([1.0, 1.1, 1.2], [1.0, 1.0, 1.0], [6e4, 6e4 + 0.1, -1.0], sigma_arcsec=0.1)
+    assert seen.set_aside.counts() == {"a time that is no MJD between 1890 and 2150": 1}
+    table = {"ra": [10.0, 10.01], "dec": [5.0, 5.0], "midpointMjdTai": [60000.0, 60000.02]}
+    seen, lines = detections_of([Catalogue.of(table, "night", options=CatalogueOptions(sigma=0.2))])
+    np.testing.assert_allclose((60000.0 - seen.mjd_utc[0]) * 86400.0, 37.0, atol=1e-3)
+    assert "time midpointMjdTai (MJD of TAI, turned into UTC)" in lines[0]
 
 
 @pytest.mark.parametrize("trouble", [{}, {"larger": 2.5}, {"apart": 0.4}, {"times_min": (0, 30)}])

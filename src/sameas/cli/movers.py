@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sameas.cli.options import Debug, OutFormat, Overwrite, Quiet, frame_option, mover_option, option, with_columns
+from sameas.cli.options import (
+    Debug,
+    OutFormat,
+    Overwrite,
+    Quiet,
+    frame_option,
+    in_options,
+    mover_option,
+    option,
+    with_columns,
+)
 from sameas.cli.outcome import answering
 from sameas.errors import InputError
 from sameas.front.options import SIDE_OPTIONS
@@ -266,7 +276,7 @@ def run_tables(
 
         def say(lines: Iterable[str]) -> None:
             pace.pause()
-            printer(lines)
+            printer(in_options(line, mover_option) for line in lines)
 
         night = read_night(paths, others, wanted, columns, progress=pace, say=say)
         share_compilation(quiet, "frame")

@@ -15,7 +15,7 @@ import numpy as np
 
 import sameas
 from sameas.arrays import BoolArray
-from sameas.errors import InputError
+from sameas.errors import InputError, Message
 from sameas.front.request import program, read_catalogue, stem_of
 from sameas.io import checksum, write_table
 from sameas.io.ades import REPORTS, Observer, observations
@@ -134,9 +134,11 @@ def read_night(
     read = []
     for path in every:
         progress(f"reading {path}")
-        read.append(read_catalogue(path, stem_of(path), columns or {}, 0))
+        read.append(read_catalogue(path, stem_of(path), {**(columns or {}), "epoch": "none", "pm": "none"}, 0))
     seen, lines = detections_of(read[: len(paths)], wanted)
-    say([*lines, *searched_lines(seen), ""])
+    # A star at the same place in several exposures is no duplicate.
+    doubts = [Message(DOUBT, f"{one.name}: ", doubt) for one in read for doubt in one.doubts if doubt != one.duplicates]
+    say([*lines, *doubts, *searched_lines(seen), ""])
     return Night(every, seen, tuple(detections_of([one], wanted)[0] for one in read[len(paths) :]))
 
 

@@ -182,7 +182,8 @@ def searched_lines(seen: Detections) -> list[str]:
     days = float(np.ptp(time))
     if days > 1.0:
         lines.append(
-            f"{DOUBT}the exposures span {days:.1f} days; tracklets are of one night, search each night by itself"
+            f"{DOUBT}the exposures span {days:.1f} days: tracklets are of one night, search each night by itself, "
+            "or is their time in another unit than days?"
         )
     return lines
 

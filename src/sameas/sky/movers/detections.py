@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import FloatArray, IntArray, median
 from sameas.errors import InputError, naming
 from sameas.records import SetAside
 from sameas.representation import counted, in_short
@@ -19,8 +19,8 @@ from sameas.sky.movers.rates import EclipticAxes
 
 #: Times within this many seconds are one exposure if no column of exposures is given (chosen).
 SAME_EXPOSURE_S = 0.5
-#: MJD of 1850 and 2150: times outside are in another unit.
-_FIRST_MJD, _LAST_MJD = -3241.0, 106332.0
+#: MJD of 1890, before the first asteroid was photographed (1891), and of 2150: times outside are in another unit.
+_FIRST_MJD, _LAST_MJD = 11368.0, 106332.0
 
 
 @dataclass(frozen=True)
@@ -112,12 +112,13 @@ class Detections:
         of east-east, east-north, north-north.
         frame : (n,) labels of the exposures; None groups equal times (within half a second).
         magnitude, magnitude_error : (n,). band : (n,) labels.
-        Rows without position, time or error, and duplicates within an exposure (to 1 mas), are set aside.
+        Rows without position, time or error, a few of impossible times, and duplicates within an exposure (to 1 mas)
+        are set aside.
 
         Raises
         ------
-        InputError : columns of different lengths; neither or both errors given; errors not positive; times that are not
-            MJD; fewer than two exposures.
+        InputError : columns of different lengths; neither or both errors given; errors not positive; most times no MJD;
+            fewer than two exposures.
 
         Example
         -------
@@ -138,7 +139,11 @@ class Detections:
             if values is not None and len(values) != n:
                 raise InputError(f"{name}: {len(values)} values of {what} for {n} rows; give one per row")
         reasons = _reasons(ra, dec, mjd, error)
-        _check_times(mjd[reasons == ""], name)
+        in_range = _possible(mjd)
+        reasons[(reasons == "") & ~in_range] = "a time that is no MJD between 1890 and 2150"
+        if 2 * np.count_nonzero(in_range) < np.count_nonzero(np.isfinite(mjd)):
+            wrong = mjd[np.isfinite(mjd) & ~in_range][0]
+            raise InputError(f"{name}: {wrong:g} is not an MJD between 1890 and 2150", naming("give {time:NAME}"))
         keep = np.flatnonzero(reasons == "")
         number, names = _frames(mjd[keep], None if labels is None else labels[keep])
         repeated = _repeated(ra[keep], dec[keep], number)
@@ -205,10 +210,9 @@ def _reasons(ra: FloatArray, dec: FloatArray, mjd: FloatArray, error: FloatArray
     return reasons
 
 
-def _check_times(mjd: FloatArray, name: str) -> None:
-    wrong = mjd[(mjd < _FIRST_MJD) | (mjd > _LAST_MJD)]
-    if len(wrong):
-        raise InputError(f"{name}: {wrong[0]:g} is not an MJD between 1850 and 2150", naming("give {time:NAME}"))
+def _possible(mjd: FloatArray) -> NDArray[np.bool_]:
+    with np.errstate(invalid="ignore"):
+        return np.asarray((mjd > _FIRST_MJD) & (mjd < _LAST_MJD))
 
 
 def _frames(mjd: FloatArray, labels: NDArray[Any] | None) -> tuple[IntArray, tuple[str, ...]]:
@@ -245,6 +249,8 @@ TIMES = (
 )  # fmt: skip
 EXPOSURES = ("exposure", "frame", "visit", "expnum", "exposure_id", "obsid", "image")
 BANDS = ("band", "filter", "fid", "filt", "fltr")
+#: Columns of LSST whose MJD are those of TAI, by lower-case name.
+_IN_TAI = ("midpointmjdtai", "expmidptmjd")
 #: Numbers above this are Julian dates, not MJD.
 _JULIAN = 2_000_000.0
 
@@ -327,7 +333,7 @@ def _one(catalogue: Catalogue, wanted: DetectionColumns) -> tuple[dict[str, Any]
         "exposure": _texts(table[exposure]) if exposure else np.full(n, ""),
     }
     by = f"exposure {exposure}" if exposure else "exposures by equal times"
-    return columns, f"{catalogue.name}: time {time} ({how}, UTC), {by}, {f'band {band}' if band else 'no band'}"
+    return columns, f"{catalogue.name}: time {time} ({how}), {by}, {f'band {band}' if band else 'no band'}"
 
 
 def _chosen(catalogue: Catalogue, option: str | None, known: Sequence[str], what: str) -> str | None:
@@ -341,13 +347,19 @@ def _chosen(catalogue: Catalogue, option: str | None, known: Sequence[str], what
 
 
 def _mjd(column: Any, name: str, label: str) -> tuple[FloatArray, str]:
+    """MJD (UTC) of a column of times, NaN where there is none, and how it was read."""
+    from sameas.sky.times import Time
+
     values = np.ma.MaskedArray(column)
     if values.dtype.kind in "fiu":
         days = np.asarray(np.ma.filled(values.astype(np.float64), np.nan))
-        julian = bool(np.nanmedian(days) > _JULIAN) if np.isfinite(days).any() else False
-        return (days - 2400000.5, "JD") if julian else (days, "MJD")
-    from sameas.sky.times import Time
-
+        known = days[np.isfinite(days)]
+        julian = len(known) > 0 and _JULIAN < median(known) < _JULIAN + 1e6
+        _refuse_other_times(known - 2400000.5 * julian, median(known), getattr(column, "unit", None), name, label)
+        if label.lower() in _IN_TAI:
+            days[np.isfinite(days)] = Time(known, format="mjd", scale="tai").utc.mjd
+            return days, "MJD of TAI, turned into UTC"
+        return (days - 2400000.5, "JD, UTC") if julian else (days, "MJD, UTC")
     texts = np.ma.filled(values.astype(str), "")
     out = np.full(len(texts), np.nan)
     there = np.char.strip(texts) != ""
@@ -358,7 +370,20 @@ def _mjd(column: Any, name: str, label: str) -> tuple[FloatArray, str]:
             f"{name}: column {label} holds neither MJD, JD nor dates such as 2018-10-18T03:01:20",
             naming("give {time:NAME}"),
         ) from None
-    return out, "dates"
+    return out, "dates, UTC"
+
+
+def _refuse_other_times(mjd: FloatArray, middle: float, unit: Any, name: str, label: str) -> None:
+    """Refuses a column of times most of which are no MJD, or that has another unit than days. middle : as written."""
+    in_days = unit is None or not unit.is_equivalent("day") or unit == "day"
+    if in_days and 2 * np.count_nonzero(_possible(mjd)) >= len(mjd):
+        return
+    about = f"about {middle:g}{'' if in_days else f' {unit}'}"
+    since_1970 = "; of seconds since 1970 the MJD is 40587 + seconds / 86400" if 3e8 < middle < 5e9 else ""
+    raise InputError(
+        f"{name}: column {label!r} ({about}) is no MJD or JD between 1890 and 2150{since_1970}",
+        naming("give {time:NAME} with MJD, JD or dates in UTC"),
+    )
 
 
 def _texts(column: Any) -> NDArray[Any]:
