@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
-from astropy.table import Table
+from astropy.table import Table, vstack
 from astropy.wcs import WCS
 
 from browser import CHROMIUM, Browser
@@ -521,6 +521,49 @@ def test_a_folder_of_frames_is_one_product(files, sameas, tmp_path):
             assert browser.errors == []
         finally:
             browser.close()
+
+
+def add_bias(path: Path, bias: Path) -> Path:
+    """Adds 400 ADU to every fifth column of a frame, and writes the bias that has them."""
+    columns = np.where(np.arange(SIDE) % 5 == 0, 400, 0).astype(np.uint16)
+    with fits.open(path) as opened:
+        fits.PrimaryHDU(opened[0].data + columns, opened[0].header).writeto(path, overwrite=True)
+    fits.PrimaryHDU(np.broadcast_to(columns, (SIDE, SIDE)).copy()).writeto(bias, overwrite=True)
+    return bias
+
+
+@pytest.mark.slow
+def test_a_bias_is_subtracted(files, done, sameas, tmp_path):
+    """What is measured is that of a frame without one."""
+    frame = tmp_path / "night.fits"
+    frame.write_bytes(files.frame.read_bytes())
+    bias = add_bias(frame, tmp_path / "bias.fits")
+    sameas("frame", frame, "-c", files.stars, "-o", tmp_path, "--bias", bias, "--no-page", "--no-picture")
+    assert "bias subtracted" in json.loads((tmp_path / "night.json").read_text())["exposure"]["read"]
+    plain, subtracted = (read_table(folder / "night.stars.fits") for folder in (done[0], tmp_path))
+    assert len(plain) == len(subtracted) > 100
+    for name in ("x_px", "y_px", "flux"):
+        np.testing.assert_allclose(subtracted[name], plain[name], rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_movers_below_the_limit_of_frames_with_a_bias_are_found(files, sameas, tmp_path):
+    """The mover is too faint for a single frame, and the stack of frames whose bias stays does not show it."""
+    frames, out, east, north = [tmp_path / f"n{k}.fits" for k in range(8)], tmp_path / "out", -0.4, 0.3
+    for k, path in enumerate(frames):
+        minutes, mover = 8 * k, sky(1)
+        mover["ra"] = WHERE[0] + minutes * east / 3600.0 / np.cos(np.radians(WHERE[1]))
+        mover["dec"], mover["phot_g_mean_mag"] = WHERE[1] + 0.02 + minutes * north / 3600.0, 18.0
+        picture(path, vstack([sky(), mover]), seed=k, **{"DATE-OBS": f"2016-01-01T12:{minutes:02d}:00"})
+        bias = add_bias(path, tmp_path / "bias.fits")
+    options = ["-c", files.stars, "-o", out, "--bias", bias, "--below-limit", 0.6, "-j", 1, "-q"]
+    sameas("movers", *frames, *options)
+    assert all("bias subtracted" in json.loads((out / f"n{k}.json").read_text())["exposure"]["read"] for k in range(8))
+    assert len(read_table(out / "tracklets.fits")) == 0
+    found = read_table(out / "below-limit.fits")
+    assert len(found) == 1 and found["p_tracklet"][0] > 0.5
+    rate = [found[f"rate_{axis}_arcsec_per_min"][0] for axis in ("east", "north")]
+    np.testing.assert_allclose(rate, [east, north], atol=0.06)
 
 
 def test_numbers_of_a_frame_are_refused_by_their_options(files, sameas):
