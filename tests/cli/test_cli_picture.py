@@ -147,6 +147,23 @@ def test_an_older_picture_in_the_folder_is_reported(picture):
     assert f"not of this one: {out / 'objects.parquet'}, {out / 'identities.parquet'}" in shown.stderr
 
 
+@pytest.mark.slow
+def test_a_coast_of_ones_own_is_drawn_on_the_map(picture, tmp_path):
+    """An island of 0.01° by 0.01° beside the radar, in place of the coasts of the world."""
+    ring = [[LON + x, LAT + y] for x, y in ((0.0, 0.0), (0.01, 0.0), (0.01, 0.01), (0.0, 0.01), (0.0, 0.0))]
+    (tmp_path / "island.geojson").write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+
+    def ground(*options):
+        _, out = picture("--at", "23:11", "--no-image", *options)
+        return json.loads((out / "map.html").read_text().split('id="data">')[1].split("</script>")[0])
+
+    own, world = ground("--coast", tmp_path / "island.geojson"), ground()
+    (island,) = own["land"]
+    sides = np.ptp(np.array(island).reshape(-1, 2), axis=0)
+    np.testing.assert_allclose(sides, [0.01 * EAST, 0.01 * NORTH], rtol=0.01)
+    assert own["credit"] == "" and world["credit"].startswith("coast: Natural Earth") and island not in world["land"]
+
+
 def test_quiet_prints_only_doubts_and_alarms(sameas, tmp_path):
     rows = [[START + t, 235000001, LAT + 0.03 * k, LON, 0.0, 0.0] for t in range(0, 60, 6) for k in (0, 1)]
     write(tmp_path / "ais.csv", ["time", "mmsi", "lat", "lon", "sog_kn", "cog_deg"], rows)
