@@ -303,7 +303,7 @@ def _harbour() -> Any:
 
 
 def _replay() -> Any:
-    from sameas.live.inputs import Replay
+    from sameas.live.replay import Replay
     from sameas.tracks.reports import Reports
 
     place = {"time_s": [1.7e9 + t for t in range(0, 60, 10) for _ in range(3)], "lat_deg": [50.0, 50.01, 50.02] * 6,

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sameas.live.inputs import Replay
 from sameas.live.keeper import Keeper
+from sameas.live.replay import Replay
 from sameas.live.server import Access, application
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings
 from sameas.tracks import Description, SensorErrors, Site

@@ -12,8 +12,9 @@ import pytest
 from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
 from sameas.live import inputs
-from sameas.live.inputs import BoundedQueue, Replay, Wire, _keep_alive
+from sameas.live.inputs import BoundedQueue, Wire, _keep_alive
 from sameas.live.reception import _is_time_zone
+from sameas.live.replay import Replay
 from sameas.tracks.reports import Reports
 
 LINE = json.dumps({"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi": "235070762"}).encode() + b"\n"

@@ -24,10 +24,10 @@ from tests.live.conftest import SITE, START_S, descriptions, harbour, replay, se
 
 from sameas.errors import InputError
 from sameas.io import read_table
-from sameas.live.inputs import SteadyClock
 from sameas.live.journal import LAYOUT, Journal, load_state
 from sameas.live.keeper import Keeper
 from sameas.live.outputs import sentence
+from sameas.live.replay import SteadyClock
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings, read_settings
 from sameas.live.situation import Alarm, Delta
 from sameas.tracks import Description, Site

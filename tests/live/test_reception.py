@@ -4,8 +4,8 @@ import pytest
 from tests.live.conftest import START_S
 
 from sameas.errors import InputError
-from sameas.live.inputs import Replay
 from sameas.live.reception import Reception
+from sameas.live.replay import Replay
 from sameas.live.settings import LiveSource, Settings, WatchSettings
 from sameas.tracks import Description
 from sameas.tracks.reports import Reports

@@ -33,8 +33,9 @@ if TYPE_CHECKING:
     import uvicorn
 
     from sameas.live.alarms import AlarmLog
-    from sameas.live.inputs import Playback, Replay, Wire
+    from sameas.live.inputs import Wire
     from sameas.live.keeper import Keeper
+    from sameas.live.replay import Playback, Replay
     from sameas.live.server import Access
     from sameas.live.settings import Settings
 
@@ -201,7 +202,7 @@ def _source_lines(name: str, health: dict[str, Any]) -> list[str]:
 def _settings(files: list[str], sensors: Path | None, start: str | None, pace: float) -> tuple[Settings, Replay | None]:
     """The settings, and the replay if files are given. Sources that cannot be used are set aside, if others can."""
     from sameas.io.sensors.sources import read_source_options, read_sources
-    from sameas.live.inputs import Replay
+    from sameas.live.replay import Replay
     from sameas.live.settings import LiveSource, Settings, WatchSettings, read_settings
     from sameas.tracks.scene import Scene
 
@@ -232,7 +233,7 @@ def _settings(files: list[str], sensors: Path | None, start: str | None, pace: f
 def _recorded(files: list[str], sensors: Path | None, pace: float) -> tuple[Settings, Playback]:
     """The settings, and recordings to replay as they were received on the inputs of these."""
     from sameas.io.sensors.recording import Recording, recordings
-    from sameas.live.inputs import Playback
+    from sameas.live.replay import Playback
     from sameas.live.settings import read_settings
 
     if sensors is None or not files:

@@ -25,11 +25,11 @@ from sameas.errors import InputError, reading
 from sameas.live.alarms import MOST_UNSAVED, AlarmLog, fault_alarms, identity_alarms
 from sameas.live.approaches import Approaches
 from sameas.live.guard import GuardZones
-from sameas.live.inputs import Playback, Replay, SteadyClock, in_words
 from sameas.live.journal import Journal, Store, load_state, save_state
 from sameas.live.outputs import sinks_of
 from sameas.live.own_ship import OwnShipMotion
 from sameas.live.reception import Reception
+from sameas.live.replay import Playback, Replay, SteadyClock, in_words
 from sameas.live.settings import Settings
 from sameas.live.situation import Alarm, Delta, Situation
 from sameas.picture.deception import Fault

@@ -18,7 +18,8 @@ from sameas.errors import Argument, InputError, Message, reading
 from sameas.io.sensors.recording import Recorder
 from sameas.io.sensors.sources import ZONED
 from sameas.io.sensors.stream import ReportStream
-from sameas.live.inputs import Playback, Replay, Wire, in_words
+from sameas.live.inputs import Wire
+from sameas.live.replay import Playback, Replay, in_words
 from sameas.live.settings import Settings
 from sameas.live.situation import Alarm
 from sameas.representation import listed
