@@ -147,9 +147,9 @@ def test_identities_survive_a_kill(tmp_path):
 def test_offsets_that_an_operator_sets_survive_a_kill_and_end_with_their_sensor(tmp_path):
     first = Keeper(settings(save_every_s=1e9), tmp_path, replay=replay())
     ticked(first, 10.0)
-    first.set_offset("radar", "azimuth_deg", -2.0, "operator at bridge")
-    first.set_offset("ais", "time_s", 3.0)
-    first.hold("ais", False)
+    first.offsets.set("radar", "azimuth_deg", -2.0, "operator at bridge")
+    first.offsets.set("ais", "time_s", 3.0)
+    first.offsets.hold("ais", False)
     # Killed before the next state: the journal has it.
     first.store.journal.close()
     base = sqlite3.connect(tmp_path / "journal.sqlite")
@@ -159,7 +159,7 @@ def test_offsets_that_an_operator_sets_survive_a_kill_and_end_with_their_sensor(
     assert [row[:2] for row in rows[1:]] == [("ais", "set"), ("ais", "released")]
     again = Keeper(settings(), tmp_path, replay=replay())
     assert again.picture.held == {"radar"} and set(again.picture.biases) == {"radar"}
-    assert again.alignment()["radar"]["offsets"] == ["azimuth -2.000° set by hand"]
+    assert again.offsets.in_words()["radar"]["offsets"] == ["azimuth -2.000° set by hand"]
     ticked(again, 20.0)
     again.close()
     ais, radar = descriptions()

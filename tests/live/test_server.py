@@ -180,7 +180,7 @@ def test_an_operator_holds_the_biases_of_a_source(keeper):
                                         covariance=1e-9 * np.eye(6)),))  # fmt: skip
 
     def alignment():
-        return keeper.alignment()["radar"]
+        return keeper.offsets.in_words()["radar"]
 
     with served(keeper, Access("0.0.0.0", "op", "view")) as url:
         keeper.picture.take_off(found(1.5))
@@ -211,7 +211,7 @@ def told(url, content, **headers):
 
 def test_an_operator_sets_an_offset_which_is_subtracted_until_it_is_released(keeper):
     def alignment():
-        return keeper.alignment()["radar"]
+        return keeper.offsets.in_words()["radar"]
 
     with served(keeper, Access("0.0.0.0", "op", "view")) as url:
         path, op = f"{url}/sources/radar/offset", {"Authorization": "Bearer op", "X_Sameas": "1"}
@@ -265,8 +265,8 @@ def test_what_the_sensor_file_subtracts_is_shown():
     known = KnownBiases(azimuth_deg=2.0, range_m=-35.0)
     radar = replace(descriptions()[1], calibration=known, timing=Timing(latency_s=0.5))
     keeper = Keeper(Settings({"radar": LiveSource(radar)}, WatchSettings()), replay=replay())
-    assert keeper.alignment()["radar"]["described"] == "range -35 m, azimuth +2°, stamps +0.5 s late"
-    assert keeper.alignment()["radar"]["state"] == "none estimated"
+    assert keeper.offsets.in_words()["radar"]["described"] == "range -35 m, azimuth +2°, stamps +0.5 s late"
+    assert keeper.offsets.in_words()["radar"]["state"] == "none estimated"
     keeper.close()
 
 

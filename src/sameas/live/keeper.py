@@ -25,7 +25,8 @@ from sameas.errors import InputError, reading
 from sameas.live.alarms import MOST_UNSAVED, AlarmLog, fault_alarms, identity_alarms
 from sameas.live.approaches import Approaches
 from sameas.live.guard import GuardZones
-from sameas.live.journal import Journal, Store, load_state, save_state
+from sameas.live.journal import Store, load_state, save_state
+from sameas.live.offsets import SourceOffsets
 from sameas.live.outputs import sinks_of
 from sameas.live.own_ship import OwnShipMotion
 from sameas.live.reception import Reception
@@ -35,10 +36,8 @@ from sameas.live.situation import Alarm, Delta, Situation
 from sameas.picture.deception import Fault
 from sameas.picture.live import LivePicture, faults_of
 from sameas.picture.picture_state import PictureState
-from sameas.representation import listed
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
-from sameas.tracks.source import Description
 
 LOG = logging.getLogger("sameas.live")
 #: Number of deltas that are kept for listeners that reconnect.
@@ -139,8 +138,8 @@ class Keeper:
                 self._require_plane(self.picture.plane)
                 self.changed = self.picture.describe(descriptions, watch.lag_s)
         self.picture.return_s = 3600.0 * watch.return_h
-        if self.store.journal is not None:
-            self._restore_offsets(self.store.journal)
+        self.offsets = SourceOffsets(self.picture, self.settings.sources, self.store, self.lock, self.clock)
+        self.offsets.restore(self.changed)
 
     def _require_plane(self, saved: LocalPlane | None) -> None:
         """Refuses another plane than that of the saved state: all its positions are in metres from there."""
@@ -209,7 +208,7 @@ class Keeper:
             self.situation, self._state = situation, state
             self._keep_history(situation)
             self.store.attempt(lambda journal: journal.write(situation))
-            if instant_s - self._saved_s >= self.settings.watch.save_every_s:
+            if self.offsets.unsaved or instant_s - self._saved_s >= self.settings.watch.save_every_s:
                 self.store.attempt(lambda journal: self.save(), "state")
         self.durations_s.append(time.perf_counter() - began)
         self._timed, self._timed_s = self._timed + 1, self._timed_s + self.durations_s[-1]
@@ -225,7 +224,7 @@ class Keeper:
         """Saves the state."""
         if self.folder is not None:
             save_state(self.folder, {"picture": self.picture, "tick": self._tick})
-            self._saved_s = self.picture.instant_s
+            self._saved_s, self.offsets.unsaved = self.picture.instant_s, False
 
     def register(self) -> None:
         """Estimates the biases of the sources from the last minutes; a failure is logged and changes nothing."""
@@ -420,89 +419,12 @@ class Keeper:
             time_s = self.clock() if self.replay is None or self.situation is None else self.situation.time_s
             return self.alarms.acknowledge(alarm_id, who, time_s)
 
-    def biases(self) -> dict[str, dict[str, Any]]:
-        """By source with estimated biases, their text, whether they are established and so subtracted, and values."""
-        return {
-            name: {
-                "text": found.values, "established": found.established, "log_evidence": round(found.log_evidence, 1),
-                "values": {bias: {"value": one.value, "sigma": one.standard_error, "unit": one.unit}
-                           for bias, one in found.parameters.items()},
-            }
-            for name, found in self.picture.estimates.items() if found.parameters
-        }  # fmt: skip
-
-    def alignment(self) -> dict[str, dict[str, Any]]:
-        """By source, what is subtracted from its reports and why, in words, and whether an operator holds it."""
-        out = {}
-        for name, source in self.settings.sources.items():
-            found, held = self.picture.estimates.get(name), name in self.picture.held
-            subtracted = name in self.picture.biases
-            state = "subtracted" if subtracted else "not established, not subtracted"
-            if found is None or not found.parameters:
-                state = "the others are compared with it" if found is not None and not found.notes else "none estimated"
-            last = self.picture.last_estimates.get(name)
-            unused = (
-                f"estimated now, not used: {last.values}" if held and last is not None and last is not found else ""
-            )
-            out[name] = {
-                "described": _known_biases(source.description), "held": held, "state": state,
-                "by_hand": list(self.picture.biases[name].by_hand) if subtracted else [],
-                "settable": list(self.picture.settable(name)),
-                "offsets": [] if found is None else [text for text in found.values.split(", ") if text],
-                "by": "" if found is None or not found.against else f"{found.tracks:.0f} tracks in common with "
-                f"{listed(found.against)}, log evidence {found.log_evidence:.0f}",
-                "notes": [*([] if found is None else found.notes), *([unused] if unused else [])],
-            }  # fmt: skip
-        return out
-
-    def hold(self, source: str, held: bool, who: str = "operator") -> bool:
-        """Keeps the biases of a source as they are, or releases them; False for an unknown source."""
-        with self.lock:
-            if source not in self.settings.sources:
-                return False
-            self.picture.hold(source, held)
-            self._journal_offset(source, "held" if held else "released", who)
-            return True
-
-    def set_offset(self, source: str, bias: str, value: float, who: str = "operator") -> bool:
-        """Subtracts an offset as an operator sets it, and holds the source; False for an unknown source.
-
-        Raises
-        ------
-        InputError : as of :meth:`sameas.picture.live.LivePicture.set_offset`.
-        """
-        with self.lock:
-            if source not in self.settings.sources:
-                return False
-            self.picture.set_offset(source, bias, value)
-            unit = self.picture.biases[source].parameters[bias].unit
-            self._journal_offset(source, "set", who, (bias, value, unit))
-            return True
-
-    def _journal_offset(self, source: str, event: str, who: str, set_: tuple[str, float, str] | None = None) -> None:
-        """Writes what an operator did at once, and the state with the next tick."""
-        time_s = self.picture.instant_s if math.isfinite(self.picture.instant_s) else self.clock()
-        self.store.attempt(lambda journal: journal.offset(source, event, who, time_s, set_))
-        self._saved_s = -math.inf
-
-    def _restore_offsets(self, journal: Journal) -> None:
-        """What an operator did after the state was saved counts, too; a source described anew begins anew."""
-        for name, values in journal.offsets().items():
-            if name in self.changed or name not in self.settings.sources:
-                journal.offset(name, "released", "the sensor file", self.clock())
-                continue
-            for bias, value in values.items():
-                self.picture.set_offset(name, bias, value)
-            self.picture.hold(name)
-        for name in self.picture.held - set(journal.offsets()):
-            self.picture.hold(name, False)
-
     def health(self) -> dict[str, Any]:
         """Whether the picture advances, and the counters of every source and wire."""
         age_s = None if self.situation is None else self.now_s() - self.situation.time_s
         late_s = max(10.0 * self.settings.watch.every_s * (self.pace or 1.0), 10.0)
         ticking = age_s is not None and abs(age_s) < late_s
-        counts, biases = self.picture.counts, self.biases()
+        counts, biases = self.picture.counts, self.offsets.biases()
         sources = {
             name: {
                 "reports": counts[name].taken, "late": counts[name].late, "repeated": counts[name].repeated,
@@ -540,13 +462,3 @@ class _Periodic:
         due = self.every_s > 0.0 and now_s - self.begun_s >= self.every_s
         if due and (self.task is None or self.task.done()):
             self.begun_s, self.task = now_s, asyncio.create_task(asyncio.to_thread(self.work))
-
-
-def _known_biases(description: Description) -> str:
-    """Printable: the biases that the description gives, and that are subtracted; empty for none."""
-    known, late_s = description.calibration, description.timing.latency_s
-    texts = {
-        "range {:+g} m": known.range_m, "azimuth {:+g}°": known.azimuth_deg, "range gain {:+g}": known.range_gain,
-        "east {:+g} m": known.east_m, "north {:+g} m": known.north_m, "stamps {:+g} s late": late_s or None,
-    }  # fmt: skip
-    return ", ".join(text.format(value) for text, value in texts.items() if value is not None)

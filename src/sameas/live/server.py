@@ -285,7 +285,7 @@ class _Handlers:
     async def hold(self, request: Request, role: str) -> Response:
         """Keeps the biases of a source as they are (POST), or releases them (DELETE)."""
         held = request.method == "POST"
-        done = self.keeper.hold(str(request.path_params["source"]), held, _who(request))
+        done = self.keeper.offsets.hold(str(request.path_params["source"]), held, _who(request))
         return _json({"held": held} if done else {"error": "there is no such source"}, 200 if done else 404)
 
     async def offset(self, request: Request, role: str) -> Response:
@@ -293,7 +293,7 @@ class _Handlers:
         source = str(request.path_params["source"])
         try:
             bias, value = _offset(await _short_body(request))
-            done = self.keeper.set_offset(source, bias, value, _who(request))
+            done = self.keeper.offsets.set(source, bias, value, _who(request))
         except InputError as error:
             return _json({"error": str(error)}, 400)
         return _json({"set": {bias: value}} if done else {"error": "there is no such source"}, 200 if done else 404)
@@ -357,7 +357,7 @@ def _event(kind: str, keeper: Keeper, situation: Situation, delta: Delta) -> str
             "berthed": sorted(keeper.approaches.berthed),
             "cpa": {n: [round(metres), round(seconds)] for n, (metres, seconds) in situation.cpa.items()},
             "alarms": keeper.alarm_list(most_ended=100), "zones": keeper.zones.outlines,
-            "alignment": keeper.alignment(), "errors": list(keeper.picture.errors),
+            "alignment": keeper.offsets.in_words(), "errors": list(keeper.picture.errors),
         }  # fmt: skip
     return f"id: {delta.tick}\nevent: {kind}\ndata: {json.dumps(content, allow_nan=False, separators=(',', ':'))}\n\n"
 
