@@ -554,7 +554,8 @@ def test_movers_below_the_limit_of_frames_with_a_bias_are_found(files, sameas, t
         minutes, mover = 8 * k, sky(1)
         mover["ra"] = WHERE[0] + minutes * east / 3600.0 / np.cos(np.radians(WHERE[1]))
         mover["dec"], mover["phot_g_mean_mag"] = WHERE[1] + 0.02 + minutes * north / 3600.0, 18.0
-        picture(path, vstack([sky(), mover]), seed=k, **{"DATE-OBS": f"2016-01-01T12:{minutes:02d}:00"})
+        cards: dict[str, Any] = {"DATE-OBS": f"2016-01-01T12:{minutes:02d}:00"}
+        picture(path, vstack([sky(), mover]), seed=k, **cards)
         bias = add_bias(path, tmp_path / "bias.fits")
     options = ["-c", files.stars, "-o", out, "--bias", bias, "--below-limit", 0.6, "-j", 1, "-q"]
     sameas("movers", *frames, *options)

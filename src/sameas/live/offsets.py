@@ -2,16 +2,52 @@
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
+from sameas.errors import InputError
 from sameas.live.journal import Store
 from sameas.live.settings import LiveSource
 from sameas.picture.live import LivePicture
 from sameas.representation import listed
 from sameas.tracks.source import Description
+
+#: What an operator may set, in words, and the units in which, each in that of its name.
+OFFSETS: Mapping[str, tuple[str, Mapping[str, float]]] = {
+    "azimuth_deg": ("azimuth too far clockwise by", {"°": 1.0}),
+    "range_m": ("range too long by", {"m": 1.0, "nm": 1852.0}),
+    "range_gain": ("range too long by a share of", {"%": 0.01}),
+    "time_s": ("stamps late by", {"s": 1.0}),
+    "east_m": ("positions too far east by", {"m": 1.0}),
+    "north_m": ("positions too far north by", {"m": 1.0}),
+}
+
+
+def read_offset(body: bytes) -> tuple[str, float]:
+    """The name and the value of a bias in its unit, from the JSON that an operator's page sends.
+
+    Raises
+    ------
+    InputError : no JSON; no such bias, no number, or another unit than those of :data:`OFFSETS`.
+    """
+    form = 'give JSON such as {"bias": "azimuth_deg", "value": 2.0, "unit": "°"}'
+    try:
+        given = json.loads(body)
+    except (ValueError, RecursionError):
+        raise InputError("the request is no JSON", form) from None
+    bias = given.get("bias") if isinstance(given, dict) else None
+    if not isinstance(bias, str) or bias not in OFFSETS:
+        raise InputError(f"there is no offset {bias!r}", f"give as bias one of {', '.join(OFFSETS)}")
+    value, units = given.get("value"), OFFSETS[bias][1]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{bias}: the value is {value!r}", form)
+    factor = units.get(given.get("unit")) if isinstance(given.get("unit", ""), str) else None
+    if "unit" in given and factor is None:
+        raise InputError(f"{bias}: the unit is {given['unit']!r}", f"give one of {', '.join(units)}, or none")
+    return bias, float(value) * (1.0 if factor is None else factor)
 
 
 class SourceOffsets:

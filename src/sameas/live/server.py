@@ -22,6 +22,7 @@ import numpy as np
 
 from sameas.errors import InputError, optional
 from sameas.live.keeper import Keeper
+from sameas.live.offsets import OFFSETS, read_offset
 from sameas.live.outputs import geojson, metrics
 from sameas.live.settings import read_chart
 from sameas.live.situation import OBJECT, RECORD, Delta, Situation
@@ -132,15 +133,6 @@ def _json(content: object, status: int = 200, **headers: str) -> Response:
     return JSONResponse(content, status, headers=_HEADERS | headers)
 
 
-#: What an operator may set, in words, and the units in which, each in that of its name.
-OFFSETS: Mapping[str, tuple[str, Mapping[str, float]]] = {
-    "azimuth_deg": ("azimuth too far clockwise by", {"°": 1.0}),
-    "range_m": ("range too long by", {"m": 1.0, "nm": 1852.0}),
-    "range_gain": ("range too long by a share of", {"%": 0.01}),
-    "time_s": ("stamps late by", {"s": 1.0}),
-    "east_m": ("positions too far east by", {"m": 1.0}),
-    "north_m": ("positions too far north by", {"m": 1.0}),
-}
 #: Largest body of a request in bytes.
 MOST_BODY = 1000
 
@@ -157,25 +149,6 @@ async def _short_body(request: Request) -> bytes:
         if len(body) > MOST_BODY:
             raise InputError("the request is too long", 'give JSON such as {"bias": "azimuth_deg", "value": 2.0}')
     return body
-
-
-def _offset(body: bytes) -> tuple[str, float]:
-    """The name and the value of a bias in its unit, from the body of a request."""
-    form = 'give JSON such as {"bias": "azimuth_deg", "value": 2.0, "unit": "°"}'
-    try:
-        given = json.loads(body)
-    except (ValueError, RecursionError):
-        raise InputError("the request is no JSON", form) from None
-    bias = given.get("bias") if isinstance(given, dict) else None
-    if not isinstance(bias, str) or bias not in OFFSETS:
-        raise InputError(f"there is no offset {bias!r}", f"give as bias one of {', '.join(OFFSETS)}")
-    value, units = given.get("value"), OFFSETS[bias][1]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{bias}: the value is {value!r}", form)
-    factor = units.get(given.get("unit")) if isinstance(given.get("unit", ""), str) else None
-    if "unit" in given and factor is None:
-        raise InputError(f"{bias}: the unit is {given['unit']!r}", f"give one of {', '.join(units)}, or none")
-    return bias, float(value) * (1.0 if factor is None else factor)
 
 
 @dataclass(frozen=True)
@@ -292,7 +265,7 @@ class _Handlers:
         """Sets one bias of a source by hand: JSON with bias, value and, if not that of its name, unit."""
         source = str(request.path_params["source"])
         try:
-            bias, value = _offset(await _short_body(request))
+            bias, value = read_offset(await _short_body(request))
             done = self.keeper.offsets.set(source, bias, value, _who(request))
         except InputError as error:
             return _json({"error": str(error)}, 400)
