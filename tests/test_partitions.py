@@ -316,6 +316,21 @@ def test_stars_that_move_across_a_border_are_matched(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("errors", [True, False])
+def test_an_unknown_epoch_is_assumed_as_for_tables_with_or_without_errors(tmp_path, errors):
+    tables = sky((40.0, 10.0), 1_000, 0.05, 4)
+    tables[0]["pmra"], tables[0]["pmdec"] = 1.0, -1.0
+    tables[0]["ref_epoch"] = 2016.0
+    if not errors:
+        for table in tables:
+            table.remove_column("pos_err")
+    options = {"sigma": "pos_err", "sigma_unit": "arcsec"} if errors else {}
+    found = sameas.match(*stored(tmp_path, tables, (400, 400)), pm_sigma1=0.1, **options)
+    assumed = "b: its epoch is not known; 2016 was assumed, so its positions are not moved; give epoch2=YEAR"
+    assert [doubt for doubt in found.doubts if "epoch" in doubt] == [assumed]
+    assert found.estimated.moved == "both catalogues are of epoch 2016.00"
+
+
 def test_doubts_about_the_columns_of_partitions_are_reported(tmp_path):
     """Motions without errors, and rows without one, are doubted as in tables."""
     ra, dec = np.random.default_rng(3).uniform([40.0, 0.0], [40.2, 0.2], (2000, 2)).T

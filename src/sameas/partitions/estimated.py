@@ -32,7 +32,7 @@ from sameas.partitions.workers import Workers, store, stored_work
 from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, common_epoch
-from sameas.sky.doubts import completed
+from sameas.sky.doubts import completed, with_known_epochs
 from sameas.sky.evidence_columns import columns_of
 
 if TYPE_CHECKING:
@@ -153,8 +153,9 @@ def estimate(
     progress("columns")
     samples = tuple(_first_rows(one, chosen, tuning) for one, chosen in zip(stored, columns, strict=True))
     columns_of(samples[0], samples[1], options.evidence)  # refuses columns that do not exist
-    epochs = completed_epochs(samples, options.epoch_jyr)
-    epoch, moved = common_epoch(*epochs, options.epoch_jyr)
+    # Unknown errors are completed later, from the sample where both overlap.
+    epochs, assumed_epochs = with_known_epochs(samples, options.epoch_jyr)
+    epoch, moved = common_epoch(epochs[0], epochs[1], options.epoch_jyr)
     bare = tuple(Side(one, without_rows(sample), epoch, 0) for one, sample in zip(stored, epochs, strict=True))
     work = Work(
         (bare[0], bare[1]), options.magnitudes, tuple(options.evidence), join, nway_columns, np.inf, tuning=tuning.part
@@ -179,17 +180,7 @@ def estimate(
     assert learned.estimate is not None
     catalogues = [replace(c, doubts=first.doubts) for c, first in zip(sampled, epochs, strict=True)]
     return Estimated(work, counts, (catalogues[0], catalogues[1]), moved, (rows[0], rows[1]),
-                     (*assumed, *learned.estimate.notes), learned.estimate.learned_from)  # fmt: skip
-
-
-def completed_epochs(catalogues: Sequence[Catalogue], epoch_jyr: float | None) -> tuple[Catalogue, Catalogue]:
-    """The catalogues with missing epochs taken from the other one; unknown errors are completed later, from the sample
-    where both overlap."""
-    known = [one for one in catalogues if not one.error_is_unknown and not one.choice.error.guessed_unit]
-    if len(known) == 2:
-        with_epochs, _ = completed(catalogues, epoch_jyr)
-        return with_epochs[0], with_epochs[1]
-    return catalogues[0], catalogues[1]
+                     (*assumed_epochs, *assumed, *learned.estimate.notes), learned.estimate.learned_from)  # fmt: skip
 
 
 def _first_rows(stored: HatsCatalogue, options: CatalogueOptions, tuning: RunTuning) -> Catalogue:

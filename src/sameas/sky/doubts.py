@@ -83,15 +83,8 @@ def completed(
 
     epoch_jyr : common epoch of the match, None if not given.
     """
-    result = list(catalogues)
-    doubts: list[str] = []
-    for k, catalogue in enumerate(result):
-        epoch = _epoch_of_others(result, k, epoch_jyr)
-        if epoch is not None:
-            result[k] = catalogue.with_epoch(epoch)
-            text = f"{catalogue.name}: its epoch is not known; {epoch:g} was assumed, so its positions are not moved; "
-            doubts.append(Message(text, naming(f"give {{epoch{k + 1}:YEAR}}")))
-    with_epochs = tuple(result)
+    with_epochs, of_epochs = with_known_epochs(catalogues, epoch_jyr)
+    result, doubts = list(with_epochs), list(of_epochs)
     for k, catalogue in enumerate(with_epochs):
         if catalogue.error_is_unknown:
             sigma, source = _error_against_others(with_epochs, k, tuning)
@@ -105,6 +98,24 @@ def completed(
             result[k], doubt = _with_likelier_unit(result, k, tuning)
             doubts += [doubt] if doubt else []
     return result, tuple(doubts)
+
+
+def with_known_epochs(
+    catalogues: Sequence[Catalogue], epoch_jyr: float | None = None
+) -> tuple[tuple[Catalogue, ...], tuple[str, ...]]:
+    """The catalogues with missing epochs assumed, and one doubt for each.
+
+    epoch_jyr : common epoch of the match, None if not given.
+    """
+    result = list(catalogues)
+    doubts: list[str] = []
+    for k, catalogue in enumerate(result):
+        epoch = _epoch_of_others(result, k, epoch_jyr)
+        if epoch is not None:
+            result[k] = catalogue.with_epoch(epoch)
+            text = f"{catalogue.name}: its epoch is not known; {epoch:g} was assumed, so its positions are not moved; "
+            doubts.append(Message(text, naming(f"give {{epoch{k + 1}:YEAR}}")))
+    return tuple(result), tuple(doubts)
 
 
 def _epoch_of_others(catalogues: Sequence[Catalogue], k: int, epoch_jyr: float | None) -> float | None:
