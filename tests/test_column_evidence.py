@@ -13,6 +13,8 @@ from sameas.estimate.match import match
 from sameas.evidence import Column, Errors, OddsTable, Related
 from sameas.score.pairs import is_true_pair
 from sameas.simulate import counterparts
+from sameas.sky import Catalogue, CatalogueOptions
+from sameas.sky.evidence_columns import columns_of
 
 MADE = counterparts(np.random.default_rng(3), sources=500, records=30_000)
 MAG = Column(2, MADE.magnitude, name="MAG")
@@ -257,6 +259,18 @@ def test_the_magnitude_of_one_catalogue_is_evidence_without_being_asked_for():
     assert counts(by_default.identification) == counts(asked.identification)
     assert by_default.expected_wrong < 0.8 * by_position.expected_wrong
     assert "MAG_I of" in by_default.report() and "MAG_I of" not in by_position.report()
+
+
+def test_large_numbers_of_a_column_are_no_placeholders():
+    two = tables()[1]
+    flux, magnitude = 10.0 ** (-0.4 * (two["MAG_I"] - 30.0)), two["MAG_I"].copy()
+    magnitude[5] = 99.0
+    two["flux"], two["other"] = flux, magnitude
+    source = Catalogue.of(two, "o", options=CatalogueOptions(sigma=0.1))
+    found = columns_of(source, source, [Column(2, "flux"), Column(2, "other")])
+    read = [one.values for one in found if isinstance(one, Column)]
+    assert flux.max() > 90.0 and not np.ma.getmaskarray(read[0]).any()
+    assert np.flatnonzero(np.ma.getmaskarray(read[1])).tolist() == [5]
 
 
 @pytest.mark.slow

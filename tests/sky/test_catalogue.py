@@ -439,6 +439,11 @@ def test_magnitude_sentinels_are_missing_values() -> None:
     np.testing.assert_array_equal(source.magnitude, [18.0, np.nan])
 
 
+def test_magnitudes_are_read_in_their_unit() -> None:
+    table = Table({"ra": [1.0, 2.0], "dec": [50.0, 60.0], "Vmag": [18000.0, 19500.0]}, units={"Vmag": "mmag"})
+    np.testing.assert_allclose(catalogue(table, sigma=1).magnitude, [18.0, 19.5])
+
+
 def test_duplicate_ids_are_replaced_unless_given_by_the_user() -> None:
     table = {"ra": [1.0, 2.0], "dec": [50.0, 60.0], "name": ["a", "a"]}
     source = catalogue(table, sigma=1)

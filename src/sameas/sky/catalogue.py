@@ -802,12 +802,10 @@ def _ids(
 
 
 def _brightness(table: Table, name: str | None, source: str) -> FloatArray | None:
-    """(n,) magnitudes, NaN for placeholders such as 99 and -99.99."""
+    """(n,) magnitudes, NaN where not measured."""
     if name is None:
         return None
-    values, _ = column_values.measured(table, name, source)
-    with np.errstate(invalid="ignore"):
-        return np.where(np.abs(values) < 90.0, values, np.nan)
+    return column_values.magnitudes(table, name, source)
 
 
 def _unmeasured_magnitude_note(table: Table, choice: ColumnChoice, source: str) -> tuple[str, ...]:

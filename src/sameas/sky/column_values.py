@@ -136,6 +136,16 @@ def measured(table: Table, name: str, source: str) -> tuple[FloatArray, tuple[in
     return values, (words[0], texts[words[0]])
 
 
+def magnitudes(table: Table, name: str, source: str) -> FloatArray:
+    """(n,) magnitudes in mag of a column of any multiple of it, NaN for texts and placeholders (99, −99.99)."""
+    values, _ = measured(table, name, source)
+    unit = unit_of(table, name)
+    if unit is not None and unit.is_equivalent(u.mag):
+        values = values * unit.to(u.mag)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(values) < 90.0, values, np.nan)
+
+
 def holds_numbers(table: Table, name: str) -> bool:
     """Whether the column contains numbers; in a text column, at least as many as other texts."""
     try:

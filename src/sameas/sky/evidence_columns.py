@@ -7,18 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.evidence import Column, Magnitudes, Related
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
-
-if TYPE_CHECKING:
-    from astropy.table import Table
 
 #: Choices of magnitudes: those chosen for each catalogue, or none.
 AUTO, OFF = "auto", "off"
@@ -96,9 +91,15 @@ def _column(catalogue: Catalogue, column: Column) -> Column:
         )
     if column_values.is_text(catalogue.table, name):
         return replace(column, values=np.ma.asarray(catalogue.table[name]), name=name)
-    if name == catalogue.magnitude_name or catalogue.table[name].dtype.kind == "f":
-        return replace(column, values=_measured(catalogue.table, name, catalogue.name), name=name)
-    return replace(column, values=np.ma.asarray(catalogue.table[name]), name=name)
+    if name == catalogue.magnitude_name:
+        return replace(column, values=column_values.magnitudes(catalogue.table, name, catalogue.name), name=name)
+    values = np.ma.asarray(catalogue.table[name])
+    if values.dtype.kind == "f":
+        # Other magnitudes have placeholders such as 99, too; other large numbers, as of a flux, are measured.
+        large = np.flatnonzero(np.abs(np.ma.filled(values, np.nan)) >= 90.0)
+        values = np.ma.array(values, copy=True)
+        values[large[column_values.is_placeholder(np.ma.getdata(values)[large])]] = np.ma.masked
+    return replace(column, values=values, name=name)
 
 
 def _chosen_magnitude(catalogue: Catalogue) -> Magnitudes | None:
@@ -123,14 +124,9 @@ def _columns(catalogue: Catalogue, names: tuple[str, ...]) -> Magnitudes:
             for pattern in MAGNITUDE_ERROR_NAMES
         )
         error = next((known[one] for one in error_names if one in known), None)
-        values.append(_measured(catalogue.table, name, catalogue.name))
+        values.append(column_values.magnitudes(catalogue.table, name, catalogue.name))
         unknown_error = np.full(len(catalogue), np.nan)
-        errors.append(unknown_error if error is None else _measured(catalogue.table, error, catalogue.name))
+        known_error = None if error is None else column_values.magnitudes(catalogue.table, error, catalogue.name)
+        errors.append(unknown_error if known_error is None else known_error)
     sigma = np.column_stack(errors)
     return Magnitudes(np.column_stack(values), np.where(sigma >= 0.0, sigma, np.nan), names)
-
-
-def _measured(table: Table, name: str, source: str) -> FloatArray:
-    """(n,) numbers, NaN for placeholders such as 99 and −99.99."""
-    values, _ = column_values.measured(table, name, source)
-    return np.where(np.abs(values) < 90.0, values, np.nan)
