@@ -153,6 +153,17 @@ def test_columns_that_are_no_cells_are_refused_and_nothing_is_written(ending, tm
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("ending", [".fits", ".vot", ".csv", ".parquet", ".ecsv"])
+def test_lists_of_records_in_cells_are_refused_with_the_formats_that_hold_them(ending, tmp_path):
+    cells = np.empty(2, dtype=object)
+    cells[:] = np.array([{"mjd": 1.0, "mag": 20.0}]), np.array([], dtype=object)
+    if ending in (".parquet", ".ecsv"):
+        write_table(Table({"light": cells}), tmp_path / f"out{ending}", provenance={})
+        return
+    with pytest.raises(InputError, match=r"column light has lists .* no room for them, write \.parquet or \.ecsv"):
+        write_table(Table({"light": cells}), tmp_path / f"out{ending}", provenance={})
+
+
 def test_a_truncated_last_line_is_reported(tmp_path):
     assert "the last line is incomplete, the file was cut off" in refusal(tmp_path / "t.csv", b"a,b,c\n1,2,3\n4,5")
     for name, head in (("t.csv", b"a,b\n"), ("t.ecsv", b"# %ECSV 1.0\n# ---\n# delimiter: ','\n# datatype:\n"

@@ -400,7 +400,8 @@ def _cell_texts(column: Column) -> pa.Array:
 
     array = array_of(column)
     if pa.types.is_nested(array.type):
-        raise InputError(f"column {column.name} has lists in its cells; CSV has no room for them, write .fits or .vot")
+        lists = f"column {column.name} has lists in its cells"
+        raise InputError(f"{lists}; CSV has no room for them, write .parquet or .ecsv")
     if pa.types.is_float16(array.type):
         array = array.cast(pa.float32())
     return array.cast(pa.string()) if pa.types.is_large_string(array.type) else array

@@ -397,11 +397,10 @@ def _variable(name: str, values: NDArray[Any]) -> tuple[str, NDArray[Any]]:
     """The TFORM of variable-length arrays, and the arrays in a type that FITS has."""
     kinds = {np.asarray(v).dtype for v in values if v is not None}
     kind = np.result_type(*kinds) if kinds else np.dtype("f8")
-    if kind.kind not in "biufc":
-        raise InputError(f"column {name} has lists of {kind} in its cells; FITS has no room for them")
     spelled = {"i1": "i2", "u2": "i4", "u4": "i8", "f2": "f4", "b1": "b"}.get(kind.str[1:], kind.str[1:])
-    if spelled not in _CODES:
-        raise InputError(f"column {name} has lists of {kind} in its cells; FITS has no room for them")
+    if kind.kind not in "biufc" or spelled not in _CODES:
+        lists = f"column {name} has lists of {kind} in its cells"
+        raise InputError(f"{lists}; FITS has no room for them, write .parquet or .ecsv")
     arrays = np.empty(len(values), dtype=object)
     for row, value in enumerate(values):
         arrays[row] = np.asarray([] if value is None else value, dtype="bool" if spelled == "b" else spelled)

@@ -85,6 +85,9 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
 
     columns = [_portable(table[name]) for name in table.colnames]
     for column in columns:
+        if column.dtype.kind == "O" and any(np.asarray(cell).dtype.kind == "O" for cell in column if cell is not None):
+            nested = f"column {column.name} has lists of records in its cells"
+            raise InputError(f"{nested}; VOTable has no room for them, write .parquet or .ecsv")
         if column.dtype.kind in "US" and len(column.shape) > 1:
             raise InputError(f"column {column.name} has arrays of text; VOTable has no room for them, write .fits")
     fixed = all(column.dtype.kind != "O" for column in columns)
