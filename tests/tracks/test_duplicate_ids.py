@@ -53,6 +53,27 @@ def test_a_lone_report_far_away_is_not_used() -> None:
     assert notes == ("1 report of 7 set aside: no object moves that fast",)
 
 
+def moving(east_m: np.ndarray, time_s: np.ndarray) -> States:
+    """Reports of one ship that states 5 m/s to the east."""
+    velocity, covariance = np.tile([5.0, 0.0], (len(time_s), 1)), np.tile(0.1 * np.eye(2), (len(time_s), 1, 1))
+    return States.of(
+        time_s, np.column_stack([east_m, np.zeros(len(time_s))]), 100.0 * np.eye(2), speed_m_per_s=SPEED,
+        velocity=velocity, velocity_covariance=covariance, track=np.full(len(time_s), "7", object),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", [{20: 3000.0, 30: 4000.0, 50: 2500.0}, {20: 3000.0, 120: 3600.0, 170: 3800.0}])
+def test_wrong_positions_within_reach_of_each_other_are_no_second_object(wrong: dict[int, float]) -> None:
+    """One by one, seconds or minutes apart: no speed of the ship leads from one to the next."""
+    time_s = 6.0 * np.arange(200.0)
+    east_m = 5.0 * time_s
+    for row, off in wrong.items():
+        east_m[row] += off
+    found, notes = split_duplicate_ids(moving(east_m, time_s), SPEED)
+    assert set(found.track) == {"7"} and np.flatnonzero(~found.usable).tolist() == list(wrong)
+    assert notes == ("3 reports of 7 set aside: no object moves that fast",)
+
+
 def test_a_reused_id_is_not_two_simultaneous_objects() -> None:
     found, notes = split_duplicate_ids(states([way(0.0, 0.0), way(150.0, 20e3)], ["7", "7"]), SPEED)
     assert set(found.track) == {"7"} and notes == () and found.usable.all()

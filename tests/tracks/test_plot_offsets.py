@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
+from sameas.registration.offsets import range_and_azimuth
 from sameas.simulate.boat_radar import boat_radar
 from sameas.simulate.sensors import Bias
 from sameas.tracks import Description, Reports, SensorErrors, Site, plot_offsets
-from sameas.tracks.plot_offsets import fit_plots, shows_bare_plots, shows_tracks
+from sameas.tracks.alignment import States
+from sameas.tracks.plot_offsets import Knots, fit_plots
+from sameas.tracks.plot_pairs import shows_bare_plots, shows_tracks
 from sameas.tracks.scene import Scene
+from sameas.tracks.tuning import DEFAULT_TUNING
 
 
 def drawn(seed, azimuth_deg, **counts):
@@ -95,6 +99,50 @@ def test_stationary_plots_are_background_and_no_evidence():
     moving = fitted(drawn(7, 2.0, common=4, moored=0, unseen=0, silent=0))
     assert moored.pairs > 50.0 and moving.established
     assert moored.log_evidence < moving.log_evidence - 10.0
+
+
+def drifting(seed, common=5, **more):
+    """A scene whose compass drifts by 2° within two minutes, with fading echoes and ships at berths."""
+    return drawn(seed, 3.0, common=common, compass_deg=2.0, compass_s=120.0, fading_s=30.0, berthed=4, **more)
+
+
+def azimuth_of(reports, sensor_m):
+    return range_and_azimuth(reports.state[:, :2] - sensor_m)[:, 1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_compass_that_drifts_is_followed(seed):
+    drawn_scene = drifting(seed)
+    scene = Scene.of(drawn_scene.sources)
+    registered, (found, _) = scene.registered()
+    azimuth, mean = found.parameters["azimuth_deg"], 3.0 + drawn_scene.heading_error_deg.mean()
+    assert found.established and abs(azimuth.value - mean) < min(0.3, 3.0 * azimuth.standard_error)
+    assert "drifts by" in " ".join(found.notes)
+    # The plots themselves turn by what the compass was off at their time.
+    before, after = scene.feeds[0], registered.feeds[0]
+    assert isinstance(before.reports, States) and isinstance(after.reports, States)
+    turned = azimuth_of(before.reports, before.sensor_m) - azimuth_of(after.reports, after.sensor_m)
+    scan = ((before.reports.time_s - before.reports.time_s.min()) // 2.5).astype(int)
+    error = (turned - 3.0 - drawn_scene.heading_error_deg[scan] + 180.0) % 360.0 - 180.0
+    assert np.sqrt(np.mean(error**2)) < 0.5 * np.std(drawn_scene.heading_error_deg)
+
+
+def test_more_ais_in_view_than_plots_in_a_scan_is_no_reason_to_compare_single_scans():
+    radar, ais = Scene.of(drawn(3, 4.0, common=5, moored=5, unseen=35, minutes=4.0).sources).feeds
+    fit = fit_plots(radar, [ais])
+    assert fit is not None and fit.instants == 96
+
+
+def test_the_drift_has_the_covariance_of_an_ornstein_uhlenbeck_process():
+    knots = Knots(np.array([0.0, 30.0, 90.0, 100.0]), 60.0)
+    covariance = np.exp(-np.abs(knots.time_s[:, None] - knots.time_s) / 60.0)
+    assert np.allclose(knots.precision @ covariance, np.eye(4))
+    knot, share = knots.around(np.array([15.0, 100.0]))
+    assert knot.tolist() == [[0, 1], [2, 3]] and np.allclose(share, [[0.5, 0.5], [0.0, 1.0]])
+    assert np.allclose(knots.mean_weights(np.array([0.0, 60.0])), [0.5, 0.25, 0.25, 0.0])
+    fixed = Knots.of(np.arange(9.0), np.zeros((9, 2)), DEFAULT_TUNING)
+    assert len(fixed) == 0
 
 
 def test_bare_plots_and_tracks_are_distinguished():

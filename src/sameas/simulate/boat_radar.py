@@ -5,8 +5,8 @@ half a degree. A scan has about ten plots. One or two are of vessels with AIS, e
 a long hull sometimes as several plots; the others are returns of a shore, of buoys and of the sea. Shore and buoys are
 stationary while the boat moves; sea clutter surrounds the boat. There are also vessels without AIS.
 
-:func:`boat_radar` draws such a scene. It is a model, not a recording: it has no rain, blind sectors, side lobes or
-second echoes.
+:func:`boat_radar` draws such a scene. Echoes may fade, and the compass may drift. It is a model, not a recording: it
+has no rain, blind sectors, side lobes or second echoes.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class BoatRadarScene:
     sources : the radar and AIS, each with a description as a user would write it.
     truth : (n,) number of the vessel of each plot, −1 (ABSENT) for land, buoys and sea. Vessels with AIS come first.
     mmsi : of the vessels with AIS, in their order. common : (k,) numbers of those under way that the radar sees.
-    bias : of the radar.
+    bias : of the radar. heading_error_deg : (turns,) in addition to the bias of its azimuth.
     """
 
     sources: tuple[tuple[Description, Reports], tuple[Description, Reports]]
@@ -50,6 +50,7 @@ class BoatRadarScene:
     mmsi: tuple[str, ...]
     common: IntArray
     bias: Bias
+    heading_error_deg: FloatArray
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,11 @@ def boat_radar(
     moored: int = 1,
     unseen: int = 1,
     silent: int = 1,
+    berthed: int = 0,
     minutes: float = 10.0,
+    compass_deg: float = HEADING_DEG,
+    compass_s: float = HEADING_S,
+    fading_s: float = 0.0,
 ) -> BoatRadarScene:
     """A scene of this many minutes.
 
@@ -100,6 +105,9 @@ def boat_radar(
     bias : of the radar; by default an azimuth too far clockwise by 3° and a range too long by 20 m.
     common : vessels under way with AIS that the radar detects. moored : further ones that are stationary.
     unseen : vessels with AIS that it never detects. silent : vessels without AIS that it detects.
+    berthed : stationary vessels with AIS among the returns of the shore.
+    compass_deg, compass_s : 1σ and correlation time of the heading's error.
+    fading_s : mean time for which a hull is seen, and for which it is not, since echoes fade; 0 for independent scans.
 
     Raises
     ------
@@ -112,28 +120,33 @@ def boat_radar(
     >>> round(len(radar) / (300.0 / 2.5)), len(scene.mmsi)
     (9, 6)
     """
-    counts = (common, moored, unseen, silent)
+    counts = (common, moored, unseen, silent, berthed)
     if min(counts) < 0 or not minutes > 0.0:
         raise InputError(f"boat_radar: {counts} vessels in {minutes} minutes; give none or more, and a time above 0")
     bias = Bias(range_m=20.0, azimuth_deg=3.0) if bias is None else bias
     plane, span_s = LocalPlane.about(*(np.array([each]) for each in MIDDLE)), 60.0 * minutes
     turns = np.arange(0.0, span_s, TURN_S)
+    moored += berthed
     named = common + moored + unseen
     vessels, boat = _Hulls.drawn(named + silent, rng), _Hulls.drawn(1, rng, 500.0)
     vessels.speed[common : common + moored], boat.speed[:] = 0.0, rng.uniform(2.5, 5.0)
     since = turns - span_s / 2.0
     station = boat.at(np.zeros(len(turns), np.int64), since)[0]
     rows = np.concatenate([np.arange(common + moored), np.arange(named, named + silent)])
+    rows = rows.astype(np.int64)
+    coast = _Coast.drawn(rng, vessels, common + moored - berthed, berthed) if berthed else None
     echoes = [
-        _hull_echoes(vessels, rows.astype(np.int64), since, rng), _shore(station, rng), _sea(station, rng)
-    ]  # fmt: skip
+        _hull_echoes(vessels, rows, since, rng, fading_s),
+        (coast or _Coast.drawn(rng)).echoes(station, rng),
+        _sea(station, rng),
+    ]
     scan, place, truth = (np.concatenate(part) for part in zip(*echoes, strict=True))
     arm = place - station[scan]
     range_m = np.hypot(*arm.T)
     kept = (range_m < REACH_M) & (range_m > 60.0)
     scan, arm, range_m, truth = scan[kept], arm[kept], range_m[kept], truth[kept]
-    heading = _heading_error(len(turns), rng)[scan]
-    bearing = np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) + bias.azimuth_deg + heading
+    heading_error = compass_deg * _heading_error(len(turns), rng, compass_s)
+    bearing = np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) + bias.azimuth_deg + heading_error[scan]
     bearing = STEP_DEG * np.round((bearing + BEARING_DEG * rng.normal(size=len(scan))) / STEP_DEG) % 360.0
     lat, lon = plane.to_geodetic(station + 3.0 * rng.normal(size=station.shape))
     # The antenna rotates during a scan; time stamps are rounded to tenths of a second.
@@ -154,17 +167,22 @@ def boat_radar(
         Description("ais", "ais"),
     )
     return BoatRadarScene(
-        ((described[0], radar), (described[1], ais)), truth[order], mmsi, np.arange(common), bias
+        ((described[0], radar), (described[1], ais)), truth[order], mmsi, np.arange(common), bias, heading_error
     )  # fmt: skip
 
 
 Echoes = tuple[IntArray, FloatArray, IntArray]
 
 
-def _hull_echoes(vessels: _Hulls, rows: IntArray, since: FloatArray, rng: np.random.Generator) -> Echoes:
+def _hull_echoes(
+    vessels: _Hulls, rows: IntArray, since: FloatArray, rng: np.random.Generator, fading_s: float
+) -> Echoes:
     """Scan, position and vessel of the echoes of hulls: in 10 to 30 % of the scans, several of a long hull."""
-    share = rng.uniform(0.1, 0.3, len(rows))
-    seen, scan = np.nonzero(rng.random((len(rows), len(since))) < share[:, None])
+    share = rng.uniform(0.1, 0.3, len(rows))[:, None]
+    if fading_s:
+        changes = rng.random((len(rows), len(since))) < np.where(np.arange(len(since)), TURN_S / fading_s, 0.5)
+        share = 2.0 * share * (np.cumsum(changes, axis=1) % 2)
+    seen, scan = np.nonzero(rng.random((len(rows), len(since))) < share)
     times = 1 + rng.poisson(vessels.length[rows[seen]] / 150.0)
     which, scan = np.repeat(rows[seen], times), np.repeat(scan, times)
     place, course = vessels.at(which, since[scan])
@@ -172,16 +190,31 @@ def _hull_echoes(vessels: _Hulls, rows: IntArray, since: FloatArray, rng: np.ran
     return scan, place + along[:, None] * _unit(course), which
 
 
-def _shore(station: FloatArray, rng: np.random.Generator) -> Echoes:
-    """Returns of a shore on one side and of buoys, all stationary."""
-    along, off = rng.uniform(-7000.0, 7000.0, SCATTERERS), 2500.0 + rng.gamma(1.5, 500.0, SCATTERERS)
-    side = rng.uniform(0.0, 2.0 * np.pi)
-    coast = along[:, None] * _unit(np.array([side])) + off[:, None] * _unit(np.array([side + np.pi / 2.0]))
-    place = np.concatenate([coast, rng.uniform(-4000.0, 4000.0, (BUOYS, 2))])
-    strength = np.concatenate([rng.gamma(0.7, 1.0, SCATTERERS), np.full(BUOYS, 2.0)])
-    share = np.minimum(SHORE_PLOTS * strength / strength.sum(), 0.6)
-    scan, which = np.nonzero(rng.random((len(station), len(place))) < share)
-    return scan, place[which] + 8.0 * rng.normal(size=(len(which), 2)), np.full(len(scan), ABSENT)
+@dataclass(frozen=True)
+class _Coast:
+    """Scatterers of a shore on one side, and buoys: (n, 2) places and (n,) strengths."""
+
+    place: FloatArray
+    strength: FloatArray
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, vessels: _Hulls | None = None, first: int = 0, berthed: int = 0) -> _Coast:
+        """A coast; of the vessels, ``berthed`` from number ``first`` on are moved to its scatterers within reach."""
+        along, off = rng.uniform(-7000.0, 7000.0, SCATTERERS), 2500.0 + rng.gamma(1.5, 500.0, SCATTERERS)
+        side = rng.uniform(0.0, 2.0 * np.pi)
+        coast = along[:, None] * _unit(np.array([side])) + off[:, None] * _unit(np.array([side + np.pi / 2.0]))
+        place = np.concatenate([coast, rng.uniform(-4000.0, 4000.0, (BUOYS, 2))])
+        if vessels is not None:
+            near = rng.permutation(np.flatnonzero(np.hypot(*coast.T) < 5000.0))[:berthed]
+            vessels.start[first : first + len(near)] = coast[near] + rng.normal(0.0, 40.0, (len(near), 2))
+        return cls(place, np.concatenate([rng.gamma(0.7, 1.0, SCATTERERS), np.full(BUOYS, 2.0)]))
+
+    def echoes(self, station: FloatArray, rng: np.random.Generator) -> Echoes:
+        """Returns of all of it."""
+        share = np.minimum(SHORE_PLOTS * self.strength / self.strength.sum(), 0.6)
+        scan, which = np.nonzero(rng.random((len(station), len(self.place))) < share)
+        place = self.place[which] + 8.0 * rng.normal(size=(len(which), 2))
+        return scan, place, np.full(len(scan), ABSENT)
 
 
 def _sea(station: FloatArray, rng: np.random.Generator) -> Echoes:
@@ -195,10 +228,10 @@ def _sea(station: FloatArray, rng: np.random.Generator) -> Echoes:
     )
 
 
-def _heading_error(turns: int, rng: np.random.Generator) -> FloatArray:
-    """(turns,) error of the heading, degrees, correlated over HEADING_S."""
-    keep = np.exp(-TURN_S / HEADING_S)
-    error, steps = np.zeros(turns), HEADING_DEG * rng.normal(size=turns)
+def _heading_error(turns: int, rng: np.random.Generator, correlation_s: float) -> FloatArray:
+    """(turns,) error of the heading in units of its 1σ, correlated over this time."""
+    keep = np.exp(-TURN_S / correlation_s)
+    error, steps = np.zeros(turns), rng.normal(size=turns)
     error[0] = steps[0]
     for k in range(1, turns):
         error[k] = keep * error[k - 1] + np.sqrt(1.0 - keep**2) * steps[k]

@@ -22,7 +22,7 @@ from sameas.gaussian import inverse, log_determinant, propagated, symmetric
 from sameas.registration.hough import HoughSearch
 from sameas.registration.solution import displacement_sigmas, refine
 from sameas.registration.weights import Weighed, weigh
-from sameas.tracks.biases import RelativeBias
+from sameas.tracks.biases import AzimuthDrift, RelativeBias
 from sameas.tracks.snapshot import CommonScan
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
@@ -40,6 +40,7 @@ class BiasFit:
     log_evidence : log-odds of these biases against no object in common.
     rivals : other solutions, with their log evidence. converged : whether the refinement converged. tuning : of tracks.
     speed_m_per_s : median speed of the compared objects, 0 if unknown.
+    drift : of the azimuth about its mean, for a sensor that moves.
     """
 
     biases: IntArray
@@ -54,6 +55,7 @@ class BiasFit:
     converged: bool
     tuning: Tuning = DEFAULT_TUNING
     speed_m_per_s: float = 0.0
+    drift: AzimuthDrift | None = None
 
     @property
     def near_rivals(self) -> tuple[tuple[FloatArray, float], ...]:

@@ -225,6 +225,30 @@ class AzimuthBias(Offset):
         return [(0, -1.0)]
 
 
+@dataclass(frozen=True)
+class AzimuthDrift:
+    """The azimuth bias minus its mean over the recording, between knots of time.
+
+    time_s : (k,) of the knots. azimuth_deg : (k,) the drift there. variance_deg2 : (k,) of the whole azimuth bias.
+    """
+
+    time_s: FloatArray
+    azimuth_deg: FloatArray
+    variance_deg2: FloatArray
+
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) drift at these times, and (n,) variance of the whole azimuth bias."""
+        return (
+            np.interp(time_s, self.time_s, self.azimuth_deg),
+            np.interp(time_s, self.time_s, self.variance_deg2),
+        )
+
+    @property
+    def spread_deg(self) -> float:
+        """Root mean square of the drift over the knots."""
+        return float(np.sqrt(np.mean(self.azimuth_deg**2))) if len(self.azimuth_deg) else 0.0
+
+
 #: Covariance of known biases.
 CERTAIN = np.zeros((len(BIASES), len(BIASES)))
 
@@ -241,14 +265,16 @@ def corrected(
     ----------
     sensor_m : (n, 2) position of the sensor at each report; None for a source without a site, which has no range and
         azimuth biases.
-    biases, covariance : (6,) and (6, 6), in the order of :data:`BIASES`.
+    biases, covariance : (6,) and (6, 6), in the order of :data:`BIASES`, or (n, 6) and (n, 6, 6), of each report.
     """
-    time_s = reports.time_s - biases[TIME]
+    time_s = reports.time_s - biases[..., TIME]
     if isinstance(reports, Directions):
-        sigma = np.hypot(reports.sigma_deg, np.sqrt(covariance[AZIMUTH, AZIMUTH]))
-        bearing = (reports.bearing_deg - biases[AZIMUTH]) % 360.0
+        sigma = np.hypot(reports.sigma_deg, np.sqrt(covariance[..., AZIMUTH, AZIMUTH]))
+        bearing = (reports.bearing_deg - biases[..., AZIMUTH]) % 360.0
         return replace(reports, time_s=time_s, bearing_deg=bearing, sigma_deg=sigma)
     usable = reports.usable
+    if biases.ndim == 2:
+        biases, covariance = biases[usable], covariance[usable]
     state, out_covariance = reports.state.copy(), reports.covariance.copy()
     model = BiasModel(None if sensor_m is None else sensor_m[usable])
     # The time bias is corrected in the stamps; positions must not be moved for it again.

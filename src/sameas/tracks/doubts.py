@@ -27,7 +27,8 @@ from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, FOOT_M, MILE_M, LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.kinds import KINDS
-from sameas.tracks.plot_offsets import PlotFits, shows_bare_plots, shows_tracks
+from sameas.tracks.plot_offsets import PlotFits
+from sameas.tracks.plot_pairs import shows_bare_plots, shows_tracks
 from sameas.tracks.registration import unbiased
 from sameas.tracks.reports import Reports
 from sameas.tracks.snapshot import ComparedSource, bias_widths, common_scans

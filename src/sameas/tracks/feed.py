@@ -503,8 +503,8 @@ def split_duplicate_ids(
     for k in np.unique(owner[1:][jumps]):
         own = np.flatnonzero(owner == k)
         branch = _branches(reports, rows[own], radius[own], limit, tuning)
-        count = np.bincount(branch)
-        is_outlier, objects = count[branch] == 1, np.flatnonzero(count > 1)
+        is_outlier = ~_supported(reports, rows[own], radius[own], branch, limit, tuning)
+        objects = np.flatnonzero(np.bincount(branch, ~is_outlier))
         if np.count_nonzero(np.diff(branch[~is_outlier])) < tuning.alternations:
             objects = objects[:1]
         for nth, of_object in enumerate(objects[1:], start=2):
@@ -554,6 +554,31 @@ def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float,
             branch[at] = len(ends)
             ends.append(at)
     return branch
+
+
+def _supported(
+    reports: States, rows: IntArray, radius: FloatArray, branch: IntArray, limit: float, tuning: Tuning
+) -> BoolArray:
+    """(k,) whether another report of its object supports each report of one id.
+
+    Wrong positions are not where one another's speeds lead, and come rarely. So a report of another object than the
+    main one, which has most reports, is supported by the one before or after it only within ``support_intervals`` of
+    the id's usual interval, and if the stated speeds lead from one to the other.
+    """
+    count = np.bincount(branch)
+    out = (branch == count.argmax()) & (count[branch] > 1)
+    usual_s = float(np.median(np.diff(reports.time_s[rows])))
+    for other in np.flatnonzero((count > 1) & (np.arange(len(count)) != count.argmax())):
+        own = np.flatnonzero(branch == other)
+        first, second = own[:-1], own[1:]
+        a, b = reports.state[rows[first]], reports.state[rows[second]]
+        dt = reports.time_s[rows[second]] - reports.time_s[rows[first]]
+        stated = np.maximum(np.hypot(*a[:, 2:].T), np.hypot(*b[:, 2:].T))
+        speed = np.where(stated > tuning.way_m_per_s, tuning.stated_speeds * stated, limit)
+        near = np.hypot(*(b - a)[:, :2].T) <= radius[first] + radius[second] + speed * dt
+        near &= dt <= tuning.support_intervals * usual_s
+        out[first[near]] = out[second[near]] = True
+    return np.asarray(out)
 
 
 def _notes(name: str, objects: int, strays: int) -> list[str]:

@@ -14,8 +14,12 @@ The plots of one object are not independent: errors of its hull, the antenna of 
 the same in all scans. So the evidence of a track is bounded: with probability ε another object accompanies the track,
 and L/(1 + ε L) is its likelihood ratio against no object in common. ε is ``companion`` of the tuning, or the share of
 other azimuths at which some object seems to be a track, if that is larger. One track alone establishes no offset: the
-evidence is that without the track that fits best. A constant place of the echo on the hull is a parameter of each track
-in the final fit, and so included in the standard errors.
+evidence is that without the track that fits best.
+The final fit is by EM: with the probabilities of plots to be of tracks as weights, a linear least-squares problem has
+the biases, a constant place of the echo along and across each hull and, for a sensor that moves, its place relative to
+that reported, and the drift of its azimuth: a radar on a boat measures from the bow, and the heading is of a compass,
+whose error changes by degrees within minutes. The drift is an Ornstein-Uhlenbeck process at knots of time, interpolated
+between them.
 
 The azimuth is searched over the whole range of its prior, which is a Cauchy distribution: a wrongly installed compass
 may be off by any angle.
@@ -29,220 +33,15 @@ from operator import is_
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, inverse
-from sameas.ragged import flattened
-from sameas.registration.offsets import RADIAN, line_of_sight, range_and_azimuth
-from sameas.tracks.alignment import States, Succession, moved
 from sameas.tracks.bias_fit import BiasFit
-from sameas.tracks.biases import AZIMUTH, EAST, GAIN, NORTH, RANGE, TIME
+from sameas.tracks.biases import AZIMUTH, RANGE, TIME, AzimuthDrift
 from sameas.tracks.feed import Feed
+from sameas.tracks.plot_pairs import FITTED, PlotPairs, Plots, candidates, first_of_scans
 from sameas.tracks.snapshot import bias_widths
 from sameas.tracks.tuning import Tuning
-
-#: The biases of a radar's plots, in the order of BIASES.
-FITTED = (RANGE, AZIMUTH, GAIN, TIME)
-
-
-def shows_bare_plots(feed: Feed) -> bool:
-    """Whether a source's offsets are fitted from its plots: positions without ids, from a sensor with unknown
-    azimuth bias and no unknown shift."""
-    widths, reports = bias_widths(feed), feed.reports
-    polar = isinstance(reports, States) and reports.track is None and feed.sensor_m is not None
-    return polar and bool(widths[AZIMUTH] > 0.0) and not (widths[EAST] or widths[NORTH])
-
-
-def shows_tracks(feed: Feed) -> bool:
-    """Whether a source's records are tracks of objects."""
-    return isinstance(feed.reports, States) and feed.reports.track is not None
-
-
-@dataclass(frozen=True)
-class Plots:
-    """A radar's plots (n,): time, scan, position east and north, position of the sensor, range, azimuth (°).
-
-    variance : (n, 2) m² along and across the line of sight, without the constant errors of an object.
-    """
-
-    time_s: FloatArray
-    scan: IntArray
-    position: FloatArray
-    sensor: FloatArray
-    range_m: FloatArray
-    azimuth_deg: FloatArray
-    variance: FloatArray
-
-    @classmethod
-    def of(cls, feed: Feed) -> Plots:
-        """The plots of a feed, in order of time."""
-        reports = feed.reports
-        assert isinstance(reports, States) and feed.sensor_m is not None
-        rows = np.flatnonzero(reports.usable & np.isfinite(feed.sensor_m).all(axis=1))
-        rows = rows[np.argsort(reports.time_s[rows], kind="stable")]
-        position, sensor = reports.state[rows, :2], feed.sensor_m[rows]
-        range_m, azimuth, frame = _sight(position - sensor)
-        stated = np.einsum("nav,nvw,naw->na", frame, reports.covariance[rows, :2, :2], frame)
-        variance = np.maximum(stated - (feed.description.errors.extent_m or 0.0) ** 2, 0.05 * stated)
-        scan = np.unique(feed.scan_s[rows], return_inverse=True)[1]
-        return cls(reports.time_s[rows], scan, position, sensor, range_m, azimuth, variance)
-
-    def __len__(self) -> int:
-        return len(self.time_s)
-
-
-def _sight(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Range (at least 1 m), azimuth (°) and (n, 2, 2) unit vectors along and across (clockwise) lines of sight."""
-    range_m, *frame = line_of_sight(arm, 1.0)
-    return range_m, range_and_azimuth(arm)[:, 1], np.stack(frame, axis=-2)
-
-
-@dataclass(frozen=True)
-class PlotPairs:
-    """Pairs of a plot and a track that are possible under any allowed biases, (m,) each.
-
-    plot, track : their numbers. residual : (m, 2) range (m) and azimuth (as metres across) of the plot minus that of
-    the track. jacobian : (m, 2, 4) of the residual by FITTED. variance : (m, 2) m², without the constant errors of a
-    track. background : density of other plots at the plot, per m² and scan. scans : (v,) number of scans that may
-    detect each track. lasting_m2 : variance per axis of the constant errors of a track. frame : (m, 2, 2) unit vectors
-    along and across the line of sight.
-    """
-
-    plot: IntArray
-    track: IntArray
-    residual: FloatArray
-    jacobian: FloatArray
-    variance: FloatArray
-    background: FloatArray
-    scans: FloatArray
-    lasting_m2: float
-    frame: FloatArray
-
-
-def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tuning) -> PlotPairs:
-    """The candidate pairs of all plots and all tracks of the partners."""
-    widths = bias_widths(feed)
-    reach_deg = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0)
-    parts: list[tuple[NDArray[Any], ...]] = []
-    scans: list[float] = []
-    lasting = (feed.description.errors.extent_m or 0.0) ** 2
-    scan_starts = _first_of_scans(plots)
-    for partner in partners:
-        lasting = max(lasting, sum((f.description.errors.extent_m or 0.0) ** 2 for f in (feed, partner)))
-        for path in _paths(partner):
-            state, covariance = path.at(plots.time_s)
-            arm = state[:, :2] - plots.sensor
-            range_m, azimuth, frame = _sight(arm)
-            along, across = (np.einsum("nv,nvw,nw->n", frame[:, a], covariance[:, :2, :2], frame[:, a]) for a in (0, 1))
-            known = np.maximum(along, across) < tuning.max_sigma_m**2
-            known &= (range_m > tuning.own_platform_m) & (range_m <= (feed.description.coverage.range_m or np.inf))
-            if not known.any():
-                continue
-            d_azimuth = (plots.azimuth_deg - azimuth + 180.0) % 360.0 - 180.0
-            variance = plots.variance + np.column_stack([along, across])
-            gate_m = tuning.gate_sigmas * np.sqrt(
-                variance[:, 0] + lasting + widths[RANGE] ** 2 + (widths[GAIN] * range_m) ** 2
-            )
-            d_range = plots.range_m - range_m
-            near = np.flatnonzero(known & (np.abs(d_range) <= gate_m) & (np.abs(d_azimuth) <= reach_deg))
-            velocity = np.einsum("nav,nv->na", frame, state[:, 2:])[near]
-            one, zero, r = np.ones(len(near)), np.zeros(len(near)), range_m[near]
-            jacobian = np.stack(
-                [np.stack([one, zero, r, -velocity[:, 0]], axis=-1),
-                 np.stack([zero, RADIAN * r, zero, -velocity[:, 1]], axis=-1)], axis=-2,
-            )  # fmt: skip
-            residual = np.column_stack([d_range[near], RADIAN * d_azimuth[near] * r])
-            parts.append((near, np.full(len(near), len(scans)), residual, jacobian, variance[near], frame[near]))
-            scans.append(float(np.sum(known[scan_starts])))
-    if not sum(len(part[0]) for part in parts):
-        none, empty = np.empty(0, np.int64), np.empty((0, 2))
-        return PlotPairs(
-            none, none, empty, np.empty((0, 2, 4)), empty, np.empty(0), np.empty(0), lasting, np.empty((0, 2, 2))
-        )
-    plot, track, residual, jacobian, variance, frame = (np.concatenate(part) for part in zip(*parts, strict=True))
-    in_gate = np.unique(plot)
-    background = np.zeros(len(plots))
-    background[in_gate] = _background(plots, in_gate, tuning)
-    return PlotPairs(
-        plot, track, residual, jacobian, variance, background[plot], np.array(scans), lasting, frame
-    )  # fmt: skip
-
-
-def _first_of_scans(plots: Plots) -> IntArray:
-    """(l,) the first plot of each scan."""
-    return np.unique(plots.scan, return_index=True)[1]
-
-
-@dataclass(frozen=True)
-class Path:
-    """One track's reports in order: times (k,), states (k, 4), covariances (k, 4, 4), motion noise (k,) in m²/s³."""
-
-    time_s: FloatArray
-    state: FloatArray
-    covariance: FloatArray
-    walk: FloatArray
-
-    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """States and covariances at any times: the weighted mean of the reports before and after, moved there."""
-        after = np.searchsorted(self.time_s, time_s, side="right")
-        before, after = np.maximum(after - 1, 0), np.minimum(after, len(self.time_s) - 1)
-        ends = [
-            moved(self.state[k], self.covariance[k], time_s - self.time_s[k], self.walk[k]) for k in (before, after)
-        ]
-        # The weights are the precisions of the two moved positions.
-        precision = [1.0 / np.einsum("nvv->n", covariance[:, :2, :2]) for _, covariance in ends]
-        share = precision[0] / (precision[0] + precision[1])
-        state = share[:, None] * ends[0][0] + (1.0 - share)[:, None] * ends[1][0]
-        return state, share[:, None, None] * ends[0][1] + (1.0 - share)[:, None, None] * ends[1][1]
-
-
-def _paths(feed: Feed) -> list[Path]:
-    """The tracks of a source."""
-    reports = feed.reports
-    assert isinstance(reports, States) and reports.track is not None
-    usable = np.flatnonzero(reports.usable)
-    order = Succession.of(reports.time_s[usable], reports.track[usable])
-    rows, walk = usable[order.rows], feed.walk_m2_per_s3
-    ends = np.flatnonzero(order.final) + 1
-    return [
-        Path(reports.time_s[part], reports.state[part], reports.covariance[part], walk[part])
-        for part in np.split(rows, ends[:-1])
-    ]
-
-
-def _background(plots: Plots, rows: IntArray, tuning: Tuning) -> FloatArray:
-    """(m,) density of other plots at the plots ``rows``, per m² and scan: of fixed echoes, plus that of the range."""
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(plots.position)
-    scans_s = plots.time_s[_first_of_scans(plots)]
-    width = np.sqrt(2.0 * plots.variance[rows]) + tuning.echo_m
-    frame = _sight(plots.position[rows] - plots.sensor[rows])[2]
-    owner, other = flattened(tree.query_ball_point(plots.position[rows], 3.0 * width.max(axis=1), return_sorted=False))
-    apart_s = np.abs(plots.time_s[other] - plots.time_s[rows[owner]])
-    earliest_s, latest_s = tuning.background_from_s, tuning.background_to_s
-    kept = (apart_s >= earliest_s) & (apart_s <= latest_s)
-    owner, other = owner[kept], other[kept]
-    step = np.einsum("mav,mv->ma", frame[owner], plots.position[other] - plots.position[rows[owner]]) / width[owner]
-    kernel = np.exp(-0.5 * np.sum(step**2, axis=1)) / (2.0 * np.pi * width[owner].prod(axis=1))
-    at = plots.time_s[rows]
-    window = sum(
-        np.searchsorted(scans_s, at + high) - np.searchsorted(scans_s, at + low)
-        for low, high in ((-latest_s, -earliest_s), (earliest_s, latest_s))
-    )
-    fixed = np.bincount(owner, kernel, len(rows)) / np.maximum(window, 1)
-    return fixed + _by_range(plots, rows, len(scans_s), tuning)
-
-
-def _by_range(plots: Plots, rows: IntArray, n_scans: int, tuning: Tuning) -> FloatArray:
-    """(m,) plots per m² and scan at the range of the plots ``rows``, averaged over all directions."""
-    order = np.sort(plots.range_m)
-    count = max(int(tuning.ring_share * len(order)), 10)
-    middle = np.searchsorted(order, plots.range_m[rows])
-    low, high = np.maximum(middle - count, 0), np.minimum(middle + count, len(order) - 1)
-    inner, outer = np.where(low == 0, 0.0, order[low]), order[high] + 1.0
-    return np.asarray((high - low) / (np.pi * (outer**2 - inner**2) * n_scans))
 
 
 @dataclass(frozen=True)
@@ -269,25 +68,33 @@ class AzimuthSearch:
         return float(np.log(max(share, tuning.companion)))
 
 
-def search_azimuth(pairs: PlotPairs, widths: FloatArray, tuning: Tuning) -> AzimuthSearch:
+def search_azimuth(pairs: PlotPairs, plots: Plots, widths: FloatArray, tuning: Tuning) -> AzimuthSearch:
     """ln L of each track at each azimuth, with the other biases integrated over their priors."""
     reach = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0)
     grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / tuning.azimuth_step_deg)) + 1)
     others = widths[list(FITTED)] * (np.arange(len(FITTED)) != FITTED.index(AZIMUTH))
     prior = np.einsum("map,p,map->ma", pairs.jacobian, others**2, pairs.jacobian)
-    out = np.zeros((len(tuning.plot_scales), len(pairs.scans), len(grid)))
+    spreads = _spreads(plots, tuning)
+    out = np.zeros((len(spreads), len(pairs.scans), len(grid)))
     for number in range(len(pairs.scans)):
         own = pairs.track == number
         if not own.any():
             continue
         lever, residual = pairs.jacobian[own, 1, 1], pairs.residual[own]
         across = residual[:, 1, None] - lever[:, None] * grid
-        for s, scale in enumerate(tuning.plot_scales):
+        for s, (scale, drift_deg) in enumerate(spreads):
             variance = scale**2 * pairs.variance[own] + prior[own] + pairs.lasting_m2
+            variance[:, 1] += (drift_deg * lever) ** 2
             log_density = -LOG_2PI - 0.5 * np.log(variance).sum(axis=1) - 0.5 * residual[:, 0] ** 2 / variance[:, 0]
             ratio = np.exp(log_density[:, None] - 0.5 * across**2 / variance[:, 1, None])
             out[s, number] = _log_mean_over_rates(ratio / pairs.background[own, None], pairs.scans[number], tuning)
     return AzimuthSearch(grid, out)
+
+
+def _spreads(plots: Plots, tuning: Tuning) -> list[tuple[float, float]]:
+    """The trial factors on the errors of plots, with 1σ of the drift in degrees: none for a fixed sensor."""
+    drifts = len(Knots.of(plots.time_s, plots.sensor, tuning)) > 0
+    return [spread for spread in tuning.plot_spreads if drifts or not spread[1]]
 
 
 def _log_mean_over_rates(ratio: FloatArray, scans: float, tuning: Tuning) -> FloatArray:
@@ -308,16 +115,18 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
     if not len(plots) or not partners:
         return None
     pairs = candidates(plots, feed, partners, tuning)
-    if not len(pairs.plot) or pairs.scans.sum() > tuning.max_tracks * (plots.scan.max() + 1):
+    # A scan shows at most as many tracks as it has plots.
+    in_view = min(float(pairs.scans.sum()), float(len(plots)))
+    if not len(pairs.plot) or in_view > tuning.max_tracks * (plots.scan.max() + 1):
         return None
-    search = search_azimuth(pairs, widths, tuning)
+    search = search_azimuth(pairs, plots, widths, tuning)
     # The evidence against no object in common is bounded per track; the comparison of azimuths is not.
     log_companion = search.log_companion(tuning)
     bounded = search.log_likelihood - np.logaddexp(0.0, search.log_likelihood + log_companion)
     width = float(widths[AZIMUTH])
     log_prior = -np.log(np.pi * width * (1.0 + (search.azimuth_deg / width) ** 2))
     step = float(search.azimuth_deg[1] - search.azimuth_deg[0])
-    log_posterior = np.logaddexp.reduce(bounded.sum(axis=1), axis=0) - np.log(len(tuning.plot_scales)) + log_prior
+    log_posterior = np.logaddexp.reduce(bounded.sum(axis=1), axis=0) - np.log(len(search.log_likelihood)) + log_prior
     peaks: list[tuple[float, int, int, slice]] = []
     for low, high in _peaks(log_posterior, tuning):
         inside = search.log_likelihood[:, :, low:high].sum(axis=1)
@@ -330,7 +139,8 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
     evidence = min(evidence, float(np.logaddexp.reduce(others[peak]) + np.log(step)))
     start = np.zeros(len(FITTED))
     start[FITTED.index(AZIMUTH)] = search.azimuth_deg[at]
-    best = _refined(pairs, widths, start, tuning.plot_scales[s], plots, tuning)
+    spread = _spreads(plots, tuning)[s]
+    best = refined(pairs, widths, start, spread, plots, tuning)
     rivals = []
     for other in [one[2] for one in peaks if one[2] != at]:
         # A track's preference between two azimuths is bounded like its evidence against no object in common.
@@ -341,7 +151,7 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
         if log_ratio < tuning.registration.decisive:
             # Two peaks of the search may be one solution.
             start = np.where(np.arange(len(FITTED)) == FITTED.index(AZIMUTH), search.azimuth_deg[other], 0.0)
-            theta = _refined(pairs, widths, start, tuning.plot_scales[s], plots, tuning).theta
+            theta = refined(pairs, widths, start, spread, plots, tuning).theta
             if _same(best, theta):
                 continue
         rivals.append((theta, evidence - log_ratio))
@@ -387,67 +197,224 @@ def _peaks(log_density: FloatArray, tuning: Tuning) -> list[tuple[int, int]]:
     return peaks
 
 
-def _refined(
-    pairs: PlotPairs, widths: FloatArray, start: FloatArray, scale: float, plots: Plots, tuning: Tuning
+@dataclass(frozen=True)
+class Knots:
+    """The knots of a drift. time_s : (k,), none for a sensor that does not drift. correlation_s : of the process."""
+
+    time_s: FloatArray
+    correlation_s: float
+
+    @classmethod
+    def of(cls, time_s: FloatArray, sensor: FloatArray, tuning: Tuning) -> Knots:
+        """The knots for plots at these times (n,) from these positions of the sensor (n, 2)."""
+        if not len(time_s) or float(np.ptp(sensor, axis=0).max()) < tuning.compass_moved_m:
+            return cls(np.empty(0), tuning.compass_correlation_s)
+        first, last = float(time_s.min()), float(time_s.max())
+        count = int(np.clip(np.ceil((last - first) / tuning.compass_knot_s) + 1, 2, tuning.compass_knots))
+        return cls(np.linspace(first, last, count), tuning.compass_correlation_s)
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def around(self, time_s: FloatArray) -> tuple[IntArray, FloatArray]:
+        """(n, 2) the knots before and after these times, and (n, 2) their weights."""
+        after = np.clip(np.searchsorted(self.time_s, time_s), 1, len(self) - 1)
+        width = self.time_s[after] - self.time_s[after - 1]
+        share = np.clip((time_s - self.time_s[after - 1]) / np.maximum(width, 1e-9), 0.0, 1.0)
+        return np.column_stack([after - 1, after]), np.column_stack([1.0 - share, share])
+
+    def mean_weights(self, time_s: FloatArray) -> FloatArray:
+        """(k,) weights of the knots in the mean over these times."""
+        if not len(self):
+            return np.empty(0)
+        knot, share = self.around(time_s)
+        return np.bincount(knot.ravel(), share.ravel(), len(self)) / max(len(time_s), 1)
+
+    @property
+    def precision(self) -> FloatArray:
+        """(k, k) inverse covariance of the process of variance 1 at the knots."""
+        keep = np.exp(-np.diff(self.time_s) / self.correlation_s)
+        step = 1.0 / np.maximum(1.0 - keep**2, 1e-9)
+        out = np.eye(len(self))
+        at = np.arange(len(keep))
+        out[at, at] += keep**2 * step
+        out[at + 1, at + 1] += keep**2 * step
+        out[at, at + 1] = out[at + 1, at] = -keep * step
+        return out
+
+
+def refined(
+    pairs: PlotPairs, widths: FloatArray, start: FloatArray, spread: tuple[float, float], plots: Plots, tuning: Tuning
 ) -> BiasFit:
-    """The biases near a start, by EM over plots and tracks, with a constant place of the echo on each hull."""
-    fitted = [p for p, k in enumerate(FITTED) if widths[k] > 0.0]
-    precision = widths[[FITTED[p] for p in fitted]] ** -2.0
-    # The azimuth's prior has the width of the search: its tails are wide.
-    precision[fitted.index(FITTED.index(AZIMUTH))] = (tuning.azimuth_reach * widths[AZIMUTH]) ** -2.0
-    tracks, p = len(pairs.scans), len(fitted)
-    theta, hull = start[fitted], np.zeros((tracks, 2))
+    """The biases near a start (4,), by EM over plots and tracks, with a constant place of the echo on each hull, and
+    with a drift of the azimuth if the sensor moves.
+
+    spread : factor on the errors of plots, and 1σ of the drift, at the start.
+    """
+    parts = _Parts.of(pairs, widths, plots, tuning)
+    state = np.zeros(parts.size)
+    state[: len(parts.fitted)] = start[parts.fitted]
+    tracks = len(pairs.scans)
     rate = np.full(tracks, float(np.median(tuning.plot_rates)))
-    scales, converged, axes = np.full(2, scale), False, 2 * tracks
-    lasting_m2 = pairs.lasting_m2
-    jacobian = pairs.jacobian[:, :, fitted]
-    design = _design(pairs, jacobian)
+    scales, converged = np.full(2, spread[0]), False
+    lasting_m2, drift_deg2 = np.full(2, pairs.lasting_m2), max(spread[1], tuning.compass_deg) ** 2
+    drift_variance = np.full(len(pairs.plot), drift_deg2 if len(parts.knots) else 0.0)
     for step in range(tuning.max_steps):
-        residual = pairs.residual - jacobian @ theta - np.einsum("mav,mv->ma", pairs.frame, hull[pairs.track])
+        residual = pairs.residual - (parts.design @ state).reshape(-1, 2)
         variance = scales**2 * pairs.variance
-        weight = _probabilities(pairs, residual, variance, rate, len(plots))
+        # Where the drift is not known yet, plots farther off are possible.
+        lever = pairs.jacobian[:, 1, FITTED.index(AZIMUTH)]
+        wide = variance + np.column_stack([np.zeros(len(lever)), lever**2 * drift_variance])
+        weight = _probabilities(pairs, residual, wide, rate, len(plots))
         total = np.bincount(pairs.track, weight, tracks)
         rate = (total + tuning.rate_prior) / (pairs.scans + tuning.rate_prior / np.median(tuning.plot_rates))
-        weighted = design * (weight[:, None] / variance)[:, :, None]
-        target = residual + np.einsum("map,p->ma", design, np.concatenate([theta, hull.ravel()]))
-        information = np.einsum("map,maq->pq", weighted, design)
-        information[np.diag_indices(p + axes)] += np.concatenate([precision, np.full(axes, 1.0 / lasting_m2)])
-        posterior_covariance = inverse(information)
-        solution = posterior_covariance @ np.einsum("map,ma->p", weighted, target)
-        change = np.abs(solution[:p] - theta) * np.sqrt(np.diag(information)[:p])
-        theta, hull = solution[:p], solution[p:].reshape(tracks, 2)
-        # The variance of places on the hull is estimated from the detected tracks.
-        detected = np.repeat(total > tuning.min_plots, 2)
-        square = float(np.sum((hull.ravel() ** 2 + np.diag(posterior_covariance)[p:])[detected]))
+        weighted = parts.design.multiply((weight[:, None] / variance).reshape(-1, 1)).tocsr()
+        target = residual.ravel() + parts.design @ state
+        prior = parts.prior(lasting_m2, drift_deg2)
+        information = (weighted.T @ parts.design).toarray() + prior
+        covariance = inverse(information)
+        before, state = state, covariance @ (weighted.T @ target)
+        # The variances of places on the hull, of the detected tracks, and of the drift.
+        detected = total > tuning.min_plots
+        square = (state**2 + np.diag(covariance))[parts.hulls].reshape(-1, 2)[detected].sum(axis=0)
         lasting_m2 = (square + tuning.hull_prior * pairs.lasting_m2) / (detected.sum() + tuning.hull_prior)
+        drift_variance, drift_deg2 = parts.drift_variance(covariance), parts.drift_deg2(state, covariance)
         chi_sq = np.einsum("m,ma->a", weight, residual**2 / pairs.variance)
         scales = np.clip(
-            np.sqrt((chi_sq + tuning.scale_prior * scale**2) / (weight.sum() + tuning.scale_prior)),
+            np.sqrt((chi_sq + tuning.scale_prior * spread[0] ** 2) / (weight.sum() + tuning.scale_prior)),
             *tuning.scale_limits,
         )  # fmt: skip
-        converged = bool(step > 3 and np.all(change < tuning.step_tolerance))
+        change = np.abs(parts.reported @ (state - before))
+        errors = np.sqrt(np.einsum("pq,qr,pr->p", parts.reported, covariance, parts.reported))
+        converged = bool(step > 3 and np.all(change < tuning.step_tolerance * errors))
         if converged:
             break
     sure = weight > 0.5
-    inflation = _variance_inflation(plots.time_s[pairs.plot[sure]], (residual[:, 1] / np.sqrt(variance[:, 1]))[sure])
-    prior = np.diag(np.concatenate([precision, np.full(axes, 1.0 / lasting_m2)]))
-    covariance = inverse((information - prior) / inflation + prior)[:p, :p]
+    error = (residual[:, 1] / np.sqrt(variance[:, 1]))[sure]
+    inflation = _variance_inflation(plots.time_s[pairs.plot[sure]], pairs.track[sure], error)
+    covariance = inverse((information - prior) / inflation + prior)
+    p = len(parts.fitted)
     speed = np.hypot(*pairs.jacobian[sure, :, FITTED.index(TIME)].T)
+    biases = np.array([FITTED[k] for k in parts.fitted], np.int64)
+    moving = float(np.median(speed)) if sure.any() else 0.0
+    common = np.diag(_common_hull(biases, float(np.sqrt(lasting_m2[0])), moving, tuning) ** 2)
+    # The azimuth is the mean over the recording, and its standard error that of the mean without drift.
+    of_mean = parts.reported @ covariance @ parts.reported.T
     return BiasFit(
-        np.array([FITTED[k] for k in fitted], np.int64), theta, covariance, covariance, float(weight.sum()),
-        int(plots.scan.max()) + 1, float(np.sum(total > tuning.min_plots)), 0.0, (), converged, tuning,
-        float(np.median(speed)) if sure.any() else 0.0,
+        biases, parts.reported @ state, covariance[:p, :p] + common, of_mean + common, float(weight.sum()),
+        int(plots.scan.max()) + 1, float(np.sum(total > tuning.min_plots)), 0.0, (), converged, tuning, moving,
+        parts.drift(state, covariance),
     )  # fmt: skip
 
 
-def _design(pairs: PlotPairs, jacobian: FloatArray) -> FloatArray:
-    """(m, 2, p + 2 t) derivatives of the residuals by p biases, then by east and north of t echoes on their hulls."""
-    rows, p = np.arange(len(pairs.plot)), jacobian.shape[2]
-    design = np.zeros((len(rows), 2, p + 2 * len(pairs.scans)))
-    design[:, :, :p] = jacobian
-    for axis in (0, 1):
-        design[rows, :, p + 2 * pairs.track + axis] = pairs.frame[:, :, axis]
-    return design
+def _common_hull(biases: IntArray, hull_m: float, speed_m_per_s: float, tuning: Tuning) -> FloatArray:
+    """(p,) 1σ of the biases by what all hulls have in common: echoes of their near sides, antennas aft of the middle.
+
+    hull_m : 1σ of the places of echoes along hulls.
+    """
+    common_m = tuning.hull_along * hull_m
+    late_s = common_m / speed_m_per_s if speed_m_per_s > tuning.way_m_per_s else 0.0
+    return np.asarray(np.where(biases == RANGE, common_m, np.where(biases == TIME, late_s, 0.0)))
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """The linear model of the residuals: p biases, the place of the echo along and across each of t
+    hulls and, if the sensor moves, its place relative to that given (east, north), and k knots of the drift.
+
+    fitted : (p,) which of FITTED. design : (2 m, p + 2 t + 2 + k) derivatives, sparse. pair_knots, pair_shares : (m, 2)
+    knots around each pair, and their weights. reported : (p, …) from the parts to the biases, of which the azimuth is
+    the mean over the scans. precision : (p,) of the prior.
+    """
+
+    fitted: list[int]
+    design: Any
+    knots: Knots
+    pair_knots: IntArray
+    pair_shares: FloatArray
+    reported: FloatArray
+    precision: FloatArray
+    tracks: int
+    tuning: Tuning
+
+    @classmethod
+    def of(cls, pairs: PlotPairs, widths: FloatArray, plots: Plots, tuning: Tuning) -> _Parts:
+        """The model of all pairs."""
+        from scipy.sparse import csr_array
+
+        fitted = [p for p, k in enumerate(FITTED) if widths[k] > 0.0]
+        knots, tracks, p = Knots.of(plots.time_s, plots.sensor, tuning), len(pairs.scans), len(fitted)
+        m, at = len(pairs.plot), fitted.index(FITTED.index(AZIMUTH))
+        column = np.tile(np.arange(p), (m, 1))
+        hull = p + 2 * pairs.track[:, None] + np.arange(2)
+        columns, values = [column, hull], [pairs.jacobian[:, :, fitted], pairs.hull]
+        pair_knots, pair_shares = np.empty((m, 0), np.int64), np.empty((m, 0))
+        if len(knots):
+            pair_knots, pair_shares = knots.around(plots.time_s[pairs.plot])
+            columns += [np.tile(p + 2 * tracks + np.arange(2), (m, 1)), p + 2 * tracks + 2 + pair_knots]
+            by_azimuth = pairs.jacobian[:, :, FITTED.index(AZIMUTH), None]
+            values += [-pairs.frame, by_azimuth * pair_shares[:, None, :]]
+        column, value = np.concatenate(columns, axis=1), np.concatenate(values, axis=2)
+        size, each = p + 2 * tracks + (2 + len(knots) if len(knots) else 0), column.shape[1]
+        design = csr_array(
+            (value.ravel(), np.repeat(column, 2, axis=0).ravel(), np.arange(0, 2 * m * each + 1, each)), (2 * m, size)
+        )
+        reported = np.eye(p, size)
+        reported[at, size - len(knots) :] = knots.mean_weights(plots.time_s[first_of_scans(plots)])
+        precision = widths[[FITTED[k] for k in fitted]] ** -2.0
+        # The azimuth's prior has the width of the search: its tails are wide.
+        precision[at] = (tuning.azimuth_reach * widths[AZIMUTH]) ** -2.0
+        return cls(fitted, design, knots, pair_knots, pair_shares, reported, precision, tracks, tuning)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return self.reported.shape[1]
+
+    @property
+    def hulls(self) -> slice:
+        """The parameters of hulls."""
+        return slice(len(self.fitted), len(self.fitted) + 2 * self.tracks)
+
+    @property
+    def drifts(self) -> slice:
+        """The parameters of knots."""
+        return slice(self.size - len(self.knots), self.size)
+
+    def prior(self, lasting_m2: FloatArray, drift_deg2: float) -> FloatArray:
+        """Prior precision, with these variances of places along and across a hull, and of the drift."""
+        out = np.diag(np.full(self.size, self.tuning.station_m**-2.0))
+        np.fill_diagonal(
+            out[: self.hulls.stop], np.concatenate([self.precision, np.tile(1.0 / lasting_m2, self.tracks)])
+        )
+        if len(self.knots):
+            out[self.drifts, self.drifts] = self.knots.precision / drift_deg2
+        return out
+
+    def drift_variance(self, covariance: FloatArray) -> FloatArray:
+        """(m,) variance of the drift at each pair."""
+        if not len(self.knots):
+            return np.zeros(len(self.pair_knots))
+        of_knots = covariance[self.drifts, self.drifts]
+        (k, n), (a, b) = self.pair_knots.T, self.pair_shares.T
+        return np.asarray(a * a * of_knots[k, k] + 2.0 * a * b * of_knots[k, n] + b * b * of_knots[n, n])
+
+    def drift_deg2(self, state: FloatArray, covariance: FloatArray) -> float:
+        """The variance of the drift, by its knots."""
+        unit, prior = self.knots.precision, self.tuning.compass_prior
+        value, of_knots = state[self.drifts], covariance[self.drifts, self.drifts]
+        square = float(value @ unit @ value + np.sum(unit * of_knots))
+        return (square + prior * self.tuning.compass_deg**2) / (len(self.knots) + prior)
+
+    def drift(self, state: FloatArray, covariance: FloatArray) -> AzimuthDrift | None:
+        """The drift about the reported azimuth; None for a fixed sensor."""
+        if not len(self.knots):
+            return None
+        at = self.fitted.index(FITTED.index(AZIMUTH))
+        whole = np.eye(self.size)[self.drifts]
+        whole[:, at] = 1.0
+        variance = np.einsum("kp,pq,kq->k", whole, covariance, whole)
+        return AzimuthDrift(self.knots.time_s, whole @ state - self.reported[at] @ state, variance)
 
 
 def _probabilities(
@@ -465,12 +432,15 @@ def _probabilities(
     return np.asarray(ratio / (1.0 + np.bincount(pairs.plot, ratio, plots)[pairs.plot]))
 
 
-def _variance_inflation(time_s: FloatArray, error: FloatArray) -> float:
-    """The factor on the variance by correlated errors, at least 1, from times (m,) and errors across (m,) in σ.
+def _variance_inflation(time_s: FloatArray, track: IntArray, error: FloatArray) -> float:
+    """The factor on the variance by correlated errors, at least 1, from times, tracks and errors across in σ, (m,).
 
-    Heading errors of the sensor are common to all tracks for some time, so sums over blocks of 60 s scatter more than
-    those of independent plots.
+    Errors of the heading are common to all tracks for some time, and those of a track's course to all of its plots, so
+    that sums over blocks of 60 s scatter more than those of independent plots.
     """
-    block = ((time_s - time_s.min(initial=0.0)) // 60.0).astype(np.int64)
     independent = float(np.sum(error**2))
-    return max(float(np.sum(np.bincount(block, error) ** 2)) / independent, 1.0) if independent > 0.0 else 1.0
+    if not independent > 0.0:
+        return 1.0
+    block = ((time_s - time_s.min()) // 60.0).astype(np.int64)
+    of_track = np.unique(np.column_stack([block, track]), axis=0, return_inverse=True)[1].ravel()
+    return max(1.0, *(float(np.sum(np.bincount(each, error) ** 2)) / independent for each in (block, of_track)))

@@ -20,11 +20,13 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.registration import Parameter
 from sameas.representation import in_short
+from sameas.tracks.alignment import States
 from sameas.tracks.bias_fit import BiasFit, fit_biases
-from sameas.tracks.biases import BIASES, TIME, corrected
+from sameas.tracks.biases import AZIMUTH, BIASES, TIME, AzimuthDrift, corrected
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
 from sameas.tracks.placement import Directions
-from sameas.tracks.plot_offsets import PlotFits, shows_bare_plots, shows_tracks
+from sameas.tracks.plot_offsets import PlotFits
+from sameas.tracks.plot_pairs import shows_bare_plots, shows_tracks
 from sameas.tracks.snapshot import CommonScan, ComparedSource, bias_widths, common_scans
 from sameas.tracks.source import Description
 
@@ -354,15 +356,29 @@ def _corrected(feed: Feed, start: int, fit: BiasFit, against: tuple[str, ...]) -
         return feed, biases
     theta, covariance = np.zeros(len(BIASES)), np.zeros((len(BIASES), len(BIASES)))
     theta[which], covariance[np.ix_(which, which)] = fit.theta[own], fit.relative[np.ix_(own, own)]
-    return unbiased(feed, theta, covariance), replace(biases, theta=theta, covariance=covariance)
+    done = unbiased(feed, theta, covariance, fit.drift)
+    if fit.drift is not None:
+        # Other reports than these have another drift.
+        covariance[AZIMUTH, AZIMUTH] += fit.drift.spread_deg**2
+    return done, replace(biases, theta=theta, covariance=covariance)
 
 
-def unbiased(feed: Feed, biases: FloatArray, covariance: FloatArray) -> Feed:
-    """The feed corrected for biases (6,) with covariance (6, 6)."""
-    measured = None if feed.measured is None else corrected(feed.measured, feed.sensor_m, biases, covariance)
+def unbiased(feed: Feed, biases: FloatArray, covariance: FloatArray, drift: AzimuthDrift | None = None) -> Feed:
+    """The feed corrected for biases (6,) with covariance (6, 6), and for a drift of the azimuth about them."""
+
+    def without(reports: States | Directions) -> States | Directions:
+        if drift is None:
+            return corrected(reports, feed.sensor_m, biases, covariance)
+        of_each, errors = np.tile(biases, (len(reports), 1)), np.tile(covariance, (len(reports), 1, 1))
+        azimuth, variance = drift.at(reports.time_s)
+        of_each[:, AZIMUTH] += azimuth
+        errors[:, AZIMUTH, AZIMUTH] = np.maximum(variance, covariance[AZIMUTH, AZIMUTH])
+        return corrected(reports, feed.sensor_m, of_each, errors)
+
+    measured = None if feed.measured is None else without(feed.measured)
     assert not isinstance(measured, Directions)
     return replace(
-        feed, reports=corrected(feed.reports, feed.sensor_m, biases, covariance), measured=measured,
+        feed, reports=without(feed.reports), measured=measured,
         scan_times_s=feed.scan_times_s - biases[TIME], scan_s=feed.scan_s - biases[TIME],
     )  # fmt: skip
 
@@ -381,6 +397,11 @@ def _notes(feed: Feed, which: IntArray, own: IntArray, fit: BiasFit, against: tu
         notes.append(
             f"{name}: its stamps are {abs(delay_s):.2g} s {'late' if delay_s > 0.0 else 'early'} against those of "
             f"{others}, which its description does not mention; if they are exact, give bias time_s = 0"
+        )
+    if fit.established and fit.drift is not None and fit.drift.spread_deg > fit.tuning.compass_noted_deg:
+        notes.append(
+            f"{name}: its azimuth drifts by {fit.drift.spread_deg:.1f}° about this (root mean square), as with a "
+            "heading from a compass; the drift is removed"
         )
     if fit.near_rivals:
         theta, evidence = fit.near_rivals[0]

@@ -74,6 +74,7 @@ class Tuning:
     aircraft_share : tracks of another system are of aircraft if at least this share of its reports are.
     alternations : an id belongs to two objects if its reports change between their places at least this often; a single
         change is a repeated position or a reused id.
+    support_intervals : a report supports another one of a second object of its id within so many usual intervals.
     position_sigmas : tolerance of positions, σ.
 
     rotation_search : the rotation period is searched within this share of the described one, by at most
@@ -119,13 +120,20 @@ class Tuning:
         background: a moving object has left the place by then. echo_m : added to the width within which they are
         counted.
     ring_share : the density of plots at a range is that of this share of the plots to either side of it in range.
-    plot_rates : mean numbers of plots of a track per scan, averaged over. plot_scales : trial factors on the errors of
-        plots. scale_limits, scale_prior : bounds of the fitted factors, and weight of the trial factor, in plots.
+    plot_rates : mean numbers of plots of a track per scan, averaged over. plot_spreads : trial factors on the errors of
+        plots, with 1σ of the drift of the azimuth in degrees, if the sensor moves. scale_limits, scale_prior : bounds
+        of the fitted factors, and weight of the trial factor, in plots.
     companion : probability that another object accompanies a track; it limits the evidence of one track to
         −ln companion.
-    max_tracks : with more tracks than this per scan, instants are compared instead.
-    hull_prior : weight of the described extents when they are estimated, in axes of tracks.
+    max_tracks : with more tracks than this in view, and more plots per scan, instants are compared instead.
+    hull_prior : weight of the described extents when they are estimated, in tracks. way_m_per_s : speed above which a
+        hull lies along the course.
     rate_prior : weight of the median of plot_rates, in scans. min_plots : minimum number of plots of a detected track.
+    station_m : 1σ per axis of the place of a moving sensor: its antenna is not that of the positioning (chosen).
+    compass_moved_m : a sensor that moves at least so far has a drift of its azimuth (chosen, as the following).
+        compass_knot_s, compass_knots : time between its knots, and their maximum number. compass_correlation_s : its
+        correlation time. compass_deg, compass_prior : 1σ expected of it, and the weight of that, in knots.
+        compass_noted_deg : a larger drift is reported.
 
     fit_box_m, fit_box_sigmas : plots of two sources are compared if they differ by less than the first, or by this many
         assumed σ. fit_scans : maximum number of compared scans of two sources.
@@ -179,6 +187,7 @@ class Tuning:
     stated_speeds: float = 1.5
     aircraft_share: float = 0.5
     alternations: int = 4
+    support_intervals: float = 10.0
     position_sigmas: float = 6.0
 
     rotation_search: float = 0.3
@@ -231,14 +240,23 @@ class Tuning:
     echo_m: float = 15.0
     ring_share: float = 0.03
     plot_rates: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
-    plot_scales: tuple[float, ...] = (1.0, 2.0)
+    plot_spreads: tuple[tuple[float, float], ...] = ((1.0, 0.0), (2.0, 0.0), (1.0, 1.5), (1.0, 3.0))
     scale_limits: tuple[float, float] = (0.4, 4.0)
     scale_prior: float = 10.0
     companion: float = 3e-4
-    max_tracks: float = 12.0
-    hull_prior: float = 4.0
+    max_tracks: float = 30.0
+    hull_prior: float = 2.0
+    way_m_per_s: float = 1.0
     rate_prior: float = 10.0
     min_plots: float = 3.0
+    station_m: float = 5.0
+    compass_moved_m: float = 50.0
+    compass_knot_s: float = 30.0
+    compass_knots: int = 400
+    compass_correlation_s: float = 60.0
+    compass_deg: float = 0.3
+    compass_prior: float = 4.0
+    compass_noted_deg: float = 0.5
 
     fit_box_m: float = 40.0
     fit_box_sigmas: float = 2.5

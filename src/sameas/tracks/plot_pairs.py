@@ -1,0 +1,232 @@
+"""Pairs of a radar's plots with tracks, and the density of other plots at each: input of :mod:`plot_offsets`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.ragged import flattened
+from sameas.registration.offsets import RADIAN, line_of_sight, range_and_azimuth
+from sameas.tracks.alignment import States, Succession, moved
+from sameas.tracks.biases import AZIMUTH, EAST, GAIN, NORTH, RANGE, TIME
+from sameas.tracks.feed import Feed
+from sameas.tracks.snapshot import bias_widths
+from sameas.tracks.tuning import Tuning
+
+#: The biases of a radar's plots, in the order of BIASES.
+FITTED = (RANGE, AZIMUTH, GAIN, TIME)
+
+
+def shows_bare_plots(feed: Feed) -> bool:
+    """Whether a source's offsets are fitted from its plots: positions without ids, from a sensor with unknown
+    azimuth bias and no unknown shift."""
+    widths, reports = bias_widths(feed), feed.reports
+    polar = isinstance(reports, States) and reports.track is None and feed.sensor_m is not None
+    return polar and bool(widths[AZIMUTH] > 0.0) and not (widths[EAST] or widths[NORTH])
+
+
+def shows_tracks(feed: Feed) -> bool:
+    """Whether a source's records are tracks of objects."""
+    return isinstance(feed.reports, States) and feed.reports.track is not None
+
+
+@dataclass(frozen=True)
+class Plots:
+    """A radar's plots (n,): time, scan, position east and north, position of the sensor, range, azimuth (°).
+
+    variance : (n, 2) m² along and across the line of sight, without the constant errors of an object.
+    """
+
+    time_s: FloatArray
+    scan: IntArray
+    position: FloatArray
+    sensor: FloatArray
+    range_m: FloatArray
+    azimuth_deg: FloatArray
+    variance: FloatArray
+
+    @classmethod
+    def of(cls, feed: Feed) -> Plots:
+        """The plots of a feed, in order of time."""
+        reports = feed.reports
+        assert isinstance(reports, States) and feed.sensor_m is not None
+        rows = np.flatnonzero(reports.usable & np.isfinite(feed.sensor_m).all(axis=1))
+        rows = rows[np.argsort(reports.time_s[rows], kind="stable")]
+        position, sensor = reports.state[rows, :2], feed.sensor_m[rows]
+        range_m, azimuth, frame = _sight(position - sensor)
+        stated = np.einsum("nav,nvw,naw->na", frame, reports.covariance[rows, :2, :2], frame)
+        variance = np.maximum(stated - (feed.description.errors.extent_m or 0.0) ** 2, 0.05 * stated)
+        scan = np.unique(feed.scan_s[rows], return_inverse=True)[1]
+        return cls(reports.time_s[rows], scan, position, sensor, range_m, azimuth, variance)
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+def _sight(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Range (at least 1 m), azimuth (°) and (n, 2, 2) unit vectors along and across (clockwise) lines of sight."""
+    range_m, *frame = line_of_sight(arm, 1.0)
+    return range_m, range_and_azimuth(arm)[:, 1], np.stack(frame, axis=-2)
+
+
+@dataclass(frozen=True)
+class PlotPairs:
+    """Pairs of a plot and a track that are possible under any allowed biases, (m,) each.
+
+    plot, track : their numbers. residual : (m, 2) range (m) and azimuth (as metres across) of the plot minus that of
+    the track. jacobian : (m, 2, 4) of the residual by FITTED. variance : (m, 2) m², without the constant errors of a
+    track. background : density of other plots at the plot, per m² and scan. scans : (v,) number of scans that may
+    detect each track. lasting_m2 : variance per axis of the constant errors of a track. hull : (m, 2, 2) derivatives of
+    the residual by the place of the echo along and across the hull (to starboard). frame : (m, 2, 2) unit vectors along
+    and across the line of sight.
+    """
+
+    plot: IntArray
+    track: IntArray
+    residual: FloatArray
+    jacobian: FloatArray
+    variance: FloatArray
+    background: FloatArray
+    scans: FloatArray
+    lasting_m2: float
+    hull: FloatArray
+    frame: FloatArray
+
+
+def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tuning) -> PlotPairs:
+    """The candidate pairs of all plots and all tracks of the partners."""
+    widths = bias_widths(feed)
+    reach_deg = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0)
+    parts: list[tuple[NDArray[Any], ...]] = []
+    scans: list[float] = []
+    lasting = (feed.description.errors.extent_m or 0.0) ** 2
+    scan_starts = first_of_scans(plots)
+    for partner in partners:
+        lasting = max(lasting, sum((f.description.errors.extent_m or 0.0) ** 2 for f in (feed, partner)))
+        for path in _paths(partner):
+            state, covariance = path.at(plots.time_s)
+            arm = state[:, :2] - plots.sensor
+            range_m, azimuth, frame = _sight(arm)
+            along, across = (np.einsum("nv,nvw,nw->n", frame[:, a], covariance[:, :2, :2], frame[:, a]) for a in (0, 1))
+            known = np.maximum(along, across) < tuning.max_sigma_m**2
+            known &= (range_m > tuning.own_platform_m) & (range_m <= (feed.description.coverage.range_m or np.inf))
+            if not known.any():
+                continue
+            d_azimuth = (plots.azimuth_deg - azimuth + 180.0) % 360.0 - 180.0
+            variance = plots.variance + np.column_stack([along, across])
+            gate_m = tuning.gate_sigmas * np.sqrt(
+                variance[:, 0] + lasting + widths[RANGE] ** 2 + (widths[GAIN] * range_m) ** 2
+            )
+            d_range = plots.range_m - range_m
+            near = np.flatnonzero(known & (np.abs(d_range) <= gate_m) & (np.abs(d_azimuth) <= reach_deg))
+            velocity = np.einsum("nav,nv->na", frame, state[:, 2:])[near]
+            one, zero, r = np.ones(len(near)), np.zeros(len(near)), range_m[near]
+            jacobian = np.stack(
+                [np.stack([one, zero, r, -velocity[:, 0]], axis=-1),
+                 np.stack([zero, RADIAN * r, zero, -velocity[:, 1]], axis=-1)], axis=-2,
+            )  # fmt: skip
+            residual = np.column_stack([d_range[near], RADIAN * d_azimuth[near] * r])
+            hull = frame[near] @ _axes(state[near, 2:], tuning)
+            parts.append((near, np.full(len(near), len(scans)), residual, jacobian, variance[near], hull, frame[near]))
+            scans.append(float(np.sum(known[scan_starts])))
+    if not sum(len(part[0]) for part in parts):
+        none, empty = np.empty(0, np.int64), np.empty((0, 2))
+        return PlotPairs(
+            none, none, empty, np.empty((0, 2, 4)), empty, np.empty(0), np.empty(0), lasting, np.empty((0, 2, 2)),
+            np.empty((0, 2, 2)),
+        )  # fmt: skip
+    plot, track, residual, jacobian, variance, *axes = (np.concatenate(part) for part in zip(*parts, strict=True))
+    in_gate = np.unique(plot)
+    background = np.zeros(len(plots))
+    background[in_gate] = _background(plots, in_gate, tuning)
+    return PlotPairs(
+        plot, track, residual, jacobian, variance, background[plot], np.array(scans), lasting, *axes
+    )  # fmt: skip
+
+
+def _axes(velocity: FloatArray, tuning: Tuning) -> FloatArray:
+    """(n, 2, 2) unit vectors along and across the courses, as columns; north and east for objects without way."""
+    speed = np.hypot(*velocity.T)[:, None]
+    along = np.where(speed > tuning.way_m_per_s, velocity / np.maximum(speed, 1e-9), [0.0, 1.0])
+    return np.stack([along, np.column_stack([along[:, 1], -along[:, 0]])], axis=-1)
+
+
+def first_of_scans(plots: Plots) -> IntArray:
+    """(l,) the first plot of each scan."""
+    return np.unique(plots.scan, return_index=True)[1]
+
+
+@dataclass(frozen=True)
+class Path:
+    """One track's reports in order: times (k,), states (k, 4), covariances (k, 4, 4), motion noise (k,) in m²/s³."""
+
+    time_s: FloatArray
+    state: FloatArray
+    covariance: FloatArray
+    walk: FloatArray
+
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """States and covariances at any times: the weighted mean of the reports before and after, moved there."""
+        after = np.searchsorted(self.time_s, time_s, side="right")
+        before, after = np.maximum(after - 1, 0), np.minimum(after, len(self.time_s) - 1)
+        ends = [
+            moved(self.state[k], self.covariance[k], time_s - self.time_s[k], self.walk[k]) for k in (before, after)
+        ]
+        # The weights are the precisions of the two moved positions.
+        precision = [1.0 / np.einsum("nvv->n", covariance[:, :2, :2]) for _, covariance in ends]
+        share = precision[0] / (precision[0] + precision[1])
+        state = share[:, None] * ends[0][0] + (1.0 - share)[:, None] * ends[1][0]
+        return state, share[:, None, None] * ends[0][1] + (1.0 - share)[:, None, None] * ends[1][1]
+
+
+def _paths(feed: Feed) -> list[Path]:
+    """The tracks of a source."""
+    reports = feed.reports
+    assert isinstance(reports, States) and reports.track is not None
+    usable = np.flatnonzero(reports.usable)
+    order = Succession.of(reports.time_s[usable], reports.track[usable])
+    rows, walk = usable[order.rows], feed.walk_m2_per_s3
+    ends = np.flatnonzero(order.final) + 1
+    return [
+        Path(reports.time_s[part], reports.state[part], reports.covariance[part], walk[part])
+        for part in np.split(rows, ends[:-1])
+    ]
+
+
+def _background(plots: Plots, rows: IntArray, tuning: Tuning) -> FloatArray:
+    """(m,) density of other plots at the plots ``rows``, per m² and scan: of fixed echoes, plus that of the range."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(plots.position)
+    scans_s = plots.time_s[first_of_scans(plots)]
+    width = np.sqrt(2.0 * plots.variance[rows]) + tuning.echo_m
+    frame = _sight(plots.position[rows] - plots.sensor[rows])[2]
+    owner, other = flattened(tree.query_ball_point(plots.position[rows], 3.0 * width.max(axis=1), return_sorted=False))
+    apart_s = np.abs(plots.time_s[other] - plots.time_s[rows[owner]])
+    earliest_s, latest_s = tuning.background_from_s, tuning.background_to_s
+    kept = (apart_s >= earliest_s) & (apart_s <= latest_s)
+    owner, other = owner[kept], other[kept]
+    step = np.einsum("mav,mv->ma", frame[owner], plots.position[other] - plots.position[rows[owner]]) / width[owner]
+    kernel = np.exp(-0.5 * np.sum(step**2, axis=1)) / (2.0 * np.pi * width[owner].prod(axis=1))
+    at = plots.time_s[rows]
+    window = sum(
+        np.searchsorted(scans_s, at + high) - np.searchsorted(scans_s, at + low)
+        for low, high in ((-latest_s, -earliest_s), (earliest_s, latest_s))
+    )
+    fixed = np.bincount(owner, kernel, len(rows)) / np.maximum(window, 1)
+    return fixed + _by_range(plots, rows, len(scans_s), tuning)
+
+
+def _by_range(plots: Plots, rows: IntArray, n_scans: int, tuning: Tuning) -> FloatArray:
+    """(m,) plots per m² and scan at the range of the plots ``rows``, averaged over all directions."""
+    order = np.sort(plots.range_m)
+    count = max(int(tuning.ring_share * len(order)), 10)
+    middle = np.searchsorted(order, plots.range_m[rows])
+    low, high = np.maximum(middle - count, 0), np.minimum(middle + count, len(order) - 1)
+    inner, outer = np.where(low == 0, 0.0, order[low]), order[high] + 1.0
+    return np.asarray((high - low) / (np.pi * (outer**2 - inner**2) * n_scans))
