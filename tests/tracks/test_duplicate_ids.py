@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from sameas.tracks.alignment import States
-from sameas.tracks.feed import split_duplicate_ids, track_timeout_s
+from sameas.tracks.duplicate_ids import split_duplicate_ids
+from sameas.tracks.feed import track_timeout_s
 from sameas.tracks.live_feed import LiveFeed
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene

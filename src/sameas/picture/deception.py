@@ -39,7 +39,8 @@ from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
 from sameas.tracks.alignment import States, Steps, follow, followed_back, jump_of
-from sameas.tracks.feed import CORRELATED_KINDS, Feed, fastest, fastest_vessel_m_per_s, walk_of
+from sameas.tracks.duplicate_ids import fastest
+from sameas.tracks.feed import CORRELATED_KINDS, Feed, fastest_vessel_m_per_s, walk_of
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
 

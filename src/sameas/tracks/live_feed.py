@@ -28,13 +28,12 @@ from sameas.kernels.zones import merge_rows
 from sameas.tracks.alignment import NO_TREND, States, Succession, are_unfiltered, follow
 from sameas.tracks.biases import TIME, corrected
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.duplicate_ids import Branches, fastest
 from sameas.tracks.feed import (
     CORRELATED_KINDS,
-    Branches,
     Feed,
     at_reported_positions,
     bearings_of,
-    fastest,
     in_motion,
     known_biases,
     need_filtering,
