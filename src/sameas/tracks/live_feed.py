@@ -9,7 +9,8 @@ that, or of a time before all that is kept of their track, are counted and ignor
 A report keeps its row as long as it may be current, and no other report takes that row at the next instant. So a plot
 without an id can be recognised from instant to instant by its row.
 
-This is the one mutable class of this package: its arrays are too large to be copied at each report.
+It changes in place, as do its table, its counts and the branches of its ids: the arrays are too large to be copied at
+each report.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from itertools import repeat
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import MODELS
@@ -46,10 +47,11 @@ from sameas.tracks.heights import HeightColumns
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.registration import unbiased
+from sameas.tracks.report_table import ReportTable
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import scans_of
 from sameas.tracks.source import Description
-from sameas.tracks.stationary import FILTERED, SLOW, Modes, stationary
+from sameas.tracks.stationary import Modes, stationary
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
@@ -120,7 +122,7 @@ class LiveFeed:
     def __post_init__(self) -> None:
         self._numbers: dict[str, int] = {}
         self._next_number, self._serial = 0, 0
-        self._rows = _Rows(0)
+        self._rows = ReportTable(0)
         self._freed = np.empty(0, np.int64)
         self._free = np.empty(0, np.int64)
         self._order = np.empty(0, np.int64)
@@ -183,11 +185,11 @@ class LiveFeed:
         self.counts.newest_s = max(self.counts.newest_s, float(in_plane.time_s.max()))
         if isinstance(in_plane, Directions):
             self._directions = True
-            new = _Rows.of_directions(in_plane, usable, sensor_m, attributes)
+            new = ReportTable.of_directions(in_plane, usable, sensor_m, attributes)
         else:
             if self.to_tracks is None and in_plane.track is not None:
                 self._decide_filtering(placed)
-            new = _Rows.of_states(in_plane, usable, sensor_m, attributes)
+            new = ReportTable.of_states(in_plane, usable, sensor_m, attributes)
         if heights is not None:
             new.heights, self._has_heights = heights.table[usable], True
         if self._named is None:
@@ -348,7 +350,7 @@ class LiveFeed:
                 measured.take(taken), acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning
             )
 
-    def _add_to_tracks(self, new: _Rows) -> None:
+    def _add_to_tracks(self, new: ReportTable) -> None:
         """Adds reports with ids: without late ones, repetitions and outliers, filtered, written into rows."""
         new.number = self._numbered(new.name)
         in_time = self._in_time(new)
@@ -379,7 +381,7 @@ class LiveFeed:
         self._order = np.empty(len(old) + len(new), np.int64)
         merge_rows(old, new, rows.number, rows.time_s, rows.serial, self._order)
 
-    def _neighbours(self, new: _Rows) -> IntArray:
+    def _neighbours(self, new: ReportTable) -> IntArray:
         """Rows of the tracks of new reports, in order: of each track the last one before these, and all after it."""
         rows, order = self._rows, self._order
         number, time_s = rows.number[order], rows.time_s[order]
@@ -394,7 +396,7 @@ class LiveFeed:
         before[:-1] &= after[1:] | (number[1:] != number[:-1])
         return order[after | before]
 
-    def _in_time(self, new: _Rows) -> BoolArray:
+    def _in_time(self, new: ReportTable) -> BoolArray:
         """(n,) whether a report is within the lag, or not before the oldest report that is kept of its track."""
         late = new.time_s < self._horizon_s
         if not late.any():
@@ -415,7 +417,7 @@ class LiveFeed:
         """Seconds for which the last report of a track is kept, so that its filter can continue."""
         return self.lag_s + self.live.id_timeout_s
 
-    def _new_positions(self, new: _Rows, own: IntArray) -> BoolArray:
+    def _new_positions(self, new: ReportTable, own: IntArray) -> BoolArray:
         """(n,) whether a report has a new position: it does not repeat one that its object has left."""
         rows, out = self._rows, np.ones(len(new), bool)
         number, time_s, place = (
@@ -441,7 +443,7 @@ class LiveFeed:
         out[stale[stale >= 0]] = False
         return out
 
-    def _split_ids(self, new: _Rows, own: IntArray) -> bool:
+    def _split_ids(self, new: ReportTable, own: IntArray) -> bool:
         """Moves reports of one id that cannot be of one object to a track of their own, or excludes them (``taken``);
         gives whether any id was checked."""
         rows, limit = self._rows, self.tuning.max_speed_sigmas * (self.description.motion.speed_m_per_s or math.inf)
@@ -475,7 +477,7 @@ class LiveFeed:
                 del self._split[name]
         return True
 
-    def _far(self, new: _Rows, last: IntArray, radius: FloatArray, limit: float) -> BoolArray:
+    def _far(self, new: ReportTable, last: IntArray, radius: FloatArray, limit: float) -> BoolArray:
         """(n,) whether any report of the same id lies out of reach of the one before it, in its track or this batch."""
         rows = self._rows
         number = np.concatenate([rows.number[last], new.number])
@@ -596,7 +598,7 @@ class LiveFeed:
             self._numbers.pop(name, None)
             self._split.pop(name, None)
 
-    def _succession(self, rows: _Rows) -> Succession:
+    def _succession(self, rows: ReportTable) -> Succession:
         order = self._ordered(np.flatnonzero(rows.taken))
         final = np.append(np.diff(rows.number[order]) != 0, True) if len(order) else np.empty(0, bool)
         return Succession(order, rows.time_s[order], final)
@@ -621,129 +623,3 @@ def unbiased_now(feed: Feed, biases: FloatArray, covariance: FloatArray, track_t
         return now
     succession = replace(feed.succession, time_s=feed.succession.time_s - biases[TIME])
     return now.with_succession(succession, track_timeout_s)
-
-
-#: Columns that a feed needs.
-_VISIBLE = ("time_s", "state", "covariance", "p_slow", "sensor_m", "heights", "name")
-
-
-class _Rows:
-    """A table of reports; taken : (n,) whether a row is in use."""
-
-    ARRAYS: tuple[tuple[str, tuple[int, ...], ArrayLike], ...] = (
-        ("time_s", (), -math.inf), ("measured", (4,), math.nan), ("measured_covariance", (4, 4), math.nan),
-        ("filtered", (4,), math.nan), ("filtered_covariance", (4, 4), math.nan), ("state", (4,), math.nan),
-        ("covariance", (4, 4), math.nan), ("p_slow", (SLOW,), 0.0), ("sensor_m", (2,), math.nan),
-        ("modes", (FILTERED,), math.nan), ("modes_mean", (FILTERED, 4), math.nan),
-        ("modes_covariance", (FILTERED, 4, 4), math.nan),
-        ("heights", (4,), math.nan), ("late_s", (), -math.inf), ("trend", (4,), NO_TREND),
-    )  # fmt: skip
-    time_s: FloatArray
-    measured: FloatArray
-    measured_covariance: FloatArray
-    filtered: FloatArray
-    filtered_covariance: FloatArray
-    state: FloatArray
-    covariance: FloatArray
-    p_slow: FloatArray
-    modes: FloatArray
-    modes_mean: FloatArray
-    modes_covariance: FloatArray
-    sensor_m: FloatArray
-    heights: FloatArray
-    late_s: FloatArray
-    trend: FloatArray
-
-    def __init__(self, n: int) -> None:
-        for name, shape, empty in self.ARRAYS:
-            setattr(self, name, np.full((n, *shape), empty, np.float64))
-        self.taken = np.zeros(n, bool)
-        self.number = np.full(n, ABSENT)
-        self.serial = np.full(n, ABSENT)
-        self.name: NDArray[Any] = np.full(n, "", object)
-        self.attributes: dict[str, NDArray[Any]] = {}
-
-    def __len__(self) -> int:
-        return len(self.taken)
-
-    @classmethod
-    def of_states(
-        cls, in_plane: States, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
-    ) -> _Rows:
-        rows = cls(len(usable))
-        for column in ("measured", "filtered", "state"):
-            setattr(rows, column, in_plane.state[usable])
-        for column in ("measured_covariance", "filtered_covariance", "covariance"):
-            setattr(rows, column, in_plane.covariance[usable])
-        return rows._with(in_plane.time_s[usable], usable, sensor_m, attributes)
-
-    @classmethod
-    def of_directions(
-        cls, in_plane: Directions, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
-    ) -> _Rows:
-        rows = cls(len(usable))
-        rows.measured[:, 0], rows.measured[:, 1] = in_plane.bearing_deg[usable], in_plane.sigma_deg[usable]
-        return rows._with(in_plane.time_s[usable], usable, sensor_m, attributes)
-
-    def _with(
-        self, time_s: FloatArray, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
-    ) -> _Rows:
-        self.time_s, self.taken = time_s.copy(), np.ones(len(usable), bool)
-        if sensor_m is not None:
-            self.sensor_m = np.asarray(sensor_m)[usable]
-        self.attributes = {name: column[usable] for name, column in attributes.items()}
-        return self
-
-    @property
-    def _columns(self) -> tuple[str, ...]:
-        return (*(name for name, _, _ in self.ARRAYS), "taken", "number", "serial", "name")
-
-    def only(self, which: BoolArray) -> _Rows:
-        """The rows of a mask; self where that is all of them."""
-        if which.all():
-            return self
-        out = _Rows(0)
-        for name in self._columns:
-            setattr(out, name, getattr(self, name)[which])
-        out.attributes = {name: column[which] for name, column in self.attributes.items()}
-        return out
-
-    def visible(self, also: tuple[str, ...]) -> _Rows:
-        """Copies of the columns that a feed needs, and of the columns ``also``: later reports must not change them."""
-        out = _Rows(0)
-        for name in (*_VISIBLE, *also):
-            setattr(out, name, getattr(self, name).copy())
-        # No copies: feeds do not keep these.
-        out.taken, out.number, out.serial = self.taken, self.number, self.serial
-        out.attributes = {name: column.copy() for name, column in self.attributes.items()}
-        return out
-
-    def grown(self, n: int) -> _Rows:
-        """The table with ``n`` more empty rows."""
-        more, out = _Rows(n), _Rows(0)
-        for name in self._columns:
-            setattr(out, name, np.concatenate([getattr(self, name), getattr(more, name)]))
-        none = np.full(n, None, object)
-        for name, column in self.attributes.items():
-            empty = none if column.dtype == object else np.full(n, np.nan)
-            out.attributes[name] = np.concatenate([column, empty])
-        return out
-
-    def put(self, places: IntArray, new: _Rows) -> None:
-        """Writes the rows ``new`` to these rows of the table."""
-        for name in self._columns:
-            getattr(self, name)[places] = getattr(new, name)
-        for name in new.attributes.keys() - self.attributes.keys():
-            kind = new.attributes[name].dtype
-            self.attributes[name] = np.full(len(self), np.nan if kind.kind == "f" else None, kind)
-        for name, column in self.attributes.items():
-            column[places] = new.attributes.get(name, None if column.dtype == object else np.nan)
-
-    def clear(self, places: IntArray) -> None:
-        """Empties these rows."""
-        for name, _, empty in self.ARRAYS:
-            if name in (*_VISIBLE, "measured"):
-                getattr(self, name)[places] = empty
-        self.taken[places], self.number[places], self.serial[places], self.name[places] = False, -1, -1, ""
-        for column in self.attributes.values():
-            column[places] = None if column.dtype == object else np.nan
