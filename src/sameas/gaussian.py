@@ -68,8 +68,13 @@ def mahalanobis_sq(delta: FloatArray, covariance: FloatArray) -> FloatArray:
 
 def log_density(delta: FloatArray, covariance: FloatArray) -> FloatArray:
     """(…) ln N(Δ; 0, Σ) for Δ (…, d), Σ (…, d, d)."""
+    return log_density_and_distance(delta, covariance)[0]
+
+
+def log_density_and_distance(delta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(…) ln N(Δ; 0, Σ) and Δᵀ Σ⁻¹ Δ for Δ (…, d), Σ (…, d, d)."""
     distance_sq, log_det = distance_and_log_determinant(delta, covariance)
-    return np.asarray(-0.5 * (distance_sq + log_det + delta.shape[-1] * LOG_2PI))
+    return np.asarray(-0.5 * (distance_sq + log_det + delta.shape[-1] * LOG_2PI)), distance_sq
 
 
 def distance_and_log_determinant(delta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -17,8 +17,9 @@ from sameas.kernels.track_pairs import (
     pairs_stepped,
 )
 from sameas.picture.error_factors import MIN_M2, error_update
+from sameas.picture.id_swaps import Rivals, SwapRates
 from sameas.picture.named_tracks import prior_covariance
-from sameas.picture.track_pairs import Rivals, SwapRates, TrackPairs
+from sameas.picture.track_pairs import TrackPairs
 from sameas.picture.tuning import DEFAULT_TUNING
 
 WAYS = ("interpreted", "compiled")

@@ -53,9 +53,11 @@ from sameas.gate import Pairs
 from sameas.gaussian import distance_and_log_determinant, mahalanobis_sq
 from sameas.many.pooled import PooledRecords
 from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly, information, pairs_within
+from sameas.picture.id_swaps import MIN_SWAP, Rivals, SwapRates, by_source_order
+from sameas.picture.manoeuvres import with_manoeuvres
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan, objects_per_m2
-from sameas.picture.track_pairs import MIN_SWAP, Rivals, SwapRates, TrackPairs, by_source_order, keys, with_manoeuvres
+from sameas.picture.track_pairs import TrackPairs, keys
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.representation import in_short
 from sameas.tracks.kinds import KINDS

@@ -1,0 +1,317 @@
+"""Id swaps: pairs of tracks that exclude each other, and how often trackers swap the ids of near objects.
+
+After a report, two tracks of one source at distance χ² have exchanged their ids with probability h e^(−χ²/c), and with
+probability ε at any distance. The rate h and the range c of a source are estimated by how probable its reports are
+under each of several models (:class:`SwapRates`), and the likelihood ratio r of a pair is the mean over the models, by
+their probability. With the mean rate instead, a history would be lost before enough reports have shown that a tracker
+does not swap.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
+from sameas.gaussian import mahalanobis_sq
+from sameas.kernels.track_pairs import best_others
+from sameas.picture.named_tracks import Step
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.tracks.kinds import KINDS
+
+#: Minimum probability, for h = 1, of a swap that is counted, and maximum probability of one.
+MIN_SWAP, MAX_SWAP = 1e-3, 0.4
+#: Less probable models of swaps do not change the mean over models.
+MIN_PROBABILITY = 1e-4
+#: Maximum difference of ln r under one model of swaps from ln of the mean, and maximum ln of a relative weight.
+MAX_DIFFERENCE, MAX_LOG_WEIGHT = 20.0, 300.0
+
+
+def by_source_order(pair: tuple[IntArray, IntArray], source: tuple[IntArray, IntArray]) -> tuple[IntArray, IntArray]:
+    """(k,), (k,) both values of each pair, that of the source with the lower number first."""
+    in_order = source[0] <= source[1]
+    return np.where(in_order, *pair), np.where(in_order, *pair[::-1])
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """Sets of mutually exclusive pairs: one track with each of the tracks of one other source.
+
+    sides : (k,), (k,) numbers of the two sets of each pair: with the same track of the one source, and with the same of
+    the other, in the order of :func:`by_source_order`.
+    """
+
+    sides: tuple[IntArray, IntArray]
+
+    @classmethod
+    def of(cls, first: IntArray, second: IntArray, one: IntArray, other: IntArray) -> Rivals:
+        """first, second : (k,) numbers of the tracks, from 0 without large gaps. one, other : (k,) their sources."""
+        sources = 1 + max(int(one.max(initial=0)), int(other.max(initial=0)))
+        # A track that began later may be the second of one pair and the first of another.
+        (first, second), (one, other) = (
+            by_source_order(pair, (one, other)) for pair in ((first, second), (one, other))
+        )
+        return cls((first * sources + other, second * sources + one))
+
+    def best_other(self, values: FloatArray, side: int) -> IntArray:
+        """(k,) the other pair with the highest value in each pair's set; ABSENT without one."""
+        best = np.empty(len(values), np.int64)
+        best_others(self.sides[side], values, best)
+        return best
+
+    def max_other(self, values: FloatArray) -> FloatArray:
+        """(k,) the highest value of any rival of each pair; −∞ without one."""
+        padded = np.append(values, -np.inf)
+        best = [padded[self.best_other(values, side)] for side in range(2)]
+        return np.asarray(np.maximum(*best))
+
+    def most(self, values: FloatArray) -> FloatArray:
+        """(k,) the highest value of each pair and its rivals."""
+        out = values
+        for side in self.sides:
+            out = np.maximum(out, group_maximum(side, values))
+        return out
+
+    def level(self, values: FloatArray, agrees: BoolArray) -> FloatArray:
+        """(k,) the mean of the highest values with the one and with the other track, each pair's own included.
+
+        agrees : (k,) whether the positions of the instant agree; other rivals are ignored.
+        """
+        agreeing = np.where(agrees, values, -np.inf)
+        first, second = (np.maximum(values, group_maximum(side, agreeing)) for side in self.sides)
+        return np.asarray(0.5 * (first + second))
+
+    def most_free(self, values: FloatArray, agrees: BoolArray) -> FloatArray:
+        """(k,) the highest value of each pair and its rivals, without rivals whose other track has a better pair.
+
+        agrees : (k,) whether a pair may be such a better one.
+        """
+        out, padded = values, np.append(np.where(agrees, values, -np.inf), -np.inf)
+        for side in range(2):
+            better = padded[self.best_other(padded[:-1], 1 - side)]
+            out = np.maximum(out, group_maximum(self.sides[side], np.where(better > values, -np.inf, values)))
+        return out
+
+    def with_joint_swaps(
+        self, log_ratio: FloatArray, by_model: FloatArray, log_odds: FloatArray,
+        swaps: Callable[[int, IntArray, IntArray], tuple[IntArray, FloatArray, FloatArray]],
+    ) -> FloatArray:  # fmt: skip
+        """(k,) ln r, bounded as far as a swap of ids may have exchanged two pairs at once.
+
+        A swap of b and b′ exchanges (a, b), (a′, b′) for (a, b′), (a′, b). As ln r of each pair allows for it alone,
+        the sum of both is bounded by 2 ln[(1 − p) / p], twice what one swap permits. So the difference Δ of ln r of a
+        pair and of its best rival becomes ½ ln{[(1 − p) e^(2Δ) + p] / [(1 − p) + p e^(2Δ)]}, under each swap model.
+
+        by_model : (k, r) how much larger ln r is under each model. log_odds : (k,) of each pair against chance, −∞
+        where the positions of the instant disagree. swaps : gives, of pairs (n,) and their rivals (n,) with the same
+        first track (0) or the same second one (1), those that may have been exchanged, (m,), p under each model, (m,
+        r), and the probability of each model, (m, r).
+        """
+        out = log_ratio.copy()
+        padded = np.append(log_odds, -np.inf)
+        for side in range(2):
+            best = self.best_other(log_odds, side)
+            partner = padded[self.best_other(log_odds, 1 - side)]
+            at = np.flatnonzero(padded[best] > -np.inf)  # ABSENT, no rival, reads the last
+            # Without a pair (a′, b′) or (a′, b), the swap exchanges one pair only, and ln r allows for it.
+            at = at[np.maximum(partner[at], partner[best[at]]) > 0.0]
+            which, p, probability = swaps(side, at, best[at])
+            at, rival = at[which], best[at[which]]
+            change = (log_ratio[at] - log_ratio[rival])[:, None] + by_model[at] - by_model[rival]
+            odds_against = np.exp(np.clip(-change, -300.0, 300.0))
+            exchanged = 1.0 / (1.0 + odds_against**2)
+            exchanged += p * (1.0 - 2.0 * exchanged)
+            # ½ logit is the logit of the square roots' ratio.
+            root, rest = np.sqrt(exchanged), np.sqrt(1.0 - exchanged)
+            joint, alone = root / (root + rest), 1.0 / (1.0 + odds_against)
+            out[at] += np.log(np.einsum("nr,nr->n", probability, joint) / np.einsum("nr,nr->n", probability, alone))
+        return out
+
+    def bounded(self, log_ratio: FloatArray, agrees: BoolArray, reassigned: float) -> FloatArray:
+        """(k,) ln r within −2b … b, b = ln((1−ε)/ε); the excess of the best rival over b is subtracted, which keeps
+        differences between rivals.
+
+        agrees : (k,) whether the positions of the instant agree. Where they do not, ln r of the history is large only
+            because it leaves them out; such pairs do not lower their rivals.
+        """
+        bound = math.log((1.0 - reassigned) / reassigned)
+        excess = np.maximum(self.most(np.where(agrees, log_ratio, -np.inf)) - bound, 0.0)
+        return np.clip(log_ratio - excess, -2.0 * bound, bound)
+
+
+def swap_hypotheses(
+    log_weight: FloatArray, log_two: FloatArray, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals,
+    tuning: Tuning,
+) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
+    """Of each pair and its most probable rival with the same first track, and with the same second, (k, 2) each: the
+    rival (ABSENT without one), ln p of the pair's new reports apart from the position if their ids were swapped, and,
+    (k, 2, c), the probability of a swap for h = 1 and each range.
+
+    tracks : (k,), (k,) of both sources, as of :func:`by_source_order`.
+    log_weight : (k,) ln r with the positions of the last reports. log_two : (k,) ln p of the new reports given two
+    objects.
+
+    After a swap the pair has the rival's ``log_weight``, and its new report agrees with the other track rather than
+    with the prediction of its own: the subtracted term is ``log_two`` less that of the other track's report. Leaving
+    out either would favour a rival whose last report was an outlier, and inflate the estimated swap rates.
+    """
+    k, ranges = len(log_weight), np.array(tuning.swap_ranges)
+    rival, log_report, p_swap = np.full((k, 2), ABSENT), np.zeros((k, 2)), np.zeros((k, 2, len(ranges)))
+    for side, track in ((0, tracks[1]), (1, tracks[0])):
+        best = rivals.best_other(log_weight, side)
+        at = np.flatnonzero((best >= 0) & step.new_report[track])
+        one, other = track[at], track[best[at]]
+        chi_sq = mahalanobis_sq(
+            taken(step.here, one) - taken(step.here, other),
+            taken(step.covariance, one) + taken(step.covariance, other),
+        )
+        # The most probable pair of a set swaps with at most one of the others, and each of these only with it.
+        leads, sets = log_weight[at] >= log_weight[best[at]], rivals.sides[side][at]
+        for c, p in enumerate(np.exp(-chi_sq / ranges[:, None])):
+            total = np.bincount(sets, np.where(leads, 0.0, p))[sets]
+            p_swap[at, side, c] = np.where(leads, np.minimum(total, 1.0), p / np.maximum(total, 1.0))
+        rival[at, side] = best[at]
+        log_report[at, side] = -(log_two - step.log_own[tracks[side]])[at]
+    return rival, log_report, p_swap
+
+
+@dataclass(frozen=True)
+class SwapRates:
+    """How often trackers swap the ids of near objects: the probability of each of ``swap_models``, per source.
+
+    log_probable : (S, r) its ln, up to a constant.
+    """
+
+    log_probable: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+
+    def of_sources(self, kinds: Sequence[str], tuning: Tuning = DEFAULT_TUNING) -> SwapRates:
+        """The rates with new sources at their prior; kinds : of all sources, those already known first.
+
+        Sources that name themselves (AIS, ADS-B) have the lowest rate for certain.
+        """
+        rates = np.log(tuning.swap_models[0])
+        prior = -0.5 * ((rates - math.log(tuning.swap_rate)) / tuning.swap_sigma) ** 2
+        never = np.where(rates == rates.min(), 0.0, -np.inf)
+        new = [never if KINDS[kind].self_named else prior for kind in kinds[len(self.log_probable) :]]
+        if not new:
+            return self
+        return SwapRates(np.concatenate([self.log_probable.reshape(-1, len(rates)), new]))
+
+    @property
+    def probability(self) -> FloatArray:
+        """(S, r) of each model."""
+        weight = np.exp(self.log_probable - self.log_probable.max(axis=1, initial=-np.inf, keepdims=True))
+        return np.asarray(weight / weight.sum(axis=1, keepdims=True))
+
+    @property
+    def may_swap(self) -> BoolArray:
+        """(S,) whether a source may swap ids; self-named ones never do."""
+        return np.asarray(np.isfinite(self.log_probable).all(axis=1))
+
+    @property
+    def probable(self) -> IntArray:
+        """The models that are not improbable for every source that may swap ids."""
+        return np.flatnonzero((self.probability[self.may_swap] > MIN_PROBABILITY).any(axis=0))
+
+    def rate(self, source: IntArray, tuning: Tuning) -> FloatArray:
+        """(n,) mean h of each source."""
+        return np.asarray((self.probability @ tuning.swap_models[0])[source]) if len(source) else np.empty(0)
+
+    def of_pairs(self, sources: Sequence[IntArray]) -> FloatArray:
+        """(k, r) probability of each model for pairs of tracks of two sources: the mean of those that may swap ids."""
+        weight = np.where(self.may_swap, 1.0, 1e-9)
+        one, other = (weight[source][:, None] for source in sources)
+        probability = self.probability
+        return np.asarray((one * probability[sources[0]] + other * probability[sources[1]]) / (one + other))
+
+    def updated(
+        self, before: tuple[FloatArray, FloatArray, FloatArray], log_ratio: FloatArray, log_now: FloatArray,
+        swap: tuple[IntArray, FloatArray, FloatArray], rivals: Rivals, sources: tuple[IntArray, IntArray],
+        log_density_anywhere: float, tuning: Tuning,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, SwapRates]:  # fmt: skip
+        """Of pairs after new reports: ln r and how much larger it is under each model, (k,) and (k, r), and the
+        probability that ids were swapped, (k,); and the updated rates.
+
+        A swap of near objects is not evident from one report, only from many later ones. So ln r of every pair is kept
+        for each model, and the likelihood of a model is the probability of the reports given its ln r: for a set of
+        pairs, the sum of their weights, including that of no pair, divided by the sum before the reports.
+
+        After a swap, ln r counts the present positions only, not the rival's last ones: where errors are constant, both
+        have the same error. The likelihood of a model counts both: see :func:`swap_hypotheses`.
+
+        before : (k,), (k,), (k, r) ln r, ln N of the positions of the last reports, and how much larger ln r was under
+        each model. log_ratio, log_now : (k,) ln r with the new reports without swaps, and ln N of the present
+        positions. swap : of :func:`swap_hypotheses`. sources : (k,), (k,) sources of the tracks that differ within the
+        sets of ``rivals.sides``. log_density_anywhere : ln of the density of objects anywhere.
+        """
+        log_old, log_reported, by_model = before
+        p_swapped = np.zeros(len(log_ratio))
+        at = np.flatnonzero((swap[2] > MIN_SWAP).any(axis=(1, 2)))
+        if not len(at):
+            return log_ratio, by_model, p_swapped, self
+        (rival, log_report, near), now = (part[at] for part in swap), log_now[at]
+        rates, of_range = tuning.swap_models[0], np.repeat(np.arange(len(tuning.swap_ranges)), len(tuning.swap_rates))
+        log_stays = (log_ratio[at] + now)[:, None] + by_model[at]
+        # Weights of the pairs relative to that without swaps: with the present positions only, and with both.
+        p_stays, swapped, swapped_by_both = np.ones_like(log_stays), np.zeros_like(log_stays), np.zeros_like(log_stays)
+        for side in range(2):
+            h = np.where(self.may_swap[sources[side][at]][:, None], rates, rates.min())
+            p = np.minimum(h * near[:, side, of_range], MAX_SWAP)
+            p_stays -= p
+            log_rival = (log_old[rival[:, side]] + now)[:, None] + by_model[rival[:, side]] - log_stays
+            p *= np.exp(np.minimum(log_rival, MAX_LOG_WEIGHT))
+            swapped += p
+            log_last = log_reported[rival[:, side]] + log_report[:, side]
+            swapped_by_both += p * np.exp(np.minimum(log_last, MAX_LOG_WEIGHT))[:, None]
+        swaps = self._with_reports(
+            (log_old + log_reported)[at, None] + by_model[at], log_stays + np.log(p_stays + swapped_by_both),
+            tuple(side[at] for side in rivals.sides), tuple(source[at] for source in sources), log_density_anywhere,
+        )  # fmt: skip
+        log_after, probability = log_stays + np.log(p_stays + swapped), swaps.of_pairs(tuple(s[at] for s in sources))
+        top = log_after.max(axis=1)
+        log_mean = top + np.log((probability * np.exp(log_after - top[:, None])).sum(axis=1))
+        log_ratio, by_model = log_ratio.copy(), by_model.copy()
+        log_ratio[at] = log_mean - now
+        by_model[at] = np.clip(log_after - log_mean[:, None], -MAX_DIFFERENCE, MAX_DIFFERENCE)
+        p_swapped[at] = (probability * swapped / (p_stays + swapped)).sum(axis=1)
+        return log_ratio, by_model, p_swapped, swaps
+
+    def _with_reports(
+        self, log_before: FloatArray, log_after: FloatArray, sides: Sequence[IntArray], sources: Sequence[IntArray],
+        log_density_anywhere: float,
+    ) -> SwapRates:  # fmt: skip
+        """The rates after reports; log_before, log_after : (n, r) weights of pairs. sides, sources : (n,), (n,) sets of
+        pairs, and sources of the tracks that differ within them."""
+        log_probable = self.log_probable.copy()
+        # The sets of both tracks of the other source contain the same swap.
+        share = 0.5
+        for side, source in zip(sides, sources, strict=True):
+            _, first, label = np.unique(side, return_index=True, return_inverse=True)
+            before, after = (_log_sums(label, weights, log_density_anywhere) for weights in (log_before, log_after))
+            np.add.at(log_probable, source[first], share * (after - before))
+        return SwapRates(log_probable - log_probable.max(axis=1, keepdims=True))
+
+
+def _log_sums(label: IntArray, values: FloatArray, least: float) -> FloatArray:
+    """(n, r) ln of the sums of exp(values) (k, r) per label (k,) from 0, and of exp(least).
+
+    One rate at a time: for rows of several, ``ufunc.at`` takes ten times as long.
+    """
+    rates = np.ascontiguousarray(values.T)
+    top = np.full((len(rates), int(label.max(initial=-1)) + 1), least)
+    for highest, terms in zip(top, rates, strict=True):
+        np.maximum.at(highest, label, terms)
+    total = np.exp(least - top)
+    for one, terms in zip(total, np.exp(rates - np.take(top, label, axis=1)), strict=True):
+        np.add.at(one, label, terms)
+    return np.asarray((top + np.log(total)).T)
+
+
+def group_maximum(group: IntArray, values: FloatArray) -> FloatArray:
+    """(k,) the highest value in each one's group."""
+    best = np.full(int(group.max(initial=-1)) + 1, -np.inf)
+    np.maximum.at(best, group, values)
+    return best[group]
