@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.kernels.components import label_components
@@ -182,8 +182,7 @@ class Watch:
         each instant.
     stages : when objects are confirmed. gate : of ``identify_many``. tuning : other chosen numbers.
     objects, texts : the objects and their texts, updated from instant to instant.
-    shown, present, forgotten : the scan of the last instant shown, the numbers of its tracks, and the numbers that
-        ended since; updated likewise.
+    shown, forgotten : the scan of the last instant shown, and the numbers of tracks that ended since; updated likewise.
     """
 
     evidence: EvidenceOf = all_evidence
@@ -195,7 +194,6 @@ class Watch:
     objects: NamedObjects = field(default_factory=NamedObjects)
     texts: Mapping[int, NDArray[Any]] = field(default_factory=dict, repr=False)
     shown: Scan | None = field(default=None, repr=False)
-    present: IntArray = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
     forgotten: IntArray = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
 
     def __post_init__(self) -> None:
@@ -270,15 +268,17 @@ class Watch:
         object_texts = RecordTexts.of(scan, members, texts, objects).of_objects(objects, self.texts)
         carried = replace(
             self, memory=self._carried(memory), objects=objects, texts=object_texts, shown=scan,
-            present=memory.tracks.number, forgotten=np.empty(0, np.int64),
+            forgotten=np.empty(0, np.int64),
         )  # fmt: skip
         return PictureState(now, scan, objects_now, detections.states, carried)
 
     def _previous_objects(self, pooled: PooledRecords, scan: Scan, memory: TrackMemory) -> IntArray:
         """(records,) the object of each pooled record's track at the previous instant, ABSENT without one."""
-        track = memory.tracks.track_of_record
-        previous = np.where(places_in(self.present, track) >= 0, self.objects.history.last_of(track), 0)
         out = np.full(len(pooled), ABSENT)
+        if self.shown is None:
+            return out
+        track, before = memory.tracks.track_of_record, memory.tracks.numbers_on(self.shown)
+        previous = np.where(np.isin(track, before[before >= 0]), self.objects.history.last_of(track), 0)
         for s, (source_number, source) in enumerate(zip(pooled.given, pooled.sources, strict=True)):
             if source_number + 1 < len(scan.start):
                 out[pooled.start[s] : pooled.start[s + 1]] = previous[scan.find(source_number, records_of(source).rows)]
