@@ -30,9 +30,18 @@ from sameas.sky.catalogue import Catalogue
 from sameas.sky.doubts import EPOCH, MovedPairs, Questioned
 from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.measurements import POGSON, Flag, Measurements
-from sameas.sky.frame.photometry import Completeness, ZeroPoint, instrumental
+from sameas.sky.frame.photometry import DEFAULT_PHOTOMETRY, Completeness, PhotometryTuning, ZeroPoint, instrumental
 from sameas.sky.frame.place import Placement, place
-from sameas.sky.frame.plate import MatchedStars, PlateModel, Pointing, directions_deg, fit_plate, terms
+from sameas.sky.frame.plate import (
+    DEFAULT_PLATE,
+    MatchedStars,
+    PlateModel,
+    PlateTuning,
+    Pointing,
+    directions_deg,
+    fit_plate,
+    terms,
+)
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.space import chord_angle_deg
 
@@ -63,6 +72,7 @@ class RefinementTuning:
     merged_widths : two stars closer than this, in FWHM, are measured as one.
     hidden_widths, brighter_mag : a saturated star hides others within this radius, in FWHM, that are fainter than it by
         at least this many magnitudes.
+    plate : of the fits of plates. photometry : of zero point and completeness.
     """
 
     margin_px: float = 2.0
@@ -88,6 +98,8 @@ class RefinementTuning:
     merged_widths: float = 1.5
     hidden_widths: float = 4.0
     brighter_mag: float = 0.5
+    plate: PlateTuning = DEFAULT_PLATE
+    photometry: PhotometryTuning = DEFAULT_PHOTOMETRY
 
 
 DEFAULT_REFINEMENT = RefinementTuning()
@@ -251,18 +263,18 @@ def identify_frame(
     refinement = refinement or Refinement()
     tuning = refinement.tuning
     records, faintest = measured.records(), None
-    plate = _first_plate(measured, stars, placement, tuning.pairs_beyond_linear)
+    plate = _first_plate(measured, stars, placement, tuning)
     px, covariance = _predicted(plate, stars)
     for iteration in range(1, refinement.iterations + 1):
         candidate = _candidates(px, stars, measured, faintest, tuning.margin_px)
         # With the first plate magnitudes would support wrong pairs as well as right ones.
         magnitudes = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars, tuning)
         result, estimate = match(records, _records(px, covariance, candidate, stars), brightness=magnitudes)
-        completeness = _completeness(px, stars, result, measured, tuning.margin_px)
+        completeness = _completeness(px, stars, result, measured, tuning)
         if completeness is not None:
             faintest = completeness.faintest(tuning.min_p_detect)
         pairs = _matched(measured, stars, result, tuning.min_p_pair)
-        plate = fit_plate(pairs, placement.pointing, measured.shape, order=refinement.order)
+        plate = fit_plate(pairs, placement.pointing, measured.shape, order=refinement.order, tuning=tuning.plate)
         previous_px, inside = px, _within(px, measured.shape, 0.0)
         px, covariance = _predicted(plate, stars)
         converged = bool(np.nanmax(np.abs(px - previous_px)[inside], initial=0.0) < refinement.converged_px)
@@ -289,20 +301,20 @@ def _zero_point(
     known = np.isfinite(stars.magnitude[j])
     for bits in (Flag.SATURATED | Flag.BLENDED, Flag.SATURATED):
         used = np.where((measured.flags[i] & np.uint16(bits)) == 0, p, 0.0)
-        zero = ZeroPoint.of(*calibration, used) if used[known].sum() >= tuning.calibrators else None
+        zero = ZeroPoint.of(*calibration, used, tuning.photometry) if used[known].sum() >= tuning.calibrators else None
         if zero is not None and not zero.bend:
             return zero
-    return ZeroPoint.of(*calibration, p)
+    return ZeroPoint.of(*calibration, p, tuning.photometry)
 
 
 def _first_plate(
-    measured: Measurements, stars: StarField, placement: Placement, pairs_beyond_linear: int
+    measured: Measurements, stars: StarField, placement: Placement, tuning: RefinementTuning
 ) -> PlateModel:
     """The plate fitted to the pairs of the placement; linear if they are few."""
     i, j = placement.rows_measured, placement.rows_stars
     pairs = _pairs(measured, stars, i, j, np.ones(len(i)))
-    order = None if len(i) > pairs_beyond_linear else 1
-    return fit_plate(pairs, placement.pointing, measured.shape, order=order)
+    order = None if len(i) > tuning.pairs_beyond_linear else 1
+    return fit_plate(pairs, placement.pointing, measured.shape, order=order, tuning=tuning.plate)
 
 
 def _matched(measured: Measurements, stars: StarField, result: Identification, min_p_pair: float) -> MatchedStars:
@@ -385,15 +397,15 @@ def _brightness(
 
 
 def _completeness(
-    px: FloatArray, stars: StarField, result: Identification, measured: Measurements, margin_px: float
+    px: FloatArray, stars: StarField, result: Identification, measured: Measurements, tuning: RefinementTuning
 ) -> Completeness | None:
     """The identified share of the stars on the frame, by magnitude, without those within the margin of its edge."""
     p_identified = np.zeros(len(stars))
     np.add.at(p_identified, result.rows_2, result.p_pair)
-    inside = _measurable(px, measured, -margin_px)
+    inside = _measurable(px, measured, -tuning.margin_px)
     if not inside.any():
         return None
-    return Completeness.of(stars.magnitude[inside], p_identified[inside])
+    return Completeness.of(stars.magnitude[inside], p_identified[inside], tuning.photometry)
 
 
 def _notes(result: Identification, estimate: Estimate, plate: PlateModel, converged: bool) -> tuple[str, ...]:
