@@ -9,7 +9,7 @@ import sameas
 from sameas import InputError
 from sameas.cli.app import app
 from sameas.estimate.columns import ColumnEvidence, ColumnsTuning
-from sameas.estimate.match import match
+from sameas.estimate.match import MatchTuning, match
 from sameas.evidence import Column, Errors, OddsTable, Related
 from sameas.score.pairs import is_true_pair
 from sameas.simulate import counterparts
@@ -122,6 +122,17 @@ def test_an_uninformative_column_is_reported_and_changes_nothing(by_position):
     assert not finding.used and finding.name == "noise"
     assert estimate.changed_by_columns == 0
     assert abs(counts(answer)[1] - counts(by_position[0])[1]) <= 2
+
+
+@pytest.mark.slow
+def test_the_numbers_of_columns_are_given_with_those_of_a_match():
+    """They could be given to the columns alone, and were not carried to other records."""
+    first, second, tuning = MADE.scene.first, MADE.scene.second, ColumnsTuning(min_gain=np.inf)
+    _, estimate = match(first, second, evidence=[MAG], tuning=MatchTuning(columns=tuning))
+    (finding,) = estimate.columns.findings
+    assert not finding.used and finding.gain > ColumnsTuning().min_gain
+    others = ColumnEvidence.of(first, second, [MAG])
+    assert estimate.columns.over(others, estimate.columns.folds).tuning == tuning
 
 
 @pytest.mark.slow

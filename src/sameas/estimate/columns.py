@@ -195,7 +195,7 @@ class ColumnEvidence:
         )
         return replace(
             columns, sides=(one, two), relations=tuple(pairs), fits=self.fits, findings=self.findings, folds=folds,
-            associations=related,
+            associations=related, tuning=self.tuning,
         )._with_log_ratio()  # fmt: skip
 
     def without_records(self) -> ColumnEvidence:

@@ -24,7 +24,7 @@ from sameas._identify import identify
 from sameas.arrays import FloatArray
 from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
-from sameas.estimate.columns import ColumnEvidence
+from sameas.estimate.columns import DEFAULT_COLUMNS, ColumnEvidence, ColumnsTuning
 from sameas.estimate.coverage import DEFAULT_COVERAGE, Coverage, CoverageTuning
 from sameas.estimate.em import DEFAULT_EM, EMTuning, Estimates, iterate
 from sameas.estimate.error_grid import (
@@ -99,8 +99,9 @@ class MatchTuning:
     max_unrelated : from this share of pairs with unrelated magnitudes on, a note is given.
     max_interpreted : records plus twice the expected chance candidates above which interpreting the kernels takes
         longer than reading the compiled ones from the cache (measured with 200 to 2 000 records).
-    em : tuning of EM iterations. relations : of magnitudes. trends : of growing errors. grid : of the scan of error
-        models before any iteration. coverage : of cells, densities and holes. error_fit : of factors, floors and tails.
+    em : tuning of EM iterations. relations : of magnitudes. columns : of other columns. trends : of growing errors.
+    grid : of the scan of error models before any iteration. coverage : of cells, densities and holes. error_fit : of
+        factors, floors and tails.
     """
 
     max_iterations: int = 30
@@ -126,6 +127,7 @@ class MatchTuning:
     max_interpreted: float = 2_300.0
     em: EMTuning = DEFAULT_EM
     relations: RelationTuning = DEFAULT_RELATIONS
+    columns: ColumnsTuning = DEFAULT_COLUMNS
     trends: TrendTuning = DEFAULT_TRENDS
     grid: GridTuning = DEFAULT_GRID
     coverage: CoverageTuning = DEFAULT_COVERAGE
@@ -286,7 +288,7 @@ def match(
     progress("densities")
     photometry = _photometry(first, second, brightness, tuning)
     coverage = Coverage.of(first, second, tuning=tuning.coverage)
-    columns = ColumnEvidence.of(first, second, evidence)
+    columns = ColumnEvidence.of(first, second, evidence, tuning.columns)
     if _expected_work(coverage, density) > tuning.max_interpreted:
         prefer_compiled()
     search = _GateSearch(

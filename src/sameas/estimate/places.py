@@ -423,7 +423,7 @@ def learn(
     coverage = _SampleCoverage(
         first, second, sample.volume, sample.counted, covered, places.densities(*at), of_part=levels
     )
-    columns = ColumnEvidence.of(first, second, evidence)
+    columns = ColumnEvidence.of(first, second, evidence, tuning.columns)
     columns = columns and replace(columns, folds=places.folds(cells, columns.tuning.folds))
     matched = match_sample(coverage, assumed, brightness=brightness, columns=columns, tuning=tuning, progress=progress)
     estimates = matched.estimates
