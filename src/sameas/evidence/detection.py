@@ -112,15 +112,6 @@ class Hats:
         upper = np.bincount(self.left + 1, weights * self.part, k + 1)[:k]
         return np.asarray(np.bincount(self.left, weights * (1.0 - self.part), k) + upper, np.float64)
 
-    def gram(self, weights: FloatArray) -> FloatArray:
-        """(k, k) Σ weights · basis basisᵀ."""
-        k = len(self.knots)
-        low, high = 1.0 - self.part, self.part
-        square = np.diag(np.bincount(self.left, weights * low**2, k))
-        square += np.diag(np.bincount(self.left + 1, weights * high**2, k + 1)[:k])
-        cross = np.bincount(self.left, weights * low * high, k)[: k - 1]
-        return np.asarray(square + np.diag(cross, 1) + np.diag(cross, -1), np.float64)
-
 
 def roughness(k: int, bend: float, weight: FloatArray | float = 1.0) -> FloatArray:
     """(k, k) penalty of curves whose second differences between knots are N(0, bend²), with weights (k − 2,)."""

@@ -14,7 +14,7 @@ import json
 import math
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,7 +89,6 @@ class Clients:
 
     limit: int = 100
     now: int = 0
-    dropped: int = field(default=0)
 
 
 def application(keeper: Keeper, access: Access | None = None) -> Starlette:

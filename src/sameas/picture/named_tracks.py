@@ -51,7 +51,6 @@ class Step(ColumnTable):
     slope, noise : (m, 2, 4) H and (m, 2, 2) covariance of n in ν = H (e, z) + n. shift : (m, 2) ν. All are 0 without a
         new report.
     new_report : whether the track has a new report. source : number of its source.
-    elapsed_s : seconds between the track's last two reports.
     log_kept : Σ ln g over all reports of the track, g the mean share of f that a report keeps by its motion alone, G at
         ρ = 1 and s = 0.
     log_own : ln p of the new report given the track's previous reports, 0 without one.
@@ -73,7 +72,6 @@ class Step(ColumnTable):
     noise: FloatArray
     shift: FloatArray
     new_report: BoolArray
-    elapsed_s: FloatArray
     log_kept: FloatArray
     log_own: FloatArray
     error_mean: FloatArray
@@ -279,7 +277,7 @@ class NamedTracks:
         step = Step(
             number, source, previous.state[last, :2], moved, moved + shift, new, drift,
             np.sqrt(share)[:, None, None] * root, scan.reported_covariance[place, :2, :2], slope, noise, shift,
-            new_report, elapsed, log_kept, log_own, updated_mean, updated_covariance, scan.now.instant_s,
+            new_report, log_kept, log_own, updated_mean, updated_covariance, scan.now.instant_s,
         )  # fmt: skip
         consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - scan.tuning.new_track_probability).limit(2))
         return step if consistent.all() else step.take(np.flatnonzero(consistent)), correlation, factors
