@@ -69,6 +69,28 @@ def test_the_report_describes_the_interpretation_of_the_catalogue(found):
         assert words in report
 
 
+@pytest.mark.parametrize(
+    ("turn_deg", "mirror", "shift_px", "words"),
+    [
+        (0.0, 1.0, 0.0, ""),
+        (0.5, 1.0, 15.0, "″ at most, rotated by 0.50°"),
+        (0.0, -1.0, 0.0, "mirrored"),
+    ],
+)
+def test_a_wrong_solution_in_the_header_is_named(made, tmp_path, turn_deg, mirror, shift_px, words):
+    path, stars = made
+    turn, right = np.radians(turn_deg), pointing()
+    cd = right.cd @ [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]] @ np.diag([mirror, 1.0])
+    wrong = Pointing(right.centre, cd, right.origin_px + np.array([shift_px, 0.0])).to_wcs((SIDE, SIDE))
+    image, header = fits.getdata(path, header=True)
+    fits.writeto(tmp_path / "m.fits", image, header + wrong.to_header())
+    notes = sameas.match_frame(tmp_path / "m.fits", stars).sky.notes
+    of_header = [note for note in notes if note.startswith("the plate solution of the header is off by ")]
+    assert len(of_header) == bool(words) and words in "".join(of_header)
+    # Next to a direction that is given, the header's scale is used.
+    assert abs(sameas.match_frame(tmp_path / "m.fits", stars, aim=WHERE).sky.placement.scale_arcsec - 2.0) < 0.01
+
+
 def test_stars_and_measurements_are_explained(found):
     pair = found.pairs[3]
     star, measurement = found.explain(pair["id_2"]), found.explain(pair["id_1"], source="measurement")

@@ -36,9 +36,9 @@ from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.outputs import listing, summary
-from sameas.sky.frame.plate import Pointing
+from sameas.sky.frame.plate import Pointing, sky_of
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, sky_index
-from sameas.space import chord_angle_deg, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, chord_angle_deg, unit_vectors
 
 if TYPE_CHECKING:
     from astropy.wcs import WCS
@@ -80,8 +80,8 @@ def hints(pointing: PointingOptions, frame: Frame, *, whole_sky: bool = True) ->
     InputError : the pointing or the scale is unknown.
     """
     candidates: list[Hint] = []
-    wcs = _solution(frame) if pointing.header and pointing.aim_deg is None else None
-    if wcs is not None:
+    wcs = _solution(frame) if pointing.header else None
+    if wcs is not None and pointing.aim_deg is None:
         candidates.append(ApproximateWcs(wcs, radius_deg=pointing.radius_deg))
     scale = pointing.scale_arcsec or _scale(frame, wcs)
     aim = pointing.aim_deg or frame.facts.aim_deg
@@ -341,7 +341,42 @@ def found_on(
             f"epoch {stars.epoch_jyr:.1f}; "
         )
         match = replace(match, notes=(*match.notes, Message(text, naming("give {time:DATE}"))))
+    header = next((hint.wcs for hint in own_hints if isinstance(hint, ApproximateWcs)), None)
+    off = "" if header is None else difference_of_solutions(header, match.plate.to_wcs(), frame.shape)
+    if off:
+        match = replace(match, notes=(*match.notes, f"the plate solution of the header is {off}"))
     return match, stars
+
+
+#: Smallest differences of a plate solution in the header that are said: anywhere, pixels; degrees; share of the scale.
+_OFF_PX, _OFF_ROTATION_DEG, _OFF_SCALE = 2.0, 0.02, 5e-4
+
+
+def difference_of_solutions(header: WCS, found: WCS, shape: tuple[int, int]) -> str:
+    """How one plate solution of a frame of ``shape`` (rows, columns) differs from the right one, "" if hardly.
+
+    >>> one = Pointing(unit_vectors(10.0, 20.0), np.diag([-1e-5, 1e-5]), np.array([50.0, 50.0]))
+    >>> other = replace(one, cd=np.diag([-1e-5, 1.02e-5]), origin_px=one.origin_px + 10.0)
+    >>> difference_of_solutions(other.to_wcs(), one.to_wcs(), (101, 101))
+    'off by 29.5″ in the middle, by 31″ at most, its scale by 1.00 %'
+    """
+    rows, columns = shape
+    x, y = np.meshgrid([0.0, (columns - 1) / 2.0, columns - 1.0], [0.0, (rows - 1) / 2.0, rows - 1.0])
+    px = np.column_stack([x.ravel(), y.ravel()])
+    off = ARCSEC_PER_RADIAN * np.linalg.norm(sky_of(header, px) - sky_of(found, px), axis=1)
+    one, right = (Pointing.of_wcs(wcs, shape) for wcs in (header, found))
+    if off.max() < _OFF_PX * right.scale_arcsec:
+        return ""
+    parts = [f"off by {off[4]:.3g}″ in the middle, by {off.max():.3g}″ at most"]
+    turned = (one.rotation_deg - right.rotation_deg + 180.0) % 360.0 - 180.0
+    stretched = one.scale_arcsec / right.scale_arcsec - 1.0
+    if one.parity != right.parity:
+        parts.append("mirrored")
+    elif abs(turned) > _OFF_ROTATION_DEG:
+        parts.append(f"rotated by {abs(turned):.2f}°")
+    if abs(stretched) > _OFF_SCALE:
+        parts.append(f"its scale by {100.0 * abs(stretched):.2f} %")
+    return ", ".join(parts)
 
 
 def _write(
