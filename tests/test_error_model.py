@@ -257,3 +257,24 @@ def test_a_tail_is_found_on_top_of_errors_that_are_too_small():
     beyond = estimated_tail(3, share=0.05, times=6.0, quoted=1.7)
     assert abs(beyond.share.value - 0.05) < 4.0 * beyond.share.standard_error
     assert 8.0 < beyond.factor < 13.0
+
+
+def test_the_last_pairs_of_a_thin_tail_are_not_certain_to_have_no_partner():
+    """Double stars decades later: six in a thousand lie up to 1.5 arcsec apart, among errors of 0.01 arcsec, where
+    chance neighbours are 30 arcsec away. A gate that ended with the last but one of them lost 13."""
+    rng = np.random.default_rng(2)
+    n, far = 6000, 60
+    place = rng.uniform(-36_000.0, 36_000.0, (n, 2))
+    quoted = 0.005 * np.exp(rng.normal(0.0, 0.4, n))
+    true = np.hypot(1.2 * quoted, 0.01) * np.where(rng.random(n) < 0.05, 8.0, 1.0)
+    residual = rng.normal(size=(n, 2)) * true[:, None]
+    doubles, angle = rng.choice(n, far, replace=False), rng.uniform(0.0, 6.28, far)
+    apart = np.exp(rng.uniform(np.log(0.05), np.log(1.5), far))
+    residual[doubles] = np.column_stack([apart * np.cos(angle), apart * np.sin(angle)])
+    others = [rng.uniform(-36_000.0, 36_000.0, (count, 2)) for count in (4 * n, n // 10)]
+    sigma = np.append(quoted, 0.005 * np.exp(rng.normal(0.0, 0.4, n // 10)))
+    first = Records.of(np.concatenate([place + residual, others[1]]), sigma=sigma, source="first")
+    second = Records.of(np.concatenate([place, others[0]]), sigma=1e-4, source="second")
+    matches = match(first, second)[0].matches
+    right = (matches.rows_1 == matches.rows_2) & (matches.rows_1 < n)
+    assert right.all() and len(right) >= n - 1

@@ -76,7 +76,8 @@ class MatchTuning:
     max_iterations : EM iterations after which no further error model is tried; its iterations are at most two thirds of
         these more.
     min_outer_share : the gate is widened when this share of the expected true pairs lies beyond 0.7 of its radius
-        (4e-5 where errors are as quoted).
+        (4e-5 where errors are as quoted), and one pair more. max_negligible_chance : where a record would have fewer chance
+        candidates, half a pair of a tail suffices: the last pairs of a thin tail are otherwise certain to have no partner.
     max_gate_sigmas : greatest radius of the gate.
     max_scale_excess : the gate is widened when the typical errors exceed those it was made for by this factor; up to
         there it loses only 2e-6 of the pairs.
@@ -106,6 +107,7 @@ class MatchTuning:
 
     max_iterations: int = 30
     min_outer_share: float = 6e-5
+    max_negligible_chance: float = 0.1
     max_gate_sigmas: float = 400.0
     max_scale_excess: float = 1.25
     max_chance_tail: float = 0.5
@@ -561,7 +563,11 @@ class _GateResult:
         """Whether true pairs lie in the outer part of the gate."""
         square = self.estimates.errors.pairs(self.estimates.setting.pairs).mahalanobis_sq
         beyond = float(self.p_counted[square > (0.7 * self.gate_sigmas) ** 2].sum())
-        return beyond > 1.0 + self.tuning.min_outer_share * float(self.p_counted.sum())
+        estimates, tuning = self.estimates, self.tuning
+        of_tail = self.gate_sigmas > 1.5 * estimates.errors.typical_scale * _radius(None, estimates.setting.pairs.d)
+        if of_tail and _chance_candidates(estimates, self.p_counted, 2.0) < tuning.max_negligible_chance:
+            return beyond > 0.5
+        return beyond > 1.0 + tuning.min_outer_share * float(self.p_counted.sum())
 
 
 def _chance_candidates(estimates: Estimates, p_counted: FloatArray, wider: float) -> float:
