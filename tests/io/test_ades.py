@@ -36,6 +36,20 @@ def rows():
     return [first, other]
 
 
+def test_extreme_values_stay_within_what_ades_allows(observer):
+    """A long trail, and a bright star with errors of nothing: 1.000 and 0.000 are refused by the schema."""
+    extreme = replace(rows()[0], correlation=-0.9999, rms_east=1e-5, magnitude_error=0.0, snr=math.inf)
+    written = extreme.fields(observer)
+    assert (written["rmsCorr"], written["rmsRA"], written["rmsMag"]) == ("-0.999", "0.001", "0.001")
+    assert "logSNR" not in written
+
+
+def test_what_may_be_rejected_is_doubted(observer):
+    assert observer.doubts == ()
+    unlisted, no_band = replace(observer, catalogue="GaiaDR3", band="").doubts
+    assert "'GaiaDR3' is none of the names of catalogues" in unlisted and "no magnitudes" in no_band
+
+
 def test_reports_are_valid(observer, tmp_path, monkeypatch):
     pytest.importorskip("ades", reason="iau-ades, which validates reports, is not installed")
     from ades.psvtoxml import psvtoxml
@@ -94,6 +108,12 @@ def test_lines_have_80_columns_and_round_up_correctly(observer, tmp_path):
         (('detector = "CCD"', ""), "says no telescope.detector"),
         (('astCat = "Gaia3"', ""), "says no report.astCat"),
         (("[submitter]", "[submitter"), "is not TOML"),
+        (('"Gaia3"', '"Gaia DR3"'), "report.astCat is 'Gaia DR3', which ADES does not allow; give the Minor Planet"),
+        (('band = "G"', 'band = "Gaia_G"'), "report.band is 'Gaia_G', which ADES does not allow"),
+        (
+            ('"0.36"', '"36 cm"'),
+            "telescope.aperture is '36 cm', which ADES does not allow; give a number, without unit",
+        ),
     ],
 )
 def test_an_incomplete_header_is_refused(change, words, tmp_path):

@@ -242,7 +242,8 @@ def run_series(
     written = movers.write(Path(template.folder), _title(paths), template.catalogue)
     if options.observer is not None:
         reports = ", ".join(f"report.{end}" for end in REPORTS)
-        printer(["", f"Report: {reports}", *report_lines(movers.found, options.reported, "--report-probability")])
+        lines = report_lines(movers.found, options.reported, "--report-probability", options.observer.doubts)
+        printer(["", f"Report: {reports}", *lines])
     printer(["", f"Output: {template.folder}/: {', '.join(written)}", f"Time: {clock.perf_counter() - began:.1f} s"])
 
 
@@ -286,7 +287,7 @@ def run_tables(
         if options.observer is not None:
             movers.write_reports(reports)
             written += [f"Report: {place}" for place in reports]
-            written += report_lines(movers.found, options.reported, "--report-probability")
+            written += report_lines(movers.found, options.reported, "--report-probability", options.observer.doubts)
     printer([*written, f"Time: {clock.perf_counter() - began:.1f} s"])
 
 

@@ -76,8 +76,8 @@ class MatchTuning:
     max_iterations : EM iterations after which no further error model is tried; its iterations are at most two thirds of
         these more.
     min_outer_share : the gate is widened when this share of the expected true pairs lies beyond 0.7 of its radius
-        (4e-5 where errors are as quoted), and one pair more. max_negligible_chance : where a record would have fewer chance
-        candidates, half a pair of a tail suffices: the last pairs of a thin tail are otherwise certain to have no partner.
+        (4e-5 where errors are as quoted), and one pair more. max_negligible_chance : where a record would have fewer
+        chance candidates, half a pair of a tail suffices: its last pairs are otherwise certain to have no partner.
     max_gate_sigmas : greatest radius of the gate.
     max_scale_excess : the gate is widened when the typical errors exceed those it was made for by this factor; up to
         there it loses only 2e-6 of the pairs.

@@ -103,6 +103,11 @@ class Observer:
             _needed(settings, path, "telescope", key)
         report = tables["report"]
         submitter = str(_needed(settings, path, "submitter", "name"))
+        for table, keys in _FORMS.items():
+            for key, (pattern, what) in keys.items():
+                value = str(tables[table].get(key, ""))
+                if value and not re.fullmatch(pattern, value):
+                    raise InputError(f"{path}: {table}.{key} is {value!r}, which ADES does not allow", f"give {what}")
         return cls(
             code,
             submitter,
@@ -115,6 +120,30 @@ class Observer:
             str(report.get("band", "")),
             _names(tables["comment"].get("line", ())),
         )  # fmt: skip
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """One sentence for each thing that the Minor Planet Center may reject, or that the report lacks."""
+        unlisted = f"{self.catalogue!r} is none of the names of catalogues of the Minor Planet Center known here"
+        lines = (
+            "" if self.catalogue in _CATALOGUE_CODES else f"{unlisted} (Gaia3, Gaia2, UCAC4 …); it rejects others",
+            "" if self.band else "the header names no band, so the report has no magnitudes",
+        )
+        return tuple(line for line in lines if line)
+
+
+#: Forms of values by ADES 2022, and what to give.
+_DECIMAL = r"\d{1,5}|\d{0,4}\.\d{1,4}", "a number, without unit, of at most six characters"
+_FORMS = {
+    "telescope": {"aperture": _DECIMAL, "fRatio": _DECIMAL, "pixelScale": _DECIMAL},
+    "report": {
+        "astCat": (r"[.A-Za-z0-9_]{1,8}", "the Minor Planet Center's name of the catalogue, such as Gaia3"),
+        "band": (r"[A-Za-z0-9_]{1,3}", "the band in at most three characters, such as G"),
+        "mode": (r"[A-Za-z0-9_]{1,3}", "CCD or CMO"),
+    },
+}
+#: Least error and greatest correlation that the three decimals of a report can hold.
+_LEAST_RMS, _HIGHEST_CORRELATION = 0.001, 0.999
 
 
 def _needed(settings: Any, path: str | Path, *keys: str) -> Any:
@@ -178,17 +207,17 @@ class Observation:
             "obsTime": self.time.rstrip("Z") + "Z",
             "ra": f"{round(self.ra_deg, 6) % 360.0:.6f}",
             "dec": f"{self.dec_deg:+.6f}",
-            "rmsRA": f"{self.rms_east:.3f}",
-            "rmsDec": f"{self.rms_north:.3f}",
-            "rmsCorr": f"{self.correlation:.3f}",
+            "rmsRA": f"{max(self.rms_east, _LEAST_RMS):.3f}",
+            "rmsDec": f"{max(self.rms_north, _LEAST_RMS):.3f}",
+            "rmsCorr": f"{min(max(self.correlation, -_HIGHEST_CORRELATION), _HIGHEST_CORRELATION):.3f}",
             "astCat": observer.catalogue,
         }
         if math.isfinite(self.magnitude) and observer.band:
             out |= {"mag": f"{self.magnitude:.2f}", "band": observer.band}
             if math.isfinite(self.magnitude_error):
-                out["rmsMag"] = f"{self.magnitude_error:.3f}"
+                out["rmsMag"] = f"{max(self.magnitude_error, _LEAST_RMS):.3f}"
             out["photCat"] = observer.catalogue
-        if self.snr > 0:
+        if 0 < self.snr < math.inf:
             out["logSNR"] = f"{math.log10(self.snr):.2f}"
         out["remarks"] = self.remarks
         return {key: _plain(out[key]).replace("|", "/") for key in COLUMNS if out.get(key)}

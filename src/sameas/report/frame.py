@@ -256,11 +256,12 @@ def model_lines(movers: Movers) -> list[str]:
     ]
 
 
-def report_lines(movers: Movers, least: float, changed_by: str) -> list[str]:
-    """The number of tracklets in the report, and those excluded by their probability, which ``changed_by`` changes."""
-    reported = movers.p_tracklet >= least
+def report_lines(movers: Movers, least: float, changed_by: str, doubts: Sequence[str] = ()) -> list[str]:
+    """The number of tracklets in the report, those excluded by their probability, which ``changed_by`` changes, and
+    doubts about its header."""
+    reported, doubtful = movers.p_tracklet >= least, [DOUBT + doubt for doubt in doubts]
     if reported.all():
-        return [f"  it contains {counted(len(movers), 'tracklet')}"]
+        return [f"  it contains {counted(len(movers), 'tracklet')}", *doubtful]
     excluded = np.flatnonzero(~reported)
     shown = ", ".join(f"{movers.names[k]} ({movers.p_tracklet[k]:.2f})" for k in excluded[:5])
     are, them = ("is", "it") if len(excluded) == 1 else ("are", "them")
@@ -268,6 +269,7 @@ def report_lines(movers: Movers, least: float, changed_by: str) -> list[str]:
         f"  it contains {counted(int(reported.sum()), 'tracklet')}; {count(len(excluded))} {are} excluded, "
         f"less probable than {least:g}: {shown}{' …' if len(excluded) > 5 else ''}",
         f"  look at {them}; {changed_by} changes what is reported",
+        *doubtful,
     ]
 
 
