@@ -110,7 +110,9 @@ def _supported(
     """
     count = np.bincount(branch)
     out = (branch == count.argmax()) & (count[branch] > 1)
-    usual_s = float(np.median(np.diff(reports.time_s[rows])))
+    # Two objects with one id may report at the same times.
+    gaps_s = np.diff(np.unique(reports.time_s[rows]))
+    usual_s = float(np.median(gaps_s)) if len(gaps_s) else 0.0
     for other in np.flatnonzero((count > 1) & (np.arange(len(count)) != count.argmax())):
         own = np.flatnonzero(branch == other)
         first, second = own[:-1], own[1:]
