@@ -18,7 +18,7 @@ KINDS = {
     "pages": "page", "plots": "drawing", "report": "report", "score": "score", "simulate": "scene",
 }  # fmt: skip
 #: A module and its only importer stay separate above this total number of lines: one file of both would be too long.
-TWO_IDEAS = 600
+TWO_IDEAS = 500
 #: Modules shorter than SMALL lines need at least FEW importers, unless their folder is in KINDS.
 SMALL, FEW = 100, 5
 

@@ -15,9 +15,9 @@ from sameas.many.rules import PoissonObjects, pairs_of, terms_of
 from sameas.picture import TrackMemory
 from sameas.picture.error_factors import ErrorCorrelation
 from sameas.picture.id_swaps import Rivals
-from sameas.picture.memory import FirstContact, PreviousScans
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.picture import picture_states
+from sameas.picture.previous_scans import FirstContact, PreviousScans
 from sameas.picture.tables import Scan
 from sameas.picture.track_pairs import TrackPairs
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning

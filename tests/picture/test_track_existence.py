@@ -6,7 +6,7 @@ from modelled_scenes import describe, feed, straight
 
 from sameas.errors import InputError
 from sameas.picture import Picture, Stages, Watch
-from sameas.picture.memory import DurationMixture
+from sameas.picture.track_existence import DurationMixture
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 

@@ -1,7 +1,6 @@
 """The public names of the picture."""
 
 from .live import LivePicture as LivePicture
-from .memory import PreviousScans as PreviousScans
 from .memory import TrackMemory as TrackMemory
 from .object_ids import Stages as Stages
 from .picture import Picture as Picture
@@ -9,6 +8,7 @@ from .picture import instants as instants
 from .picture import picture_states as picture_states
 from .picture_state import PictureState as PictureState
 from .plot_picture import PlotPicture as PlotPicture
+from .previous_scans import PreviousScans as PreviousScans
 from .summary import Summary as Summary
 from .tuning import Tuning as Tuning
 from .watch import Watch as Watch

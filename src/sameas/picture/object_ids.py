@@ -29,6 +29,7 @@ from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, symmetric
 from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, ObjectStates, PictureObjects
+from sameas.picture.track_existence import ExistenceOdds
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
 from sameas.ragged import ranges
 from sameas.records import Records
@@ -246,8 +247,8 @@ class Stages:
 
     An object is certain if it has records of two or more sources with at least the probability ``sure``, or a record of
     a source without false records, or a named track that is real with the probability ``real`` by its duration
-    (:mod:`sameas.picture.memory`); at most 1 − real of the latter are false. A tentative object that is missing at
-    more than of − scans instants is dropped.
+    (:mod:`sameas.picture.track_existence`); at most 1 − real of the latter are false. A tentative object that is
+    missing at more than of − scans instants is dropped.
     """
 
     scans: int = 3
@@ -258,16 +259,6 @@ class Stages:
     def __post_init__(self) -> None:
         if not (1 <= self.scans <= self.of and 0.0 < self.sure <= 1.0 and 0.0 < self.real < 1.0):
             raise InputError("Stages: give 1 ≤ scans ≤ of, and sure and real as probabilities")
-
-
-@dataclass(frozen=True)
-class ExistenceOdds:
-    """Existence of tracks (n,): their numbers, ABSENT for none; the log-odds that each is real when it begins, and the
-    gain by its duration since (:mod:`sameas.picture.memory`)."""
-
-    track: IntArray
-    log_initial: FloatArray
-    log_gain: FloatArray
 
 
 @in_short

@@ -33,7 +33,7 @@ from sameas.many.pooled import PooledRecords
 from sameas.many.rules import PoissonObjects, SetRule
 from sameas.many.sets import ManyTuning, Sets
 from sameas.picture.memory import TrackMemory, require_order
-from sameas.picture.object_ids import ExistenceOdds, NamedObjects, Stages, UnnumberedObjects
+from sameas.picture.object_ids import NamedObjects, Stages, UnnumberedObjects
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
 from sameas.picture.tables import Scan, object_states, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
@@ -325,7 +325,7 @@ class Watch:
             new_report,
             new_plot,
             is_certain,
-            _existence_odds(track, memory),
+            memory.existence.of_objects(track),
             walk,
             speed,
             np.concatenate([self.forgotten, memory.tracks.forgotten]),
@@ -387,14 +387,6 @@ class RecordTexts:
             return words
         dropped = np.isin(np.arange(len(TEXTS)), [*foreign, *range(len(NAMES), len(TEXTS))])
         return np.where(dropped, "", words).astype(object)
-
-
-def _existence_odds(track: IntArray, memory: TrackMemory) -> ExistenceOdds:
-    """The existence of the most probable track of each object; track : (n, S) its tracks."""
-    track = np.column_stack([track, np.full(len(track), ABSENT)])
-    log_initial, log_gain = memory.existence.log_odds(track)
-    best = np.argmax(log_initial + log_gain, axis=1)[:, None]
-    return ExistenceOdds(*(np.take_along_axis(column, best, 1)[:, 0] for column in (track, log_initial, log_gain)))  # type: ignore[arg-type]
 
 
 def _certain_pairs(members: IntArray, identification: Objects | None, stages: Stages) -> BoolArray:
