@@ -111,6 +111,23 @@ def luxembourg(tmp_path):
     return path
 
 
+@pytest.mark.parametrize("others", [0, 1])
+def test_known_objects_in_the_field_that_are_no_tracklet_are_named(luxembourg, tmp_path, others):
+    """The detections of (2713) are displaced, as if it were hidden; with and without another tracklet."""
+    night = read_table(luxembourg)
+    rng, scatter = np.random.default_rng(4), 0.05
+    night["ra"][:4] += rng.uniform(-scatter, scatter, 4)
+    night["dec"][:4] += rng.uniform(-scatter, scatter, 4)
+    if not others:
+        night["ra"][4:] += rng.uniform(-scatter, scatter, 4)
+    night.write(tmp_path / "hidden.csv")
+    options = ["--sigma", 0.15, "--least", 3, "--elements", "demo", "--site", "42.6,-71.5,100"]
+    result = run(tmp_path / "hidden.csv", *options, "-o", tmp_path / "movers.csv")
+    assert result.exit_code == 0, result.output
+    assert f"Movers: {others or 'none'}" in result.output
+    assert "in the field and no tracklet, by prediction: 1 (2713 Luxembourg (1938 EA), V 1" in result.output
+
+
 @pytest.mark.slow
 def test_tracklets_of_a_table_are_named_and_reported(luxembourg, tmp_path):
     header = tmp_path / "who.toml"

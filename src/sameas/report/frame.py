@@ -341,7 +341,7 @@ def star_lines(series: Series, filter: str = "") -> list[str]:
 
 def known_lines(movers: Movers, known: KnownObjects, on_earth: bool) -> list[str]:
     """The tracklets identified with known objects, with O−C."""
-    lines = [f"Known objects: {count(len(known.elements))} predicted near the field"]
+    lines = [f"Known objects: {count(len(known.elements))} predicted near the tracklets"]
     if not on_earth:
         lines.append(f"{DOUBT}the place of the observer is not known, so positions are geocentric; give its site")
     for k, owner in enumerate(known.object):
@@ -353,7 +353,20 @@ def known_lines(movers: Movers, known: KnownObjects, on_earth: bool) -> list[str
             f"predicted V {known.magnitude[k]:.1f}"
         )
     unknown = int((known.object < 0).sum())
-    return [*lines, f"  {unknown} of {len(movers)} tracklets match none of them"] if unknown else lines
+    if unknown:
+        lines.append(f"  {unknown} of {len(movers)} tracklets match none of them")
+    if known.missing:
+        shown = "; ".join(
+            f"{one.name}, V {one.magnitude:.1f}, at {one.ra_deg:.4f} {one.dec_deg:+.4f}°"
+            for one in known.missing[:MISSING_SHOWN]
+        )
+        more = " …" if len(known.missing) > MISSING_SHOWN else ""
+        lines.append(f"  in the field and no tracklet, by prediction: {count(len(known.missing))} ({shown}{more})")
+    return lines
+
+
+#: Known objects that were not found are listed up to this number, the brightest first.
+MISSING_SHOWN = 5
 
 
 def reasons(movers: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:

@@ -52,12 +52,23 @@ DEFAULT_KNOWN_OBJECTS = KnownObjectsTuning()
 
 
 @dataclass(frozen=True)
+class MissingObject:
+    """A known object that is no tracklet: its name, predicted position (ICRS) in the middle of the night, and V."""
+
+    name: str
+    ra_deg: float
+    dec_deg: float
+    magnitude: float
+
+
+@dataclass(frozen=True)
 class KnownObjects:
     """The known objects among the tracklets.
 
     elements : of the objects predicted near the field. object : (k,) row of the elements of each tracklet, or ABSENT.
     p : (k,) its probability. offset_arcsec : (n, 2) observed minus computed of each detection, east and north, NaN
-    without a known object. magnitude : (k,) predicted V.
+    without a known object. magnitude : (k,) predicted V. missing : objects predicted among the detections of a single
+    field, none of which is a tracklet, the brightest first.
     """
 
     elements: Elements
@@ -65,6 +76,7 @@ class KnownObjects:
     p: FloatArray
     offset_arcsec: FloatArray
     magnitude: FloatArray
+    missing: tuple[MissingObject, ...] = ()
 
     def name(self, k: int) -> str:
         """The name of tracklet k, '' if it is not known."""
@@ -111,12 +123,14 @@ def name_movers(
     k, detections = len(movers), movers.detections
     owner, p = np.full(k, ABSENT), np.zeros(k)
     offset, magnitude = np.full((len(detections), 2), np.nan), np.full(k, np.nan)
-    if not k:
-        return KnownObjects(elements.some(np.empty(0, np.int64)), owner, p, offset, magnitude)
-    unit = detections.axes().unit
-    fields = _fields(unit[movers.members[:, 0]], tuning.field_deg)
     middle = float(np.median(detections.mjd_utc))
     elements = elements.some(np.flatnonzero(np.abs(elements.epoch_mjd - middle) < 365.25 * tuning.oldest_years))
+    unit = detections.axes().unit
+    if not k:
+        none = elements.some(np.empty(0, np.int64))
+        missing = _missing(unit, elements, middle, site, tuning)
+        return KnownObjects(none, owner, p, offset, magnitude, missing)
+    fields = _fields(unit[movers.members[:, 0]], tuning.field_deg)
     # With several fields all orbits are integrated to the night once; from there only over hours.
     state = states(elements, middle) if len(fields) > 1 else None
     is_near = np.zeros(len(elements), bool)
@@ -134,8 +148,39 @@ def name_movers(
     magnitude[owner < 0] = np.nan
     near_all = np.flatnonzero(is_near)
     known = owner >= 0
+    others = np.setdiff1d(np.arange(len(elements)), owner[known])
+    missing = _missing(unit, elements.some(others), middle, site, tuning)
     owner[known] = np.searchsorted(near_all, owner[known])
-    return KnownObjects(elements.some(near_all), owner, p, offset, magnitude)
+    return KnownObjects(elements.some(near_all), owner, p, offset, magnitude, missing)
+
+
+def _missing(
+    unit: FloatArray, elements: Elements, middle: float, site: tuple[float, float, float] | None,
+    tuning: KnownObjectsTuning,
+) -> tuple[MissingObject, ...]:  # fmt: skip
+    """The objects predicted among the detections, whose directions (n, 3) are given; none if these are far apart."""
+    centre = mean_direction(unit)
+    radius = float(np.degrees(np.arccos(np.clip(unit @ centre, -1, 1)).max()))
+    if radius > tuning.field_deg:
+        return ()
+    ra0, dec0 = math.degrees(math.atan2(centre[1], centre[0])) % 360.0, math.degrees(math.asin(centre[2]))
+    elements = elements.some(near(elements, middle, ra0, dec0, radius))
+    if not len(elements):
+        return ()
+    place = None if site is None else geocentric_km(*site, np.array([middle]))
+    predicted = ephemeris(elements, np.array([middle]), place)
+    ra, dec, magnitude, sigma = (
+        values[:, 0] for values in (predicted.ra_deg, predicted.dec_deg, predicted.magnitude, predicted.sigma_arcsec)
+    )
+    east, north = np.degrees(np.arctan2(unit[:, 1], unit[:, 0])), np.degrees(np.arcsin(np.clip(unit[:, 2], -1, 1)))
+    seen, at = _plane(east, north, ra0, dec0), _plane(ra, dec, ra0, dec0)
+    # An object that may as well be beside the field is not missed.
+    edge = tuning.error_factor * sigma[:, None]
+    inside = ((at > seen.min(axis=0) + edge) & (at < seen.max(axis=0) - edge)).all(axis=1)
+    rows = np.flatnonzero(inside)[np.argsort(magnitude[inside], kind="stable")].tolist()
+    return tuple(
+        MissingObject(elements.name[row], float(ra[row]), float(dec[row]), float(magnitude[row])) for row in rows
+    )
 
 
 def _fields(unit: FloatArray, field_deg: float) -> list[IntArray]:
