@@ -40,7 +40,8 @@ from benchmarks import motion
 from benchmarks.tables import Table, report
 from sameas.arrays import FloatArray, IntArray
 from sameas.evidence.rule import Rule
-from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors
+from sameas.picture.error_correlation import ErrorCorrelation
+from sameas.picture.error_factors import ErrorFactors
 from sameas.picture.memory import TrackMemory
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.picture import picture_states

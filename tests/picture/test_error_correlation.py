@@ -9,7 +9,7 @@ from modelled_scenes import describe, feed, straight
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
 from sameas.kernels.kalman import add_evidence, correlated_shifts, update_in_plane
 from sameas.picture import TrackMemory, Watch
-from sameas.picture.error_factors import CORRELATIONS, ErrorCorrelation
+from sameas.picture.error_correlation import CORRELATIONS, ErrorCorrelation
 from sameas.picture.tables import Scan
 from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.tracks.scene import Scene

@@ -13,7 +13,7 @@ from sameas.many.observations import records_of
 from sameas.many.pooled import pooled
 from sameas.many.rules import PoissonObjects, pairs_of, terms_of
 from sameas.picture import TrackMemory
-from sameas.picture.error_factors import ErrorCorrelation
+from sameas.picture.error_correlation import ErrorCorrelation
 from sameas.picture.id_swaps import Rivals
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.picture import picture_states

@@ -19,7 +19,7 @@ from sameas.kernels.kalman import (
 )
 from sameas.kernels.zones import merge_rows
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
-from sameas.picture.error_factors import growth
+from sameas.picture.error_correlation import growth
 from sameas.tracks.alignment import moved, process_noise, transition
 
 WAYS = ("interpreted", "compiled")

@@ -16,7 +16,8 @@ from sameas.kernels.track_pairs import (
     new_pair_errors,
     pairs_stepped,
 )
-from sameas.picture.error_factors import MIN_M2, error_update
+from sameas.picture.error_correlation import MIN_M2
+from sameas.picture.error_factors import error_update
 from sameas.picture.id_swaps import Rivals, SwapRates
 from sameas.picture.named_tracks import prior_covariance
 from sameas.picture.track_pairs import TrackPairs

@@ -55,7 +55,7 @@ class TrackMemory:
     Parameters
     ----------
     reassigned : ε of the module. correlation_s : by source name, the correlation time of its errors where it is given
-        rather than estimated (:mod:`sameas.picture.error_factors`); 0 for independent errors.
+        rather than estimated (:mod:`sameas.picture.error_correlation`); 0 for independent errors.
     tracks, existence, track_pairs, swaps : the state, updated from instant to instant.
     """
 
@@ -130,7 +130,7 @@ class TrackMemory:
 
     def _with_present_correlation(self, tuning: Tuning) -> TrackMemory:
         """The memory of the previous instant without evidence that the present correlation of errors refutes:
-        :meth:`sameas.picture.error_factors.ErrorCorrelation.weighing`."""
+        :meth:`sameas.picture.error_correlation.ErrorCorrelation.weighing`."""
         if not self.tracks.error_correlation.names:
             return self
         correlation, outgrown = self.tracks.error_correlation.weighing(tuning)

@@ -9,7 +9,7 @@ error of a track's position, R its covariance at a report, and P that of the rep
     at a new report         f′ = G f + n,  G = Cᵀ (P − s R)⁻¹,  n ~ N(0, P′ − s R′ − G C),  C = ρ (1 − s) L L′ᵀ,
 
 with L and L′ the Cholesky roots of R at the two reports, s the lasting (constant) share of the source's error variance,
-ρ = exp(−Δt/τ), and τ its correlation time (:mod:`sameas.picture.error_factors`). The residual of a report from the
+ρ = exp(−Δt/τ), and τ its correlation time (:mod:`sameas.picture.error_correlation`). The residual of a report from the
 prediction of the previous one measures e: ν = e′ − e = (G − 1) e + (B′ − G B) z + n. A Kalman filter has the mean and
 covariance of (e, z) by all reports of the track; :func:`sameas.picture.error_factors.error_update` is one step.
 
@@ -30,7 +30,8 @@ import numpy as np
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
 from sameas.gate import ChiSquare
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
-from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors, error_update, evenly, growth
+from sameas.picture.error_correlation import ErrorCorrelation, growth
+from sameas.picture.error_factors import ErrorFactors, error_update, evenly
 from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan
 from sameas.picture.tuning import Tuning
 from sameas.tracks.kinds import KINDS

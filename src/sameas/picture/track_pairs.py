@@ -36,7 +36,7 @@ from scipy.special import expit
 from sameas.arrays import BoolArray, FloatArray, IntArray, places_in
 from sameas.gaussian import log_density_and_distance, mahalanobis_sq
 from sameas.kernels.track_pairs import COVARIANCE, MEAN, WIDTH, mix, new_pair_errors, pairs_stepped
-from sameas.picture.error_factors import MIN_M2, ErrorCorrelation
+from sameas.picture.error_correlation import MIN_M2, ErrorCorrelation
 from sameas.picture.id_swaps import Rivals, SwapRates, by_source_order, swap_hypotheses
 from sameas.picture.named_tracks import Step
 from sameas.picture.tables import ColumnTable
