@@ -148,3 +148,36 @@ def test_the_map_opens_and_explains(made, tmp_path):
         assert browser.js("document.title").startswith("Picture of lidar and radar")
     finally:
         browser.close()
+
+
+PIXELS = "[...document.getElementById('chart').getContext('2d').getImageData(0, 0, 900, 700).data]"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_a_map_shows_the_same_while_it_is_dragged_as_when_it_is_let_go(made, tmp_path):
+    """While it is dragged, the objects are copied from a wider canvas, painted anew when that ends."""
+    _, out = made
+    browser = Browser(tmp_path / "profile", out / "map.html")
+    try:
+        mouse = {"button": "left", "clickCount": 1, "buttons": 1}
+        browser.js("mapPage.view.scale *= 4; mapPage.paint()")
+        browser.settle()
+        at_first = np.array(browser.js(PIXELS), float)
+        browser.do("Input.dispatchMouseEvent", type="mousePressed", x=500, y=400, **mouse)
+        for x, y in ((520, 410), (560, 430), (800, 380)):
+            browser.do("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, **mouse)
+            browser.settle()
+        dragged = np.array(browser.js(PIXELS), float)
+        browser.do("Input.dispatchMouseEvent", type="mouseReleased", x=800, y=380, **mouse)
+        browser.settle()
+        released = np.array(browser.js(PIXELS), float)
+        # Labels beyond the edges may take other places; a pixel that moved by less than one is slightly paler.
+        assert np.mean(np.abs(dragged - released)) < 0.1 * np.mean(np.abs(dragged - at_first))
+        hit = browser.js("mapPage.hits.find(hit => !hit.record)")
+        left, top = browser.js("(b => [b.left, b.top])(document.getElementById('chart').getBoundingClientRect())")
+        browser.click(left + hit["u"], top + hit["v"])
+        browser.settle()
+        assert browser.js("mapPage.picked") is not None and not browser.errors
+    finally:
+        browser.close()

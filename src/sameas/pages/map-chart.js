@@ -1,8 +1,8 @@
 // ---- the chart: the visible part of the plane, and the drawing of objects and records ----
 const chart = el("chart");
 const [boxWest, boxSouth, boxEast, boxNorth] = data.box;
-// Centre, metres; scale and its limits, pixels per metre; size of the chart, pixels.
-const view = { x: 0, y: 0, scale: 1, least: 1e-9, most: 1, w: 1, h: 1 };
+// Centre, metres; scale and its limits, pixels per metre; size of the chart, pixels, and what is painted beyond its edges.
+const view = { x: 0, y: 0, scale: 1, least: 1e-9, most: 1, w: 1, h: 1, spare: 0 };
 // Filled by map-live.js and map-tiles.js: functions that draw above everything, or between the land and the grid, and
 // functions that return further facts of an object.
 const overlays = [],
@@ -73,7 +73,7 @@ function centre(x, y, closer) {
   clampView();
   draw();
 }
-const draw = () => {
+const nextFrame = () => {
   if (!pending) {
     pending = true;
     requestAnimationFrame(() => {
@@ -81,6 +81,10 @@ const draw = () => {
       paint();
     });
   }
+};
+const draw = () => {
+  layer = null;
+  nextFrame();
 };
 
 function followPicked() {
@@ -97,6 +101,42 @@ function paint() {
   c.lineJoin = "round";
   c.lineCap = "butt";
   ground(c, w, h);
+  if (drag && drag.moved) copyLayer(c, w, h);
+  else paintObjects(c, w, h);
+  furniture(c, w, h);
+  for (const overlay of overlays) overlay(c, w, h);
+  document.body.dataset.drawn = String(now.k);
+}
+
+// While the chart is dragged, objects and records are painted once, on a canvas wider than the chart by SPARE pixels on
+// each side, and copied from there: in a frame of 2 000 objects they take most of the time.
+const SPARE = 240;
+let layer = null;
+function copyLayer(c, w, h) {
+  const ratio = window.devicePixelRatio || 1;
+  const shift = () => [(layer.x - view.x) * view.scale, (view.y - layer.y) * view.scale];
+  if (!layer || shift().some(d => Math.abs(d) > SPARE)) layer = paintedLayer(w, h, ratio);
+  // Aligned to device pixels, so that it stays sharp.
+  const [u, v] = shift().map(d => Math.round((d - SPARE) * ratio));
+  c.save();
+  c.setTransform(1, 0, 0, 1, 0, 0);
+  c.drawImage(layer.canvas, u, v);
+  c.restore();
+}
+function paintedLayer(w, h, ratio) {
+  const canvas = document.createElement("canvas");
+  canvas.width = Math.round((w + 2 * SPARE) * ratio);
+  canvas.height = Math.round((h + 2 * SPARE) * ratio);
+  const c = canvas.getContext("2d");
+  c.setTransform(ratio, 0, 0, ratio, 0, 0);
+  c.lineJoin = "round";
+  Object.assign(view, { w: w + 2 * SPARE, h: h + 2 * SPARE, spare: SPARE });
+  paintObjects(c, view.w, view.h);
+  Object.assign(view, { w, h, spare: 0 });
+  return { canvas, x: view.x, y: view.y };
+}
+
+function paintObjects(c, w, h) {
   const drawn = now.rows
     .filter(r => Number.isFinite(objects.x[r]))
     .map(r => {
@@ -110,7 +150,9 @@ function paint() {
         inside: u > -60 && v > -60 && u < w + 60 && v < h + 60,
       };
     });
-  crowd = crowding(drawn);
+  const found = crowding(drawn);
+  // What is drawn of an object stays the same while the chart is dragged.
+  crowd = view.spare ? { ...crowd, cells: found.cells } : found;
   trails(c, w, h, drawn);
   if (shown.ellipses) ellipses(c, drawn);
   hits = [];
@@ -122,12 +164,8 @@ function paint() {
     labels(
       c,
       w,
-      h,
       drawn.filter(d => d.inside),
     );
-  furniture(c, w, h);
-  for (const overlay of overlays) overlay(c, w, h);
-  document.body.dataset.drawn = String(now.k);
 }
 
 // The typical distance between neighbours, px, decides what is drawn: dots, then rings with vectors, then also trails,
@@ -136,7 +174,7 @@ const CELL = 64,
   VECTORS_FROM = 22,
   DETAILS_FROM = 44,
   MOST_RAYS = 30;
-let crowd = { radius: 8, vectors: true, details: true, cells: new Map() };
+let crowd = { radius: 8, vectors: true, details: true, few: true, cells: new Map() };
 const cellOf = (u, v) => Math.floor(u / CELL) * 4096 + Math.floor(v / CELL);
 function crowding(drawn) {
   const cells = new Map(),
@@ -148,6 +186,7 @@ function crowding(drawn) {
     radius: Math.min(8, Math.max(2, Math.round(spacing / 2) / 2)),
     vectors: spacing > VECTORS_FROM,
     details: spacing > DETAILS_FROM,
+    few: inside.length < 60,
     cells,
   };
 }

@@ -258,13 +258,14 @@ function pointers() {
       view.x = drag.x - (e.offsetX - drag.u) / view.scale;
       view.y = drag.y + (e.offsetY - drag.v) / view.scale;
       clampView();
-      draw();
+      nextFrame();
     }
   });
   const up = e => {
     touches.delete(e.pointerId);
     if (touches.size < 2) pinch = null;
     if (drag && !drag.moved && e.type === "pointerup") pick(nearest(e.offsetX, e.offsetY));
+    if (drag && drag.moved) draw();
     drag = null;
   };
   chart.addEventListener("pointerup", up);

@@ -42,14 +42,16 @@ function takeSymbols(room, drawn) {
   }
 }
 // Controls above the chart, scale bars, north arrow and sites.
-function takeFurniture(room, w, h) {
+function takeFurniture(room) {
+  const [w, h] = [view.w - 2 * view.spare, view.h - 2 * view.spare];
+  const take = box => room.take(box.map(at => at + view.spare));
   for (const id of ["tools", "legend"]) {
     const box = el(id);
-    room.take([box.offsetLeft - 2, box.offsetTop - 2, box.offsetLeft + box.offsetWidth + 2, box.offsetTop + box.offsetHeight + 2]);
+    take([box.offsetLeft - 2, box.offsetTop - 2, box.offsetLeft + box.offsetWidth + 2, box.offsetTop + box.offsetHeight + 2]);
   }
-  room.take([w - 54, 4, w - 14, 76]); // the compass
-  room.take([w - 20 - Math.min(150, w / 3.4), h - 64, w, h - 20]); // the scale bars
-  if (el("credit").offsetWidth) room.take([w - el("credit").offsetWidth - 8, h - 22, w, h]);
+  take([w - 54, 4, w - 14, 76]); // the compass
+  take([w - 20 - Math.min(150, w / 3.4), h - 64, w, h - 20]); // the scale bars
+  if (el("credit").offsetWidth) take([w - el("credit").offsetWidth - 8, h - 22, w, h]);
   data.sensors.forEach((sensor, k) => {
     if (!sensor.site || !shown.source[k]) return;
     const [u, v] = toScreen(...sensor.site),
@@ -96,11 +98,11 @@ function placed(c, room, d, lines, w) {
   });
   return spot;
 }
-function labels(c, w, h, drawn) {
+function labels(c, w, drawn) {
   const named = drawn.filter(d => objects.stage[d.r] !== STAGE.ended).sort((a, b) => rank(a) - rank(b) || a.n - b.n);
   const room = takenRoom(),
     others = takenRoom();
-  takeFurniture(room, w, h);
+  takeFurniture(room);
   takeSymbols(room, drawn);
   c.font = "12px system-ui, 'DejaVu Sans', sans-serif";
   c.textBaseline = "middle";
@@ -108,7 +110,7 @@ function labels(c, w, h, drawn) {
   c.setLineDash([]);
   for (const d of named) {
     const name = nameOf(d.r).slice(0, 24);
-    const full = Number.isFinite(objects.speed[d.r]) && (named.length < 60 || d.n === picked);
+    const full = Number.isFinite(objects.speed[d.r]) && (crowd.few || d.n === picked);
     const high = Number.isFinite(objects.height[d.r]) ? ` ${flightLevel(objects.height[d.r])}` : "";
     const moving = `${knots(objects.speed[d.r])} ${course(courseOf(d.r))}${high}`;
     // Labels of dots keep a distance, or they could not be assigned to their dots.
