@@ -426,6 +426,19 @@ def test_placeholders_of_errors_are_missing_errors(placeholder: float) -> None:
     assert len(catalogue({"ra": [1.0, 2.0], "dec": [1.0, 2.0], "sigma_arcsec": [99.0, 40.0]}).records()) == 2
 
 
+def test_sexagesimal_right_ascensions_above_24_are_in_degrees() -> None:
+    table = {"ra": ["150:30:00", "10:00:00"], "dec": ["+20:00:00", "-00:30:00"]}
+    source = catalogue(table, sigma=1)
+    np.testing.assert_allclose(source.astrometry.ra_deg, [150.5, 10.0])
+    np.testing.assert_allclose(source.astrometry.dec_deg, [20.0, -0.5])
+    assert "ra [sexagesimal degrees, by its notation, and numbers above 24]" in source.interpretation[0]
+
+
+def test_a_row_of_units_is_refused_with_what_to_do() -> None:
+    with pytest.raises(InputError, match=r"row 0: 'mas' is not a number; a row of units is no data: delete it, and"):
+        catalogue({"ra": ["deg", "1.0"], "dec": ["deg", "2.0"], "err": ["mas", "3.0"]})
+
+
 def test_an_epoch_in_the_header_that_cannot_be_read_is_named() -> None:
     table = Table({"ra": [1.0], "dec": [1.0]}, meta={"MJD-OBS": "?", "DATE-OBS": "2016-01-01T12:00:00"})
     assert "epoch: 2016.0 (header DATE-OBS; MJD-OBS = '?' is no time)" in catalogue(table, sigma=1).interpretation

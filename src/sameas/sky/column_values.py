@@ -103,9 +103,18 @@ def _parsed(texts: list[str], reader: Any, name: str, source: str, kind: str = "
                 values[row] = reader(stripped.replace("−", "-"))
             except ValueError:
                 remedy = "write decimals with a point" if re.fullmatch(r"[-+−]?\d+,\d+", stripped) else ""
+                if row == 0 and _is_unit(stripped):
+                    remedy = f"a row of units is no data: delete it, and give units in names, such as '{name} [mas]'"
                 message = f"{source}: column {name!r}, row {row}: {text!r} is not {kind}"
                 raise InputError(message, remedy) from None
     return values
+
+
+def _is_unit(text: str) -> bool:
+    try:
+        return bool(getattr(u.Unit(text, parse_strict="raise"), "bases", ()))
+    except (ValueError, TypeError):
+        return False
 
 
 def is_placeholder(values: FloatArray) -> BoolArray:

@@ -398,8 +398,12 @@ def _direction(search: ColumnSearch, name: str, convention: Convention, axis: in
         return ChosenColumn(name, unit_text, "by convention", parts)
     if column_values.is_sexagesimal(search.table, name):
         own = column_values.unit_of(search.table, name)
-        hours = right_ascension and own != u.deg
-        return ChosenColumn(name, "sexagesimal hours" if hours else "sexagesimal degrees", "by its notation")
+        if not right_ascension or own == u.deg:
+            return ChosenColumn(name, "sexagesimal degrees", "by its notation")
+        first = column_values.sexagesimal(search.table[[name]][:1000], name, search.source)
+        if own is None and np.nanmax(np.abs(first), initial=0.0) > 24.0:
+            return ChosenColumn(name, "sexagesimal degrees", "by its notation, and numbers above 24")
+        return ChosenColumn(name, "sexagesimal hours", "by its notation")
     column = search.column(name, unit)
     if column.unit in ("h", "hourangle"):
         return replace(column, unit="hourangle")
