@@ -128,6 +128,15 @@ def test_longitudes_of_either_sign_convention_are_read(cards, comments, how):
     assert any(how in line for line in found.lines)
 
 
+@pytest.mark.parametrize(("longitude", "how"), [(110.88, "west"), (-110.88, "east")])
+def test_the_sign_of_a_longitude_follows_from_the_time_zone(longitude, how):
+    """MicroObservatory writes longitudes west positive, and sidereal times that fit neither sign."""
+    cards = {"SITELAT": 31.68, "SITELONG": longitude, "LST_OBS": "17:04:23", "EXPTIME": 60.0}
+    found = facts(DATE_OBS="2017-12-19T18:33:43.317-0700", **cards)
+    assert found.station.lon_deg == pytest.approx(-110.88)
+    assert any(f"{how} positive by the time zone of DATE-OBS" in line for line in found.lines)
+
+
 def test_the_observatory_code_is_found():
     site = facts(SITELAT="42 36 36", SITELONG="288 30 54", ORIGIN="MIT Wallace Astrophysical Observatory (810)").station
     assert site.code == "810"

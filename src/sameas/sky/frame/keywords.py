@@ -8,7 +8,7 @@ Observatories use many names for one fact: each is looked up in a list of keywor
 
 - :func:`station`: the sign of the longitude varies. TheSkyX and the national observatories of the United States count
   west as positive, most others east. It is decided by a letter, else by the sidereal time of the header, else by the
-  comment, else by the program that wrote the header; else east positive is assumed.
+  comment, else by the time zone of the date, else by the program that wrote the header; else east positive is assumed.
 - :func:`aim`: the direction, from the first valid pair of keywords.
 - :func:`middle`: in this order the middle of the exposure, its start and end, its start and duration. DATE-OBS with a
   time of day is preferred to MJD-OBS and JD, which often refer to another moment; a difference of more than the
@@ -138,6 +138,8 @@ _AIMS += (
 )
 #: Tolerance of a sidereal time, hours: it may refer to the start, middle or end of the exposure.
 _SIDEREAL_TOLERANCE_H = 0.3
+#: Greatest difference of the time zone of a place from its longitude, hours (western China, with daylight saving).
+_ZONE_TOLERANCE_H = 3.5
 
 
 @dataclass(frozen=True)
@@ -189,6 +191,12 @@ def _east(cards: Cards, card: Card, lon_deg: float, time: Time | None) -> tuple[
         return -lon_deg, "west positive by its comment"
     if card.says(r"\beast\b|\(\+?e\)|\+\s*e\b"):
         return lon_deg, "east positive by its comment"
+    zones_h = {card.name: 24.0 * _zone_of(card.text()) for card in cards.all(_START)}
+    for name, zone_h in zones_h.items():
+        off_h = {sign: abs((zone_h - sign * lon_deg / 15 + 12) % 24 - 12) for sign in (1, -1)}
+        best = min(off_h, key=off_h.__getitem__)
+        if zone_h and off_h[best] < _ZONE_TOLERANCE_H < off_h[-best]:
+            return best * lon_deg, f"{'east' if best > 0 else 'west'} positive by the time zone of {name}"
     writer = cards.first(("SWCREATE", "OBSERVAT", "ORIGIN"))
     if writer is not None and re.search(r"TheSky|KPNO|NOAO|CTIO", writer.text()):
         return -lon_deg, f"west positive as {writer.text()} does"
