@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from sameas.sky.movers.known import KnownObjects
     from sameas.sky.movers.search import Movers
     from sameas.sky.movers.stack import Stack
-    from sameas.sky.series import Series, SeriesStars
+    from sameas.sky.series import Series
+    from sameas.sky.series_stars import SeriesStars
 
 #: Maximum number of candidates per measurement on the page, and their minimum probability (chosen).
 COMPETITORS, LEAST = 6, 1e-6
