@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray, inner, median
-from sameas.estimate.cells import DEFAULT_CELLS, CellsTuning, Discs, GridLevel, levels_of
+from sameas.estimate.cells import DEFAULT_CELLS, CellsTuning, GridLevel, levels_of
+from sameas.estimate.discs import Discs
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
