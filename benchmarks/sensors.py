@@ -107,7 +107,8 @@ def drawn(kind: Kind, seed: int) -> tuple[BoatRadarScene, float]:
     azimuth = float(rng.uniform(0.5, 8.0) * rng.choice([-1, 1]))
     bias = Bias(range_m=float(rng.normal(0.0, 25.0)), azimuth_deg=azimuth, time_s=float(rng.uniform(0.0, 1.5)))
     common = int(rng.integers(kind.common[0], kind.common[1] + 1))
-    scene = (ROUGH if kind.rough else boat_radar)(
+    rough = partial(ROUGH, berthed_seen=kind.common[1] > 0)
+    scene = (rough if kind.rough else boat_radar)(
         rng, bias=bias, common=common, moored=kind.moored, unseen=kind.unseen, silent=kind.silent, minutes=kind.minutes
     )
     return scene, azimuth + float(scene.heading_error_deg.mean())

@@ -62,7 +62,8 @@ def poisson_weight(sources, density, q, false):
         seen = {s for s, _ in members}
         log_w = math.log(density) + sum(math.log(1 - q[s] if s in seen else q[s]) for s in range(len(q)))
         if len(members) == 1:
-            return math.log(math.exp(log_w) + false[members[0][0]])
+            ((s, row),) = members
+            return math.log(math.exp(log_w) + (false[s][row] if np.ndim(false[s]) else false[s]))
         return log_w + log_joint(sources, members)
 
     return lambda parted: sum(map(weight, parted))
@@ -151,6 +152,19 @@ def test_poisson_objects_agree_with_all_partitions(counts, full):
         for members, stated in probabilities(got).items():
             assert stated == pytest.approx(p[members], abs=1e-9)
         assert got.groups.exact.all() and not got.groups.gap.any()
+
+
+@pytest.mark.parametrize("counts", [(2, 2, 2), (3, 2, 1)])
+def test_false_records_may_be_denser_at_some_records_of_a_source(counts):
+    rng = np.random.default_rng([*counts, 7])
+    for _ in range(3):
+        sources, q = small_scene(rng, counts), rng.uniform(0.1, 0.5, len(counts))
+        false = [rng.uniform(0, 0.2, counts[0]), 0.05, rng.uniform(0, 0.2, counts[2])]
+        got = identify_many(sources, rule=PoissonObjects(0.1, q, false), gate=WIDE)
+        _, best, p = enumerated(sources, poisson_weight(sources, 0.1, q, false))
+        assert set(sets_of(got)) == best
+        for members, stated in probabilities(got).items():
+            assert stated == pytest.approx(p[members], abs=1e-9)
 
 
 @pytest.mark.slow_after(1)

@@ -1,13 +1,16 @@
 """Offsets of a small radar's plots in clutter: found from all scans jointly, and not without common objects."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sameas.errors import InputError
+from sameas.picture import Picture, instants
 from sameas.registration.offsets import range_and_azimuth
 from sameas.simulate.boat_radar import boat_radar
 from sameas.simulate.sensors import Bias
-from sameas.tracks import Description, Reports, SensorErrors, Site, plot_offsets
+from sameas.tracks import Clutter, Description, MissRate, Reports, SensorErrors, Site, plot_offsets
 from sameas.tracks.alignment import States
 from sameas.tracks.plot_offsets import Knots, fit_plots
 from sameas.tracks.plot_pairs import shows_bare_plots, shows_tracks
@@ -57,7 +60,7 @@ def test_doubts_and_registration_fit_the_same_plots_once(monkeypatch):
 def test_vessels_never_seen_by_the_radar_establish_no_offset(seed):
     scene = Scene.of(drawn(seed, 3.0, common=0, moored=0, unseen=6, silent=3, minutes=5.0).sources)
     registered, (found, _) = scene.registered()
-    assert not found.established and registered.feeds[0] is scene.feeds[0]
+    assert not found.established and registered.feeds[0].reports is scene.feeds[0].reports
     assert "is not corrected" in " ".join(found.notes)
     assert len(scene.doubts()) == 1 and scene.doubts()[0].startswith("radar: ")
 
@@ -169,3 +172,36 @@ def test_two_search_peaks_with_one_solution_are_not_ambiguous():
     bias = Bias(rng.normal(0.0, 25.0), azimuth_deg, time_s=rng.uniform(0.0, 1.5))
     found = fitted(boat_radar(rng, bias=bias, common=3))
     assert found.established and abs(found.theta[1] - azimuth_deg) < 0.3
+
+
+@pytest.mark.slow
+def test_echoes_of_the_shore_beside_a_berth_are_not_surely_the_ship_there():
+    """The radar sees a ship in one scan of five, and the quay beside her as often; both were assumed otherwise."""
+    sure = wrong = 0
+    for seed in (1, 2, 3):
+        drawn_scene = drifting(seed, minutes=8.0)
+        scene = Scene.of(drawn_scene.sources).registered()[0]
+        radar = scene.feeds[0].description
+        assert 0.7 < radar.misses.at(0.0) < 0.95 and 0.02 < (radar.clutter.per_km2 or 0.0) < 0.2
+        assert not {line.name for line in radar.assumed} & {"misses.q", "clutter.per_km2"}
+        assert len(scene.estimated) == 1 and "plots per km² and scan" in scene.estimated[0]
+        records = Picture.of(scene, instants(scene.span_s, every_s=20.0)).records
+        vessel = {mmsi: k for k, mmsi in enumerate(drawn_scene.mmsi)}
+        for t in np.unique(records["time_s"]):
+            at = records["time_s"] == t
+            of = {name: at & (records["source"] == name) for name in ("radar", "ais")}
+            ships = dict(zip(records["object"][of["ais"]], records["track_id"][of["ais"]], strict=True))
+            for row, number, p in zip(*(records[c][of["radar"]] for c in ("row", "object", "p_object")), strict=True):
+                if number in ships and p > 0.9:
+                    sure, wrong = sure + 1, wrong + (vessel[ships[number]] != drawn_scene.truth[row])
+    assert sure > 100 and wrong < 0.06 * sure
+
+
+@pytest.mark.slow
+def test_described_misses_and_clutter_are_kept():
+    (radar, plots), ais = drifting(2, minutes=8.0).sources
+    radar = replace(radar, misses=MissRate(0.5), clutter=Clutter(per_km2=0.3))
+    radar = replace(radar, assumed=tuple(one for one in radar.assumed if one.name[:6] not in ("misses", "clutte")))
+    registered, (found, _) = Scene.of([(radar, plots), ais]).registered()
+    assert found.established and registered.estimated == ()
+    assert (registered.feeds[0].description.misses.q, registered.feeds[0].clutter(2)) == (0.5, 0.3e-6)

@@ -206,7 +206,7 @@ def test_sources_without_common_objects_are_not_moved():
     scene = Scene.of([radar, (about, lost)])
     registered, (found, _) = scene.registered()
     assert not found.established and any("no object in common with ais" in note for note in found.notes)
-    assert registered.feeds[0] is scene.feeds[0] and "NOT ESTABLISHED" in str(found)
+    assert registered.feeds[0].reports is scene.feeds[0].reports and "NOT ESTABLISHED" in str(found)
     later = Scene.of([radar, (about, replace(reports, time_s=reports.time_s + 1e5))])
     registered, (found, _) = later.registered()
     assert found.notes == ("radar 1: has no report at the times of ais; its biases were not fitted",)

@@ -203,10 +203,10 @@ def _pair_rule(rule: PoissonObjects | Pairwise, step: int, n_sources: int) -> Ru
     if isinstance(rule, Pairwise):
         return rule.rule
     q = np.broadcast_to(np.asarray(rule.q, dtype=np.float64), n_sources)
-    false = np.broadcast_to(np.asarray(rule.false, dtype=np.float64), n_sources)
+    false = rule.mean_false(n_sources)
     missed = float(np.prod(q[:step]))
     detected = rule.density * (1.0 - missed)
-    only_2 = rule.density * missed * (1.0 - q[step]) + false[step]
+    only_2 = rule.density * missed * (1.0 - q[step]) + float(false[step])
     return PoissonField(detected * (1.0 - q[step]), detected * q[step] + float(false[:step].sum()), only_2)
 
 

@@ -50,6 +50,7 @@ from sameas.evidence import (
     Universal,
 )
 from sameas.gate import Pairs
+from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.prior import PerPair
 from sameas.representation import in_short
@@ -281,32 +282,51 @@ class PoissonObjects(ObjectsRule):
     ----------
     density : ρ, objects per unit volume of the state (with a region: at its centre).
     q : probability that a source misses an object: one number, or one per source in the order of the sources.
-    false : β, false records of a source per unit volume of its features: one number, or one per source.
+    false : β, false records of a source per unit volume of its features: one number, or one per source, or for a
+        source one at each of its records (n,).
     """
 
     density: float
     q: float | Sequence[float] | FloatArray
-    false: float | Sequence[float] | FloatArray = 0.0
+    false: float | Sequence[float | FloatArray] | FloatArray = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.density < math.inf:
             raise InputError(f"PoissonObjects: density is {self.density}; give objects per unit volume, above 0")
         _probabilities(self.q, "PoissonObjects")
-        false = np.asarray(self.false, dtype=np.float64)
+        false = np.concatenate([np.atleast_1d(np.asarray(each, np.float64)) for each in self._false])
         if not np.all((false >= 0.0) & (false < np.inf)):
             raise InputError(f"PoissonObjects: false is {self.false}; give densities of zero or more")
 
     def terms(self, pooled: PooledRecords) -> Terms:
         """The terms of the pooled records; there are none of pairs."""
-        q, false = _per_source(self.q, pooled, "q"), _per_source(self.false, pooled, "false")
+        q, false = _per_source(self.q, pooled, "q"), self._false_at(pooled)
         log_missed, log_detected = np.log(q), np.log1p(-q)
         log_j = pooled.log_joint(np.arange(len(pooled))[:, None])
         odds = (log_detected - log_missed)[pooled.source]
         base = math.log(self.density) + log_missed.sum()
         with np.errstate(divide="ignore"):
-            alone = np.logaddexp(base + odds + log_j, np.log(false)[pooled.source])
+            alone = np.logaddexp(base + odds + log_j, np.log(false))
         # J of one record, 1 without a region, is shown as part of the position term and not of the densities.
         return Terms({"position": Linear(0.0, -log_j), "densities": Linear(base, odds - alone + log_j)})
+
+    @property
+    def _false(self) -> list[float | FloatArray]:
+        return [float(self.false)] if isinstance(self.false, int | float) else list(self.false)
+
+    def mean_false(self, n_sources: int) -> FloatArray:
+        """(S,) false records of each source, the mean over its records."""
+        return np.broadcast_to([float(np.mean(each)) if np.size(each) else 0.0 for each in self._false], n_sources)
+
+    def _false_at(self, pooled: PooledRecords) -> FloatArray:
+        """(n,) false records at each pooled record."""
+        given, alike = self._false, isinstance(self.false, int | float)
+        _per_source(0.0 if alike else np.zeros(len(given)), pooled, "false")
+        out = np.empty(len(pooled))
+        for s, source in enumerate(pooled.sources):
+            each = np.asarray(given[0 if alike else pooled.given[s]], np.float64)
+            out[pooled.start[s] : pooled.start[s + 1]] = each[records_of(source).rows] if each.ndim else each
+        return out
 
 
 @dataclass(frozen=True)

@@ -93,6 +93,7 @@ def boat_radar(
     unseen: int = 1,
     silent: int = 1,
     berthed: int = 0,
+    berthed_seen: bool = True,
     minutes: float = 10.0,
     compass_deg: float = HEADING_DEG,
     compass_s: float = HEADING_S,
@@ -105,7 +106,7 @@ def boat_radar(
     bias : of the radar; by default an azimuth too far clockwise by 3° and a range too long by 20 m.
     common : vessels under way with AIS that the radar detects. moored : further ones that are stationary.
     unseen : vessels with AIS that it never detects. silent : vessels without AIS that it detects.
-    berthed : stationary vessels with AIS among the returns of the shore.
+    berthed : stationary vessels with AIS among the returns of the shore. berthed_seen : whether the radar detects them.
     compass_deg, compass_s : 1σ and correlation time of the heading's error.
     fading_s : mean time for which a hull is seen, and for which it is not, since echoes fade; 0 for independent scans.
 
@@ -132,7 +133,8 @@ def boat_radar(
     vessels.speed[common : common + moored], boat.speed[:] = 0.0, rng.uniform(2.5, 5.0)
     since = turns - span_s / 2.0
     station = boat.at(np.zeros(len(turns), np.int64), since)[0]
-    rows = np.concatenate([np.arange(common + moored), np.arange(named, named + silent)])
+    detected = common + moored - (0 if berthed_seen else berthed)
+    rows = np.concatenate([np.arange(detected), np.arange(named, named + silent)])
     rows = rows.astype(np.int64)
     coast = _Coast.drawn(rng, vessels, common + moored - berthed, berthed) if berthed else None
     echoes = [

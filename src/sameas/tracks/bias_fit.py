@@ -40,7 +40,8 @@ class BiasFit:
     log_evidence : log-odds of these biases against no object in common.
     rivals : other solutions, with their log evidence. converged : whether the refinement converged. tuning : of tracks.
     speed_m_per_s : median speed of the compared objects, 0 if unknown.
-    drift : of the azimuth about its mean, for a sensor that moves.
+    drift : of the azimuth about its mean, for a sensor that moves. missed : for a source of plots, the mean probability
+        that a scan has none of a track.
     """
 
     biases: IntArray
@@ -56,6 +57,7 @@ class BiasFit:
     tuning: Tuning = DEFAULT_TUNING
     speed_m_per_s: float = 0.0
     drift: AzimuthDrift | None = None
+    missed: float | None = None
 
     @property
     def near_rivals(self) -> tuple[tuple[FloatArray, float], ...]:

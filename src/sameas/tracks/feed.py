@@ -137,6 +137,8 @@ class Feed:
         no such objects.
     tuning : of tracks. heights : in a live feed, the (n, 4) columns of ``heights.HeightColumns``, None if it has had
         no heights; in other feeds they are in ``raw_reports``.
+    clutter_per_m2 : (n,) density of other plots about each, per scan, for a source of plots where it is estimated; None
+        if the described one holds everywhere.
     """
 
     description: Description
@@ -152,6 +154,7 @@ class Feed:
     p_slow: FloatArray | None = None
     tuning: Tuning = DEFAULT_TUNING
     heights: FloatArray | None = None
+    clutter_per_m2: FloatArray | None = None
 
     @classmethod
     def of(
@@ -368,9 +371,29 @@ class Feed:
         clutter = self.description.clutter
         if isinstance(self.reports, Directions):
             return clutter.per_deg or 0.0
-        density = (clutter.per_km2 or 0.0) / 1e6
+        return (clutter.per_km2 or 0.0) / 1e6 * self._per_velocity(features)
+
+    def clutter_at(self, rows: IntArray, features: int) -> float | FloatArray:
+        """As :meth:`clutter`, or where it is estimated at each of the reports with these row numbers (n,)."""
+        if self.clutter_per_m2 is None or not len(rows):
+            return self.clutter(features)
+        at = np.empty(int(self.reports.rows.max()) + 1)
+        at[self.reports.rows] = self.clutter_per_m2
+        return np.asarray(at[rows.astype(np.int64)] * self._per_velocity(features))
+
+    @property
+    def plot_statistics(self) -> str:
+        """Printable: miss rate and mean clutter of a source of plots."""
+        q, clutter = self.description.misses.at(np.zeros(1))[0], self.description.clutter.per_km2 or 0.0
+        return (
+            f"{self.description.name}: misses {100.0 * q:.0f} % of the objects per scan; {clutter:.2g} plots per km² "
+            "and scan, of which those about each plot are its clutter"
+        )
+
+    def _per_velocity(self, features: int) -> float:
+        """Density of the velocities of clutter, per (m/s)², as of objects at rest; 1 for positions alone."""
         speed = self.description.motion.speed_m_per_s or 1.0
-        return density if features == 2 else density / (2.0 * math.pi * speed**2)
+        return 1.0 if features == 2 else 1.0 / (2.0 * math.pi * speed**2)
 
 
 def bearings_of(in_plane: States | Directions, sensor_m: FloatArray | None) -> FloatArray | None:

@@ -303,7 +303,7 @@ def refined(
     return BiasFit(
         biases, parts.reported @ state, covariance[:p, :p] + common, of_mean + common, float(weight.sum()),
         int(plots.scan.max()) + 1, float(np.sum(total > tuning.min_plots)), 0.0, (), converged, tuning, moving,
-        parts.drift(state, covariance),
+        parts.drift(state, covariance), float(np.mean(np.exp(-rate[detected if detected.any() else slice(None)]))),
     )  # fmt: skip
 
 

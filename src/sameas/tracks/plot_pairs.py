@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from sameas.tracks.alignment import States, Succession, moved
 from sameas.tracks.biases import AZIMUTH, EAST, GAIN, NORTH, RANGE, TIME
 from sameas.tracks.feed import Feed
 from sameas.tracks.snapshot import bias_widths
+from sameas.tracks.source import MissRate
 from sameas.tracks.tuning import Tuning
 
 #: The biases of a radar's plots, in the order of BIASES.
@@ -40,6 +41,7 @@ class Plots:
     """A radar's plots (n,): time, scan, position east and north, position of the sensor, range, azimuth (°).
 
     variance : (n, 2) m² along and across the line of sight, without the constant errors of an object.
+    rows : of the feed's reports.
     """
 
     time_s: FloatArray
@@ -49,6 +51,7 @@ class Plots:
     range_m: FloatArray
     azimuth_deg: FloatArray
     variance: FloatArray
+    rows: IntArray
 
     @classmethod
     def of(cls, feed: Feed) -> Plots:
@@ -62,7 +65,7 @@ class Plots:
         stated = np.einsum("nav,nvw,naw->na", frame, reports.covariance[rows, :2, :2], frame)
         variance = np.maximum(stated - (feed.description.errors.extent_m or 0.0) ** 2, 0.05 * stated)
         scan = np.unique(feed.scan_s[rows], return_inverse=True)[1]
-        return cls(reports.time_s[rows], scan, position, sensor, range_m, azimuth, variance)
+        return cls(reports.time_s[rows], scan, position, sensor, range_m, azimuth, variance, rows)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -230,3 +233,45 @@ def _by_range(plots: Plots, rows: IntArray, n_scans: int, tuning: Tuning) -> Flo
     low, high = np.maximum(middle - count, 0), np.minimum(middle + count, len(order) - 1)
     inner, outer = np.where(low == 0, 0.0, order[low]), order[high] + 1.0
     return np.asarray((high - low) / (np.pi * (outer**2 - inner**2) * n_scans))
+
+
+def with_plot_statistics(feed: Feed, missed: float) -> Feed:
+    """A registered source of bare plots with this miss rate, and with the clutter that its plots show, where these were
+    assumed for its kind.
+
+    The clutter at a plot is the density of fixed echoes and that of the sea. The first is that of all plots around it,
+    in cells of ``clutter_cell_m`` without the nearest ones: an echo at one place is the ship that AIS has there, unless
+    there are more echoes beside it, as on a shore. The second is that of the plots at its range in all directions.
+    """
+    description, assumed = feed.description, {line.name for line in feed.description.assumed}
+    estimated = assumed & {"misses.q", "clutter.per_km2"}
+    clutter_per_m2 = None
+    if "misses.q" in estimated:
+        description = replace(description, misses=MissRate(float(np.clip(missed, 0.02, 0.98))))
+    if "clutter.per_km2" in estimated:
+        clutter_per_m2, mean_per_km2 = _clutter(feed)
+        description = replace(description, clutter=replace(description.clutter, per_km2=mean_per_km2))
+    lines = tuple(line for line in description.assumed if line.name not in estimated)
+    return replace(feed, description=replace(description, assumed=lines), clutter_per_m2=clutter_per_m2)
+
+
+def _clutter(feed: Feed) -> tuple[FloatArray, float]:
+    """(n,) density of plots about each report of a feed, per m² and scan, and their mean per km² and scan."""
+    from scipy.ndimage import gaussian_filter, uniform_filter
+    from scipy.special import erf
+
+    plots, cell_m = Plots.of(feed), feed.tuning.clutter_cell_m
+    scans = len(first_of_scans(plots))
+    at = ((plots.position - plots.position.min(axis=0)) / cell_m).astype(np.int64) + 8
+    counts = np.zeros(at.max(axis=0) + 9)
+    np.add.at(counts, tuple(at.T), 1.0)
+    # A normal distribution of two cells, without the 3 × 3 in the middle and their share of it.
+    share = float(erf(1.5 / 2.0 / np.sqrt(2.0)) ** 2)
+    middle = uniform_filter(counts, 3, mode="constant")
+    around = np.maximum(gaussian_filter(counts, 2.0, mode="constant") - share * middle, 0.0) / (1.0 - share)
+    density = around[tuple(at.T)] / (cell_m**2 * scans) + _by_range(plots, np.arange(len(plots)), scans, feed.tuning)
+    reach_m = min(feed.description.coverage.range_m or np.inf, float(plots.range_m.max()))
+    mean_per_m2 = len(plots) / (scans * np.pi * reach_m**2)
+    out = np.full(len(feed.reports), mean_per_m2)
+    out[plots.rows] = density
+    return out, 1e6 * mean_per_m2

@@ -26,7 +26,7 @@ from sameas.tracks.biases import AZIMUTH, BIASES, TIME, AzimuthDrift, corrected
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
 from sameas.tracks.placement import Directions
 from sameas.tracks.plot_offsets import PlotFits
-from sameas.tracks.plot_pairs import shows_bare_plots, shows_tracks
+from sameas.tracks.plot_pairs import shows_bare_plots, shows_tracks, with_plot_statistics
 from sameas.tracks.snapshot import CommonScan, ComparedSource, bias_widths, common_scans
 from sameas.tracks.source import Description
 
@@ -352,6 +352,8 @@ def _corrected(feed: Feed, start: int, fit: BiasFit, against: tuple[str, ...]) -
         feed.description.name, against, parameters, fit.pairs, fit.tracks, fit.instants, fit.log_evidence,
         fit.established, _notes(feed, which, own, fit, against),
     )  # fmt: skip
+    if fit.missed is not None:
+        feed = with_plot_statistics(feed, fit.missed)
     if not fit.established:
         return feed, biases
     theta, covariance = np.zeros(len(BIASES)), np.zeros((len(BIASES), len(BIASES)))

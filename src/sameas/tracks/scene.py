@@ -134,7 +134,8 @@ class Scene:
         references : names of the sources assumed to have no bias, if not given by their descriptions.
         """
         feeds, biases = registered(self.feeds, references, self._plot_fits)
-        return replace(self, feeds=feeds), biases
+        of_plots = tuple(feed.plot_statistics for feed in feeds if feed.clutter_per_m2 is not None)
+        return replace(self, feeds=feeds, estimated=(*self.estimated, *of_plots)), biases
 
     def with_fitted_errors(self) -> tuple[Scene, TrackErrorFit]:
         """The scene with errors, clutter and latencies estimated from its bare plots, and the fit.
@@ -264,8 +265,9 @@ class Instant:
         """
         places = np.concatenate([np.empty((0, 2)), *(places_of(source) for source in self.sources)])
         q = tuple(feed.mean_q(places, self.instant_s) for feed in self.feeds)
-        pairs = zip(self.feeds, self.sources, strict=True)
-        return PoissonObjects(self.density, q, tuple(feed.clutter(records_of(source).d) for feed, source in pairs))
+        records = [records_of(source) for source in self.sources]
+        clutter = [feed.clutter_at(np.asarray(one.ids), one.d) for feed, one in zip(self.feeds, records, strict=True)]
+        return PoissonObjects(self.density, q, clutter)
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,7 @@ class Tuning:
     own_platform_m : tracks nearer to the sensor than this are excluded, as the sensor's own platform.
     background_from_s, background_to_s : plots at the same place, between these times before and after a plot, are
         background: a moving object has left the place by then. echo_m : added to the width within which they are
-        counted.
+        counted. clutter_cell_m : width of the cells in which the clutter of a picture is counted.
     ring_share : the density of plots at a range is that of this share of the plots to either side of it in range.
     plot_rates : mean numbers of plots of a track per scan, averaged over. plot_spreads : trial factors on the errors of
         plots, with 1σ of the drift of the azimuth in degrees, if the sensor moves. scale_limits, scale_prior : bounds
@@ -238,6 +238,7 @@ class Tuning:
     background_from_s: float = 40.0
     background_to_s: float = 240.0
     echo_m: float = 15.0
+    clutter_cell_m: float = 100.0
     ring_share: float = 0.03
     plot_rates: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
     plot_spreads: tuple[tuple[float, float], ...] = ((1.0, 0.0), (2.0, 0.0), (1.0, 1.5), (1.0, 3.0))
