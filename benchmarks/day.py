@@ -19,8 +19,8 @@ import numpy as np
 
 from benchmarks.tables import Table, report
 from sameas.kernels import compiled
-from sameas.live.inputs import Replay
 from sameas.live.keeper import Keeper
+from sameas.live.replay import Replay
 from sameas.live.settings import LiveSource, Settings, WatchSettings
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
