@@ -4,8 +4,10 @@ Real motion (AIS of the Solent), modelled trackers. The errors of every source h
 of the antenna on the hull, residual bias), a part with correlation time τ, and white noise. The descriptions of the
 sensors are right, but do not give the correlation time. Trackers may swap ships that are close to each other. Scored is
 every object with two records or more, or an alternative: stated probability against the frequency with which exactly
-its records are one ship, with memory and for each instant alone. Ships whose recorded motion has ended are left out:
-the modelled trackers have no reports of them any more, whatever miss rate is described.
+its records are one ship, with memory and for each instant alone. Where a ship is, is known from her AIS until ten
+minutes after the scene, and in pauses of ten minutes: else the modelled trackers would lose a ship at anchor whose AIS is
+still in the picture, and would miss her for minutes, whatever miss rate is described. Those whose recorded motion ends
+all the same are not scored.
 
 The objects are divided by the distance to the next object *of the picture*. The true distance to the next ship is not
 known to the picture, and probabilities need not be frequencies given the truth: of the objects stated with 0.7 from one
@@ -54,6 +56,8 @@ from sameas.tracks.scene import Instant, Scene
 from sameas.tracks.source import Description, MissRate, Motion, SensorErrors, Timing
 
 SPAN_S, WARM_S = 1200.0, 240.0
+#: Seconds after the scene whose AIS still shows where ships are: a ship at anchor reports every three minutes.
+AFTER_S = 600.0
 #: Ships nearer than this may be swapped by a tracker.
 SWAPPED_M = 60.0
 #: Bins of the distance to the nearest other object of the picture, metres.
@@ -353,10 +357,9 @@ def scene_motion() -> tuple[TrueMotion, Reports] | None:
     if log is None:
         return None
     start = float(log.time_s.min()) + 120.0
-    log = motion.between(log, start, start + SPAN_S)
-    return TrueMotion.of(
-        log, Description("ais", "ais", errors=SensorErrors(position_m=5.0), motion=Motion(0.01, 8.0))
-    ), log
+    longer = motion.between(log, start, start + SPAN_S + AFTER_S)
+    described = Description("ais", "ais", errors=SensorErrors(position_m=5.0), motion=Motion(0.01, 8.0))
+    return TrueMotion.of(longer, described, gap_s=AFTER_S), motion.between(log, start, start + SPAN_S)
 
 
 def table(every_s: float, seeds: Sequence[int], only: str, displaced_m: float = 0.0) -> Iterator[Table]:
