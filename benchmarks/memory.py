@@ -5,9 +5,9 @@ of the antenna on the hull, residual bias), a part with correlation time τ, and
 sensors are right, but do not give the correlation time. Trackers may swap ships that are close to each other. Scored is
 every object with two records or more, or an alternative: stated probability against the frequency with which exactly
 its records are one ship, with memory and for each instant alone. Where a ship is, is known from her AIS until ten
-minutes after the scene, and in pauses of ten minutes: else the modelled trackers would lose a ship at anchor whose AIS is
-still in the picture, and would miss her for minutes, whatever miss rate is described. Those whose recorded motion ends
-all the same are not scored.
+minutes after the scene, and in pauses of ten minutes: else the modelled trackers would miss a ship at anchor, whose AIS
+is still in the picture, for minutes, whatever miss rate is described. Those whose recorded motion ends all the same are
+not scored.
 
 The objects are divided by the distance to the next object *of the picture*. The true distance to the next ship is not
 known to the picture, and probabilities need not be frequencies given the truth: of the objects stated with 0.7 from one

@@ -105,7 +105,7 @@ def _log_mean_over_rates(ratio: FloatArray, scans: float, tuning: Tuning) -> Flo
 
 
 def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
-    """The biases of a source of plots without ids (:func:`shows_bare_plots`), from the tracks of others.
+    """The biases of a source of plots without ids, from the tracks of others.
 
     None if no plot is near a track, and if a scan may show many tracks: then single scans determine the biases, and
     tracks are near enough to be confused (use :func:`sameas.tracks.bias_fit.fit_biases`).

@@ -1,4 +1,4 @@
-"""Pairs of a radar's plots with tracks, and the density of other plots at each: input of :mod:`plot_offsets`."""
+"""Pairs of a radar's plots with tracks, and the density of other plots at each, for the offsets of the radar."""
 
 from __future__ import annotations
 
