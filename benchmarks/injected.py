@@ -23,7 +23,8 @@ from sameas.sky.frame.detect import detect
 from sameas.sky.frame.image import Frame
 from sameas.sky.movers.below_limit import search_below_limit
 from sameas.sky.movers.search import search, unexplained_detections
-from sameas.sky.movers.stack import chip_map, confirmed, stack, with_trails
+from sameas.sky.movers.stack import chip_map, confirmed, stack
+from sameas.sky.movers.trails import with_trails
 from sameas.sky.series import Exposure, Series, tie
 
 STATED = (0.02, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0001)

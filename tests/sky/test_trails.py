@@ -6,7 +6,7 @@ import pytest
 from sameas.simulate.frames import Camera, GaussianProfile, frame_of
 from sameas.sky.frame.detect import detect
 from sameas.sky.movers.search import search
-from sameas.sky.movers.stack import _Pixels, with_trails
+from sameas.sky.movers.trails import _Pixels, with_trails
 from sameas.sky.series import Exposure, tie
 
 SIDE, SCALE, RA, DEC, FWHM, EXPOSURE_MIN, EVERY_MIN = 320, 1.2, 150.0, 20.0, 3.0, 4.0, 6.0

@@ -320,7 +320,8 @@ def series_movers(
     InputError : fewer than two frames, no two of one field, or several fields.
     """
     from sameas.front.series import series_of
-    from sameas.sky.movers.stack import confirmed, stack, with_trails
+    from sameas.sky.movers.stack import confirmed, stack
+    from sameas.sky.movers.trails import with_trails
 
     if len(frames) < 2:
         raise InputError(

@@ -13,7 +13,7 @@ The data flow; each module returns one frozen value:
   detections, by set packing;
 - :mod:`~sameas.sky.movers.search`: → ``Movers``, the tracklets with their probabilities: of detections
   (``find_movers``), and of the unexplained measurements of a series of frames (:mod:`sameas.sky.series`) (``search``);
-- :mod:`~sameas.sky.movers.stack`: trails among these measurements; :mod:`~sameas.sky.movers.stack` and
+- :mod:`~sameas.sky.movers.trails`: trails among these measurements; :mod:`~sameas.sky.movers.stack` and
   :mod:`~sameas.sky.movers.below_limit`: the frames stacked along a motion;
 - :mod:`~sameas.sky.movers.known`: ``Movers`` and ``Elements`` (:mod:`~sameas.sky.movers.orbits`) → ``KnownObjects``,
   and digest2 scores for near-Earth objects, if it is installed.
