@@ -138,9 +138,9 @@ def test_more_ais_in_view_than_plots_in_a_scan_is_no_reason_to_compare_single_sc
 
 
 def test_the_drift_has_the_covariance_of_an_ornstein_uhlenbeck_process():
-    knots = Knots(np.array([0.0, 30.0, 90.0, 100.0]), 60.0)
+    knots = Knots(np.array([0.0, 30.0, 90.0, 100.0]))
     covariance = np.exp(-np.abs(knots.time_s[:, None] - knots.time_s) / 60.0)
-    assert np.allclose(knots.precision @ covariance, np.eye(4))
+    assert np.allclose(knots.precision(60.0) @ covariance, np.eye(4))
     knot, share = knots.around(np.array([15.0, 100.0]))
     assert knot.tolist() == [[0, 1], [2, 3]] and np.allclose(share, [[0.5, 0.5], [0.0, 1.0]])
     assert np.allclose(knots.mean_weights(np.array([0.0, 60.0])), [0.5, 0.25, 0.25, 0.0])

@@ -199,19 +199,18 @@ def _peaks(log_density: FloatArray, tuning: Tuning) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True)
 class Knots:
-    """The knots of a drift. time_s : (k,), none for a sensor that does not drift. correlation_s : of the process."""
+    """The knots of a drift, at equal intervals. time_s : (k,), none for a sensor that does not drift."""
 
     time_s: FloatArray
-    correlation_s: float
 
     @classmethod
     def of(cls, time_s: FloatArray, sensor: FloatArray, tuning: Tuning) -> Knots:
         """The knots for plots at these times (n,) from these positions of the sensor (n, 2)."""
         if not len(time_s) or float(np.ptp(sensor, axis=0).max()) < tuning.compass_moved_m:
-            return cls(np.empty(0), tuning.compass_correlation_s)
+            return cls(np.empty(0))
         first, last = float(time_s.min()), float(time_s.max())
         count = int(np.clip(np.ceil((last - first) / tuning.compass_knot_s) + 1, 2, tuning.compass_knots))
-        return cls(np.linspace(first, last, count), tuning.compass_correlation_s)
+        return cls(np.linspace(first, last, count))
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -231,9 +230,13 @@ class Knots:
         return np.bincount(knot.ravel(), share.ravel(), len(self)) / max(len(time_s), 1)
 
     @property
-    def precision(self) -> FloatArray:
-        """(k, k) inverse covariance of the process of variance 1 at the knots."""
-        keep = np.exp(-np.diff(self.time_s) / self.correlation_s)
+    def interval_s(self) -> float:
+        """The time between knots."""
+        return float(self.time_s[1] - self.time_s[0])
+
+    def precision(self, correlation_s: float) -> FloatArray:
+        """(k, k) inverse covariance at the knots of the process of variance 1 with this correlation time."""
+        keep = np.exp(-np.diff(self.time_s) / correlation_s)
         step = 1.0 / np.maximum(1.0 - keep**2, 1e-9)
         out = np.eye(len(self))
         at = np.arange(len(keep))
@@ -257,8 +260,11 @@ def refined(
     tracks = len(pairs.scans)
     rate = np.full(tracks, float(np.median(tuning.plot_rates)))
     scales, converged = np.full(2, spread[0]), False
-    lasting_m2, drift_deg2 = np.full(2, pairs.lasting_m2), max(spread[1], tuning.compass_deg) ** 2
-    drift_variance = np.full(len(pairs.plot), drift_deg2 if len(parts.knots) else 0.0)
+    lasting_m2, process = (
+        np.full(2, pairs.lasting_m2),
+        _Process(max(spread[1], tuning.compass_deg) ** 2, tuning.compass_correlation_s),
+    )
+    drift_variance = np.full(len(pairs.plot), process.variance_deg2 if len(parts.knots) else 0.0)
     for step in range(tuning.max_steps):
         residual = pairs.residual - (parts.design @ state).reshape(-1, 2)
         variance = scales**2 * pairs.variance
@@ -270,7 +276,7 @@ def refined(
         rate = (total + tuning.rate_prior) / (pairs.scans + tuning.rate_prior / np.median(tuning.plot_rates))
         weighted = parts.design.multiply((weight[:, None] / variance).reshape(-1, 1)).tocsr()
         target = residual.ravel() + parts.design @ state
-        prior = parts.prior(lasting_m2, drift_deg2)
+        prior = parts.prior(lasting_m2, process)
         information = (weighted.T @ parts.design).toarray() + prior
         covariance = inverse(information)
         before, state = state, covariance @ (weighted.T @ target)
@@ -278,7 +284,7 @@ def refined(
         detected = total > tuning.min_plots
         square = (state**2 + np.diag(covariance))[parts.hulls].reshape(-1, 2)[detected].sum(axis=0)
         lasting_m2 = (square + tuning.hull_prior * pairs.lasting_m2) / (detected.sum() + tuning.hull_prior)
-        drift_variance, drift_deg2 = parts.drift_variance(covariance), parts.drift_deg2(state, covariance)
+        drift_variance, process = parts.drift_variance(covariance), parts.process(state, covariance)
         chi_sq = np.einsum("m,ma->a", weight, residual**2 / pairs.variance)
         scales = np.clip(
             np.sqrt((chi_sq + tuning.scale_prior * spread[0] ** 2) / (weight.sum() + tuning.scale_prior)),
@@ -315,6 +321,14 @@ def _common_hull(biases: IntArray, hull_m: float, speed_m_per_s: float, tuning: 
     common_m = tuning.hull_along * hull_m
     late_s = common_m / speed_m_per_s if speed_m_per_s > tuning.way_m_per_s else 0.0
     return np.asarray(np.where(biases == RANGE, common_m, np.where(biases == TIME, late_s, 0.0)))
+
+
+@dataclass(frozen=True)
+class _Process:
+    """The variance of a drift, and its correlation time."""
+
+    variance_deg2: float
+    correlation_s: float
 
 
 @dataclass(frozen=True)
@@ -381,14 +395,14 @@ class _Parts:
         """The parameters of knots."""
         return slice(self.size - len(self.knots), self.size)
 
-    def prior(self, lasting_m2: FloatArray, drift_deg2: float) -> FloatArray:
+    def prior(self, lasting_m2: FloatArray, process: _Process) -> FloatArray:
         """Prior precision, with these variances of places along and across a hull, and of the drift."""
         out = np.diag(np.full(self.size, self.tuning.station_m**-2.0))
         np.fill_diagonal(
             out[: self.hulls.stop], np.concatenate([self.precision, np.tile(1.0 / lasting_m2, self.tracks)])
         )
         if len(self.knots):
-            out[self.drifts, self.drifts] = self.knots.precision / drift_deg2
+            out[self.drifts, self.drifts] = self.knots.precision(process.correlation_s) / process.variance_deg2
         return out
 
     def drift_variance(self, covariance: FloatArray) -> FloatArray:
@@ -399,12 +413,20 @@ class _Parts:
         (k, n), (a, b) = self.pair_knots.T, self.pair_shares.T
         return np.asarray(a * a * of_knots[k, k] + 2.0 * a * b * of_knots[k, n] + b * b * of_knots[n, n])
 
-    def drift_deg2(self, state: FloatArray, covariance: FloatArray) -> float:
-        """The variance of the drift, by its knots."""
-        unit, prior = self.knots.precision, self.tuning.compass_prior
-        value, of_knots = state[self.drifts], covariance[self.drifts, self.drifts]
-        square = float(value @ unit @ value + np.sum(unit * of_knots))
-        return (square + prior * self.tuning.compass_deg**2) / (len(self.knots) + prior)
+    def process(self, state: FloatArray, covariance: FloatArray) -> _Process:
+        """The process of the drift, by its moments at the knots and between neighbours."""
+        tuning, n = self.tuning, len(self.knots)
+        prior = _Process(tuning.compass_deg**2, tuning.compass_correlation_s)
+        if not n:
+            return prior
+        moments = np.outer(state[self.drifts], state[self.drifts]) + covariance[self.drifts, self.drifts]
+        expected = tuning.compass_prior * prior.variance_deg2
+        variance = (float(np.trace(moments)) + expected) / (n + tuning.compass_prior)
+        together = float(np.sum(np.diag(moments, 1))) * n / (n - 1)
+        dt = self.knots.interval_s
+        keep = (together + expected * np.exp(-dt / prior.correlation_s)) / (float(np.trace(moments)) + expected)
+        low, high = np.exp(-dt / np.array(tuning.compass_limits_s))
+        return _Process(variance, -dt / float(np.log(np.clip(keep, low, high))))
 
     def drift(self, state: FloatArray, covariance: FloatArray) -> AzimuthDrift | None:
         """The drift about the reported azimuth; None for a fixed sensor."""

@@ -401,9 +401,11 @@ def _notes(feed: Feed, which: IntArray, own: IntArray, fit: BiasFit, against: tu
             f"{others}, which its description does not mention; if they are exact, give bias time_s = 0"
         )
     if fit.established and fit.drift is not None and fit.drift.spread_deg > fit.tuning.compass_noted_deg:
+        at = own[which == AZIMUTH][0]
+        mean_deg = float(np.sqrt(fit.relative[at, at]))
         notes.append(
             f"{name}: its azimuth drifts by {fit.drift.spread_deg:.1f}° about this (root mean square), as with a "
-            "heading from a compass; the drift is removed"
+            f"heading from a compass; the drift is removed, and the mean is known to {mean_deg:.2f}°"
         )
     if fit.near_rivals:
         theta, evidence = fit.near_rivals[0]

@@ -131,8 +131,9 @@ class Tuning:
     rate_prior : weight of the median of plot_rates, in scans. min_plots : minimum number of plots of a detected track.
     station_m : 1σ per axis of the place of a moving sensor: its antenna is not that of the positioning (chosen).
     compass_moved_m : a sensor that moves at least so far has a drift of its azimuth (chosen, as the following).
-        compass_knot_s, compass_knots : time between its knots, and their maximum number. compass_correlation_s : its
-        correlation time. compass_deg, compass_prior : 1σ expected of it, and the weight of that, in knots.
+        compass_knot_s, compass_knots : time between its knots, and their maximum number. compass_correlation_s,
+        compass_limits_s : its expected correlation time, and the bounds of the fitted one. compass_deg, compass_prior :
+        1σ expected of it, and the weight of both, in knots.
         compass_noted_deg : a larger drift is reported.
 
     fit_box_m, fit_box_sigmas : plots of two sources are compared if they differ by less than the first, or by this many
@@ -255,6 +256,7 @@ class Tuning:
     compass_knot_s: float = 30.0
     compass_knots: int = 400
     compass_correlation_s: float = 60.0
+    compass_limits_s: tuple[float, float] = (15.0, 600.0)
     compass_deg: float = 0.3
     compass_prior: float = 4.0
     compass_noted_deg: float = 0.5
