@@ -34,6 +34,7 @@ from sameas.tracks.feed import Feed
 from sameas.tracks.heights import HeightModel
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.live_feed import LiveFeed, ReportCounts, unbiased_now
+from sameas.tracks.platforms import on_platform, only_carries
 from sameas.tracks.registration import SourceBiases, with_delay_prior
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import POSITION, Scene
@@ -276,6 +277,7 @@ class LivePicture:
         if not len(reports):
             return
         feed = self._feeds[source]
+        reports, _ = on_platform(feed.given, reports, self._recent, self.tuning)
         places = (reports.lat_deg, reports.lon_deg)
         if places[0] is None:
             places = (reports.station_lat_deg, reports.station_lon_deg)
@@ -291,7 +293,8 @@ class LivePicture:
             self.plane = LocalPlane.about(places[0][somewhere], places[1][somewhere])
             for other in self._feeds.values():
                 other.plane = self.plane
-        feed.add(reports)
+        if not only_carries(source, reports, [one.given for one in self._feeds.values()]):
+            feed.add(reports)
         self._keep_recent(source, reports)
 
     def _require(self, source: str) -> None:

@@ -16,6 +16,7 @@ from .source import Description as Description
 from .source import KnownBiases as KnownBiases
 from .source import MissRate as MissRate
 from .source import Motion as Motion
+from .source import Platform as Platform
 from .source import Resolution as Resolution
 from .source import SensorCoverage as SensorCoverage
 from .source import SensorErrors as SensorErrors

@@ -279,7 +279,9 @@ class PlacedReports:
         if site is None or site.lat_deg is None or site.lon_deg is None:
             raise InputError(
                 f"{self.description.name}: the sensor's position is not known",
-                naming("give site = {{ lat_deg = …, lon_deg = … }} in its {description}"),
+                naming(
+                    "give site = {{ lat_deg = …, lon_deg = … }} in its {description}, or platform if it is aboard a vessel"
+                ),
             )
         return np.full(n, site.lat_deg), np.full(n, site.lon_deg), height
 

@@ -1,7 +1,8 @@
 """The scene: all sources of a picture in one plane, and their records at any instant, input of ``identify_many``.
 
 >>> from sameas import identify_many
->>> from sameas.tracks.reports import Reports
+>>> from sameas.tracks.platforms import on_platform, only_carries
+from sameas.tracks.reports import Reports
 >>> from sameas.tracks.source import Description, Motion, SensorErrors
 >>> columns = {"time_s": [0.0, 0.0], "x_m": [0.0, 400.0], "y_m": [0.0, 0.0]}
 >>> radar = Reports.of("radar", "table", columns | {"vx_m_per_s": [5.0, 0.0], "vy_m_per_s": [0.0, 0.0]})
@@ -42,6 +43,7 @@ from sameas.tracks.error_fit import TrackErrorFit, fit_errors
 from sameas.tracks.feed import Feed, need_filtering, of_their_objects
 from sameas.tracks.heights import HeightModel, HeightReports, heights_of
 from sameas.tracks.placement import PlacedReports
+from sameas.tracks.platforms import on_platform, only_carries
 from sameas.tracks.plot_offsets import PlotFits
 from sameas.tracks.registration import SourceBiases, registered
 from sameas.tracks.reports import Reports
@@ -89,6 +91,8 @@ class Scene:
         names = [description.name for description, _ in sources]
         if len(set(names)) < len(names):
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
+        notes: dict[str, tuple[str, ...]] = {}
+        sources = _with_platforms(sources, tuning, set_aside, notes)
         far = too_far_apart(sources, tuning)
         if set_aside is None and far:
             raise InputError("; ".join(far.values()))
@@ -110,7 +114,7 @@ class Scene:
                     raise
                 set_aside[description.name] = error
             else:
-                feeds.append(feed)
+                feeds.append(replace(feed, notes=(*feed.notes, *notes.get(description.name, ()))))
         if set_aside and not feeds:
             raise next(iter(set_aside.values()))
         return cls(tuple(feeds), plane, tuning)
@@ -301,6 +305,29 @@ class _Surroundings:
         whole = np.diag(np.full(4, speed**2))
         whole[:2, :2] = spread
         return cls(Region(np.concatenate([centre, [0.0, 0.0]]), whole), density / (2.0 * math.pi * speed**2), density)
+
+
+def _with_platforms(
+    sources: Sequence[tuple[Description, Reports]], tuning: Tuning, set_aside: dict[str, InputError] | None,
+    notes: dict[str, tuple[str, ...]],
+) -> list[tuple[Description, Reports]]:  # fmt: skip
+    """The sources with the positions of sensors aboard vessels; those whose vessel is not known are set aside.
+
+    notes : receives the notes on each source.
+    """
+    given, out = {description.name: [reports] for description, reports in sources}, []
+    for description, reports in sources:
+        if only_carries(description.name, reports, [one for one, _ in sources]):
+            continue
+        try:
+            placed, notes[description.name] = on_platform(description, reports, given, tuning)
+        except InputError as error:
+            if set_aside is None:
+                raise
+            set_aside[description.name] = error
+        else:
+            out.append((description, placed))
+    return out
 
 
 def _objects(snapshots: Sequence[Snapshot], area_m2: float) -> float:

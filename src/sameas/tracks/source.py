@@ -62,6 +62,27 @@ class Site:
         return float(east), float(north)
 
 
+@dataclass(frozen=True)
+class Platform:
+    """The vessel that carries a sensor: the one of this MMSI, or the one that a source reports.
+
+    mmsi : nine digits. source : name of the source that has her positions; None if only one has the MMSI.
+    """
+
+    mmsi: str | None = None
+    source: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.mmsi is None and self.source is None:
+            raise InputError("platform: give the mmsi of the vessel, or the source that has her positions")
+        if self.mmsi is not None and not re.fullmatch(r"\d{9}", self.mmsi):
+            raise InputError(f"platform: mmsi is {self.mmsi!r}; give nine digits")
+
+    def __str__(self) -> str:
+        of_source = "" if self.source is None else f"{' of' if self.mmsi else ''} source {self.source}"
+        return f"vessel{f' {self.mmsi}' if self.mmsi else ' of'}{of_source}"
+
+
 @in_short
 @dataclass(frozen=True)
 class SensorCoverage:
@@ -249,7 +270,7 @@ class Description:
     ----------
     name : of the source, used in messages and results.
     kind : marine radar, air radar, ais, ads-b, mlat, lidar, camera, esm, tracks or other (``sameas.tracks.kinds``).
-    site : its place; None for a source without one, or whose reports have it.
+    site : its place; None for a source without one, or whose reports have it. platform : the vessel that carries it.
     assumed : every number that came from the kind; filled in here.
 
     Example
@@ -274,11 +295,14 @@ class Description:
     motion: Motion = Motion()
     bias: BiasPrior = BiasPrior()
     calibration: KnownBiases = KnownBiases()
+    platform: Platform | None = None
     assumed: tuple[Assumption, ...] = ()
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise InputError(f"{self.name}: kind is {self.kind!r}; give one of {', '.join(KINDS)}")
+        if self.site is not None and self.platform is not None:
+            raise InputError(f"{self.name}: has a site and a platform; give the one where the sensor is")
         assumptions, timed = list(self.assumed), self.timing.latency_s is not None
         for name, part in self._parts().items():
             _require_numbers(self.name, name, part)
@@ -297,7 +321,7 @@ class Description:
         object.__setattr__(self, "assumed", tuple(assumptions))
 
     def _parts(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in _PARTS if name != "site"}
+        return {name: getattr(self, name) for name in _PARTS if name not in ("site", "platform")}
 
     @classmethod
     def from_mapping(cls, name: str, given: Mapping[str, Any]) -> Description:
@@ -335,9 +359,9 @@ class Description:
 
 #: The parts of a description: sections of a file.
 _PARTS: dict[str, Any] = {
-    "site": Site, "coverage": SensorCoverage, "misses": MissRate, "clutter": Clutter, "resolution": Resolution,
-    "errors": SensorErrors, "targets": Targets, "timing": Timing, "motion": Motion, "bias": BiasPrior,
-    "calibration": KnownBiases,
+    "site": Site, "platform": Platform, "coverage": SensorCoverage, "misses": MissRate, "clutter": Clutter,
+    "resolution": Resolution, "errors": SensorErrors, "targets": Targets, "timing": Timing, "motion": Motion,
+    "bias": BiasPrior, "calibration": KnownBiases,
 }  # fmt: skip
 
 
@@ -371,7 +395,9 @@ def _part(source: str, section: str, part: Any, given: Mapping[str, Any]) -> Any
     for key in given:
         if key not in known:
             raise InputError(_unknown(source, key, known, f" in {section}"))
-        if not _is_numeric(given[key]):
+        if part is Platform:
+            given = {**given, key: str(given[key])}
+        elif not _is_numeric(given[key]):
             form = (
                 "decimal degrees, south and west negative"
                 if key in ("lat_deg", "lon_deg")

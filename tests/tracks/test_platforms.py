@@ -1,0 +1,132 @@
+"""A sensor aboard a vessel is where another source says that the vessel is."""
+
+import numpy as np
+import pytest
+
+from sameas.errors import InputError
+from sameas.picture.live import LivePicture
+from sameas.tracks import Description, Platform, Reports, Scene, SensorErrors
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.source import read_descriptions
+
+PLANE, START_S = LocalPlane(50.7, -1.2), 1_714_560_000.0
+TIMES = START_S + np.arange(0.0, 120.0, 2.5)
+BUOY = np.array([900.0, 1400.0])
+
+
+def boat(time_s):
+    """She goes north-east, and turns east."""
+    t = np.asarray(time_s) - START_S
+    return np.column_stack([3.0 * t, 4.0 * np.minimum(t, 60.0)])
+
+
+def gps(every_s=1.0, **more):
+    times = np.arange(START_S - 5.0, START_S + 130.0, every_s)
+    lat, lon = PLANE.to_geodetic(boat(times))
+    return Reports.of("gps", "table", {"time_s": times, "lat_deg": lat, "lon_deg": lon} | more)
+
+
+def ais(mmsi, every_s=10.0):
+    reports = gps(every_s)
+    columns = {"time_s": reports.time_s, "lat_deg": reports.lat_deg, "lon_deg": reports.lon_deg}
+    return Reports.of("ais", "ais", columns | {"mmsi": [mmsi] * len(reports)})
+
+
+def plots(times=TIMES):
+    """Ranges and bearings of a buoy from the boat."""
+    arm = BUOY - boat(times)
+    return Reports.of("radar", "table", {
+        "time_s": times, "range_m": np.hypot(*arm.T), "bearing_deg": np.degrees(np.arctan2(*arm.T)),
+    })  # fmt: skip
+
+
+def described(**platform):
+    return Description("radar", "marine radar", platform=Platform(**platform), errors=SensorErrors(range_m=5.0))
+
+
+def scene(radar, *others, **options):
+    errors = SensorErrors(position_m=5.0)
+    given = [(Description(one.source, "ais", errors=errors), one) for one in others]
+    return Scene.of([(radar, options.pop("reports", plots())), *given], PLANE, **options)
+
+
+@pytest.mark.parametrize(
+    ("platform", "other"),
+    [({"source": "gps"}, gps()), ({"mmsi": "235000111"}, ais("235000111")),
+     ({"source": "ais", "mmsi": "235000111"}, ais("235000111"))],
+)  # fmt: skip
+def test_plots_are_placed_from_where_the_vessel_is(platform, other):
+    feed = scene(described(**platform), other).feeds[0]
+    # A turn between two positions ten seconds apart is cut by ten metres.
+    assert np.abs(feed.sensor_m - boat(TIMES)).max() < (0.1 if other.source == "gps" else 10.1)
+    assert np.abs(feed.reports.state[:, :2] - BUOY).max() < (0.1 if other.source == "gps" else 10.1)
+
+
+def test_plots_at_times_without_a_position_are_set_aside_and_counted():
+    known = gps()
+    seen = known.where((known.time_s < START_S + 40.0) | (known.time_s > START_S + 300.0))
+    [feed] = scene(described(source="gps"), seen).feeds
+    assert len(feed.reports) == np.sum(TIMES < START_S + 50.0)
+    assert any("28 of 48 reports are set aside" in note for note in feed.notes), feed.notes
+
+
+def test_a_vessel_across_the_date_line():
+    plane = LocalPlane(0.0, 180.0)
+    lat, lon = plane.to_geodetic(boat([START_S, START_S + 60.0]) - [90.0, 0.0])
+    track = Reports.of("gps", "table", {"time_s": [START_S, START_S + 60.0], "lat_deg": lat, "lon_deg": lon})
+    given = [(described(source="gps"), plots(START_S + np.array([30.0]))), (Description("gps", "ais"), track)]
+    assert np.abs(Scene.of(given, plane).feeds[0].sensor_m - [[0.0, 120.0]]).max() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("platform", "others", "words"),
+    [
+        ({"source": "plotter"}, (ais("235000111"),), "there is no source 'plotter'"),
+        ({"mmsi": "235000222"}, (ais("235000111"),), "of which no source has a position"),
+        ({"mmsi": "235000111"}, (ais("235000111"), gps(mmsi=["235000111"] * 135)), "which ais and gps report"),
+        ({"source": "gps"}, (gps(mmsi=(["235000111", "235000222"] * 68)[:135]),), "2 tracks: 235000111 and 235000222"),
+    ],
+)
+def test_a_vessel_that_is_not_known_is_refused(platform, others, words):
+    with pytest.raises(InputError, match=words):
+        scene(described(**platform), *others)
+    # Others are used, if that is asked for.
+    aside = {}
+    used = scene(described(**platform), *others, set_aside=aside).feeds
+    assert [feed.description.name for feed in used] == [one.source for one in others]
+    assert words in str(aside["radar"])
+
+
+def test_positions_of_another_day_are_named_as_such():
+    with pytest.raises(InputError, match=r"has no position at the times of its 48 reports"):
+        scene(described(source="gps"), gps(), reports=plots(TIMES + 86400.0))
+
+
+def test_the_platform_of_a_file_of_descriptions(tmp_path):
+    path = tmp_path / "sensors.toml"
+    path.write_text('[sources.radar]\nkind = "marine radar"\nplatform = { source = "ais", mmsi = 235000111 }\n')
+    [radar] = read_descriptions(path)
+    assert radar.platform == Platform("235000111", "ais") and str(radar.platform) == "vessel 235000111 of source ais"
+    for wrong, words in (("{ mmsi = 12 }", "nine digits"), ("{ ship = 'x' }", "'ship'"), ("{ }", "give the mmsi")):
+        path.write_text(f'[sources.radar]\nkind = "marine radar"\nplatform = {wrong}\n')
+        with pytest.raises(InputError, match=words):
+            read_descriptions(path)
+    with pytest.raises(InputError, match="a site and a platform"):
+        Description.from_mapping("radar", {"site": {"east_m": 0, "north_m": 0}, "platform": {"source": "gps"}})
+
+
+def test_a_live_radar_is_where_her_vessel_was_last():
+    picture = LivePicture([described(source="gps"), Description("gps", "ais")], plane=PLANE)
+    with pytest.raises(InputError, match="of which no source has a position"):
+        picture.add("radar", plots(TIMES[:1]))
+    for k, t in enumerate(TIMES[:20]):
+        known = gps()
+        picture.add("gps", known.where((known.time_s <= t - 1.0) & (known.time_s > t - 3.5)))
+        named = plots(TIMES[k : k + 1])
+        picture.add("radar", Reports.of("radar", "table", {
+            "time_s": named.time_s, "range_m": named.range_m, "bearing_deg": named.bearing_deg, "track_id": ["7"],
+        }))  # fmt: skip
+        state = picture.advance(float(t))
+    objects = picture.objects
+    at = np.hypot(objects["x_m"] - BUOY[0], objects["y_m"] - BUOY[1])
+    assert state.objects.number.tolist() == [1] and at.max() < 30.0
