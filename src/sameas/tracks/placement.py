@@ -280,7 +280,8 @@ class PlacedReports:
             raise InputError(
                 f"{self.description.name}: the sensor's position is not known",
                 naming(
-                    "give site = {{ lat_deg = …, lon_deg = … }} in its {description}, or platform if it is aboard a vessel"
+                    "give site = {{ lat_deg = …, lon_deg = … }} in its {description}, or platform "
+                    "= {{ mmsi = … }} if it is aboard a vessel"
                 ),
             )
         return np.full(n, site.lat_deg), np.full(n, site.lon_deg), height
