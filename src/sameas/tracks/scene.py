@@ -1,8 +1,7 @@
 """The scene: all sources of a picture in one plane, and their records at any instant, input of ``identify_many``.
 
 >>> from sameas import identify_many
->>> from sameas.tracks.platforms import on_platform, only_carries
-from sameas.tracks.reports import Reports
+>>> from sameas.tracks.reports import Reports
 >>> from sameas.tracks.source import Description, Motion, SensorErrors
 >>> columns = {"time_s": [0.0, 0.0], "x_m": [0.0, 400.0], "y_m": [0.0, 0.0]}
 >>> radar = Reports.of("radar", "table", columns | {"vx_m_per_s": [5.0, 0.0], "vy_m_per_s": [0.0, 0.0]})
