@@ -258,7 +258,7 @@ BARE = {"solved": False}
         (BARE, ("--aim", "150,20"), r"bare\.fits: the aim is known, but not the scale; give --scale LO,HI"),
         (BARE, ("--aim", "150,20", "--scale", "3,3.3", "--radius", "0.02"), "no solution: by the aim .* odds 1:"),
         (BARE, ("--aim", "15,20", "--scale", "1.6,2.4"), r"stars: 0 stars within .* cover the field\?"),
-        ({}, ("--epoch", "none"), "epoch"),
+        ({}, ("--epoch", "when"), r"no column 'when' for --epoch"),
         ({}, ("--threshold", "1e6"), r"bare\.fits: no star above 1e\+06σ"),
         ({}, ("--aim", "here",), "--aim here: give RA,DEC in degrees"),
         ({}, ("--scale", "3,2"), "--scale 3,2: give LO,HI in arcsec per pixel"),
