@@ -40,8 +40,8 @@ def on_platform(
     ------
     InputError : no source reports the vessel, several do, or none at the times of the sensor's reports.
     """
-    platform = description.platform
-    if platform is None or reports.station_lat_deg is not None or reports.station_x_m is not None:
+    platform, has_own = description.platform, reports.station_lat_deg is not None or reports.station_x_m is not None
+    if platform is None or has_own or not len(reports):
         return reports, ()
     vessel = _reports_of(platform, description.name, others)
     names = ("lat_deg", "lon_deg") if vessel[0].lat_deg is not None else ("x_m", "y_m")
