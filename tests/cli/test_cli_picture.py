@@ -94,7 +94,7 @@ def test_files_give_objects_tables_a_map_and_a_summary(picture):
         "objects 8 confirmed; seen: 7 by 2 sources at once, 1 by 1 alone",
         "are expected to be wrong",
         "offset ais: not corrected, the reference for the others offset radar: range +",
-        "% of the others' objects within its coverage; counted with: 10 % per scan",
+        "% of the others' objects within its coverage; used: 10 % per scan",
         "assumed radar (marine radar): coverage.range_m 44448",
     ):
         assert words in text, words

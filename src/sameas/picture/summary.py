@@ -126,7 +126,7 @@ class MissCount:
     described: float | None
 
     def __str__(self) -> str:
-        described = "" if self.described is None else f"; counted with: {100.0 * self.described:.0f} % per scan"
+        described = "" if self.described is None else f"; used: {100.0 * self.described:.0f} % per scan"
         error = "" if self.error is None else f" ± {100.0 * self.error:.1f}"
         share = f"{100.0 * self.share:.{1 if error else 0}f}{error} %"
         return f"{self.source} misses {share} of the others' objects within its coverage{described}"
