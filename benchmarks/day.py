@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.tables import Table, report
+from benchmarks.worker import status_mb
 from sameas.kernels import compiled
 from sameas.live.keeper import Keeper
 from sameas.live.replay import Replay
@@ -128,12 +129,6 @@ def settings() -> Settings:
     return Settings({one.name: LiveSource(one) for one in described}, WatchSettings(every_s=TICK_S, save_every_s=60.0))
 
 
-def resident_mb() -> float:
-    """Resident memory of this process."""
-    status = Path("/proc/self/status").read_text(encoding="ascii")
-    return float(status.split("VmRSS:")[1].split()[0]) / 1024.0
-
-
 def size_mb(folder: Path, pattern: str) -> float:
     """Of all files of this name in the folder."""
     return sum(path.stat().st_size for path in folder.rglob(pattern) if path.is_file()) / 1e6
@@ -159,7 +154,7 @@ def table(hours: float, mean: int, seed: int) -> Iterator[Table]:
                 of_files = [size_mb(Path(folder), f"{kind}*") for kind in ("state", "journal")]
                 rows.append([
                     f"{elapsed_s / 3600.0:g}", traffic.ships.arrived, len(traffic.ships.rows), len(situation.objects),
-                    len(situation.alarms), resident_mb(), *of_files, size_mb(Path(folder), "*.parquet"),
+                    len(situation.alarms), status_mb("VmRSS"), *of_files, size_mb(Path(folder), "*.parquet"),
                     1e3 * float(np.median(spent)), 1e3 * float(np.quantile(spent, 0.99)),
                 ])  # fmt: skip
                 spent.clear()

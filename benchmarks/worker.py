@@ -25,7 +25,7 @@ def main() -> None:
     gc.collect()
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")  # resets the peak
-    baseline = _status_mb("VmRSS")
+    baseline = status_mb("VmRSS")
     clock = time.thread_time if task["cpu_time"] else time.perf_counter
     seconds: list[float] = []
     returned: list[object] = []
@@ -34,11 +34,12 @@ def main() -> None:
         value = work()
         seconds.append(clock() - start)
         returned.append(value)
-    answer = {"seconds": seconds, "peak_mb": _status_mb("VmHWM"), "baseline_mb": baseline, "returned": returned}
+    answer = {"seconds": seconds, "peak_mb": status_mb("VmHWM"), "baseline_mb": baseline, "returned": returned}
     print(json.dumps(answer, default=float))
 
 
-def _status_mb(field: str) -> float:
+def status_mb(field: str) -> float:
+    """Memory of this process by its name in /proc/self/status; NaN where there is none."""
     try:
         lines = Path("/proc/self/status").read_text().splitlines()
     except OSError:

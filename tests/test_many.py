@@ -502,3 +502,11 @@ def test_without_records_there_are_no_objects():
     assert len(got) == 0 and got.members.shape == (0, 3) and len(got.p_runner_up) == 0
     counted = identify_many([empty, empty], rule=CloseObjects(1.0, 2.0), prior=MissedObjects(0.1))
     assert len(counted) == 0
+
+
+@pytest.mark.parametrize("false", [np.float32(0.01), np.array(0.01), [0.01, 0.01], [np.full(2, 0.01), 0.01]])
+def test_false_records_may_be_a_number_of_any_kind_or_one_at_each_record(false):
+    first = Records.of([[0.0, 0.0], [9.0, 0.0]], sigma=1.0, source="a")
+    second = Records.of([[0.5, 0.0], [30.0, 0.0]], sigma=1.0, source="b")
+    expected, got = (identify_many([first, second], rule=PoissonObjects(1e-3, 0.1, one)) for one in (0.01, false))
+    assert np.allclose(got.probability, expected.probability, rtol=1e-7)

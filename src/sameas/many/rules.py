@@ -312,7 +312,7 @@ class PoissonObjects(ObjectsRule):
 
     @property
     def _false(self) -> list[float | FloatArray]:
-        return [float(self.false)] if isinstance(self.false, int | float) else list(self.false)
+        return list(self.false) if isinstance(self.false, Sequence) else np.atleast_1d(self.false).tolist()
 
     def mean_false(self, n_sources: int) -> FloatArray:
         """(S,) false records of each source, the mean over its records."""
@@ -320,11 +320,11 @@ class PoissonObjects(ObjectsRule):
 
     def _false_at(self, pooled: PooledRecords) -> FloatArray:
         """(n,) false records at each pooled record."""
-        given, alike = self._false, isinstance(self.false, int | float)
-        _per_source(0.0 if alike else np.zeros(len(given)), pooled, "false")
+        given, is_one = self._false, not isinstance(self.false, Sequence) and np.ndim(self.false) == 0
+        which = _per_source(0 if is_one else np.arange(float(len(given))), pooled, "false").astype(np.int64).tolist()
         out = np.empty(len(pooled))
         for s, source in enumerate(pooled.sources):
-            each = np.asarray(given[0 if alike else pooled.given[s]], np.float64)
+            each = np.asarray(given[which[s]], np.float64)
             out[pooled.start[s] : pooled.start[s + 1]] = each[records_of(source).rows] if each.ndim else each
         return out
 

@@ -117,15 +117,21 @@ def _is_unit(text: str) -> bool:
         return False
 
 
+#: Numbers of nines only, of at most six digits, ascending, and how near to one a number is that is written as it.
+_NINES = np.unique([float(f"{'9' * whole}.{'9' * part}0") for whole in range(1, 7) for part in range(7 - whole)])
+_NEAR = 0.5 * 10.0 ** (np.floor(np.log10(_NINES)) - 5.0)
+
+
 def is_placeholder(values: FloatArray) -> BoolArray:
     """(n,) whether the digits of numbers are nines only, as those that stand for missing values.
 
-    >>> is_placeholder(np.array([-999.0, 99.99, 361.2])).tolist()
-    [True, True, False]
+    >>> is_placeholder(np.array([-999.0, 99.99, 361.2, np.nan])).tolist()
+    [True, True, False, False]
     """
-    different, of_value = np.unique(values, return_inverse=True)
-    nines = [set(f"{abs(value):g}".replace(".", "")) == {"9"} for value in different.tolist()]
-    return np.asarray(np.array(nines, dtype=np.bool_)[of_value])
+    size = np.abs(values)
+    above = np.clip(np.searchsorted(_NINES, size), 1, len(_NINES) - 1)
+    either = [np.abs(size - _NINES[at]) < _NEAR[at] for at in (above - 1, above)]
+    return np.asarray(either[0] | either[1])
 
 
 def measured(table: Table, name: str, source: str) -> tuple[FloatArray, tuple[int, str] | None]:

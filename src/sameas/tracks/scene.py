@@ -314,9 +314,10 @@ def _with_platforms(
 
     notes : receives the notes on each source.
     """
+    descriptions = [description for description, _ in sources]
     given, out = {description.name: [reports] for description, reports in sources}, []
     for description, reports in sources:
-        if only_carries(description.name, reports, [one for one, _ in sources]):
+        if only_carries(description.name, reports, descriptions):
             continue
         try:
             placed, notes[description.name] = on_platform(description, reports, given, tuning)

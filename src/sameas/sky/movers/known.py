@@ -128,7 +128,7 @@ def name_movers(
     unit = detections.axes().unit
     if not k:
         none = elements.some(np.empty(0, np.int64))
-        missing = _missing(unit, elements, middle, site, tuning)
+        missing = _missing(unit, elements, owner, middle, site, tuning)
         return KnownObjects(none, owner, p, offset, magnitude, missing)
     fields = _fields(unit[movers.members[:, 0]], tuning.field_deg)
     # With several fields all orbits are integrated to the night once; from there only over hours.
@@ -148,23 +148,23 @@ def name_movers(
     magnitude[owner < 0] = np.nan
     near_all = np.flatnonzero(is_near)
     known = owner >= 0
-    others = np.setdiff1d(np.arange(len(elements)), owner[known])
-    missing = _missing(unit, elements.some(others), middle, site, tuning)
+    missing = _missing(unit, elements, owner[known], middle, site, tuning)
     owner[known] = np.searchsorted(near_all, owner[known])
     return KnownObjects(elements.some(near_all), owner, p, offset, magnitude, missing)
 
 
 def _missing(
-    unit: FloatArray, elements: Elements, middle: float, site: tuple[float, float, float] | None,
+    unit: FloatArray, elements: Elements, found: IntArray, middle: float, site: tuple[float, float, float] | None,
     tuning: KnownObjectsTuning,
 ) -> tuple[MissingObject, ...]:  # fmt: skip
-    """The objects predicted among the detections, whose directions (n, 3) are given; none if these are far apart."""
+    """The objects predicted among the detections, whose directions (n, 3) are given, without those in the rows
+    ``found``; none if the detections are far apart."""
     centre = mean_direction(unit)
     radius = float(np.degrees(np.arccos(np.clip(unit @ centre, -1, 1)).max()))
     if radius > tuning.field_deg:
         return ()
     ra0, dec0 = math.degrees(math.atan2(centre[1], centre[0])) % 360.0, math.degrees(math.asin(centre[2]))
-    elements = elements.some(near(elements, middle, ra0, dec0, radius))
+    elements = elements.some(np.setdiff1d(near(elements, middle, ra0, dec0, radius), found))
     if not len(elements):
         return ()
     place = None if site is None else geocentric_km(*site, np.array([middle]))
