@@ -273,7 +273,7 @@ def test_no_transponder_text_stops_an_output(situation, monkeypatch):
     hostile = {"icao": "zzzzzz", "mmsi": "=cmd()", "name": 'a*00\r\n$GPGLL,"/><x', "label": "]]>\x1b[31m\u2028"}
     listed = [one | hostile for one in situation.listed()]
     monkeypatch.setattr(type(situation), "listed", lambda self: listed)
-    one = {"reports": 1, "late": 0, "repeated": 0, "jumps": 0, "refused": 0}
+    one = {"reports": 1, "unplaced": 0, "late": 0, "repeated": 0, "jumps": 0, "refused": 0}
     health = {"ok": True, "tick": 1, "faults": 0, "objects": 1, "alarms": 0, "sources": {hostile["name"]: one},
               "wires": {}, "timed": 1, "timed_s": 0.25}  # fmt: skip
     lines = metrics(health, [0.25]).split("\n")[:-1]

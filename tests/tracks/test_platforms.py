@@ -130,3 +130,15 @@ def test_a_live_radar_is_where_her_vessel_was_last():
     objects = picture.objects
     at = np.hypot(objects["x_m"] - BUOY[0], objects["y_m"] - BUOY[1])
     assert state.objects.number.tolist() == [1] and at.max() < 30.0
+
+
+def test_live_reports_without_a_position_are_counted():
+    """Plots of a time at which the boat's place is not known; a plot without a range."""
+    picture = LivePicture([described(source="gps"), Description("gps", "ais")], plane=PLANE)
+    known = gps()
+    picture.add("gps", known.where(known.time_s < START_S + 20.0))
+    batch = plots(START_S + np.array([5.0, 10.0, 100.0, 110.0]))
+    batch.range_m[0] = np.nan
+    picture.add("radar", batch)
+    counts = picture.counts["radar"]
+    assert (counts.taken, counts.unplaced) == (1, 3)

@@ -427,8 +427,9 @@ class Keeper:
         counts, biases = self.picture.counts, self.offsets.biases()
         sources = {
             name: {
-                "reports": counts[name].taken, "late": counts[name].late, "repeated": counts[name].repeated,
-                "jumps": counts[name].jumps, "refused": state.refused, "error": state.error,
+                "reports": counts[name].taken, "unplaced": counts[name].unplaced, "late": counts[name].late,
+                "repeated": counts[name].repeated, "jumps": counts[name].jumps,
+                "refused": state.refused, "error": state.error,
                 "delay_s": None if math.isnan(state.delay_s) else round(state.delay_s, 3),
                 "biases": biases.get(name),
             }

@@ -471,7 +471,9 @@ def metrics(health: Mapping[str, Any], durations_s: Sequence[float]) -> str:
 
 #: Counters of sources and of wires, with their help.
 _OF_SOURCES = {
-    "reports": "Reports that were taken in.", "late": "Reports that came later than the lag.",
+    "reports": "Reports that were taken in.",
+    "unplaced": "Reports without a position, of their own or of their sensor.",
+    "late": "Reports that came later than the lag.",
     "repeated": "Reports that came again.", "jumps": "Reports that no object can move to.",
     "refused": "Reports with impossible values or times.",
 }  # fmt: skip

@@ -277,6 +277,7 @@ class LivePicture:
         if not len(reports):
             return
         feed = self._feeds[source]
+        given = len(reports)
         reports, _ = on_platform(feed.given, reports, self._recent, self.tuning)
         places = (reports.lat_deg, reports.lon_deg)
         if places[0] is None:
@@ -295,6 +296,7 @@ class LivePicture:
                 other.plane = self.plane
         if not only_carries(source, reports, [one.given for one in self._feeds.values()]):
             feed.add(reports)
+            feed.counts.unplaced += given - len(reports)
         self._keep_recent(source, reports)
 
     def _require(self, source: str) -> None:

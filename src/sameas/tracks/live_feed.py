@@ -77,10 +77,12 @@ class LiveTuning:
 
 @dataclass
 class ReportCounts:
-    """Counts of a source's reports. taken : all. late : older than the lag. repeated : with the position of an earlier
-    report. jumps : ignored as outliers of their ids. newest_s : latest time of a report."""
+    """Counts of a source's reports. taken : all with a position. unplaced : ignored without one, of their own or of the
+    sensor. late : older than the lag. repeated : with the position of an earlier report. jumps : ignored as outliers of
+    their ids. newest_s : latest time of a report."""
 
     taken: int = 0
+    unplaced: int = 0
     late: int = 0
     repeated: int = 0
     jumps: int = 0
@@ -162,7 +164,7 @@ class LiveFeed:
         return self._directions
 
     def add(self, reports: Reports) -> None:
-        """Adds reports, in any order; those without a position are ignored.
+        """Adds reports, in any order; those without a position are counted and ignored.
 
         Raises
         ------
@@ -201,6 +203,7 @@ class LiveFeed:
         self._latest_s = max(self._latest_s, float(new.late_s.max(initial=-math.inf)))
         self._serial += len(usable)
         self.counts.taken += len(usable)
+        self.counts.unplaced += len(reports) - len(usable)
         if in_plane.track is None or isinstance(in_plane, Directions):
             if in_plane.track is not None:
                 new.number = self._numbered(new.name)
