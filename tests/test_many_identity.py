@@ -28,7 +28,16 @@ from sameas.gate import Radius
 from sameas.many.identify import identify_many, identify_sequentially
 from sameas.many.observations import Bearing, Observations, records_of
 from sameas.many.pooled import pooled
-from sameas.many.rules import MissedObjects, PoissonObjects, SetRules, best_reference, by_precision, parts_of, terms_of
+from sameas.many.rules import (
+    MissedObjects,
+    PoissonObjects,
+    SetRules,
+    best_of_three,
+    best_reference,
+    by_precision,
+    parts_of,
+    terms_of,
+)
 from sameas.many.sets import ManyTuning, candidate_sets
 from test_many import WIDE, enumerated, field_scene, probabilities, same_as_identify, sets_of, small_scene
 
@@ -157,6 +166,14 @@ def test_a_third_equal_or_contradicting_record_counts_once():
     informative = np.ones((2, 3), bool)
     ln_r = np.array([[agree] * 3, [agree, against, against]])  # pairs (0, 1), (0, 2), (1, 2)
     np.testing.assert_allclose((best_reference(ln_r, informative) * ln_r).sum(axis=1), [2 * agree, agree + against])
+
+
+def test_sets_of_three_weigh_by_their_best_reference_to_the_last_digit():
+    rng = np.random.default_rng(1)
+    ln_r = np.where(rng.random((500, 3)) < 0.3, 0.0, 10.0 * rng.standard_normal((500, 3)))
+    informative = ln_r != 0.0
+    by_shares = (best_reference(ln_r, informative) * ln_r).sum(axis=1)
+    assert np.array_equal(best_of_three(ln_r, informative), by_shares)
 
 
 def test_records_without_evidence_change_no_set():

@@ -89,6 +89,13 @@ def best_reference(log_ratio: FloatArray, informative: BoolArray) -> FloatArray:
     return np.asarray(shares)
 
 
+def best_of_three(log_ratio: FloatArray, informative: BoolArray) -> FloatArray:
+    """(k,) Σ c ln r of sets of three records by :func:`best_reference`: the reference leaves out the lowest of three
+    informative pairs, and none of fewer."""
+    a, b, c = log_ratio.T
+    return np.asarray(np.where(informative.all(axis=1), np.maximum(np.maximum(a + b, a + c), b + c), a + b + c))
+
+
 def mean_of_pairs(log_ratio: FloatArray, informative: BoolArray) -> FloatArray:
     """The share (k − 1) / (k (k − 1)/2) for every pair."""
     return np.full(log_ratio.shape, 2.0 / _size(log_ratio.shape[1]))
@@ -163,7 +170,14 @@ class PairTerms:
 
     def of_sets(self, pairs: IntArray) -> FloatArray:
         """(k,) Σ c ln r of sets, given by their pairs."""
+        if pairs.shape[1] == 3 and self.shares is best_reference and self.precision is None:
+            return best_of_three(self.log_ratio[pairs], self.informative[pairs])
         return np.asarray((self.shares_of(pairs) * self.log_ratio[pairs]).sum(axis=1))
+
+    @cached_property
+    def is_silent(self) -> bool:
+        """Whether ln r is 0 for all pairs, such as for the identities of sources of which one gives none."""
+        return not self.log_ratio.any()
 
 
 @in_short
@@ -187,7 +201,7 @@ class Terms:
 
     def by_pair_of(self, pairs: IntArray) -> FloatArray:
         """(k,) the sum of the rules of pairs, of sets given by their pairs in the order of :func:`pairs_of`."""
-        return _sum(len(pairs), (rule.of_sets(pairs) for rule in self.by_pair))
+        return _sum(len(pairs), (rule.of_sets(pairs) for rule in self.by_pair if not rule.is_silent))
 
     def max_by_pair(self, pooled: PooledRecords) -> FloatArray:
         """(g,) upper bound, 0 or more, of what each record after a set's first adds in the rules of pairs, by group.
@@ -196,7 +210,7 @@ class Terms:
         (k − 1) max ln r_ij.
         """
         most = np.zeros(len(pooled.sizes))
-        for rule in self.by_pair:
+        for rule in (rule for rule in self.by_pair if not rule.is_silent):
             highest = np.zeros(len(most))
             np.maximum.at(highest, pooled.group[pooled.i], rule.log_ratio)
             most += highest
