@@ -41,6 +41,7 @@ LATER_KERNELS_OF_A_PICTURE = {
     "posterior": ("exact",),
     "search": ("sweep_few",),
     "track_pairs": ("pairs_stepped", "new_pair_errors", "best_others"),
+    "id_swaps": ("swap_factors", "add_set_gains"),
     "kalman": ("sum_of_records", "update_in_plane", "joint_in_plane"),
 }
 #: A compilation mark older than this, in seconds, was left behind by a process that was stopped.

@@ -17,17 +17,18 @@ import numpy as np
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
 from sameas.gaussian import mahalanobis_sq
+from sameas.kernels.id_swaps import add_set_gains, swap_factors
 from sameas.kernels.track_pairs import best_others
 from sameas.picture.named_tracks import Step
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.kinds import KINDS
 
-#: Minimum probability, for h = 1, of a swap that is counted, and maximum probability of one.
-MIN_SWAP, MAX_SWAP = 1e-3, 0.4
+#: Minimum probability, for h = 1, of a swap that is counted.
+MIN_SWAP = 1e-3
 #: Less probable models of swaps do not change the mean over models.
 MIN_PROBABILITY = 1e-4
-#: Maximum difference of ln r under one model of swaps from ln of the mean, and maximum ln of a relative weight.
-MAX_DIFFERENCE, MAX_LOG_WEIGHT = 20.0, 300.0
+#: Maximum difference of ln r under one model of swaps from ln of the mean.
+MAX_DIFFERENCE = 20.0
 
 
 def by_source_order(pair: tuple[IntArray, IntArray], source: tuple[IntArray, IntArray]) -> tuple[IntArray, IntArray]:
@@ -112,9 +113,9 @@ class Rivals:
         """
         out = log_ratio.copy()
         padded = np.append(log_odds, -np.inf)
-        for side in range(2):
-            best = self.best_other(log_odds, side)
-            partner = padded[self.best_other(log_odds, 1 - side)]
+        best_of_side = [self.best_other(log_odds, side) for side in range(2)]
+        for side, best in enumerate(best_of_side):
+            partner = padded[best_of_side[1 - side]]
             at = np.flatnonzero(padded[best] > -np.inf)  # ABSENT, no rival, reads the last
             # Without a pair (a′, b′) or (a′, b), the swap exchanges one pair only, and ln r allows for it.
             at = at[np.maximum(partner[at], partner[best[at]]) > 0.0]
@@ -252,62 +253,39 @@ class SwapRates:
         at = np.flatnonzero((swap[2] > MIN_SWAP).any(axis=(1, 2)))
         if not len(at):
             return log_ratio, by_model, p_swapped, self
-        (rival, log_report, near), now = (part[at] for part in swap), log_now[at]
-        rates, of_range = tuning.swap_models[0], np.repeat(np.arange(len(tuning.swap_ranges)), len(tuning.swap_rates))
-        log_stays = (log_ratio[at] + now)[:, None] + by_model[at]
-        # Weights of the pairs relative to that without swaps: with the present positions only, and with both.
-        p_stays, swapped, swapped_by_both = np.ones_like(log_stays), np.zeros_like(log_stays), np.zeros_like(log_stays)
-        for side in range(2):
-            h = np.where(self.may_swap[sources[side][at]][:, None], rates, rates.min())
-            p = np.minimum(h * near[:, side, of_range], MAX_SWAP)
-            p_stays -= p
-            log_rival = (log_old[rival[:, side]] + now)[:, None] + by_model[rival[:, side]] - log_stays
-            p *= np.exp(np.minimum(log_rival, MAX_LOG_WEIGHT))
-            swapped += p
-            log_last = log_reported[rival[:, side]] + log_report[:, side]
-            swapped_by_both += p * np.exp(np.minimum(log_last, MAX_LOG_WEIGHT))[:, None]
-        swaps = self._with_reports(
-            (log_old + log_reported)[at, None] + by_model[at], log_stays + np.log(p_stays + swapped_by_both),
-            tuple(side[at] for side in rivals.sides), tuple(source[at] for source in sources), log_density_anywhere,
+        sources, weight = (sources[0][at], sources[1][at]), np.exp(by_model)
+        factor, swapped, with_reports = np.empty((3, len(at), weight.shape[1]))
+        log_top = np.empty(len(at))
+        swap_factors(
+            at, (log_old, log_reported), log_ratio, weight, (swap[0][at], swap[1][at], swap[2][at]),
+            np.column_stack([self.may_swap[source] for source in sources]), np.array(tuning.swap_rates), factor,
+            swapped, with_reports, log_top,
         )  # fmt: skip
-        log_after, probability = log_stays + np.log(p_stays + swapped), swaps.of_pairs(tuple(s[at] for s in sources))
-        top = log_after.max(axis=1)
-        log_mean = top + np.log((probability * np.exp(log_after - top[:, None])).sum(axis=1))
+        own = weight[at]
+        swaps = self._with_reports(
+            ((log_old + log_reported)[at], own), (log_ratio[at] + log_now[at] + log_top, with_reports),
+            tuple(side[at] for side in rivals.sides), sources, log_density_anywhere,
+        )  # fmt: skip
+        probability, after = swaps.of_pairs(sources), own * factor
+        mean = np.einsum("nr,nr->n", probability, after)
         log_ratio, by_model = log_ratio.copy(), by_model.copy()
-        log_ratio[at] = log_mean - now
-        by_model[at] = np.clip(log_after - log_mean[:, None], -MAX_DIFFERENCE, MAX_DIFFERENCE)
-        p_swapped[at] = (probability * swapped / (p_stays + swapped)).sum(axis=1)
+        log_ratio[at] += np.log(mean)
+        by_model[at] = np.clip(np.log(after / mean[:, None]), -MAX_DIFFERENCE, MAX_DIFFERENCE)
+        p_swapped[at] = np.einsum("nr,nr->n", probability, swapped / factor)
         return log_ratio, by_model, p_swapped, swaps
 
     def _with_reports(
-        self, log_before: FloatArray, log_after: FloatArray, sides: Sequence[IntArray], sources: Sequence[IntArray],
-        log_density_anywhere: float,
+        self, before: tuple[FloatArray, FloatArray], after: tuple[FloatArray, FloatArray], sides: Sequence[IntArray],
+        sources: Sequence[IntArray], log_density_anywhere: float,
     ) -> SwapRates:  # fmt: skip
-        """The rates after reports; log_before, log_after : (n, r) weights of pairs. sides, sources : (n,), (n,) sets of
-        pairs, and sources of the tracks that differ within them."""
+        """The rates after reports; before, after : (n,), (n, r) ln of a weight of each pair, and its weights under each
+        model relative to that. sides, sources : (n,), (n,) sets of pairs, and sources of the tracks that differ within
+        them."""
         log_probable = self.log_probable.copy()
-        # The sets of both tracks of the other source contain the same swap.
-        share = 0.5
         for side, source in zip(sides, sources, strict=True):
-            _, first, label = np.unique(side, return_index=True, return_inverse=True)
-            before, after = (_log_sums(label, weights, log_density_anywhere) for weights in (log_before, log_after))
-            np.add.at(log_probable, source[first], share * (after - before))
+            # The sets of both tracks of the other source contain the same swap: each has half a share.
+            add_set_gains(side, source, before, after, log_density_anywhere, 0.5, log_probable)
         return SwapRates(log_probable - log_probable.max(axis=1, keepdims=True))
-
-
-def _log_sums(label: IntArray, values: FloatArray, least: float) -> FloatArray:
-    """(n, r) ln of the sums of exp(values) (k, r) per label (k,) from 0, and of exp(least).
-
-    One rate at a time: for rows of several, ``ufunc.at`` takes ten times as long.
-    """
-    rates = np.ascontiguousarray(values.T)
-    top = np.full((len(rates), int(label.max(initial=-1)) + 1), least)
-    for highest, terms in zip(top, rates, strict=True):
-        np.maximum.at(highest, label, terms)
-    total = np.exp(least - top)
-    for one, terms in zip(total, np.exp(rates - np.take(top, label, axis=1)), strict=True):
-        np.add.at(one, label, terms)
-    return np.asarray((top + np.log(total)).T)
 
 
 def group_maximum(group: IntArray, values: FloatArray) -> FloatArray:
