@@ -556,7 +556,7 @@ def test_velocities_of_a_new_pair_count_if_they_differ_and_never_join_it():
     scan = Scan.of(overflight(2, n=3).at(10.0))
     state = scan.state.copy()
     state[1, 2:] = state[0, 2:] + 6.0 * np.sqrt(2.0 * scan.covariance[0, 2:, 2:].diagonal()) * [1.0, 0.0]
-    first = FirstContact(replace(scan, state=state), {}, np.empty(0, np.int64), TrackMemory().rule(), np.zeros(0, bool))
+    first = FirstContact(replace(scan, state=state), {}, TrackMemory().rule(), np.zeros(0, bool))
     # The same velocity, one that is 6σ wrong, and that of an aircraft.
     log_ratio = first._by_velocity(np.array([0, 0, 0]), np.array([0, 1, 3]))
     assert log_ratio[0] == 0.0 and -7.0 < log_ratio[1] < -1.0

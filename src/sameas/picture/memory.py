@@ -27,18 +27,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken
 from sameas.errors import InputError
-from sameas.gaussian import mahalanobis_sq
+from sameas.gaussian import log_determinant, mahalanobis_sq
 from sameas.many.pooled import PooledRecords
 from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly, information, pairs_within
 from sameas.picture.id_swaps import MIN_SWAP, Rivals, SwapRates, by_source_order
 from sameas.picture.manoeuvres import with_manoeuvres
-from sameas.picture.named_tracks import NamedTracks
+from sameas.picture.named_tracks import NamedTracks, NewReports
 from sameas.picture.previous_scans import REASSIGNED, FirstContact, PreviousScans
 from sameas.picture.tables import RANGE_BANDS, Scan, objects_per_m2
 from sameas.picture.track_existence import TrackExistence
@@ -56,7 +56,8 @@ class TrackMemory:
     ----------
     reassigned : ε of the module. correlation_s : by source name, the correlation time of its errors where it is given
         rather than estimated (:mod:`sameas.picture.error_correlation`); 0 for independent errors.
-    tracks, existence, track_pairs, swaps : the state, updated from instant to instant.
+    tracks, existence, track_pairs, swaps : the state, updated from instant to instant. reports : new reports of the
+        instant that :meth:`learned` has still to use.
     """
 
     reassigned: float = REASSIGNED
@@ -65,6 +66,7 @@ class TrackMemory:
     existence: TrackExistence = field(default_factory=TrackExistence)
     track_pairs: TrackPairs = field(default_factory=TrackPairs)
     swaps: SwapRates = field(default_factory=SwapRates)
+    reports: NewReports | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.reassigned < 0.5:
@@ -76,7 +78,11 @@ class TrackMemory:
         return self.tracks.error_factors
 
     def advance(self, scan: Scan, track_of_record: IntArray | None = None) -> TrackMemory:
-        """The memory after the scan of a later instant.
+        """The memory after the scan of a later instant; arguments as of :meth:`looked_ahead`."""
+        return self.looked_ahead(scan, track_of_record).learned()
+
+    def looked_ahead(self, scan: Scan, track_of_record: IntArray | None = None) -> TrackMemory:
+        """The memory at the scan of a later instant, for that instant alone; for later ones see :meth:`learned`.
 
         track_of_record : (n,) ``tracks.numbers_on(scan)``, where already known.
 
@@ -98,12 +104,25 @@ class TrackMemory:
         )
         track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, scan.tuning)
         existence = self.existence.advance(tracks)
-        return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
+        return replace(
+            self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence, reports=step.reports
+        )
+
+    def learned(self) -> TrackMemory:
+        """The memory with the error factors by the new reports of the instant, which count from the next one on."""
+        if self.reports is None:
+            return self
+        tracks = replace(self.tracks, error_factors=self.reports.factors_after(self.error_factors))
+        return replace(self, tracks=tracks, reports=None)
 
     def with_numbers_of(self, later: TrackMemory, tuning: Tuning) -> TrackMemory:
         """The memory with the numbers that were given to the ids of tracks until a later instant, and their existence
         then: false tracks may begin and end between two steps of the memory."""
-        return replace(self, tracks=self.tracks.with_numbers_of(later.tracks, tuning), existence=later.existence)
+        out = replace(self, tracks=self.tracks.with_numbers_of(later.tracks, tuning), existence=later.existence)
+        if "_log_ratio" in self.__dict__:
+            # It depends on neither, and stays until the next step.
+            out.__dict__["_log_ratio"] = self._log_ratio
+        return out
 
     def _with_present_factors(self) -> TrackMemory:
         """The memory of the previous instant by the present factors: :meth:`NamedTracks.with_present_factors`."""
@@ -157,7 +176,7 @@ class TrackMemory:
 
     def rule(self) -> PreviousScans:
         """The rule of previous scans for the records of the instant."""
-        log_ratio, level = self._log_ratio()
+        log_ratio, level = self._log_ratio
         first, second = self.track_pairs.first, self.track_pairs.second
         return PreviousScans(self._numbers(), first, second, log_ratio, level, self._precision())
 
@@ -185,20 +204,21 @@ class TrackMemory:
             records[description.name] = np.full(int(scan.table[own].max(initial=-1)) + 1, ABSENT)
             records[description.name][scan.table[own]] = own
         sure = ~np.isnan(self.track_pairs.anchor_s)
-        return FirstContact(scan, records, self.tracks.track_of_record, history, sure, self.reassigned)
+        return FirstContact(scan, records, history, sure, self.reassigned)
 
     def _precision(self) -> FloatArray:
         """(k,) sum of the precisions of both tracks of each pair, |P|^(−½) in m⁻²."""
         if self.tracks.scan is None:
             return np.zeros(len(self.track_pairs))
         covariance = self.tracks.scan.covariance[self.tracks.place, :2, :2]
-        precision = 1.0 / np.sqrt(np.linalg.det(covariance))
+        precision = np.exp(-0.5 * log_determinant(covariance))
         one, other = (
             precision[places_in(self.tracks.number, number)]
             for number in (self.track_pairs.first, self.track_pairs.second)
         )
         return np.asarray(one + other)
 
+    @cached_property
     def _log_ratio(self) -> tuple[FloatArray, FloatArray]:
         """(k,) ln r of the pairs, without the positions of the instant, and its level (:class:`PreviousScans`)."""
         track_pairs, tracks = self.track_pairs, self.tracks
@@ -266,7 +286,7 @@ class TrackMemory:
         known = np.array([names.index(d.name) if d.name in names else n for d in scan.now.descriptions], np.int64)
         swap_rate = np.append(self.swaps.rate(np.arange(n), scan.tuning), 0.0)[known]
         return with_manoeuvres(
-            scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio()[0], per_m2, swap_rate,
+            scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio[0], per_m2, swap_rate,
             together,
         )  # fmt: skip
 

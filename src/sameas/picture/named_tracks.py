@@ -29,6 +29,7 @@ import numpy as np
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
 from sameas.gate import ChiSquare
+from sameas.gaussian import log_determinant
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
 from sameas.picture.error_correlation import ErrorCorrelation, growth
 from sameas.picture.error_factors import ErrorFactors, error_update, evenly
@@ -56,10 +57,10 @@ class Step(ColumnTable):
         ρ = 1 and s = 0.
     log_own : ln p of the new report given the track's previous reports, 0 without one.
     error_mean, error_covariance : (m, 4), (m, 4, 4) of (e, z), given the track's own reports.
-    instant_s : the present instant.
+    instant_s : the present instant. reports : its new reports, also of tracks that restart.
     """
 
-    WHOLE = frozenset({"instant_s"})
+    WHOLE = frozenset({"instant_s", "reports"})
     number: IntArray
     source: IntArray
     last: FloatArray
@@ -78,6 +79,7 @@ class Step(ColumnTable):
     error_mean: FloatArray
     error_covariance: FloatArray
     instant_s: float
+    reports: NewReports
 
     def find(self, number: IntArray) -> IntArray:
         """(k,) row of each track in the step, ABSENT for tracks that are not in it."""
@@ -152,7 +154,7 @@ class NamedTracks:
         return out
 
     def advance(self, scan: Scan, track_of_record: IntArray | None = None) -> tuple[NamedTracks, Step]:
-        """The tracks after the next scan, and the step to it.
+        """The tracks after the next scan, with the error factors of before, and the step to it.
 
         track_of_record : (n,) :meth:`numbers_on` of the scan, where already known.
 
@@ -168,7 +170,7 @@ class NamedTracks:
         continuing = np.flatnonzero((places_in(self.number, number) >= 0) & scan.placed[place])
         continuing = continuing[np.argsort(number[continuing])]
         known = replace(self, error_correlation=correlation, error_factors=factors)
-        step, correlation, factors = known._step(scan, number[continuing], place[continuing], source[continuing])
+        step, correlation = known._step(scan, number[continuing], place[continuing], source[continuing])
         is_new = number < 0
         number[is_new] = self.n_numbers + np.arange(np.count_nonzero(is_new))
         track_of_record[place] = number
@@ -233,10 +235,8 @@ class NamedTracks:
         absent = {**later.absent, **later._without(self.number, tuning)}
         return replace(self, by_name=later.by_name, n_numbers=later.n_numbers, absent=absent)
 
-    def _step(
-        self, scan: Scan, number: IntArray, place: IntArray, source: IntArray
-    ) -> tuple[Step, ErrorCorrelation, ErrorFactors]:
-        """The step of continuing tracks, without those that restart, and the updated error estimates.
+    def _step(self, scan: Scan, number: IntArray, place: IntArray, source: IntArray) -> tuple[Step, ErrorCorrelation]:
+        """The step of continuing tracks, without those that restart, and the updated error correlation.
 
         number, place, source : (m,) of the tracks: their numbers, ascending, records of the scan, and sources.
         """
@@ -256,14 +256,16 @@ class NamedTracks:
         report_factors(
             last, place, previous.reported_covariance, scan.reported_covariance, old, new, root_last, root, motion
         )
-        correlation, factors = self._error_estimates(
-            scan, (last, place), source, (dt, elapsed), shift, (root_last, root), motion
+        k = np.flatnonzero(new_report)
+        reports = NewReports(
+            previous, scan, last[k], place[k], source[k], dt[k], elapsed[k], shift[k], motion[k], root_last[k], root[k]
         )
+        correlation = reports.correlation_after(self.error_correlation)
         slope, noise = np.empty((len(at), 2, 4)), np.empty((len(at), 2, 2))
         share, decaying = correlation.lasting(source, scan.tuning), correlation.decaying(source, elapsed, scan.tuning)
         innovation_model(root_last, root, old, new, share, decaying, slope, noise)
         # |R| / |P| is the square of the mean g of both axes.
-        log_kept = np.log(np.prod(root_last[:, [0, 1], [0, 1]], axis=1)) - 0.5 * np.log(np.linalg.det(old))
+        log_kept = np.log(root_last[:, 0, 0] * root_last[:, 1, 1]) - 0.5 * log_determinant(old)
         log_kept = self.log_kept[at] + np.where(new_report, log_kept, 0.0)
         error_mean, error_covariance = self.error_mean[at], self.error_covariance[at]
         error_covariance[:, :2, :2] += drift
@@ -278,54 +280,75 @@ class NamedTracks:
         step = Step(
             number, source, previous.state[last, :2], moved, moved + shift, new, drift,
             np.sqrt(share)[:, None, None] * root, scan.reported_covariance[place, :2, :2], slope, noise, shift,
-            new_report, log_kept, log_own, updated_mean, updated_covariance, scan.now.instant_s,
+            new_report, log_kept, log_own, updated_mean, updated_covariance, scan.now.instant_s, reports,
         )  # fmt: skip
         consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - scan.tuning.new_track_probability).limit(2))
-        return step if consistent.all() else step.take(np.flatnonzero(consistent)), correlation, factors
+        return step if consistent.all() else step.take(np.flatnonzero(consistent)), correlation
 
-    def _error_estimates(
-        self, scan: Scan, reports: tuple[IntArray, IntArray], source: IntArray, times_s: tuple[FloatArray, FloatArray],
-        shift: FloatArray, roots: tuple[FloatArray, FloatArray], motion: FloatArray,
-    ) -> tuple[ErrorCorrelation, ErrorFactors]:  # fmt: skip
-        """The error correlation and error factors after new reports of tracks.
 
-        reports : (m,) rows of each track's last report in the previous scan, and of its report in this one. times_s :
-        (m,) seconds from the last report to the instant, and to the new report. shift, motion : (m, 2), (m, 2, 2) ν and
-        D. roots : (m, 2, 2) L and L′.
-        """
-        previous = self.scan if self.scan is not None else scan
-        k = np.flatnonzero(times_s[1] > 0.0)
-        last, place = reports[0][k], reports[1][k]
-        r_last, r_new = previous.reported_covariance[last, :2, :2], scan.reported_covariance[place, :2, :2]
-        source, elapsed, shift, motion = source[k], times_s[1][k], shift[k], motion[k]
+@dataclass(frozen=True)
+class NewReports:
+    """The new reports of tracks at an instant, (k,) each, from which the errors of the sources are estimated.
 
-        def common(which: IntArray) -> FloatArray:
-            """L L′ᵀ: the covariance of two reports with fully correlated errors."""
-            return np.asarray(roots[0][k[which]] @ roots[1][k[which]].transpose(0, 2, 1))
+    previous, scan : of the last step and of the instant. last, place : each track's records in both. source : of the
+    track. dt, elapsed : seconds from the last report to the instant, and to the new report. shift, motion : (k, 2),
+    (k, 2, 2) ν and D. root_last, root : (k, 2, 2) L and L′.
+    """
 
-        def motions(which: IntArray) -> tuple[FloatArray, FloatArray]:
-            """D, and the part of it that comes from errors of measured velocities."""
-            dt, moving = times_s[0][k[which], None, None], previous.moving[last[which], None, None]
-            cross, velocity = (previous.reported_covariance[last[which], v, 2:] for v in (slice(2), slice(2, 4)))
-            by_velocity = np.where(moving, dt * (cross + cross.transpose(0, 2, 1) + dt * velocity), 0.0)
-            return motion[which], growth(by_velocity)
+    previous: Scan
+    scan: Scan
+    last: IntArray
+    place: IntArray
+    source: IntArray
+    dt: FloatArray
+    elapsed: FloatArray
+    shift: FloatArray
+    motion: FloatArray
+    root_last: FloatArray
+    root: FloatArray
 
-        position = scan.state[place, :2]
-        sample = evenly(position, MAX_REPORTS)
-        correlation = self.error_correlation.updated(
-            source[sample], elapsed[sample], shift[sample], (r_last[sample] + r_new[sample], common(sample)),
-            motions(sample), scan.tuning,
+    def correlation_after(self, before: ErrorCorrelation) -> ErrorCorrelation:
+        """The error correlation after these reports."""
+        sample = evenly(self.scan.state[self.place, :2], MAX_REPORTS)
+        r_last, r_new = self._reported(sample)
+        return before.updated(
+            self.source[sample], self.elapsed[sample], self.shift[sample], (r_last + r_new, self._common(sample)),
+            self._motions(sample), self.scan.tuning,
         )  # fmt: skip
-        to_stated = 1.0 / previous.error_factor[last, None, None], 1.0 / scan.error_factor[place, None, None]
+
+    def factors_after(self, before: ErrorFactors) -> ErrorFactors:
+        """The error factors after these reports."""
+        r_last, r_new = self._reported(slice(None))
+        to_stated = (
+            1.0 / self.previous.error_factor[self.last, None, None],
+            1.0 / self.scan.error_factor[self.place, None, None],
+        )
         as_stated = to_stated[0] ** 2 * r_last + to_stated[1] ** 2 * r_new
-        part = source * RANGE_BANDS + scan.range_band[place]
-        sample = self.error_factors.informative(part, position, as_stated, motion)
-        factors = self.error_factors.with_shifts(
-            part[sample], shift[sample],
-            (as_stated[sample], (to_stated[0] * to_stated[1])[sample] * common(sample)),
-            motions(sample), scan.tuning,
-        )  # fmt: skip
-        return correlation, factors
+        part = self.source * RANGE_BANDS + self.scan.range_band[self.place]
+        sample = before.informative(part, self.scan.state[self.place, :2], as_stated, self.motion)
+        common = (to_stated[0] * to_stated[1])[sample] * self._common(sample)
+        return before.with_shifts(
+            part[sample], self.shift[sample], (as_stated[sample], common), self._motions(sample), self.scan.tuning
+        )
+
+    def _reported(self, which: IntArray | slice) -> tuple[FloatArray, FloatArray]:
+        """R and R′."""
+        return (
+            self.previous.reported_covariance[self.last[which], :2, :2],
+            self.scan.reported_covariance[self.place[which], :2, :2],
+        )
+
+    def _common(self, which: IntArray) -> FloatArray:
+        """L L′ᵀ: the covariance of two reports with fully correlated errors."""
+        return np.asarray(self.root_last[which] @ self.root[which].transpose(0, 2, 1))
+
+    def _motions(self, which: IntArray) -> tuple[FloatArray, FloatArray]:
+        """D, and the part of it that comes from errors of measured velocities."""
+        last, dt = self.last[which], self.dt[which, None, None]
+        moving = self.previous.moving[last, None, None]
+        cross, velocity = (self.previous.reported_covariance[last, v, 2:] for v in (slice(2), slice(2, 4)))
+        by_velocity = np.where(moving, dt * (cross + cross.transpose(0, 2, 1) + dt * velocity), 0.0)
+        return self.motion[which], growth(by_velocity)
 
 
 def prior_covariance(covariance: FloatArray, lasting: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, sp
 from sameas.errors import InputError
 from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
-from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, symmetric
+from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq, symmetric
 from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, ObjectStates, PictureObjects
 from sameas.picture.track_existence import ExistenceOdds
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
@@ -135,7 +135,7 @@ class NearOrSameId:
         residual = first.features[i] - second.features[j]
         total = first.full_covariance()[i] + second.full_covariance()[j]
         chi_sq = mahalanobis_sq(residual, total)
-        return Pairs(first, second, i, j, i, j, residual, chi_sq, np.linalg.det(total), f"{near.gate}, or one name")
+        return Pairs(first, second, i, j, i, j, residual, chi_sq, determinant(total), f"{near.gate}, or one name")
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -70,39 +71,59 @@ class PreviousScans(Rule):
             raise InputError("PreviousScans: give level and precision of every pair of tracks, or neither")
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        return Evidence({"memory": self._of_pairs(pairs, self.log_ratio)})
+        return Evidence({"memory": self.of_pairs(pairs, self.log_ratio)})
 
     def parts(self) -> tuple[Rule, ...]:
         """The level, and the differences from it; the rule itself without a level."""
-        if self.level is None:
-            return (self,)
-        at_level = PreviousScans(self.numbers, self.first, self.second, self.level)
-        differences = _RivalHistories(self.numbers, self.first, self.second, self.log_ratio, self.level, self.precision)
-        return at_level, differences
+        return (self,) if self.level is None else (_Level(self), _RivalHistories(self))
 
-    def _of_pairs(self, pairs: Pairs, values: ArrayLike) -> FloatArray:
+    def of_pairs(self, pairs: Pairs, values: ArrayLike) -> FloatArray:
         """(m,) the values (k,) of the pairs' tracks; 0 for pairs that are not among them."""
-        one, two = (
-            np.asarray(self.numbers.get(side.source, np.full(side.n_table, ABSENT)))[side.rows[at]]
-            for side, at in ((pairs.first, pairs.i), (pairs.second, pairs.j))
-        )
-        pair_key = np.where((one >= 0) & (two >= 0), keys(np.minimum(one, two), np.maximum(one, two)), ABSENT)
-        at = places_in(keys(np.asarray(self.first), np.asarray(self.second)), pair_key)
-        return np.append(np.asarray(values, dtype=np.float64), 0.0)[at]
+        return np.append(np.asarray(values, dtype=np.float64), 0.0)[self.rows(pairs)]
+
+    def rows(self, pairs: Pairs) -> IntArray:
+        """(m,) the pair of tracks of each pair of records, ABSENT for those not among them. Several rules ask for the
+        same pairs, which are looked up once."""
+        known = self._looked_up.get(id(pairs))
+        if known is None:
+            one, two = (
+                np.asarray(self.numbers.get(side.source, np.full(side.n_table, ABSENT)))[side.rows[at]]
+                for side, at in ((pairs.first, pairs.i), (pairs.second, pairs.j))
+            )
+            pair_key = np.where((one >= 0) & (two >= 0), keys(np.minimum(one, two), np.maximum(one, two)), ABSENT)
+            known = pairs, places_in(keys(np.asarray(self.first), np.asarray(self.second)), pair_key)
+            self._looked_up[id(pairs)] = known
+        return known[1]
+
+    @cached_property
+    def _looked_up(self) -> dict[int, tuple[Pairs, IntArray]]:
+        """By the identity of pairs, these, so that the identity stays theirs, and their rows."""
+        return {}
 
 
 @dataclass(frozen=True)
-class _RivalHistories(PreviousScans):
-    """How much less probable the history of each pair is than its level: see :class:`PreviousScans`."""
+class _Level(Rule):
+    """The level of a history: see :class:`PreviousScans`."""
 
-    def parts(self) -> tuple[Rule, ...]:
-        return (self,)
+    history: PreviousScans
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        assert self.level is not None and self.precision is not None
-        difference = np.asarray(self.log_ratio, np.float64) - np.asarray(self.level, np.float64)
-        precision = self._of_pairs(pairs, self.precision)
-        return Evidence({"memory": self._of_pairs(pairs, difference)}, precision=precision)
+        assert self.history.level is not None
+        return Evidence({"memory": self.history.of_pairs(pairs, self.history.level)})
+
+
+@dataclass(frozen=True)
+class _RivalHistories(Rule):
+    """How much less probable the history of each pair is than its level: see :class:`PreviousScans`."""
+
+    history: PreviousScans
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        history = self.history
+        assert history.level is not None and history.precision is not None
+        difference = np.asarray(history.log_ratio, np.float64) - np.asarray(history.level, np.float64)
+        precision = history.of_pairs(pairs, history.precision)
+        return Evidence({"memory": history.of_pairs(pairs, difference)}, precision=precision)
 
 
 #: Shares of velocities that are right, and that have ten times their stated errors; the rest is of any other object.
@@ -130,13 +151,12 @@ class FirstContact(Rule):
     Parameters
     ----------
     scan : of the instant. records : by source name, the record of the scan of each row of the source's table, or
-        ABSENT. number : (n,) track number of each record, ABSENT for records without an id.
+        ABSENT.
     history : of the pairs of tracks. sure : (k,) which of them were sure before. reassigned : ε.
     """
 
     scan: Scan = field(repr=False)
     records: Mapping[str, IntArray] = field(repr=False)
-    number: IntArray = field(repr=False)
     history: PreviousScans
     sure: BoolArray = field(repr=False)
     reassigned: float = REASSIGNED
@@ -146,10 +166,7 @@ class FirstContact(Rule):
         first, second = (self.records.get(side.source) for side in (pairs.first, pairs.second))
         if first is not None and second is not None:
             a, b = first[pairs.first.rows[pairs.i]], second[pairs.second.rows[pairs.j]]
-            named = (self.number[a] >= 0) & (self.number[b] >= 0)
-            one, two = np.sort([self.number[a], self.number[b]], axis=0)
-            known = keys(np.asarray(self.history.first), np.asarray(self.history.second))
-            pair = np.where(named, places_in(known, keys(one, two)), ABSENT)
+            pair = self.history.rows(pairs)
             at = np.flatnonzero((a >= 0) & (b >= 0) & ~np.append(self.sure, False)[pair])
             counted = np.minimum(np.append(np.asarray(self.history.log_ratio), 0.0)[pair[at]], 0.0)
             out[at] = np.minimum(self._by_velocity(a[at], b[at]) - counted, 0.0) + self._by_target(a[at], b[at])

@@ -111,6 +111,10 @@ class Scan:
             **columns,
         )
 
+    def reports(self, attribute: str) -> bool:
+        """Whether any source reports an attribute of identity."""
+        return any(feed.attributes.get(attribute) is not None for feed in self.now.feeds)
+
     def texts(self, attribute: str) -> NDArray[Any]:
         """(n,) an attribute of identity of the records, "" for none and for values without meaning, such as MMSI 0.
 

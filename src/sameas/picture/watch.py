@@ -78,7 +78,10 @@ def with_hysteresis(
     resolve = _splits(sets, component, previous_object, answer.chosen)[component]
     if not resolve.any():
         return identification, np.zeros(len(identification), bool)
-    with_links = replace(sets, log_weight=sets.log_weight + log_bound * _links(sets, previous_object))
+    which = np.flatnonzero(resolve)
+    log_weight = sets.log_weight.copy()
+    log_weight[which] += log_bound * _links(sets.members[which], previous_object)
+    with_links = replace(sets, log_weight=log_weight)
     best = best_sets(with_links, n, possible & resolve, time_limit_s=tuning.search_s, tuning=LIVE)
     chosen = np.where(resolve, best, answer.chosen)
     change = _components(sets, chosen ^ answer.chosen, n)[sets.members.max(axis=1)]
@@ -100,9 +103,9 @@ def _components(sets: Sets, which: BoolArray, n_records: int) -> IntArray:
     return component[:n_records]
 
 
-def _links(sets: Sets, previous_object: IntArray) -> IntArray:
-    """(k,) links within each set: its records with a previous object, minus the number of these objects."""
-    previous = np.sort(np.append(previous_object, ABSENT)[sets.members], axis=1)
+def _links(members: IntArray, previous_object: IntArray) -> IntArray:
+    """(k,) links within each set (k, S): its records with a previous object, minus the number of these objects."""
+    previous = np.sort(np.append(previous_object, ABSENT)[members], axis=1)
     has_previous = previous >= 0
     objects = (has_previous[:, :1] + np.cumsum((previous[:, 1:] != previous[:, :-1]) & has_previous[:, 1:], axis=1))[
         :, -1:
@@ -182,7 +185,8 @@ class Watch:
         each instant.
     stages : when objects are confirmed. gate : of ``identify_many``. tuning : other chosen numbers.
     objects, texts : the objects and their texts, updated from instant to instant.
-    shown, forgotten : the scan of the last instant shown, and the numbers of tracks that ended since; updated likewise.
+    shown, shown_tracks, forgotten : the scan of the last instant shown, the numbers of its records' tracks, ABSENT for
+        none, and those of tracks that ended since; updated likewise.
     """
 
     evidence: EvidenceOf = all_evidence
@@ -194,6 +198,7 @@ class Watch:
     objects: NamedObjects = field(default_factory=NamedObjects)
     texts: Mapping[int, NDArray[Any]] = field(default_factory=dict, repr=False)
     shown: Scan | None = field(default=None, repr=False)
+    shown_tracks: IntArray | None = field(default=None, repr=False)
     forgotten: IntArray = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
 
     def __post_init__(self) -> None:
@@ -218,7 +223,7 @@ class Watch:
 
     def passed(self, now: Instant) -> Watch:
         """The watch after an instant that is not shown: its reports are in the memory of tracks."""
-        _, memory = self._remembered(now)
+        memory = self._remembered(now)[1].learned()
         return replace(self, memory=memory, forgotten=np.concatenate([self.forgotten, memory.tracks.forgotten]))
 
     def _remembered(self, now: Instant) -> tuple[Scan, TrackMemory]:
@@ -226,15 +231,20 @@ class Watch:
         scan = self.memory.error_factors.applied(Scan.of(now.with_records(), self.tuning))
         track_of_record = self.memory.tracks.numbers_on(scan)
         scan = self.memory.with_manoeuvres(scan, track_of_record, objects_per_m2(now), self.objects.history.together)
-        return scan, self.memory.advance(scan, track_of_record)
+        return scan, self.memory.looked_ahead(scan, track_of_record)
 
-    def _carried(self, memory: TrackMemory) -> TrackMemory:
-        """The memory for later instants: that of this instant where a step is due, or there is a new source; else the
-        previous one."""
+    def _carried(self, memory: TrackMemory, members: IntArray, identification: Objects | None) -> TrackMemory:
+        """The memory for later instants: that of this instant where a step is due, or there is a new source, with what
+        its objects (n, S) tell; else the previous one."""
         elapsed_s = memory.tracks.instant_s - self.memory.tracks.instant_s
         is_due = elapsed_s >= self.tuning.memory_every_s - 1e-6
         known = memory.tracks.error_correlation.names == self.memory.tracks.error_correlation.names
-        return memory if is_due or not known else self.memory.with_numbers_of(memory, self.tuning)
+        if known and not is_due:
+            return self.memory.with_numbers_of(memory, self.tuning)
+        memory = memory.learned()
+        if identification is None:
+            return memory
+        return memory.with_pairs(identification.pooled).with_sure(members, identification.probability)
 
     def advance(self, now: Instant) -> PictureState[Watch]:
         """The picture at an instant not before the previous one, without steps of the memory in between.
@@ -256,28 +266,25 @@ class Watch:
                 math.log(self.bound),
                 self.tuning,
             )
-            memory = memory.with_pairs(identification.pooled)
         objects_now = IdentifiedObjects(scan, identification, by_hysteresis)
         members = objects_now.members
-        texts = {name: scan.texts(name) for name in TEXTS}
+        texts = {name: scan.texts(name) for name in TEXTS if scan.reports(name)}
         detections = self._detections(scan, members, identification, memory, texts)
-        if identification is not None:
-            memory = memory.with_sure(members, identification.probability)
         memory = memory.with_real(detections.tracks[_certain_pairs(members, identification, self.stages)])
         objects = self.objects.advance(now.instant_s, detections, objects_per_m2(now), self.stages, self.tuning)
         object_texts = RecordTexts.of(scan, members, texts, objects).of_objects(objects, self.texts)
         carried = replace(
-            self, memory=self._carried(memory), objects=objects, texts=object_texts, shown=scan,
-            forgotten=np.empty(0, np.int64),
+            self, memory=self._carried(memory, members, identification), objects=objects, texts=object_texts,
+            shown=scan, shown_tracks=memory.tracks.track_of_record, forgotten=np.empty(0, np.int64),
         )  # fmt: skip
         return PictureState(now, scan, objects_now, detections.states, carried)
 
     def _previous_objects(self, pooled: PooledRecords, scan: Scan, memory: TrackMemory) -> IntArray:
         """(records,) the object of each pooled record's track at the previous instant, ABSENT without one."""
         out = np.full(len(pooled), ABSENT)
-        if self.shown is None:
+        if self.shown_tracks is None:
             return out
-        track, before = memory.tracks.track_of_record, memory.tracks.numbers_on(self.shown)
+        track, before = memory.tracks.track_of_record, self.shown_tracks
         previous = np.where(np.isin(track, before[before >= 0]), self.objects.history.last_of(track), 0)
         for s, (source_number, source) in enumerate(zip(pooled.given, pooled.sources, strict=True)):
             if source_number + 1 < len(scan.start):
@@ -309,7 +316,10 @@ class Watch:
         states = object_states(scan, members, identification)
         is_member = members >= 0
         track = np.append(memory.tracks.track_of_record, ABSENT)[members]
-        has_unique_id = np.append(np.any([texts[name] != "" for name in UNIQUE_IDS], axis=0), False)[members]
+        has_unique_id = np.zeros(len(scan) + 1, bool)  # the last place is that of no record
+        for name in UNIQUE_IDS:
+            if name in texts:
+                has_unique_id[:-1] |= texts[name] != ""
         # Each record of a source without clutter is of a real object.
         clutter_free = np.array([feed.clutter(2) == 0.0 for feed in scan.now.feeds], dtype=bool)
         is_certain = (is_member & clutter_free).any(axis=1) | _certain_pairs(members, identification, self.stages)
@@ -321,7 +331,7 @@ class Watch:
         return UnnumberedObjects(
             states,
             track,
-            has_unique_id & is_member,
+            has_unique_id[members] & is_member,
             new_report,
             new_plot,
             is_certain,
@@ -345,7 +355,7 @@ class RecordTexts:
 
     @classmethod
     def of(cls, scan: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], objects: NamedObjects) -> RecordTexts:
-        """members : (n, S) records of the detected objects. texts : (records,) by column."""
+        """members : (n, S) records of the detected objects. texts : (records,) by column, if reported."""
         at, source = np.nonzero(members >= 0)
         record = members[at, source]
         newest = np.full((len(members), len(TEXTS)), "", dtype=object)
@@ -354,6 +364,8 @@ class RecordTexts:
         number_of[objects.detection] = objects.number
         number_of[-1] = 0
         for column, name in enumerate(TEXTS):
+            if name not in texts:
+                continue
             values = texts[name][record]
             with_value = np.flatnonzero(values != "")
             if not len(with_value):
@@ -374,6 +386,8 @@ class RecordTexts:
         has_text = np.append((self.newest != "").any(axis=1), False)[objects.detection]
         for number, k in zip(objects.number[has_text].tolist(), objects.detection[has_text].tolist(), strict=True):
             out[number] = np.where(self.newest[k] != "", self.newest[k], out[number])
+        if not self.holders:
+            return out
         return {number: self._without_foreign(number, words) for number, words in out.items()}
 
     def _without_foreign(self, number: int, words: NDArray[Any]) -> NDArray[Any]:

@@ -40,7 +40,7 @@ from numpy.typing import ArrayLike, NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
-from sameas.gaussian import Gaussian, mahalanobis_sq, symmetric
+from sameas.gaussian import Gaussian, determinant, mahalanobis_sq, symmetric
 from sameas.kernels.compiled import runs_compiled
 from sameas.kernels.kalman import states_moved
 from sameas.many.observations import StatePart
@@ -270,9 +270,9 @@ def aged(covariance: FloatArray, density_per_m2: float) -> BoolArray:
     Such a record no longer distinguishes objects. Depending on its motion and the density of objects, that takes
     seconds or hours. So is one whose covariance is so large in one direction that it is singular by rounding.
     """
-    determinant = np.linalg.det(covariance[:, :2, :2])
-    area = math.pi * np.sqrt(np.maximum(determinant, 0.0))
-    is_singular = ~(determinant > SINGULAR * covariance[:, 0, 0] * covariance[:, 1, 1])
+    squared = determinant(covariance[:, :2, :2])
+    area = math.pi * np.sqrt(np.maximum(squared, 0.0))
+    is_singular = ~(squared > SINGULAR * covariance[:, 0, 0] * covariance[:, 1, 1])
     return np.asarray((area * density_per_m2 > 1.0) | is_singular)
 
 
