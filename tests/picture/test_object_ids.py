@@ -108,13 +108,14 @@ def test_an_object_appears_is_confirmed_coasts_and_ends():
     coasting = np.flatnonzero(first)[8]
     assert abs(o["x_m"][coasting] - (1000.0 + 5.0 * o["time_s"][coasting])) < 4.0 * np.sqrt(o["var_x_m2"][coasting])
     false = np.asarray(o["x_m"] < -7e3)
-    assert o["stage"][false].tolist() == ["tentative", "tentative", "tentative", "ended"]
+    # Until it is improbable, it is kept; it is shown while a scan shows it.
+    assert o["stage"][false].tolist() == ["tentative"]
 
 
 def test_transponders_and_two_agreeing_sources_are_confirmed_at_once():
     scene, times = two_meet(0, 500.0)
     assert set(Picture.of(scene, times[:1]).objects["stage"].tolist()) == {"confirmed"}
-    watch = Watch(stages=Stages(scans=1, of=1))
+    watch = Watch(stages=Stages(scans=1, of=1, real=0.9))
     looks = {0.0: [(0.0, 0.0)], 10.0: [(0.0, 0.0)]}
     assert Picture.of(plots(looks), [0.0], watch=watch).objects["stage"].tolist() == ["confirmed"]
     assert Picture.of(plots(looks), [0.0]).objects["stage"].tolist() == ["tentative"]

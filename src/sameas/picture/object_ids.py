@@ -20,7 +20,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import logit
+from scipy.special import expit, logit
 
 from sameas._identify import identify
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, spans_in
@@ -28,6 +28,7 @@ from sameas.errors import InputError
 from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq, symmetric
+from sameas.picture.plot_existence import Looks, NewPlots, after_looks
 from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, ObjectStates, PictureObjects
 from sameas.picture.track_existence import ExistenceOdds
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
@@ -35,6 +36,9 @@ from sameas.ragged import ranges
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.alignment import aged
+
+#: Least distance from 0 and 1 of the probability that a look shows an object.
+MIN_SHOWN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -88,18 +92,38 @@ class Motions:
 
 
 @dataclass(frozen=True)
+class PlotContinuity:
+    """What objects of the instant that only plots without names show add to :class:`Continuity`.
+
+    clutter_per_m2 : (n,) about each of these, 0 for the others. is_new : (n,) whether its plot is a new one of clutter.
+    log_odds : (k,) that a look since the previous instant shows each object of the picture, if that is real.
+    """
+
+    clutter_per_m2: FloatArray
+    is_new: BoolArray
+    log_odds: FloatArray
+
+    def __call__(self, pairs: Pairs) -> FloatArray:
+        """(m,) what the pairs gain: an object that hardly exists, or is hardly detected, rarely has a plot."""
+        i, j = pairs.first.rows[pairs.i], pairs.second.rows[pairs.j]
+        return np.where(self.is_new[j], self.log_odds[i], 0.0)
+
+
+@dataclass(frozen=True)
 class Continuity(Rule):
-    """ln r of an object of the picture and one of the instant: by positions, at ``per_m2`` objects per m², by tracks,
-    and without a common track by velocities."""
+    """ln r of an object of the picture and one of the instant: by positions, at ``per_m2`` objects per m² and the
+    clutter of plots, by tracks, and without a common track by velocities."""
 
     per_m2: float
     common: CommonTracks
     objects: Motions
     detections: Motions
+    plots: PlotContinuity
     tuning: Tuning = DEFAULT_TUNING
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        place = Field(self.tuning.new_share * self.per_m2)(pairs).log_ratio
+        elsewhere = self.tuning.new_share * self.per_m2 + self.plots.clutter_per_m2
+        place = Field(elsewhere)(pairs).log_ratio + self.plots(pairs)
         weight, unique = self.common.of_pairs(pairs)
         place = np.where(unique > 0.0, np.maximum(place, math.log(self.tuning.id_reassigned)), place)
         velocity = np.zeros(len(pairs))
@@ -242,13 +266,14 @@ class TrackHistory(ColumnTable):
 
 @dataclass(frozen=True)
 class Stages:
-    """When an object is confirmed: as soon as it is certain, or, if its records have no ids, after ``scans`` scans
-    among the first ``of`` instants.
+    """When an object is confirmed: as soon as it is certain.
 
     An object is certain if it has records of two or more sources with at least the probability ``sure``, or a record of
-    a source without false records, or a named track that is real with the probability ``real`` by its duration
-    (:mod:`sameas.picture.track_existence`); at most 1 − real of the latter are false. A tentative object that is
-    missing at more than of − scans instants is dropped.
+    a source without false records, or if it is real with the probability ``real``: by the duration of a named track
+    (:mod:`sameas.picture.track_existence`), or by plots without names, at least ``scans`` of them
+    (:mod:`sameas.picture.plot_existence`). At most 1 − real of these are false. An object without a position, as of one
+    camera, is confirmed with ``scans`` directions. An object of plots ends when it is improbable by them; a tentative
+    one with a named track once it is missing at more than of − scans instants.
     """
 
     scans: int = 3
@@ -268,7 +293,8 @@ class UnnumberedObjects:
 
     states : of the objects. tracks : (n, S) numbers of their named tracks, ABSENT for none. unique : (n, S) whether the
     track's id is unique. new_report : whether the object has a new report. new_plot : whether it has one of a source
-    without track ids. is_certain : whether it certainly exists. existence : of its most probable track.
+    without track ids. plots : its new plot. looks : of the sources of plots. is_certain : whether it certainly exists.
+    existence : of its most probable track.
     walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of velocities.
     forgotten : (f,) numbers of tracks whose ids have timed out.
     """
@@ -278,6 +304,8 @@ class UnnumberedObjects:
     unique: BoolArray
     new_report: BoolArray
     new_plot: BoolArray
+    plots: NewPlots
+    looks: Looks
     is_certain: BoolArray
     existence: ExistenceOdds
     walk_m2_per_s3: FloatArray
@@ -298,25 +326,41 @@ class NamedObjects(PictureObjects):
     n_updates, n_plots : number of instants with a new report, and with one of a source without track ids.
     main_track, main_log_odds, earlier_log_odds : the track with the highest odds of existence, the gain of log-odds by
         its duration, and that by the tracks that it replaced.
+    plot_log_odds, plot_log_initial : log-odds that the object is real by its plots, now and with the first; −∞ without.
     n_missing : number of instants without a record while tentative.
     split_off : whether the object split off one that continues and has not had its own tracks for most of the time.
     walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of velocities.
     history : the objects that each track was assigned to.
+    unseen_share : of the objects, that no source of plots has shown yet.
     """
 
-    WHOLE = frozenset({"instant_s", "n_numbers", "history"})
+    WHOLE = frozenset({"instant_s", "n_numbers", "history", "unseen_share"})
     instant_s: float = -np.inf
     n_numbers: int = 0
+    unseen_share: float = 1.0
     n_updates: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     n_plots: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     main_track: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     main_log_odds: FloatArray = field(default_factory=lambda: np.empty(0))
     earlier_log_odds: FloatArray = field(default_factory=lambda: np.empty(0))
+    plot_log_odds: FloatArray = field(default_factory=lambda: np.empty(0))
+    plot_log_initial: FloatArray = field(default_factory=lambda: np.empty(0))
     n_missing: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     split_off: BoolArray = field(default_factory=lambda: np.empty(0, bool))
     walk_m2_per_s3: FloatArray = field(default_factory=lambda: np.empty(0))
     speed_m_per_s: FloatArray = field(default_factory=lambda: np.empty(0))
     history: TrackHistory = field(default_factory=TrackHistory)
+
+    @property
+    def by_plots(self) -> BoolArray:
+        """(k,) whether only plots without names have shown the object."""
+        return np.asarray((self.main_track < 0) & np.isfinite(self.plot_log_odds))
+
+    @property
+    def in_picture(self) -> NamedObjects:
+        """The objects without tentative ones of plots that no source detects now."""
+        hidden = self.by_plots & (self.stage == TENTATIVE) & ~self.detected
+        return self.take(np.flatnonzero(~hidden)) if hidden.any() else self
 
     def advance(
         self,
@@ -328,18 +372,23 @@ class NamedObjects(PictureObjects):
     ) -> NamedObjects:
         """The objects at a later instant; density_per_m2 : of objects in the plane."""
         alive = self.take(np.flatnonzero(self.stage != ENDED))
-        alive = alive.predicted(instant_s - self.instant_s, alive.walk_m2_per_s3)
+        elapsed_s = instant_s - self.instant_s if math.isfinite(self.instant_s) else 0.0
+        alive = alive.predicted(elapsed_s, alive.walk_m2_per_s3)
         match = alive._matches(detections, density_per_m2, tuning)
         matched, new = np.flatnonzero(match >= 0), np.flatnonzero(match < 0)
         unmatched = np.setdiff1d(np.arange(len(alive)), match[matched])
         number = alive._new_numbers(detections, new)
         parts = [
-            alive.take(match[matched])._detected(detections, matched, stages, tuning),
-            NamedObjects._new(detections, new, number, alive._split_off(detections, new), stages),
-            alive.take(unmatched)._undetected(detections, density_per_m2, stages),
+            alive.take(match[matched])._detected(detections, matched, elapsed_s, stages, tuning),
+            NamedObjects._new(detections, new, number, alive._split_off(detections, new), self.unseen_share, stages),
+            alive.take(unmatched)._undetected(detections, density_per_m2, elapsed_s, stages, tuning),
         ]
         n_numbers = int(number.max(initial=self.n_numbers))
-        objects = replace(parts[0].in_order(*parts[1:]), instant_s=instant_s, n_numbers=n_numbers)
+        places = detections.states.state[detections.states.placed, :2]
+        objects = replace(
+            parts[0].in_order(*parts[1:]), instant_s=instant_s, n_numbers=n_numbers,
+            unseen_share=detections.looks.unseen_share(self.unseen_share, places, elapsed_s),
+        )  # fmt: skip
         return objects._with_history(self, detections, tuning)
 
     def _matches(self, detections: UnnumberedObjects, density_per_m2: float, tuning: Tuning) -> IntArray:
@@ -354,7 +403,12 @@ class NamedObjects(PictureObjects):
             Records.of(one.state[:, :2], covariance=one.covariance[:, :2, :2], source=name)
             for one, name in ((before, "known"), (after, "seen"))
         )
-        rule = Continuity(density_per_m2, common, before, after, tuning)
+        plots = detections.plots
+        p_real = np.where(self.by_plots, expit(self.plot_log_odds), 1.0)
+        p_shown = p_real * (1.0 - detections.looks.p_missed(self.state[:, :2]))
+        is_new = plots.found & (plots.clutter_per_m2 > 0.0)
+        of_plots = PlotContinuity(plots.clutter_per_m2, is_new, logit(np.clip(p_shown, MIN_SHOWN, 1.0 - MIN_SHOWN)))
+        rule = Continuity(density_per_m2, common, before, after, of_plots, tuning)
         matches = identify(first, second, rule=rule, gate=NearOrSameId(common)).matches
         out[matches.rows_2] = matches.rows_1
         return out
@@ -392,7 +446,9 @@ class NamedObjects(PictureObjects):
         owner = places_in(self.number, self.history.last_of(tracks.ravel())).reshape(tracks.shape)
         return np.asarray((owner >= 0).any(axis=1))
 
-    def _detected(self, detections: UnnumberedObjects, which: IntArray, stages: Stages, tuning: Tuning) -> NamedObjects:
+    def _detected(
+        self, detections: UnnumberedObjects, which: IntArray, elapsed_s: float, stages: Stages, tuning: Tuning
+    ) -> NamedObjects:
         """These objects, updated by their matches ``which`` of the instant."""
         states, new_report = detections.states, detections.new_report[which]
         state, covariance = states.state[which], states.covariance[which]
@@ -406,10 +462,16 @@ class NamedObjects(PictureObjects):
         log_initial, log_gain = detections.existence.log_initial[which], detections.existence.log_gain[which]
         is_real = log_initial + earlier_log_odds + log_gain >= logit(stages.real)
         split_off = self.split_off & (self._own_share(detections.tracks[which]) < tuning.own_share)
+        new_plots = detections.plots.take(which)
+        begins = new_plots.found & ~np.isfinite(self.plot_log_odds)
+        log_first = new_plots.log_initial(detections.looks.per_m2, self.unseen_share)
+        plot_log_odds = after_looks(self.plot_log_odds, self, new_plots, detections.looks, elapsed_s)
+        plot_log_odds = np.where(begins, log_first, plot_log_odds)
+        is_real_by_plots = (plot_log_odds >= logit(stages.real)) | ~states.placed[which]
         confirmed = (
             (self.stage != TENTATIVE)
             | ((detections.is_certain[which] | is_real) & ~split_off)
-            | (n_plots >= stages.scans)
+            | (is_real_by_plots & (n_plots >= stages.scans))
         )
         return replace(
             self, stage=np.where(confirmed, CONFIRMED, TENTATIVE),
@@ -417,7 +479,8 @@ class NamedObjects(PictureObjects):
             covariance=np.where(velocity_known[:, None, None], covariance, filtered_covariance),
             placed=states.placed[which],
             moving=velocity_known | (self.placed & states.placed[which] & (n_updates > 1)), detection=which,
-            n_updates=n_updates, n_plots=n_plots, split_off=split_off,
+            n_updates=n_updates, n_plots=n_plots, split_off=split_off, plot_log_odds=plot_log_odds,
+            plot_log_initial=np.where(begins, log_first, self.plot_log_initial),
             main_track=detections.existence.track[which], main_log_odds=log_gain, earlier_log_odds=earlier_log_odds,
             walk_m2_per_s3=detections.walk_m2_per_s3[which], speed_m_per_s=detections.speed_m_per_s[which],
         )  # fmt: skip
@@ -433,26 +496,32 @@ class NamedObjects(PictureObjects):
 
     @classmethod
     def _new(
-        cls, detections: UnnumberedObjects, which: IntArray, number: IntArray, split_off: BoolArray, stages: Stages
-    ) -> NamedObjects:
+        cls, detections: UnnumberedObjects, which: IntArray, number: IntArray, split_off: BoolArray,
+        unseen_share: float, stages: Stages,
+    ) -> NamedObjects:  # fmt: skip
         """The objects ``which`` of the instant as new or returning objects.
 
-        number : theirs. split_off : whether each split off an object that continues.
+        number : theirs. split_off : whether each split off an object that continues. unseen_share : of the objects,
+        before the instant.
         """
         n, states = len(which), detections.states
         is_real = detections.existence.log_initial[which] + detections.existence.log_gain[which] >= logit(stages.real)
-        confirmed = ((detections.is_certain[which] | is_real) & ~split_off) | (stages.scans <= 1)
+        plot_log_odds = detections.plots.take(which).log_initial(detections.looks.per_m2, unseen_share)
+        is_real_by_plots = (plot_log_odds >= logit(stages.real)) | ~states.placed[which]
+        confirmed = ((detections.is_certain[which] | is_real) & ~split_off) | (is_real_by_plots & (stages.scans <= 1))
         return cls(
             number=number, stage=np.where(confirmed, CONFIRMED, TENTATIVE), state=states.state[which],
             covariance=states.covariance[which], placed=states.placed[which], moving=states.moving[which],
             detection=which, n_updates=np.ones(n, np.int64), n_plots=detections.new_plot[which].astype(np.int64),
-            n_missing=np.zeros(n, np.int64), split_off=split_off,
-            main_track=detections.existence.track[which], main_log_odds=detections.existence.log_gain[which],
-            earlier_log_odds=np.zeros(n),
+            n_missing=np.zeros(n, np.int64), split_off=split_off, plot_log_odds=plot_log_odds,
+            plot_log_initial=plot_log_odds, main_track=detections.existence.track[which],
+            main_log_odds=detections.existence.log_gain[which], earlier_log_odds=np.zeros(n),
             walk_m2_per_s3=detections.walk_m2_per_s3[which], speed_m_per_s=detections.speed_m_per_s[which],
         )  # fmt: skip
 
-    def _undetected(self, detections: UnnumberedObjects, density_per_m2: float, stages: Stages) -> NamedObjects:
+    def _undetected(
+        self, detections: UnnumberedObjects, density_per_m2: float, elapsed_s: float, stages: Stages, tuning: Tuning
+    ) -> NamedObjects:
         """These objects at an instant at which no source detects them."""
         tentative = self.stage == TENTATIVE
         n_missing = self.n_missing + (tentative & bool(detections.new_report.any()))
@@ -461,9 +530,13 @@ class NamedObjects(PictureObjects):
         last = self.history.take(np.flatnonzero(self.history.last))
         in_scan = np.isin(last.track, detections.tracks)
         absorbed = np.isin(self.number, last.number[in_scan]) & ~np.isin(self.number, last.number[~in_scan])
-        ended = too_uncertain | absorbed | (tentative & (n_missing > stages.of - stages.scans))
+        plot_log_odds = after_looks(self.plot_log_odds, self, NewPlots.none(len(self)), detections.looks, elapsed_s)
+        least = np.minimum(logit(tuning.min_existence), self.plot_log_initial + math.log(tuning.min_share_of_initial))
+        missed = tentative & (n_missing > stages.of - stages.scans)
+        ended = too_uncertain | absorbed | np.where(self.by_plots, plot_log_odds < least, missed)
         stage = np.where(ended, ENDED, np.where(tentative, TENTATIVE, COASTING))
-        return replace(self.undetected(stage), n_missing=n_missing)
+        objects = replace(self.undetected(stage), n_missing=n_missing, plot_log_odds=plot_log_odds)
+        return objects.take(np.flatnonzero(~(ended & tentative & self.by_plots)))
 
     def _with_history(self, before: NamedObjects, detections: UnnumberedObjects, tuning: Tuning) -> NamedObjects:
         """These objects with the history after the instant."""

@@ -284,10 +284,10 @@ class PictureState(Generic[W]):
     states: ObjectStates
     watch: W
 
-    @property
+    @cached_property
     def objects(self) -> PictureObjects:
         """The objects of the picture."""
-        return self.watch.objects
+        return self.watch.objects.in_picture
 
     @property
     def members(self) -> IntArray:

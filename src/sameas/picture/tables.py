@@ -314,6 +314,11 @@ class PictureObjects(ObjectTable):
     detection: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
 
     @property
+    def in_picture(self) -> Self:
+        """The objects that are shown."""
+        return self
+
+    @property
     def detected(self) -> BoolArray:
         """(k,) whether any source detects the object."""
         return np.asarray(self.detection >= 0)

@@ -94,6 +94,8 @@ class Tuning:
     same_quantile : states of two objects agree within the χ² limit that includes this share of equal ones.
     joint_scan_share : scans within this share of the shortest period are processed together.
     confirming_plots : a tracked object is confirmed only with at least this many plots.
+    least_q : beside named tracks, the probability that a source of plots misses an object is within this of 0 and 1:
+        misses of one object come in runs.
 
     min_instants : minimum number of instants at which two tracks were one object, to find deception.
     min_reports : minimum number of reports of a track, to find its silence.
@@ -198,6 +200,7 @@ class Tuning:
     same_quantile: float = 0.99
     joint_scan_share: float = 0.2
     confirming_plots: int = 3
+    least_q: float = 0.1
 
     min_instants: int = 5
     min_reports: int = 5

@@ -35,6 +35,7 @@ from sameas.many.sets import ManyTuning, Sets
 from sameas.picture.memory import TrackMemory, require_order
 from sameas.picture.object_ids import NamedObjects, Stages, UnnumberedObjects
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
+from sameas.picture.plot_existence import Looks, NewPlots
 from sameas.picture.tables import Scan, object_states, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
 from sameas.records import Records
@@ -269,7 +270,8 @@ class Watch:
         objects_now = IdentifiedObjects(scan, identification, by_hysteresis)
         members = objects_now.members
         texts = {name: scan.texts(name) for name in TEXTS if scan.reports(name)}
-        detections = self._detections(scan, members, identification, memory, texts)
+        looks = Looks.since(now, -math.inf if self.shown is None else self.shown.now.instant_s, self.tuning)
+        detections = self._detections(scan, members, identification, memory, texts, looks)
         memory = memory.with_real(detections.tracks[_certain_pairs(members, identification, self.stages)])
         objects = self.objects.advance(now.instant_s, detections, objects_per_m2(now), self.stages, self.tuning)
         object_texts = RecordTexts.of(scan, members, texts, objects).of_objects(objects, self.texts)
@@ -311,6 +313,7 @@ class Watch:
         identification: Objects | None,
         memory: TrackMemory,
         texts: Mapping[str, NDArray[Any]],
+        looks: Looks,
     ) -> UnnumberedObjects:
         """The objects of an instant with the properties that identify them over time."""
         states = object_states(scan, members, identification)
@@ -324,7 +327,9 @@ class Watch:
         clutter_free = np.array([feed.clutter(2) == 0.0 for feed in scan.now.feeds], dtype=bool)
         is_certain = (is_member & clutter_free).any(axis=1) | _certain_pairs(members, identification, self.stages)
         is_new = np.append(scan.new_since(self.shown), False)
-        new_plot = np.append(is_new[:-1] & (memory.tracks.track_of_record < 0), False)
+        is_named = memory.tracks.track_of_record >= 0
+        plots = NewPlots.of(scan, members, is_new[:-1], is_named, looks)
+        new_plot = np.append(is_new[:-1] & ~is_named, False)
         new_report, new_plot = (np.asarray(column[members].any(axis=1)) for column in (is_new, new_plot))
         walk = np.append(scan.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
         speed = np.append(scan.speed_m_per_s, 0.0)[members].max(axis=1, initial=0.0)
@@ -334,6 +339,8 @@ class Watch:
             has_unique_id[members] & is_member,
             new_report,
             new_plot,
+            plots,
+            looks,
             is_certain,
             memory.existence.of_objects(track),
             walk,

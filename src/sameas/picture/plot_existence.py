@@ -1,0 +1,158 @@
+"""Plot existence: the probability that an object is real which only plots without names show, by its hits and misses.
+
+For pictures in which another source has names (AIS, a tracker); where none has, :mod:`sameas.picture.plot_tracker`
+follows the plots of all sources. Clutter gives plots, too. An object begins with a plot, with odds
+
+    u β (1 − q) / λ
+
+that it is real: β objects per m², of which the share u has not been seen before; q the probability that the source
+misses one, and λ its clutter there, per m² and look. At each later instant the odds are multiplied
+
+    by (1 − q) N(z; x, P + R) / λ    if a new plot z ± R is of the object, which is expected at x ± P,
+    by 1 − s (1 − q)                 otherwise, s the part of a look that the source has taken since then.
+
+The share of those not seen before falls with every look, and rises as objects come, which stay for a mean time T:
+
+    u ← u · Π (1 − s (1 − q)) · e^(−Δt/T) + 1 − e^(−Δt/T),    u = 1 at first.
+
+Under the model at most a share 1 − p of the objects that are confirmed at probability p is false.
+
+Source: integrated probabilistic data association, Mušicki, Evans and Stanković 1994, IEEE Trans. Automatic Control 39,
+section III, with the most probable assignment only; the share not seen before as for ``plot_picture.Confirmation``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit, logit
+
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.gaussian import log_density
+from sameas.picture.tables import ColumnTable, ObjectTable, Scan, objects_per_m2
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.tracks.alignment import States
+from sameas.tracks.feed import Feed
+from sameas.tracks.scene import Instant
+
+#: Least probability of which a logarithm is taken.
+MIN_P = 1e-12
+
+
+@dataclass(frozen=True)
+class Looks:
+    """The looks since the previous instant of the sources that give plots without names.
+
+    feeds : of these sources. share : (f,) s, the part of a look that each has taken. per_m2 : β, objects per m².
+    """
+
+    instant_s: float
+    feeds: tuple[Feed, ...]
+    share: FloatArray
+    per_m2: float
+    tuning: Tuning = DEFAULT_TUNING
+
+    @classmethod
+    def since(cls, now: Instant, before_s: float, tuning: Tuning = DEFAULT_TUNING) -> Looks:
+        """The looks of an instant after ``before_s``, −∞ for none before."""
+        plots = [feed for feed in now.feeds if feed.reports.track is None and isinstance(feed.reports, States)]
+        share = np.array([_part_of_a_look(feed, before_s, now.instant_s) for feed in plots], np.float64)
+        looked = np.flatnonzero(share > 0.0).tolist()
+        return cls(now.instant_s, tuple(plots[k] for k in looked), share[looked], objects_per_m2(now), tuning)
+
+    def p_missed(self, places: FloatArray) -> FloatArray:
+        """(n,) probability that no source has a new plot of a real object at each of the places (n, 2)."""
+        out = np.ones(len(places))
+        for feed, share in zip(self.feeds, self.share.tolist(), strict=True):
+            out *= 1.0 - share * (1.0 - self.miss_rate(feed, places))
+        return out
+
+    def miss_rate(self, feed: Feed, places: FloatArray) -> FloatArray:
+        """(n,) q of a source at each of the places (n, 2), within ``least_q`` of 0 and 1: misses of one object come in
+        runs."""
+        return np.asarray(np.clip(feed.q_at(places, self.instant_s), self.tuning.least_q, 1.0 - self.tuning.least_q))
+
+    def unseen_share(self, before: float, places: FloatArray, elapsed_s: float) -> float:
+        """u after the looks; before : u. places : (n, 2) of the objects."""
+        p_missed = float(self.p_missed(places).mean()) if len(places) else 1.0
+        stays = math.exp(-elapsed_s / self.tuning.real_s)
+        return before * p_missed * stays + 1.0 - stays
+
+
+def _part_of_a_look(feed: Feed, after_s: float, until_s: float) -> float:
+    """The part of a look, at most 1, that a source has taken in (after_s, until_s]."""
+    times_s = feed.scan_times_s
+    if feed.rotation is None:
+        return float(((times_s > after_s) & (times_s <= until_s)).any())
+    if not (times_s <= until_s).any():
+        return 0.0
+    return min((until_s - after_s) / feed.rotation.period_s, 1.0)
+
+
+@dataclass(frozen=True)
+class NewPlots(ColumnTable):
+    """The new plot of each object of an instant, (n,) each; of several that with the least clutter about it.
+
+    found : whether it has one. place, covariance : (n, 2), (n, 2, 2) of the plot. log_odds_per_m2 : ln[(1 − q) / λ].
+    clutter_per_m2 : λ about the plots of an object without names, new or not; 0 for one with a name.
+    """
+
+    found: BoolArray
+    place: FloatArray
+    covariance: FloatArray
+    log_odds_per_m2: FloatArray
+    clutter_per_m2: FloatArray
+
+    @classmethod
+    def none(cls, n: int) -> NewPlots:
+        """No new plot of n objects."""
+        return cls(np.zeros(n, bool), np.zeros((n, 2)), np.tile(np.eye(2), (n, 1, 1)), np.zeros(n), np.zeros(n))
+
+    @classmethod
+    def of(cls, scan: Scan, members: IntArray, is_new: BoolArray, is_named: BoolArray, looks: Looks) -> NewPlots:
+        """members : (n, S) records of the objects, ABSENT for none. is_new, is_named : (records,) whether the report is
+        new, and whether it is of a named track."""
+        is_plot, clutter, log_odds = ~is_named & scan.placed, np.zeros(len(scan)), np.full(len(scan), -math.inf)
+        for s, feed in enumerate(scan.now.feeds):
+            rows = scan.start[s] + np.flatnonzero(is_plot[scan.start[s] : scan.start[s + 1]])
+            clutter[rows] = feed.clutter_at(scan.row[rows], 2)
+            new = rows[is_new[rows] & (clutter[rows] > 0.0)]
+            log_odds[new] = np.log1p(-looks.miss_rate(feed, scan.state[new, :2])) - np.log(clutter[new])
+        members = np.column_stack([members, np.full(len(members), ABSENT)])
+        of_members = np.append(log_odds, -math.inf)[members]
+        out = cls.none(len(members))
+        out.found[:] = np.isfinite(of_members).any(axis=1)
+        best = members[np.arange(len(members)), of_members.argmax(axis=1)][out.found]
+        out.place[out.found], out.covariance[out.found] = scan.state[best, :2], scan.covariance[best, :2, :2]
+        out.log_odds_per_m2[out.found] = log_odds[best]
+        only_plots = np.append(is_plot, True)[members].all(axis=1)
+        out.clutter_per_m2[only_plots] = np.append(clutter, 0.0)[members[only_plots]].max(axis=1)
+        return out
+
+    def log_initial(self, per_m2: float, unseen_share: float) -> FloatArray:
+        """(n,) log-odds that objects which begin with these plots are real; −∞ without a new plot."""
+        return np.where(self.found, self.log_odds_per_m2 + math.log(per_m2 * unseen_share), -math.inf)
+
+
+def after_looks(
+    log_odds: FloatArray, objects: ObjectTable, new_plots: NewPlots, looks: Looks, elapsed_s: float
+) -> FloatArray:
+    """(k,) log-odds that objects are real after an instant; −∞ stays.
+
+    log_odds : (k,) before it. objects : (k,) predicted to it. new_plots : (k,) theirs. elapsed_s : since the previous
+    instant.
+    """
+    known = np.isfinite(log_odds)
+    if not known.any():
+        return log_odds
+    state, covariance, tuning = objects.state[:, :2], objects.covariance[:, :2, :2], looks.tuning
+    gain = np.log(looks.p_missed(state))
+    hit = np.flatnonzero(new_plots.found & known)
+    total = new_plots.covariance[hit] + covariance[hit]
+    gain[hit] = new_plots.log_odds_per_m2[hit] + log_density(new_plots.place[hit] - state[hit], total)
+    log_stays = logit(np.clip(math.exp(-elapsed_s / tuning.real_s) * expit(log_odds[known]), MIN_P, 1.0 - MIN_P))
+    out, bound = log_odds.copy(), float(logit(1.0 - tuning.min_probability))
+    out[known] = np.clip(log_stays + gain[known], -bound, bound)
+    return out

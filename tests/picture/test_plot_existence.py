@@ -1,0 +1,147 @@
+"""Objects that only plots without names show, beside sources with names: real ones are found, clutter is none."""
+
+import math
+
+import numpy as np
+import pytest
+from modelled_scenes import describe
+from scipy.special import expit
+
+from sameas.picture import Picture, instants, picture_states
+from sameas.picture.object_ids import NamedObjects
+from sameas.picture.plot_existence import Looks, NewPlots, after_looks
+from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, PictureObjects
+from sameas.picture.tuning import DEFAULT_TUNING
+from sameas.tracks.feed import Feed
+from sameas.tracks.reports import Reports
+from sameas.tracks.scene import Scene
+
+SPAN_S, SIDE_M = 400.0, 8000.0
+
+
+def radar_beside_ais(seed, p_detected, clutter, boats=5, ships=5):
+    """A radar without names (every 2.5 s, ± 15 m, clutter per scan) and AIS; the boats have none. And their motion."""
+    rng = np.random.default_rng(seed)
+    start, velocity = rng.uniform(-0.4, 0.4, (ships + boats, 2)) * SIDE_M, rng.normal(0.0, 4.0, (ships + boats, 2))
+    rows, times = [], np.arange(0.0, SPAN_S, 2.5)
+    for t in times:
+        shown = (start + velocity * t)[rng.random(ships + boats) < p_detected]
+        false = rng.uniform(-0.5, 0.5, (rng.poisson(clutter), 2)) * SIDE_M
+        rows += [(t, *place) for place in np.vstack([shown + rng.normal(0.0, 15.0, shown.shape), false])]
+    plots = dict(zip(("time_s", "x_m", "y_m"), np.array(rows).T, strict=True))
+    radar = describe("radar", "marine radar", 15.0, 2.5, clutter / (SIDE_M / 1e3) ** 2, 1.0 - p_detected)
+    named = {"time_s": [], "x_m": [], "y_m": [], "track_id": []}
+    for k in range(ships):
+        for t in np.arange(rng.uniform(0.0, 10.0), SPAN_S, 10.0):
+            place = start[k] + velocity[k] * t + rng.normal(0.0, 8.0, 2)
+            for name, value in zip(named, (t, *place, f"a{k}"), strict=True):
+                named[name].append(value)
+    ais = describe("ais", "ais", 8.0, 10.0, q=0.5)
+    scene = Scene((Feed.of(radar, Reports.of("radar", "table", plots), scan_times_s=times),
+                   Feed.of(ais, Reports.of("ais", "table", named), to_tracks=True)))  # fmt: skip
+    return scene, lambda t: start + velocity * t
+
+
+def confirmed_of(scene, motion, every_s=5.0):
+    """(boats and ships, 2) share of the instants of the last minutes that show each, and numbers used; and the numbers
+    that were confirmed far from all."""
+    objects = Picture.of(scene, instants((0.0, SPAN_S), every_s)).objects
+    number = np.asarray(objects["object"])
+    used, shown, false, late = (
+        [set() for _ in motion(0.0)],
+        np.zeros(len(motion(0.0))),
+        set(),
+        np.arange(120.0, 400.0, 5.0),
+    )
+    for t in late:
+        here = np.flatnonzero((objects["time_s"] == t) & np.isin(objects["stage"], ("confirmed", "coasting")))
+        off = np.hypot(*(np.column_stack([objects["x_m"], objects["y_m"]])[here, None] - motion(t)).transpose(2, 0, 1))
+        shown += (off < 100.0).any(axis=0)
+        false.update(number[here[(off > 200.0).all(axis=1)]].tolist())
+        for k, near in enumerate((off < 100.0).T):
+            used[k].update(number[here[near]].tolist())
+    return np.column_stack([shown / len(late), [len(each) for each in used]]), false
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("p_detected", "clutter"), [(0.8, 40.0), (0.35, 10.0)])
+def test_boats_without_names_are_found_in_clutter_and_clutter_is_not_confirmed(p_detected, clutter):
+    """Any three scans of five confirmed an object: in dense clutter most were false, and weak boats were none."""
+    found, numbers, false, real = [], [], 0, 0
+    for seed in range(4):
+        of_each, far = confirmed_of(*radar_beside_ais(seed, p_detected, clutter))
+        found, numbers = [*found, *of_each[:, 0]], [*numbers, *of_each[:, 1]]
+        false, real = false + len(far), real + len(of_each)
+    assert np.mean(found) > 0.93 and np.mean(numbers) < 1.3
+    # At 99 % one of a hundred may be false; more than 3 of 40 have a chance of 1e-3.
+    assert false <= 3
+
+
+def test_the_odds_are_those_of_bayes_rule():
+    """Two looks at objects that rest: the recursion is the ratio of the probabilities of all plots."""
+    scene, _ = radar_beside_ais(0, 0.8, 40.0)
+    now, (radar, _) = scene.at(100.0), scene.feeds
+    looks = Looks.since(now, 97.5)
+    assert [feed.description.name for feed in looks.feeds] == ["radar"] and looks.share.tolist() == [1.0]
+    q, clutter, sigma = 0.2, radar.clutter(2), 15.0
+    place = np.array([[0.0, 0.0], [500.0, 0.0]])
+    objects = PictureObjects(
+        np.array([1, 2]), np.column_stack([place, np.zeros((2, 2))]), np.tile(100.0 * np.eye(4), (2, 1, 1)),
+        np.full(2, TENTATIVE), np.ones(2, bool), np.ones(2, bool), np.full(2, -1),
+    )  # fmt: skip
+    found = np.array([True, False])
+    plots = NewPlots(found, place + np.array([12.0, 9.0]), np.tile(sigma**2 * np.eye(2), (2, 1, 1)),
+                     np.where(found, math.log((1.0 - q) / clutter), 0.0), np.full(2, clutter))  # fmt: skip
+    first = plots.log_initial(1e-6, 0.5)
+    assert math.isclose(first[0], math.log(1e-6 * 0.5 * (1.0 - q) / clutter)) and first[1] == -math.inf
+    log_odds = after_looks(np.array([-1.0, -1.0]), objects, plots, looks, 2.5)
+    p = math.exp(-2.5 / DEFAULT_TUNING.real_s) * expit(-1.0)
+    total = sigma**2 + 100.0
+    density = math.exp(-0.5 * (12.0**2 + 9.0**2) / total) / (2.0 * math.pi * total)
+    hit = p * (1.0 - q) * density / (p * (1.0 - q) * density + (1.0 - p) * clutter)
+    missed = p * q / (p * q + 1.0 - p)
+    assert np.allclose(expit(log_odds), [hit, missed], rtol=1e-9)
+    assert after_looks(np.full(2, -math.inf), objects, plots, looks, 2.5).tolist() == [-math.inf, -math.inf]
+    # Without a new look nothing is missed.
+    assert Looks.since(now, 100.0).feeds == () and Looks.since(scene.at(101.0), 100.0).p_missed(place).tolist() == [
+        1.0,
+        1.0,
+    ]
+
+
+def test_the_share_of_objects_not_seen_before():
+    scene, motion = radar_beside_ais(0, 0.8, 40.0)
+    looks = Looks.since(scene.at(5.0), -math.inf)
+    assert math.isclose(looks.unseen_share(1.0, motion(0.0), 0.0), 0.2)
+    comes = 1.0 - math.exp(-5.0 / DEFAULT_TUNING.real_s)
+    assert math.isclose(looks.unseen_share(0.2, motion(0.0), 5.0), 0.04 * (1.0 - comes) + comes)
+
+
+@pytest.mark.slow
+def test_an_object_that_no_look_shows_any_more_ends_and_a_tentative_one_is_not_shown():
+    """A wrong object once coasted for eight minutes where a radar sees eight boats of ten."""
+    scene, motion = radar_beside_ais(3, 0.8, 10.0)
+    gone_s, (radar, ais) = 200.0, scene.feeds
+    boat = motion(gone_s)[-1]
+    reports = radar.raw_reports
+    near = np.hypot(reports.x_m - motion(reports.time_s[:, None, None])[:, -1, 0],
+                    reports.y_m - motion(reports.time_s[:, None, None])[:, -1, 1]) < 120.0  # fmt: skip
+    kept = reports.where(~(near & (reports.time_s > gone_s)))
+    times = np.arange(0.0, SPAN_S, 2.5)
+    scene = Scene((Feed.of(radar.description, kept, scan_times_s=times), ais))
+    ended = None
+    for state in picture_states(scene, np.arange(0.0, SPAN_S, 2.5)):
+        objects = state.objects
+        hidden = (objects.stage == TENTATIVE) & ~objects.detected
+        assert not hidden.any() and isinstance(state.watch.objects, NamedObjects)
+        assert len(state.watch.objects) >= len(objects)
+        t = state.now.instant_s
+        if t == gone_s:
+            off = np.hypot(*(objects.state[:, :2] - boat).T)
+            number = objects.number[np.argmin(off)]
+            assert objects.stage[np.argmin(off)] in (CONFIRMED, COASTING) and off.min() < 60.0
+        if t > gone_s:
+            own = np.flatnonzero(objects.number == number)
+            if len(own) and objects.stage[own[0]] == COASTING:
+                ended = t
+    assert ended is not None and 5.0 < ended - gone_s < 60.0
