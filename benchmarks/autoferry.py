@@ -128,11 +128,12 @@ def _hull_distance(rows: np.ndarray, feed: Feed, truth: Truth) -> np.ndarray:
     reports = feed.reports
     if not len(rows):
         return np.ones((2, 0))
-    true = truth.at(float(reports.time_s[rows[0]]))
+    instant_s = float(reports.time_s[rows[0]])
+    true = truth.at(instant_s)
     if isinstance(reports, Directions):
         offset = true - reports.sensor_m[rows[0]]
         delta = bearing_difference(reports.bearing_deg[rows] - np.degrees(np.arctan2(*offset.T))[:, None])
-        return hull_bearing_distance(delta, np.hypot(*offset.T), truth.half_m)
+        return hull_bearing_distance(delta, offset, truth, instant_s)
     return hull_distance(reports.state[rows, :2] - true[:, None], truth.half_m)
 
 

@@ -22,8 +22,12 @@ SENSORS = (LIDAR, RADAR, INFRARED, OPTICAL)
 CAMERAS = (INFRARED, OPTICAL)
 #: Half the lengths of the hulls: Havfruen, and Gunnerus (36 m) or, in the canal, the jet boat.
 HALF_HULL_M = {"scenario2": (6.0, 18.0), "scenario4": (6.0, 18.0), "scenario17": (6.0, 5.0)}
+#: Beam of a hull in lengths, the median of 191 vessels with AIS in New York harbour; Gunnerus has 0.27.
+BEAM = 0.29
 #: A detection farther than this from the hull is not one of the vessel.
 MARGIN_M, MARGIN_DEG = 8.0, 3.0
+#: The course over ground, taken for the heading, is that of the path within this time to either side.
+COURSE_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,13 @@ class Truth:
         """(2, 2) positions of both vessels at an instant."""
         pairs = zip(self.time_s, self.position, strict=True)
         return np.array([[np.interp(instant_s, t, x[:, axis]) for axis in (0, 1)] for t, x in pairs])
+
+    def half_widths_m(self, instant_s: float, direction: np.ndarray) -> np.ndarray:
+        """(2,) half the widths of the hulls along horizontal directions (2, 2), one for each vessel."""
+        way = self.at(instant_s + COURSE_S) - self.at(instant_s - COURSE_S)
+        along = np.einsum("vk,vk->v", way, direction)
+        along /= np.maximum(np.linalg.norm(way, axis=1) * np.linalg.norm(direction, axis=1), 1e-9)
+        return np.asarray(self.half_m * np.hypot(along, BEAM * np.sqrt(np.maximum(1.0 - along**2, 0.0))))
 
 
 @dataclass(frozen=True)
@@ -105,9 +116,14 @@ def hull_distance(delta_m: np.ndarray, half_m: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(delta_m, axis=2) / (MARGIN_M + half_m)[:, None])
 
 
-def hull_bearing_distance(delta_deg: np.ndarray, range_m: np.ndarray, half_m: np.ndarray) -> np.ndarray:
-    """(2, n) scaled distances of bearings from the vessels at ranges (2,), below 1 on the hull; delta_deg : (2, n)."""
-    half_width_deg = MARGIN_DEG + np.degrees(np.arctan2(half_m, range_m))
+def hull_bearing_distance(delta_deg: np.ndarray, offset_m: np.ndarray, truth: Truth, instant_s: float) -> np.ndarray:
+    """(2, n) scaled distances of bearings from the vessels, below 1 on the hull as it is turned to the camera.
+
+    delta_deg : (2, n). offset_m : (2, 2) of the vessels from the camera.
+    """
+    across = np.column_stack([offset_m[:, 1], -offset_m[:, 0]])
+    half_m = truth.half_widths_m(instant_s, across)
+    half_width_deg = MARGIN_DEG + np.degrees(np.arctan2(half_m, np.hypot(*offset_m.T)))
     return np.asarray(np.abs(delta_deg) / half_width_deg[:, None])
 
 
