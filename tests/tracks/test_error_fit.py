@@ -8,7 +8,7 @@ import pytest
 
 from sameas import match_picture
 from sameas.picture.plot_tracker import PlotTracker
-from sameas.tracks.error_fit import TrackErrorFit, _field_size, _miss_rate, fit_errors
+from sameas.tracks.error_fit import TrackErrorFit, _field_size, _miss_rate, common_error_m, fit_errors
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
@@ -125,6 +125,12 @@ def test_few_scans_single_sources_and_stated_errors_are_not_fitted():
     stating = replace(whole.feeds[0].description, errors=SensorErrors(position_m=1.0, extent_m=0.0))
     stated = Feed.of(stating, whole.feeds[0].raw_reports)
     assert fit_errors((stated, *whole.feeds[1:])).feeds[0] is stated
+
+
+def test_a_source_that_always_shows_one_side_does_not_make_the_hull_smaller():
+    # The errors of two sources on a ship of 36 m: one scatters over the hull, one always shows the near side.
+    both, one_side = common_error_m(np.array([5.0, 5.0])), common_error_m(np.array([5.0, 0.1]))
+    assert 0.7 * both < one_side < both
 
 
 @pytest.mark.slow

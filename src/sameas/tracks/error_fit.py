@@ -18,8 +18,9 @@ confirms as real: without a third one, false plots and missed objects cannot be 
 weight, as a table.
 
 Sensors at one place all detect the near side of a hull. This common error does not appear in differences. It is assumed
-to have half the variance of the scatter, e² averaged in logarithms (chosen: three recordings give 0.3 to 1.2), and is
-a part of the errors of fused positions that further sources do not reduce.
+to have half the variance of the scatter, the mean of e² over the sources (chosen), and is a part of the errors of fused
+positions that further sources do not reduce. The mean is of variances, not of logarithms: a source that always shows
+the same side scatters little, but the hull is as large as the other sources show it.
 """
 
 from __future__ import annotations
@@ -168,8 +169,17 @@ def fit_errors(
     densities = _clutter(mean, misses, matches, partner, p_pair)
     for k, feed, description in zip(at, mean.feeds, _described(mean, latency_s, misses, densities), strict=True):
         out[k] = _rebuilt(feed, description, plane)
-    shared = math.sqrt(tuning.shared_hull) * math.exp(float(mean.model.logs[2].mean()))
+    shared = common_error_m(np.exp(mean.model.logs[2]), tuning)
     return TrackErrorFit(tuple(out), tuple(feed.description.name for feed in fittable), shared)
+
+
+def common_error_m(extent_m: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> float:
+    """1σ per axis of the error that sources at one place have in common, from their scatter e over hulls (S,).
+
+    >>> round(common_error_m(np.array([3.0, 1.0])), 2), round(common_error_m(np.array([3.0, 0.1])), 2)
+    (1.58, 1.5)
+    """
+    return math.sqrt(tuning.shared_hull * float(np.mean(np.square(extent_m))))
 
 
 def _is_fittable(feed: Feed) -> bool:
