@@ -14,6 +14,7 @@ from sameas.kernels.track_pairs import (
     best_others,
     mix,
     new_pair_errors,
+    pair_distances,
     pairs_stepped,
 )
 from sameas.picture.error_correlation import MIN_M2
@@ -134,6 +135,25 @@ def test_the_update_of_pairs_agrees_with_the_formulas(rng, way):
     after = stepped(mean, covariance, rows, a, b, step, total)
     for ours, theirs in zip((*unpacked(out[0]), *out[1:]), after, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-9)
+    # What the reports tell is the same where nothing is kept.
+    told = [np.empty((0, WIDTH)), *(np.empty(one.shape) for one in out[1:])]
+    getattr(pairs_stepped, way)(
+        errors[:12], errors[12:], rows, a, b, last, moved, drift, slope, noise, shift, new, total, MIN_M2, *told
+    )
+    assert all(np.array_equal(one, other) for one, other in zip(told[1:], out[1:], strict=True))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_distances_of_pairs_are_those_of_the_formulas(rng, way):
+    state, covariance = rng.standard_normal((9, 4)), spd(rng, 9, 4)
+    one, other = rng.integers(0, 9, (2, 20))
+    for column in (0, 2):
+        chi_sq, determinant = np.empty((2, 20))
+        getattr(pair_distances, way)(state, covariance, one, other, column, chi_sq, determinant)
+        cut = slice(column, column + 2)
+        total = covariance[one, cut, cut] + covariance[other, cut, cut]
+        np.testing.assert_allclose(chi_sq, mahalanobis_sq(state[one, cut] - state[other, cut], total), rtol=1e-12)
+        np.testing.assert_allclose(determinant, np.linalg.det(total), rtol=1e-9)
 
 
 @pytest.mark.parametrize("way", WAYS)

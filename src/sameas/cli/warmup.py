@@ -40,7 +40,7 @@ KERNELS_OF_A_MATCH = {
 LATER_KERNELS_OF_A_PICTURE = {
     "posterior": ("exact",),
     "search": ("sweep_few",),
-    "track_pairs": ("pairs_stepped", "new_pair_errors", "best_others"),
+    "track_pairs": ("pairs_stepped", "new_pair_errors", "best_others", "pair_distances"),
     "id_swaps": ("swap_factors", "add_set_gains"),
     "kalman": ("sum_of_records", "update_in_plane", "joint_in_plane"),
 }

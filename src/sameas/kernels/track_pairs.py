@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.kernels.compiled import part, small
+from sameas.kernels.compiled import part, small, small_by
 from sameas.kernels.linear import positive_2, solve_2
 
 #: Components of the errors if both tracks are one object, and if they are in convoy.
@@ -31,17 +31,19 @@ def pairs_stepped(
     now: FloatArray, chi_sq: FloatArray,
 ) -> None:  # fmt: skip
     """Write the errors of pairs of tracks after an instant: predicted by the tracks' motion, then updated by the new
-    report of the first track and by that of the second.
+    report of the first track and by that of the second. Without rows of ``new_errors`` only what the reports tell is
+    computed, which takes half the time.
 
     errors, added_errors : (n, WIDTH), (m, WIDTH) of old and new pairs. rows : (k,) the pairs that continue, rows of
     both arrays concatenated. first, second : (k,) their tracks, rows of the step, whose columns are ``last`` …
     ``new_report`` (:class:`sameas.picture.named_tracks.Step`). total : (m, 2, 2) covariance of each track's position.
-    added_m2 : added variance that keeps certain steps invertible. new_errors : (k, WIDTH). log_reports : (k, 2) ln p of
-    the reports under both hypotheses. now, chi_sq : (k,) ln N(δ; 0, P_a + P_b) and its χ².
+    added_m2 : added variance that keeps certain steps invertible. new_errors : (k, WIDTH), or (0, WIDTH).
+    log_reports : (k, 2) ln p of the reports under both hypotheses. now, chi_sq : (k,) ln N(δ; 0, P_a + P_b) and its χ².
     """
     one, other, h, gain = np.empty(CONVOY), np.empty(CONVOY), np.empty((2, 6)), np.empty((2, 2))
     mean_one, covariance_one = np.empty(ONE), np.empty((ONE, ONE))
     mean_two, covariance_two = np.empty(CONVOY), np.empty((CONVOY, CONVOY))
+    keeps = len(new_errors) > 0
     for k in range(len(rows)):
         a, b = first[k], second[k]
         row = errors[rows[k]] if rows[k] < len(errors) else added_errors[rows[k] - len(errors)]
@@ -58,8 +60,9 @@ def pairs_stepped(
                 for w in range(4):
                     h[v, w] = slope[a, v, w]
             east, north = shift[a, 0], shift[a, 1]
-            log_one = _update(mean_one, covariance_one, 2, 4, h, noise[a], added_m2, east, north, one, other)
-            log_two = _update(mean_two, covariance_two, 2, 4, h, noise[a], added_m2, east, north, one, other)
+            goes_on = keeps or new_report[b]
+            log_one = _update(mean_one, covariance_one, 2, 4, h, noise[a], added_m2, east, north, goes_on, one, other)
+            log_two = _update(mean_two, covariance_two, 2, 4, h, noise[a], added_m2, east, north, goes_on, one, other)
             for v in range(2):
                 mean_one[v] += shift[a, v]
                 mean_two[v] += shift[a, v]
@@ -71,11 +74,14 @@ def pairs_stepped(
                     h[v, w], h[v, 2 + w], h[v, 4 + w] = slope[b, v, w], slope[b, v, 2 + w], slope[b, v, w]
             east = shift[b, 0] + h[0, 0] * x + h[0, 1] * y
             north = shift[b, 1] + h[1, 0] * x + h[1, 1] * y
-            log_one += _update(mean_one, covariance_one, 4, ONE, h, noise[b], added_m2, east, north, one, other)
-            log_two += _update(mean_two, covariance_two, 4, CONVOY, h, noise[b], added_m2, east, north, one, other)
+            log_one += _update(mean_one, covariance_one, 4, ONE, h, noise[b], added_m2, east, north, keeps, one, other)
+            log_two += _update(
+                mean_two, covariance_two, 4, CONVOY, h, noise[b], added_m2, east, north, keeps, one, other
+            )
             x, y = x - shift[b, 0], y - shift[b, 1]
-        _packed(mean_one, covariance_one, MEAN[0], COVARIANCE[0], new_errors[k])
-        _packed(mean_two, covariance_two, MEAN[1], COVARIANCE[1], new_errors[k])
+        if keeps:
+            _packed(mean_one, covariance_one, MEAN[0], COVARIANCE[0], new_errors[k])
+            _packed(mean_two, covariance_two, MEAN[1], COVARIANCE[1], new_errors[k])
         log_reports[k, 0], log_reports[k, 1] = log_one, log_two
         p = total[a, 0, 0] + total[b, 0, 0]
         q = total[a, 0, 1] + total[b, 0, 1]
@@ -132,10 +138,11 @@ def _grow(drift: FloatArray, gain: FloatArray, x: float, y: float, mean: FloatAr
 @part
 def _update(
     mean: FloatArray, covariance: FloatArray, begin: int, end: int, slope: FloatArray, noise: FloatArray, least: float,
-    east: float, north: float, one: FloatArray, other: FloatArray,
+    east: float, north: float, goes_on: bool, one: FloatArray, other: FloatArray,
 ) -> float:  # fmt: skip
-    """Update a state in place by ν = H x + n, ν = (east, north); returns ln p(ν). H is ``slope`` (2, …) on the first
-    two components and on ``begin`` … ``end`` − 1, and 0 on others. one, other : scratch for the columns of P Hᵀ.
+    """Update a state in place by ν = H x + n, ν = (east, north), if it goes on; returns ln p(ν). H is ``slope`` (2, …)
+    on the first two components and on ``begin`` … ``end`` − 1, and 0 on others. one, other : scratch for the columns of
+    P Hᵀ.
 
     Plain counters run over the rows and columns of the lower triangle, which the compiler unrolls; a list of the
     observed components would take a third more time.
@@ -158,13 +165,31 @@ def _update(
         north -= slope[1, at] * mean[v]
     a, b, c, determinant = positive_2(a, b, c)
     x, y = solve_2(a, b, c, determinant, east, north)
-    for v in range(d):
+    for v in range(d if goes_on else 0):
         mean[v] += one[v] * x + other[v] * y
         gain_1, gain_2 = solve_2(a, b, c, determinant, one[v], other[v])
         for w in range(v + 1):
             value = covariance[v, w] - (gain_1 * one[w] + gain_2 * other[w])
             covariance[v, w] = covariance[w, v] = value
     return -0.5 * (east * x + north * y + math.log(determinant)) - math.log(2.0 * math.pi)
+
+
+@small_by(lambda state, covariance, one, *_: 20 * len(one))
+def pair_distances(
+    state: FloatArray, covariance: FloatArray, one: IntArray, other: IntArray, column: int, chi_sq: FloatArray,
+    determinant: FloatArray,
+) -> None:  # fmt: skip
+    """Write χ² (k,) of the differences of two columns of states (n, d), from ``column`` on, of the rows ``one`` and
+    ``other`` (k,), and the determinants (k,) of the sums of their covariances (n, d, d)."""
+    u, v = column, column + 1
+    for k in range(len(one)):
+        i, j = one[k], other[k]
+        x, y = state[i, u] - state[j, u], state[i, v] - state[j, v]
+        a = covariance[i, u, u] + covariance[j, u, u]
+        b = covariance[i, u, v] + covariance[j, u, v]
+        c = covariance[i, v, v] + covariance[j, v, v]
+        determinant[k] = a * c - b * b
+        chi_sq[k] = (c * (x * x) - 2.0 * b * x * y + a * (y * y)) / determinant[k]
 
 
 @small

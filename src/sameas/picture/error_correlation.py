@@ -233,9 +233,14 @@ class ErrorCorrelation:
         log_p = np.where(np.isfinite(log_p).all(axis=1, keepdims=True), log_p, 0.0)
         # Sources have few distinct Δt: log-likelihoods are summed per Δt first.
         elapsed_ms = np.rint(1e3 * elapsed_s)
-        key, group = np.unique(np.column_stack([source, elapsed_ms, kept]), axis=0, return_inverse=True)
+        order = np.lexsort([kept, elapsed_ms, source])
+        key = np.column_stack([source, elapsed_ms, kept])[order]
+        first = np.ones(len(key), bool)
+        first[1:] = (key[1:] != key[:-1]).any(axis=1)
+        key, group = key[first], np.empty(len(order), np.int64)
+        group[order] = np.cumsum(first) - 1
         sums = np.zeros((len(key), len(CORRELATIONS)))
-        np.add.at(sums, group.ravel(), log_p)
+        np.add.at(sums, group, log_p)
         rho = key[:, 2:] * _rho(1e-3 * key[:, 1], np.array(tuning.correlation_s))
         add_evidence(key[:, 0].astype(np.int64), rho, sums, CORRELATIONS, np.array(tuning.lasting_shares), log_probable)
         return replace(self, log_probable=log_probable)

@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
-from sameas.gaussian import mahalanobis_sq
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.kernels.id_swaps import add_set_gains, swap_factors
 from sameas.kernels.track_pairs import best_others
 from sameas.picture.named_tracks import Step
+from sameas.picture.tables import distances
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.kinds import KINDS
 
@@ -165,10 +165,7 @@ def swap_hypotheses(
         best = rivals.best_other(log_weight, side)
         at = np.flatnonzero((best >= 0) & step.new_report[track])
         one, other = track[at], track[best[at]]
-        chi_sq = mahalanobis_sq(
-            taken(step.here, one) - taken(step.here, other),
-            taken(step.covariance, one) + taken(step.covariance, other),
-        )
+        chi_sq, _ = distances(step.here, step.covariance, one, other)
         # The most probable pair of a set swaps with at most one of the others, and each of these only with it.
         leads, sets = log_weight[at] >= log_weight[best[at]], rivals.sides[side][at]
         for c, p in enumerate(np.exp(-chi_sq / ranges[:, None])):

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
-from sameas.gaussian import log_density, log_density_and_distance
+from sameas.gaussian import LOG_2PI, log_density
 from sameas.picture.id_swaps import Rivals, group_maximum
-from sameas.picture.tables import Scan
+from sameas.picture.tables import Scan, distances
 from sameas.picture.track_pairs import TrackPairs
 
 
@@ -56,8 +56,8 @@ def with_manoeuvres(
     a, b, log_ratio = a[partners], b[partners], log_ratio[partners]
     if not len(a):
         return _with_manoeuvres_of(scan, assumed)
-    delta, total = scan.state[a, :2] - scan.state[b, :2], scan.covariance[a, :2, :2] + scan.covariance[b, :2, :2]
-    log_steady, chi_sq = log_density_and_distance(delta, total)
+    chi_sq, determinant = distances(scan.state, scan.covariance, a, b)
+    log_steady = -0.5 * (chi_sq + np.log(determinant) + 2.0 * LOG_2PI)
     log_odds = _log_manoeuvre_odds(scan)
     log_pair_steady = log_ratio + log_steady
     # Either of the two may have manoeuvred.
@@ -76,7 +76,8 @@ def with_manoeuvres(
     is_swap = np.exp(log_odds[own]) < swap_rate[scan.source[other]]
     best = np.maximum(np.where(is_swap, rivals.most(log_pair_steady)[k], free[k]), log_apart)
     extra = manoeuvre_covariance(scan)
-    log_with_d = log_density(delta[k], total[k] + extra[own, :2, :2])
+    delta, total = scan.state[own] - scan.state[other], scan.covariance[own] + scan.covariance[other] + extra[own]
+    log_with_d = log_density(delta[:, :2], total[:, :2, :2])
     log_pair_with_d = log_odds[own] + log_ratio[k] + log_with_d
     log_pair = np.maximum(log_pair_steady[k], log_pair_with_d)
     is_partner = log_pair == group_maximum(own * len(scan.start) + scan.source[other], log_pair)

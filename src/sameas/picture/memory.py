@@ -31,16 +31,16 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
 from sameas.errors import InputError
-from sameas.gaussian import log_determinant, mahalanobis_sq
+from sameas.gaussian import log_determinant
 from sameas.many.pooled import PooledRecords
 from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly, information, pairs_within
 from sameas.picture.id_swaps import MIN_SWAP, Rivals, SwapRates, by_source_order
 from sameas.picture.manoeuvres import with_manoeuvres
-from sameas.picture.named_tracks import NamedTracks, NewReports
+from sameas.picture.named_tracks import NamedTracks, Step
 from sameas.picture.previous_scans import REASSIGNED, FirstContact, PreviousScans
-from sameas.picture.tables import RANGE_BANDS, Scan, objects_per_m2
+from sameas.picture.tables import RANGE_BANDS, Scan, distances, objects_per_m2
 from sameas.picture.track_existence import TrackExistence
 from sameas.picture.track_pairs import TrackPairs, keys
 from sameas.picture.tuning import Tuning
@@ -56,8 +56,7 @@ class TrackMemory:
     ----------
     reassigned : ε of the module. correlation_s : by source name, the correlation time of its errors where it is given
         rather than estimated (:mod:`sameas.picture.error_correlation`); 0 for independent errors.
-    tracks, existence, track_pairs, swaps : the state, updated from instant to instant. reports : new reports of the
-        instant that :meth:`learned` has still to use.
+    tracks, existence, track_pairs, swaps : the state, updated from instant to instant.
     """
 
     reassigned: float = REASSIGNED
@@ -66,7 +65,6 @@ class TrackMemory:
     existence: TrackExistence = field(default_factory=TrackExistence)
     track_pairs: TrackPairs = field(default_factory=TrackPairs)
     swaps: SwapRates = field(default_factory=SwapRates)
-    reports: NewReports | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.reassigned < 0.5:
@@ -78,11 +76,7 @@ class TrackMemory:
         return self.tracks.error_factors
 
     def advance(self, scan: Scan, track_of_record: IntArray | None = None) -> TrackMemory:
-        """The memory after the scan of a later instant; arguments as of :meth:`looked_ahead`."""
-        return self.looked_ahead(scan, track_of_record).learned()
-
-    def looked_ahead(self, scan: Scan, track_of_record: IntArray | None = None) -> TrackMemory:
-        """The memory at the scan of a later instant, for that instant alone; for later ones see :meth:`learned`.
+        """The memory after the scan of a later instant.
 
         track_of_record : (n,) ``tracks.numbers_on(scan)``, where already known.
 
@@ -90,6 +84,17 @@ class TrackMemory:
         ------
         InputError : the scan is of an instant before the previous one.
         """
+        after, step = self._stepped(scan, track_of_record, keeps=True)
+        # The new reports count from the next instant on.
+        factors = step.reports.factors_after(after.error_factors)
+        return replace(after, tracks=replace(after.tracks, error_factors=factors))
+
+    def looked_ahead(self, scan: Scan, track_of_record: IntArray | None = None) -> TrackMemory:
+        """The memory at the scan of a later instant, for the rules of that instant alone: it cannot be advanced."""
+        return self._stepped(scan, track_of_record, keeps=False)[0]
+
+    def _stepped(self, scan: Scan, track_of_record: IntArray | None, *, keeps: bool) -> tuple[TrackMemory, Step]:
+        """The memory at the scan of a later instant, with the error factors of before, and the step of the tracks."""
         require_order(self.tracks.instant_s, scan.now.instant_s)
         before = self._with_present_factors()._with_present_correlation(scan.tuning)
         correlation = replace(before.tracks.error_correlation, fixed_s=self.correlation_s)
@@ -100,20 +105,11 @@ class TrackMemory:
             ["" if k < known else kind[name] for k, name in enumerate(tracks.error_correlation.names)], scan.tuning
         )
         track_pairs, swaps = before.track_pairs.stepped(
-            step, self.reassigned, swaps, objects_per_m2(scan.now), scan.tuning
+            step, self.reassigned, swaps, objects_per_m2(scan.now), scan.tuning, keeps=keeps
         )
         track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, scan.tuning)
         existence = self.existence.advance(tracks)
-        return replace(
-            self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence, reports=step.reports
-        )
-
-    def learned(self) -> TrackMemory:
-        """The memory with the error factors by the new reports of the instant, which count from the next one on."""
-        if self.reports is None:
-            return self
-        tracks = replace(self.tracks, error_factors=self.reports.factors_after(self.error_factors))
-        return replace(self, tracks=tracks, reports=None)
+        return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence), step
 
     def with_numbers_of(self, later: TrackMemory, tuning: Tuning) -> TrackMemory:
         """The memory with the numbers that were given to the ids of tracks until a later instant, and their existence
@@ -261,10 +257,7 @@ class TrackMemory:
         period_s = np.array([d.timing.period_s or tuning.period_s for d in scan.now.descriptions])[scan.source]
         is_recent = scan.now.instant_s - scan.time_s <= 1.5 * period_s
         which = np.flatnonzero(is_recent[one] & is_recent[other] & self.swaps.may_swap[source])
-        one, other, place, covariance = one[which], other[which], scan.state[:, :2], scan.reported_covariance[:, :2, :2]
-        chi_sq = mahalanobis_sq(
-            taken(place, one) - taken(place, other), taken(covariance, one) + taken(covariance, other)
-        )
+        chi_sq, _ = distances(scan.state, scan.reported_covariance, one[which], other[which])
         near = chi_sq < -math.log(MIN_SWAP) * max(tuning.swap_ranges)
         which, (rates, ranges) = which[near], tuning.swap_models
         p = rates[models] * np.exp(chi_sq[near, None] * (-1.0 / ranges[models]))

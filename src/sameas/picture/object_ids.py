@@ -1,8 +1,8 @@
 """Object ids: each object of the picture keeps its number from instant to instant.
 
-The objects of an instant are identified with those of the picture by :func:`sameas.identify`, one to one and jointly,
-by their predicted positions and common tracks. So a number never goes to another object while its own is present, and
-if two objects exchange a record, each keeps the most probable number.
+The objects of an instant are identified with those of the picture as by :func:`sameas.identify`, one to one and
+jointly, by their predicted positions and common tracks. So a number never goes to another object while its own is
+present, and if two objects exchange a record, each keeps the most probable number.
 
 An object is *tentative* when it appears, *confirmed* when it is certain (:class:`Stages`), *coasting* while no source
 detects it and its position is predicted, and *ended* when more than one other object is expected within its own 1σ
@@ -22,16 +22,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit, logit
 
-from sameas._identify import identify
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, spans_in
+from sameas.assignment import assign, refuse_crowds
 from sameas.errors import InputError
 from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq, symmetric
+from sameas.groups import groups
 from sameas.picture.plot_existence import Looks, NewPlots, after_looks
 from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, ObjectStates, PictureObjects
 from sameas.picture.track_existence import ExistenceOdds
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
+from sameas.prior import EVIDENCE_ALONE
 from sameas.ragged import ranges
 from sameas.records import Records
 from sameas.representation import in_short
@@ -408,9 +410,14 @@ class NamedObjects(PictureObjects):
         p_shown = p_real * (1.0 - detections.looks.p_missed(self.state[:, :2]))
         is_new = plots.found & (plots.clutter_per_m2 > 0.0)
         of_plots = PlotContinuity(plots.clutter_per_m2, is_new, logit(np.clip(p_shown, MIN_SHOWN, 1.0 - MIN_SHOWN)))
-        rule = Continuity(density_per_m2, common, before, after, of_plots, tuning)
-        matches = identify(first, second, rule=rule, gate=NearOrSameId(common)).matches
-        out[matches.rows_2] = matches.rows_1
+        # The stages of `identify` without its last: no probability of a match is used.
+        pairs = NearOrSameId(common)(first, second)
+        refuse_crowds(pairs)
+        evidence = Continuity(density_per_m2, common, before, after, of_plots, tuning)(pairs)
+        grouped = groups(pairs)
+        best = assign(grouped, evidence.log_ratio, EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
+        matched = grouped.order[best.chosen]
+        out[second.rows[pairs.j[matched]]] = first.rows[pairs.i[matched]]
         return out
 
     def _common_tracks(self, detections: UnnumberedObjects, tuning: Tuning) -> CommonTracks:
@@ -523,6 +530,8 @@ class NamedObjects(PictureObjects):
         self, detections: UnnumberedObjects, density_per_m2: float, elapsed_s: float, stages: Stages, tuning: Tuning
     ) -> NamedObjects:
         """These objects at an instant at which no source detects them."""
+        if not len(self):
+            return self
         tentative = self.stage == TENTATIVE
         n_missing = self.n_missing + (tentative & bool(detections.new_report.any()))
         too_uncertain = aged(self.covariance, density_per_m2)

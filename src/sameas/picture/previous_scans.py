@@ -14,8 +14,7 @@ from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
-from sameas.gaussian import distance_and_log_determinant
-from sameas.picture.tables import Scan
+from sameas.picture.tables import Scan, distances
 from sameas.picture.track_pairs import keys
 from sameas.representation import in_short
 from sameas.tracks.kinds import KINDS
@@ -177,13 +176,13 @@ class FirstContact(Rule):
         scan, out = self.scan, np.zeros(len(a))
         at = np.flatnonzero(scan.moving[a] & scan.moving[b])
         a, b = a[at], b[at]
-        covariance = scan.covariance[a, 2:, 2:] + scan.covariance[b, 2:, 2:]
+        chi_sq, determinant = distances(scan.state, scan.covariance, a, b, column=2)
         delta = scan.state[a, 2:] - scan.state[b, 2:]
-        chi_sq, log_det = distance_and_log_determinant(delta, covariance)
         variance = scan.speed_m_per_s[a] ** 2 + scan.speed_m_per_s[b] ** 2
-        log_other = -0.5 * (delta**2).sum(axis=1) / variance - np.log(variance)
+        log_other = -0.5 * (delta[:, 0] ** 2 + delta[:, 1] ** 2) / variance - np.log(variance)
         right, wide = np.log(VELOCITY_SHARES)
-        log_same = np.logaddexp(right - 0.5 * chi_sq, wide - math.log(100.0) - 0.005 * chi_sq) - 0.5 * log_det
+        log_same = np.logaddexp(right - 0.5 * chi_sq, wide - math.log(100.0) - 0.005 * chi_sq)
+        log_same -= 0.5 * np.log(determinant)
         log_ratio = np.logaddexp(log_same - log_other, 2.0 * math.log(self.reassigned))
         out[at] = np.where(np.isfinite(variance), np.minimum(log_ratio, 0.0), 0.0)
         return out

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import UNSET
 from sameas.kernels.kalman import sum_of_records
+from sameas.kernels.track_pairs import pair_distances
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.many.objects import Objects
 from sameas.many.observations import Source, records_of
@@ -240,6 +241,16 @@ def _names(track: NDArray[Any] | None, row: IntArray) -> NDArray[Any]:
     out = np.empty(len(row), object)
     out[:] = ["" if name[:8] == "unnamed " else name for name in map(str, track[row].tolist())]
     return out
+
+
+def distances(
+    state: FloatArray, covariance: FloatArray, one: IntArray, other: IntArray, column: int = 0
+) -> tuple[FloatArray, FloatArray]:
+    """(k,), (k,) χ² of the differences of two rows, ``one`` and ``other`` (k,), of states (n, d), and the determinants
+    of the sums of their covariances (n, d, d); column : the first of the two columns that are compared."""
+    chi_sq, determinant = np.empty((2, len(one)))
+    pair_distances(state, covariance, one, other, column, chi_sq, determinant)
+    return chi_sq, determinant
 
 
 def objects_per_m2(now: Instant) -> float:

@@ -237,9 +237,12 @@ class TrackPairs(ColumnTable):
         return replace(out, **changed)
 
     def stepped(
-        self, step: Step, reassigned: float, swaps: SwapRates, per_m2: float, tuning: Tuning = DEFAULT_TUNING
-    ) -> tuple[TrackPairs, SwapRates]:
+        self, step: Step, reassigned: float, swaps: SwapRates, per_m2: float, tuning: Tuning = DEFAULT_TUNING,
+        *, keeps: bool = True,
+    ) -> tuple[TrackPairs, SwapRates]:  # fmt: skip
         """The pairs after a step, if both tracks are in it, and the updated swap rates.
+
+        keeps : False for an instant alone: then the pairs have no ``errors`` and cannot be stepped again.
 
         ln r excludes the present positions (``log_now`` is subtracted), so that the evidence of the instant can be
         added. With probability ε = ``reassigned`` a report is of another object than that of its id:
@@ -253,7 +256,7 @@ class TrackPairs(ColumnTable):
         distant &= disagree_s > tuning.distant_s
         rows = np.flatnonzero((a >= 0) & (b >= 0) & recent & ~distant)
         a, b = a[rows], b[rows]
-        updated, log_two = self._updated(step, rows, a, b, tuning)
+        updated, log_two = self._updated(step, rows, a, b, np.empty((len(rows) if keeps else 0, WIDTH)), tuning)
         newly_distant = DistantPairs(
             self.first[distant], self.second[distant], self.log_ratio[distant], self.agreed_s[distant]
         )
@@ -271,12 +274,15 @@ class TrackPairs(ColumnTable):
         return updated._with_id_changes(step, (a, b), rivals, reassigned, p_swapped, math.log(per_m2), tuning), swaps
 
     def _updated(
-        self, step: Step, rows: IntArray, a: IntArray, b: IntArray, tuning: Tuning
+        self, step: Step, rows: IntArray, a: IntArray, b: IntArray, errors: FloatArray, tuning: Tuning
     ) -> tuple[TrackPairs, FloatArray]:
         """The pairs ``rows``, whose tracks are rows a and b of the step, after the motion of the tracks and their new
-        reports, first those of track a, then those of b; and (k,) ln p of the reports given two objects."""
+        reports, first those of track a, then those of b; and (k,) ln p of the reports given two objects.
+
+        errors : (k, WIDTH) is written and kept; (0, WIDTH) for none.
+        """
         k = len(rows)
-        errors, log_reports, log_now, chi_sq = np.empty((k, WIDTH)), np.empty((k, 2)), np.empty(k), np.empty(k)
+        log_reports, log_now, chi_sq = np.empty((k, 2)), np.empty(k), np.empty(k)
         pairs_stepped(
             self.errors, self.new_errors, self.row[rows], a, b, step.last, step.moved, step.drift, step.slope,
             step.noise, step.shift, step.new_report, step.covariance, MIN_M2, errors, log_reports, log_now, chi_sq,
@@ -317,13 +323,15 @@ class TrackPairs(ColumnTable):
         log_ratio = rivals.bounded(np.logaddexp(log_same, log_reassigned), agrees, reassigned)
         p_same = (1.0 - p_swapped) * expit(log_same - log_reassigned)
         p_changed = np.where(new_report, 1.0 - p_same, 0.0)
-        at = np.flatnonzero(p_changed > 1e-3)
-        a, b = (track[at] for track in tracks)
-        without_history = _without_history(
-            step.here[a] - step.here[b], (step.covariance[a], step.covariance[b]), (step.lasting[a], step.lasting[b])
-        )
-        mix(self.errors, at, p_changed[at], without_history)
-        self.log_convoy[at] *= 1.0 - p_changed[at]
+        if len(self.errors):
+            at = np.flatnonzero(p_changed > 1e-3)
+            a, b = (track[at] for track in tracks)
+            without_history = _without_history(
+                step.here[a] - step.here[b], (step.covariance[a], step.covariance[b]),
+                (step.lasting[a], step.lasting[b]),
+            )  # fmt: skip
+            mix(self.errors, at, p_changed[at], without_history)
+            self.log_convoy[at] *= 1.0 - p_changed[at]
         restart = p_changed > tuning.offset_restart
         self.n_offsets[restart], self.offset[restart], self.log_offset[restart] = 0, 0.0, 0.0
         return replace(self, log_ratio=np.where(new_report, log_ratio, self.log_ratio))

@@ -224,28 +224,22 @@ class Watch:
 
     def passed(self, now: Instant) -> Watch:
         """The watch after an instant that is not shown: its reports are in the memory of tracks."""
-        memory = self._remembered(now)[1].learned()
+        scan, track_of_record = self._scan(now)
+        memory = self.memory.advance(scan, track_of_record)
         return replace(self, memory=memory, forgotten=np.concatenate([self.forgotten, memory.tracks.forgotten]))
 
-    def _remembered(self, now: Instant) -> tuple[Scan, TrackMemory]:
-        """The scan of an instant, and the memory with it."""
+    def _scan(self, now: Instant) -> tuple[Scan, IntArray]:
+        """The scan of an instant, and (n,) the numbers of its records' tracks, ABSENT for new ones."""
         scan = self.memory.error_factors.applied(Scan.of(now.with_records(), self.tuning))
         track_of_record = self.memory.tracks.numbers_on(scan)
-        scan = self.memory.with_manoeuvres(scan, track_of_record, objects_per_m2(now), self.objects.history.together)
-        return scan, self.memory.looked_ahead(scan, track_of_record)
+        together = self.objects.history.together
+        return self.memory.with_manoeuvres(scan, track_of_record, objects_per_m2(now), together), track_of_record
 
-    def _carried(self, memory: TrackMemory, members: IntArray, identification: Objects | None) -> TrackMemory:
-        """The memory for later instants: that of this instant where a step is due, or there is a new source, with what
-        its objects (n, S) tell; else the previous one."""
-        elapsed_s = memory.tracks.instant_s - self.memory.tracks.instant_s
-        is_due = elapsed_s >= self.tuning.memory_every_s - 1e-6
-        known = memory.tracks.error_correlation.names == self.memory.tracks.error_correlation.names
-        if known and not is_due:
-            return self.memory.with_numbers_of(memory, self.tuning)
-        memory = memory.learned()
-        if identification is None:
-            return memory
-        return memory.with_pairs(identification.pooled).with_sure(members, identification.probability)
+    def _is_due(self, now: Instant) -> bool:
+        """Whether the memory steps at an instant: after ``memory_every_s``, or where a source is new."""
+        tracks = self.memory.tracks
+        is_new = not {description.name for description in now.descriptions} <= set(tracks.error_correlation.names)
+        return is_new or now.instant_s - tracks.instant_s >= self.tuning.memory_every_s - 1e-6
 
     def advance(self, now: Instant) -> PictureState[Watch]:
         """The picture at an instant not before the previous one, without steps of the memory in between.
@@ -256,8 +250,9 @@ class Watch:
         """
         if self.shown is not None:
             require_order(self.shown.now.instant_s, now.instant_s)
-        scan, memory = self._remembered(now)
-        with_records = scan.now
+        scan, track_of_record = self._scan(now)
+        with_records, is_due = scan.now, self._is_due(scan.now)
+        memory = (self.memory.advance if is_due else self.memory.looked_ahead)(scan, track_of_record)
         identification = self._identify(with_records, memory)
         by_hysteresis = np.zeros(0, bool)
         if identification is not None:
@@ -275,9 +270,15 @@ class Watch:
         memory = memory.with_real(detections.tracks[_certain_pairs(members, identification, self.stages)])
         objects = self.objects.advance(now.instant_s, detections, objects_per_m2(now), self.stages, self.tuning)
         object_texts = RecordTexts.of(scan, members, texts, objects).of_objects(objects, self.texts)
+        if not is_due:
+            kept = self.memory.with_numbers_of(memory, self.tuning)
+        elif identification is None:
+            kept = memory
+        else:
+            kept = memory.with_pairs(identification.pooled).with_sure(members, identification.probability)
         carried = replace(
-            self, memory=self._carried(memory, members, identification), objects=objects, texts=object_texts,
-            shown=scan, shown_tracks=memory.tracks.track_of_record, forgotten=np.empty(0, np.int64),
+            self, memory=kept, objects=objects, texts=object_texts, shown=scan,
+            shown_tracks=memory.tracks.track_of_record, forgotten=np.empty(0, np.int64),
         )  # fmt: skip
         return PictureState(now, scan, objects_now, detections.states, carried)
 

@@ -548,9 +548,11 @@ class LiveFeed:
             if self.to_tracks and self.description.kind in CORRELATED_KINDS
             else tracks
         )
-        known = Modes(
-            np.where(is_start[:, None], table.modes[at], np.nan), table.modes_mean[at], table.modes_covariance[at]
-        )
+        known = None
+        if self.description.motion.stationary_share:
+            table.with_modes()
+            log_p = np.where(is_start[:, None], table.modes[at], np.nan)
+            known = Modes(log_p, table.modes_mean[at], table.modes_covariance[at])
         visible, modes = stationary(visible, self.description.motion, self.tuning, known)
         at = at[updated]
         table.filtered[at], table.filtered_covariance[at] = tracks.state[updated], tracks.covariance[updated]
@@ -574,17 +576,18 @@ class LiveFeed:
     def _drop(self, horizon_s: float) -> None:
         """Drops the reports that no instant at or after ``horizon_s`` needs."""
         rows, self._horizon_s = self._rows, horizon_s
-        live = np.flatnonzero(rows.taken)
+        live, ended = np.flatnonzero(rows.taken), np.empty(0, np.int64)
         if self._named:
             order = self._ordered(live)
             number, time_s = rows.number[order], rows.time_s[order]
-            superseded = np.append((number[1:] == number[:-1]) & (time_s[1:] <= horizon_s), False)[: len(order)]
+            goes_on = np.append(number[1:] == number[:-1], False)[: len(order)]
+            superseded = goes_on & np.append(time_s[1:] <= horizon_s, False)[: len(order)]
             # These gaps are final: no late report can change them.
             later = np.flatnonzero(superseded) + 1
             gaps = np.column_stack([time_s[later] - time_s[superseded], rows.late_s[order[later]]])
             self._gaps = np.concatenate([self._gaps, gaps])[-self.live.gaps :]
             timed_out = time_s < horizon_s - (self._memory_s - self.lag_s)
-            dropped = order[superseded | timed_out]
+            dropped, ended = order[superseded | timed_out], order[timed_out & ~goes_on]
         else:
             period_s = self.description.timing.period_s or 0.0
             kept_s = max(self.live.plots_s, self.live.plot_periods * period_s)
@@ -593,8 +596,8 @@ class LiveFeed:
             return
         remains = np.zeros(len(rows), bool)
         remains[live], remains[dropped] = True, False
-        names = {rows.name[k] for k in dropped[~np.isin(rows.number[dropped], rows.number[remains])].tolist()}
         self._order = self._order[remains[self._order]]
+        names = rows.name[ended].tolist()
         rows.clear(dropped)
         self._freed = np.concatenate([self._freed, dropped])
         for name in names:

@@ -18,15 +18,19 @@ _VISIBLE = ("time_s", "state", "covariance", "p_slow", "sensor_m", "heights", "n
 
 
 class ReportTable:
-    """A table of reports; taken : (n,) whether a row is in use."""
+    """A table of reports; taken : (n,) whether a row is in use.
+
+    The modes of motion, more than half of a row, are in it from :meth:`with_modes` on; before, they have length 0.
+    """
 
     ARRAYS: tuple[tuple[str, tuple[int, ...], ArrayLike], ...] = (
         ("time_s", (), -math.inf), ("measured", (4,), math.nan), ("measured_covariance", (4, 4), math.nan),
         ("filtered", (4,), math.nan), ("filtered_covariance", (4, 4), math.nan), ("state", (4,), math.nan),
         ("covariance", (4, 4), math.nan), ("p_slow", (SLOW,), 0.0), ("sensor_m", (2,), math.nan),
-        ("modes", (FILTERED,), math.nan), ("modes_mean", (FILTERED, 4), math.nan),
-        ("modes_covariance", (FILTERED, 4, 4), math.nan),
         ("heights", (4,), math.nan), ("late_s", (), -math.inf), ("trend", (4,), NO_TREND),
+    )  # fmt: skip
+    MODES: tuple[tuple[str, tuple[int, ...]], ...] = (
+        ("modes", (FILTERED,)), ("modes_mean", (FILTERED, 4)), ("modes_covariance", (FILTERED, 4, 4)),
     )  # fmt: skip
     time_s: FloatArray
     measured: FloatArray
@@ -47,6 +51,8 @@ class ReportTable:
     def __init__(self, n: int) -> None:
         for name, shape, empty in self.ARRAYS:
             setattr(self, name, np.full((n, *shape), empty, np.float64))
+        for name, shape in self.MODES:
+            setattr(self, name, np.empty((0, *shape)))
         self.taken = np.zeros(n, bool)
         self.number = np.full(n, ABSENT)
         self.serial = np.full(n, ABSENT)
@@ -84,6 +90,17 @@ class ReportTable:
         self.attributes = {name: column[usable] for name, column in attributes.items()}
         return self
 
+    def with_modes(self) -> ReportTable:
+        """The table with modes of motion, not-a-number where they are not known."""
+        if len(self.modes) < len(self):
+            for name, shape in self.MODES:
+                setattr(self, name, np.full((len(self), *shape), math.nan))
+        return self
+
+    @property
+    def _has_modes(self) -> bool:
+        return len(self.modes) > 0
+
     @property
     def _columns(self) -> tuple[str, ...]:
         return (*(name for name, _, _ in self.ARRAYS), "taken", "number", "serial", "name")
@@ -93,7 +110,8 @@ class ReportTable:
         if which.all():
             return self
         out = ReportTable(0)
-        for name in self._columns:
+        modes = [name for name, _ in self.MODES] if self._has_modes else []
+        for name in (*self._columns, *modes):
             setattr(out, name, getattr(self, name)[which])
         out.attributes = {name: column[which] for name, column in self.attributes.items()}
         return out
@@ -110,8 +128,10 @@ class ReportTable:
 
     def grown(self, n: int) -> ReportTable:
         """The table with ``n`` more empty rows."""
-        more, out = ReportTable(n), ReportTable(0)
-        for name in self._columns:
+        more, out, modes = ReportTable(n), ReportTable(0), []
+        if self._has_modes:
+            more, modes = more.with_modes(), [name for name, _ in self.MODES]
+        for name in (*self._columns, *modes):
             setattr(out, name, np.concatenate([getattr(self, name), getattr(more, name)]))
         none = np.full(n, None, object)
         for name, column in self.attributes.items():
@@ -123,6 +143,9 @@ class ReportTable:
         """Writes the rows ``new`` to these rows of the table."""
         for name in self._columns:
             getattr(self, name)[places] = getattr(new, name)
+        if self._has_modes:
+            for name, _ in self.MODES:
+                getattr(self, name)[places] = getattr(new, name) if new._has_modes else math.nan
         for name in new.attributes.keys() - self.attributes.keys():
             kind = new.attributes[name].dtype
             self.attributes[name] = np.full(len(self), np.nan if kind.kind == "f" else None, kind)
