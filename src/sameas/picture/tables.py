@@ -239,7 +239,10 @@ def _names(track: NDArray[Any] | None, row: IntArray) -> NDArray[Any]:
     if track is None:
         return np.full(len(row), "", dtype=object)
     out = np.empty(len(row), object)
-    out[:] = ["" if name[:8] == "unnamed " else name for name in map(str, track[row].tolist())]
+    names = list(map(str, track[row].tolist()))
+    if "unnamed " in "\n".join(names):
+        names = ["" if name[:8] == "unnamed " else name for name in names]
+    out[:] = names
     return out
 
 

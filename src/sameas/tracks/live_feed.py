@@ -319,9 +319,10 @@ class LiveFeed:
     def _names(self, track: NDArray[Any]) -> NDArray[Any]:
         """Names of tracks; reports without an id are named by their unique serial number."""
         out = np.empty(len(track), object)
-        out[:] = list(map(str, track.tolist()))
-        for k in [k for k, name in enumerate(out.tolist()) if name[:8] == "unnamed "]:
-            out[k] = f"unnamed {self._serial + k}"
+        out[:] = names = track.tolist()
+        if "unnamed " in "\n".join(names):
+            for k in [k for k, name in enumerate(names) if name[:8] == "unnamed "]:
+                out[k] = f"unnamed {self._serial + k}"
         return out
 
     def _numbered(self, names: NDArray[Any]) -> IntArray:

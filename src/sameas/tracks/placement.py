@@ -179,7 +179,12 @@ class PlacedReports:
         ids = self.reports.object_ids
         if ids is None:
             return None
-        return np.array([f"unnamed {k}" if one is None else str(one) for k, one in enumerate(ids)], dtype=object)
+        listed = ids.tolist()
+        if None in listed:
+            listed = [f"unnamed {k}" if one is None else one for k, one in enumerate(listed)]
+        out = np.empty(len(listed), object)
+        out[:] = list(map(str, listed))
+        return out
 
     def _geodetic(self) -> _Positions:
         if self.plane is None:
