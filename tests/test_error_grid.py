@@ -8,7 +8,8 @@ import naive
 from problems import shuffled
 from sameas import InputError, Records, Sphere
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.error_grid import DEFAULT_GRID, Average, ErrorAverage, GridTuning, scan_errors
+from sameas.estimate.error_average import Average, ErrorAverage
+from sameas.estimate.error_grid import DEFAULT_GRID, GridTuning, scan_errors
 from sameas.estimate.match import match
 from sameas.evidence import Errors
 from sameas.gate import Radius
@@ -35,7 +36,7 @@ def test_the_average_is_the_sum_over_hypotheses_and_errors(seed):
     several = (Errors(), Errors(factor_1=2.0, factor_2=0.7), Errors((1.0, 3.0), (0.9, 0.1), floor=0.4))
     log_prior, numbers, seen, expected = np.log([0.5, 0.3, 0.2]), np.array([1.5, 2.0, 3.0]), (4, 5), 2.2
     pairs = Radius(200.0)(first, second)
-    average = ErrorAverage(several, log_prior, limit=1e6)
+    average = ErrorAverage(several, log_prior, np.full(3, 1e6))
     others = rng.normal(1.0, 1.0, len(pairs))
     begun = Average(average, average.log_densities(pairs), np.full(3, 1 / 3), numbers)
     after, found = begun.posterior(pairs, others, expected, seen, exact=True)
@@ -58,7 +59,7 @@ def test_the_average_is_the_sum_over_hypotheses_and_errors(seed):
 def test_an_isolated_pair_has_its_averaged_odds():
     first, second = Records.of([[0.0, 0.0]], sigma=0.1), Records.of([[0.5, 0.0]], sigma=0.1)
     pairs = Radius(50.0)(first, second)
-    average = ErrorAverage((Errors(), Errors(floor=0.5)), np.log([0.5, 0.5]), limit=1e4)
+    average = ErrorAverage((Errors(), Errors(floor=0.5)), np.log([0.5, 0.5]), np.full(2, 1e4))
     begun = Average.of(average, pairs, np.array([0.5, 0.5]), 0.5)
     _, found = begun.posterior(pairs, np.array([2.0]), 0.5, (1, 1), exact=True)
     assert 0.0 < found.p_pair[0] < 1.0
@@ -72,8 +73,8 @@ def test_one_floor_for_all_axes_equals_equal_floors_per_axis():
     first = Records.of([[0.0, 0.0]], sigma=0.1, source="first")
     second = Records.of([[0.6, 0.2]], sigma=0.1, source="second")
     prior = np.log([0.5, 0.5])
-    mixed = ErrorAverage((Errors(floor=0.3), Errors(floor=(0.5, 0.1))), prior, limit=50.0)
-    alike = ErrorAverage((Errors(floor=(0.3, 0.3)), Errors(floor=(0.5, 0.1))), prior, limit=50.0)
+    mixed = ErrorAverage((Errors(floor=0.3), Errors(floor=(0.5, 0.1))), prior, np.full(2, 50.0))
+    alike = ErrorAverage((Errors(floor=(0.3, 0.3)), Errors(floor=(0.5, 0.1))), prior, np.full(2, 50.0))
     one, other = (average.candidates(first, second) for average in (mixed, alike))
     assert len(one) == len(other) == 1
     typical = mixed.typical(np.array([0.25, 0.75])).floor
@@ -206,3 +207,68 @@ def test_impossible_error_models_are_refused(wrong):
 def test_impossible_fields_are_refused(wrong):
     with pytest.raises(InputError, match="give positive numbers"):
         formal_field(np.random.default_rng(0), 20, **wrong)
+
+
+# ---- tails, few pairs, crowds ----
+
+
+def doubtful(scenes):
+    """(stated, observed) sums over the candidates with doubtful probabilities."""
+    stated, observed = 0.0, 0
+    for scene in scenes:
+        answer, _ = match(scene.first, scene.second)
+        happened = is_true_pair((answer.rows_1, answer.rows_2), scene.true_pairs())
+        some = (answer.p_pair > 0.02) & (answer.p_pair < 0.5)
+        stated, observed = stated + float(answer.p_pair[some].sum()), observed + int(happened[some].sum())
+    return stated, observed
+
+
+def test_a_tail_of_few_pairs_is_found_and_its_absence_too():
+    # The share of the tail was 3 % with any data: 1.6 times too many doubtful pairs were true with a tail of a sixth.
+    scans = []
+    for tail in ((0.0, 1.0), (0.2, 4.0)):
+        scene = formal_field(np.random.default_rng(21), 300, tail=tail, quoted_arcsec=(0.05, 0.5), per_deg2=47_000.0)
+        _, estimate = match(scene.first, scene.second)
+        assert estimate.error_ranges is not None
+        scans.append(1.0 - estimate.errors.shares[0])
+    assert scans[0] < 0.02 and 0.12 < scans[1] < 0.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tail", [(0.0, 1.0), (0.05, 4.0), (0.15, 4.0)])
+def test_doubtful_pairs_are_as_probable_as_stated_with_and_without_a_tail(tail):
+    scenes = [
+        formal_field(np.random.default_rng([22, k]), 60, tail=tail, quoted_arcsec=(0.05, 0.5), per_deg2=1_400_000.0)
+        for k in range(12)
+    ]
+    stated, observed = doubtful(scenes)
+    assert stated - 4.0 * np.sqrt(stated) < observed < 1.5 * stated + 3.0 * np.sqrt(stated)
+
+
+def test_ten_pairs_with_larger_errors_than_quoted_are_not_certain_to_have_no_partner():
+    # Nothing stands out from chance in such a field; the quoted errors were then used, and true pairs had p 0.
+    stated = observed = 0.0
+    for k in range(8):
+        scene = formal_field(
+            np.random.default_rng([23, k]), 14, quoted_arcsec=(0.05, 0.5), per_deg2=1_400_000.0, floor_arcsec=0.5
+        )
+        answer, estimate = match(scene.first, scene.second)
+        true = scene.true_pairs()
+        assert estimate.error_ranges is not None
+        stated += float(answer.answers_1.p_none[true[0]].sum())
+        observed += len(true[0])
+    assert stated < 0.4 * observed
+
+
+def test_errors_of_a_small_crowded_field_are_averaged_over():
+    # With four chance candidates within 3σ no errors but the quoted ones were tried.
+    scene = formal_field(np.random.default_rng(24), 100, quoted_arcsec=(0.05, 0.5), per_deg2=19_000_000.0, scale=2.0)
+    answer, estimate = match(scene.first, scene.second)
+    assert estimate.error_ranges is not None and estimate.typical_scale > 1.3
+    assert len(answer.pairs) < 100 * len(scene.first)
+
+
+@pytest.mark.parametrize("tail", [(-0.1, 2.0), (1.1, 2.0), (0.1, 0.5)])
+def test_impossible_tails_are_refused(tail):
+    with pytest.raises(InputError, match="a tail of share"):
+        formal_field(np.random.default_rng(0), 20, tail=tail)

@@ -12,47 +12,24 @@ with ρ the density of the other source (METHOD 6, equation 6.1a). Competition b
 in the sum over one-to-one hypotheses for the remaining points of the grid. The prior says that formal errors are
 usually too small, and that a floor of the size of the quoted error is common.
 
-With many pairs, estimation starts from the best point. With few, :class:`ErrorAverage` keeps the points that are not
-ruled out, and probabilities are averaged over them (:func:`identify_averaged`). With errors θ_k and the number of
-common objects n_k by each,
-
-    P(pair) = Σ_k w_k P(pair | θ_k, n_k),   w_k ∝ prior(θ_k) L(θ_k, n_k),
-    ln L = ln Z + n + N₁ ln(1 − n/N₁) + N₂ ln(1 − n/N₂),
-
-where Z sums over all one-to-one hypotheses, and the rest is the probability of N₁ and N₂ records of a Poisson field, up
-to a constant. So a pair that is certain by only one of the errors is not certain.
+A share of the pairs has a tail of larger errors; without it, an outlier would imply a floor of all. With many pairs,
+estimation starts from the best point. With few, ``error_average.py`` averages over the points that are not ruled out.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from sameas.assignment import Hypothesis, assign
 from sameas.estimate.cells import finest
 from sameas.estimate.coverage import Coverage
-from sameas.evidence import Errors, Evidence, Rule
+from sameas.estimate.error_average import ErrorAverage, floor_of_axes
+from sameas.evidence import Errors
 from sameas.gate import ChiSquare, Pairs, Radius
-from sameas.groups import Groups, groups, laid_out
-from sameas.posterior import Posterior, by_messages, log_evidence, posterior
-from sameas.prior import PerPair
-from sameas.records import Records
-from sameas.result import Identification
 from sameas.space import ball_volume
-
-#: Pairs of smaller ln odds, before one-to-one, are dropped (chosen; below rounding).
-MIN_LOG_ODDS = math.log(1e-12)
-#: Probabilities, and their complements, below this have lost their digits; odds are then used directly.
-ROUNDING = 1e-9
-
-Solver = Callable[..., Posterior]
-
-
-# The grid.
 
 
 @dataclass(frozen=True)
@@ -62,7 +39,11 @@ class GridTuning:
     Attributes
     ----------
     chance_candidates : of a record of the poorer source, within the widest radius.
+    crowded_candidates : the same where that radius is shorter than the gate by the quoted errors: the radius is then
+        extended as far as this, if neither source has more than twice ``enough`` records.
     reach : the widest radius, in standard deviations of the largest floor.
+    gate_candidates, min_gate : a gate of averaged errors has at most this many chance candidates, or this radius in
+        standard deviations.
     enough, cell : with more records than this in both sources, cells with this many records of the poorer source are
         sampled until they hold enough.
     seed : of the generator that draws them.
@@ -70,8 +51,8 @@ class GridTuning:
     log_floor : the same of ln f, with f relative to the typical quoted error of a pair (chosen).
     no_floor : prior probability of no floor (chosen).
     factors : least and greatest a; 1 is one of the steps between. factor_step, floor_step : of ln a and ln f.
-    tail : share of pairs with errors larger than the others by this factor (chosen), so that an outlier does not imply
-        a floor of all.
+    tail_scales : errors of the pairs in a tail, relative to those of the others; equal shares of it have each.
+    tail_shares : of the pairs in the tail. log_tail_prior : ln of their prior probabilities (chosen).
     shares : of the poorer source in common, equally probable.
     min_weight : points of a smaller weight are dropped.
     min_points : the steps are halved, at most ``halvings`` times, until this many points are left. max_points : kept.
@@ -79,7 +60,10 @@ class GridTuning:
     """
 
     chance_candidates: float = 3.0
+    crowded_candidates: float = 40.0
     reach: float = 5.0
+    gate_candidates: float = 20.0
+    min_gate: float = 3.5
     enough: int = 600
     cell: int = 150
     seed: int = 20_041
@@ -89,12 +73,14 @@ class GridTuning:
     factors: tuple[float, float] = (math.exp(-5 * 0.36), 32.0)
     factor_step: float = 0.36
     floor_step: float = 0.5
-    tail: tuple[float, float] = (0.03, 4.0)
+    tail_scales: tuple[float, ...] = (3.0, 6.0)
+    tail_shares: tuple[float, ...] = (0.0, 0.03, 0.1, 0.25)
+    log_tail_prior: tuple[float, ...] = tuple(map(math.log, (0.35, 0.25, 0.25, 0.15)))
     shares: tuple[float, ...] = (0.02, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97)
     min_weight: float = 1e-3
     min_points: int = 16
     halvings: int = 4
-    max_points: int = 48
+    max_points: int = 64
     max_averaged: float = 300.0
 
 
@@ -107,6 +93,7 @@ class ErrorScan:
 
     pairs : these candidates, by the quoted errors. errors, log_prior : the k points that are not ruled out.
     weight : (k,) their posterior weights. common : expected number of common objects.
+    chance : (k,) chance candidates of a record within one standard deviation by each.
     contrast : gain in ln likelihood over no common objects. gain : over errors about as quoted.
     """
 
@@ -114,20 +101,29 @@ class ErrorScan:
     errors: tuple[Errors, ...]
     log_prior: FloatArray
     weight: FloatArray
+    chance: FloatArray
     common: float
     contrast: float
     gain: float
 
     @property
     def best(self) -> Errors:
-        """The point of largest weight, without a tail."""
-        return self.errors[int(np.argmax(self.weight))].with_mixture(Errors())
+        """The factor and floor of largest weight, whatever the tail."""
+        plain = [errors.with_mixture(Errors()) for errors in self.errors]
+        weight: dict[tuple[float, str], float] = {}
+        keys = [(errors.factor_1, str(errors.floor)) for errors in plain]
+        for key, of_point in zip(keys, self.weight.tolist(), strict=True):
+            weight[key] = weight.get(key, 0.0) + of_point
+        return plain[keys.index(max(weight, key=lambda key: weight[key]))]
 
-    def average(self, d: int) -> ErrorAverage:
-        """All points, with a gate for their tails."""
+    def average(self, d: int, tuning: GridTuning = DEFAULT_GRID) -> ErrorAverage:
+        """All points, each with a gate for its tail as far as chance candidates allow."""
         # Half the usual gate in units of the tail's error: few pairs of the small tail lie beyond.
-        reach = max(0.5 * max(self.errors[0].scales), 1.0)
-        return ErrorAverage(self.errors, self.log_prior, ChiSquare().limit(d) * reach**2)
+        reach = np.array([max(0.5 * max(errors.scales), 1.0) for errors in self.errors])
+        affordable = (tuning.gate_candidates / self.chance) ** (2.0 / d)
+        usual = ChiSquare().limit(d)
+        limits = np.minimum(usual * reach**2, np.maximum(affordable, min(tuning.min_gate**2, usual)))
+        return ErrorAverage(self.errors, self.log_prior, limits)
 
 
 def scan_errors(
@@ -155,24 +151,31 @@ def scan_errors(
     d = first.d
     richer = max(mean_densities(coverage, density))
     # In units of the typical error; a floor is the same along every axis.
-    widest = (tuning.chance_candidates / (ball_volume(d) * richer * float(np.prod(unit)))) ** (1.0 / d)
+    within_one = ball_volume(d) * richer * float(np.prod(unit))
+    widest = (tuning.chance_candidates / within_one) ** (1.0 / d)
     if widest < math.sqrt(ChiSquare().limit(d)):
-        return None
+        widest = (tuning.crowded_candidates / within_one) ** (1.0 / d)
+        if widest < math.sqrt(ChiSquare().limit(d)) or max(len(first), len(second)) > 2 * tuning.enough:
+            return None
     wide = Errors(factor_1=1e-6, factor_2=1e-6, floor=floor_of_axes(widest / tuning.reach * unit))
     pairs = Radius(tuning.reach)(*wide.records(first, second)).of(first, second)
-    return _scan(pairs, coverage, (rows_1, rows_2), unit, widest, density, tuning)
+    return _scan(pairs, coverage, (rows_1, rows_2), (unit, within_one), widest, density, tuning)
 
 
 def _scan(
     pairs: Pairs,
     coverage: Coverage,
     rows: tuple[IntArray, IntArray],
-    unit: FloatArray,
+    typical: tuple[FloatArray, float],
     widest: float,
     density: tuple[float, float] | None,
     tuning: GridTuning,
 ) -> ErrorScan:
-    """The grid over these candidates, which are those of some rows of both sources."""
+    """The grid over these candidates, which are those of some rows of both sources.
+
+    typical : error of a pair along the axes, and chance candidates within it.
+    """
+    unit, within_one = typical
     # One term of the likelihood for each record of the poorer source.
     n1, n2 = len(rows[0]), len(rows[1])
     poorer, at = (0, pairs.i) if n1 <= n2 else (1, pairs.j)
@@ -188,26 +191,37 @@ def _scan(
     gain = contrast = math.nan
     while True:
         sums = residuals.sums(lattice, at, len(covered))
-        log_likelihood = np.array([_log_likelihood(each[covered], tuning) for each in sums])
+        # Points of the lattice, shares of the tail, shares in common.
+        log_likelihood = np.array([[_log_likelihood(tail[covered], tuning) for tail in each] for each in sums])
         if not lattice.n_halvings:
             gain = float(log_likelihood.max() - log_likelihood[lattice.as_quoted].max())
             contrast = float(log_likelihood.max())
-        log_weight = lattice.log_prior + np.logaddexp.reduce(log_likelihood, axis=1)
+        log_prior = lattice.log_prior[:, None] + np.array(tuning.log_tail_prior)
+        log_weight = log_prior + np.logaddexp.reduce(log_likelihood, axis=2)
         weight = np.exp(log_weight - log_weight.max())
         kept = weight > tuning.min_weight * weight.sum()
-        kept &= weight >= np.sort(weight)[-min(tuning.max_points, len(weight))]
-        share = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))[kept]
-        lattice, weight = lattice.part(kept), weight[kept] / weight[kept].sum()
+        kept &= weight >= np.sort(weight, axis=None)[-min(tuning.max_points, weight.size)]
+        points, tails = (np.asarray(each, np.int64) for each in np.nonzero(kept))
+        share = np.exp(log_likelihood - log_likelihood.max(axis=2, keepdims=True))[kept]
+        weight = weight[kept] / weight[kept].sum()
         common = total * float(weight @ (share @ np.array(tuning.shares) / share.sum(axis=1)))
-        enough = len(weight) >= tuning.min_points or common > tuning.max_averaged
+        of_kept = lattice.part(np.unique(points))
+        enough = len(of_kept.factor_index) >= tuning.min_points or common > tuning.max_averaged
         if enough or lattice.n_halvings >= tuning.halvings:
-            return ErrorScan(pairs, lattice.errors(unit), lattice.log_prior, weight, common, contrast, gain)
-        lattice = lattice.refined()
+            errors = lattice.part(points).errors(unit, tails)
+            at_points = lattice.part(points)
+            chance = within_one * (at_points.factor**2 + at_points.floor**2) ** (0.5 * len(unit))
+            return ErrorScan(pairs, errors, log_prior[kept], weight, chance, common, contrast, gain)
+        lattice = of_kept.refined()
 
 
 def _log_likelihood(sums: FloatArray, tuning: GridTuning) -> FloatArray:
     """(c,) ln of the likelihood of the records with these Σ N/ρ (n,), by share in common."""
-    return np.asarray(np.log1p(np.multiply.outer(tuning.shares, sums - 1.0)).sum(axis=1))
+    # Logarithms of products of eight take an eighth of the time; with the limit they neither overflow nor underflow.
+    padded = np.ones(-(-len(sums) // 8) * 8)
+    padded[: len(sums)] = np.minimum(sums, 1e36)
+    factors = 1.0 + np.multiply.outer(tuning.shares, padded - 1.0)
+    return np.asarray(np.log(factors.reshape(len(factors), -1, 8).prod(axis=2)).sum(axis=1))
 
 
 def mean_densities(coverage: Coverage, density: tuple[float, float] | None) -> tuple[float, float]:
@@ -256,14 +270,18 @@ class _Residuals:
         )
 
     def sums(self, lattice: _Lattice, at: IntArray | Int32Array, n: int) -> list[FloatArray]:
-        """(n,) Σ N/ρ over the candidates of every record, for each point of the lattice."""
+        """(t, n) Σ N/ρ over the candidates of every record by share of the tail, for each point of the lattice."""
         out: list[FloatArray] = []
-        (share, scale), d = lattice.tuning.tail, len(self.square)
+        scales, d = np.array(lattice.tuning.tail_scales), len(self.square)
+        shares = np.array(lattice.tuning.tail_shares)
         for factor, floor in zip(lattice.factor, lattice.floor, strict=True):
             variance = factor**2 * self.variance + floor**2
             half, peak = -0.5 * (self.square / variance).sum(axis=0), self.log_unit - 0.5 * np.log(variance).sum(axis=0)
-            profile = (1.0 - share) * np.exp(half) + share / scale**d * np.exp(half / scale**2)
-            out.append(np.asarray(np.bincount(at, np.exp(peak) * profile, n), np.float64))
+            core, tail = np.exp(peak + half), np.zeros(len(half))
+            for scale in scales:
+                tail += np.exp(peak + half / scale**2) / scale**d / len(scales)
+            core, tail = (np.asarray(np.bincount(at, x, n), np.float64) for x in (core, tail))
+            out.append((1.0 - shares)[:, None] * core + shares[:, None] * tail)
         return out
 
 
@@ -310,7 +328,7 @@ class _Lattice:
         distance = np.abs(np.log(self.factor))
         return self.no_floor & (distance < self.tuning.factor_step)
 
-    def part(self, kept: BoolArray) -> _Lattice:
+    def part(self, kept: IntArray) -> _Lattice:
         """The lattice with some of its points."""
         factor_index, floor_index, no_floor = self.factor_index[kept], self.floor_index[kept], self.no_floor[kept]
         return replace(self, factor_index=factor_index, floor_index=floor_index, no_floor=no_floor)
@@ -341,286 +359,13 @@ class _Lattice:
         with_floor = math.log((1.0 - tuning.no_floor) * cell) + density
         return np.asarray(of_factor + np.where(self.no_floor, math.log(tuning.no_floor), with_floor))
 
-    def errors(self, unit: FloatArray) -> tuple[Errors, ...]:
-        """The points as errors, in the unit of the residuals."""
-        share, scale = self.tuning.tail
-        mixture = Errors((1.0, scale), (1.0 - share, share)) if share > 0.0 else Errors()
+    def errors(self, unit: FloatArray, tails: IntArray) -> tuple[Errors, ...]:
+        """The points as errors, in the unit of the residuals, each with one of the tails (k,)."""
+        scales, mixtures = self.tuning.tail_scales, []
+        for share in self.tuning.tail_shares:
+            of_each = (share / len(scales),) * len(scales)
+            mixtures.append(Errors((1.0, *scales), (1.0 - share, *of_each)) if share > 0.0 else Errors())
         return tuple(
-            replace(mixture, factor_1=float(a), factor_2=float(a), floor=floor_of_axes(f * unit))
-            for a, f in zip(self.factor, self.floor, strict=True)
+            replace(mixtures[tail], factor_1=float(a), factor_2=float(a), floor=floor_of_axes(f * unit))
+            for a, f, tail in zip(self.factor, self.floor, tails, strict=True)
         )
-
-
-# The average over its points.
-
-
-@dataclass(frozen=True)
-class ErrorAverage:
-    """Errors that few pairs do not rule out: k of them, with ln of their prior probabilities (k,).
-
-    limit : of Δᵀ S⁻¹ Δ, for a gate with all pairs by any of the errors.
-    """
-
-    errors: tuple[Errors, ...]
-    log_prior: FloatArray
-    limit: float
-
-    def candidates(self, first: Records, second: Records) -> Pairs:
-        """All candidates within the limit by any of the errors; their distances are by the quoted errors."""
-        floors = _floors(self.errors)
-        factor = max(errors.factor_1 for errors in self.errors)
-        widest = Errors(factor_1=factor, factor_2=factor, floor=floor_of_axes(floors.max(axis=0)))
-        pairs = Radius(math.sqrt(self.limit))(*widest.records(first, second)).of(first, second)
-        near = np.zeros(len(pairs), np.bool_)
-        for errors in self.errors:
-            near |= errors.pairs(pairs).mahalanobis_sq <= self.limit
-        return replace(
-            pairs.part(near), gate=f"distance ≤ {math.sqrt(self.limit):.2f} σ by any of {len(floors)} errors"
-        )
-
-    def log_densities(self, pairs: Pairs) -> FloatArray:
-        """(k, m) ln densities of the residuals; −∞ beyond the gate."""
-        out = np.full((len(self.errors), len(pairs)), -np.inf)
-        for row, errors in zip(out, self.errors, strict=True):
-            modelled = errors.pairs(pairs)
-            near = modelled.mahalanobis_sq <= self.limit
-            row[near] = modelled.log_peak[near] + errors.log_profile(modelled.mahalanobis_sq[near], pairs.d)
-        return out
-
-    def ranges(self, weight: FloatArray) -> ErrorRanges:
-        """95 % ranges of the errors with these (k,) weights."""
-        factors = np.array([errors.factor_1 for errors in self.errors])
-        floors = np.array([np.max(errors.floor) for errors in self.errors])
-        return ErrorRanges(_interval(factors, weight), _interval(floors, weight))
-
-    def typical(self, weight: FloatArray) -> Errors:
-        """Errors whose variances are the weighted mean of all, weights (k,)."""
-        factor = math.sqrt(sum(w * e.factor_1**2 for w, e in zip(weight, self.errors, strict=True)))
-        floors = _floors(self.errors)
-        floor = np.sqrt(weight @ floors**2)
-        return replace(self.errors[0], factor_1=factor, factor_2=factor, floor=floor_of_axes(floor))
-
-
-@dataclass(frozen=True)
-class ErrorRanges:
-    """Ranges of the errors that hold 95 % of the posterior with few pairs.
-
-    factors : (least, greatest) factor on the quoted errors. floors : the same of the floor, in the unit of the
-    residuals.
-    """
-
-    factors: tuple[float, float]
-    floors: tuple[float, float]
-
-
-def _interval(values: FloatArray, weight: FloatArray) -> tuple[float, float]:
-    """The weighted 2.5 % and 97.5 % quantiles."""
-    order = np.argsort(values)
-    cumulated = np.cumsum(weight[order])
-    low, high = (values[order[min(int(np.searchsorted(cumulated, q)), len(order) - 1)]] for q in (0.025, 0.975))
-    return float(low), float(high)
-
-
-def _floors(errors: tuple[Errors, ...]) -> FloatArray:
-    """(k, 1) or (k, d) floors; with several axes in any of them, a single number applies to every axis."""
-    axes = max(np.size(one.floor) for one in errors)
-    return np.array([np.broadcast_to(one.floor, (axes,)) for one in errors])
-
-
-def floor_of_axes(floor: FloatArray) -> float | tuple[float, ...]:
-    """The floor as one number if it is the same along all axes."""
-    return float(floor[0]) if np.all(floor == floor[0]) else tuple(floor.tolist())
-
-
-@dataclass(frozen=True)
-class Average:
-    """Errors over which probabilities are averaged, k of them, for one list of candidates.
-
-    average : the errors and their prior. log_density : (k, m) ln densities of the residuals. weight : (k,) posterior.
-    n_common : (k,) expected number of common objects by each.
-    """
-
-    average: ErrorAverage
-    log_density: FloatArray
-    weight: FloatArray
-    n_common: FloatArray
-
-    @classmethod
-    def of(cls, average: ErrorAverage, pairs: Pairs, weight: FloatArray, common: float) -> Average:
-        """Before the first EM iteration, with given (k,) weights and number of common objects."""
-        return cls(average, average.log_densities(pairs), weight, np.full(len(weight), common))
-
-    @property
-    def typical(self) -> Errors:
-        """Errors of the mean variance."""
-        return self.average.typical(self.weight)
-
-    def posterior(
-        self,
-        pairs: Pairs,
-        others: FloatArray,
-        expected: float,
-        n_records: tuple[int, int],
-        *,
-        exact: bool = False,
-        companion_log_odds: FloatArray | None = None,
-    ) -> tuple[Average, Averaged]:
-        """The updated weights, and the averaged probabilities of the pairs; ``others`` (m,) is all other evidence.
-
-        expected : number of common objects assumed in ``others``. n_records : N₁, N₂, records that may be common.
-        exact : whether groups are summed exactly; else by message passing.
-        companion_log_odds : (m,) ln of the odds, before one-to-one, that a pair is two companions.
-        """
-        solver: Solver = posterior if exact else by_messages
-        p_pairs, log_weight, n_common = [], [], []
-        assumed = _count_terms(expected, n_records)
-        for log_prior, log_density, number in zip(self.average.log_prior, self.log_density, self.n_common, strict=True):
-            own = _count_terms(number, n_records)
-            solution = HypothesisSums.of(
-                pairs, others + log_density + (own.odds - assumed.odds), solver, companion_log_odds
-            )
-            p_pairs.append(solution.p_pair)
-            log_weight.append(log_prior + solution.log_evidence + own.log_records)
-            # With a uniform prior of the share in common.
-            n_common.append((float(solution.p_pair.sum()) + 0.5) / (min(n_records) + 1.0) * min(n_records))
-        weight = np.exp(np.array(log_weight) - max(log_weight))
-        weight /= weight.sum()
-        odds = others + np.array([_count_terms(n, n_records).odds - assumed.odds for n in self.n_common])[:, None]
-        averaged = Averaged.of(pairs, np.array(p_pairs), odds + self.log_density, weight)
-        return replace(self, weight=weight, n_common=np.array(n_common)), averaged
-
-
-@dataclass(frozen=True)
-class _CountTerms:
-    """What the number of common objects adds to the ln odds of a pair, and to the ln probability of the records."""
-
-    odds: float
-    log_records: float
-
-
-def _count_terms(number: float, n_records: tuple[int, int]) -> _CountTerms:
-    number = min(max(number, 1e-3), min(n_records) * (1.0 - 1e-6))
-    alone = [math.log1p(-number / n) for n in n_records]
-    records = number + sum(n * log for n, log in zip(n_records, alone, strict=True))
-    return _CountTerms(math.log(number) - sum(alone), records)
-
-
-@dataclass(frozen=True)
-class HypothesisSums:
-    """Sums over all one-to-one hypotheses of one list of candidates.
-
-    p_pair : (m,) probabilities that pairs are one object. grouped : groups of the pairs that are not dropped; best :
-    their most probable hypothesis; p_related : their probabilities to be one object or companions.
-    """
-
-    p_pair: FloatArray
-    grouped: Groups
-    best: Hypothesis
-    p_related: FloatArray
-
-    @classmethod
-    def of(
-        cls,
-        pairs: Pairs,
-        log_same: FloatArray,
-        solver: Solver,
-        companion_log_odds: FloatArray | None = None,
-        least: float = MIN_LOG_ODDS,
-    ) -> HypothesisSums:
-        """From (m,) ln odds of the pairs, before one-to-one, to be one object and (optional) two companions, against
-        unrelated objects.
-
-        Pairs with odds below ``least`` are dropped, with probability 0: one-to-one makes no pair more probable.
-        """
-        log_ratio = log_same if companion_log_odds is None else np.logaddexp(log_same, companion_log_odds)
-        kept = np.flatnonzero(log_ratio > least)
-        places = pairs.place_1[kept], pairs.place_2[kept], pairs.i[kept], pairs.j[kept]
-        grouped = laid_out(*places, len(pairs.first), len(pairs.second))
-        best = assign(grouped, log_ratio[kept], PerPair()(grouped.sizes_1, grouped.sizes_2))
-        p, p_pair = solver(grouped, best).p_pair, np.zeros(len(pairs))
-        p_pair[kept] = p if companion_log_odds is None else p * np.exp(log_same[kept] - log_ratio[kept])
-        return cls(p_pair, grouped, best, p)
-
-    @property
-    def log_evidence(self) -> float:
-        """ln of the sum over all hypotheses, relative to the hypothesis without pairs."""
-        return float(log_evidence(self.grouped, self.best, self.p_related).sum())
-
-
-@dataclass(frozen=True)
-class Averaged:
-    """Averaged probabilities of the pairs.
-
-    p_pair : (m,). log_ratio : (m,) ln odds, before one-to-one, for choosing the most probable hypothesis. In a group
-    without cycles, odds p (1 − p) / (p₀ p₀') give the pairs their probabilities p, with p₀ those of no partner.
-    """
-
-    p_pair: FloatArray
-    log_ratio: FloatArray
-
-    @classmethod
-    def one(cls, pairs: Pairs, p_pair: FloatArray, log_ratio: FloatArray) -> Averaged:
-        """From one point, (m,) each."""
-        return cls.of(pairs, p_pair[None], log_ratio[None], np.ones(1))
-
-    @classmethod
-    def of(cls, pairs: Pairs, p_pairs: FloatArray, log_ratios: FloatArray, weight: FloatArray) -> Averaged:
-        """From all points: p_pairs, log_ratios (k, m), weight (k,)."""
-        p = np.clip(weight @ p_pairs, 0.0, 1.0)
-        alone_1, alone_2 = (
-            np.maximum(1.0 - np.bincount(at, p, n), 0.0)[at]
-            for at, n in ((pairs.i, len(pairs.first)), (pairs.j, len(pairs.second)))
-        )
-        with np.errstate(divide="ignore", invalid="ignore"):
-            log_weight = np.log(weight)[:, None]
-            log_ratio = np.log(p) + np.log1p(-np.minimum(p, 1.0 - 1e-16)) - np.log(alone_1) - np.log(alone_2)
-        least_alone = np.minimum(alone_1, alone_2)
-        arithmetic = np.logaddexp.reduce(log_weight + log_ratios, axis=0)
-        # Near certainty the harmonic mean of the odds: the smallest odds have the greatest effect.
-        bounded = np.maximum(log_ratios, MIN_LOG_ODDS)
-        harmonic = -np.logaddexp.reduce(log_weight - bounded, axis=0)
-        log_ratio = np.where(p < ROUNDING, arithmetic, np.where(least_alone < ROUNDING, harmonic, log_ratio))
-        return cls(p, np.maximum(log_ratio, -1e4))
-
-
-def identify_averaged(
-    average: Average | None,
-    pairs: Pairs,
-    rule: Rule,
-    expected: float,
-    n_records: tuple[int, int],
-    companion_log_odds: FloatArray | None = None,
-) -> Identification:
-    """The identification of these candidates with averaged probabilities.
-
-    The averaged odds replace the term of the positions in the evidence of ``rule``, or that of companions if errors are
-    known (``average`` None). expected, n_records, companion_log_odds : as in :meth:`Average.posterior`.
-    """
-    evidence = rule(pairs)
-    if average is None:
-        replaced, rest, log_ratio = "companions", without_term(evidence, "companions"), evidence.log_ratio
-        averaged = Averaged.one(
-            pairs, HypothesisSums.of(pairs, log_ratio, posterior, companion_log_odds).p_pair, log_ratio
-        )
-    else:
-        replaced, rest = "position", without_positions(evidence)
-        _, averaged = average.posterior(
-            pairs, rest, expected, n_records, exact=True, companion_log_odds=companion_log_odds
-        )
-    terms = {**evidence.terms, replaced: averaged.log_ratio - rest}
-    grouped = groups(pairs)
-    best = assign(grouped, averaged.log_ratio, PerPair()(grouped.sizes_1, grouped.sizes_2))
-    solution = posterior(grouped, best)
-    return Identification(
-        pairs, grouped, Evidence(terms, evidence.log_error), best, replace(solution, p_pair=averaged.p_pair)
-    )
-
-
-def without_positions(evidence: Evidence) -> FloatArray:
-    """(m,) the sum of all terms except that of the positions."""
-    return without_term(evidence, "position")
-
-
-def without_term(evidence: Evidence, excluded: str) -> FloatArray:
-    """(m,) the sum of all terms except one."""
-    return np.asarray(sum(values for name, values in evidence.terms.items() if name != excluded))

@@ -27,16 +27,8 @@ from sameas.errors import InputError
 from sameas.estimate.columns import DEFAULT_COLUMNS, ColumnEvidence, ColumnsTuning
 from sameas.estimate.coverage import DEFAULT_COVERAGE, Coverage, CoverageTuning
 from sameas.estimate.em import DEFAULT_EM, EMTuning, Estimates, iterate
-from sameas.estimate.error_grid import (
-    DEFAULT_GRID,
-    Average,
-    ErrorRanges,
-    ErrorScan,
-    GridTuning,
-    identify_averaged,
-    mean_densities,
-    scan_errors,
-)
+from sameas.estimate.error_average import Average, ErrorRanges, identify_averaged
+from sameas.estimate.error_grid import DEFAULT_GRID, ErrorScan, GridTuning, mean_densities, scan_errors
 from sameas.estimate.error_model import (
     DEFAULT_ERROR_FIT,
     ErrorFitTuning,
@@ -297,7 +289,9 @@ def match(
         coverage, photometry, precision, density, gate, sampling, progress, tuning=tuning, columns=columns
     )
     scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
-    if scan is not None and scan.contrast > tuning.min_gain and scan.common < tuning.grid.max_averaged:
+    # With few records, errors by which they have nothing in common are averaged over too.
+    few = min(len(first), len(second)) <= 2 * tuning.grid.enough
+    if scan is not None and scan.common < tuning.grid.max_averaged and (few or scan.contrast > tuning.min_gain):
         return search.match_averaged(scan)
     search, result, remarks = _fit(search, scan, errors)
     result = search.without_message_errors(result)
@@ -679,7 +673,7 @@ class _GateSearch:
         """All records identified, averaged over the errors that few pairs do not rule out."""
         first, second = self.coverage.first, self.coverage.second
         self.progress("gate")
-        error_average = scan.average(first.d)
+        error_average = scan.average(first.d, self.tuning.grid)
         pairs = error_average.candidates(first, second)
         refuse_crowds(pairs)
         whole = Setting.whole(pairs, self.coverage)
@@ -697,7 +691,7 @@ class _GateSearch:
             average, pairs, estimates.rule(), *estimates.expected_counts(), estimates.companion_log_odds()
         )
         estimates = replace(estimates, errors=average.typical, fits_errors=True)
-        limit = math.sqrt(error_average.limit)
+        limit = math.sqrt(float(error_average.limits.max()))
         result = _GateResult(whole, estimates, p_counted, limit, n, converged, whole.n_counted, self.tuning)
         estimate = _to_estimate(answer, self.coverage, result, [])
         return answer, replace(estimate, error_ranges=error_average.ranges(average.weight))

@@ -413,6 +413,7 @@ def formal_field(
     quoted_arcsec: tuple[float, float] = (0.003, 0.2),
     scale: float = 1.0,
     floor_arcsec: float = 0.0,
+    tail: tuple[float, float] = (0.0, 1.0),
     missing: tuple[float, float] = (0.1, 0.2),
     false_share: float = 0.1,
 ) -> SimulatedScene:
@@ -425,6 +426,7 @@ def formal_field(
     per_deg2 : real objects per square degree.
     quoted_arcsec : (low, high) quoted error of a record on each axis, log-uniform.
     scale : true over quoted errors. floor_arcsec : additional error of the second source on each axis, not quoted.
+    tail : share of the objects whose errors are larger than those of the others, and by which factor.
     missing : probability that the first and the second source miss an object.
     false_share : false records of either source per object, uniformly scattered.
 
@@ -443,16 +445,24 @@ def formal_field(
             f"formal_field: {objects} objects, {per_deg2:g} per square degree, scale {scale:g}, floor "
             f"{floor_arcsec:g} arcsec, {false_share:g} false records per object; give positive numbers"
         )
+    share, wider = tail
+    if not 0.0 <= share <= 1.0 or not wider >= 1.0:
+        raise InputError(
+            f"formal_field: a tail of share {share:g} with errors {wider:g} times as large; give a share from 0 to 1 "
+            "and a factor of 1 or more"
+        )
     side_deg = math.sqrt(objects / per_deg2)
     field = LonLatBox((150.0, 150.0 + side_deg / math.cos(math.radians(20.0))), (20.0, 20.0 + side_deg))
     false = rng.poisson(false_share * objects, 2)
     place = field.draw(rng, objects + int(false.sum()))
     numbers = np.split(np.arange(objects, len(place)), [false[0]])
+    # Without a tail no number is drawn for it: the fields are those of earlier versions.
+    of_object = np.where(rng.uniform(size=len(place)) < share, wider, 1.0) if share else np.ones(len(place))
     sides, truths = [], []
     for source, (name, own) in enumerate((("first", 0.0), ("second", floor_arcsec))):
         detected = np.flatnonzero(rng.uniform(size=objects) >= missing[source])
         truth = rng.permutation(np.concatenate([detected, numbers[source]]))
-        sides.append(_with_formal_errors(rng, place[truth], quoted_arcsec, scale, own, name))
+        sides.append(_with_formal_errors(rng, place[truth], quoted_arcsec, scale, own, of_object[truth], name))
         truths.append(truth)
     false_1, false_2 = (truth >= objects for truth in truths)
     return SimulatedScene(sides[0], sides[1], truths[0], truths[1], false_1, false_2)
@@ -571,7 +581,14 @@ def couples_field(
 
 
 def _with_formal_errors(
-    rng: np.random.Generator, place: FloatArray, quoted: tuple[float, float], scale: float, floor: float, name: str
+    rng: np.random.Generator,
+    place: FloatArray,
+    quoted: tuple[float, float],
+    scale: float,
+    floor: float,
+    of_object: FloatArray,
+    name: str,
 ) -> Records:
+    """Records whose errors, after ``scale`` and ``floor``, are larger by a factor (n,) of each object."""
     sigma = np.exp(rng.uniform(math.log(quoted[0]), math.log(quoted[1]), len(place)))
-    return _measured_as(rng, place, name, np.hypot(scale * sigma, floor), sigma)
+    return _measured_as(rng, place, name, of_object * np.hypot(scale * sigma, floor), sigma)
