@@ -118,3 +118,34 @@ def test_quoted_errors_below_a_floor_do_not_bias_the_epoch():
         (found,) = [re.search(r"were (\d+\.\d+) ±", doubt) for doubt in doubts if "follow the proper motions" in doubt]
         years.append(float(found[1]))
     assert abs(np.mean(years) - 2003.2) < 0.3
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_common_epoch_that_a_catalogue_without_motions_cannot_reach_is_named(swapped):
+    # The stars of one were moved past those of two, which were said to be moved too; then its right epoch was doubted.
+    gaia, old = _sky()
+    gaia["pmra"], gaia["pmdec"] = 10.0 * gaia["pmra"], 10.0 * gaia["pmdec"]
+    tables = (old, gaia) if swapped else (gaia, old)
+    epochs = ("2000", "2016") if swapped else ("2016", "2000")
+    first, second = (
+        Catalogue.of(table, name, options=CatalogueOptions(epoch=epoch))
+        for table, name, epoch in zip(tables, ("one", "two"), epochs, strict=True)
+    )
+    moving, staying = ("two", "one") if swapped else ("one", "two")
+    found = match(first, second, MatchOptions(epoch_jyr=2024.0, magnitudes="off"))
+    assert found.moved == f"{moving} moved to 2024 (option); {staying} has no motions and stays at 2000.00"
+    doubts = [str(doubt) for doubt in found.doubts]
+    assert not any("as if the epoch" in doubt for doubt in doubts)
+    (named,) = [doubt for doubt in doubts if "has no proper motions" in doubt]
+    assert named.startswith(f"{staying} has no proper motions and stays at 2000.0, while {moving} is moved to 2024")
+    assert "without a common epoch" in named
+    reached = match(first, second, MatchOptions(epoch_jyr=2000.0, magnitudes="off"))
+    assert not any("has no proper motions" in str(doubt) for doubt in reached.doubts)
+
+
+def test_a_common_epoch_of_catalogues_without_motions_is_not_said_to_move_them():
+    gaia, old = _sky()
+    del gaia["pmra"], gaia["pmdec"]
+    first, second = Catalogue.of(gaia, "one", options=CatalogueOptions(epoch="2000")), Catalogue.of(old, "two")
+    note = match(first, second, MatchOptions(epoch_jyr=2024.0, magnitudes="off")).moved
+    assert note == "2024 (option), but neither catalogue has proper motions: no positions are moved, errors are widened"

@@ -31,7 +31,7 @@ from sameas.partitions.part import (
 from sameas.partitions.workers import Workers, store, stored_work
 from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.crossmatch import MatchOptions, common_epoch
+from sameas.sky.crossmatch import MatchOptions, common_epoch, left_behind_doubt
 from sameas.sky.doubts import completed, with_known_epochs
 from sameas.sky.evidence_columns import columns_of
 
@@ -178,9 +178,10 @@ def estimate(
     halo, margin = _halos(work, tuning)
     work = replace(work, halo_arcsec=halo, margin_arcsec=margin)
     assert learned.estimate is not None
+    doubts = *assumed_epochs, *left_behind_doubt(epochs[0], epochs[1], options.epoch_jyr)
     catalogues = [replace(c, doubts=first.doubts) for c, first in zip(sampled, epochs, strict=True)]
     return Estimated(work, counts, (catalogues[0], catalogues[1]), moved, (rows[0], rows[1]),
-                     (*assumed_epochs, *assumed, *learned.estimate.notes), learned.estimate.learned_from)  # fmt: skip
+                     (*doubts, *assumed, *learned.estimate.notes), learned.estimate.learned_from)  # fmt: skip
 
 
 def _first_rows(stored: HatsCatalogue, options: CatalogueOptions, tuning: RunTuning) -> Catalogue:

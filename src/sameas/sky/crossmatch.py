@@ -29,6 +29,7 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
+from sameas.sky.column_choice import in_years
 from sameas.sky.doubts import completed, disjoint_doubt, epoch_doubt, in_icrs
 from sameas.sky.evidence_columns import AUTO, columns_of, magnitudes_of
 from sameas.sky.systematics import DEFAULT_WARP, Rotation, Warp, WarpTuning, find_rotation, find_warp, residual_rotation
@@ -90,6 +91,7 @@ class CrossmatchTuning:
     b1950_records, b1950_arcsec, b1950_share : with hardly any common objects the equinox of a catalogue may be B1950 if
         this share of about ``b1950_records`` of its records then lies within ``b1950_arcsec`` of a record of the other,
         and far more than else.
+    same_epoch_years : a catalogue without motions whose epoch differs by more from a given common epoch raises a doubt.
     sort_by_position : whether records are sorted by position. Samples of every k-th record then do not depend on the
         order of the table's rows, and neighbours on the sky are neighbours in memory (a million rows in table order
         take a third longer).
@@ -109,6 +111,7 @@ class CrossmatchTuning:
     b1950_records: int = 2_000
     b1950_arcsec: float = 2.0
     b1950_share: float = 0.2
+    same_epoch_years: float = 0.5
     sort_by_position: bool = True
     warp: WarpTuning = DEFAULT_WARP
 
@@ -275,19 +278,31 @@ def match(
         result, estimate = run_match(one, warp.of(two))
     matched = SkyMatch(first, second, epoch, epoch_note, result, estimate, (), rotation, warp)
     disjoint = disjoint_doubt(first, second, one, two) if _hardly_any_common(result, estimate, tuning) else ()
-    doubts = assumed + density_doubts(estimate.coverage, options, tuning) + _doubts(matched, search, disjoint, tuning)
+    left_behind = left_behind_doubt(first, second, options.epoch_jyr)
+    doubts = assumed + left_behind + density_doubts(estimate.coverage, options, tuning)
+    doubts += _doubts(matched, search, disjoint, left_behind, tuning)
     return replace(matched, doubts=doubts)
 
 
 def _doubts(
-    match: SkyMatch, search: Rotation | None, disjoint: tuple[str, ...], tuning: CrossmatchTuning
+    match: SkyMatch,
+    search: Rotation | None,
+    disjoint: tuple[str, ...],
+    left_behind: tuple[str, ...],
+    tuning: CrossmatchTuning,
 ) -> tuple[str, ...]:
-    """What looks wrong with a match. search : for a rotation, if any. disjoint : doubts about two separate fields."""
+    """What looks wrong with a match.
+
+    search : for a rotation, if any. disjoint, left_behind : doubts about two separate fields, and about a common epoch
+    that one catalogue cannot be moved to: residuals along the motions then follow from it.
+    """
     result, estimate = match.result, match.estimate
     # That nothing is common follows from fields that lie apart.
     notes = () if disjoint else estimate.notes
     doubts = (*notes, *_error_doubts(match, tuning), *_near_miss_doubts(result, estimate, tuning))
-    epoch_line, offset_explained = epoch_doubt(match.first, match.second, match.epoch_jyr, result, estimate.errors)
+    epoch_line, offset_explained = "", False
+    if not left_behind:
+        epoch_line, offset_explained = epoch_doubt(match.first, match.second, match.epoch_jyr, result, estimate.errors)
     doubts += (*disjoint, epoch_line) if epoch_line else disjoint
     if search is not None:
         doubts += _search_doubts(search, match.warp)
@@ -384,7 +399,7 @@ def common_epoch(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -
     epoch of the second is used.
     """
     if epoch_jyr is not None:
-        return epoch_jyr, f"both catalogues moved to {epoch_jyr:g} (option)"
+        return epoch_jyr, _given_epoch_note(first, second, epoch_jyr)
     epoch_1, epoch_2 = first.epoch_jyr, second.epoch_jyr
     if epoch_1 is None or epoch_2 is None:
         if not first.has_motion and not second.has_motion:
@@ -406,6 +421,47 @@ def common_epoch(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -
         f"neither catalogue has proper motions: the unknown motion of {mover.name} over "
         f"{abs(epoch_1 - epoch_2):.1f} years widens its errors"
     )
+
+
+def _given_epoch_note(first: Catalogue, second: Catalogue, epoch_jyr: float) -> str:
+    """A sentence that says which catalogues are moved to the epoch that was given."""
+    moving = [catalogue for catalogue in (first, second) if catalogue.has_motion]
+    if not moving:
+        unmoved = "but neither catalogue has proper motions: no positions are moved, errors are widened"
+        return f"{epoch_jyr:g} (option), {unmoved}"
+    staying = _left_behind(first, second, epoch_jyr)
+    if staying is None:
+        names = "both catalogues" if len(moving) == 2 else moving[0].name
+        return f"{names} moved to {epoch_jyr:g} (option)"
+    stays = f"{staying.name} has no motions and stays at {staying.epoch_jyr:.2f}"
+    return f"{moving[0].name} moved to {epoch_jyr:g} (option); {stays}"
+
+
+def _left_behind(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -> Catalogue | None:
+    """The catalogue without motions that stays years away from the given epoch while the other is moved; or None."""
+    if epoch_jyr is None or first.has_motion == second.has_motion:
+        return None
+    staying = second if first.has_motion else first
+    away = staying.epoch_jyr is not None and abs(staying.epoch_jyr - epoch_jyr) > TUNING.same_epoch_years
+    return staying if away else None
+
+
+def left_behind_doubt(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -> tuple[str, ...]:
+    """A doubt about a given common epoch that only one catalogue can be moved to; empty if there is none.
+
+    The stars of the other are then compared with where they were at its own epoch.
+    """
+    staying = _left_behind(first, second, epoch_jyr)
+    if staying is None:
+        return ()
+    assert staying.epoch_jyr is not None
+    moved = first if staying is second else second
+    text = (
+        f"{staying.name} has no proper motions and stays at {in_years(staying.epoch_jyr)}, while {moved.name} is moved "
+        f"to {epoch_jyr:g}: stars that move are compared at two times; without a common epoch they are compared at "
+        f"{in_years(staying.epoch_jyr)}"
+    )
+    return (text,)
 
 
 def area_and_densities(coverage: Coverage) -> tuple[float, float, float]:
