@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ordered_by
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ordered_by, taken
 from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
@@ -152,13 +152,16 @@ def _in_order(source: Source) -> Source:
     """The source with its records ordered by content, equal ones by id."""
     records = records_of(source)
     order = ordered_by(records.features.T)
-    ordered = records.features[order]
+    ordered = taken(records.features, order)
     if (ordered[1:] == ordered[:-1]).all(axis=1).any():
         ids = records.ids[records.rows]
         ids = ids if ids.dtype.kind in "iuf" else ids.astype(str)
         order = np.lexsort([ids, *records.covariance.T[::-1], *records.features.T[::-1]])
     records = replace(
-        records, features=records.features[order], covariance=records.covariance[order], rows=records.rows[order]
+        records,
+        features=taken(records.features, order),
+        covariance=taken(records.covariance, order),
+        rows=records.rows[order],
     )
     return replace(source, records=records) if isinstance(source, Observations) else records
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Terms
 from sameas.ragged import Ragged, ranges
@@ -75,7 +75,7 @@ class Sets:
         """Some of the sets (ascending numbers), in the same groups."""
         group = self.group[which]
         start = Ragged.of_sorted(group, len(self.start) - 1).start
-        return Sets(self.members[which], self.size[which], self.log_weight[which], group, start, self.floor)
+        return Sets(taken(self.members, which), self.size[which], self.log_weight[which], group, start, self.floor)
 
     def entries(self) -> tuple[IntArray, IntArray]:
         """(set, record) of every member of a set, sets ascending."""
@@ -126,7 +126,10 @@ class _SetsOfSize:
     def only(self, keep: BoolArray) -> _SetsOfSize:
         if keep.all():
             return self
-        return _SetsOfSize(self.records[keep], self.pairs[keep], self.log_weight[keep], self.by_pair[keep])
+        rows = np.flatnonzero(keep)
+        return _SetsOfSize(
+            taken(self.records, rows), taken(self.pairs, rows), self.log_weight[rows], self.by_pair[rows]
+        )
 
     def of_groups(self, pooled: PooledRecords, groups: BoolArray) -> _SetsOfSize:
         return self.only(groups[pooled.group[self.records[:, 0]]])
@@ -192,7 +195,8 @@ class _Growth:
         parent, added = parent[keep], added[keep]
         new = [at[keep] for at in (*pairs, pair)]
         grown = self._weighed(
-            np.column_stack([level.records[parent], added]), np.column_stack([level.pairs[parent], *new])
+            np.column_stack([taken(level.records, parent), added]),
+            np.column_stack([taken(level.pairs, parent), *new]),
         )
         group = pooled.group[added]
         keep = self._bound(grown, group) > floor
@@ -231,7 +235,7 @@ def _gathered(pooled: PooledRecords, levels: list[_SetsOfSize], floor: FloatArra
     order = _ordered([group, size, *(members + 1).T])
     group = group[order]
     start = Ragged.of_sorted(group, len(pooled.sizes)).start
-    return Sets(members[order], size[order], weight[order], group, start, floor)
+    return Sets(taken(members, order), size[order], weight[order], group, start, floor)
 
 
 def _ordered(columns: list[IntArray]) -> IntArray:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
 from sameas.kernels.id_swaps import add_set_gains, swap_factors
 from sameas.kernels.track_pairs import best_others
 from sameas.picture.named_tracks import Step
@@ -121,7 +121,7 @@ class Rivals:
             at = at[np.maximum(partner[at], partner[best[at]]) > 0.0]
             which, p, probability = swaps(side, at, best[at])
             at, rival = at[which], best[at[which]]
-            change = (log_ratio[at] - log_ratio[rival])[:, None] + by_model[at] - by_model[rival]
+            change = (log_ratio[at] - log_ratio[rival])[:, None] + taken(by_model, at) - taken(by_model, rival)
             odds_against = np.exp(np.clip(-change, -300.0, 300.0))
             exchanged = 1.0 / (1.0 + odds_against**2)
             exchanged += p * (1.0 - 2.0 * exchanged)
@@ -222,8 +222,8 @@ class SwapRates:
         """(k, r) probability of each model for pairs of tracks of two sources: the mean of those that may swap ids."""
         weight = np.where(self.may_swap, 1.0, 1e-9)
         one, other = (weight[source][:, None] for source in sources)
-        probability = self.probability
-        return np.asarray((one * probability[sources[0]] + other * probability[sources[1]]) / (one + other))
+        first, second = (taken(self.probability, source) for source in sources)
+        return np.asarray((one * first + other * second) / (one + other))
 
     def updated(
         self, before: tuple[FloatArray, FloatArray, FloatArray], log_ratio: FloatArray, log_now: FloatArray,
@@ -254,11 +254,12 @@ class SwapRates:
         factor, swapped, with_reports = np.empty((3, len(at), weight.shape[1]))
         log_top = np.empty(len(at))
         swap_factors(
-            at, (log_old, log_reported), log_ratio, weight, (swap[0][at], swap[1][at], swap[2][at]),
+            at, (log_old, log_reported), log_ratio, weight,
+            (taken(swap[0], at), taken(swap[1], at), taken(swap[2], at)),
             np.column_stack([self.may_swap[source] for source in sources]), np.array(tuning.swap_rates), factor,
             swapped, with_reports, log_top,
         )  # fmt: skip
-        own = weight[at]
+        own = taken(weight, at)
         swaps = self._with_reports(
             ((log_old + log_reported)[at], own), (log_ratio[at] + log_now[at] + log_top, with_reports),
             tuple(side[at] for side in rivals.sides), sources, log_density_anywhere,

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken, taken_plane
 from sameas.gaussian import LOG_2PI, log_density
 from sameas.picture.id_swaps import Rivals, group_maximum
 from sameas.picture.tables import Scan, distances
@@ -50,10 +50,11 @@ def with_manoeuvres(
     together : gives of numbers of tracks, (n,) and (n,), whether each two were one object before.
     """
     assumed = _assumed_before(scan, previous)
-    a, b = _places(track_of_record, np.stack([track_pairs.first, track_pairs.second]))
     log_limit = math.log(per_m2) - math.log(scan.tuning.partner_odds)
-    partners = (a >= 0) & (b >= 0) & (log_ratio + track_pairs.log_now >= log_limit)
-    a, b, log_ratio = a[partners], b[partners], log_ratio[partners]
+    near = np.flatnonzero(log_ratio + track_pairs.log_now >= log_limit)
+    a, b = _places(track_of_record, np.stack([track_pairs.first[near], track_pairs.second[near]]))
+    present = (a >= 0) & (b >= 0)
+    a, b, log_ratio = a[present], b[present], log_ratio[near[present]]
     if not len(a):
         return _with_manoeuvres_of(scan, assumed)
     chi_sq, determinant = distances(scan.state, scan.covariance, a, b)
@@ -76,8 +77,9 @@ def with_manoeuvres(
     is_swap = np.exp(log_odds[own]) < swap_rate[scan.source[other]]
     best = np.maximum(np.where(is_swap, rivals.most(log_pair_steady)[k], free[k]), log_apart)
     extra = manoeuvre_covariance(scan)
-    delta, total = scan.state[own] - scan.state[other], scan.covariance[own] + scan.covariance[other] + extra[own]
-    log_with_d = log_density(delta[:, :2], total[:, :2, :2])
+    delta = (taken(scan.state, own) - taken(scan.state, other))[:, :2]
+    total = taken_plane(scan.covariance, own) + taken_plane(scan.covariance, other) + taken_plane(extra, own)
+    log_with_d = log_density(delta, total)
     log_pair_with_d = log_odds[own] + log_ratio[k] + log_with_d
     log_pair = np.maximum(log_pair_steady[k], log_pair_with_d)
     is_partner = log_pair == group_maximum(own * len(scan.start) + scan.source[other], log_pair)

@@ -31,7 +31,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken, taken_plane
 from sameas.errors import InputError
 from sameas.gaussian import log_determinant
 from sameas.many.pooled import PooledRecords
@@ -206,7 +206,7 @@ class TrackMemory:
         """(k,) sum of the precisions of both tracks of each pair, |P|^(−½) in m⁻²."""
         if self.tracks.scan is None:
             return np.zeros(len(self.track_pairs))
-        covariance = self.tracks.scan.covariance[self.tracks.place, :2, :2]
+        covariance = taken_plane(self.tracks.scan.covariance, self.tracks.place)
         precision = np.exp(-0.5 * log_determinant(covariance))
         one, other = (
             precision[places_in(self.tracks.number, number)]
@@ -301,11 +301,10 @@ class TrackMemory:
         a, b = a[new], b[new]
         if not len(a):
             return self
-        delta, covariance = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
-        lasting = self.tracks.lasting
-        new_pairs = TrackPairs.of(
-            number[a], number[b], delta, (covariance[a], covariance[b]), (lasting[a], lasting[b]), scan.now.instant_s
-        )
+        delta = np.ascontiguousarray((taken(scan.state, a) - taken(scan.state, b))[:, :2])
+        covariances = taken_plane(scan.covariance, a), taken_plane(scan.covariance, b)
+        lasting = taken(self.tracks.lasting, a), taken(self.tracks.lasting, b)
+        new_pairs = TrackPairs.of(number[a], number[b], delta, covariances, lasting, scan.now.instant_s)
         return replace(self, track_pairs=self.track_pairs.with_(new_pairs))
 
     def with_sure(self, members: IntArray, probability: FloatArray) -> TrackMemory:

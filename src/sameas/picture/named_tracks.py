@@ -27,7 +27,7 @@ from itertools import repeat
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken, taken_plane
 from sameas.gate import ChiSquare
 from sameas.gaussian import log_determinant
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
@@ -179,8 +179,8 @@ class NamedTracks:
         number, place, source = number[order], place[order], source[order]
         at = step.find(number)
         started = place[at < 0]
-        error_mean = np.append(step.error_mean, np.zeros((1, 4)), axis=0)[at]
-        error_covariance = np.append(step.error_covariance, np.zeros((1, 4, 4)), axis=0)[at]
+        error_mean = taken(np.append(step.error_mean, np.zeros((1, 4)), axis=0), at)
+        error_covariance = taken(np.append(step.error_covariance, np.zeros((1, 4, 4)), axis=0), at)
         error_covariance[at < 0] = prior_covariance(scan.covariance[started, :2, :2], lasting[started])
         log_kept = np.append(step.log_kept, 0.0)[at]
         now_s = scan.now.instant_s
@@ -246,19 +246,29 @@ class NamedTracks:
         dt, elapsed = scan.now.instant_s - previous.time_s[last], scan.time_s[place] - previous.time_s[last]
         # A report with an earlier time than the track's previous one is not new.
         new_report = elapsed > 0.0
-        manoeuvres = previous.manoeuvre_covariance[last, :2, :2], scan.manoeuvre_covariance[place, :2, :2]
+        manoeuvres = taken_plane(previous.manoeuvre_covariance, last), taken_plane(scan.manoeuvre_covariance, place)
         moved, (old, drift, root_last, root, motion) = np.empty((len(at), 2)), np.empty((5, len(at), 2, 2))
         tracks_moved(
             last, previous.reported_state, previous.reported_covariance, previous.walk_m2_per_s3, previous.late_s, dt,
             np.where(new_report[:, None, None], *manoeuvres), previous.covariance, moved, old, drift,
         )  # fmt: skip
-        new, shift = scan.covariance[place, :2, :2], scan.state[place, :2] - moved
+        new, shift = taken_plane(scan.covariance, place), taken(scan.state, place)[:, :2] - moved
         report_factors(
             last, place, previous.reported_covariance, scan.reported_covariance, old, new, root_last, root, motion
         )
         k = np.flatnonzero(new_report)
         reports = NewReports(
-            previous, scan, last[k], place[k], source[k], dt[k], elapsed[k], shift[k], motion[k], root_last[k], root[k]
+            previous,
+            scan,
+            last[k],
+            place[k],
+            source[k],
+            dt[k],
+            elapsed[k],
+            taken(shift, k),
+            taken(motion, k),
+            taken(root_last, k),
+            taken(root, k),
         )
         correlation = reports.correlation_after(self.error_correlation)
         slope, noise = np.empty((len(at), 2, 4)), np.empty((len(at), 2, 2))
@@ -267,7 +277,7 @@ class NamedTracks:
         # |R| / |P| is the square of the mean g of both axes.
         log_kept = np.log(root_last[:, 0, 0] * root_last[:, 1, 1]) - 0.5 * log_determinant(old)
         log_kept = self.log_kept[at] + np.where(new_report, log_kept, 0.0)
-        error_mean, error_covariance = self.error_mean[at], self.error_covariance[at]
+        error_mean, error_covariance = taken(self.error_mean, at), taken(self.error_covariance, at)
         error_covariance[:, :2, :2] += drift
         updated_mean, updated_covariance, log_own, chi_sq = error_update(
             error_mean, error_covariance, slope, noise, shift
@@ -278,8 +288,8 @@ class NamedTracks:
         updated_mean[repeated], updated_covariance[repeated] = error_mean[repeated], error_covariance[repeated]
         new[repeated] = old[repeated]
         step = Step(
-            number, source, previous.state[last, :2], moved, moved + shift, new, drift,
-            np.sqrt(share)[:, None, None] * root, scan.reported_covariance[place, :2, :2], slope, noise, shift,
+            number, source, np.ascontiguousarray(taken(previous.state, last)[:, :2]), moved, moved + shift, new, drift,
+            np.sqrt(share)[:, None, None] * root, taken_plane(scan.reported_covariance, place), slope, noise, shift,
             new_report, log_kept, log_own, updated_mean, updated_covariance, scan.now.instant_s, reports,
         )  # fmt: skip
         consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - scan.tuning.new_track_probability).limit(2))
@@ -309,7 +319,7 @@ class NewReports:
 
     def correlation_after(self, before: ErrorCorrelation) -> ErrorCorrelation:
         """The error correlation after these reports."""
-        sample = evenly(self.scan.state[self.place, :2], MAX_REPORTS)
+        sample = evenly(taken(self.scan.state, self.place)[:, :2], MAX_REPORTS)
         r_last, r_new = self._reported(sample)
         return before.updated(
             self.source[sample], self.elapsed[sample], self.shift[sample], (r_last + r_new, self._common(sample)),
@@ -325,7 +335,7 @@ class NewReports:
         )
         as_stated = to_stated[0] ** 2 * r_last + to_stated[1] ** 2 * r_new
         part = self.source * RANGE_BANDS + self.scan.range_band[self.place]
-        sample = before.informative(part, self.scan.state[self.place, :2], as_stated, self.motion)
+        sample = before.informative(part, taken(self.scan.state, self.place)[:, :2], as_stated, self.motion)
         common = (to_stated[0] * to_stated[1])[sample] * self._common(sample)
         return before.with_shifts(
             part[sample], self.shift[sample], (as_stated[sample], common), self._motions(sample), self.scan.tuning
@@ -334,21 +344,22 @@ class NewReports:
     def _reported(self, which: IntArray | slice) -> tuple[FloatArray, FloatArray]:
         """R and R′."""
         return (
-            self.previous.reported_covariance[self.last[which], :2, :2],
-            self.scan.reported_covariance[self.place[which], :2, :2],
+            taken_plane(self.previous.reported_covariance, self.last[which]),
+            taken_plane(self.scan.reported_covariance, self.place[which]),
         )
 
     def _common(self, which: IntArray) -> FloatArray:
         """L L′ᵀ: the covariance of two reports with fully correlated errors."""
-        return np.asarray(self.root_last[which] @ self.root[which].transpose(0, 2, 1))
+        return np.asarray(taken(self.root_last, which) @ taken(self.root, which).transpose(0, 2, 1))
 
     def _motions(self, which: IntArray) -> tuple[FloatArray, FloatArray]:
         """D, and the part of it that comes from errors of measured velocities."""
         last, dt = self.last[which], self.dt[which, None, None]
         moving = self.previous.moving[last, None, None]
-        cross, velocity = (self.previous.reported_covariance[last, v, 2:] for v in (slice(2), slice(2, 4)))
+        reported = taken(self.previous.reported_covariance, last)
+        cross, velocity = reported[:, :2, 2:], reported[:, 2:, 2:]
         by_velocity = np.where(moving, dt * (cross + cross.transpose(0, 2, 1) + dt * velocity), 0.0)
-        return self.motion[which], growth(by_velocity)
+        return taken(self.motion, which), growth(by_velocity)
 
 
 def prior_covariance(covariance: FloatArray, lasting: FloatArray) -> FloatArray:
@@ -364,7 +375,7 @@ def _lasting_root(scan: Scan, correlation: ErrorCorrelation) -> FloatArray:
     out = np.zeros((len(scan), 2, 2))
     at = np.flatnonzero(scan.placed)
     share = correlation.lasting(correlation.numbers(scan)[scan.source[at]], scan.tuning)
-    covariance, root = scan.reported_covariance[at], np.sqrt(share)
+    covariance, root = taken(scan.reported_covariance, at), np.sqrt(share)
     first = np.sqrt(covariance[:, 0, 0])
     cross = covariance[:, 1, 0] / first
     out[at, 0, 0], out[at, 1, 0] = root * first, root * cross

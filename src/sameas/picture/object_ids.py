@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit, logit
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, spans_in
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, spans_in, taken
 from sameas.assignment import assign, refuse_crowds
 from sameas.errors import InputError
 from sameas.evidence import Evidence, Field, Rule
@@ -137,8 +137,8 @@ class Continuity(Rule):
 
     def _velocities(self, i: IntArray, j: IntArray) -> FloatArray:
         """(m,) ln of the density of j's velocity as that of i, given both positions, relative to that of any object."""
-        residual = self.objects.state[i] - self.detections.state[j]
-        total = self.objects.covariance[i] + self.detections.covariance[j]
+        residual = taken(self.objects.state, i) - taken(self.detections.state, j)
+        total = taken(self.objects.covariance, i) + taken(self.detections.covariance, j)
         velocity = Gaussian(residual[:, 2:], total[:, 2:, 2:])
         rest = velocity.conditional(total[:, 2:, :2], -residual[:, :2], total[:, :2, :2])
         same = log_density(rest.mean, rest.covariance)
@@ -158,8 +158,8 @@ class NearOrSameId:
         by_id = (self.common.object_place[same_id] << 32) | self.common.detection_place[same_id]
         key = np.unique(np.concatenate([(near.i.astype(np.int64) << 32) | near.j, by_id]))
         i, j = (key >> 32).astype(np.int32), (key & 0xFFFFFFFF).astype(np.int32)
-        residual = first.features[i] - second.features[j]
-        total = first.full_covariance()[i] + second.full_covariance()[j]
+        residual = taken(first.features, i) - taken(second.features, j)
+        total = taken(first.full_covariance(), i) + taken(second.full_covariance(), j)
         chi_sq = mahalanobis_sq(residual, total)
         return Pairs(first, second, i, j, i, j, residual, chi_sq, determinant(total), f"{near.gate}, or one name")
 
@@ -458,7 +458,7 @@ class NamedObjects(PictureObjects):
     ) -> NamedObjects:
         """These objects, updated by their matches ``which`` of the instant."""
         states, new_report = detections.states, detections.new_report[which]
-        state, covariance = states.state[which], states.covariance[which]
+        state, covariance = taken(states.state, which), taken(states.covariance, which)
         filtered, filtered_covariance = _updated_states(self, state, covariance, new_report)
         velocity_known = states.moving[which]
         n_updates, n_plots = self.n_updates + new_report, self.n_plots + detections.new_plot[which]

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
@@ -177,7 +177,7 @@ class FirstContact(Rule):
         at = np.flatnonzero(scan.moving[a] & scan.moving[b])
         a, b = a[at], b[at]
         chi_sq, determinant = distances(scan.state, scan.covariance, a, b, column=2)
-        delta = scan.state[a, 2:] - scan.state[b, 2:]
+        delta = (taken(scan.state, a) - taken(scan.state, b))[:, 2:]
         variance = scan.speed_m_per_s[a] ** 2 + scan.speed_m_per_s[b] ** 2
         log_other = -0.5 * (delta[:, 0] ** 2 + delta[:, 1] ** 2) / variance - np.log(variance)
         right, wide = np.log(VELOCITY_SHARES)

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
 from sameas.evidence.identity import UNSET
 from sameas.kernels.kalman import sum_of_records
 from sameas.kernels.track_pairs import pair_distances
@@ -199,7 +199,7 @@ def _part(
     state, covariance = reported_state, reported_covariance
     walk = np.full(n, description.motion.acceleration_m2_per_s3 or 0.0)
     if isinstance(reports, States):
-        reported_state, reported_covariance = reports.state[row], reports.covariance[row]
+        reported_state, reported_covariance = taken(reports.state, row), taken(reports.covariance, row)
         walk = feed.walk_m2_per_s3[row]
         state, covariance = moved(reported_state, reported_covariance, instant_s - time_s, walk, late)
     return {
@@ -209,7 +209,7 @@ def _part(
         "speed_m_per_s": np.full(n, description.motion.speed_m_per_s or math.inf),
         "reported_state": reported_state, "reported_covariance": reported_covariance,
         "state": state, "covariance": covariance,
-        "heights": np.full((n, 4), np.nan) if heights is None else heights[table],
+        "heights": np.full((n, 4), np.nan) if heights is None else taken(heights, table),
         "range_band": _range_bands(feed, row, reported_state[:, :2]),
     }  # fmt: skip
 
@@ -276,7 +276,8 @@ class ColumnTable:
 
     def take(self, which: NDArray[Any]) -> Self:
         """The rows of an index array, in any order, or of a mask."""
-        return replace(self, **{name: column[which] for name, column in self.columns().items()})  # type: ignore[type-var]
+        rows = np.flatnonzero(which) if which.dtype == np.bool_ else which
+        return replace(self, **{name: taken(column, rows) for name, column in self.columns().items()})  # type: ignore[type-var]
 
     def stacked(self, *others: Self) -> Self:
         """The rows of this table followed by those of others; the fields in ``WHOLE`` are those of this table."""

@@ -33,7 +33,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, places_in
+from sameas.arrays import BoolArray, FloatArray, IntArray, places_in, taken
 from sameas.gaussian import log_density_and_distance, mahalanobis_sq
 from sameas.kernels.track_pairs import COVARIANCE, MEAN, WIDTH, mix, new_pair_errors, pairs_stepped
 from sameas.picture.error_correlation import MIN_M2, ErrorCorrelation
@@ -299,12 +299,12 @@ class TrackPairs(ColumnTable):
             np.clip(log_convoy + log_in_convoy - log_independent, -bound, bound),
             np.where(new_report, log_ratio + log_reported + gain - log_now, log_ratio),
             np.where(new_report, log_now, log_reported), log_now,
-            chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new,
-            self.anchor_kept[rows], self.n_compared[rows], self.sure[rows],
-            self.offset[rows], self.n_offsets[rows], self.offset_s[rows], self.offset_new[rows] | is_new,
+            chi_sq, self.anchor_s[rows], taken(self.anchor, rows), taken(self.anchor_new, rows) | is_new,
+            taken(self.anchor_kept, rows), self.n_compared[rows], self.sure[rows],
+            taken(self.offset, rows), self.n_offsets[rows], self.offset_s[rows], taken(self.offset_new, rows) | is_new,
             self.offset_chi_sq[rows], self.log_offset[rows],
             np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.agreed_s[rows]),
-            self.by_model[rows], errors,
+            taken(self.by_model, rows), errors,
         ), log_two  # fmt: skip
 
     def _with_id_changes(
@@ -327,8 +327,8 @@ class TrackPairs(ColumnTable):
             at = np.flatnonzero(p_changed > 1e-3)
             a, b = (track[at] for track in tracks)
             without_history = _without_history(
-                step.here[a] - step.here[b], (step.covariance[a], step.covariance[b]),
-                (step.lasting[a], step.lasting[b]),
+                taken(step.here, a) - taken(step.here, b), (taken(step.covariance, a), taken(step.covariance, b)),
+                (taken(step.lasting, a), taken(step.lasting, b)),
             )  # fmt: skip
             mix(self.errors, at, p_changed[at], without_history)
             self.log_convoy[at] *= 1.0 - p_changed[at]

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.kernels.components import label_components
@@ -81,7 +81,7 @@ def with_hysteresis(
         return identification, np.zeros(len(identification), bool)
     which = np.flatnonzero(resolve)
     log_weight = sets.log_weight.copy()
-    log_weight[which] += log_bound * _links(sets.members[which], previous_object)
+    log_weight[which] += log_bound * _links(taken(sets.members, which), previous_object)
     with_links = replace(sets, log_weight=log_weight)
     best = best_sets(with_links, n, possible & resolve, time_limit_s=tuning.search_s, tuning=LIVE)
     chosen = np.where(resolve, best, answer.chosen)
@@ -96,7 +96,7 @@ def with_hysteresis(
 def _components(sets: Sets, which: BoolArray, n_records: int) -> IntArray:
     """(records,) the connected component of each record, by the sets ``which``."""
     several = np.flatnonzero(which & (sets.size > 1))
-    members = sets.members[several]
+    members = taken(sets.members, several)
     at, source = np.nonzero(members >= 0)
     edges = (n_records + at, members[at, source])
     parent, component = np.empty((2, n_records + len(several)), np.int64)
@@ -117,8 +117,9 @@ def _links(members: IntArray, previous_object: IntArray) -> IntArray:
 def _splits(sets: Sets, component: IntArray, previous_object: IntArray, chosen: BoolArray) -> BoolArray:
     """(components,) whether the chosen sets split a previous object; component : (k,) of each set."""
     which = np.flatnonzero(chosen)
-    at, source = np.nonzero(sets.members[which] >= 0)
-    previous, own = previous_object[sets.members[which][at, source]], which[at]
+    members = taken(sets.members, which)
+    at, source = np.nonzero(members >= 0)
+    previous, own = previous_object[members[at, source]], which[at]
     order = np.lexsort([own, component[own], previous])
     order = order[previous[order] >= 0]
     one, other = order[:-1], order[1:]

@@ -37,7 +37,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, taken
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.gaussian import Gaussian, determinant, mahalanobis_sq, symmetric
@@ -74,17 +74,19 @@ class States:
     @cached_property
     def usable(self) -> BoolArray:
         """(n,) whether a report has a position with its error."""
-        return self.usable_of(slice(None))
+        return self.usable_of(np.arange(len(self)))
 
-    def usable_of(self, which: NDArray[Any] | slice) -> BoolArray:
+    def usable_of(self, rows: IntArray) -> BoolArray:
         """(k,) :attr:`usable` for some of the reports."""
-        finite = np.isfinite(self.covariance[which]).all(axis=(1, 2)) & np.isfinite(self.state[which]).all(axis=1)
-        return np.asarray(finite)
+        covariance = taken(self.covariance, rows).reshape(len(rows), -1)
+        return np.asarray(np.isfinite(covariance).all(axis=1) & np.isfinite(taken(self.state, rows)).all(axis=1))
 
     def take(self, which: NDArray[Any]) -> States:
         """The reports of an index array or a mask."""
         track = None if self.track is None else self.track[which]
-        return States(self.time_s[which], self.state[which], self.covariance[which], track, self.rows[which])
+        rows = np.flatnonzero(which) if which.dtype == np.bool_ else which
+        state, covariance = taken(self.state, rows), taken(self.covariance, rows)
+        return States(self.time_s[which], state, covariance, track, self.rows[which])
 
     @classmethod
     def of(

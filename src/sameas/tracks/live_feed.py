@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
 from sameas.evidence.identity import MODELS
 from sameas.kernels.zones import merge_rows
 from sameas.tracks.alignment import NO_TREND, States, Succession, are_unfiltered, follow
@@ -428,7 +428,7 @@ class LiveFeed:
             np.concatenate(both)
             for both in (
                 (rows.number[own], new.number), (rows.time_s[own], new.time_s),
-                (rows.measured[own, :2], new.measured[:, :2]),
+                (taken(rows.measured, own)[:, :2], new.measured[:, :2]),
             )
         )  # fmt: skip
         repeats = repeated(number, time_s, place)[0] - len(own)
@@ -486,13 +486,14 @@ class LiveFeed:
         rows = self._rows
         number = np.concatenate([rows.number[last], new.number])
         time_s = np.concatenate([rows.time_s[last], new.time_s])
-        state = np.concatenate([rows.measured[last], new.measured])
+        state = np.concatenate([taken(rows.measured, last), new.measured])
         place = state[:, :2]
-        reach = np.concatenate([self.tuning.position_sigmas * _sigma_m(rows.measured_covariance[last]), radius])
+        last_radius = self.tuning.position_sigmas * _sigma_m(taken(rows.measured_covariance, last))
+        reach = np.concatenate([last_radius, radius])
         order = np.lexsort([time_s, number])
         a, b = order[:-1], order[1:]
-        distance = np.hypot(*(place[b] - place[a]).T)
-        speed = fastest(limit, state[a], state[b], self.tuning)
+        distance = np.hypot(*(taken(place, b) - taken(place, a)).T)
+        speed = fastest(limit, taken(state, a), taken(state, b), self.tuning)
         jump = (number[a] == number[b]) & (distance > reach[a] + reach[b] + speed * np.abs(time_s[b] - time_s[a]))
         # All reports of such an id in the batch are then checked one by one.
         return np.asarray(np.isin(new.number, number[b[jump]]))
@@ -505,8 +506,9 @@ class LiveFeed:
         table = self._rows
         if not self.to_tracks and not self.description.motion.stationary_share:
             at = rows[is_new]
-            table.filtered[at], table.filtered_covariance[at] = table.measured[at], table.measured_covariance[at]
-            table.state[at], table.covariance[at] = table.measured[at], table.measured_covariance[at]
+            state, covariance = taken(table.measured, at), taken(table.measured_covariance, at)
+            table.filtered[at], table.filtered_covariance[at] = state, covariance
+            table.state[at], table.covariance[at] = state, covariance
             return
         order = np.lexsort([table.serial[rows], table.time_s[rows], table.number[rows]])
         rows, is_new = rows[order], is_new[order]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
 from sameas.tracks.alignment import NO_TREND, States
 from sameas.tracks.placement import Directions
 from sameas.tracks.stationary import FILTERED, SLOW
@@ -68,9 +68,9 @@ class ReportTable:
     ) -> ReportTable:
         rows = cls(len(usable))
         for column in ("measured", "filtered", "state"):
-            setattr(rows, column, in_plane.state[usable])
+            setattr(rows, column, taken(in_plane.state, usable))
         for column in ("measured_covariance", "filtered_covariance", "covariance"):
-            setattr(rows, column, in_plane.covariance[usable])
+            setattr(rows, column, taken(in_plane.covariance, usable))
         return rows._with(in_plane.time_s[usable], usable, sensor_m, attributes)
 
     @classmethod

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, taken
 from sameas.many.observations import LinearPart, Observations, Source
 from sameas.records import Records
 from sameas.registration.weights import PlacedSources as Weighing
@@ -105,7 +105,11 @@ class Snapshot:
             return cls(feed, rows, time_s, reports.bearing_deg[rows], reports.sigma_deg[rows] ** 2, none)
         late = description.timing.latency_sigma_s or 0.0
         state, covariance = moved(
-            reports.state[rows], reports.covariance[rows], instant_s - time_s, feed.walk_m2_per_s3[rows], late
+            taken(reports.state, rows),
+            taken(reports.covariance, rows),
+            instant_s - time_s,
+            feed.walk_m2_per_s3[rows],
+            late,
         )
         return cls(feed, rows, time_s, state, covariance, none)
 
