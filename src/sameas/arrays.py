@@ -129,6 +129,20 @@ def taken_plane(values: FloatArray, rows: AnyIntArray) -> FloatArray:
     return np.ascontiguousarray(taken(values, rows)[:, :2, :2])
 
 
+def over_columns(combine: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
+    """(n,) ``combine.reduce(values, axis=1)`` of a few columns (n, c), in a tenth of the time.
+
+    >>> over_columns(np.maximum, np.array([[1, 5, 2], [7, 0, 3]])).tolist()
+    [5, 7]
+    """
+    if not values.shape[1]:
+        return np.asarray(combine.reduce(values, axis=1))
+    out = values[:, 0].copy()
+    for column in values.T[1:]:
+        combine(out, column, out=out)
+    return out
+
+
 def within_turn(degrees: FloatArray) -> FloatArray:
     """Angles (n,) reduced to 0 … 360°: ``np.mod(degrees, 360.0)``, without its division where all are within a turn of
     that, in a fifth of the time.

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, over_columns
 from sameas.errors import InputError
 from sameas.many.marginals import Answer
 from sameas.many.observations import Joint, Source, records_of
@@ -96,7 +96,7 @@ class Objects:
         """(n,) the set of each object: a row of :attr:`sets`."""
         chosen = np.flatnonzero(self.answer.chosen)
         members = self.sets.members[chosen]
-        first = np.where(members != ABSENT, members, len(self.pooled)).min(axis=1)
+        first = over_columns(np.minimum, np.where(members != ABSENT, members, len(self.pooled)))
         return chosen[np.argsort(first)]
 
     @cached_property
@@ -224,7 +224,7 @@ class Objects:
         """(records,) probability of every record to have no partner."""
         single = np.flatnonzero(self.sets.size == 1)
         out = np.zeros(len(self.pooled))
-        out[self.sets.members[single].max(axis=1)] = self.answer.probability[single]
+        out[over_columns(np.maximum, self.sets.members[single])] = self.answer.probability[single]
         return out
 
     @cached_property

@@ -36,7 +36,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, over_columns
 from sameas.errors import InputError
 from sameas.evidence import (
     Brightness,
@@ -93,7 +93,8 @@ def best_of_three(log_ratio: FloatArray, informative: BoolArray) -> FloatArray:
     """(k,) Σ c ln r of sets of three records by :func:`best_reference`: the reference leaves out the lowest of three
     informative pairs, and none of fewer."""
     a, b, c = log_ratio.T
-    return np.asarray(np.where(informative.all(axis=1), np.maximum(np.maximum(a + b, a + c), b + c), a + b + c))
+    all_three = over_columns(np.logical_and, informative)
+    return np.asarray(np.where(all_three, np.maximum(np.maximum(a + b, a + c), b + c), a + b + c))
 
 
 def mean_of_pairs(log_ratio: FloatArray, informative: BoolArray) -> FloatArray:
@@ -114,7 +115,7 @@ def by_precision(precision: FloatArray) -> FloatArray:
     compared, total = precision > 0.0, sum_of_columns(precision)
     if precision.shape[1] == 3:
         # Two of three pairs have all three records.
-        further = np.minimum(np.count_nonzero(compared, axis=1), 2)
+        further = np.minimum(over_columns(np.add, compared.astype(np.int64)), 2)
     else:
         records = np.count_nonzero(compared.astype(np.float64) @ _incidence(precision.shape[1]), axis=1)
         further = np.maximum(records - 1, 0)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, over_columns, taken
 from sameas.kernels.id_swaps import add_set_gains, swap_factors
 from sameas.kernels.track_pairs import best_others
 from sameas.picture.named_tracks import Step
@@ -247,7 +247,7 @@ class SwapRates:
         """
         log_old, log_reported, by_model = before
         p_swapped = np.zeros(len(log_ratio))
-        at = np.flatnonzero((swap[2] > MIN_SWAP).any(axis=(1, 2)))
+        at = np.flatnonzero(over_columns(np.logical_or, (swap[2] > MIN_SWAP).reshape(-1, 2 * len(tuning.swap_ranges))))
         if not len(at):
             return log_ratio, by_model, p_swapped, self
         sources, weight = (sources[0][at], sources[1][at]), np.exp(by_model)

@@ -165,8 +165,8 @@ class TrackMemory:
 
     def _pairs_with(self, changed: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
         """(m,) the pairs with a record of the last scan that ``changed`` (n,), and the records of their two tracks."""
-        record, number = np.append(self.tracks.place, ABSENT), self.tracks.number
-        a, b = (record[places_in(number, k)] for k in (self.track_pairs.first, self.track_pairs.second))
+        record = np.append(self.tracks.place, ABSENT)
+        a, b = (record[rows] for rows in self._rows)
         rows = np.flatnonzero((a >= 0) & (b >= 0) & (changed[a] | changed[b]))
         return rows, a[rows], b[rows]
 
@@ -208,17 +208,20 @@ class TrackMemory:
             return np.zeros(len(self.track_pairs))
         covariance = taken_plane(self.tracks.scan.covariance, self.tracks.place)
         precision = np.exp(-0.5 * log_determinant(covariance))
-        one, other = (
-            precision[places_in(self.tracks.number, number)]
-            for number in (self.track_pairs.first, self.track_pairs.second)
-        )
-        return np.asarray(one + other)
+        one, other = self._rows
+        return np.asarray(precision[one] + precision[other])
+
+    @cached_property
+    def _rows(self) -> tuple[IntArray, IntArray]:
+        """(k,), (k,) the rows of both tracks of each pair among the tracks, ABSENT for none."""
+        one, other = (places_in(self.tracks.number, k) for k in (self.track_pairs.first, self.track_pairs.second))
+        return one, other
 
     @cached_property
     def _log_ratio(self) -> tuple[FloatArray, FloatArray]:
         """(k,) ln r of the pairs, without the positions of the instant, and its level (:class:`PreviousScans`)."""
         track_pairs, tracks = self.track_pairs, self.tracks
-        first, second = (places_in(tracks.number, number) for number in (track_pairs.first, track_pairs.second))
+        first, second = self._rows
         rivals = Rivals.of(first, second, tracks.source[first], tracks.source[second])
         log_ratio = track_pairs.log_ratio + track_pairs.log_reported - track_pairs.log_now
         chi_sq = math.inf if tracks.scan is None else tracks.scan.tuning.manoeuvre_chi_sq

@@ -33,7 +33,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, places_in, taken
+from sameas.arrays import BoolArray, FloatArray, IntArray, over_columns, places_in, taken
 from sameas.gaussian import log_density_and_distance, mahalanobis_sq
 from sameas.kernels.track_pairs import COVARIANCE, MEAN, WIDTH, mix, new_pair_errors, pairs_stepped
 from sameas.picture.error_correlation import MIN_M2, ErrorCorrelation
@@ -292,7 +292,7 @@ class TrackPairs(ColumnTable):
         log_two = np.logaddexp(log_in_convoy + log_convoy, log_independent) - np.logaddexp(log_convoy, 0.0)
         gain, bound = log_one - log_two, tuning.convoy_log_odds
         is_new = np.column_stack([step.new_report[a], step.new_report[b]])
-        new_report = is_new.any(axis=1)
+        new_report = over_columns(np.logical_or, is_new)
         log_ratio, log_reported = self.log_ratio[rows], self.log_reported[rows]
         return TrackPairs(
             self.first[rows], self.second[rows], np.arange(k),
@@ -347,7 +347,8 @@ class TrackPairs(ColumnTable):
 
         Source: a normal variance with its conjugate prior (Gelman et al., Bayesian Data Analysis, section 2.6).
         """
-        due = np.flatnonzero((step.instant_s - self.offset_s >= tuning.lasting_s) & self.offset_new.all(axis=1))
+        is_due = step.instant_s - self.offset_s >= tuning.lasting_s
+        due = np.flatnonzero(is_due & over_columns(np.logical_and, self.offset_new))
         if not len(due):
             return self
         out = replace(self, **{name: getattr(self, name).copy() for name in _OFFSETS})

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, over_columns, taken
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.kernels.components import label_components
@@ -74,8 +74,8 @@ def with_hysteresis(
     if log_bound <= 0.0:
         return identification, np.zeros(len(identification), bool)
     # Components that no possible set connects are independent; only those that split a previous object are re-solved.
-    possible = answer.probability > 0.0
-    component = _components(sets, possible | answer.chosen, n)[sets.members.max(axis=1)]
+    possible, record = answer.probability > 0.0, over_columns(np.maximum, sets.members)
+    component = _components(sets, possible | answer.chosen, n)[record]
     resolve = _splits(sets, component, previous_object, answer.chosen)[component]
     if not resolve.any():
         return identification, np.zeros(len(identification), bool)
@@ -85,7 +85,7 @@ def with_hysteresis(
     with_links = replace(sets, log_weight=log_weight)
     best = best_sets(with_links, n, possible & resolve, time_limit_s=tuning.search_s, tuning=LIVE)
     chosen = np.where(resolve, best, answer.chosen)
-    change = _components(sets, chosen ^ answer.chosen, n)[sets.members.max(axis=1)]
+    change = _components(sets, chosen ^ answer.chosen, n)[record]
     gain = np.bincount(change, sets.log_weight * (answer.chosen.astype(np.int64) - chosen), n)
     chosen = np.where(gain[change] < log_bound, chosen, answer.chosen)
     log_loss = _log_weight(sets, answer.chosen) - _log_weight(sets, chosen)
@@ -332,7 +332,7 @@ class Watch:
         is_named = memory.tracks.track_of_record >= 0
         plots = NewPlots.of(scan, members, is_new[:-1], is_named, looks)
         new_plot = np.append(is_new[:-1] & ~is_named, False)
-        new_report, new_plot = (np.asarray(column[members].any(axis=1)) for column in (is_new, new_plot))
+        new_report, new_plot = (over_columns(np.logical_or, column[members]) for column in (is_new, new_plot))
         walk = np.append(scan.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
         speed = np.append(scan.speed_m_per_s, 0.0)[members].max(axis=1, initial=0.0)
         return UnnumberedObjects(

@@ -78,7 +78,7 @@ class States:
 
     def usable_of(self, rows: IntArray) -> BoolArray:
         """(k,) :attr:`usable` for some of the reports."""
-        covariance = taken(self.covariance, rows).reshape(len(rows), -1)
+        covariance = taken(self.covariance, rows).reshape(-1, 16)
         return np.asarray(np.isfinite(covariance).all(axis=1) & np.isfinite(taken(self.state, rows)).all(axis=1))
 
     def take(self, which: NDArray[Any]) -> States:
