@@ -296,8 +296,8 @@ def test_motion_of_known_names_is_used_and_can_be_ignored(names: tuple[str, str]
 def test_impossible_units_are_refused() -> None:
     with pytest.raises(InputError, match=r"'ra_error' is in pix, which is not an angle"):
         chosen(made(*GAIA, units={"ra_error": "pix"}))
-    with pytest.raises(InputError, match=r"'pmra' is in s / yr, which is not convertible to mas / yr"):
-        chosen(made(*GAIA, *GAIA_MOTION, units={"pmra": "s / yr"}))
+    with pytest.raises(InputError, match=r"'pmdec' is in s / yr, which is not convertible to mas / yr"):
+        chosen(made(*GAIA, *GAIA_MOTION, units={"pmdec": "s / yr"}))
     with pytest.raises(InputError, match=r"'sigma' is in parsec, which is not an angle"):
         chosen(made("ra", "dec"), sigma=1, sigma_unit="parsec")
 
@@ -523,3 +523,39 @@ def test_a_radius_contains_what_its_description_says() -> None:
     assert chosen(table).error.containment == 0.0
     table["poserr"].description = "Position error (90% confidence)"
     assert chosen(table).error.containment == 0.9
+
+
+@pytest.mark.parametrize(
+    "of_ra, of_dec, factor_ra, factor_dec",
+    [
+        ("s/yr", "arcsec/yr", 15e3, 1e3),  # SAO, PPM
+        ("s/ha", "arcsec/ha", 150.0, 10.0),  # FK5: per hundred years; astropy's ha is the hectare
+        ("s/cy", "arcsec/cy", 150.0, 10.0),  # astropy's cy is the cycle
+        ("ms/yr", "mas/yr", 15.0, 1.0),
+        ("sec/year", "arcsec/century", 15e3, 10.0),
+        ("milliarcsec/year", "milliarcsec/year", None, 1.0),
+    ],
+)
+def test_motions_in_seconds_of_time_and_in_centuries_are_read(of_ra, of_dec, factor_ra, factor_dec):
+    columns = {"RAJ2000": [10.0, 20.0], "DEJ2000": [60.0, 60.0], "pmRA": [0.3, -0.2], "pmDE": [1.5, 0.4]}
+    table = Table(columns | {"e_pmRA": [0.02, 0.02], "e_pmDE": [0.1, 0.1], "e_pos": [0.1, 0.1]})
+    units = {"pmRA": of_ra, "e_pmRA": of_ra, "pmDE": of_dec, "e_pmDE": of_dec, "RAJ2000": "deg", "DEJ2000": "deg"}
+    for name, unit in units.items():
+        table[name].unit = u.Unit(unit, parse_strict="silent")
+    catalogue = Catalogue.of(table, "old", options=CatalogueOptions(epoch="2000", pm="pmRA,pmDE", sigma_unit="arcsec"))
+    east = 1.0 if factor_ra is None else 0.5 * factor_ra  # cos 60°
+    motion = catalogue.astrometry
+    np.testing.assert_allclose(motion.pm_ra_mas_per_yr, east * np.array([0.3, -0.2]), rtol=1e-12)
+    np.testing.assert_allclose(motion.pm_dec_mas_per_yr, factor_dec * np.array([1.5, 0.4]), rtol=1e-12)
+    np.testing.assert_allclose(np.sqrt(motion.covariance[:, 3, 3]), east * 0.02, rtol=1e-6)
+
+
+def test_a_motion_in_a_unit_that_cannot_be_read_is_refused():
+    # It was taken as mas/yr.
+    table = Table({"RAJ2000": [10.0], "DEJ2000": [60.0], "pmRA": [0.3], "pmDE": [1.5], "e_pos": [0.1]})
+    table["pmRA"].unit = table["pmDE"].unit = u.Unit("parsecs/fortnite", parse_strict="silent")
+    with pytest.raises(
+        InputError, match="'pmRA' is in parsecs/fortnite, which is not convertible to mas / yr"
+    ) as caught:
+        Catalogue.of(table, "old", options=CatalogueOptions(epoch="2000", sigma_unit="arcsec"))
+    assert "convert" in str(caught.value)

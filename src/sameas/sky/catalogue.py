@@ -22,6 +22,7 @@ from sameas.representation import counted, in_short
 from sameas.sky import column_values, conventions
 from sameas.sky.column_choice import (
     GUESSED,
+    OF_RA,
     SECONDS_OF_RA,
     CatalogueOptions,
     ChosenColumn,
@@ -390,7 +391,7 @@ def _astrometry(
 ) -> tuple[Astrometry, FloatArray]:
     """Positions, motions and errors, and the position errors that were filled in, arcsec."""
     ra, dec, rotation = _icrs_position(table, choice, source)
-    motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion, _MOTION_UNITS, strict=True)]
+    motion = [_motion_numbers(table, c, u, choice, source) for c, u in zip(choice.motion, _MOTION_UNITS, strict=True)]
     sigma, correlation = _errors(table, choice, options, magnitude, source, rotation)
     filled_arcsec = np.zeros(0)
     if options.fill_errors and choice.error.kind != "unknown":
@@ -636,7 +637,9 @@ def _errors(
             east = east * np.cos(np.radians(_degrees(table, choice.dec, source)))
     if rotation is not None and choice.error.kind not in ("circle", "number", "survey"):
         east, north, rho = rotated_errors(east, north, rho, rotation)
-    motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)]
+    motion = [
+        _motion_numbers(table, c, u, choice, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)
+    ]
     if choice.error.survey is not None and choice.motion[1] is not None and options.pm_sigma_mas_per_yr is None:
         pm_sigma = choice.error.survey.pm_sigma_mas_per_yr(magnitude, len(table))
         motion[1:3] = [pm_sigma if column is None else column for column in motion[1:3]]
@@ -748,9 +751,15 @@ def _position_sigmas(
     return east, north, None
 
 
-def _motion_numbers(table: Table, column: ChosenColumn | None, unit: str, source: str) -> FloatArray | None:
+def _motion_numbers(
+    table: Table, column: ChosenColumn | None, unit: str, choice: ColumnChoice, source: str
+) -> FloatArray | None:
     if column is None:
         return None
+    if column.unit.endswith(OF_RA):
+        seconds = column_values.factor(column.unit.removesuffix(OF_RA), "s / yr")
+        cos_dec = np.cos(np.radians(_degrees(table, choice.dec, source)))
+        return np.asarray(column_values.numbers(table, column.name, source) * (15e3 * seconds) * cos_dec)
     return column_values.numbers(table, column.name, source) * column_values.factor(column.unit, unit)
 
 

@@ -16,8 +16,10 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.sky.conventions import Correlations, SkyFrame
 
-#: Unit of errors of right ascension in seconds of time, as in radio surveys at the CDS: 15 cos δ arcsec each.
-SECONDS_OF_RA = "s of right ascension"
+#: Ending of a unit in seconds of time, 15 cos δ arcsec each.
+OF_RA = " of right ascension"
+#: Unit of errors of right ascension in seconds of time, as in radio surveys at the CDS.
+SECONDS_OF_RA = f"s{OF_RA}"
 
 
 @dataclass(frozen=True)

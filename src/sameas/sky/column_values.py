@@ -264,6 +264,44 @@ def _years_of_dates(dates: NDArray[Any]) -> FloatArray:
     return np.asarray(2000.0 + days / 365.25, dtype=np.float64)
 
 
+#: Spellings of units of motions that astropy does not know, or takes for others (ha for hectare, cy for cycle).
+_MOTION_ANGLES = {
+    "sec": "s", "second": "s", "seconds": "s", "milliarcsec": "mas", "milliarcsecond": "mas", "milliarcseconds": "mas",
+    "arcsecond": "arcsec", "arcseconds": "arcsec", "arcsecs": "arcsec",
+}  # fmt: skip
+_MOTION_YEARS = {
+    "year": 1.0, "years": 1.0, "yr": 1.0, "y": 1.0, "a": 1.0, "annum": 1.0, "ha": 100.0, "cy": 100.0, "century": 100.0,
+    "cycle": 100.0,
+}  # fmt: skip
+_MOTION = re.compile(
+    r"(?P<angle>[a-z]+)\s*(?:/\s*(?P<of>[a-z]+)|[\s.*]\s*(?P<per>[a-z]+)\s*(?:\*\*|\^)?\s*\(?-1(?:\.0)?\)?)",
+    re.IGNORECASE,
+)
+
+
+def motion_unit(text: str) -> str:
+    """The unit of a motion as astropy writes it, or the text itself if it is not an angle or seconds over years.
+
+    >>> motion_unit("s/ha"), motion_unit("milliarcsec/year"), motion_unit("mas.yr-1"), motion_unit("0.1 mas / yr")
+    ('0.01 s / yr', 'mas / yr', 'mas / yr', '0.1 mas / yr')
+    """
+    parts = _MOTION.fullmatch(text.strip())
+    years = None if parts is None else _MOTION_YEARS.get((parts["of"] or parts["per"]).lower())
+    if parts is None or years is None:
+        return text
+    angle = _MOTION_ANGLES.get(parts["angle"].lower(), parts["angle"])
+    return f"{angle} / yr" if years == 1.0 else f"{1.0 / years:g} {angle} / yr"
+
+
+def is_in_seconds_of_time(unit: str) -> bool:
+    """Whether a motion in this unit is in seconds of time."""
+    try:
+        factor(unit, "s / yr")
+    except (ValueError, TypeError):
+        return False
+    return True
+
+
 def factor(unit: str, target: str) -> float:
     """The factor that converts a number in ``unit`` to ``target``."""
     with warnings.catch_warnings():

@@ -23,6 +23,7 @@ from sameas.errors import Argument, InputError, Message, naming
 from sameas.sky import column_values, conventions
 from sameas.sky.column_choice import (
     GUESSED,
+    OF_RA,
     SECONDS_OF_RA,
     CatalogueOptions,
     ChosenColumn,
@@ -167,9 +168,22 @@ class ColumnSearch:
             raise InputError(Message(f"{self.source}: ", name or repr(column.name), unfit), remedy) from None
         return column
 
-    def motion_column(self, name: str, unit: str) -> ChosenColumn:
-        """A column of parallax, proper motion or radial velocity."""
-        return self.checked(self.column(name, unit), unit, f"convertible to {unit}")
+    def motion_column(self, name: str, unit: str, *, of_ra: bool = False) -> ChosenColumn:
+        """A column of parallax, proper motion or radial velocity.
+
+        of_ra : whether it is a motion in right ascension, which may be in seconds of time.
+        """
+        column, remedy = self.column(name, unit), ""
+        stated = getattr(self.table[name], "unit", None)
+        if unit == "mas / yr" and stated is not None and re.search("[a-zA-Z]", str(stated)):
+            own = column_values.motion_unit(str(stated))
+            column, remedy = (
+                replace(column, unit=own, reason="unit of the column"),
+                "convert the column, and name its unit",
+            )
+            if of_ra and column_values.is_in_seconds_of_time(own):
+                return replace(column, unit=f"{own}{OF_RA}")
+        return self.checked(column, unit, f"convertible to {unit}", remedy=remedy)
 
     def ucd(self, name: str) -> str:
         """The column's UCD, lower case."""
@@ -562,7 +576,7 @@ def _errors_by_ucd(search: ColumnSearch) -> ErrorNames | None:
 
 def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[str, ...]]:
     """Columns of parallax, proper motion and radial velocity, the columns of their errors, and notes."""
-    options, units = search.options, ("mas", "mas / yr", "mas / yr", "km / s")
+    options = search.options
     names: list[str | None] = [None] * 4
     errors: list[str | None] = [None] * 4
     for motion_names in convention.motions:
@@ -592,9 +606,18 @@ def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ..
         not_used = f"{', '.join(plain_names)} not used: with or without cos(dec) is not stated; if with, give "
         notes.append(Message(not_used, Argument("pm", repr(",".join(plain_names)))))
     return (
-        tuple(search.motion_column(n, unit) if n else None for n, unit in zip(names, units, strict=True)),
-        tuple(search.motion_column(n, unit) if n else None for n, unit in zip(errors, units, strict=True)),
+        _motion_columns(search, names),
+        _motion_columns(search, errors),
         tuple(notes),
+    )
+
+
+def _motion_columns(search: ColumnSearch, names: list[str | None]) -> tuple[ChosenColumn | None, ...]:
+    """The columns of parallax, motion in right ascension and declination, radial velocity, or of their errors."""
+    units = ("mas", "mas / yr", "mas / yr", "km / s")
+    return tuple(
+        search.motion_column(name, unit, of_ra=k == 1) if name else None
+        for k, (name, unit) in enumerate(zip(names, units, strict=True))
     )
 
 
