@@ -559,3 +559,23 @@ def test_a_motion_in_a_unit_that_cannot_be_read_is_refused():
     ) as caught:
         Catalogue.of(table, "old", options=CatalogueOptions(epoch="2000", sigma_unit="arcsec"))
     assert "convert" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "of_ra, of_error, ra_deg, error_arcsec",
+    [
+        ("hours", "arcseconds", 22.5, 150.0),  # taken for degrees, and for mas by their size
+        ("radians", "milliarcsec", math.degrees(1.5), 0.15),
+        ("degrees (J2000)", '"', 1.5, 150.0),
+        ("Angle[deg]", "microarcsec", 1.5, 1.5e-4),
+        ("h", "arc sec", 22.5, 150.0),
+    ],
+)
+def test_units_that_astropy_does_not_know_are_read_as_they_are_written(of_ra, of_error, ra_deg, error_arcsec):
+    table = Table({"RA": [1.5], "DEC": [10.0], "e_pos": [150.0]})
+    for name, unit in {"RA": of_ra, "DEC": "deg", "e_pos": of_error}.items():
+        table[name].unit = u.Unit(unit, parse_strict="silent")
+    catalogue = Catalogue.of(table, "old", options=CatalogueOptions(epoch="2000"))
+    np.testing.assert_allclose(catalogue.astrometry.ra_deg, ra_deg, rtol=1e-12)
+    sigma = 1e-3 * np.sqrt(catalogue.astrometry.position_covariance[:, 1, 1])
+    np.testing.assert_allclose(sigma, error_arcsec, rtol=1e-9)

@@ -47,6 +47,8 @@ _WITH_UNIT = re.compile(r"^([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*([a-z°″
 _UNIT_WORDS = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "arcsec": "arcsec", "arcseconds": "arcsec",
     "arcsecond": "arcsec", "as": "arcsec", "″": "arcsec", '"': "arcsec", "''": "arcsec", "mas": "mas",
+    "arcs": "arcsec", "milliarcsec": "mas", "milliarcsecs": "mas", "milliarcseconds": "mas", "microarcsec": "uas",
+    "microarcseconds": "uas", "hrs": "hourangle",
     "h": "hourangle", "hr": "hourangle", "hour": "hourangle", "hours": "hourangle", "hourangle": "hourangle",
     "rad": "rad", "radian": "rad", "radians": "rad", "mag": "mag", "mas/yr": "mas / yr", "arcsec/yr": "arcsec / yr",
     "yr": "yr", "d": "d", "mjd": "d",
@@ -130,6 +132,8 @@ class ColumnSearch:
             return ChosenColumn(name, option, "option")
         if own is not None:
             return ChosenColumn(name, own.to_string(), "unit of the column")
+        if written := _written_unit(self.table, name):
+            return ChosenColumn(name, written, "unit of the column")
         return ChosenColumn(name, _suffix_unit(name) or unit, "by its name" if _suffix_unit(name) else "by convention")
 
     def angles(self, names: tuple[str, ...], unit: str, *, of_ra: bool = False) -> tuple[ChosenColumn, ...]:
@@ -194,6 +198,16 @@ def _suffix_unit(name: str) -> str:
     """The unit at the end of a name: ``err_mas``, ``RA [deg]``."""
     suffix = next((unit for suffix, unit in _SUFFIXES.items() if name.lower().endswith(suffix)), "")
     return suffix or _bracketed_unit(name)
+
+
+def _written_unit(table: Table, name: str) -> str:
+    """The column's unit in words that astropy does not know: hours, arcseconds, ``Angle[deg]``; "" if none is found."""
+    unit = getattr(table[name], "unit", None)
+    if not isinstance(unit, u.UnrecognizedUnit):
+        return ""
+    text = str(unit).strip().lower()
+    words = (text, text.replace(" ", ""), *re.split(r"[^a-z]+", text))
+    return next((_UNIT_WORDS[word] for word in words if word in _UNIT_WORDS), "")
 
 
 def _bracketed_unit(name: str) -> str:
