@@ -99,7 +99,7 @@ def test_an_object_appears_is_confirmed_coasts_and_ends():
     picture = Picture.of(plots(looks), sorted(looks), watch=Watch())
     o = picture.objects
     first = o["object"] == o["object"][np.argmin(np.hypot(o["x_m"] - 1000.0, o["y_m"]))]
-    assert o["stage"][first][:4].tolist() == ["tentative", "tentative", "confirmed", "confirmed"]
+    assert o["stage"][first][:4].tolist() == ["tentative", "tentative", "tentative", "confirmed"]
     after = o["stage"][first][6:]
     assert set(after[:-1].tolist()) == {"coasting"} and after[-1] == "ended"
     spread = np.asarray(o["var_x_m2"][first][6:])
@@ -115,7 +115,7 @@ def test_an_object_appears_is_confirmed_coasts_and_ends():
 def test_transponders_and_two_agreeing_sources_are_confirmed_at_once():
     scene, times = two_meet(0, 500.0)
     assert set(Picture.of(scene, times[:1]).objects["stage"].tolist()) == {"confirmed"}
-    watch = Watch(stages=Stages(scans=1, of=1, real=0.9))
+    watch = Watch(stages=Stages(scans=1, of=1, real=0.1))
     looks = {0.0: [(0.0, 0.0)], 10.0: [(0.0, 0.0)]}
     assert Picture.of(plots(looks), [0.0], watch=watch).objects["stage"].tolist() == ["confirmed"]
     assert Picture.of(plots(looks), [0.0]).objects["stage"].tolist() == ["tentative"]

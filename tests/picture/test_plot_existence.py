@@ -1,35 +1,46 @@
 """Objects that only plots without names show, beside sources with names: real ones are found, clutter is none."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from modelled_scenes import describe
 from scipy.special import expit
 
-from sameas.picture import Picture, instants, picture_states
+from sameas.picture import Picture, Watch, instants, picture_states
 from sameas.picture.object_ids import NamedObjects
-from sameas.picture.plot_existence import Looks, NewPlots, after_looks
+from sameas.picture.plot_existence import Looks, NewPlots, PlotOdds
+from sameas.picture.plot_rates import SourceCounts
 from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, PictureObjects
 from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
+from sameas.tracks.source import Clutter, MissRate
 
 SPAN_S, SIDE_M = 400.0, 8000.0
 
 
-def radar_beside_ais(seed, p_detected, clutter, boats=5, ships=5):
-    """A radar without names (every 2.5 s, ± 15 m, clutter per scan) and AIS; the boats have none. And their motion."""
+def radar_beside_ais(seed, p_detected, clutter, boats=5, ships=5, shore=0.0, described=True):
+    """A radar without names (every 2.5 s, ± 15 m, clutter per scan) and AIS; the boats have none. And their motion.
+
+    shore : further plots per scan of the echoes along one side. described : whether misses and clutter are.
+    """
     rng = np.random.default_rng(seed)
     start, velocity = rng.uniform(-0.4, 0.4, (ships + boats, 2)) * SIDE_M, rng.normal(0.0, 4.0, (ships + boats, 2))
     rows, times = [], np.arange(0.0, SPAN_S, 2.5)
     for t in times:
         shown = (start + velocity * t)[rng.random(ships + boats) < p_detected]
         false = rng.uniform(-0.5, 0.5, (rng.poisson(clutter), 2)) * SIDE_M
-        rows += [(t, *place) for place in np.vstack([shown + rng.normal(0.0, 15.0, shown.shape), false])]
+        along = rng.integers(-200, 200, rng.poisson(shore)) * SIDE_M / 400.0
+        echoes = np.column_stack([along, np.full(len(along), 0.6 * SIDE_M)])
+        measured = np.vstack([shown, echoes])
+        rows += [(t, *place) for place in np.vstack([measured + rng.normal(0.0, 15.0, measured.shape), false])]
     plots = dict(zip(("time_s", "x_m", "y_m"), np.array(rows).T, strict=True))
     radar = describe("radar", "marine radar", 15.0, 2.5, clutter / (SIDE_M / 1e3) ** 2, 1.0 - p_detected)
+    if not described:
+        radar = replace(radar, misses=MissRate(), clutter=Clutter())
     named = {"time_s": [], "x_m": [], "y_m": [], "track_id": []}
     for k in range(ships):
         for t in np.arange(rng.uniform(0.0, 10.0), SPAN_S, 10.0):
@@ -92,21 +103,26 @@ def test_the_odds_are_those_of_bayes_rule():
     found = np.array([True, False])
     plots = NewPlots(found, place + np.array([12.0, 9.0]), np.tile(sigma**2 * np.eye(2), (2, 1, 1)),
                      np.where(found, math.log((1.0 - q) / clutter), 0.0), np.full(2, clutter))  # fmt: skip
-    first = plots.log_initial(1e-6, 0.5)
-    assert math.isclose(first[0], math.log(1e-6 * 0.5 * (1.0 - q) / clutter)) and first[1] == -math.inf
-    log_odds = after_looks(np.array([-1.0, -1.0]), objects, plots, looks, 2.5)
+    first = PlotOdds.begun(plots, replace(looks, per_m2=1e-6), 0.5)
+    assert math.isclose(first.log_odds[0], math.log(1e-6 * 0.5 * (1.0 - q) / clutter)) and not first.known[1]
+    # Of 4 looks at each object 3 missed it: with the weight of 6 looks q is 0.42.
+    odds = PlotOdds(np.array([-1.0, -1.0]), np.full(2, -1.0), np.full(2, 4.0), np.full(2, 3.0))
+    own_q = (6.0 * q + 3.0) / (6.0 + 4.0)
+    after = odds.after(objects, plots, looks, 2.5, 0.5)
     p = math.exp(-2.5 / DEFAULT_TUNING.real_s) * expit(-1.0)
     total = sigma**2 + 100.0
     density = math.exp(-0.5 * (12.0**2 + 9.0**2) / total) / (2.0 * math.pi * total)
-    hit = p * (1.0 - q) * density / (p * (1.0 - q) * density + (1.0 - p) * clutter)
-    missed = p * q / (p * q + 1.0 - p)
-    assert np.allclose(expit(log_odds), [hit, missed], rtol=1e-9)
-    assert after_looks(np.full(2, -math.inf), objects, plots, looks, 2.5).tolist() == [-math.inf, -math.inf]
-    # Without a new look nothing is missed.
-    assert Looks.since(now, 100.0).feeds == () and Looks.since(scene.at(101.0), 100.0).p_missed(place).tolist() == [
-        1.0,
-        1.0,
-    ]
+    hit = p * (1.0 - own_q) * density / (p * (1.0 - own_q) * density + (1.0 - p) * clutter)
+    missed = p * own_q / (p * own_q + 1.0 - p)
+    assert np.allclose(expit(after.log_odds), [hit, missed], rtol=1e-9)
+    kept = 1.0 / (1.0 + 1.0 / DEFAULT_TUNING.own_looks_kept)
+    assert np.allclose(after.looked, kept * 4.0 + 1.0) and np.allclose(after.missed, kept * 3.0 + np.array([0.0, 1.0]))
+    # An object that other sources have shown begins with its first plot; without a new look nothing is missed.
+    unknown = replace(odds, log_odds=np.full(2, -math.inf))
+    begun = unknown.after(objects, plots, replace(looks, per_m2=1e-6), 2.5, 0.5)
+    assert begun.log_odds.tolist() == [first.log_odds[0], -math.inf]
+    assert Looks.since(now, 100.0).feeds == ()
+    assert Looks.since(scene.at(101.0), 100.0).p_missed(place).tolist() == [1.0, 1.0]
 
 
 def test_the_share_of_objects_not_seen_before():
@@ -115,6 +131,43 @@ def test_the_share_of_objects_not_seen_before():
     assert math.isclose(looks.unseen_share(1.0, motion(0.0), 0.0), 0.2)
     comes = 1.0 - math.exp(-5.0 / DEFAULT_TUNING.real_s)
     assert math.isclose(looks.unseen_share(0.2, motion(0.0), 5.0), 0.04 * (1.0 - comes) + comes)
+
+
+@pytest.mark.slow
+def test_what_is_assumed_is_counted_and_a_shore_is_not_boats():
+    """Radar described by its kind only, which misses two of three ships, with forty echoes of a shore in each scan:
+    each stretch of the shore was an object."""
+    scene, motion = radar_beside_ais(1, 0.35, 5.0, shore=40.0, described=False)
+    shown = np.zeros(len(motion(0.0)))
+    ashore, late = [], np.arange(150.0, SPAN_S, 5.0)
+    for state in picture_states(scene, np.arange(0.0, SPAN_S, 5.0)):
+        if state.now.instant_s < late[0]:
+            continue
+        objects = state.objects.take(np.isin(state.objects.stage, (CONFIRMED, COASTING)))
+        off = np.hypot(*(objects.state[:, None, :2] - motion(state.now.instant_s)).transpose(2, 0, 1))
+        shown += (off < 100.0).any(axis=0)
+        ashore.append(int((np.abs(objects.state[:, 1] - 0.6 * SIDE_M) < 100.0).sum()))
+    assert isinstance(state.watch, Watch)
+    counts = state.watch.plot_rates.of["radar"]
+    assert abs(counts.miss_rate(0.1, DEFAULT_TUNING) - 0.65) < 0.05
+    assert (shown / len(late)).mean() > 0.85 and np.mean(ashore) < 4.0
+
+
+def test_the_clutter_about_a_plot():
+    """As dense as everywhere, denser where plots of several objects return, and not by the plots of its own."""
+    rng, looks = np.random.default_rng(1), 100
+    far = rng.uniform(-4000.0, 4000.0, (400, 2))
+    shore, buoy = (rng.normal(0.0, 15.0, (90, 2)) + np.array([x, 0.0]) for x in (2000.0, -2000.0))
+    counts = SourceCounts(
+        place=np.vstack([far, shore, buoy]), time_s=np.zeros(580), look_s=np.arange(100.0), share=np.ones(looks),
+        number=np.concatenate([1000 + np.arange(400), 2000 + np.arange(90) % 30, np.full(90, 7)]),
+    )  # fmt: skip
+    places, own = np.array([[0.0, 1000.0], [2000.0, 0.0], [-2000.0, 0.0]]), np.array([0, 2001, 7])
+    mean = 400 / 64e6 / looks
+    at_sea, on_shore, at_buoy = counts.clutter_per_m2(places, np.full(3, 15.0), own, mean, DEFAULT_TUNING)
+    assert 0.3 * mean < at_sea < 3.0 * mean and at_buoy < 10.0 * mean
+    # Of two-dimensional normal plots 1 − e⁻² are within 2σ; three of the ninety are its own.
+    assert math.isclose(on_shore, 0.9 * (1.0 - math.exp(-2.0)) / (math.pi * 900.0), rel_tol=0.15)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import expit, logit
@@ -29,7 +30,7 @@ from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq, symmetric
 from sameas.groups import groups
-from sameas.picture.plot_existence import Looks, NewPlots, after_looks
+from sameas.picture.plot_existence import Looks, NewPlots, PlotOdds
 from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, ObjectStates, PictureObjects
 from sameas.picture.track_existence import ExistenceOdds
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
@@ -39,8 +40,9 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.alignment import aged
 
-#: Least distance from 0 and 1 of the probability that a look shows an object.
-MIN_SHOWN = 1e-6
+#: Least distance from 0 and 1 of the probability that a look shows an object. LEAST_WEIGHT : a plot goes to an object
+#: that is hardly real, if it exists, but rather to one that is certain: the most by which it counts less.
+MIN_SHOWN, LEAST_WEIGHT = 1e-6, 0.2
 
 
 @dataclass(frozen=True)
@@ -328,7 +330,7 @@ class NamedObjects(PictureObjects):
     n_updates, n_plots : number of instants with a new report, and with one of a source without track ids.
     main_track, main_log_odds, earlier_log_odds : the track with the highest odds of existence, the gain of log-odds by
         its duration, and that by the tracks that it replaced.
-    plot_log_odds, plot_log_initial : log-odds that the object is real by its plots, now and with the first; −∞ without.
+    plot_log_odds, plot_log_initial, plot_looked, plot_missed : the fields of :class:`PlotOdds`.
     n_missing : number of instants without a record while tentative.
     split_off : whether the object split off one that continues and has not had its own tracks for most of the time.
     walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of velocities.
@@ -347,6 +349,8 @@ class NamedObjects(PictureObjects):
     earlier_log_odds: FloatArray = field(default_factory=lambda: np.empty(0))
     plot_log_odds: FloatArray = field(default_factory=lambda: np.empty(0))
     plot_log_initial: FloatArray = field(default_factory=lambda: np.empty(0))
+    plot_looked: FloatArray = field(default_factory=lambda: np.empty(0))
+    plot_missed: FloatArray = field(default_factory=lambda: np.empty(0))
     n_missing: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     split_off: BoolArray = field(default_factory=lambda: np.empty(0, bool))
     walk_m2_per_s3: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -354,9 +358,26 @@ class NamedObjects(PictureObjects):
     history: TrackHistory = field(default_factory=TrackHistory)
 
     @property
+    def plot_odds(self) -> PlotOdds:
+        """(k,) what plots without names say of the objects."""
+        return PlotOdds(self.plot_log_odds, self.plot_log_initial, self.plot_looked, self.plot_missed)
+
+    @property
     def by_plots(self) -> BoolArray:
         """(k,) whether only plots without names have shown the object."""
-        return np.asarray((self.main_track < 0) & np.isfinite(self.plot_log_odds))
+        return np.asarray((self.main_track < 0) & self.plot_odds.known)
+
+    @property
+    def p_real(self) -> FloatArray:
+        """(k,) probability that each object is real, by its plots if nothing else shows it."""
+        return np.where(self.by_plots, expit(self.plot_log_odds), 1.0)
+
+    def of_plots_at(self, instant_s: float) -> NamedObjects:
+        """The objects that only plots without names show, predicted to an instant."""
+        which = np.flatnonzero(self.by_plots & (self.stage != ENDED))
+        if not len(which):
+            return self.take(which)
+        return self.take(which).predicted(instant_s - self.instant_s, self.walk_m2_per_s3[which])
 
     @property
     def in_picture(self) -> NamedObjects:
@@ -406,10 +427,11 @@ class NamedObjects(PictureObjects):
             for one, name in ((before, "known"), (after, "seen"))
         )
         plots = detections.plots
-        p_real = np.where(self.by_plots, expit(self.plot_log_odds), 1.0)
-        p_shown = p_real * (1.0 - detections.looks.p_missed(self.state[:, :2]))
+        usual = detections.looks.p_missed(self.state[:, :2])
+        p_shown = 1.0 - self.plot_odds.p_missed(usual, tuning)
         is_new = plots.found & (plots.clutter_per_m2 > 0.0)
-        of_plots = PlotContinuity(plots.clutter_per_m2, is_new, logit(np.clip(p_shown, MIN_SHOWN, 1.0 - MIN_SHOWN)))
+        log_shown = logit(np.clip(p_shown, MIN_SHOWN, 1.0 - MIN_SHOWN)) + np.log(np.maximum(self.p_real, LEAST_WEIGHT))
+        of_plots = PlotContinuity(plots.clutter_per_m2, is_new, log_shown)
         # The stages of `identify` without its last: no probability of a match is used.
         pairs = NearOrSameId(common)(first, second)
         refuse_crowds(pairs)
@@ -470,11 +492,8 @@ class NamedObjects(PictureObjects):
         is_real = log_initial + earlier_log_odds + log_gain >= logit(stages.real)
         split_off = self.split_off & (self._own_share(detections.tracks[which]) < tuning.own_share)
         new_plots = detections.plots.take(which)
-        begins = new_plots.found & ~np.isfinite(self.plot_log_odds)
-        log_first = new_plots.log_initial(detections.looks.per_m2, self.unseen_share)
-        plot_log_odds = after_looks(self.plot_log_odds, self, new_plots, detections.looks, elapsed_s)
-        plot_log_odds = np.where(begins, log_first, plot_log_odds)
-        is_real_by_plots = (plot_log_odds >= logit(stages.real)) | ~states.placed[which]
+        odds = self.plot_odds.after(self, new_plots, detections.looks, elapsed_s, self.unseen_share)
+        is_real_by_plots = (odds.log_odds >= logit(stages.real)) | ~states.placed[which]
         confirmed = (
             (self.stage != TENTATIVE)
             | ((detections.is_certain[which] | is_real) & ~split_off)
@@ -486,8 +505,7 @@ class NamedObjects(PictureObjects):
             covariance=np.where(velocity_known[:, None, None], covariance, filtered_covariance),
             placed=states.placed[which],
             moving=velocity_known | (self.placed & states.placed[which] & (n_updates > 1)), detection=which,
-            n_updates=n_updates, n_plots=n_plots, split_off=split_off, plot_log_odds=plot_log_odds,
-            plot_log_initial=np.where(begins, log_first, self.plot_log_initial),
+            n_updates=n_updates, n_plots=n_plots, split_off=split_off, **_columns_of(odds),
             main_track=detections.existence.track[which], main_log_odds=log_gain, earlier_log_odds=earlier_log_odds,
             walk_m2_per_s3=detections.walk_m2_per_s3[which], speed_m_per_s=detections.speed_m_per_s[which],
         )  # fmt: skip
@@ -513,15 +531,15 @@ class NamedObjects(PictureObjects):
         """
         n, states = len(which), detections.states
         is_real = detections.existence.log_initial[which] + detections.existence.log_gain[which] >= logit(stages.real)
-        plot_log_odds = detections.plots.take(which).log_initial(detections.looks.per_m2, unseen_share)
-        is_real_by_plots = (plot_log_odds >= logit(stages.real)) | ~states.placed[which]
+        odds = PlotOdds.begun(detections.plots.take(which), detections.looks, unseen_share)
+        is_real_by_plots = (odds.log_odds >= logit(stages.real)) | ~states.placed[which]
         confirmed = ((detections.is_certain[which] | is_real) & ~split_off) | (is_real_by_plots & (stages.scans <= 1))
         return cls(
             number=number, stage=np.where(confirmed, CONFIRMED, TENTATIVE), state=states.state[which],
             covariance=states.covariance[which], placed=states.placed[which], moving=states.moving[which],
             detection=which, n_updates=np.ones(n, np.int64), n_plots=detections.new_plot[which].astype(np.int64),
-            n_missing=np.zeros(n, np.int64), split_off=split_off, plot_log_odds=plot_log_odds,
-            plot_log_initial=plot_log_odds, main_track=detections.existence.track[which],
+            n_missing=np.zeros(n, np.int64), split_off=split_off, **_columns_of(odds),
+            main_track=detections.existence.track[which],
             main_log_odds=detections.existence.log_gain[which], earlier_log_odds=np.zeros(n),
             walk_m2_per_s3=detections.walk_m2_per_s3[which], speed_m_per_s=detections.speed_m_per_s[which],
         )  # fmt: skip
@@ -539,12 +557,12 @@ class NamedObjects(PictureObjects):
         last = self.history.take(np.flatnonzero(self.history.last))
         in_scan = np.isin(last.track, detections.tracks)
         absorbed = np.isin(self.number, last.number[in_scan]) & ~np.isin(self.number, last.number[~in_scan])
-        plot_log_odds = after_looks(self.plot_log_odds, self, NewPlots.none(len(self)), detections.looks, elapsed_s)
-        least = np.minimum(logit(tuning.min_existence), self.plot_log_initial + math.log(tuning.min_share_of_initial))
+        none = NewPlots.none(len(self))
+        odds = self.plot_odds.after(self, none, detections.looks, elapsed_s, self.unseen_share)
         missed = tentative & (n_missing > stages.of - stages.scans)
-        ended = too_uncertain | absorbed | np.where(self.by_plots, plot_log_odds < least, missed)
+        ended = too_uncertain | absorbed | np.where(self.by_plots, odds.improbable(tuning), missed)
         stage = np.where(ended, ENDED, np.where(tentative, TENTATIVE, COASTING))
-        objects = replace(self.undetected(stage), n_missing=n_missing, plot_log_odds=plot_log_odds)
+        objects = replace(self.undetected(stage), n_missing=n_missing, **_columns_of(odds))
         return objects.take(np.flatnonzero(~(ended & tentative & self.by_plots)))
 
     def _with_history(self, before: NamedObjects, detections: UnnumberedObjects, tuning: Tuning) -> NamedObjects:
@@ -556,6 +574,11 @@ class NamedObjects(PictureObjects):
             tuning, detections.forgotten,
         )  # fmt: skip
         return replace(self, history=history)
+
+
+def _columns_of(odds: PlotOdds) -> dict[str, Any]:
+    """The columns of :class:`NamedObjects` with these odds."""
+    return {f"plot_{name}": getattr(odds, name) for name in ("log_odds", "log_initial", "looked", "missed")}
 
 
 def _updated_states(

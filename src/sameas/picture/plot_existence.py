@@ -11,6 +11,9 @@ misses one, and λ its clutter there, per m² and look. At each later instant th
     by (1 − q) N(z; x, P + R) / λ    if a new plot z ± R is of the object, which is expected at x ± P,
     by 1 − s (1 − q)                 otherwise, s the part of a look that the source has taken since then.
 
+Objects differ: 1 − s (1 − q) is that of the place with the weight of ``own_looks``, and the object's own misses among
+its last looks; 1 − q changes by the same factor as its complement.
+
 The share of those not seen before falls with every look, and rises as objects come, which stay for a mean time T:
 
     u ← u · Π (1 − s (1 − q)) · e^(−Δt/T) + 1 − e^(−Δt/T),    u = 1 at first.
@@ -24,7 +27,7 @@ section III, with the most probable assignment only; the share not seen before a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import expit, logit
@@ -136,23 +139,58 @@ class NewPlots(ColumnTable):
         return np.where(self.found, self.log_odds_per_m2 + math.log(per_m2 * unseen_share), -math.inf)
 
 
-def after_looks(
-    log_odds: FloatArray, objects: ObjectTable, new_plots: NewPlots, looks: Looks, elapsed_s: float
-) -> FloatArray:
-    """(k,) log-odds that objects are real after an instant; −∞ stays.
+@dataclass(frozen=True)
+class PlotOdds:
+    """What plots say of objects, (k,) each.
 
-    log_odds : (k,) before it. objects : (k,) predicted to it. new_plots : (k,) theirs. elapsed_s : since the previous
-    instant.
+    log_odds, log_initial : log-odds that the object is real, now and with its first plot; −∞ without a plot. looked,
+    missed : its looks, and those that missed it; old ones fade.
     """
-    known = np.isfinite(log_odds)
-    if not known.any():
-        return log_odds
-    state, covariance, tuning = objects.state[:, :2], objects.covariance[:, :2, :2], looks.tuning
-    gain = np.log(looks.p_missed(state))
-    hit = np.flatnonzero(new_plots.found & known)
-    total = new_plots.covariance[hit] + covariance[hit]
-    gain[hit] = new_plots.log_odds_per_m2[hit] + log_density(new_plots.place[hit] - state[hit], total)
-    log_stays = logit(np.clip(math.exp(-elapsed_s / tuning.real_s) * expit(log_odds[known]), MIN_P, 1.0 - MIN_P))
-    out, bound = log_odds.copy(), float(logit(1.0 - tuning.min_probability))
-    out[known] = np.clip(log_stays + gain[known], -bound, bound)
-    return out
+
+    log_odds: FloatArray
+    log_initial: FloatArray
+    looked: FloatArray
+    missed: FloatArray
+
+    @classmethod
+    def begun(cls, plots: NewPlots, looks: Looks, unseen_share: float) -> PlotOdds:
+        """Those of new objects with these plots."""
+        initial = plots.log_initial(looks.per_m2, unseen_share)
+        return cls(initial, initial, np.zeros(len(initial)), np.zeros(len(initial)))
+
+    @property
+    def known(self) -> BoolArray:
+        """(k,) whether the object has had a plot."""
+        return np.isfinite(self.log_odds)
+
+    def after(
+        self, objects: ObjectTable, plots: NewPlots, looks: Looks, elapsed_s: float, unseen_share: float
+    ) -> PlotOdds:
+        """Those after an instant; objects : (k,) predicted to it. plots : (k,) their new ones. elapsed_s : since the
+        previous instant. unseen_share : as for :meth:`begun`."""
+        begun = PlotOdds.begun(plots, looks, unseen_share)
+        first = begun.known & ~self.known
+        log_initial = np.where(first, begun.log_initial, self.log_initial)
+        if not self.known.any() or (not looks.feeds and not plots.found.any()):
+            return replace(self, log_odds=np.where(first, begun.log_odds, self.log_odds), log_initial=log_initial)
+        tuning, found = looks.tuning, plots.found & self.known
+        usual = looks.p_missed(objects.state[:, :2])
+        p_missed = self.p_missed(usual, tuning)
+        gain, hit = np.log(p_missed), np.flatnonzero(found)
+        total = plots.covariance[hit] + objects.covariance[hit, :2, :2]
+        gain[hit] = plots.log_odds_per_m2[hit] + log_density(plots.place[hit] - objects.state[hit, :2], total)
+        gain[hit] += np.log1p(-p_missed[hit]) - np.log(np.maximum(1.0 - usual[hit], MIN_P))
+        p_stays = np.clip(math.exp(-elapsed_s / tuning.real_s) * expit(self.log_odds), MIN_P, 1.0 - MIN_P)
+        bound = float(logit(1.0 - tuning.min_probability))
+        log_odds = np.where(self.known, np.clip(logit(p_stays) + gain, -bound, bound), begun.log_odds)
+        kept = 1.0 / (1.0 + 1.0 / tuning.own_looks_kept)
+        return PlotOdds(log_odds, log_initial, kept * self.looked + 1.0, kept * self.missed + ~found)
+
+    def p_missed(self, usual: FloatArray, tuning: Tuning) -> FloatArray:
+        """(k,) probability that a look misses each object; usual : (k,) that of its place."""
+        return (tuning.own_looks * usual + self.missed) / (tuning.own_looks + self.looked)
+
+    def improbable(self, tuning: Tuning) -> BoolArray:
+        """(k,) whether plots make the object improbable: among much clutter that of a real one begins so, too."""
+        least = np.minimum(logit(tuning.min_existence), self.log_initial + math.log(tuning.min_share_of_initial))
+        return np.asarray(self.known & (self.log_odds < least))

@@ -36,7 +36,8 @@ from sameas.picture.memory import TrackMemory, require_order
 from sameas.picture.object_ids import NamedObjects, Stages, UnnumberedObjects
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
 from sameas.picture.plot_existence import Looks, NewPlots
-from sameas.picture.tables import Scan, object_states, objects_per_m2
+from sameas.picture.plot_rates import PlotRates
+from sameas.picture.tables import CONFIRMED, Scan, object_states, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
 from sameas.records import Records
 from sameas.representation import in_short
@@ -187,6 +188,7 @@ class Watch:
         each instant.
     stages : when objects are confirmed. gate : of ``identify_many``. tuning : other chosen numbers.
     objects, texts : the objects and their texts, updated from instant to instant.
+    plot_rates : misses and clutter of sources of plots without names, where they are assumed; updated likewise.
     shown, shown_tracks, forgotten : the scan of the last instant shown, the numbers of its records' tracks, ABSENT for
         none, and those of tracks that ended since; updated likewise.
     """
@@ -199,6 +201,7 @@ class Watch:
     tuning: Tuning = DEFAULT_TUNING
     objects: NamedObjects = field(default_factory=NamedObjects)
     texts: Mapping[int, NDArray[Any]] = field(default_factory=dict, repr=False)
+    plot_rates: PlotRates = field(default_factory=PlotRates, repr=False)
     shown: Scan | None = field(default=None, repr=False)
     shown_tracks: IntArray | None = field(default=None, repr=False)
     forgotten: IntArray = field(default_factory=lambda: np.empty(0, np.int64), repr=False)
@@ -251,6 +254,8 @@ class Watch:
         """
         if self.shown is not None:
             require_order(self.shown.now.instant_s, now.instant_s)
+        if any(feed.reports.track is None for feed in now.feeds):
+            now = self.plot_rates.applied(now, self.objects.of_plots_at(now.instant_s), self.tuning)
         scan, track_of_record = self._scan(now)
         with_records, is_due = scan.now, self._is_due(scan.now)
         memory = (self.memory.advance if is_due else self.memory.looked_ahead)(scan, track_of_record)
@@ -280,8 +285,23 @@ class Watch:
         carried = replace(
             self, memory=kept, objects=objects, texts=object_texts, shown=scan,
             shown_tracks=memory.tracks.track_of_record, forgotten=np.empty(0, np.int64),
+            plot_rates=self._counted(scan, members, looks, objects),
         )  # fmt: skip
         return PictureState(now, scan, objects_now, detections.states, carried)
+
+    def _counted(self, scan: Scan, members: IntArray, looks: Looks, objects: NamedObjects) -> PlotRates:
+        """The counts of the sources of plots after an instant with these objects."""
+        if not looks.feeds:
+            return self.plot_rates
+        detected = np.flatnonzero(objects.detected)
+        is_new, is_named = np.append(scan.new_since(self.shown), False), np.zeros(len(scan) + 1, bool)
+        is_named[members[objects.detection[detected]]] = ~objects.by_plots[detected, None]
+        number = np.zeros(len(scan) + 1, np.int64)
+        number[members[objects.detection[detected]]] = objects.number[detected, None]
+        named = np.flatnonzero(objects.detected & (objects.main_track >= 0) & (objects.stage == CONFIRMED))
+        shown = is_new[members[objects.detection[named]]]
+        places = objects.state[named, :2]
+        return self.plot_rates.advance(scan, looks, is_named[:-1], number[:-1], is_new[:-1], places, shown)
 
     def _previous_objects(self, pooled: PooledRecords, scan: Scan, memory: TrackMemory) -> IntArray:
         """(records,) the object of each pooled record's track at the previous instant, ABSENT without one."""

@@ -65,7 +65,7 @@ class TrackErrorFit:
                 continue
             words = [] if isinstance(feed.reports, Directions) else [f"range ± {errors.range_m:.2g} m"]
             words += [f"bearing ± {errors.bearing_deg:.2g}°", f"hull ± {errors.extent_m:.2g} m"]
-            words += [] if _is_assumed(described, MISSES) else [f"misses {_percents(described.misses)}"]
+            words += [] if described.is_assumed(MISSES) else [f"misses {_percents(described.misses)}"]
             if isinstance(feed.reports, Directions):
                 words.append(f"clutter {described.clutter.per_deg or 0.0:.2g} per degree")
             else:
@@ -153,7 +153,7 @@ def fit_errors(
     fits = _fits(fittable, prior, tuning)
     for k, feed in enumerate(fittable):
         late = feed.description.bias.time_s or 0.0
-        if not late or not _is_assumed(feed.description, "timing.latency_s"):
+        if not late or not feed.description.is_assumed("timing.latency_s"):
             continue
         best = _best(fits).feeds
         for share in tuning.fit_latencies:
@@ -191,10 +191,6 @@ def _is_fittable(feed: Feed) -> bool:
     return unstated and (isinstance(feed.reports, Directions) or errors.range_m is not None) and len(feed.reports) > 1
 
 
-def _is_assumed(description: Description, name: str) -> bool:
-    return any(line.name == name for line in description.assumed)
-
-
 @dataclass(frozen=True)
 class _Prior:
     """(3, S) medians of ln a, ln b, ln e and their 1σ, which is 0.001 where the user gave the number."""
@@ -208,7 +204,7 @@ class _Prior:
         values = [[getattr(d.errors, name) for d in descriptions] for name in names]
         given = [
             [
-                value is not None and not _is_assumed(d, f"errors.{name}")
+                value is not None and not d.is_assumed(f"errors.{name}")
                 for d, value in zip(descriptions, row, strict=True)
             ]
             for name, row in zip(names, values, strict=True)
@@ -425,7 +421,7 @@ def _described(
         new |= {"clutter.per_deg": densities[k]} if directions else {"clutter.per_km2": densities[k]}
         new |= {} if directions else {"errors.range_m": a}
         new |= {"timing.latency_s": float(latency_s[k]), "timing.latency_sigma_s": 0.0}
-        estimated = {name for name in new if _is_assumed(description, name)}
+        estimated = {name for name in new if description.is_assumed(name)}
         if description.errors.extent_m is None:
             estimated.add("errors.extent_m")
         parts: dict[str, Any] = {
@@ -464,7 +460,7 @@ def _misses(
             weight = weight * p_real * feeds[source].description.coverage.covers(range_m, bearing)
             parts[source].append([range_m, weight, partner[reference, source][rows]])
     return [
-        _miss_rate(feed.description, own, tuning) if own and _is_assumed(feed.description, MISSES)
+        _miss_rate(feed.description, own, tuning) if own and feed.description.is_assumed(MISSES)
         else feed.description.misses
         for feed, own in zip(feeds, parts, strict=True)
     ]  # fmt: skip

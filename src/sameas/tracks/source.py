@@ -352,6 +352,10 @@ class Description:
         values = {name.partition(".")[2]: value for name, (value, _) in motion.items()}
         return replace(self, motion=replace(self.motion, **values), assumed=lines)
 
+    def is_assumed(self, name: str) -> bool:
+        """Whether a number, ``part.field``, was assumed for the kind."""
+        return any(line.name == name for line in self.assumed)
+
     def q_at(self, range_m: ArrayLike, bearing_deg: ArrayLike) -> FloatArray:
         """(n,) probability that an object at this range and bearing is missed: 1 outside the coverage."""
         return np.where(self.coverage.covers(range_m, bearing_deg), self.misses.at(range_m), 1.0)

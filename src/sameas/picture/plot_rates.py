@@ -1,0 +1,203 @@
+"""Plot rates: the misses of a source of plots without names, and its clutter about each place, from its plots.
+
+What is assumed for a kind of sensor is often wrong by a factor of ten: a small radar on a boat misses four ships of
+five, and shores, buoys and waves give plots at the same places, scan after scan. So both are counted from instant to
+instant, but for the misses and the mean clutter that a description gives:
+
+- misses q: the share of the looks at confirmed objects with a name (AIS, a tracker) that gave no plot of them, with the
+  assumed q as a prior of ``rate_looks`` looks;
+- clutter λ at a plot z ± R: the plots of the last ``clutter_s`` within ``clutter_sigmas`` of z that are not of an
+  object with a name, per m² and look: their mean over all places, or, with the prior probability ``dense_share``, a
+  density there of anything up to one plot a look. The assumed clutter has the weight of one plot in the mean.
+
+The earlier plots of an object are no clutter about its next one, if there are not as many others beside them: an echo
+that returns within its own error is an object, and many about each other, as of a shore, are clutter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.special import expit, gammaln, xlogy
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.many.observations import records_of
+from sameas.picture.plot_existence import Looks
+from sameas.picture.tables import ObjectTable, Scan
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.tracks.alignment import States
+from sameas.tracks.feed import Feed
+from sameas.tracks.scene import Instant
+from sameas.tracks.source import MissRate
+
+#: Names of the numbers that are counted if they were assumed.
+MISSES, CLUTTER = "misses.q", "clutter.per_km2"
+#: Weight of the assumed clutter, in plots.
+MEAN_WEIGHT = 1.0
+#: So many times the plots that the mean density gives are usual about a plot.
+AROUND_USUAL = 2.0
+#: A plot may be of an object within this many 1σ.
+GATE_SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class SourceCounts:
+    """Counts of one source of plots.
+
+    looked, hit : looks at confirmed objects with a name, and those that gave a plot of them.
+    time_s, place, number : (m,), (m, 2), (m,) of the last plots that are not of an object with a name: the instant, the
+    position, and the number of the object. look_s, share : (l,) the instants with a look, and its part of a whole one.
+    """
+
+    looked: float = 0.0
+    hit: float = 0.0
+    time_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    place: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    look_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    share: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def with_look(
+        self, instant_s: float, share: float, place: FloatArray, number: IntArray, tuning: Tuning
+    ) -> SourceCounts:
+        """The counts after a look; place, number : (k, 2), (k,) of its plots."""
+        old = self.time_s >= instant_s - tuning.clutter_s
+        looks = self.look_s >= instant_s - tuning.clutter_s
+        return replace(
+            self,
+            time_s=np.concatenate([self.time_s[old], np.full(len(place), instant_s)]),
+            place=np.concatenate([self.place[old], place]), number=np.concatenate([self.number[old], number]),
+            look_s=np.append(self.look_s[looks], instant_s), share=np.append(self.share[looks], share),
+        )  # fmt: skip
+
+    def miss_rate(self, assumed: float, tuning: Tuning) -> float:
+        """q, with the assumed one as prior."""
+        n = tuning.rate_looks
+        return (n * assumed + self.looked - self.hit) / (n + self.looked)
+
+    def clutter_per_m2(
+        self, place: FloatArray, sigma: FloatArray, own: IntArray, mean: float, tuning: Tuning
+    ) -> FloatArray:
+        """(n,) λ at plots.
+
+        place, sigma : (n, 2), (n,) of them, and their largest 1σ. own : (n,) the number of the object that each may be
+        of, 0 for none. mean : density of plots over all places, per m² and look.
+        """
+        looks = float(self.share.sum())
+        radius, around = tuning.clutter_sigmas * sigma, tuning.around_sigmas * sigma
+        of_others, of_own = self._within(place, radius, own)
+        usual = AROUND_USUAL * mean * math.pi * around**2 * looks
+        beside = np.maximum(self._within(place, around, own)[0] - usual, 0.0)
+        near, area = of_others + np.minimum(of_own, beside), math.pi * radius**2
+        # As dense as everywhere, or anything up to one plot a look.
+        expected = mean * area * looks
+        log_dense = math.log(tuning.dense_share / (1.0 - tuning.dense_share)) - math.log1p(looks)
+        p_dense = expit(log_dense - xlogy(near, expected) + expected + gammaln(near + 1.0))
+        return np.asarray((1.0 - p_dense) * mean + p_dense * (near + 1.0) / (looks + 2.0) / area)
+
+    def _within(self, place: FloatArray, radius_m: FloatArray, own: IntArray) -> tuple[FloatArray, FloatArray]:
+        """(n,), (n,) plots within a radius of each place: those of other objects, and those of ``own``."""
+        if not len(self.place):
+            return np.zeros(len(place)), np.zeros(len(place))
+        found = cKDTree(self.place).query_ball_point(place, radius_m)
+        at = np.repeat(np.arange(len(place)), [len(rows) for rows in found])
+        row = np.concatenate([np.empty(0, np.int64), *(np.array(rows, np.int64) for rows in found)])
+        is_own = self.number[row] == own[at]
+        of_all, of_own = (np.bincount(a, minlength=len(place)).astype(np.float64) for a in (at, at[is_own]))
+        return of_all - of_own, of_own
+
+
+def mean_per_m2(place: FloatArray, looks: float, assumed_per_m2: float) -> float:
+    """Mean density of the plots (m, 2) of so many looks over all their places, per m² and look."""
+    # Of places spread evenly over a disc the area is 4π times the root of the determinant of their covariance.
+    spread = float(np.linalg.det(np.cov(place.T))) if len(place) > 2 else 0.0
+    area = 4.0 * math.pi * math.sqrt(max(spread, 0.0))
+    return (len(place) + MEAN_WEIGHT) / (area * looks + MEAN_WEIGHT / assumed_per_m2)
+
+
+def _largest_sigma(covariance: FloatArray) -> FloatArray:
+    """(n,) the largest 1σ of covariances (n, 2, 2)."""
+    return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]))
+
+
+def _nearest(place: FloatArray, sigma: FloatArray, known: ObjectTable) -> IntArray:
+    """(n,) the number of the object that is nearest to each plot, 0 where none is within ``GATE_SIGMAS``.
+
+    place, sigma : (n, 2), (n,) of the plots, and their largest 1σ.
+    """
+    out = np.zeros(len(place), np.int64)
+    if len(known) and len(place):
+        distance, row = cKDTree(known.state[:, :2]).query(place)
+        within = distance <= GATE_SIGMAS * np.hypot(sigma, _largest_sigma(known.covariance[row, :2, :2]))
+        out[within] = known.number[row[within]]
+    return out
+
+
+@dataclass(frozen=True)
+class PlotRates:
+    """The counts of the sources of plots without names; of : by name of the source."""
+
+    of: Mapping[str, SourceCounts] = field(default_factory=dict)
+
+    def applied(self, now: Instant, known: ObjectTable, tuning: Tuning = DEFAULT_TUNING) -> Instant:
+        """The instant with the counted misses and clutter of the sources of plots, where they were assumed.
+
+        known : the objects that only plots show, predicted to the instant.
+        """
+        feeds = zip(now.feeds, now.sources, strict=True)
+        return replace(now, feeds=tuple(self._applied(feed, records_of(own).ids, known, tuning) for feed, own in feeds))
+
+    def _applied(self, feed: Feed, ids: NDArray[Any], known: ObjectTable, tuning: Tuning) -> Feed:
+        reports, description, described = feed.reports, feed.description, feed.description.clutter.per_km2
+        if reports.track is not None or not isinstance(reports, States):
+            return feed
+        counts = self.of.get(description.name, SourceCounts())
+        if description.is_assumed(MISSES) and isinstance(description.misses.q, float):
+            q = float(np.clip(counts.miss_rate(description.misses.q, tuning), 0.02, 0.98))
+            description = replace(description, misses=MissRate(q))
+        clutter = feed.clutter_per_m2
+        if described and clutter is None:
+            rows, mean, looks = ids.astype(np.int64), 1e-6 * described, float(counts.share.sum())
+            place, sigma = reports.state[rows, :2], _largest_sigma(reports.covariance[rows, :2, :2])
+            if description.is_assumed(CLUTTER):
+                mean = mean_per_m2(counts.place, looks, mean) if looks else mean_per_m2(place, 1.0, mean)
+            clutter = np.full(len(reports), mean)
+            clutter[rows] = counts.clutter_per_m2(place, sigma, _nearest(place, sigma, known), mean, tuning)
+        return replace(feed, description=description, clutter_per_m2=clutter)
+
+    def advance(
+        self, scan: Scan, looks: Looks, is_named: BoolArray, number: IntArray, is_new: BoolArray, named: FloatArray,
+        shown: BoolArray,
+    ) -> PlotRates:  # fmt: skip
+        """The counts after an instant.
+
+        Parameters
+        ----------
+        is_named, number : (records,), (records,) whether the object of each record of the scan has a name, and its
+            number. is_new : (records,) whether the report is new. named : (k, 2) places of the confirmed objects with a
+            name. shown : (k, S) whether each source of the scan has a new plot of them.
+        """
+        if not looks.feeds:
+            return self
+        out, names = dict(self.of), [description.name for description in scan.now.descriptions]
+        for feed, share in zip(looks.feeds, looks.share.tolist(), strict=True):
+            name = feed.description.name
+            counts = out.get(name, SourceCounts())
+            if name in names:
+                s = names.index(name)
+                rows = np.arange(scan.start[s], scan.start[s + 1])
+                rows = rows[is_new[rows] & scan.placed[rows] & ~is_named[rows]]
+                hit = shown[:, s]
+            else:
+                rows, hit = np.empty(0, np.int64), np.zeros(len(named), bool)
+            covered = feed.q_at(named, looks.instant_s) < 1.0
+            counts = counts.with_look(looks.instant_s, share, scan.reported_state[rows, :2], number[rows], looks.tuning)
+            looked, hits = share * float(covered.sum()), float((hit & covered).sum())
+            out[name] = replace(counts, looked=counts.looked + looked, hit=counts.hit + hits)
+        return PlotRates(out)
