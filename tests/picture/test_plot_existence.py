@@ -10,6 +10,7 @@ from scipy.special import expit
 
 from sameas.picture import Picture, Watch, instants, picture_states
 from sameas.picture.object_ids import NamedObjects
+from sameas.picture.picture import error_lines
 from sameas.picture.plot_existence import Looks, NewPlots, PlotOdds
 from sameas.picture.plot_rates import SourceCounts
 from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, PictureObjects
@@ -150,6 +151,8 @@ def test_what_is_assumed_is_counted_and_a_shore_is_not_boats():
     assert isinstance(state.watch, Watch)
     counts = state.watch.plot_rates.of["radar"]
     assert abs(counts.miss_rate(0.1, DEFAULT_TUNING) - 0.65) < 0.05
+    [line] = error_lines(state.watch)
+    assert line.startswith("radar: misses 6") and "(10 % was assumed); has " in line
     assert (shown / len(late)).mean() > 0.85 and np.mean(ashore) < 4.0
 
 

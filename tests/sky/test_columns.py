@@ -12,6 +12,7 @@ from astropy.table import MaskedColumn, Table
 from sameas.errors import InputError
 from sameas.sky import Catalogue
 from sameas.sky.column_choice import CatalogueOptions, ColumnChoice
+from sameas.sky.column_values import factor, is_in_seconds_of_time
 from sameas.sky.columns import choose
 from sameas.sky.conventions import CONVENTIONS, ErrorNames
 
@@ -579,3 +580,10 @@ def test_units_that_astropy_does_not_know_are_read_as_they_are_written(of_ra, of
     np.testing.assert_allclose(catalogue.astrometry.ra_deg, ra_deg, rtol=1e-12)
     sigma = 1e-3 * np.sqrt(catalogue.astrometry.position_covariance[:, 1, 1])
     np.testing.assert_allclose(sigma, error_arcsec, rtol=1e-9)
+
+
+def test_a_unit_beyond_the_range_of_numbers_is_no_unit():
+    """Met in a damaged FITS header: it was a fault of the program."""
+    with pytest.raises(ValueError, match="beyond the range of numbers"):
+        factor("1PB(99999999)", "s / yr")
+    assert not is_in_seconds_of_time("1PB(99999999)")

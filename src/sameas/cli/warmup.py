@@ -38,7 +38,6 @@ KERNELS_OF_A_MATCH = {
 }
 #: Kernels that a picture calls after those that take longest to compile.
 LATER_KERNELS_OF_A_PICTURE = {
-    "posterior": ("exact",),
     "search": ("sweep_few",),
     "track_pairs": ("pairs_stepped", "new_pair_errors", "best_others", "pair_distances"),
     "id_swaps": ("swap_factors", "add_set_gains"),

@@ -174,8 +174,11 @@ class Picture:
 
 
 def error_lines(watch: Watch | PlotPicture) -> list[str]:
-    """Printable lines on the sources whose errors, as estimated by a picture, are not as stated."""
-    return watch.memory.error_factors.lines() if isinstance(watch, Watch) else []
+    """Printable lines on the sources whose errors, misses or clutter, as estimated by a picture, are not as stated."""
+    if not isinstance(watch, Watch):
+        return []
+    descriptions = () if watch.shown is None else watch.shown.now.descriptions
+    return watch.memory.error_factors.lines() + watch.plot_rates.lines(descriptions, watch.tuning)
 
 
 def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, str, float]]) -> list[int]:

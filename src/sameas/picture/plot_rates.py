@@ -17,7 +17,7 @@ that returns within its own error is an object, and many about each other, as of
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -26,15 +26,16 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import expit, gammaln, xlogy
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, spans_in
 from sameas.many.observations import records_of
 from sameas.picture.plot_existence import Looks
 from sameas.picture.tables import ObjectTable, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.ragged import ranges
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import Instant
-from sameas.tracks.source import MissRate
+from sameas.tracks.source import Description, MissRate
 
 #: Names of the numbers that are counted if they were assumed.
 MISSES, CLUTTER = "misses.q", "clutter.per_km2"
@@ -67,8 +68,10 @@ class SourceCounts:
         self, instant_s: float, share: float, place: FloatArray, number: IntArray, tuning: Tuning
     ) -> SourceCounts:
         """The counts after a look; place, number : (k, 2), (k,) of its plots."""
-        old = self.time_s >= instant_s - tuning.clutter_s
-        looks = self.look_s >= instant_s - tuning.clutter_s
+        since_s = instant_s - tuning.clutter_s
+        if len(self.time_s) > tuning.most_plots:
+            since_s = max(since_s, float(self.time_s[-tuning.most_plots]))
+        old, looks = self.time_s >= since_s, self.look_s >= since_s
         return replace(
             self,
             time_s=np.concatenate([self.time_s[old], np.full(len(place), instant_s)]),
@@ -91,9 +94,8 @@ class SourceCounts:
         """
         looks = float(self.share.sum())
         radius, around = tuning.clutter_sigmas * sigma, tuning.around_sigmas * sigma
-        of_others, of_own = self._within(place, radius, own)
-        usual = AROUND_USUAL * mean * math.pi * around**2 * looks
-        beside = np.maximum(self._within(place, around, own)[0] - usual, 0.0)
+        (of_others, of_own), (around_it, _) = self._within(place, (radius, around), own)
+        beside = np.maximum(around_it - AROUND_USUAL * mean * math.pi * around**2 * looks, 0.0)
         near, area = of_others + np.minimum(of_own, beside), math.pi * radius**2
         # As dense as everywhere, or anything up to one plot a look.
         expected = mean * area * looks
@@ -101,16 +103,18 @@ class SourceCounts:
         p_dense = expit(log_dense - xlogy(near, expected) + expected + gammaln(near + 1.0))
         return np.asarray((1.0 - p_dense) * mean + p_dense * (near + 1.0) / (looks + 2.0) / area)
 
-    def _within(self, place: FloatArray, radius_m: FloatArray, own: IntArray) -> tuple[FloatArray, FloatArray]:
-        """(n,), (n,) plots within a radius of each place: those of other objects, and those of ``own``."""
-        if not len(self.place):
-            return np.zeros(len(place)), np.zeros(len(place))
-        found = cKDTree(self.place).query_ball_point(place, radius_m)
-        at = np.repeat(np.arange(len(place)), [len(rows) for rows in found])
-        row = np.concatenate([np.empty(0, np.int64), *(np.array(rows, np.int64) for rows in found)])
-        is_own = self.number[row] == own[at]
-        of_all, of_own = (np.bincount(a, minlength=len(place)).astype(np.float64) for a in (at, at[is_own]))
-        return of_all - of_own, of_own
+    def _within(
+        self, place: FloatArray, radii_m: tuple[FloatArray, ...], own: IntArray
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """For each of the radii (n,) the plots within it of each place, (n,), (n,): of others, and of ``own``."""
+        order, tree = np.argsort(self.number, kind="stable"), cKDTree(self.place)
+        at, row = ranges(*spans_in(self.number[order], own))
+        distance_m = np.hypot(*(self.place[order[row]] - place[at]).T)
+        out = []
+        for radius_m in radii_m:
+            of_own = np.bincount(at[distance_m <= radius_m[at]], minlength=len(place)).astype(np.float64)
+            out.append((tree.query_ball_point(place, radius_m, return_length=True) - of_own, of_own))
+        return out
 
 
 def mean_per_m2(place: FloatArray, looks: float, assumed_per_m2: float) -> float:
@@ -170,6 +174,27 @@ class PlotRates:
             clutter = np.full(len(reports), mean)
             clutter[rows] = counts.clutter_per_m2(place, sigma, _nearest(place, sigma, known), mean, tuning)
         return replace(feed, description=description, clutter_per_m2=clutter)
+
+    def lines(self, descriptions: Sequence[Description], tuning: Tuning = DEFAULT_TUNING) -> list[str]:
+        """Printable lines on what was counted in place of what was assumed; descriptions : of the sources."""
+        out = []
+        for description in descriptions:
+            counts, words = self.of.get(description.name), []
+            assumed = {line.name: line.value for line in description.assumed}
+            if counts is None:
+                continue
+            if MISSES in assumed and counts.looked >= tuning.rate_looks and isinstance(assumed[MISSES], float):
+                rates = 100.0 * counts.miss_rate(assumed[MISSES], tuning), 100.0 * assumed[MISSES]
+                words.append("misses {:.0f} % of the objects with names ({:.0f} % was assumed)".format(*rates))
+            if assumed.get(CLUTTER) and len(counts.look_s) >= tuning.rate_looks:
+                per_m2 = mean_per_m2(counts.place, float(counts.share.sum()), 1e-6 * assumed[CLUTTER])
+                words.append(
+                    f"has {1e6 * per_m2:.2g} other plots per km² and scan (clutter of {assumed[CLUTTER]:.2g} was "
+                    "assumed), of which those about each plot count as its clutter"
+                )
+            if words:
+                out.append(f"{description.name}: {'; '.join(words)}")
+        return out
 
     def advance(
         self, scan: Scan, looks: Looks, is_named: BoolArray, number: IntArray, is_new: BoolArray, named: FloatArray,

@@ -96,11 +96,11 @@ class Tuning:
     confirming_plots : a tracked object is confirmed only with at least this many plots.
     least_q : beside named tracks, the probability that a source of plots misses an object is within this of 0 and 1:
         misses of one object come in runs. rate_looks : weight of an assumed miss rate, in looks at objects.
-        own_looks, own_looks_kept : weight of the usual misses beside an object's own, and number of its last looks that
-        count. clutter_s,
-        clutter_sigmas : the clutter about a plot is counted over this time, within so many 1σ of its position;
-        around_sigmas : and echoes within these are beside it, as on a shore. dense_share : prior probability that the
-        clutter at a place is denser than elsewhere.
+    own_looks, own_looks_kept : weight of the usual misses beside an object's own, and number of its last looks that
+        count.
+    clutter_s, most_plots, clutter_sigmas : the clutter about a plot is counted over this time, or that of so many
+        plots, within so many 1σ of its position. around_sigmas : echoes within these are beside it, as on a shore.
+        dense_share : prior probability that the clutter at a place is denser than elsewhere.
 
     min_instants : minimum number of instants at which two tracks were one object, to find deception.
     min_reports : minimum number of reports of a track, to find its silence.
@@ -210,6 +210,7 @@ class Tuning:
     own_looks: float = 6.0
     own_looks_kept: float = 24.0
     clutter_s: float = 300.0
+    most_plots: int = 20_000
     clutter_sigmas: float = 2.0
     around_sigmas: float = 6.0
     dense_share: float = 0.1

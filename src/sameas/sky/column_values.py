@@ -306,7 +306,10 @@ def factor(unit: str, target: str) -> float:
     """The factor that converts a number in ``unit`` to ``target``."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", u.UnitsWarning)
-        return float(u.Unit(unit).to(u.Unit(target)))
+        try:
+            return float(u.Unit(unit).to(u.Unit(target)))
+        except OverflowError as error:
+            raise ValueError(f"the unit {unit!r} is beyond the range of numbers") from error
 
 
 # Typical position errors by magnitude, from the rows with an error.
