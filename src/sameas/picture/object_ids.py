@@ -385,26 +385,19 @@ class NamedObjects(PictureObjects):
         hidden = self.by_plots & (self.stage == TENTATIVE) & ~self.detected
         return self.take(np.flatnonzero(~hidden)) if hidden.any() else self
 
-    def advance(
-        self,
-        instant_s: float,
-        detections: UnnumberedObjects,
-        density_per_m2: float,
-        stages: Stages,
-        tuning: Tuning,
-    ) -> NamedObjects:
-        """The objects at a later instant; density_per_m2 : of objects in the plane."""
+    def advance(self, instant_s: float, detections: UnnumberedObjects, stages: Stages, tuning: Tuning) -> NamedObjects:
+        """The objects at a later instant."""
         alive = self.take(np.flatnonzero(self.stage != ENDED))
         elapsed_s = instant_s - self.instant_s if math.isfinite(self.instant_s) else 0.0
         alive = alive.predicted(elapsed_s, alive.walk_m2_per_s3)
-        match = alive._matches(detections, density_per_m2, tuning)
+        match = alive._matches(detections, tuning)
         matched, new = np.flatnonzero(match >= 0), np.flatnonzero(match < 0)
         unmatched = np.setdiff1d(np.arange(len(alive)), match[matched])
         number = alive._new_numbers(detections, new)
         parts = [
             alive.take(match[matched])._detected(detections, matched, elapsed_s, stages, tuning),
             NamedObjects._new(detections, new, number, alive._split_off(detections, new), self.unseen_share, stages),
-            alive.take(unmatched)._undetected(detections, density_per_m2, elapsed_s, stages, tuning),
+            alive.take(unmatched)._undetected(detections, elapsed_s, stages, tuning),
         ]
         n_numbers = int(number.max(initial=self.n_numbers))
         places = detections.states.state[detections.states.placed, :2]
@@ -414,7 +407,7 @@ class NamedObjects(PictureObjects):
         )  # fmt: skip
         return objects._with_history(self, detections, tuning)
 
-    def _matches(self, detections: UnnumberedObjects, density_per_m2: float, tuning: Tuning) -> IntArray:
+    def _matches(self, detections: UnnumberedObjects, tuning: Tuning) -> IntArray:
         """(n,) the row of each object of the instant among these, ABSENT for none."""
         out = np.full(len(detections), ABSENT)
         if not len(detections) or not len(self):
@@ -435,7 +428,7 @@ class NamedObjects(PictureObjects):
         # The stages of `identify` without its last: no probability of a match is used.
         pairs = NearOrSameId(common)(first, second)
         refuse_crowds(pairs)
-        evidence = Continuity(density_per_m2, common, before, after, of_plots, tuning)(pairs)
+        evidence = Continuity(detections.looks.per_m2, common, before, after, of_plots, tuning)(pairs)
         grouped = groups(pairs)
         best = assign(grouped, evidence.log_ratio, EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
         matched = grouped.order[best.chosen]
@@ -545,14 +538,14 @@ class NamedObjects(PictureObjects):
         )  # fmt: skip
 
     def _undetected(
-        self, detections: UnnumberedObjects, density_per_m2: float, elapsed_s: float, stages: Stages, tuning: Tuning
+        self, detections: UnnumberedObjects, elapsed_s: float, stages: Stages, tuning: Tuning
     ) -> NamedObjects:
         """These objects at an instant at which no source detects them."""
         if not len(self):
             return self
         tentative = self.stage == TENTATIVE
         n_missing = self.n_missing + (tentative & bool(detections.new_report.any()))
-        too_uncertain = aged(self.covariance, density_per_m2)
+        too_uncertain = aged(self.covariance, detections.looks.per_m2)
         # If all tracks of an object now belong to others, it was one of those objects.
         last = self.history.take(np.flatnonzero(self.history.last))
         in_scan = np.isin(last.track, detections.tracks)

@@ -21,7 +21,7 @@ The share of those not seen before falls with every look, and rises as objects c
 Under the model at most a share 1 − p of the objects that are confirmed at probability p is false.
 
 Source: integrated probabilistic data association, Mušicki, Evans and Stanković 1994, IEEE Trans. Automatic Control 39,
-section III, with the most probable assignment only; the share not seen before as for ``plot_picture.Confirmation``.
+section III, with the most probable assignment only.
 """
 
 from __future__ import annotations
@@ -80,8 +80,14 @@ class Looks:
     def unseen_share(self, before: float, places: FloatArray, elapsed_s: float) -> float:
         """u after the looks; before : u. places : (n, 2) of the objects."""
         p_missed = float(self.p_missed(places).mean()) if len(places) else 1.0
-        stays = math.exp(-elapsed_s / self.tuning.real_s)
-        return before * p_missed * stays + 1.0 - stays
+        return still_unseen(before, p_missed, elapsed_s, self.tuning.real_s)
+
+
+def still_unseen(share: float, p_missed: float, elapsed_s: float, stay_s: float) -> float:
+    """The share u of the objects that no look has shown yet, after looks that miss one with ``p_missed``; objects stay
+    for ``stay_s`` in the mean, and as many come."""
+    stays = math.exp(-elapsed_s / stay_s)
+    return share * p_missed * stays + 1.0 - stays
 
 
 def _part_of_a_look(feed: Feed, after_s: float, until_s: float) -> float:
@@ -118,6 +124,8 @@ class NewPlots(ColumnTable):
         """members : (n, S) records of the objects, ABSENT for none. is_new, is_named : (records,) whether the report is
         new, and whether it is of a named track."""
         is_plot, clutter, log_odds = ~is_named & scan.placed, np.zeros(len(scan)), np.full(len(scan), -math.inf)
+        if not is_plot.any():
+            return cls.none(len(members))
         for s, feed in enumerate(scan.now.feeds):
             rows = scan.start[s] + np.flatnonzero(is_plot[scan.start[s] : scan.start[s + 1]])
             clutter[rows] = feed.clutter_at(scan.row[rows], 2)

@@ -27,6 +27,7 @@ from scipy.special import logit
 from sameas.arrays import ABSENT, IntArray
 from sameas.errors import InputError
 from sameas.picture.picture_state import PictureState, TrackedObjects, has_velocity
+from sameas.picture.plot_existence import still_unseen
 from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
 from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, PictureObjects, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
@@ -137,8 +138,8 @@ class Confirmation:
             now = after.now
             nowhere = np.empty((0, 2))
             q = np.array([feed.mean_q(nowhere, now.instant_s) for feed in now.feeds])
-            survival = math.exp(-(now.instant_s - before.now.instant_s) / lifetime_s)
-            unseen_share = unseen_share * float(np.prod(q ** before.scans_over(now))) * survival + 1.0 - survival
+            p_missed, elapsed_s = float(np.prod(q ** before.scans_over(now))), now.instant_s - before.now.instant_s
+            unseen_share = still_unseen(unseen_share, p_missed, elapsed_s, lifetime_s)
         new_plots = Counter(number for plot, number in after.last_number.items() if plot not in last)
         numbers = after.number.tolist()
         share = {number: self.share.get(number, unseen_share) for number in numbers}

@@ -1,4 +1,4 @@
-"""Plot rates: the misses of a source of plots without names, and its clutter about each place, from its plots.
+"""Plot rates: the misses of a source of plots without names, and its clutter about each place (a clutter map).
 
 What is assumed for a kind of sensor is often wrong by a factor of ten: a small radar on a boat misses four ships of
 five, and shores, buoys and waves give plots at the same places, scan after scan. So both are counted from instant to
@@ -35,10 +35,8 @@ from sameas.ragged import ranges
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import Instant
-from sameas.tracks.source import Description, MissRate
+from sameas.tracks.source import CLUTTER, MISSES, Description, MissRate
 
-#: Names of the numbers that are counted if they were assumed.
-MISSES, CLUTTER = "misses.q", "clutter.per_km2"
 #: Weight of the assumed clutter, in plots.
 MEAN_WEIGHT = 1.0
 #: So many times the plots that the mean density gives are usual about a plot.
@@ -163,8 +161,8 @@ class PlotRates:
             return feed
         counts = self.of.get(description.name, SourceCounts())
         if description.is_assumed(MISSES) and isinstance(description.misses.q, float):
-            q = float(np.clip(counts.miss_rate(description.misses.q, tuning), 0.02, 0.98))
-            description = replace(description, misses=MissRate(q))
+            q = counts.miss_rate(description.misses.q, tuning)
+            description = replace(description, misses=MissRate.counted(q))
         clutter = feed.clutter_per_m2
         if described and clutter is None:
             rows, mean, looks = ids.astype(np.int64), 1e-6 * described, float(counts.share.sum())
@@ -208,8 +206,6 @@ class PlotRates:
             number. is_new : (records,) whether the report is new. named : (k, 2) places of the confirmed objects with a
             name. shown : (k, S) whether each source of the scan has a new plot of them.
         """
-        if not looks.feeds:
-            return self
         out, names = dict(self.of), [description.name for description in scan.now.descriptions]
         for feed, share in zip(looks.feeds, looks.share.tolist(), strict=True):
             name = feed.description.name

@@ -32,6 +32,7 @@ from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.tracks.alignment import States, moved
 from sameas.tracks.feed import Feed
+from sameas.tracks.placement import unnamed
 from sameas.tracks.scene import POSITION, Instant
 
 #: Octaves of distance by which the errors of one sensor may differ.
@@ -239,10 +240,8 @@ def _names(track: NDArray[Any] | None, row: IntArray) -> NDArray[Any]:
     if track is None:
         return np.full(len(row), "", dtype=object)
     out = np.empty(len(row), object)
-    names = list(map(str, track[row].tolist()))
-    if "unnamed " in "\n".join(names):
-        names = ["" if name[:8] == "unnamed " else name for name in names]
-    out[:] = names
+    out[:] = names = list(map(str, track[row].tolist()))
+    out[unnamed(names)] = ""
     return out
 
 

@@ -272,9 +272,10 @@ class Watch:
         members = objects_now.members
         texts = {name: scan.texts(name) for name in TEXTS if scan.reports(name)}
         looks = Looks.since(now, -math.inf if self.shown is None else self.shown.now.instant_s, self.tuning)
-        detections = self._detections(scan, members, identification, memory, texts, looks)
+        is_new = scan.new_since(self.shown)
+        detections = self._detections(scan, members, identification, memory, texts, looks, is_new)
         memory = memory.with_real(detections.tracks[_certain_pairs(members, identification, self.stages)])
-        objects = self.objects.advance(now.instant_s, detections, objects_per_m2(now), self.stages, self.tuning)
+        objects = self.objects.advance(now.instant_s, detections, self.stages, self.tuning)
         object_texts = RecordTexts.of(scan, members, texts, objects).of_objects(objects, self.texts)
         if not is_due:
             kept = self.memory.with_numbers_of(memory, self.tuning)
@@ -285,23 +286,24 @@ class Watch:
         carried = replace(
             self, memory=kept, objects=objects, texts=object_texts, shown=scan,
             shown_tracks=memory.tracks.track_of_record, forgotten=np.empty(0, np.int64),
-            plot_rates=self._counted(scan, members, looks, objects),
+            plot_rates=self._counted(scan, members, is_new, looks, objects),
         )  # fmt: skip
         return PictureState(now, scan, objects_now, detections.states, carried)
 
-    def _counted(self, scan: Scan, members: IntArray, looks: Looks, objects: NamedObjects) -> PlotRates:
+    def _counted(
+        self, scan: Scan, members: IntArray, is_new: BoolArray, looks: Looks, objects: NamedObjects
+    ) -> PlotRates:
         """The counts of the sources of plots after an instant with these objects."""
         if not looks.feeds:
             return self.plot_rates
-        detected = np.flatnonzero(objects.detected)
-        is_new, is_named = np.append(scan.new_since(self.shown), False), np.zeros(len(scan) + 1, bool)
+        detected, is_named = np.flatnonzero(objects.detected), np.zeros(len(scan) + 1, bool)
         is_named[members[objects.detection[detected]]] = ~objects.by_plots[detected, None]
         number = np.zeros(len(scan) + 1, np.int64)
         number[members[objects.detection[detected]]] = objects.number[detected, None]
         named = np.flatnonzero(objects.detected & (objects.main_track >= 0) & (objects.stage == CONFIRMED))
-        shown = is_new[members[objects.detection[named]]]
+        shown = np.append(is_new, False)[members[objects.detection[named]]]
         places = objects.state[named, :2]
-        return self.plot_rates.advance(scan, looks, is_named[:-1], number[:-1], is_new[:-1], places, shown)
+        return self.plot_rates.advance(scan, looks, is_named[:-1], number[:-1], is_new, places, shown)
 
     def _previous_objects(self, pooled: PooledRecords, scan: Scan, memory: TrackMemory) -> IntArray:
         """(records,) the object of each pooled record's track at the previous instant, ABSENT without one."""
@@ -336,6 +338,7 @@ class Watch:
         memory: TrackMemory,
         texts: Mapping[str, NDArray[Any]],
         looks: Looks,
+        is_new: BoolArray,
     ) -> UnnumberedObjects:
         """The objects of an instant with the properties that identify them over time."""
         states = object_states(scan, members, identification)
@@ -348,11 +351,11 @@ class Watch:
         # Each record of a source without clutter is of a real object.
         clutter_free = np.array([feed.clutter(2) == 0.0 for feed in scan.now.feeds], dtype=bool)
         is_certain = (is_member & clutter_free).any(axis=1) | _certain_pairs(members, identification, self.stages)
-        is_new = np.append(scan.new_since(self.shown), False)
         is_named = memory.tracks.track_of_record >= 0
-        plots = NewPlots.of(scan, members, is_new[:-1], is_named, looks)
-        new_plot = np.append(is_new[:-1] & ~is_named, False)
-        new_report, new_plot = (over_columns(np.logical_or, column[members]) for column in (is_new, new_plot))
+        plots = NewPlots.of(scan, members, is_new, is_named, looks)
+        new_report, new_plot = (
+            over_columns(np.logical_or, np.append(column, False)[members]) for column in (is_new, is_new & ~is_named)
+        )
         walk = np.append(scan.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
         speed = np.append(scan.speed_m_per_s, 0.0)[members].max(axis=1, initial=0.0)
         return UnnumberedObjects(

@@ -254,7 +254,7 @@ def match(
     options = MatchOptions() if options is None else options
     progress("motion")
     (first, second), assumed = completed((first, second), options.epoch_jyr)
-    epoch, epoch_note, one, two = at_common_epoch(first, second, options.epoch_jyr)
+    epoch, epoch_note, one, two = at_common_epoch(first, second, options.epoch_jyr, tuning)
     if tuning.sort_by_position:
         one, two = threads.each([partial(by_position, records) for records in (one, two)], len(one) + len(two))
     _refuse_large_errors(one, two, tuning)
@@ -278,7 +278,7 @@ def match(
         result, estimate = run_match(one, warp.of(two))
     matched = SkyMatch(first, second, epoch, epoch_note, result, estimate, (), rotation, warp)
     disjoint = disjoint_doubt(first, second, one, two) if _hardly_any_common(result, estimate, tuning) else ()
-    left_behind = left_behind_doubt(first, second, options.epoch_jyr)
+    left_behind = left_behind_doubt(first, second, options.epoch_jyr, tuning)
     doubts = assumed + left_behind + density_doubts(estimate.coverage, options, tuning)
     doubts += _doubts(matched, search, disjoint, left_behind, tuning)
     return replace(matched, doubts=doubts)
@@ -312,7 +312,7 @@ def _doubts(
 
 
 def at_common_epoch(
-    first: Catalogue, second: Catalogue, epoch_jyr: float | None = None
+    first: Catalogue, second: Catalogue, epoch_jyr: float | None = None, tuning: CrossmatchTuning = TUNING
 ) -> tuple[float | None, str, Records, Records]:
     """The common epoch, a sentence that explains it, and the records of both catalogues at this epoch.
 
@@ -320,7 +320,7 @@ def at_common_epoch(
     ------
     InputError : no usable rows; a common epoch is needed and not known.
     """
-    epoch, note = common_epoch(first, second, epoch_jyr)
+    epoch, note = common_epoch(first, second, epoch_jyr, tuning)
     calls = [partial(catalogue.records, epoch) for catalogue in (first, second)]
     one, two = threads.each(calls, len(first) + len(second))
     for catalogue, records in ((first, one), (second, two)):
@@ -392,14 +392,16 @@ def _records_per_cell(position_deg: FloatArray, side_arcsec: float, tuning: Cros
     return len(lon) / (int(np.count_nonzero(np.diff(cell))) + 1)
 
 
-def common_epoch(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -> tuple[float | None, str]:
+def common_epoch(
+    first: Catalogue, second: Catalogue, epoch_jyr: float | None, tuning: CrossmatchTuning = TUNING
+) -> tuple[float | None, str]:
     """The common epoch, None if no positions are moved, and a sentence that explains it.
 
     A catalogue without proper motions stays at its epoch and the other one is moved; if both have proper motions, the
     epoch of the second is used.
     """
     if epoch_jyr is not None:
-        return epoch_jyr, _given_epoch_note(first, second, epoch_jyr)
+        return epoch_jyr, _given_epoch_note(first, second, epoch_jyr, tuning)
     epoch_1, epoch_2 = first.epoch_jyr, second.epoch_jyr
     if epoch_1 is None or epoch_2 is None:
         if not first.has_motion and not second.has_motion:
@@ -423,13 +425,13 @@ def common_epoch(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -
     )
 
 
-def _given_epoch_note(first: Catalogue, second: Catalogue, epoch_jyr: float) -> str:
+def _given_epoch_note(first: Catalogue, second: Catalogue, epoch_jyr: float, tuning: CrossmatchTuning) -> str:
     """A sentence that says which catalogues are moved to the epoch that was given."""
     moving = [catalogue for catalogue in (first, second) if catalogue.has_motion]
     if not moving:
         unmoved = "but neither catalogue has proper motions: no positions are moved, errors are widened"
         return f"{epoch_jyr:g} (option), {unmoved}"
-    staying = _left_behind(first, second, epoch_jyr)
+    staying = _left_behind(first, second, epoch_jyr, tuning)
     if staying is None:
         names = "both catalogues" if len(moving) == 2 else moving[0].name
         return f"{names} moved to {epoch_jyr:g} (option)"
@@ -437,21 +439,25 @@ def _given_epoch_note(first: Catalogue, second: Catalogue, epoch_jyr: float) -> 
     return f"{moving[0].name} moved to {epoch_jyr:g} (option); {stays}"
 
 
-def _left_behind(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -> Catalogue | None:
+def _left_behind(
+    first: Catalogue, second: Catalogue, epoch_jyr: float | None, tuning: CrossmatchTuning
+) -> Catalogue | None:
     """The catalogue without motions that stays years away from the given epoch while the other is moved; or None."""
     if epoch_jyr is None or first.has_motion == second.has_motion:
         return None
     staying = second if first.has_motion else first
-    away = staying.epoch_jyr is not None and abs(staying.epoch_jyr - epoch_jyr) > TUNING.same_epoch_years
+    away = staying.epoch_jyr is not None and abs(staying.epoch_jyr - epoch_jyr) > tuning.same_epoch_years
     return staying if away else None
 
 
-def left_behind_doubt(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -> tuple[str, ...]:
+def left_behind_doubt(
+    first: Catalogue, second: Catalogue, epoch_jyr: float | None, tuning: CrossmatchTuning = TUNING
+) -> tuple[str, ...]:
     """A doubt about a given common epoch that only one catalogue can be moved to; empty if there is none.
 
     The stars of the other are then compared with where they were at its own epoch.
     """
-    staying = _left_behind(first, second, epoch_jyr)
+    staying = _left_behind(first, second, epoch_jyr, tuning)
     if staying is None:
         return ()
     assert staying.epoch_jyr is not None

@@ -40,7 +40,7 @@ from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.scans import usual_period_s
-from sameas.tracks.source import Description, MissRate
+from sameas.tracks.source import CLUTTER, MISSES, Description, MissRate
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
@@ -74,10 +74,6 @@ class TrackErrorFit:
                 words.append(f"stamps {described.timing.latency_s:.2g} s late")
             out.append(f"{described.name}: {', '.join(words)}")
         return out
-
-
-#: Name of the assumption of how often a source misses an object.
-MISSES = "misses.q"
 
 
 def _percents(misses: MissRate) -> str:
@@ -418,7 +414,7 @@ def _described(
         a, b, e = np.exp(best.model.logs[:, k]).tolist()
         directions = isinstance(feed.reports, Directions)
         new: dict[str, Any] = {"errors.bearing_deg": math.degrees(b), "errors.extent_m": e}
-        new |= {"clutter.per_deg": densities[k]} if directions else {"clutter.per_km2": densities[k]}
+        new |= {"clutter.per_deg": densities[k]} if directions else {CLUTTER: densities[k]}
         new |= {} if directions else {"errors.range_m": a}
         new |= {"timing.latency_s": float(latency_s[k]), "timing.latency_sigma_s": 0.0}
         estimated = {name for name in new if description.is_assumed(name)}

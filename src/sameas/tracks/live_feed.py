@@ -45,7 +45,7 @@ from sameas.tracks.feed import (
 )
 from sameas.tracks.heights import HeightColumns
 from sameas.tracks.kinds import KINDS
-from sameas.tracks.placement import Directions, PlacedReports
+from sameas.tracks.placement import UNNAMED, Directions, PlacedReports, unnamed
 from sameas.tracks.registration import unbiased
 from sameas.tracks.report_table import ReportTable
 from sameas.tracks.reports import Reports
@@ -320,9 +320,8 @@ class LiveFeed:
         """Names of tracks; reports without an id are named by their unique serial number."""
         out = np.empty(len(track), object)
         out[:] = names = track.tolist()
-        if "unnamed " in "\n".join(names):
-            for k in [k for k, name in enumerate(names) if name[:8] == "unnamed "]:
-                out[k] = f"unnamed {self._serial + k}"
+        for k in unnamed(names):
+            out[k] = f"{UNNAMED}{self._serial + k}"
         return out
 
     def _numbered(self, names: NDArray[Any]) -> IntArray:

@@ -33,6 +33,15 @@ from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, SensorErrors
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
+#: Beginning of the names that reports without an id are given.
+UNNAMED = "unnamed "
+
+
+def unnamed(names: list[str]) -> list[int]:
+    """The places of the names that reports without an id were given."""
+    # One search of all names at once: usually there are none.
+    return [k for k, name in enumerate(names) if name.startswith(UNNAMED)] if UNNAMED in "\n".join(names) else []
+
 
 @dataclass(frozen=True)
 class Directions:
@@ -181,7 +190,7 @@ class PlacedReports:
             return None
         listed = ids.tolist()
         if None in listed:
-            listed = [f"unnamed {k}" if one is None else one for k, one in enumerate(listed)]
+            listed = [f"{UNNAMED}{k}" if one is None else one for k, one in enumerate(listed)]
         out = np.empty(len(listed), object)
         out[:] = list(map(str, listed))
         return out

@@ -16,7 +16,7 @@ from sameas.tracks.alignment import States, Succession, moved
 from sameas.tracks.biases import AZIMUTH, EAST, GAIN, NORTH, RANGE, TIME
 from sameas.tracks.feed import Feed
 from sameas.tracks.snapshot import bias_widths
-from sameas.tracks.source import MissRate
+from sameas.tracks.source import CLUTTER, MISSES, MissRate
 from sameas.tracks.tuning import Tuning
 
 #: The biases of a radar's plots, in the order of BIASES.
@@ -243,12 +243,12 @@ def with_plot_statistics(feed: Feed, missed: float) -> Feed:
     in cells of ``clutter_cell_m`` without the nearest ones: an echo at one place is the ship that AIS has there, unless
     there are more echoes beside it, as on a shore. The second is that of the plots at its range in all directions.
     """
-    description, assumed = feed.description, {line.name for line in feed.description.assumed}
-    estimated = assumed & {"misses.q", "clutter.per_km2"}
+    description = feed.description
+    estimated = [name for name in (MISSES, CLUTTER) if description.is_assumed(name)]
     clutter_per_m2 = None
-    if "misses.q" in estimated:
-        description = replace(description, misses=MissRate(float(np.clip(missed, 0.02, 0.98))))
-    if "clutter.per_km2" in estimated:
+    if MISSES in estimated:
+        description = replace(description, misses=MissRate.counted(missed))
+    if CLUTTER in estimated:
         clutter_per_m2, mean_per_km2 = _clutter(feed)
         description = replace(description, clutter=replace(description.clutter, per_km2=mean_per_km2))
     lines = tuple(line for line in description.assumed if line.name not in estimated)

@@ -90,12 +90,11 @@ class ReportTable:
         self.attributes = {name: column[usable] for name, column in attributes.items()}
         return self
 
-    def with_modes(self) -> ReportTable:
-        """The table with modes of motion, not-a-number where they are not known."""
+    def with_modes(self) -> None:
+        """Adds the modes of motion if it has none, not-a-number as they are not known."""
         if len(self.modes) < len(self):
             for name, shape in self.MODES:
                 setattr(self, name, np.full((len(self), *shape), math.nan))
-        return self
 
     @property
     def _has_modes(self) -> bool:
@@ -103,15 +102,15 @@ class ReportTable:
 
     @property
     def _columns(self) -> tuple[str, ...]:
-        return (*(name for name, _, _ in self.ARRAYS), "taken", "number", "serial", "name")
+        modes = [name for name, _ in self.MODES] if self._has_modes else []
+        return (*(name for name, _, _ in self.ARRAYS), *modes, "taken", "number", "serial", "name")
 
     def only(self, which: BoolArray) -> ReportTable:
         """The rows of a mask; self where that is all of them."""
         if which.all():
             return self
         out = ReportTable(0)
-        modes = [name for name, _ in self.MODES] if self._has_modes else []
-        for name in (*self._columns, *modes):
+        for name in self._columns:
             setattr(out, name, getattr(self, name)[which])
         out.attributes = {name: column[which] for name, column in self.attributes.items()}
         return out
@@ -128,10 +127,10 @@ class ReportTable:
 
     def grown(self, n: int) -> ReportTable:
         """The table with ``n`` more empty rows."""
-        more, out, modes = ReportTable(n), ReportTable(0), []
+        more, out = ReportTable(n), ReportTable(0)
         if self._has_modes:
-            more, modes = more.with_modes(), [name for name, _ in self.MODES]
-        for name in (*self._columns, *modes):
+            more.with_modes()
+        for name in self._columns:
             setattr(out, name, np.concatenate([getattr(self, name), getattr(more, name)]))
         none = np.full(n, None, object)
         for name, column in self.attributes.items():
@@ -141,11 +140,10 @@ class ReportTable:
 
     def put(self, places: IntArray, new: ReportTable) -> None:
         """Writes the rows ``new`` to these rows of the table."""
+        if self._has_modes:
+            new.with_modes()
         for name in self._columns:
             getattr(self, name)[places] = getattr(new, name)
-        if self._has_modes:
-            for name, _ in self.MODES:
-                getattr(self, name)[places] = getattr(new, name) if new._has_modes else math.nan
         for name in new.attributes.keys() - self.attributes.keys():
             kind = new.attributes[name].dtype
             self.attributes[name] = np.full(len(self), np.nan if kind.kind == "f" else None, kind)

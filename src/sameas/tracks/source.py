@@ -110,6 +110,10 @@ def _within(bearing: FloatArray, sector: tuple[float, float]) -> BoolArray:
     return np.asarray((bearing - sector[0]) % 360.0 <= (width or 360.0))
 
 
+#: Names of two numbers of a description that are counted where they were assumed.
+MISSES, CLUTTER = "misses.q", "clutter.per_km2"
+
+
 @in_short
 @dataclass(frozen=True)
 class MissRate:
@@ -128,6 +132,11 @@ class MissRate:
             )
         if not np.all((q > 0.0) & (q < 1.0)):
             raise InputError(f"misses: q is {self.q}; give probabilities of a miss, strictly between 0 and 1")
+
+    @classmethod
+    def counted(cls, q: float) -> MissRate:
+        """A counted rate, which is never taken for 0 or 1."""
+        return cls(float(np.clip(q, 0.02, 0.98)))
 
     def at(self, range_m: ArrayLike) -> FloatArray:
         """(n,) q at these ranges."""
