@@ -10,8 +10,9 @@ from sameas.picture import Picture, instants
 from sameas.registration.offsets import range_and_azimuth
 from sameas.simulate.boat_radar import boat_radar
 from sameas.simulate.sensors import Bias
-from sameas.tracks import Clutter, Description, MissRate, Reports, SensorErrors, Site, plot_offsets
+from sameas.tracks import Clutter, Description, MissRate, Reports, SensorErrors, Site, Timing, plot_offsets
 from sameas.tracks.alignment import States
+from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.plot_offsets import Knots, fit_plots
 from sameas.tracks.plot_pairs import shows_bare_plots, shows_tracks
 from sameas.tracks.scene import Scene
@@ -205,3 +206,28 @@ def test_described_misses_and_clutter_are_kept():
     registered, (found, _) = Scene.of([(radar, plots), ais]).registered()
     assert found.established and registered.estimated == ()
     assert (registered.feeds[0].description.misses.q, registered.feeds[0].clutter(2)) == (0.5, 0.3e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("p_detected", [0.9, 0.5])
+def test_the_counted_misses_are_those_of_a_radar_that_shows_each_ship_once(p_detected):
+    """Misses of 10 % were given as 57 %, as of a Poisson number of plots a scan, and drawn to a low rate."""
+    rng, plane, times = np.random.default_rng(1), LocalPlane(50.7, -1.2), np.arange(0.0, 600.0, 2.5)
+    start, velocity = rng.uniform(-4e3, 4e3, (6, 2)), rng.normal(0.0, 4.0, (6, 2))
+    plots, ais = [], []
+    for t in times:
+        shown = (start + t * velocity)[rng.random(6) < p_detected]
+        place = np.vstack([shown + rng.normal(0.0, 15.0, shown.shape), rng.uniform(-4e3, 4e3, (rng.poisson(10), 2))])
+        plots += [(t, np.hypot(x, y), np.degrees(np.arctan2(x, y))) for x, y in place]
+    for k in range(6):
+        for t in np.arange(rng.uniform(0.0, 10.0), 600.0, 10.0):
+            lat, lon = plane.to_geodetic((start[k] + t * velocity[k] + rng.normal(0.0, 8.0, 2))[None])
+            speed, course = np.hypot(*velocity[k]), np.degrees(np.arctan2(*velocity[k]))
+            ais.append((t, lat[0], lon[0], speed, course % 360.0, f"23500000{k}"))
+    columns = zip(("time_s", "range_m", "bearing_deg"), np.array(plots).T, strict=True)
+    radar = Reports.of("radar", "table", dict(columns))
+    names = ("time_s", "lat_deg", "lon_deg", "speed_m_per_s", "course_deg", "mmsi")
+    others = Reports.of("ais", "ais", {name: [row[k] for row in ais] for k, name in enumerate(names)})
+    described = Description("radar", "marine radar", site=Site(50.7, -1.2), timing=Timing(2.5))
+    scene = Scene.of([(described, radar), (Description("ais", "ais"), others)], plane).registered()[0]
+    assert abs(scene.feeds[0].description.misses.q - (1.0 - p_detected)) < 0.06

@@ -309,7 +309,8 @@ def refined(
     return BiasFit(
         biases, parts.reported @ state, covariance[:p, :p] + common, of_mean + common, float(weight.sum()),
         int(plots.scan.max()) + 1, float(np.sum(total > tuning.min_plots)), 0.0, (), converged, tuning, moving,
-        parts.drift(state, covariance), float(np.mean(np.exp(-rate[detected if detected.any() else slice(None)]))),
+        parts.drift(state, covariance),
+        float(np.mean(_missed(pairs, weight, plots.scan[pairs.plot])[detected if detected.any() else slice(None)])),
     )  # fmt: skip
 
 
@@ -452,6 +453,18 @@ def _probabilities(
     )  # fmt: skip
     ratio = np.exp(np.clip(log_ratio, -700.0, 300.0))
     return np.asarray(ratio / (1.0 + np.bincount(pairs.plot, ratio, plots)[pairs.plot]))
+
+
+def _missed(pairs: PlotPairs, weight: FloatArray, scan: IntArray) -> FloatArray:
+    """(t,) share of the scans of each track that have no plot of it.
+
+    weight, scan : (m,) probability of each pair of a plot and a track, and the scan of its plot. A hull may have
+    several plots in a scan.
+    """
+    look, at = np.unique(np.column_stack([pairs.track, scan]), axis=0, return_inverse=True)
+    p_none = np.exp(np.bincount(at.ravel(), np.log1p(-np.minimum(weight, 1.0 - 1e-9)), len(look)))
+    shown = np.bincount(look[:, 0], 1.0 - p_none, len(pairs.scans))
+    return np.clip(1.0 - shown / np.maximum(pairs.scans, 1.0), 0.0, 1.0)
 
 
 def _variance_inflation(time_s: FloatArray, track: IntArray, error: FloatArray) -> float:
