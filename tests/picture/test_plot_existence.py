@@ -167,7 +167,7 @@ def test_the_clutter_about_a_plot():
     )  # fmt: skip
     places, own = np.array([[0.0, 1000.0], [2000.0, 0.0], [-2000.0, 0.0]]), np.array([0, 2001, 7])
     mean = 400 / 64e6 / looks
-    at_sea, on_shore, at_buoy = counts.clutter_per_m2(places, np.full(3, 15.0), own, mean, DEFAULT_TUNING)
+    at_sea, on_shore, at_buoy = counts.clutter_per_m2(places, np.full(3, 15.0), own, np.full(3, mean), DEFAULT_TUNING)
     assert 0.3 * mean < at_sea < 3.0 * mean and at_buoy < 10.0 * mean
     # Of two-dimensional normal plots 1 − e⁻² are within 2σ; three of the ninety are its own.
     assert math.isclose(on_shore, 0.9 * (1.0 - math.exp(-2.0)) / (math.pi * 900.0), rel_tol=0.15)

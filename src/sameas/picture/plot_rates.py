@@ -83,23 +83,23 @@ class SourceCounts:
         return (n * assumed + self.looked - self.hit) / (n + self.looked)
 
     def clutter_per_m2(
-        self, place: FloatArray, sigma: FloatArray, own: IntArray, mean: float, tuning: Tuning
+        self, place: FloatArray, sigma: FloatArray, own: IntArray, usual: FloatArray, tuning: Tuning
     ) -> FloatArray:
         """(n,) λ at plots.
 
         place, sigma : (n, 2), (n,) of them, and their largest 1σ. own : (n,) the number of the object that each may be
-        of, 0 for none. mean : density of plots over all places, per m² and look.
+        of, 0 for none. usual : (n,) λ where they do not return to the place, per m² and look.
         """
         looks = float(self.share.sum())
         radius, around = tuning.clutter_sigmas * sigma, tuning.around_sigmas * sigma
         (of_others, of_own), (around_it, _) = self._within(place, (radius, around), own)
-        beside = np.maximum(around_it - AROUND_USUAL * mean * math.pi * around**2 * looks, 0.0)
+        beside = np.maximum(around_it - AROUND_USUAL * usual * math.pi * around**2 * looks, 0.0)
         near, area = of_others + np.minimum(of_own, beside), math.pi * radius**2
         # As dense as everywhere, or anything up to one plot a look.
-        expected = mean * area * looks
+        expected = usual * area * looks
         log_dense = math.log(tuning.dense_share / (1.0 - tuning.dense_share)) - math.log1p(looks)
         p_dense = expit(log_dense - xlogy(near, expected) + expected + gammaln(near + 1.0))
-        return np.asarray((1.0 - p_dense) * mean + p_dense * (near + 1.0) / (looks + 2.0) / area)
+        return np.asarray((1.0 - p_dense) * usual + p_dense * (near + 1.0) / (looks + 2.0) / area)
 
     def _within(
         self, place: FloatArray, radii_m: tuple[FloatArray, ...], own: IntArray
@@ -164,13 +164,16 @@ class PlotRates:
             q = counts.miss_rate(description.misses.q, tuning)
             description = replace(description, misses=MissRate.counted(q))
         clutter = feed.clutter_per_m2
-        if described and clutter is None:
-            rows, mean, looks = ids.astype(np.int64), 1e-6 * described, float(counts.share.sum())
+        if described:
+            rows, looks = ids.astype(np.int64), float(counts.share.sum())
             place, sigma = reports.state[rows, :2], _largest_sigma(reports.covariance[rows, :2, :2])
+            usual = np.broadcast_to(feed.clutter_at(rows, 2), len(rows))
             if description.is_assumed(CLUTTER):
-                mean = mean_per_m2(counts.place, looks, mean) if looks else mean_per_m2(place, 1.0, mean)
-            clutter = np.full(len(reports), mean)
-            clutter[rows] = counts.clutter_per_m2(place, sigma, _nearest(place, sigma, known), mean, tuning)
+                given = looks > 0.0
+                mean = mean_per_m2(counts.place if given else place, looks if given else 1.0, 1e-6 * described)
+                usual = np.full(len(rows), mean)
+            clutter = np.full(len(reports), 1e-6 * described) if clutter is None else clutter.copy()
+            clutter[rows] = counts.clutter_per_m2(place, sigma, _nearest(place, sigma, known), usual, tuning)
         return replace(feed, description=description, clutter_per_m2=clutter)
 
     def lines(self, descriptions: Sequence[Description], tuning: Tuning = DEFAULT_TUNING) -> list[str]:
