@@ -71,7 +71,7 @@ for kernel in (relation.learn, mixture.fit, posterior.exact):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="compilation is switched off")
 def test_kernels_of_a_frame_compiled_beforehand_are_used(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
@@ -82,7 +82,7 @@ def test_kernels_of_a_frame_compiled_beforehand_are_used(tmp_path):
     assert later.stdout == ""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="compilation is switched off")
 def test_kernels_of_a_picture_compiled_beforehand_are_used(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}

@@ -152,7 +152,7 @@ def test_ships_of_one_speed_whose_antennas_are_all_aft_show_no_delay():
         assert delays([ais, tracks])[0] != {}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_of_200_scenes_without_a_delay_at_most_1_in_100_shows_one():
     false = [seed for seed in range(100) for made in (aircraft, vessels) if delays(made(10_000 + seed, 0.0))[0]]
     assert len(false) <= 2, false
