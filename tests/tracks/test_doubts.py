@@ -46,6 +46,9 @@ def test_correct_sources_raise_no_doubt():
 AIS, RADAR = DEGREES["ais"][1], METRES["radar"][1]
 PLAIN = METRES["ais"][1]
 
+#: Heading of a boat that turns by a degree in two seconds.
+TURNING = (300.0 + 0.5 * (RADAR.time_s - RADAR.time_s[0])) % 360.0
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
@@ -59,6 +62,10 @@ PLAIN = METRES["ais"][1]
         (METRES, "radar", {"range_m": RADAR.range_m / 0.3048}, "radar 1: its ranges look like feet"),
         (METRES, "radar", {"bearing_deg": np.radians(RADAR.bearing_deg)}, "radar 1: its bearings look like radians"),
         (METRES, "radar", {"bearing_deg": (90.0 - RADAR.bearing_deg) % 360.0}, "radar 1: its bearings .*anticlockwise"),
+        (METRES, "radar", {"bearing_deg": (RADAR.bearing_deg - TURNING) % 360.0, "station_heading_deg": TURNING},
+         "radar 1: its bearings look relative to the bow: with the heading added, .* name their column relative_be"),
+        (METRES, "radar", {"bearing_deg": (RADAR.bearing_deg + TURNING) % 360.0, "station_heading_deg": TURNING},
+         "radar 1: its bearings look as from north, not from the bow: with the heading taken off"),
         (DEGREES, "ais", {"time_s": AIS.time_s - 5 * 3600.0}, "clock looks 5 h (ahead|behind), as in another"),
         (DEGREES, "ais", {"time_s": AIS.time_s - 400 * 86400.0}, "has no reports while others do: .* 2024-05-01 12:0"),
     ],

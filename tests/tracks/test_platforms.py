@@ -142,3 +142,67 @@ def test_live_reports_without_a_position_are_counted():
     picture.add("radar", batch)
     counts = picture.counts["radar"]
     assert (counts.taken, counts.unplaced) == (1, 3)
+
+
+def headings(time_s):
+    """She turns by half a degree a second, beyond north."""
+    return np.mod(330.0 + 0.5 * (np.asarray(time_s) - START_S), 360.0)
+
+
+def compass(every_s=1.0):
+    times = gps(every_s).time_s
+    return gps(every_s, heading_deg=headings(times))
+
+
+def bow_plots(times=TIMES, **more):
+    """The plots of the buoy with bearings from the bow."""
+    seen = plots(times)
+    relative = seen.bearing_deg - headings(times)
+    columns = {"time_s": times, "range_m": seen.range_m, "relative_bearing_deg": relative}
+    return Reports.of("radar", "table", columns | more)
+
+
+@pytest.mark.parametrize("every_s", [1.0, 10.0])
+def test_bearings_from_the_bow_are_turned_by_the_heading_of_the_vessel(every_s):
+    lat, lon = PLANE.to_geodetic(boat(TIMES))
+    placed = bow_plots(station_lat_deg=lat, station_lon_deg=lon)
+    [feed] = scene(described(source="gps"), compass(every_s), reports=placed).feeds
+    assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 0.1
+    [feed] = scene(described(source="gps"), compass(), reports=bow_plots()).feeds
+    assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 0.1
+
+
+def test_a_heading_of_the_reports_themselves_needs_no_other():
+    [feed] = scene(described(source="gps"), gps(), reports=bow_plots(station_heading_deg=headings(TIMES))).feeds
+    assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 0.1
+
+
+def test_without_headings_the_course_of_a_vessel_under_way_is_used_and_said():
+    known = gps()
+    speed = np.where(known.time_s < START_S + 60.0, 5.0, 0.5)
+    known = gps(course_deg=headings(known.time_s), speed_m_per_s=speed)
+    [feed] = scene(described(source="gps"), known, reports=bow_plots()).feeds
+    assert any("the course of the vessel of source gps is used as its heading" in note for note in feed.notes), (
+        feed.notes
+    )
+    assert any("20 of 48 reports are set aside: the heading of the vessel of source gps" in note for note in feed.notes)
+    assert len(feed.reports) == 28 and np.abs(feed.reports.state[:24, :2] - BUOY).max() < 0.1
+
+
+def test_bearings_from_the_bow_without_any_heading_are_refused():
+    with pytest.raises(InputError, match="has no heading at the times of its 48 reports"):
+        scene(described(source="gps"), gps(), reports=bow_plots())
+    fixed = Description("radar", "marine radar", errors=SensorErrors(range_m=5.0))
+    with pytest.raises(InputError, match="relative to the bow, and no source gives the heading"):
+        scene(fixed, gps(), reports=bow_plots())
+
+
+def test_a_live_radar_turns_with_the_heading_last_received():
+    picture = LivePicture([described(source="gps"), Description("gps", "ais")], plane=PLANE)
+    for t in TIMES[:20]:
+        known = compass()
+        picture.add("gps", known.where((known.time_s <= t - 1.0) & (known.time_s > t - 3.5)))
+        picture.add("radar", bow_plots(np.array([t]), track_id=["7"]))
+        picture.advance(float(t))
+    at = np.hypot(picture.objects["x_m"] - BUOY[0], picture.objects["y_m"] - BUOY[1])
+    assert at.max() < 40.0 and picture.counts["radar"].unplaced == 0

@@ -610,3 +610,29 @@ def test_angles_a_little_beyond_a_turn_are_angles():
                                          "bearing_deg": [-170.0, 361.5, -0.5, 700.0, 511.0]})  # fmt: skip
     assert made.bearing_deg is not None and made.bearing_deg.tolist() == [190.0, 1.5, 359.5]
     assert made.damaged.counts() == {"no position": 2}
+
+
+BOW = "time_s,rel_brg,range_m,{}\n0,350,1000,20\n1,10,1000,355\n2,10,1000,\n"
+
+
+@pytest.mark.parametrize("name", ["own_heading", "HDG (deg)", "Ownship Heading"])
+def test_bearings_from_the_bow_are_turned_by_the_heading_beside_them(name):
+    reports = table(BOW.format(name))
+    assert reports.bearing_deg.tolist() == [10.0, 5.0] and reports.relative_bearing_deg is None
+    assert reports.station_heading_deg.tolist() == [20.0, 355.0] and reports.heading_deg is None
+    assert reports.damaged.sentences() == ["1 line damaged: no heading of the vessel with the sensor (line 4)"]
+    why = f"rel_brg is relative to the bow of the vessel with the sensor; the heading, {name}, is added"
+    assert any(why in note for note in reports.notes)
+
+
+def test_bearings_from_the_bow_without_a_heading_wait_for_that_of_another_source():
+    reports = table("time_s,Relative bearing,range_m\n0,350,1000\n1,-10,1000\n")
+    assert reports.bearing_deg is None and reports.relative_bearing_deg.tolist() == [350.0, 350.0]
+    why = "Relative bearing is relative to the bow of the vessel with the sensor; no column has the heading"
+    assert any(why in note for note in reports.notes)
+
+
+def test_true_bearings_take_precedence_over_those_from_the_bow():
+    reports = table("time_s,bearing,rel_bearing,range_m,heading\n0,10,350,1000,20\n")
+    assert reports.bearing_deg.tolist() == [10.0] and reports.heading_deg.tolist() == [20.0]
+    assert any("columns not used: rel_bearing" in note for note in reports.notes)

@@ -152,5 +152,5 @@ def _last_station(reports: Reports, before: tuple[float, float, float]) -> tuple
     if lat is None or lon is None or not np.isfinite(lat + lon).any():
         return before
     last = int(np.flatnonzero(np.isfinite(lat + lon))[-1])
-    heading = reports.extra.get("station_heading_deg")
+    heading = reports.station_heading_deg
     return float(lat[last]), float(lon[last]), math.nan if heading is None else float(heading[last])

@@ -95,6 +95,14 @@ def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
         yield UnitGuess("bearings look like angles from the east, anticlockwise", "them read so",
                       "give 90° less the angle: bearings run clockwise from north",
                       _with_bearings(lambda angle: 90.0 - angle, 360.0))  # fmt: skip
+        heading_deg = reports.heading_deg if reports.station_heading_deg is None else reports.station_heading_deg
+        if reports.position == "polar" and heading_deg is not None:
+            yield UnitGuess("bearings look relative to the bow", "the heading added",
+                          "name their column relative_bearing",
+                          _with_bearings(lambda angle: angle + heading_deg, 360.0))  # fmt: skip
+            yield UnitGuess("bearings look as from north, not from the bow", "the heading taken off",
+                          "name their column bearing",
+                          _with_bearings(lambda angle: angle - heading_deg, 360.0))  # fmt: skip
 
 
 def clock_guesses() -> Iterator[tuple[str, str, float]]:

@@ -1,8 +1,9 @@
 """Sensors aboard a vessel: where the sensor is at each of its reports, from another source's reports of the vessel.
 
-A radar aboard a boat gives ranges and bearings; where the boat is, is in the file of her GNSS receiver or in AIS.
-Between two positions that are not too far apart in time the boat is on the line between them; a live source may be some
-seconds ahead of the positions. A source of such positions without any name of an object is no sensor, and makes none.
+A radar aboard a boat gives ranges and bearings, these at times from her bow; where the boat is, and how she heads, is
+in the file of her GNSS receiver and compass or in AIS. Between two positions that are not too far apart in time the
+boat is on the line between them, and heads in between; a live source may be some seconds ahead of them. A source of
+such positions without any name of an object is no sensor, and makes none.
 """
 
 from __future__ import annotations
@@ -28,40 +29,111 @@ def on_platform(
 ) -> tuple[Reports, tuple[str, ...]]:
     """The reports with the position of their sensor, if it is aboard a vessel that another source reports, and notes.
 
-    Reports at times at which the vessel's position is not known are set aside, with a note that counts them. Reports
-    that have the sensor's position themselves stay as they are.
+    Bearings from the bow become bearings from north. Reports at times at which the vessel's position, or the heading
+    that they need, is not known are set aside, with a note that counts them. A position and a heading that the reports
+    have themselves stay as they are.
 
     Parameters
     ----------
     others : by name, the reports of all sources; those of the sensor itself are not used.
-    tuning : ``platform_gap_s`` and ``platform_ahead_s``.
+    tuning : ``platform_gap_s``, ``platform_heading_gap_s``, ``platform_ahead_s`` and ``platform_course_m_per_s``.
 
     Raises
     ------
-    InputError : no source reports the vessel, several do, or none at the times of the sensor's reports.
+    InputError : no source reports the vessel, several do, or none at the times of the sensor's reports; bearings are
+        from the bow, and no source has the heading.
     """
-    platform, has_own = description.platform, reports.station_lat_deg is not None or reports.station_x_m is not None
-    if platform is None or has_own or not len(reports):
+    if not len(reports):
         return reports, ()
-    vessel = _reports_of(platform, description.name, others)
+    platform = description.platform
+    if platform is None:
+        if reports.relative_bearing_deg is not None:
+            raise InputError(
+                f"{description.name}: its bearings are relative to the bow, and no source gives the heading",
+                naming(
+                    "give the heading in a column own_heading, or the source that has it: platform = {{ source = … }} "
+                    "in its {description}"
+                ),
+            )
+        return reports, ()
+    steps = []
+    if reports.station_lat_deg is None and reports.station_x_m is None:
+        steps.append(_placed)
+    if reports.relative_bearing_deg is not None:
+        steps.append(_turned)
+    vessel = _reports_of(platform, description.name, others) if steps else []
+    notes: list[str] = []
+    for step in steps:
+        if len(reports):
+            reports, of_step = step(description.name, platform, vessel, reports, tuning)
+            notes += of_step
+    return reports, tuple(notes)
+
+
+Step = tuple[Reports, list[str]]
+
+
+def _placed(sensor: str, platform: Platform, vessel: list[Reports], reports: Reports, tuning: Tuning) -> Step:
+    """The reports with the position of the vessel, where it is known, and notes."""
     names = ("lat_deg", "lon_deg") if vessel[0].lat_deg is not None else ("x_m", "y_m")
-    time_s, place = _positions(vessel, names)
-    known, at = _interpolated(time_s, place, reports.time_s, tuning)
+    time_s, place = _series(vessel, names)
+    known, at = _interpolated(time_s, place, reports.time_s, tuning.platform_gap_s, tuning.platform_ahead_s)
     if not known.any():
         raise InputError(
-            f"{description.name}: the {platform}, which carries it, has no position at the times of its {len(reports)} "
+            f"{sensor}: the {platform}, which carries it, has no position at the times of its {len(reports)} "
             f"reports; it has {len(time_s)} at other times",
             "is one of the two clocks in another time zone, or of another day?",
         )
     latitude_or_x, longitude_or_y = STATION[names]
     out = replace(reports, **{latitude_or_x: at[:, 0], longitude_or_y: at[:, 1]})  # type: ignore[arg-type]
-    if known.all():
-        return out, ()
-    note = (
-        f"{description.name}: {int((~known).sum())} of {len(reports)} reports are set aside: where the {platform} was "
-        "at their times is not known"
+    return _where(known, out, f"{sensor}: {{}} set aside: where the {platform} was at their times is not known")
+
+
+def _turned(sensor: str, platform: Platform, vessel: list[Reports], reports: Reports, tuning: Tuning) -> Step:
+    """The reports with bearings from north, where the heading of the vessel is known, and notes."""
+    notes: list[str] = []
+    time_s, heading = _series(vessel, ("heading_deg",))
+    if not len(time_s):
+        moving = [_under_way(part, tuning) for part in vessel]
+        time_s, heading = _series(moving, ("course_deg",))
+        if len(time_s):
+            notes.append(f"{sensor}: the course of the {platform} is used as its heading, which no report has")
+    # A heading is not continued beyond the last: of two a second apart, errors of a degree are a turn.
+    last_s = time_s[-1] if len(time_s) else np.nan
+    known = reports.time_s <= last_s + tuning.platform_ahead_s
+    interpolated, at = _interpolated(
+        time_s, heading, np.minimum(reports.time_s, last_s), tuning.platform_heading_gap_s, tuning.platform_ahead_s
     )
-    return out.where(known), (note,)
+    known &= interpolated
+    if not known.any():
+        raise InputError(
+            f"{sensor}: its bearings are relative to the bow of the {platform}, which has no heading at the times of "
+            f"its {len(reports)} reports; it has {len(time_s)} at other times",
+            naming("give the heading in a column own_heading, or a source that has it in the {description}"),
+        )
+    heading_deg = np.mod(at[:, 0], 360.0)
+    bearing_deg = np.mod(np.asarray(reports.relative_bearing_deg) + heading_deg, 360.0)
+    out = replace(reports, bearing_deg=bearing_deg, relative_bearing_deg=None, station_heading_deg=heading_deg)
+    kept, set_aside = _where(
+        known, out, f"{sensor}: {{}} set aside: the heading of the {platform} at their times is not known"
+    )
+    return kept, notes + set_aside
+
+
+def _where(known: BoolArray, reports: Reports, note: str) -> Step:
+    """The reports of the known rows, and a note that counts the others."""
+    if known.all():
+        return reports, []
+    return reports.where(known), [note.format(f"{int((~known).sum())} of {len(reports)} reports are")]
+
+
+def _under_way(reports: Reports, tuning: Tuning) -> Reports:
+    """The reports fast enough for the course to be the heading, nearly."""
+    velocity = reports.velocity_m_per_s()
+    if velocity is None:
+        return reports
+    with np.errstate(invalid="ignore"):
+        return reports.where(np.hypot(*velocity.T) >= tuning.platform_course_m_per_s)
 
 
 def only_carries(source: str, reports: Reports, descriptions: Iterable[Description]) -> bool:
@@ -123,38 +195,45 @@ def _is_of(platform: Platform, reports: Reports) -> BoolArray:
     return np.asarray(reports.mmsi == platform.mmsi)
 
 
-def _positions(parts: Sequence[Reports], names: tuple[str, str]) -> tuple[FloatArray, FloatArray]:
-    """(k,) times, ascending, and (k, 2) positions, longitudes without jumps at 180°."""
-    time_s = np.concatenate([part.time_s for part in parts])
-    place = np.column_stack([np.concatenate([getattr(part, name) for part in parts]) for name in names])
-    usable = np.isfinite(place).all(axis=1) & np.isfinite(time_s)
+def _series(parts: Sequence[Reports], names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+    """(k,) times, ascending, and (k, v) values of the columns at these, those of angles without jumps of a turn."""
+    parts = [part for part in parts if all(getattr(part, name) is not None for name in names)]
+    time_s = np.concatenate([np.empty(0), *(part.time_s for part in parts)])
+    columns = [np.concatenate([np.empty(0), *(getattr(part, name) for part in parts)]) for name in names]
+    values = np.column_stack(columns)
+    usable = np.isfinite(values).all(axis=1) & np.isfinite(time_s)
     time_s, first = np.unique(time_s[usable], return_index=True)
-    place = place[usable][first]
-    if names[1] == "lon_deg":
-        place[:, 1] = np.unwrap(place[:, 1], period=360.0)
-    return time_s, place
+    values = values[usable][first]
+    for k, name in enumerate(names):
+        if name in ("lon_deg", "heading_deg", "course_deg"):
+            values[:, k] = np.unwrap(values[:, k], period=360.0)
+    return time_s, values
 
 
 def _interpolated(
-    time_s: FloatArray, place: FloatArray, wanted_s: FloatArray, tuning: Tuning
+    time_s: FloatArray, values: FloatArray, wanted_s: FloatArray, gap_s: float, ahead_s: float
 ) -> tuple[BoolArray, FloatArray]:
-    """(n,) whether the position is known at each wanted time, and (n, 2) the positions, NaN where it is not."""
-    out = np.full((len(wanted_s), 2), np.nan)
+    """(n,) whether the values are known at each wanted time, and (n, v) the values, NaN where they are not.
+
+    time_s, values : (k,) and (k, v). gap_s, ahead_s : longest time between two values on whose line one is, and beyond
+    all or from the nearest one.
+    """
+    out = np.full((len(wanted_s), values.shape[1]), np.nan)
     if len(time_s) == 0:
         return np.zeros(len(wanted_s), bool), out
     if len(time_s) == 1:
-        known = np.abs(wanted_s - time_s[0]) <= tuning.platform_ahead_s
-        out[known] = place[0]
+        known = np.abs(wanted_s - time_s[0]) <= ahead_s
+        out[known] = values[0]
         return known, out
     after = np.clip(np.searchsorted(time_s, wanted_s), 1, len(time_s) - 1)
     width = time_s[after] - time_s[after - 1]
     beyond = np.maximum(time_s[after - 1] - wanted_s, wanted_s - time_s[after])
-    close = width <= tuning.platform_gap_s
-    known = np.where(close, beyond <= tuning.platform_ahead_s, False)
+    close = width <= gap_s
+    known = np.where(close, beyond <= ahead_s, False)
     # Between two positions far apart in time, a time next to one of them.
     nearest = np.where(wanted_s - time_s[after - 1] < time_s[after] - wanted_s, after - 1, after)
-    beside = ~close & (np.abs(wanted_s - time_s[nearest]) <= tuning.platform_ahead_s)
+    beside = ~close & (np.abs(wanted_s - time_s[nearest]) <= ahead_s)
     share = (wanted_s - time_s[after - 1]) / width
-    line = place[after - 1] + share[:, None] * (place[after] - place[after - 1])
-    out[known], out[beside] = line[known], place[nearest[beside]]
+    line = values[after - 1] + share[:, None] * (values[after] - values[after - 1])
+    out[known], out[beside] = line[known], values[nearest[beside]]
     return known | beside, out

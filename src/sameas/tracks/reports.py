@@ -108,7 +108,10 @@ class Reports:
     x_m, y_m, z_m : (n,) in a local plane of the source, x to the east and y to the north unless it states otherwise.
     range_m : (n,) distance from the sensor; slant range for air radars.
     bearing_deg : (n,) clockwise from true north, 0 to 360. elevation_deg : (n,) above the horizon.
+    relative_bearing_deg : (n,) clockwise from the bow of the vessel that carries the sensor, of reports without
+        ``bearing_deg`` and without ``station_heading_deg``, whose sum they are where both are known.
     station_lat_deg, station_lon_deg, station_x_m, station_y_m : (n,) position of the sensor, if in the file.
+    station_heading_deg : (n,) direction of the bow of the vessel that carries the sensor, from true north.
     speed_m_per_s, course_deg : (n,) over ground, course clockwise from true north.
     vx_m_per_s, vy_m_per_s : (n,) velocity east and north, or along x and y. climb_m_per_s : (n,) upwards.
     heading_deg : (n,) direction of the bow, from true north.
@@ -138,11 +141,13 @@ class Reports:
     z_m: FloatArray | None = None
     range_m: FloatArray | None = None
     bearing_deg: FloatArray | None = None
+    relative_bearing_deg: FloatArray | None = None
     elevation_deg: FloatArray | None = None
     station_lat_deg: FloatArray | None = None
     station_lon_deg: FloatArray | None = None
     station_x_m: FloatArray | None = None
     station_y_m: FloatArray | None = None
+    station_heading_deg: FloatArray | None = None
     speed_m_per_s: FloatArray | None = None
     course_deg: FloatArray | None = None
     vx_m_per_s: FloatArray | None = None
@@ -214,7 +219,7 @@ class Reports:
             elif name in ("time_s", "line") or not _is_empty(array):
                 own[name] = _typed(name, array)
         about = Damaged() if damaged is None else damaged
-        own = _with_infinite_impossible(own)
+        own = _with_true_bearings(_with_infinite_impossible(own))
         own, extra, about = _without_infinite(source, own, extra, about)
         reports = cls(
             source, kind, **own, extra=extra, damaged=about, passed_over=passed_over or {}, notes=tuple(notes)
@@ -362,8 +367,8 @@ def without_stray_times(reports: Reports) -> Reports:
 _TEXTS = ("track_id", "mmsi", "imo", "icao", "callsign", "mode_a", "name", "type")
 _NO_COLUMNS = ("source", "kind", "extra", "damaged", "passed_over", "notes", "counted_clock")
 _COLUMNS = tuple(f.name for f in fields(Reports) if f.name not in _NO_COLUMNS)
-_PLACES = ("lat_deg", "lon_deg", "x_m", "y_m", "range_m", "bearing_deg")
-_ANGLES = ("bearing_deg", "course_deg", "heading_deg")
+_PLACES = ("lat_deg", "lon_deg", "x_m", "y_m", "range_m", "bearing_deg", "relative_bearing_deg")
+_ANGLES = ("bearing_deg", "relative_bearing_deg", "course_deg", "heading_deg", "station_heading_deg")
 _HEIGHTS, _SPEEDS = ("alt_m", "pressure_alt_m"), ("speed_m_per_s", "length_m", "width_m")
 #: Lowest and highest value of a quantity; beyond are marks of a missing value, such as −999, 3600 or 9999. Angles may
 #: be a quarter beyond a turn, as after the subtraction of an offset. 511 is the missing heading of AIS.
@@ -395,6 +400,15 @@ def _with_infinite_impossible(own: Mapping[str, Any]) -> dict[str, Any]:
         # No position is made of it.
         out["bearing_deg"] = np.where(np.isinf(out["bearing_deg"]), np.nan, out["bearing_deg"])
     return out
+
+
+def _with_true_bearings(own: dict[str, Any]) -> dict[str, Any]:
+    """The columns with bearings from true north in place of those from the bow, if the heading is known."""
+    if "relative_bearing_deg" not in own or not {"bearing_deg", "station_heading_deg"} & set(own):
+        return own
+    out = dict(own)
+    relative_deg = out.pop("relative_bearing_deg")
+    return out if "bearing_deg" in own else out | {"bearing_deg": relative_deg + own["station_heading_deg"]}
 
 
 def _without_infinite(
@@ -466,7 +480,8 @@ def _checked(reports: Reports) -> Reports:
         if len(reports) and (getattr(reports, first) is None) != (getattr(reports, second) is None):
             there, missing = (first, second) if getattr(reports, second) is None else (second, first)
             raise InputError(f"{reports.source}: has {there}, but no {missing}; give both")
-    if len(reports) and reports.position == "bearing" and reports.bearing_deg is None:
+    has_bearings = reports.bearing_deg is not None or reports.relative_bearing_deg is not None
+    if len(reports) and reports.position == "bearing" and not has_bearings:
         raise InputError(f"{reports.source}: no position; give lat and lon, x and y, range and bearing, or a bearing")
     lat = reports.lat_deg
     beyond = np.flatnonzero(np.abs(lat) > 90.0) if lat is not None else np.empty(0, int)

@@ -55,7 +55,8 @@ class Tuning:
     ----------
     unknown_site_share : assumed range of the targets of a radar without a site, as a share of its maximum range.
     platform_gap_s, platform_ahead_s : longest time between two positions of a vessel that carries a sensor, on whose
-        line she is, and between a position and a report before the first or after the last.
+        line she is, and between a position and a report before the first or after the last. platform_heading_gap_s :
+        the same between two headings. platform_course_m_per_s : lowest speed at which her course may be her heading.
     stray_count, stray_radii, stray_m : in a source of at least ``stray_count`` positions, those farther from the median
         than ``stray_m`` and than ``stray_radii`` × the radius of 90 % of them are excluded.
     unknown_velocity_share : a velocity is unknown if its variance is at least this share of the prior variance of
@@ -174,6 +175,8 @@ class Tuning:
     unknown_site_share: float = 0.25
     platform_gap_s: float = 180.0
     platform_ahead_s: float = 10.0
+    platform_heading_gap_s: float = 30.0
+    platform_course_m_per_s: float = 1.5
     stray_count: int = 20
     stray_radii: float = 20.0
     stray_m: float = 20e3

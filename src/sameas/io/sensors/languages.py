@@ -45,6 +45,7 @@ NAMES: Mapping[str, str] = {
     "bearing_deg": (
         "peilung rwpeilung rechtweisendepeilung azimut acimut azimute relevement rilevamento peiling pejling baring"
     ),
+    "relative_bearing_deg": "seitenpeilung gisement marcacionrelativa rilevamentopolare polarepeiling relativpeiling",
     "elevation_deg": "elevationswinkel elevacion elevazione elevacao",
     "speed_m_per_s": (
         "geschwindigkeit fahrt fahrtubergrund fahrtuebergrund geschwindigkeitubergrund geschwindigkeituebergrund fug "
@@ -111,8 +112,9 @@ def names_in(stems: Set[str], known: Set[str]) -> dict[str, tuple[str, ...]]:
     (True, True)
     """
     names = {column: words.split() for column, words in NAMES.items()}
-    has_place = not known.isdisjoint({"lat_deg", "lon_deg", "x_m", "range_m", "bearing_deg"})
-    has_place = has_place or not stems.isdisjoint([*names["lat_deg"], *names["range_m"], *names["bearing_deg"]])
+    has_place = not known.isdisjoint({"lat_deg", "lon_deg", "x_m", "range_m", "bearing_deg", "relative_bearing_deg"})
+    places = ("lat_deg", "range_m", "bearing_deg", "relative_bearing_deg")
+    has_place = has_place or not stems.isdisjoint(word for column in places for word in names[column])
     for breadth, lengths in _BREADTHS:
         is_place = not has_place and breadth in stems and not stems.isdisjoint(lengths.split())
         names["lat_deg" if is_place else "width_m"].append(breadth)

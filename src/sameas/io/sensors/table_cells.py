@@ -18,12 +18,10 @@ from sameas.arrays import IntArray
 from sameas.bounds import check_columns
 from sameas.errors import InputError
 from sameas.io.sensors.format import SensorFile, json_lines, of_json
-from sameas.io.sensors.table_columns import QUANTITIES, rank_of, stem_of
+from sameas.io.sensors.table_columns import PLACES, QUANTITIES, rank_of, stem_of
 
 #: Texts of cells without a value.
 NULLS = {"", "null", "none", "na", "n/a", "-", "--", "nan", "unknown", "undefined"}
-#: Quantities of which a report has one at least.
-_PLACES = {"lat_deg", "x_m", "range_m", "bearing_deg"}
 _DELIMITERS = ",;\t|"
 #: Numbers with a decimal comma or none, and with a decimal point.
 _COMMA, _POINT = re.compile(r"\s*[+-]?\d+(,\d+)?\s*"), re.compile(r"\s*[+-]?\d+\.\d+\s*")
@@ -163,7 +161,7 @@ def _records(document: Any) -> list[Any]:
 
 def _has_position(value: Mapping[str, Any]) -> bool:
     stems = {name: stem_of(name) for name in _flattened(value)}
-    places = [quantity for quantity in QUANTITIES if quantity.column in _PLACES]
+    places = [quantity for quantity in QUANTITIES if quantity.column in PLACES]
     return any(rank_of(name, quantity, stems) is not None for name in stems for quantity in places)
 
 

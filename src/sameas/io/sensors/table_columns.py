@@ -77,11 +77,22 @@ QUANTITIES = (
         "angle",
         "bearing brg azimuth az theta truebearing truebrg bearingtrue brgtrue bearingt brgt bearingdegt",
     ),
+    _quantity(
+        "relative_bearing_deg",
+        "angle",
+        "relativebearing relbearing relbrg bearingrelative bearingrel brgrel relativebrg relativeazimuth "
+        "azimuthrelative relazimuth relaz azrel bearingr brgr bowbearing bearingfrombow",
+    ),
     _quantity("elevation_deg", "angle", "elevation el elev"),
     _quantity("station_lat_deg", "angle", "stationlat sensorlat ownlat ownshiplat"),
     _quantity("station_lon_deg", "angle", "stationlon sensorlon ownlon ownshiplon"),
     _quantity("station_x_m", "length", "stationx sensorx ownx ownshipx"),
     _quantity("station_y_m", "length", "stationy sensory owny ownshipy"),
+    _quantity(
+        "station_heading_deg",
+        "angle",
+        "stationheading sensorheading ownheading ownshipheading platformheading ownhdg ownshiphdg",
+    ),
     _quantity("speed_m_per_s", "speed", "sog speed groundspeed gs velocity speedoverground"),
     _quantity("course_deg", "angle", "cog course courseoverground track trackangle direction"),
     _quantity("heading_deg", "angle", "heading hdg trueheading"),
@@ -123,6 +134,8 @@ QUANTITIES = (
         for side, letter in zip(SIDES, "abcd", strict=True)
     ),
 )
+#: Quantities of which a report has one at least.
+PLACES = {"lat_deg", "x_m", "range_m", "bearing_deg", "relative_bearing_deg"}
 #: Places of the antenna on the hull, A to D in AIS: other tables call other things by these letters.
 OF_THE_ANTENNA = tuple(f"to_{side}_m" for side in SIDES)
 #: Conventional units where none is stated: sentence, columns or kind of source that indicate it, names, unit.
@@ -201,7 +214,7 @@ def choose(
             taken.add(equal[0])
     if not (kind == "ais" or "mmsi" in chosen):
         chosen = {column: choice for column, choice in chosen.items() if column not in OF_THE_ANTENNA}
-    return _with_courses(chosen, stems)
+    return _with_courses(_with_own_heading(chosen), stems)
 
 
 def _quantities(stems: Mapping[str, tuple[str, str]]) -> tuple[SensorQuantity, ...]:
@@ -281,6 +294,26 @@ def _choice(
     return Choice(name, quantity, 1.0, f"{name} is read in {our_unit}: its name states no unit" if our_unit else "")
 
 
+def _with_own_heading(chosen: dict[str, Choice]) -> dict[str, Choice]:
+    """The columns of bearings from the bow with the heading that they need; without them beside other positions."""
+    relative = chosen.get("relative_bearing_deg")
+    if relative is None:
+        return chosen
+    if {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
+        return {column: choice for column, choice in chosen.items() if choice is not relative}
+    # A radar does not know where the bows of its targets are: the heading beside a bearing from the bow is her own.
+    own = chosen.get("station_heading_deg") or chosen.get("heading_deg")
+    others = {c: choice for c, choice in chosen.items() if choice not in (relative, own)}
+    why = f"{relative.name} is relative to the bow of the vessel with the sensor"
+    if own is None:
+        return others | {"relative_bearing_deg": replace(relative, why=f"{why}; no column has the heading")}
+    quantity = next(q for q in QUANTITIES if q.column == "station_heading_deg")
+    return others | {
+        "relative_bearing_deg": replace(relative, why=f"{why}; the heading, {own.name}, is added"),
+        "station_heading_deg": replace(own, quantity=quantity),
+    }
+
+
 def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]]) -> dict[str, Choice]:
     """Corrects ambiguous names of courses.
 
@@ -322,12 +355,12 @@ def require_columns(chosen: Mapping[str, Choice], names: Sequence[str], source: 
             raise InputError(
                 f"{source}: no column of {words}{missing} among: {listed}", naming_columns(*times, missing)
             )
-    if "range_m" in chosen and not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
+    if "range_m" in chosen and not PLACES - {"range_m"} & set(chosen):
         raise InputError(
             f"{source}: ranges ({chosen['range_m'].name}), but no column of {words}bearings among: {listed}",
             naming_columns(*times, "bearing_deg"),
         )
-    if not {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
+    if not PLACES - {"range_m"} & set(chosen):
         raise InputError(
             f"{source}: no columns of {words}a position among: {listed}",
             Message(naming_columns(*times, "lat_deg", "lon_deg"), ", or those of x_m and y_m, range_m and bearing_deg"),

@@ -228,6 +228,7 @@ _OF_AIS: Mapping[str, tuple[float, ...]] = {
 }  # fmt: skip
 #: The highest speed of AIS, that of search and rescue aircraft.
 FASTEST_AIS_M_PER_S = 1022.0 * KNOT_M_PER_S
+_DIRECTIONS = ("heading_deg", "course_deg", "bearing_deg", "relative_bearing_deg", "station_heading_deg")
 #: Rows in which a number of nines only must stand to mean that there is no value, if no other number is as frequent.
 _NINES = 3
 
@@ -247,7 +248,7 @@ def _mark_unavailable(values: dict[str, NDArray[Any]], chosen: Mapping[str, Choi
         missing |= np.isin(np.round(given, 4), _nines(given))
         missing |= is_impossible(name, column)
         missing |= is_ais and name == "speed_m_per_s" and column > FASTEST_AIS_M_PER_S
-        missing |= name in ("heading_deg", "course_deg", "bearing_deg") and given == 511.0
+        missing |= name in _DIRECTIONS and given == 511.0
         if name in ("alt_m", "pressure_alt_m") and len(column) >= _NINES and not np.nan_to_num(column).any():
             missing = column == 0.0
         if missing.any():
@@ -274,13 +275,22 @@ def _nines(column: FloatArray) -> FloatArray:
     return np.array([value for value in frequent[nines].tolist() if counts[found == value][0] > most])
 
 
+#: Columns that are a position together, the first always.
+_POSITIONS_IN = (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",), ("relative_bearing_deg",))
+
+
 def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int, str]) -> None:
     """Marks rows without a position, or with an impossible one, as damaged."""
-    pairs = [pair for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",)) if pair[0] in values]
+    pairs = [pair for pair in _POSITIONS_IN if pair[0] in values]
     missing = np.logical_and.reduce([np.isnan(sum(values[name] for name in pair)) for pair in pairs])
     _mark(missing, lines, damaged, "no position")
     if "range_m" in values:
         _mark(values["range_m"] < 0.0, lines, damaged, "a distance below 0")
+    if (
+        "relative_bearing_deg" in values
+        and np.isfinite(heading := values.get("station_heading_deg", np.empty(0))).any()
+    ):
+        _mark(np.isnan(heading), lines, damaged, "no heading of the vessel with the sensor")
     if "lat_deg" not in values:
         return
     beyond = np.abs(values["lat_deg"]) > 90.0
@@ -310,7 +320,7 @@ def _without_repeats(values: dict[str, Any]) -> tuple[dict[str, Any], int]:
     """The values without repeated rows (same object, time and position), and the number of these."""
     if "track_id" not in values:
         return values, 0
-    position = next(pair for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",)) if pair[0] in values)
+    position = next(pair for pair in _POSITIONS_IN if pair[0] in values)
     rows_read: set[tuple[Any, ...]] = set()
     first = np.ones(len(values["time_s"]), bool)
     for k, key in enumerate(zip(*(values[name].tolist() for name in ("track_id", "time_s", *position)), strict=True)):
