@@ -7,8 +7,8 @@ import pytest
 from modelled_scenes import describe, feed, straight, two_meet
 
 from sameas.picture import Picture
-from sameas.picture.object_ids import TrackHistory
 from sameas.picture.picture import picture_states
+from sameas.picture.track_history import TrackHistory
 from sameas.picture.tuning import Tuning
 from sameas.picture.watch import Watch
 from sameas.tracks.scene import Scene

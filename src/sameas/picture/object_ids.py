@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, logit
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, spans_in, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken
 from sameas.assignment import assign, refuse_crowds
 from sameas.errors import InputError
 from sameas.evidence import Evidence, Field, Rule
@@ -31,11 +31,11 @@ from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq, symmetric
 from sameas.groups import groups
 from sameas.picture.plot_existence import Looks, NewPlots, PlotOdds
-from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, ObjectStates, PictureObjects
+from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, ObjectStates, PictureObjects
 from sameas.picture.track_existence import ExistenceOdds
+from sameas.picture.track_history import TrackHistory
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
 from sameas.prior import EVIDENCE_ALONE
-from sameas.ragged import ranges
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.alignment import aged
@@ -164,108 +164,6 @@ class NearOrSameId:
         total = taken(first.full_covariance(), i) + taken(second.full_covariance(), j)
         chi_sq = mahalanobis_sq(residual, total)
         return Pairs(first, second, i, j, i, j, residual, chi_sq, determinant(total), f"{near.gate}, or one name")
-
-
-@dataclass(frozen=True)
-class TrackHistory(ColumnTable):
-    """The objects that each track was assigned to, (k,) each, ordered by track, then by object.
-
-    If the records of one object split for an instant and join again, its number stays with the tracks that were
-    assigned to it for long: one wrong instant does not change numbers. A track that changes to another object
-    permanently counts as that object's after some minutes. Shares change at the instants whose scan has the track:
-    s ← s e^(−Δt/τ), plus 1 − e^(−Δt/τ) for its present object; τ is ``history_s``.
-
-    track, number : of the track and the object. share : s. last : whether the track was assigned to the object in its
-    last scan. unique : whether the track's id is unique. instant_s : the last instant.
-    """
-
-    WHOLE = frozenset({"instant_s"})
-    instant_s: float = -math.inf
-    track: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    share: FloatArray = field(default_factory=lambda: np.empty(0))
-    last: BoolArray = field(default_factory=lambda: np.empty(0, bool))
-    unique: BoolArray = field(default_factory=lambda: np.empty(0, bool))
-
-    def __len__(self) -> int:
-        return len(self.track)
-
-    def advance(
-        self,
-        instant_s: float,
-        track: IntArray,
-        number: IntArray,
-        unique: BoolArray,
-        alive: IntArray,
-        tuning: Tuning,
-        forgotten: IntArray | None = None,
-    ) -> TrackHistory:
-        """The history after a later instant.
-
-        Parameters
-        ----------
-        track, number, unique : (m,) the tracks of its scan, their objects, and whether their ids are unique.
-        alive : ascending numbers of the objects that have not ended. Of ended objects only unique ids are kept: a track
-            that was part of another object for a while returns with its own number. forgotten : tracks whose ids have
-            timed out; None for none.
-        """
-        fade = math.exp(-(instant_s - self.instant_s) / tuning.history_s) if len(self) else 0.0
-        in_scan = np.isin(self.track, track)
-        keep = (places_in(alive, self.number) >= 0) | self.unique
-        if forgotten is not None and len(forgotten):
-            keep &= ~np.isin(self.track, forgotten)
-        earlier = TrackHistory(
-            instant_s, self.track, self.number, np.where(in_scan, fade * self.share, self.share), self.last & ~in_scan,
-            self.unique,
-        ).take(np.flatnonzero(keep & (~in_scan | (fade * self.share >= tuning.min_share))))  # fmt: skip
-        # A new track has the share 1 in its first object.
-        has_history = np.isin(track, earlier.track)
-        latest = TrackHistory(
-            instant_s, track, number, np.where(has_history, 1.0 - fade, 1.0), np.ones(len(track), bool), unique
-        )
-        return earlier._with(latest)
-
-    def of(self, tracks: IntArray) -> tuple[IntArray, IntArray]:
-        """(m,) indices in ``tracks`` (k,) and (m,) rows of the history, of all rows of these tracks."""
-        return ranges(*spans_in(self.track, tracks))
-
-    def last_of(self, tracks: IntArray) -> IntArray:
-        """(k,) the object of each track in its last scan, 0 for none."""
-        out = np.zeros(len(tracks), np.int64)
-        at, row = self.of(tracks)
-        out[at[self.last[row]]] = self.number[row[self.last[row]]]
-        return out
-
-    def together(self, tracks: IntArray, others: IntArray) -> BoolArray:
-        """(k,) whether each track (k,) and the other (k,) were assigned to one object, in their history."""
-        radix = int(self.number.max(initial=0)) + 1
-        (at, row), (other_at, other_row) = self.of(tracks), self.of(others)
-        common = np.intersect1d(at * radix + self.number[row], other_at * radix + self.number[other_row])
-        out = np.zeros(len(tracks), bool)
-        out[common // radix] = True
-        return out
-
-    def main_ended(self, tracks: IntArray, alive: IntArray) -> IntArray:
-        """(k,) the object that each track was in most of the time, of those that are not ``alive``; 0 for none."""
-        out, best = np.zeros(len(tracks), np.int64), np.zeros(len(tracks))
-        at, row = self.of(tracks)
-        ended = ~np.isin(self.number[row], alive)
-        at, row = at[ended], row[ended]
-        np.maximum.at(best, at, self.share[row])
-        is_best = self.share[row] == best[at]
-        out[at[is_best]] = self.number[row[is_best]]
-        return out
-
-    def _with(self, more: TrackHistory) -> TrackHistory:
-        """The rows of both, merged per track and object."""
-        both = self.stacked(more)
-        # One sort key per row: np.unique of two columns takes four times as long.
-        radix = int(both.number.max(initial=0)) + 1
-        key, back = np.unique(both.track * radix + both.number, return_inverse=True)
-        (track, number), n = np.divmod(key, radix), len(key)
-        share = np.asarray(np.bincount(back, both.share, n), np.float64)
-        last, unique = (np.bincount(back, column, n) > 0 for column in (both.last, both.unique))
-        return TrackHistory(self.instant_s, track, number, share, last, unique)
 
 
 @dataclass(frozen=True)
