@@ -12,8 +12,9 @@ from astropy.table import Table
 import sameas
 from sameas.errors import InputError
 from sameas.evidence import Errors
-from sameas.sky.catalogue import Catalogue, CatalogueOptions, ellipse_covariance
+from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, SkyMatch, match
+from sameas.sky.table_astrometry import ellipse_covariance
 from sameas.space import sphere_offset
 
 pytest.importorskip("matplotlib", reason="plots need the extra sameas[plots]")

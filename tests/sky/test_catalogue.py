@@ -17,8 +17,8 @@ from astropy.time import Time
 
 from sameas.errors import InputError
 from sameas.io import read_table
-from sameas.sky import conventions
-from sameas.sky.catalogue import Catalogue, CatalogueOptions, ellipse_covariance
+from sameas.sky.catalogue import Catalogue, CatalogueOptions
+from sameas.sky.table_astrometry import ellipse_covariance, hip2_correlations
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 HIP2 = [
@@ -484,7 +484,7 @@ def test_the_weight_matrix_of_hip2_returns_the_quoted_errors() -> None:
     table = hip2()
     weights = np.column_stack([table[f"UW{k}"] for k in range(1, 16)])
     errors = np.column_stack([table[name] for name in HIP2[9:14]])
-    matrices = conventions.correlations(weights, errors, np.asarray(table["F2"]), np.asarray(table["Ntr"]))
+    matrices = hip2_correlations(weights, errors, np.asarray(table["F2"]), np.asarray(table["Ntr"]))
     correlated = np.abs(matrices - np.eye(5)).max(axis=(1, 2)) > 0
     five = np.asarray(table["Sn"]) == 5
     assert correlated[five].mean() > 0.999

@@ -122,6 +122,12 @@ _NINES = np.unique([float(f"{'9' * whole}.{'9' * part}0") for whole in range(1, 
 _NEAR = 0.5 * 10.0 ** (np.floor(np.log10(_NINES)) - 5.0)
 
 
+def is_masked(table: Table, name: str) -> BoolArray:
+    """(n,) whether each cell of a column is masked."""
+    column = table[name]
+    return np.ma.getmaskarray(column) if hasattr(column, "mask") else np.zeros(len(table), np.bool_)
+
+
 def is_placeholder(values: FloatArray) -> BoolArray:
     """(n,) whether the digits of numbers are nines only, as those that stand for missing values.
 
