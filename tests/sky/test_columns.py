@@ -14,7 +14,8 @@ from sameas.sky import Catalogue
 from sameas.sky.column_choice import CatalogueOptions, ColumnChoice
 from sameas.sky.column_values import factor, is_in_seconds_of_time
 from sameas.sky.columns import choose
-from sameas.sky.conventions import CONVENTIONS, ErrorNames
+from sameas.sky.conventions import ErrorNames
+from sameas.sky.surveys import CONVENTIONS
 
 GAIA = ["source_id", "ra", "dec", "ra_error", "dec_error", "ra_dec_corr", "ref_epoch", "phot_g_mean_mag"]
 GAIA_MOTION = ["parallax", "parallax_error", "pmra", "pmra_error", "pmdec", "pmdec_error", "pmra_pmdec_corr"]

@@ -1,6 +1,6 @@
 """Columns: which columns of a table are position, errors, motion, epoch and brightness, with the reason for each.
 
-:func:`choose` uses the column names of known catalogues (:mod:`sameas.sky.conventions`), units and UCDs; an option
+:func:`choose` uses the column names of known catalogues (:mod:`sameas.sky.surveys`), units and UCDs; an option
 takes precedence. All position columns come from one convention: never the right ascension of one and the declination
 of another. If two choices are equally good, the table is refused and the choices are listed.
 """
@@ -20,7 +20,7 @@ from astropy.table import Table
 
 from sameas.arrays import FloatArray, median
 from sameas.errors import Argument, InputError, Message, naming
-from sameas.sky import column_values, conventions
+from sameas.sky import column_values, conventions, surveys
 from sameas.sky.column_choice import (
     GUESSED,
     OF_RA,
@@ -308,9 +308,9 @@ def _convention(search: ColumnSearch) -> tuple[Convention, tuple[str, ...]]:
     """The convention of the position, and the right ascension columns that are not used."""
     if search.options.ra or search.options.dec:
         return _position_of_options(search), ()
-    candidates = [c for c in conventions.CONVENTIONS if _applies(search, c)]
+    candidates = [c for c in surveys.CONVENTIONS if _applies(search, c)]
     if not candidates:
-        other_frames = (c for c in conventions.OTHER_FRAMES if _applies(search, c))
+        other_frames = (c for c in surveys.OTHER_FRAMES if _applies(search, c))
         return _position_by_ucd(search) or next(other_frames, None) or _no_position(search), ()
     superseded = {name.lower() for c in candidates for name in c.over if name != c.position[0]}
     computed = {name.lower() for name in conventions.VIZIER_COMPUTED}
@@ -328,7 +328,7 @@ def _convention(search: ColumnSearch) -> tuple[Convention, tuple[str, ...]]:
         candidates = chosen
     _refuse_ambiguous(search, chosen)
     taken = search.find(chosen[0].position[0])
-    all_ra = {search.find(c.position[0]) for c in conventions.CONVENTIONS if _applies(search, c)}
+    all_ra = {search.find(c.position[0]) for c in surveys.CONVENTIONS if _applies(search, c)}
     return chosen[0], tuple(sorted(name for name in all_ra if name and name != taken))
 
 
@@ -375,7 +375,7 @@ def _position_of_options(search: ColumnSearch) -> Convention:
     other = search.required(options.dec, "dec") if options.ra and options.dec else None
     known = [
         c
-        for c in (*conventions.CONVENTIONS, *conventions.OTHER_FRAMES)
+        for c in (*surveys.CONVENTIONS, *surveys.OTHER_FRAMES)
         if _applies(search, c)
         and search.find(c.position[axis]) == stated
         and other in (None, search.find(c.position[1 - axis]))

@@ -1,0 +1,610 @@
+"""Surveys: the column names of known catalogues. Data only; :mod:`sameas.sky.columns` uses them.
+
+A new survey is a new :class:`Convention` in :data:`CONVENTIONS`. Units given here apply if the table has none.
+"""
+
+from __future__ import annotations
+
+from sameas.sky.conventions import (
+    GAIA_MOTION,
+    PLAIN_EPOCHS,
+    PLAIN_IDS,
+    PLAIN_MAGNITUDES,
+    PLAIN_MOTIONS,
+    RADIAL_CONTAINMENT,
+    SEXTRACTOR_MAGNITUDES,
+    TWOMASS_MAGNITUDES,
+    VIZIER_MOTION,
+    Convention,
+    ErrorNames,
+    MotionNames,
+    correlations_of,
+    of_b1950,
+    own_axes,
+    plain,
+)
+
+_LSST_MOTION = MotionNames(
+    ("parallax", "pmRa", "pmDec", "radialVelocity"), ("parallaxErr", "pmRaErr", "pmDecErr", "radialVelocityErr")
+)
+_GAIA_CORRELATIONS = correlations_of("{a}_{b}_corr", ("ra", "dec", "parallax", "pmra", "pmdec"))
+_VIZIER_CORRELATIONS = correlations_of("{a}{b}cor", ("RA", "DE", "Plx", "pmRA", "pmDE"))
+_HIPPARCOS_NAMES = ("RA", "DE", "Plx", "pmRA", "pmDE")
+_HIPPARCOS_CORRELATIONS = correlations_of("{b}:{a}", _HIPPARCOS_NAMES) + correlations_of("{b}_{a}", _HIPPARCOS_NAMES)
+_GAIA_RELEASES = (
+    (r"gaia[ _-]?dr1|\bI[/_]337\b", 2015.0),
+    (r"gaia[ _-]?dr2|\bI[/_]345\b|I_345_", 2015.5),
+    (r"gaia[ _-]?e?dr3|\bI[/_]35[05]\b|I_35[05]_", 2016.0),
+)
+_GAIA_RELEASE_COLUMNS = (
+    ("DR2Name", 2015.5),
+    ("EDR3Name", 2016.0),
+    ("DR3Name", 2016.0),
+    ("GaiaDR2", 2015.5),
+    ("GaiaEDR3", 2016.0),
+    ("GaiaDR3", 2016.0),
+    ("dr2_radial_velocity", 2016.0),  # EDR3 repeats the velocities of DR2 under this name
+    ("nu_eff_used_in_astrometry", 2016.0),
+)
+
+
+def _sextractor(flavour: str) -> tuple[Convention, ...]:
+    return tuple(
+        Convention(
+            title=f"SExtractor{' ' + flavour if flavour else ''}",
+            position=(f"X{flavour}_{frame}", f"Y{flavour}_{frame}")
+            if frame == "WORLD"
+            else (f"ALPHA{flavour}_{frame}", f"DELTA{flavour}_{frame}"),
+            ids=("NUMBER",),
+            # SExtractor manual, "Positions and shapes": _WORLD in degrees; _J2000, _SKY east of north.
+            errors=(*_ellipses(flavour, frame),),
+            magnitudes=SEXTRACTOR_MAGNITUDES,
+            over={
+                "J2000": (f"ALPHA{flavour}_SKY", f"X{flavour}_WORLD"),
+                "SKY": (f"X{flavour}_WORLD",),
+                "WORLD": (),
+            }[frame],
+        )
+        for frame in ("J2000", "SKY", "WORLD")
+    )
+
+
+def _ellipses(flavour: str, frame: str) -> tuple[ErrorNames, ...]:
+    """The error ellipse: its angle counted from north, or by SExtractor's world axes from east; or its major axis."""
+    a, b = f"ERRA{flavour}_WORLD", f"ERRB{flavour}_WORLD"
+    from_north = ErrorNames("ellipse", (a, b, f"ERRTHETA{flavour}_{frame}"), "deg")
+    from_east = ErrorNames("ellipse", (a, b, f"ERRTHETA{flavour}_WORLD"), "deg", angle_from="east")
+    major = ErrorNames("circle", (a,), "deg")
+    return (from_east, major) if frame == "WORLD" else (from_north, from_east, major)
+
+
+_GAIA = Convention(
+    title="Gaia archive",
+    position=("ra", "dec"),
+    marks=("source_id", "phot_g_mean_mag", "astrometric_params_solved", "ruwe"),
+    ids=("source_id", "designation"),
+    errors=(ErrorNames("axes", ("ra_error", "dec_error"), "mas"),),
+    motions=(GAIA_MOTION,),
+    correlations=_GAIA_CORRELATIONS,
+    epochs=("ref_epoch",),
+    releases=_GAIA_RELEASES,
+    release_columns=_GAIA_RELEASE_COLUMNS,
+    magnitudes=(("phot_g_mean_mag", "phot_g_mean_mag_error"),),
+)
+
+_GAIA_VIZIER = Convention(
+    title="Gaia at VizieR",
+    position=("RA_ICRS", "DE_ICRS"),
+    marks=("Source", "DR3Name", "EDR3Name", "DR2Name", "GaiaDR3", "GaiaEDR3", "GaiaDR2", "RPlx", "RUWE", "FG", "BPmag"),
+    # Of ATLAS Refcat2, which has Gaia's magnitudes; "e_Gmag" is no mark, as names ignore case: SDSS has e_gmag.
+    without=("rp1", "r10"),
+    ids=("Source", "DR3Name", "EDR3Name", "DR2Name", "GaiaDR3", "GaiaEDR3", "GaiaDR2"),
+    errors=(ErrorNames("axes", ("e_RA_ICRS", "e_DE_ICRS"), "mas"),),
+    motions=(VIZIER_MOTION,),
+    correlations=_VIZIER_CORRELATIONS,
+    epochs=("Epoch", "ref_epoch"),
+    releases=_GAIA_RELEASES,
+    release_columns=_GAIA_RELEASE_COLUMNS,
+    magnitudes=(("Gmag", "e_Gmag"),),
+    over=("RAJ2000",),  # I/345, I/350, I/355: moved to 2000.0 by CDS
+)
+
+_HIP2 = Convention(
+    title="Hipparcos, the new reduction (I/311)",
+    position=("RArad", "DErad"),
+    unit="rad",
+    ids=("HIP",),
+    errors=(ErrorNames("axes", ("e_RArad", "e_DErad"), "mas"),),
+    motions=(VIZIER_MOTION,),
+    epoch_jyr=1991.25,
+    magnitudes=(("Hpmag", "e_Hpmag"),),
+    over=("RAJ2000", "RAhms"),
+    weights="UW",
+)
+
+_HIPPARCOS = tuple(
+    Convention(
+        title="Hipparcos (I/239)",
+        position=position,
+        marks=("HIP",),
+        without=("TIC", "Tmag", "Source", "DR3Name", "EDR3Name", "DR2Name"),
+        ids=("HIP",),
+        errors=(ErrorNames("axes", ("e_" + position[0], "e_" + position[1]), "mas"),),
+        motions=(VIZIER_MOTION,),
+        correlations=_HIPPARCOS_CORRELATIONS,
+        epoch_jyr=1991.25,
+        magnitudes=(("Hpmag", "e_Hpmag"), ("Vmag", "")),
+        over=("RAhms",),
+    )
+    for position in (("RAICRS", "DEICRS"), ("RAdeg", "DEdeg"))
+)
+
+_TWOMASS = (
+    *(
+        Convention(
+            title="2MASS",
+            position=("ra", declination),
+            marks=("err_maj", "pts_key", "j_msigcom"),
+            ids=("designation", "pts_key"),
+            errors=(ErrorNames("ellipse", ("err_maj", "err_min", "err_ang"), "arcsec"),),
+            epochs=("jdate", "date"),
+            magnitudes=TWOMASS_MAGNITUDES,
+        )
+        for declination in ("dec", "decl")  # "decl" in the documentation of the All-Sky release, section 2.2a
+    ),
+    Convention(
+        title="2MASS at VizieR (II/246)",
+        position=("RAJ2000", "DEJ2000"),
+        marks=("_2MASS", "2MASS", "errMaj"),
+        ids=("_2MASS", "2MASS"),
+        errors=(ErrorNames("ellipse", ("errMaj", "errMin", "errPA"), "arcsec"),),
+        epochs=("Date", "_date", "JD"),
+        magnitudes=TWOMASS_MAGNITUDES,
+    ),
+)
+
+_LSST = tuple(
+    Convention(
+        title="LSST",
+        position=position,
+        marks=marks,
+        ids=("diaSourceId", "sourceId", "diaObjectId", "objectId"),
+        # raErr is along the sky, times cos δ (LSST reference catalogue schema).
+        errors=(
+            ErrorNames("axes", ("raErr", "decErr"), "deg", ("ra_dec_Cov",)),
+            ErrorNames("axes", ("coord_raErr", "coord_decErr"), "deg", ("coord_ra_dec_Cov", "coord_ra_coord_dec_Cov")),
+        ),
+        motions=(_LSST_MOTION,),
+        epochs=("midpointMjdTai", "midPointTai", "radecMjdTai", "expMidptMJD"),
+        magnitudes=(("mag", "magErr"), ("psfMag", "psfMagErr"), ("rPSMag", "rPSMagErr")),
+        over=over,
+    )
+    for position, marks, over in (
+        (("ra", "dec"), ("raErr", "diaObjectId", "diaSourceId", "midpointMjdTai"), ("coord_ra",)),
+        (("coord_ra", "coord_dec"), (), ()),
+    )
+)
+
+# Our own tables of frames: positions by the plate model, of stars that were not found those of the catalogue.
+_SAMEAS_FRAME = Convention(
+    title="frame of sameas",
+    position=("ra_deg", "dec_deg"),
+    marks=("cov_ee_arcsec2",),
+    measured="measurement",
+    errors=(ErrorNames("variances", ("cov_ee_arcsec2", "cov_nn_arcsec2"), "arcsec2", ("cov_en_arcsec2",)),),
+    magnitudes=(("magnitude", "magnitude_err"),),
+)
+
+_SDSS = tuple(
+    Convention(
+        title=title,
+        position=("ra", "dec"),
+        without=("ra_ivar", "brickid", "dplx", "nuv_mag", "fuv_mag"),
+        marks=marks,
+        ids=("objID",),
+        # SDSS schema, PhotoObjAll: raErr "error in RA (* cos(Dec), that is, proper units)", arcsec.
+        errors=(ErrorNames("axes", ("raErr", "decErr"), "arcsec"),),
+        epochs=("mjd", "mjd_r"),
+        magnitudes=(("psfMag_r", "psfMagErr_r"), ("modelMag_r", "modelMagErr_r"), ("r", "err_r")),
+    )
+    for title, marks in (
+        ("SDSS", ("psfMag_r", "modelMag_r", "petroMag_r", "cModelMag_r", "camcol", "rerun", "specObjID")),
+        ("SDSS, by its objID", ("objID",)),  # others have such a column: the survey's errors are not assumed
+    )
+)
+
+_TRACTOR = Convention(
+    title="Legacy Surveys, tractor",
+    position=("ra", "dec"),
+    marks=("ra_ivar",),
+    # Files of DR10: "inverse variance of ra (no cosine term!), excluding astrometric calibration errors", 1/deg².
+    errors=(ErrorNames("inverse variances", ("ra_ivar", "dec_ivar"), "1/deg2"),),
+)
+
+_UCAC4 = Convention(
+    title="UCAC4 (I/322)",
+    position=("RAJ2000", "DEJ2000"),
+    marks=("UCAC4",),
+    ids=("UCAC4",),
+    # The errors refer to the central epochs EpRA, EpDE, the position to 2000.0.
+    errors=(ErrorNames("axes", ("e_RAJ2000", "e_DEJ2000"), "mas"), ErrorNames("circle", ("ePos",), "mas")),
+    motions=(VIZIER_MOTION,),
+    epoch_jyr=2000.0,
+    magnitudes=(("f.mag", "e_f.mag"), ("fmag", "e_fmag"), ("f_mag", ""), ("amag", "")),
+)
+
+_USNO_B1 = tuple(
+    Convention(
+        title="USNO-B1.0 (I/284)",
+        position=position,
+        marks=("USNO-B1.0", "USNO_B1.0", "USNO_B1_0", "USNOB1.0"),
+        ids=("USNO-B1.0", "USNO_B1.0", "USNO_B1_0", "USNOB1.0"),
+        # ReadMe of I/284: positions "at Eq=J2000, Ep=J2000"; the column Epoch is that of the observations.
+        errors=(ErrorNames("axes", ("e_" + position[0], "e_" + position[1]), "mas"),),
+        motions=(VIZIER_MOTION,),
+        epoch_jyr=2000.0,
+        only_epoch=True,
+        magnitudes=(("R2mag", ""), ("R1mag", ""), ("B2mag", ""), ("B1mag", "")),
+    )
+    for position in (("RAJ2000", "DEJ2000"), ("RAdeg", "DEdeg"))
+)
+
+_DES = tuple(
+    Convention(
+        title="Dark Energy Survey",
+        position=position,
+        marks=("COADD_OBJECT_ID",),
+        ids=("COADD_OBJECT_ID",),
+        errors=(
+            ErrorNames("ellipse", ("ERRAWIN_WORLD_R", "ERRBWIN_WORLD_R", "ERRTHETAWIN_J2000_R"), "deg"),
+            ErrorNames("circle", ("ERRAWIN_WORLD_R",), "deg"),
+        ),
+        magnitudes=(("WAVG_MAG_PSF_R", "WAVG_MAGERR_PSF_R"), ("MAG_AUTO_R", "MAGERR_AUTO_R")),
+        over=over,
+    )
+    for position, over in (
+        (("RA", "DEC"), ("ALPHAWIN_J2000", "ALPHA_J2000")),
+        (("ALPHAWIN_J2000", "DELTAWIN_J2000"), ("ALPHA_J2000",)),
+    )
+)
+
+_CATWISE = Convention(
+    title="CatWISE2020",
+    position=("ra", "dec"),
+    marks=("meanobsmjd",),
+    ids=("source_name", "source_id"),
+    # The solution without motion, at the mean epoch; motions of single faint sources are noise of 0.1″/yr.
+    errors=(ErrorNames("axes", ("sigra", "sigdec"), "arcsec", co_sigma="sigradec"),),
+    epochs=("meanobsmjd",),
+    magnitudes=(("w1mpro", "w1sigmpro"),),
+    over=("ra_pm",),
+)
+
+_PANSTARRS = Convention(
+    title="Pan-STARRS1",
+    position=("raMean", "decMean"),
+    ids=("objID", "objName"),
+    # Chambers et al. 2016, table ObjectThin: standard deviations, arcsec; epochMean is an MJD.
+    errors=(ErrorNames("axes", ("raMeanErr", "decMeanErr"), "arcsec"),),
+    epochs=("epochMean",),
+    magnitudes=(("rMeanPSFMag", "rMeanPSFMagErr"), ("iMeanPSFMag", "iMeanPSFMagErr")),
+    over=("raStack",),
+)
+
+_ALLWISE = (
+    Convention(
+        title="AllWISE",
+        position=("ra", "dec"),
+        marks=("w1mpro", "sigradec"),
+        without=("meanobsmjd",),
+        ids=("designation", "source_id"),
+        # Explanatory supplement, II.1.a: one σ, and V = sigradec·|sigradec|.
+        errors=(ErrorNames("axes", ("sigra", "sigdec"), "arcsec", co_sigma="sigradec"),),
+        epochs=("w1mjdmean",),
+        epoch_jyr=2010.5,
+        magnitudes=(("w1mpro", "w1sigmpro"),),
+    ),
+    Convention(
+        title="AllWISE at VizieR (II/328)",
+        position=("RAJ2000", "DEJ2000"),
+        marks=("AllWISE", "eeMaj"),
+        ids=("AllWISE",),
+        errors=(ErrorNames("ellipse", ("eeMaj", "eeMin", "eePA"), "arcsec"),),
+        epoch_jyr=2010.5,
+        magnitudes=(("W1mag", "e_W1mag"),),
+    ),
+)
+
+_TYCHO2 = Convention(
+    title="Tycho-2 (I/259)",
+    position=("RAmdeg", "DEmdeg"),
+    marks=("TYC1", "VTmag", "BTmag"),
+    ids=("TYC",),
+    # The errors refer to the mean epoch of the observations, near 1991.5, the position to 2000.0.
+    errors=(ErrorNames("axes", ("e_RAmdeg", "e_DEmdeg"), "mas"),),
+    motions=(VIZIER_MOTION,),
+    epoch_jyr=2000.0,
+    magnitudes=(("VTmag", "e_VTmag"), ("BTmag", "e_BTmag")),
+    over=("RA(ICRS)", "RAdeg", "_RAJ2000", "RAJ2000"),
+)
+
+_XMM = tuple(
+    Convention(
+        title="XMM-Newton",
+        position=position,
+        marks=("SC_POSERR", "SYSERRCC", "SC_DET_ML", "EP_8_FLUX"),
+        ids=ids,
+        # 4XMM user guide, POSERR: "Total radial position uncertainty", within it 63 %.
+        errors=tuple(ErrorNames("circle", (error,), "arcsec", containment=RADIAL_CONTAINMENT) for error in errors),
+        epochs=epochs,
+        over=over,
+    )
+    for position, errors, ids, epochs, over in (
+        (("RA", "DEC"), ("POSERR", "SC_POSERR"), ("DETID",), ("MJD_START",), ("SC_RA",)),
+        (("SC_RA", "SC_DEC"), ("SC_POSERR",), ("SRCID",), (), ()),
+    )
+)
+
+_XMM_HEASARC = Convention(
+    title="XMM-Newton at HEASARC",
+    position=("ra", "dec"),
+    marks=("ep_8_flux",),
+    ids=("name",),
+    # The statistical and the systematic error together, as POSERR.
+    errors=(ErrorNames("circle", ("error_radius",), "arcsec", containment=RADIAL_CONTAINMENT),),
+)
+
+_X_RAYS_AT_VIZIER = tuple(
+    Convention(
+        title=title,
+        position=position,
+        marks=marks,
+        ids=marks,
+        errors=errors,
+        epochs=("MJD",),
+    )
+    for title, marks, position, errors in (
+        (
+            "XMM-Newton at VizieR", ("4XMM", "_4XMM", "3XMM", "_3XMM", "2XMM", "_2XMM"), ("RA_ICRS", "DE_ICRS"),
+            (ErrorNames("circle", ("ePos",), "arcsec", containment=RADIAL_CONTAINMENT),),
+        ),
+        (
+            "eROSITA at VizieR", ("1eRASS", "_1eRASS", "DetUID"), ("RA_ICRS", "DE_ICRS"),
+            (ErrorNames("circle", ("ePos",), "arcsec"),),
+        ),
+        (
+            # Evans et al. 2020, ApJS 247, 54: the radius of 90 % confidence.
+            "Swift XRT at VizieR (IX/58)", ("2SXPS", "_2SXPS"), ("RA_ICRS", "DE_ICRS"),
+            tuple(ErrorNames("circle", (name,), "arcsec", containment=0.9) for name in ("Err90", "ePos", "e_Pos")),
+        ),
+        (
+            "Chandra Source Catalog at VizieR (IX/57)", ("2CXO", "_2CXO"), ("RAICRS", "DEICRS"),
+            (ErrorNames("ellipse", ("r0", "r1", "PA"), "arcsec", containment=0.95),),
+        ),
+    )
+)  # fmt: skip
+
+_EROSITA = Convention(
+    title="eROSITA",
+    position=("RA", "DEC"),
+    marks=("RADEC_ERR", "DETUID", "ML_FLUX_1", "ID_SRC"),
+    without=("POSERR", "SC_POSERR", "SYSERRCC"),  # 4XMM has a RADEC_ERR without the systematic error
+    ids=("DETUID", "IAUNAME"),
+    # Merloni et al. 2024, A&A 682, A34, table D.1 and section 6.2: POS_ERR is the σ of a Rayleigh distribution.
+    errors=(
+        ErrorNames("circle", ("POS_ERR",), "arcsec"),
+        ErrorNames("circle", ("RADEC_ERR",), "arcsec", containment=RADIAL_CONTAINMENT),
+    ),
+    epochs=("MJD",),
+)
+
+_ROSAT = Convention(
+    title="ROSAT all-sky survey (IX/10, IX/29)",
+    position=("RAJ2000", "DEJ2000"),
+    marks=("1RXS", "_1RXS"),
+    ids=("1RXS", "_1RXS"),
+    # Voges et al. 1999, A&A 349, 389: the radius of 1σ, including 6″ of systematic errors.
+    errors=(ErrorNames("circle", ("PosErr",), "arcsec", containment=0.683),),
+)
+
+_CHANDRA = Convention(
+    title="Chandra Source Catalog",
+    position=("ra", "dec"),
+    marks=("err_ellipse_r0", "error_ellipse_major_axis"),
+    ids=("name",),
+    # CSC 2, Source Position and Position Errors: the 95 % confidence level error ellipse, arcsec; also at HEASARC.
+    errors=tuple(
+        ErrorNames("ellipse", names, "arcsec", containment=0.95)
+        for names in (
+            ("err_ellipse_r0", "err_ellipse_r1", "err_ellipse_ang"),
+            ("error_ellipse_major_axis", "error_ellipse_minor_axis", "error_ellipse_angle"),
+        )
+    ),
+)
+
+
+def _ellipses_of_95_and_68(*names: str) -> tuple[ErrorNames, ...]:
+    """The 95 % and the 68 % ellipses of a table: names of the axes and the position angle, {} for the percentage."""
+    return tuple(
+        ErrorNames("ellipse", tuple(name.format(percent) for name in names), "deg", containment=percent / 100.0)
+        for percent in (95, 68)
+    )
+
+
+_FERMI = (
+    Convention(
+        title="Fermi LAT",
+        position=("RAJ2000", "DEJ2000"),
+        marks=("Conf_95_SemiMajor", "Conf_68_SemiMajor"),
+        ids=("Source_Name",),
+        errors=_ellipses_of_95_and_68("Conf_{}_SemiMajor", "Conf_{}_SemiMinor", "Conf_{}_PosAng"),
+    ),
+    Convention(
+        title="Fermi LAT at HEASARC",
+        position=("ra", "dec"),
+        marks=("semi_major_axis_95", "semi_major_axis_68"),
+        ids=("name", "source_name"),
+        errors=_ellipses_of_95_and_68("semi_major_axis_{}", "semi_minor_axis_{}", "position_angle_{}"),
+    ),
+)
+
+# Components of Selavy, the source finder of ASKAP (EMU, RACS): ra_err and dec_err are along the sky, arcsec.
+_ASKAP = Convention(
+    title="ASKAP",
+    position=("ra_deg_cont", "dec_deg_cont"),
+    ids=("component_name", "component_id"),
+    errors=(ErrorNames("axes", ("ra_err", "dec_err"), "arcsec"),),
+)
+
+_GALEX = Convention(
+    title="GALEX",
+    position=("ra", "dec"),
+    marks=("nuv_mag", "fuv_mag"),
+    ids=("objid",),
+    # The position is that of the near ultraviolet where it has one.
+    errors=tuple(ErrorNames("circle", (name,), "arcsec") for name in ("nuv_poserr", "fuv_poserr")),
+    magnitudes=(("nuv_mag", "nuv_magerr"), ("fuv_mag", "fuv_magerr")),
+)
+
+_REFCAT2 = Convention(
+    title="ATLAS Refcat2",
+    position=("RA", "Dec"),
+    marks=("dpmra", "dplx"),
+    ids=("objid",),
+    motions=(MotionNames(("plx", "pmra", "pmdec", ""), ("dplx", "dpmra", "dpmdec", "")),),
+    # Tonry et al. 2018, ApJ 867, 105: positions of Gaia DR2 where it has the star.
+    epoch_jyr=2015.5,
+    magnitudes=(("Gaia", "dGaia"), ("r", "dr")),
+)
+
+_TIC = (
+    Convention(
+        title="TESS Input Catalog",
+        position=("ra", "dec"),
+        marks=("Tmag",),
+        ids=("TIC", "ID"),
+        # Stassun et al. 2018, AJ 156, 102, appendix: ra, dec at the epoch 2000.0, their errors in mas.
+        errors=(ErrorNames("axes", ("e_RA", "e_Dec"), "mas"),),
+        motions=(MotionNames(("plx", "pmRA", "pmDEC", ""), ("e_plx", "e_pmRA", "e_pmDEC", "")),),
+        epoch_jyr=2000.0,
+        magnitudes=(("Tmag", "e_Tmag"),),
+        over=("RA_orig",),
+    ),
+    Convention(
+        title="TESS Input Catalog at VizieR (IV/38, IV/39)",
+        position=("RAJ2000", "DEJ2000"),
+        marks=("TIC", "Tmag"),
+        ids=("TIC",),
+        errors=(
+            ErrorNames("axes", ("e_RAJ2000", "e_DEJ2000"), "mas"),
+            ErrorNames("axes", ("e_RAdeg", "e_DEdeg"), "mas"),
+        ),
+        motions=(VIZIER_MOTION,),
+        epoch_jyr=2000.0,
+        magnitudes=(("Tmag", "e_Tmag"),),
+        over=("RAOdeg", "RAdeg"),
+    ),
+)
+
+_UCAC5 = Convention(
+    title="UCAC5 (I/340)",
+    position=("RAgaia", "DEgaia"),
+    ids=("SrcIDgaia",),
+    # Zacharias et al. 2017, AJ 153, 166: Gaia's positions at 2015.0, motions from the UCAC to them.
+    errors=(ErrorNames("axes", ("e_RAgaia", "e_DEgaia"), "mas"),),
+    motions=(MotionNames(("", "pmUR", "pmUD", ""), ("", "e_pmUR", "e_pmUD", "")),),
+    epoch_jyr=2015.0,
+    only_epoch=True,
+    magnitudes=(("Gmag", ""), ("f.mag", ""), ("f_mag", "")),
+)
+
+# Sexagesimal parts in separate columns, as at the CDS and in journals.
+_IN_PARTS = Convention(
+    title="CDS, in parts",
+    position=("RAh", "DEd"),
+    ids=PLAIN_IDS,
+    motions=PLAIN_MOTIONS,
+    epochs=PLAIN_EPOCHS,
+    magnitudes=PLAIN_MAGNITUDES,
+    errors=(*own_axes("RA", "DE"), ErrorNames("axes", ("e_RAs", "e_DEs"))),
+    parts=(("RAh", "RAm", "RAs"), ("DE-", "DEd", "DEm", "DEs")),
+)
+
+_PLAIN_POSITIONS = (
+    ("ra", "dec"),
+    ("ra", "de"),
+    ("ra", "decl"),
+    ("RAdeg", "DEdeg"),
+    ("ra_deg", "dec_deg"),
+    ("RA_ICRS", "DE_ICRS"),
+    ("RAICRS", "DEICRS"),
+    ("RAJ2000", "DEJ2000"),
+    ("RAJ2000", "DECJ2000"),
+    ("ra2000", "dec2000"),
+    ("ra_j2000", "dec_j2000"),
+    ("RAhms", "DEdms"),
+    *((hours, declination) for hours in ("ra_h", "ra_hr", "ra_hrs", "ra_hours") for declination in ("dec_deg", "dec")),
+    ("RightAscension", "Declination"),
+    ("right_ascension", "declination"),
+    ("lon", "lat"),
+    ("_RAJ2000", "_DEJ2000"),
+    ("_RA", "_DE"),
+    ("_RA_icrs", "_DE_icrs"),
+    ("_RA.icrs", "_DE.icrs"),
+)
+_GALACTIC_POSITIONS = (
+    ("GLON", "GLAT"), ("l", "b"), ("l_deg", "b_deg"), ("gal_lon", "gal_lat"), ("gallon", "gallat"), ("lii", "bii"),
+    ("galactic_longitude", "galactic_latitude"), ("_Glon", "_Glat"),
+)  # fmt: skip
+_ECLIPTIC_POSITIONS = (
+    ("ELON", "ELAT"), ("ecl_lon", "ecl_lat"), ("ecliptic_longitude", "ecliptic_latitude"), ("_Elon", "_Elat"),
+)  # fmt: skip
+_B1950_POSITIONS = (
+    ("RAB1950", "DEB1950"), ("RAB1950", "DECB1950"), ("ra1950", "dec1950"), ("ra1950", "de1950"),
+    ("ra_b1950", "dec_b1950"), ("ra_1950", "dec_1950"), ("_RAB1950", "_DEB1950"),
+)  # fmt: skip
+
+# The order only breaks ties: known surveys first.
+CONVENTIONS: tuple[Convention, ...] = (
+    _GAIA,
+    _GAIA_VIZIER,
+    _HIP2,
+    *_HIPPARCOS,
+    _TYCHO2,
+    *_TWOMASS,
+    *_ALLWISE,
+    _CATWISE,
+    _TRACTOR,
+    *_SDSS,
+    _PANSTARRS,
+    _UCAC4,
+    *_USNO_B1,
+    *_DES,
+    *_LSST,
+    *_XMM,
+    _XMM_HEASARC,
+    _EROSITA,
+    _ROSAT,
+    _CHANDRA,
+    *_FERMI,
+    *_X_RAYS_AT_VIZIER,
+    _ASKAP,
+    _GALEX,
+    _REFCAT2,
+    *_TIC,
+    _UCAC5,
+    _SAMEAS_FRAME,
+    *_sextractor("WIN"),
+    *_sextractor("PSF"),
+    *_sextractor("PEAK"),
+    *_sextractor(""),
+    *(plain(position) for position in _PLAIN_POSITIONS),
+    _IN_PARTS,
+)
+
+#: Used if there is no right ascension.
+OTHER_FRAMES: tuple[Convention, ...] = (
+    *(plain(position, "galactic coordinates", "galactic") for position in _GALACTIC_POSITIONS),
+    *(plain(position, "ecliptic coordinates", "ecliptic") for position in _ECLIPTIC_POSITIONS),
+    *(of_b1950(plain(position, "equinox B1950, FK4")) for position in _B1950_POSITIONS),
+)
