@@ -27,7 +27,7 @@ from sameas.report.frame import frame_lines, frames_lines
 from sameas.simulate.frames import Camera, GaussianProfile, Lens, frame_of_sky
 from sameas.sky.catalogue import CatalogueOptions
 from sameas.sky.frame.field import Cone
-from sameas.sky.frame.plate import Pointing
+from sameas.sky.frame.pointing import Pointing
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 pytest.importorskip("photutils", reason="finding stars needs the extra sameas[frames]")

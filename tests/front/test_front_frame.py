@@ -12,7 +12,7 @@ import sameas
 from sameas import InputError
 from sameas.io import read_provenance, read_table
 from sameas.simulate.frames import Camera, GaussianProfile, Lens, frame_of_sky
-from sameas.sky.frame.plate import Pointing
+from sameas.sky.frame.pointing import Pointing
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 pytest.importorskip("photutils", reason="finding stars needs the extra sameas[frames]")

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from sameas.sky.frame.plate import from_plane, similarities, to_plane
+from sameas.sky.frame.pointing import from_plane, similarities, to_plane
 from sameas.sky.frame.pointing_hints import PatternIndex, brightest_per_cell, codes, mirrored, patterns
 from sameas.space import unit_vectors
 

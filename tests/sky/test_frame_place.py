@@ -16,7 +16,8 @@ from sameas.errors import InputError
 from sameas.sky.frame.field import Stars
 from sameas.sky.frame.odds import PlateProblem, SearchVolume, verify
 from sameas.sky.frame.place import Placement, odds_in_words, place
-from sameas.sky.frame.plate import MatchedStars, Pointing, directions_deg, fit_plate, from_plane, to_plane
+from sameas.sky.frame.plate import MatchedStars, fit_plate
+from sameas.sky.frame.pointing import Pointing, directions_deg, from_plane, to_plane
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, sky_index
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 

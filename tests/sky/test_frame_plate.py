@@ -12,17 +12,8 @@ from astropy.io import fits
 from astropy.wcs import WCS
 
 from sameas.errors import InputError
-from sameas.sky.frame.plate import (
-    MatchedStars,
-    PlateModel,
-    Pointing,
-    Polynomial,
-    directions_deg,
-    fit_plate,
-    from_plane,
-    sky_axes,
-    terms,
-)
+from sameas.sky.frame.plate import MatchedStars, PlateModel, Polynomial, fit_plate, sky_axes, terms
+from sameas.sky.frame.pointing import Pointing, directions_deg, from_plane
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
 
 SHAPE = (1500, 2000)

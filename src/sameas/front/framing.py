@@ -36,7 +36,7 @@ from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.outputs import listing, summary
-from sameas.sky.frame.plate import Pointing, sky_of
+from sameas.sky.frame.pointing import Pointing, sky_of
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, sky_index
 from sameas.space import ARCSEC_PER_RADIAN, chord_angle_deg, unit_vectors
 

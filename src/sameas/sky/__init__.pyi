@@ -15,7 +15,7 @@ from .frame.image import Frame as Frame
 from .frame.outputs import listing as listing
 from .frame.place import Placement as Placement
 from .frame.place import place as place
-from .frame.plate import Pointing as Pointing
+from .frame.pointing import Pointing as Pointing
 from .frame.pointing_hints import Aim as Aim
 from .frame.pointing_hints import AllSky as AllSky
 from .frame.pointing_hints import ApproximateWcs as ApproximateWcs

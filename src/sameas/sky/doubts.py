@@ -37,7 +37,7 @@ from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import GUESSED, ChosenColumn, ColumnChoice, PositionError, in_years
 from sameas.sky.column_values import to_icrs
 from sameas.sky.conventions import SkyFrame
-from sameas.sky.frame.plate import directions_deg
+from sameas.sky.frame.pointing import directions_deg
 from sameas.space import ARCSEC_PER_RADIAN, mean_direction, unit_vectors
 
 

@@ -33,7 +33,7 @@ from sameas.gaussian import inverse, mahalanobis_sq, propagated
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
-from sameas.sky.frame.plate import directions_deg, to_plane
+from sameas.sky.frame.pointing import directions_deg, to_plane
 from sameas.space import ARCSEC_PER_RADIAN, displaced, local_axes, mean_direction, sphere_offset, unit_vectors
 
 if TYPE_CHECKING:

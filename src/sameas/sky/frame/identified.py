@@ -32,16 +32,8 @@ from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.measurements import POGSON, Flag, Measurements
 from sameas.sky.frame.photometry import DEFAULT_PHOTOMETRY, Completeness, PhotometryTuning, ZeroPoint, instrumental
 from sameas.sky.frame.place import Placement, place
-from sameas.sky.frame.plate import (
-    DEFAULT_PLATE,
-    MatchedStars,
-    PlateModel,
-    PlateTuning,
-    Pointing,
-    directions_deg,
-    fit_plate,
-    terms,
-)
+from sameas.sky.frame.plate import DEFAULT_PLATE, MatchedStars, PlateModel, PlateTuning, fit_plate, terms
+from sameas.sky.frame.pointing import Pointing, directions_deg
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.space import chord_angle_deg
 

@@ -29,7 +29,7 @@ from sameas.gaussian import LOG_2PI, inverse, log_density, log_determinant
 from sameas.groups import groups
 from sameas.prior import PerPair
 from sameas.records import Records
-from sameas.sky.frame.plate import Pointing, design
+from sameas.sky.frame.pointing import Pointing, design
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

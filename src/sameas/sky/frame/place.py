@@ -25,7 +25,7 @@ from sameas.records import unpack
 from sameas.representation import in_short
 from sameas.sky.frame.field import Stars
 from sameas.sky.frame.odds import PlateProblem, Verdict, refitted_on, verify
-from sameas.sky.frame.plate import Pointing, sky_of
+from sameas.sky.frame.pointing import Pointing, sky_of
 from sameas.sky.frame.pointing_hints import (
     DEFAULT_POINTING,
     Aim,
