@@ -7,7 +7,7 @@ import time
 
 import pytest
 from tests.browser import CHROMIUM, Browser
-from tests.live.conftest import EVIL, served
+from tests.live.conftest import EVIL, replay, served, settings
 from tests.live.test_inputs import free_port
 
 from sameas.live.keeper import Keeper
@@ -315,5 +315,87 @@ def test_on_a_tablet_own_ship_is_not_covered_and_dangers_are_first(keeper, tmp_p
             )
             assert page.js("document.querySelector('#list th[aria-sort=ascending]').dataset.key") == "cpa"
             assert page.errors == []
+        finally:
+            page.close()
+
+
+#: Whether each row of the tables is where its frame and the row before it are, and the counts are those of the frames.
+CONSISTENT = """(() => {
+    const { objects, frames, counts } = mapPage.live.tables;
+    let at = 0;
+    frames.forEach((frame, k) => {
+        for (const row of frame.objects.values()) {
+            const before = objects.before[at];
+            const older = frames.slice(0, k).filter(f => f.objects.has(row[0])).length;
+            if (objects.n[at] !== row[0] || objects.t[at] !== k || objects.x[at] !== row[2]) at = NaN;
+            else if ((before >= 0) !== older > 0) at = NaN;
+            else if (before >= 0 && (objects.n[before] !== row[0] || objects.t[before] >= k)) at = NaN;
+            at++;
+        }
+    });
+    const counted = counts.length === frames.length && frames.every((f, k) => counts[k][0] <= f.objects.size);
+    return at === objects.n.length && counted;
+})()"""
+
+
+def test_the_history_is_kept_row_by_row_and_forgotten_from_its_beginning(tmp_path):
+    keeper = Keeper(settings(history_s=60.0), None, replay=replay(pace=40.0, until_s=6000.0))
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url)
+        try:
+            page.until("mapPage.live && document.body.dataset.tick > 0")
+            first = page.js("mapPage.live.tables.frames[0].t")
+            for _ in range(8):  # a frame is kept every ten seconds, for a minute, and six pass in less than two seconds
+                tick = page.js("+document.body.dataset.tick")
+                page.until(f"+document.body.dataset.tick > {tick + 1}")
+                assert page.js(CONSISTENT), page.js("mapPage.live.tables.frames.length")
+            page.until(f"mapPage.live.tables.frames[0].t > {first} && mapPage.live.tables.frames.length > 4", 60.0)
+            assert page.js(CONSISTENT) and page.errors == []
+        finally:
+            page.close()
+
+
+#: Mean opacity of the layer of objects about the place of every object on the chart.
+LAYER = """(() => {
+    const { layer, view, now, objects } = mapPage, spare = (layer.canvas.width - view.w) / 2;
+    const c = layer.canvas.getContext('2d');
+    const u = (view.x - layer.x) * view.scale + spare - 12, v = (layer.y - view.y) * view.scale + spare - 12;
+    const inked = now.rows.map(r => mapPage.toScreen(objects.x[r], objects.y[r]))
+        .filter(([a, b]) => a > 0 && b > 0 && a < view.w && b < view.h)
+        .map(([a, b]) => c.getImageData(a + u, b + v, 24, 24).data.some((x, k) => k % 4 === 3 && x > 100));
+    return [inked.filter(x => x).length, inked.length];
+})()"""
+
+
+def test_a_dragged_chart_takes_in_new_data_and_shows_every_object_meanwhile(keeper, tmp_path):
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url)
+        mouse = {"button": "left", "buttons": 1, "clickCount": 1}
+        try:
+            page.until("mapPage.live && mapPage.now && mapPage.now.marks.length > 4")
+            page.do("Input.dispatchMouseEvent", type="mousePressed", x=500, y=500, **mouse)
+            ticks, seen = [], []
+            for k in range(60):  # as far as three times the spare edge of the layer, and back
+                page.do("Input.dispatchMouseEvent", type="mouseMoved", x=500 + 350 * abs(30 - k) / 30, y=500, **mouse)
+                page.settle()
+                ticks.append(page.js("+document.body.dataset.tick"))
+                seen.append(page.js(LAYER))
+            # Within a frame or two the layer has what came meanwhile; objects at its edge appear once it is complete.
+            assert ticks[-1] >= ticks[0] + 3
+            assert page.js("mapPage.now.k") == page.js("+document.getElementById('slider').max")
+            assert sum(inked for inked, _ in seen) >= 0.95 * sum(n for _, n in seen)
+            released = {"type": "mouseReleased", "button": "left", "clickCount": 1}
+            page.do("Input.dispatchMouseEvent", x=850, y=500, **released)
+            page.settle()
+            # After it, a click meets the object that is where it is drawn.
+            page.js("mapPage.pick(null)")
+            page.settle()
+            hit = "mapPage.hits.find(h => !h.record && h.u > 60 && h.v > 60)"
+            u, v, n = page.js(f"(hit => [hit.u, hit.v, hit.n])({hit})")
+            box = page.js("(b => [b.left, b.top])(document.getElementById('chart').getBoundingClientRect())")
+            page.do("Input.dispatchMouseEvent", type="mousePressed", x=box[0] + u, y=box[1] + v, **mouse)
+            page.settle()  # while the first layer is painted
+            page.do("Input.dispatchMouseEvent", x=box[0] + u, y=box[1] + v, **released)
+            assert page.js("mapPage.picked") == n and page.js("mapPage.layer === null") and page.errors == []
         finally:
             page.close()

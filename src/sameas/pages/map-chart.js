@@ -82,8 +82,15 @@ const nextFrame = () => {
     });
   }
 };
+// All anew, at once.
 const draw = () => {
-  layer = null;
+  layer = nextLayer = null;
+  nextFrame();
+};
+// Objects anew: by stages, while the chart is dragged.
+const redraw = () => {
+  if (!isDragged() || !layer) return draw();
+  isLayerOld = true;
   nextFrame();
 };
 
@@ -101,71 +108,102 @@ function paint() {
   c.lineJoin = "round";
   c.lineCap = "butt";
   ground(c, w, h);
-  if (drag && drag.moved) copyLayer(c, w, h);
-  else paintObjects(c, w, h);
+  if (isDragged()) copyLayer(c);
+  else {
+    nextLayer = null;
+    for (const _ of objectStages(c, w, h));
+    hits = found;
+  }
   furniture(c, w, h);
   for (const overlay of overlays) overlay(c, w, h);
   document.body.dataset.drawn = String(now.k);
 }
 
-// While the chart is dragged, objects and records are painted once, on a canvas wider than the chart by SPARE pixels on
-// each side, and copied from there: in a frame of 2 000 objects they take most of the time.
-const SPARE = 240;
-let layer = null;
-function copyLayer(c, w, h) {
+// While the chart is dragged, objects and records are copied from a layer, a canvas wider than the chart by SPARE pixels on
+// each side. The next one, with new data or about another place, is painted by stages of STAGE_MS a frame, and takes its
+// place when it is complete: 2 000 objects take 20 to 50 ms without a graphics card, a frame has 16.
+const SPARE = 240,
+  STAGE_MS = 4;
+let layer = null,
+  nextLayer = null,
+  isLayerOld = false;
+const isDragged = () => !!drag && drag.moved,
+  isPainting = () => nextLayer !== null;
+function copyLayer(c) {
   const ratio = window.devicePixelRatio || 1;
-  const shift = () => [(layer.x - view.x) * view.scale, (view.y - layer.y) * view.scale];
-  if (!layer || shift().some(d => Math.abs(d) > SPARE)) layer = paintedLayer(w, h, ratio);
+  if (!layer) paintLayer(Infinity);
+  const shift = [(layer.x - view.x) * view.scale, (view.y - layer.y) * view.scale];
   // Aligned to device pixels, so that it stays sharp.
-  const [u, v] = shift().map(d => Math.round((d - SPARE) * ratio));
+  const [u, v] = shift.map(d => Math.round((d - SPARE) * ratio));
   c.save();
   c.setTransform(1, 0, 0, 1, 0, 0);
   c.drawImage(layer.canvas, u, v);
   c.restore();
+  if (nextLayer || isLayerOld || shift.some(d => Math.abs(d) > SPARE / 3)) {
+    paintLayer(STAGE_MS);
+    nextFrame();
+  }
 }
-function paintedLayer(w, h, ratio) {
-  const canvas = document.createElement("canvas");
-  canvas.width = Math.round((w + 2 * SPARE) * ratio);
-  canvas.height = Math.round((h + 2 * SPARE) * ratio);
-  const c = canvas.getContext("2d");
+// Begins the next layer, or goes on with it, for some milliseconds.
+function paintLayer(ms) {
+  const end = performance.now() + ms,
+    { x, y, w, h } = view;
+  nextLayer ||= emptyLayer();
+  Object.assign(view, { x: nextLayer.x, y: nextLayer.y, w: w + 2 * SPARE, h: h + 2 * SPARE, spare: SPARE });
+  nextLayer.stages ||= objectStages(nextLayer.c, view.w, view.h);
+  let isDone = false;
+  while (!isDone && performance.now() < end) isDone = nextLayer.stages.next().done;
+  Object.assign(view, { x, y, w, h, spare: 0 });
+  if (isDone) [layer, nextLayer] = [nextLayer, null];
+}
+// Two canvases in turn.
+const layerCanvases = [0, 1].map(() => document.createElement("canvas"));
+function emptyLayer() {
+  const ratio = window.devicePixelRatio || 1,
+    canvas = layerCanvases.find(one => !layer || one !== layer.canvas),
+    c = canvas.getContext("2d");
+  canvas.width = Math.round((view.w + 2 * SPARE) * ratio);
+  canvas.height = Math.round((view.h + 2 * SPARE) * ratio);
   c.setTransform(ratio, 0, 0, ratio, 0, 0);
   c.lineJoin = "round";
-  Object.assign(view, { w: w + 2 * SPARE, h: h + 2 * SPARE, spare: SPARE });
-  paintObjects(c, view.w, view.h);
-  Object.assign(view, { w, h, spare: 0 });
-  return { canvas, x: view.x, y: view.y };
+  isLayerOld = false;
+  return { canvas, c, x: view.x, y: view.y, stages: null };
+}
+// Paints the first layer while the mouse is pressed and does not move yet.
+function prepareLayer() {
+  if (!drag || drag.moved || layer) return;
+  paintLayer(STAGE_MS);
+  requestAnimationFrame(prepareLayer);
 }
 
-function paintObjects(c, w, h) {
-  const drawn = now.rows
-    .filter(r => Number.isFinite(objects.x[r]))
-    .map(r => {
-      const [u, v] = toScreen(objects.x[r], objects.y[r]);
-      return {
-        r,
-        n: objects.n[r],
-        u,
-        v,
-        ahead: vectorEnd(r, u, v),
-        inside: u > -60 && v > -60 && u < w + 60 && v < h + 60,
-      };
-    });
-  const found = crowding(drawn);
+// Draws objects and records; yields often, so that this can be spread over several frames.
+let found = [];
+function* objectStages(c, w, h) {
+  const ahead_s = +el("vector").value,
+    drawn = now.rows.filter(r => Number.isFinite(objects.x[r])).map(r => drawnAt(r, w, h, ahead_s));
+  yield;
+  const density = crowding(drawn);
   // What is drawn of an object stays the same while the chart is dragged.
-  crowd = view.spare ? { ...crowd, cells: found.cells } : found;
+  crowd = view.spare ? { ...crowd, cells: density.cells } : density;
+  yield;
   trails(c, w, h, drawn);
+  yield;
   if (shown.ellipses) ellipses(c, drawn);
-  hits = [];
+  yield;
+  found = [];
   marks(c, w, h);
+  yield;
   if (shown.members) memberLines(c, drawn);
+  yield;
   markSymbols(c);
-  symbols(c, drawn);
-  if (shown.labels)
-    labels(
-      c,
-      w,
-      drawn.filter(d => d.inside),
-    );
+  yield;
+  yield* symbols(c, drawn);
+  const inside = drawn.filter(d => d.inside);
+  if (shown.labels) yield* labels(c, w, inside);
+}
+function drawnAt(r, w, h, ahead_s) {
+  const [u, v] = toScreen(objects.x[r], objects.y[r]);
+  return { r, n: objects.n[r], u, v, ahead: vectorEnd(r, u, v, ahead_s), inside: u > -60 && v > -60 && u < w + 60 && v < h + 60 };
 }
 
 // The typical distance between neighbours, px, decides what is drawn: dots, then rings with vectors, then also trails,
@@ -209,13 +247,12 @@ function trails(c, w, h, drawn) {
   for (const d of drawn) {
     if (!drawnInFull(d.n)) continue;
     const ink = d.n === picked ? colour.accent : colour.old,
-      path = groupPath(kinds, ink, { ink }),
-      first = rowsOf.get(d.n)[0];
+      path = groupPath(kinds, ink, { ink });
     // Newest first; a point nearer than four pixels to the previous one is not drawn.
     let [x, y] = [d.u, d.v],
       before = d.r;
     path.moveTo(x, y);
-    for (let r = d.r - 1; r >= first && data.instants[objects.t[r]] >= now.time - back; r--) {
+    for (let r = objects.before[d.r]; r >= 0 && data.instants[objects.t[r]] >= now.time - back; r = objects.before[r]) {
       if (!Number.isFinite(objects.x[r])) continue;
       const [u, v] = toScreen(objects.x[r], objects.y[r]),
         gap = objects.t[before] - objects.t[r] > 20;
@@ -285,7 +322,7 @@ function marks(c, w, h) {
       [u, v] = place ? toScreen(...place) : [NaN, NaN],
       inside = u > -10 && v > -10 && u < w + 10 && v < h + 10;
     if (Number.isFinite(records.bearing[r]) && Number.isFinite(records.sx[r])) directions.push({ r, placed: !!place, inside });
-    if (inside) hits.push({ u, v, r, n: records.n[r], record: true });
+    if (inside) found.push({ u, v, r, n: records.n[r], record: true });
   }
   // Many directions would cover the chart: if there are many, or the object is out of sight, only those of important
   // objects are drawn. A direction without an object is always drawn: it has no other mark.
@@ -294,7 +331,7 @@ function marks(c, w, h) {
 }
 function markSymbols(c) {
   withSprites(c, copy => {
-    for (const hit of hits) if (hit.record) copy(markSprite(records.source[hit.r], hit.n === picked ? 5 : 3.6), hit.u, hit.v);
+    for (const hit of found) if (hit.record) copy(markSprite(records.source[hit.r], hit.n === picked ? 5 : 3.6), hit.u, hit.v);
   });
 }
 function ray(c, r, w, h) {
@@ -349,9 +386,10 @@ function memberLines(c, drawn) {
   c.setLineDash([]);
 }
 
-function symbols(c, drawn) {
+function* symbols(c, drawn) {
   const inside = drawn.filter(d => d.inside);
   vectors(c, inside);
+  yield;
   withSprites(c, copy => {
     // Important objects on top.
     for (const d of inside.sort((a, b) => rank(b) - rank(a))) {
@@ -362,7 +400,7 @@ function symbols(c, drawn) {
         r: isImportant(d.n) ? 8 : crowd.radius,
       };
       copy(symbolSprite(objects.stage[d.r], how), d.u, d.v);
-      hits.push({ u: d.u, v: d.v, n: d.n, r: d.r, record: false });
+      found.push({ u: d.u, v: d.v, n: d.n, r: d.r, record: false });
     }
   });
   const d = inside.find(d => d.n === picked);
@@ -391,8 +429,8 @@ function groupPath(kinds, key, kind) {
 }
 
 // The end of an object's course vector on the screen, or null.
-function vectorEnd(r, u, v) {
-  const far = +el("vector").value * view.scale,
+function vectorEnd(r, u, v, ahead_s) {
+  const far = ahead_s * view.scale,
     du = objects.vx[r] * far,
     dv = -objects.vy[r] * far;
   return objects.stage[r] !== STAGE.ended && Math.hypot(du, dv) > 3 ? [u + du, v + dv] : null;

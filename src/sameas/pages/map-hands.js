@@ -7,6 +7,11 @@ let last = data.instants.length - 1,
 const touches = new Map();
 
 function show(k) {
+  for (const _ of showing(k));
+  draw();
+}
+// By stages, for a live page that is dragged meanwhile.
+function* showing(k) {
   now = instant(Math.min(Math.max(Math.round(k), 0), last));
   slider.value = now.k;
   const [time, day] = clock(now.time);
@@ -14,13 +19,15 @@ function show(k) {
   el("zone").textContent = data.utc ? "UTC" : "";
   el("day").textContent = day;
   slider.setAttribute("aria-valuetext", `${time} ${data.utc ? "UTC" : ""} ${day}`.trim());
+  yield;
   listing();
+  yield;
   showObject();
   showCounts();
   showAlarms();
+  yield;
   strip();
   remember();
-  draw();
 }
 function pick(number, centred = false) {
   picked = number;
@@ -40,8 +47,11 @@ function pick(number, centred = false) {
   if (!centred) showLine();
 }
 function remember() {
+  // The instants of a live page are others when it is opened again.
+  const kept = [data.live ? "" : `t=${now.k}`, picked === null ? "" : `object=${picked}`].filter(Boolean).join("&");
+  if (kept === location.hash.slice(1)) return;
   try {
-    history.replaceState(null, "", `#t=${now.k}${picked === null ? "" : `&object=${picked}`}`);
+    history.replaceState(null, "", `#${kept}`);
   } catch {
     /* some browsers keep no state of files */
   }
@@ -238,7 +248,10 @@ function pointers() {
       const [a, b] = [...touches.values()];
       pinch = Math.hypot(a[0] - b[0], a[1] - b[1]);
       drag = null;
-    } else drag = { u: e.offsetX, v: e.offsetY, x: view.x, y: view.y, moved: false };
+    } else {
+      drag = { u: e.offsetX, v: e.offsetY, x: view.x, y: view.y, moved: false };
+      prepareLayer();
+    }
   });
   chart.addEventListener("pointermove", e => {
     if (touches.has(e.pointerId)) touches.set(e.pointerId, [e.offsetX, e.offsetY]);
@@ -266,7 +279,7 @@ function pointers() {
     if (touches.size < 2) pinch = null;
     if (drag && !drag.moved && e.type === "pointerup") pick(nearest(e.offsetX, e.offsetY));
     if (drag && drag.moved) draw();
-    drag = null;
+    layer = nextLayer = drag = null;
   };
   chart.addEventListener("pointerup", up);
   chart.addEventListener("pointercancel", up);
@@ -402,6 +415,9 @@ window.mapPage = {
   earth,
   get picked() {
     return picked;
+  },
+  get layer() {
+    return layer;
   },
   get now() {
     return now;

@@ -98,17 +98,19 @@ function placed(c, room, d, lines, w) {
   });
   return spot;
 }
-function labels(c, w, drawn) {
+function* labels(c, w, drawn) {
   const named = drawn.filter(d => objects.stage[d.r] !== STAGE.ended).sort((a, b) => rank(a) - rank(b) || a.n - b.n);
   const room = takenRoom(),
     others = takenRoom();
   takeFurniture(room);
   takeSymbols(room, drawn);
+  yield;
   c.font = "12px system-ui, 'DejaVu Sans', sans-serif";
   c.textBaseline = "middle";
   c.textAlign = "left";
   c.setLineDash([]);
-  for (const d of named) {
+  for (const [k, d] of named.entries()) {
+    if (k % 100 === 99) yield;
     const name = nameOf(d.r).slice(0, 24);
     const full = Number.isFinite(objects.speed[d.r]) && (crowd.few || d.n === picked);
     const high = Number.isFinite(objects.height[d.r]) ? ` ${flightLevel(objects.height[d.r])}` : "";

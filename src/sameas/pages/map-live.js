@@ -1,84 +1,10 @@
 // ---- live page: deltas from the server update the tables ----
-// A frame is an instant: rows by number of the object, or by source and row of the record. The newest is the present;
-// every ten seconds one is kept as history, for the slider and the trails. The tables are rebuilt from all frames (at
-// most MOST_ROWS rows) in the layout of the page from a file: rows of an object together, in the order of time.
-const MOST_ROWS = 60000;
-const O = Object.fromEntries(data.live.object.map((name, k) => [name, k])),
-  R = Object.fromEntries(data.live.record.map((name, k) => [name, k]));
-const OBJECT_TEXTS = ["label", "mmsi", "icao", "callsign", "name", "mode_a", "type"];
-const sourceNumber = new Map(data.sensors.map((s, k) => [s.name, k]));
-let frames = [],
-  present = { t: NaN, objects: new Map(), records: new Map(), own: null, cpa: {}, berthed: [], zones: [] },
-  tick = 0,
+let tick = 0,
   watching = true,
   receivedAt = performance.now();
-const interned = new Map();
-function numberOfText(key, words) {
-  if (!interned.has(key)) {
-    interned.set(key, new Map());
-    data.strings[key] = [];
-  }
-  const known = interned.get(key);
-  if (!known.has(words)) {
-    known.set(words, data.strings[key].length);
-    data.strings[key].push(words);
-  }
-  return known.get(words);
-}
 
 // Whether the instant shown is the present: the slider moves it before ``watching`` follows.
 const atPresent = () => watching && (!now || now.k >= last);
-const orNaN = v => (v === null || v === undefined ? NaN : v);
-function assemble() {
-  const all = [...frames, present];
-  let count = 0;
-  const rowsOfNumber = new Map();
-  all.forEach((frame, k) => {
-    for (const [n, row] of frame.objects) {
-      if (!rowsOfNumber.has(n)) rowsOfNumber.set(n, []);
-      rowsOfNumber.get(n).push([k, row]);
-      count++;
-    }
-  });
-  const table = { t: new Float64Array(count), rivals: new Float64Array(count + 1), rivalRows: new Float64Array(0) };
-  for (const name of Object.keys(O)) table[name] = new Float64Array(count);
-  let at = 0;
-  for (const rows of rowsOfNumber.values())
-    for (const [k, row] of rows) {
-      table.t[at] = k;
-      for (const name in O)
-        table[name][at] = OBJECT_TEXTS.includes(name) ? numberOfText(`o.${name}`, row[O[name]] || "") : orNaN(row[O[name]]);
-      at++;
-    }
-  // Records of the present only: history frames have none.
-  const marks = [...present.records.values()],
-    r = { t: new Float64Array(marks.length).fill(all.length - 1), line: new Float64Array(marks.length).fill(-1) };
-  for (const name in R)
-    r[name] = Float64Array.from(marks, row =>
-      name === "source"
-        ? sourceNumber.get(row[R.source])
-        : name === "track_id"
-          ? numberOfText("r.track_id", row[R.track_id] || "")
-          : orNaN(row[R[name]]),
-    );
-  data.instants.splice(0, Infinity, ...all.map(frame => frame.t));
-  tables.o = objects = table;
-  tables.r = records = r;
-  objectsAt = byInstant(objects.t);
-  recordsAt = byInstant(records.t);
-  findRows();
-  last = all.length - 1;
-  slider.max = last;
-  counts = data.instants.map((_, k) => counted(k));
-}
-function dropOldFrames() {
-  let rows = 0;
-  for (const frame of frames) rows += frame.objects.size;
-  while (frames.length && (rows > MOST_ROWS || present.t - frames[0].t > data.live.history)) {
-    rows -= frames[0].objects.size;
-    frames.shift();
-  }
-}
 function applyDelta(delta) {
   if (Number.isFinite(present.t) && (!frames.length || present.t - frames[frames.length - 1].t >= data.live.every))
     frames.push({ t: present.t, objects: new Map(present.objects) });
@@ -101,13 +27,27 @@ function applyDelta(delta) {
   applyAlarms(delta.alarms || []);
   dropOldFrames();
 }
-function renew() {
+function* renewal() {
   const shownTime = now && !watching ? now.time : null;
   assemble();
   for (const a of data.alarms) a.instant = a.active ? null : nearestInstant(a.time);
-  const k = shownTime === null ? last : nearestInstant(shownTime);
-  show(k);
+  yield* showing(shownTime === null ? last : nearestInstant(shownTime));
   showApproaches();
+}
+function renew() {
+  renewing = null;
+  for (const _ of renewal());
+  draw();
+}
+// While the chart is dragged, what a tick changes is done in several frames, and the next one waits for it.
+let renewing = null;
+function renewByStages() {
+  if (isPainting()) return nextFrame(), void requestAnimationFrame(renewByStages);
+  renewing ||= renewal();
+  if (!renewing.next().done) return void requestAnimationFrame(renewByStages);
+  renewing = null;
+  redraw();
+  renewed();
 }
 
 // ---- alarms; operators may acknowledge them ----
@@ -477,15 +417,18 @@ function receive(event) {
   mark();
   if (queued) return;
   queued = true;
-  requestAnimationFrame(() => {
-    queued = false;
-    if (!watching && now) {
-      // While the user looks at the past, the tables are not updated.
-      if (now.k < last) return;
-    }
-    renew();
-    document.body.dataset.tick = String(tick);
-  });
+  requestAnimationFrame(takeIn);
+}
+function takeIn() {
+  // While the user looks at the past, the tables are not updated.
+  if (!watching && now && now.k < last) return void (queued = false);
+  if (isDragged()) return renewByStages();
+  renew();
+  renewed();
+}
+function renewed() {
+  queued = false;
+  document.body.dataset.tick = String(tick);
 }
 try {
   const history = await (await fetch("history")).json();
@@ -503,6 +446,9 @@ window.mapPage.live = {
   },
   get present() {
     return present;
+  },
+  get tables() {
+    return { objects, counts, frames: [...written, present] };
   },
   renew,
 };

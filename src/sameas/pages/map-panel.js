@@ -35,10 +35,10 @@ async function showObject() {
     const [first, last] = rowsOf.get(number);
     box.replaceChildren(
       shut,
-      text("h2", nameOf(last - 1)),
+      text("h2", nameOf(last)),
       text(
         "p",
-        `Object ${number} is not in the picture at this time; it is from ${clock(data.instants[objects.t[first]])[0]} to ${clock(data.instants[objects.t[last - 1]])[0]}.`,
+        `Object ${number} is not in the picture at this time; it is from ${clock(data.instants[objects.t[first]])[0]} to ${clock(data.instants[objects.t[last]])[0]}.`,
         "hint",
       ),
     );

@@ -67,17 +67,18 @@ let objects = tables.o,
 const textOf = (table, name, row) => data.strings[`${table}.${name}`][tables[table][name][row]];
 const STAGE = Object.fromEntries(data.stages.map((name, k) => [name, k]));
 
-// Rows of an object are contiguous, in the order of time.
-const rowsOf = new Map();
-function findRows() {
-  rowsOf.clear();
-  for (let row = 0, start = 0; row < objects.n.length; row++)
-    if (objects.n[row + 1] !== objects.n[row]) {
-      rowsOf.set(objects.n[row], [start, row + 1]);
-      start = row + 1;
-    }
+// The first and last row of every object, by its number; a column has the row before each, or -1. Rows of an object are in
+// the order of time.
+function findRows(table, from, to, spans) {
+  for (let row = from; row < to; row++) {
+    const [first, before] = spans.get(table.n[row]) || [row, -1];
+    table.before[row] = before;
+    spans.set(table.n[row], [first, row]);
+  }
+  return spans;
 }
-findRows();
+objects.before = new Int32Array(objects.n.length);
+let rowsOf = findRows(objects, 0, objects.n.length, new Map());
 
 const unpackedTexts = new Map();
 async function whyText(number, instant) {

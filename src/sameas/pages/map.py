@@ -77,8 +77,9 @@ def _column(name: str, values: FloatArray, step: float) -> tuple[dict[str, Any],
     return head, b"".join([*planes, present.astype(np.uint8).tobytes() if holes else b""])
 
 
-#: The scripts of the page, each after those it uses.
+#: The scripts of the page, each after those it uses; further ones of a live page.
 SCRIPTS = ("table", "words", "earth", "marks", "labels", "chart", "ground", "panel", "listing", "hands")
+LIVE_SCRIPTS = ("tiles", "history", "live")
 #: Size of the chart relative to the extent of the data, and its least half width in metres.
 ROOM, MIN_M = 4.0, 20e3
 #: Step of stored probabilities.
@@ -108,7 +109,7 @@ def map_page(sheet: MapSheet, live: Mapping[str, Any] | None = None) -> str:
     settings = _settings(sheet) | {"columns": heads, "strings": strings | tracks, "live": live}
     marks = {
         "css": asset("map.css"),
-        "js": "\n".join(asset(f"map-{name}.js") for name in (SCRIPTS if live is None else (*SCRIPTS, "tiles", "live"))),
+        "js": "\n".join(asset(f"map-{name}.js") for name in (SCRIPTS if live is None else SCRIPTS + LIVE_SCRIPTS)),
         "data": script_safe(settings),
         "columns": columns,
         "texts": script_safe(_texts(sheet)),
