@@ -17,7 +17,8 @@ from benchmarks.recovered import true_rule
 from benchmarks.registration import draw_scene, with_positions
 from benchmarks.tables import Table, report
 from sameas import Errors, Identification, Records, identify
-from sameas.estimate.match import Estimate, match
+from sameas.estimate.match import match
+from sameas.estimate.result import Estimate
 from sameas.evidence import Magnitudes, Rule
 from sameas.kernels import compiled
 from sameas.registration import Shift, register

@@ -22,7 +22,8 @@ from benchmarks.recovered import true_rule
 from benchmarks.tables import Table, report
 from sameas import Identification, Sphere, identify
 from sameas.estimate.blends import Blends, find_blends
-from sameas.estimate.match import DEFAULT_MATCH, match
+from sameas.estimate.match import match
+from sameas.estimate.result import DEFAULT_MATCH
 from sameas.evidence import Column, Magnitudes, Related
 from sameas.records import Records
 from sameas.score.pairs import is_true_pair, reliability

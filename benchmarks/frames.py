@@ -17,7 +17,8 @@ from benchmarks import accuracy, peers, workload
 from benchmarks.recovered import recovered, true_rule
 from benchmarks.tables import Table, report
 from sameas import Identification, identify
-from sameas.estimate.match import Estimate, match
+from sameas.estimate.match import match
+from sameas.estimate.result import Estimate
 from sameas.evidence import Magnitudes
 from sameas.score.pairs import is_true_pair, score_probabilities
 from sameas.simulate.catalogues import FrameAndCatalogue, Sky, exposure, misquoted, with_outliers

@@ -10,8 +10,9 @@ import numpy as np
 
 from benchmarks.tables import Table
 from sameas import PoissonField
-from sameas.estimate.match import Estimate, match
+from sameas.estimate.match import match
 from sameas.estimate.quantity import Quantity
+from sameas.estimate.result import Estimate
 from sameas.evidence import Magnitudes
 from sameas.simulate.catalogues import FrameAndCatalogue, Sky, exposure, misquoted, with_outliers
 from sameas.space import displaced

@@ -9,8 +9,9 @@ import pytest
 
 from problems import counterparts_of_ellipses
 from sameas import InputError, PoissonField, Records, identify
-from sameas.estimate.match import MatchTuning, match
+from sameas.estimate.match import match
 from sameas.estimate.photometry import Photometry, Sample, density_of, fit_relation
+from sameas.estimate.result import MatchTuning
 from sameas.evidence import Brightness, Chain, Magnitudes, SourceMagnitudes
 from sameas.evidence.detection import DetectionCurve, Hats, ShareCurve, knots_of, logit, share_error
 from sameas.score.pairs import is_true_pair, score_probabilities

@@ -8,8 +8,10 @@ from typer.testing import CliRunner
 import sameas
 from sameas import InputError
 from sameas.cli.app import app
-from sameas.estimate.columns import ColumnEvidence, ColumnsTuning
-from sameas.estimate.match import MatchTuning, match
+from sameas.estimate.columns import ColumnEvidence
+from sameas.estimate.match import match
+from sameas.estimate.result import MatchTuning
+from sameas.estimate.share_regression import ColumnsTuning
 from sameas.evidence import Column, Errors, OddsTable, Related
 from sameas.score.pairs import is_true_pair
 from sameas.simulate import counterparts

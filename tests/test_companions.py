@@ -19,7 +19,8 @@ from sameas.estimate.companions import (
     share_within,
 )
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.match import DEFAULT_MATCH, match
+from sameas.estimate.match import match
+from sameas.estimate.result import DEFAULT_MATCH
 from sameas.estimate.sample import Setting
 from sameas.score.pairs import is_true_pair
 from sameas.simulate.catalogues import couples_field

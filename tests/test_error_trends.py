@@ -10,7 +10,8 @@ import pytest
 from sameas import Identification, Records
 from sameas.arrays import FloatArray
 from sameas.estimate.error_model import DEFAULT_ERROR_FIT
-from sameas.estimate.match import Estimate, MatchTuning, match
+from sameas.estimate.match import match
+from sameas.estimate.result import Estimate, MatchTuning
 from sameas.evidence import Errors, Magnitudes
 from sameas.score.pairs import is_true_pair
 from sameas.simulate.catalogues import growing_field

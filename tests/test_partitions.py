@@ -23,8 +23,8 @@ from typer.testing import CliRunner
 
 from sameas.cli.app import app
 from sameas.estimate.em import EMTuning
-from sameas.estimate.match import MatchTuning
 from sameas.estimate.places import CellCounts, Places, PlacesTuning, SampleRecords, learn
+from sameas.estimate.result import MatchTuning
 from sameas.io import read_table
 from sameas.io.atomic import held
 from sameas.partitions import healpix, run

@@ -8,7 +8,8 @@ import pytest
 
 from sameas import Radius, Records
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.match import MatchTuning, match
+from sameas.estimate.match import match
+from sameas.estimate.result import MatchTuning
 from sameas.estimate.sample import Sampling, Setting
 from sameas.simulate.scenes import Cap, poisson_field, sky_field
 

@@ -10,7 +10,7 @@ from . import sky as sky
 from . import tracks as tracks
 from ._identify import identify as identify
 from .errors import InputError as InputError
-from .estimate.match import Estimate as Estimate
+from .estimate.result import Estimate as Estimate
 from .evidence import CloseObjects as CloseObjects
 from .evidence import ConstantCost as ConstantCost
 from .evidence import Displacement as Displacement

@@ -1,14 +1,10 @@
 """Evidence of columns for whether a record has a partner, estimated together with the identification.
 
-All columns of a source are fitted jointly: ln r (METHOD 6, equation 6.6) is their addition to the logit of the share of
-records with a partner, fitted by penalised likelihood to the probability that each record has one,
-
-    logit P(partner | position, c) = logit of the local share + Σ f(c of one column) + Σ g(cells of two columns).
-
-So correlated columns are not counted twice, and no column gets more weight than the pairs support: the penalty draws
-curves and tables to zero. No record influences its own evidence: what is applied to the records of some cells of the
-sky is fitted to the others (cross-fitting). A column without a significant gain in likelihood for records that it was
-not fitted to is dropped, and reported.
+The columns of a source are fitted jointly (:mod:`sameas.estimate.share_regression`): ln r (METHOD 6, equation 6.6) is
+their addition to the logit of the share of records with a partner. Related columns of both sources are tables of how
+much oftener their values occur together in pairs than apart. No record influences its own evidence: what is applied to
+the records of some cells of the sky is fitted to the others (cross-fitting). A column without a significant gain in
+likelihood for records that it was not fitted to is dropped, and reported.
 """
 
 from __future__ import annotations
@@ -16,104 +12,27 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.estimate.sample import Setting
+from sameas.estimate.share_regression import (
+    DEFAULT_COLUMNS,
+    ColumnFinding,
+    ColumnsTuning,
+    ShareFit,
+    ShareRegression,
+    quantiles,
+)
 from sameas.evidence.columns import Association, CodedColumn, Column, Columns, Related
-from sameas.evidence.detection import Hats, logit, roughness
+from sameas.evidence.detection import Hats
 from sameas.gate import Pairs
 from sameas.records import Records
 from sameas.representation import in_short
 
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
 Both = tuple[FloatArray, FloatArray]
-
-
-@dataclass(frozen=True)
-class ColumnsTuning:
-    """Parameters of the fit; tuned on simulated counterparts of X-ray sources (``simulate.counterparts``).
-
-    Attributes
-    ----------
-    folds : number of folds for cross-fitting.
-    per_cell : mean number of records of the poorer source in the cells that are assigned to folds, at least.
-    per_knot, max_knots : expected partners per knot of a curve, and their greatest number, without ``knots_of_all``.
-    knots_of_all : knots at quantiles of all records.
-    extreme : share of the partners beyond the outermost of their knots.
-    bend_sigma, value_sigma : prior scale of a curve's second differences, and prior standard deviation of its value.
-    freedom : degrees of freedom of Student's t, the prior of the second differences: a curve may break at a knot, such
-        as at the limit of a catalogue.
-    word_sigma : prior standard deviation of the value for a word or a missing value. joint_sigma : for cells of two
-        columns.
-    max_words : number of categories of a column, the most frequent ones.
-    cells : coarse cells of a column in a joint table. per_joint_cell : expected partners per cell of such a table; with
-        fewer it is not used.
-    max_unmatched : size of the sample of records without a partner. min_p : records with this probability of a partner
-        are sampled separately; max_likely : size of that sample.
-    steps, first_steps, max_step, tolerance : Newton steps of later fits and the first one, greatest step, and the step
-        at convergence.
-    max_log_ratio : ln r is clipped to ± this.
-    min_gain : gain in ln likelihood, for records not fitted to, to use a column.
-    min_partners : expected partners for any fit.
-    per_related_cell, max_related : pairs per cell of a table of related columns, and its greatest size per axis.
-        pseudo_count : pairs added to each cell, as if unrelated.
-    """
-
-    folds: int = 4
-    per_cell: float = 5.0
-    per_knot: float = 40.0
-    max_knots: int = 16
-    knots_of_all: int = 6
-    extreme: float = 0.003
-    bend_sigma: float = 0.7
-    freedom: float = 2.0
-    value_sigma: float = 6.0
-    word_sigma: float = 2.0
-    joint_sigma: float = 0.5
-    max_words: int = 24
-    cells: int = 4
-    per_joint_cell: float = 20.0
-    max_unmatched: int = 6_000
-    min_p: float = 1e-3
-    max_likely: int = 6_000
-    steps: int = 4
-    first_steps: int = 12
-    max_step: float = 2.0
-    tolerance: float = 0.02
-    max_log_ratio: float = 12.0
-    min_gain: float = 3.0
-    min_partners: float = 30.0
-    per_related_cell: float = 6.0
-    max_related: int = 16
-    pseudo_count: float = 2.0
-
-
-DEFAULT_COLUMNS = ColumnsTuning()
-
-
-@in_short
-@dataclass(frozen=True)
-class ColumnFinding:
-    """The evidence of one column: ``gain`` in ln likelihood for records that it was not fitted to.
-
-    source : 1 or 2; 0 for two related columns, the second of which is ``other``. used : whether it is used. span : the
-    1 % and 99 % quantiles of ln r by this column alone.
-    """
-
-    source: int
-    name: str
-    gain: float
-    used: bool
-    span: tuple[float, float] = (0.0, 0.0)
-    other: str = ""
 
 
 @in_short
@@ -128,7 +47,7 @@ class ColumnEvidence:
 
     sides: tuple[tuple[CodedColumn, ...], tuple[CodedColumn, ...]] = field(repr=False)
     relations: tuple[tuple[CodedColumn, CodedColumn], ...] = field(repr=False, default=())
-    fits: tuple[_Fit | None, _Fit | None] = field(repr=False, default=(None, None))
+    fits: tuple[ShareFit | None, ShareFit | None] = field(repr=False, default=(None, None))
     associations: tuple[Association, ...] = field(repr=False, default=())
     folds: tuple[IntArray, IntArray] | None = field(repr=False, default=None)
     log_ratio: Both | None = field(repr=False, default=None)
@@ -257,14 +176,14 @@ class ColumnEvidence:
         used. In the first and the ``last`` fit, uninformative columns are dropped.
         """
         assert self.folds is not None
-        fits: list[_Fit | None] = []
+        fits: list[ShareFit | None] = []
         findings: list[ColumnFinding] = []
         for source, (side, p, at, is_covered, fold, previous) in enumerate(
             zip(self.sides, partner, offset, covered, self.folds, self.fits, strict=True), start=1
         ):
             columns = _to_fit(side)
             regression = (
-                _ShareRegression.of(p, at, is_covered, fold, previous, columns, self.tuning) if columns else None
+                ShareRegression.of(p, at, is_covered, fold, previous, columns, self.tuning) if columns else None
             )
             if regression is None:
                 fits.append(None)
@@ -301,347 +220,6 @@ def _to_fit(side: Sequence[CodedColumn]) -> tuple[CodedColumn, ...]:
     return tuple(column for column in side if column.log_odds is None)
 
 
-# ---- joint fit of a source's columns ----
-
-
-@in_short
-@dataclass(frozen=True)
-class _Basis:
-    """The basis functions of one column: a curve, or a value for each of some words; and a value if missing.
-
-    knots : (k,), or the codes of words. edges : of its coarse cells in joint tables.
-    """
-
-    knots: FloatArray
-    words: bool
-    edges: FloatArray
-
-    @classmethod
-    def of(cls, column: CodedColumn, weight: FloatArray, partners: float, tuning: ColumnsTuning) -> _Basis:
-        """For a column, at records with these weights (n,) of having a partner."""
-        known = np.isfinite(column.values)
-        if column.words is not None:
-            codes, count = np.unique(column.values[known], return_counts=True)
-            codes = np.sort(codes[np.argsort(-count, kind="stable")[: tuning.max_words]])
-            return cls(codes, True, codes)
-        x, w = column.values[known], weight[known]
-        if not len(x):
-            return cls(np.zeros(1), False, np.empty(0))
-        number = int(np.clip(partners / tuning.per_knot, 2, tuning.max_knots))
-        levels = np.linspace(tuning.extreme, 1.0 - tuning.extreme, number)
-        of_partners = _quantiles(x, w, levels) if w.sum() > 0.0 else np.empty(0)
-        of_all = np.quantile(x, np.linspace(0.002, 0.998, tuning.knots_of_all))
-        knots = np.unique(np.concatenate([of_partners, of_all]))
-        min_distance = 1e-3 * max(float(knots[-1] - knots[0]), 1e-12)
-        knots = knots[np.append(True, np.diff(knots) > min_distance)]
-        inner = np.linspace(0.0, 1.0, tuning.cells + 1)[1:-1]
-        edges = np.unique(_quantiles(x, w, inner)) if w.sum() > 0.0 else np.empty(0)
-        return cls(knots, False, edges)
-
-    @property
-    def size(self) -> int:
-        """Number of functions."""
-        return len(self.knots) + 1
-
-    def penalty(self, tuning: ColumnsTuning, values: FloatArray) -> FloatArray:
-        """(size, size) at coefficients (size,): the weight of a second difference falls with its size (Student's t)."""
-        out, k = np.eye(self.size) / tuning.word_sigma**2, len(self.knots)
-        if not self.words:
-            bends = np.diff(values[:k], n=2) / tuning.bend_sigma
-            weight = (tuning.freedom + 1.0) / (tuning.freedom + bends**2)
-            out[:k, :k] = roughness(k, tuning.bend_sigma, weight) + np.eye(k) / tuning.value_sigma**2
-        return out
-
-    def design(self, values: FloatArray) -> FloatArray:
-        """(n, size) the basis functions at values (n,)."""
-        out, rows, k = np.zeros((len(values), self.size)), np.arange(len(values)), len(self.knots)
-        missing = ~np.isfinite(values)
-        if self.words:
-            at, known = self._code(values)
-            out[rows[known], at[known]] = 1.0
-        else:
-            hats = Hats.at(self.knots, np.where(missing, self.knots[0], values))
-            out[rows, hats.left] = 1.0 - hats.part
-            out[rows, np.minimum(hats.left + 1, k - 1)] += hats.part
-            out[missing] = 0.0
-        out[missing, k] = 1.0
-        return out
-
-    def values(self, coefficients: FloatArray, fold: IntArray, x: FloatArray) -> FloatArray:
-        """(n,) the sum of the basis functions at x (n,), with the coefficients (folds, size) of these folds (n,)."""
-        k, missing = len(self.knots), ~np.isfinite(x)
-        if self.words:
-            at, known = self._code(x)
-            return np.where(missing, coefficients[fold, k], np.where(known, coefficients[fold, at], 0.0))
-        hats = Hats.at(self.knots, np.where(missing, self.knots[0], x))
-        right = np.minimum(hats.left + 1, k - 1)
-        curve = (1.0 - hats.part) * coefficients[fold, hats.left] + hats.part * coefficients[fold, right]
-        return np.where(missing, coefficients[fold, k], curve)
-
-    def _code(self, values: FloatArray) -> tuple[IntArray, BoolArray]:
-        at = np.clip(np.searchsorted(self.knots, np.where(np.isfinite(values), values, -1.0)), 0, len(self.knots) - 1)
-        return at, self.knots[at] == values
-
-    @property
-    def cells(self) -> int:
-        """Number of coarse cells; the last is for missing values and infrequent words."""
-        return len(self.edges) + (1 if self.words else 2)
-
-    def cell(self, values: FloatArray) -> IntArray:
-        """(n,) coarse cells."""
-        if self.words:
-            at, known = self._code(values)
-            return np.where(known, at, len(self.knots))
-        return np.where(np.isfinite(values), np.searchsorted(self.edges, values), len(self.edges) + 1)
-
-
-def _quantiles(x: FloatArray, weight: FloatArray, levels: FloatArray) -> FloatArray:
-    """Weighted quantiles of x at these levels."""
-    order = np.argsort(x, kind="stable")
-    cumulated = np.cumsum(weight[order])
-    return np.asarray(x[order][np.minimum(np.searchsorted(cumulated, levels * cumulated[-1]), len(x) - 1)])
-
-
-@in_short
-@dataclass(frozen=True)
-class _Bases:
-    """The basis functions of all used columns, and the joint tables of pairs of columns with enough partners.
-
-    used : (c,) whether a column is used. two : pairs of columns.
-    """
-
-    single: tuple[_Basis, ...]
-    used: tuple[bool, ...]
-    two: tuple[tuple[int, int], ...]
-
-    @classmethod
-    def of(cls, columns: Sequence[CodedColumn], weight: FloatArray, partners: float, tuning: ColumnsTuning) -> _Bases:
-        single = tuple(_Basis.of(column, weight, partners, tuning) for column in columns)
-        two = [
-            (a, b)
-            for a, b in combinations(range(len(columns)), 2)
-            if single[a].cells * single[b].cells * tuning.per_joint_cell <= partners
-        ]
-        return cls(single, (True,) * len(columns), tuple(two))
-
-    def without(self, k: int) -> _Bases:
-        """The basis without column k."""
-        return replace(
-            self, used=tuple(used and n != k for n, used in enumerate(self.used)),
-            two=tuple(pair for pair in self.two if k not in pair),
-        )  # fmt: skip
-
-    def without_pair(self, pair: tuple[int, int]) -> _Bases:
-        """The basis without the joint table of these two columns."""
-        return replace(self, two=tuple(two for two in self.two if two != pair))
-
-    def cells(self, a: int, b: int) -> int:
-        """Number of cells of a joint table."""
-        return self.single[a].cells * self.single[b].cells
-
-    def cell(self, a: int, b: int, columns: Sequence[CodedColumn]) -> IntArray:
-        """(n,) cells of a joint table."""
-        return self.single[a].cell(columns[a].values) * self.single[b].cells + self.single[b].cell(columns[b].values)
-
-    def design(self, columns: Sequence[CodedColumn]) -> FloatArray:
-        """(n, P) all basis functions at the values of the columns."""
-        blocks = [
-            basis.design(column.values)
-            for basis, column, used in zip(self.single, columns, self.used, strict=True)
-            if used
-        ]
-        for a, b in self.two:
-            cell = self.cell(a, b, columns)
-            block = np.zeros((len(cell), self.cells(a, b)))
-            block[np.arange(len(cell)), cell] = 1.0
-            blocks.append(block)
-        return np.hstack(blocks) if blocks else np.zeros((len(columns[0].values), 0))
-
-    def penalty(self, tuning: ColumnsTuning, values: FloatArray) -> FloatArray:
-        """(P, P) at coefficients (P,)."""
-        parts: list[FloatArray] = []
-        for basis, used in zip(self.single, self.used, strict=True):
-            if used:
-                begin = sum(map(len, parts))
-                parts.append(basis.penalty(tuning, values[begin : begin + basis.size]))
-        parts += [np.eye(self.cells(a, b)) / tuning.joint_sigma**2 for a, b in self.two]
-        out, at = np.zeros((sum(map(len, parts)),) * 2), 0
-        for part in parts:
-            out[at : at + len(part), at : at + len(part)] = part
-            at += len(part)
-        return out
-
-
-@in_short
-@dataclass(frozen=True)
-class _Fit:
-    """Coefficients (folds, P), each fitted without one of the folds; ``whole`` (P,) from all."""
-
-    bases: _Bases
-    coefficients: FloatArray
-    whole: FloatArray
-    max_log_ratio: float
-
-    def log_ratio(self, columns: Sequence[CodedColumn], fold: IntArray) -> FloatArray:
-        """(n,) ln r of records in these folds."""
-        out, begin, bases = np.zeros(len(fold)), 0, self.bases
-        for basis, column, used in zip(bases.single, columns, bases.used, strict=True):
-            if used:
-                out += basis.values(self.coefficients[:, begin : begin + basis.size], fold, column.values)
-                begin += basis.size
-        for a, b in bases.two:
-            out += self.coefficients[fold, begin + bases.cell(a, b, columns)]
-            begin += bases.cells(a, b)
-        return np.clip(out, -self.max_log_ratio, self.max_log_ratio)
-
-
-@dataclass(frozen=True)
-class _ShareRegression:
-    """A sample of the records of a source, for the regression of the share with a partner.
-
-    columns : at these records. p, offset, fold : (n,) probability of a partner, logit expected without columns, fold.
-    weight : (n,) number of records that each represents. previous : the fit to start from.
-    """
-
-    columns: tuple[CodedColumn, ...]
-    p: FloatArray
-    offset: FloatArray
-    fold: IntArray
-    weight: FloatArray
-    bases: _Bases
-    previous: _Fit | None
-    tuning: ColumnsTuning
-
-    @classmethod
-    def of(
-        cls, partner: FloatArray, offset: FloatArray, covered: BoolArray, fold: IntArray, previous: _Fit | None,
-        columns: Sequence[CodedColumn], tuning: ColumnsTuning,
-    ) -> _ShareRegression | None:  # fmt: skip
-        """The regression; None with too few partners."""
-        likely = np.flatnonzero(covered & (partner >= tuning.min_p))
-        alone = np.flatnonzero(covered & (partner < tuning.min_p))
-        partners = float(partner[likely].sum())
-        if partners < tuning.min_partners:
-            return None
-        parts = []
-        for rows, enough in ((likely, tuning.max_likely), (alone, tuning.max_unmatched)):
-            step = max(1, -(-len(rows) // enough))
-            kept = rows[::step]
-            parts.append((kept, np.full(len(kept), len(rows) / max(len(kept), 1))))
-        rows, weight = (np.concatenate(both) for both in zip(*parts, strict=True))
-        some = tuple(column.take(rows) for column in columns)
-        p = partner[rows]
-        # The basis stays the same, so that a fit can start from the previous one.
-        bases = _Bases.of(some, p * weight, partners, tuning) if previous is None else previous.bases
-        return cls(some, p, offset[rows], fold[rows], weight, bases, previous, tuning)
-
-    def fit(self, bases: _Bases) -> _Fit:
-        """The fit of greatest penalised likelihood; those without a fold are one Newton step from that of all."""
-        design = _sparse(bases.design(self.columns))
-        resumed = self.previous is not None and self.previous.bases is bases
-        values = self.previous.whole.copy() if resumed and self.previous else np.zeros(design.shape[1])
-        folds = [np.flatnonzero(self.fold == fold) for fold in range(self.tuning.folds)]
-        for _ in range(self.tuning.steps if resumed else self.tuning.first_steps):
-            penalty = bases.penalty(self.tuning, values)
-            slope, curvature = self._derivatives(design, values, slice(None))
-            if not _is_positive_definite(curvature + penalty):
-                # Not concave: take an EM step, with the curvature of certain partners.
-                slope, curvature = self._derivatives(design, values, slice(None), certain=True)
-            step = np.linalg.solve(curvature + penalty, slope - penalty @ values)
-            step *= min(1.0, self.tuning.max_step / max(float(np.abs(step).max(initial=0.0)), 1e-12))
-            values = values + step
-            if np.abs(step).max(initial=0.0) < self.tuning.tolerance:
-                break
-        parts, penalty = [self._derivatives(design[k], values, k) for k in folds], bases.penalty(self.tuning, values)
-        slope, curvature = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
-        if not all(_is_positive_definite(curvature - own + penalty) for _, own in parts):
-            parts = [self._derivatives(design[k], values, k, certain=True) for k in folds]
-            slope, curvature = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
-        without = [
-            values + np.linalg.solve(curvature - own + penalty, slope - own_slope - penalty @ values)
-            for own_slope, own in parts
-        ]
-        return _Fit(bases, np.array(without), values, self.tuning.max_log_ratio)
-
-    def _derivatives(
-        self, design: csr_array, values: FloatArray, rows: IntArray | slice, *, certain: bool = False
-    ) -> tuple[FloatArray, FloatArray]:
-        """Slope (P,) and negative curvature (P, P) of ln likelihood Σ ln [q r + 1 − q] − ln [π r + 1 − π] (see
-        :meth:`gain`) of some records; ``certain`` takes the curvature for certain partners."""
-        log_ratio, offset, weight = design @ values, self.offset[rows], self.weight[rows]
-        share = _probability(offset + log_ratio)
-        p = np.where(self.p[rows] > 0.0, _probability(self.log_odds_without[rows] + log_ratio), 0.0)
-        bend = share * (1.0 - share) - (0.0 if certain else p * (1.0 - p))
-        weighted = design.multiply((weight * bend)[:, None]).tocsr()
-        return design.T @ (weight * (p - share)), (weighted.T @ design).toarray()
-
-    @cached_property
-    def log_odds_without(self) -> FloatArray:
-        """(n,) logit of q, the probability of a partner without the columns."""
-        included = 0.0 if self.previous is None else self.previous.log_ratio(self.columns, self.fold)
-        return np.asarray(logit(self.p) - included)
-
-    def informative(self, source: int) -> tuple[_Fit | None, list[ColumnFinding]]:
-        """The fit with the informative columns, and the findings for all."""
-        weight, findings = self.p * self.weight, []
-        bases = _Bases.of(self.columns, weight, float(weight.sum()), self.tuning)
-        best = self.fit(bases)
-        best_gain = self.gain(best)
-        for pair in bases.two:
-            fewer = bases.without_pair(pair)
-            rest = self.fit(fewer)
-            if best_gain - (without := self.gain(rest)) <= self.tuning.min_gain:
-                bases, best, best_gain = fewer, rest, without
-        for k, column in enumerate(self.columns):
-            fewer = bases.without(k)
-            rest = self.fit(fewer)
-            gain = best_gain - (without := self.gain(rest))
-            if gain <= self.tuning.min_gain:
-                bases, best, best_gain = fewer, rest, without
-            findings.append(ColumnFinding(source, column.name, gain, gain > self.tuning.min_gain, self._span(column)))
-        return best, findings
-
-    def _span(self, column: CodedColumn) -> tuple[float, float]:
-        """The 1 % and 99 % quantiles of ln r by this column alone."""
-        bases = _Bases.of([column], self.p * self.weight, float((self.p * self.weight).sum()), self.tuning)
-        alone = replace(self, columns=(column,), bases=bases, previous=None)
-        low, high = np.quantile(alone.fit(bases).log_ratio([column], self.fold), (0.01, 0.99))
-        return float(low), float(high)
-
-    def gain(self, fit: _Fit) -> float:
-        """Gain in ln likelihood of the columns' values over no evidence, with cross-fitted coefficients.
-
-        Per record ln [q r + 1 − q] − ln [π r + 1 − π], with q the probability of a partner without the columns, and π
-        that by the position.
-        """
-        if fit.coefficients.shape[1] == 0:
-            return 0.0
-        r = np.expm1(fit.log_ratio(self.columns, self.fold))
-        q = np.where(self.p < self.tuning.min_p * 1e-3, 0.0, _probability(self.log_odds_without))
-        return float((self.weight * (np.log1p(q * r) - np.log1p(_probability(self.offset) * r))).sum())
-
-
-def _sparse(design: FloatArray) -> csr_array:
-    """A design (n, P), of whose functions few differ from 0 at a record: products of it as dense matrices would be as
-    fast, but for the threads of BLAS, which take 100 times as long where other processes keep the cores busy."""
-    from scipy.sparse import csr_array
-
-    return csr_array(design)
-
-
-def _probability(logits: FloatArray) -> FloatArray:
-    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logits, -40.0, 40.0))))
-
-
-def _is_positive_definite(curvature: FloatArray) -> bool:
-    """Whether a symmetric matrix is positive definite."""
-    try:
-        np.linalg.cholesky(curvature)
-    except np.linalg.LinAlgError:
-        return False
-    return True
-
-
 # ---- related columns ----
 
 
@@ -653,7 +231,7 @@ def _knots(column: CodedColumn, weight: FloatArray, rows: NDArray[np.integer], n
         return np.arange(len(column.words), dtype=np.float64)
     if not known.any() or not w[known].sum() > 0.0:
         return np.zeros(1)
-    return np.unique(_quantiles(values[known], w[known], (np.arange(number) + 0.5) / number))
+    return np.unique(quantiles(values[known], w[known], (np.arange(number) + 0.5) / number))
 
 
 def _cells_and_parts(column: CodedColumn, knots: FloatArray) -> tuple[IntArray, FloatArray]:

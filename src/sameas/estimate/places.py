@@ -27,8 +27,9 @@ from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import DEFAULT_COVERAGE, Coverage, CoverageTuning
 from sameas.estimate.em import EMTuning, Estimates
 from sameas.estimate.grades import Grades
-from sameas.estimate.match import DEFAULT_MATCH, Assumed, Estimate, MatchTuning, match_sample
+from sameas.estimate.match import Assumed, match_sample
 from sameas.estimate.photometry import Photometry
+from sameas.estimate.result import DEFAULT_MATCH, Estimate, MatchTuning
 from sameas.estimate.sample import Sampling, Setting
 from sameas.evidence import Column, Errors, Magnitudes, MeasuredMagnitudes, Related, Rule
 from sameas.gate import Pairs, Radius

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from astropy.table import Table
     from matplotlib.figure import Figure
 
-    from sameas.estimate.match import Assumed, Estimate
+    from sameas.estimate.match import Assumed
+    from sameas.estimate.result import Estimate
     from sameas.evidence import Magnitudes
     from sameas.front.request import Request
     from sameas.result import Explanation, Identification

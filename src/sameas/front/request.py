@@ -28,7 +28,7 @@ from sameas.kernels import threads
 from sameas.representation import ORDINALS, in_short
 
 if TYPE_CHECKING:
-    from sameas.estimate.match import Estimate
+    from sameas.estimate.result import Estimate
     from sameas.result import Identification
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions, SkyMatch

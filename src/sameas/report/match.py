@@ -19,8 +19,8 @@ from sameas.arrays import ABSENT, BoolArray, FloatArray, median, taken
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.error_model import ErrorModel
-from sameas.estimate.match import Estimate
 from sameas.estimate.quantity import Quantity
+from sameas.estimate.result import Estimate
 from sameas.evidence import Errors
 from sameas.evidence.detection import DetectionCurve
 from sameas.gate.gate import quantile

@@ -19,8 +19,8 @@ from sameas.errors import InputError, Message, naming
 from sameas.estimate.blends import suspected_blends
 from sameas.estimate.companions import close_neighbours
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.match import Estimate
 from sameas.estimate.match import match as estimate_match
+from sameas.estimate.result import Estimate
 from sameas.estimate.sample import Setting
 from sameas.evidence import Column, Errors, Related
 from sameas.gate import ChiSquare, Radius

@@ -21,7 +21,8 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, median, robust_scale
 from sameas.errors import InputError, Message, naming
-from sameas.estimate.match import Estimate, match
+from sameas.estimate.match import match
+from sameas.estimate.result import Estimate
 from sameas.evidence import Magnitudes
 from sameas.records import Records
 from sameas.representation import in_short

@@ -1,0 +1,220 @@
+"""The result of a crossmatch with everything estimated: :class:`Estimate`, and the limits it was made with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from sameas.estimate.columns import ColumnEvidence
+from sameas.estimate.coverage import DEFAULT_COVERAGE, Coverage, CoverageTuning
+from sameas.estimate.em import DEFAULT_EM, EMTuning
+from sameas.estimate.error_average import ErrorRanges
+from sameas.estimate.error_grid import DEFAULT_GRID, GridTuning
+from sameas.estimate.error_model import (
+    DEFAULT_ERROR_FIT,
+    ErrorFitTuning,
+    ErrorModel,
+    Tail,
+    error_model,
+    factor_on_quoted,
+    fit_spread,
+    tail,
+)
+from sameas.estimate.error_trends import DEFAULT_TRENDS, Trend, TrendTuning
+from sameas.estimate.photometry import DEFAULT_RELATIONS, Photometry, RelationTuning
+from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
+from sameas.estimate.share_regression import DEFAULT_COLUMNS, ColumnsTuning
+from sameas.evidence import Errors, Precision
+from sameas.evidence.detection import DetectionCurve
+from sameas.representation import in_short
+from sameas.result import Identification
+
+BRIGHTNESS_TERMS, PRECISION_TERMS = ("completeness", "brightness"), ("precision",)
+COLUMN_TERMS = ("columns", "prior odds", "relations")
+
+
+@in_short
+@dataclass(frozen=True)
+class MatchTuning:
+    """Limits for widening the gate and for accepting estimates.
+
+    Attributes
+    ----------
+    max_iterations : EM iterations after which no further error model is tried; its iterations are at most two thirds of
+        these more.
+    min_outer_share : the gate is widened when this share of the expected true pairs lies beyond 0.7 of its radius
+        (4e-5 where errors are as quoted), and one pair more. max_negligible_chance : where a record would have fewer
+        chance candidates, half a pair of a tail suffices: its last pairs are otherwise certain to have no partner.
+    max_gate_sigmas : greatest radius of the gate.
+    max_scale_excess : the gate is widened when the typical errors exceed those it was made for by this factor; up to
+        there it loses only 2e-6 of the pairs.
+    max_chance_tail, max_chance_scale : the gate is not widened for a tail, or for underestimated errors, when a record
+        would have on average more chance candidates than this.
+    suspect_tail_gain, max_chance_suspected : a tail with this gain in ln likelihood that is not yet significant is
+        looked for in a wider gate. Then, and with a significant tail, a record may have this many chance candidates.
+    gate_step : the gate is widened by this factor to test for a tail that begins at its edge: after
+        ``suspect_tail_gain``, or where ``suspect_wide_share`` of the pairs has errors above 1.4 typical ones.
+    tail_seed : scale (in typical errors) and share of the tail that this test starts from.
+    min_tail_gain : gain in ln likelihood for the test to accept the tail (fields without a tail, but with clusters,
+        ghosts or blends: at most 0.4).
+    n_model_pairs : pairs from which the error model of the evidence is fitted.
+    min_gain : gain in ln likelihood for another error model, over the quoted errors, or of common objects over chance.
+    min_significance : excess of close candidates over chance, in standard deviations, from which errors are fitted.
+    max_sample_error : a sample is rejected when the number of common objects differs from its prediction by more than
+        this share and the statistical error.
+    fits_trends : whether growth of the errors is fitted, at most ``max_trend_fits`` times, while a further fit gains
+        ``min_trend_gain`` in ln likelihood.
+    max_unrelated : from this share of pairs with unrelated magnitudes on, a note is given.
+    max_interpreted : records plus twice the expected chance candidates above which interpreting the kernels takes
+        longer than reading the compiled ones from the cache (measured with 200 to 2 000 records).
+    em : tuning of EM iterations. relations : of magnitudes. columns : of other columns. trends : of growing errors.
+    grid : of the scan of error models before any iteration. coverage : of cells, densities and holes. error_fit : of
+        factors, floors and tails.
+    """
+
+    max_iterations: int = 30
+    min_outer_share: float = 6e-5
+    max_negligible_chance: float = 0.1
+    max_gate_sigmas: float = 400.0
+    max_scale_excess: float = 1.25
+    max_chance_tail: float = 0.5
+    max_chance_scale: float = 8.0
+    suspect_tail_gain: float = 1.0
+    max_chance_suspected: float = 2.0
+    gate_step: float = 1.5
+    suspect_wide_share: float = 0.1
+    tail_seed: tuple[float, float] = (3.375, 0.1)
+    min_tail_gain: float = 4.0
+    n_model_pairs: int = 3_000
+    min_gain: float = 8.0
+    min_significance: float = 4.0
+    max_sample_error: float = 0.02
+    fits_trends: bool = True
+    max_trend_fits: int = 3
+    min_trend_gain: float = 2.0
+    max_unrelated: float = 0.5
+    max_interpreted: float = 2_300.0
+    em: EMTuning = DEFAULT_EM
+    relations: RelationTuning = DEFAULT_RELATIONS
+    columns: ColumnsTuning = DEFAULT_COLUMNS
+    trends: TrendTuning = DEFAULT_TRENDS
+    grid: GridTuning = DEFAULT_GRID
+    coverage: CoverageTuning = DEFAULT_COVERAGE
+    error_fit: ErrorFitTuning = DEFAULT_ERROR_FIT
+
+
+DEFAULT_MATCH = MatchTuning()
+
+
+@in_short
+@dataclass(frozen=True)
+class Estimate:
+    """The estimates of a crossmatch and the options they were made with.
+
+    Attributes
+    ----------
+    common, share_1, share_2 : expected number of common objects, and their shares of the covered records.
+    errors : the errors of the evidence: model S of the covariances, and distribution of the residuals relative to S.
+    gate_sigmas : radius of the gate, in quoted standard deviations of the typical pair.
+    coverage : where both sources observe.
+    iterations, converged : number of EM iterations, and whether they converged.
+    learned_from : records of each source that were used: all, or those of a sample.
+    notes : remarks for the user.
+    photometry : relations of the magnitudes of both sources; None if not given or not informative.
+    precision : evidence of the sizes of the quoted errors; None if not used or not informative.
+    columns : evidence of other columns; None if not given.
+    trends : growth of the errors in addition to the quoted ones; included in ``errors``. tuning : as of :func:`match`.
+    answer : the identification. errors_estimated : whether the distribution of the errors was estimated from its pairs.
+    error_ranges : ranges of the errors over which probabilities are averaged with few pairs; None with many.
+
+    The properties are computed when first used.
+    """
+
+    common: float
+    share_1: float
+    share_2: float
+    errors: Errors
+    gate_sigmas: float
+    coverage: Coverage
+    iterations: int
+    converged: bool
+    learned_from: tuple[int, int]
+    notes: tuple[str, ...]
+    photometry: Photometry | None
+    precision: Precision | None
+    answer: Identification = field(repr=False)
+    errors_estimated: bool
+    error_ranges: ErrorRanges | None = None
+    columns: ColumnEvidence | None = None
+    trends: tuple[Trend, ...] = ()
+    tuning: MatchTuning = field(default=DEFAULT_MATCH, repr=False)
+
+    @cached_property
+    def quantities(self) -> Mapping[str, Quantity]:
+        """All numbers by name, with standard errors; see ``sameas.estimate.quantity.quantities``."""
+        errors = self.errors if self.errors_estimated else None
+        return quantities(
+            self.answer, self.coverage, self.photometry, self.columns, errors=errors, learned_from=self.learned_from
+        )
+
+    @property
+    def detection_1(self) -> DetectionCurve | None:
+        """Share of source 1's records that source 2 shows, by magnitude; None without magnitudes."""
+        return self._detection[0]
+
+    @property
+    def detection_2(self) -> DetectionCurve | None:
+        """Share of source 2's records that source 1 shows, by magnitude; None without magnitudes."""
+        return self._detection[1]
+
+    @cached_property
+    def _detection(self) -> tuple[DetectionCurve | None, DetectionCurve | None]:
+        return (None, None) if self.photometry is None else self.photometry.detection(self.answer, self.coverage)
+
+    @cached_property
+    def decisive(self) -> Mapping[str, float]:
+        """Median absolute value of each term of the evidence over the identified pairs."""
+        return decisive(self.answer)
+
+    @cached_property
+    def changed_by_brightness(self) -> int:
+        """Number of records of source 1 that positions alone would identify differently."""
+        return changed_without(self.answer, BRIGHTNESS_TERMS)
+
+    @cached_property
+    def changed_by_precision(self) -> int:
+        """Number of records of source 1 identified differently without the sizes of the quoted errors."""
+        return changed_without(self.answer, PRECISION_TERMS)
+
+    @cached_property
+    def changed_by_columns(self) -> int:
+        """Number of records of source 1 identified differently without the other columns."""
+        return changed_without(self.answer, COLUMN_TERMS)
+
+    @cached_property
+    def tail(self) -> Tail | None:
+        """Share of pairs with errors far larger than the typical ones; None without a tail."""
+        return tail(self.answer, self.errors, self.tuning.error_fit)
+
+    @cached_property
+    def error_model(self) -> ErrorModel | None:
+        """Factors and floor of each source's errors, as far as distinguishable; None if errors were not estimated."""
+        return error_model(self.answer, self.tuning.error_fit) if self.errors_estimated else None
+
+    @cached_property
+    def spread(self) -> Errors:
+        """Distribution of the residuals relative to the quoted covariances, whatever the error model."""
+        if not self.errors.as_modelled:
+            return self.errors
+        return fit_spread(self.answer.pairs, self.answer.p_pair, self.tuning.error_fit)
+
+    @property
+    def typical_scale(self) -> float:
+        """Factor on the quoted errors for the typical pair."""
+        return self.errors.typical_scale * self._model_factor
+
+    @cached_property
+    def _model_factor(self) -> float:
+        """Median over the probable pairs of modelled over quoted errors, without the mixture."""
+        return factor_on_quoted(self.errors, self.answer.pairs, self.answer.p_pair, self.tuning.error_fit)
