@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -34,9 +34,6 @@ from sameas.sky.doubts import completed, disjoint_doubt, epoch_doubt, in_icrs
 from sameas.sky.evidence_columns import AUTO, columns_of, magnitudes_of
 from sameas.sky.systematics import DEFAULT_WARP, Rotation, Warp, WarpTuning, find_rotation, find_warp, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
-
-if TYPE_CHECKING:
-    pass
 
 
 @in_short
