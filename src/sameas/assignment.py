@@ -132,7 +132,7 @@ def assign(groups: Groups, log_ratio: FloatArray, prior: LogPrior) -> Hypothesis
     u = np.zeros(len(groups.rows_1))
     v = np.zeros(len(groups.rows_2))
     multiplier = np.zeros(len(groups))
-    bounds = groups.bounds(len(threads.even(len(weight))) - 1)
+    bounds = groups.bounds_of_threads()
     shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1)
     if prior.slope is not None:
         if np.count_nonzero(prior.slope):

@@ -81,8 +81,12 @@ class Groups:
             numbers = np.repeat(np.arange(first, last, dtype=np.int32), counts[first:last])
             group[self.order[self.start[first] : self.start[last]]] = numbers
 
-        threads.over(fill, self.bounds(len(threads.even(len(group))) - 1))
+        threads.over(fill, self.bounds_of_threads())
         return group
+
+    def bounds_of_threads(self) -> list[int]:
+        """Bounds of one range of groups for each thread, fewer if there are few pairs."""
+        return self.bounds(len(threads.even(len(self.order))) - 1)
 
     def bounds(self, parts: int) -> list[int]:
         """Bounds of ``parts`` ranges of groups with about equal numbers of pairs."""

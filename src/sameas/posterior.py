@@ -222,7 +222,7 @@ def _upper_bounds(groups: Groups, best: Hypothesis, large: BoolArray, bound: Flo
 
     shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_1, groups.local_2)
     state = (best.weight, best.chosen, large, bound)
-    threads.over(lambda a, b: bounds(a, b, *shape, *state), groups.bounds(len(threads.even(len(bound))) - 1))
+    threads.over(lambda a, b: bounds(a, b, *shape, *state), groups.bounds_of_threads())
 
 
 def _scaled_to_one(groups: Groups, share: FloatArray) -> FloatArray:
@@ -276,7 +276,7 @@ def log_evidence(groups: Groups, best: Hypothesis, p_pair: FloatArray) -> FloatA
     out = np.zeros(len(groups))
     shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
     state = (best.weight, best.dual_1, best.dual_2)
-    bounds = groups.bounds(len(threads.even(len(groups.order))) - 1)
+    bounds = groups.bounds_of_threads()
     threads.over(lambda a, b: log_sums(a, b, *shape, *state, out), bounds)
     rough = np.isnan(out)
     if rough.any():
@@ -351,7 +351,7 @@ class _Messages:
 
         claims = np.zeros(len(weight)), np.zeros(len(weight))
         shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_1, groups.local_2)
-        duals, bounds = (best.dual_1, best.dual_2), groups.bounds(len(threads.even(len(weight))) - 1)
+        duals, bounds = (best.dual_1, best.dual_2), groups.bounds_of_threads()
         changes = threads.over(
             lambda a, b: messages(a, b, *shape, weight, *duals, method, *claims, share, *limits), bounds
         )
@@ -373,7 +373,7 @@ def _exact(
     """
     from sameas.kernels.posterior import exact, exact_counted
 
-    bounds = groups.bounds(len(threads.even(len(groups.order))) - 1)
+    bounds = groups.bounds_of_threads()
     shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
     duals, prior = (best.dual_1, best.dual_2), best.prior
     if prior.slope is not None:
