@@ -9,6 +9,7 @@ from sameas.groups import groups
 from sameas.posterior import posterior
 from sameas.prior import LogPrior
 from sameas.records import Records
+from sameas.score.pairs import is_true_pair, score_probabilities
 from sameas.space import Plane, Sphere
 
 KINDS = ("one sigma", "axis sigmas", "full")
@@ -23,6 +24,17 @@ def random_errors(rng, n, d, scale, kind):
         return {"sigma": size[:, None] * rng.uniform(0.5, 2, (n, d))}
     root = rng.standard_normal((n, d, d)) * 0.6 + np.eye(d)
     return {"covariance": size[:, None, None] ** 2 * (root @ root.transpose(0, 2, 1) + 0.1 * np.eye(d))}
+
+
+def random_covariances(rng, *shape):
+    """Positive definite matrices (*shape, d), d the last number of ``shape``."""
+    root = rng.standard_normal((*shape, shape[-1]))
+    return root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(shape[-1])
+
+
+def crowd(n, source="a", seed=1):
+    """Records that are all within one error of each other."""
+    return Records.of(np.random.default_rng(seed).normal(0.0, 0.3, (n, 2)), sigma=1.0, source=source)
 
 
 def plane_records(rng, n, d, *, extent=1.0, scale=0.03, kind="one sigma", periods=None, source="source"):
@@ -41,6 +53,11 @@ def sky_records(rng, lon, lat, *, scale_arcsec, kind="one sigma", source="source
     errors = random_errors(rng, n, 2, scale_arcsec, kind)
     ids = rng.permutation(n) + 100
     return Records.of(np.stack([lon, lat], axis=1), **errors, ids=ids, space=Sphere(), source=source)
+
+
+def calibration(answer, scene):
+    """Scores of the stated probabilities of the pairs of a simulated scene."""
+    return score_probabilities(answer.p_pair, is_true_pair((answer.rows_1, answer.rows_2), scene.true_pairs()))
 
 
 def by_id(pairs):

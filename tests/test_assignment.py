@@ -15,7 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 import naive
-from problems import DRAWS, chosen_edges, components_of, laid_out, many_blocks, random_ratios, solved
+from problems import DRAWS, chosen_edges, components_of, crowd, laid_out, many_blocks, random_ratios, solved
 from sameas import CloseObjects, CommonObjects, InputError, PerPair, Radius, Records, identify
 from sameas.assignment import Certificate, Tuning, assign, refuse_crowds
 from sameas.estimate.match import match
@@ -252,11 +252,6 @@ def test_threads_do_not_change_the_hypothesis(monkeypatch, prior):
     for other in answers[1:]:
         for ours, theirs in zip(answers[0], other, strict=True):
             np.testing.assert_array_equal(ours, theirs)
-
-
-def crowd(n, source="a", seed=1):
-    """Records that all lie within one error of each other."""
-    return Records.of(np.random.default_rng(seed).normal(0.0, 0.3, (n, 2)), sigma=1.0, source=source)
 
 
 def test_a_crowd_that_would_take_hours_is_refused_with_its_row():

@@ -7,19 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from problems import counterparts_of_ellipses
+from problems import calibration, counterparts_of_ellipses
 from sameas import InputError, PoissonField, Records, identify
 from sameas.estimate.match import match
 from sameas.estimate.photometry import Photometry, Sample, density_of, fit_relation
 from sameas.estimate.result import MatchTuning
 from sameas.evidence import Brightness, Chain, Magnitudes, SourceMagnitudes
 from sameas.evidence.detection import DetectionCurve, Hats, ShareCurve, knots_of, logit, share_error
-from sameas.score.pairs import is_true_pair, score_probabilities
+from sameas.score.pairs import is_true_pair
 from sameas.simulate.catalogues import Sky, exposure, misquoted, with_outliers
-
-
-def calibration(answer, scene):
-    return score_probabilities(answer.p_pair, is_true_pair((answer.rows_1, answer.rows_2), scene.true_pairs()))
 
 
 def wrong(answer, scene):

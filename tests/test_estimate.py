@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from problems import counterparts_of_ellipses
+from problems import calibration, counterparts_of_ellipses
 from sameas import InputError, Radius, Records
 from sameas.estimate.error_model import fit_errors
 from sameas.estimate.match import match
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors
-from sameas.score.pairs import is_true_pair, score_probabilities
 from sameas.simulate.scenes import Cap, crowded_sky, poisson_field, sky_field
 
 
@@ -26,10 +25,6 @@ def scene(seed, *, sigma=0.1, quoted=1.0, q1=0.2, q2=0.3, extent=40.0, d=2):
         for r in (made.first, made.second)
     ]
     return made, *sides
-
-
-def calibration(answer, made):
-    return score_probabilities(answer.p_pair, is_true_pair((answer.rows_1, answer.rows_2), made.true_pairs()))
 
 
 def test_the_number_of_common_objects_and_the_miss_probabilities_are_estimated():

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 import naive
-from problems import KINDS, by_id, plane_records, shuffled, sky_records
+from problems import KINDS, by_id, crowd, plane_records, shuffled, sky_records
 from sameas import Box, ChiSquare, InputError, Radius, Records, Sphere
 from sameas.gate import Tuning
 from sameas.gate.gate import quantile, upper_quantile
@@ -23,11 +23,6 @@ GATES = {
     "radius": (Radius(2.5), None),
     "wide": (ChiSquare(), {"completeness": 1 - 1e-9}),
 }
-
-
-def crowd(n, source="a", seed=1):
-    """Records that are all within one error."""
-    return Records.of(np.random.default_rng(seed).normal(0.0, 0.3, (n, 2)), sigma=1.0, source=source)
 
 
 def test_more_pairs_than_fit_in_memory_are_refused_before_they_are_stored():

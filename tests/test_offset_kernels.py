@@ -4,18 +4,13 @@ import numpy as np
 import pytest
 
 import naive
+from problems import random_covariances
 from sameas.kernels import offsets
 from sameas.registration.weights import _in_cells
 
 SEEDS = range(6)
 #: Features, and the period of the first and of the last axis.
 SPACES = [(1, None, None), (1, 25.0, 25.0), (2, None, None), (2, 25.0, None), (2, None, 25.0), (3, None, None)]
-
-
-def random_covariances(rng, *shape):
-    """Random covariances, elongated and rotated."""
-    root = rng.normal(0.0, 0.7, (*shape, shape[-1]))
-    return root @ np.swapaxes(root, -1, -2) + 0.2 * np.eye(shape[-1])
 
 
 def periods_of(d, first, last):

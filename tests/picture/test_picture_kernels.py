@@ -5,6 +5,7 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from problems import random_covariances
 from sameas.gate.zones import _percentiles
 from sameas.gaussian import inverse
 from sameas.kernels.components import label_components
@@ -30,13 +31,13 @@ def rng():
     return np.random.default_rng(7)
 
 
-def spd(rng, *shape):
-    root = rng.standard_normal((*shape, shape[-1]))
-    return root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(shape[-1])
-
-
 def test_states_are_predicted_by_their_transition(rng):
-    state, covariance, dt, walk = rng.standard_normal((9, 4)), spd(rng, 9, 4), rng.normal(0.0, 5.0, 9), rng.random(9)
+    state, covariance, dt, walk = (
+        rng.standard_normal((9, 4)),
+        random_covariances(rng, 9, 4),
+        rng.normal(0.0, 5.0, 9),
+        rng.random(9),
+    )
     there, spread = moved(state, covariance, dt, walk)
     f = transition(dt)
     np.testing.assert_allclose(there, np.einsum("nvw,nw->nv", f, state), rtol=1e-12)
@@ -47,7 +48,12 @@ def test_states_are_predicted_by_their_transition(rng):
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("late_s", [0.0, 0.7])
 def test_prediction_by_kernel_and_by_arrays_agree_bit_for_bit(rng, way, late_s, monkeypatch):
-    state, covariance, dt, walk = rng.standard_normal((9, 4)), spd(rng, 9, 4), rng.normal(0.0, 5.0, 9), rng.random(9)
+    state, covariance, dt, walk = (
+        rng.standard_normal((9, 4)),
+        random_covariances(rng, 9, 4),
+        rng.normal(0.0, 5.0, 9),
+        rng.random(9),
+    )
     covariance[:, 0, 3] += 0.1  # slightly asymmetric covariances are symmetrised
     covariance[4] = np.nan
     monkeypatch.setattr("sameas.tracks.alignment.runs_compiled", lambda kernel: False)
@@ -60,8 +66,13 @@ def test_prediction_by_kernel_and_by_arrays_agree_bit_for_bit(rng, way, late_s, 
 @pytest.mark.parametrize("way", WAYS)
 def test_last_reports_are_predicted_as_by_the_formulas(rng, way):
     n, was = 8, np.array([3, 0, 7, 7])
-    state, covariance, walk, late = rng.standard_normal((n, 4)), spd(rng, n, 4), rng.random(n), rng.random(n)
-    before, dt, left = 0.5 * spd(rng, n, 4), rng.random(4), 0.1 * spd(rng, 4, 2)
+    state, covariance, walk, late = (
+        rng.standard_normal((n, 4)),
+        random_covariances(rng, n, 4),
+        rng.random(n),
+        rng.random(n),
+    )
+    before, dt, left = 0.5 * random_covariances(rng, n, 4), rng.random(4), 0.1 * random_covariances(rng, 4, 2)
     place, old, drift = np.empty((4, 2)), np.empty((4, 2, 2)), np.empty((4, 2, 2))
     getattr(tracks_moved, way)(was, state, covariance, walk, late, dt, left, before, place, old, drift)
     there, spread = moved(state[was], covariance[was], dt, walk[was])
@@ -75,8 +86,8 @@ def test_last_reports_are_predicted_as_by_the_formulas(rng, way):
 @pytest.mark.parametrize("way", WAYS)
 def test_correlations_of_two_reports_agree_with_the_formulas(rng, way):
     was, now, m = np.array([2, 0, 1]), np.array([1, 1, 0]), 3
-    one, other = 0.2 * spd(rng, 4, 4), 0.2 * spd(rng, 4, 4)
-    old, new = one[was, :2, :2] + spd(rng, m, 2), other[now, :2, :2] + spd(rng, m, 2)
+    one, other = 0.2 * random_covariances(rng, 4, 4), 0.2 * random_covariances(rng, 4, 4)
+    old, new = one[was, :2, :2] + random_covariances(rng, m, 2), other[now, :2, :2] + random_covariances(rng, m, 2)
     root_before, root, motion = np.empty((3, m, 2, 2))
     getattr(report_factors, way)(was, now, one, other, old, new, root_before, root, motion)
     np.testing.assert_allclose(root_before, np.linalg.cholesky(one[was, :2, :2]), rtol=1e-10)
@@ -114,7 +125,7 @@ def test_an_innovation_covariance_that_is_negative_by_rounding_is_no_fault(way):
 
 @pytest.mark.parametrize("way", WAYS)
 def test_weights_of_covariance_intersection_are_optimal(rng, way):
-    information = spd(rng, 6, 3, 4)
+    information = random_covariances(rng, 6, 3, 4)
     weights = np.empty((6, 3))
     getattr(weights_of_least_determinant, way)(information, STEPS, OPTIMAL, BISECTIONS, weights)
     total = np.einsum("nk,nkvw->nvw", weights, information)
@@ -127,7 +138,7 @@ def test_weights_of_covariance_intersection_are_optimal(rng, way):
 @pytest.mark.parametrize("way", WAYS)
 def test_states_of_objects_are_information_sums(rng, way):
     n = 7
-    state, covariance = 1e4 + rng.standard_normal((n, 4)), spd(rng, n, 4)
+    state, covariance = 1e4 + rng.standard_normal((n, 4)), random_covariances(rng, n, 4)
     members = np.array([[0, 1, -1], [2, -1, 3], [-1, 4, -1], [5, 6, -1]])
     placed, moving = np.arange(n) != 4, np.array([True, True, True, False, True, False, False])
     smoothed = np.array([True, True, False, False, False, False, False])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
+from problems import random_covariances
 from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symmetric
 from sameas.kernels.track_pairs import (
     CONVOY,
@@ -30,11 +31,6 @@ WAYS = ("interpreted", "compiled")
 @pytest.fixture
 def rng():
     return np.random.default_rng(5)
-
-
-def spd(rng, *shape):
-    root = rng.standard_normal((*shape[:-1], shape[-1], shape[-1]))
-    return root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(shape[-1])
 
 
 def packed(mean, covariance):
@@ -108,13 +104,13 @@ def stepped(mean, covariance, rows, a, b, step, total):
 @pytest.mark.parametrize("way", WAYS)
 def test_the_update_of_pairs_agrees_with_the_formulas(rng, way):
     m, n = 7, 20
-    total = spd(rng, m, 2)
+    total = random_covariances(rng, m, 2)
     root = np.linalg.cholesky(total)
     new = np.arange(m) % 3 > 0
     zero = ~new[:, None, None]
     step = (
-        rng.standard_normal((m, 2)), rng.standard_normal((m, 2)), spd(rng, m, 2),
-        np.where(zero, 0.0, rng.standard_normal((m, 2, 4))), np.where(zero, 0.0, spd(rng, m, 2)),
+        rng.standard_normal((m, 2)), rng.standard_normal((m, 2)), random_covariances(rng, m, 2),
+        np.where(zero, 0.0, rng.standard_normal((m, 2, 4))), np.where(zero, 0.0, random_covariances(rng, m, 2)),
         np.where(new[:, None], rng.standard_normal((m, 2)), 0.0), new,
     )  # fmt: skip
     a, b = (rng.integers(0, m, n) for _ in range(2))
@@ -145,7 +141,7 @@ def test_the_update_of_pairs_agrees_with_the_formulas(rng, way):
 
 @pytest.mark.parametrize("way", WAYS)
 def test_distances_of_pairs_are_those_of_the_formulas(rng, way):
-    state, covariance = rng.standard_normal((9, 4)), spd(rng, 9, 4)
+    state, covariance = rng.standard_normal((9, 4)), random_covariances(rng, 9, 4)
     one, other = rng.integers(0, 9, (2, 20))
     for column in (0, 2):
         chi_sq, determinant = np.empty((2, 20))
@@ -158,7 +154,7 @@ def test_distances_of_pairs_are_those_of_the_formulas(rng, way):
 
 @pytest.mark.parametrize("way", WAYS)
 def test_a_merged_mixture_has_the_moments_of_its_samples(rng, way):
-    (mean, other), (covariance, other_covariance) = rng.normal(size=(2, 3, 2, 8)), spd(rng, 2, 3, 2, 8)
+    (mean, other), (covariance, other_covariance) = rng.normal(size=(2, 3, 2, 8)), random_covariances(rng, 2, 3, 2, 8)
     rows, others = packed(mean, covariance), packed(other[:2], other_covariance[:2])
     before, (means, covariances), (other_means, others_covariances) = rows.copy(), unpacked(rows), unpacked(others)
     at, share = np.array([2, 0]), np.array([0.3, 0.8])
