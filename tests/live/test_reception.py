@@ -6,7 +6,7 @@ from tests.live.conftest import START_S
 from sameas.errors import InputError
 from sameas.live.reception import Reception
 from sameas.live.replay import Replay
-from sameas.live.settings import LiveSource, Settings, WatchSettings
+from sameas.live.settings import LiveSource, Settings, WatchSettings, read_settings
 from sameas.tracks import Description
 from sameas.tracks.reports import Reports
 
@@ -82,6 +82,20 @@ def test_a_replay_has_no_wires_and_no_silence():
     assert receiver.taken == [("west", 2)]
     receiver.alarms(10.0)
     assert receiver.taken == [("west", 2), ("east", 1)]
+
+
+def test_reports_of_a_vessel_are_taken_before_those_of_the_sensors_aboard(tmp_path):
+    """In a replay at many times real time those of a minute come together; a plot waits for no position."""
+    path = tmp_path / "sensors.toml"
+    path.write_text('[sources.arpa]\nkind = "marine radar"\nplatform = { source = "gps" }\n'
+                    'input = "udp://:60005"\n[sources.gps]\ninput = "udp://:60006"\n')  # fmt: skip
+    settings = read_settings(path)
+    assert settings.sources["gps"].description.kind == "tracks"
+    taken = []
+    replay = Replay([("arpa", at(START_S)), ("gps", at(START_S))])
+    reception = Reception(settings, lambda: START_S, replay=replay, use=lambda name, reports: taken.append(name))
+    reception.take(START_S)
+    assert taken == ["gps", "arpa"]
 
 
 def test_a_source_without_a_wire_is_refused():

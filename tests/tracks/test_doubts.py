@@ -9,6 +9,7 @@ import pytest
 from harbour import harbour
 
 from sameas.errors import InputError
+from sameas.simulate.boat_radar import boat_radar
 from sameas.tracks import Description, LocalPlane, MissRate, Reports, Scene, SensorErrors, Site
 
 pytest.importorskip("pymap3d")
@@ -170,3 +171,16 @@ def test_mixed_coordinate_types_are_refused():
         InputError, match="bare: positions are metres in a plane of its own; give the origin of that plane, site"
     ):
         Scene.of([DEGREES["ais"], (bare, plots)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("sign", "words"), [(-1.0, "look relative to the bow"), (1.0, "look as from north, not from")])
+def test_bearings_of_a_boats_radar_in_clutter_are_told_from_those_from_its_bow(sign, words):
+    """At no single instant: of ten plots one or two are of vessels."""
+    (radar, plots), ais = boat_radar(np.random.default_rng(2), common=6).sources
+    heading_deg = np.mod(200.0 + 0.2 * (plots.time_s - plots.time_s[0]), 360.0)
+    wrong = {"bearing_deg": plots.bearing_deg + sign * heading_deg, "station_heading_deg": heading_deg}
+    [sentence] = Scene.of([(radar, Reports.of("radar", "table", plots.columns() | wrong)), ais]).doubts()
+    assert words in sentence and "its plots are on the tracks of ais" in sentence, sentence
+    right = plots.columns() | {"station_heading_deg": heading_deg}
+    assert not Scene.of([(radar, Reports.of("radar", "table", right)), ais]).doubts()

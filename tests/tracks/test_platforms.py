@@ -206,3 +206,4 @@ def test_a_live_radar_turns_with_the_heading_last_received():
         picture.advance(float(t))
     at = np.hypot(picture.objects["x_m"] - BUOY[0], picture.objects["y_m"] - BUOY[1])
     assert at.max() < 40.0 and picture.counts["radar"].unplaced == 0
+    assert picture.counts["gps"].taken == len(compass().where(compass().time_s <= TIMES[19] - 1.0)) - 2

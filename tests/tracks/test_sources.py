@@ -245,3 +245,15 @@ def test_no_decoder_is_loaded_before_a_file_needs_it():
         subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
     )
     assert "numpy" in loaded and not loaded & {"pyais", "rs1090", "pymap3d", "pyarrow", "astropy", "scipy", "numba"}
+
+
+def test_the_track_of_a_vessel_that_carries_a_sensor_needs_no_kind(tmp_path):
+    (tmp_path / "gps.csv").write_text("time,lat,lon\n0,50.0,-1.0\n60,50.0,-1.0\n")
+    (tmp_path / "radar.csv").write_text("time,range_m,bearing\n10,1000,20\n")
+    toml = tmp_path / "sensors.toml"
+    toml.write_text('[sources.radar]\nkind = "marine radar"\nplatform = { source = "gps" }\n')
+    files = tmp_path / "radar.csv", tmp_path / "gps.csv"
+    _, gps = read_sources(files, read_source_options(toml))
+    assert gps.description.kind == "tracks" and gps.why_kind == "it has the positions of a vessel with a sensor"
+    with pytest.raises(InputError, match="gps: what kind of sensor is it"):
+        read_sources(files)

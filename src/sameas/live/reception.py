@@ -102,9 +102,9 @@ class Reception:
             for url, piece, dropped in self.playback.take(self.taken_s):
                 self.wires[url].play(piece, dropped)
         if self.replay is not None:
-            for name, reports in self.replay.take(until_s):
-                self.add(name, reports, self.clock())
+            self._add_all([(name, reports, self.clock()) for name, reports in self.replay.take(until_s)])
             return
+        received: list[tuple[str, Reports, float]] = []
         for url, wire in self.wires.items():
             try:
                 parts = wire.take()
@@ -117,8 +117,15 @@ class Reception:
                 sensors = self._foreign.setdefault(url, set())
                 if not taken and len(sensors) < MOST_SENSORS:
                     sensors.add(reports.source.partition(":")[2] or reports.source)
-                for name in taken[:1]:
-                    self.add(name, reports, wire.state.last_s)
+                received += [(name, reports, wire.state.last_s) for name in taken[:1]]
+        self._add_all(received)
+
+    def _add_all(self, received: list[tuple[str, Reports, float]]) -> None:
+        """Takes reports with their receive times, those of a sensor after those of the vessel that carries it."""
+        for name, reports, received_s in sorted(
+            received, key=lambda one: self.settings.sources[one[0]].description.platform is not None
+        ):
+            self.add(name, reports, received_s)
 
     def add(self, name: str, reports: Reports, received_s: float) -> None:
         """Takes reports of a source that were received at this time, as far as they can be used."""

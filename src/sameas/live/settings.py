@@ -40,7 +40,7 @@ from sameas.live.zones import Zone, read_zones, require_names, zone_of
 from sameas.maps.outline import Coast, read_coast
 from sameas.maps.tiles import Chart, is_tiles, open_chart
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.kinds import KINDS
+from sameas.tracks.kinds import CARRIER_KIND, KINDS
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, source_tables
 
@@ -176,9 +176,12 @@ def read_settings(path: str | Path, *, set_aside: dict[str, InputError] | None =
     content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     with reading(str(path), "is not a description of a watch"):
         sources: dict[str, LiveSource] = {}
+        platforms = [table.get("platform") for table in tables.values()]
+        carriers = {one.get("source") for one in platforms if isinstance(one, Mapping)}
         for name, table in tables.items():
+            kind = {"kind": CARRIER_KIND} if name in carriers else {}
             with setting_aside(name, set_aside):
-                sources[name] = _source(name, table, f"{path}: sources.{name}")
+                sources[name] = _source(name, kind | dict(table), f"{path}: sources.{name}")
         return Settings(sources, _watch(content.get("watch", {}), f"{path}: watch", tables))
 
 

@@ -294,7 +294,10 @@ class LivePicture:
             self.plane = LocalPlane.about(places[0][somewhere], places[1][somewhere])
             for other in self._feeds.values():
                 other.plane = self.plane
-        if not only_carries(source, reports, [one.given for one in self._feeds.values()]):
+        if only_carries(source, reports, [one.given for one in self._feeds.values()]):
+            feed.counts.taken += given
+            feed.counts.newest_s = max(feed.counts.newest_s, float(reports.time_s.max()))
+        else:
             feed.add(reports)
             feed.counts.unplaced += given - len(reports)
         self._keep_recent(source, reports)

@@ -95,14 +95,18 @@ def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
         yield UnitGuess("bearings look like angles from the east, anticlockwise", "them read so",
                       "give 90° less the angle: bearings run clockwise from north",
                       _with_bearings(lambda angle: 90.0 - angle, 360.0))  # fmt: skip
-        heading_deg = reports.heading_deg if reports.station_heading_deg is None else reports.station_heading_deg
-        if reports.position == "polar" and heading_deg is not None:
-            yield UnitGuess("bearings look relative to the bow", "the heading added",
-                          "name their column relative_bearing",
-                          _with_bearings(lambda angle: angle + heading_deg, 360.0))  # fmt: skip
-            yield UnitGuess("bearings look as from north, not from the bow", "the heading taken off",
-                          "name their column bearing",
-                          _with_bearings(lambda angle: angle - heading_deg, 360.0))  # fmt: skip
+        yield from bow_guesses(reports)
+
+
+def bow_guesses(reports: Reports) -> Iterator[UnitGuess]:
+    """That bearings from the bow of a vessel are read as from north, or the reverse."""
+    heading_deg = reports.heading_deg if reports.station_heading_deg is None else reports.station_heading_deg
+    if reports.position != "polar" or reports.bearing_deg is None or heading_deg is None:
+        return
+    yield UnitGuess("bearings look relative to the bow", "the heading added", "name their column relative_bearing",
+                  _with_bearings(lambda angle: angle + heading_deg, 360.0))  # fmt: skip
+    yield UnitGuess("bearings look as from north, not from the bow", "the heading taken off",
+                  "name their column bearing", _with_bearings(lambda angle: angle - heading_deg, 360.0))  # fmt: skip
 
 
 def clock_guesses() -> Iterator[tuple[str, str, float]]:
@@ -205,6 +209,14 @@ def doubts(
         # Of two that contradict each other one sentence is enough.
         if guess is not None and guess.other not in sentences:
             sentences[feed.description.name] = guess.sentence
+    for feed, fit in zip(feeds, by_plots, strict=True):
+        name = feed.description.name
+        if (
+            fit is not None
+            and not {name} & (matched | set(sentences))
+            and (of_bow := _bow_sentence(feed, feeds, plane))
+        ):
+            sentences[name] = of_bow
     named = {guess.other for guess in guesses if guess is not None}
     for feed, partners, in_common, fit in zip(feeds, others, shared, by_plots, strict=True):
         name = feed.description.name
@@ -227,6 +239,22 @@ def _by_plots(feed: Feed, feeds: Sequence[Feed], fits: PlotFits) -> tuple[BiasFi
     named = [other for other in feeds if other is not feed and shows_tracks(other)]
     fit = fits(feed, named)
     return None if fit is None else (fit, tuple(one.description.name for one in (feed, *named)))
+
+
+def _bow_sentence(feed: Feed, feeds: Sequence[Feed], plane: LocalPlane | None) -> str:
+    """The sentence on bearings of a moving radar that all its scans show to be of another kind; "" if they do not."""
+    if feed.raw_reports is None or feed.sensor_m is None or not np.ptp(feed.sensor_m, axis=0).any():
+        return ""
+    others = [other for other in feeds if other is not feed]
+    for guess in bow_guesses(feed.raw_reports):
+        source = guess.read(feed.description, feed.raw_reports)
+        fit = source and _by_plots(Feed.of(*source, plane, tuning=feed.tuning), others, PlotFits())
+        if fit and fit[0].established:
+            return (
+                f"{feed.description.name}: its {guess.suspicion}: with {guess.changed}, its plots are on the tracks of "
+                f"{' and '.join(fit[1][1:])} (log evidence {fit[0].log_evidence:.0f}); {guess.remedy}"
+            )
+    return ""
 
 
 def _undecided(fit: BiasFit, names: tuple[str, ...]) -> str:

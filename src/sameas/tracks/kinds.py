@@ -45,6 +45,8 @@ _FIXED_ERRORS = {
     "errors.speed_m_per_s": (0.3, "satellite receivers"),
     "errors.course_deg": (3.0, "satellite receivers"),
 }
+#: Kind of a source that only gives the positions of a vessel which carries sensors.
+CARRIER_KIND = "tracks"
 
 KINDS: Mapping[str, Kind] = {
     "marine radar": Kind(

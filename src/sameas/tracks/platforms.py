@@ -86,32 +86,25 @@ def _placed(sensor: str, platform: Platform, vessel: list[Reports], reports: Rep
         )
     latitude_or_x, longitude_or_y = STATION[names]
     out = replace(reports, **{latitude_or_x: at[:, 0], longitude_or_y: at[:, 1]})  # type: ignore[arg-type]
+    if out.station_heading_deg is None:
+        _, _, heading_deg = _headings(vessel, reports.time_s, tuning)
+        out = replace(out, station_heading_deg=heading_deg)
     return _where(known, out, f"{sensor}: {{}} set aside: where the {platform} was at their times is not known")
 
 
 def _turned(sensor: str, platform: Platform, vessel: list[Reports], reports: Reports, tuning: Tuning) -> Step:
     """The reports with bearings from north, where the heading of the vessel is known, and notes."""
     notes: list[str] = []
-    time_s, heading = _series(vessel, ("heading_deg",))
-    if not len(time_s):
-        moving = [_under_way(part, tuning) for part in vessel]
-        time_s, heading = _series(moving, ("course_deg",))
-        if len(time_s):
-            notes.append(f"{sensor}: the course of the {platform} is used as its heading, which no report has")
-    # A heading is not continued beyond the last: of two a second apart, errors of a degree are a turn.
-    last_s = time_s[-1] if len(time_s) else np.nan
-    known = reports.time_s <= last_s + tuning.platform_ahead_s
-    interpolated, at = _interpolated(
-        time_s, heading, np.minimum(reports.time_s, last_s), tuning.platform_heading_gap_s, tuning.platform_ahead_s
-    )
-    known &= interpolated
+    column, count, heading_deg = _headings(vessel, reports.time_s, tuning)
+    known = np.isfinite(heading_deg)
     if not known.any():
         raise InputError(
             f"{sensor}: its bearings are relative to the bow of the {platform}, which has no heading at the times of "
-            f"its {len(reports)} reports; it has {len(time_s)} at other times",
+            f"its {len(reports)} reports; it has {count} at other times",
             naming("give the heading in a column own_heading, or a source that has it in the {description}"),
         )
-    heading_deg = np.mod(at[:, 0], 360.0)
+    if column == "course_deg":
+        notes.append(f"{sensor}: the course of the {platform} is used as its heading, which no report has")
     bearing_deg = np.mod(np.asarray(reports.relative_bearing_deg) + heading_deg, 360.0)
     out = replace(reports, bearing_deg=bearing_deg, relative_bearing_deg=None, station_heading_deg=heading_deg)
     kept, set_aside = _where(
@@ -125,6 +118,24 @@ def _where(known: BoolArray, reports: Reports, note: str) -> Step:
     if known.all():
         return reports, []
     return reports.where(known), [note.format(f"{int((~known).sum())} of {len(reports)} reports are")]
+
+
+def _headings(vessel: list[Reports], wanted_s: FloatArray, tuning: Tuning) -> tuple[str, int, FloatArray]:
+    """The column of the headings, their number, and (n,) the heading at each time, NaN where it is not known.
+
+    A vessel without headings heads along its course while it is under way.
+    """
+    column = "heading_deg"
+    time_s, heading_deg = _series(vessel, (column,))
+    if not len(time_s):
+        column = "course_deg"
+        time_s, heading_deg = _series([_under_way(part, tuning) for part in vessel], (column,))
+    if not len(time_s):
+        return column, 0, np.full(len(wanted_s), np.nan)
+    # A heading is not continued beyond the last: of two a second apart, errors of a degree are a turn.
+    gap_s, ahead_s = tuning.platform_heading_gap_s, tuning.platform_ahead_s
+    _, at = _interpolated(time_s, heading_deg, np.minimum(wanted_s, time_s[-1]), gap_s, ahead_s)
+    return column, len(time_s), np.where(wanted_s <= time_s[-1] + ahead_s, np.mod(at[:, 0], 360.0), np.nan)
 
 
 def _under_way(reports: Reports, tuning: Tuning) -> Reports:
