@@ -9,15 +9,8 @@ import pytest
 from scipy import special
 
 from sameas import ChiSquare, Identification, InputError, Records
-from sameas.estimate.companions import (
-    Companions,
-    CompanionsTuning,
-    close_neighbours,
-    clustering,
-    ring,
-    scaled_i0,
-    share_within,
-)
+from sameas.estimate.clustering import CompanionsTuning, close_neighbours, clustering, ring, scaled_i0, share_within
+from sameas.estimate.companions import Companions
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import match
 from sameas.estimate.result import DEFAULT_MATCH

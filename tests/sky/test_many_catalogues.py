@@ -23,8 +23,8 @@ from sameas.simulate.scenes import Cap, crowded_sky
 from sameas.sky import many as many_match
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import at_common_epoch, match
-from sameas.sky.joins import joined_many
 from sameas.sky.many import ManyMatch, ManyOptions, match_many
+from sameas.sky.many_joins import joined_many
 from sameas.sky.population import AstrometricRecords, degrees_of_freedom, fitted, pairs_within, patterns_of
 from sameas.sky.set_magnitudes import SetMagnitudes
 from sameas.space import displaced, sphere_offset

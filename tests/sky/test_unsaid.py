@@ -17,7 +17,7 @@ from sameas.errors import InputError
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.column_choice import SURVEYS
 from sameas.sky.column_values import typical_errors, year_of
-from sameas.sky.doubts import CommonErrorTuning, _in_strips, _nearest, common_error, completed
+from sameas.sky.completion import CommonErrorTuning, _in_strips, _nearest, common_error, completed
 
 
 def catalogue(table: Table | dict[str, object], name: str = "cat", **options: object) -> Catalogue:

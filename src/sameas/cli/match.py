@@ -384,8 +384,9 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
     from sameas.cli.terminal import Pace, Printer
     from sameas.estimate.coverage import Coverage
     from sameas.report.match import coverage_lines
+    from sameas.sky.completion import completed
     from sameas.sky.crossmatch import at_common_epoch, density_doubts
-    from sameas.sky.doubts import completed, disjoint_doubt
+    from sameas.sky.doubts import disjoint_doubt
 
     printer = Printer(quiet)
     with Pace(quiet) as pace:

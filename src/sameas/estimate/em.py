@@ -16,8 +16,9 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray
 from sameas.assignment import Hypothesis
 from sameas.errors import InputError
+from sameas.estimate.clustering import DEFAULT_COMPANIONS, CompanionsTuning, clustering
 from sameas.estimate.columns import ColumnEvidence
-from sameas.estimate.companions import DEFAULT_COMPANIONS, Companions, CompanionsTuning, clustering
+from sameas.estimate.companions import Companions
 from sameas.estimate.coverage import local_share
 from sameas.estimate.error_average import Average, Averaged, HypothesisSums, without_positions
 from sameas.estimate.error_model import DEFAULT_SCALES, ScalesTuning, fit_errors

@@ -69,7 +69,7 @@ class MatchMany(Result):
         ------
         InputError : ``least`` is not between 1 and the number of catalogues.
         """
-        from sameas.sky.joins import joined_many
+        from sameas.sky.many_joins import joined_many
 
         return joined_many(self.sky, least=least)
 

@@ -31,8 +31,8 @@ from sameas.partitions.part import (
 from sameas.partitions.workers import Workers, store, stored_work
 from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
+from sameas.sky.completion import completed, with_known_epochs
 from sameas.sky.crossmatch import MatchOptions, common_epoch, left_behind_doubt
-from sameas.sky.doubts import completed, with_known_epochs
 from sameas.sky.evidence_columns import columns_of
 
 if TYPE_CHECKING:

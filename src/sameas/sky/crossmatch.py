@@ -17,7 +17,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, median, within_turn
 from sameas.errors import InputError, Message, naming
 from sameas.estimate.blends import suspected_blends
-from sameas.estimate.companions import close_neighbours
+from sameas.estimate.clustering import close_neighbours
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import match as estimate_match
 from sameas.estimate.result import Estimate
@@ -30,7 +30,8 @@ from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import in_years
-from sameas.sky.doubts import completed, disjoint_doubt, epoch_doubt, in_icrs
+from sameas.sky.completion import completed
+from sameas.sky.doubts import disjoint_doubt, epoch_doubt, in_icrs
 from sameas.sky.evidence_columns import AUTO, columns_of, magnitudes_of
 from sameas.sky.systematics import DEFAULT_WARP, Rotation, Warp, WarpTuning, find_rotation, find_warp, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors

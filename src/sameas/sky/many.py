@@ -45,9 +45,9 @@ from sameas.many.sets import Sets, candidate_sets
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue
+from sameas.sky.completion import completed
 from sameas.sky.crossmatch import MatchOptions, SkyMatch, at_common_epoch, by_position
 from sameas.sky.crossmatch import match as match_two
-from sameas.sky.doubts import completed
 from sameas.sky.evidence_columns import AUTO, OFF
 from sameas.sky.population import (
     TUNING,

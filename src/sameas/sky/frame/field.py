@@ -16,7 +16,7 @@ from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import PositionError
 from sameas.sky.column_values import numbers
-from sameas.sky.doubts import COMMON_ERROR
+from sameas.sky.completion import COMMON_ERROR
 from sameas.space import chord_angle_deg, sphere_offset, unit_vectors
 
 
