@@ -360,7 +360,8 @@ def test_an_ambiguous_object_shows_its_alternatives(shown: tuple[Browser, MapShe
         and "probability 0.71" in details
         and "with probability 0.28: with harbour radar 101" in details
     )
-    assert "1 ambiguous" in words(browser, "counts")
+    # Doubts are before what a narrow header cuts.
+    assert "1 ambiguous, " in words(browser, "counts")
 
 
 @in_a_browser
@@ -393,7 +394,10 @@ def test_list_search_alarms_and_layers(shown: tuple[Browser, MapSheet]) -> None:
     browser.js("(s => { s.value = ''; s.dispatchEvent(new Event('input')); })(document.getElementById('search'))")
     browser.click(*centre_of(browser, "#alarm-button"))
     assert "shown twice" in words(browser, "alarms")
+    assert words(browser, "tab-alarms") == "Alarms 1"
     browser.js("mapPage.show(3)")
+    # There are alarms, though none at this instant.
+    assert words(browser, "tab-alarms") == "Alarms 1" and not browser.js("document.querySelector('#tab-alarms span')")
     browser.click(*centre_of(browser, "#alarms button"))
     assert browser.js("mapPage.now.k") == 20 and browser.js("mapPage.picked") == 3
     browser.click(*centre_of(browser, "#tab-summary"))

@@ -132,7 +132,7 @@ def test_tracking_and_its_assumptions_are_reported(made, sameas, quay, tmp_path)
     files = [quay / "lidar.csv", quay / "radar.csv"]
     alone = sameas("picture", *files, "-s", quay / "sensors.toml", "-o", tmp_path / "out", "--every", "20s",
                    "--no-memory", "--no-map", "--no-image")  # fmt: skip
-    assert "lidar: plots without ids, every instant by itself" in alone.stdout
+    assert "lidar: plots without ids; objects that only they show are followed over scans" in alone.stdout
     assumed = sameas("picture", files[0], "-o", tmp_path / "assumed", "--at", str(START + 20.0), "--no-map",
                      "--no-image").stdout  # fmt: skip
     assert "resolution.split 0.1" in " ".join(assumed.split())

@@ -372,11 +372,15 @@ def test_a_dragged_chart_takes_in_new_data_and_shows_every_object_meanwhile(keep
         page = Browser(tmp_path / "profile", url)
         mouse = {"button": "left", "buttons": 1, "clickCount": 1}
         try:
-            page.until("mapPage.live && mapPage.now && mapPage.now.marks.length > 4")
+            page.until("mapPage.live && +document.body.dataset.tick > 0 && mapPage.now.marks.length > 4")
             page.do("Input.dispatchMouseEvent", type="mousePressed", x=500, y=500, **mouse)
             ticks, seen = [], []
-            for k in range(60):  # as far as three times the spare edge of the layer, and back
-                page.do("Input.dispatchMouseEvent", type="mouseMoved", x=500 + 350 * abs(30 - k) / 30, y=500, **mouse)
+            for k in range(400):  # farther than the spare edge of the layer, and back
+                if k >= 60 and ticks[-1] >= ticks[0] + 3:
+                    break
+                page.do(
+                    "Input.dispatchMouseEvent", type="mouseMoved", x=500 + 350 * abs(30 - k % 60) / 30, y=500, **mouse
+                )
                 page.settle()
                 ticks.append(page.js("+document.body.dataset.tick"))
                 seen.append(page.js(LAYER))
@@ -397,5 +401,35 @@ def test_a_dragged_chart_takes_in_new_data_and_shows_every_object_meanwhile(keep
             page.settle()  # while the first layer is painted
             page.do("Input.dispatchMouseEvent", x=box[0] + u, y=box[1] + v, **released)
             assert page.js("mapPage.picked") == n and page.js("mapPage.layer === null") and page.errors == []
+        finally:
+            page.close()
+
+
+#: How many pixels of a name are cut from its cell in the list; of an ambiguous object in an alarm.
+CUT = """(name => {
+    const cell = document.querySelector('#rows td.label'), row = cell.parentElement;
+    const was = [cell.textContent, row.className];
+    [cell.textContent, row.className] = [name, 'ambiguous alarmed'];
+    const cut = cell.scrollWidth - cell.clientWidth;
+    [cell.textContent, row.className] = was;
+    return cut;
+})"""
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (1024, 768), (820, 1180)])
+def test_names_are_not_cut_and_a_page_fits_its_screen(size, keeper, tmp_path):
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url, size)
+        try:
+            shape = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+            page.do("Emulation.setDeviceMetricsOverride", **shape)
+            page.until("mapPage.live && !!document.querySelector('.own-ship #rows td.label')")
+            names = ["367800930", "SUNSET CROSSING"][: 1 if size[0] == 1024 else 2]
+            assert [page.js(f"{CUT}({name!r})") for name in names] == [0] * len(names)
+            # The chart, the list and the slider are in sight together.
+            assert page.js("document.documentElement.scrollHeight - innerHeight") <= 0
+            assert page.js("document.getElementById('list-scroll').clientHeight") > 180
+            assert page.js("document.getElementById('chart').clientHeight") > 0.5 * size[1]
+            assert page.errors == []
         finally:
             page.close()

@@ -212,7 +212,7 @@ function crowdRow(key, crowd) {
   fold.open = openCrowds.has(key);
   fold.addEventListener("toggle", () => openCrowds[fold.open ? "add" : "delete"](key));
   list.append(...crowd.slice(CROWD_ROWS).map(alarmRow));
-  fold.append(text("summary", `and ${crowd.length - CROWD_ROWS} more of ${crowd[0].condition}`), list);
+  fold.append(text("summary", `and ${crowd.length - CROWD_ROWS} more ${crowd[0].condition === "cpa" ? "approaches" : `of ${crowd[0].condition}`}`), list);
   row.append(fold, ...(crowd[0].besideAll ? crowd[0].besideAll(crowd) : []));
   return row;
 }
@@ -235,7 +235,8 @@ function showAlarms() {
   const current = data.alarms.filter(a => isActive(a, now.k)).length;
   el("tab-alarms").replaceChildren(
     "Alarms",
-    ...(current ? [text("span", ` ${current}`, "warn")] : []), // the number that the button shows, not the past ones
+    // The number that the button shows; those of other instants only where there is none now, in a picture from files.
+    ...(current ? [text("span", ` ${current}`, "warn")] : data.live || !data.alarms.length ? [] : [` ${data.alarms.length}`]),
   );
   el("alarm-button").hidden = !current;
   el("alarm-button").textContent = `⚠ ${plural(current, "alarm")}`;
@@ -337,7 +338,8 @@ function showCounts() {
     several = live.filter(isSeveral).length;
   el("counts").replaceChildren(
     text("b", plural(live.length, "object")),
-    ...(data.sensors.length > 1 ? [`, ${grouped(several)} seen by two or more sources`] : []),
+    // What is doubtful first: on a narrow screen the end is cut.
     ...(doubtful ? [", ", text("span", `${grouped(doubtful)} ambiguous`, "warn")] : []),
+    ...(data.sensors.length > 1 ? [`, ${grouped(several)} seen by two or more sources`] : []),
   );
 }

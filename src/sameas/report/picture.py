@@ -21,12 +21,12 @@ def read_lines(sources: Iterable[tuple[str, Sequence[str]]]) -> Iterator[str]:
 
 
 def scene_lines(scene: Scene, watch: Watch | PlotPicture) -> Iterator[str]:
-    """The processing of each source: filtered to tracks, or plots without ids."""
+    """The processing of each source: filtered to tracks, or plots without ids, and how these are followed."""
     for feed in scene.feeds:
         if feed.filtered:
             yield f"  {feed.description.name}: plots with ids, filtered to tracks with velocities"
         elif feed.reports.track is None and not isinstance(watch, PlotPicture):
-            yield f"  {feed.description.name}: plots without ids, every instant by itself"
+            yield f"  {feed.description.name}: plots without ids; objects that only they show are followed over scans"
     if isinstance(watch, PlotPicture):
         yield "  no source identifies its objects: they are tracked from scan to scan"
 
