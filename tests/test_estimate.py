@@ -86,6 +86,7 @@ def test_the_number_of_common_objects_has_its_stated_error_where_errors_and_shar
 
 def test_estimates_print_with_their_standard_errors():
     assert str(Quantity(0.35123, 0.0042, "mag")) == "0.3512 ± 0.0042 mag"
+    assert str(Quantity(60.0, 7.4e-6)) == "60 ± 7.4e-06" and str(Quantity(2.34e-7, 1e-7)) == "2.3e-07 ± 1.0e-07"
     assert str(Quantity(12345.6, 78.0)) == "12346 ± 78" and str(Quantity(3.0, math.inf)) == "3"
 
 

@@ -334,6 +334,8 @@ def test_single_letter_bands_are_magnitudes_if_unit_or_ucd_says_so(names, units,
     (("class", "MAG_I", "MAG_I_err"), ("MAG_I", "MAG_I_err")),
     (("i_mag", "z_mag", "e_i_mag"), ("i_mag", "e_i_mag")),
     (("mag_F606W", "F814W_mag"), ("mag_F606W", None)),
+    (("gmag", "gmagerr"), ("gmag", "gmagerr")),  # was without an error
+    (("mag_g", "magerr_g", "mag_r"), ("mag_g", "magerr_g")),
     (("e_mag", "n_mag", "magnification", "mag_type"), (None, None)),
 ])  # fmt: skip
 def test_names_of_band_and_mag_are_magnitudes_without_a_unit(names, expected) -> None:
@@ -571,6 +573,9 @@ def test_a_motion_in_a_unit_that_cannot_be_read_is_refused():
         ("degrees (J2000)", '"', 1.5, 150.0),
         ("Angle[deg]", "microarcsec", 1.5, 1.5e-4),
         ("h", "arc sec", 22.5, 150.0),
+        ("gon", "arcsec", 1.35, 150.0),  # taken for degrees
+        ("grad", "arcsec", 1.35, 150.0),
+        ("turns", "arcsec", 180.0, 150.0),
     ],
 )
 def test_units_that_astropy_does_not_know_are_read_as_they_are_written(of_ra, of_error, ra_deg, error_arcsec):
@@ -581,6 +586,14 @@ def test_units_that_astropy_does_not_know_are_read_as_they_are_written(of_ra, of
     np.testing.assert_allclose(catalogue.astrometry.ra_deg, ra_deg, rtol=1e-12)
     sigma = 1e-3 * np.sqrt(catalogue.astrometry.position_covariance[:, 1, 1])
     np.testing.assert_allclose(sigma, error_arcsec, rtol=1e-9)
+
+
+def test_degrees_assumed_for_a_unit_that_cannot_be_read_are_named():
+    table = Table({"RA": [1.5], "DEC": [10.0], "e_pos": [0.1]})
+    table["RA"].unit = u.Unit("sterns", parse_strict="silent")
+    choice = choose(table, CatalogueOptions(epoch="2000"), "old")
+    assert (choice.ra.unit, choice.ra.reason) == ("deg", "assumed: its unit 'sterns' cannot be read")
+    assert choice.dec.reason == "by convention"
 
 
 def test_a_unit_beyond_the_range_of_numbers_is_no_unit():

@@ -49,7 +49,9 @@ class Quantity:
             return f"{self.value:.4g} {self.unit}".strip()
         digits = max(0, 1 - math.floor(math.log10(self.standard_error)))
         if digits > MOST_DECIMALS:
-            return f"{self.value:.1e} ± {self.standard_error:.1e} {self.unit}".strip()
+            # As many digits as the error has a meaning for, at least two and at most six.
+            above = math.log10(max(abs(self.value) / self.standard_error, 1.0))
+            return f"{self.value:.{min(2 + int(above), 6)}g} ± {self.standard_error:.1e} {self.unit}".strip()
         return f"{self.value:.{digits}f} ± {self.standard_error:.{digits}f} {self.unit}".strip()
 
 

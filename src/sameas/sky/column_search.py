@@ -32,7 +32,8 @@ UNIT_WORDS = {
     "microarcseconds": "uas", "hrs": "hourangle",
     "h": "hourangle", "hr": "hourangle", "hour": "hourangle", "hours": "hourangle", "hourangle": "hourangle",
     "rad": "rad", "radian": "rad", "radians": "rad", "mag": "mag", "mas/yr": "mas / yr", "arcsec/yr": "arcsec / yr",
-    "yr": "yr", "d": "d", "mjd": "d",
+    "yr": "yr", "d": "d", "mjd": "d", "gon": "0.9 deg", "gons": "0.9 deg", "grad": "0.9 deg", "grads": "0.9 deg",
+    "gradian": "0.9 deg", "gradians": "0.9 deg", "turn": "cycle", "turns": "cycle", "rev": "cycle",
 }  # fmt: skip
 
 

@@ -228,6 +228,9 @@ def _direction(search: ColumnSearch, name: str, convention: Convention, axis: in
     column = search.column(name, unit)
     if column.unit in ("h", "hourangle"):
         return replace(column, unit="hourangle")
+    stated = getattr(search.table[name], "unit", None)
+    if isinstance(stated, u.UnrecognizedUnit) and column.reason == "by convention":
+        column = replace(column, reason=f"assumed: its unit {str(stated)!r} cannot be read")
     return search.checked(column, "deg", "an angle")
 
 
@@ -279,8 +282,14 @@ def _motion_columns(search: ColumnSearch, names: list[str | None]) -> tuple[Chos
 
 
 def _error_of(search: ColumnSearch, name: str | None) -> str | None:
+    if not name:
+        return None
     patterns = ("{}_error", "e_{}", "{}_err", "{}err", "{}Err", "sigma_{}")
-    return search.first(tuple(pattern.format(name) for pattern in patterns)) if name else None
+    names = [pattern.format(name) for pattern in patterns]
+    quantity, _, band = name.rpartition("_")
+    if quantity.lower() in ("mag", "magnitude"):  # mag_g: magerr_g, mag_err_g
+        names += [f"{quantity}{error}_{band}" for error in ("err", "_err", "error", "_error")]
+    return search.first(tuple(names))
 
 
 def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
@@ -384,7 +393,7 @@ def _magnitude(search: ColumnSearch, convention: Convention) -> tuple[str | None
         name = search.find(wanted)
         if name and _holds_magnitudes(search.table, name):
             errors_of_name = tuple(e for w, e in convention.magnitudes + conventions.PLAIN_MAGNITUDES if w == wanted)
-            return name, search.find(error) or search.first(errors_of_name)
+            return name, search.find(error) or search.first(errors_of_name) or _error_of(search, name)
     by_ucd = next((n for n in search.table.colnames if search.ucd(n).startswith(("phot.mag;", "phot_mag"))), None)
     if by_ucd:
         return by_ucd, None
