@@ -433,3 +433,52 @@ def test_names_are_not_cut_and_a_page_fits_its_screen(size, keeper, tmp_path):
             assert page.errors == []
         finally:
             page.close()
+
+
+def test_a_source_in_an_alarm_is_marked_where_the_sources_are(keeper, tmp_path, monkeypatch):
+    silent = [Alarm("silent radar", "source", "radar is silent for 61 s")]
+    monkeypatch.setattr("sameas.live.keeper.identity_alarms", lambda state: list(silent))
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url)
+        marked = "[...document.querySelectorAll('#sources .faulty .name')].map(e => e.textContent).join()"
+        try:
+            page.until(f"mapPage.live && {marked} === 'radar'")
+            assert page.js("document.querySelector('#sources .faulty').title") == "radar is silent for 61 s"
+            page.js("document.getElementById('theme').click()")  # the list of sources is made anew
+            assert page.js(marked) == "radar"
+            silent.clear()
+            page.until(f"{marked} === ''", 60.0)
+        finally:
+            page.close()
+
+
+def test_the_button_that_is_aimed_at_does_not_move_away(keeper, tmp_path, monkeypatch):
+    keeper.settings.watch.__dict__.update(cpa_m=500.0, tcpa_s=1200.0)
+    seconds = {"235000111": 300.0, "235002111": 600.0}
+
+    def approach(situation):
+        numbers, mmsi = situation.objects["object"].tolist(), situation.objects["mmsi"].tolist()
+        return {n: (400.0, seconds[m]) for n, m in zip(numbers, mmsi, strict=True) if m in seconds}
+
+    monkeypatch.setattr(Situation, "cpa", property(approach))
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url)
+        order = "[...document.querySelectorAll('#alarms li.current')].map(e => /SHIP 2/.test(e.textContent)).join()"
+        try:
+            page.until(f"mapPage.live && {order} === 'false,true'", 60.0)
+            page.js("document.getElementById('tab-alarms').click()")
+            box = "document.querySelector('#alarms .acknowledge').getBoundingClientRect()"
+            x, y = page.js(f"(b => [b.left + 9, b.top + 9])({box})")
+            page.do("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+            tick = page.js("mapPage.live.tick")
+            seconds["235002111"] = 200.0
+            page.until(f"mapPage.live.tick > {tick + 3}")
+            assert page.js(order) == "false,true"
+            page.click(x, y)
+            page.until("document.querySelector('#alarms').textContent.includes('acknowledged')")
+            done = [one["objects"] for one in keeper.alarm_list() if one["acknowledged_by"]]
+            number = next(n for n, row in keeper.situation.object_rows.items() if EVIL in row)
+            assert done == [[number]]
+            page.until(f"{order} === 'true,false'")
+        finally:
+            page.close()

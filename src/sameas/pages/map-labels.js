@@ -77,7 +77,8 @@ function rank(d) {
 }
 function labelInk(d) {
   if (now.alarmed.has(d.n)) return colour.alarm;
-  return objects.ambiguous[d.r] ? colour.warn : colour.ink;
+  if (objects.ambiguous[d.r]) return colour.warn;
+  return objects.stage[d.r] === STAGE.tentative ? colour.dim : colour.ink;
 }
 // Draws the lines of a label at the first free place around the symbol; returns its box, or undefined.
 function placed(c, room, d, lines, w) {

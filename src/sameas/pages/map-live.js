@@ -66,7 +66,7 @@ function applyAlarms(alarms) {
   const byId = (a, b) => a.id - b.id,
     urgent = alarms.filter(approaches).slice(0, CROWD_ROWS).sort(byId);
   const words = JSON.stringify([[...alarms].sort(byId), urgent]);
-  if (words === alarmWords) return;
+  if (words === alarmWords || isAimedAt()) return;
   alarmWords = words;
   data.alarms.splice(
     0,
@@ -74,6 +74,7 @@ function applyAlarms(alarms) {
     ...alarms.map(a => ({
       text: a.text,
       condition: a.key.split(" ")[0],
+      about: a.active && a.kind === "source" ? a.key : "",
       id: a.id,
       time: a.first_s,
       objects: a.objects,
@@ -100,6 +101,7 @@ function applyAlarms(alarms) {
   );
   for (const a of data.alarms) a.instant = a.active ? null : nearestInstant(a.time);
   listAlarms();
+  showFaultySources();
   // What nobody has acknowledged yet is filled with red, and in the title of the window.
   const fresh = data.alarms.filter(a => a.fresh).length;
   el("alarm-button").classList.toggle("acknowledged", !fresh);
@@ -119,10 +121,21 @@ function showApproaches() {
     }
   }
 }
+// Whether an operator is about to acknowledge an alarm: its button does not move away below the pointer, for some seconds.
+const MOST_AIMING_MS = 3000;
+let aimedSince = 0;
+function isAimedAt() {
+  const at = performance.now();
+  if (!el("alarms").querySelector(".acknowledge:hover:enabled")) aimedSince = at;
+  return at > aimedSince && at - aimedSince < MOST_AIMING_MS;
+}
 async function acknowledge(ids, button) {
   let done = true;
+  button.disabled = true;
   for (const id of ids) done = (await changed(`alarms/${id}/acknowledge`, "POST")) && done;
-  if (!done) button.textContent = "not acknowledged; try again";
+  if (done) return;
+  button.textContent = "not acknowledged; try again";
+  button.disabled = false;
 }
 // Whether the server has done what an operator asks for.
 async function changed(path, method) {

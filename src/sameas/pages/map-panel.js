@@ -278,6 +278,15 @@ function showHelp() {
   if (!data.utc) notes[2] = notes[2].replace("Times are UTC, c", "Times are seconds as given, c");
   el("help").replaceChildren(t, ...notes.map(n => text("p", n, "hint")));
 }
+// Sources that an alarm is about.
+function showFaultySources() {
+  data.sensors.forEach((s, k) => {
+    const words = data.alarms.filter(a => a.about?.endsWith(` ${s.name}`)).map(a => a.text),
+      label = el("sources").querySelector(`[data-source="${k}"]`).closest("label");
+    label.classList.toggle("faulty", words.length > 0);
+    label.title = words.join("\n") || [s.name, s.kind, s.file].filter(Boolean).join(", ");
+  });
+}
 function showLegend() {
   el("sources").replaceChildren(
     ...data.sensors.map((s, k) => {
@@ -290,7 +299,6 @@ function showLegend() {
         shown.source[k] = tick.checked;
         draw();
       });
-      label.title = [s.name, s.kind, s.file].filter(Boolean).join(", ");
       const count = text("span", "", "count");
       count.dataset.count = k;
       label.append(
@@ -303,6 +311,7 @@ function showLegend() {
       return label;
     }),
   );
+  showFaultySources();
   const samples = [
     ["tentative", {}, STAGE.tentative],
     ["confirmed", {}, STAGE.confirmed],
