@@ -470,6 +470,7 @@ def _stamp(path: str) -> tuple[int, int]:
 
 @lru_cache(maxsize=256)
 def _checksum(path: str, stamp: tuple[int, int]) -> str:
+    """The checksum of a file. stamp : its size and time, so that a changed file is read again."""
     return checksum(path)
 
 

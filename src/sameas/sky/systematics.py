@@ -33,6 +33,7 @@ from sameas.gaussian import inverse, mahalanobis_sq, propagated
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
+from sameas.sky.frame.plate import terms
 from sameas.sky.frame.pointing import directions_deg, to_plane
 from sameas.space import ARCSEC_PER_RADIAN, displaced, local_axes, mean_direction, sphere_offset, unit_vectors
 
@@ -358,8 +359,9 @@ def _plane_arcsec(position_deg: FloatArray, centre: FloatArray) -> FloatArray:
 
 
 def _basis(position: FloatArray, order: int) -> FloatArray:
+    """(n, q) the terms uᵃ vᵇ of a polynomial at positions (n, 2)."""
     u, v = position.T
-    return np.stack([u ** (total - b) * v**b for total in range(order + 1) for b in range(total + 1)], axis=1)
+    return np.stack([u**a * v**b for a, b in terms(order)], axis=1)
 
 
 def find_warp(result: Identification, before: Warp | None = None, tuning: WarpTuning = DEFAULT_WARP) -> Warp | None:
