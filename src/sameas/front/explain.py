@@ -197,7 +197,7 @@ def _of_other(record: str, name: str, other: int) -> InputError:
 
 def _of_picture(folder: Path, record: str, source: int | str, at: float | str | None, other: str | None) -> list[str]:
     from sameas.io.sensors.format import picture_time
-    from sameas.report.explain import picture_lines
+    from sameas.report.explain_picture import picture_lines
 
     objects, records = picture_tables(folder)
     with reading(str(folder), CHANGED):

@@ -89,7 +89,7 @@ class MatchMany(Result):
 
     def result_lines(self, words: Callable[[str], str] = str) -> list[str]:
         """Estimates and results, without the interpretation of the input."""
-        from sameas.report.match import many_estimate_lines, many_summary_lines
+        from sameas.report.many import many_estimate_lines, many_summary_lines
 
         return [*many_estimate_lines(self.sky, words), "", *many_summary_lines(self.sky)]
 

@@ -220,7 +220,7 @@ class MatchPicture(Result):
         ------
         InputError : no such object, record or time.
         """
-        from sameas.report.explain import picture_lines
+        from sameas.report.explain_picture import picture_lines
 
         when = None if at is None else picture_time(at, "at", self.scene.span_s)
         why, second = self.picture.reasons(), None if other is None else str(other)
