@@ -11,12 +11,13 @@ from scipy.special import expit
 from sameas.picture import Picture, Watch, instants, picture_states
 from sameas.picture.object_ids import NamedObjects
 from sameas.picture.picture import error_lines
-from sameas.picture.plot_existence import Looks, NewPlots, PlotOdds
+from sameas.picture.plot_existence import Looks, NewPlots, PlotOdds, looks_between
 from sameas.picture.plot_rates import SourceCounts
-from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, PictureObjects
+from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, PictureObjects
 from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
+from sameas.tracks.scans import AntennaRotation
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Clutter, MissRate
 
@@ -87,6 +88,50 @@ def test_boats_without_names_are_found_in_clutter_and_clutter_is_not_confirmed(p
     assert np.mean(found) > 0.93 and np.mean(numbers) < 1.3
     # At 99 % one of a hundred may be false; more than 3 of 40 have a chance of 1e-3.
     assert false <= 3
+
+
+@pytest.mark.slow
+def test_the_scans_between_two_instants_are_used():
+    """At every 20 s, seven of eight scans were lost: boats that a scan shows with 35 % were confirmed for 17 % of the
+    time."""
+    scene, motion = radar_beside_ais(0, 0.35, 5.0, boats=3, ships=3)
+    states = list(picture_states(scene, np.arange(20.0, SPAN_S, 20.0)))
+    at_each_scan = {state.now.instant_s: state for state in picture_states(scene, np.arange(20.0, SPAN_S, 2.5))}
+    for state in states:
+        other = at_each_scan[state.now.instant_s].objects
+        assert state.objects.number.tolist() == other.number.tolist()
+        assert np.allclose(state.objects.state, other.state) and (state.objects.stage == other.stage).all()
+    confirmed = np.isin(states[-1].objects.stage, (CONFIRMED, COASTING))
+    off = np.hypot(*(states[-1].objects.state[confirmed, None, :2] - motion(380.0)).transpose(2, 0, 1))
+    assert (off.min(axis=0) < 100.0).all() and len(off) == 6
+
+
+def test_a_rotating_antenna_and_exposures_have_no_scan_twice():
+    """Of exposures an instant shows the last, of a rotating antenna the plots of the last period."""
+    scene, _ = radar_beside_ais(0, 0.8, 5.0)
+    radar = scene.feeds[0]
+    assert looks_between(scene.feeds, 100.0, 110.0) == [102.5, 105.0, 107.5]
+    assert looks_between(scene.feeds, 100.0, 102.5) == looks_between(scene.feeds[1:], 100.0, 200.0) == []
+    turning = replace(radar, rotation=AntennaRotation(3.0, 0.1))
+    assert looks_between([turning], 100.0, 110.0) == [101.0, 104.0, 107.0]
+    assert looks_between([turning], 100.0, 103.0) == []
+    fast = replace(DEFAULT_TUNING, scan_every_s=6.0, scan_steps=3)
+    assert looks_between([radar], 0.0, 400.0, fast) == [382.5, 390.0, 395.0]
+
+
+def test_an_object_that_ends_between_two_instants_is_shown_as_ended():
+    """It is dropped at the next scan, and no output would say that it has ended."""
+    scene, motion = radar_beside_ais(3, 0.8, 10.0, boats=1, ships=2)
+    (radar, ais), gone_s = scene.feeds, 200.0
+    reports = radar.raw_reports
+    off = np.column_stack([reports.x_m, reports.y_m]) - motion(reports.time_s[:, None, None])[:, -1]
+    kept = reports.where(~((np.hypot(*off.T) < 120.0) & (reports.time_s > gone_s)))
+    feed = Feed.of(radar.description, kept, scan_times_s=np.arange(0.0, SPAN_S, 2.5))
+    _, before, after = picture_states(Scene((feed, ais)), [0.0, gone_s, gone_s + 140.0])
+    number = before.objects.number[np.argmin(np.hypot(*(before.objects.state[:, :2] - motion(gone_s)[-1]).T))]
+    [row] = np.flatnonzero(after.objects.number == number)
+    assert after.objects.stage[row] == ENDED and not after.objects.detected[row]
+    assert number in after.watch.texts
 
 
 def test_the_odds_are_those_of_bayes_rule():

@@ -277,6 +277,11 @@ class NamedObjects(PictureObjects):
             return self.take(which)
         return self.take(which).predicted(instant_s - self.instant_s, self.walk_m2_per_s3[which])
 
+    def not_in(self, after: NamedObjects) -> NamedObjects:
+        """The objects, apart from tentative ones of plots, that have ended before a later instant with other ones."""
+        shown = (self.stage != ENDED) & ~(self.by_plots & (self.stage == TENTATIVE))
+        return self.take(np.flatnonzero(shown & ~np.isin(self.number, after.number)))
+
     @property
     def in_picture(self) -> NamedObjects:
         """The objects without tentative ones of plots that no source detects now."""
@@ -451,7 +456,7 @@ class NamedObjects(PictureObjects):
         none = NewPlots.none(len(self))
         odds = self.plot_odds.after(self, none, detections.looks, elapsed_s, self.unseen_share)
         missed = tentative & (n_missing > stages.of - stages.scans)
-        ended = too_uncertain | absorbed | np.where(self.by_plots, odds.improbable(tuning), missed)
+        ended = too_uncertain | absorbed | np.where(self.by_plots, odds.improbable(~tentative, tuning), missed)
         stage = np.where(ended, ENDED, np.where(tentative, TENTATIVE, COASTING))
         objects = replace(self.undetected(stage), n_missing=n_missing, **_columns_of(odds))
         return objects.take(np.flatnonzero(~(ended & tentative & self.by_plots)))

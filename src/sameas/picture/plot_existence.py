@@ -27,6 +27,7 @@ section III, with the most probable assignment only.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +39,7 @@ from sameas.picture.tables import ColumnTable, ObjectTable, Scan, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed
+from sameas.tracks.scans import joint_times
 from sameas.tracks.scene import Instant
 
 #: Least probability of which a logarithm is taken.
@@ -60,7 +62,7 @@ class Looks:
     @classmethod
     def since(cls, now: Instant, before_s: float, tuning: Tuning = DEFAULT_TUNING) -> Looks:
         """The looks of an instant after ``before_s``, −∞ for none before."""
-        plots = [feed for feed in now.feeds if feed.reports.track is None and isinstance(feed.reports, States)]
+        plots = [feed for feed in now.feeds if gives_plots(feed)]
         share = np.array([_part_of_a_look(feed, before_s, now.instant_s) for feed in plots], np.float64)
         looked = np.flatnonzero(share > 0.0).tolist()
         return cls(now.instant_s, tuple(plots[k] for k in looked), share[looked], objects_per_m2(now), tuning)
@@ -81,6 +83,22 @@ class Looks:
         """u after the looks; before : u. places : (n, 2) of the objects."""
         p_missed = float(self.p_missed(places).mean()) if len(places) else 1.0
         return still_unseen(before, p_missed, elapsed_s, self.tuning.real_s)
+
+
+def gives_plots(feed: Feed) -> bool:
+    """Whether a source gives positions without names."""
+    return feed.reports.track is None and isinstance(feed.reports, States)
+
+
+def looks_between(
+    feeds: Sequence[Feed], after_s: float, until_s: float, tuning: Tuning = DEFAULT_TUNING
+) -> list[float]:
+    """The times, ascending, of the looks of sources of plots that neither an instant at ``after_s`` nor one at
+    ``until_s`` shows: at least ``scan_every_s`` apart, the last ``scan_steps`` of them."""
+    times_s = [feed.superseded_scans_s(after_s, until_s) for feed in feeds if gives_plots(feed)]
+    if not times_s:
+        return []
+    return joint_times(np.unique(np.concatenate(times_s)), tuning.scan_every_s)[-tuning.scan_steps :]
 
 
 def still_unseen(share: float, p_missed: float, elapsed_s: float, stay_s: float) -> float:
@@ -189,7 +207,7 @@ class PlotOdds:
         gain[hit] = plots.log_odds_per_m2[hit] + log_density(plots.place[hit] - objects.state[hit, :2], total)
         gain[hit] += np.log1p(-p_missed[hit]) - np.log(np.maximum(1.0 - usual[hit], MIN_P))
         p_stays = np.clip(math.exp(-elapsed_s / tuning.real_s) * expit(self.log_odds), MIN_P, 1.0 - MIN_P)
-        bound = float(logit(1.0 - tuning.min_probability))
+        bound = _bound(tuning)
         log_odds = np.where(self.known, np.clip(logit(p_stays) + gain, -bound, bound), begun.log_odds)
         kept = 1.0 / (1.0 + 1.0 / tuning.own_looks_kept)
         return PlotOdds(log_odds, log_initial, kept * self.looked + 1.0, kept * self.missed + ~found)
@@ -198,7 +216,16 @@ class PlotOdds:
         """(k,) probability that a look misses each object; usual : (k,) that of its place."""
         return (tuning.own_looks * usual + self.missed) / (tuning.own_looks + self.looked)
 
-    def improbable(self, tuning: Tuning) -> BoolArray:
-        """(k,) whether plots make the object improbable: among much clutter that of a real one begins so, too."""
+    def improbable(self, was_confirmed: BoolArray, tuning: Tuning) -> BoolArray:
+        """(k,) whether plots make the object improbable: among much clutter that of a real one begins so, too.
+
+        was_confirmed : (k,) whether it was confirmed. One that began below the least odds would never end.
+        """
         least = np.minimum(logit(tuning.min_existence), self.log_initial + math.log(tuning.min_share_of_initial))
-        return np.asarray(self.known & (self.log_odds < least))
+        least = np.where(was_confirmed, np.maximum(least, -_bound(tuning)), least)
+        return np.asarray(self.known & (self.log_odds <= least))
+
+
+def _bound(tuning: Tuning) -> float:
+    """The largest log-odds, so that later looks can change them."""
+    return float(logit(1.0 - tuning.min_probability))

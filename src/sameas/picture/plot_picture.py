@@ -29,12 +29,12 @@ from sameas.errors import InputError
 from sameas.picture.picture_state import PictureState, TrackedObjects, has_velocity
 from sameas.picture.plot_existence import still_unseen
 from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
-from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, PictureObjects, Scan
+from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, PictureObjects, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import NO_TEXTS
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed, walk_of
-from sameas.tracks.scans import usual_period_s
+from sameas.tracks.scans import joint_times
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, Scene
 
 
@@ -53,22 +53,8 @@ def scan_times_between(
     twice in that time.
     """
     times_s = np.unique(np.concatenate([np.empty(0), *(feed.scan_times_s for feed in feeds)]))
-    gap_s = tuning.joint_scan_share * min((_period_s(feed) for feed in feeds), default=math.inf)
-    out: list[float] = []
-    first = -math.inf
-    for time_s in times_s[(times_s > after_s) & (times_s < until_s)].tolist():
-        if not out or time_s - first > gap_s:
-            out.append(time_s)
-            first = time_s
-        else:
-            out[-1] = time_s
-    return out
-
-
-def _period_s(feed: Feed) -> float:
-    if feed.rotation is not None:
-        return feed.rotation.period_s
-    return usual_period_s(feed.scan_times_s)
+    gap_s = tuning.joint_scan_share * min((feed.scan_period_s for feed in feeds), default=math.inf)
+    return joint_times(times_s[(times_s > after_s) & (times_s < until_s)], gap_s)
 
 
 @dataclass(frozen=True)
@@ -92,14 +78,10 @@ class PlotObjects(PictureObjects):
         in_picture = np.flatnonzero((detection >= 0) | is_confirmed)
         return objects.take(in_picture[np.argsort(tracks.number[in_picture])])
 
-    def with_ends(self, before: PlotObjects, numbers: IntArray, dt_s: float, walk_m2_per_s3: float) -> PlotObjects:
-        """The objects with the confirmed ones of ``dt_s`` before that have ended: their numbers are not in
-        ``numbers``."""
-        ended = ((before.stage == CONFIRMED) | (before.stage == COASTING)) & ~np.isin(before.number, numbers)
-        if not ended.any():
-            return self
-        ended_objects = before.take(np.flatnonzero(ended)).predicted(dt_s, walk_m2_per_s3)
-        return self.in_order(ended_objects.undetected(np.full(len(ended_objects), ENDED)))
+    def not_in(self, numbers: IntArray) -> PlotObjects:
+        """The confirmed objects whose numbers are not among these."""
+        confirmed = (self.stage == CONFIRMED) | (self.stage == COASTING)
+        return self.take(np.flatnonzero(confirmed & ~np.isin(self.number, numbers)))
 
 
 @dataclass(frozen=True)
@@ -210,7 +192,8 @@ class PlotPicture:
         objects = PlotObjects.of(detections, updated.confirmation.confirmed)
         if len(self.objects):
             walk = max(walk_of(description) for description in now.descriptions)
-            objects = objects.with_ends(self.objects, updated.tracks.number, now.instant_s - self.last_s, walk)
+            ended = self.objects.not_in(updated.tracks.number)
+            objects = objects.with_ends(ended, now.instant_s - self.last_s, walk)
         carried = replace(updated, objects=objects, last_s=now.instant_s)
         return PictureState(now, scan, detections, detections.states, carried)
 

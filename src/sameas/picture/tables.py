@@ -352,6 +352,13 @@ class PictureObjects(ObjectTable):
         objects = self.stacked(*others)
         return objects.take(np.argsort(objects.number))
 
+    def with_ends(self, ended: Self, dt_s: float, walk_m2_per_s3: FloatArray | float) -> Self:
+        """The objects with those of ``dt_s`` before that have ended since, where these are expected."""
+        if not len(ended):
+            return self
+        expected = ended.predicted(dt_s, walk_m2_per_s3)
+        return self.in_order(expected.undetected(np.full(len(ended), ENDED)))
+
 
 #: Kinds of sources whose named records are tracks smoothed by a filter.
 SMOOTHED = ("tracks", "marine radar")

@@ -94,6 +94,8 @@ class Tuning:
     same_quantile : states of two objects agree within the χ² limit that includes this share of equal ones.
     joint_scan_share : scans within this share of the shortest period are processed together.
     confirming_plots : a tracked object is confirmed only with at least this many plots.
+    scan_every_s, scan_steps : beside named tracks, the scans of plots between two instants are taken in at steps of at
+        least the first, and at most so many of them, the last ones.
     least_q : beside named tracks, the probability that a source of plots misses an object is within this of 0 and 1:
         misses of one object come in runs. rate_looks : weight of an assumed miss rate, in looks at objects.
     own_looks, own_looks_kept : weight of the usual misses beside an object's own, and number of its last looks that
@@ -205,6 +207,8 @@ class Tuning:
     same_quantile: float = 0.99
     joint_scan_share: float = 0.2
     confirming_plots: int = 3
+    scan_every_s: float = 1.0
+    scan_steps: int = 60
     least_q: float = 0.1
     rate_looks: float = 10.0
     own_looks: float = 6.0

@@ -8,7 +8,8 @@ after it:
 
 The memory of tracks takes in reports at steps of ``memory_every_s``, whatever the instants are that are shown. Between
 two of these the picture is that of the last step with the present positions; where instants are farther apart, the
-memory steps in between.
+memory steps in between. So do the objects at each scan of a source of plots without names: it shows an object once, and
+an instant shows its last scan only.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from sameas.many.sets import ManyTuning, Sets
 from sameas.picture.memory import TrackMemory, require_order
 from sameas.picture.object_ids import NamedObjects, Stages, UnnumberedObjects
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
-from sameas.picture.plot_existence import Looks, NewPlots
+from sameas.picture.plot_existence import Looks, NewPlots, looks_between
 from sameas.picture.plot_rates import PlotRates
 from sameas.picture.tables import CONFIRMED, Scan, object_states, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
@@ -211,7 +212,8 @@ class Watch:
             raise InputError(f"Watch: bound is {self.bound}; give odds of 1 or more")
 
     def at(self, scene: Scene, instant_s: float, *, features: int = POSITION) -> PictureState[Watch]:
-        """The picture at an instant not before the previous one, from all steps of the memory since.
+        """The picture at an instant not before the previous one, from all steps of the memory and all scans of plots
+        without names since.
 
         features : as of ``Scene.at``.
 
@@ -219,12 +221,31 @@ class Watch:
         ------
         InputError : as of :meth:`advance`.
         """
+        if self.shown is None:
+            return self._to(scene, instant_s, features)
+        carried = self
+        looks_s = looks_between(scene.feeds, self.shown.now.instant_s, instant_s, self.tuning)
+        for look_s in looks_s:
+            carried = carried._to(scene, look_s, features).watch
+        state = carried._to(scene, instant_s, features)
+        return replace(state, watch=state.watch._with_ends(self)) if looks_s else state
+
+    def _to(self, scene: Scene, instant_s: float, features: int) -> PictureState[Watch]:
+        """The picture at an instant from all steps of the memory since the last."""
         carried, since_s = self, instant_s - self.memory.tracks.instant_s
         if math.isfinite(since_s):
             n = min(int(since_s / self.tuning.memory_every_s + 1e-9), self.tuning.memory_steps)
             for k in range(1, n):
                 carried = carried.passed(scene.at(instant_s - since_s * (1.0 - k / n), features=features))
         return carried.advance(scene.at(instant_s, features=features))
+
+    def _with_ends(self, before: Watch) -> Watch:
+        """The watch with the objects of an earlier instant that have ended between that and this one."""
+        ended = before.objects.not_in(self.objects)
+        elapsed_s = self.objects.instant_s - before.objects.instant_s
+        objects = self.objects.with_ends(ended, elapsed_s, ended.walk_m2_per_s3)
+        texts = {number: before.texts[number] for number in ended.number.tolist()}
+        return replace(self, objects=objects, texts={**self.texts, **texts})
 
     def passed(self, now: Instant) -> Watch:
         """The watch after an instant that is not shown: its reports are in the memory of tracks."""

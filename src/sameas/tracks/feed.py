@@ -25,7 +25,7 @@ from sameas.tracks.duplicate_ids import split_duplicate_ids
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
-from sameas.tracks.scans import AntennaRotation, scans_of, seen_from
+from sameas.tracks.scans import AntennaRotation, scans_of, seen_from, usual_period_s
 from sameas.tracks.source import Description
 from sameas.tracks.stationary import ADRIFT, MODES, RESTS, mode_shares, stationary
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
@@ -266,6 +266,21 @@ class Feed:
     def track_timeout_s(self) -> float:
         """Seconds without a report after which a track of the source has ended."""
         return track_timeout_s(self.reports.time_s, self.reports.track, self.tuning)
+
+    @property
+    def scan_period_s(self) -> float:
+        """Seconds between scans of the source: its rotation, or the usual time between exposures."""
+        return usual_period_s(self.scan_times_s) if self.rotation is None else self.rotation.period_s
+
+    def superseded_scans_s(self, after_s: float, until_s: float) -> FloatArray:
+        """(l,) ascending times after ``after_s`` at which :class:`Snapshot` shows the scans of a source of plots that
+        it shows neither then nor at ``until_s``."""
+        if self.rotation is None:
+            times_s = self.scan_times_s[(self.scan_times_s > after_s) & (self.scan_times_s <= until_s)]
+            return times_s[:-1]
+        # The last rotation is that before the time, wherever the antenna points.
+        n = max(math.ceil((until_s - after_s) / self.rotation.period_s) - 1, 0)
+        return np.asarray(until_s - self.rotation.period_s * np.arange(n, 0, -1))
 
     def timeouts_s(self, rows: IntArray) -> FloatArray:
         """(n,) the track timeout after each of these reports.

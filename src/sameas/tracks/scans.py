@@ -27,6 +27,23 @@ def usual_period_s(times_s: FloatArray) -> float:
     return float(np.median(np.diff(times_s))) if len(times_s) > 1 else math.inf
 
 
+def joint_times(times_s: FloatArray, gap_s: float) -> list[float]:
+    """The ascending times (l,) of scans, those within ``gap_s`` of a first one as one scan at the time of the last.
+
+    >>> joint_times(np.array([0.0, 0.25, 1.0, 2.5]), 0.5)
+    [0.25, 1.0, 2.5]
+    """
+    out: list[float] = []
+    first = -math.inf
+    for time_s in times_s.tolist():
+        if not out or time_s - first > gap_s:
+            out.append(time_s)
+            first = time_s
+        else:
+            out[-1] = time_s
+    return out
+
+
 @dataclass(frozen=True)
 class AntennaRotation:
     """The rotation of an antenna: its period, and the longest pause without plots that is normal."""
