@@ -27,12 +27,11 @@ from sameas.estimate.result import DEFAULT_MATCH
 from sameas.evidence import Column, Magnitudes, Related
 from sameas.records import Records
 from sameas.score.pairs import is_true_pair, reliability
+from sameas.simulate.blends import BlendedField, blended_field
 from sameas.simulate.catalogues import (
-    BlendedField,
     Counterparts,
     FrameAndCatalogue,
     Sky,
-    blended_field,
     counterparts,
     couples_field,
     exposure,

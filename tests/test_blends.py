@@ -20,7 +20,7 @@ from sameas.estimate.blends import (
 )
 from sameas.estimate.match import match as estimated
 from sameas.evidence import Errors
-from sameas.simulate.catalogues import blended_field
+from sameas.simulate.blends import blended_field
 
 SIGMA, RESOLUTION, SHARE, ALONE = 0.3, 2.0, 0.7, 0.02
 

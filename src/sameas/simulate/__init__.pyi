@@ -1,10 +1,10 @@
 """The public names of simulated scenes."""
 
-from .catalogues import BlendedField as BlendedField
+from .blends import BlendedField as BlendedField
+from .blends import blended_field as blended_field
 from .catalogues import Counterparts as Counterparts
 from .catalogues import FrameAndCatalogue as FrameAndCatalogue
 from .catalogues import Sky as Sky
-from .catalogues import blended_field as blended_field
 from .catalogues import counterparts as counterparts
 from .catalogues import couples_field as couples_field
 from .catalogues import exposure as exposure
