@@ -291,7 +291,8 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
 
             warmup.read_ahead()
         catalogues = _read_both(request, printer, pace)
-        match = identified(request, catalogues, progress=pace, join=joining.join, nway_columns=joining.nway_columns)
+        match = identified(request, catalogues, progress=pace)
+        match = replace(match, join=joining.join, nway_columns=joining.nway_columns)
         assert match.sky is not None
         pace("joining the tables")
         # Both the report and the table need these: compute them once, before the report's thread starts.

@@ -119,7 +119,7 @@ class MatchFrame(Result):
 
         if name not in PLOTS:
             raise InputError(f"there is no plot {name!r}; give one of {', '.join(PLOTS)}")
-        if name == PLOTS[1]:
+        if name == "quality":
             return frame.quality(self.sky)
         return frame.picture(self.sky, self.frame, brightest=self.request.brightest)
 

@@ -63,12 +63,6 @@ class Match(Result):
     notes: tuple[str, ...] = ()
     call: str = ""
 
-    @classmethod
-    def of_sky(cls, match: SkyMatch, request: Request[MatchOptions], **table: Any) -> Match:
-        """The match of two catalogues, with the request that it answers."""
-        notes = (request.twice,) if request.twice else ()
-        return cls(match.result, match.estimate, match, request=request, notes=notes, **table)
-
     def __len__(self) -> int:
         return len(self.identification.matches)
 
@@ -283,7 +277,7 @@ def draw(match: SkyMatch, name: str, record: Any = None) -> Figure:
 
     if name not in PLOTS:
         raise InputError(f"there is no plot {name!r}; give one of {', '.join(PLOTS)}")
-    if name == PLOTS[-1]:
+    if name == "ambiguous":
         return plots.group(match, record=record)
     figure: Figure = getattr(plots, name)(match)
     return figure
@@ -418,22 +412,20 @@ def match(
     if both_hats(first, second):
         return PartitionedMatch(request, join, nway_columns, call, progress)
     first, second = request.catalogues()
-    return identified(request, (first, second), progress=progress, join=join, nway_columns=nway_columns, call=call)
+    matched = identified(request, (first, second), progress=progress)
+    return replace(matched, join=join, nway_columns=nway_columns, call=call)
 
 
 def identified(
-    request: Request[MatchOptions],
-    catalogues: tuple[Catalogue, Catalogue],
-    *,
-    progress: Callable[[str], None],
-    **table: Any,
+    request: Request[MatchOptions], catalogues: tuple[Catalogue, Catalogue], *, progress: Callable[[str], None]
 ) -> Match:
-    """The match of a request whose catalogues have been read. table : ``join``, ``nway_columns``, ``call``."""
+    """The match of the catalogues of a request, which are read already."""
     from sameas.sky import crossmatch
 
     matched = request.naming_sides(lambda: crossmatch.match(*catalogues, request.options, progress=progress))
     matched.estimate.coverage.release()
-    return Match.of_sky(matched, request, **table)
+    notes = (request.twice,) if request.twice else ()
+    return Match(matched.result, matched.estimate, matched, request=request, notes=notes)
 
 
 def _listed(evidence: Column | Related | Iterable[Column | Related]) -> list[Column | Related]:
