@@ -71,13 +71,14 @@ def _due(state: PictureState[Carried], shows: BoolArray, s: int) -> FloatArray:
     """(n,) 1 where source s should detect an object: others certainly detect it, and it is within the coverage of s."""
     others = np.delete(shows, s, axis=1)
     clutter_free = np.delete(np.array([feed.clutter(2) == 0.0 for feed in state.now.feeds], dtype=bool), s)
+    # One or two plots may be false; a confirmed object is real.
+    objects = state.objects
+    confirmed = others.any(axis=1) & np.isin(state.number, objects.number[objects.stage == CONFIRMED])
     is_real = (others & clutter_free).any(axis=1) | (others.sum(axis=1) > 1)
     if len(clutter_free) == 1:
-        is_real = others[:, 0]
-    if isinstance(state.objects, PlotObjects):
-        # One or two plots may be false; a confirmed object is real.
-        objects = state.objects
-        is_real = others.any(axis=1) & np.isin(state.number, objects.number[objects.stage == CONFIRMED])
+        is_real |= confirmed
+    if isinstance(objects, PlotObjects):
+        is_real = confirmed
     feed = state.now.feeds[s]
     is_real &= ~_of_another_kind(state, shows, s)
     sensor = feed.sensor_at(state.now.instant_s)
