@@ -7,9 +7,10 @@ from sameas.errors import InputError
 from sameas.records import Records
 from sameas.tracks import Description, Feed, KnownBiases, Motion, Reports, Scene, SensorErrors, Site, Timing
 from sameas.tracks.alignment import States
-from sameas.tracks.biases import BIASES, BiasModel, RelativeBias, corrected
+from sameas.tracks.biases import AZIMUTH, BIASES, AzimuthDrift, BiasModel, RelativeBias, corrected
 from sameas.tracks.coordinates import plane_polar
 from sameas.tracks.placement import Directions
+from sameas.tracks.registration import SourceBiases
 
 RNG = np.random.default_rng(1)
 POSITION, VELOCITY = RNG.uniform(-9e3, 9e3, (7, 2)), 6.0 * RNG.standard_normal((7, 2))
@@ -121,3 +122,37 @@ def test_directions_are_rotated_with_the_uncertainty_of_the_bias():
     grown = corrected(directions, scene.feeds[0].sensor_m, np.zeros(6), np.diag([0.0, 0.16, 0, 0, 0, 0]))
     assert isinstance(grown, Directions)
     assert grown.sigma_deg[0] == pytest.approx(0.5)
+
+
+def test_a_drift_is_followed_between_its_knots_and_returns_to_the_mean_after_them():
+    """A live radar had the mean azimuth of the last ten minutes subtracted, not the present one."""
+    drift = AzimuthDrift(np.array([0.0, 30.0, 60.0]), np.array([-2.0, 0.0, 2.0]), np.full(3, 0.04), 4.0, 120.0)
+    azimuth, variance = drift.at(np.array([15.0, 60.0, 180.0, 1e5]))
+    assert np.allclose(azimuth, [-1.0, 2.0, 2.0 * np.exp(-1.0), 0.0])
+    kept = np.exp(-2.0)
+    assert np.allclose(variance, [0.04, 0.04, 0.04 * kept + 4.0 * (1.0 - kept), 4.0])
+
+
+def test_biases_are_removed_with_the_drift_of_the_azimuth_at_each_report():
+    """An offset set by hand ends the drift."""
+    times, place = np.array([30.0, 60.0]), np.array([[0.0, 1000.0], [0.0, 1000.0]])
+    errors = SensorErrors(position_m=9.0)
+    radar = Description("radar", "marine radar", site=Site(east_m=0.0, north_m=0.0), errors=errors)
+    columns = {"time_s": times, "x_m": place[:, 0], "y_m": place[:, 1]}
+    feed = Feed.of(radar, Reports.of("radar", "table", columns))
+    drift = AzimuthDrift(np.array([0.0, 30.0, 60.0]), np.array([-2.0, 0.0, 2.0]), np.full(3, 0.04), 4.0, 120.0)
+    theta, covariance = np.zeros(6), np.zeros((6, 6))
+    theta[AZIMUTH], covariance[AZIMUTH, AZIMUTH] = 3.0, 0.01 + drift.spread_deg**2
+    biases = SourceBiases("radar", ("ais",), theta=theta, covariance=covariance, drift=drift)
+
+    def bearings(taken_off):
+        state = taken_off.removed(feed).reports.state
+        return np.degrees(np.arctan2(state[:, 0], state[:, 1]))
+
+    assert np.allclose(bearings(biases), [-3.0, -5.0])
+    assert np.allclose(bearings(biases.with_set("azimuth_deg", 1.0)), -1.0)
+    assert np.allclose(bearings(biases.with_set("range_m", 10.0)), [-3.0, -5.0])
+    reports = biases.removed(feed).reports
+    assert isinstance(reports, States) and isinstance(feed.reports, States)
+    added = reports.covariance[:, 0, 0] - feed.reports.covariance[:, 0, 0]
+    assert np.allclose(added, np.radians(0.2) ** 2 * 1e6, rtol=0.02)

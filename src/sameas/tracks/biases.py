@@ -230,17 +230,26 @@ class AzimuthDrift:
     """The azimuth bias minus its mean over the recording, between knots of time.
 
     time_s : (k,) of the knots. azimuth_deg : (k,) the drift there. variance_deg2 : (k,) of the whole azimuth bias.
+    process_deg2, correlation_s : variance and correlation time of the drift, for times beyond the knots.
     """
 
     time_s: FloatArray
     azimuth_deg: FloatArray
     variance_deg2: FloatArray
+    process_deg2: float = 0.0
+    correlation_s: float = math.inf
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) drift at these times, and (n,) variance of the whole azimuth bias."""
+        """(n,) drift at these times, and (n,) variance of the whole azimuth bias.
+
+        Before the first and after the last knot the drift returns to its mean, 0, as an Ornstein-Uhlenbeck process.
+        """
+        outside_s = np.abs(time_s - np.clip(time_s, self.time_s[0], self.time_s[-1]))
+        kept = np.exp(-outside_s / self.correlation_s)
+        variance = kept**2 * np.interp(time_s, self.time_s, self.variance_deg2)
         return (
-            np.interp(time_s, self.time_s, self.azimuth_deg),
-            np.interp(time_s, self.time_s, self.variance_deg2),
+            kept * np.interp(time_s, self.time_s, self.azimuth_deg),
+            variance + (1.0 - kept**2) * self.process_deg2,
         )
 
     @property

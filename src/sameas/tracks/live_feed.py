@@ -46,7 +46,7 @@ from sameas.tracks.feed import (
 from sameas.tracks.heights import HeightColumns
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import UNNAMED, Directions, PlacedReports, unnamed
-from sameas.tracks.registration import unbiased
+from sameas.tracks.registration import SourceBiases
 from sameas.tracks.report_table import ReportTable
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import scans_of
@@ -624,10 +624,10 @@ def _sigma_m(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(covariance[:, 0, 0] + covariance[:, 1, 1]))
 
 
-def unbiased_now(feed: Feed, biases: FloatArray, covariance: FloatArray, track_timeout_s: float) -> Feed:
-    """A live feed corrected for biases (6,) with covariance (6, 6); the order of its reports stays."""
-    now = unbiased(feed, biases, covariance)
-    if feed.reports.track is None:
+def unbiased_now(feed: Feed, biases: SourceBiases, track_timeout_s: float) -> Feed:
+    """A live feed corrected for biases; the order of its reports stays."""
+    now = biases.removed(feed)
+    if feed.reports.track is None or biases.theta is None:
         return now
-    succession = replace(feed.succession, time_s=feed.succession.time_s - biases[TIME])
+    succession = replace(feed.succession, time_s=feed.succession.time_s - biases.theta[TIME])
     return now.with_succession(succession, track_timeout_s)

@@ -309,7 +309,7 @@ def refined(
     return BiasFit(
         biases, parts.reported @ state, covariance[:p, :p] + common, of_mean + common, float(weight.sum()),
         int(plots.scan.max()) + 1, float(np.sum(total > tuning.min_plots)), 0.0, (), converged, tuning, moving,
-        parts.drift(state, covariance),
+        parts.drift(state, covariance, process),
         float(np.mean(_missed(pairs, weight, plots.scan[pairs.plot])[detected if detected.any() else slice(None)])),
     )  # fmt: skip
 
@@ -429,15 +429,18 @@ class _Parts:
         low, high = np.exp(-dt / np.array(tuning.compass_limits_s))
         return _Process(variance, -dt / float(np.log(np.clip(keep, low, high))))
 
-    def drift(self, state: FloatArray, covariance: FloatArray) -> AzimuthDrift | None:
+    def drift(self, state: FloatArray, covariance: FloatArray, process: _Process) -> AzimuthDrift | None:
         """The drift about the reported azimuth; None for a fixed sensor."""
         if not len(self.knots):
             return None
         at = self.fitted.index(FITTED.index(AZIMUTH))
         whole = np.eye(self.size)[self.drifts]
         whole[:, at] = 1.0
-        variance = np.einsum("kp,pq,kq->k", whole, covariance, whole)
-        return AzimuthDrift(self.knots.time_s, whole @ state - self.reported[at] @ state, variance)
+        # Between two knots the process is not a straight line: mean variance of a Brownian bridge.
+        bridge = 2.0 * process.variance_deg2 / process.correlation_s * self.knots.interval_s / 6.0
+        variance = np.einsum("kp,pq,kq->k", whole, covariance, whole) + bridge
+        about_mean = whole @ state - self.reported[at] @ state
+        return AzimuthDrift(self.knots.time_s, about_mean, variance, process.variance_deg2, process.correlation_s)
 
 
 def _probabilities(

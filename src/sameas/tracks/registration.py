@@ -76,6 +76,7 @@ class SourceBiases:
     theta, covariance : (6,) and (6, 6) the biases that are subtracted, in the order of ``BIASES``, and their
         covariance; None without a correction.
     by_hand : names of the biases that an operator has set; they have no standard error.
+    drift : of the azimuth about that subtracted, for a radar that moves; its size is part of ``covariance``.
     """
 
     source: str
@@ -90,6 +91,16 @@ class SourceBiases:
     theta: FloatArray | None = field(default=None, repr=False, compare=False)
     covariance: FloatArray | None = field(default=None, repr=False, compare=False)
     by_hand: tuple[str, ...] = ()
+    drift: AzimuthDrift | None = field(default=None, repr=False, compare=False)
+
+    def removed(self, feed: Feed) -> Feed:
+        """The feed corrected for these biases, and for the drift of the azimuth at the time of each report."""
+        if self.theta is None or self.covariance is None:
+            return feed
+        covariance = self.covariance.copy()
+        if self.drift is not None:
+            covariance[AZIMUTH, AZIMUTH] -= self.drift.spread_deg**2
+        return unbiased(feed, self.theta, covariance, self.drift)
 
     @property
     def values(self) -> str:
@@ -121,6 +132,7 @@ class SourceBiases:
         return replace(
             self, parameters={bias: known[bias] for bias in BIASES if bias in known}, established=True,
             by_hand=tuple(bias for bias in BIASES if bias in (*self.by_hand, name)), theta=theta, covariance=covariance,
+            drift=None if k == AZIMUTH else self.drift,
         )  # fmt: skip
 
     def __str__(self) -> str:
@@ -358,11 +370,11 @@ def _corrected(feed: Feed, start: int, fit: BiasFit, against: tuple[str, ...]) -
         return feed, biases
     theta, covariance = np.zeros(len(BIASES)), np.zeros((len(BIASES), len(BIASES)))
     theta[which], covariance[np.ix_(which, which)] = fit.theta[own], fit.relative[np.ix_(own, own)]
-    done = unbiased(feed, theta, covariance, fit.drift)
     if fit.drift is not None:
         # Other reports than these have another drift.
         covariance[AZIMUTH, AZIMUTH] += fit.drift.spread_deg**2
-    return done, replace(biases, theta=theta, covariance=covariance)
+    biases = replace(biases, theta=theta, covariance=covariance, drift=fit.drift)
+    return biases.removed(feed), biases
 
 
 def unbiased(feed: Feed, biases: FloatArray, covariance: FloatArray, drift: AzimuthDrift | None = None) -> Feed:
