@@ -121,12 +121,15 @@ function paint() {
 
 // While the chart is dragged, objects and records are copied from a layer, a canvas wider than the chart by SPARE pixels on
 // each side. The next one, with new data or about another place, is painted by stages of STAGE_MS a frame, and takes its
-// place when it is complete: 2 000 objects take 20 to 50 ms without a graphics card, a frame has 16.
+// place when it is complete: 2 000 objects take 20 to 50 ms without a graphics card, a frame has 16, and after a stage as
+// long again is spent on its pixels. PART symbols are drawn in one.
 const SPARE = 240,
-  STAGE_MS = 4;
+  STAGE_MS = 2.5,
+  PART = 250;
 let layer = null,
   nextLayer = null,
-  isLayerOld = false;
+  isLayerOld = false,
+  renewing = null; // the stages of new data on a live page; meanwhile no layer is painted
 const isDragged = () => !!drag && drag.moved,
   isPainting = () => nextLayer !== null;
 function copyLayer(c) {
@@ -139,6 +142,7 @@ function copyLayer(c) {
   c.setTransform(1, 0, 0, 1, 0, 0);
   c.drawImage(layer.canvas, u, v);
   c.restore();
+  if (renewing) return;
   if (nextLayer || isLayerOld || shift.some(d => Math.abs(d) > SPARE / 3)) {
     paintLayer(STAGE_MS);
     nextFrame();
@@ -172,7 +176,7 @@ function emptyLayer() {
 // Paints the first layer while the mouse is pressed and does not move yet.
 function prepareLayer() {
   if (!drag || drag.moved || layer) return;
-  paintLayer(STAGE_MS);
+  paintLayer(2 * STAGE_MS);
   requestAnimationFrame(prepareLayer);
 }
 
@@ -195,7 +199,7 @@ function* objectStages(c, w, h) {
   yield;
   if (shown.members) memberLines(c, drawn);
   yield;
-  markSymbols(c);
+  yield* markSymbols(c);
   yield;
   yield* symbols(c, drawn);
   const inside = drawn.filter(d => d.inside);
@@ -329,10 +333,18 @@ function marks(c, w, h) {
   const few = directions.filter(d => d.inside).length <= MOST_RAYS;
   for (const { r, placed, inside } of directions) if (!placed || (inside && few) || isImportant(records.n[r])) ray(c, r, w, h);
 }
-function markSymbols(c) {
-  withSprites(c, copy => {
-    for (const hit of found) if (hit.record) copy(markSprite(records.source[hit.r], hit.n === picked ? 5 : 3.6), hit.u, hit.v);
-  });
+function* markSymbols(c) {
+  yield* inParts(found.filter(hit => hit.record), part =>
+    withSprites(c, copy => {
+      for (const hit of part) copy(markSprite(records.source[hit.r], hit.n === picked ? 5 : 3.6), hit.u, hit.v);
+    }),
+  );
+}
+function* inParts(all, draw) {
+  for (let k = 0; k < all.length; k += PART) {
+    draw(all.slice(k, k + PART));
+    yield;
+  }
 }
 function ray(c, r, w, h) {
   const [u, v] = toScreen(records.sx[r], records.sy[r]),
@@ -390,19 +402,22 @@ function* symbols(c, drawn) {
   const inside = drawn.filter(d => d.inside);
   vectors(c, inside);
   yield;
-  withSprites(c, copy => {
-    // Important objects on top.
-    for (const d of inside.sort((a, b) => rank(b) - rank(a))) {
-      const how = {
-        several: isSeveral(d.r),
-        ambiguous: !!objects.ambiguous[d.r],
-        alarmed: now.alarmed.has(d.n),
-        r: isImportant(d.n) ? 8 : crowd.radius,
-      };
-      copy(symbolSprite(objects.stage[d.r], how), d.u, d.v);
-      found.push({ u: d.u, v: d.v, n: d.n, r: d.r, record: false });
-    }
-  });
+  // Important objects on top.
+  inside.sort((a, b) => rank(b) - rank(a));
+  yield* inParts(inside, part =>
+    withSprites(c, copy => {
+      for (const d of part) {
+        const how = {
+          several: isSeveral(d.r),
+          ambiguous: !!objects.ambiguous[d.r],
+          alarmed: now.alarmed.has(d.n),
+          r: isImportant(d.n) ? 8 : crowd.radius,
+        };
+        copy(symbolSprite(objects.stage[d.r], how), d.u, d.v);
+        found.push({ u: d.u, v: d.v, n: d.n, r: d.r, record: false });
+      }
+    }),
+  );
   const d = inside.find(d => d.n === picked);
   if (d) drawCorners(c, d.u, d.v, 17);
 }

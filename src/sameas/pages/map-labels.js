@@ -111,7 +111,7 @@ function* labels(c, w, drawn) {
   c.textAlign = "left";
   c.setLineDash([]);
   for (const [k, d] of named.entries()) {
-    if (k % 100 === 99) yield;
+    if (k % 40 === 39) yield;
     const name = nameOf(d.r).slice(0, 24);
     const full = Number.isFinite(objects.speed[d.r]) && (crowd.few || d.n === picked);
     const high = Number.isFinite(objects.height[d.r]) ? ` ${flightLevel(objects.height[d.r])}` : "";

@@ -40,7 +40,6 @@ function renew() {
   draw();
 }
 // While the chart is dragged, what a tick changes is done in several frames, and the next one waits for it.
-let renewing = null;
 function renewByStages() {
   if (isPainting()) return nextFrame(), void requestAnimationFrame(renewByStages);
   renewing ||= renewal();
