@@ -1,7 +1,8 @@
 """Stated probabilities of catalogues with few pairs against observed frequencies, by what is wrong with their errors.
 
 Fields of 10 to 1 000 pairs, errors right, too small, too large, with a floor and with tails, from sparse to crowded, by
-`sameas.match` with everything estimated and with the true densities and errors.
+`sameas.match` with everything estimated and with the true densities and errors. Then fields of 20 to 100 real objects
+(``few_real.py``), beside nearest neighbour and the formula of NWAY.
 ``scripts/bench few_pairs``, 30 minutes.
 """
 
@@ -15,6 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from benchmarks import few_real
 from benchmarks.tables import Table, report
 from sameas import PoissonField, identify
 from sameas.estimate.match import match
@@ -155,17 +157,20 @@ class Field:
 
 def tables(options: argparse.Namespace) -> Iterator[Table]:
     """By kind and number of pairs, then by kind and crowding, then over all kinds."""
-    kinds = [kind for kind in KINDS if not options.kinds or any(name in kind.title for name in options.kinds)]
+    kinds = [kind for kind in KINDS if options.kinds is None or any(name in kind.title for name in options.kinds)]
     of: dict[Field, tuple[Statements, Statements]] = {}
     for kind in kinds:
         for n in options.numbers:
             for chance in options.lambdas:
                 case = Field(kind, n, chance)
                 of[case] = case.statements(options)
-    yield from _calibration("by number of pairs", of, lambda case: (case.kind.title, f"{case.pairs} pairs"))
-    yield from _calibration("by crowding", of, lambda case: (case.kind.title, f"λ {case.chance:g}"))
-    yield from _calibration("all kinds", of, lambda case: (f"{case.pairs} pairs", f"λ {case.chance:g}"))
-    yield from _calibration("everything", of, lambda case: ("all", ""))
+    if of:
+        yield from _calibration("by number of pairs", of, lambda case: (case.kind.title, f"{case.pairs} pairs"))
+        yield from _calibration("by crowding", of, lambda case: (case.kind.title, f"λ {case.chance:g}"))
+        yield from _calibration("all kinds", of, lambda case: (f"{case.pairs} pairs", f"λ {case.chance:g}"))
+        yield from _calibration("everything", of, lambda case: ("all", ""))
+    if options.real:
+        yield from few_real.tables(options.real)
 
 
 def _calibration(title: str, of: dict[Field, tuple[Statements, Statements]], key) -> Iterator[Table]:  # type: ignore[no-untyped-def]
@@ -189,7 +194,8 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=600, help="pairs of each kind of field (default 600)")
     parser.add_argument("--numbers", type=int, nargs="+", default=[10, 30, 100, 200], help="pairs of a field")
     parser.add_argument("--lambdas", type=float, nargs="+", default=[0.01, 0.3, 1.0, 4.0], help="chance candidates")
-    parser.add_argument("--kinds", nargs="+", help="parts of the titles of the kinds (default all)")
+    parser.add_argument("--real", type=int, default=1000, help="real objects of each kind of field (default 1000)")
+    parser.add_argument("--kinds", nargs="*", help="parts of their titles (default all; nothing: none)")
     options = parser.parse_args()
     prefer_compiled()
     report("few_pairs", tables(options))
