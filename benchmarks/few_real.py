@@ -1,7 +1,7 @@
 """Small fields made of the real records of NGC 188, Gaia × 2MASS, in which the match of the whole tells the truth.
 
-The positions are the real ones, or, to crowd the field, each object keeps its real residual and quoted errors and is put at
-a random place. The pairs of the whole field have hardly a chance candidate (1e-4 within 3σ).
+The positions are the real ones, or, to crowd the field, each object keeps its real residual and quoted errors and is put
+at a random place. The pairs of the whole field have hardly a chance candidate (less than 1e-3 within 3σ).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -56,16 +57,14 @@ def objects() -> Objects:
 def real_field(rng: np.random.Generator, n: int) -> tuple[Records, Records, set[tuple[int, int]]]:
     """The n objects nearest to one of them at their real places, and the true pairs."""
     everything = objects()
-    centre = np.concatenate([everything.first.features, everything.second.features])[rng.integers(len(everything.first))]
+    centre = everything.first.features[rng.integers(len(everything.first))]
     place = _places(everything)
     east = (place[:, 0] - centre[0]) * math.cos(math.radians(centre[1]))
     chosen = np.argsort(np.hypot(east, place[:, 1] - centre[1]))[:n]
     return _records(everything, chosen, np.zeros((n, 2)))
 
 
-def crowded_field(
-    rng: np.random.Generator, n: int, chance: float
-) -> tuple[Records, Records, set[tuple[int, int]]]:
+def crowded_field(rng: np.random.Generator, n: int, chance: float) -> tuple[Records, Records, set[tuple[int, int]]]:
     """n random objects at random places, with this number of other objects within 3σ of a pair."""
     everything = objects()
     chosen = rng.choice(len(everything.of_first), n, replace=False)
@@ -190,7 +189,7 @@ def tables(n_objects: int) -> Iterator[Table]:
                     add_field(scores, first, second, true)
             where = f"random places, λ {chance:g}" if chance else "real places"
             rows += [[where, n, n_true, name, *score.row()] for name, score in scores.items()]
-    ranges = [f"{a:g} to {b:g}" for a, b in zip(EDGES[:-1], EDGES[1:], strict=True)]
+    ranges = [f"{a:g} to {b:g}" for a, b in pairwise(EDGES)]
     columns = ("field", "objects", "true pairs", "by", "wrong", "missed", "log loss", *ranges)
     notes = (
         f"truth: pairs of the whole field with p > {CERTAIN:g}; records with a less certain partner are left out",
