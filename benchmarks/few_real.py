@@ -1,7 +1,7 @@
 """Small fields made of the real records of NGC 188, Gaia × 2MASS, in which the match of the whole tells the truth.
 
-The positions are the real ones, or, to crowd the field, each object keeps its real residual and quoted errors and is put
-at a random place. The pairs of the whole field have hardly a chance candidate (less than 1e-3 within 3σ).
+The positions are the real ones; or, to crowd the field, each object keeps its real residual and quoted errors and is
+put at a random place. The pairs of the whole field have hardly a chance candidate (less than 1e-3 within 3σ).
 """
 
 from __future__ import annotations
