@@ -482,3 +482,31 @@ def test_the_button_that_is_aimed_at_does_not_move_away(keeper, tmp_path, monkey
             page.until(f"{order} === 'true,false'")
         finally:
             page.close()
+
+
+def test_looking_back_shows_no_own_ship_of_now_and_the_alarms_of_now(keeper, tmp_path, monkeypatch):
+    keeper.settings.watch.__dict__.update(cpa_m=0.1)
+    past = [Alarm(f"identity mmsi {k}", "identity", f"MMSI {k} is forged") for k in range(3)]
+    monkeypatch.setattr("sameas.live.keeper.identity_alarms", lambda state: list(past))
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url)
+        button = "document.getElementById('alarm-button')"
+        number = next(iter(keeper.situation.object_rows))
+        try:
+            page.until(f"mapPage.live && {button}.textContent.includes('3 alarms')")
+            page.until("document.getElementById('slider').max > 2")
+            page.js(f"mapPage.pick({number})")
+            page.until("document.querySelector('#object')?.textContent.includes('From own ship')")
+            del past[1:]
+            page.until(f"{button}.textContent.includes('1 alarm')", 60.0)
+            for instant in range(3):  # the others began at one of these
+                slide = f"(s => {{ s.value = {instant}; s.dispatchEvent(new Event('input')); }})"
+                page.js(f"{slide}(document.getElementById('slider'))")
+                assert page.js(f"{button}.textContent") == "⚠ 1 alarm"
+                assert not page.js("document.querySelector('#object').textContent.includes('own ship')")
+            assert page.js("document.getElementById('own-ship').hidden")
+            page.js("document.getElementById('play').click()")
+            page.until("document.querySelector('#object').textContent.includes('From own ship')")
+            assert not page.js("document.getElementById('own-ship').hidden") and page.errors == []
+        finally:
+            page.close()

@@ -240,7 +240,7 @@ const approachOf = r => {
 };
 function beginOwnShip() {
   if (!present.own || centres.own) return;
-  centres.own = { words: "own ship", place: () => (present.own ? [present.own.x, present.own.y] : null) };
+  centres.own = { words: "own ship", place: () => (present.own && atPresent() ? [present.own.x, present.own.y] : null) };
   const option = text("option", "about own ship");
   option.value = "own";
   el("ring").prepend(option);
@@ -374,6 +374,8 @@ function mark() {
     broken = silent > Math.max(5, 5 * data.live.tick);
   liveMark.textContent = broken ? `no news for ${Math.round(silent)} s` : watching ? data.live.word : "looking back";
   liveMark.className = broken ? "broken-live" : watching ? "on-live" : "";
+  // Her speed is that of now.
+  ownWords.hidden = !watching;
   document.body.dataset.live = broken ? "broken" : watching ? "yes" : "back";
 }
 setInterval(mark, 1000);

@@ -231,8 +231,10 @@ function listAlarms() {
   el("alarms").replaceChildren(data.alarms.length ? list : text("p", "No alarms.", "hint"));
 }
 function showAlarms() {
-  for (const a of data.alarms) a.item.className = isActive(a, now.k) ? "current" : "past";
-  const current = data.alarms.filter(a => isActive(a, now.k)).length;
+  // Of a live page, those of now, whatever instant is shown.
+  const isCurrent = a => (data.live ? a.active : isActive(a, now.k));
+  for (const a of data.alarms) a.item.className = isCurrent(a) ? "current" : "past";
+  const current = data.alarms.filter(isCurrent).length;
   el("tab-alarms").replaceChildren(
     "Alarms",
     // The number that the button shows; those of other instants only where there is none now, in a picture from files.
@@ -341,7 +343,7 @@ function showLegend() {
 function showCounts() {
   const counts = data.sensors.map(() => 0);
   for (const r of now.marks) counts[records.source[r]]++;
-  for (const e of document.querySelectorAll("[data-count]")) e.textContent = grouped(counts[e.dataset.count]);
+  for (const e of document.querySelectorAll("[data-count]")) e.textContent = data.live && now.k < last ? "" : grouped(counts[e.dataset.count]);
   const live = now.rows.filter(r => objects.stage[r] !== STAGE.ended),
     doubtful = live.filter(r => objects.ambiguous[r]).length,
     several = live.filter(isSeveral).length;
