@@ -195,7 +195,7 @@ def test_echoes_of_the_shore_beside_a_berth_are_not_surely_the_ship_there():
             for row, number, p in zip(*(records[c][of["radar"]] for c in ("row", "object", "p_object")), strict=True):
                 if number in ships and p > 0.9:
                     sure, wrong = sure + 1, wrong + (vessel[ships[number]] != drawn_scene.truth[row])
-    assert sure > 100 and wrong < 0.06 * sure
+    assert sure > 80 and wrong < 0.06 * sure
 
 
 @pytest.mark.slow
