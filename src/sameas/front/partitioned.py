@@ -160,6 +160,7 @@ class PartitionedMatch:
         ):
             parts = counted(len(stored.cells), "partition")
             yield f"{ORDINALS[side - 1].capitalize()} catalogue: {stored.name}, {counted(rows, 'row')} in {parts}"
+            yield from entry("columns by", "the first rows of some partitions, which are those that notes count")
             yield from labelled([words(self.request.words(line, side)) for line in catalogue.interpretation])
             yield ""
         yield "Estimated, once for all partitions"
