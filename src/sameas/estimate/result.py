@@ -124,7 +124,8 @@ class Estimate:
     photometry : relations of the magnitudes of both sources; None if not given or not informative.
     precision : evidence of the sizes of the quoted errors; None if not used or not informative.
     columns : evidence of other columns; None if not given.
-    trends : growth of the errors in addition to the quoted ones; included in ``errors``. tuning : as of :func:`match`.
+    trends : growth of the errors in addition to the quoted ones; included in ``errors``. tuning : as of
+        :func:`sameas.estimate.match.match`.
     answer : the identification. errors_estimated : whether the distribution of the errors was estimated from its pairs.
     error_ranges : ranges of the errors over which probabilities are averaged with few pairs; None with many.
 

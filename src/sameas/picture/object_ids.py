@@ -272,7 +272,14 @@ class NamedObjects(PictureObjects):
 
     def of_plots_at(self, instant_s: float) -> NamedObjects:
         """The objects that only plots without names show, predicted to an instant."""
-        which = np.flatnonzero(self.by_plots & (self.stage != ENDED))
+        return self._at(instant_s, self.by_plots & (self.stage != ENDED))
+
+    def named_at(self, instant_s: float) -> NamedObjects:
+        """The confirmed objects with a name, predicted to an instant."""
+        return self._at(instant_s, ~self.by_plots & (self.main_track >= 0) & np.isin(self.stage, (CONFIRMED, COASTING)))
+
+    def _at(self, instant_s: float, chosen: BoolArray) -> NamedObjects:
+        which = np.flatnonzero(chosen)
         if not len(which):
             return self.take(which)
         return self.take(which).predicted(instant_s - self.instant_s, self.walk_m2_per_s3[which])

@@ -103,6 +103,7 @@ class Tuning:
     clutter_s, most_plots, clutter_sigmas : the clutter about a plot is counted over this time, or that of so many
         plots, within so many 1σ of its position. around_sigmas : echoes within these are beside it, as on a shore.
         dense_share : prior probability that the clutter at a place is denser than elsewhere.
+    hull_m, hull_plots : plots within this of an object with a name may be of its hull; number of plots that show it.
 
     min_instants : minimum number of instants at which two tracks were one object, to find deception.
     min_reports : minimum number of reports of a track, to find its silence.
@@ -218,6 +219,8 @@ class Tuning:
     clutter_sigmas: float = 2.0
     around_sigmas: float = 6.0
     dense_share: float = 0.1
+    hull_m: float = 200.0
+    hull_plots: float = 3.0
 
     min_instants: int = 5
     min_reports: int = 5

@@ -276,7 +276,8 @@ class Watch:
         if self.shown is not None:
             require_order(self.shown.now.instant_s, now.instant_s)
         if any(feed.reports.track is None for feed in now.feeds):
-            now = self.plot_rates.applied(now, self.objects.of_plots_at(now.instant_s), self.tuning)
+            known, named = self.objects.of_plots_at(now.instant_s), self.objects.named_at(now.instant_s)
+            now = self.plot_rates.applied(now, known, named, self.tuning)
         scan, track_of_record = self._scan(now)
         with_records, is_due = scan.now, self._is_due(scan.now)
         memory = (self.memory.advance if is_due else self.memory.looked_ahead)(scan, track_of_record)
@@ -323,8 +324,7 @@ class Watch:
         number[members[objects.detection[detected]]] = objects.number[detected, None]
         named = np.flatnonzero(objects.detected & (objects.main_track >= 0) & (objects.stage == CONFIRMED))
         shown = np.append(is_new, False)[members[objects.detection[named]]]
-        places = objects.state[named, :2]
-        return self.plot_rates.advance(scan, looks, is_named[:-1], number[:-1], is_new, places, shown)
+        return self.plot_rates.advance(scan, looks, is_named[:-1], number[:-1], is_new, objects.take(named), shown)
 
     def _previous_objects(self, pooled: PooledRecords, scan: Scan, memory: TrackMemory) -> IntArray:
         """(records,) the object of each pooled record's track at the previous instant, ABSENT without one."""

@@ -273,8 +273,8 @@ class Feed:
         return usual_period_s(self.scan_times_s) if self.rotation is None else self.rotation.period_s
 
     def superseded_scans_s(self, after_s: float, until_s: float) -> FloatArray:
-        """(l,) ascending times after ``after_s`` at which :class:`Snapshot` shows the scans of a source of plots that
-        it shows neither then nor at ``until_s``."""
+        """(l,) ascending times after ``after_s`` at which instants would show the scans of a source of plots that those
+        at ``after_s`` and ``until_s`` do not show."""
         if self.rotation is None:
             times_s = self.scan_times_s[(self.scan_times_s > after_s) & (self.scan_times_s <= until_s)]
             return times_s[:-1]
