@@ -89,7 +89,7 @@ def _placed(sensor: str, platform: Platform, vessel: list[Reports], reports: Rep
     if out.station_heading_deg is None:
         _, _, heading_deg = _headings(vessel, reports.time_s, tuning)
         out = replace(out, station_heading_deg=heading_deg)
-    return _where(known, out, f"{sensor}: {{}} set aside: where the {platform} was at their times is not known")
+    return _where(known, out, sensor, f"where the {platform} was at their times is not known")
 
 
 def _turned(sensor: str, platform: Platform, vessel: list[Reports], reports: Reports, tuning: Tuning) -> Step:
@@ -107,17 +107,15 @@ def _turned(sensor: str, platform: Platform, vessel: list[Reports], reports: Rep
         notes.append(f"{sensor}: the course of the {platform} is used as its heading, which no report has")
     bearing_deg = np.mod(np.asarray(reports.relative_bearing_deg) + heading_deg, 360.0)
     out = replace(reports, bearing_deg=bearing_deg, relative_bearing_deg=None, station_heading_deg=heading_deg)
-    kept, set_aside = _where(
-        known, out, f"{sensor}: {{}} set aside: the heading of the {platform} at their times is not known"
-    )
+    kept, set_aside = _where(known, out, sensor, f"the heading of the {platform} at their times is not known")
     return kept, notes + set_aside
 
 
-def _where(known: BoolArray, reports: Reports, note: str) -> Step:
+def _where(known: BoolArray, reports: Reports, sensor: str, reason: str) -> Step:
     """The reports of the known rows, and a note that counts the others."""
     if known.all():
         return reports, []
-    return reports.where(known), [note.format(f"{int((~known).sum())} of {len(reports)} reports are")]
+    return reports.where(known), [f"{sensor}: {int((~known).sum())} of {len(reports)} reports are set aside: {reason}"]
 
 
 def _headings(vessel: list[Reports], wanted_s: FloatArray, tuning: Tuning) -> tuple[str, int, FloatArray]:
