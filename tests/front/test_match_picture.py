@@ -114,3 +114,14 @@ def test_an_excluded_sensor_and_a_single_instant(toml) -> None:
         sameas.match_picture(sources, sensors=toml, at=START + 1e6)
     with pytest.raises(InputError, match="radar is described, but no file belongs to it"):
         sameas.match_picture({"ais": ais}, sensors=toml)
+
+
+def test_tables_in_memory_of_a_vessel_that_carries_a_sensor_need_no_kind(tmp_path):
+    """Files needed none; the same in memory was refused."""
+    ais, radar = harbour()
+    times = np.arange(START, START + 90.0)
+    gps = {"time": times, "lat": np.full(90, 50.55), "lon": np.full(90, -0.95)}
+    toml = tmp_path / "sensors.toml"
+    toml.write_text('[sources.radar]\nkind = "marine radar"\nplatform = { source = "gps" }\n')
+    picture = sameas.match_picture({"ais": ais, "radar": radar, "gps": gps}, sensors=toml, every=30.0)
+    assert len(picture.objects) > 0

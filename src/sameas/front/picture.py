@@ -516,7 +516,7 @@ def _sources(sources: Any, described: Mapping[str, SourceOptions], start: str | 
     for name, data in in_memory.items():
         options = described[name].options if name in described else ReadOptions()
         reports = data if isinstance(data, Reports) else read_cells(_cells(data, name), name, options)
-        read.append(source_of(reports, described.get(name), Path(name)))
+        read.append(source_of(name, reports, described, Path(name)))
     unused = [name for name in described if name not in sources and described[name].path is None]
     if unused and not files:
         raise InputError(f"{unused[0]} is described, but no file belongs to it; there are {', '.join(sources)}")

@@ -211,11 +211,9 @@ def doubts(
             sentences[feed.description.name] = guess.sentence
     for feed, fit in zip(feeds, by_plots, strict=True):
         name = feed.description.name
-        if (
-            fit is not None
-            and not {name} & (matched | set(sentences))
-            and (of_bow := _bow_sentence(feed, feeds, plane))
-        ):
+        if fit is None or name in matched or name in sentences:
+            continue
+        if of_bow := _bow_sentence(feed, feeds, plane, fits):
             sentences[name] = of_bow
     named = {guess.other for guess in guesses if guess is not None}
     for feed, partners, in_common, fit in zip(feeds, others, shared, by_plots, strict=True):
@@ -241,14 +239,14 @@ def _by_plots(feed: Feed, feeds: Sequence[Feed], fits: PlotFits) -> tuple[BiasFi
     return None if fit is None else (fit, tuple(one.description.name for one in (feed, *named)))
 
 
-def _bow_sentence(feed: Feed, feeds: Sequence[Feed], plane: LocalPlane | None) -> str:
+def _bow_sentence(feed: Feed, feeds: Sequence[Feed], plane: LocalPlane | None, fits: PlotFits) -> str:
     """The sentence on bearings of a moving radar that all its scans show to be of another kind; "" if they do not."""
     if feed.raw_reports is None or feed.sensor_m is None or not np.ptp(feed.sensor_m, axis=0).any():
         return ""
     others = [other for other in feeds if other is not feed]
     for guess in bow_guesses(feed.raw_reports):
         source = guess.read(feed.description, feed.raw_reports)
-        fit = source and _by_plots(Feed.of(*source, plane, tuning=feed.tuning), others, PlotFits())
+        fit = source and _by_plots(Feed.of(*source, plane, tuning=feed.tuning), others, fits)
         if fit and fit[0].established:
             return (
                 f"{feed.description.name}: its {guess.suspicion}: with {guess.changed}, its plots are on the tracks of "

@@ -86,9 +86,10 @@ def _placed(sensor: str, platform: Platform, vessel: list[Reports], reports: Rep
         )
     latitude_or_x, longitude_or_y = STATION[names]
     out = replace(reports, **{latitude_or_x: at[:, 0], longitude_or_y: at[:, 1]})  # type: ignore[arg-type]
-    if out.station_heading_deg is None:
+    if out.station_heading_deg is None and out.relative_bearing_deg is None:
+        # Bearings that look to be from the bow are doubted.
         _, _, heading_deg = _headings(vessel, reports.time_s, tuning)
-        out = replace(out, station_heading_deg=heading_deg)
+        out = replace(out, station_heading_deg=heading_deg if np.isfinite(heading_deg).any() else None)
     return _where(known, out, sensor, f"where the {platform} was at their times is not known")
 
 
@@ -147,8 +148,8 @@ def _under_way(reports: Reports, tuning: Tuning) -> Reports:
 
 def only_carries(source: str, reports: Reports, descriptions: Iterable[Description]) -> bool:
     """Whether a source gives the position of a vessel that carries sensors, and names no object: it is no sensor."""
-    carriers = {description.platform.source for description in descriptions if description.platform is not None}
-    return source in carriers and reports.object_ids is None
+    platforms = (description.platform for description in descriptions)
+    return reports.object_ids is None and any(one is not None and one.source == source for one in platforms)
 
 
 #: The columns of a sensor's position, by those of positions.

@@ -368,12 +368,13 @@ _TEXTS = ("track_id", "mmsi", "imo", "icao", "callsign", "mode_a", "name", "type
 _NO_COLUMNS = ("source", "kind", "extra", "damaged", "passed_over", "notes", "counted_clock")
 _COLUMNS = tuple(f.name for f in fields(Reports) if f.name not in _NO_COLUMNS)
 _PLACES = ("lat_deg", "lon_deg", "x_m", "y_m", "range_m", "bearing_deg", "relative_bearing_deg")
-_ANGLES = ("bearing_deg", "relative_bearing_deg", "course_deg", "heading_deg", "station_heading_deg")
+#: Directions, from 0° to 360°.
+DIRECTIONS = ("bearing_deg", "relative_bearing_deg", "course_deg", "heading_deg", "station_heading_deg")
 _HEIGHTS, _SPEEDS = ("alt_m", "pressure_alt_m"), ("speed_m_per_s", "length_m", "width_m")
 #: Lowest and highest value of a quantity; beyond are marks of a missing value, such as −999, 3600 or 9999. Angles may
 #: be a quarter beyond a turn, as after the subtraction of an offset. 511 is the missing heading of AIS.
 POSSIBLE: Mapping[str, tuple[float, float]] = {
-    **dict.fromkeys(_ANGLES, (-360.0, 450.0)), "elevation_deg": (-90.0, 90.0), "lon_deg": (-360.0, 360.0),
+    **dict.fromkeys(DIRECTIONS, (-360.0, 450.0)), "elevation_deg": (-90.0, 90.0), "lon_deg": (-360.0, 360.0),
     "station_lat_deg": (-90.0, 90.0), "station_lon_deg": (-360.0, 360.0),
     **dict.fromkeys(_HEIGHTS, (-900.0, 90e3)), **dict.fromkeys(_SPEEDS, (0.0, 20e3)),
 }  # fmt: skip
@@ -497,7 +498,7 @@ def _checked(reports: Reports) -> Reports:
 def _with_plain_angles(reports: Reports) -> Reports:
     """The reports with longitudes within ±180° and directions from 0° to 360°."""
     changed: dict[str, Any] = {}
-    for name in _ANGLES:
+    for name in DIRECTIONS:
         if (angle := getattr(reports, name)) is not None:
             changed[name] = np.mod(angle, 360.0)
     for name in ("lon_deg", "station_lon_deg"):

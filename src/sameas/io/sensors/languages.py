@@ -25,6 +25,8 @@ def plain(text: str) -> str:
     return "".join(letter for letter in decomposed if not unicodedata.combining(letter))
 
 
+#: Columns of Reports of which a report has one at least.
+PLACES = {"lat_deg", "x_m", "range_m", "bearing_deg", "relative_bearing_deg"}
 #: By column of Reports, names that are certain.
 NAMES: Mapping[str, str] = {
     "time_s": (
@@ -112,9 +114,8 @@ def names_in(stems: Set[str], known: Set[str]) -> dict[str, tuple[str, ...]]:
     (True, True)
     """
     names = {column: words.split() for column, words in NAMES.items()}
-    has_place = not known.isdisjoint({"lat_deg", "lon_deg", "x_m", "range_m", "bearing_deg", "relative_bearing_deg"})
-    places = ("lat_deg", "range_m", "bearing_deg", "relative_bearing_deg")
-    has_place = has_place or not stems.isdisjoint(word for column in places for word in names[column])
+    has_place = not known.isdisjoint(PLACES | {"lon_deg"})
+    has_place = has_place or not stems.isdisjoint(word for column in PLACES & names.keys() for word in names[column])
     for breadth, lengths in _BREADTHS:
         is_place = not has_place and breadth in stems and not stems.isdisjoint(lengths.split())
         names["lat_deg" if is_place else "width_m"].append(breadth)

@@ -28,6 +28,7 @@ from sameas.errors import Argument, InputError, Message, reading
 from sameas.io.sensors import aircraft, arpa, asterix, mode_s, recording, sbs, signalk, tables
 from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat, kind_by_name, kind_of
 from sameas.tracks.kinds import CARRIER_KIND, KINDS
+from sameas.tracks.platforms import only_carries
 from sameas.tracks.reports import NoReports, Reports, without_stray_times
 from sameas.tracks.source import Description, source_tables
 
@@ -237,7 +238,6 @@ def read_sources(
         if set_aside:
             raise next(iter(set_aside.values()))
         raise InputError("no files; give the sensors' files, or descriptions that name them")
-    carriers = {one.description.platform.source for one in described.values() if one.description.platform is not None}
     sources: list[SensorSource] = []
     for name, path in named:
         if set_aside and name in set_aside:
@@ -249,9 +249,8 @@ def read_sources(
             for reports in _recorded(path) if path.is_dir() else read_reports(path, reading):
                 if not set_aside or reports.source not in set_aside:
                     with setting_aside(reports.source, set_aside):
-                        about = described.get(reports.source)
-                        carries = reports.source in carriers
-                        sources.append(source_of(without_stray_times(reports), about, path, carries=carries))
+                        read = without_stray_times(reports)
+                        sources.append(source_of(read.source, read, described, path))
     names = [source.description.name for source in sources]
     duplicate = next((name for name in names if names.count(name) > 1), None)
     if duplicate is not None:
@@ -294,17 +293,21 @@ def _named(argument: str) -> tuple[str, Path]:
     return (path.rpartition(".")[0] or path), Path(argument)
 
 
-def source_of(reports: Reports, options: SourceOptions | None, path: Path, *, carries: bool = False) -> SensorSource:
+def source_of(name: str, reports: Reports, described: Mapping[str, SourceOptions], path: Path) -> SensorSource:
     """The source of these reports, with its description; a missing kind is guessed.
 
-    carries : whether it gives the positions of a vessel with a sensor; without names of objects it needs no kind.
+    name : of its description. described : all sources, by name. One that only gives the positions of a vessel with a
+        sensor needs no kind.
     """
+    options = described.get(name)
     if options is not None and options.has_kind:
         return SensorSource(options.description, reports, path, None)
-    is_sensor = not carries or reports.object_ids is not None
-    kind, why = _kind(reports) if is_sensor else (CARRIER_KIND, "it has the positions of a vessel with a sensor")
-    described = Description(reports.source) if options is None else options.description
-    return SensorSource(replace(described, kind=kind), reports, path, why)
+    if only_carries(name, reports, (one.description for one in described.values())):
+        kind, why = CARRIER_KIND, "it has the positions of a vessel with a sensor"
+    else:
+        kind, why = _kind(reports)
+    description = Description(reports.source) if options is None else options.description
+    return SensorSource(replace(description, kind=kind), reports, path, why)
 
 
 def _kind(reports: Reports) -> tuple[str, str]:

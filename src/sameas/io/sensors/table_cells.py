@@ -18,7 +18,8 @@ from sameas.arrays import IntArray
 from sameas.bounds import check_columns
 from sameas.errors import InputError
 from sameas.io.sensors.format import SensorFile, json_lines, of_json
-from sameas.io.sensors.table_columns import PLACES, QUANTITIES, rank_of, stem_of
+from sameas.io.sensors.languages import PLACES
+from sameas.io.sensors.table_columns import QUANTITIES, rank_of, stem_of
 
 #: Texts of cells without a value.
 NULLS = {"", "null", "none", "na", "n/a", "-", "--", "nan", "unknown", "undefined"}

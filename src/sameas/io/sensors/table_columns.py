@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from sameas.errors import Argument, InputError, Message
 from sameas.io.sensors.ais import SIDES
 from sameas.io.sensors.format import FEET_PER_MINUTE_M_PER_S, KNOT_M_PER_S
-from sameas.io.sensors.languages import names_in, plain
+from sameas.io.sensors.languages import PLACES, names_in, plain
 from sameas.tracks.coordinates import FOOT_M, MILE_M
 
 #: Units by kind of quantity: as written at the end of a name, and their factor to our unit.
@@ -134,8 +134,7 @@ QUANTITIES = (
         for side, letter in zip(SIDES, "abcd", strict=True)
     ),
 )
-#: Quantities of which a report has one at least.
-PLACES = {"lat_deg", "x_m", "range_m", "bearing_deg", "relative_bearing_deg"}
+_QUANTITY = {quantity.column: quantity for quantity in QUANTITIES}
 #: Places of the antenna on the hull, A to D in AIS: other tables call other things by these letters.
 OF_THE_ANTENNA = tuple(f"to_{side}_m" for side in SIDES)
 #: Conventional units where none is stated: sentence, columns or kind of source that indicate it, names, unit.
@@ -307,10 +306,9 @@ def _with_own_heading(chosen: dict[str, Choice]) -> dict[str, Choice]:
     why = f"{relative.name} is relative to the bow of the vessel with the sensor"
     if own is None:
         return others | {"relative_bearing_deg": replace(relative, why=f"{why}; no column has the heading")}
-    quantity = next(q for q in QUANTITIES if q.column == "station_heading_deg")
     return others | {
         "relative_bearing_deg": replace(relative, why=f"{why}; the heading, {own.name}, is added"),
-        "station_heading_deg": replace(own, quantity=quantity),
+        "station_heading_deg": replace(own, quantity=_QUANTITY["station_heading_deg"]),
     }
 
 
@@ -323,9 +321,8 @@ def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]
     course, heading = chosen.get("course_deg"), chosen.get("heading_deg")
     opensky = any(stems[name][0] == "lastposupdate" for name in stems)
     if heading and course is None and opensky:
-        quantity = next(q for q in QUANTITIES if q.column == "course_deg")
         why = f"{heading.name} is read as the course, as in OpenSky's states"
-        chosen["course_deg"] = Choice(chosen.pop("heading_deg").name, quantity, heading.factor, why)
+        chosen["course_deg"] = Choice(chosen.pop("heading_deg").name, _QUANTITY["course_deg"], heading.factor, why)
         return chosen
     track = next((name for name in stems if "".join(stems[name]) == "track"), None)
     if track is None:
@@ -339,8 +336,7 @@ def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]
     elif named:
         return chosen
     if "track_id" not in chosen and all(choice.name != track for choice in chosen.values()):
-        quantity = next(q for q in QUANTITIES if q.column == "track_id")
-        chosen["track_id"] = Choice(track, quantity, 1.0, f"{track} is read as a track number")
+        chosen["track_id"] = Choice(track, _QUANTITY["track_id"], 1.0, f"{track} is read as a track number")
     return chosen
 
 
@@ -355,12 +351,13 @@ def require_columns(chosen: Mapping[str, Choice], names: Sequence[str], source: 
             raise InputError(
                 f"{source}: no column of {words}{missing} among: {listed}", naming_columns(*times, missing)
             )
-    if "range_m" in chosen and not PLACES - {"range_m"} & set(chosen):
+    is_placed = not chosen.keys().isdisjoint(PLACES - {"range_m"})
+    if "range_m" in chosen and not is_placed:
         raise InputError(
             f"{source}: ranges ({chosen['range_m'].name}), but no column of {words}bearings among: {listed}",
             naming_columns(*times, "bearing_deg"),
         )
-    if not PLACES - {"range_m"} & set(chosen):
+    if not is_placed:
         raise InputError(
             f"{source}: no columns of {words}a position among: {listed}",
             Message(naming_columns(*times, "lat_deg", "lon_deg"), ", or those of x_m and y_m, range_m and bearing_deg"),

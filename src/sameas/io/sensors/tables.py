@@ -33,7 +33,7 @@ from sameas.io.sensors.table_cells import NULLS, PARQUET, TableText, cells_of
 from sameas.io.sensors.table_columns import Choice, choose, require_columns, stem_of
 from sameas.io.sensors.table_times import times_of
 from sameas.representation import counted
-from sameas.tracks.reports import Damaged, Reports, is_impossible
+from sameas.tracks.reports import DIRECTIONS, Damaged, Reports, is_impossible
 
 #: Columns with latitude and longitude in one cell.
 _POSITIONS = ("position", "latlon", "latlong", "latlng", "coordinates")
@@ -228,7 +228,6 @@ _OF_AIS: Mapping[str, tuple[float, ...]] = {
 }  # fmt: skip
 #: The highest speed of AIS, that of search and rescue aircraft.
 FASTEST_AIS_M_PER_S = 1022.0 * KNOT_M_PER_S
-_DIRECTIONS = ("heading_deg", "course_deg", "bearing_deg", "relative_bearing_deg", "station_heading_deg")
 #: Rows in which a number of nines only must stand to mean that there is no value, if no other number is as frequent.
 _NINES = 3
 
@@ -248,7 +247,7 @@ def _mark_unavailable(values: dict[str, NDArray[Any]], chosen: Mapping[str, Choi
         missing |= np.isin(np.round(given, 4), _nines(given))
         missing |= is_impossible(name, column)
         missing |= is_ais and name == "speed_m_per_s" and column > FASTEST_AIS_M_PER_S
-        missing |= name in _DIRECTIONS and given == 511.0
+        missing |= name in DIRECTIONS and given == 511.0
         if name in ("alt_m", "pressure_alt_m") and len(column) >= _NINES and not np.nan_to_num(column).any():
             missing = column == 0.0
         if missing.any():
@@ -286,11 +285,9 @@ def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int
     _mark(missing, lines, damaged, "no position")
     if "range_m" in values:
         _mark(values["range_m"] < 0.0, lines, damaged, "a distance below 0")
-    if (
-        "relative_bearing_deg" in values
-        and np.isfinite(heading := values.get("station_heading_deg", np.empty(0))).any()
-    ):
-        _mark(np.isnan(heading), lines, damaged, "no heading of the vessel with the sensor")
+    heading_deg = values.get("station_heading_deg") if "relative_bearing_deg" in values else None
+    if heading_deg is not None and np.isfinite(heading_deg).any():
+        _mark(np.isnan(heading_deg), lines, damaged, "no heading of the vessel with the sensor")
     if "lat_deg" not in values:
         return
     beyond = np.abs(values["lat_deg"]) > 90.0
