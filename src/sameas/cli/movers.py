@@ -279,7 +279,7 @@ def run_tables(
             pace.pause()
             printer(in_options(line, mover_option) for line in lines)
 
-        night = read_night(paths, others, wanted, columns, progress=pace, say=say)
+        night = read_night(paths, others, wanted, columns=columns, progress=pace, say=say)
         share_compilation(quiet, "frame")
         movers = night_movers(night, options, progress=pace, say=say)
         facts, tables = movers.facts(), movers.tables()

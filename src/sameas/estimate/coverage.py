@@ -318,7 +318,7 @@ def smoothing(
     volume: FloatArray,
     density: FloatArray,
     weight: FloatArray,
-    smooths: Sequence[float] = DEFAULT_COVERAGE.smooths,
+    smooths: Sequence[float],
     log_prior_step: float = DEFAULT_COVERAGE.log_prior_step,
 ) -> tuple[float, float]:
     """The maximum-likelihood pseudo-count of ``smooths`` for one level of cells, and the ln posterior of the records.

@@ -162,9 +162,9 @@ def with_trends(
     p_pair: FloatArray,
     quantities: Sequence[Covariate],
     most: int,
-    previous: Sequence[Trend] = (),
-    tuning: TrendTuning = DEFAULT_TRENDS,
-    error_fit: ErrorFitTuning = DEFAULT_ERROR_FIT,
+    previous: Sequence[Trend],
+    tuning: TrendTuning,
+    error_fit: ErrorFitTuning,
 ) -> tuple[Errors, tuple[Trend, ...], float]:
     """The errors with trends that these pairs support, the trends, and the gain in ln likelihood.
 

@@ -129,12 +129,12 @@ class SampleMatch:
 
 def match_sample(
     coverage: Coverage,
-    assumed: Assumed = Assumed(),
+    assumed: Assumed,
     *,
-    brightness: tuple[Magnitudes, Magnitudes] | None = None,
-    columns: ColumnEvidence | None = None,
+    brightness: tuple[Magnitudes, Magnitudes] | None,
+    columns: ColumnEvidence | None,
     tuning: MatchTuning,
-    progress: Callable[[str], None] = lambda stage: None,
+    progress: Callable[[str], None],
 ) -> SampleMatch:
     """The estimates from a sample drawn by the caller.
 

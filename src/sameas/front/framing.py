@@ -215,9 +215,7 @@ class FrameRequest:
         return outcome if same and all(path.exists() for path in self.outputs().values()) else None
 
 
-def fulfil(
-    request: FrameRequest, progress: Progress = lambda stage: None, words: Callable[[str], str] = str
-) -> dict[str, Any]:
+def fulfil(request: FrameRequest, progress: Progress, words: Callable[[str], str]) -> dict[str, Any]:
     """Runs the pipeline, writes the outputs, and returns the summary.
 
     words : formats a message that names arguments.
@@ -239,7 +237,7 @@ def fulfil(
 
 
 def summary_of(
-    match: FrameIdentification, frame: Frame, stars: Catalogue, words: Callable[[str], str] = str
+    match: FrameIdentification, frame: Frame, stars: Catalogue, words: Callable[[str], str]
 ) -> dict[str, Any]:
     """The summary of a frame, with the interpretation of its catalogue and the doubts about it.
 

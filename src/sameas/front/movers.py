@@ -113,10 +113,10 @@ def read_night(
     paths: Sequence[str],
     others: Sequence[str] = (),
     wanted: DetectionColumns | None = None,
-    columns: Mapping[str, Any] | None = None,
     *,
-    progress: Progress = lambda stage: None,
-    say: Say = lambda lines: None,
+    columns: Mapping[str, Any],
+    progress: Progress,
+    say: Say,
 ) -> Night:
     """The detections in the tables of one night.
 
@@ -134,7 +134,7 @@ def read_night(
     read = []
     for path in every:
         progress(f"reading {path}")
-        read.append(read_catalogue(path, stem_of(path), {**(columns or {}), "epoch": "none", "pm": "none"}, 0))
+        read.append(read_catalogue(path, stem_of(path), {**columns, "epoch": "none", "pm": "none"}, 0))
     seen, lines = detections_of(read[: len(paths)], wanted)
     # A star at the same place in several exposures is no duplicate.
     doubts = [Message(DOUBT, f"{one.name}: ", doubt) for one in read for doubt in one.doubts if doubt != one.duplicates]
@@ -180,9 +180,7 @@ def _write_reports(
         write(rows, options.observer, path, software=f"sameas {sameas.__version__}")
 
 
-def night_movers(
-    night: Night, options: MoverOptions, *, progress: Progress = lambda stage: None, say: Say = lambda lines: None
-) -> NightMovers:
+def night_movers(night: Night, options: MoverOptions, *, progress: Progress, say: Say) -> NightMovers:
     """The movers of a night of detections, named where elements are given. progress, say : as :func:`read_night`."""
     progress("searching")
     movers = find_movers(
@@ -303,7 +301,7 @@ def series_movers(
     frames: Sequence[IdentifiedFrame],
     options: MoverOptions,
     *,
-    failed: Sequence[tuple[str, str]] = (),
+    failed: Sequence[tuple[str, str]],
     below_limit: float | None = None,
     say: Say = lambda lines: None,
 ) -> SeriesMovers:

@@ -400,10 +400,10 @@ def pictured(
     when: Instants,
     method: Method,
     *,
-    call: str = "",
+    call: str,
     set_aside: dict[str, InputError] | None = None,
     words: Callable[[InputError], str] = str,
-    progress: Callable[[str], object] = lambda stage: None,
+    progress: Callable[[str], object],
     say: Callable[[Iterable[str]], object] = lambda lines: None,
 ) -> MatchPicture:
     """The picture of sources.

@@ -309,7 +309,7 @@ def _made_now(command: str) -> dict[str, Any]:
 
 
 def of_match(
-    request: Request[MatchOptions], match: SkyMatch, command: str, words: Callable[[str], str] = str
+    request: Request[MatchOptions], match: SkyMatch, command: str, words: Callable[[str], str]
 ) -> dict[str, Any]:
     """Provenance of a match of two catalogues. words : rewords messages that name arguments."""
     from importlib.metadata import version
@@ -448,7 +448,7 @@ def _quantities(match: SkyMatch) -> dict[str, float]:
 
 
 def of_many(
-    request: Request[ManyOptions], match: ManyMatch, command: str, words: Callable[[str], str] = str
+    request: Request[ManyOptions], match: ManyMatch, command: str, words: Callable[[str], str]
 ) -> dict[str, Any]:
     """Provenance of a match of several catalogues. words : rewords messages that name arguments."""
     from sameas.sky.joins import joined_names

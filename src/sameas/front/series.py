@@ -191,7 +191,7 @@ def write_series(each: Sequence[FieldSeries], folder: str | Path, facts: Mapping
 
 def write_folder(
     each: Sequence[FieldSeries], folder: Path, title: str, facts: Mapping[str, Any],
-    failed: Sequence[tuple[str, str]] = (), reasons: Sequence[str] = (), movers: tuple[str, str] | None = None,
+    failed: Sequence[tuple[str, str]], reasons: Sequence[str], movers: tuple[str, str] | None = None,
 ) -> list[str]:  # fmt: skip
     """Writes the tables and the index page of the series in a folder of frames; returns the file names.
 

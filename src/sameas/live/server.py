@@ -91,7 +91,7 @@ class Clients:
     now: int = 0
 
 
-def application(keeper: Keeper, access: Access | None = None) -> Starlette:
+def application(keeper: Keeper, access: Access | None) -> Starlette:
     """The ASGI application of a keeper, for uvicorn or another server.
 
     Raises

@@ -310,7 +310,7 @@ class Observers:
         return moved
 
 
-def joint_density(sources: Sequence[Source], sets: NDArray[np.integer], region: Region | None = None) -> Joint:
+def joint_density(sources: Sequence[Source], sets: NDArray[np.integer], region: Region | None) -> Joint:
     """Joint density and state of sets of records (k, S); see :class:`Observers`."""
     return Observers(tuple(sources), region).joint(sets)
 

@@ -307,7 +307,7 @@ def _sheet(cuts: NDArray[np.float32], top: float) -> dict[str, Any]:
 MAX_STARS, MIN_CONSTANT = 600, 200
 
 
-def series_field(name: str, series: Series, summaries: Sequence[Mapping[str, Any]], filter: str = "") -> dict[str, Any]:
+def series_field(name: str, series: Series, summaries: Sequence[Mapping[str, Any]], filter: str) -> dict[str, Any]:
     """The data of one series for the page. summaries : of the frames in the order of time."""
     from sameas.sky.series import MIN_FLOOR_ARCSEC
 
@@ -358,9 +358,9 @@ def write_series_page(
     title: str,
     fields: Sequence[Mapping[str, Any]],
     *,
-    failed: Sequence[tuple[str, str]] = (),
-    reasons: Sequence[str] = (),
-    movers: tuple[str, str] | None = None,
+    failed: Sequence[tuple[str, str]],
+    reasons: Sequence[str],
+    movers: tuple[str, str] | None,
 ) -> None:
     """Writes the page of a folder of frames: one file, complete in itself.
 

@@ -28,7 +28,7 @@ def picture_lines(
     source: str | None,
     at_s: float | None,
     why: Reasons,
-    other: str | None = None,
+    other: str | None,
 ) -> list[str]:
     """One object of a picture by its number or label, or, where ``source`` is named, one of its records by track, line
     or row.

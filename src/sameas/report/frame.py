@@ -316,7 +316,7 @@ def series_lines(series: Series) -> list[str]:
     return [*lines, *(f"{DOUBT}{note}" for note in series.notes)]
 
 
-def star_lines(series: Series, filter: str = "") -> list[str]:
+def star_lines(series: Series, filter: str) -> list[str]:
     """The series: its stars, zero points and variables."""
     stars = series.stars
     minutes = 1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _COLUMN_WIDTHS = (12, 12, 12, 13)
 
 
-def many_estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> list[str]:
+def many_estimate_lines(match: ManyMatch, words: Callable[[str], str]) -> list[str]:
     """The estimates. words : formats a message that names arguments."""
     lines = ["Estimated"]
     if match.epoch_jyr is None:

@@ -50,9 +50,7 @@ def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Call
     return lines + _doubt_lines(catalogue.named_doubts, words)
 
 
-def coverage_lines(
-    moved: str, coverage: Coverage, doubts: Sequence[str] = (), words: Callable[[str], str] = str
-) -> list[str]:
+def coverage_lines(moved: str, coverage: Coverage, doubts: Sequence[str], words: Callable[[str], str]) -> list[str]:
     """The common epoch, and the common area of both catalogues. words : as for :func:`catalogue_lines`."""
     return ["Both catalogues", *entry("epoch", moved), *_area(coverage), *_doubt_lines(doubts, words)]
 

@@ -154,7 +154,7 @@ class ColumnSearch:
             raise InputError(Message(f"{self.source}: ", name or repr(column.name), unfit), remedy) from None
         return column
 
-    def motion_column(self, name: str, unit: str, *, of_ra: bool = False) -> ChosenColumn:
+    def motion_column(self, name: str, unit: str, *, of_ra: bool) -> ChosenColumn:
         """A column of parallax, proper motion or radial velocity.
 
         of_ra : whether it is a motion in right ascension, which may be in seconds of time.

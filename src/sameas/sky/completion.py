@@ -85,7 +85,7 @@ def completed(
 
 
 def with_known_epochs(
-    catalogues: Sequence[Catalogue], epoch_jyr: float | None = None
+    catalogues: Sequence[Catalogue], epoch_jyr: float | None
 ) -> tuple[tuple[Catalogue, ...], tuple[str, ...]]:
     """The catalogues with missing epochs assumed, and one doubt for each.
 

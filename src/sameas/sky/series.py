@@ -113,7 +113,7 @@ class Exposure:
     @classmethod
     def of_listing(
         cls, table: Any, name: str, mjd_utc: float, scale: float, shape: tuple[int, int], exposure_s: float,
-        psf_fwhm_px: float = 3.0,
+        psf_fwhm_px: float,
     ) -> Exposure:  # fmt: skip
         """The exposure of the table of an identified frame, as made by :func:`sameas.sky.listing`."""
         rows = table[~np.ma.getmaskarray(np.ma.MaskedArray(table["measurement"]))]

@@ -364,7 +364,7 @@ def _basis(position: FloatArray, order: int) -> FloatArray:
     return np.stack([u**a * v**b for a, b in terms(order)], axis=1)
 
 
-def find_warp(result: Identification, before: Warp | None = None, tuning: WarpTuning = DEFAULT_WARP) -> Warp | None:
+def find_warp(result: Identification, before: Warp | None, tuning: WarpTuning) -> Warp | None:
     """The warp of the second source from the matched pairs; None if a shift explains them as well.
 
     before : warp already applied to the second source; the total warp is returned.

@@ -214,7 +214,7 @@ def kind_of(columns: Sequence[HeightColumns]) -> str:
     return PRESSURE if any(np.isfinite(one.pressure_m).any() for one in columns) else GEOMETRIC
 
 
-def heights_of(feeds: Sequence[Feed], model: HeightModel | None = None) -> tuple[HeightReports | None, ...]:
+def heights_of(feeds: Sequence[Feed], model: HeightModel | None) -> tuple[HeightReports | None, ...]:
     """The heights of every source, all of one kind and without offsets between them; None for a source without any.
 
     model : the conversion; estimated from these feeds if None.

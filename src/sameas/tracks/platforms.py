@@ -18,14 +18,14 @@ from sameas.errors import InputError, naming
 from sameas.representation import listed
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Platform
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
+from sameas.tracks.tuning import Tuning
 
 
 def on_platform(
     description: Description,
     reports: Reports,
     others: Mapping[str, Sequence[Reports]],
-    tuning: Tuning = DEFAULT_TUNING,
+    tuning: Tuning,
 ) -> tuple[Reports, tuple[str, ...]]:
     """The reports with the position of their sensor, if it is aboard a vessel that another source reports, and notes.
 

@@ -25,7 +25,7 @@ from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME, AzimuthBias
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, SlowBearing
 from sameas.tracks.scans import last_exposure, last_rotation
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
+from sameas.tracks.tuning import Tuning
 
 
 def pointed_at(
@@ -34,7 +34,7 @@ def pointed_at(
     sensor_m: ArrayLike,
     places: FloatArray,
     extent_m: float,
-    tuning: Tuning = DEFAULT_TUNING,
+    tuning: Tuning,
 ) -> FloatArray:
     """(n, p) probability that each direction points at each place, if at one of them; rows of 0 for directions at none.
 

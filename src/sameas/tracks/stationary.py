@@ -123,7 +123,7 @@ def stationary(
     return States(reports.time_s, state, covariance, reports.track, reports.rows), modes
 
 
-def mode_shares(motion: Motion, tuning: Tuning = DEFAULT_TUNING) -> FloatArray | None:
+def mode_shares(motion: Motion, tuning: Tuning) -> FloatArray | None:
     """(MODES,) the share of each mode; None if the motion has no stationary objects."""
     at_rest = motion.stationary_share
     if not motion.stationary_m_per_s or not motion.speed_m_per_s or not at_rest:

@@ -32,7 +32,7 @@ class Block:
     problem: str = ""
 
 
-def blocks_of(content: bytes, received_s: float = float("nan")) -> Iterator[Block]:
+def blocks_of(content: bytes, received_s: float) -> Iterator[Block]:
     """The blocks in a file, or in a datagram received at this time. Bytes of no block become one with a problem."""
     if content[:4] in _PCAP:
         for received_s, payload in _packets(content):

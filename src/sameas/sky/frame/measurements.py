@@ -98,7 +98,7 @@ class Measurements:
         columns = {key: value[rows] for key, value in vars(self).items() if _per_row(key, value)}
         return replace(self, **columns)
 
-    def clean(self, but: Flag = Flag.BLENDED | Flag.TRAILED | Flag.SATURATED) -> BoolArray:
+    def clean(self, but: Flag) -> BoolArray:
         """(n,) mask of the measurements without flags other than ``but``."""
         return np.asarray((self.flags & ~np.uint16(but)) == 0)
 

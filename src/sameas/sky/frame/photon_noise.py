@@ -76,7 +76,7 @@ def measured_inverse_gain(
     background: Background,
     stars: Subtracted,
     usable: BoolArray,
-    tuning: GainTuning = DEFAULT_GAIN,
+    tuning: GainTuning,
 ) -> InverseGain | None:
     """The inverse gain from the scatter of stars' pixels about their profiles; None with too few pixels.
 

@@ -317,7 +317,7 @@ def _plane(ra_deg: FloatArray, dec_deg: FloatArray, ra0: float, dec0: float) -> 
 _STATIONS = "Code  Long.   cos      sin    Name\n500   0.00000 0.000000 0.000000Geocentric\n"
 
 
-def near_earth_scores(movers: Movers, site: tuple[float, float, float] | None = None) -> FloatArray | None:
+def near_earth_scores(movers: Movers, site: tuple[float, float, float] | None) -> FloatArray | None:
     """(k,) scores from 0 to 100 that tracklets are near-Earth objects without a designation; None without ``digest2``.
 
     movers : the tracklets. site : latitude, longitude (degrees, east positive) and height (metres) of the observer;
