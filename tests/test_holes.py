@@ -8,7 +8,8 @@ import pytest
 import naive
 from sameas import Plane, Records, Sphere
 from sameas.estimate import coverage
-from sameas.estimate.coverage import Coverage, CoverageTuning, Points, in_empty_discs
+from sameas.estimate.coverage import Coverage, CoverageTuning
+from sameas.estimate.holes import Points, in_empty_discs
 from sameas.simulate.scenes import LonLatBox
 from sameas.space import sphere_offset
 

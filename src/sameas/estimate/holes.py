@@ -1,0 +1,240 @@
+"""Holes and edges of a source, to the spacing of its records: discs that are empty although many records are expected.
+
+Cells find the large regions that a source does not observe (:mod:`sameas.estimate.coverage`); discs find the remainder
+at their borders, and holes smaller than cells. A record lies in a hole if it is inside an empty disc around a record of
+its own source (an interval in one dimension, a ball in three): a morphological opening of the empty space by that disc.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
+from sameas.records import Records
+from sameas.representation import in_short
+from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, unit_vectors
+
+if TYPE_CHECKING:
+    from sameas.kernels.coverage import Buckets
+
+
+@dataclass(frozen=True)
+class HolesTuning:
+    """Parameters of the search for holes by empty discs; chosen.
+
+    Attributes
+    ----------
+    disc : records expected in an empty disc, by the density where its source observes. More than in a cell: cells
+        are few and fixed, but a disc is tried around every record.
+    min_expected : minimum number of records expected in it from the number of records of its own source in it
+        (including its centre), so that a region with few objects is not mistaken for a hole.
+    step : records expected in a smaller empty disc that extends a hole to its border.
+    overreach : an empty disc at a border reaches beyond it to the first records, by about this fraction of their
+        spacing. The accepted part of the disc is that much smaller, times 1 − share, because discs are centred on
+        records, and with fewer records a disc with this overreach is less frequent.
+    max_dimensions : maximum dimension for discs; in more dimensions records have too many neighbours.
+    min_spacing, many : where a disc must contain more records than ``many``, centres nearer than this fraction of
+        the radius count as one.
+    """
+
+    disc: float = 12.0
+    min_expected: float = 7.0
+    step: float = 5.0
+    overreach: float = 0.6
+    max_dimensions: int = 3
+    min_spacing: float = 0.125
+    many: float = 64.0
+
+
+DEFAULT_HOLES = HolesTuning()
+#: Most cells along an axis; farther ones share a number.
+MAX_CELLS = 2.0**40
+
+Floats = TypeVar("Floats", float, FloatArray)
+
+
+@in_short
+@dataclass(frozen=True)
+class Points:
+    """The points of a source for the search of empty discs, in the unit of the residuals.
+
+    points : (n, axes); chords for directions on the sphere. period : (axes,), infinite for axes without a period.
+    d : dimension of the space, for the volume of discs.
+    """
+
+    points: FloatArray
+    period: FloatArray
+    d: int
+
+    @classmethod
+    def of(cls, records: Records) -> Points:
+        """The points of one source's records."""
+        if isinstance(records.space, Sphere):
+            return cls(ARCSEC_PER_RADIAN * unit_vectors(*records.features.T), np.full(3, np.inf), 2)
+        period = np.array(records.space.period_list(records.d))
+        wraps = np.isfinite(period)
+        if not wraps.any():
+            return cls(records.features, period, records.d)
+        points = records.features.copy()
+        points[:, wraps] = np.mod(points[:, wraps], period[wraps])
+        return cls(points, period, records.d)
+
+    def near(self, other: Points, distance: float) -> BoolArray:
+        """(n,) whether points lie within ``distance`` of the bounding box of ``other``."""
+        low, high = other.points.min(axis=0) - distance, other.points.max(axis=0) + distance
+        outside = ((self.points < low) | (self.points > high)) & np.isinf(self.period)
+        return np.asarray(~outside.any(axis=1))
+
+    def at(self, rows: IntArray) -> FloatArray:
+        """(r, 3) points of some rows, unused axes 0."""
+        points = np.zeros((len(rows), 3))
+        points[:, : self.points.shape[1]] = self.points[rows]
+        return points
+
+    def isolated(
+        self, wanted: BoolArray, density: FloatArray, limits: tuple[float, float], volume: float, other: Points
+    ) -> IntArray:
+        """Rows of ``wanted`` points with a density within limits, and no point of ``other`` near their discs' centres.
+
+        volume : of the discs, times the density.
+        """
+        from sameas.kernels.coverage import isolated
+
+        rows = np.empty(len(self.points), np.int32)
+        buckets = _buckets(other, (volume / limits[1]) ** (1.0 / self.d) / math.sqrt(self.d), len(other.points))
+        number = isolated(self.points, wanted, density, *limits, volume, self.d, other.points, buckets, rows)
+        return rows[:number].astype(np.int64)
+
+    def in_discs(self, centres: FloatArray, radius: FloatArray, side: float) -> IntArray:
+        """Rows of all points inside discs around these centres, and some more around them."""
+        from sameas.kernels.coverage import rows_in_reach
+
+        rows = np.empty(len(self.points), np.int32)
+        number = rows_in_reach(self.points, _buckets(self, side, len(self.points)), centres, radius, rows)
+        return rows[:number].astype(np.int64)
+
+
+def _buckets(source: Points, side: float, n: int) -> Buckets:
+    """Cells of about this side over the points of a source, in a table for n points."""
+    from sameas.kernels.coverage import Buckets
+
+    low, number, period = np.zeros(3), np.ones(3, np.int64), np.full(3, np.inf)
+    sides = np.where(np.arange(3) < len(source.period), side, np.inf)  # an unused axis is one cell
+    for v, wraps in enumerate(source.period):
+        if math.isfinite(wraps):
+            number[v], period[v] = math.ceil(wraps / side), wraps
+            sides[v] = wraps / number[v]
+        else:
+            low[v] = float(source.points[:, v].min())
+            number[v] = int(min((float(source.points[:, v].max()) - low[v]) / side, MAX_CELLS)) + 1 | 1
+    return Buckets(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
+
+
+def within_holes(
+    own: Points,
+    covered: BoolArray,
+    other: Points,
+    density: FloatArray,
+    share: float,
+    tuning: HolesTuning = DEFAULT_HOLES,
+) -> BoolArray:
+    """(n,) whether records of one source, ``own``, lie in holes of the other, ``other``.
+
+    covered : (n,) whether they may be covered, by the cells.
+    density : (n,) expected density of the other source at them, per (unit of the residuals)^d.
+    share : records of the other source per record of this one where both observe.
+
+    The disc of a record has the volume in which ``disc`` records of the other source are expected. Holes found with
+    these are then extended to their borders by smaller discs around the records in them.
+    """
+    in_hole = ~covered
+    if own.d > tuning.max_dimensions or len(other.points) < tuning.min_expected or not covered.any():
+        return in_hole
+    wanted, beyond = covered, tuning.overreach * max(0.0, 1.0 - share)
+    if not covered.all():
+        widest = _radius(tuning.disc, float(density[covered].min()), own.d)
+        wanted = covered | own.near(other, 2.0 * widest)
+    least = max(2.0, tuning.min_expected / share)
+    in_disc = in_empty_discs(own, other, wanted, density, tuning.disc, beyond, least, tuning)
+    if in_disc.any():
+        in_disc |= in_empty_discs(own, other, wanted & in_disc, density, tuning.step, beyond, 1.0, tuning)
+    return in_hole | in_disc
+
+
+def _radius(expected: float, density: Floats, d: int) -> Floats:
+    """Radius of the disc with this expected number of records."""
+    radius: Floats = (expected / ball_volume(d) / density) ** (1.0 / d)
+    return radius
+
+
+def in_empty_discs(
+    own: Points,
+    other: Points,
+    wanted: BoolArray,
+    density: FloatArray,
+    expected: float,
+    beyond: float,
+    least: float,
+    tuning: HolesTuning = DEFAULT_HOLES,
+) -> BoolArray:
+    """(n,) mask of the points in empty discs around ``wanted`` points that contain at least ``least`` points."""
+    in_disc = np.zeros(len(own.points), np.bool_)
+    remaining = density[wanted]
+    while len(remaining):
+        high = float(remaining.max())
+        low = high / 2.0**own.d  # discs up to twice as large use the same cells
+        remaining = remaining[remaining <= low]
+        rows = own.isolated(wanted, density, (low, high), expected / ball_volume(own.d), other)
+        if len(rows):
+            radius = _radius(expected, density[rows], own.d)
+            inside = _inside(own, other, rows, radius, beyond * density[rows] ** (-1.0 / own.d), least, tuning)
+            in_disc[inside] = True
+    return in_disc
+
+
+def _inside(
+    own: Points,
+    other: Points,
+    rows: IntArray,
+    radius: FloatArray,
+    beyond: FloatArray,
+    least: float,
+    tuning: HolesTuning,
+) -> IntArray:
+    """Rows of the points inside empty discs around ``rows`` that contain enough points."""
+    from sameas.kernels.coverage import clear, empty_discs
+
+    side, centres, empty = float(radius.min()) / math.sqrt(own.d), own.at(rows), np.empty(len(rows), np.bool_)
+    empty_discs(centres, radius, *_sorted(other, other.in_discs(centres, radius, side), side), empty)
+    centres, radius, beyond = centres[empty], radius[empty], beyond[empty]
+    if len(centres) and least > tuning.many:
+        chosen = _one_per_cell(centres, tuning.min_spacing * float(radius.min()))
+        centres, radius, beyond = centres[chosen], radius[chosen], beyond[chosen]
+    if not len(centres):
+        return np.empty(0, np.int64)
+    rows = own.in_discs(centres, radius, side)
+    outside = np.ones(len(rows), np.bool_)
+    clear(centres, radius, radius - beyond, least, *_sorted(own, rows, side), outside)
+    return rows[~outside]
+
+
+def _sorted(source: Points, rows: IntArray, side: float) -> tuple[FloatArray, Buckets, Int32Array, Int32Array]:
+    """Some points (n, 3), their buckets, and the rows of each bucket."""
+    from sameas.kernels.coverage import into_buckets
+
+    points, buckets = source.at(rows), _buckets(source, side, max(len(rows), 1))
+    return points, buckets, *into_buckets(points, buckets)
+
+
+def _one_per_cell(points: FloatArray, side: float) -> IntArray:
+    """In each cell of this side, the point nearest to the centre; independent of the order of the points."""
+    cell = np.floor(points / side)
+    distance = ((points - (cell + 0.5) * side) ** 2).sum(axis=1)
+    order = np.lexsort((*points.T, distance, *cell.T))
+    first = np.ones(len(order), np.bool_)
+    first[1:] = (cell[order[1:]] != cell[order[:-1]]).any(axis=1)
+    return np.sort(order[first])
