@@ -194,6 +194,15 @@ def test_readme_shows_the_body_of_identify():
     assert body.rstrip() in (HOME / "README.md").read_text(encoding="utf-8")
 
 
+def test_every_benchmark_is_listed_once():
+    folder = HOME / "benchmarks"
+    modules = [*folder.glob("*.py"), *folder.glob("*/__main__.py")]
+    runs = [path for path in modules if '\nif __name__ == "__main__"' in path.read_text(encoding="utf-8")]
+    names = {path.parent.name if path.stem == "__main__" else path.stem for path in runs}
+    listed = re.findall(r"^\| `(\w+)` \|", (folder / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(listed) == sorted(names - {"worker"})
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(HOME)))
 def test_pages_import_public_names_only(page):
     """From the packages that list their public names, and from the adapters."""
