@@ -222,14 +222,14 @@ def test_own_ship_in_the_ais_of_others_is_no_approach(tmp_path):
         now[0] += 1.0
         lat = 50.0 + 5.0 * t / 111_229.0
         shown = {"mmsi": 235000009, "lat": lat, "lon": -1.0, "speed": 9.7, "course": 0.0, "type": 1, "second": t % 60}
-        bridge._received(pyais.encode_dict(shown, sentence_type="VDO")[0].encode() + b"\r\n", last=True)
-        bridge._received(sentence("GPVTG,0.0,T,,M,9.7,N,,K,A"), last=True)
+        bridge.receive(pyais.encode_dict(shown, sentence_type="VDO")[0].encode() + b"\r\n", last=True)
+        bridge.receive(sentence("GPVTG,0.0,T,,M,9.7,N,,K,A"), last=True)
         if t % 3 == 0:
             # Late, so that she is astern of her own position.
             shown |= {"lat": lat + 0.0002, "speed": 8.0}
             other = {"mmsi": 235000001, "lat": 50.02 - 3.0 * t / 111_229.0, "lon": -1.0, "speed": 5.8, "course": 180.0}
             for one in (shown, other | {"type": 1, "second": t % 60}):
-                shore._received(pyais.encode_dict(one, sentence_type="VDM")[0].encode() + b"\r\n", last=True)
+                shore.receive(pyais.encode_dict(one, sentence_type="VDM")[0].encode() + b"\r\n", last=True)
         situation = keeper.tick()
     assert set(situation.objects["mmsi"].tolist()) == {"235000009", "235000001"}
     assert [alarm.text.split()[0] for alarm in situation.alarms if alarm.kind == "cpa"] == ["235000001"]

@@ -284,7 +284,7 @@ def test_stamps_of_tomorrow_and_of_1970_are_one_alarm_and_fill_no_memory(tmp_pat
     keeper, wire = listening(tmp_path, lambda: now[0])
     for k in range(40):
         now[0] = START_S + k
-        wire._received(line(now[0] + off_s))
+        wire.receive(line(now[0] + off_s))
         situation = keeper.tick()
     assert [alarm.text for alarm in situation.alarms] == [words] and len(situation.objects["object"]) == 0
     assert keeper.health()["sources"]["far"]["refused"] == (40 if off_s > 0.0 else 0)
@@ -333,7 +333,7 @@ def test_a_source_that_never_sends_is_an_alarm_with_the_reason(tmp_path):
     bridge.state.error = "Connection refused"
     assert keeper.tick().alarms == ()
     now[0] = 1031.0
-    port._received(b"!AIVDM,1,1,,A,13aGra0P00PHid>NK9<2sdAN0L1P,0*FF\r\n")
+    port.receive(b"!AIVDM,1,1,,A,13aGra0P00PHid>NK9<2sdAN0L1P,0*FF\r\n")
     began = "has sent no report since the watch began"
     assert {alarm.text for alarm in keeper.tick().alarms} == {
         f"coast {began}: nothing arrives on udp://127.0.0.1:60004",
@@ -361,7 +361,7 @@ def test_a_cable_with_several_sources_that_falls_silent_is_one_alarm(tmp_path):
         "tcp://127.0.0.1:10110, of coast and bridge, is silent since the watch began: nothing has arrived"
     ]
     position = sentence("GPRMC,120031.00,A,5033.00,N,00057.00,W,0.0,0.0,010524,,,A")
-    wire._received(position + sentence("RATTM,05,2.0,45.6,T,9.0,180.0,T,,,N,,T,,120031.00,A"), last=True)
+    wire.receive(position + sentence("RATTM,05,2.0,45.6,T,9.0,180.0,T,,,N,,T,,120031.00,A"), last=True)
     # Data arrive: only what is missing is named.
     assert alarms(0.0) == [
         "coast has sent no report since the watch began: data arrive on tcp://127.0.0.1:10110, but none are its reports"
@@ -392,7 +392,7 @@ def test_reports_that_cannot_be_used_are_an_alarm_at_once(kind, more, data, word
     keeper = Keeper(read_settings(path), clock=lambda: now[0])
     [wire] = keeper.wires.values()
     for _ in range(2):
-        wire._received(data, last=True)
+        wire.receive(data, last=True)
         now[0] += 5.0
         alarms = keeper.tick().alarms
     [alarm] = alarms
@@ -425,7 +425,7 @@ def test_a_long_tick_makes_no_source_silent(tmp_path, monkeypatch):
 
     monkeypatch.setattr(keeper.picture, "advance", compiled)
     [wire] = keeper.wires.values()
-    wire._received(b'{"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi": "235070762"}\n')
+    wire.receive(b'{"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi": "235070762"}\n')
     assert keeper.tick().alarms == ()
     keeper.close()
 
@@ -796,7 +796,7 @@ def own_ship_at(keeper, now, position, more=""):
     clock = time.strftime("%H%M%S.00", time.gmtime(now[0]))
     date = time.strftime("%d%m%y", time.gmtime(now[0]))
     [wire] = keeper.wires.values()
-    wire._received(sentence(f"GPRMC,{clock},A,50{position:07.4f},N,00057.0000,W,{more or ','},{date},,,A"), last=True)
+    wire.receive(sentence(f"GPRMC,{clock},A,50{position:07.4f},N,00057.0000,W,{more or ','},{date},,,A"), last=True)
     return keeper.tick().own_ship
 
 
@@ -821,7 +821,7 @@ def test_the_jitter_of_a_position_alongside_is_no_speed_and_a_measured_speed_is_
     [wire] = keeper.wires.values()
     for _ in range(2):
         now[0] += 40.0
-        wire._received(sentence("RATTM,05,2.0,45.6,T,9.0,180.0,T,,,N,,T,,,A"), last=True)
+        wire.receive(sentence("RATTM,05,2.0,45.6,T,9.0,180.0,T,,,N,,T,,,A"), last=True)
         situation = keeper.tick()
     assert situation.own_ship is None
     words = "own ship: bridge has given no position for 60 s; no approach is watched"

@@ -169,17 +169,17 @@ def test_a_disk_that_refuses_is_an_alarm_and_the_next_piece_is_tried_again(tmp_p
     keeper = Keeper(read_settings(path))
     (tmp_path / "raw").write_text("a file where the folder should be")
     wire = keeper.wires[next(iter(keeper.wires))]
-    wire._received(cable(0), 1, last=True)
+    wire.receive(cable(0), 1, last=True)
     keeper.tick()
     [alarm] = [one for one in keeper.situation.alarms if one.key == "record"]
     assert alarm.text.startswith(f"{tmp_path / 'raw'} cannot be written; what is received is not recorded:")
     assert keeper.health()["wires"][wire.url]["not_recorded"] == 1
     (tmp_path / "raw").unlink()
-    wire._received(cable(1), 1, last=True)
+    wire.receive(cable(1), 1, last=True)
     keeper.tick()
     assert not [one for one in keeper.situation.alarms if one.key == "record"]
     # What came after the last tick is recorded at the end.
-    wire._received(cable(2), 1, last=True)
+    wire.receive(cable(2), 1, last=True)
     keeper.close()
     assert len(read_reports(next((tmp_path / "raw").iterdir()))[1]) == 2
 
@@ -223,7 +223,7 @@ def test_a_recording_is_replayed_with_the_sensor_file_of_the_watch(tmp_path, sen
     wire = keeper.wires[next(iter(keeper.wires))]
     for k in range(30):
         now[0] += 1.0
-        wire._received(cable(k), 1, last=True)
+        wire.receive(cable(k), 1, last=True)
     keeper.tick()
     keeper.close()
     # A source that sent nothing is no error.

@@ -180,6 +180,13 @@ class Wire:
             self._record(self.queue.take(self.queue.max_bytes + 1))
             self.recorder.close()
 
+    def receive(self, data: bytes, connection: int = 0, *, last: bool = False) -> None:
+        """Queues data that have just arrived. last : no more of them comes: an incomplete line is read as it is."""
+        now_s = self.clock()
+        self.state.received += len(data)
+        self.state.last_s, self.state.error = now_s, ""
+        self.queue.put(data, now_s, connection, last=last)
+
     def play(self, piece: Piece, dropped: int = 0) -> None:
         """Takes a piece of a recording as if it were received now. dropped : number of those lost before it."""
         received_s, data, connection, last = piece
@@ -193,12 +200,6 @@ class Wire:
             dropped = self.queue.dropped
             self.recorder.write(pieces, dropped - self._dropped)
             self._dropped = dropped
-
-    def _received(self, data: bytes, connection: int = 0, *, last: bool = False) -> None:
-        now_s = self.clock()
-        self.state.received += len(data)
-        self.state.last_s, self.state.error = now_s, ""
-        self.queue.put(data, now_s, connection, last=last)
 
     def _ended(self, connection: int) -> None:
         """Ends a connection: an incomplete line of it is not continued by the next one."""
@@ -215,7 +216,7 @@ class Wire:
         parts = urlsplit(self.url)
         host, port = parts.hostname or "0.0.0.0", parts.port or 0
         udp_socket = _udp_socket(host, port, parse_qs(parts.query).get("interface", ["0.0.0.0"])[0])
-        loop, received = asyncio.get_running_loop(), self._received
+        loop, received = asyncio.get_running_loop(), self.receive
         senders: dict[object, int] = {}
 
         class Receiver(asyncio.DatagramProtocol):
@@ -248,7 +249,7 @@ class Wire:
                     data = await reader.read(65536)
                 if not data:
                     return
-                self._received(data, connection)
+                self.receive(data, connection)
                 if not subscribed and (self.stream.format or format_of(data)) == "signalk":
                     # Its first message is a greeting.
                     writer.write(_SUBSCRIPTION.encode() + b"\r\n")
@@ -277,7 +278,7 @@ class Wire:
                         return
                     data = message.encode() if isinstance(message, str) else message
                     # A message is a line, however it is printed.
-                    self._received(data.replace(b"\n", b" ") + b"\n", connection)
+                    self.receive(data.replace(b"\n", b" ") + b"\n", connection)
             except TimeoutError:
                 raise ConnectionError(f"no data for {SILENT_S:.0f} s") from None
             finally:
@@ -295,7 +296,7 @@ class Wire:
             try:
                 with suppress(OSError):
                     while data := await reader.read(65536):
-                        self._received(data, connection)
+                        self.receive(data, connection)
             finally:
                 self._ended(connection)
                 writers.discard(writer)
@@ -320,7 +321,7 @@ class Wire:
             data = await asyncio.to_thread(fetched)
             if not self.state.connected:
                 self._set_connected()
-            self._received(data.replace(b"\n", b" "), last=True)
+            self.receive(data.replace(b"\n", b" "), last=True)
             await asyncio.sleep(1.0)
 
     async def _serial(self) -> None:
@@ -339,7 +340,7 @@ class Wire:
             try:
                 while True:
                     if data := await asyncio.to_thread(line.read, max(line.in_waiting, 1)):
-                        self._received(data, connection)
+                        self.receive(data, connection)
             except serial.SerialException as error:
                 raise OSError(f"the line was lost: {error}") from error
             finally:
@@ -360,7 +361,7 @@ class Wire:
         # Not asyncio.to_thread: the end of the program waits for its threads, and this one waits for data.
         threading.Thread(target=read, daemon=True).start()
         while data := await pieces.get():
-            self._received(data)
+            self.receive(data)
         self._ended(0)
 
 
