@@ -1,7 +1,7 @@
 """The error for unusable input, and messages that name the arguments of a remedy.
 
 The library knows arguments, only the command line knows options: a :class:`Message` keeps the arguments that it names,
-so that a command can replace them by its options. Quotations from a file are made printable and short.
+so that a command can replace them by its options. Texts from a file are made printable, quotations of it short.
 """
 
 from __future__ import annotations
@@ -29,6 +29,11 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(map(_escaped, text))
+
+
+def blanked(text: str) -> str:
+    """The text with blanks for what ends a line, controls a terminal, or XML cannot hold."""
+    return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
 def _escaped(character: str) -> str:

@@ -92,7 +92,7 @@ Both = tuple[FloatArray, FloatArray]
 
 @in_short
 @dataclass(frozen=True)
-class Estimates:
+class EMState:
     """The estimates after an EM iteration.
 
     Attributes
@@ -142,7 +142,7 @@ class Estimates:
         uses_precision: bool,
         tuning: EMTuning = DEFAULT_EM,
         columns: ColumnEvidence | None = None,
-    ) -> Estimates:
+    ) -> EMState:
         """The estimates before the first iteration, with this ``share`` of the poorer source in common."""
         n1, n2 = (len(rows) for rows in setting.rows)
         guess = min(max(share, tuning.min_initial_share), tuning.max_initial_share) * min(n1, n2)
@@ -155,7 +155,7 @@ class Estimates:
 
     def for_setting(
         self, setting: Setting, photometry: Photometry | None, columns: ColumnEvidence | None = None
-    ) -> Estimates:
+    ) -> EMState:
         """The same estimates for other candidates and records, whose magnitudes and other columns are given."""
         partner, counted = [], []
         for old, new, p, estimated in zip(self.setting.rows, setting.rows, self.p_partner, self.counted, strict=True):
@@ -171,7 +171,7 @@ class Estimates:
         estimates = replace(self, setting=setting, photometry=photometry, change=0.0, grades=grades, columns=columns)
         return estimates._with_partners((partner[0], partner[1]), (counted[0], counted[1])).with_companions(self)
 
-    def with_companions(self, previous: Estimates | None = None) -> Estimates:
+    def with_companions(self, previous: EMState | None = None) -> EMState:
         """The same estimates with the companions of these candidates.
 
         previous : estimates for other candidates; their clustering is reused if the records are the same.
@@ -193,7 +193,7 @@ class Estimates:
         changes = zip(self.p_partner, partner, self.counted, strict=True)
         return min(float(np.abs(new - old)[counted].sum()) for old, new, counted in changes)
 
-    def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Estimates:
+    def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> EMState:
         local_shares = _local_shares(self.setting, partner, counted)
         return replace(self, p_partner=partner, counted=counted, local_shares=local_shares)
 
@@ -274,7 +274,7 @@ class Estimates:
         )  # fmt: skip
         return None if by_message < self.tuning.min_by_message * self.n_common else sums.p_pair
 
-    def expectation(self) -> tuple[Estimates, FloatArray, FloatArray]:
+    def expectation(self) -> tuple[EMState, FloatArray, FloatArray]:
         """The E-step.
 
         Returns the estimates (with the weights of averaged errors updated), the (m,) probabilities of the pairs and
@@ -306,7 +306,7 @@ class Estimates:
         one, two = (max(int(np.count_nonzero(covered)), 1) for covered in self.setting.covered)
         return self.expected_common(), (one, two)
 
-    def converged(self, previous: Estimates) -> bool:
+    def converged(self, previous: EMState) -> bool:
         """Whether the expected change of the number of common objects after the next iteration is small.
 
         Successive changes shrink by a ratio r: the greater of the share of information that is missing because pairs
@@ -330,7 +330,7 @@ class Estimates:
             small.append(abs(self.change) * r**2 / (1.0 - r) <= self.tuning.tolerance * error)
         return all(small) or abs(self.change) <= self.tuning.tolerance_number
 
-    def evidence_converged(self, previous: Estimates) -> bool:
+    def evidence_converged(self, previous: EMState) -> bool:
         """Whether magnitudes, columns and grades were fitted often enough, and used in the last iteration."""
         fitted = (
             (self.photometry is None and self.columns is None)
@@ -341,7 +341,7 @@ class Estimates:
         ungraded = self.grades is None or self.grades.rule is None
         return fitted and (ungraded or (graded is not None and graded.trained_on(self.setting.pairs)))
 
-    def maximization(self, p_pair: FloatArray, log_ratio: FloatArray) -> Estimates:
+    def maximization(self, p_pair: FloatArray, log_ratio: FloatArray) -> EMState:
         """The M-step of shares, errors and grades; that of magnitudes and columns is :meth:`with_evidence`.
 
         p_pair, log_ratio : (m,) probabilities of the pairs, and ln of their odds before one-to-one.
@@ -429,7 +429,7 @@ class Estimates:
         )
         return out
 
-    def with_evidence(self, p_counted: FloatArray, *, last: bool = False) -> Estimates:
+    def with_evidence(self, p_counted: FloatArray, *, last: bool = False) -> EMState:
         """The M-step of magnitudes and columns, with these (m,) probabilities of the pairs."""
         photometry, columns = self.photometry, self.columns
         if (photometry is None and columns is None) or self.n_common < self.tuning.min_pairs:
@@ -466,16 +466,16 @@ def _local_shares(setting: Setting, partner: Both, counted: tuple[BoolArray, Boo
 
 
 def iterate(
-    estimates: Estimates,
+    estimates: EMState,
     max_iterations: int,
     progress: Callable[[str], None],
-    stop_early: Callable[[Estimates, FloatArray], bool] = lambda estimates, p_counted: False,
+    stop_early: Callable[[EMState, FloatArray], bool] = lambda estimates, p_counted: False,
     message_errors: FloatArray | None = None,
-) -> tuple[Estimates, FloatArray, int, bool]:
+) -> tuple[EMState, FloatArray, int, bool]:
     """EM iterations over one list of candidates, until they converge.
 
     stop_early : decides from the first iteration's estimates and probabilities whether to stop there.
-    message_errors : (m,) :meth:`Estimates.message_errors`, added to the probabilities by messages; None without.
+    message_errors : (m,) :meth:`EMState.message_errors`, added to the probabilities by messages; None without.
 
     Returns the estimates, the (m,) probabilities of the counted pairs, the number of iterations, and whether they
     converged. Probabilities come from message passing: the M-step needs only sums over many pairs.

@@ -13,7 +13,7 @@ from sameas.arrays import FloatArray
 from sameas.assignment import refuse_crowds
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.em import Estimates, iterate
+from sameas.estimate.em import EMState, iterate
 from sameas.estimate.error_average import Average, identify_averaged
 from sameas.estimate.error_grid import ErrorScan
 from sameas.estimate.error_model import better_model
@@ -38,7 +38,7 @@ class GateResult:
     """
 
     whole: Setting
-    estimates: Estimates
+    estimates: EMState
     p_counted: FloatArray
     gate_sigmas: float
     iterations: int
@@ -119,12 +119,12 @@ class GateResult:
         return beyond > 1.0 + tuning.min_outer_share * float(self.p_counted.sum())
 
 
-def _chance_candidates(estimates: Estimates, p_counted: FloatArray, wider: float) -> float:
+def _chance_candidates(estimates: EMState, p_counted: FloatArray, wider: float) -> float:
     """Mean number of chance candidates of a record in a gate ``wider`` times as wide."""
     return estimates.setting.by_chance(p_counted) * wider**estimates.setting.pairs.d
 
 
-def _is_narrow(estimates: Estimates, p_counted: FloatArray, limit: float, tuning: MatchTuning) -> bool:
+def _is_narrow(estimates: EMState, p_counted: FloatArray, limit: float, tuning: MatchTuning) -> bool:
     """Whether a gate of ``limit`` sigmas is too narrow for the typical errors, and a wider gate is affordable."""
     if limit >= tuning.max_gate_sigmas or not estimates.fits_errors:
         return False
@@ -177,7 +177,7 @@ class GateSearch:
                 # Close candidates in excess of chance are common objects.
                 inner, by_chance = _inner_counts(near, limit)
                 excess = (inner - by_chance) / min(len(first), len(second))
-                estimates = Estimates.initial(
+                estimates = EMState.initial(
                     part, errors, photometry, self.density, excess, self.precision, self.tuning.em, columns
                 )
                 initial_errors = errors or self.gate_errors.with_mixture(self.seed_errors or self.gate_errors)
@@ -195,10 +195,10 @@ class GateSearch:
             estimates = estimates.with_evidence(p_counted)
             limit = min(2.0 * limit, self.tuning.max_gate_sigmas)
 
-    def _run_gate(self, estimates: Estimates, whole: Setting, limit: float, max_iterations: int) -> GateResult:
+    def _run_gate(self, estimates: EMState, whole: Setting, limit: float, max_iterations: int) -> GateResult:
         """The result with one gate; after one iteration if that shows the gate to be too narrow."""
 
-        def narrow(estimates: Estimates, p_counted: FloatArray) -> bool:
+        def narrow(estimates: EMState, p_counted: FloatArray) -> bool:
             return self.gate is None and _is_narrow(estimates, p_counted, limit, self.tuning)
 
         estimates, p_counted, n, converged = iterate(estimates, max_iterations, self.progress, narrow)
@@ -233,7 +233,7 @@ class GateSearch:
         refuse_crowds(pairs)
         whole = Setting.whole(pairs, self.coverage)
         share = scan.common / min(len(first), len(second))
-        estimates = Estimates.initial(
+        estimates = EMState.initial(
             whole, AS_QUOTED, self.photometry, self.density, share, self.precision, self.tuning.em, self.columns
         )
         estimates = replace(estimates, average=Average.of(error_average, pairs, scan.weight, scan.common))
@@ -271,7 +271,7 @@ class GateSearch:
         )
         return self._identify(estimates), result
 
-    def _identify(self, estimates: Estimates) -> Identification:
+    def _identify(self, estimates: EMState) -> Identification:
         self.progress("identification")
         pairs, companion_log_odds = estimates.setting.pairs, estimates.companion_log_odds()
         if companion_log_odds is not None:

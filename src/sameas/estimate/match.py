@@ -21,7 +21,7 @@ import numpy as np
 from sameas.errors import InputError
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.em import Estimates
+from sameas.estimate.em import EMState
 from sameas.estimate.error_grid import ErrorScan, mean_densities, scan_errors
 from sameas.estimate.error_trends import covariates, with_trends
 from sameas.estimate.gate_search import GateResult, GateSearch, has_excess, to_estimate
@@ -122,7 +122,7 @@ class SampleMatch:
     """
 
     estimate: Estimate
-    estimates: Estimates = field(repr=False)
+    estimates: EMState = field(repr=False)
     gate_errors: Errors
     gate_sigmas: float
 

@@ -25,7 +25,7 @@ from sameas.errors import InputError
 from sameas.estimate.cells import GridLevel
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import DEFAULT_COVERAGE, Coverage, CoverageTuning
-from sameas.estimate.em import EMTuning, Estimates
+from sameas.estimate.em import EMState, EMTuning
 from sameas.estimate.grades import Grades
 from sameas.estimate.match import Assumed, match_sample
 from sameas.estimate.photometry import Photometry
@@ -356,7 +356,7 @@ class Learned:
             self.places.tuning.coverage.shared_pseudo_count,
         )  # fmt: skip
         photometry = self._photometry(measured)
-        estimates = Estimates(
+        estimates = EMState(
             setting, (np.full(n1, self.means[0]), np.full(n2, self.means[1])), counted,
             (share[at_1, 0], share[at_2, 1]), self.errors, False, photometry,
             self.density, tuning=self.tuning,

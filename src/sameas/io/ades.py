@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from sameas.arrays import IntArray
-from sameas.errors import InputError
+from sameas.errors import InputError, blanked
 from sameas.io.atomic import replacing
 from sameas.sky.frame.measurements import POGSON
 
@@ -220,7 +220,7 @@ class Observation:
         if 0 < self.snr < math.inf:
             out["logSNR"] = f"{math.log10(self.snr):.2f}"
         out["remarks"] = self.remarks
-        return {key: _plain(out[key]).replace("|", "/") for key in COLUMNS if out.get(key)}
+        return {key: blanked(out[key]).replace("|", "/") for key in COLUMNS if out.get(key)}
 
 
 def observations(
@@ -263,12 +263,7 @@ def _header(observer: Observer, software: str) -> list[tuple[str, list[tuple[str
         ("software", [("astrometry", software), ("objectDetection", software)]),
         *([("comment", [("line", line) for line in observer.comments])] if observer.comments else []),
     ]
-    return [(block, [(key, _plain(value)) for key, value in entries]) for block, entries in blocks]
-
-
-def _plain(text: str) -> str:
-    """Without what ends a line, controls a terminal, or what XML cannot hold."""
-    return "".join(letter if letter.isprintable() else " " for letter in text)
+    return [(block, [(key, blanked(value)) for key, value in entries]) for block, entries in blocks]
 
 
 def write_psv(observations: Sequence[Observation], observer: Observer, path: str | Path, *, software: str) -> None:
@@ -311,7 +306,7 @@ def write_80_columns(
     """Writes lines of 80 columns, the older format, which the Minor Planet Center still accepts."""
     lines = [f"COD {observer.code}", f"OBS {', '.join(observer.observers)}", f"MEA {', '.join(observer.measurers)}"]
     lines += [f"TEL {' '.join(value for _, value in observer.telescope)}", f"COM measured with {software}"]
-    lines = [_plain(line) for line in (*lines, *(line_of(one, observer) for one in observations))]
+    lines = [blanked(line) for line in (*lines, *(line_of(one, observer) for one in observations))]
     with replacing(Path(path)) as draft:
         draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

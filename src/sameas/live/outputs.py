@@ -23,7 +23,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from sameas.errors import InputError, reading
+from sameas.errors import InputError, blanked, reading
 from sameas.io.sensors.format import KNOT_M_PER_S
 from sameas.io.sensors.signalk import FUSED
 from sameas.live.situation import Situation
@@ -172,7 +172,7 @@ def cot(situation: Situation) -> Iterator[bytes]:
         track = ""
         if one["speed_m_per_s"] is not None:
             track = f'<track course="{one["course_deg"]:.1f}" speed="{one["speed_m_per_s"]:.2f}"/>'
-        callsign = quoteattr(_printable(one.get("label") or f"object {one['object']}"))
+        callsign = quoteattr(blanked(one.get("label") or f"object {one['object']}"))
         yield (
             f'<?xml version="1.0" encoding="UTF-8"?><event version="2.0" uid="sameas.{one["object"]}" type="{kind}" '
             f'how="m-f" time="{start}" start="{start}" stale="{stale}"><point lat="{one["lat_deg"]:.7f}" '
@@ -329,11 +329,6 @@ def _confirmed(situation: Situation) -> list[dict[str, Any]]:
 
 def _iso(time_s: float) -> str:
     return datetime.fromtimestamp(time_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def _printable(text: str) -> str:
-    """The text with blanks for characters that are not printable, which XML may not contain."""
-    return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
 def _plain(text: str) -> str:
