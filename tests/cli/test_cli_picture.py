@@ -371,15 +371,30 @@ def test_wrong_usage_is_reported(arguments, words, sameas):
 def test_a_time_of_day_refers_to_the_reports_also_across_midnight():
     midnight = 1714608000.0
     late = midnight - 600.0, midnight + 900.0
-    assert Instants(None, "23:55", None, None).of(late).tolist() == [midnight - 300.0]
-    assert Instants(None, "00:05:30", None, None).of(late).tolist() == [midnight + 330.0]
-    assert Instants(300.0, None, "23:56", "00:10").of(late).tolist() == [midnight, midnight + 300, midnight + 600]
+    assert Instants(None, "23:55", None, None).of([late]).tolist() == [midnight - 300.0]
+    assert Instants(None, "00:05:30", None, None).of([late]).tolist() == [midnight + 330.0]
+    assert Instants(300.0, None, "23:56", "00:10").of([late]).tolist() == [midnight, midnight + 300, midnight + 600]
 
 
 def test_the_default_number_of_instants_is_reasonable():
-    assert len(Instants(None, None, None, None).of((START, START + 100.0))) == 101
+    assert len(Instants(None, None, None, None).of([(START, START + 100.0)])) == 101
     for span_s in (7000.0, 86400.0, 1e7):
-        assert 100 <= len(Instants(None, None, None, None).of((START, START + span_s))) <= 202
+        assert 100 <= len(Instants(None, None, None, None).of([(START, START + span_s)])) <= 202
+
+
+def test_two_flights_months_apart_are_a_picture_of_both(sameas, tmp_path):
+    """Instants were spread over the months between, in which there is nothing; predicted over them, an aircraft left
+    the earth, which ended the run."""
+    rows = ["time,icao24,lat,lon,groundspeed,track"]
+    for address, begin in (("4b17fd", START), ("4b17fe", START + 60 * 86400.0)):
+        rows += [f"{begin + t},{address},{47.45 + 1e-3 * t:.5f},8.55,220,0" for t in range(0, 300, 5)]
+    (tmp_path / "adsb.csv").write_text("\n".join(rows) + "\n")
+    sameas("picture", tmp_path / "adsb.csv", "-o", tmp_path / "picture")
+    objects = read_table(tmp_path / "picture" / "objects.parquet")
+    shown = objects[objects["stage"] == "confirmed"]
+    assert set(shown["icao"]) == {"4b17fd", "4b17fe"} and 100 < len(shown) < 400
+    lost = objects[objects["stage"] == "ended"]
+    assert len(lost) == 1 and lost["x_m"].mask.all() and lost["lat_deg"].mask.all()
 
 
 def test_an_unwritable_folder_is_refused_at_the_start(refusal, coast, tmp_path):

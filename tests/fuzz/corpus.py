@@ -320,6 +320,13 @@ def sensor_csv() -> list[bytes]:
     return [*every, day_first]
 
 
+def beast_frames() -> list[bytes]:
+    """The messages of the sample, as a receiver with GPS sends them."""
+    lines = (DATA / "mode_s_sample.csv").read_text().splitlines()
+    bodies = [(n << 30).to_bytes(6) + b"@" + bytes.fromhex(line.split(",")[1]) for n, line in enumerate(lines)]
+    return [b"".join(b"\x1a3" + body.replace(b"\x1a", b"\x1a\x1a") for body in bodies)]
+
+
 def sensor_json() -> list[bytes]:
     lines = "".join(json.dumps(row) + "\n" for row in SENSOR_ROWS)
     return [lines.encode(), json.dumps([{"what": row} for row in SENSOR_ROWS]).encode()]
@@ -562,6 +569,7 @@ TARGETS: Mapping[str, Target] = {
     "aircraft.json": Target(".json", aircraft, sensor),
     "sbs": Target(".sbs", sbs, sensor),
     "mode s": Target(".csv", lambda: [(DATA / "mode_s_sample.csv").read_bytes()], sensor),
+    "mode s beast": Target(".bin", beast_frames, sensor),
     "asterix": Target(".ast", asterix, sensor),
     "asterix pcap": Target(".pcap", asterix_pcap, sensor),
     "sensors.toml": Target(".toml", lambda: [SENSORS_TOML], sensors_toml),

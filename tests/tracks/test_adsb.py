@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.io.sensors import aircraft, mode_s, sbs
+from sameas.io.sensors import ReadOptions, aircraft, beast, mode_s, read_reports, sbs
 from sameas.io.sensors.format import RADIUS_95
+from sameas.io.sensors.stream import ReportStream
 
 SAMPLE = Path(__file__).parent / "data" / "mode_s_sample.csv"
 BARCELONA = {
@@ -117,6 +118,10 @@ def test_base_station_positions_include_the_latest_other_fields():
 # ------------------------------------------------------------------------------------------------ raw messages
 
 
+def read_lines(lines, start_s=None):
+    return mode_s.read(mode_s.Messages.of_lines(lines), "roof", start_s)
+
+
 def zones(lat):
     """Longitude zones (NL) of a latitude, from the definition in ICAO Doc 9871."""
     if abs(lat) >= 87.0:
@@ -151,7 +156,7 @@ def halves_of(path):
 
 def test_real_positions_agree_with_the_definition():
     pytest.importorskip("rs1090")
-    made = mode_s.read(SAMPLE.read_text().splitlines(), "roof")
+    made = read_lines(SAMPLE.read_text().splitlines())
     newest = {}
     expected = {}
     for number, address, odd, half in halves_of(SAMPLE):
@@ -175,7 +180,7 @@ def test_real_positions_agree_with_the_definition():
 
 def test_accuracy_and_velocity_are_the_latest_received():
     pytest.importorskip("rs1090")
-    made = mode_s.read(SAMPLE.read_text().splitlines(), "roof")
+    made = read_lines(SAMPLE.read_text().splitlines())
     # a6f2b7 sends NACp 10 in its target state message, in line 15.
     of_one = (made.icao == "a6f2b7") & (made.line > 15)
     np.testing.assert_allclose(made.covariance_m2[of_one][:, 0], (10.0 / RADIUS_95) ** 2)
@@ -192,7 +197,7 @@ def test_accuracy_and_velocity_are_the_latest_received():
 def test_the_published_pair_gives_the_published_position():
     pytest.importorskip("rs1090")
     odd, even = "8D40621D58C386435CC412692AD6", "8D40621D58C382D690C8AC2863A7"
-    made = mode_s.read([f"1457996400.0 {odd}", f"1457996402.0 {even}"], "roof")
+    made = read_lines([f"1457996400.0 {odd}", f"1457996402.0 {even}"])
     assert (made.lat_deg[0], made.lon_deg[0]) == pytest.approx((52.2572, 3.91937), abs=1e-5)
     assert made.pressure_alt_m[0] == pytest.approx(38000 * 0.3048) and made.icao[0] == "40621d"
 
@@ -201,11 +206,11 @@ def test_wrapping_counters_are_unwrapped_from_the_start():
     pytest.importorskip("rs1090")
     odd, even = "8D40621D58C386435CC412692AD6", "8D40621D58C382D690C8AC2863A7"
     lines = [f"@{0x100000000000:012X}{odd};", f"@{0x100000000000 + 24_000_000:012X}{even};"]
-    assert mode_s.read(lines, "roof", start_s=1457996400.0).time_s.tolist() == [1457996402.0]
+    assert read_lines(lines, start_s=1457996400.0).time_s.tolist() == [1457996402.0]
     with pytest.raises(InputError, match="roof: no time in 2 of 2 messages; give start"):
-        mode_s.read(lines, "roof")
+        read_lines(lines)
     with pytest.raises(InputError, match="write one before every message"):
-        mode_s.read([f"*{odd};", f"*{even};"], "roof")
+        read_lines([f"*{odd};", f"*{even};"])
 
 
 def test_broken_messages_are_counted_by_line():
@@ -214,14 +219,123 @@ def test_broken_messages_are_counted_by_line():
     lines[3] = lines[3][:-1] + "0"
     lines.insert(7, "rubbish")
     lines.insert(9, "1753827787.0,8DAB")
-    made = mode_s.read(lines, "roof")
+    made = read_lines(lines)
     assert made.damaged.lines.tolist() == [4, 8, 10]
     assert made.damaged.reasons[0] == "not Mode S, or wrong parity"
     with pytest.raises(InputError, match="roof: no position in 1 messages"):
-        mode_s.read(["1457996400.0 8D40621D58C386435CC412692AD6"], "roof")
+        read_lines(["1457996400.0 8D40621D58C386435CC412692AD6"])
 
 
 def test_missing_rs1090_is_reported_with_the_remedy(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "rs1090", None)
     with pytest.raises(InputError, match=r"raw Mode S messages need rs1090: pip install 'sameas\[targets\]'"):
-        mode_s.read(["1457996400.0 8D40621D58C386435CC412692AD6"], "roof")
+        read_lines(["1457996400.0 8D40621D58C386435CC412692AD6"])
+
+
+# ------------------------------------------------------------------------------------------- other ways to write them
+
+ODD, EVEN = "8d40621d58c386435cc412692ad6", "8d40621d58c382d690c8ac2863a7"
+
+
+def beast_frame(message, counter):
+    """A frame with a counter of 6 bytes, as receivers send it on port 30005."""
+    body = counter.to_bytes(6) + b"\x40" + bytes.fromhex(message)
+    return b"\x1a" + (b"3" if len(message) == 28 else b"2") + body.replace(b"\x1a", b"\x1a\x1a")
+
+
+def test_beast_frames_are_read_from_a_file(tmp_path):
+    """The counter holds an escape byte; the frames between are of Mode A/C and of the receiver's state."""
+    pytest.importorskip("rs1090")
+    odd, even = beast_frame(ODD, 0x1A1A_0000), beast_frame(EVEN, 0x1A1A_0000 + 24_000_000)
+    between = b"\x1a1" + bytes(7) + b"\x12\x34" + b"\x1a4" + bytes(21)
+    file = tmp_path / "roof.bin"
+    file.write_bytes(odd + between + even + even[:-4])
+    [made] = read_reports(file, ReadOptions(start="2016-03-14T23:00:00Z"))
+    assert made.time_s.tolist() == [1457996402.0] and made.icao.tolist() == ["40621d"] and made.line.tolist() == [4]
+    assert made.damaged.sentences() == ["1 frame damaged: a Beast frame of another length (frame 5)"]
+    assert made.passed_over["Mode A/C message"] == made.passed_over["state of the receiver"] == 1
+    with pytest.raises(InputError, match="no time in 2 of 2 messages; give start, the UTC of the first frame"):
+        read_reports(file)
+
+
+def test_a_counter_of_gps_is_the_time_of_the_day(tmp_path):
+    pytest.importorskip("rs1090")
+    times = [(86_390 + k, 250_000_000 * (k % 4)) for k in range(10)] + [(2, 500_000_000)]
+    counters = [(seconds << 30) + nanoseconds for seconds, nanoseconds in times]
+    frames = [beast_frame((ODD, EVEN)[k % 2], counter) for k, counter in enumerate(counters)]
+    file = tmp_path / "roof.bin"
+    file.write_bytes(b"".join(frames))
+    [made] = read_reports(file, ReadOptions(start="2024-05-01"))
+    midnight = 1714521600.0
+    assert made.time_s[0] == pytest.approx(midnight + 86_391.25)
+    assert made.time_s[-1] == pytest.approx(midnight + 86_402.5)
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 23, 1000])
+def test_frames_may_be_cut_anywhere(size):
+    rng = np.random.default_rng(size)
+    # Counters, levels and messages of escapes and types only are the hardest to cut.
+    bodies = [bytes(rng.choice([0x1A, 0x31, 0x33, 0x05], 21).tolist()) for _ in range(200)]
+    data = b"".join(b"\x1a3" + body.replace(b"\x1a", b"\x1a\x1a") for body in bodies)
+    rest, messages = b"", []
+    for start in range(0, len(data), size):
+        rest += data[start : start + size]
+        frames = beast.split_frames(rest)
+        assert not frames.damaged
+        messages += frames.messages
+        rest = rest[frames.end :]
+    messages += beast.split_frames(rest, final=True).messages
+    assert messages == [body[7:].hex() for body in bodies]
+
+
+def test_json_lines_of_jet1090_are_decoded_from_their_frames(tmp_path):
+    """A second receiver's message is no second report; a position on the ground is the one that jet1090 found."""
+    pytest.importorskip("rs1090")
+    ground = {"timestamp": 1457996390.0, "frame": "903a23ff426a4e65f7487a775d17", "latitude": 52.32, "longitude": 4.73}
+    lines = [ground, {"timestamp": 1457996400.0, "frame": ODD}, {"timestamp": 1457996402.0, "frame": EVEN},
+             {"timestamp": 1457996402.05, "frame": EVEN}, {"timestamp": 1457996403.0, "frame": "20"}]  # fmt: skip
+    file = tmp_path / "roof.jsonl"
+    file.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    [made] = read_reports(file)
+    assert made.lat_deg.tolist() == pytest.approx([52.32, 52.2572], abs=1e-4)
+    assert made.extra["on_ground"].tolist() == [1.0, 0.0]
+    assert made.passed_over["message of a second receiver"] == 1 and made.damaged.lines.tolist() == [5]
+
+
+@pytest.mark.parametrize("form", ["beast", "avr", "json"])
+def test_messages_of_transponders_arrive_live_in_pieces(form):
+    """A position needs two halves, which are in different pieces; times are those of receipt, or stated."""
+    pytest.importorskip("rs1090")
+    stream = ReportStream("roof")
+    made = []
+    for message, when in ((ODD, 1457996400.0), (EVEN, 1457996402.0)):
+        piece = {
+            "beast": beast_frame(message, 5),
+            "avr": f"*{message.upper()};\r\n".encode(),
+            "json": json.dumps({"timestamp": when, "frame": message}).encode() + b"\n",
+        }[form]
+        for part in (piece[:9], piece[9:]):
+            stream.feed(part, when)
+            made += stream.reports()
+    [reports] = made
+    assert stream.format == "mode-s" and reports.time_s.tolist() == [1457996402.0]
+    assert (reports.lat_deg[0], reports.lon_deg[0]) == pytest.approx((52.2572, 3.91937), abs=1e-4)
+    assert stream.passed_over == {"half a position": 1} and not stream.damaged
+
+
+def test_a_trace_of_readsb_has_the_positions_of_one_aircraft(tmp_path):
+    further = {"type": "adsb_icao", "flight": "DAL1812 ", "nac_p": 9, "squawk": "3451"}
+    trace = [[0.0, 16.77, -88.03, 32000, 478.6, 327.8, 0, -64, further, "adsb_icao", 33825, 32, 280, 0.0],
+             [9.5, 16.79, -88.04, "ground", 12.0, 336.8, 4, 128, None, "adsb_icao"],
+             [12.0, 16.80, -88.05, 1500, 12.0, 336.8, 8, None, None], "rubbish"]  # fmt: skip
+    file = tmp_path / "trace_full_ac671b.json"
+    document = {"icao": "ac671b", "r": "N899DN", "t": "B739", "timestamp": 1738703622.5, "trace": trace}
+    file.write_text(json.dumps(document))
+    [made] = read_reports(file)
+    assert made.time_s.tolist() == [1738703622.5, 1738703632.0, 1738703634.5] and made.icao[2] == "ac671b"
+    assert made.callsign.tolist() == ["DAL1812"] * 3 and made.covariance_m2[2, 0] == made.covariance_m2[0, 0]
+    feet = 0.3048
+    np.testing.assert_allclose(made.pressure_alt_m, [32000 * feet, np.nan, np.nan])
+    np.testing.assert_allclose(made.alt_m, [33825 * feet, np.nan, 1500 * feet])
+    np.testing.assert_allclose(made.climb_m_per_s, [-64 * feet / 60, 128 * feet / 60, np.nan])
+    assert made.damaged.sentences() == ["1 record damaged: no list of aircraft (record 4)"]

@@ -636,3 +636,32 @@ def test_true_bearings_take_precedence_over_those_from_the_bow():
     reports = table("time_s,bearing,rel_bearing,range_m,heading\n0,10,350,1000,20\n")
     assert reports.bearing_deg.tolist() == [10.0] and reports.heading_deg.tolist() == [20.0]
     assert any("columns not used: rel_bearing" in note for note in reports.notes)
+
+
+def test_answers_of_opensky_are_read(tmp_path):
+    """The states are lists in a fixed order, at the time of their positions, in metres and metres a second."""
+    state = ["a1b2c3", "AFR123  ", "France", 1655683198, 1655683199, 2.5, 48.5, 9144.0, False, 210.5, 90.0, -3.25, [7],
+             9448.8, "1000", False, 0]  # fmt: skip
+    unknown = ["a1b2c4", None, "France", None, 1655683199, None, None, None, True, None, None, None, None, None, None,
+               False, 0]  # fmt: skip
+    answers = [{"time": 1655683200, "states": [state, unknown]}, {"time": 1655683210, "states": None}]
+    file = tmp_path / "adsb.jsonl"
+    file.write_text("".join(json.dumps(answer) + "\n" for answer in answers))
+    [made] = read_reports(file)
+    assert made.time_s.tolist() == [1655683198.0] and made.callsign.tolist() == ["AFR123"]
+    assert (made.lat_deg[0], made.lon_deg[0], made.speed_m_per_s[0], made.course_deg[0]) == (48.5, 2.5, 210.5, 90.0)
+    assert (made.pressure_alt_m[0], made.alt_m[0], made.climb_m_per_s[0]) == (9144.0, 9448.8, -3.25)
+    assert made.damaged.sentences() == ["1 state damaged: no time (state 2)"]
+
+
+@pytest.mark.parametrize("orient", ["columns", "index", "split", "records"])
+def test_tables_of_pandas_in_json_are_read_in_each_form(orient, tmp_path):
+    """Columns of cells by row were taken for a table of 12 columns, and refused where there were many rows."""
+    pandas = pytest.importorskip("pandas")
+    table = pandas.DataFrame({"timestamp": [1.7e12 + 1e3 * k for k in range(4)], "icao24": ["39d300"] * 4,
+                              "latitude": [48.0, 48.1, None, 48.3], "longitude": [2.0, 2.1, 2.2, 2.3]})  # fmt: skip
+    file = tmp_path / "adsb.json"
+    table.to_json(file, orient=orient)
+    [made] = read_reports(file)
+    assert made.lat_deg.tolist() == [48.0, 48.1, 48.3] and made.time_s[1] == 1.7e9 + 1
+    assert made.damaged.sentences() == ["1 record damaged: no position (record 3)"]

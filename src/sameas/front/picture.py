@@ -63,8 +63,10 @@ class Instants:
     begin: str | float | None = None
     end: str | float | None = None
 
-    def of(self, span_s: tuple[float, float]) -> FloatArray:
-        """(k,) the instants in seconds, ascending, for reports within a span."""
+    def of(self, sessions_s: Sequence[tuple[float, float]]) -> FloatArray:
+        """(k,) the instants in seconds, ascending, for reports within these spans, of which the pauses between them get
+        none if the user gives no times."""
+        span_s = sessions_s[0][0], sessions_s[-1][1]
         if self.at is not None:
             return np.array([picture_time(self.at, "at", span_s)])
         first = span_s[0] if self.begin is None else picture_time(self.begin, "begin", span_s)
@@ -79,8 +81,13 @@ class Instants:
             times = f" makes {count(round((last - first) / self.every_s))} instants from {span(first, last)}"
             every = Argument("every", f"{self.every_s:g}s")
             raise InputError(Message(every, times), "give a longer time between instants")
-        step = next((step for step in STEPS_S if (last - first) / step <= ENOUGH), (last - first) / ENOUGH)
-        return instants((first, last), self.every_s or step)
+        if self.every_s is not None or self.begin is not None or self.end is not None:
+            sessions_s = [(first, last)]
+        if len(sessions_s) > ENOUGH:
+            sessions_s = [sessions_s[k] for k in np.linspace(0, len(sessions_s) - 1, ENOUGH).astype(int)]
+        length_s = sum(end - begin for begin, end in sessions_s)
+        step = next((step for step in STEPS_S if length_s / step <= ENOUGH), length_s / ENOUGH)
+        return np.concatenate([instants(session, self.every_s or step) for session in sessions_s])
 
     def _range_text(self, first_s: float, last_s: float) -> Message:
         begin, end = span(first_s, last_s).split(" to ", 1)
@@ -421,7 +428,7 @@ def pictured(
     sources = [source for source in sources if source.description.name in placed]
     left_out = [f"set aside: {words(error)}" for error in (set_aside or {}).values()]
     say(doubt_lines(left_out))
-    times = when.of(scene.span_s)
+    times = when.of(scene.sessions_s)
     say(scene_lines(scene, method.watch(scene)))
     progress("looking for what is wrong")
     doubts = scene.doubts()

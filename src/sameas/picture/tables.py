@@ -344,8 +344,9 @@ class PictureObjects(ObjectTable):
         return out
 
     def undetected(self, stage: IntArray) -> Self:
-        """The objects with these stages (k,), none of them detected."""
-        return replace(self, stage=stage, detection=np.full(len(self), ABSENT))
+        """The objects with these stages (k,), none of them detected; after a long pause their place is not known."""
+        placed = self.placed & (np.trace(self.covariance[:, :2, :2], axis1=1, axis2=2) < LOST_M**2)
+        return replace(self, stage=stage, placed=placed, detection=np.full(len(self), ABSENT))
 
     def in_order(self, *others: Self) -> Self:
         """The objects of this table and others, by ascending number."""
@@ -360,6 +361,8 @@ class PictureObjects(ObjectTable):
         return self.in_order(expected.undetected(np.full(len(ended), ENDED)))
 
 
+#: 1σ of the position of an object that may be anywhere in the plane, metres (chosen).
+LOST_M = 1e5
 #: Kinds of sources whose named records are tracks smoothed by a filter.
 SMOOTHED = ("tracks", "marine radar")
 #: 1σ per axis of velocities of objects without a described speed, m/s.

@@ -50,6 +50,9 @@ from sameas.tracks.snapshot import POSITION, POSITION_AND_VELOCITY, Snapshot
 from sameas.tracks.source import Assumption, Description
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
+#: Seconds without a report of any source that separate two sessions (chosen): a source that is slow reports more often.
+PAUSE_S = 1800.0
+
 __all__ = ["POSITION", "POSITION_AND_VELOCITY", "Feed", "Instant", "Scene"]
 
 
@@ -125,6 +128,14 @@ class Scene:
         if not times:
             raise InputError("no source of the scene has a report")
         return float(min(t.min() for t in times)), float(max(t.max() for t in times))
+
+    @property
+    def sessions_s(self) -> list[tuple[float, float]]:
+        """The spans with reports, which pauses of all sources longer than :data:`PAUSE_S` separate."""
+        times = np.unique(np.concatenate([feed.reports.time_s for feed in self.feeds]))
+        pauses = np.flatnonzero(np.diff(times) > PAUSE_S)
+        first, last = times[np.append(0, pauses + 1)], times[np.append(pauses, len(times) - 1)]
+        return list(zip(first.tolist(), last.tolist(), strict=True))
 
     def registered(self, references: Sequence[str] | None = None) -> tuple[Scene, tuple[SourceBiases, ...]]:
         """The scene without the biases of its sources, and the biases of each, in their order.

@@ -1,9 +1,10 @@
-"""aircraft.json: snapshots of dump1090, readsb and tar1090, one per file or one per line.
+"""aircraft.json: snapshots of dump1090, readsb and tar1090, one per file or one per line; and the traces of readsb.
 
 A snapshot has all aircraft, so most positions repeat the previous snapshot: only new positions become reports, at the
 time of the snapshot minus ``seen_pos``. Accuracy is NACp, else half the containment radius (``rc``, NIC or NUCp);
 positions by multilateration (mlat) and rebroadcast (tisb) state none and have no error of their own. The older names of
-dump1090-mutability (``altitude``, ``speed``, ``vert_rate``, ``nucp``) count as those of today.
+dump1090-mutability (``altitude``, ``speed``, ``vert_rate``, ``nucp``) count as those of today. A trace (``trace_full``
+of tar1090 and of ADS-B Exchange) has the positions of one aircraft, each a list of values in a fixed order.
 """
 
 from __future__ import annotations
@@ -74,7 +75,8 @@ def read(lines: Sequence[str], source: str, last: dict[str, Mapping[str, Any]] |
     passed_over: Counter[str] = Counter()
     rows: list[dict[str, Any]] = []
     last = {} if last is None else last
-    for number, snapshot in _snapshots(lines, damaged):
+    numbered, unit = _documents(lines, damaged)
+    for number, snapshot in _snapshots(numbered, damaged):
         for aircraft in snapshot["aircraft"]:
             row = _row(number, snapshot["now"], aircraft)
             if isinstance(row, str):
@@ -87,16 +89,13 @@ def read(lines: Sequence[str], source: str, last: dict[str, Mapping[str, Any]] |
             else:
                 last[row["track_id"]] = row
                 rows.append(row)
+    unusable = Damaged.of(damaged, unit)
     if not rows:
-        reasons = "; ".join(Damaged.of(damaged).sentences()) or "no aircraft has one"
-        raise NoReports(
-            f"{source}: no position of an aircraft: {reasons}", damaged=Damaged.of(damaged), passed_over=passed_over
-        )
+        reasons = "; ".join(unusable.sentences()) or "no aircraft has one"
+        raise NoReports(f"{source}: no position of an aircraft: {reasons}", damaged=unusable, passed_over=passed_over)
     columns = of_rows(rows)
     columns |= errors_of(columns)
-    return Reports.of(
-        source, "adsb", columns, damaged=Damaged.of(damaged), passed_over=passed_over, notes=notes(source)
-    )
+    return Reports.of(source, "adsb", columns, damaged=unusable, passed_over=passed_over, notes=notes(source))
 
 
 def errors_of(columns: Mapping[str, Any]) -> dict[str, FloatArray]:
@@ -126,12 +125,19 @@ def identity_of(address: str) -> dict[str, str | None]:
     return {"track_id": text, "icao": None if text.startswith("~") else text}
 
 
-def _snapshots(lines: Sequence[str], damaged: list[tuple[int, str]]) -> Iterator[tuple[int, Mapping[str, Any]]]:
-    """Line numbers and snapshots; a single snapshot may span all lines."""
+def _documents(lines: Sequence[str], damaged: list[tuple[int, str]]) -> tuple[list[tuple[int, Any]], str]:
+    """Numbered snapshots, and what is counted: lines, of a trace its positions. One snapshot may span all lines."""
     try:
-        numbered = [(1, of_json("\n".join(lines)))]
+        document = of_json("\n".join(lines))
     except ValueError:
-        numbered = json_lines(lines, damaged)
+        return json_lines(lines, damaged), "line"
+    return (list(_of_trace(document)), "record") if _is_trace(document) else ([(1, document)], "line")
+
+
+def _snapshots(
+    numbered: Sequence[tuple[int, Any]], damaged: list[tuple[int, str]]
+) -> Iterator[tuple[int, Mapping[str, Any]]]:
+    """Numbers and snapshots, without those that are none."""
     for number, snapshot in numbered:
         if not isinstance(snapshot, dict) or not isinstance(snapshot.get("aircraft"), list):
             damaged.append((number, "no list of aircraft"))
@@ -146,6 +152,43 @@ def _snapshots(lines: Sequence[str], damaged: list[tuple[int, str]]) -> Iterator
                 yield number, snapshot | {"now": now}
             else:
                 damaged.append((number, "no time"))
+
+
+def _is_trace(document: Any) -> bool:
+    return isinstance(document, dict) and isinstance(document.get("trace"), list) and "icao" in document
+
+
+#: Fields by their place in a position of a trace; the ninth is an object with further ones.
+_TRACE = {1: "lat", 2: "lon", 3: "alt_baro", 4: "gs", 5: "track", 9: "type", 10: "alt_geom"}
+#: Flags of a position of a trace: its vertical rate, its height is geometric.
+_GEOMETRIC_RATE, _GEOMETRIC_HEIGHT = 4, 8
+
+
+def _of_trace(document: Mapping[str, Any]) -> Iterator[tuple[int, Any]]:
+    """Numbers and snapshots of the positions of a trace (readsb, README-json.md)."""
+    fixed = {"hex": document["icao"], "r": document.get("r"), "t": document.get("t")}
+    latest: dict[str, Any] = {}
+    for number, values in enumerate(document["trace"], start=1):
+        if not isinstance(values, list) or len(values) < 8 or not isinstance(values[0], int | float):
+            yield number, None
+            continue
+        latest |= values[8] if len(values) > 8 and isinstance(values[8], dict) else {}
+        flags = values[6] if isinstance(values[6], int) else 0
+        stated = {name: values[k] for k, name in _TRACE.items() if k < len(values) and values[k] is not None}
+        if flags & _GEOMETRIC_HEIGHT and "alt_baro" in stated:
+            stated["alt_geom"] = stated.pop("alt_baro")
+        if values[7] is not None:
+            stated["geom_rate" if flags & _GEOMETRIC_RATE else "baro_rate"] = values[7]
+        further = {name: latest[name] for name in _OF_LATEST if name in latest}
+        now = document.get("timestamp")
+        yield (
+            number,
+            {"now": now + values[0] if isinstance(now, int | float) else now, "aircraft": [fixed | further | stated]},
+        )
+
+
+#: Fields of the objects in a trace that stay as they are until the next object.
+_OF_LATEST = ("flight", "squawk", "category", "nac_p", "nac_v", "nic", "rc", "sil", "true_heading")
 
 
 def _with_names_of_today(aircraft: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -207,7 +250,7 @@ def _is_same(last: Mapping[str, Any] | None, row: Mapping[str, Any]) -> bool:
 
 FORMAT = SensorFormat(
     "aircraft",
-    "aircraft.json of dump1090, readsb or tar1090, one snapshot a line or a file",
+    "aircraft.json of dump1090, readsb or tar1090, one snapshot a line or a file, or a trace of one aircraft",
     lambda file: [read(file.lines, file.source)],
-    lambda file: re.search(rb'"aircraft"\s*:\s*\[', file.head) is not None,
+    lambda file: re.search(rb'"aircraft"\s*:\s*\[|"trace"\s*:\s*\[\s*\[', file.head) is not None,
 )

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 from sameas.errors import InputError
-from sameas.io.sensors import aircraft, ais, arpa, asterix, nmea, sbs, signalk, tables
+from sameas.io.sensors import aircraft, ais, arpa, asterix, beast, mode_s, nmea, sbs, signalk, tables
 from sameas.io.sensors.asterix_records import looks_cut_off, looks_like, split_blocks
 from sameas.io.sensors.format import ReadOptions, SensorFile
 from sameas.tracks.reports import Damaged, NoReports, Reports
@@ -25,7 +25,8 @@ LONGEST_LINE = 4 << 20
 #: Largest number of aircraft, or blocks, in the state; above it, the state is cleared.
 MOST_REMEMBERED = 20_000
 _CHECKSUM = re.compile(rb"\*[0-9A-Fa-f]{2}")
-STREAM_FORMATS = ("nmea", "sbs", "aircraft", "asterix", "table", "signalk")
+_MODE_S = re.compile(rb"[*@](?:[0-9A-Fa-f]{14}){1,2}(?:[0-9A-Fa-f]{12})?;|" + mode_s.IN_JSON.encode())
+STREAM_FORMATS = ("nmea", "sbs", "aircraft", "mode-s", "asterix", "table", "signalk")
 
 
 def format_of(data: bytes) -> str | None:
@@ -33,6 +34,8 @@ def format_of(data: bytes) -> str | None:
     if looks_like(data):
         return "asterix"
     text = data.lstrip()
+    if beast.looks_like(data) or _MODE_S.match(text):
+        return "mode-s"
     if text[:1] in b"!$\\" and text:
         return "nmea"
     if re.match(rb"(MSG|SEL|ID|AIR|STA|CLK),", text):
@@ -85,13 +88,14 @@ class ReportStream:
                 f"{self.source}: {self.format!r} is not a stream format", f"give one of {', '.join(STREAM_FORMATS)}"
             )
         self._rest: dict[int, bytes] = {}
-        #: Whether any line has a checksum.
-        self._checked = False
+        #: Whether any line has a checksum; whether messages of transponders are Beast frames.
+        self._checked, self._is_beast = False, False
         self._lines: list[tuple[float, str]] = []
         self._datagrams: list[tuple[float, bytes]] = []
         self._ais_state, self._ship, self._vessels = ais.ReceiverState(), arpa.ArpaState(), signalk.Vessels()
         self._latest: sbs.Latest = {}
         self._aircraft: dict[str, object] = {}
+        self._transponders = mode_s.Aircraft()
         self._blocks: set[tuple[int, bytes]] = set()
         #: Receive time of the last position of own ship.
         self.own_ship_s = -math.inf
@@ -111,6 +115,8 @@ class ReportStream:
             self.format = format_of(data)
         if self.format == "asterix":
             rest = self._feed_blocks(data, received_s, last)
+        elif self.format == "mode-s" and (data[:1] == b"\x1a" or self._is_beast):
+            rest = self._feed_frames(data, received_s, last)
         else:
             rest = self._feed_lines(data, received_s, last, datagram)
         if rest:
@@ -166,6 +172,14 @@ class ReportStream:
             self._datagrams.append((received_s, content))
         return data[split.end :]
 
+    def _feed_frames(self, data: bytes, received_s: float, last: bool) -> bytes:
+        """Adds complete Beast frames; the rest is an incomplete one."""
+        self._is_beast = True
+        end = beast.split_frames(data, final=last).end
+        if end:
+            self._datagrams.append((received_s, data[:end]))
+        return data[end:]
+
     @property
     def own_ship(self) -> tuple[float, float, float]:
         """The latest latitude, longitude and heading of own ship in the stream, NaN where unknown."""
@@ -215,6 +229,8 @@ class ReportStream:
         if self.format == "asterix":
             parts = [self._read(partial(self._asterix, data, when)) for when, data in datagrams]
             return [reports for part in parts for reports in part]
+        if self.format == "mode-s":
+            return self._mode_s(texts, received, datagrams)
         if self.format == "sbs":
             if len(self._latest) > MOST_REMEMBERED:
                 self._latest.clear()
@@ -242,6 +258,17 @@ class ReportStream:
         if len(self._blocks) > MOST_REMEMBERED:
             self._blocks.clear()
         return asterix.read(data, self.source, received_s=received_s, blocks_read=self._blocks)
+
+    def _mode_s(self, texts: list[str], received: list[float], datagrams: list[tuple[float, bytes]]) -> list[Reports]:
+        """Messages of transponders; those without a time have that of receipt."""
+        if len(self._transponders.fields) > MOST_REMEMBERED or len(self._transponders.last) > MOST_REMEMBERED:
+            self._transponders = mode_s.Aircraft()
+        found = [(mode_s.Messages.of_frames(beast.split_frames(data, final=True)), when) for when, data in datagrams]
+        if texts:
+            read = mode_s.Messages.of_json if texts[0].lstrip()[:1] == "{" else mode_s.Messages.of_lines
+            found += [(read([text]), when) for text, when in zip(texts, received, strict=True)]
+        messages = mode_s.Messages.joined([one.received(when) for one, when in found])
+        return self._read(lambda: [mode_s.read(messages, self.source, aircraft=self._transponders)])
 
     def _nmea(self, texts: list[str], received: list[float]) -> list[Reports]:
         log = nmea.log_of(texts, received_s=received)

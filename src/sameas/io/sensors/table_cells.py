@@ -53,13 +53,14 @@ class _LazyColumns(Mapping[str, Sequence[Any]]):
 class TableText:
     """The cells of a table (text, numbers or None) by column, and the line number of each row.
 
-    unended : whether the last line has no line end.
+    unended : whether the last line has no line end. unit : what is counted, of a JSON document or Parquet its records.
     """
 
     columns: Mapping[str, Sequence[Any]]
     lines: IntArray
     damaged: tuple[tuple[int, str], ...] = ()
     unended: bool = False
+    unit: str = "line"
 
 
 def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
@@ -127,11 +128,16 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
     rows: list[dict[str, Any]] = []
     line_numbers: list[int] = []
     damaged: list[tuple[int, str]] = []
+    unit = "record"
     try:
         document = of_json("\n".join(lines))
         objects = list(enumerate(_records(document), start=1))
     except ValueError:
-        objects = json_lines(lines, damaged)
+        objects, unit = json_lines(lines, damaged), "line"
+    answers = [_states(value) for _, value in objects]
+    if any(answers):
+        unit = "state"
+        objects = list(enumerate((state for states in answers for state in states or ()), start=1))
     for number, value in objects:
         if isinstance(value, dict):
             rows.append(_flattened(value))
@@ -146,18 +152,54 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
     def column(name: str) -> list[Any]:
         return [row.get(name) for row in rows]
 
-    return TableText(_LazyColumns(names, column), np.array(line_numbers, np.int64), tuple(damaged))
+    return TableText(_LazyColumns(names, column), np.array(line_numbers, np.int64), tuple(damaged), unit=unit)
 
 
 def _records(document: Any) -> list[Any]:
     """The records of a JSON document: itself, the items of its list, or those of the only list of objects in it, as of
-    servers that put their answer beside a state. A report may have a list of objects too, such as its tracks."""
+    servers that put their answer beside a state. A report may have a list of objects too, such as its tracks. Or those
+    of columns, as pandas writes them."""
+    if isinstance(document, dict) and (columns := _columns(document)):
+        names, cells = columns.keys(), columns.values()
+        return [dict(zip(names, row, strict=True)) for row in zip(*cells, strict=True)]
     if not isinstance(document, list | dict) or (isinstance(document, dict) and _has_position(document)):
         return [document]
     inner = [value for value in (document if isinstance(document, list) else document.values()) if _is_records(value)]
     if len(inner) == 1:
         return list(inner[0])
     return document if isinstance(document, list) else [document]
+
+
+def _columns(document: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """The columns of a JSON document of pandas (``orient`` "columns", "index" or "split"); none of another one."""
+    rows = document.get("data")
+    if set(document) <= {"columns", "index", "data"} and isinstance(rows, list) and "columns" in document:
+        return {str(name): [row[k] for row in rows] for k, name in enumerate(document["columns"])}
+    first = next(iter(document.values()), None)
+    if len(document) < 2 or not isinstance(first, dict) or not first:
+        return {}
+    if any(not isinstance(cells, dict) or cells.keys() != first.keys() for cells in document.values()):
+        return {}
+    if any(isinstance(cell, dict | list) for cells in document.values() for cell in cells.values()):
+        return {}
+    if all(name.isdigit() for name in document):
+        return {name: [row[name] for row in document.values()] for name in first}
+    return {name: list(cells.values()) for name, cells in document.items()}
+
+
+#: The names of a state of OpenSky (its REST interface, "All State Vectors"), as those of its tables where they differ.
+_STATE = (
+    "icao24", "callsign", "origin_country", "lastposupdate", "lastcontact", "lon", "lat", "baroaltitude", "onground",
+    "velocity", "heading", "vertrate", "sensors", "geoaltitude", "squawk", "spi", "position_source", "category",
+)  # fmt: skip
+
+
+def _states(answer: Any) -> list[dict[str, Any]] | None:
+    """The states in an answer of OpenSky; None for another object."""
+    if not isinstance(answer, dict) or not {"time", "states"} <= set(answer):
+        return None
+    states = [state for state in answer["states"] or [] if isinstance(state, list)]
+    return [{"time": answer["time"]} | dict(zip(_STATE, state, strict=False)) for state in states]
 
 
 def _has_position(value: Mapping[str, Any]) -> bool:
@@ -196,7 +238,7 @@ def cells_of_parquet(path: str | os.PathLike[str]) -> TableText:
         microseconds = cells.cast(pa.timestamp("us"), safe=False).cast(pa.int64())
         return [None if t is None else t / 1e6 for t in microseconds.to_pylist()]
 
-    return TableText(_LazyColumns(names, column), np.arange(1, table.num_rows + 1))
+    return TableText(_LazyColumns(names, column), np.arange(1, table.num_rows + 1), unit="record")
 
 
 def _delimiter_of(line: str) -> str:

@@ -62,7 +62,7 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     chosen = choose(list(cells.columns), source, options.columns, options.units, kind)
     require_columns(chosen, list(cells.columns), source)
     if not len(cells.lines):
-        reasons = "; ".join(Damaged.of(cells.damaged).sentences())
+        reasons = "; ".join(Damaged.of(cells.damaged, cells.unit).sentences())
         raise InputError(f"{source}: names columns, but has no row that can be used{': ' * bool(reasons)}{reasons}")
     damaged = dict(cells.damaged)
     is_ais = "mmsi" in chosen or kind == "ais"
@@ -78,7 +78,9 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     _mark_unusable(values, cells.lines, damaged)
     good = ~np.isin(cells.lines, list(damaged))
     if not good.any():
-        raise InputError(f"{source}: no row can be used: {'; '.join(Damaged.of(damaged.items()).sentences())}")
+        raise InputError(
+            f"{source}: no row can be used: {'; '.join(Damaged.of(damaged.items(), cells.unit).sentences())}"
+        )
     values = {name: column[good] for name, column in values.items()} | {"line": cells.lines[good]}
     values, stations = _without_stations(values)
     values, repeated = _without_repeats(_with_track_id(values))
@@ -88,7 +90,7 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     values, hulls = _at_hulls(_with_covariances(values), is_ais)
     more = [f"{source}: {one}" for one in (*truncated, *marks, *_interpretation(cells, chosen), *hulls)]
     return Reports.of(
-        source, "table", values, damaged=Damaged.of(damaged.items()),
+        source, "table", values, damaged=Damaged.of(damaged.items(), cells.unit),
         passed_over=passed_over, notes=[note, *more],
     )  # fmt: skip
 
