@@ -22,7 +22,7 @@ import numpy as np
 
 import sameas
 from sameas.errors import Argument, InputError, Message, naming
-from sameas.front.request import program
+from sameas.front.provenance import program
 from sameas.io import checksum, write_table
 from sameas.io.atomic import filling
 from sameas.io.catalogues import BRIGHT, GAIA, catalogue

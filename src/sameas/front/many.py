@@ -175,7 +175,7 @@ class MatchMany(Result):
 
     def facts(self, command: str, words: Callable[[str], str] = str) -> dict[str, Any]:
         """The provenance of the table. command : as typed. words : formats a message that names arguments."""
-        from sameas.front.request import of_many
+        from sameas.front.provenance import of_many
 
         return of_many(self.request, self.sky, command, words)
 

@@ -254,7 +254,7 @@ class Match(Result):
     def facts(self, command: str, words: Callable[[str], str] = str, join: str | None = None) -> dict[str, Any]:
         """The provenance of the table. command : as typed. words : see :meth:`report_lines`. join : of the table, by
         default that of :attr:`table`."""
-        from sameas.front.request import of_match, of_records
+        from sameas.front.provenance import of_match, of_records
 
         if self.sky is None or self.request is None:
             return of_records(self.identification, self.estimate, command)

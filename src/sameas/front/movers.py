@@ -16,7 +16,8 @@ import numpy as np
 import sameas
 from sameas.arrays import BoolArray
 from sameas.errors import InputError, Message
-from sameas.front.request import program, read_catalogue, stem_of
+from sameas.front.provenance import program
+from sameas.front.request import read_catalogue, stem_of
 from sameas.io import checksum, write_table
 from sameas.io.ades import REPORTS, Observer, observations
 from sameas.io.atomic import filling

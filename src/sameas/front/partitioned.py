@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError, Message
 from sameas.front.options import FILE_OPTIONS, fields_of
-from sameas.front.request import Request, made_by
+from sameas.front.provenance import made_by
+from sameas.front.request import Request
 from sameas.partitions.hats import HatsCatalogue, is_hats, without_properties
 
 if TYPE_CHECKING:

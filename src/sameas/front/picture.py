@@ -16,7 +16,7 @@ from sameas.arrays import FloatArray
 from sameas.errors import Argument, InputError, Message, MissingPackage, naming
 from sameas.front.explain import REASONS
 from sameas.front.match import call_text
-from sameas.front.request import made_by
+from sameas.front.provenance import made_by
 from sameas.front.tables import table_of
 from sameas.io import checksum
 from sameas.io.atomic import filling

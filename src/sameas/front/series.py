@@ -16,7 +16,7 @@ from typing import Any
 
 from sameas.errors import InputError
 from sameas.front.framing import FrameRequest, frame_of
-from sameas.front.request import program
+from sameas.front.provenance import program
 from sameas.io import read_table, write_table
 from sameas.io.atomic import filling
 from sameas.sky.frame.image import Frame
