@@ -150,7 +150,7 @@ class PartitionedMatch:
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
         """The lines of :meth:`report`. words : formats a message that names arguments."""
-        from sameas.report.match import column_lines, modelled_errors
+        from sameas.report.estimates import column_lines, modelled_errors
         from sameas.report.prose import DOUBT, entry, figures, labelled, percent
         from sameas.representation import ORDINALS, count, counted
 

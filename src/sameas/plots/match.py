@@ -15,7 +15,7 @@ from sameas.evidence import Errors
 from sameas.evidence.detection import DetectionCurve
 from sameas.plots.sheet import DENSITY, FAINT, FILL, FIRST, FOUND, INK, SECOND, sheet, short, tidy
 from sameas.records import unpack
-from sameas.report.match import by_source
+from sameas.report.estimates import by_source
 from sameas.report.prose import expected, percent, times
 from sameas.representation import count, counted
 from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch

@@ -1,5 +1,5 @@
-"""Reports of results as lines of text, by command.
+"""Reports of results as lines of text: a module for each command, that of ``frame`` with ``movers``.
 
-:mod:`~sameas.report.match` (also ``many``), :mod:`~sameas.report.frame` (also ``movers``),
-:mod:`~sameas.report.picture` and :mod:`~sameas.report.explain`; shared parts are in :mod:`~sameas.report.prose`.
+:mod:`~sameas.report.estimates` has the estimates of two catalogues in words, :mod:`~sameas.report.prose` the parts of
+all.
 """

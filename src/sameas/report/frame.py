@@ -10,7 +10,7 @@ import numpy as np
 
 from sameas.estimate.error_model import ErrorModel
 from sameas.estimate.quantity import Quantity
-from sameas.report.match import error_model_in_words, quoted_errors
+from sameas.report.estimates import error_model_in_words, quoted_errors
 from sameas.report.prose import DOUBT, entry, labelled
 from sameas.representation import count, counted
 from sameas.sky.frame.identified import DEFAULT_REFINEMENT
