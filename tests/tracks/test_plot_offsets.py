@@ -231,3 +231,37 @@ def test_the_counted_misses_are_those_of_a_radar_that_shows_each_ship_once(p_det
     described = Description("radar", "marine radar", site=Site(50.7, -1.2), timing=Timing(2.5))
     scene = Scene.of([(described, radar), (Description("ais", "ais"), others)], plane).registered()[0]
     assert abs(scene.feeds[0].description.misses.q - (1.0 - p_detected)) < 0.06
+
+
+@pytest.mark.slow_after(1)
+def test_the_offsets_of_a_radar_for_aircraft_without_ids_are_found():
+    """Aircraft have no hull, whose errors of zero made all numbers NaN; the antenna turns in 4.8 s, usual are 8 s."""
+    rng = np.random.default_rng(8)
+    place, speed = rng.uniform(-5e4, 5e4, (12, 2)), 200.0 * rng.normal(size=(12, 2))
+    plots, fixes = [], []
+    for turn in np.arange(60):
+        for k in np.flatnonzero(rng.random(12) < 0.9):
+            east, north = place[k] + speed[k] * 4.8 * turn
+            bearing = np.degrees(np.arctan2(east, north)) % 360.0
+            t = 4.8 * (turn + bearing / 360.0)
+            east, north = place[k] + speed[k] * t
+            plots.append([t, np.hypot(east, north) + 80.0 + 60.0 * rng.normal(),
+                          (np.degrees(np.arctan2(east, north)) + 0.25 + 0.08 * rng.normal()) % 360.0])  # fmt: skip
+        seen = place + speed * 4.8 * turn + 20.0 * rng.normal(size=(12, 2))
+        fixes += [[4.8 * turn, f"39d3{k:02d}", *seen[k], *speed[k]] for k in range(12)]
+    time_s, range_m, bearing_deg = np.array(plots).T
+    t, icao, x, y, vx, vy = zip(*fixes, strict=True)
+    columns = {"time_s": t, "icao": icao, "track_id": icao, "x_m": x, "y_m": y,
+               "speed_m_per_s": np.hypot(vx, vy), "course_deg": np.degrees(np.arctan2(vx, vy)) % 360.0}  # fmt: skip
+    scene = Scene.of([
+        (Description("tower", "air radar", site=Site(east_m=0.0, north_m=0.0)),
+         Reports.of("tower", "table", {"time_s": time_s, "range_m": range_m, "bearing_deg": bearing_deg})),
+        (Description("adsb", "ads-b", errors=SensorErrors(position_m=20.0), timing=Timing(latency_s=0.0)),
+         Reports.of("adsb", "table", columns)),
+    ])  # fmt: skip
+    assert scene.feeds[0].rotation.period_s == pytest.approx(4.8, rel=1e-2)
+    found = scene.registered()[1][0]
+    assert found.established
+    for name, true in (("range_m", 80.0), ("azimuth_deg", 0.25)):
+        one = found.parameters[name]
+        assert abs(one.value - true) < 4.0 * one.standard_error < 0.5 * true

@@ -36,6 +36,10 @@ def shows_tracks(feed: Feed) -> bool:
     return isinstance(feed.reports, States) and feed.reports.track is not None
 
 
+#: 1σ of the constant error of a track of objects without a hull, such as aircraft, metres (chosen; fitted then).
+LEAST_LASTING_M = 1.0
+
+
 @dataclass(frozen=True)
 class Plots:
     """A radar's plots (n,): time, scan, position east and north, position of the sensor, range, azimuth (°).
@@ -107,7 +111,7 @@ def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tunin
     reach_deg = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0)
     parts: list[tuple[NDArray[Any], ...]] = []
     scans: list[float] = []
-    lasting = (feed.description.errors.extent_m or 0.0) ** 2
+    lasting = max(feed.description.errors.extent_m or 0.0, LEAST_LASTING_M) ** 2
     scan_starts = first_of_scans(plots)
     for partner in partners:
         lasting = max(lasting, sum((f.description.errors.extent_m or 0.0) ** 2 for f in (feed, partner)))

@@ -104,7 +104,8 @@ def rotation_period_s(
     """The period of a clockwise rotation, from bearings and stamps; None without one, or with too few plots.
 
     The frequency f that maximises R = |Σ exp i(β − 2π f t)| / n. It is accepted if n R² exceeds the level that the
-    search reaches by chance, and R clearly exceeds |Σ exp iβ| / n, the value of a fixed sector.
+    search reaches by chance, and R clearly exceeds |Σ exp iβ| / n, the value of a fixed sector. Periods near
+    ``near_s`` are tried first, then shorter and longer ones: radars of one kind turn at different speeds.
     Source: Rayleigh's test, Mardia and Jupp, Directional Statistics (2000), 6.3.1.
 
     >>> t = np.arange(0.0, 60.0, 0.37)
@@ -127,15 +128,21 @@ def rotation_period_s(
         sums = [np.exp(-2j * math.pi * part[:, None] * time) @ sight for part in parts]
         return np.asarray(np.abs(np.concatenate(sums)) / len(time), np.float64)
 
-    low, high = 1.0 / ((1.0 + tuning.rotation_search) * near_s), 1.0 / ((1.0 - tuning.rotation_search) * near_s)
-    count = math.ceil((high - low) * span * tuning.rotation_steps)
-    tried = np.linspace(low, high, count + 1)
-    for step in (high - low) / count * np.array([1.0, 0.1, 0.01]):
-        best = float(tried[np.argmax(explained(tried))])
-        tried = best + 0.1 * step * np.arange(-10, 11)
-    strength, fixed = float(explained(np.array([best]))[0]), float(np.abs(sight.mean()))
-    chance = len(time) * strength**2 < tuning.rotation_log_odds + math.log(count)
-    return None if chance or 1.0 - strength > tuning.rotation_unexplained * (1.0 - fixed) else 1.0 / best
+    def accepted(shortest_s: float, longest_s: float) -> float | None:
+        """The best period between these, where it is accepted."""
+        low, high = 1.0 / longest_s, 1.0 / shortest_s
+        count = math.ceil((high - low) * span * tuning.rotation_steps)
+        tried = np.linspace(low, high, count + 1)
+        for step in (high - low) / count * np.array([1.0, 0.1, 0.01]):
+            best = float(tried[np.argmax(explained(tried))])
+            tried = best + 0.1 * step * np.arange(-10, 11)
+        strength = float(explained(np.array([best]))[0])
+        chance = len(time) * strength**2 < tuning.rotation_log_odds + math.log(count)
+        return None if chance or 1.0 - strength > tuning.rotation_unexplained * (1.0 - fixed) else 1.0 / best
+
+    fixed, near, far = float(np.abs(sight.mean())), tuning.rotation_search, tuning.rotation_far
+    found = accepted((1.0 - near) * near_s, (1.0 + near) * near_s)
+    return accepted(near_s / far, near_s * far) if found is None else found
 
 
 def _exposures(time_s: FloatArray, period_s: float, gap_s: float, tuning: Tuning) -> FloatArray | None:

@@ -81,7 +81,8 @@ class Tuning:
     position_sigmas : tolerance of positions, σ.
 
     rotation_search : the rotation period is searched within this share of the described one, by at most
-        ``rotation_plots`` plots, with ``rotation_steps`` steps per resolvable frequency.
+        ``rotation_plots`` plots, with ``rotation_steps`` steps per resolvable frequency; then within ``rotation_far``
+        times it.
     rotation_log_odds : minimum log-odds of a period against chance.
     rotation_unexplained : an antenna rotates if its rotation leaves less than this share of the scatter of bearings.
     pause_quantile : the pause of an antenna is this quantile of the gaps between its plots.
@@ -199,6 +200,7 @@ class Tuning:
     position_sigmas: float = 6.0
 
     rotation_search: float = 0.3
+    rotation_far: float = 3.0
     rotation_plots: int = 3000
     rotation_steps: float = 6.0
     rotation_log_odds: float = 12.0
