@@ -2,13 +2,16 @@
 
 - :func:`inner`, :func:`tall_product`, :func:`within_turn`: sums and angles.
 - :func:`median`, :func:`weighted_median`, :func:`robust_scale`: of numbers.
-- :func:`taken`: rows; :func:`ordered_by`: rows in the order of their columns.
-- :func:`places_in`: positions of numbers among ascending ones; :func:`spans_in`: among ones with duplicates.
+- :func:`taken`: rows; :func:`ordered_by`: rows in the order of their columns; :func:`distinct`: without duplicates.
+- :func:`places_in`: positions of numbers among ascending ones; :func:`spans_in`: among ones with duplicates;
+  :func:`are_among`: whether they are there.
+- :func:`finite_rows`: rows without NaN.
 - :data:`ABSENT`: the number of no row.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
@@ -121,12 +124,24 @@ def taken(values: NDArray[Scalar], rows: AnyIntArray) -> NDArray[Scalar]:
     Indexing by 32-bit integers converts them one by one, and takes rows of two numbers seven times as long. For a mask,
     ``np.compress`` takes a quarter of the time of indexing.
     """
-    return np.take(values, rows.astype(np.intp, copy=False), axis=0)
+    return values.take(rows, axis=0)
 
 
 def taken_plane(values: FloatArray, rows: AnyIntArray) -> FloatArray:
-    """(k, 2, 2) ``values[rows, :2, :2]`` of matrices (n, d, d), in a fifth of the time."""
-    return np.ascontiguousarray(taken(values, rows)[:, :2, :2])
+    """(k, 2, 2) ``values[rows, :2, :2]`` of matrices (n, d, d), in a tenth of the time."""
+    if values.shape[1:] != (4, 4):
+        return np.ascontiguousarray(taken(values, rows)[:, :2, :2])
+    # Two numbers are taken as one: NumPy copies short rows number by number.
+    return taken(np.ascontiguousarray(values).view(np.complex128)[:, :2, 0], rows).view(np.float64).reshape(-1, 2, 2)
+
+
+def finite_rows(values: FloatArray) -> BoolArray:
+    """(n,) whether all numbers of a row (n, …) are finite, in a fifth of the time of ``isfinite(values).all(axis=…)``.
+
+    >>> finite_rows(np.array([[[1.0, 2.0]], [[1.0, np.nan]]])).tolist()
+    [True, False]
+    """
+    return over_columns(np.logical_and, np.isfinite(values).reshape(len(values), math.prod(values.shape[1:])))
 
 
 def over_columns(combine: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
@@ -135,6 +150,8 @@ def over_columns(combine: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
     >>> over_columns(np.maximum, np.array([[1, 5, 2], [7, 0, 3]])).tolist()
     [5, 7]
     """
+    if not len(values):
+        return np.empty(0, values.dtype)
     if not values.shape[1]:
         return np.asarray(combine.reduce(values, axis=1))
     out = values[:, 0].copy()
@@ -157,6 +174,12 @@ def within_turn(degrees: FloatArray) -> FloatArray:
     return np.add(reduced, 360.0, out=reduced, where=reduced < 0.0)
 
 
+def _within(numbers: IntArray, low: int, high: int) -> IntArray:
+    """Places of numbers among low … high, from 1; 0 below and high − low + 2 above. ``np.clip`` takes three times as
+    long."""
+    return np.asarray(np.minimum(np.maximum(numbers, low - 1), high + 1) - (low - 1))
+
+
 #: Integers are dense if they span at most this many times their number.
 DENSE = 4
 
@@ -175,11 +198,22 @@ def spans_in(ascending: IntArray, numbers: IntArray) -> tuple[IntArray, IntArray
         start = np.zeros(high - low + 4, np.int64)
         np.cumsum(np.bincount(ascending - low, minlength=high - low + 1), out=start[2:-1])
         start[-1] = len(ascending)
-        at = np.clip(numbers, low - 1, high + 1) - (low - 1)
+        at = _within(numbers, low, high)
         first = start[at]
         return first, start[at + 1] - first
     first, last = (np.searchsorted(ascending, numbers, side) for side in ("left", "right"))
     return first, last - first
+
+
+def distinct(numbers: IntArray) -> IntArray:
+    """Integers (n,), ascending, each once: ``np.unique``, whose hash table takes four times as long.
+
+    >>> distinct(np.array([7, 2, 7])).tolist()
+    [2, 7]
+    """
+    ascending = np.sort(numbers, kind="stable")
+    is_first = np.append(True, ascending[1:] != ascending[:-1])[: len(numbers)]
+    return np.asarray(ascending[is_first])
 
 
 def ordered_by(columns: Sequence[NDArray[Any]] | NDArray[Any]) -> IntArray:
@@ -210,6 +244,22 @@ def places_in(ascending: IntArray, numbers: IntArray) -> IntArray:
         # Dense integers are looked up: a search takes four times as long.
         place = np.full(high - low + 3, ABSENT)
         place[ascending - (low - 1)] = np.arange(len(ascending))
-        return place[np.clip(numbers, low - 1, high + 1) - (low - 1)]
+        return place[_within(numbers, low, high)]
     at = np.minimum(np.searchsorted(ascending, numbers), len(ascending) - 1)
     return np.where(ascending[at] == numbers, at, ABSENT)
+
+
+def are_among(numbers: IntArray, others: IntArray) -> BoolArray:
+    """(k,) whether integers are among others: ``np.isin``, in a third of the time where these are dense.
+
+    >>> are_among(np.array([7, 2, 9]), np.array([9, 7])).tolist()
+    [True, False, True]
+    """
+    if not len(others):
+        return np.zeros(np.shape(numbers), bool)
+    low, high = int(others.min()), int(others.max())
+    if high - low >= DENSE * (len(others) + np.size(numbers)):
+        return np.isin(numbers, others)
+    found = np.zeros(high - low + 3, bool)
+    found[others - (low - 1)] = True
+    return np.asarray(found[_within(numbers, low, high)])

@@ -48,7 +48,9 @@ def inverse(covariance: FloatArray) -> FloatArray:
 
 def propagated(jacobian: NDArray[np.floating[Any]], covariance: FloatArray) -> FloatArray:
     """(…, m, m) J Σ Jᵀ, the covariance (…, d, d) after a linear map (…, m, d); exactly symmetric."""
-    return symmetric(np.asarray(jacobian @ covariance @ np.swapaxes(jacobian, -1, -2), np.float64))
+    # NumPy multiplies by a transposed view of small matrices one at a time.
+    transposed = np.ascontiguousarray(np.swapaxes(jacobian, -1, -2))
+    return symmetric(np.asarray(jacobian @ covariance @ transposed, np.float64))
 
 
 def determinant(matrix: FloatArray) -> FloatArray:

@@ -47,7 +47,7 @@ class Ragged:
     @classmethod
     def of_sorted(cls, row: IntArray, n: int) -> Ragged:
         """The n rows of entries with ascending row numbers ``row`` (m,)."""
-        return cls(np.searchsorted(row, np.arange(n + 1)))
+        return cls.of_sizes(np.bincount(row, minlength=n))
 
     def __len__(self) -> int:
         return len(self.start) - 1
@@ -81,6 +81,8 @@ def ranges(first: IntArray, size: IntArray) -> tuple[IntArray, IntArray]:
     >>> ranges(np.array([7, 0, 4]), np.array([2, 0, 3]))
     (array([0, 0, 2, 2, 2]), array([7, 8, 4, 5, 6]))
     """
+    if (size == 1).all():
+        return np.arange(len(size)), first
     rows = Ragged.of_sizes(size)
     return rows.row, rows.value(first)
 

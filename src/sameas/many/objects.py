@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, over_columns
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, over_columns, taken
 from sameas.errors import InputError
 from sameas.many.marginals import Answer
 from sameas.many.observations import Joint, Source, records_of
@@ -95,7 +95,7 @@ class Objects:
     def set_of_object(self) -> IntArray:
         """(n,) the set of each object: a row of :attr:`sets`."""
         chosen = np.flatnonzero(self.answer.chosen)
-        members = self.sets.members[chosen]
+        members = taken(self.sets.members, chosen)
         first = over_columns(np.minimum, np.where(members != ABSENT, members, len(self.pooled)))
         return chosen[np.argsort(first)]
 
@@ -106,7 +106,7 @@ class Objects:
     @cached_property
     def members(self) -> np.ma.MaskedArray:
         """(n, S) row of each object's record in the table of each source, masked where the source has none."""
-        return self._table.rows_of(self.sets.members[self.set_of_object])
+        return self._table.rows_of(taken(self.sets.members, self.set_of_object))
 
     @property
     def probability(self) -> FloatArray:

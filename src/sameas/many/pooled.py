@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ordered_by, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ordered_by, over_columns, taken
 from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
@@ -153,7 +153,7 @@ def _in_order(source: Source) -> Source:
     records = records_of(source)
     order = ordered_by(records.features.T)
     ordered = taken(records.features, order)
-    if (ordered[1:] == ordered[:-1]).all(axis=1).any():
+    if over_columns(np.logical_and, ordered[1:] == ordered[:-1]).any():
         ids = records.ids[records.rows]
         ids = ids if ids.dtype.kind in "iuf" else ids.astype(str)
         order = np.lexsort([ids, *records.covariance.T[::-1], *records.features.T[::-1]])

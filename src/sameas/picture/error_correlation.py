@@ -34,7 +34,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, finite_rows
 from sameas.gaussian import inverse, log_density, mahalanobis_sq
 from sameas.kernels.kalman import add_evidence, correlated_shifts
 from sameas.picture.tables import Scan
@@ -141,7 +141,7 @@ class ErrorCorrelation:
         return np.where(np.isfinite(fixed_s)[source], given, mean)
 
     def of_mean(self, source: IntArray, every_s: float, count: IntArray, tuning: Tuning) -> FloatArray:
-        """(n,) variance of the mean of ``count`` (n,) reports ``every_s`` apart, relative to that of one report."""
+        """(…) variance of the mean of ``count`` reports of sources, ``every_s`` apart, relative to that of a report."""
         steps = np.arange(1, int(count.max(initial=1)))
         correlation = self.correlation(
             np.repeat(np.arange(len(self.names)), len(steps)), np.tile(every_s * steps, len(self.names)), tuning
@@ -230,7 +230,7 @@ class ErrorCorrelation:
         kept : (n,) g."""
         log_probable = self.log_probable.copy()
         # An observation whose covariance is singular by rounding is none.
-        log_p = np.where(np.isfinite(log_p).all(axis=1, keepdims=True), log_p, 0.0)
+        log_p = np.where(finite_rows(log_p)[:, None], log_p, 0.0)
         # Sources have few distinct Δt: log-likelihoods are summed per Δt first.
         elapsed_ms = np.rint(1e3 * elapsed_s)
         order = np.lexsort([kept, elapsed_ms, source])

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -198,13 +199,13 @@ class SwapRates:
             return self
         return SwapRates(np.concatenate([self.log_probable.reshape(-1, len(rates)), new]))
 
-    @property
+    @cached_property
     def probability(self) -> FloatArray:
         """(S, r) of each model."""
         weight = np.exp(self.log_probable - self.log_probable.max(axis=1, initial=-np.inf, keepdims=True))
         return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
-    @property
+    @cached_property
     def may_swap(self) -> BoolArray:
         """(S,) whether a source may swap ids; self-named ones never do."""
         return np.asarray(np.isfinite(self.log_probable).all(axis=1))

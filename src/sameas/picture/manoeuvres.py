@@ -76,9 +76,9 @@ def with_manoeuvres(
     free = rivals.most_free(log_pair_steady, chi_sq <= scan.tuning.manoeuvre_chi_sq)
     is_swap = np.exp(log_odds[own]) < swap_rate[scan.source[other]]
     best = np.maximum(np.where(is_swap, rivals.most(log_pair_steady)[k], free[k]), log_apart)
-    extra = manoeuvre_covariance(scan)
     delta = (taken(scan.state, own) - taken(scan.state, other))[:, :2]
-    total = taken_plane(scan.covariance, own) + taken_plane(scan.covariance, other) + taken_plane(extra, own)
+    total = taken_plane(scan.covariance, own) + taken_plane(scan.covariance, other)
+    total += manoeuvre_covariance(scan, own)[:, :2, :2]
     log_with_d = log_density(delta, total)
     log_pair_with_d = log_odds[own] + log_ratio[k] + log_with_d
     log_pair = np.maximum(log_pair_steady[k], log_pair_with_d)
@@ -121,18 +121,20 @@ def _with_manoeuvres_of(scan: Scan, manoeuvred: BoolArray) -> Scan:
     """The scan with D added to the covariances of the records (n,) whose objects have manoeuvred."""
     if not manoeuvred.any():
         return scan
-    extra = np.where(manoeuvred[:, None, None], manoeuvre_covariance(scan), 0.0)
+    extra, records = np.zeros((len(scan), 4, 4)), np.flatnonzero(manoeuvred)
+    extra[records] = manoeuvre_covariance(scan, records)
     return replace(scan.with_covariance(extra), manoeuvre_covariance=extra)
 
 
-def manoeuvre_covariance(scan: Scan) -> FloatArray:
-    """(n, 4, 4) D of each record; 0 where the speed of its objects is unknown."""
-    age = np.maximum(scan.now.instant_s - scan.time_s, 0.0)
-    speed = np.where(np.isfinite(scan.speed_m_per_s), scan.speed_m_per_s, 0.0)
-    v = np.where(scan.moving[:, None], scan.state[:, 2:], 0.0)
+def manoeuvre_covariance(scan: Scan, records: IntArray) -> FloatArray:
+    """(k, 4, 4) D of records (k,); 0 where the speed of its objects is unknown."""
+    age = np.maximum(scan.now.instant_s - scan.time_s[records], 0.0)
+    speed = scan.speed_m_per_s[records]
+    speed = np.where(np.isfinite(speed), speed, 0.0)
+    v = np.where(scan.moving[records, None], taken(scan.state, records)[:, 2:], 0.0)
     change = v[:, :, None] * v[:, None, :] + speed[:, None, None] ** 2 * np.eye(2)
     change[speed == 0.0] = 0.0
-    out = np.zeros((len(scan), 4, 4))
+    out = np.zeros((len(records), 4, 4))
     out[:, :2, :2] = change * (age**2 / 3.0)[:, None, None]
     out[:, :2, 2:] = out[:, 2:, :2] = change * (age / 2.0)[:, None, None]
     out[:, 2:, 2:] = change

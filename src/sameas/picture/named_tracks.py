@@ -197,8 +197,8 @@ class NamedTracks:
     ) -> tuple[Mapping[str, Mapping[str, int]], Mapping[int, tuple[str, str, float]], IntArray]:
         """``by_name``, ``absent`` and ``forgotten`` after a scan: with its new tracks, without ids that timed out."""
         now_s, tuning = scan.now.instant_s, scan.tuning
-        returned = self.absent.keys() & set(present.tolist()) if self.absent else set[int]()
-        absent = {k: kept for k, kept in self.absent.items() if k not in returned} if returned else dict(self.absent)
+        gone = places_in(present, np.array(list(self.absent), np.int64)) < 0
+        absent = {k: kept for (k, kept), is_gone in zip(self.absent.items(), gone.tolist(), strict=True) if is_gone}
         absent |= self._without(present, tuning)
         timed_out = [k for k, (_, _, until_s) in absent.items() if now_s > until_s]
         # The first ones have been absent for longest.
@@ -217,12 +217,12 @@ class NamedTracks:
         return by_name, absent, np.array(timed_out, np.int64)
 
     def _without(self, present: IntArray, tuning: Tuning) -> dict[int, tuple[str, str, float]]:
-        """As of ``absent``: the tracks of this instant whose numbers are not ``present``."""
+        """As of ``absent``: the tracks of this instant whose numbers are not ``present``, ascending."""
         out: dict[int, tuple[str, str, float]] = {}
         if self.scan is None:
             return out
         descriptions = self.scan.now.descriptions
-        for at in np.flatnonzero(~np.isin(self.number, present)).tolist():
+        for at in np.flatnonzero(places_in(present, self.number) < 0).tolist():
             record = self.place[at]
             source = descriptions[self.scan.source[record]]
             keep_s = tuning.return_s if KINDS[source.kind].self_named else tuning.id_timeout_s

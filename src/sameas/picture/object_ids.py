@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, logit
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, distinct, over_columns, places_in, taken
 from sameas.assignment import assign, refuse_crowds
 from sameas.errors import InputError
 from sameas.evidence import Evidence, Field, Rule
@@ -158,7 +158,7 @@ class NearOrSameId:
         near = GATE(first, second)
         same_id = self.common.unique > 0.0
         by_id = (self.common.object_place[same_id] << 32) | self.common.detection_place[same_id]
-        key = np.unique(np.concatenate([(near.i.astype(np.int64) << 32) | near.j, by_id]))
+        key = distinct(np.concatenate([(near.i.astype(np.int64) << 32) | near.j, by_id]))
         i, j = (key >> 32).astype(np.int32), (key & 0xFFFFFFFF).astype(np.int32)
         residual = taken(first.features, i) - taken(second.features, j)
         total = taken(first.full_covariance(), i) + taken(second.full_covariance(), j)
@@ -293,26 +293,31 @@ class NamedObjects(PictureObjects):
     def in_picture(self) -> NamedObjects:
         """The objects without tentative ones of plots that no source detects now."""
         hidden = self.by_plots & (self.stage == TENTATIVE) & ~self.detected
-        return self.take(np.flatnonzero(~hidden)) if hidden.any() else self
+        return self.take(~hidden)
 
     def advance(self, instant_s: float, detections: UnnumberedObjects, stages: Stages, tuning: Tuning) -> NamedObjects:
         """The objects at a later instant."""
-        alive = self.take(np.flatnonzero(self.stage != ENDED))
+        alive = self.take(self.stage != ENDED)
         elapsed_s = instant_s - self.instant_s if math.isfinite(self.instant_s) else 0.0
         alive = alive.predicted(elapsed_s, alive.walk_m2_per_s3)
         match = alive._matches(detections, tuning)
-        matched, new = np.flatnonzero(match >= 0), np.flatnonzero(match < 0)
-        unmatched = np.setdiff1d(np.arange(len(alive)), match[matched])
+        # The detection of each object; the last place is that of detections without an object.
+        detection = np.full(len(alive) + 1, ABSENT)
+        detection[match] = np.arange(len(match))
+        is_matched, new = detection[:-1] >= 0, np.flatnonzero(match < 0)
+        matched = detection[:-1][is_matched]
         number = alive._new_numbers(detections, new)
-        parts = [
-            alive.take(match[matched])._detected(detections, matched, elapsed_s, stages, tuning),
-            NamedObjects._new(detections, new, number, alive._split_off(detections, new), self.unseen_share, stages),
-            alive.take(unmatched)._undetected(detections, elapsed_s, stages, tuning),
-        ]
+        found = alive.take(is_matched)._detected(detections, matched, elapsed_s, stages, tuning)
+        others = []
+        if not is_matched.all():
+            others.append(alive.take(~is_matched)._undetected(detections, elapsed_s, stages, tuning))
+        if len(new):
+            split_off = alive._split_off(detections, new)
+            others.append(NamedObjects._new(detections, new, number, split_off, self.unseen_share, stages))
         n_numbers = int(number.max(initial=self.n_numbers))
         places = detections.states.state[detections.states.placed, :2]
         objects = replace(
-            parts[0].in_order(*parts[1:]), instant_s=instant_s, n_numbers=n_numbers,
+            found.in_order(*others), instant_s=instant_s, n_numbers=n_numbers,
             unseen_share=detections.looks.unseen_share(self.unseen_share, places, elapsed_s),
         )  # fmt: skip
         return objects._with_history(self, detections, tuning)
@@ -384,11 +389,15 @@ class NamedObjects(PictureObjects):
         """These objects, updated by their matches ``which`` of the instant."""
         states, new_report = detections.states, detections.new_report[which]
         state, covariance = taken(states.state, which), taken(states.covariance, which)
-        filtered, filtered_covariance = _updated_states(self, state, covariance, new_report)
-        velocity_known = states.moving[which]
+        velocity_known = taken(states.moving, which)
+        # Without a velocity, it follows from the object's positions.
+        at = np.flatnonzero(~velocity_known)
+        if len(at):
+            before = Gaussian(taken(self.state, at), taken(self.covariance, at))
+            state[at], covariance[at] = _updated(before, state[at], covariance[at], new_report[at])
         n_updates, n_plots = self.n_updates + new_report, self.n_plots + detections.new_plot[which]
         # The gain of an ended main track is kept; one that continues still counts by its own duration.
-        continues = (self.main_track[:, None] == detections.tracks[which]).any(axis=1)
+        continues = over_columns(np.logical_or, self.main_track[:, None] == taken(detections.tracks, which))
         replaced = (self.main_track != detections.existence.track[which]) & ~continues
         earlier_log_odds = self.earlier_log_odds + np.where(replaced, self.main_log_odds, 0.0)
         log_initial, log_gain = detections.existence.log_initial[which], detections.existence.log_gain[which]
@@ -404,8 +413,7 @@ class NamedObjects(PictureObjects):
         )
         return replace(
             self, stage=np.where(confirmed, CONFIRMED, TENTATIVE),
-            state=np.where(velocity_known[:, None], state, filtered),
-            covariance=np.where(velocity_known[:, None, None], covariance, filtered_covariance),
+            state=state, covariance=covariance,
             placed=states.placed[which],
             moving=velocity_known | (self.placed & states.placed[which] & (n_updates > 1)), detection=which,
             n_updates=n_updates, n_plots=n_plots, split_off=split_off, **_columns_of(odds),
@@ -451,8 +459,6 @@ class NamedObjects(PictureObjects):
         self, detections: UnnumberedObjects, elapsed_s: float, stages: Stages, tuning: Tuning
     ) -> NamedObjects:
         """These objects at an instant at which no source detects them."""
-        if not len(self):
-            return self
         tentative = self.stage == TENTATIVE
         n_missing = self.n_missing + (tentative & bool(detections.new_report.any()))
         too_uncertain = aged(self.covariance, detections.looks.per_m2)
@@ -484,10 +490,10 @@ def _columns_of(odds: PlotOdds) -> dict[str, Any]:
     return {f"plot_{name}": getattr(odds, name) for name in ("log_odds", "log_initial", "looked", "missed")}
 
 
-def _updated_states(
-    objects: NamedObjects, state: FloatArray, covariance: FloatArray, new_report: BoolArray
+def _updated(
+    objects: Gaussian, state: FloatArray, covariance: FloatArray, new_report: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Predicted states and covariances of objects, updated by the reported positions where there is a new report."""
-    updated = Gaussian(objects.state, objects.covariance).updated(Gaussian(state[:, :2], covariance[:, :2, :2]))
+    updated = objects.updated(Gaussian(state[:, :2], covariance[:, :2, :2]))
     updated_covariance = np.where(new_report[:, None, None], updated.covariance, objects.covariance)
-    return np.where(new_report[:, None], updated.mean, objects.state), symmetric(updated_covariance)
+    return np.where(new_report[:, None], updated.mean, objects.mean), symmetric(updated_covariance)

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, are_among, finite_rows, over_columns, taken
 from sameas.evidence.identity import UNSET
 from sameas.kernels.kalman import sum_of_records
 from sameas.kernels.track_pairs import pair_distances
@@ -96,7 +96,7 @@ class Scan:
                  for feed, source, heights in zip(now.feeds, now.sources, now.heights, strict=True)]  # fmt: skip
         columns = {name: np.concatenate([_EMPTY[name], *(part[name] for part in parts)]) for name in _EMPTY}
         rows = Ragged.of_sizes([len(part["row"]) for part in parts])
-        placed = np.isfinite(columns["state"]).all(axis=1)
+        placed = finite_rows(columns["state"])
         with np.errstate(invalid="ignore"):
             unknown_variance = tuning.unknown_velocity_share * columns["speed_m_per_s"] ** 2
             moving = placed & (columns["reported_covariance"][:, 2, 2] < unknown_variance)
@@ -140,7 +140,7 @@ class Scan:
             if before is not None and description.name in names:
                 t = names.index(description.name)
                 records = slice(self.start[s], self.start[s + 1])
-                new[records] = ~np.isin(self.row[records], before.row[before.start[t] : before.start[t + 1]])
+                new[records] = ~are_among(self.row[records], before.row[before.start[t] : before.start[t + 1]])
         return new
 
     def with_covariance(self, extra: FloatArray) -> Scan:
@@ -274,14 +274,20 @@ class ColumnTable:
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.WHOLE}  # type: ignore[arg-type]
 
     def take(self, which: NDArray[Any]) -> Self:
-        """The rows of an index array, in any order, or of a mask."""
-        rows = np.flatnonzero(which) if which.dtype == np.bool_ else which
-        return replace(self, **{name: taken(column, rows) for name, column in self.columns().items()})  # type: ignore[type-var]
+        """The rows of an index array, in any order, or of a mask; the table itself if a mask has all rows."""
+        if which.dtype == np.bool_:
+            if which.all():
+                return self
+            which = np.flatnonzero(which)
+        return replace(self, **{name: taken(column, which) for name, column in self.columns().items()})  # type: ignore[type-var]
 
     def stacked(self, *others: Self) -> Self:
         """The rows of this table followed by those of others; the fields in ``WHOLE`` are those of this table."""
-        parts = [part.columns() for part in (self, *others)]
-        return replace(self, **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})  # type: ignore[type-var]
+        parts = [columns for columns in (other.columns() for other in others) if any(map(len, columns.values()))]
+        if not parts:
+            return self
+        own = self.columns()
+        return replace(self, **{name: np.concatenate([own[name], *(part[name] for part in parts)]) for name in own})  # type: ignore[type-var]
 
 
 @dataclass(frozen=True)
@@ -351,6 +357,8 @@ class PictureObjects(ObjectTable):
     def in_order(self, *others: Self) -> Self:
         """The objects of this table and others, by ascending number."""
         objects = self.stacked(*others)
+        if (objects.number[1:] > objects.number[:-1]).all():
+            return objects
         return objects.take(np.argsort(objects.number))
 
     def with_ends(self, ended: Self, dt_s: float, walk_m2_per_s3: FloatArray | float) -> Self:
@@ -395,8 +403,7 @@ def object_states(scan: Scan, members: IntArray, identification: Objects | None)
         members, scan.state, scan.covariance, scan.placed, scan.moving, smoothed, speed, STEPS, OPTIMAL, BISECTIONS,
         state, covariance, placed, moving,
     )  # fmt: skip
-    is_member = members >= 0
-    directed = np.flatnonzero((is_member & ~scan.placed[members]).any(axis=1)) if len(scan) else np.empty(0, np.int64)
+    directed = np.flatnonzero(over_columns(np.logical_or, np.append(~scan.placed, False)[members]))
     if len(directed) and identification is not None:
         # Directions are not linear in the state; the identification's joint density has done their update.
         fused = identification.fused

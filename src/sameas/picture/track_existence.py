@@ -78,11 +78,12 @@ class DurationMixture(ColumnTable):
         false_s = (sums((1.0 - p_real) * duration_s) + prior_weight * self.prior_false_s) / (ended_0 + prior_weight)
         real_s = (sums(p_real * duration_s) + tuning.real_weight * tuning.real_s) / (ended_1 + tuning.real_weight)
         # Labelled tracks are excluded: they are all real and would bias the share of the others.
-        unlabelled = [~is_real & (began_later == later) for later in (False, True)]
-        counts = np.array(tuning.prior_tracks)[:, :, None] + [
-            [sums(weight * which) for which in unlabelled] for weight in (p_real, 1.0 - p_real)
+        which = 2 * source + began_later
+        counts = np.array(tuning.prior_tracks)[:, None, :] + [
+            np.bincount(which, weight * ~is_real, 2 * len(self.false_s)).reshape(-1, 2)
+            for weight in (p_real, 1.0 - p_real)
         ]
-        share = (counts[0] / counts.sum(axis=0)).T
+        share = counts[0] / counts.sum(axis=0)
         # Without T₁ ≥ 2 T₀ the two components could exchange their roles.
         return DurationMixture(false_s, np.maximum(real_s, 2.0 * false_s), share, self.prior_false_s)
 
@@ -142,9 +143,10 @@ class TrackExistence(ColumnTable):
         current = TrackExistence(
             tracks.number, tracks.source, began_later, first_s, last_s, np.full(n, now_s), np.zeros(n), is_real
         )
-        ended_tracks = self._ended(np.flatnonzero(places_in(tracks.number, self.number) < 0), tracks, now_s)
-        out = ended_tracks.stacked(current)
-        out = replace(out.take(np.argsort(out.number)), mixture=self._mixture(tracks))
+        out, absent = replace(current, mixture=self._mixture(tracks)), places_in(tracks.number, self.number) < 0
+        if absent.any():
+            out = out.stacked(self._ended(np.flatnonzero(absent), tracks, now_s))
+            out = out.take(np.argsort(out.number))
         duration_s, ended = out.last_s - out.first_s + out.after_s, out.last_scan_s < now_s
         mixture = out.mixture
         for _ in range(scan.tuning.em_steps):
@@ -153,7 +155,9 @@ class TrackExistence(ColumnTable):
 
     def with_real(self, number: IntArray) -> TrackExistence:
         """The same, with tracks that another source confirms as real; number : theirs."""
-        return replace(self, is_real=self.is_real | np.isin(self.number, number))
+        at, is_real = places_in(self.number, number.ravel()), self.is_real.copy()
+        is_real[at[at >= 0]] = True
+        return replace(self, is_real=is_real)
 
     def log_odds(self, number: IntArray) -> tuple[FloatArray, FloatArray]:
         """The log-odds that tracks are real at their begin, and the gain by their duration since.

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, places_in, spans_in
+from sameas.arrays import BoolArray, FloatArray, IntArray, ordered_by, places_in, spans_in
 from sameas.picture.tables import ColumnTable
 from sameas.picture.tuning import Tuning
 from sameas.ragged import ranges
@@ -57,16 +57,20 @@ class TrackHistory(ColumnTable):
             timed out; None for none.
         """
         fade = math.exp(-(instant_s - self.instant_s) / tuning.history_s) if len(self) else 0.0
-        in_scan = np.isin(self.track, track)
+        at, row = self.of(track)
+        in_scan = np.zeros(len(self), bool)
+        in_scan[row] = True
         keep = (places_in(alive, self.number) >= 0) | self.unique
         if forgotten is not None and len(forgotten):
             keep &= ~np.isin(self.track, forgotten)
+        keep &= ~in_scan | (fade * self.share >= tuning.min_share)
         earlier = TrackHistory(
             instant_s, self.track, self.number, np.where(in_scan, fade * self.share, self.share), self.last & ~in_scan,
             self.unique,
-        ).take(np.flatnonzero(keep & (~in_scan | (fade * self.share >= tuning.min_share))))  # fmt: skip
+        ).take(keep)  # fmt: skip
         # A new track has the share 1 in its first object.
-        has_history = np.isin(track, earlier.track)
+        has_history = np.zeros(len(track), bool)
+        has_history[at[keep[row]]] = True
         latest = TrackHistory(
             instant_s, track, number, np.where(has_history, 1.0 - fade, 1.0), np.ones(len(track), bool), unique
         )
@@ -87,9 +91,10 @@ class TrackHistory(ColumnTable):
         """(k,) whether each track (k,) and the other (k,) were assigned to one object, in their history."""
         radix = int(self.number.max(initial=0)) + 1
         (at, row), (other_at, other_row) = self.of(tracks), self.of(others)
-        common = np.intersect1d(at * radix + self.number[row], other_at * radix + self.number[other_row])
+        # Both ascend, as the rows of a track do.
+        common = places_in(at * radix + self.number[row], other_at * radix + self.number[other_row]) >= 0
         out = np.zeros(len(tracks), bool)
-        out[common // radix] = True
+        out[other_at[common]] = True
         return out
 
     def main_ended(self, tracks: IntArray, alive: IntArray) -> IntArray:
@@ -104,12 +109,17 @@ class TrackHistory(ColumnTable):
         return out
 
     def _with(self, more: TrackHistory) -> TrackHistory:
-        """The rows of both, merged per track and object."""
-        both = self.stacked(more)
-        # One sort key per row: np.unique of two columns takes four times as long.
-        radix = int(both.number.max(initial=0)) + 1
-        key, back = np.unique(both.track * radix + both.number, return_inverse=True)
-        (track, number), n = np.divmod(key, radix), len(key)
-        share = np.asarray(np.bincount(back, both.share, n), np.float64)
-        last, unique = (np.bincount(back, column, n) > 0 for column in (both.last, both.unique))
-        return TrackHistory(self.instant_s, track, number, share, last, unique)
+        """The rows of both, merged per track and object; ``more`` has one row per track."""
+        at, row = self.of(more.track)
+        same = self.number[row] == more.number[at]
+        at, row = at[same], row[same]
+        share, last, unique = self.share.copy(), self.last.copy(), self.unique.copy()
+        share[row] += more.share[at]
+        last[row] |= more.last[at]
+        unique[row] |= more.unique[at]
+        merged, is_new = replace(self, share=share, last=last, unique=unique), np.ones(len(more), bool)
+        is_new[at] = False
+        if not is_new.any():
+            return merged
+        both = merged.stacked(more.take(is_new))
+        return both.take(ordered_by([both.track, both.number]))

@@ -356,11 +356,9 @@ class TrackPairs(ColumnTable):
         out.n_offsets[due] += 1
         out.offset[due] += (step.here[a[due]] - step.here[b[due]] - out.offset[due]) / out.n_offsets[due, None]
         out.offset_s[due], out.offset_new[due] = step.instant_s, False
-        covariance = MIN_M2 * np.eye(2) + sum(
-            correlation.of_mean(step.source[track], tuning.lasting_s, out.n_offsets[due], tuning)[:, None, None]
-            * step.reported[track]
-            for track in (a[due], b[due])
-        )
+        tracks = np.stack([a[due], b[due]])
+        share = correlation.of_mean(step.source[tracks], tuning.lasting_s, out.n_offsets[due], tuning)
+        covariance = MIN_M2 * np.eye(2) + sum(share[:, :, None, None] * step.reported[tracks])
         out.offset_chi_sq[due] = mahalanobis_sq(out.offset[due], covariance)
         # χ² is clipped so that one false pair cannot dominate the sum over sure pairs.
         counts = self.sure & (out.n_offsets >= tuning.min_offsets)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -259,7 +260,7 @@ class Tuning:
     min_expected: int = 20
     blocks: int = 12
 
-    @property
+    @cached_property
     def swap_models(self) -> tuple[FloatArray, FloatArray]:
         """(r,), (r,) h and c of every model of swaps: each rate with each range."""
         rates, ranges = np.array(self.swap_rates), np.array(self.swap_ranges)

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, over_columns, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, are_among, over_columns, taken
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.kernels.components import label_components
@@ -332,7 +332,7 @@ class Watch:
         if self.shown_tracks is None:
             return out
         track, before = memory.tracks.track_of_record, self.shown_tracks
-        previous = np.where(np.isin(track, before[before >= 0]), self.objects.history.last_of(track), 0)
+        previous = np.where(are_among(track, before[before >= 0]), self.objects.history.last_of(track), 0)
         for s, (source_number, source) in enumerate(zip(pooled.given, pooled.sources, strict=True)):
             if source_number + 1 < len(scan.start):
                 out[pooled.start[s] : pooled.start[s + 1]] = previous[scan.find(source_number, records_of(source).rows)]
@@ -371,14 +371,18 @@ class Watch:
                 has_unique_id[:-1] |= texts[name] != ""
         # Each record of a source without clutter is of a real object.
         clutter_free = np.array([feed.clutter(2) == 0.0 for feed in scan.now.feeds], dtype=bool)
-        is_certain = (is_member & clutter_free).any(axis=1) | _certain_pairs(members, identification, self.stages)
+        is_certain = over_columns(np.logical_or, is_member & clutter_free) | _certain_pairs(
+            members, identification, self.stages
+        )
         is_named = memory.tracks.track_of_record >= 0
         plots = NewPlots.of(scan, members, is_new, is_named, looks)
         new_report, new_plot = (
             over_columns(np.logical_or, np.append(column, False)[members]) for column in (is_new, is_new & ~is_named)
         )
-        walk = np.append(scan.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
-        speed = np.append(scan.speed_m_per_s, 0.0)[members].max(axis=1, initial=0.0)
+        walk, speed = (
+            over_columns(np.maximum, np.append(column, 0.0)[members])
+            for column in (scan.walk_m2_per_s3, scan.speed_m_per_s)
+        )
         return UnnumberedObjects(
             states,
             track,
@@ -460,4 +464,5 @@ def _certain_pairs(members: IntArray, identification: Objects | None, stages: St
     """(n,) whether an object certainly has records of two or more sources."""
     if identification is None:
         return np.zeros(len(members), bool)
-    return np.asarray(((members >= 0).sum(axis=1) > 1) & (identification.probability >= stages.sure))
+    several = over_columns(np.add, (members >= 0).astype(np.int64)) > 1
+    return np.asarray(several & (identification.probability >= stages.sure))

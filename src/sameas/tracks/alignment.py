@@ -37,7 +37,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, taken
+from sameas.arrays import BoolArray, FloatArray, IntArray, finite_rows, taken
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.gaussian import Gaussian, determinant, mahalanobis_sq, symmetric
@@ -78,8 +78,7 @@ class States:
 
     def usable_of(self, rows: IntArray) -> BoolArray:
         """(k,) :attr:`usable` for some of the reports."""
-        covariance = taken(self.covariance, rows).reshape(-1, 16)
-        return np.asarray(np.isfinite(covariance).all(axis=1) & np.isfinite(taken(self.state, rows)).all(axis=1))
+        return finite_rows(taken(self.covariance, rows)) & finite_rows(taken(self.state, rows))
 
     def take(self, which: NDArray[Any]) -> States:
         """The reports of an index array or a mask."""
@@ -125,8 +124,10 @@ class States:
                 raise InputError(f"{source}: velocities are given without their covariances; give (n, 2, 2)")
             v = np.asarray(velocity, dtype=np.float64)
             vv = np.broadcast_to(np.asarray(velocity_covariance, dtype=np.float64), (n, 2, 2))
-            known = np.isfinite(v).all(axis=1) & np.isfinite(vv).all(axis=(1, 2))
-            state[known, 2:], out_covariance[known, 2:, 2:] = v[known], vv[known]
+            known = finite_rows(v) & finite_rows(vv)
+            state[:, 2:], out_covariance[:, 2:, 2:] = v, vv
+            if not known.all():
+                state[~known, 2:], out_covariance[~known, 2:, 2:] = 0.0, speed_m_per_s**2 * np.eye(2)
         names = None if track is None else np.asarray(track)
         if names is not None and names.shape != (n,):
             raise InputError(f"{source}: {names.shape} names of tracks for {n} reports; give one each")

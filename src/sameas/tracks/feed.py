@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, over_columns, taken
 from sameas.errors import InputError, naming
 from sameas.evidence.identity import MODELS
 from sameas.gate import ChiSquare
@@ -103,9 +103,9 @@ def repeated(track: IntArray, time_s: FloatArray, position: FloatArray) -> tuple
     """(k,) rows of the reports (n,) that repeat the position (n, 2) of the previous report of their track, and the
     seconds since the first report of that position."""
     rows = np.lexsort([time_s, track])
-    before, after = rows[:-1], rows[1:]
+    track, position = track[rows], taken(position, rows)
     same = np.zeros(len(rows), bool)
-    same[1:] = (position[after] == position[before]).all(axis=1) & (track[after] == track[before])
+    same[1:] = over_columns(np.logical_and, position[1:] == position[:-1]) & (track[1:] == track[:-1])
     first = np.maximum.accumulate(np.where(same, 0, np.arange(len(rows))))
     return rows[same], time_s[rows[same]] - time_s[rows[first[same]]]
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, are_among, places_in, taken
 from sameas.evidence.identity import MODELS
 from sameas.kernels.zones import merge_rows
 from sameas.tracks.alignment import NO_TREND, States, Succession, are_unfiltered, follow
@@ -47,7 +47,7 @@ from sameas.tracks.heights import HeightColumns
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import UNNAMED, Directions, PlacedReports, unnamed
 from sameas.tracks.registration import SourceBiases
-from sameas.tracks.report_table import ReportTable
+from sameas.tracks.report_table import FILTER, HEIGHTS, MODES, ReportTable
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import scans_of
 from sameas.tracks.source import Description
@@ -138,7 +138,6 @@ class LiveFeed:
         self._named: bool | None = None
         self._horizon_s = -math.inf
         self._directions = KINDS[self.description.kind].directions
-        self._has_heights = False
         self._given = self.description
         #: Number of reports of aircraft, and of all.
         self._of_aircraft = np.zeros(2, np.int64)
@@ -152,6 +151,11 @@ class LiveFeed:
     def has_sensor(self) -> bool:
         """Whether the place of its sensor is known at any of its current reports."""
         return bool(np.isfinite(self._rows.sensor_m).any())
+
+    @property
+    def _models_stationary(self) -> bool:
+        """Whether its objects may be at rest."""
+        return bool(self.description.motion.stationary_share)
 
     @property
     def has_reports(self) -> bool:
@@ -193,7 +197,8 @@ class LiveFeed:
                 self._decide_filtering(placed)
             new = ReportTable.of_states(in_plane, usable, sensor_m, attributes)
         if heights is not None:
-            new.heights, self._has_heights = heights.table[usable], True
+            new.add_groups(HEIGHTS)
+            new.heights = heights.table[usable]
         if self._named is None:
             self._named = in_plane.track is not None
         if in_plane.track is not None:
@@ -238,15 +243,18 @@ class LiveFeed:
         if math.isfinite(self._instant_s):
             self._spacings_s = (*self._spacings_s[-8:], instant_s - self._instant_s)
         self._instant_s = instant_s
-        rows = self._rows.visible(("measured",) if self._directions else ())
-        time_s, sensor_m = rows.time_s, rows.sensor_m if np.isfinite(rows.sensor_m).any() else None
-        track = rows.name if self._named else None
-        row = np.arange(len(rows))
+        if self._models_stationary:
+            self._rows.add_groups(MODES)
+        # Copies: later reports must not change them.
+        rows = self._rows
+        time_s, sensor_m = rows.time_s.copy(), rows.sensor_m.copy() if self.has_sensor else None
+        track = rows.name.copy() if self._named else None
+        row, (state, covariance) = np.arange(len(rows)), (column.copy() for column in rows.tracks)
         reports: States | Directions
         if self._directions:
-            reports = Directions(time_s, rows.measured[:, 0], rows.measured[:, 1], rows.sensor_m, track, row)
+            reports = Directions(time_s, state[:, 0], state[:, 1], rows.sensor_m.copy(), track, row)
         else:
-            reports = States(time_s, rows.state, rows.covariance, track, row)
+            reports = States(time_s, state, covariance, track, row)
         scan_s, scan_times_s, rotation = time_s, np.unique(time_s[rows.taken]), None
         if not self._named:
             live = np.flatnonzero(rows.taken)
@@ -257,12 +265,12 @@ class LiveFeed:
             )  # fmt: skip
             scan_s = np.full(len(rows), -math.inf)
             scan_s[live], scan_times_s, rotation = scans.scan_s, np.unique(scans.scan_s), scans.rotation
-        p_slow = None
-        if isinstance(reports, States) and self.description.motion.stationary_share:
-            p_slow = rows.p_slow
+        p_slow = rows.p_slow.copy() if isinstance(reports, States) and self._models_stationary else None
+        heights = rows.heights.copy() if HEIGHTS in rows.groups else None
+        attributes = {name: column.copy() for name, column in rows.attributes.items()}
         feed = Feed(
-            self.description, reports, scan_times_s, scan_s, sensor_m, rows.attributes, None, (), None, rotation,
-            p_slow, self.tuning, rows.heights if self._has_heights else None,
+            self.description, reports, scan_times_s, scan_s, sensor_m, attributes, None, (), None, rotation, p_slow,
+            self.tuning, heights,
         )  # fmt: skip
         if self._named:
             feed = feed.with_succession(self._succession(rows), self.track_timeout_s())
@@ -391,8 +399,8 @@ class LiveFeed:
         by_track = np.lexsort([new.time_s, new.number])
         of_track, first = np.unique(new.number[by_track], return_index=True)
         earliest_s = np.append(new.time_s[by_track][first], math.inf)
-        at = np.minimum(np.searchsorted(of_track, number), len(of_track) - 1)
-        same_track = of_track[at] == number
+        at = places_in(of_track, number)
+        same_track = at >= 0
         after = same_track & (time_s >= earliest_s[at])
         # The last row before the first new report, or the last of the track.
         before = same_track & ~after
@@ -432,6 +440,8 @@ class LiveFeed:
         )  # fmt: skip
         repeats = repeated(number, time_s, place)[0] - len(own)
         repeats = repeats[repeats >= 0]
+        if not len(repeats):
+            return out
         moving = in_motion(new.measured[repeats, 2:], new.measured_covariance[repeats, 2:, 2:], self.tuning)
         tracks = np.unique(new.number[repeats[moving]])
         if not len(tracks):
@@ -451,12 +461,11 @@ class LiveFeed:
         gives whether any id was checked."""
         rows, limit = self._rows, self.tuning.max_speed_sigmas * (self.description.motion.speed_m_per_s or math.inf)
         last = own[np.flatnonzero(np.diff(rows.number[own], append=-1))]
-        order = np.lexsort([new.serial, new.time_s])
         radius = self.tuning.position_sigmas * _sigma_m(new.measured_covariance)
         suspects = self._far(new, last, radius, limit)
         if not (self._split or suspects.any()):
             return False
-        for k in order.tolist():
+        for k in np.lexsort([new.serial, new.time_s]).tolist():
             name = new.name[k]
             if name not in self._split and not suspects[k]:
                 continue
@@ -485,30 +494,26 @@ class LiveFeed:
         rows = self._rows
         number = np.concatenate([rows.number[last], new.number])
         time_s = np.concatenate([rows.time_s[last], new.time_s])
-        state = np.concatenate([taken(rows.measured, last), new.measured])
-        place = state[:, :2]
-        last_radius = self.tuning.position_sigmas * _sigma_m(taken(rows.measured_covariance, last))
-        reach = np.concatenate([last_radius, radius])
         order = np.lexsort([time_s, number])
-        a, b = order[:-1], order[1:]
-        distance = np.hypot(*(taken(place, b) - taken(place, a)).T)
-        speed = fastest(limit, taken(state, a), taken(state, b), self.tuning)
-        jump = (number[a] == number[b]) & (distance > reach[a] + reach[b] + speed * np.abs(time_s[b] - time_s[a]))
+        number, time_s = number[order], time_s[order]
+        state = taken(np.concatenate([taken(rows.measured, last), new.measured]), order)
+        last_radius = self.tuning.position_sigmas * _sigma_m(taken(rows.measured_covariance, last))
+        reach = np.concatenate([last_radius, radius])[order]
+        distance = np.hypot(*(state[1:, :2] - state[:-1, :2]).T)
+        speed = fastest(limit, state[:-1], state[1:], self.tuning)
+        far = distance > reach[:-1] + reach[1:] + speed * np.diff(time_s)
         # All reports of such an id in the batch are then checked one by one.
-        return np.asarray(np.isin(new.number, number[b[jump]]))
+        return are_among(new.number, number[1:][far & (number[1:] == number[:-1])])
 
     def _filter(self, rows: IntArray, is_new: BoolArray) -> None:
         """Filters tracks again, each from the last report before its first new one.
 
         rows, is_new : (n,) rows of these tracks, in any order, and whether each is new.
         """
-        table = self._rows
-        if not self.to_tracks and not self.description.motion.stationary_share:
-            at = rows[is_new]
-            state, covariance = taken(table.measured, at), taken(table.measured_covariance, at)
-            table.filtered[at], table.filtered_covariance[at] = state, covariance
-            table.state[at], table.covariance[at] = state, covariance
+        if not self.to_tracks and not self._models_stationary:
             return
+        table = self._rows
+        table.add_groups(FILTER)
         order = np.lexsort([table.serial[rows], table.time_s[rows], table.number[rows]])
         rows, is_new = rows[order], is_new[order]
         number = table.number[rows]
@@ -551,8 +556,8 @@ class LiveFeed:
             else tracks
         )
         known = None
-        if self.description.motion.stationary_share:
-            table.with_modes()
+        if self._models_stationary:
+            table.add_groups(MODES)
             log_p = np.where(is_start[:, None], table.modes[at], np.nan)
             known = Modes(log_p, table.modes_mean[at], table.modes_covariance[at])
         visible, modes = stationary(visible, self.description.motion, self.tuning, known)

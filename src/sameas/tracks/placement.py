@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, finite_rows
 from sameas.errors import Argument, InputError, Message, naming
 from sameas.gaussian import propagated
 from sameas.many.observations import Bearing
@@ -322,7 +322,7 @@ class PlacedReports:
         """(n, 2, 2) covariances of east and north: stated by the reports, else from errors.position_m, else NaN."""
         errors = self.description.errors
         covariance = self._unpacked(self.reports.covariance_m2)
-        not_stated = ~np.isfinite(covariance).all(axis=(1, 2))
+        not_stated = ~finite_rows(covariance)
         if not_stated.any() and errors.position_m is not None:
             covariance[not_stated] = np.hypot(errors.position_m, errors.extent_m or 0.0) ** 2 * np.eye(2)
         return covariance
@@ -332,7 +332,7 @@ class PlacedReports:
 
         If the sensor's position is unknown, the larger of both at ``_assumed_range_m``, the same in all directions.
         """
-        not_stated = ~np.isfinite(stated).all(axis=(1, 2))
+        not_stated = ~finite_rows(stated)
         if not not_stated.any():
             return stated
         errors = self.description.errors
@@ -340,7 +340,7 @@ class PlacedReports:
             self._needed("errors", "position_m")
         arm = position - (np.nan if self.sensor_m is None else self.sensor_m)
         known = np.isfinite(arm[:, 0]) & np.isfinite(arm[:, 1])
-        without_sensor = not_stated & ~known & np.isfinite(position).all(axis=1)
+        without_sensor = not_stated & ~known & finite_rows(position)
         range_m = np.where(known, np.hypot(*arm.T), self._assumed_range_m if without_sensor.any() else np.nan)
         along = errors.sigma_range_m(range_m)
         across = range_m * np.radians(errors.bearing_deg or 0.0)
@@ -363,14 +363,15 @@ class PlacedReports:
         if velocity is None:
             return None, None
         covariance = self._unpacked(self.reports.velocity_covariance_m2_per_s2)
-        not_stated = np.isfinite(velocity).all(axis=1) & ~np.isfinite(covariance).all(axis=(1, 2))
+        not_stated = finite_rows(velocity) & ~finite_rows(covariance)
         if not_stated.any():
             sigma = self._needed("errors", "speed_m_per_s")
             sigma_course = np.radians(self._needed("errors", "course_deg"))
-            speed, course = np.hypot(*velocity.T), np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1]))
+            east, north = velocity[not_stated].T
+            speed, course = np.hypot(east, north), np.degrees(np.arctan2(east, north))
             # The course of a slow object is undefined: its error across the course is that of the speed.
             across = np.maximum(sigma, speed * sigma_course) ** 2
-            covariance[not_stated] = along_and_across(sigma**2, across, np.nan_to_num(course))[not_stated]
+            covariance[not_stated] = along_and_across(sigma**2, across, course)
         return velocity, covariance
 
     def _unpacked(self, packed: FloatArray | None) -> FloatArray:
@@ -391,7 +392,7 @@ class PlacedReports:
 
 def _without_strays(position: FloatArray, tuning: Tuning) -> FloatArray:
     """The positions, NaN where one is very far from the others of its source (``stray_…`` of the tuning)."""
-    known = np.isfinite(position).all(axis=1)
+    known = finite_rows(position)
     if known.sum() < tuning.stray_count:
         return position
     distance_m = np.hypot(*(position - np.median(position[known], axis=0)).T)

@@ -13,46 +13,53 @@ from sameas.tracks.alignment import NO_TREND, States
 from sameas.tracks.placement import Directions
 from sameas.tracks.stationary import FILTERED, SLOW
 
-#: Columns that a feed needs.
-_VISIBLE = ("time_s", "state", "covariance", "p_slow", "sensor_m", "heights", "name")
+#: Columns by group: name, shape of an element, value of an empty row. All tables have REPORTS; few sources need
+#: heights, filtered tracks and modes of motion, which are most of a row.
+REPORTS, HEIGHTS, FILTER, MODES = "reports", "heights", "filter", "modes"
+_COLUMNS: dict[str, tuple[tuple[str, tuple[int, ...], ArrayLike], ...]] = {
+    REPORTS: (
+        ("time_s", (), -math.inf), ("measured", (4,), math.nan), ("measured_covariance", (4, 4), math.nan),
+        ("sensor_m", (2,), math.nan), ("late_s", (), -math.inf),
+    ),
+    HEIGHTS: (("heights", (4,), math.nan),),
+    FILTER: (
+        ("filtered", (4,), math.nan), ("filtered_covariance", (4, 4), math.nan), ("state", (4,), math.nan),
+        ("covariance", (4, 4), math.nan), ("trend", (4,), NO_TREND),
+    ),
+    MODES: (
+        ("p_slow", (SLOW,), 0.0), ("modes", (FILTERED,), math.nan), ("modes_mean", (FILTERED, 4), math.nan),
+        ("modes_covariance", (FILTERED, 4, 4), math.nan),
+    ),
+}  # fmt: skip
+#: Columns of which a feed shows all rows, also empty ones.
+_VISIBLE = frozenset(
+    {"time_s", "measured", "measured_covariance", "sensor_m", "heights", "state", "covariance", "p_slow"}
+)
 
 
 class ReportTable:
-    """A table of reports; taken : (n,) whether a row is in use.
+    """A table of reports; groups : of its columns. taken : (n,) whether a row is in use."""
 
-    The modes of motion, more than half of a row, are in it from :meth:`with_modes` on; before, they have length 0.
-    """
-
-    ARRAYS: tuple[tuple[str, tuple[int, ...], ArrayLike], ...] = (
-        ("time_s", (), -math.inf), ("measured", (4,), math.nan), ("measured_covariance", (4, 4), math.nan),
-        ("filtered", (4,), math.nan), ("filtered_covariance", (4, 4), math.nan), ("state", (4,), math.nan),
-        ("covariance", (4, 4), math.nan), ("p_slow", (SLOW,), 0.0), ("sensor_m", (2,), math.nan),
-        ("heights", (4,), math.nan), ("late_s", (), -math.inf), ("trend", (4,), NO_TREND),
-    )  # fmt: skip
-    MODES: tuple[tuple[str, tuple[int, ...]], ...] = (
-        ("modes", (FILTERED,)), ("modes_mean", (FILTERED, 4)), ("modes_covariance", (FILTERED, 4, 4)),
-    )  # fmt: skip
     time_s: FloatArray
     measured: FloatArray
     measured_covariance: FloatArray
+    sensor_m: FloatArray
+    late_s: FloatArray
+    heights: FloatArray
     filtered: FloatArray
     filtered_covariance: FloatArray
     state: FloatArray
     covariance: FloatArray
+    trend: FloatArray
     p_slow: FloatArray
     modes: FloatArray
     modes_mean: FloatArray
     modes_covariance: FloatArray
-    sensor_m: FloatArray
-    heights: FloatArray
-    late_s: FloatArray
-    trend: FloatArray
 
-    def __init__(self, n: int) -> None:
-        for name, shape, empty in self.ARRAYS:
+    def __init__(self, n: int, groups: tuple[str, ...] = (REPORTS,)) -> None:
+        self.groups = groups
+        for name, shape, empty in self._filled:
             setattr(self, name, np.full((n, *shape), empty, np.float64))
-        for name, shape in self.MODES:
-            setattr(self, name, np.empty((0, *shape)))
         self.taken = np.zeros(n, bool)
         self.number = np.full(n, ABSENT)
         self.serial = np.full(n, ABSENT)
@@ -67,10 +74,7 @@ class ReportTable:
         cls, in_plane: States, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
     ) -> ReportTable:
         rows = cls(len(usable))
-        for column in ("measured", "filtered", "state"):
-            setattr(rows, column, taken(in_plane.state, usable))
-        for column in ("measured_covariance", "filtered_covariance", "covariance"):
-            setattr(rows, column, taken(in_plane.covariance, usable))
+        rows.measured, rows.measured_covariance = taken(in_plane.state, usable), taken(in_plane.covariance, usable)
         return rows._with(in_plane.time_s[usable], usable, sensor_m, attributes)
 
     @classmethod
@@ -90,46 +94,46 @@ class ReportTable:
         self.attributes = {name: column[usable] for name, column in attributes.items()}
         return self
 
-    def with_modes(self) -> None:
-        """Adds the modes of motion if it has none, not-a-number as they are not known."""
-        if len(self.modes) < len(self):
-            for name, shape in self.MODES:
-                setattr(self, name, np.full((len(self), *shape), math.nan))
+    def add_groups(self, *groups: str) -> None:
+        """Adds the columns that it has not yet, empty; filtered tracks as measured."""
+        for group in groups:
+            if group in self.groups:
+                continue
+            self.groups = (*self.groups, group)
+            for name, shape, empty in _COLUMNS[group]:
+                setattr(self, name, np.full((len(self), *shape), empty, np.float64))
+            if group == FILTER:
+                self.filtered[:], self.filtered_covariance[:] = self.measured, self.measured_covariance
+                self.state[:], self.covariance[:] = self.measured, self.measured_covariance
 
     @property
-    def _has_modes(self) -> bool:
-        return len(self.modes) > 0
+    def tracks(self) -> tuple[FloatArray, FloatArray]:
+        """(n, 4), (n, 4, 4) the states of the reports and their covariances: filtered, or as measured."""
+        if FILTER in self.groups:
+            return self.state, self.covariance
+        return self.measured, self.measured_covariance
+
+    @property
+    def _filled(self) -> tuple[tuple[str, tuple[int, ...], ArrayLike], ...]:
+        return tuple(column for group in self.groups for column in _COLUMNS[group])
 
     @property
     def _columns(self) -> tuple[str, ...]:
-        modes = [name for name, _ in self.MODES] if self._has_modes else []
-        return (*(name for name, _, _ in self.ARRAYS), *modes, "taken", "number", "serial", "name")
+        return (*(name for name, _, _ in self._filled), "taken", "number", "serial", "name")
 
     def only(self, which: BoolArray) -> ReportTable:
         """The rows of a mask; self where that is all of them."""
         if which.all():
             return self
-        out = ReportTable(0)
+        out = ReportTable(0, self.groups)
         for name in self._columns:
             setattr(out, name, getattr(self, name)[which])
         out.attributes = {name: column[which] for name, column in self.attributes.items()}
         return out
 
-    def visible(self, also: tuple[str, ...]) -> ReportTable:
-        """Copies of the columns that a feed needs, and of the columns ``also``: later reports must not change them."""
-        out = ReportTable(0)
-        for name in (*_VISIBLE, *also):
-            setattr(out, name, getattr(self, name).copy())
-        # No copies: feeds do not keep these.
-        out.taken, out.number, out.serial = self.taken, self.number, self.serial
-        out.attributes = {name: column.copy() for name, column in self.attributes.items()}
-        return out
-
     def grown(self, n: int) -> ReportTable:
         """The table with ``n`` more empty rows."""
-        more, out = ReportTable(n), ReportTable(0)
-        if self._has_modes:
-            more.with_modes()
+        more, out = ReportTable(n, self.groups), ReportTable(0, self.groups)
         for name in self._columns:
             setattr(out, name, np.concatenate([getattr(self, name), getattr(more, name)]))
         none = np.full(n, None, object)
@@ -140,8 +144,8 @@ class ReportTable:
 
     def put(self, places: IntArray, new: ReportTable) -> None:
         """Writes the rows ``new`` to these rows of the table."""
-        if self._has_modes:
-            new.with_modes()
+        self.add_groups(*new.groups)
+        new.add_groups(*self.groups)
         for name in self._columns:
             getattr(self, name)[places] = getattr(new, name)
         for name in new.attributes.keys() - self.attributes.keys():
@@ -152,8 +156,8 @@ class ReportTable:
 
     def clear(self, places: IntArray) -> None:
         """Empties these rows."""
-        for name, _, empty in self.ARRAYS:
-            if name in (*_VISIBLE, "measured"):
+        for name, _, empty in self._filled:
+            if name in _VISIBLE:
                 getattr(self, name)[places] = empty
         self.taken[places], self.number[places], self.serial[places], self.name[places] = False, ABSENT, ABSENT, ""
         for column in self.attributes.values():

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import FloatArray, IntArray, tall_product
 from sameas.errors import InputError
 from sameas.evidence.heights import Heights
 from sameas.evidence.identity import Identity, IdentityConflict, alarms
@@ -301,7 +301,10 @@ class _Surroundings:
         reach = max((one.feed.description.coverage.range_m or 0.0 for one in snapshots), default=0.0)
         if states:
             places = np.concatenate(states)[:, :2]
-            centre, spread = places.mean(axis=0), np.cov(places.T) if len(places) > 2 else np.zeros((2, 2))
+            centre, spread = places.mean(axis=0), np.zeros((2, 2))
+            if len(places) > 2:
+                from_centre = places - centre
+                spread = tall_product(from_centre, from_centre) * (1.0 / (len(places) - 1))
             narrow = max(float(np.trace(spread)) / 20.0, (min(reach, 1000.0) or 1000.0) ** 2 / 16.0)
             spread = spread + narrow * np.eye(2)
         else:
