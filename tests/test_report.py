@@ -94,11 +94,11 @@ def test_a_later_note_replaces_an_earlier_one_on_the_same_subject():
 
 def test_a_frame_reports_its_catalogue_as_a_match_does():
     # A note with a colon was printed without the colon.
-    from sameas.report.frame import _understood
+    from sameas.report.frame import understood_lines
 
     note = "856 of 6179 rows have no proper motion: 0 ± 10 mas/yr on each axis is assumed"
     told = ["id: source_id", note, "id: name"]
-    lines = _understood({"catalogue": "gaia", "understood": told})
+    lines = understood_lines({"catalogue": "gaia", "understood": told})
     assert lines[0] == "Catalogue: gaia" and [line.split() for line in lines[3:]] == [["id", "name"], []]
     assert " ".join(" ".join(lines[1:3]).split()) == f"note {note}"
 

@@ -8,7 +8,7 @@ import pytest
 from moving import night
 
 from sameas import InputError
-from sameas.report.frame import excluded_lines
+from sameas.report.movers import excluded_lines
 from sameas.sky import Catalogue, CatalogueOptions, Detections, MotionModel, find_movers, learn_motion
 from sameas.sky.movers import stationary
 from sameas.sky.movers.detections import detections_of

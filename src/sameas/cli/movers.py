@@ -228,7 +228,8 @@ def run_series(
     from sameas.cli.terminal import Printer, share_compilation
     from sameas.front.movers import series_movers
     from sameas.io.ades import REPORTS
-    from sameas.report.frame import frames_lines, report_lines
+    from sameas.report.frame import frames_lines
+    from sameas.report.movers import report_lines
 
     began, printer = clock.perf_counter(), Printer(quiet)
     options = read_options()
@@ -265,7 +266,7 @@ def run_tables(
     """Read the detections, search, print, write. others : tables of other nights."""
     from sameas.cli.terminal import Pace, Printer, share_compilation
     from sameas.front.movers import night_movers, read_night
-    from sameas.report.frame import report_lines
+    from sameas.report.movers import report_lines
 
     began, printer = clock.perf_counter(), Printer(quiet)
     options, inputs = read_options(), (*paths, *others)

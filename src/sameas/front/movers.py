@@ -21,7 +21,7 @@ from sameas.front.request import read_catalogue, stem_of
 from sameas.io import checksum, write_table
 from sameas.io.ades import REPORTS, Observer, observations
 from sameas.io.atomic import filling
-from sameas.report.frame import (
+from sameas.report.movers import (
     below_lines,
     excluded_lines,
     known_lines,

@@ -18,7 +18,8 @@ from sameas.arrays import ABSENT, BoolArray, IntArray
 from sameas.io.atomic import replacing
 from sameas.pages import asset, column, page_of, png, rounded, script_safe
 from sameas.plots.frame import binned, binning, stretched
-from sameas.report.frame import doubts_of, doubts_of_frames, reasons
+from sameas.report.frame import doubts_of, doubts_of_frames
+from sameas.report.movers import reasons
 from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
