@@ -319,6 +319,28 @@ def test_missing_errors_and_times_are_estimated_or_doubted_and_never_required(sa
     assert "left at epoch 2016.0; give --time DATE" in text
 
 
+@pytest.mark.parametrize("where", [{"RA": WHERE[0], "DEC": WHERE[1]}, {"RA": WHERE[0] / 15, "DEC": WHERE[1]}])
+def test_a_solution_of_another_field_does_not_widen_the_cone_around_the_aim(sameas, tmp_path, monkeypatch, where):
+    cones = []
+    monkeypatch.setattr(
+        "sameas.front.framing.catalogue", lambda name, cone, *_, **__: cones.append(cone) or stars(cone)
+    )
+
+    def stars(cone):
+        near = np.abs(sky()["dec"] - cone.dec_deg) < cone.radius_deg
+        return catalogue(
+            write_table(sky()[near], tmp_path / "near.fits", provenance={}) or str(tmp_path / "near.fits"), None
+        )
+
+    header = pointing().to_wcs((SIDE, SIDE)).to_header()
+    header["CRVAL1"], header["CRVAL2"] = 40.0, -30.0
+    frame = picture(tmp_path / "elsewhere.fits", sky(), solved=False, **header, **where)
+    printed = sameas("frame", frame, "-c", "gaia", "-o", tmp_path / "out", "--no-page", "--no-picture").output
+    printed = " ".join(printed.split())
+    assert max(cone.radius_deg for cone in cones) < 3.0
+    assert "identified" in printed and "the plate solution of the header is off by" in printed
+
+
 def test_only_the_cone_is_read_from_a_folder_of_parquet(tmp_path):
     folder = tmp_path / "hats"
     for k, part in enumerate(np.array_split(np.arange(400), 3)):

@@ -34,6 +34,12 @@ MIDDLE = "2018-10-18T03:03:53.784"
         {"DATE_OBS": "2018-10-18T05:01:53.784+02:00", "EXPTIME": 240.0},
         {"DATE_OBS": "2018-10-18T03:01:53.784Z", "EXPTIME": 240.0},
         {"DATE_AVG": MIDDLE, "DATE_OBS": "2018-10-18T03:00:00", "EXPTIME": 1.0},
+        {"DATE_OBS": "18/10/18", "UT": "03:01:53.784", "EXPTIME": 240},
+        {"DATE_OBS": "10/18/2018", "UT": "03:01:53.784", "EXPTIME": 240},
+        {"DATE_OBS": "2018-10-18", "TIME_OBS": "03:01:53.784 AM", "EXPTIME": 240},
+        {"DATE_OBS": "18-Oct-2018 03:01:53.784", "EXPTIME": 240},
+        {"DATE_OBS": "20181018T030153.784", "EXPTIME": 240},
+        {"DATE_OBS": "2018.10.18 03:01:53.784", "EXPTIME": 240},
     ],
 )
 def test_mid_exposure_is_computed(cards):
@@ -88,8 +94,10 @@ def test_local_time_and_years_of_two_digits_are_named():
     lines = facts(DATE_OBS="2018-10-18T03:01:53", TIMESYS="LOCAL", EXPTIME=2).lines
     assert "doubt: TIMESYS = 'LOCAL' is no known time scale; times are taken as UTC" in lines
     for clock in ({"UT": "03:01:53"}, {}):
-        lines = facts(DATE_OBS="18/10/25", EXPTIME=2, **clock).lines
+        lines = facts(DATE_OBS="18/10/25", EXPTIME=2, PLATEID="07HH", **clock).lines
         assert "assumed: DATE-OBS = '18/10/25' is of 1925, as in FITS before 2000" in lines
+        lines = facts(DATE_OBS="18/10/25", EXPTIME=2, **clock).lines
+        assert "assumed: DATE-OBS = '18/10/25' is of 2025, as there were no such detectors in 1925" in lines
     assert not any("before 2000" in line for line in facts(DATE_OBS="18/10/2018", EXPTIME=2).lines)
 
 
@@ -105,6 +113,58 @@ def test_a_date_without_time_means_noon_and_disagreeing_clocks_are_reported():
     assert any(line.startswith("assumed: 12:00") for line in facts(DATE_OBS="2018-10-18", EXPTIME=0.0).lines)
     lines = facts(DATE_OBS="2018-10-18T03:01:53", MJD_OBS=58409.5, EXPTIME=10).lines
     assert any(line.startswith("doubt: MJD-OBS differs from DATE-OBS by") for line in lines)
+
+
+def test_an_afternoon_is_not_taken_for_a_morning():
+    assert facts(DATE_OBS="2018-10-17", TIME_OBS="11:01:53 PM", EXPTIME=0.0).time().isot == "2018-10-17T23:01:53.000"
+    assert facts(DATE_OBS="2018-10-17", TIME_OBS="12:01:53 a.m.", EXPTIME=0.0).time().isot == "2018-10-17T00:01:53.000"
+
+
+def test_the_end_of_an_exposure_is_recognised_by_its_comment():
+    read = facts(comments={"DATE-OBS": "UTC at end of exposure"}, DATE_OBS="2018-10-18T03:05:53.784", EXPTIME=240.0)
+    assert abs((read.time() - Time(MIDDLE)).sec) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("cards", "doubt"),
+    [
+        (
+            {"DATE_OBS": "2018-10-17T23:01:53", "UT": "03:01:53"},
+            "doubt: UT differs from DATE-OBS by 4 h (is DATE-OBS local time?); DATE-OBS is used",
+        ),
+        ({"DATE_OBS": "2018-10-18T03:01:53", "UT": "03:01:53"}, ""),
+        ({"DATE_OBS": "2018-10-18T23:59:59", "UT": "00:00:03"}, ""),
+        (
+            {"DATE_OBS": "2018-10-19T03:01:53", "MJD_OBS": Time("2018-10-18T03:01:53").mjd},
+            "doubt: MJD-OBS differs from DATE-OBS by 1 d; DATE-OBS is used",
+        ),
+        ({"DATE_OBS": "1970-01-01T00:00:00"}, "doubt: DATE-OBS = '1970-01-01T00:00:00' is where a clock starts that"),
+        ({"DATE_OBS": "2018-10-18T03:01:53", "EXPTIME": 60000.0}, "doubt: an exposure of 16.7 h: is EXPTIME in milli"),
+        (
+            {"DATE_OBS": "2018-10-18T03:01:53", "DATE_END": "2018-10-18T03:02:03", "EXPTIME": 60.0},
+            "doubt: the exposure of 60 s is longer than the 10 s until DATE-END",
+        ),
+    ],
+)
+def test_clocks_that_contradict_each_other_are_doubted(cards, doubt):
+    doubts = [line for line in facts(**{"EXPTIME": 10.0} | cards).lines if line.startswith("doubt")]
+    assert [line[: len(doubt)] for line in doubts] == ([doubt] if doubt else [])
+
+
+def test_local_time_by_its_comment_is_used_only_where_nothing_else_is():
+    local = {"DATE_OBS": "2018-10-17T23:01:53.784", "EXPTIME": 240.0, "comments": {"DATE-OBS": "Start, local time"}}
+    assert abs((facts(**local, JD=Time("2018-10-18T03:01:53.784").jd).time() - Time(MIDDLE)).sec) < 1e-3
+    assert any("DATE-OBS is local time by its comment" in line for line in facts(**local).lines)
+    zoned = local | {"DATE_OBS": "2018-10-17T23:01:53.784-0400"}
+    assert abs((facts(**zoned).time() - Time(MIDDLE)).sec) < 1e-3
+
+
+def test_a_sidereal_time_that_fits_neither_sign_of_the_longitude_is_a_doubt():
+    site = {"SITELAT": "42 36 36", "SITELONG": "-71 29 06", "EXPTIME": 0.0}
+    right = facts(**site, DATE_OBS="2018-10-18T03:01:53", LST="00:02:10.1")
+    local = facts(**site, DATE_OBS="2018-10-17T23:01:53", LST="00:02:10.1")
+    assert not any("sidereal" in line or "LST = " in line for line in right.lines)
+    assert any(line.startswith("doubt: LST = 00:02:10.1 is 4.0 h ahead of the time") for line in local.lines)
 
 
 @pytest.mark.parametrize(
@@ -152,6 +212,39 @@ def test_the_observatory_code_is_found():
 )
 def test_aims_in_hours_and_in_degrees_are_read(cards):
     assert facts(**cards).aim_deg == pytest.approx((62.53667, -22.83958), abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("ra", "dec", "comment"),
+    [
+        (4.1691113, -22.83958, "[h] right ascension"),
+        (4.1691113, -22.83958, "RA (hours)"),
+        ("4.1691113 h", "-22.83958", ""),
+        ("62:32:12.0", "-22:50:22.5", ""),
+        ("04:10:08.801", "-22:50:22.5", "hh:mm:ss"),
+        ("04:10.14668", "-22:50.375", ""),
+        (1.0914707, -0.3986258, "[rad]"),
+        ("62.53667 deg", "-22.83958 deg", ""),
+    ],
+)
+def test_the_unit_of_an_aim_is_found(ra, dec, comment):
+    read = facts(RA=ra, DEC=dec, comments={"RA": comment})
+    assert read.aim_deg == pytest.approx((62.53667, -22.83958), abs=1e-4)
+    assert read.other_aims_deg == ()
+
+
+def test_a_number_without_unit_may_be_hours_and_other_keywords_come_after_the_first():
+    read = facts(RA=4.1691113, DEC=-22.83958, TELRA="10:00:00", TELDEC="+10:00:00", CRVAL1=4.17, CRVAL2=-22.84)
+    assert read.aim_deg == pytest.approx((4.1691113, -22.83958))
+    assert np.array(read.other_aims_deg) == pytest.approx(np.array([[150.0, 10.0], [62.53667, -22.83958]]))
+    assert sum(line.startswith("also possible") for line in read.lines) == 2
+
+
+def test_an_aim_that_cannot_be_or_was_not_set_is_doubted():
+    read = facts(OBJCTRA="00 00 00", OBJCTDEC="+00 00 00", RA=62.5, DEC=-22.8, TELRA="62,5", TELDEC="-22,8")
+    assert read.aim_deg == (62.5, -22.8) and read.other_aims_deg == ()
+    assert "doubt: OBJCTRA and OBJCTDEC are 0, as of a mount that was not set; not used" in read.lines
+    assert "doubt: TELRA = 62,5, TELDEC = -22,8 are no direction; not used" in read.lines
 
 
 def test_an_aim_of_another_equinox_is_precessed():

@@ -31,7 +31,7 @@ from sameas.io.plate import write_copy, write_regions, write_solution
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.frame.detect import Detection, detect
 from sameas.sky.frame.field import Cone
-from sameas.sky.frame.identified import FrameIdentification, Refinement, search_cone, solve
+from sameas.sky.frame.identified import FrameIdentification, Refinement, hints_by_field, search_cone, solve
 from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Measurements
@@ -94,7 +94,8 @@ def hints(pointing: PointingOptions, frame: Frame, *, whole_sky: bool = True) ->
     if aim is not None:
         half_deg = 0.5 * math.hypot(*frame.shape) * scale[1] / 3600.0
         radius = pointing.radius_deg if pointing.radius_deg is not None else max(OFF_DEG, OFF_FRAMES * half_deg)
-        candidates.append(Aim(*aim, radius_deg=min(radius, 180.0), scale_arcsec=scale))
+        others = () if pointing.aim_deg is not None else frame.facts.other_aims_deg
+        candidates += [Aim(*one, radius_deg=min(radius, 180.0), scale_arcsec=scale) for one in (aim, *others)]
     elif not candidates:
         if not whole_sky:
             raise InputError(
@@ -309,40 +310,61 @@ def found_on(
 ) -> tuple[FrameIdentification, Catalogue]:
     """The identified frame and its catalogue. given : the catalogue, if it is in memory."""
     own_hints = hints(request.pointing, frame, whole_sky=request.catalogue.lower() != GAIA)
-    cone = search_cone(own_hints, frame.shape)
+    refusals: list[InputError] = []
+    for near in hints_by_field(own_hints, frame.shape):
+        try:
+            match, stars = _solved(request, frame, measured, near, progress, given)
+            break
+        except InputError as error:
+            refusals.append(error)
+    else:
+        elsewhere = _header_elsewhere(request.pointing, own_hints, frame)
+        if len(refusals) == 1 and not elsewhere:
+            raise refusals[0]
+        words = [part for error in refusals for part in ("; ", error.words)][1:] + (
+            ["; ", elsewhere] if elsewhere else []
+        )
+        raise InputError(Message(*words), source=refusals[0].source) from refusals[0]
+    header = next((hint.wcs for hint in own_hints if isinstance(hint, ApproximateWcs)), None)
+    off = "" if header is None else difference_of_solutions(header, match.plate.to_wcs(), frame.shape)
+    if off:
+        match = replace(match, notes=(*match.notes, f"the plate solution of the header is {off}"))
+    return match, stars
+
+
+def _solved(
+    request: FrameRequest,
+    frame: Frame,
+    measured: Measurements,
+    near: Sequence[Hint],
+    progress: Progress,
+    given: Catalogue | None,
+) -> tuple[FrameIdentification, Catalogue]:
+    """The frame identified by the hints on one field, and the catalogue of this field."""
+    cone = search_cone(near, frame.shape)
     progress("reading the catalogue")
     stars = _cached_catalogue(_key(request, cone), progress) if given is None else given
     moment = frame.facts.mid_time
     moves = stars.epoch_jyr is not None and stars.has_motion
     epoch = None if moment is None else float(moment.tdb.jyear)
-    all_sky = next((hint for hint in own_hints if isinstance(hint, AllSky)), None)
+    all_sky = next((hint for hint in near if isinstance(hint, AllSky)), None)
     progress("identifying" if all_sky is None else "searching the whole sky")
-    try:
-        match = solve(
-            measured,
-            stars,
-            own_hints,
-            epoch_jyr=epoch,
-            refinement=Refinement(order=request.order, magnitudes=request.magnitudes),
-            index=None if all_sky is None or given else _index(_key(request, cone), epoch, frame.shape, all_sky),
-            motion=request.motion and not (moves and moment is None),
-            faintest=request.faintest,
-        )
-    except InputError as error:
-        elsewhere = _header_elsewhere(request.pointing, own_hints, frame)
-        if not elsewhere:
-            raise
-        raise InputError(Message(error.words, "; ", elsewhere), source=error.source) from error
+    match = solve(
+        measured,
+        stars,
+        near,
+        epoch_jyr=epoch,
+        refinement=Refinement(order=request.order, magnitudes=request.magnitudes),
+        index=None if all_sky is None or given else _index(_key(request, cone), epoch, frame.shape, all_sky),
+        motion=request.motion and not (moves and moment is None),
+        faintest=request.faintest,
+    )
     if moves and moment is None and request.motion:
         text = (
             "doubt: the header has no time of the exposure (DATE-OBS, MJD-OBS, JD), so the stars were left at "
             f"epoch {stars.epoch_jyr:.1f}; "
         )
         match = replace(match, notes=(*match.notes, Message(text, naming("give {time:DATE}"))))
-    header = next((hint.wcs for hint in own_hints if isinstance(hint, ApproximateWcs)), None)
-    off = "" if header is None else difference_of_solutions(header, match.plate.to_wcs(), frame.shape)
-    if off:
-        match = replace(match, notes=(*match.notes, f"the plate solution of the header is {off}"))
     return match, stars
 
 

@@ -83,6 +83,11 @@ class Cone:
         distance_deg = chord_angle_deg(float(np.linalg.norm(self.direction - other.direction)))
         return distance_deg + other.radius_deg <= self.radius_deg + 1e-9
 
+    def touches(self, other: Cone) -> bool:
+        """Whether the cones share a direction."""
+        distance_deg = chord_angle_deg(float(np.linalg.norm(self.direction - other.direction)))
+        return distance_deg <= self.radius_deg + other.radius_deg
+
 
 @in_short
 @dataclass(frozen=True)

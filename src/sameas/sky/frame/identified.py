@@ -453,8 +453,9 @@ def solve(
         stars = stars[~(stars.magnitude > faintest)]
     if len(stars) < 4:
         where = "" if near is None else f" within {near.radius_deg:.3g}° of {near.ra_deg:.4f}°, {near.dec_deg:+.4f}°"
+        by = "" if near is None else f" ({', '.join(dict.fromkeys(hint.words for hint in hints))})"
         raise InputError(
-            f"{catalogue.name}: {len(stars)} stars{where}, a frame needs four; does the catalogue cover the field?"
+            f"{catalogue.name}: {len(stars)} stars{where}{by}, a frame needs four; does the catalogue cover the field?"
         )
     placement = place(measured, stars.stars(), hints, index=index)
     near_frame = stars.within(footprint(placement.pointing, measured.shape, room))
@@ -555,6 +556,21 @@ def footprint(pointing: Pointing, shape: tuple[int, int], room: float = DEFAULT_
     chord = np.linalg.norm(pointing.to_sky(corners) - middle, axis=1).max()
     ra, dec = directions_deg(middle)
     return Cone(float(ra), float(dec), min(room * chord_angle_deg(float(chord)), 180.0))
+
+
+def hints_by_field(hints: Sequence[Hint], shape: tuple[int, int]) -> list[list[Hint]]:
+    """The hints in lists, each of one part of the sky, so that no catalogue is read between distant directions."""
+    lists: list[list[Hint]] = []
+    for hint in hints:
+        cone = search_cone([hint], shape)
+        for near in lists:
+            other = search_cone(near[:1], shape)
+            if cone is None or other is None or cone.touches(other):
+                near.append(hint)
+                break
+        else:
+            lists.append([hint])
+    return lists
 
 
 def search_cone(hints: Sequence[Hint], shape: tuple[int, int], room: float = DEFAULT_REFINEMENT.room) -> Cone | None:
