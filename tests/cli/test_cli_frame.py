@@ -322,23 +322,25 @@ def test_missing_errors_and_times_are_estimated_or_doubted_and_never_required(sa
 @pytest.mark.parametrize("where", [{"RA": WHERE[0], "DEC": WHERE[1]}, {"RA": WHERE[0] / 15, "DEC": WHERE[1]}])
 def test_a_solution_of_another_field_does_not_widen_the_cone_around_the_aim(sameas, tmp_path, monkeypatch, where):
     cones = []
-    monkeypatch.setattr(
-        "sameas.front.framing.catalogue", lambda name, cone, *_, **__: cones.append(cone) or stars(cone)
-    )
 
-    def stars(cone):
-        near = np.abs(sky()["dec"] - cone.dec_deg) < cone.radius_deg
-        return catalogue(
-            write_table(sky()[near], tmp_path / "near.fits", provenance={}) or str(tmp_path / "near.fits"), None
-        )
+    def near(name, cone, *_, **__):
+        cones.append(cone)
+        write_table(sky()[np.abs(sky()["dec"] - cone.dec_deg) < cone.radius_deg], tmp_path / "near.fits", provenance={})
+        return catalogue(str(tmp_path / "near.fits"), None)
 
+    monkeypatch.setattr("sameas.front.framing.catalogue", near)
     header = pointing().to_wcs((SIDE, SIDE)).to_header()
     header["CRVAL1"], header["CRVAL2"] = 40.0, -30.0
     frame = picture(tmp_path / "elsewhere.fits", sky(), solved=False, **header, **where)
     printed = sameas("frame", frame, "-c", "gaia", "-o", tmp_path / "out", "--no-page", "--no-picture").output
-    printed = " ".join(printed.split())
     assert max(cone.radius_deg for cone in cones) < 3.0
-    assert "identified" in printed and "the plate solution of the header is off by" in printed
+    assert "identified" in printed and "the plate solution of the header is off by" in " ".join(printed.split())
+
+
+def test_a_refusal_names_the_aims_of_the_header_that_cannot_be(files, refusal, tmp_path):
+    frame = picture(tmp_path / "zero.fits", sky(), solved=False, RA=0.0, DEC=0.0, PIXSCALE=2.0)
+    said = refusal("frame", frame, "-c", files.stars, "-o", tmp_path / "out")
+    assert "header: RA and DEC are 0, as of a mount that was not set; not used" in said
 
 
 def test_only_the_cone_is_read_from_a_folder_of_parquet(tmp_path):

@@ -6,7 +6,8 @@ from astropy.io import fits
 from astropy.time import Time
 
 from sameas.errors import InputError
-from sameas.sky.frame.keywords import Card, Facts, Given, plateau
+from sameas.sky.frame.cards import Card
+from sameas.sky.frame.keywords import Facts, Given, plateau
 
 
 def facts(given=None, comments=None, **cards):
@@ -53,6 +54,12 @@ def test_the_pixel_scale_is_read_under_its_many_names(name):
     header = fits.Header()
     header[name] = 5.21
     assert Facts.of(header).scale_arcsec_per_px == 5.21
+
+
+def test_a_pixel_scale_in_degrees_is_read():
+    assert facts(PIXSCALE=0.0014472, comments={"PIXSCALE": "[deg/px]"}).scale_arcsec_per_px == pytest.approx(
+        5.21, abs=1e-3
+    )
 
 
 def test_the_time_scale_is_that_of_the_header():

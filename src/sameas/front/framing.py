@@ -309,6 +309,18 @@ def found_on(
     request: FrameRequest, frame: Frame, measured: Measurements, progress: Progress, given: Catalogue | None = None
 ) -> tuple[FrameIdentification, Catalogue]:
     """The identified frame and its catalogue. given : the catalogue, if it is in memory."""
+    try:
+        return _found_by_hints(request, frame, measured, progress, given)
+    except InputError as error:
+        unusable = [line.removeprefix("doubt: ") for line in frame.facts.lines if line.endswith("not used")]
+        if not unusable:
+            raise
+        raise InputError(Message(error.words, "; header: ", "; ".join(unusable)), source=error.source) from error
+
+
+def _found_by_hints(
+    request: FrameRequest, frame: Frame, measured: Measurements, progress: Progress, given: Catalogue | None
+) -> tuple[FrameIdentification, Catalogue]:
     own_hints = hints(request.pointing, frame, whole_sky=request.catalogue.lower() != GAIA)
     refusals: list[InputError] = []
     for near in hints_by_field(own_hints, frame.shape):

@@ -118,13 +118,17 @@ class ColumnSearch:
             return ChosenColumn(name, written, "unit of the column")
         return ChosenColumn(name, _suffix_unit(name) or unit, "by its name" if _suffix_unit(name) else "by convention")
 
-    def angles(self, names: tuple[str, ...], unit: str, *, of_ra: bool = False) -> tuple[ChosenColumn, ...]:
+    def angles(
+        self, names: tuple[str, ...], unit: str, *, of_ra: bool = False, unit_of_ra: str = ""
+    ) -> tuple[ChosenColumn, ...]:
         """Columns of small angles, such as the errors of both axes, with their units; one unit is guessed for all
         columns without.
 
-        of_ra : whether the first is of right ascension, and may be in seconds of time.
+        of_ra : whether the first is of right ascension, and may be in seconds of time. unit_of_ra : its unit, if it is
+            not that of the others.
         """
-        columns = [self.column(name, unit, self.options.sigma_unit or "") for name in names]
+        units = (unit_of_ra or unit, *(unit,) * (len(names) - 1))
+        columns = [self.column(n, u, self.options.sigma_unit or "") for n, u in zip(names, units, strict=True)]
         if of_ra and columns[0].unit == "s":
             return replace(columns[0], unit=SECONDS_OF_RA), *self.angles(names[1:], unit)
         without = [column.name for column in columns if not column.unit]

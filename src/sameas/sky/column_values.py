@@ -220,6 +220,7 @@ def years(table: Table, name: str, source: str) -> FloatArray:
     if column.dtype.kind == "M":
         return _years_of_dates(np.asarray(column, dtype="datetime64[us]"))
     values = numbers(table, name, source)
+    values = np.where(values > 0.0, values, np.nan)  # zeros and negative numbers stand for no epoch
     known = values[np.isfinite(values)]
     middle = median(known) if len(known) else 2000.0
     if 1700 < middle < 2300:

@@ -123,6 +123,8 @@ def _convention(search: ColumnSearch) -> tuple[Convention, tuple[str, ...]]:
         if len({c.position[0].lower() for c in chosen}) == 1:
             break
         candidates = chosen
+    # A recognised survey knows which of its columns are the errors.
+    chosen = [c for c in chosen if c.marks and own_error(search, c)] or chosen
     _refuse_ambiguous(search, chosen)
     taken = search.find(chosen[0].position[0])
     all_ra = {search.find(c.position[0]) for c in surveys.CONVENTIONS if _applies(search, c)}
@@ -306,7 +308,8 @@ def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
     if name:
         return Epoch(column=name, reason=f"column {name}")
     if convention.only_epoch:
-        return Epoch(jyr=convention.epoch_jyr, reason=f"epoch of {convention.title}")
+        named = f"epoch of {convention.title}" if convention.epoch_jyr is not None else "not known"
+        return Epoch(jyr=convention.epoch_jyr, reason=named)
     for wanted in conventions.PLAIN_EPOCHS:  # valid with any names of the position
         name = search.find(wanted)
         if name and column_values.are_years(table, name):

@@ -23,7 +23,8 @@ class ErrorNames:
     """Columns of one position error: "circle" (σ), "axes" (σ east, σ north), "ellipse" (a, b, angle in degrees),
     "variances" (east, north), "inverse variances" (of right ascension, without cos δ, and of declination).
 
-    unit : assumed unit, "" for none. covariance : columns of the covariance of east and north, the first found.
+    unit : assumed unit, "" for none; unit_of_ra : that of right ascension, if it is another one.
+    covariance : columns of the covariance of east and north, the first found.
     co_sigma : column of its root with its sign, s in V = s·|s|. angle_from : zero point of the ellipse angle, which
     increases towards the other axis. containment : probability that the position lies within the circle or ellipse of
     this size; 0 if the sizes are standard deviations per axis.
@@ -36,6 +37,7 @@ class ErrorNames:
     angle_from: Literal["north", "east"] = "north"
     containment: float = 0.0
     co_sigma: str = ""
+    unit_of_ra: str = ""
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,10 @@ BAND_MAGNITUDE = re.compile(
     ),
     re.IGNORECASE,
 )
-PLAIN_IDS = ("id", "source_id", "designation", "name", "obj_id", "objid", "objectId", "number", "_2MASS", "HIP")
+PLAIN_IDS = (
+    "id", "source_id", "designation", "name", "obj_id", "objid", "objectId", "number", "_2MASS", "HIP", "object_id",
+    "sourceID", "source_name", "component_name", "IAUNAME", "main_id", "MatchID", "obsid",
+)  # fmt: skip
 PLAIN_EPOCHS = (
     "ref_epoch",
     "epoch",

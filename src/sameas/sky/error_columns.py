@@ -122,7 +122,7 @@ def _error_columns(
         target = ("arcsec2", "the square of an angle") if kind == "variances" else ("1/arcsec2", "an angle to the -2")
         squares = tuple(search.checked(search.column(n, error_names.unit), *target) for n in names)
         return PositionError(kind, squares, covariance=search.first(error_names.covariance) or "")
-    columns = search.angles(names[:2], error_names.unit, of_ra=kind == "axes")
+    columns = search.angles(names[:2], error_names.unit, of_ra=kind == "axes", unit_of_ra=error_names.unit_of_ra)
     if kind == "ellipse":
         columns = (*columns, search.checked(search.column(names[2], "deg"), "deg", "an angle"))
     stated = search.options.correlation

@@ -11,7 +11,6 @@ from sameas.sky.conventions import (
     PLAIN_IDS,
     PLAIN_MAGNITUDES,
     PLAIN_MOTIONS,
-    RADIAL_CONTAINMENT,
     SEXTRACTOR_MAGNITUDES,
     TWOMASS_MAGNITUDES,
     VIZIER_MOTION,
@@ -23,6 +22,7 @@ from sameas.sky.conventions import (
     own_axes,
     plain,
 )
+from sameas.sky.surveys_beyond_light import HIGH_ENERGY, RADIO
 
 _LSST_MOTION = MotionNames(
     ("parallax", "pmRa", "pmDec", "radialVelocity"), ("parallaxErr", "pmRaErr", "pmDecErr", "radialVelocityErr")
@@ -180,7 +180,7 @@ _LSST = tuple(
         over=over,
     )
     for position, marks, over in (
-        (("ra", "dec"), ("raErr", "diaObjectId", "diaSourceId", "midpointMjdTai"), ("coord_ra",)),
+        (("ra", "dec"), ("ra_dec_Cov", "diaObjectId", "diaSourceId", "midpointMjdTai", "radecMjdTai"), ("coord_ra",)),
         (("coord_ra", "coord_dec"), (), ()),
     )
 )
@@ -195,11 +195,14 @@ _SAMEAS_FRAME = Convention(
     magnitudes=(("magnitude", "magnitude_err"),),
 )
 
+#: Columns of spectra: their dates are not those of the positions.
+_FIBRES = ("fiberID", "plate", "lmjd")
+
 _SDSS = tuple(
     Convention(
         title=title,
         position=("ra", "dec"),
-        without=("ra_ivar", "brickid", "dplx", "nuv_mag", "fuv_mag"),
+        without=("ra_ivar", "brickid", "dplx", "nuv_mag", "fuv_mag", "unwise_detid", *_FIBRES),
         marks=marks,
         ids=("objID",),
         # SDSS schema, PhotoObjAll: raErr "error in RA (* cos(Dec), that is, proper units)", arcsec.
@@ -213,12 +216,47 @@ _SDSS = tuple(
     )
 )
 
+_SPECTRA = (
+    *(
+        Convention(
+            title="SDSS, spectra",
+            position=position,
+            marks=("fiberID", "plate"),
+            without=("lmjd",),
+            ids=("specObjID", "objID"),
+            errors=(ErrorNames("axes", ("raErr", "decErr"), "arcsec"),),
+            only_epoch=True,
+            magnitudes=(("psfMag_r", "psfMagErr_r"), ("modelMag_r", "modelMagErr_r")),
+        )
+        for position in (("ra", "dec"), ("PLUG_RA", "PLUG_DEC"))
+    ),
+    Convention(
+        title="LAMOST",
+        position=("ra", "dec"),
+        marks=("lmjd",),
+        ids=("obsid",),
+        only_epoch=True,
+        magnitudes=(("gaia_g_mean_mag", ""),),
+    ),
+    Convention(
+        # Data model of DESI: TARGET_RA at REF_EPOCH, with PMRA from there; zeros where there is none.
+        title="DESI",
+        position=("TARGET_RA", "TARGET_DEC"),
+        ids=("TARGETID",),
+        motions=(GAIA_MOTION,),
+        epochs=("REF_EPOCH",),
+    ),
+)
+
 _TRACTOR = Convention(
     title="Legacy Surveys, tractor",
     position=("ra", "dec"),
     marks=("ra_ivar",),
+    ids=("TARGETID", "ls_id"),
     # Files of DR10: "inverse variance of ra (no cosine term!), excluding astrometric calibration errors", 1/deg².
     errors=(ErrorNames("inverse variances", ("ra_ivar", "dec_ivar"), "1/deg2"),),
+    # ref_epoch is that of Gaia's stars among them, 0 elsewhere.
+    only_epoch=True,
 )
 
 _UCAC4 = Convention(
@@ -280,6 +318,49 @@ _CATWISE = Convention(
     over=("ra_pm",),
 )
 
+_CATWISE_VIZIER = Convention(
+    title="CatWISE2020 at VizieR (II/365)",
+    position=("RA_ICRS", "DE_ICRS"),
+    marks=("W1mproPM", "RAPMdeg", "ePosPM"),
+    ids=("Name", "objID"),
+    errors=(ErrorNames("axes", ("e_RA_ICRS", "e_DE_ICRS"), "arcsec"),),
+    epochs=("MJD",),
+    magnitudes=(("W1mproPM", "e_W1mproPM"),),
+)
+
+# SkyMapper, table master: "RMS variation around the mean Right Ascension, in milliarcseconds"; mean_epoch is an MJD.
+_SKYMAPPER = Convention(
+    title="SkyMapper",
+    position=("raj2000", "dej2000"),
+    marks=("smss_j", "rms_epoch", "nimaflags"),
+    ids=("object_id",),
+    errors=(ErrorNames("axes", ("e_raj2000", "e_dej2000"), "mas"),),
+    epochs=("mean_epoch",),
+    magnitudes=(("r_psf", "e_r_psf"), ("i_psf", "e_i_psf"), ("g_psf", "e_g_psf")),
+)
+
+_NSC = Convention(
+    title="NOIRLab Source Catalog",
+    position=("ra", "dec"),
+    marks=("deltamjd",),
+    ids=("id",),
+    # Nidever et al. 2021, AJ 161, 192: errors in arcsec, motions in mas/yr, at the mean date mjd.
+    errors=(ErrorNames("axes", ("raerr", "decerr"), "arcsec"),),
+    motions=(MotionNames(("", "pmra", "pmdec", ""), ("", "pmraerr", "pmdecerr", "")),),
+    epochs=("mjd",),
+    magnitudes=(("rmag", "rerr"), ("gmag", "gerr"), ("imag", "ierr")),
+)
+
+_PANSTARRS_VIZIER = Convention(
+    title="Pan-STARRS1 at VizieR (II/349)",
+    position=("RAJ2000", "DEJ2000"),
+    marks=("f_objID",),
+    ids=("objID",),
+    errors=(ErrorNames("axes", ("e_RAJ2000", "e_DEJ2000"), "arcsec"),),
+    epochs=("Epoch",),
+    magnitudes=(("rmag", "e_rmag"), ("imag", "e_imag")),
+)
+
 _PANSTARRS = Convention(
     title="Pan-STARRS1",
     position=("raMean", "decMean"),
@@ -326,134 +407,6 @@ _TYCHO2 = Convention(
     epoch_jyr=2000.0,
     magnitudes=(("VTmag", "e_VTmag"), ("BTmag", "e_BTmag")),
     over=("RA(ICRS)", "RAdeg", "_RAJ2000", "RAJ2000"),
-)
-
-_XMM = tuple(
-    Convention(
-        title="XMM-Newton",
-        position=position,
-        marks=("SC_POSERR", "SYSERRCC", "SC_DET_ML", "EP_8_FLUX"),
-        ids=ids,
-        # 4XMM user guide, POSERR: "Total radial position uncertainty", within it 63 %.
-        errors=tuple(ErrorNames("circle", (error,), "arcsec", containment=RADIAL_CONTAINMENT) for error in errors),
-        epochs=epochs,
-        over=over,
-    )
-    for position, errors, ids, epochs, over in (
-        (("RA", "DEC"), ("POSERR", "SC_POSERR"), ("DETID",), ("MJD_START",), ("SC_RA",)),
-        (("SC_RA", "SC_DEC"), ("SC_POSERR",), ("SRCID",), (), ()),
-    )
-)
-
-_XMM_HEASARC = Convention(
-    title="XMM-Newton at HEASARC",
-    position=("ra", "dec"),
-    marks=("ep_8_flux",),
-    ids=("name",),
-    # The statistical and the systematic error together, as POSERR.
-    errors=(ErrorNames("circle", ("error_radius",), "arcsec", containment=RADIAL_CONTAINMENT),),
-)
-
-_X_RAYS_AT_VIZIER = tuple(
-    Convention(
-        title=title,
-        position=position,
-        marks=marks,
-        ids=marks,
-        errors=errors,
-        epochs=("MJD",),
-    )
-    for title, marks, position, errors in (
-        (
-            "XMM-Newton at VizieR", ("4XMM", "_4XMM", "3XMM", "_3XMM", "2XMM", "_2XMM"), ("RA_ICRS", "DE_ICRS"),
-            (ErrorNames("circle", ("ePos",), "arcsec", containment=RADIAL_CONTAINMENT),),
-        ),
-        (
-            "eROSITA at VizieR", ("1eRASS", "_1eRASS", "DetUID"), ("RA_ICRS", "DE_ICRS"),
-            (ErrorNames("circle", ("ePos",), "arcsec"),),
-        ),
-        (
-            # Evans et al. 2020, ApJS 247, 54: the radius of 90 % confidence.
-            "Swift XRT at VizieR (IX/58)", ("2SXPS", "_2SXPS"), ("RA_ICRS", "DE_ICRS"),
-            tuple(ErrorNames("circle", (name,), "arcsec", containment=0.9) for name in ("Err90", "ePos", "e_Pos")),
-        ),
-        (
-            "Chandra Source Catalog at VizieR (IX/57)", ("2CXO", "_2CXO"), ("RAICRS", "DEICRS"),
-            (ErrorNames("ellipse", ("r0", "r1", "PA"), "arcsec", containment=0.95),),
-        ),
-    )
-)  # fmt: skip
-
-_EROSITA = Convention(
-    title="eROSITA",
-    position=("RA", "DEC"),
-    marks=("RADEC_ERR", "DETUID", "ML_FLUX_1", "ID_SRC"),
-    without=("POSERR", "SC_POSERR", "SYSERRCC"),  # 4XMM has a RADEC_ERR without the systematic error
-    ids=("DETUID", "IAUNAME"),
-    # Merloni et al. 2024, A&A 682, A34, table D.1 and section 6.2: POS_ERR is the σ of a Rayleigh distribution.
-    errors=(
-        ErrorNames("circle", ("POS_ERR",), "arcsec"),
-        ErrorNames("circle", ("RADEC_ERR",), "arcsec", containment=RADIAL_CONTAINMENT),
-    ),
-    epochs=("MJD",),
-)
-
-_ROSAT = Convention(
-    title="ROSAT all-sky survey (IX/10, IX/29)",
-    position=("RAJ2000", "DEJ2000"),
-    marks=("1RXS", "_1RXS"),
-    ids=("1RXS", "_1RXS"),
-    # Voges et al. 1999, A&A 349, 389: the radius of 1σ, including 6″ of systematic errors.
-    errors=(ErrorNames("circle", ("PosErr",), "arcsec", containment=0.683),),
-)
-
-_CHANDRA = Convention(
-    title="Chandra Source Catalog",
-    position=("ra", "dec"),
-    marks=("err_ellipse_r0", "error_ellipse_major_axis"),
-    ids=("name",),
-    # CSC 2, Source Position and Position Errors: the 95 % confidence level error ellipse, arcsec; also at HEASARC.
-    errors=tuple(
-        ErrorNames("ellipse", names, "arcsec", containment=0.95)
-        for names in (
-            ("err_ellipse_r0", "err_ellipse_r1", "err_ellipse_ang"),
-            ("error_ellipse_major_axis", "error_ellipse_minor_axis", "error_ellipse_angle"),
-        )
-    ),
-)
-
-
-def _ellipses_of_95_and_68(*names: str) -> tuple[ErrorNames, ...]:
-    """The 95 % and the 68 % ellipses of a table: names of the axes and the position angle, {} for the percentage."""
-    return tuple(
-        ErrorNames("ellipse", tuple(name.format(percent) for name in names), "deg", containment=percent / 100.0)
-        for percent in (95, 68)
-    )
-
-
-_FERMI = (
-    Convention(
-        title="Fermi LAT",
-        position=("RAJ2000", "DEJ2000"),
-        marks=("Conf_95_SemiMajor", "Conf_68_SemiMajor"),
-        ids=("Source_Name",),
-        errors=_ellipses_of_95_and_68("Conf_{}_SemiMajor", "Conf_{}_SemiMinor", "Conf_{}_PosAng"),
-    ),
-    Convention(
-        title="Fermi LAT at HEASARC",
-        position=("ra", "dec"),
-        marks=("semi_major_axis_95", "semi_major_axis_68"),
-        ids=("name", "source_name"),
-        errors=_ellipses_of_95_and_68("semi_major_axis_{}", "semi_minor_axis_{}", "position_angle_{}"),
-    ),
-)
-
-# Components of Selavy, the source finder of ASKAP (EMU, RACS): ra_err and dec_err are along the sky, arcsec.
-_ASKAP = Convention(
-    title="ASKAP",
-    position=("ra_deg_cont", "dec_deg_cont"),
-    ids=("component_name", "component_id"),
-    errors=(ErrorNames("axes", ("ra_err", "dec_err"), "arcsec"),),
 )
 
 _GALEX = Convention(
@@ -547,6 +500,7 @@ _PLAIN_POSITIONS = (
     ("RightAscension", "Declination"),
     ("right_ascension", "declination"),
     ("lon", "lat"),
+    ("MatchRA", "MatchDec"),
     ("_RAJ2000", "_DEJ2000"),
     ("_RA", "_DE"),
     ("_RA_icrs", "_DE_icrs"),
@@ -576,19 +530,18 @@ CONVENTIONS: tuple[Convention, ...] = (
     _CATWISE,
     _TRACTOR,
     *_SDSS,
+    *_SPECTRA,
     _PANSTARRS,
+    _PANSTARRS_VIZIER,
+    _CATWISE_VIZIER,
+    _SKYMAPPER,
+    _NSC,
     _UCAC4,
     *_USNO_B1,
     *_DES,
     *_LSST,
-    *_XMM,
-    _XMM_HEASARC,
-    _EROSITA,
-    _ROSAT,
-    _CHANDRA,
-    *_FERMI,
-    *_X_RAYS_AT_VIZIER,
-    _ASKAP,
+    *HIGH_ENERGY,
+    *RADIO,
     _GALEX,
     _REFCAT2,
     *_TIC,

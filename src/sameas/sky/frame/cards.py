@@ -1,4 +1,4 @@
-"""Cards: one keyword of a FITS header with its value and comment, as a number, an angle or text."""
+"""Cards: one keyword of a FITS header with its value and comment, as a number, an angle, a date or text."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -15,6 +16,14 @@ _SEXAGESIMAL = re.compile(
     r"^\s*([+-]?)\s*(\d+)[\s:hHdD°]+(\d+(?:\.\d+)?)(?:[\s:mM']+(\d+(?:\.\d*)?))?\s*[mMsS'\"]?\s*([NSEWnsew]?)\s*$"
 )
 _NUMBER = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?)\s*[A-Za-z/\-_]*\s*$")
+_ISO = re.compile(r"^(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})(?:[T\s]+(\S.*?)Z?)?$")
+_COMPACT = re.compile(r"^(\d{4})(\d{2})(\d{2})(?:T(\d{2})(\d{2})(\d{2}(?:\.\d*)?)Z?)?$")
+_NAMED = re.compile(r"^(\d{1,2})[-\s]([A-Za-z]{3})[-\s](\d{4})(?:[T\s]+(\S.*?)Z?)?$")
+OLD_DATE = re.compile(r"^(\d{1,2})[/-](\d{1,2})[/-](\d{2}|\d{4})$")
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+#: First year of two digits that is one of the twentieth century without a plate.
+_FIRST_DETECTOR_YEAR = 50
+S_PER_DAY = 86400.0
 
 
 @dataclass(frozen=True)
@@ -80,3 +89,68 @@ class Cards:
     def number(self, names: Iterable[str]) -> Card | None:
         """The card of the first name that has a finite number."""
         return next((card for card in self.all(names) if math.isfinite(card.number())), None)
+
+
+def day_of(card: Card) -> float | None:
+    """MJD of a card with an MJD, a JD or a date with a time; else None."""
+    value = card.number()
+    if math.isfinite(value):
+        if 2_300_000 < value < 2_500_000:
+            return value - 2_400_000.5
+        return value if 0 < value < 100_000 and "JD" in card.name + "MJD" * card.name.startswith("EXP") else None
+    date = date_of(card.text())
+    return date[0] + date[1] if date is not None and date[1] is not None else None
+
+
+def date_of(text: str, century: int = 2000) -> tuple[float, float | None] | None:
+    """MJD of the day and fraction of the day (None without a time of day); None if the text is not a date."""
+    clock: str | None = None
+    if iso := _ISO.match(text):
+        year, month, day, clock = int(iso[1]), int(iso[2]), int(iso[3]), iso[4]
+    elif compact := _COMPACT.match(text):
+        year, month, day = (int(compact[part]) for part in (1, 2, 3))
+        clock = ":".join(compact.groups()[3:]) if compact[4] else None
+    elif (named := _NAMED.match(text)) and named[2].lower() in _MONTHS:
+        year, month, day, clock = int(named[3]), _MONTHS.index(named[2].lower()) + 1, int(named[1]), named[4]
+    elif old := OLD_DATE.match(text):
+        day, month = (int(old[1]), int(old[2])) if int(old[2]) <= 12 else (int(old[2]), int(old[1]))
+        year = year_of_digits(old[3], century)
+    else:
+        return None
+    try:
+        mjd = float((datetime(year, month, day) - datetime(1858, 11, 17)).days)
+    except ValueError:
+        return None
+    fraction = None if clock is None else time_of_day(clock)
+    return mjd, None if fraction is None else fraction - zone_of(clock or "")
+
+
+def year_of_digits(digits: str, century: int) -> int:
+    if len(digits) == 4:
+        return int(digits)
+    return int(digits) + (century if int(digits) < _FIRST_DETECTOR_YEAR else 1900)
+
+
+def time_of_day(text: str) -> float | None:
+    match = re.match(r"^(\d{1,2})[:\s](\d{1,2})(?:[:\s](\d{1,2}(?:\.\d*)?))?(?:\s*([AaPp])\.?[Mm]\b)?", text.strip())
+    if match is None:
+        return None
+    hours, minutes, seconds = int(match[1]), int(match[2]), float(match[3] or 0.0)
+    if hours > 24 or minutes > 59 or seconds >= 61:
+        return None
+    if match[4] and 1 <= hours <= 12:
+        hours = hours % 12 + (12 if match[4] in "Pp" else 0)
+    return (hours * 3600 + minutes * 60 + seconds) / S_PER_DAY
+
+
+def is_zoned(card: Card) -> bool:
+    """Whether a date has a time zone."""
+    return bool(re.search(r"\d\s*(Z|UTC?)\s*$", card.text()) or zone_of(card.text()))
+
+
+def zone_of(clock: str) -> float:
+    """Offset of a time from UTC in days: 0 without a time zone as in 18:33:43-0700."""
+    zone = re.search(r":\d{2}(?:\.\d*)?\s*([+-])(\d{2}):?(\d{2})?$", clock.strip())
+    if zone is None:
+        return 0.0
+    return (1.0 if zone[1] == "+" else -1.0) * (int(zone[2]) + int(zone[3] or 0) / 60.0) / 24.0

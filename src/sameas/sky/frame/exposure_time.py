@@ -10,10 +10,19 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from datetime import datetime
 from typing import TYPE_CHECKING
 
-from sameas.sky.frame.cards import Card, Cards
+from sameas.sky.frame.cards import (
+    OLD_DATE,
+    S_PER_DAY,
+    Card,
+    Cards,
+    date_of,
+    day_of,
+    is_zoned,
+    time_of_day,
+    year_of_digits,
+)
 
 if TYPE_CHECKING:
     from astropy.time import Time
@@ -28,15 +37,8 @@ _COUNTED = ("MJD-OBS", "MJD_OBS", "MJD-BEG", "EXPSTART", "MJD", "MJD-STR", "JD",
 _SCALES = {"UTC": "utc", "UT": "utc", "GMT": "utc", "TDB": "tdb", "TT": "tt", "TDT": "tt", "TAI": "tai", "TCB": "tcb"}
 _SCALES |= {"TCG": "tcg", "UT1": "ut1", "IAT": "tai", "ET": "tt", "GPS": "gps"}
 _TAI_MINUS_GPS_S = 19.0
-_ISO = re.compile(r"^(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})(?:[T\s]+(\S.*?)Z?)?$")
-_COMPACT = re.compile(r"^(\d{4})(\d{2})(\d{2})(?:T(\d{2})(\d{2})(\d{2}(?:\.\d*)?)Z?)?$")
-_NAMED = re.compile(r"^(\d{1,2})[-\s]([A-Za-z]{3})[-\s](\d{4})(?:[T\s]+(\S.*?)Z?)?$")
-_OLD = re.compile(r"^(\d{1,2})[/-](\d{1,2})[/-](\d{2}|\d{4})$")
-_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 #: Keywords of digitised photographic plates: only these may be older than the first detectors.
 _PLATE = ("PLTLABEL", "PLATEID", "PLTSCALE", "PLTRAH", "PLATE", "PLATENUM", "EMULSION")
-#: First year of two digits that is one of the twentieth century without a plate.
-_FIRST_DETECTOR_YEAR = 50
 #: Times at which clocks start that were never set.
 _UNSET = ("1900-01-01T00:00:00", "1970-01-01T00:00:00", "1980-01-06T00:00:00", "2000-01-01T00:00:00")
 _FIRST_UTC_YEAR = 1960
@@ -51,7 +53,6 @@ _DELTA_T = (
     (1950, 29.1),
     (1960, 33.2),
 )
-_S_PER_DAY = 86400.0
 
 
 def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...]]:
@@ -61,7 +62,7 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
     """
     scale, lines = _time_scale(cards)
     for card in cards.all(_MIDDLE):
-        day = _day(card)
+        day = day_of(card)
         if day is not None:
             return _time_of(day, scale, f"middle of the exposure ({card.name})", lines + _unreadable(cards, card.name))
     start = _start(cards)
@@ -74,17 +75,17 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
     lines += remark + _disagreement(cards, card, day, exposure_s, scale)
     if card.says(r"\bend\b") and not card.says(r"\b(start|begin)") and math.isfinite(exposure_s):
         how = f"end ({card.name}, by its comment) and half the exposure"
-        return _time_of(day - exposure_s / 2 / _S_PER_DAY, scale, how, lines)
+        return _time_of(day - exposure_s / 2 / S_PER_DAY, scale, how, lines)
     for end in cards.all(_END):
-        last = _day(end)
+        last = day_of(end)
         if last is not None and last > day:
-            lines += _shorter(end, (last - day) * _S_PER_DAY, exposure_s)
+            lines += _shorter(end, (last - day) * S_PER_DAY, exposure_s)
             return _time_of((day + last) / 2, scale, f"midway between {card.name} and {end.name}", lines)
     if not math.isfinite(exposure_s):
         return _time_of(
             day, scale, f"start ({card.name})", (*lines, "assumed: exposure unknown, its start is used as its middle")
         )
-    return _time_of(day + exposure_s / 2 / _S_PER_DAY, scale, f"start ({card.name}) and half the exposure", lines)
+    return _time_of(day + exposure_s / 2 / S_PER_DAY, scale, f"start ({card.name}) and half the exposure", lines)
 
 
 def _time_of(day: float, scale: str, how: str, lines: tuple[str, ...]) -> tuple[Time, tuple[str, ...]]:
@@ -95,10 +96,10 @@ def _time_of(day: float, scale: str, how: str, lines: tuple[str, ...]) -> tuple[
     if scale == "utc" and year < _FIRST_UTC_YEAR:
         years, seconds = zip(*_DELTA_T, strict=True)
         delta = _between(year, years, seconds)
-        day, scale = day + delta / _S_PER_DAY, "tt"
+        day, scale = day + delta / S_PER_DAY, "tt"
         lines = (*lines, f"assumed: universal time, turned into TT by {delta:+.1f} s (there was no UTC before 1960)")
     if scale == "gps":
-        day, scale, how = day + _TAI_MINUS_GPS_S / _S_PER_DAY, "tai", f"{how}, GPS time + {_TAI_MINUS_GPS_S:.0f} s"
+        day, scale, how = day + _TAI_MINUS_GPS_S / S_PER_DAY, "tai", f"{how}, GPS time + {_TAI_MINUS_GPS_S:.0f} s"
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*dubious year")
         whole = math.floor(day)
@@ -125,7 +126,7 @@ def _time_scale(cards: Cards) -> tuple[str, tuple[str, ...]]:
 
 def _start(cards: Cards) -> tuple[Card, float, tuple[str, ...]] | None:
     """The card of the start, its MJD, and the assumptions."""
-    dates = [(card, _date(card.text(), _century(cards))) for card in cards.all(STARTS)]
+    dates = [(card, date_of(card.text(), _century(cards))) for card in cards.all(STARTS)]
     local = None
     for card, date in dates:
         if date is None or date[1] is None:
@@ -133,7 +134,7 @@ def _start(cards: Cards) -> tuple[Card, float, tuple[str, ...]] | None:
         if not _is_local(card):
             return card, date[0] + date[1], _unset(card)
         local = local or (card, date[0] + date[1])
-    counted = next(((card, day) for card in cards.all(_COUNTED) if (day := _day(card)) is not None), None)
+    counted = next(((card, day) for card in cards.all(_COUNTED) if (day := day_of(card)) is not None), None)
     if local is not None and counted is None:
         card, day = local
         doubt = f"doubt: {card.name} is local time by its comment, without its difference from UTC; it is taken as UTC"
@@ -142,7 +143,7 @@ def _start(cards: Cards) -> tuple[Card, float, tuple[str, ...]] | None:
     remark = () if dated is None else _order(dated[0], _century(cards))
     if dated is not None and local is None:
         for clock in cards.all(_CLOCK):
-            fraction = _time_of_day(clock.text())
+            fraction = time_of_day(clock.text())
             if fraction is not None:
                 return Card(f"{dated[0].name} and {clock.name}", None, clock.comment), dated[1] + fraction, remark
     if counted is not None:
@@ -176,7 +177,7 @@ def _unreadable(cards: Cards, used: str) -> tuple[str, ...]:
     for card in cards.all((*_MIDDLE, *STARTS, *_COUNTED)):
         if used.startswith(card.name):
             break
-        if _day(card) is None and _date(card.text()) is None and _time_of_day(card.text()) is None:
+        if day_of(card) is None and date_of(card.text()) is None and time_of_day(card.text()) is None:
             instead = f"; {used} is used" if used else ""
             return (f"doubt: {card.name} = {card.text()!r} is no time{instead}",)
     return ()
@@ -189,13 +190,13 @@ def _century(cards: Cards) -> int:
 
 def _order(card: Card, century: int) -> tuple[str, ...]:
     """Lines on the year of a date that gives two digits of it, and on the order of its day and month."""
-    old = _OLD.match(card.text())
+    old = OLD_DATE.match(card.text())
     if old is None:
         return ()
     lines = []
     first, second = int(old[1]), int(old[2])
     if len(old[3]) == 2:
-        year = _year(old[3], century)
+        year = year_of_digits(old[3], century)
         why = "as in FITS before 2000" if year < 2000 else "as there were no such detectors in 19" + old[3]
         lines.append(f"assumed: {card.name} = {card.text()!r} is of {year}, {why}")
     if second > 12 or (first <= 12 and first != second):
@@ -204,82 +205,17 @@ def _order(card: Card, century: int) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _year(digits: str, century: int) -> int:
-    if len(digits) == 4:
-        return int(digits)
-    return int(digits) + (century if int(digits) < _FIRST_DETECTOR_YEAR else 1900)
-
-
-def _day(card: Card) -> float | None:
-    """MJD of a card with an MJD, a JD or a date with a time; else None."""
-    value = card.number()
-    if math.isfinite(value):
-        if 2_300_000 < value < 2_500_000:
-            return value - 2_400_000.5
-        return value if 0 < value < 100_000 and "JD" in card.name + "MJD" * card.name.startswith("EXP") else None
-    date = _date(card.text())
-    return date[0] + date[1] if date is not None and date[1] is not None else None
-
-
-def _date(text: str, century: int = 2000) -> tuple[float, float | None] | None:
-    """MJD of the day and fraction of the day (None without a time of day); None if the text is not a date."""
-    clock: str | None = None
-    if iso := _ISO.match(text):
-        year, month, day, clock = int(iso[1]), int(iso[2]), int(iso[3]), iso[4]
-    elif compact := _COMPACT.match(text):
-        year, month, day = (int(compact[part]) for part in (1, 2, 3))
-        clock = ":".join(compact.groups()[3:]) if compact[4] else None
-    elif (named := _NAMED.match(text)) and named[2].lower() in _MONTHS:
-        year, month, day, clock = int(named[3]), _MONTHS.index(named[2].lower()) + 1, int(named[1]), named[4]
-    elif old := _OLD.match(text):
-        day, month = (int(old[1]), int(old[2])) if int(old[2]) <= 12 else (int(old[2]), int(old[1]))
-        year = _year(old[3], century)
-    else:
-        return None
-    try:
-        mjd = float((datetime(year, month, day) - datetime(1858, 11, 17)).days)
-    except ValueError:
-        return None
-    fraction = None if clock is None else _time_of_day(clock)
-    return mjd, None if fraction is None else fraction - zone_of(clock or "")
-
-
-def is_zoned(card: Card) -> bool:
-    """Whether a date has a time zone."""
-    return bool(re.search(r"\d\s*(Z|UTC?)\s*$", card.text()) or zone_of(card.text()))
-
-
-def zone_of(clock: str) -> float:
-    """Offset of a time from UTC in days: 0 without a time zone as in 18:33:43-0700."""
-    zone = re.search(r":\d{2}(?:\.\d*)?\s*([+-])(\d{2}):?(\d{2})?$", clock.strip())
-    if zone is None:
-        return 0.0
-    return (1.0 if zone[1] == "+" else -1.0) * (int(zone[2]) + int(zone[3] or 0) / 60.0) / 24.0
-
-
-def _time_of_day(text: str) -> float | None:
-    match = re.match(r"^(\d{1,2})[:\s](\d{1,2})(?:[:\s](\d{1,2}(?:\.\d*)?))?(?:\s*([AaPp])\.?[Mm]\b)?", text.strip())
-    if match is None:
-        return None
-    hours, minutes, seconds = int(match[1]), int(match[2]), float(match[3] or 0.0)
-    if hours > 24 or minutes > 59 or seconds >= 61:
-        return None
-    if match[4] and 1 <= hours <= 12:
-        hours = hours % 12 + (12 if match[4] in "Pp" else 0)
-    return (hours * 3600 + minutes * 60 + seconds) / _S_PER_DAY
-
-
 def _disagreement(cards: Cards, used: Card, day: float, exposure_s: float, scale: str) -> tuple[str, ...]:
     """A doubt about the first other keyword of a time that differs by more than the exposure."""
     allowed_s = 2.0 + (exposure_s if math.isfinite(exposure_s) else 60.0) + (0.0 if scale == "utc" else 70.0)
-    others = [(card, _day(card)) for card in cards.all(_COUNTED)]
+    others = [(card, day_of(card)) for card in cards.all(_COUNTED)]
     for card in cards.all(_UNIVERSAL):
-        fraction = _time_of_day(card.text())
+        fraction = time_of_day(card.text())
         # Of a time of day without a date only the difference within a day is known.
-        others.append((card, _day(card) if fraction is None else day + (fraction - day % 1.0 + 0.5) % 1.0 - 0.5))
+        others.append((card, day_of(card) if fraction is None else day + (fraction - day % 1.0 + 0.5) % 1.0 - 0.5))
     for card, other in others:
-        if card.name not in used.name.split() and other is not None and abs(other - day) * _S_PER_DAY > allowed_s:
-            apart = _apart(abs(other - day) * _S_PER_DAY, used.name)
+        if card.name not in used.name.split() and other is not None and abs(other - day) * S_PER_DAY > allowed_s:
+            apart = _apart(abs(other - day) * S_PER_DAY, used.name)
             return (f"doubt: {card.name} differs from {used.name} by {apart}; {used.name} is used",)
     return ()
 
@@ -289,8 +225,8 @@ def _apart(apart_s: float, used: str) -> str:
     if apart_s < 900.0:
         return f"{apart_s:.0f} s"
     half_hours, rest_s = round(apart_s / 1800.0), abs((apart_s + 900.0) % 1800.0 - 900.0)
-    if apart_s > 0.9 * _S_PER_DAY:
-        return f"{apart_s / _S_PER_DAY:.3g} d"
+    if apart_s > 0.9 * S_PER_DAY:
+        return f"{apart_s / S_PER_DAY:.3g} d"
     if rest_s < 150.0 and half_hours <= 28:
         return f"{half_hours / 2:g} h (is {used} local time?)"
     return f"{apart_s / 3600.0:.2f} h"

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from sameas.errors import Argument, InputError, Message
 from sameas.representation import in_short
-from sameas.sky.frame.cards import Card, Cards
-from sameas.sky.frame.exposure_time import STARTS, is_zoned, middle, zone_of
+from sameas.sky.frame.cards import Card, Cards, is_zoned, zone_of
+from sameas.sky.frame.exposure_time import STARTS, middle
 from sameas.sky.frame.telescope_aim import aims
 from sameas.space import ARCSEC_PER_RADIAN
 
@@ -370,7 +370,8 @@ def _gain(cards: Cards) -> tuple[float, tuple[str, ...]]:
 def _scale(cards: Cards) -> tuple[float, tuple[str, ...]]:
     card = cards.number(_SCALE_NAMES)
     if card is not None and card.number() > 0:
-        return card.number(), (f"scale {card.number():g}″ per pixel ({card.name})",)
+        scale = card.number() * (3600 if card.says(r"\bdeg(ree)?s?\b") and not card.says("sec") else 1)
+        return scale, (f"scale {scale:g}″ per pixel ({card.name})",)
     pixel, focus = cards.number(("XPIXSZ", "PIXSIZE1")), cards.number(("FOCALLEN", "FOCUSLEN"))
     if pixel is not None and focus is not None and pixel.number() > 0 and focus.number() > 0:
         scale = pixel.number() * 1e-3 / focus.number() * ARCSEC_PER_RADIAN
