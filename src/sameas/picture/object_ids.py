@@ -159,6 +159,8 @@ class NearOrSameId:
         same_id = self.common.unique > 0.0
         by_id = (self.common.object_place[same_id] << 32) | self.common.detection_place[same_id]
         key = distinct(np.concatenate([(near.i.astype(np.int64) << 32) | near.j, by_id]))
+        if len(key) == len(near):
+            return near
         i, j = (key >> 32).astype(np.int32), (key & 0xFFFFFFFF).astype(np.int32)
         residual = taken(first.features, i) - taken(second.features, j)
         total = taken(first.full_covariance(), i) + taken(second.full_covariance(), j)

@@ -64,7 +64,7 @@ class PreviousScans(Rule):
         first, second, log_ratio = np.asarray(self.first), np.asarray(self.second), np.asarray(self.log_ratio)
         if not len(first) == len(second) == len(log_ratio) or np.any(first >= second):
             raise InputError("PreviousScans: give first, second and log_ratio of every pair of tracks, first < second")
-        if np.any(np.diff(keys(first, second)) <= 0):
+        if np.any(np.diff(self._keys) <= 0):
             raise InputError("PreviousScans: give every pair of tracks once, in ascending order")
         if (self.level is None) != (self.precision is None):
             raise InputError("PreviousScans: give level and precision of every pair of tracks, or neither")
@@ -90,9 +90,13 @@ class PreviousScans(Rule):
                 for side, at in ((pairs.first, pairs.i), (pairs.second, pairs.j))
             )
             pair_key = np.where((one >= 0) & (two >= 0), keys(np.minimum(one, two), np.maximum(one, two)), ABSENT)
-            known = pairs, places_in(keys(np.asarray(self.first), np.asarray(self.second)), pair_key)
+            known = pairs, places_in(self._keys, pair_key)
             self._looked_up[id(pairs)] = known
         return known[1]
+
+    @cached_property
+    def _keys(self) -> IntArray:
+        return keys(np.asarray(self.first), np.asarray(self.second))
 
     @cached_property
     def _looked_up(self) -> dict[int, tuple[Pairs, IntArray]]:

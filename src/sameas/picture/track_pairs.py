@@ -260,7 +260,6 @@ class TrackPairs(ColumnTable):
         newly_distant = DistantPairs(
             self.first[distant], self.second[distant], self.log_ratio[distant], self.agreed_s[distant]
         )
-        updated = replace(updated, distant=self.distant.advance(step, newly_distant, tuning))
         rivals = Rivals.of(a, b, step.source[a], step.source[b])
         by_source = by_source_order((a, b), (step.source[a], step.source[b]))
         log_weight = self.log_ratio[rows] + self.log_reported[rows]
@@ -270,7 +269,9 @@ class TrackPairs(ColumnTable):
             (self.log_ratio[rows], self.log_reported[rows], updated.by_model), updated.log_ratio, updated.log_now,
             swap, rivals, exchanged, math.log(per_m2), tuning,
         )  # fmt: skip
-        updated = replace(updated, log_ratio=log_ratio, by_model=by_model)
+        updated = replace(
+            updated, log_ratio=log_ratio, by_model=by_model, distant=self.distant.advance(step, newly_distant, tuning)
+        )
         return updated._with_id_changes(step, (a, b), rivals, reassigned, p_swapped, math.log(per_m2), tuning), swaps
 
     def _updated(

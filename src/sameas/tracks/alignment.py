@@ -74,11 +74,7 @@ class States:
     @cached_property
     def usable(self) -> BoolArray:
         """(n,) whether a report has a position with its error."""
-        return self.usable_of(np.arange(len(self)))
-
-    def usable_of(self, rows: IntArray) -> BoolArray:
-        """(k,) :attr:`usable` for some of the reports."""
-        return finite_rows(taken(self.covariance, rows)) & finite_rows(taken(self.state, rows))
+        return usable_states(self.state, self.covariance)
 
     def take(self, which: NDArray[Any]) -> States:
         """The reports of an index array or a mask."""
@@ -175,6 +171,11 @@ def process_noise(dt_s: ArrayLike, acceleration_m2_per_s3: ArrayLike) -> FloatAr
         q[:, axis, axis + 2] = q[:, axis + 2, axis] = dt * np.abs(dt) / 2.0
         q[:, axis + 2, axis + 2] = np.abs(dt)
     return np.asarray(acceleration_m2_per_s3, dtype=np.float64).reshape(-1, 1, 1) * q
+
+
+def usable_states(state: FloatArray, covariance: FloatArray) -> BoolArray:
+    """(n,) whether a position is known with its error: of states (n, 4) and covariances (n, 4, 4)."""
+    return finite_rows(covariance) & finite_rows(state)
 
 
 def moved(

@@ -255,7 +255,7 @@ class LiveFeed:
             reports = Directions(time_s, state[:, 0], state[:, 1], rows.sensor_m.copy(), track, row)
         else:
             reports = States(time_s, state, covariance, track, row)
-        scan_s, scan_times_s, rotation = time_s, np.unique(time_s[rows.taken]), None
+        scan_s, scan_times_s, rotation = time_s, np.empty(0), None  # tracks are not shown by scans
         if not self._named:
             live = np.flatnonzero(rows.taken)
             bearing = bearings_of(reports, sensor_m)

@@ -20,7 +20,7 @@ from sameas.many.observations import LinearPart, Observations, Source
 from sameas.records import Records
 from sameas.registration.weights import PlacedSources as Weighing
 from sameas.space import Plane
-from sameas.tracks.alignment import Earlier, States, aged, moved, process_noise, track_numbers
+from sameas.tracks.alignment import Earlier, States, aged, moved, process_noise, track_numbers, usable_states
 from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME, AzimuthBias, BiasModel, RelativeBias
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, SlowBearing
@@ -98,19 +98,16 @@ class Snapshot:
         else:
             rows = feed.succession.at(instant_s)
             rows = rows[instant_s - reports.time_s[rows] <= feed.timeouts_s(rows)]
-        usable = reports.usable[rows] if isinstance(reports, Directions) else reports.usable_of(rows)
-        rows = rows[usable]
-        time_s, none = reports.time_s[rows], np.empty(0, np.int64)
+        none = np.empty(0, np.int64)
         if isinstance(reports, Directions):
-            return cls(feed, rows, time_s, reports.bearing_deg[rows], reports.sigma_deg[rows] ** 2, none)
-        late = description.timing.latency_sigma_s or 0.0
-        state, covariance = moved(
-            taken(reports.state, rows),
-            taken(reports.covariance, rows),
-            instant_s - time_s,
-            feed.walk_m2_per_s3[rows],
-            late,
-        )
+            rows = rows[reports.usable[rows]]
+            return cls(feed, rows, reports.time_s[rows], reports.bearing_deg[rows], reports.sigma_deg[rows] ** 2, none)
+        state, covariance = taken(reports.state, rows), taken(reports.covariance, rows)
+        usable = usable_states(state, covariance)
+        if not usable.all():
+            rows, state, covariance = rows[usable], state[usable], covariance[usable]
+        time_s, late = reports.time_s[rows], description.timing.latency_sigma_s or 0.0
+        state, covariance = moved(state, covariance, instant_s - time_s, feed.walk_m2_per_s3[rows], late)
         return cls(feed, rows, time_s, state, covariance, none)
 
     def without_aged(self, density: float) -> Snapshot:
