@@ -38,7 +38,7 @@ def mutual(scene: Any) -> Pairs:
 
 
 def _nearest(one: Any, two: Any) -> tuple[np.ndarray, np.ndarray]:
-    from sameas.sky.crossmatch import nearest as neighbour
+    from sameas.sky.sky_match import nearest as neighbour
 
     found = neighbour(one, two)
     variance = [_mean_variance(records) for records in (one, two)]

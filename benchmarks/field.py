@@ -39,7 +39,7 @@ from sameas.simulate.catalogues import (
     growing_field,
 )
 from sameas.simulate.scenes import SimulatedScene
-from sameas.sky.crossmatch import nearest
+from sameas.sky.sky_match import nearest
 from sameas.space import displaced
 
 Pairs = tuple[np.ndarray, np.ndarray]

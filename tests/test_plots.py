@@ -13,7 +13,8 @@ import sameas
 from sameas.errors import InputError
 from sameas.evidence import Errors
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.crossmatch import MatchOptions, SkyMatch, match
+from sameas.sky.crossmatch import MatchOptions, match
+from sameas.sky.sky_match import SkyMatch
 from sameas.sky.table_astrometry import ellipse_covariance
 from sameas.space import sphere_offset
 

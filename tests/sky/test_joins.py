@@ -171,7 +171,7 @@ def test_the_nearest_record_of_every_row_is_given_at_its_row():
 
 def test_the_nearest_of_no_records_is_masked():
     from sameas import Records, Sphere
-    from sameas.sky.crossmatch import nearest
+    from sameas.sky.sky_match import nearest
 
     one, none = (Records.of(at, sigma=0.3, space=Sphere()) for at in ([[150.0, 2.0]], np.empty((0, 2))))
     near = nearest(one, none)

@@ -136,7 +136,7 @@ def test_an_offset_of_many_errors_is_stated_in_digits(monkeypatch):
     """It was 1e+01."""
     made = scene(Cap(40.0, 60.0, 0.4), 300)
     rotation = Rotation((40.0, 60.0), np.ones(3), np.eye(3))
-    monkeypatch.setattr("sameas.sky.crossmatch.residual_rotation", lambda *arguments: (rotation, 12.3))
+    monkeypatch.setattr("sameas.sky.match_doubts.residual_rotation", lambda *arguments: (rotation, 12.3))
     found = match_catalogues(catalogue(made.first, "a"), catalogue(made.second, "b"))
     assert any("b is offset from a by up to 12 of a pair's error" in doubt for doubt in found.doubts)
 

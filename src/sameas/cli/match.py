@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from sameas.front.match import Match
     from sameas.front.request import Request
     from sameas.sky.catalogue import Catalogue
-    from sameas.sky.crossmatch import MatchOptions, SkyMatch
+    from sameas.sky.crossmatch import MatchOptions
+    from sameas.sky.sky_match import SkyMatch
 
 #: Size of both files from which tables and cached kernels are read ahead: larger files need compiled kernels.
 READ_AHEAD_BYTES = 32_000_000
@@ -386,8 +387,9 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
     from sameas.estimate.coverage import Coverage
     from sameas.report.match import coverage_lines
     from sameas.sky.completion import completed
-    from sameas.sky.crossmatch import at_common_epoch, density_doubts
+    from sameas.sky.crossmatch import at_common_epoch
     from sameas.sky.doubts import disjoint_doubt
+    from sameas.sky.match_doubts import density_doubts
 
     printer = Printer(quiet)
     with Pace(quiet) as pace:
@@ -398,7 +400,7 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
         _, moved, one, two = together
         pace("densities")
         coverage = Coverage.of(one, two)
-        doubts = (*assumed, *density_doubts(coverage, request.options))
+        doubts = (*assumed, *density_doubts(coverage, request.options.density_per_deg2))
         if coverage.common_volume == 0.0:
             doubts += disjoint_doubt(first, second, one, two)
         lines = coverage_lines(moved, coverage, doubts, in_options)

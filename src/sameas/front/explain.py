@@ -27,7 +27,7 @@ from sameas.result import probability_text
 if TYPE_CHECKING:
     from astropy.table import Table
 
-    from sameas.sky.crossmatch import SkyMatch
+    from sameas.sky.sky_match import SkyMatch
 
 #: The match is repeated without request up to this number of rows in both catalogues: under a second (chosen).
 REPEATED = 100_000

@@ -31,8 +31,9 @@ if TYPE_CHECKING:
     from sameas.front.request import Request
     from sameas.result import Explanation, Identification
     from sameas.sky.catalogue import Catalogue
-    from sameas.sky.crossmatch import MatchOptions, SkyMatch
+    from sameas.sky.crossmatch import MatchOptions
     from sameas.sky.joins import JoinedTable
+    from sameas.sky.sky_match import SkyMatch
 
 #: The plots of a match of catalogues; the first is the default.
 PLOTS = ("residuals", "normalised", "scatter", "certainty", "brightness", "ambiguous")

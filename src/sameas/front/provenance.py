@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from sameas.front.request import Request
     from sameas.result import Identification
     from sameas.sky.catalogue import Catalogue
-    from sameas.sky.crossmatch import MatchOptions, SkyMatch
+    from sameas.sky.crossmatch import MatchOptions
     from sameas.sky.many import ManyMatch, ManyOptions
+    from sameas.sky.sky_match import SkyMatch
     from sameas.sky.systematics import Rotation
 
 #: Names of the terms of the error model in an output.
@@ -216,7 +217,7 @@ def of_many(
 
 def _completeness(match: SkyMatch) -> dict[str, Any]:
     """By magnitude: the share of each catalogue that the other one detects, and the density of undetected objects."""
-    from sameas.sky.crossmatch import ARCSEC2_PER_DEG2
+    from sameas.sky.sky_match import ARCSEC2_PER_DEG2
 
     facts: dict[str, Any] = {}
     for side, curve in ((1, match.estimate.detection_1), (2, match.estimate.detection_2)):

@@ -24,7 +24,7 @@ from sameas.errors import InputError
 from sameas.plots.group import group, most_ambiguous
 from sameas.plots.match import brightness, certainty, normalised, residuals, scatter
 from sameas.plots.sheet import required, save
-from sameas.sky.crossmatch import SkyMatch
+from sameas.sky.sky_match import SkyMatch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,7 +14,7 @@ from sameas.plots.sheet import FAINT, FIRST, FOUND, INK, SECOND, TangentAxes, el
 from sameas.records import Records
 from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.crossmatch import SkyMatch
+from sameas.sky.sky_match import SkyMatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

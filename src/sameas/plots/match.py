@@ -18,7 +18,7 @@ from sameas.records import unpack
 from sameas.report.estimates import by_source
 from sameas.report.prose import expected, percent, times
 from sameas.representation import count, counted
-from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
+from sameas.sky.sky_match import ARCSEC2_PER_DEG2, SkyMatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

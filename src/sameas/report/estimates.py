@@ -11,7 +11,7 @@ from sameas.evidence import Errors
 from sameas.evidence.detection import DetectionCurve
 from sameas.report.prose import entry, percent, times
 from sameas.representation import count, counted
-from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
+from sameas.sky.sky_match import ARCSEC2_PER_DEG2, SkyMatch
 
 #: Quoted errors are called right if the error scale is within this of 1, or within this many standard errors.
 ABOUT_RIGHT, SIGNIFICANT = 0.03, 3.0

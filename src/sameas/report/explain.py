@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from sameas.result import Competitor, Explanation
     from sameas.sky.catalogue import Catalogue
-    from sameas.sky.crossmatch import SkyMatch
+    from sameas.sky.sky_match import SkyMatch
 
 #: Number of competing records that are listed (chosen).
 LISTED = 8

@@ -25,7 +25,7 @@ from sameas.report.prose import DOUBT, LABEL, entry, figures, labelled, percent
 from sameas.representation import ORDINALS, count, counted
 from sameas.result import AMBIGUOUS, Answers, Identification
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.crossmatch import SkyMatch, area_and_densities
+from sameas.sky.sky_match import SkyMatch, area_and_densities
 
 #: A radius within which nearest neighbours are often accepted.
 USUAL_RADIUS_ARCSEC = 5.0

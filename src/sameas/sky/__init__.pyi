@@ -3,8 +3,6 @@
 from .catalogue import Catalogue as Catalogue
 from .catalogue import CatalogueOptions as CatalogueOptions
 from .crossmatch import MatchOptions as MatchOptions
-from .crossmatch import SkyMatch as SkyMatch
-from .crossmatch import nearest as nearest
 from .frame.detect import detect as detect
 from .frame.field import Cone as Cone
 from .frame.field import StarField as StarField
@@ -26,3 +24,5 @@ from .movers import MotionModel as MotionModel
 from .movers import Movers as Movers
 from .movers import find_movers as find_movers
 from .movers import learn_motion as learn_motion
+from .sky_match import SkyMatch as SkyMatch
+from .sky_match import nearest as nearest

@@ -9,68 +9,37 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Any
+from functools import partial
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, median, within_turn
-from sameas.errors import InputError, Message, naming
-from sameas.estimate.blends import suspected_blends
-from sameas.estimate.clustering import close_neighbours
-from sameas.estimate.coverage import Coverage
+from sameas.arrays import FloatArray, median, within_turn
+from sameas.errors import InputError, naming
 from sameas.estimate.match import match as estimate_match
-from sameas.estimate.result import Estimate
-from sameas.estimate.sample import Setting
 from sameas.evidence import Column, Errors, Related
 from sameas.gate import ChiSquare, Radius
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import in_years
 from sameas.sky.completion import completed
-from sameas.sky.doubts import disjoint_doubt, epoch_doubt, in_icrs
+from sameas.sky.doubts import disjoint_doubt
 from sameas.sky.evidence_columns import AUTO, columns_of, magnitudes_of
-from sameas.sky.systematics import DEFAULT_WARP, Rotation, Warp, WarpTuning, find_rotation, find_warp, residual_rotation
-from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
-
-
-@in_short
-@dataclass(frozen=True)
-class Nearest:
-    """The nearest neighbour of each record: the usual crossmatch, for comparison.
-
-    rows : (n,) table row of the nearest record; separation_arcsec : (n,) its distance. Both are masked where there is
-    none: in unusable rows, and if the other catalogue has no usable row.
-    """
-
-    rows: np.ma.MaskedArray[Any, np.dtype[np.int64]]
-    separation_arcsec: np.ma.MaskedArray[Any, np.dtype[np.float64]]
-
-
-def nearest(first: Records, second: Records) -> Nearest:
-    """The nearest record of ``second`` to each record of ``first`` on the sphere; errors are ignored."""
-    from scipy.spatial import cKDTree
-
-    if not len(second):
-        return _no_neighbours(len(first))
-    distance, at = cKDTree(unit_vectors(*second.features.T)).query(unit_vectors(*first.features.T), workers=-1)
-    separation = 2.0 * np.arcsin(np.minimum(distance / 2.0, 1.0)) * ARCSEC_PER_RADIAN
-    return Nearest(np.ma.array(second.rows[at], mask=False), np.ma.array(separation, mask=False))
-
-
-def _no_neighbours(n: int) -> Nearest:
-    return Nearest(np.ma.array(np.zeros(n, np.int64), mask=True), np.ma.array(np.zeros(n), mask=True))
-
-
-ARCSEC2_PER_DEG2 = 3600.0**2
+from sameas.sky.match_doubts import (
+    DEFAULT_MATCH_DOUBTS,
+    MatchDoubtsTuning,
+    density_doubts,
+    hardly_any_common,
+    match_doubts,
+)
+from sameas.sky.sky_match import ARCSEC2_PER_DEG2, SkyMatch
+from sameas.sky.systematics import DEFAULT_WARP, Warp, WarpTuning, find_rotation, find_warp
 
 
 @dataclass(frozen=True)
 class CrossmatchTuning:
-    """Thresholds for refusing or doubting a result; all chosen.
+    """Thresholds for refusing input, and for doubting a result; all chosen.
 
     Attributes
     ----------
@@ -78,39 +47,19 @@ class CrossmatchTuning:
         them, and the unit of the errors is probably wrong.
     sampled_from_rows, sampled_rings : tables longer than ``sampled_from_rows`` are checked for this on one declination
         ring of cells in ``sampled_rings``.
-    min_common_share, min_common_sigmas : two catalogues have hardly any objects in common if the expected number
-        is at most this share of the smaller catalogue and at most this many of its standard errors.
-    max_spacing_share : with hardly any common objects the errors are doubted if the lower quartile of the
-        nearest-neighbour distances is below this share of its value for chance alone.
-    usual_scale : (least, largest) ratio of residuals to quoted errors that raises no doubt.
-    usual_density : (least, largest) ratio of the given density to the observed one that raises no doubt.
-    duplicate_sigmas, duplicate_share : close pairs within one catalogue are doubted if they exceed the number expected
-        by chance by this many standard deviations and by this share of the records.
-    b1950_records, b1950_arcsec, b1950_share : with hardly any common objects the equinox of a catalogue may be B1950 if
-        this share of about ``b1950_records`` of its records then lies within ``b1950_arcsec`` of a record of the other,
-        and far more than else.
     same_epoch_years : a catalogue without motions whose epoch differs by more from a given common epoch raises a doubt.
     sort_by_position : whether records are sorted by position. Samples of every k-th record then do not depend on the
         order of the table's rows, and neighbours on the sky are neighbours in memory (a million rows in table order
         take a third longer).
-    warp : of the smooth warp that is searched with a shift and rotation.
+    doubts : thresholds for doubting a result. warp : of the smooth warp that is searched with a shift and rotation.
     """
 
     max_records_per_error: float = 20.0
     sampled_from_rows: int = 100_000
     sampled_rings: float = 16.0
-    min_common_share: float = 0.05
-    min_common_sigmas: float = 3.0
-    max_spacing_share: float = 0.2
-    usual_scale: tuple[float, float] = (0.3, 5.0)
-    usual_density: tuple[float, float] = (0.01, 100.0)
-    duplicate_sigmas: float = 5.0
-    duplicate_share: float = 0.03
-    b1950_records: int = 2_000
-    b1950_arcsec: float = 2.0
-    b1950_share: float = 0.2
     same_epoch_years: float = 0.5
     sort_by_position: bool = True
+    doubts: MatchDoubtsTuning = DEFAULT_MATCH_DOUBTS
     warp: WarpTuning = DEFAULT_WARP
 
 
@@ -174,61 +123,6 @@ class MatchOptions:
         self.density()
 
 
-@in_short
-@dataclass(frozen=True)
-class SkyMatch:
-    """Result of a crossmatch of two catalogues.
-
-    epoch_jyr : common epoch, None if positions were not moved.
-    moved : one sentence on which catalogue was moved and why. doubts : what looks wrong with the result.
-    rotation : from the second catalogue onto the first; None if it was not searched for, or is not significant.
-    warp : the smooth residual distortion after the rotation, also removed; None likewise.
-    """
-
-    first: Catalogue
-    second: Catalogue
-    epoch_jyr: float | None
-    moved: str
-    result: Identification
-    estimate: Estimate
-    doubts: tuple[str, ...]
-    rotation: Rotation | None = None
-    warp: Warp | None = None
-
-    @cached_property
-    def covered_1(self) -> BoolArray:
-        """(n,) whether the second catalogue covers the position of each row of the first; True for unusable rows."""
-        return self.result.first.over_table(self.estimate.coverage.covered[0])
-
-    @cached_property
-    def covered_2(self) -> BoolArray:
-        """(n,) whether the first catalogue covers the position of each row of the second; True for unusable rows."""
-        return self.result.second.over_table(self.estimate.coverage.covered[1])
-
-    @cached_property
-    def offsets_without_motion(self) -> FloatArray:
-        """(k, 2) east and north offsets of the matched pairs, arcsec, each record at the epoch of its catalogue."""
-        a, b = self.first.astrometry, self.second.astrometry
-        i, j = self.result.matches.rows_1, self.result.matches.rows_2
-        return sphere_offset(a.ra_deg[i], a.dec_deg[i], b.ra_deg[j], b.dec_deg[j])
-
-    @cached_property
-    def area_and_densities(self) -> tuple[float, float, float]:
-        """Area covered by both catalogues, deg², and the mean density of each catalogue there, per deg²."""
-        return area_and_densities(self.estimate.coverage)
-
-    def nearest(self, moved: bool) -> Nearest:
-        """The nearest record of the second catalogue to each row of the first table.
-
-        moved : at the common epoch, or at the epochs of the catalogues.
-        """
-        one, two = self.result.first, self.result.second
-        near = nearest(one, two) if moved else nearest(_unmoved(one, self.first), _unmoved(two, self.second))
-        of_rows = _no_neighbours(one.n_table)
-        of_rows.rows[one.rows], of_rows.separation_arcsec[one.rows] = near.rows, near.separation_arcsec
-        return of_rows
-
-
 def match(
     first: Catalogue,
     second: Catalogue,
@@ -275,38 +169,11 @@ def match(
         warp = next_warp
         result, estimate = run_match(one, warp.of(two))
     matched = SkyMatch(first, second, epoch, epoch_note, result, estimate, (), rotation, warp)
-    disjoint = disjoint_doubt(first, second, one, two) if _hardly_any_common(result, estimate, tuning) else ()
+    disjoint = disjoint_doubt(first, second, one, two) if hardly_any_common(result, estimate, tuning.doubts) else ()
     left_behind = left_behind_doubt(first, second, options.epoch_jyr, tuning)
-    doubts = assumed + left_behind + density_doubts(estimate.coverage, options, tuning)
-    doubts += _doubts(matched, search, disjoint, left_behind, tuning)
+    doubts = assumed + left_behind + density_doubts(estimate.coverage, options.density_per_deg2, tuning.doubts)
+    doubts += match_doubts(matched, search, disjoint, left_behind, tuning.doubts)
     return replace(matched, doubts=doubts)
-
-
-def _doubts(
-    match: SkyMatch,
-    search: Rotation | None,
-    disjoint: tuple[str, ...],
-    left_behind: tuple[str, ...],
-    tuning: CrossmatchTuning,
-) -> tuple[str, ...]:
-    """What looks wrong with a match.
-
-    search : for a rotation, if any. disjoint, left_behind : doubts about two separate fields, and about a common epoch
-    that one catalogue cannot be moved to: residuals along the motions then follow from it.
-    """
-    result, estimate = match.result, match.estimate
-    # That nothing is common follows from fields that lie apart.
-    notes = () if disjoint else estimate.notes
-    doubts = (*notes, *_error_doubts(match, tuning), *_near_miss_doubts(result, estimate, tuning))
-    epoch_line, offset_explained = "", False
-    if not left_behind:
-        epoch_line, offset_explained = epoch_doubt(match.first, match.second, match.epoch_jyr, result, estimate.errors)
-    doubts += (*disjoint, epoch_line) if epoch_line else disjoint
-    if search is not None:
-        doubts += _search_doubts(search, match.warp)
-    elif not disjoint and not offset_explained:
-        doubts += _offset_doubts(result, estimate, tuning)
-    return doubts + _blend_doubts(result, estimate) + _duplicate_doubts(result, estimate, tuning)
 
 
 def at_common_epoch(
@@ -466,180 +333,6 @@ def left_behind_doubt(
         f"{in_years(staying.epoch_jyr)}"
     )
     return (text,)
-
-
-def area_and_densities(coverage: Coverage) -> tuple[float, float, float]:
-    """Area covered by both catalogues, deg², and the mean density of each catalogue there, per deg²."""
-    area_deg2 = coverage.common_volume / ARCSEC2_PER_DEG2
-    count_1, count_2 = (int(np.count_nonzero(covered)) for covered in coverage.covered)
-    if not area_deg2 > 0.0:
-        return 0.0, 0.0, 0.0
-    return area_deg2, count_1 / area_deg2, count_2 / area_deg2
-
-
-def density_doubts(coverage: Coverage, options: MatchOptions, tuning: CrossmatchTuning = TUNING) -> tuple[str, ...]:
-    """Doubts about given densities that the data contradict."""
-    if options.density_per_deg2 is None:
-        return ()
-    _, *observed = area_and_densities(coverage)
-    least, largest = tuning.usual_density
-    lines = []
-    for records, per_deg2, option in zip(
-        (coverage.first, coverage.second), observed, options.density_per_deg2, strict=True
-    ):
-        if per_deg2 and not least < option / per_deg2 < largest:
-            lines.append(
-                f"density: {option:g} per square degree was given for {records.source}, but in the common area "
-                f"it has {per_deg2:.3g}: is the density per square degree?"
-            )
-    return tuple(lines)
-
-
-def _error_doubts(match: SkyMatch, tuning: CrossmatchTuning) -> tuple[str, ...]:
-    """Doubts about the unit of the errors and large groups."""
-    result, estimate, doubts = match.result, match.estimate, []
-    calls = [partial(median, records.covariance[:, 0]) for records in (result.first, result.second)]
-    sigma = [math.sqrt(variance) for variance in threads.each(calls, len(result.first))]
-    spacing = 0.5 * math.sqrt(estimate.coverage.common_volume / max(len(result.first), len(result.second)))
-    widest = max(range(2), key=lambda k: sigma[k])
-    if sigma[widest] > spacing > 0.0:
-        name = (result.first, result.second)[widest].source
-        doubts.append(
-            f"{name}: its typical error, {sigma[widest]:.3g} arcsec, is larger than half the spacing of the records, "
-            f"{spacing:.3g} arcsec: are the errors in the assumed unit?"
-        )
-    scale = estimate.typical_scale
-    least, largest = tuning.usual_scale
-    if scale > largest or scale < least:
-        # Averaged over few pairs, the scale ends where the tried ones do.
-        seen = estimate.quantities.get("error_scale") if estimate.error_ranges is not None else None
-        size = f"the residuals are {scale if seen is None else seen.value:.2g} times what the quoted errors say: "
-        years = _unmoved_years(match.first, match.second)
-        if scale < least:
-            doubts.append(f"{size}is one a copy of the other, or are their units wrong?")
-        elif years < 1.0:
-            doubts.append(f"{size}are their units right?")
-        else:
-            moved = f"are their units right? Or have objects moved farther in {years:.0f} years than "
-            doubts.append(Message(size, moved, naming("{missing_pm}"), " says?"))
-    if result.approximate_pairs:
-        count = result.approximate_pairs
-        doubts.append(f"{count} candidates lie in large groups; their probabilities are approximate")
-    return tuple(doubts)
-
-
-def _unmoved_years(first: Catalogue, second: Catalogue) -> float:
-    """Years between the epochs of two catalogues without proper motions; 0 if one has some, or an epoch is unknown."""
-    if first.has_motion or second.has_motion or first.epoch_jyr is None or second.epoch_jyr is None:
-        return 0.0
-    return abs(first.epoch_jyr - second.epoch_jyr)
-
-
-def _blend_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
-    """A doubt about one-to-one matching if records of one catalogue seem to be blends of two of the other."""
-    doubts = []
-    for coarse, fine in ((result.first, result.second), (result.second, result.first)):
-        blends = suspected_blends(result, estimate.errors, estimate.coverage, 0 if coarse is result.first else 1)
-        if blends is not None:
-            count, within, sigmas = blends
-            one, other = coarse.source, fine.source
-            first = "" if coarse is result.first else f"; {one} must then be the first catalogue"
-            seen = (
-                f"{one} may show two objects of {other} as one: within {within:.2g} arcsec of {count} of its pairs "
-                f"lies one of {other} without partner, and residuals point there ({sigmas:.0f} standard errors): "
-            )
-            remedy = "a match with ", naming("{blends}"), f", the resolution of {one} in arcsec, lists them{first}"
-            doubts.append(Message(seen, *remedy))
-    return tuple(doubts)
-
-
-def _duplicate_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
-    """A doubt about records of one catalogue that seem to be the same object."""
-    found, doubts = close_neighbours(Setting.whole(result.pairs, estimate.coverage)), []
-    for records, close in zip((result.first, result.second), found or (), strict=False):
-        excess = close.n_pairs - close.by_chance
-        significant = tuning.duplicate_sigmas * math.sqrt(close.by_chance + tuning.duplicate_sigmas)
-        if excess > max(significant, tuning.duplicate_share * close.n_records):
-            doubts.append(
-                f"in {records.source} {close.n_pairs} couples of records lie within their errors of each other, where "
-                f"chance makes {close.by_chance:.0f}: if they are one object given twice (two exposures, a deblender), "
-                "its probability is divided between the two; give each object once, or add p_second to p_match"
-            )
-    return tuple(doubts)
-
-
-def _fits_as_b1950(old: Records, new: Records, tuning: CrossmatchTuning) -> bool:
-    """Whether far more records of ``old`` than by chance have a neighbour in ``new`` if their equinox is B1950."""
-    some = old.part(np.arange(0, len(old), max(1, len(old) // tuning.b1950_records)))
-    near = [
-        np.count_nonzero(
-            nearest(replace(some, features=at), new).separation_arcsec.filled(np.inf) < tuning.b1950_arcsec
-        )
-        for at in (some.features, in_icrs("B1950", some.features))
-    ]
-    return bool(near[1] > near[0] + 5.0 * math.sqrt(near[0] + 5.0) and near[1] > tuning.b1950_share * len(some))
-
-
-def _search_doubts(search: Rotation, warp: Warp | None) -> tuple[str, ...]:
-    """Doubts about a rotation that was searched for."""
-    if not search.by_chance:
-        return search.notes
-    return (*search.notes, "no offset was removed" if warp is None else "no shift or rotation was removed")
-
-
-def _offset_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
-    """A doubt about the frames if the pairs have a mean offset, or there are hardly any pairs."""
-    if _hardly_any_common(result, estimate, tuning):
-        few = (
-            f"{result.first.source} and {result.second.source} have hardly any objects in common "
-            f"({estimate.quantities['common']} objects); "
-        )
-        sides = (result.first, result.second), (result.second, result.first)
-        for old, new in sides:
-            if _fits_as_b1950(old, new, tuning):
-                fit = f"of the equinox B1950 the positions of {old.source} would be those of {new.source}: "
-                return (f"{few}{fit}call its columns ra1950 and dec1950",)
-        few += "one may be offset from the other by more than their errors: "
-        return (Message(few, naming("{offset:'find'} searches for it")),)
-    offset = residual_rotation(result, estimate.errors)
-    if offset is None:
-        return ()
-    rotation, share = offset
-    one, other = result.first.source, result.second.source
-    share_words = f"{share:.1g}" if share < 9.5 else f"{share:.0f}"
-    off = f"{other} is offset from {one} by up to {share_words} of a pair's error ({rotation}): "
-    return (Message(off, naming("give {offset:'find'} to remove it")),)
-
-
-def _hardly_any_common(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> bool:
-    """Whether the number of common objects is small and consistent with zero by its standard error."""
-    if estimate.common > tuning.min_common_share * min(len(result.first), len(result.second)):
-        return False
-    return estimate.common <= max(0.5, tuning.min_common_sigmas * estimate.quantities["common"].standard_error)
-
-
-def _near_miss_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
-    """A doubt about the errors if records lie close to each other, but not within their errors."""
-    first, second = result.first, result.second
-    _, _, density_2 = area_and_densities(estimate.coverage)
-    if estimate.common > tuning.min_common_share * min(len(first), len(second)) or not density_2:
-        return ()
-    near = float(np.quantile(nearest(first, second).separation_arcsec.filled(np.inf), 0.25))
-    by_chance = math.sqrt(math.log(4.0 / 3.0) * ARCSEC2_PER_DEG2 / (math.pi * density_2))
-    if near > tuning.max_spacing_share * by_chance:
-        return ()
-    missed = (
-        f"a quarter of {first.source} lies within {near:.2g} arcsec of a record of {second.source}, by chance it would "
-        f"be {by_chance:.2g}, but hardly any within its errors: are the errors in the assumed unit? "
-    )
-    return (Message(missed, naming("Or is one shifted ({offset:'find'})?")),)
-
-
-def _unmoved(records: Records, catalogue: Catalogue) -> Records:
-    """The records at the positions of the catalogue's own epochs."""
-    astrometry = catalogue.astrometry
-    position = np.column_stack([astrometry.ra_deg, astrometry.dec_deg])[records.rows]
-    return Records(position, records.covariance, records.rows, records.ids, records.space, records.source)
 
 
 def _number(value: float | str) -> float | None:

@@ -46,7 +46,7 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.completion import completed
-from sameas.sky.crossmatch import MatchOptions, SkyMatch, at_common_epoch, by_position
+from sameas.sky.crossmatch import MatchOptions, at_common_epoch, by_position
 from sameas.sky.crossmatch import match as match_two
 from sameas.sky.evidence_columns import AUTO, OFF
 from sameas.sky.population import (
@@ -61,6 +61,7 @@ from sameas.sky.population import (
     patterns_of,
 )
 from sameas.sky.set_magnitudes import SetMagnitudes
+from sameas.sky.sky_match import SkyMatch
 from sameas.sky.systematics import Rotation, find_rotation
 from sameas.space import sphere_offset
 

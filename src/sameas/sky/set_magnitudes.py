@@ -28,8 +28,8 @@ from sameas.evidence.brightness import Chain, SourceMagnitudes
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.crossmatch import SkyMatch
 from sameas.sky.evidence_columns import AUTO, magnitudes_of
+from sameas.sky.sky_match import SkyMatch
 
 #: Minimum mean information of an edge, ln per object: less cannot change an answer (chosen).
 LEAST_INFORMATION = 0.05
