@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sameas.picture import Picture, instants
-from sameas.picture.plot_rates import HullEchoes
+from sameas.picture.hull_echoes import HullEchoes, Hulls, ScanPlots, owners_among
 from sameas.picture.tables import ObjectTable
 from sameas.tracks import Description, Reports, Scene, SensorErrors, Site
 from sameas.tracks.source import SensorCoverage, Timing
@@ -47,9 +47,10 @@ def confirmed_at(scene, along, across, reach=(160.0, 60.0)):
 
 
 @pytest.mark.slow
-def test_a_hull_of_several_plots_a_scan_is_one_object():
-    """It was two for most of the time."""
-    assert np.mean([confirmed_at(ferry_scene(seed, 1.0), 0.0, 0.0) for seed in range(3)]) < 1.2
+@pytest.mark.parametrize("echoes", [1.0, 3.0])
+def test_a_hull_of_several_plots_a_scan_is_one_object(echoes):
+    """With two plots a scan it was two for most of the time, with four 1.6."""
+    assert np.mean([confirmed_at(ferry_scene(seed, echoes), 0.0, 0.0) for seed in range(3)]) < 1.2
 
 
 @pytest.mark.slow
@@ -63,27 +64,56 @@ def ship():
     return ObjectTable(np.array([7]), np.zeros((1, 4)), np.eye(4)[None])
 
 
-def test_the_density_is_that_of_the_echoes_but_for_those_at_the_place_itself():
+def plots(place, own=0):
+    place = np.array(place, float)
+    return ScanPlots(place, np.tile(100.0 * np.eye(2), (len(place), 1, 1)), np.full(len(place), own))
+
+
+def test_the_density_is_that_of_the_echoes_but_for_those_of_an_object_at_the_place_itself():
     rng = np.random.default_rng(1)
-    spread, errors = np.array([60.0, 15.0]), np.tile(100.0 * np.eye(2), (3, 1, 1))
-    hull = HullEchoes()
+    spread, hull = np.array([60.0, 15.0]), HullEchoes()
     for _ in range(40):
-        hull = hull.after(1.0, ship(), spread * rng.normal(size=(2, 2)))
+        hull = hull.after(1.0, ship(), plots(spread * rng.normal(size=(2, 2))))
     assert len(hull.number) == 48  # the last 24 looks
-    places = np.array([[0.0, 0.0], [90.0, 0.0], [0.0, 150.0]])
-    density = hull.per_m2(places, errors, ship())
-    total = spread**2 + 100.0
+    density = hull.per_m2(plots([[0.0, 0.0], [90.0, 0.0], [0.0, 150.0]]), ship())
+    total = spread**2 + 101.0
+    places = np.array([[0.0, 0.0], [90.0, 0.0]])
     exact = 2.0 * np.exp(-0.5 * (places**2 / total).sum(axis=1)) / (2.0 * np.pi * np.sqrt(total.prod()))
-    assert density[:2] == pytest.approx(exact[:2], rel=0.6) and density[2] < 1e-8
+    assert density[:2] == pytest.approx(exact, rel=0.5) and density[2] < 1e-8
 
     boat = HullEchoes()
     for _ in range(40):
-        boat = boat.after(1.0, ship(), np.array([[0.0, 80.0]]) + rng.normal(0.0, 10.0, (1, 2)))
-    assert (boat.per_m2(np.array([[0.0, 80.0], [0.0, 85.0]]), errors[:2], ship()) < 1e-7).all()
+        boat = boat.after(1.0, ship(), plots(np.array([[0.0, 80.0]]) + rng.normal(0.0, 10.0, (1, 2))))
+    assert (boat.per_m2(plots([[0.0, 80.0], [0.0, 85.0]]), ship()) < 1e-5).all()
 
 
-def test_plots_far_from_objects_with_names_are_no_echoes():
-    hull = HullEchoes().after(1.0, ship(), np.array([[201.0, 0.0], [10.0, 0.0]]))
-    assert hull.number.tolist() == [7] and hull.offset.tolist() == [[10.0, 0.0]]
-    assert hull.after(1.0, ship().take(np.empty(0, np.int64)), np.array([[10.0, 0.0]])).number.tolist() == [7]
-    assert HullEchoes().per_m2(np.zeros((1, 2)), np.eye(2)[None], ship()).tolist() == [0.0]
+def test_plots_of_a_hull_may_be_of_any_place_of_it_and_those_of_a_boat_beside_are_not():
+    rng, hull = np.random.default_rng(2), HullEchoes()
+    for _ in range(24):
+        echoes = np.vstack([rng.uniform(-80.0, 80.0, 3), rng.normal(0.0, 10.0, 3)]).T
+        boat = np.array([[0.0, 120.0]]) + rng.normal(0.0, 10.0, (1, 2))
+        hull = hull.after(1.0, ship(), plots(np.vstack([echoes, boat])))
+    extent = hull.extent(plots([[70.0, 0.0], [0.0, 120.0]]), ship())
+    # Uniform over the hull, ± 46 m; a part of the echoes may be of an object at their place.
+    assert 20.0 < np.sqrt(extent[0, 0, 0]) < 60.0 and np.sqrt(extent[0, 1, 1]) < 20.0
+    assert not extent[1].any()
+    hulls = Hulls(ship(), {"radar": hull})
+    assert hulls.per_m2("radar", plots([[70.0, 0.0]], own=7))[0] == 0.0  # an owner's
+    assert hulls.of_objects(np.array([3, 7]))[:, 0, 0] == pytest.approx([0.0, extent[0, 0, 0]])
+    assert not hulls.extent("other", plots([[0.0, 0.0]])).any()
+
+
+def test_of_two_objects_without_names_the_first_owns_the_echoes():
+    place, named = (
+        np.array([[0.0, 0.0], [90.0, 0.0], [250.0, 0.0], [260.0, 0.0]]),
+        np.array([False, False, False, True]),
+    )
+    assert owners_among(place, named).tolist() == [True, False, False, True]
+
+
+def test_plots_far_from_owners_are_no_echoes():
+    hull = HullEchoes().after(1.0, ship(), plots([[201.0, 0.0], [10.0, 0.0]]))
+    assert hull.number.tolist() == [7] and hull.offset.tolist() == [[10.0, 0.0]] and not hull.is_own.any()
+    assert hull.after(1.0, ship().take(np.empty(0, np.int64)), plots([[10.0, 0.0]])).number.tolist() == [7]
+    assert HullEchoes().per_m2(plots([[0.0, 0.0]]), ship()).tolist() == [0.0]
+    assert HullEchoes().after(1.0, ship(), plots([[10.0, 0.0]], own=7)).is_own.all()

@@ -148,7 +148,8 @@ def test_the_odds_are_those_of_bayes_rule():
     )  # fmt: skip
     found = np.array([True, False])
     plots = NewPlots(found, place + np.array([12.0, 9.0]), np.tile(sigma**2 * np.eye(2), (2, 1, 1)),
-                     np.where(found, math.log((1.0 - q) / clutter), 0.0), np.full(2, clutter))  # fmt: skip
+                     np.where(found, math.log((1.0 - q) / clutter), 0.0), np.full(2, clutter),
+                     np.full(2, clutter), np.full(2, "radar", object), np.zeros((2, 2, 2)))  # fmt: skip
     first = PlotOdds.begun(plots, replace(looks, per_m2=1e-6), 0.5)
     assert math.isclose(first.log_odds[0], math.log(1e-6 * 0.5 * (1.0 - q) / clutter)) and not first.known[1]
     # Of 4 looks at each object 3 missed it: with the weight of 6 looks q is 0.42.

@@ -30,6 +30,7 @@ from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq, symmetric
 from sameas.groups import groups
+from sameas.picture.hull_echoes import Hulls, owners_among
 from sameas.picture.plot_existence import Looks, NewPlots, PlotOdds
 from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, ObjectStates, PictureObjects
 from sameas.picture.track_existence import ExistenceOdds
@@ -197,7 +198,8 @@ class UnnumberedObjects:
 
     states : of the objects. tracks : (n, S) numbers of their named tracks, ABSENT for none. unique : (n, S) whether the
     track's id is unique. new_report : whether the object has a new report. new_plot : whether it has one of a source
-    without track ids. plots : its new plot. looks : of the sources of plots. is_certain : whether it certainly exists.
+    without track ids. plots : its new plot. hulls : whose echoes are beside it. looks : of the sources of plots.
+    is_certain : whether it certainly exists.
     existence : of its most probable track.
     walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of velocities.
     forgotten : (f,) numbers of tracks whose ids have timed out.
@@ -209,6 +211,7 @@ class UnnumberedObjects:
     new_report: BoolArray
     new_plot: BoolArray
     plots: NewPlots
+    hulls: Hulls
     looks: Looks
     is_certain: BoolArray
     existence: ExistenceOdds
@@ -276,9 +279,13 @@ class NamedObjects(PictureObjects):
         """The objects that only plots without names show, predicted to an instant."""
         return self._at(instant_s, self.by_plots & (self.stage != ENDED))
 
-    def named_at(self, instant_s: float) -> NamedObjects:
-        """The confirmed objects with a name, predicted to an instant."""
-        return self._at(instant_s, ~self.by_plots & (self.main_track >= 0) & np.isin(self.stage, (CONFIRMED, COASTING)))
+    def owners_at(self, instant_s: float, tuning: Tuning) -> NamedObjects:
+        """The owners of hulls (:mod:`sameas.picture.hull_echoes`), predicted to an instant."""
+        confirmed = np.flatnonzero(self.placed & np.isin(self.stage, (CONFIRMED, COASTING)))
+        named = ~self.by_plots[confirmed] & (self.main_track[confirmed] >= 0)
+        chosen = np.zeros(len(self), bool)
+        chosen[confirmed] = owners_among(self.state[confirmed, :2], named, tuning)
+        return self._at(instant_s, chosen)
 
     def _at(self, instant_s: float, chosen: BoolArray) -> NamedObjects:
         which = np.flatnonzero(chosen)
@@ -330,13 +337,13 @@ class NamedObjects(PictureObjects):
         if not len(detections) or not len(self):
             return out
         common = self._common_tracks(detections, tuning)
-        before = Motions(self.state, self.covariance, self.speed_m_per_s)
+        before = Motions(self.state, self._of_hulls(detections.hulls), self.speed_m_per_s)
         after = Motions(detections.states.state, detections.states.covariance, detections.speed_m_per_s)
         first, second = (
             Records.of(one.state[:, :2], covariance=one.covariance[:, :2, :2], source=name)
             for one, name in ((before, "known"), (after, "seen"))
         )
-        plots = detections.plots
+        plots = detections.plots.besides(detections.hulls, np.zeros(len(detections), np.int64))
         usual = detections.looks.p_missed(self.state[:, :2])
         p_shown = 1.0 - self.plot_odds.p_missed(usual, tuning)
         is_new = plots.found & (plots.clutter_per_m2 > 0.0)
@@ -351,6 +358,14 @@ class NamedObjects(PictureObjects):
         matched = grouped.order[best.chosen]
         out[second.rows[pairs.j[matched]]] = first.rows[pairs.i[matched]]
         return out
+
+    def _of_hulls(self, hulls: Hulls) -> FloatArray:
+        """(k, 4, 4) covariances of where an object may have a plot: on the hull that it owns."""
+        if not hulls.echoes or not len(hulls.owners):
+            return self.covariance
+        covariance = self.covariance.copy()
+        covariance[:, :2, :2] += hulls.of_objects(np.where(self.by_plots, self.number, 0))
+        return covariance
 
     def _common_tracks(self, detections: UnnumberedObjects, tuning: Tuning) -> CommonTracks:
         """The common tracks of these objects and those of the instant."""
@@ -390,7 +405,10 @@ class NamedObjects(PictureObjects):
     ) -> NamedObjects:
         """These objects, updated by their matches ``which`` of the instant."""
         states, new_report = detections.states, detections.new_report[which]
+        new_plots = detections.plots.take(which).besides(detections.hulls, self.number)
         state, covariance = taken(states.state, which), taken(states.covariance, which)
+        if new_plots.extent.any():
+            covariance[:, :2, :2] += np.where(self.by_plots[:, None, None], new_plots.extent, 0.0)
         velocity_known = taken(states.moving, which)
         # Without a velocity, it follows from the object's positions.
         at = np.flatnonzero(~velocity_known)
@@ -405,7 +423,6 @@ class NamedObjects(PictureObjects):
         log_initial, log_gain = detections.existence.log_initial[which], detections.existence.log_gain[which]
         is_real = log_initial + earlier_log_odds + log_gain >= logit(stages.real)
         split_off = self.split_off & (self._own_share(detections.tracks[which]) < tuning.own_share)
-        new_plots = detections.plots.take(which)
         odds = self.plot_odds.after(self, new_plots, detections.looks, elapsed_s, self.unseen_share)
         is_real_by_plots = (odds.log_odds >= logit(stages.real)) | ~states.placed[which]
         confirmed = (
@@ -444,7 +461,8 @@ class NamedObjects(PictureObjects):
         """
         n, states = len(which), detections.states
         is_real = detections.existence.log_initial[which] + detections.existence.log_gain[which] >= logit(stages.real)
-        odds = PlotOdds.begun(detections.plots.take(which), detections.looks, unseen_share)
+        plots = detections.plots.take(which).besides(detections.hulls, np.zeros(n, np.int64))
+        odds = PlotOdds.begun(plots, detections.looks, unseen_share)
         is_real_by_plots = (odds.log_odds >= logit(stages.real)) | ~states.placed[which]
         confirmed = ((detections.is_certain[which] | is_real) & ~split_off) | (is_real_by_plots & (stages.scans <= 1))
         return cls(

@@ -29,12 +29,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import expit, logit
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.gaussian import log_density
+from sameas.picture.hull_echoes import Hulls, ScanPlots
 from sameas.picture.tables import ColumnTable, ObjectTable, Scan, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import States
@@ -124,6 +127,7 @@ class NewPlots(ColumnTable):
 
     found : whether it has one. place, covariance : (n, 2), (n, 2, 2) of the plot. log_odds_per_m2 : ln[(1 − q) / λ].
     clutter_per_m2 : λ about the plots of an object without names, new or not; 0 for one with a name.
+    own_clutter_per_m2, source : λ of the new plot, and the name of its source.
     """
 
     found: BoolArray
@@ -131,11 +135,15 @@ class NewPlots(ColumnTable):
     covariance: FloatArray
     log_odds_per_m2: FloatArray
     clutter_per_m2: FloatArray
+    own_clutter_per_m2: FloatArray
+    source: NDArray[Any]
+    extent: FloatArray
 
     @classmethod
     def none(cls, n: int) -> NewPlots:
         """No new plot of n objects."""
-        return cls(np.zeros(n, bool), np.zeros((n, 2)), np.tile(np.eye(2), (n, 1, 1)), np.zeros(n), np.zeros(n))
+        return cls(np.zeros(n, bool), np.zeros((n, 2)), np.tile(np.eye(2), (n, 1, 1)), np.zeros(n), np.zeros(n),
+                   np.zeros(n), np.full(n, "", dtype=object), np.zeros((n, 2, 2)))  # fmt: skip
 
     @classmethod
     def of(cls, scan: Scan, members: IntArray, is_new: BoolArray, is_named: BoolArray, looks: Looks) -> NewPlots:
@@ -154,11 +162,32 @@ class NewPlots(ColumnTable):
         out = cls.none(len(members))
         out.found[:] = np.isfinite(of_members).any(axis=1)
         best = members[np.arange(len(members)), of_members.argmax(axis=1)][out.found]
-        out.place[out.found], out.covariance[out.found] = scan.state[best, :2], scan.covariance[best, :2, :2]
-        out.log_odds_per_m2[out.found] = log_odds[best]
+        out.place[out.found], out.extent[out.found] = scan.state[best, :2], scan.hull_covariance[best]
+        out.covariance[out.found] = scan.covariance[best, :2, :2] - out.extent[out.found]
+        out.log_odds_per_m2[out.found], out.own_clutter_per_m2[out.found] = log_odds[best], clutter[best]
+        names = np.array([description.name for description in scan.now.descriptions], dtype=object)
+        out.source[out.found] = names[scan.source[best]]
         only_plots = np.append(is_plot, True)[members].all(axis=1)
         out.clutter_per_m2[only_plots] = np.append(clutter, 0.0)[members[only_plots]].max(axis=1)
         return out
+
+    def besides(self, hulls: Hulls, own: IntArray) -> NewPlots:
+        """These with the echoes of hulls as further clutter about them, and those of owners at any place of the hull.
+
+        own : (n,) numbers of the objects, 0 for new ones.
+        """
+        if not hulls.echoes or not self.found.any():
+            return self
+        density = np.zeros(len(self.found))
+        for name in np.unique(self.source[self.found].astype(str)).tolist():
+            at = np.flatnonzero(self.found & (self.source == name))
+            density[at] = hulls.per_m2(name, ScanPlots(self.place[at], self.covariance[at], own[at]))
+        log_odds = self.log_odds_per_m2 - np.log1p(density / np.where(self.found, self.own_clutter_per_m2, 1.0))
+        clutter = self.clutter_per_m2 + np.where(self.clutter_per_m2 > 0.0, density, 0.0)
+        extent = np.where(np.isin(own, hulls.owners.number)[:, None, None], self.extent, 0.0)
+        return replace(
+            self, log_odds_per_m2=log_odds, clutter_per_m2=clutter, covariance=self.covariance + extent, extent=extent
+        )
 
     def log_initial(self, per_m2: float, unseen_share: float) -> FloatArray:
         """(n,) log-odds that objects which begin with these plots are real; −∞ without a new plot."""

@@ -13,9 +13,7 @@ instant, but for the misses and the mean clutter that a description gives:
 The earlier plots of an object are no clutter about its next one, if there are not as many others beside them: an echo
 that returns within its own error is an object, and many about each other, as of a shore, are clutter.
 
-Hulls: a radar shows a ferry of 200 m a kilometre away as several plots a scan, anywhere along her hull, and one record
-of a source is of one object. The others are clutter that moves with her: as dense as those of the last looks were about
-her, in her own frame, and no evidence of further objects (:class:`HullEchoes`).
+The further echoes of a hull are clutter, too (:mod:`sameas.picture.hull_echoes`).
 """
 
 from __future__ import annotations
@@ -32,8 +30,9 @@ from scipy.special import expit, gammaln, xlogy
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, spans_in
 from sameas.many.observations import records_of
+from sameas.picture.hull_echoes import HullEchoes, ScanPlots
 from sameas.picture.plot_existence import Looks
-from sameas.picture.tables import ColumnTable, ObjectTable, Scan
+from sameas.picture.tables import ObjectTable, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
 from sameas.tracks.alignment import States
@@ -47,8 +46,6 @@ MEAN_WEIGHT = 1.0
 AROUND_USUAL = 2.0
 #: A plot may be of an object within this many 1σ.
 GATE_SIGMAS = 3.0
-#: Largest share of the plots of a hull that may be at one place of it.
-MOST_AT_ONE_PLACE = 0.8
 
 
 @dataclass(frozen=True)
@@ -134,118 +131,38 @@ def _largest_sigma(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]))
 
 
-def _nearest(place: FloatArray, sigma: FloatArray, known: ObjectTable) -> IntArray:
+def nearest_object(place: FloatArray, covariance: FloatArray, known: ObjectTable) -> IntArray:
     """(n,) the number of the object that is nearest to each plot, 0 where none is within ``GATE_SIGMAS``.
 
-    place, sigma : (n, 2), (n,) of the plots, and their largest 1σ.
+    place, covariance : (n, 2), (n, 2, 2) of the plots.
     """
     out = np.zeros(len(place), np.int64)
     if len(known) and len(place):
         distance, row = cKDTree(known.state[:, :2]).query(place)
-        within = distance <= GATE_SIGMAS * np.hypot(sigma, _largest_sigma(known.covariance[row, :2, :2]))
+        sigma = np.hypot(_largest_sigma(covariance), _largest_sigma(known.covariance[row, :2, :2]))
+        within = distance <= GATE_SIGMAS * sigma
         out[within] = known.number[row[within]]
-    return out
-
-
-@dataclass(frozen=True)
-class HullEchoes(ColumnTable):
-    """The last plots of a source about objects with names that are not theirs, (m,) each, by object.
-
-    For a plot, those of earlier looks at its own place beside the object do not count, as of a boat that keeps beside
-    her; the others have the density of a normal distribution with their mean and covariance, and tell how many of a
-    hull are at its place.
-
-    number : of the object. look : of the source, counted from 1. offset : (m, 2) of the plot from the object.
-    looks : of the source.
-    """
-
-    WHOLE = frozenset({"looks"})
-
-    number: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    look: FloatArray = field(default_factory=lambda: np.empty(0))
-    offset: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    looks: float = 0.0
-
-    def after(self, share: float, named: ObjectTable, place: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> HullEchoes:
-        """With those of a look, of which a ``share`` was taken in.
-
-        named : (k,) the confirmed objects with a name. place : (m, 2) of the plots of no object with a name.
-        """
-        number, offset = _nearest_named(place, named, tuning)
-        near = number > 0
-        looks = self.looks + share
-        added = HullEchoes(number[near], np.full(int(near.sum()), looks), offset[near])
-        echoes = replace(self, looks=looks).stacked(added)
-        echoes = echoes.take(echoes.look > looks - tuning.own_looks_kept)
-        return echoes.take(np.argsort(echoes.number, kind="stable"))
-
-    def per_m2(
-        self, place: FloatArray, covariance: FloatArray, named: ObjectTable, tuning: Tuning = DEFAULT_TUNING
-    ) -> FloatArray:
-        """(n,) density of the echoes of hulls at plots, per m² and look, besides the clutter there.
-
-        place, covariance : (n, 2), (n, 2, 2) of the plots. named : (k,) the objects with a name, predicted to the look.
-        """
-        out = np.zeros(len(place))
-        number, offset = _nearest_named(place, named, tuning)
-        at, row = ranges(*spans_in(self.number, number))
-        if not len(at):
-            return out
-        # A plot at its own place is of the boat that it may be.
-        apart = self.offset[row] - offset[at]
-        limit = tuning.clutter_sigmas * np.sqrt(2.0 * np.linalg.eigvalsh(covariance)[:, -1])
-        others = np.hypot(*apart.T) > limit[at]
-        at, apart = at[others], apart[others]
-        count = np.bincount(at, minlength=len(place)).astype(np.float64)
-        which = np.flatnonzero(count >= tuning.hull_plots)
-        if not len(which):
-            return out
-        n = count[which]
-        mean = _summed(apart, at, len(place))[which] / n[:, None]
-        square = _summed(apart[:, :, None] * apart[:, None, :], at, len(place))[which] / n[:, None, None]
-        total = square - mean[:, :, None] * mean[:, None, :] + covariance[which]
-        distance = np.einsum("ni,nij,nj->n", mean, np.linalg.inv(total), mean)
-        density = np.exp(-0.5 * distance) / (2.0 * math.pi * np.sqrt(np.linalg.det(total)))
-        # As many as the others show would be at its own place, too.
-        own_share = np.minimum(density * math.pi * limit[which] ** 2, MOST_AT_ONE_PLACE)
-        out[which] = n / (1.0 - own_share) / min(self.looks, tuning.own_looks_kept) * density
-        return out
-
-
-def _nearest_named(place: FloatArray, named: ObjectTable, tuning: Tuning) -> tuple[IntArray, FloatArray]:
-    """(m,) the number of the nearest object within ``hull_m`` of each place (m, 2), 0 for none, and (m, 2) the place
-    from it."""
-    if not len(named) or not len(place):
-        return np.zeros(len(place), np.int64), np.zeros((len(place), 2))
-    distance, row = cKDTree(named.state[:, :2]).query(place)
-    return np.where(distance <= tuning.hull_m, named.number[row], 0), place - named.state[row, :2]
-
-
-def _summed(values: FloatArray, group: IntArray, n: int) -> FloatArray:
-    """(n, …) sums of values (m, …) by group."""
-    out = np.zeros((n, *values.shape[1:]))
-    np.add.at(out, group, values)
     return out
 
 
 @dataclass(frozen=True)
 class PlotRates:
     """The counts of the sources of plots without names, by name of the source; of : misses and clutter. hulls : plots
-    about objects with names."""
+    about owners of hulls."""
 
     of: Mapping[str, SourceCounts] = field(default_factory=dict)
     hulls: Mapping[str, HullEchoes] = field(default_factory=dict)
 
-    def applied(self, now: Instant, known: ObjectTable, named: ObjectTable, tuning: Tuning = DEFAULT_TUNING) -> Instant:
+    def applied(self, now: Instant, known: ObjectTable, tuning: Tuning = DEFAULT_TUNING) -> Instant:
         """The instant with the counted misses and clutter of the sources of plots, where they were assumed.
 
-        known, named : the objects that only plots show, and those with a name, predicted to the instant.
+        known : the objects that only plots show, predicted to the instant.
         """
         feeds = zip(now.feeds, now.sources, strict=True)
-        applied = (self._applied(feed, records_of(own).ids, known, named, tuning) for feed, own in feeds)
+        applied = (self._applied(feed, records_of(own).ids, known, tuning) for feed, own in feeds)
         return replace(now, feeds=tuple(applied))
 
-    def _applied(self, feed: Feed, ids: NDArray[Any], known: ObjectTable, named: ObjectTable, tuning: Tuning) -> Feed:
+    def _applied(self, feed: Feed, ids: NDArray[Any], known: ObjectTable, tuning: Tuning) -> Feed:
         reports, description, described = feed.reports, feed.description, feed.description.clutter.per_km2
         if reports.track is not None or not isinstance(reports, States):
             return feed
@@ -257,16 +174,15 @@ class PlotRates:
         if described:
             rows, looks = ids.astype(np.int64), float(counts.share.sum())
             place, covariance = reports.state[rows, :2], reports.covariance[rows, :2, :2]
-            sigma = _largest_sigma(covariance)
             usual = np.broadcast_to(feed.clutter_at(rows, 2), len(rows))
             if description.is_assumed(CLUTTER):
                 given = looks > 0.0
                 mean = mean_per_m2(counts.place if given else place, looks if given else 1.0, 1e-6 * described)
                 usual = np.full(len(rows), mean)
             clutter = np.full(len(reports), 1e-6 * described) if clutter is None else clutter.copy()
-            clutter[rows] = counts.clutter_per_m2(place, sigma, _nearest(place, sigma, known), usual, tuning)
-            hulls = self.hulls.get(description.name, HullEchoes())
-            clutter[rows] += hulls.per_m2(place, covariance, named, tuning)
+            clutter[rows] = counts.clutter_per_m2(
+                place, _largest_sigma(covariance), nearest_object(place, covariance, known), usual, tuning
+            )
         return replace(feed, description=description, clutter_per_m2=clutter)
 
     def lines(self, descriptions: Sequence[Description], tuning: Tuning = DEFAULT_TUNING) -> list[str]:
@@ -292,7 +208,7 @@ class PlotRates:
 
     def advance(
         self, scan: Scan, looks: Looks, is_named: BoolArray, number: IntArray, is_new: BoolArray,
-        named: ObjectTable, shown: BoolArray,
+        named: ObjectTable, shown: BoolArray, owners: ObjectTable,
     ) -> PlotRates:  # fmt: skip
         """The counts after an instant.
 
@@ -300,9 +216,10 @@ class PlotRates:
         ----------
         is_named, number : (records,), (records,) whether the object of each record of the scan has a name, and its
             number. is_new : (records,) whether the report is new. named : (k,) the confirmed objects with a name.
-            shown : (k, S) whether each source of the scan has a new plot of them.
+            shown : (k, S) whether each source of the scan has a new plot of them. owners : of hulls.
         """
         out, hulls = dict(self.of), dict(self.hulls)
+        plain = scan.covariance[:, :2, :2] - scan.hull_covariance
         names, places = [description.name for description in scan.now.descriptions], named.state[:, :2]
         for feed, share in zip(looks.feeds, looks.share.tolist(), strict=True):
             name = feed.description.name
@@ -310,13 +227,17 @@ class PlotRates:
             if name in names:
                 s = names.index(name)
                 rows = np.arange(scan.start[s], scan.start[s + 1])
-                rows = rows[is_new[rows] & scan.placed[rows] & ~is_named[rows]]
+                new = rows[is_new[rows] & scan.placed[rows]]
+                rows = new[~is_named[new]]
                 hit = shown[:, s]
             else:
-                rows, hit = np.empty(0, np.int64), np.zeros(len(named), bool)
+                new, rows = np.empty((2, 0), np.int64)
+                hit = np.zeros(len(named), bool)
             covered = feed.q_at(places, looks.instant_s) < 1.0
             counts = counts.with_look(looks.instant_s, share, scan.reported_state[rows, :2], number[rows], looks.tuning)
-            hulls[name] = hulls.get(name, HullEchoes()).after(share, named, scan.state[rows, :2], looks.tuning)
+            hulls[name] = hulls.get(name, HullEchoes()).after(
+                share, owners, ScanPlots(scan.state[new, :2], plain[new], number[new]), looks.tuning
+            )
             looked, hits = share * float(covered.sum()), float((hit & covered).sum())
             out[name] = replace(counts, looked=counts.looked + looked, hit=counts.hit + hits)
         return PlotRates(out, hulls)

@@ -56,6 +56,7 @@ class Scan:
     placed : whether the record has a position. moving : whether it has a velocity.
     manoeuvre_covariance : (n, 4, 4) part of the covariance that allows for a manoeuvre
         (:mod:`sameas.picture.track_pairs`).
+    hull_covariance : (n, 2, 2) that which allows for a plot of any place of a hull (:mod:`sameas.picture.hull_echoes`).
     heights : (n, 4) height and its 1σ, metres, vertical speed and its 1σ, m/s; NaN where a record has none.
     range_band : (n,) octave of the distance from the sensor: 0 beyond half the range of its coverage, 1 beyond a
         quarter, … ``RANGE_BANDS`` − 1; 0 without a sensor or a range.
@@ -81,6 +82,7 @@ class Scan:
     placed: BoolArray
     moving: BoolArray
     manoeuvre_covariance: FloatArray
+    hull_covariance: FloatArray
     heights: FloatArray
     range_band: IntArray
     error_factor: FloatArray
@@ -108,6 +110,7 @@ class Scan:
             placed=placed,
             moving=moving,
             manoeuvre_covariance=manoeuvre_covariance,
+            hull_covariance=np.zeros((len(rows.row), 2, 2)),
             error_factor=np.ones(len(rows.row)),
             tuning=tuning,
             **columns,

@@ -33,11 +33,12 @@ from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import PoissonObjects, SetRule
 from sameas.many.sets import ManyTuning, Sets
+from sameas.picture.hull_echoes import Hulls, ScanPlots
 from sameas.picture.memory import TrackMemory, require_order
 from sameas.picture.object_ids import NamedObjects, Stages, UnnumberedObjects
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
-from sameas.picture.plot_existence import Looks, NewPlots, looks_between
-from sameas.picture.plot_rates import PlotRates
+from sameas.picture.plot_existence import Looks, NewPlots, gives_plots, looks_between
+from sameas.picture.plot_rates import PlotRates, nearest_object
 from sameas.picture.tables import CONFIRMED, Scan, object_states, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
 from sameas.records import Records
@@ -256,9 +257,29 @@ class Watch:
     def _scan(self, now: Instant) -> tuple[Scan, IntArray]:
         """The scan of an instant, and (n,) the numbers of its records' tracks, ABSENT for new ones."""
         scan = self.memory.error_factors.applied(Scan.of(now.with_records(), self.tuning))
+        if self.plot_rates.hulls:
+            scan = self._with_hulls(scan)
         track_of_record = self.memory.tracks.numbers_on(scan)
         together = self.objects.history.together
         return self.memory.with_manoeuvres(scan, track_of_record, objects_per_m2(now), together), track_of_record
+
+    def _hulls_at(self, instant_s: float) -> Hulls:
+        """The hulls about which echoes are looked for at an instant."""
+        return Hulls(self.objects.owners_at(instant_s, self.tuning), self.plot_rates.hulls, self.tuning)
+
+    def _with_hulls(self, scan: Scan) -> Scan:
+        """The scan with the errors of the plots that may be of any place of a hull."""
+        hulls, extent = self._hulls_at(scan.now.instant_s), np.zeros((len(scan), 4, 4))
+        others = self.objects.of_plots_at(scan.now.instant_s)
+        others = others.take((others.p_real > 0.5) & ~np.isin(others.number, hulls.owners.number))
+        for s, feed in enumerate(scan.now.feeds):
+            if gives_plots(feed):
+                rows = np.arange(scan.start[s], scan.start[s + 1])
+                place, covariance = scan.state[rows, :2], scan.covariance[rows, :2, :2]
+                own = nearest_object(place, covariance, others)
+                of_hulls = hulls.extent(feed.description.name, ScanPlots(place, covariance, own))
+                extent[rows, :2, :2] = np.where((own == 0)[:, None, None], of_hulls, 0.0)
+        return replace(scan.with_covariance(extent), hull_covariance=extent[:, :2, :2]) if extent.any() else scan
 
     def _is_due(self, now: Instant) -> bool:
         """Whether the memory steps at an instant: after ``memory_every_s``, or where a source is new."""
@@ -276,8 +297,7 @@ class Watch:
         if self.shown is not None:
             require_order(self.shown.now.instant_s, now.instant_s)
         if any(feed.reports.track is None for feed in now.feeds):
-            known, named = self.objects.of_plots_at(now.instant_s), self.objects.named_at(now.instant_s)
-            now = self.plot_rates.applied(now, known, named, self.tuning)
+            now = self.plot_rates.applied(now, self.objects.of_plots_at(now.instant_s), self.tuning)
         scan, track_of_record = self._scan(now)
         with_records, is_due = scan.now, self._is_due(scan.now)
         memory = (self.memory.advance if is_due else self.memory.looked_ahead)(scan, track_of_record)
@@ -324,7 +344,10 @@ class Watch:
         number[members[objects.detection[detected]]] = objects.number[detected, None]
         named = np.flatnonzero(objects.detected & (objects.main_track >= 0) & (objects.stage == CONFIRMED))
         shown = np.append(is_new, False)[members[objects.detection[named]]]
-        return self.plot_rates.advance(scan, looks, is_named[:-1], number[:-1], is_new, objects.take(named), shown)
+        owners = objects.owners_at(scan.now.instant_s, self.tuning)
+        return self.plot_rates.advance(
+            scan, looks, is_named[:-1], number[:-1], is_new, objects.take(named), shown, owners
+        )
 
     def _previous_objects(self, pooled: PooledRecords, scan: Scan, memory: TrackMemory) -> IntArray:
         """(records,) the object of each pooled record's track at the previous instant, ABSENT without one."""
@@ -364,6 +387,9 @@ class Watch:
         """The objects of an instant with the properties that identify them over time."""
         states = object_states(scan, members, identification)
         is_member = members >= 0
+        # A plot alone is of its own place: an object that owns a hull adds its extent.
+        alone = np.flatnonzero(is_member.sum(axis=1) == 1) if scan.hull_covariance.any() else np.empty(0, np.int64)
+        states.covariance[alone, :2, :2] -= scan.hull_covariance[members[alone].max(axis=1, initial=ABSENT)]
         track = np.append(memory.tracks.track_of_record, ABSENT)[members]
         has_unique_id = np.zeros(len(scan) + 1, bool)  # the last place is that of no record
         for name in UNIQUE_IDS:
@@ -376,6 +402,7 @@ class Watch:
         )
         is_named = memory.tracks.track_of_record >= 0
         plots = NewPlots.of(scan, members, is_new, is_named, looks)
+        hulls = self._hulls_at(scan.now.instant_s) if looks.feeds else Hulls()
         new_report, new_plot = (
             over_columns(np.logical_or, np.append(column, False)[members]) for column in (is_new, is_new & ~is_named)
         )
@@ -390,6 +417,7 @@ class Watch:
             new_report,
             new_plot,
             plots,
+            hulls,
             looks,
             is_certain,
             memory.existence.of_objects(track),
