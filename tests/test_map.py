@@ -572,3 +572,18 @@ def test_a_users_coastline_replaces_the_default() -> None:
     sheet = replace(charted(3, 3), ground=Outline((island,), (island,)))
     page = map_page(sheet)
     assert '"land":[[0,0,900,0,900,900]]' in page and "Natural Earth, ±" not in page
+
+
+def test_the_chart_says_which_objects_are_tentative() -> None:
+    """They had a paler mark that the legend did not explain."""
+    pytest.importorskip("matplotlib", reason="charts need the extra sameas[plots]")
+    from sameas.plots.map import chart
+
+    for stage, has in (("tentative", True), ("coasting", False)):
+        objects = {"time_s": [0.0, 0.0], "object": [1, 2], "stage": ["confirmed", stage]}
+        objects |= {"x_m": [0.0, 100.0], "y_m": [0.0, 80.0]}
+        figure = chart(MapSheet.of("Harbour", {name: np.array(column) for name, column in objects.items()}, {}))
+        labels = [text.get_text() for text in figure.legends[0].get_texts()]
+        assert ("tentative" in labels) == has and labels[-2:] == ["ambiguous", "coasting"]
+        marks = [line for line in figure.axes[0].lines if line.get_marker() == "o" and line.get_alpha() == 0.6]
+        assert bool(marks) == has

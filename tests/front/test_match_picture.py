@@ -105,6 +105,14 @@ def test_an_excluded_sensor_and_a_single_instant(toml) -> None:
         sameas.match_picture(sources, sensors=toml, at="noon")
     with pytest.raises(InputError, match="give at, or every with begin and end, not both"):
         sameas.match_picture(sources, sensors=toml, at=START, every=3.0)
+    # It was a TypeError, though the command takes it.
+    words = sameas.match_picture(sources, sensors=toml, every="0.5min")
+    assert (
+        words.pairs["time_s"].tolist()
+        == sameas.match_picture(sources, sensors=toml, every=30.0).pairs["time_s"].tolist()
+    )
+    with pytest.raises(InputError, match=r"every=soon is not a duration; give seconds, or 10s, 2min or 1h"):
+        sameas.match_picture(sources, sensors=toml, every="soon")
     for series in ({"begin": 0}, {"end": 0.0}, {"every": 0.0}):
         with pytest.raises(InputError, match="give at, or every with begin and end, not both"):
             sameas.match_picture(sources, sensors=toml, at=START, **series)

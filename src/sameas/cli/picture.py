@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -18,23 +17,23 @@ from sameas.cli.terminal import Pace, Printer, notice, share_compilation
 from sameas.errors import InputError
 from sameas.front.picture import Instants, Method, PictureOutputs, older, pictured, write
 from sameas.io.atomic import filling
+from sameas.io.sensors.format import duration
 from sameas.io.sensors.sources import read_source_options, read_sources
 from sameas.maps.outline import read_coast
 from sameas.report.picture import read_lines
 
 _TIMES, _METHOD, _FILES = "The instants", "The method", "Outputs"
 TABLES = ("parquet", "csv")
-_SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
 
 
 def duration_s(text: str | None) -> float | None:
     """Seconds of "10s", "2min", "0.5h" or a plain number of seconds."""
     if text is None:
         return None
-    match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*([a-z]*)\s*", text.lower())
-    if match is None or match[2] not in _SECONDS or float(match[1]) <= 0.0:
+    seconds = duration(text)
+    if seconds is None:
         raise typer.BadParameter(f"{text!r} is not a duration; give 10s, 2min or 1h", param_hint="--every")
-    return float(match[1]) * _SECONDS[match[2]]
+    return seconds
 
 
 def picture(

@@ -21,7 +21,7 @@ from sameas.front.tables import table_of
 from sameas.io import checksum
 from sameas.io.atomic import filling
 from sameas.io.format import json_text
-from sameas.io.sensors.format import ReadOptions, picture_time
+from sameas.io.sensors.format import ReadOptions, duration, picture_time
 from sameas.io.sensors.recording import paths_in
 from sameas.io.sensors.sources import SensorSource, SourceOptions, read_source_options, read_sources, source_of
 from sameas.io.sensors.table_cells import TableText
@@ -457,7 +457,7 @@ def match_picture(
     sources: Any,
     *,
     sensors: str | os.PathLike[str] | None = None,
-    every: float | None = None,
+    every: float | str | None = None,
     at: float | str | None = None,
     begin: float | str | None = None,
     end: float | str | None = None,
@@ -474,8 +474,8 @@ def match_picture(
     ----------
     sources : path, paths, or a mapping of source names to paths or tables (data frames, astropy and Arrow tables,
         dicts of columns) with times and positions. sensors : TOML file that describes the sources.
-    every : seconds between instants. at : a single instant. begin, end : first and last instant, in seconds since 1970
-        or as dates. start : UTC of the first line, for files without dates.
+    every : time between instants, in seconds or as 10s, 2min, 1h. at : a single instant. begin, end : first and last
+        instant, in seconds since 1970 or as dates. start : UTC of the first line, for files without dates.
     without : sources to exclude. registration : whether to correct the sensors' offsets. identity, memory : whether
         reported identities and the history of tracks are evidence.
     progress : called with the name of each step.
@@ -506,7 +506,17 @@ def match_picture(
     excluded = (without,) if isinstance(without, str) else tuple(without)
     method = Method(registration, identity, memory, excluded)
     included = method.included(_sources(sources, described, start))
-    return pictured(included, Instants(every, at, begin, end), method, call=call, progress=progress)
+    return pictured(included, Instants(_duration_s(every), at, begin, end), method, call=call, progress=progress)
+
+
+def _duration_s(every: float | str | None) -> float | None:
+    """Seconds of a time between instants, which may be words."""
+    if not isinstance(every, str):
+        return every
+    seconds = duration(every)
+    if seconds is None:
+        raise InputError(Message(Argument("every", every), " is not a duration"), "give seconds, or 10s, 2min or 1h")
+    return seconds
 
 
 def _sources(sources: Any, described: Mapping[str, SourceOptions], start: str | None) -> list[SensorSource]:

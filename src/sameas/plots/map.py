@@ -118,6 +118,8 @@ WIDTH_IN = 11.0
 Box = tuple[float, float, float, float]
 #: Maximum number of labels.
 MAX_LABELS = 200
+#: Line of objects that are not confirmed, or coast, and opacity of the mark of tentative ones.
+TENTATIVE_LINE, TENTATIVE_ALPHA = (0, (4, 2.5)), 0.6
 
 
 def chart(drawn: MapSheet, instant_s: float | None = None) -> Figure:
@@ -391,11 +393,11 @@ def _objects_of_style(axes: Axes, now: _Snapshot, ahead_s: float, colour: str, s
         ellipse(*each, 2.0, 61) for each in zip(places[has_covariance], covariances[has_covariance], strict=True)
     ]
     axes.add_collection(LineCollection(outlines, color=colour, lw=0.8, alpha=0.7, zorder=1.1), autolim=False)
-    style = "-" if stage == "confirmed" else (0, (4, 2.5))
+    style = "-" if stage == "confirmed" else TENTATIVE_LINE
     vectors = np.stack([places, places + ahead_s * velocities], axis=1)[has_velocity]
     axes.add_collection(LineCollection(vectors, color=colour, lw=1.3, ls=style, zorder=1.8), autolim=False)
     axes.plot(*places.T, ls="", marker="o", ms=9.5, mfc="none", mec=colour, mew=1.4 if stage == "confirmed" else 1.0,
-              zorder=2.1, alpha=0.6 if stage == "tentative" else 1.0)  # fmt: skip
+              zorder=2.1, alpha=TENTATIVE_ALPHA if stage == "tentative" else 1.0)  # fmt: skip
     if stage == "coasting":
         axes.plot(*places.T, ls="", marker="x", ms=6, mec=colour, mew=1.0, zorder=2.1)
     else:
@@ -481,6 +483,9 @@ def _legend(figure: Figure, now: _Snapshot, ahead_s: float) -> None:
         Line2D([], [], ls="", marker="o", mfc="none", color=DOUBT, ms=9, label="ambiguous"),
         Line2D([], [], ls="", marker="x", color=FAINT, ms=6, label="coasting"),
     ]
+    if (now.drawn.objects["stage"][now.rows] == "tentative").any():
+        handles.insert(-3, Line2D([], [], color=INK, ls=TENTATIVE_LINE, lw=1.3, marker="o", mfc="none", ms=8, mew=1.0,
+                                  markevery=[0], alpha=TENTATIVE_ALPHA, label="tentative"))  # fmt: skip
     if now.alarmed:
         handles.append(Line2D([], [], ls="", marker="^", mfc="none", color=ALARM, ms=9, label="alarm"))
     figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 8), frameon=False, fontsize=9)

@@ -184,6 +184,23 @@ def picture_time(text: str | float, argument: str, span_s: tuple[float, float]) 
     return time_s
 
 
+#: A duration, and the seconds of its units.
+_DURATION = re.compile(r"\s*([0-9]*\.?[0-9]+)\s*([a-z]*)\s*")
+_DURATION_S = {"": 1.0, "s": 1.0, "sec": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0}
+
+
+def duration(text: str) -> float | None:
+    """Seconds of "10s", "2min", "0.5h" or a plain number of seconds; None for other text, and for no time.
+
+    >>> duration("2min"), duration("10"), duration("0s"), duration("soon")
+    (120.0, 10.0, None, None)
+    """
+    match = _DURATION.fullmatch(text.lower())
+    if match is None or match[2] not in _DURATION_S or float(match[1]) <= 0.0:
+        return None
+    return float(match[1]) * _DURATION_S[match[2]]
+
+
 def _of_day(text: str, span_s: tuple[float, float]) -> float | None:
     """Seconds, from HH:MM[:SS] on the day of the first report, or on the next day if only that is in the span."""
     for form in ("%H:%M", "%H:%M:%S"):
