@@ -166,22 +166,24 @@ class NamedTracks:
         correlation = correlation.with_factors(factors.factor, scan.tuning)
         track_of_record = self.numbers_on(scan) if track_of_record is None else track_of_record.copy()
         place = np.flatnonzero(scan.track != "")
-        number, source = track_of_record[place], correlation.numbers(scan)[scan.source[place]]
-        continuing = np.flatnonzero((places_in(self.number, number) >= 0) & scan.placed[place])
-        continuing = continuing[np.argsort(number[continuing])]
-        known = replace(self, error_correlation=correlation, error_factors=factors)
-        step, correlation = known._step(scan, number[continuing], place[continuing], source[continuing])
+        number = track_of_record[place]
         is_new = number < 0
         number[is_new] = self.n_numbers + np.arange(np.count_nonzero(is_new))
         track_of_record[place] = number
-        lasting = _lasting_root(scan, correlation)
         order = np.argsort(number)
-        number, place, source = number[order], place[order], source[order]
+        number, place = number[order], place[order]
+        source = correlation.numbers(scan)[scan.source[place]]
+        continuing = (places_in(self.number, number) >= 0) & scan.placed[place]
+        known = replace(self, error_correlation=correlation, error_factors=factors)
+        step, correlation = known._step(scan, number[continuing], place[continuing], source[continuing])
+        lasting = _lasting_root(scan, correlation)
         at = step.find(number)
-        started = place[at < 0]
+        started = np.flatnonzero(at < 0)
         error_mean = taken(np.append(step.error_mean, np.zeros((1, 4)), axis=0), at)
         error_covariance = taken(np.append(step.error_covariance, np.zeros((1, 4, 4)), axis=0), at)
-        error_covariance[at < 0] = prior_covariance(scan.covariance[started, :2, :2], lasting[started])
+        if len(started):
+            records = place[started]
+            error_covariance[started] = prior_covariance(scan.covariance[records, :2, :2], lasting[records])
         log_kept = np.append(step.log_kept, 0.0)[at]
         now_s = scan.now.instant_s
         is_new = number >= self.n_numbers

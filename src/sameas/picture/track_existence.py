@@ -53,10 +53,10 @@ class DurationMixture(ColumnTable):
         self, source: IntArray, began_later: BoolArray, duration_s: FloatArray, ended: BoolArray
     ) -> FloatArray:
         """(n,) log-odds that tracks are real."""
-        rate_0, rate_1 = 1.0 / self.false_s[source], 1.0 / self.real_s[source]
-        share = self.share[source, began_later.astype(np.int64)]
-        log_end = np.where(ended, np.log(rate_1 / rate_0), 0.0)
-        return np.asarray(np.log(share) - np.log1p(-share) + log_end + duration_s * (rate_0 - rate_1))
+        rate_0, rate_1 = 1.0 / self.false_s, 1.0 / self.real_s
+        log_initial = (np.log(self.share) - np.log1p(-self.share))[source, began_later.astype(np.int64)]
+        log_end = np.where(ended, np.log(rate_1 / rate_0)[source], 0.0)
+        return np.asarray(log_initial + log_end + duration_s * (rate_0 - rate_1)[source])
 
     def fitted(
         self,

@@ -376,7 +376,7 @@ class PlacedReports:
 
     def _unpacked(self, packed: FloatArray | None) -> FloatArray:
         """(n, 2, 2) covariances from (n, 3) xx, xy, yy; NaN if absent."""
-        return unpack(np.full((len(self.reports), 3), np.nan) if packed is None else packed, 2)
+        return np.full((len(self.reports), 2, 2), np.nan) if packed is None else unpack(packed, 2)
 
     def _needed(self, part: str, name: str) -> float:
         """A value of the description; refused if it is missing."""
