@@ -242,9 +242,8 @@ def _names(track: NDArray[Any] | None, row: IntArray) -> NDArray[Any]:
     """Track ids; "" for reports that the scene only named by their row."""
     if track is None:
         return np.full(len(row), "", dtype=object)
-    out = np.empty(len(row), object)
-    out[:] = names = list(map(str, track[row].tolist()))
-    out[unnamed(names)] = ""
+    out = track[row].astype(object)
+    out[unnamed(out.tolist())] = ""
     return out
 
 
