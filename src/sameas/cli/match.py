@@ -388,7 +388,7 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
     from sameas.report.match import coverage_lines
     from sameas.sky.completion import completed
     from sameas.sky.crossmatch import at_common_epoch
-    from sameas.sky.doubts import disjoint_doubt
+    from sameas.sky.disjoint import disjoint_doubt
     from sameas.sky.match_doubts import density_doubts
 
     printer = Printer(quiet)

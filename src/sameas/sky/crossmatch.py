@@ -24,7 +24,7 @@ from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import in_years
 from sameas.sky.completion import completed
-from sameas.sky.doubts import disjoint_doubt
+from sameas.sky.disjoint import disjoint_doubt
 from sameas.sky.evidence_columns import AUTO, columns_of, magnitudes_of
 from sameas.sky.match_doubts import (
     DEFAULT_MATCH_DOUBTS,

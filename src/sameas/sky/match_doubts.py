@@ -1,6 +1,7 @@
 """Doubts about the result of a crossmatch: units of errors, densities, duplicates, blends, offsets, equinox.
 
-Doubts about the catalogues and their epochs are in :mod:`sameas.sky.doubts`.
+Doubts about one table are in :mod:`sameas.sky.catalogue_doubts`, those about fields that lie apart in
+:mod:`sameas.sky.disjoint`.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from sameas.kernels import threads
 from sameas.records import Records
 from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.doubts import epoch_doubt, in_icrs
+from sameas.sky.disjoint import in_icrs
+from sameas.sky.residual_epoch import epoch_doubt
 from sameas.sky.sky_match import ARCSEC2_PER_DEG2, SkyMatch, area_and_densities, nearest
 from sameas.sky.systematics import Rotation, Warp, residual_rotation
 

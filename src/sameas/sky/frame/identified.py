@@ -28,7 +28,6 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.doubts import EPOCH, MovedPairs, Questioned
 from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.measurements import POGSON, Flag, Measurements
 from sameas.sky.frame.photometry import DEFAULT_PHOTOMETRY, Completeness, PhotometryTuning, ZeroPoint, instrumental
@@ -36,6 +35,7 @@ from sameas.sky.frame.place import Placement, place
 from sameas.sky.frame.plate import DEFAULT_PLATE, MatchedStars, PlateModel, PlateTuning, fit_plate, terms
 from sameas.sky.frame.pointing import Pointing, directions_deg
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
+from sameas.sky.residual_epoch import EPOCH, MovedPairs, Questioned
 from sameas.space import chord_angle_deg
 
 
