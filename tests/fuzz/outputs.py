@@ -181,23 +181,13 @@ def _once() -> Iterator[None]:
         yield
 
 
-def explain_table(path: Path) -> object:
-    """Run ``explain`` and ``compare`` on a table."""
-    import sameas
+def _answers(questions) -> list[str]:
+    """The answers in words; a question may be refused, but not all of them."""
     from sameas.errors import InputError
 
-    whole = path.with_name(f"whole{path.name.removeprefix('input')}")
-    if not whole.exists():
-        whole.write_bytes(tables(path.suffix)[0])
     answers, refused = [], None
-    questions = (
-        lambda: sameas.explain(path, "s3"), lambda: sameas.compare(path, whole),
-        lambda: sameas.explain(path, "s4", source=2), lambda: sameas.compare(whole, path),
-        lambda: sameas.explain(path, row=1),
-    )  # fmt: skip
-    first = zlib.crc32(path.read_bytes()) % 4 if path.suffix != ".csv" else 0
     with _once():
-        for question in questions[first : first + 2]:
+        for question in questions:
             try:
                 answers.append(str(question()))
             except InputError as error:
@@ -205,6 +195,22 @@ def explain_table(path: Path) -> object:
     if refused is not None and not answers:
         raise refused
     return answers
+
+
+def explain_table(path: Path) -> object:
+    """Run ``explain`` and ``compare`` on a table."""
+    import sameas
+
+    whole = path.with_name(f"whole{path.name.removeprefix('input')}")
+    if not whole.exists():
+        whole.write_bytes(tables(path.suffix)[0])
+    questions = (
+        lambda: sameas.explain(path, "s3"), lambda: sameas.compare(path, whole),
+        lambda: sameas.explain(path, "s4", source=2), lambda: sameas.compare(whole, path),
+        lambda: sameas.explain(path, row=1),
+    )  # fmt: skip
+    first = zlib.crc32(path.read_bytes()) % 4 if path.suffix != ".csv" else 0
+    return _answers(questions[first : first + 2])
 
 
 #: Folder of the catalogues in the provenance, replaced by the real one.
@@ -249,7 +255,6 @@ def picture() -> dict[str, bytes]:
 
 def explain_picture(path: Path) -> object:
     import sameas
-    from sameas.errors import InputError
 
     content, folder = path.read_bytes(), path.with_suffix("")
     whole = folder.with_name("whole")
@@ -259,20 +264,11 @@ def explain_picture(path: Path) -> object:
             (place / name).write_bytes(own)
     name = "identities.csv" if b"p_alone" in content.partition(b"\n")[0] else "objects.csv"
     (folder / name).write_bytes(content)
-    answers, refused = [], None
     questions = (
         lambda: sameas.explain(folder, "1"), lambda: sameas.explain(folder, "235000001", source="ais"),
         lambda: sameas.compare(folder, whole),
     )  # fmt: skip
-    with _once():
-        for question in questions:
-            try:
-                answers.append(str(question()))
-            except InputError as error:
-                refused = error
-    if refused is not None and not answers:
-        raise refused
-    return answers
+    return _answers(questions)
 
 
 @cache
