@@ -17,6 +17,7 @@ from sameas.picture.plot_picture import nameless, scan_times_between
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
+from sameas.tracks.source import Description, Site
 
 
 def passing(seed, until_s=30.0, ends_s=np.inf):
@@ -154,7 +155,7 @@ def test_the_plot_tracker_needs_positions_and_no_ids():
     scene = passing(1, 6.0)
     assert nameless(scene) and isinstance(Picture.of(scene, [3.0]).watch, PlotPicture)
     columns: dict[str, Any] = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0]}
-    for more in ({"track_id": ["a", "a"]}, {"mode_a": ["1234", "1234"]}):
+    for more in ({"track_id": ["a", "a"]}, {"callsign": ["KLM12", "KLM12"]}):
         named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", columns | more))
         mixed = Scene((*scene.feeds, named))
         assert not nameless(mixed) and isinstance(Picture.of(mixed, [1.0]).watch, Watch)
@@ -187,3 +188,42 @@ def test_a_picture_is_continued_forward_only():
         Picture.of(scene, [9.0], watch=first.watch)
     with pytest.raises(InputError, match="real is 1"):
         PlotPicture(real=1.0)
+
+
+@pytest.mark.slow_after(1)
+def test_aircraft_that_turn_keep_their_numbers_in_plots_with_transponder_codes():
+    """A code is not a name, which several aircraft share: the plots were decided scan by scan, with new objects each
+    time. Two radars, in 4.8 and 12 s a turn; three of six aircraft turn at 3° a second for half a minute."""
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 300.0, 0.2)
+    angle = np.radians(rng.uniform(0.0, 360.0, 6)[:, None] + np.where(np.arange(6) < 3, 3.0, 0.0)[:, None]
+                       * np.clip(t - 120.0, 0.0, 30.0))  # fmt: skip
+    speed = rng.uniform(110.0, 220.0, 6)[:, None, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+    place = rng.uniform(-3e4, 3e4, (6, 1, 2)) + np.cumsum(0.2 * speed, axis=1)
+    codes = np.array(["1000", "1000", "1000", "4521", "4522", "1000"])
+    sources, truth = [], {}
+    for name, site, turn_s in (("approach", (0.0, 0.0), 4.8), ("route", (9e3, 2e4), 12.0)):
+        rows = []
+        for k in range(6):
+            bearing = np.degrees(np.arctan2(*(place[k] - site).T)) % 360.0
+            phase = (t / turn_s - bearing / 360.0) % 1.0
+            seen = np.flatnonzero((np.diff(phase) < -0.5) & (rng.random(len(t) - 1) < 0.92))
+            for n in seen:
+                east, north = place[k, n] - site
+                rows.append((t[n], np.hypot(east, north) + 60.0 * rng.normal(), bearing[n] + 0.08 * rng.normal(), k))
+        rows.sort()
+        time_s, range_m, bearing_deg, who = map(np.array, zip(*rows, strict=True))
+        truth[name] = who
+        table = {"time_s": time_s, "range_m": range_m, "bearing_deg": bearing_deg % 360.0, "mode_a": codes[who]}
+        description = Description(name, "air radar", site=Site(east_m=site[0], north_m=site[1]))
+        sources.append((description, Reports.of(name, "table", table)))
+    scene = Scene.of(sources)
+    assert nameless(scene)
+    picture = Picture.of(scene, np.arange(60.0, 300.0, 10.0))
+    records, objects = picture.records, picture.objects
+    who = np.array([truth[s][r] for s, r in zip(records["source"], records["row"], strict=True)])
+    for k in range(6):
+        numbers = records["object"][who == k]
+        assert np.mean(numbers == np.bincount(numbers).argmax()) > 0.95
+    shown = objects["stage"] == "confirmed"
+    assert len(np.unique(objects["object"][shown])) == 6 and set(objects["mode_a"][shown]) == set(codes)

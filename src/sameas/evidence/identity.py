@@ -229,6 +229,10 @@ MODELS: Mapping[str, Model] = {
 }  # fmt: skip
 
 
+#: Attributes that name one object; others, such as the code of a transponder, several share, or say what it is.
+NAMING = ("mmsi", "imo", "icao", "callsign", "name")
+
+
 @in_short
 @dataclass(frozen=True)
 class Identity(Rule):

@@ -17,7 +17,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,12 +25,13 @@ from scipy.special import logit
 
 from sameas.arrays import ABSENT, IntArray
 from sameas.errors import InputError
+from sameas.evidence.identity import NAMING
 from sameas.picture.picture_state import PictureState, TrackedObjects, has_velocity
 from sameas.picture.plot_existence import still_unseen
 from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
 from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, PictureObjects, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
-from sameas.picture.watch import NO_TEXTS
+from sameas.picture.watch import TEXTS, RecordTexts
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed, walk_of
 from sameas.tracks.scans import joint_times
@@ -39,8 +39,8 @@ from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, Scene
 
 
 def nameless(scene: Scene) -> bool:
-    """Whether no source of a scene has ids or attributes of identity, and at least one has positions."""
-    no_ids = all(feed.reports.track is None and not feed.attributes for feed in scene.feeds)
+    """Whether no source of a scene has ids or names, and at least one has positions."""
+    no_ids = all(feed.reports.track is None and feed.attributes.keys().isdisjoint(NAMING) for feed in scene.feeds)
     return no_ids and any(isinstance(feed.reports, States) for feed in scene.feeds)
 
 
@@ -144,7 +144,8 @@ class PlotPicture:
     tracker : of its objects.
     real : an object is confirmed at this probability of existence; at most 1 − real of the confirmed ones are false.
     tracks, confirmation, objects, last_s : the tracked objects, which of them are confirmed, and the objects and the
-        time of the last instant; updated from instant to instant.
+        time of the last instant; updated from instant to instant. texts : by number of the object, the codes of its
+        transponder and what else its plots say of it.
     """
 
     tracker: PlotTracker = field(default_factory=PlotTracker)
@@ -153,6 +154,7 @@ class PlotPicture:
     confirmation: Confirmation = field(default_factory=Confirmation)
     objects: PlotObjects = field(default_factory=PlotObjects)
     last_s: float = -math.inf
+    texts: Mapping[int, NDArray[Any]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.real < 1.0:
@@ -194,10 +196,7 @@ class PlotPicture:
             walk = max(walk_of(description) for description in now.descriptions)
             ended = self.objects.not_in(updated.tracks.number)
             objects = objects.with_ends(ended, now.instant_s - self.last_s, walk)
-        carried = replace(updated, objects=objects, last_s=now.instant_s)
+        of_records = {name: scan.texts(name) for name in TEXTS if scan.reports(name)}
+        texts = RecordTexts.of(scan, detections.members, of_records, objects).of_objects(objects, self.texts)
+        carried = replace(updated, objects=objects, last_s=now.instant_s, texts=texts)
         return PictureState(now, scan, detections, detections.states, carried)
-
-    @cached_property
-    def texts(self) -> Mapping[int, NDArray[Any]]:
-        """By number of the object, its texts: empty ones."""
-        return dict.fromkeys(self.objects.number.tolist(), NO_TEXTS)

@@ -38,7 +38,7 @@ from sameas.picture.bernoulli import KNOWN, BernoulliObjects, BernoulliTable, Si
 from sameas.picture.tables import objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import aged
-from sameas.tracks.feed import Feed, walk_of
+from sameas.tracks.feed import Feed, mean_walk_of
 from sameas.tracks.placement import Directions
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, places_of
 from sameas.tracks.snapshot import pointed_at
@@ -117,7 +117,7 @@ class PlotTracker:
         objects = objects.merged(density, self.tuning)
         least = np.minimum(self.tuning.min_existence, self.tuning.min_share_of_initial * objects.initial)
         objects = objects.take((objects.existence > least) & ~aged(objects.covariance, density))
-        walk = max(walk_of(description) for description in now.descriptions)
+        walk = max(mean_walk_of(description) for description in now.descriptions)
         return objects.predicted(dt, walk).aged(dt, self.lifetime_s, self.sighting_s)
 
     def _usual_q(self, feed: Feed, places: FloatArray, now: Instant) -> FloatArray:

@@ -39,7 +39,7 @@ from sameas.picture.object_ids import NamedObjects, Stages, UnnumberedObjects
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
 from sameas.picture.plot_existence import Looks, NewPlots, gives_plots, looks_between
 from sameas.picture.plot_rates import PlotRates, nearest_object
-from sameas.picture.tables import CONFIRMED, Scan, object_states, objects_per_m2
+from sameas.picture.tables import CONFIRMED, PictureObjects, Scan, object_states, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
 from sameas.records import Records
 from sameas.representation import in_short
@@ -439,7 +439,9 @@ class RecordTexts:
     holders: Mapping[tuple[int, str], set[int]]
 
     @classmethod
-    def of(cls, scan: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], objects: NamedObjects) -> RecordTexts:
+    def of(
+        cls, scan: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], objects: PictureObjects
+    ) -> RecordTexts:
         """members : (n, S) records of the detected objects. texts : (records,) by column, if reported."""
         at, source = np.nonzero(members >= 0)
         record = members[at, source]
@@ -464,7 +466,7 @@ class RecordTexts:
                     holders.setdefault((column, value), set()).add(number)
         return cls(newest, holders)
 
-    def of_objects(self, objects: NamedObjects, previous: Mapping[int, NDArray[Any]]) -> Mapping[int, NDArray[Any]]:
+    def of_objects(self, objects: PictureObjects, previous: Mapping[int, NDArray[Any]]) -> Mapping[int, NDArray[Any]]:
         """By number of the object, its texts: those of its records, else the previous ones, except those that another
         object has now."""
         out = {number: previous.get(number, NO_TEXTS) for number in objects.number.tolist()}

@@ -504,3 +504,12 @@ def walk_of(description: Description) -> float:
             naming("give motion = {{ acceleration_m2_per_s3 = … }} in its {description}"),
         )
     return walk
+
+
+def mean_walk_of(description: Description, tuning: Tuning = DEFAULT_TUNING) -> float:
+    """The mean of :func:`walk_of` over the time, of which objects manoeuvre for a share, m²/s³.
+
+    A filter with one state for all modes of motion predicts with it: GPB1, Bar-Shalom, Li and Kirubarajan 2001, 11.6.2.
+    """
+    share = description.motion.manoeuvring_share or 0.0
+    return walk_of(description) * (1.0 + share * (tuning.manoeuvre_noise - 1.0))

@@ -39,6 +39,7 @@ _VESSEL = {
 #: Motion of aircraft, by name of the number, with its source.
 AIRCRAFT_MOTION = {
     "motion.acceleration_m2_per_s3": (4.0, "an airliner's turns and speed changes: 2 m/s in a second"),
+    "motion.manoeuvring_share": (0.1, "near an airport, aircraft turn or change speed for a tenth of the time"),
     "motion.speed_m_per_s": (150.0, "aircraft move at 300 knots, at most twice that"),
 }
 _FIXED_ERRORS = {

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, are_among, places_in, taken
-from sameas.evidence.identity import MODELS
+from sameas.evidence.identity import MODELS, NAMING
 from sameas.kernels.zones import merge_rows
 from sameas.tracks.alignment import NO_TREND, States, Succession, are_unfiltered, follow
 from sameas.tracks.biases import TIME, corrected
@@ -144,8 +144,8 @@ class LiveFeed:
 
     @property
     def named(self) -> bool:
-        """Whether any report so far has an id or an attribute of identity."""
-        return bool(self._named) or bool(self._rows.attributes)
+        """Whether any report so far has an id or a name."""
+        return bool(self._named) or not self._rows.attributes.keys().isdisjoint(NAMING)
 
     @property
     def has_sensor(self) -> bool:

@@ -209,12 +209,17 @@ class Timing:
 
 @dataclass(frozen=True)
 class Motion:
-    """The motion of objects: a random walk of velocity (m²/s³) from 0 ± speed; a share of them may be stationary."""
+    """The motion of objects: a random walk of velocity (m²/s³) from 0 ± speed; a share of them may be stationary.
+
+    manoeuvring_share : of the time in which they turn or change speed, with a walk ``manoeuvre_noise`` times as large;
+    plots without ids are followed with the mean of both.
+    """
 
     acceleration_m2_per_s3: float | None = None
     speed_m_per_s: float | None = None
     stationary_m_per_s: float | None = None
     stationary_share: float | None = None
+    manoeuvring_share: float | None = None
 
 
 @dataclass(frozen=True)
