@@ -5,7 +5,7 @@
 - :func:`taken`: rows; :func:`ordered_by`: rows in the order of their columns; :func:`distinct`: without duplicates.
 - :func:`places_in`: positions of numbers among ascending ones; :func:`spans_in`: among ones with duplicates;
   :func:`are_among`: whether they are there.
-- :func:`finite_rows`: rows without NaN.
+- :func:`finite_rows`: rows without NaN; :func:`entries`: the numbers in a table with gaps.
 - :data:`ABSENT`: the number of no row.
 """
 
@@ -158,6 +158,18 @@ def over_columns(combine: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
     for column in values.T[1:]:
         combine(out, column, out=out)
     return out
+
+
+def entries(table: IntArray) -> tuple[IntArray, IntArray]:
+    """Row and value of every number in a table (n, c) except ABSENT, row by row; ``np.nonzero`` of a table takes three
+    times as long.
+
+    >>> entries(np.array([[7, ABSENT], [ABSENT, ABSENT], [3, 7]]))
+    (array([0, 2, 2]), array([7, 3, 7]))
+    """
+    values = table.ravel()
+    at = np.flatnonzero(values != ABSENT)
+    return at // max(table.shape[1], 1), values[at]
 
 
 def within_turn(degrees: FloatArray) -> FloatArray:

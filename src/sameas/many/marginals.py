@@ -24,7 +24,7 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 from scipy.sparse import csr_array, hstack, vstack
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import MissedObjects
 from sameas.many.sets import TUNING, ManyTuning, Sets
@@ -420,8 +420,8 @@ class _Sums:
         kept = kept[(self._sizes > MAX_RECORDS)[sets.group[kept]] & (sets.size[kept] > 1)]
         if self.counts or not len(kept):
             return wide
-        at, source = np.nonzero(sets.members[kept] != ABSENT)
-        edges = (sets.members[kept][at, source], self.n_records + at)
+        at, record = entries(sets.members[kept])
+        edges = (record, self.n_records + at)
         size = self.n_records + len(kept)
         _, part = connected_components(
             csr_array((np.ones(len(at), np.int8), edges), shape=(size, size)), directed=False
@@ -468,8 +468,7 @@ class _Blocks:
     @classmethod
     def of(cls, sets: Sets, kept: IntArray, n_records: int, whole_groups: bool) -> _Blocks:
         members = sets.members[kept]
-        at, source = np.nonzero(members != ABSENT)
-        record = members[at, source]
+        at, record = entries(members)
         incidence = csr_array((np.ones(len(at), np.int32), (record, at)), shape=(n_records, len(kept)))
         adjacency = csr_array(incidence @ incidence.T)
         _, part = connected_components(adjacency, directed=False)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, over_columns, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries, over_columns, taken
 from sameas.errors import InputError
 from sameas.many.marginals import Answer
 from sameas.many.observations import Joint, Source, records_of
@@ -214,9 +214,8 @@ class Objects:
     def object_of_record(self) -> IntArray:
         """(records,) the object of every record, numbered as in the pooled records."""
         out = np.zeros(len(self.pooled), np.int64)
-        members = self.sets.members[self.set_of_object]
-        at, source = np.nonzero(members != ABSENT)
-        out[members[at, source]] = at
+        at, record = entries(self.sets.members[self.set_of_object])
+        out[record] = at
         return out
 
     @cached_property
@@ -410,8 +409,8 @@ class Weights:
 
 def _incidence(members: IntArray, n_records: int) -> csr_array:
     """(records, k) bool, sparse: whether a record is in a set; members (k, S), ABSENT for none."""
-    at, source = np.nonzero(members != ABSENT)
-    return csr_array((np.ones(len(at), bool), (members[at, source], at)), shape=(n_records, len(members)))
+    at, record = entries(members)
+    return csr_array((np.ones(len(at), bool), (record, at)), shape=(n_records, len(members)))
 
 
 def _terms(objects: Objects, terms: Terms, kept: IntArray) -> dict[str, FloatArray]:

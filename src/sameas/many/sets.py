@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries, taken
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Terms
 from sameas.ragged import Ragged, ranges
@@ -79,8 +79,7 @@ class Sets:
 
     def entries(self) -> tuple[IntArray, IntArray]:
         """(set, record) of every member of a set, sets ascending."""
-        at, source = np.nonzero(self.members != ABSENT)
-        return at, self.members[at, source]
+        return entries(self.members)
 
 
 def candidate_sets(pooled: PooledRecords, terms: Terms, tuning: ManyTuning = TUNING) -> Sets:

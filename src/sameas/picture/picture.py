@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries
 from sameas.errors import InputError
 from sameas.many.observations import Observations, records_of
 from sameas.picture.deception import faults_and_deceptions
@@ -357,8 +357,7 @@ def _memberships(state: PictureState[Carried], at: IntArray) -> Columns:
 def joined(members: IntArray, words: Sequence[str]) -> NDArray[np.str_]:
     """(n,) the words of the members of each set, joined by spaces."""
     out: list[list[str]] = [[] for _ in range(len(members))]
-    at, source = np.nonzero(members >= 0)
-    for k, record in zip(at.tolist(), members[at, source].tolist(), strict=True):
+    for k, record in zip(*(column.tolist() for column in entries(members)), strict=True):
         out[k].append(words[record])
     return np.array([" ".join(each) for each in out], dtype=np.str_)
 

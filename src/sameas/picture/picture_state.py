@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries
 from sameas.errors import InputError
 from sameas.evidence.identity import IdentityConflict
 from sameas.many.objects import Name, ObjectExplanation, Objects
@@ -303,8 +303,8 @@ class PictureState(Generic[W]):
     def object_of_record(self) -> IntArray:
         """(records,) the detected object of each record of the scan."""
         out = np.zeros(len(self.scan), np.int64)
-        at, source = np.nonzero(self.members >= 0)
-        out[self.members[at, source]] = at
+        at, record = entries(self.members)
+        out[record] = at
         return out
 
     @cached_property

@@ -355,11 +355,12 @@ class TrackPairs(ColumnTable):
         out = replace(self, **{name: getattr(self, name).copy() for name in _OFFSETS})
         a, b = step.find(self.first), step.find(self.second)
         out.n_offsets[due] += 1
-        out.offset[due] += (step.here[a[due]] - step.here[b[due]] - out.offset[due]) / out.n_offsets[due, None]
-        out.offset_s[due], out.offset_new[due] = step.instant_s, False
         tracks = np.stack([a[due], b[due]])
+        here, offset = taken(step.here, tracks), taken(out.offset, due)
+        out.offset[due] = offset + (here[0] - here[1] - offset) / out.n_offsets[due, None]
+        out.offset_s[due], out.offset_new[due] = step.instant_s, False
         share = correlation.of_mean(step.source[tracks], tuning.lasting_s, out.n_offsets[due], tuning)
-        covariance = MIN_M2 * np.eye(2) + sum(share[:, :, None, None] * step.reported[tracks])
+        covariance = MIN_M2 * np.eye(2) + sum(share[:, :, None, None] * taken(step.reported, tracks))
         out.offset_chi_sq[due] = mahalanobis_sq(out.offset[due], covariance)
         # χ² is clipped so that one false pair cannot dominate the sum over sure pairs.
         counts = self.sure & (out.n_offsets >= tuning.min_offsets)

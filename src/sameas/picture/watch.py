@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, are_among, over_columns, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, are_among, entries, over_columns, taken
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.kernels.components import label_components
@@ -100,8 +100,8 @@ def _components(sets: Sets, which: BoolArray, n_records: int) -> IntArray:
     """(records,) the connected component of each record, by the sets ``which``."""
     several = np.flatnonzero(which & (sets.size > 1))
     members = taken(sets.members, several)
-    at, source = np.nonzero(members >= 0)
-    edges = (n_records + at, members[at, source])
+    at, record = entries(members)
+    edges = (n_records + at, record)
     parent, component = np.empty((2, n_records + len(several)), np.int64)
     label_components(*edges, parent, component)
     return component[:n_records]
@@ -121,8 +121,8 @@ def _splits(sets: Sets, component: IntArray, previous_object: IntArray, chosen: 
     """(components,) whether the chosen sets split a previous object; component : (k,) of each set."""
     which = np.flatnonzero(chosen)
     members = taken(sets.members, which)
-    at, source = np.nonzero(members >= 0)
-    previous, own = previous_object[members[at, source]], which[at]
+    at, record = entries(members)
+    previous, own = previous_object[record], which[at]
     order = np.lexsort([own, component[own], previous])
     order = order[previous[order] >= 0]
     one, other = order[:-1], order[1:]
@@ -443,8 +443,7 @@ class RecordTexts:
         cls, scan: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], objects: PictureObjects
     ) -> RecordTexts:
         """members : (n, S) records of the detected objects. texts : (records,) by column, if reported."""
-        at, source = np.nonzero(members >= 0)
-        record = members[at, source]
+        at, record = entries(members)
         newest = np.full((len(members), len(TEXTS)), "", dtype=object)
         holders: dict[tuple[int, str], set[int]] = {}
         number_of = np.zeros(len(members) + 1, np.int64)  # the last place is that of objects without records
