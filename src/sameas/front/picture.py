@@ -128,11 +128,12 @@ class Method:
         """The evidence that is used at an instant."""
         return partial(all_evidence, identity=self.identity, previous_scans=self.memory)
 
-    def watch(self, scene: Scene) -> Watch | PlotPicture:
-        """The state that is carried from instant to instant; without memory, instants are independent."""
+    def watch(self, scene: Scene, misread: frozenset[str] = frozenset()) -> Watch | PlotPicture:
+        """The state that is carried from instant to instant; without memory, instants are independent. misread : as of
+        the watch."""
         if not self.memory:
-            return Watch(evidence=self.evidence(), bound=1.0)
-        return PlotPicture() if nameless(scene) else Watch(evidence=self.evidence())
+            return Watch(evidence=self.evidence(), bound=1.0, misread=misread)
+        return PlotPicture() if nameless(scene) else Watch(evidence=self.evidence(), misread=misread)
 
 
 # Outputs: tables, GeoJSON, map, image and summary, written into a folder atomically.
@@ -431,7 +432,7 @@ def pictured(
     times = when.of(scene.sessions_s)
     say(scene_lines(scene, method.watch(scene)))
     progress("looking for what is wrong")
-    doubts = scene.doubts()
+    doubts, misread = scene.doubts(), scene.misread
     say(doubt_lines(doubts))
     if method.memory and nameless(scene):
         progress("the sensors' errors")
@@ -443,7 +444,7 @@ def pictured(
     progress(counted(len(times), "instant"))
     lines = [line for source_biases in biases for line in source_biases.lines()]
     lines += dict.fromkeys(note for heights in scene.heights if heights is not None for note in heights.notes)
-    picture = Picture.of(scene, times, watch=method.watch(scene), biases=lines, progress=progress)
+    picture = Picture.of(scene, times, watch=method.watch(scene, misread), biases=lines, progress=progress)
     if not len(picture.records["row"]):
         raise InputError(
             f"no source has a report at {span(times[0], times[-1])}; reports are of {span(*scene.span_s)}",

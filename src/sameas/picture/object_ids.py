@@ -199,7 +199,7 @@ class UnnumberedObjects:
     states : of the objects. tracks : (n, S) numbers of their named tracks, ABSENT for none. unique : (n, S) whether the
     track's id is unique. new_report : whether the object has a new report. new_plot : whether it has one of a source
     without track ids. plots : its new plot. hulls : whose echoes are beside it. looks : of the sources of plots.
-    is_certain : whether it certainly exists.
+    is_certain : whether it certainly exists. is_believed : whether a source shows it whose reports are read rightly.
     existence : of its most probable track.
     walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of velocities.
     forgotten : (f,) numbers of tracks whose ids have timed out.
@@ -214,6 +214,7 @@ class UnnumberedObjects:
     hulls: Hulls
     looks: Looks
     is_certain: BoolArray
+    is_believed: BoolArray
     existence: ExistenceOdds
     walk_m2_per_s3: FloatArray
     speed_m_per_s: FloatArray
@@ -425,11 +426,8 @@ class NamedObjects(PictureObjects):
         split_off = self.split_off & (self._own_share(detections.tracks[which]) < tuning.own_share)
         odds = self.plot_odds.after(self, new_plots, detections.looks, elapsed_s, self.unseen_share)
         is_real_by_plots = (odds.log_odds >= logit(stages.real)) | ~states.placed[which]
-        confirmed = (
-            (self.stage != TENTATIVE)
-            | ((detections.is_certain[which] | is_real) & ~split_off)
-            | (is_real_by_plots & (n_plots >= stages.scans))
-        )
+        newly = ((detections.is_certain[which] | is_real) & ~split_off) | (is_real_by_plots & (n_plots >= stages.scans))
+        confirmed = (self.stage != TENTATIVE) | (newly & detections.is_believed[which])
         return replace(
             self, stage=np.where(confirmed, CONFIRMED, TENTATIVE),
             state=state, covariance=covariance,
@@ -465,6 +463,7 @@ class NamedObjects(PictureObjects):
         odds = PlotOdds.begun(plots, detections.looks, unseen_share)
         is_real_by_plots = (odds.log_odds >= logit(stages.real)) | ~states.placed[which]
         confirmed = ((detections.is_certain[which] | is_real) & ~split_off) | (is_real_by_plots & (stages.scans <= 1))
+        confirmed &= detections.is_believed[which]
         return cls(
             number=number, stage=np.where(confirmed, CONFIRMED, TENTATIVE), state=states.state[which],
             covariance=states.covariance[which], placed=states.placed[which], moving=states.moving[which],

@@ -189,6 +189,8 @@ class Watch:
     bound : odds at which records change their object (:func:`with_hysteresis`); 1 for the most probable answer of
         each instant.
     stages : when objects are confirmed. gate : of ``identify_many``. tuning : other chosen numbers.
+    misread : names of sources whose positions may be wrong (:attr:`sameas.tracks.scene.Scene.misread`): one with false
+        records confirms no object by itself.
     objects, texts : the objects and their texts, updated from instant to instant.
     plot_rates : misses and clutter of sources of plots without names, where they are assumed; updated likewise.
     shown, shown_tracks, forgotten : the scan of the last instant shown, the numbers of its records' tracks, ABSENT for
@@ -199,6 +201,7 @@ class Watch:
     memory: TrackMemory = field(default_factory=TrackMemory)
     bound: float = BOUND
     stages: Stages = field(default_factory=Stages)
+    misread: frozenset[str] = frozenset()
     gate: ChiSquare = GATE
     tuning: Tuning = DEFAULT_TUNING
     objects: NamedObjects = field(default_factory=NamedObjects)
@@ -401,6 +404,8 @@ class Watch:
             members, identification, self.stages
         )
         is_named = memory.tracks.track_of_record >= 0
+        names = [description.name for description in scan.now.descriptions]
+        believed = clutter_free | np.array([name not in self.misread for name in names], dtype=bool)
         plots = NewPlots.of(scan, members, is_new, is_named, looks)
         hulls = self._hulls_at(scan.now.instant_s) if looks.feeds else Hulls()
         new_report, new_plot = (
@@ -420,6 +425,7 @@ class Watch:
             hulls,
             looks,
             is_certain,
+            (is_member & believed).any(axis=1),
             memory.existence.of_objects(track),
             walk,
             speed,

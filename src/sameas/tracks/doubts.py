@@ -180,10 +180,19 @@ class Shared:
         return self.pairs / max(self.records, 1e-9)
 
 
+@dataclass(frozen=True)
+class Doubt:
+    """What looks wrong with a source as a whole, in a sentence. misread : the sources of which one has wrong positions,
+    since they match if reports are read in another way; empty if that is not the doubt."""
+
+    sentence: str
+    misread: frozenset[str] = frozenset()
+
+
 def doubts(
     feeds: Sequence[Feed], plane: LocalPlane | None, tuning: Tuning = DEFAULT_TUNING, fits: PlotFits | None = None
-) -> tuple[str, ...]:
-    """One sentence for each source that looks wrong as a whole; see :meth:`sameas.tracks.scene.Scene.doubts`.
+) -> tuple[Doubt, ...]:
+    """One doubt for each source that looks wrong as a whole; see :meth:`sameas.tracks.scene.Scene.doubts`.
 
     fits : of sources of plots, where already made.
     """
@@ -205,6 +214,7 @@ def doubts(
         for feed, partners, in_common in zip(feeds, others, shared, strict=True)
     ]
     sentences: dict[str, str] = {}
+    of_bearings: frozenset[str] = frozenset()
     for feed, guess in zip(feeds, guesses, strict=True):
         # Of two that contradict each other one sentence is enough.
         if guess is not None and guess.other not in sentences:
@@ -214,7 +224,9 @@ def doubts(
         if fit is None or name in matched or name in sentences:
             continue
         if of_bow := _bow_sentence(feed, feeds, plane, fits):
-            sentences[name] = of_bow
+            sentences[name], of_bearings = of_bow, of_bearings | {name}
+    misread = {feed.description.name: guess.either for feed, guess in zip(feeds, guesses, strict=True) if guess}
+    misread |= {name: frozenset({name}) for name in of_bearings}
     named = {guess.other for guess in guesses if guess is not None}
     for feed, partners, in_common, fit in zip(feeds, others, shared, by_plots, strict=True):
         name = feed.description.name
@@ -227,7 +239,8 @@ def doubts(
             sentences[name] = (
                 _undecided(fit[0], fit[1]) if undecided and fit else _nothing_in_common(feed, partners, in_common)
             )
-    return tuple(sentences[feed.description.name] for feed in feeds if feed.description.name in sentences)
+    names = (feed.description.name for feed in feeds if feed.description.name in sentences)
+    return tuple(Doubt(sentences[name], misread.get(name, frozenset())) for name in names)
 
 
 def _by_plots(feed: Feed, feeds: Sequence[Feed], fits: PlotFits) -> tuple[BiasFit, tuple[str, ...]] | None:
@@ -407,11 +420,13 @@ def _shared(feed: Feed, other: Feed, tuning: Tuning) -> Shared | None:
 
 @dataclass(frozen=True)
 class BestGuess:
-    """The guess by which a source matches another best: the sentence, the other source, the log-likelihood ratio."""
+    """The guess by which a source matches another best: the sentence, the other source, the log-likelihood ratio, and
+    the source, with the other where it may be that which is wrong."""
 
     sentence: str
     other: str
     gain: float
+    either: frozenset[str]
 
 
 def _best_guess(
@@ -425,13 +440,15 @@ def _best_guess(
         if shared is None or shared.share < max(tuning.guess_share, 2.0 * unchanged.share):
             continue
         if shared.gain > (max(unchanged.gain, 0.0) + tuning.guess_gain if best is None else best.gain):
-            either = f", unless it is {shared.other} that is wrong" if len(others) == 1 else ""
+            name, is_mutual = feed.description.name, len(others) == 1
+            either = f", unless it is {shared.other} that is wrong" if is_mutual else ""
             sentence = (
-                f"{feed.description.name}: its {suspicion}: with {changed}, {shared.pairs:.0f} of {shared.records:.0f} "
+                f"{name}: its {suspicion}: with {changed}, {shared.pairs:.0f} of {shared.records:.0f} "
                 f"records of an instant match {shared.other}, as given {unchanged.pairs:.0f}; "
                 f"{remedy}{either}"
             )
-            best = BestGuess(sentence, shared.other, shared.gain)
+            wrong = frozenset({name, shared.other} if is_mutual else {name})
+            best = BestGuess(sentence, shared.other, shared.gain, wrong)
     return best
 
 

@@ -37,7 +37,7 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.doubts import doubts, of_other_days, too_far_apart
+from sameas.tracks.doubts import Doubt, doubts, of_other_days, too_far_apart
 from sameas.tracks.error_fit import TrackErrorFit, fit_errors
 from sameas.tracks.feed import Feed, need_filtering, of_their_objects
 from sameas.tracks.heights import HeightModel, HeightReports, heights_of
@@ -166,6 +166,16 @@ class Scene:
         clock in another zone, or nothing in common with the other sources. Nothing is changed. A source with such an
         error takes seconds.
         """
+        return tuple(doubt.sentence for doubt in self._doubts)
+
+    @property
+    def misread(self) -> frozenset[str]:
+        """Names of the sources of which a doubt says that they have wrong positions, since they match others if their
+        reports are read in another way; of both where it cannot tell which of two."""
+        return frozenset().union(*(doubt.misread for doubt in self._doubts))
+
+    @cached_property
+    def _doubts(self) -> tuple[Doubt, ...]:
         return doubts(self.feeds, self.plane, self.tuning, self._plot_fits)
 
     @cached_property
