@@ -6,7 +6,7 @@ import pytest
 import naive
 from problems import random_covariances
 from sameas.kernels import offsets
-from sameas.registration.weights import _in_cells
+from sameas.registration.weights import in_cells
 
 SEEDS = range(6)
 #: Features, and the period of the first and of the last axis.
@@ -28,7 +28,7 @@ def test_near_pairs_under_each_offset(seed, space):
     n, many, sets = 40, 30, 3
     one, two = rng.uniform(0.0, 25.0, (n, d)), rng.uniform(-10.0, 40.0, (sets, many, d))
     error_1, error_2 = random_covariances(rng, n, d), random_covariances(rng, sets, many, d)
-    cells = _in_cells(one, error_1, 6.0 * rng.uniform(0.2, 1.0), periods)
+    cells = in_cells(one, error_1, 6.0 * rng.uniform(0.2, 1.0), periods)
     start, i, j, residual, precision, log_normal = offsets.near_pairs(cells, two, error_2, periods, 3.0, 1.5)
     for s in range(sets):
         here = slice(start[s], start[s + 1])
@@ -43,7 +43,7 @@ def test_near_pairs_under_each_offset(seed, space):
 
 def test_the_arrays_of_near_pairs_grow_when_full():
     crowd, error = np.zeros((60, 2)), np.broadcast_to(np.eye(2), (60, 2, 2)).copy()
-    cells = _in_cells(crowd, error, 6.0, np.full(2, np.inf))
+    cells = in_cells(crowd, error, 6.0, np.full(2, np.inf))
     start, i, j, *_ = offsets.near_pairs(cells, crowd[None], error[None], np.full(2, np.inf), 3.0, 1.0)
     assert start[-1] == 3600 and len(set(zip(i, j, strict=True))) == 3600
 

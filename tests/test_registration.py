@@ -14,7 +14,7 @@ from sameas.prior import CommonObjects
 from sameas.registration import Affine, SensorBias, Shift, Similarity, register
 from sameas.registration.hough import HoughSearch
 from sameas.registration.offsets import Offset
-from sameas.registration.solution import OffsetPrior, Trials, _missing_information, _normal_equations
+from sameas.registration.solution import OffsetPrior, Trials, missing_information, normal_equations
 from sameas.registration.weights import PlacedSources, weigh
 from sameas.score.pairs import score_pairs
 from sameas.simulate.scenes import Cap, grid, poisson_field, sky_field
@@ -123,13 +123,13 @@ def test_the_score_is_the_slope_of_the_likelihood_and_the_covariance_its_curvatu
     theta, common = np.array([[0.2, -0.1]]), np.array([12.0])
 
     def slope(at):
-        return _normal_equations(scene, belief, at, weigh(scene, at, common, 1.0))[0][0]
+        return normal_equations(scene, belief, at, weigh(scene, at, common, 1.0))[0][0]
 
     gain = lambda at: weigh(scene, at, common, 1.0).gain[0]  # noqa: E731
     numeric = [(gain(theta + e) - gain(theta - e)) / 2e-3 for e in 1e-3 * np.eye(2)]
     np.testing.assert_allclose(slope(theta), numeric, rtol=2e-3, atol=2e-3)
-    complete = _normal_equations(scene, belief, theta, weigh(scene, theta, common, 1.0))[1][0]
-    axes, score, _ = _missing_information(scene, belief, Trials(theta, common, np.zeros(1)), complete)
+    complete = normal_equations(scene, belief, theta, weigh(scene, theta, common, 1.0))[1][0]
+    axes, score, _ = missing_information(scene, belief, Trials(theta, common, np.zeros(1)), complete)
     np.testing.assert_allclose(score[0], slope(theta), rtol=1e-9)
     root = np.linalg.cholesky(np.linalg.inv(complete)) @ axes
     # Uncertain pairs reduce the information.

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from sameas.errors import InputError
 from sameas.io import read_table, write_table, written_formats
-from sameas.io.parquet import _described_by, _header_of
+from sameas.io.parquet import described_by, header_of
 
 ENDINGS = [extensions[0] for extensions in written_formats().values()]
 ZIPPED = [".fits.gz", ".vot.gz", ".ecsv.gz", ".csv.gz", ".tsv"]
@@ -409,8 +409,8 @@ def test_astropy_reads_our_parquet_like_its_own_and_we_read_its(more):
     if more is not None:
         table.meta["more"] = more
     lines = get_yaml_from_table(table)
-    assert _header_of(table) == lines
-    ours, theirs = _described_by("\n".join(lines)), get_header_from_yaml(lines)
+    assert header_of(table) == lines
+    ours, theirs = described_by("\n".join(lines)), get_header_from_yaml(lines)
     assert json.dumps(ours, default=repr) == json.dumps(theirs, default=repr)
 
 

@@ -13,7 +13,7 @@ from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
 from sameas.live import inputs
 from sameas.live.inputs import BoundedQueue, Wire, _keep_alive
-from sameas.live.reception import _is_time_zone
+from sameas.live.reception import is_time_zone
 from sameas.live.replay import Replay
 from sameas.tracks.reports import Reports
 
@@ -283,8 +283,8 @@ def test_a_replay_that_waits_loses_no_time_of_the_reports():
 
 
 def test_a_delay_of_whole_hours_is_a_time_zone():
-    assert all(_is_time_zone(s) for s in (7205.0, -3598.0, 19800.0))
-    assert not any(_is_time_zone(s) for s in (700.0, 0.0, 4000.0, 86400.0))
+    assert all(is_time_zone(s) for s in (7205.0, -3598.0, 19800.0))
+    assert not any(is_time_zone(s) for s in (700.0, 0.0, 4000.0, 86400.0))
 
 
 def test_a_replay_ends_with_its_last_report():

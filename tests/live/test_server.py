@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from tests.live.conftest import EVIL, START_S, descriptions, replay, served
 
-from sameas.cli.watch import _addresses, _source_lines
+from sameas.cli.watch import _addresses, source_lines
 from sameas.live.keeper import Keeper
 from sameas.live.outputs import metrics
 from sameas.live.server import Access, _event
@@ -280,7 +280,7 @@ def test_biases_are_served_and_printed(keeper):
         biases = health["sources"]["radar"]["biases"]
         assert biases["text"] == "azimuth +1.500 ± 0.100°" and biases["established"] == established
         assert health["sources"]["ais"]["biases"] is None
-        assert _source_lines("radar", health["sources"]["radar"])[1] == f"    azimuth +1.500 ± 0.100°, {words}"
+        assert source_lines("radar", health["sources"]["radar"])[1] == f"    azimuth +1.500 ± 0.100°, {words}"
         served_words = metrics(health, [])
         assert 'sameas_source_bias{source="radar",bias="azimuth_deg"} 1.5' in served_words
         assert f'sameas_source_biases_established{{source="radar"}} {int(established)}' in served_words

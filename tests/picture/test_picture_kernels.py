@@ -6,7 +6,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from problems import random_covariances
-from sameas.gate.zones import _percentiles
+from sameas.gate.zones import percentiles
 from sameas.gaussian import inverse
 from sameas.kernels.components import label_components
 from sameas.kernels.kalman import (
@@ -189,4 +189,4 @@ def test_two_ordered_lists_of_rows_are_merged(rng, way):
 @pytest.mark.parametrize("n", [1, 2, 20, 501])
 def test_percentiles_agree_with_numpy_to_the_last_digit(rng, n):
     values = rng.standard_normal((n, 2))
-    assert np.array_equal(_percentiles(values, (0.05, 0.95)), np.percentile(values, (5, 95), axis=0))
+    assert np.array_equal(percentiles(values, (0.05, 0.95)), np.percentile(values, (5, 95), axis=0))

@@ -10,7 +10,7 @@ import pytest
 
 from sameas import InputError
 from sameas.sky.motion import AU_KM
-from sameas.sky.movers.orbits import Elements, _packed_date, _planets, _two_body, ephemeris, near, states
+from sameas.sky.movers.orbits import Elements, _planets, ephemeris, near, packed_date, states, two_body
 from sameas.sky.movers.search import search
 from sameas.sky.series import Exposure, SeriesTuning, tie
 from sameas.sky.series_stars import StarTuning
@@ -202,7 +202,7 @@ def test_files_without_elements_are_refused(tmp_path):
 
 
 def test_packed_dates_are_those_of_the_minor_planet_center():
-    dates = [_packed_date(text) for text in ("K239D", "J9611", "xxxxx")]
+    dates = [packed_date(text) for text in ("K239D", "J9611", "xxxxx")]
     assert dates == pytest.approx([60200.0, 50083.0, np.nan], nan_ok=True)
 
 
@@ -210,7 +210,7 @@ def test_packed_dates_are_those_of_the_minor_planet_center():
 def test_two_body_motion_keeps_kepler_s_laws(e):
     """The radius sweeps area at the constant rate √(GM p)/2."""
     days = np.linspace(-300.0, 300.0, 20001)
-    radius, anomaly = _two_body(np.full(len(days), 1.5), np.full(len(days), e), days)
+    radius, anomaly = two_body(np.full(len(days), 1.5), np.full(len(days), e), days)
     swept = 0.5 * radius[1:] ** 2 * np.diff(np.unwrap(anomaly)) / np.diff(days)
     expected = 0.5 * 0.01720209895 * np.sqrt(1.5 * (1 + e))
     np.testing.assert_allclose(swept, expected, rtol=1e-3)

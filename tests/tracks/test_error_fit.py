@@ -8,7 +8,7 @@ import pytest
 
 from sameas import match_picture
 from sameas.picture.plot_tracker import PlotTracker
-from sameas.tracks.error_fit import TrackErrorFit, _field_size, _miss_rate, common_error_m, fit_errors
+from sameas.tracks.error_fit import TrackErrorFit, common_error_m, estimated_miss_rate, field_size, fit_errors
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
@@ -209,7 +209,7 @@ def test_second_plots_of_a_hull_count_as_clutter():
     parts = {name: Description(name, KIND[name], site=SITE) for name in TRUTH}
     feeds = [feed_of(rng, name, each, twice=0.5 if name == "lidar" else 0.0) for name, each in parts.items()]
     lidar = fit_errors(feeds).feeds[0]
-    per_scan = lidar.description.clutter.per_km2 * _field_size(lidar)
+    per_scan = lidar.description.clutter.per_km2 * field_size(lidar)
     # 1.6 vessels, half of them twice, and 0.3 false plots.
     assert per_scan == pytest.approx(1.1, rel=0.3)
 
@@ -218,5 +218,5 @@ def test_second_plots_of_a_hull_count_as_clutter():
 @pytest.mark.parametrize("weight", [[0.5] * 60, [0.0] * 30 + [1.0] * 30, [0.01] * 59 + [30.0], [1.0, 0.0] * 30])
 def test_miss_rates_of_ships_that_lie_still_or_weigh_nothing_are_defined(range_m, weight):
     part = [np.array(range_m, np.float64), np.array(weight), np.full(60, 0.6)]
-    found = _miss_rate(Description("lidar", "lidar", misses=MissRate(0.3)), [part], DEFAULT_TUNING)
+    found = estimated_miss_rate(Description("lidar", "lidar", misses=MissRate(0.3)), [part], DEFAULT_TUNING)
     assert np.all((found.at([10.0, 50.0, 100.0]) >= 0.3) & (found.at([10.0, 50.0, 100.0]) < 0.4))

@@ -174,7 +174,7 @@ def watch(
         if keeper.waited_s > 5.0:
             say([f"  The replay waited {keeper.waited_s:.0f} s for the picture: it was slower than --pace {pace:g}"])
         for name, one in state["sources"].items():
-            say(_source_lines(name, one))
+            say(source_lines(name, one))
     if settings.set_aside:
         raise typer.Exit(INPUT_ERROR)
 
@@ -187,7 +187,7 @@ def _resumption(keeper: Keeper) -> str:
     return f"Resumed: {keeper.folder} of {at}; objects keep their numbers{changed}"
 
 
-def _source_lines(name: str, health: dict[str, Any]) -> list[str]:
+def source_lines(name: str, health: dict[str, Any]) -> list[str]:
     """Printable: the counters of a source, and its biases; health : of the source, from ``Keeper.health``."""
     aside = [f"{count(health[word])} {word}" for word in ("late", "repeated", "refused") if health[word]]
     aside += [counted(health["jumps"], "jump")] if health["jumps"] else []

@@ -256,7 +256,7 @@ _Difference = tuple[str, tuple[str, ...], tuple[str, ...]]
 
 
 @dataclass(frozen=True)
-class _Objects:
+class ComparedObjects:
     """The content of an output: the object number of each record, and the probability of each object."""
 
     title: str
@@ -301,7 +301,7 @@ def compare(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> Lines
     return Lines(tuple(_lines(first, second, shared)))
 
 
-def _lines(first: _Objects, second: _Objects, shared: set[Record]) -> Iterator[str]:
+def _lines(first: ComparedObjects, second: ComparedObjects, shared: set[Record]) -> Iterator[str]:
     pictures = any(time_s for time_s, _, _ in shared)
     # A table of pairs omits records without partner, so a partner that only one table has is a different answer. In a
     # picture, a record that only one output has at an instant is ignored.
@@ -354,12 +354,12 @@ def _called(record: Record) -> str:
     return f"{record[1]} {record[2]}"
 
 
-def _read(path: Path) -> _Objects:
+def _read(path: Path) -> ComparedObjects:
     with reading(str(path), CHANGED):
         return _objects_of_picture(path) if path.is_dir() else _objects_of_table(path)
 
 
-def _objects_of_picture(folder: Path) -> _Objects:
+def _objects_of_picture(folder: Path) -> ComparedObjects:
     objects, records = picture_tables(folder)
     times = np.asarray(records["time_s"], dtype=np.float64)
     tracks = texts_of(records["track_id"])
@@ -372,10 +372,10 @@ def _objects_of_picture(folder: Path) -> _Objects:
     p = _numbers(objects["probability"])
     own = (where * n + np.asarray(objects["object"], dtype=np.int64)).tolist()
     known = {number: value for number, value in zip(own, p.tolist(), strict=True) if value == value}
-    return _Objects(folder.name or str(folder), dict(zip(keys, numbers.tolist(), strict=True)), known)
+    return ComparedObjects(folder.name or str(folder), dict(zip(keys, numbers.tolist(), strict=True)), known)
 
 
-def _objects_of_table(path: Path) -> _Objects:
+def _objects_of_table(path: Path) -> ComparedObjects:
     from sameas.io import read_provenance, read_table
 
     facts, table = read_provenance(path), read_table(path)
@@ -398,7 +398,7 @@ def _objects_of_table(path: Path) -> _Objects:
     values = np.full(len(table), np.nan) if p is None else _numbers(p)
     if "p_none" in table.colnames:
         values = np.where(np.isnan(values), _numbers(table["p_none"]), values)
-    return _Objects(path.name, of, {row: value for row, value in enumerate(values.tolist()) if value == value})
+    return ComparedObjects(path.name, of, {row: value for row, value in enumerate(values.tolist()) if value == value})
 
 
 def _names(table: Table, facts: Mapping[str, Any], k: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:

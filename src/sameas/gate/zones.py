@@ -351,11 +351,11 @@ def _longitudes(low: float, height: float, count: int, reach_deg: float) -> Floa
 
 def _sharpness(records: Records) -> FloatArray:
     """Per feature, the width of the bulk of the records in standard deviations."""
-    middle = _percentiles(records.features, (0.05, 0.95))
+    middle = percentiles(records.features, (0.05, 0.95))
     return np.asarray((middle[1] - middle[0]) / np.sqrt(records.variances.mean(axis=0)))
 
 
-def _percentiles(values: FloatArray, shares: tuple[float, ...]) -> FloatArray:
+def percentiles(values: FloatArray, shares: tuple[float, ...]) -> FloatArray:
     """(k, d) quantiles of every column, equal to ``np.quantile``, which takes four times as long for a few hundred
     rows."""
     ranks = [share * (len(values) - 1) for share in shares]

@@ -153,7 +153,7 @@ def _with_file_metadata(table: Table, metadata: Mapping[bytes, bytes], path: Pat
 def _with_astropys(table: Table, text: str) -> Table:
     from astropy.table import serialize
 
-    header = _described_by(text)
+    header = described_by(text)
     for facts in header["datatype"]:
         if facts["name"] in table.colnames:
             column = table[facts["name"]]
@@ -167,8 +167,8 @@ def _with_astropys(table: Table, text: str) -> Table:
     return table
 
 
-def _described_by(text: str) -> dict[str, Any]:
-    """What astropy's YAML says of a table; plain values without the imports that ``_header_of`` avoids."""
+def described_by(text: str) -> dict[str, Any]:
+    """What astropy's YAML says of a table; plain values without the imports that ``header_of`` avoids."""
     import yaml
     from astropy.table import meta
 
@@ -196,7 +196,7 @@ def column_metadata(column: Column) -> dict[str, str] | None:
     return {key: str(value) for key, value in facts.items() if value} or None
 
 
-def _header_of(table: Table) -> list[str]:
+def header_of(table: Table) -> list[str]:
     """The lines of YAML with which astropy's readers describe a table, as :mod:`astropy.table.meta` writes them.
 
     What astropy writes them with knows times and coordinates too, and imports all of both for that: a tenth of a short
@@ -237,7 +237,7 @@ def _file_metadata(table: Table, provenance: Mapping[str, Any]) -> dict[bytes, b
 
     kept = {key: value for key, value in table.meta.items() if key != "sameas_notes"}
     bare = Table(list(table[:0].columns.values()), names=table.colnames, meta=kept)
-    metadata = {_ASTROPY: "\n".join(_header_of(bare)).encode()}
+    metadata = {_ASTROPY: "\n".join(header_of(bare)).encode()}
     for name in table.colnames:
         kind = table[name].dtype
         if kind.kind in "US":

@@ -173,7 +173,7 @@ class Reception:
                 out.append(Alarm(f"silent {name}", "source", text))
             elif abs(state.delay_s) > watch.clock_s:
                 sense = "behind" if state.delay_s > 0.0 else "ahead of"
-                zone = self._zone_hint(name) if _is_time_zone(state.delay_s) else ""
+                zone = self._zone_hint(name) if is_time_zone(state.delay_s) else ""
                 by = in_words(abs(state.delay_s))
                 text = f"{name}: its time stamps are {by} {sense} the times of receipt{zone}"
                 out.append(Alarm(f"clock {name}", "source", text))
@@ -272,7 +272,7 @@ def _in_settings(error: InputError, name: str) -> str:
     return text.removeprefix(f"{name}: ")
 
 
-def _is_time_zone(seconds: float) -> bool:
+def is_time_zone(seconds: float) -> bool:
     """Whether a difference is a multiple of a quarter of an hour, within a minute, up to 14 h: time zones are such."""
     return 600.0 < abs(seconds) < 50_500.0 and abs(seconds - 900.0 * round(seconds / 900.0)) < 60.0
 

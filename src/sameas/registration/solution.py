@@ -189,7 +189,7 @@ def _anneal(scene: PlacedSources, prior: OffsetPrior, trials: Trials, keep: int,
     """The best ``keep`` offsets, after refining all together with errors decreasing to the quoted ones."""
     for number, widening in enumerate(widenings):
         weights = weigh(scene, trials.theta, trials.common, widening)
-        score, information = _normal_equations(scene, prior, trials.theta, weights)
+        score, information = normal_equations(scene, prior, trials.theta, weights)
         theta = trials.theta + np.linalg.solve(information, score[..., None])[..., 0]
         gain = weights.gain - 0.5 * np.sum(prior.precision * theta**2, axis=1)
         best = np.argsort(-gain, kind="stable")[: max(scene.tuning.n_candidates[number], keep)]
@@ -197,7 +197,7 @@ def _anneal(scene: PlacedSources, prior: OffsetPrior, trials: Trials, keep: int,
     return trials.chosen(range(min(keep, len(trials.gain))))
 
 
-def _normal_equations(
+def normal_equations(
     scene: PlacedSources, prior: OffsetPrior, theta: FloatArray, weights: Weighed
 ) -> tuple[FloatArray, FloatArray]:
     """Score (s, p) of the log posterior of θ, and its complete information (s, p, p), for fixed weights."""
@@ -220,7 +220,7 @@ def _converged(
     while True:
         number += 1
         weights = weigh(scene, at, common, 1.0)
-        score, information = _normal_equations(scene, prior, at, weights)
+        score, information = normal_equations(scene, prior, at, weights)
         step = np.linalg.solve(information, score[..., None])[..., 0]
         at = at + step
         moved_by = math.sqrt(max(float(step[0] @ information[0] @ step[0]), 0.0))
@@ -237,10 +237,10 @@ def _finished(
     """One offset at its maximum, with its covariance and evidence."""
     one, complete, number, converged = _converged(scene, prior, one, max_steps)
     share = len(sample.second) / len(scene.second)
-    axes, score, weights = _missing_information(sample, prior, one.scaled(share), share * complete)
+    axes, score, weights = missing_information(sample, prior, one.scaled(share), share * complete)
     if sample is not scene:
         weights = weigh(scene, one.theta, one.common, 1.0)
-        score, _ = _normal_equations(scene, prior, one.theta, weights)
+        score, _ = normal_equations(scene, prior, one.theta, weights)
     root = np.linalg.cholesky(inverse(complete)) @ axes
     theta = one.theta[0] + root @ root.T @ score[0]
     if weights.common[0] < scene.tuning.few_common:
@@ -257,7 +257,7 @@ def _finished(
     )  # fmt: skip
 
 
-def _missing_information(
+def missing_information(
     scene: PlacedSources, prior: OffsetPrior, one: Trials, complete: FloatArray
 ) -> tuple[FloatArray, FloatArray, Weighed]:
     """Axes (p, p) of the covariance in units of the complete one, longer by the missing information; also the scores
@@ -270,7 +270,7 @@ def _missing_information(
     step = 0.2 / np.sqrt(np.diag(complete))
     nodes = np.concatenate([one.theta, one.theta + np.diag(step), one.theta - np.diag(step)])
     weights = weigh(scene, nodes, np.repeat(one.common, 2 * p + 1), 1.0)
-    score, information = _normal_equations(scene, prior, nodes, weights)
+    score, information = normal_equations(scene, prior, nodes, weights)
     observed = -(score[1 : p + 1] - score[p + 1 :]) / (2.0 * step[:, None])
     scale = np.linalg.cholesky(inverse(information[0]))
     shares, axes = np.linalg.eigh(scale.T @ symmetric(observed) @ scale)

@@ -54,7 +54,7 @@ class PlacedSources:
         flat = np.ascontiguousarray(flattened(first.features, model, first))
         periods = np.array(first.space.period_list(first.d) if isinstance(first.space, Plane) else [np.inf] * first.d)
         errors = first.full_covariance(), second.full_covariance()
-        cells = _in_cells(first.features, errors[0], tuning.cell_sigmas * sigma, periods, tuning.cells_per_record)
+        cells = in_cells(first.features, errors[0], tuning.cell_sigmas * sigma, periods, tuning.cells_per_record)
         return cls(first, second, model, *errors, sigma, flat, boxed(flat, sigma), cells, periods, tuning)
 
     def of_patch(self, rows: IntArray) -> PlacedSources:
@@ -205,7 +205,7 @@ def _gated(scene: PlacedSources, moved: FloatArray, spread: FloatArray, widening
     )  # fmt: skip
 
 
-def _in_cells(
+def in_cells(
     features: FloatArray,
     covariance: FloatArray,
     size: float,

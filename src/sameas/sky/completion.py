@@ -171,7 +171,7 @@ def common_error(
 
     shared : the errors of the other catalogue are unknown too, and assumed equal.
     """
-    position, variances = _positions(*_in_strips(catalogue, other, tuning), shared)
+    position, variances = _positions(*in_strips(catalogue, other, tuning), shared)
     if not len(position[0]) or not len(position[1]):
         return tuning.usual_arcsec, 0.0
     # Start from the smaller catalogue: hardly any records of a deep one have a partner in a sparse one.
@@ -196,7 +196,7 @@ def common_error(
     return float(s[best_s, 0]), float(shares[best_share])
 
 
-def _in_strips(one: Catalogue, two: Catalogue, tuning: CommonErrorTuning) -> tuple[Catalogue, Catalogue]:
+def in_strips(one: Catalogue, two: Catalogue, tuning: CommonErrorTuning) -> tuple[Catalogue, Catalogue]:
     """Both catalogues, large ones reduced to strips of declination.
 
     The strips of the larger catalogue are twice as high, so that records at the edge of a strip keep their partners and

@@ -456,7 +456,7 @@ def _misses(
             weight = weight * p_real * feeds[source].description.coverage.covers(range_m, bearing)
             parts[source].append([range_m, weight, partner[reference, source][rows]])
     return [
-        _miss_rate(feed.description, own, tuning) if own and feed.description.is_assumed(MISSES)
+        estimated_miss_rate(feed.description, own, tuning) if own and feed.description.is_assumed(MISSES)
         else feed.description.misses
         for feed, own in zip(feeds, parts, strict=True)
     ]  # fmt: skip
@@ -489,7 +489,7 @@ def _p_first(feeds: Sequence[Feed], pairs: _Pairs, p_pair: FloatArray) -> list[F
     ]
 
 
-def _miss_rate(described: Description, parts: Sequence[Sequence[FloatArray]], tuning: Tuning) -> MissRate:
+def estimated_miss_rate(described: Description, parts: Sequence[Sequence[FloatArray]], tuning: Tuning) -> MissRate:
     """The miss rate of a source: in each bin of range the mean of the described one, weighted as ``fit_prior_scans``
     scans, and of the shares that the bin's plots show.
 
@@ -539,11 +539,11 @@ def _clutter(
         p_missed = missed[k][np.searchsorted(feed.scan_times_s, feed.scan_s[rows])]
         n_false = float(np.sum((p_alone - p_missed)[p_missed < 1.0]))
         scans = float(np.sum(1.0 - missed[k]))
-        out.append((max(n_false, 0.0) + 1.0) / (max(scans, 1.0) * _field_size(feed)))
+        out.append((max(n_false, 0.0) + 1.0) / (max(scans, 1.0) * field_size(feed)))
     return out
 
 
-def _field_size(feed: Feed) -> float:
+def field_size(feed: Feed) -> float:
     """The size of the field with plots: degrees of directions, or km² by the spread of positions about the sensor."""
     reports = feed.reports
     if isinstance(reports, Directions):

@@ -201,7 +201,7 @@ def _of_mpcorb(text: str, path: str | Path) -> Elements:
     def column(first: int, last: int) -> FloatArray:
         return np.array([_number(line[first - 1 : last]) for line in rows])
 
-    epoch = np.array([_packed_date(line[20:25]) for line in rows])
+    epoch = np.array([packed_date(line[20:25]) for line in rows])
     e, a, m = column(71, 79), column(93, 103), column(27, 35)
     motion = np.degrees(math.sqrt(_GM_SUN) / np.abs(a) ** 1.5)
     m = (m + 180.0) % 360.0 - 180.0
@@ -219,7 +219,7 @@ def _number(value: str | SupportsFloat) -> float:
         return math.nan
 
 
-def _packed_date(text: str) -> float:
+def packed_date(text: str) -> float:
     """MJD of a packed date such as K239D (2023-09-13)."""
     from datetime import date
 
@@ -409,7 +409,7 @@ def _state(elements: Elements, mjd: float) -> FloatArray:
     """(2, 3, n) heliocentric position, au, and velocity, au/day, of the osculating orbits at a time, on ICRS axes."""
     e, q = elements.eccentricity, elements.perihelion_au
     days = mjd - elements.perihelion_mjd
-    radius, anomaly = _two_body(q, e, days)
+    radius, anomaly = two_body(q, e, days)
     node, argument, tilt = (np.radians(x) for x in (elements.node_deg, elements.argument_deg, elements.inclination_deg))
     along = np.array([np.cos(argument) * np.cos(node) - np.sin(argument) * np.sin(node) * np.cos(tilt),
                       np.cos(argument) * np.sin(node) + np.sin(argument) * np.cos(node) * np.cos(tilt),
@@ -423,7 +423,7 @@ def _state(elements: Elements, mjd: float) -> FloatArray:
     return np.stack([_TO_EQUATOR @ place, _TO_EQUATOR @ velocity])
 
 
-def _two_body(q: FloatArray, e: FloatArray, days: FloatArray) -> tuple[FloatArray, FloatArray]:
+def two_body(q: FloatArray, e: FloatArray, days: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Radius, au, and true anomaly at a time from perihelion, for any eccentricity."""
     radius, anomaly = np.empty_like(q), np.empty_like(q)
     elliptic, near_parabolic, hyperbolic = e < 0.9999, np.abs(e - 1) <= 1e-4, e > 1.0001

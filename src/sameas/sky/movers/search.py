@@ -382,12 +382,12 @@ def _learned_from_tracks(
         model,
         rates=all_moments.densities().group(0),
         log_begin=math.log(share),
-        p_detect=min(max(_detection_probability(p, tracks.size, tracks.n_covered, model.p_detect), 0.3), 0.97),
+        p_detect=min(max(detection_probability(p, tracks.size, tracks.n_covered, model.p_detect), 0.3), 0.97),
     )
     return learned, Influence(of_detection, (all_moments - moments).densities(), np.log(share_of_others))
 
 
-def _detection_probability(weight: FloatArray, n_detected: IntArray, n_covered: IntArray, p: float) -> float:
+def detection_probability(weight: FloatArray, n_detected: IntArray, n_covered: IntArray, p: float) -> float:
     """The detection probability from tracks (k,) with ``n_detected`` detections in ``n_covered`` exposures, by EM.
 
     Movers with too few detections make no usable track: the binomials are truncated.

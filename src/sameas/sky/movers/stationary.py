@@ -341,7 +341,7 @@ def _common_step(
     if len(pairs) < tuning.least_pairs:
         return None
     step = axes.offsets(first[pairs["i"]], second[pairs["j"]])
-    tree, tried = cKDTree(step), _thinned(step, 0.5 * width, tuning.most_tried)
+    tree, tried = cKDTree(step), thinned(step, 0.5 * width, tuning.most_tried)
     near = tree.query_ball_point(step[tried], width, return_length=True)
     best, most = step[tried[near.argmax()]], int(near.max())
     around = tree.query_ball_point(best, 4.0 * width, return_length=True) - most
@@ -350,7 +350,7 @@ def _common_step(
     return np.median(step[tree.query_ball_point(best, width)], axis=0)
 
 
-def _thinned(step: FloatArray, side: float, most_tried: int) -> IntArray:
+def thinned(step: FloatArray, side: float, most_tried: int) -> IntArray:
     """Rows of the vectors (n, 2), ascending: all, or ``most_tried`` evenly chosen in a cell of more."""
     column, row = np.floor((step - step.min(axis=0)) / side).astype(np.int64).T
     cell = column * (int(row.max()) + 1) + row
