@@ -2,6 +2,7 @@
 
 import json
 import sys
+from pathlib import Path
 
 import fuzzing
 import pytest
@@ -18,6 +19,11 @@ def fuzzer():
     one = Fuzzer()
     yield one
     one.close()
+
+
+def test_the_page_states_the_number_of_kinds():
+    page = (Path(__file__).parents[2] / "docs/promises.md").read_text(encoding="utf-8")
+    assert f"changes small files of {len(TARGETS)} kinds at random" in page
 
 
 @pytest.mark.slow
