@@ -316,6 +316,20 @@ def test_stars_that_move_across_a_border_are_matched(tmp_path):
 
 
 @pytest.mark.slow
+def test_partitions_without_rows_of_the_other_catalogue_need_no_epoch_of_it(tmp_path):
+    """The epoch of a part is that of its rows; a part without any was refused for an unknown epoch."""
+    tables = sky((0.0, 0.0), 2_000, 0.05, seed=10)
+    for table, epoch in zip(tables, (2000.0, 2016.0), strict=True):
+        table["epoch"] = np.full(len(table), epoch)
+    tables[0]["pmra"], tables[0]["pmdec"] = np.zeros(len(tables[0])), np.zeros(len(tables[0]))
+    tables[0]["pmra_error"] = tables[0]["pmdec_error"] = np.full(len(tables[0]), 0.01)
+    north = tables[1][np.asarray(tables[1]["dec"]) > 0.0]
+    _, written = matched(tmp_path, stored(tmp_path, (tables[0], north), (200, 200)), piece_rows=100)
+    assert written.rows == len(tables[0]) and written.pairs > 0.9 * written.expected_common
+    assert written.decided > 10
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("errors", [True, False])
 def test_an_unknown_epoch_is_assumed_as_for_tables_with_or_without_errors(tmp_path, errors):
     tables = sky((40.0, 10.0), 1_000, 0.05, 4)

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from sameas.cli.app import app
 from sameas.errors import InputError
+from sameas.estimate.coverage import local_share
 from sameas.gate import Radius
 from sameas.io import read_provenance, read_table, write_table
 from sameas.simulate.scenes import Cap, crowded_sky
@@ -25,7 +26,14 @@ from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import at_common_epoch, match
 from sameas.sky.many import ManyMatch, ManyOptions, match_many
 from sameas.sky.many_joins import joined_many
-from sameas.sky.population import AstrometricRecords, degrees_of_freedom, fitted, pairs_within, patterns_of
+from sameas.sky.population import (
+    AstrometricRecords,
+    _local_share,
+    degrees_of_freedom,
+    fitted,
+    pairs_within,
+    patterns_of,
+)
 from sameas.sky.set_magnitudes import SetMagnitudes
 from sameas.space import displaced, sphere_offset
 
@@ -383,8 +391,37 @@ def test_the_joined_table_has_every_row_once(scene: Sky) -> None:
     assert with_runner_up["runner_up"][0].split()[0] in ("old", "new", "middle")
 
 
+def test_small_fields_in_a_large_one_are_not_doubted_for_lying_apart() -> None:
+    rng = np.random.default_rng(1)
+    ra, dec = rng.uniform(10.0, 12.0, 3000), rng.uniform(-0.2, 0.2, 3000)
+
+    def seen(name: str, rows: Rows) -> Catalogue:
+        east, north = rng.normal(0, 0.1 / 3600, (2, len(rows)))
+        options = CatalogueOptions(sigma=0.1)
+        return Catalogue.of({"ra": ra[rows] + east, "dec": dec[rows] + north}, name, options=options)
+
+    parts = {"all": np.arange(3000), "west": np.flatnonzero(ra < 10.3), "east": np.flatnonzero(ra > 11.7)}
+    wide, west, east = (seen(name, rows) for name, rows in parts.items())
+    assert not any("the fields lie apart" in doubt for doubt in match_many([wide, west, east]).doubts)
+    assert any("the fields lie apart" in doubt for doubt in match(west, east).doubts)
+
+
+def test_many_combinations_cost_no_more_than_those_that_overlap() -> None:
+    """Shares of combinations that no record may be in, or hardly is, are not refined; they are the same."""
+    scene = sky(n=300)
+    coverage = match(*scene.catalogues[:2]).estimate.coverage
+    weights = np.ones(len(coverage.first))
+    for part, weight in ((np.zeros_like(weights), weights * 0), (np.full_like(weights, 1e-9), weights)):
+        full = local_share(coverage.levels, 1, part * weight, weight, pseudo_count=50.0)
+        least = 1e-2
+        short = _local_share(coverage, 1, part * weight, weight, least)
+        assert all(isinstance(one, float) for one in short)
+        for one, other in zip(short, full, strict=True):
+            np.testing.assert_allclose(np.maximum(one, least), np.maximum(other, least), rtol=1e-12)
+
+
 def test_invalid_input_is_refused(scene: Sky) -> None:
-    with pytest.raises(InputError, match="1 catalogues given; give two to 8"):
+    with pytest.raises(InputError, match="1 catalogue given; give two to 8"):
         match_many(scene.catalogues[:1])
     with pytest.raises(InputError, match="two catalogues are named 'old'"):
         match_many([scene.catalogues[0], scene.catalogues[0]])

@@ -25,7 +25,7 @@ from sameas.cli.options import (
 )
 from sameas.cli.outcome import answering
 from sameas.errors import InputError
-from sameas.front.options import MOST, SIDE_OPTIONS
+from sameas.front.options import MOST, SIDE_OPTIONS, refuse_numbers
 
 if TYPE_CHECKING:
     from sameas.cli.outputs import Outputs
@@ -99,8 +99,7 @@ def many(
 def _check(request: Request[ManyOptions], least: int) -> None:
     """Refuse invalid numbers of catalogues before any file is read."""
     n = len(request.paths)
-    if not 2 <= n <= MOST:
-        raise InputError(f"{n} catalogue given; give two to {MOST} files")
+    refuse_numbers(n)
     if least > n:
         raise InputError(f"--least {least}: there are {n} catalogues; give 1 to {n}")
     for name, value in request.columns.items():

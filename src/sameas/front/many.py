@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError
 from sameas.front.match import call_text, id_of
-from sameas.front.options import MOST, refuse_unknown, side_parameters, with_side_options
+from sameas.front.options import MOST, refuse_numbers, refuse_unknown, side_parameters, with_side_options
 from sameas.report.prose import Result, in_one
 
 if TYPE_CHECKING:
@@ -235,8 +235,7 @@ def match_many(
 
     if len(sources) == 1 and isinstance(sources[0], list | tuple):
         sources = tuple(sources[0])
-    if not 2 <= len(sources) <= MOST:
-        raise InputError(f"match_many: {len(sources)} catalogues given; give two to {MOST}")
+    refuse_numbers(len(sources), "match_many: ")
     own = {
         "least": least, "to_epoch": to_epoch, "gate_sigmas": gate_sigmas, "error_scale": error_scale,
         "offset": offset, "magnitudes": magnitudes, "names": names,

@@ -191,7 +191,8 @@ class Catalogue:
         a = self.astrometry
         if epoch_jyr is None:
             return self._records(a.ra_deg, a.dec_deg, _position_errors(a))
-        if self.epoch_jyr is None:
+        # A part of a catalogue may have no row with an epoch, or none at all.
+        if self.epoch_jyr is None and self.choice.epoch.column is None:
             raise InputError(
                 f"{self.name}: its epoch is not known, so it cannot be moved to {epoch_jyr:g}",
                 naming("give {epoch:YEAR}"),

@@ -54,6 +54,10 @@ def _degrees(cosine: FloatArray) -> FloatArray:
     return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
+#: The end of a doubt about two fields that lie apart, if no misreading explains it.
+WHETHER_SAME_SKY = ": do they show the same part of the sky?"
+
+
 def disjoint_doubt(first: Catalogue, second: Catalogue, one: Records, two: Records) -> tuple[str, ...]:
     """One line if the fields of the catalogues do not overlap, with a misreading that would explain it.
 
@@ -74,7 +78,7 @@ def disjoint_doubt(first: Catalogue, second: Catalogue, one: Records, two: Recor
                     ra, dec = catalogue.choice.ra.name, catalogue.choice.dec.name
                     meaning = misread.meaning.format(ra=ra, dec=dec)
                     return (Message(f"{text}; {meaning} {of}", misread.remedy(ra, dec, side)),)
-    return (f"{text}: do they show the same part of the sky?",)
+    return (f"{text}{WHETHER_SAME_SKY}",)
 
 
 @dataclass(frozen=True)

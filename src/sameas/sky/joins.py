@@ -460,7 +460,9 @@ class _JoinedColumns:
 
     def _covered(self) -> np.ma.MaskedArray:
         rows = self.rows
-        covered = np.where(rows.has_first, self.match.covered_1[rows.one], self.match.covered_2[rows.two])
+        covered = np.zeros(len(rows.has_first), bool)  # one catalogue may have no rows
+        covered[rows.has_first] = self.match.covered_1[rows.one[rows.has_first]]
+        covered[~rows.has_first] = self.match.covered_2[rows.two[~rows.has_first]]
         return np.ma.MaskedArray(covered, np.ma.getmaskarray(self._of_row("p_none")))
 
     def _flags(self) -> np.ma.MaskedArray:

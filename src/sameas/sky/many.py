@@ -48,6 +48,7 @@ from sameas.sky.catalogue import Catalogue
 from sameas.sky.completion import completed
 from sameas.sky.crossmatch import MatchOptions, at_common_epoch, by_position
 from sameas.sky.crossmatch import match as match_two
+from sameas.sky.disjoint import WHETHER_SAME_SKY
 from sameas.sky.evidence_columns import AUTO, OFF
 from sameas.sky.population import (
     TUNING,
@@ -548,7 +549,10 @@ def _initial_population(
 
 def _refuse(catalogues: Sequence[Catalogue]) -> None:
     if not 2 <= len(catalogues) <= MAX_CATALOGUES:
-        raise InputError(f"{len(catalogues)} catalogues given; give two to {MAX_CATALOGUES}, as a list")
+        n = len(catalogues)
+        raise InputError(
+            f"{n} {'catalogue' if n == 1 else 'catalogues'} given", f"give two to {MAX_CATALOGUES}, as a list"
+        )
     names = [catalogue.name for catalogue in catalogues]
     duplicate = next((name for name in names if names.count(name) > 1), None)
     if duplicate is not None:
@@ -586,7 +590,14 @@ def _at_common_epoch(catalogues: list[Catalogue], given: float | None) -> tuple[
 
 
 def _doubts(pairs: dict[tuple[str, str], SkyMatch], objects: Objects, converged: bool) -> tuple[str, ...]:
-    doubts: list[str] = [Message(f"{a} and {b}: ", words) for (a, b), match in pairs.items() for words in match.doubts]
+    # Two small fields in a large one lie apart rightly.
+    placed = {name for names, match in pairs.items() if len(match.result.matches.rows_1) for name in names}
+    doubts: list[str] = [
+        Message(f"{a} and {b}: ", words)
+        for (a, b), match in pairs.items()
+        for words in match.doubts
+        if not ({a, b} <= placed and words.endswith(WHETHER_SAME_SKY))
+    ]
     if not converged:
         doubts.append("the estimates of all catalogues had not converged at the last iteration")
     groups = objects.groups

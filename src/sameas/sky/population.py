@@ -300,10 +300,10 @@ class Population:
         patterns = patterns_of(sets)
         shares = []
         for s, density in enumerate(self.log_density):
-            share = np.zeros(density.shape)
+            share = np.zeros(density.shape, order="F")
             k = np.flatnonzero(sets[:, s] >= 0)
             np.add.at(share, (sets[k, s], patterns[k]), probability[k])
-            shares.append(np.minimum(share, 1.0))
+            shares.append(np.minimum(share, 1.0, out=share))
 
         errors = self.errors
         if self.estimates_errors:
@@ -345,7 +345,7 @@ def initial_population(
     shares = []
     for s in range(n_sources):
         others = [t for t in range(n_sources) if t != s]
-        share = np.zeros((len(p_partner[s, others[0]]), 1 << n_sources))
+        share = np.zeros((len(p_partner[s, others[0]]), 1 << n_sources), order="F")
         for pattern in range(1 << n_sources):
             if pattern >> s & 1:
                 parts = (p_partner[s, t] if pattern >> t & 1 else 1.0 - p_partner[s, t] for t in others)
@@ -381,31 +381,41 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray], min_share:
 
     ρ_A by one catalogue is the density of its records times their share in A; all catalogues of A count the same
     objects, so the mean of the logarithms is used. Shares refer to the records in the footprint of all of A,
-    and are at least ``min_share``.
+    and are at least ``min_share``. The arrays are large and taken by columns, hence in Fortran order and in place.
     """
     n_sources = len(shares)
-    total = [np.zeros(share.shape) for share in shares]
+    total = [np.zeros(share.shape, order="F") for share in shares]
     covered = [_covered(coverages, s, shares) for s in range(n_sources)]
     for (a, b), coverage in coverages.items():
         for side, s in ((1, a), (2, b)):
             density_at = coverage.density(side, np.ones(len(shares[s])))
             for pattern in _patterns_with(s, n_sources):
                 weights = covered[s][:, pattern].astype(np.float64)
-                share_at = local_share(
-                    coverage.levels, side, shares[s][:, pattern] * weights, weights,
-                    pseudo_count=coverage.tuning.shared_pseudo_count,
-                )  # fmt: skip
+                share_at = _local_share(coverage, side, shares[s][:, pattern] * weights, weights, min_share)
                 for t, density, share in zip((a, b), density_at, share_at, strict=True):
                     if pattern >> t & 1:
                         # A catalogue's own records are in n − 1 coverages, those of another in one.
                         weight = 1.0 / (n_sources - 1) if t == s else 1.0
                         total[t][:, pattern] += weight * np.log(density * np.maximum(share, min_share))
     sizes = np.array([max(pattern.bit_count(), 1) for pattern in range(1 << n_sources)])
-    out = []
     for s, column in enumerate(total):
-        within = np.arange(1 << n_sources) >> s & 1 == 1
-        out.append(np.where(within, column / sizes, -np.inf))
-    return tuple(out)
+        column /= sizes
+        column[:, np.arange(1 << n_sources) >> s & 1 == 0] = -np.inf
+    return tuple(total)
+
+
+def _local_share(
+    coverage: Coverage, side: int, part: FloatArray, weights: FloatArray, min_share: float
+) -> tuple[FloatArray, FloatArray] | tuple[float, float]:
+    """Local share Σ part / Σ weights at the records of both, numbers where it is the same everywhere.
+
+    It is a mean of the records' values and of that of the field. So it is that of the field without any record, and at
+    most ``min_share`` if they all are: of most combinations of catalogues whose areas do not all overlap.
+    """
+    field = (float(part.sum()) + 0.5) / (float(weights.sum()) + 1.0)
+    if not weights.any() or max(field, float(part.max(initial=0.0))) <= min_share:
+        return field, field
+    return local_share(coverage.levels, side, part, weights, pseudo_count=coverage.tuning.shared_pseudo_count)
 
 
 def patterns_of(sets: IntArray) -> IntArray:
