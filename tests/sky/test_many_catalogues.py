@@ -409,13 +409,13 @@ def test_small_fields_in_a_large_one_are_not_doubted_for_lying_apart() -> None:
 def test_many_combinations_cost_no_more_than_those_that_overlap() -> None:
     """Shares of combinations that no record may be in, or hardly is, are not refined; they are the same."""
     scene = sky(n=300)
-    coverage = match(*scene.catalogues[:2]).estimate.coverage
+    coverage = match(scene.catalogues[0], scene.catalogues[1]).estimate.coverage
     weights = np.ones(len(coverage.first))
-    for part, weight in ((np.zeros_like(weights), weights * 0), (np.full_like(weights, 1e-9), weights)):
-        full = local_share(coverage.levels, 1, part * weight, weight, pseudo_count=50.0)
+    for share, weight in ((0.0, np.zeros_like(weights)), (1e-9, weights)):
+        full = local_share(coverage.levels, 1, share * weight, weight, pseudo_count=50.0)
         least = 1e-2
-        short = _local_share(coverage, 1, part * weight, weight, least)
-        assert all(isinstance(one, float) for one in short)
+        short = _local_share(coverage, 1, share * weight, weight, least)
+        assert all(one.ndim == 0 for one in short)
         for one, other in zip(short, full, strict=True):
             np.testing.assert_allclose(np.maximum(one, least), np.maximum(other, least), rtol=1e-12)
 

@@ -406,15 +406,15 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray], min_share:
 
 def _local_share(
     coverage: Coverage, side: int, part: FloatArray, weights: FloatArray, min_share: float
-) -> tuple[FloatArray, FloatArray] | tuple[float, float]:
-    """Local share Σ part / Σ weights at the records of both, numbers where it is the same everywhere.
+) -> tuple[FloatArray, FloatArray]:
+    """Local share Σ part / Σ weights at the records of both, arrays of no dimension where it is the same everywhere.
 
     It is a mean of the records' values and of that of the field. So it is that of the field without any record, and at
     most ``min_share`` if they all are: of most combinations of catalogues whose areas do not all overlap.
     """
     field = (float(part.sum()) + 0.5) / (float(weights.sum()) + 1.0)
     if not weights.any() or max(field, float(part.max(initial=0.0))) <= min_share:
-        return field, field
+        return np.array(field), np.array(field)
     return local_share(coverage.levels, side, part, weights, pseudo_count=coverage.tuning.shared_pseudo_count)
 
 
