@@ -261,14 +261,13 @@ def _usable(elements: Elements, path: str | Path) -> Elements:
 class Ephemeris:
     """Predicted positions of n objects at t times; (n, t).
 
-    ra_deg, dec_deg : astrometric, ICRS, from the observer. distance_au, sun_au : from the observer and the Sun.
+    ra_deg, dec_deg : astrometric, ICRS, from the observer. distance_au : from the observer.
     magnitude : predicted V, NaN where H is not known. sigma_arcsec : error by the covariance or age of the elements.
     """
 
     ra_deg: FloatArray
     dec_deg: FloatArray
     distance_au: FloatArray
-    sun_au: FloatArray
     magnitude: FloatArray
     sigma_arcsec: FloatArray
 
@@ -346,7 +345,7 @@ def ephemeris(
     sigma = np.hypot(0.1, per_year[:, None] * age)
     sigma = _sigma_by_covariance(elements, mjd_utc, observer_km, ra, dec, sigma)
     sun_distance = np.linalg.norm(sun_at - observer, axis=0)
-    return Ephemeris(ra, dec, distance, sun, _magnitude(elements, distance, sun, sun_distance), sigma)
+    return Ephemeris(ra, dec, distance, _magnitude(elements, distance, sun, sun_distance), sigma)
 
 
 def _sigma_by_covariance(
