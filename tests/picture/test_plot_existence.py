@@ -203,20 +203,51 @@ def test_what_is_assumed_is_counted_and_a_shore_is_not_boats():
 
 
 def test_the_clutter_about_a_plot():
-    """As dense as everywhere, denser where plots of several objects return, and not by the plots of its own."""
+    """As dense as everywhere, denser where plots return beside each other, and not where they return to one place."""
     rng, looks = np.random.default_rng(1), 100
     far = rng.uniform(-4000.0, 4000.0, (400, 2))
-    shore, buoy = (rng.normal(0.0, 15.0, (90, 2)) + np.array([x, 0.0]) for x in (2000.0, -2000.0))
+    shore = (
+        np.array([2000.0, 0.0]) + rng.normal(0.0, 15.0, (900, 2)) + rng.uniform(-300.0, 300.0, (900, 1)) * [0.0, 1.0]
+    )
+    buoy = np.array([-2000.0, 0.0]) + rng.normal(0.0, 15.0, (90, 2))
+    own = [1000 + np.arange(400), 2000 + np.arange(900) % 30, np.full(90, 7), 3000 + np.arange(90)]
     counts = SourceCounts(
-        place=np.vstack([far, shore, buoy]), time_s=np.zeros(580), look_s=np.arange(100.0), share=np.ones(looks),
-        number=np.concatenate([1000 + np.arange(400), 2000 + np.arange(90) % 30, np.full(90, 7)]),
+        place=np.vstack([far, shore, buoy, buoy + np.array([0.0, 1000.0])]), time_s=np.zeros(1480),
+        look_s=np.arange(100.0), share=np.ones(looks),
+        number=np.concatenate(own),
     )  # fmt: skip
-    places, own = np.array([[0.0, 1000.0], [2000.0, 0.0], [-2000.0, 0.0]]), np.array([0, 2001, 7])
+    places = np.array([[0.0, 1000.0], [2000.0, 0.0], [-2000.0, 0.0], [-2000.0, 1000.0]])
     mean = 400 / 64e6 / looks
-    at_sea, on_shore, at_buoy = counts.clutter_per_m2(places, np.full(3, 15.0), own, np.full(3, mean), DEFAULT_TUNING)
-    assert 0.3 * mean < at_sea < 3.0 * mean and at_buoy < 10.0 * mean
-    # Of two-dimensional normal plots 1 − e⁻² are within 2σ; three of the ninety are its own.
-    assert math.isclose(on_shore, 0.9 * (1.0 - math.exp(-2.0)) / (math.pi * 900.0), rel_tol=0.15)
+    at_sea, on_shore, *of_one = counts.clutter_per_m2(
+        places, np.full(4, 15.0), np.array([0, 2001, 7, 0]), np.full(4, mean), DEFAULT_TUNING
+    )
+    assert 0.3 * mean < at_sea < 3.0 * mean
+    # A buoy, followed under one number, or lost and found under many.
+    assert max(of_one) < 0.01 * on_shore
+    # Of each look nine plots, over 600 m and a normal density across.
+    on_it = 9.0 / 600.0 * 60.0 * 0.85
+    assert math.isclose(on_shore, on_it / (math.pi * 900.0), rel_tol=0.25)
+
+
+@pytest.mark.slow
+def test_a_buoy_that_a_scan_shows_now_and_then_is_an_object_and_a_patch_of_clutter_is_none():
+    """Each time it was lost and began anew, its earlier plots were clutter: it was shown for 12 % of the time."""
+    rng, (buoy, patch) = np.random.default_rng(5), np.array([[1500.0, -2500.0], [-2500.0, -1500.0]])
+    scene, _ = radar_beside_ais(2, 0.8, 10.0, boats=0, described=False)
+    (radar, ais), times = scene.feeds, np.arange(0.0, SPAN_S, 2.5)
+    more = [(t, *(buoy + rng.normal(0.0, 15.0, 2))) for t in times if rng.random() < 0.3]
+    more += [(t, *(patch + rng.normal(0.0, 60.0, 2))) for t in times for _ in range(rng.poisson(2.0))]
+    rows = np.vstack([np.column_stack([radar.raw_reports.time_s, radar.raw_reports.x_m, radar.raw_reports.y_m]), more])
+    plots = dict(zip(("time_s", "x_m", "y_m"), rows[np.argsort(rows[:, 0], kind="stable")].T, strict=True))
+    scene = Scene((Feed.of(radar.description, Reports.of("radar", "table", plots), scan_times_s=times), ais))
+    objects = Picture.of(scene, instants((150.0, SPAN_S), 5.0)).objects
+    confirmed = np.isin(objects["stage"], ("confirmed", "coasting"))
+    at_buoy, on_patch = (
+        np.hypot(objects["x_m"] - x, objects["y_m"] - y) < reach for (x, y), reach in ((buoy, 60.0), (patch, 250.0))
+    )
+    late = confirmed & (objects["time_s"] > 210.0)
+    assert len(np.unique(objects["time_s"][late & at_buoy])) / len(np.unique(objects["time_s"][late])) > 0.8
+    assert not (confirmed & on_patch).any()
 
 
 @pytest.mark.slow

@@ -10,8 +10,9 @@ instant, but for the misses and the mean clutter that a description gives:
   object with a name, per m² and look: their mean over all places, or, with the prior probability ``dense_share``, a
   density there of anything up to one plot a look. The assumed clutter has the weight of one plot in the mean.
 
-The earlier plots of an object are no clutter about its next one, if there are not as many others beside them: an echo
-that returns within its own error is an object, and many about each other, as of a shore, are clutter.
+Earlier plots at the place of the next one are no clutter about it, if there are not as many of other objects beside
+them: an echo that returns within its own error is an object, a boat or a buoy, and many about each other, as of a
+shore, are clutter.
 
 The further echoes of a hull are clutter, too (:mod:`sameas.picture.hull_echoes`).
 """
@@ -44,6 +45,8 @@ from sameas.tracks.source import CLUTTER, MISSES, Description, MissRate
 MEAN_WEIGHT = 1.0
 #: So many times the plots that the mean density gives are usual about a plot.
 AROUND_USUAL = 2.0
+#: A place is like those beside it if these have one plot for so many of its own: they are few at first.
+BESIDE = 3.0
 #: A plot may be of an object within this many 1σ.
 GATE_SIGMAS = 3.0
 
@@ -94,27 +97,28 @@ class SourceCounts:
         of, 0 for none. usual : (n,) λ where they do not return to the place, per m² and look.
         """
         looks = float(self.share.sum())
-        radius, around = tuning.clutter_sigmas * sigma, tuning.around_sigmas * sigma
-        (of_others, of_own), (around_it, _) = self._within(place, (radius, around), own)
-        beside = np.maximum(around_it - AROUND_USUAL * usual * math.pi * around**2 * looks, 0.0)
-        near, area = of_others + np.minimum(of_own, beside), math.pi * radius**2
+        radius = np.outer((tuning.clutter_sigmas, GATE_SIGMAS, tuning.around_sigmas), sigma)
+        (here, _), (gate, gate_own), (around, around_own) = self._within(place, radius, own)
+        area = math.pi * radius[0] ** 2
+        expected_beside = AROUND_USUAL * usual * math.pi * (radius[2] ** 2 - radius[1] ** 2) * looks
+        # A place at which plots return, with others beside it as on a shore.
+        beside = np.maximum(around - around_own - (gate - gate_own) - expected_beside, 0.0)
+        near = np.minimum(here, BESIDE * beside)
         # As dense as everywhere, or anything up to one plot a look.
         expected = usual * area * looks
         log_dense = math.log(tuning.dense_share / (1.0 - tuning.dense_share)) - math.log1p(looks)
         p_dense = expit(log_dense - xlogy(near, expected) + expected + gammaln(near + 1.0))
         return np.asarray((1.0 - p_dense) * usual + p_dense * (near + 1.0) / (looks + 2.0) / area)
 
-    def _within(
-        self, place: FloatArray, radii_m: tuple[FloatArray, ...], own: IntArray
-    ) -> list[tuple[FloatArray, FloatArray]]:
-        """For each of the radii (n,) the plots within it of each place, (n,), (n,): of others, and of ``own``."""
+    def _within(self, place: FloatArray, radii_m: FloatArray, own: IntArray) -> list[tuple[FloatArray, FloatArray]]:
+        """For each of the radii (r, n) the plots within it of each place, (n,), and those of ``own`` among these."""
         order, tree = np.argsort(self.number, kind="stable"), cKDTree(self.place)
         at, row = ranges(*spans_in(self.number[order], own))
         distance_m = np.hypot(*(self.place[order[row]] - place[at]).T)
         out = []
         for radius_m in radii_m:
             of_own = np.bincount(at[distance_m <= radius_m[at]], minlength=len(place)).astype(np.float64)
-            out.append((tree.query_ball_point(place, radius_m, return_length=True) - of_own, of_own))
+            out.append((tree.query_ball_point(place, radius_m, return_length=True).astype(np.float64), of_own))
         return out
 
 
