@@ -289,3 +289,17 @@ def test_three_stars_tell_no_gain():
     camera = Camera(shape=(128, 128))
     seen = frame_of(rng, x_px=[30.0, 60.0, 90.0], y_px=[40.0, 90.0, 30.0], flux_e=[1e4, 2e4, 4e4], camera=camera)
     assert detect(with_gain(seen.frame, np.nan)).notes[-1].startswith("assumed: no photon noise of the stars")
+
+
+def test_the_noise_under_a_steep_sky_is_not_its_slope():
+    """Twilight or the moon: a slope of 27 ADU a pixel; its scatter within a box was taken for noise."""
+    rng = np.random.default_rng(4)
+    seen = frame_of(rng, **grid(rng), camera=WIDE, psf=GaussianProfile(3.0))
+    x = np.arange(640.0)[None, :] / 640.0
+    slope = 8000.0 * x**2
+    noise = rng.normal(size=seen.frame.image.shape) * np.sqrt(slope / WIDE.gain_e_per_adu)
+    steep = replace(seen.frame, image=seen.frame.image + slope + noise)
+    right = (slice(None), slice(480, 600))
+    measured = np.median(np.sqrt(Background.of(steep).variance[right]))
+    expected = np.median(np.sqrt(Background.of(seen.frame).variance[right] + slope[:, right[1]] / WIDE.gain_e_per_adu))
+    assert 0.9 < measured / expected < 1.25
