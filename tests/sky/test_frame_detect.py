@@ -298,7 +298,7 @@ def test_the_noise_under_a_steep_sky_is_not_its_slope():
     x = np.arange(640.0)[None, :] / 640.0
     slope = 8000.0 * x**2
     noise = rng.normal(size=seen.frame.image.shape) * np.sqrt(slope / WIDE.gain_e_per_adu)
-    steep = replace(seen.frame, image=seen.frame.image + slope + noise)
+    steep = replace(seen.frame, image=(seen.frame.image + slope + noise).astype(np.float32))
     right = (slice(None), slice(480, 600))
     measured = np.median(np.sqrt(Background.of(steep).variance[right]))
     expected = np.median(np.sqrt(Background.of(seen.frame).variance[right] + slope[:, right[1]] / WIDE.gain_e_per_adu))

@@ -145,7 +145,7 @@ def _meshes(frame: Frame, box_px: int) -> tuple[FloatArray, FloatArray]:
     return sky, _interpolated(rms, box_px, frame.shape)
 
 
-def _mesh(name: str, image: FloatArray, mask: BoolArray, box_px: int) -> tuple[FloatArray, FloatArray]:
+def _mesh(name: str, image: Image | FloatArray, mask: BoolArray, box_px: int) -> tuple[FloatArray, FloatArray]:
     """Level and standard deviation of the sky in boxes."""
     with optional("finding stars on frames needs photutils", "frames"):
         from photutils.background import Background2D, SExtractorBackground, StdBackgroundRMS
