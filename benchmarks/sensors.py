@@ -1,7 +1,7 @@
 """Sensor troubles: azimuth offsets of a radar in clutter, heights, and alarms for sources that deceive or fail.
 
-Also prints the tables of ``unnamed_boats`` (boats without AIS in clutter), ``memory`` (stated probabilities) and of
-``autoferry`` (errors of fused positions).
+Also prints the tables of ``unnamed_boats`` and ``unnamed_aircraft`` (without names in clutter), ``memory`` (stated
+probabilities) and of ``autoferry`` (errors of fused positions).
 
 The radar in clutter is modelled (``sameas.simulate.boat_radar``): a small radar on a moving boat, ten plots per
 rotation, one or two of them from vessels with AIS, azimuth offset 0.5 to 8° either way, and in rough scenes a compass
@@ -32,7 +32,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from benchmarks import autoferry, invented, memory, motion, unnamed_boats
+from benchmarks import autoferry, invented, memory, motion, unnamed_aircraft, unnamed_boats
 from benchmarks.autoferry_models import describe_all, models_from_others
 from benchmarks.autoferry_scenes import FOLDER, SCENARIOS, scene_of
 from benchmarks.contenders import Pairing, compass, nearest_one, stone_soup
@@ -564,6 +564,8 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
         yield resolution(min(options.scenes, 12))
     if "boats" in options.only:
         yield unnamed_boats.table(min(options.scenes, 6))
+    if "aircraft" in options.only:
+        yield unnamed_aircraft.table(min(options.scenes, 6))
     if "alarms" in options.only:
         yield alarms(min(options.scenes, 20))
         yield invented.table(min(options.scenes, 20))
@@ -580,7 +582,7 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench sensors", description=__doc__)
     parser.add_argument("--scenes", type=int, default=100, help="modelled scenes of each line (default 100)")
-    sections = ("alarms", "boats", "deception", "heights", "memory", "offsets", "positions", "resolution")
+    sections = ("aircraft", "alarms", "boats", "deception", "heights", "memory", "offsets", "positions", "resolution")
     parser.add_argument("--only", nargs="+", choices=sections, default=sections, help="sections to print")
     report("sensors", tables(parser.parse_args()))
 

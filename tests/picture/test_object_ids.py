@@ -12,6 +12,7 @@ from sameas.picture.object_ids import NamedObjects
 from sameas.picture.tuning import Tuning
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import Feed, Scene
+from sameas.tracks.source import Description, SensorErrors, Site, Timing
 
 ALONE = Watch(evidence=lambda now, memory: now.rule() + now.identity(), bound=1.0)
 
@@ -203,3 +204,38 @@ def test_live_and_batch_object_ids_agree():
 def test_invalid_stage_settings_are_refused():
     with pytest.raises(InputError, match="1 ≤ scans ≤ of"):
         Stages(scans=4, of=3)
+
+
+@pytest.mark.slow_after(1)
+def test_fast_objects_that_only_plots_show_are_not_shown_behind():
+    """Beside ADS-B of another aircraft. Plots some seconds old, taken for positions now with the error of any velocity,
+    drew the objects back by half a kilometre."""
+    rng = np.random.default_rng(6)
+    start, velocity = np.array([[-2e4, 5e3], [1e4, -2e4], [3e4, 8e3]]), np.array([[210.0, 20], [-60, 190], [-200, 40]])
+    plots = {"time_s": [], "range_m": [], "bearing_deg": []}
+    for turn in range(60):
+        for k in range(3):
+            t = 4.8 * (turn + (np.degrees(np.arctan2(*(start[k] + velocity[k] * 4.8 * turn))) % 360.0) / 360.0)
+            east, north = start[k] + velocity[k] * t
+            plots["time_s"].append(t)
+            plots["range_m"].append(np.hypot(east, north) + 50.0 * rng.normal())
+            plots["bearing_deg"].append((np.degrees(np.arctan2(east, north)) + 0.06 * rng.normal()) % 360.0)
+    t = np.arange(0.0, 288.0)
+    place = start[0] + velocity[0] * t[:, None] + 20.0 * rng.normal(size=(len(t), 2))
+    adsb = {"time_s": t, "icao": ["39d300"] * len(t), "track_id": ["39d300"] * len(t), "x_m": place[:, 0],
+            "y_m": place[:, 1], "vx_m_per_s": 0 * t + 210.0, "vy_m_per_s": 0 * t + 20.0}  # fmt: skip
+    radar = Description("radar", "air radar", site=Site(east_m=0.0, north_m=0.0))
+    reported = Description("adsb", "ads-b", errors=SensorErrors(position_m=20.0), timing=Timing(latency_s=0.0))
+    scene = Scene.of([(radar, Reports.of("radar", "table", plots)), (reported, Reports.of("adsb", "table", adsb))])
+    objects = Picture.of(scene, np.arange(60.0, 288.0, 7.0)).objects
+    for k in (1, 2):
+        true = start[k] + velocity[k] * np.asarray(objects["time_s"])[:, None]
+        off = np.column_stack([objects["x_m"], objects["y_m"]]) - true
+        near = np.flatnonzero((np.hypot(*off.T) < 2000.0) & (objects["time_s"] > 100.0))
+        number = np.asarray(objects["object"])[near]
+        near = near[number == np.bincount(number).argmax()]
+        assert len(near) > 0.85 * len(number) and len(near) >= 24
+        along = off[near] @ velocity[k] / np.hypot(*velocity[k])
+        assert abs(np.mean(along)) < 50.0 and np.abs(along).max() < 400.0
+        variance = objects["var_x_m2"][near] + objects["var_y_m2"][near]
+        assert 0.15 < np.mean(np.sum(off[near] ** 2, axis=1) / variance) < 1.6

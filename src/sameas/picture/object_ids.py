@@ -30,6 +30,7 @@ from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq, symmetric
 from sameas.groups import groups
+from sameas.picture.fixes import Fixes
 from sameas.picture.hull_echoes import Hulls, owners_among
 from sameas.picture.plot_existence import Looks, NewPlots, PlotOdds
 from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, ObjectStates, PictureObjects
@@ -117,12 +118,13 @@ class PlotContinuity:
 @dataclass(frozen=True)
 class Continuity(Rule):
     """ln r of an object of the picture and one of the instant: by positions, at ``per_m2`` objects per m² and the
-    clutter of plots, by tracks, and without a common track by velocities."""
+    clutter of plots, by tracks, and without a common track by velocities, which plots do not have."""
 
     per_m2: float
     common: CommonTracks
     objects: Motions
     detections: Motions
+    has_velocity: BoolArray
     plots: PlotContinuity
     tuning: Tuning = DEFAULT_TUNING
 
@@ -132,7 +134,7 @@ class Continuity(Rule):
         weight, unique = self.common.of_pairs(pairs)
         place = np.where(unique > 0.0, np.maximum(place, math.log(self.tuning.id_reassigned)), place)
         velocity = np.zeros(len(pairs))
-        unrelated = np.flatnonzero(weight == 0.0)
+        unrelated = np.flatnonzero((weight == 0.0) & self.has_velocity[pairs.second.rows[pairs.j]])
         velocity[unrelated] = self._velocities(
             pairs.first.rows[pairs.i[unrelated]], pairs.second.rows[pairs.j[unrelated]]
         )
@@ -198,9 +200,9 @@ class UnnumberedObjects:
 
     states : of the objects. tracks : (n, S) numbers of their named tracks, ABSENT for none. unique : (n, S) whether the
     track's id is unique. new_report : whether the object has a new report. new_plot : whether it has one of a source
-    without track ids. plots : its new plot. hulls : whose echoes are beside it. looks : of the sources of plots.
-    is_certain : whether it certainly exists. is_believed : whether a source shows it whose reports are read rightly.
-    existence : of its most probable track.
+    without track ids. plots : its new plot. fixes : all its plots, where it has no velocity. hulls : whose echoes are
+    beside it. looks : of the sources of plots. is_certain : whether it certainly exists. is_believed : whether a source
+    shows it whose reports are read rightly. existence : of its most probable track.
     walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of velocities.
     forgotten : (f,) numbers of tracks whose ids have timed out.
     """
@@ -211,6 +213,7 @@ class UnnumberedObjects:
     new_report: BoolArray
     new_plot: BoolArray
     plots: NewPlots
+    fixes: Fixes
     hulls: Hulls
     looks: Looks
     is_certain: BoolArray
@@ -351,9 +354,10 @@ class NamedObjects(PictureObjects):
         log_shown = logit(np.clip(p_shown, MIN_SHOWN, 1.0 - MIN_SHOWN)) + np.log(np.maximum(self.p_real, LEAST_WEIGHT))
         of_plots = PlotContinuity(plots.clutter_per_m2, is_new, log_shown)
         # The stages of `identify` without its last: no probability of a match is used.
-        pairs = NearOrSameId(common)(first, second)
+        pairs = detections.fixes.observed_in(NearOrSameId(common)(first, second), before.state, before.covariance)
         refuse_crowds(pairs)
-        evidence = Continuity(detections.looks.per_m2, common, before, after, of_plots, tuning)(pairs)
+        has_velocity = ~detections.fixes.only
+        evidence = Continuity(detections.looks.per_m2, common, before, after, has_velocity, of_plots, tuning)(pairs)
         grouped = groups(pairs)
         best = assign(grouped, evidence.log_ratio, EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
         matched = grouped.order[best.chosen]
@@ -412,10 +416,15 @@ class NamedObjects(PictureObjects):
             covariance[:, :2, :2] += np.where(self.by_plots[:, None, None], new_plots.extent, 0.0)
         velocity_known = taken(states.moving, which)
         # Without a velocity, it follows from the object's positions.
-        at = np.flatnonzero(~velocity_known)
+        by_fixes = detections.fixes.only[which]
+        at = np.flatnonzero(~velocity_known & ~by_fixes)
         if len(at):
             before = Gaussian(taken(self.state, at), taken(self.covariance, at))
             state[at], covariance[at] = _updated(before, state[at], covariance[at], new_report[at])
+        at = np.flatnonzero(by_fixes)
+        if len(at):
+            extent = np.where(self.by_plots[at, None, None], new_plots.extent[at], 0.0)
+            state[at], covariance[at] = detections.fixes.updated(which[at], self.state[at], self.covariance[at], extent)
         n_updates, n_plots = self.n_updates + new_report, self.n_plots + detections.new_plot[which]
         # The gain of an ended main track is kept; one that continues still counts by its own duration.
         continues = over_columns(np.logical_or, self.main_track[:, None] == taken(detections.tracks, which))
@@ -464,9 +473,13 @@ class NamedObjects(PictureObjects):
         is_real_by_plots = (odds.log_odds >= logit(stages.real)) | ~states.placed[which]
         confirmed = ((detections.is_certain[which] | is_real) & ~split_off) | (is_real_by_plots & (stages.scans <= 1))
         confirmed &= detections.is_believed[which]
+        state, covariance = states.state[which], states.covariance[which]
+        at = np.flatnonzero(detections.fixes.only[which])
+        if len(at):
+            state[at], covariance[at] = detections.fixes.started(which[at])
         return cls(
-            number=number, stage=np.where(confirmed, CONFIRMED, TENTATIVE), state=states.state[which],
-            covariance=states.covariance[which], placed=states.placed[which], moving=states.moving[which],
+            number=number, stage=np.where(confirmed, CONFIRMED, TENTATIVE), state=state, covariance=covariance,
+            placed=states.placed[which], moving=states.moving[which],
             detection=which, n_updates=np.ones(n, np.int64), n_plots=detections.new_plot[which].astype(np.int64),
             n_missing=np.zeros(n, np.int64), split_off=split_off, **_columns_of(odds),
             main_track=detections.existence.track[which],

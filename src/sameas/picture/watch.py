@@ -33,6 +33,7 @@ from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import PoissonObjects, SetRule
 from sameas.many.sets import ManyTuning, Sets
+from sameas.picture.fixes import Fixes
 from sameas.picture.hull_echoes import Hulls, ScanPlots
 from sameas.picture.memory import TrackMemory, require_order
 from sameas.picture.object_ids import NamedObjects, Stages, UnnumberedObjects
@@ -422,6 +423,7 @@ class Watch:
             new_report,
             new_plot,
             plots,
+            Fixes.of(scan, members, is_new),
             hulls,
             looks,
             is_certain,

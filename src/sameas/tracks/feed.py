@@ -231,8 +231,13 @@ class Feed:
 
     @cached_property
     def walk_m2_per_s3(self) -> FloatArray:
-        """(n,) power density of the velocity random walk of each report's object, the mean over its modes of motion."""
+        """(n,) power density of the velocity random walk of each report's object, the mean over its modes of motion.
+
+        Of plots without ids, the mean with manoeuvres: no filter notices these.
+        """
         walk = walk_of(self.description)
+        if self.reports.track is None:
+            walk = mean_walk_of(self.description, self.tuning)
         if self.p_slow is None:
             return np.full(len(self.reports), walk)
         return walk * (1.0 - self.p_slow.sum(axis=1)) + self.tuning.drift_walk_m2_per_s3 * self.p_slow[:, ADRIFT]
