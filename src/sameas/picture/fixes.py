@@ -39,10 +39,18 @@ class Fixes:
     begun_covariance: FloatArray
 
     @classmethod
+    def none(cls, n: int) -> Fixes:
+        """No fix of n objects."""
+        no, empty = np.zeros((n, 0), bool), np.empty((n, 0))
+        return cls(np.zeros(n, bool), no, no, empty, empty[..., None], empty[..., None, None], empty, empty)
+
+    @classmethod
     def of(cls, scan: Scan, members: IntArray, is_new: BoolArray) -> Fixes:
         """members : (n, S) records of the objects, ABSENT for none. is_new : (records,) whether the report is new."""
-        last = len(scan)  # of no record
-        is_fix, time_s = np.append(scan.placed & ~scan.moving, True), np.append(scan.time_s, -np.inf)
+        is_fix, last = scan.placed & ~scan.moving, len(scan)  # of no record
+        if not is_fix.any():
+            return cls.none(len(members))
+        is_fix, time_s = np.append(is_fix, True), np.append(scan.time_s, -np.inf)
         members = np.where(members >= 0, members, last)
         members = np.take_along_axis(members, np.argsort(-time_s[members], axis=1, kind="stable"), axis=1)
         only = is_fix[members].all(axis=1) & (members != last).any(axis=1)
@@ -57,7 +65,7 @@ class Fixes:
         moved[:, :2, :2] -= scan.hull_covariance[record]
         covariance[is_member] = propagated(observed(age_s[is_member]), moved)
         begun, begun_covariance = np.zeros((n, 4)), np.tile(np.eye(4), (n, 1, 1))
-        newest = members[only, 0]
+        newest = members[only, :1].ravel()
         begun[only], begun_covariance[only] = scan.state[newest], scan.covariance[newest]
         begun_covariance[only, :2, :2] -= scan.hull_covariance[newest]
         new = is_member & np.append(is_new, False)[members]
