@@ -665,3 +665,13 @@ def test_tables_of_pandas_in_json_are_read_in_each_form(orient, tmp_path):
     [made] = read_reports(file)
     assert made.lat_deg.tolist() == [48.0, 48.1, 48.3] and made.time_s[1] == 1.7e9 + 1
     assert made.damaged.sentences() == ["1 record damaged: no position (record 3)"]
+
+
+@pytest.mark.parametrize("text", [
+    '{"columns": ["time", "lat", "lon"], "data": [[1, 2], 3]}', '{"columns": 4, "data": [[1]]}',
+    '{"time": 1655683200, "states": 7}', '{"a": {"0": 1}, "b": {"0": [1]}}', '{"time": null, "states": [[], 5]}',
+])  # fmt: skip
+def test_broken_documents_are_refused_in_words(text, tmp_path):
+    (tmp_path / "adsb.json").write_text(text)
+    with pytest.raises(InputError, match=r"no columns? of|no row can be used|no JSON object"):
+        read_reports(tmp_path / "adsb.json")

@@ -354,7 +354,8 @@ def _notes(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[str]:
         old = np.unique(np.concatenate([tally.aged[s] for tally in tallies]))
         if len(old):
             reports = f"{len(old)} report{'s' * (len(old) > 1)}"
-            yield f"{name}: {reports} became too uncertain to separate objects, and were not used from then on"
+            were = "was" if len(old) == 1 else "were"
+            yield f"{name}: {reports} became too uncertain to separate objects, and {were} not used from then on"
         if not records[s]:
             yield f"{name} has no report at any instant; are its times within the picture's?"
         elif len(feeds) > 1 and not shared[s]:

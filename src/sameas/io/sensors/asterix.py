@@ -354,6 +354,12 @@ _DECODERS = {
 Sensor = tuple[int, int, int]
 
 
+#: Kinds of damage that the refusal of a file lists.
+_LISTED = 3
+#: The editions of the specifications that are read; older ones have other items.
+_EDITIONS = "2.1 to 2.7 of category 021, 1.27 to 1.32 of 048 and 1.16 to 1.21 of 062"
+
+
 def read(
     content: bytes,
     source: str,
@@ -381,7 +387,7 @@ def read(
     rows: dict[Sensor, list[dict[str, Any]]] = {}
     damaged: list[tuple[int, str]] = []
     passed_over: Counter[str] = Counter()
-    number = 0
+    number, read = 0, False
     live = blocks_read is not None
     blocks_read = set() if blocks_read is None else blocks_read
     for block in blocks_of(content, received_s):
@@ -395,15 +401,17 @@ def read(
         elif block.category not in _DECODERS:
             passed_over[f"block of category {block.category:03d}"] += 1
         else:
+            read = True
             number = _add_block(block, number, rows, damaged, passed_over)
     if not rows:
-        problems = [
-            *Damaged.of(damaged, "record").sentences(),
-            *(f"{n} skipped: {what}" for what, n in passed_over.items()),
-        ]
+        problems = Damaged.of(damaged, "record").sentences()
+        more = len(problems) - _LISTED
+        problems = [*problems[:_LISTED], *([f"{more} more kinds of damage"] if more > 0 else [])]
+        problems += [f"{n} skipped: {what}" for what, n in passed_over.items()]
+        remedy = f"are its records of another edition? Read are {_EDITIONS}" if read and damaged else ""
         raise NoReports(
             f"{source}: no target of category 021, 048 or 062; {'; '.join(problems) or 'is it ASTERIX?'}",
-            damaged=Damaged.of(damaged, "record"), passed_over=passed_over,
+            remedy, damaged=Damaged.of(damaged, "record"), passed_over=passed_over,
         )  # fmt: skip
     # Damaged and skipped records are counted for the whole file, with its first sensor.
     unused: list[tuple[Damaged, Mapping[str, int]]] = [(Damaged.of(damaged, "record"), passed_over)]

@@ -44,6 +44,8 @@ _COUNTER_HZ = 12e6
 _STALE_S, _RARE_STALE_S = 10.0, 120.0
 #: The same message again within this time, in seconds, comes from another receiver; transponders send twice a second.
 _SAME_MESSAGE_S = 0.2
+#: Messages that are remembered for that; above it, the older ones are forgotten.
+_REMEMBERED = 10_000
 #: Halves of positions older than this, in seconds, are of no use to the decoder.
 _HALF_STALE_S = 60.0
 
@@ -109,8 +111,10 @@ class Messages:
             made.numbers.append(number)
             made.messages.append(frame.lower())
             times.append(when)
-            place = [value.get(name) for name in ("latitude", "longitude")]
-            places.append(place if all(isinstance(angle, float | int) for angle in place) else [np.nan, np.nan])
+            lat, lon = (value.get(name) for name in ("latitude", "longitude"))
+            is_place = isinstance(lat, float | int) and isinstance(lon, float | int)
+            is_place = is_place and abs(lat) <= 90.0 and abs(lon) <= 180.0
+            places.append([lat, lon] if is_place else [np.nan, np.nan])
         made.time_s, made.counter_s = np.array(times, np.float64), np.full(len(times), np.nan)
         made.places = np.array(places, np.float64).reshape(-1, 2)
         return made
@@ -180,6 +184,8 @@ class Aircraft:
     def is_repeated(self, message: str, when: float) -> bool:
         """Whether another receiver has had this message; it is remembered."""
         before = self.last.get(message, -np.inf)
+        if len(self.last) > _REMEMBERED:
+            self.last = {text: time_s for text, time_s in self.last.items() if when - time_s < _SAME_MESSAGE_S}
         self.last[message] = when
         return abs(when - before) < _SAME_MESSAGE_S
 
@@ -332,12 +338,13 @@ def _read_file(file: SensorFile) -> list[Reports]:
     return [read(found, file.source, file.start_s)]
 
 
-#: The fields of a JSON line with a message.
-IN_JSON = r'\{.*"frame"\s*:\s*"(?:[0-9A-Fa-f]{14}){1,2}".*\}'
+#: The beginning of a JSON line with a message.
+IN_JSON = r'\{[^\n]{0,2000}?"frame"\s{0,9}:\s{0,9}"(?:[0-9A-Fa-f]{14}){1,2}"'
 
 
 def _is_json(file: SensorFile) -> bool:
-    return file.share_of_lines(IN_JSON) > 0.5
+    found = [line.endswith("}") and re.match(IN_JSON, line) is not None for line in file.head_lines]
+    return sum(found) > 0.5 * max(len(found), 1)
 
 
 FORMAT = SensorFormat(

@@ -261,7 +261,7 @@ class ReportStream:
 
     def _mode_s(self, texts: list[str], received: list[float], datagrams: list[tuple[float, bytes]]) -> list[Reports]:
         """Messages of transponders; those without a time have that of receipt."""
-        if len(self._transponders.fields) > MOST_REMEMBERED or len(self._transponders.last) > MOST_REMEMBERED:
+        if len(self._transponders.fields) > MOST_REMEMBERED:
             self._transponders = mode_s.Aircraft()
         found = [(mode_s.Messages.of_frames(beast.split_frames(data, final=True)), when) for when, data in datagrams]
         if texts:

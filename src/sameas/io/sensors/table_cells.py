@@ -172,9 +172,11 @@ def _records(document: Any) -> list[Any]:
 
 def _columns(document: Mapping[str, Any]) -> dict[str, list[Any]]:
     """The columns of a JSON document of pandas (``orient`` "columns", "index" or "split"); none of another one."""
-    rows = document.get("data")
-    if set(document) <= {"columns", "index", "data"} and isinstance(rows, list) and "columns" in document:
-        return {str(name): [row[k] for row in rows] for k, name in enumerate(document["columns"])}
+    rows, names = document.get("data"), document.get("columns")
+    if set(document) <= {"columns", "index", "data"} and isinstance(rows, list) and isinstance(names, list):
+        if any(not isinstance(row, list) or len(row) != len(names) for row in rows):
+            return {}
+        return {str(name): [row[k] for row in rows] for k, name in enumerate(names)}
     first = next(iter(document.values()), None)
     if len(document) < 2 or not isinstance(first, dict) or not first:
         return {}
@@ -198,7 +200,8 @@ def _states(answer: Any) -> list[dict[str, Any]] | None:
     """The states in an answer of OpenSky; None for another object."""
     if not isinstance(answer, dict) or not {"time", "states"} <= set(answer):
         return None
-    states = [state for state in answer["states"] or [] if isinstance(state, list)]
+    states = answer["states"] if isinstance(answer["states"], list) else []
+    states = [state for state in states if isinstance(state, list)]
     return [{"time": answer["time"]} | dict(zip(_STATE, state, strict=False)) for state in states]
 
 
