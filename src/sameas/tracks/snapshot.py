@@ -50,7 +50,7 @@ def pointed_at(
     Example
     -------
     >>> boats = np.array([[0.0, 100.0], [5.0, 300.0], [90.0, 0.0]])
-    >>> pointed_at(np.array([0.0, 180.0]), 1.0, (0.0, 0.0), boats, 2.0).round(2).tolist()
+    >>> pointed_at(np.array([0.0, 180.0]), 1.0, (0.0, 0.0), boats, 2.0, Tuning()).round(2).tolist()
     [[0.51, 0.49, 0.0], [0.0, 0.0, 0.0]]
     """
     weight = np.zeros((len(bearing_deg), len(places)))
