@@ -15,15 +15,14 @@ noise of motion that this library assumes for straight flight, and ten times tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime, timedelta
 from importlib.util import find_spec
 
 import numpy as np
 
 from benchmarks.tables import Table
-from sameas.picture import Picture, instants
+from benchmarks.unnamed import Scoring, StoneSoup, of_picture
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Description, Site
@@ -133,92 +132,34 @@ class Trial:
             sources.append((Description("adsb", "ads-b"), self.adsb))
         return Scene.of(sources)
 
-    def score(self, shown: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> tuple[float, float, float]:
-        """Percent of the aircraft shown, numbers an aircraft, and false objects an instant; shown : gives the numbers
-        and the places of the confirmed objects at a time."""
-        found, false, times = np.zeros(AIRCRAFT), 0, np.arange(AFTER_S, SPAN_S - 10.0, 10.0)
-        used: list[set[int]] = [set() for _ in range(AIRCRAFT)]
-        for t in times:
-            number, at = shown(float(t))
-            off = np.linalg.norm(at[:, None] - self.place[:, round(t / STEP_S)], axis=2)
-            false += int((off > FAR_M).all(axis=1).sum())
-            near = off < NEAR_M
-            found += near.any(axis=0)
-            for k in range(AIRCRAFT):
-                used[k].update(number[near[:, k]].tolist())
-        return (
-            100.0 * float(found.mean()) / len(times),
-            float(np.mean([len(each) for each in used])),
-            false / len(times),
-        )
+    @property
+    def score(self) -> Scoring:
+        """Of all aircraft."""
+        times = np.arange(AFTER_S, SPAN_S - 10.0, 10.0)
+        return Scoring(times, lambda t: self.place[:, round(t / STEP_S)], AIRCRAFT, NEAR_M, FAR_M)
 
 
 def by_sameas(trial: Trial) -> tuple[float, float, float]:
     """The score of the picture."""
     scene, _ = trial.scene().registered()
-    objects = Picture.of(scene, instants(scene.span_s, every_s=10.0)).objects
-    confirmed = np.isin(objects["stage"], ("confirmed", "coasting"))
-    time_s, number = np.asarray(objects["time_s"]), np.asarray(objects["object"])
-    place = np.column_stack([objects["x_m"], objects["y_m"]])
-
-    def shown(t: float) -> tuple[np.ndarray, np.ndarray]:
-        here = np.flatnonzero((time_s == t) & confirmed)
-        return number[here], place[here]
-
-    return trial.score(shown)
+    return trial.score(of_picture(scene, 10.0))
 
 
 def by_stone_soup(trial: Trial, walk: float) -> tuple[float, float, float]:
     """The score of Stone Soup's multi-target tracker with the plots of the first radar, without their offsets."""
-    from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
-    from stonesoup.deleter.time import UpdateTimeStepsDeleter
-    from stonesoup.hypothesiser.distance import DistanceHypothesiser
-    from stonesoup.initiator.simple import MultiMeasurementInitiator
-    from stonesoup.measures import Mahalanobis
-    from stonesoup.models.measurement.linear import LinearGaussian
-    from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity
-    from stonesoup.predictor.kalman import KalmanPredictor
-    from stonesoup.tracker.simple import MultiTargetTracker
-    from stonesoup.types.detection import Detection
-    from stonesoup.types.state import GaussianState
-    from stonesoup.updater.kalman import KalmanUpdater
-
-    began, radar = datetime(2026, 1, 1), RADARS[0]
-    model = LinearGaussian(4, (0, 2), 100.0**2 * np.eye(2))
-    predictor = KalmanPredictor(CombinedLinearGaussianTransitionModel([ConstantVelocity(walk)] * 2))
-    updater = KalmanUpdater(None)
-    associator = GNNWith2DAssignment(DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=4))
-    deleter = UpdateTimeStepsDeleter(3)
-    prior = GaussianState(np.zeros((4, 1)), np.diag([0.0, 150.0**2, 0.0, 150.0**2]), timestamp=began)
-    initiator = MultiMeasurementInitiator(prior, deleter, associator, updater, model, min_points=3)
-    plots = np.array([plot[:3] for plot in trial.plots[0]])
-    scan = np.floor(plots[:, 0] / radar.turn_s).astype(int)
-
-    def detection(plot: np.ndarray, now: datetime) -> Detection:
-        """A plot with the covariance of its range and azimuth."""
-        range_m, azimuth = plot[1] - radar.range_m, np.radians(plot[2] - radar.azimuth_deg)
-        along, across = np.array([np.sin(azimuth), np.cos(azimuth)]), np.array([np.cos(azimuth), -np.sin(azimuth)])
-        sigma = range_m * np.radians(AZIMUTH_DEG)
-        covariance = RANGE_M**2 * np.outer(along, along) + sigma**2 * np.outer(across, across)
-        measured = LinearGaussian(4, (0, 2), covariance)
-        return Detection((range_m * along)[:, None], timestamp=now, measurement_model=measured)
-
-    def scans() -> Iterator[tuple[datetime, set[Detection]]]:
-        for k in range(scan.max() + 1):
-            # A tracker of scans takes all plots of a turn at one time.
-            now = began + timedelta(seconds=radar.turn_s * (k + 0.5))
-            yield now, {detection(plot, now) for plot in plots[scan == k]}
-
-    at: list[tuple[float, np.ndarray, np.ndarray]] = []
-    numbers: dict[str, int] = {}
-    for now, tracks in MultiTargetTracker(initiator, deleter, scans(), associator, updater):
-        ordered = sorted(tracks, key=lambda track: track.id)
-        number = np.array([numbers.setdefault(track.id, len(numbers)) for track in ordered], np.int64)
-        state = np.array([track.state_vector[:, 0] for track in ordered], np.float64).reshape(-1, 4)
-        at.append(((now - began).total_seconds(), number, state))
+    radar, tracker = RADARS[0], StoneSoup(walk=walk, speed_m_per_s=150.0, sigma_m=100.0, gate_sigmas=4, scans=3)
+    time_s, range_m, azimuth_deg = np.array([plot[:3] for plot in trial.plots[0]]).T
+    range_m, azimuth = range_m - radar.range_m, np.radians(azimuth_deg - radar.azimuth_deg)
+    axes = np.stack([np.sin(azimuth), np.cos(azimuth), np.cos(azimuth), -np.sin(azimuth)], axis=-1).reshape(-1, 2, 2)
+    variance = np.column_stack([np.full(len(range_m), RANGE_M**2), (range_m * np.radians(AZIMUTH_DEG)) ** 2])
+    place, covariance = range_m[:, None] * axes[:, 0], np.swapaxes(axes, 1, 2) @ (variance[:, :, None] * axes)
+    scan = np.floor(time_s / radar.turn_s).astype(int)
+    # A tracker of scans takes all plots of a turn at one time.
+    scans = [(radar.turn_s * (k + 0.5), place[scan == k], covariance[scan == k]) for k in range(scan.max() + 1)]
+    tracks = tracker(scans)
 
     def shown(t: float) -> tuple[np.ndarray, np.ndarray]:
-        time_s, number, state = at[max(int(t / radar.turn_s - 0.5), 0)]
+        time_s, number, state = tracks[max(int(t / radar.turn_s - 0.5), 0)]
         return number, state[:, [0, 2]] + (t - time_s) * state[:, [1, 3]]
 
     return trial.score(shown)

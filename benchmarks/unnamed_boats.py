@@ -14,13 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import datetime, timedelta
 from importlib.util import find_spec
 
 import numpy as np
 
 from benchmarks.tables import Table
-from sameas.picture import Picture, instants
+from benchmarks.unnamed import Scoring, StoneSoup, of_picture
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Clutter, Description, MissRate, Motion, SensorCoverage, SensorErrors, Site, Timing
@@ -92,80 +91,28 @@ class Trial:
         plots = Reports.of("radar", "table", dict(zip(("time_s", "x_m", "y_m"), self.plots.T, strict=True)))
         return Scene.of([(radar, plots), (ais, self.ais)])
 
-    def score(self, shown: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> tuple[float, float, float]:
-        """Percent of the boats shown, numbers a boat, and false objects an instant; shown : gives the numbers and the
-        places of the confirmed objects at a time."""
-        found, false, times = np.zeros(BOATS), 0, np.arange(AFTER_S, SPAN_S - PERIOD_S, 5.0)
-        used: list[set[int]] = [set() for _ in range(BOATS)]
-        for t in times:
-            number, place = shown(float(t))
-            if not len(number):
-                continue
-            off = np.hypot(*(place[:, None] - (self.start + self.velocity * t)).transpose(2, 0, 1))
-            false += int((off > FAR_M).all(axis=1).sum())
-            near = off[:, SHIPS:] < NEAR_M
-            found += near.any(axis=0)
-            for k in range(BOATS):
-                used[k].update(number[near[:, k]].tolist())
-        return (
-            100.0 * float(found.mean()) / len(times),
-            float(np.mean([len(each) for each in used])),
-            false / len(times),
-        )
+    @property
+    def score(self) -> Scoring:
+        """Of the boats, beside the ships."""
+        times = np.arange(AFTER_S, SPAN_S - PERIOD_S, 5.0)
+        return Scoring(times, lambda t: self.start + self.velocity * t, BOATS, NEAR_M, FAR_M)
 
 
 def by_sameas(trial: Trial, described: bool) -> tuple[float, float, float]:
     """The score of the picture."""
-    scene = trial.scene(described)
-    objects = Picture.of(scene, instants(scene.span_s, every_s=5.0)).objects
-    confirmed = np.isin(objects["stage"], ("confirmed", "coasting"))
-    time_s, number = np.asarray(objects["time_s"]), np.asarray(objects["object"])
-    place = np.column_stack([objects["x_m"], objects["y_m"]])
-
-    def shown(t: float) -> tuple[np.ndarray, np.ndarray]:
-        here = np.flatnonzero((time_s == t) & confirmed)
-        return number[here], place[here]
-
-    return trial.score(shown)
+    return trial.score(of_picture(trial.scene(described), 5.0))
 
 
 def by_stone_soup(trial: Trial) -> tuple[float, float, float]:
     """The score of Stone Soup's multi-target tracker."""
-    from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
-    from stonesoup.deleter.time import UpdateTimeStepsDeleter
-    from stonesoup.hypothesiser.distance import DistanceHypothesiser
-    from stonesoup.initiator.simple import MultiMeasurementInitiator
-    from stonesoup.measures import Mahalanobis
-    from stonesoup.models.measurement.linear import LinearGaussian
-    from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity
-    from stonesoup.predictor.kalman import KalmanPredictor
-    from stonesoup.tracker.simple import MultiTargetTracker
-    from stonesoup.types.detection import Detection
-    from stonesoup.types.state import GaussianState
-    from stonesoup.updater.kalman import KalmanUpdater
+    tracker = StoneSoup(walk=0.01, speed_m_per_s=6.0, sigma_m=SIGMA_M, gate_sigmas=3, scans=5)
 
-    began, walk = datetime(2026, 1, 1), ConstantVelocity(0.01)
-    model = LinearGaussian(4, (0, 2), SIGMA_M**2 * np.eye(2))
-    predictor = KalmanPredictor(CombinedLinearGaussianTransitionModel([walk, walk]))
-    updater = KalmanUpdater(model)
-    associator = GNNWith2DAssignment(DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=3))
-    deleter = UpdateTimeStepsDeleter(5)
-    prior = GaussianState(np.zeros((4, 1)), np.diag([0.0, 36.0, 0.0, 36.0]), timestamp=began)
-    initiator = MultiMeasurementInitiator(prior, deleter, associator, updater, model, min_points=3)
-
-    def scans() -> Iterator[tuple[datetime, set[Detection]]]:
-        for t in np.arange(0.0, SPAN_S, PERIOD_S):
-            now = began + timedelta(seconds=float(t))
+    def scans() -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
+        for t in np.arange(0.0, SPAN_S, PERIOD_S).tolist():
             here = trial.plots[trial.plots[:, 0] == t, 1:]
-            yield now, {Detection(place[:, None], timestamp=now, measurement_model=model) for place in here}
+            yield t, here, np.tile(SIGMA_M**2 * np.eye(2), (len(here), 1, 1))
 
-    at: dict[float, tuple[np.ndarray, np.ndarray]] = {}
-    numbers: dict[str, int] = {}
-    for now, tracks in MultiTargetTracker(initiator, deleter, scans(), associator, updater):
-        ordered = sorted(tracks, key=lambda track: track.id)
-        number = np.array([numbers.setdefault(track.id, len(numbers)) for track in ordered], np.int64)
-        place = np.array([track.state_vector[[0, 2], 0] for track in ordered], np.float64).reshape(-1, 2)
-        at[(now - began).total_seconds()] = number, place
+    at = {t: (number, state[:, [0, 2]]) for t, number, state in tracker(scans())}
     return trial.score(lambda t: at[t])
 
 
