@@ -76,8 +76,10 @@ MOST = 8
 def refuse_numbers(n: int, prefix: str = "") -> None:
     """Refuse one catalogue, and more than can be matched at once."""
     if not 2 <= n <= MOST:
+        from sameas.representation import counted
+
         why = ": with more, combinations are too many; match their objects with the others afterwards" if n > 1 else ""
-        raise InputError(f"{prefix}{n} {'catalogue' if n == 1 else 'catalogues'} given", f"give two to {MOST}{why}")
+        raise InputError(f"{prefix}{counted(n, 'catalogue')} given", f"give two to {MOST}{why}")
 
 
 def of_side(columns: Mapping[str, Any], parameter: str, side: int) -> Any:

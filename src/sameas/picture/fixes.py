@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.gate.gate import Pairs
-from sameas.gaussian import determinant, inverse, mahalanobis_sq, propagated, symmetric
+from sameas.gate import Pairs
+from sameas.gaussian import Gaussian, determinant, mahalanobis_sq, propagated
 from sameas.picture.tables import Scan
+from sameas.tracks.alignment import transition
 
 
 @dataclass(frozen=True)
@@ -83,15 +84,19 @@ class Fixes:
             at = np.flatnonzero(self.new[which, column])
             if not len(at):
                 continue
-            row = which[at]
-            added = extent[at] if isinstance(extent, np.ndarray) else extent
-            observe = observed(self.age_s[row, column])
-            gain = covariance[at] @ np.swapaxes(observe, 1, 2)
-            gain = gain @ inverse(propagated(observe, covariance[at]) + self.covariance[row, column] + added)
-            residual = self.place[row, column] - np.einsum("kab,kb->ka", observe, state[at])
-            state[at] += np.einsum("kba,ka->kb", gain, residual)
-            covariance[at] = symmetric(covariance[at] - gain @ observe @ covariance[at])
+            before = Gaussian(state[at], covariance[at])
+            observe, innovation, total = self._observed(which[at], column, before)
+            total = total + (extent[at] if isinstance(extent, np.ndarray) else extent)
+            after = before.conditional(before.covariance @ np.swapaxes(observe, 1, 2), innovation, total)
+            state[at], covariance[at] = after.mean, after.covariance
         return state, covariance
+
+    def _observed(self, which: IntArray, column: int, objects: Gaussian) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """H (k, 2, 4), the fixes less those expected (k, 2), and the covariances of these differences (k, 2, 2), of the
+        fixes in a column of the objects ``which`` with these predicted states."""
+        observe = observed(self.age_s[which, column])
+        innovation = self.place[which, column] - np.einsum("kab,kb->ka", observe, objects.mean)
+        return observe, innovation, propagated(observe, objects.covariance) + self.covariance[which, column]
 
     def observed_in(self, pairs: Pairs, state: FloatArray, covariance: FloatArray) -> Pairs:
         """Pairs of objects with predicted states (k, 4), (k, 4, 4) and of these, with residuals at the newest fixes."""
@@ -99,12 +104,9 @@ class Fixes:
         at = np.flatnonzero(self.only[j])
         if not len(at):
             return pairs
-        i, j = i[at], j[at]
-        observe = observed(self.age_s[j, 0])
+        _, innovation, total = self._observed(j[at], 0, Gaussian(state[i[at]], covariance[i[at]]))
         residual, chi_sq, size = pairs.residual.copy(), pairs.mahalanobis_sq.copy(), pairs.determinant.copy()
-        residual[at] = np.einsum("kab,kb->ka", observe, state[i]) - self.place[j, 0]
-        total = propagated(observe, covariance[i]) + self.covariance[j, 0]
-        chi_sq[at], size[at] = mahalanobis_sq(residual[at], total), determinant(total)
+        residual[at], chi_sq[at], size[at] = -innovation, mahalanobis_sq(innovation, total), determinant(total)
         return replace(pairs, residual=residual, mahalanobis_sq=chi_sq, determinant=size)
 
     def started(self, which: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -115,8 +117,5 @@ class Fixes:
 
 
 def observed(age_s: FloatArray) -> FloatArray:
-    """(…, 2, 4) the positions this long before the instant, as linear functions of the states at it."""
-    out = np.zeros((*age_s.shape, 2, 4))
-    out[..., 0, 0] = out[..., 1, 1] = 1.0
-    out[..., 0, 2] = out[..., 1, 3] = -age_s
-    return out
+    """(n, 2, 4) the positions this long before the instant, as linear functions of the states at it."""
+    return transition(-age_s)[:, :2]

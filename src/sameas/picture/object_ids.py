@@ -412,8 +412,8 @@ class NamedObjects(PictureObjects):
         states, new_report = detections.states, detections.new_report[which]
         new_plots = detections.plots.take(which).besides(detections.hulls, self.number)
         state, covariance = taken(states.state, which), taken(states.covariance, which)
-        if new_plots.extent.any():
-            covariance[:, :2, :2] += np.where(self.by_plots[:, None, None], new_plots.extent, 0.0)
+        extent = np.where(self.by_plots[:, None, None], new_plots.extent, 0.0)
+        covariance[:, :2, :2] += extent
         velocity_known = taken(states.moving, which)
         # Without a velocity, it follows from the object's positions.
         by_fixes = detections.fixes.only[which]
@@ -423,8 +423,9 @@ class NamedObjects(PictureObjects):
             state[at], covariance[at] = _updated(before, state[at], covariance[at], new_report[at])
         at = np.flatnonzero(by_fixes)
         if len(at):
-            extent = np.where(self.by_plots[at, None, None], new_plots.extent[at], 0.0)
-            state[at], covariance[at] = detections.fixes.updated(which[at], self.state[at], self.covariance[at], extent)
+            state[at], covariance[at] = detections.fixes.updated(
+                which[at], self.state[at], self.covariance[at], extent[at]
+            )
         n_updates, n_plots = self.n_updates + new_report, self.n_plots + detections.new_plot[which]
         # The gain of an ended main track is kept; one that continues still counts by its own duration.
         continues = over_columns(np.logical_or, self.main_track[:, None] == taken(detections.tracks, which))

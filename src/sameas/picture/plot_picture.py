@@ -31,7 +31,7 @@ from sameas.picture.plot_existence import still_unseen
 from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
 from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, PictureObjects, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
-from sameas.picture.watch import TEXTS, RecordTexts
+from sameas.picture.watch import RecordTexts, texts_of
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed, walk_of
 from sameas.tracks.scans import joint_times
@@ -196,7 +196,6 @@ class PlotPicture:
             walk = max(walk_of(description) for description in now.descriptions)
             ended = self.objects.not_in(updated.tracks.number)
             objects = objects.with_ends(ended, now.instant_s - self.last_s, walk)
-        of_records = {name: scan.texts(name) for name in TEXTS if scan.reports(name)}
-        texts = RecordTexts.of(scan, detections.members, of_records, objects).of_objects(objects, self.texts)
+        texts = RecordTexts.of(scan, detections.members, texts_of(scan), objects).of_objects(objects, self.texts)
         carried = replace(updated, objects=objects, last_s=now.instant_s, texts=texts)
         return PictureState(now, scan, detections, detections.states, carried)

@@ -254,26 +254,28 @@ class Watch:
 
     def passed(self, now: Instant) -> Watch:
         """The watch after an instant that is not shown: its reports are in the memory of tracks."""
-        scan, track_of_record = self._scan(now)
+        scan, track_of_record = self._scan(now, self._hulls_at(now))
         memory = self.memory.advance(scan, track_of_record)
         return replace(self, memory=memory, forgotten=np.concatenate([self.forgotten, memory.tracks.forgotten]))
 
-    def _scan(self, now: Instant) -> tuple[Scan, IntArray]:
+    def _scan(self, now: Instant, hulls: Hulls) -> tuple[Scan, IntArray]:
         """The scan of an instant, and (n,) the numbers of its records' tracks, ABSENT for new ones."""
         scan = self.memory.error_factors.applied(Scan.of(now.with_records(), self.tuning))
-        if self.plot_rates.hulls:
-            scan = self._with_hulls(scan)
+        if hulls.echoes:
+            scan = self._with_hulls(scan, hulls)
         track_of_record = self.memory.tracks.numbers_on(scan)
         together = self.objects.history.together
         return self.memory.with_manoeuvres(scan, track_of_record, objects_per_m2(now), together), track_of_record
 
-    def _hulls_at(self, instant_s: float) -> Hulls:
-        """The hulls about which echoes are looked for at an instant."""
-        return Hulls(self.objects.owners_at(instant_s, self.tuning), self.plot_rates.hulls, self.tuning)
+    def _hulls_at(self, now: Instant) -> Hulls:
+        """The hulls about which echoes are looked for at an instant; none without a source of plots."""
+        if not any(gives_plots(feed) for feed in now.feeds):
+            return Hulls()
+        return Hulls(self.objects.owners_at(now.instant_s, self.tuning), self.plot_rates.hulls, self.tuning)
 
-    def _with_hulls(self, scan: Scan) -> Scan:
+    def _with_hulls(self, scan: Scan, hulls: Hulls) -> Scan:
         """The scan with the errors of the plots that may be of any place of a hull."""
-        hulls, extent = self._hulls_at(scan.now.instant_s), np.zeros((len(scan), 4, 4))
+        extent = np.zeros((len(scan), 4, 4))
         others = self.objects.of_plots_at(scan.now.instant_s)
         others = others.take((others.p_real > 0.5) & ~np.isin(others.number, hulls.owners.number))
         for s, feed in enumerate(scan.now.feeds):
@@ -302,7 +304,8 @@ class Watch:
             require_order(self.shown.now.instant_s, now.instant_s)
         if any(feed.reports.track is None for feed in now.feeds):
             now = self.plot_rates.applied(now, self.objects.of_plots_at(now.instant_s), self.tuning)
-        scan, track_of_record = self._scan(now)
+        hulls = self._hulls_at(now)
+        scan, track_of_record = self._scan(now, hulls)
         with_records, is_due = scan.now, self._is_due(scan.now)
         memory = (self.memory.advance if is_due else self.memory.looked_ahead)(scan, track_of_record)
         identification = self._identify(with_records, memory)
@@ -316,10 +319,11 @@ class Watch:
             )
         objects_now = IdentifiedObjects(scan, identification, by_hysteresis)
         members = objects_now.members
-        texts = {name: scan.texts(name) for name in TEXTS if scan.reports(name)}
+        texts = texts_of(scan)
         looks = Looks.since(now, -math.inf if self.shown is None else self.shown.now.instant_s, self.tuning)
         is_new = scan.new_since(self.shown)
-        detections = self._detections(scan, members, identification, memory, texts, looks, is_new)
+        hulls = hulls if looks.feeds else Hulls()
+        detections = self._detections(scan, members, identification, memory, texts, looks, hulls, is_new)
         memory = memory.with_real(detections.tracks[_certain_pairs(members, identification, self.stages)])
         objects = self.objects.advance(now.instant_s, detections, self.stages, self.tuning)
         object_texts = RecordTexts.of(scan, members, texts, objects).of_objects(objects, self.texts)
@@ -386,6 +390,7 @@ class Watch:
         memory: TrackMemory,
         texts: Mapping[str, NDArray[Any]],
         looks: Looks,
+        hulls: Hulls,
         is_new: BoolArray,
     ) -> UnnumberedObjects:
         """The objects of an instant with the properties that identify them over time."""
@@ -408,7 +413,6 @@ class Watch:
         names = [description.name for description in scan.now.descriptions]
         believed = clutter_free | np.array([name not in self.misread for name in names], dtype=bool)
         plots = NewPlots.of(scan, members, is_new, is_named, looks)
-        hulls = self._hulls_at(scan.now.instant_s) if looks.feeds else Hulls()
         new_report, new_plot = (
             over_columns(np.logical_or, np.append(column, False)[members]) for column in (is_new, is_new & ~is_named)
         )
@@ -433,6 +437,11 @@ class Watch:
             speed,
             np.concatenate([self.forgotten, memory.tracks.forgotten]),
         )
+
+
+def texts_of(scan: Scan) -> dict[str, NDArray[Any]]:
+    """(records,) the texts of an instant by column, of the columns that a source reports."""
+    return {name: scan.texts(name) for name in TEXTS if scan.reports(name)}
 
 
 @dataclass(frozen=True)

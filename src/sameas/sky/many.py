@@ -43,7 +43,7 @@ from sameas.many.pooled import PooledRecords, pooled
 from sameas.many.rules import Linear, Terms
 from sameas.many.sets import Sets, candidate_sets
 from sameas.records import Records
-from sameas.representation import in_short
+from sameas.representation import counted, in_short
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.completion import completed
 from sameas.sky.crossmatch import MatchOptions, at_common_epoch, by_position
@@ -549,10 +549,8 @@ def _initial_population(
 
 def _refuse(catalogues: Sequence[Catalogue]) -> None:
     if not 2 <= len(catalogues) <= MAX_CATALOGUES:
-        n = len(catalogues)
-        raise InputError(
-            f"{n} {'catalogue' if n == 1 else 'catalogues'} given", f"give two to {MAX_CATALOGUES}, as a list"
-        )
+        n = counted(len(catalogues), "catalogue")
+        raise InputError(f"{n} given", f"give two to {MAX_CATALOGUES}, as a list")
     names = [catalogue.name for catalogue in catalogues]
     duplicate = next((name for name in names if names.count(name) > 1), None)
     if duplicate is not None:

@@ -22,7 +22,7 @@ from sameas.sky.conventions import (
     own_axes,
     plain,
 )
-from sameas.sky.surveys_beyond_light import HIGH_ENERGY, RADIO
+from sameas.sky.surveys_xray_radio import HIGH_ENERGY, RADIO
 
 _LSST_MOTION = MotionNames(
     ("parallax", "pmRa", "pmDec", "radialVelocity"), ("parallaxErr", "pmRaErr", "pmDecErr", "radialVelocityErr")

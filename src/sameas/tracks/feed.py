@@ -235,9 +235,8 @@ class Feed:
 
         Of plots without ids, the mean with manoeuvres: no filter notices these.
         """
-        walk = walk_of(self.description)
-        if self.reports.track is None:
-            walk = mean_walk_of(self.description, self.tuning)
+        bare = self.reports.track is None
+        walk = mean_walk_of(self.description, self.tuning) if bare else walk_of(self.description)
         if self.p_slow is None:
             return np.full(len(self.reports), walk)
         return walk * (1.0 - self.p_slow.sum(axis=1)) + self.tuning.drift_walk_m2_per_s3 * self.p_slow[:, ADRIFT]

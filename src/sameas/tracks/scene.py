@@ -132,10 +132,11 @@ class Scene:
     @property
     def sessions_s(self) -> list[tuple[float, float]]:
         """The spans with reports, which pauses of all sources longer than :data:`PAUSE_S` separate."""
+        first_s, last_s = self.span_s
         times = np.unique(np.concatenate([feed.reports.time_s for feed in self.feeds]))
         pauses = np.flatnonzero(np.diff(times) > PAUSE_S)
-        first, last = times[np.append(0, pauses + 1)], times[np.append(pauses, len(times) - 1)]
-        return list(zip(first.tolist(), last.tolist(), strict=True))
+        begins, ends = [first_s, *times[pauses + 1].tolist()], [*times[pauses].tolist(), last_s]
+        return list(zip(begins, ends, strict=True))
 
     def registered(self, references: Sequence[str] | None = None) -> tuple[Scene, tuple[SourceBiases, ...]]:
         """The scene without the biases of its sources, and the biases of each, in their order.

@@ -20,7 +20,16 @@ from sameas.many.observations import LinearPart, Observations, Source
 from sameas.records import Records
 from sameas.registration.weights import PlacedSources as Weighing
 from sameas.space import Plane
-from sameas.tracks.alignment import Earlier, States, aged, moved, process_noise, track_numbers, usable_states
+from sameas.tracks.alignment import (
+    Earlier,
+    States,
+    aged,
+    moved,
+    process_noise,
+    track_numbers,
+    transition,
+    usable_states,
+)
 from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME, AzimuthBias, BiasModel, RelativeBias
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, SlowBearing
@@ -144,7 +153,7 @@ class Snapshot:
         wander = process_noise(np.full(len(walk), age), walk)[:, :2, :2] + late**2 * np.eye(2)
         covariance = covariance[:, :2, :2] + wander
         records = Records.of(state[:, :2], covariance=covariance, ids=reports.rows[self.rows], source=description.name)
-        return Observations(records, LinearPart(np.hstack([np.eye(2), -age * np.eye(2)])))
+        return Observations(records, LinearPart(transition(-age)[0, :2]))
 
     def _bearings(self, instant_s: float, features: int, places: FloatArray) -> Observations:
         """Directions, as observations of the position of an object at the time of the scan."""

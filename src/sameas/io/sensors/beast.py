@@ -16,9 +16,9 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 
-_COUNTER_HZ = 12e6
+COUNTER_HZ = 12e6
 #: A counter starts again after this many seconds.
-COUNTER_S = 2.0**48 / _COUNTER_HZ
+COUNTER_S = 2.0**48 / COUNTER_HZ
 _ESCAPE = b"\x1a"
 #: Bytes after the type, by type: counter, level, message.
 _LENGTHS = {b"1": 9, b"2": 14, b"3": 21, b"4": 21, b"5": 21}
@@ -106,4 +106,4 @@ def seconds_of(counters: list[int]) -> tuple[FloatArray, float]:
     upper, lower = values >> np.uint64(30), values & np.uint64((1 << 30) - 1)
     if len(np.unique(upper)) >= _FEWEST_UPPER and (lower < 10**9).all() and (upper <= 86400).all():
         return upper + 1e-9 * lower, 86400.0
-    return values / _COUNTER_HZ, COUNTER_S
+    return values / COUNTER_HZ, COUNTER_S

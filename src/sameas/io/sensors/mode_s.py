@@ -39,7 +39,6 @@ from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 _LONGEST_LINE = 200
 _LINE = re.compile(r"(?:(?P<time>[^,;*@\s][^,;*@]*?)[,;\s]+)?[*@]?(?P<hex>[0-9A-Fa-f]{14,42});?")
 _FRAME = re.compile(r"(?:[0-9A-Fa-f]{14}){1,2}")
-_COUNTER_HZ = 12e6
 #: Fields older than this, in seconds, are not joined to a position: velocities, and fields sent rarely (chosen).
 _STALE_S, _RARE_STALE_S = 10.0, 120.0
 #: The same message again within this time, in seconds, comes from another receiver; transponders send twice a second.
@@ -92,7 +91,7 @@ class Messages:
             made.numbers.append(number)
             made.messages.append(message.lower())
             times.append(
-                (np.nan if utc is None else utc, int(digits[:12], 16) / _COUNTER_HZ if has_counter else np.nan)
+                (np.nan if utc is None else utc, int(digits[:12], 16) / beast.COUNTER_HZ if has_counter else np.nan)
             )
         made.time_s, made.counter_s = np.array(times, np.float64).reshape(-1, 2).T
         made.places = np.full((len(times), 2), np.nan)
@@ -129,9 +128,10 @@ class Messages:
             frames.damaged, frames.passed_over, "frame",
         )  # fmt: skip
 
-    def received(self, time_s: float) -> Messages:
-        """These messages at the time of their receipt, where they state none."""
-        return replace(self, time_s=np.where(np.isnan(self.time_s), time_s, self.time_s))
+    def received(self, time_s: FloatArray | float) -> Messages:
+        """These messages at the times of receipt of their lines or frames (k,), or of all, where they state none."""
+        of_numbers = np.asarray(time_s) if np.ndim(time_s) == 0 else np.asarray(time_s)[np.array(self.numbers, int) - 1]
+        return replace(self, time_s=np.where(np.isnan(self.time_s), of_numbers, self.time_s))
 
     @classmethod
     def joined(cls, parts: Sequence[Messages]) -> Messages:

@@ -88,8 +88,11 @@ def read_reports(path: str | os.PathLike[str], options: ReadOptions | None = Non
 
 def _with_last_line(reports: Reports, file: SensorFile) -> Reports:
     """The reports; a damaged last line without line end is called incomplete."""
-    damaged, last = reports.damaged, len(file.lines) if file.unended else 0
-    if last not in damaged.lines or damaged.unit != "line":
+    damaged = reports.damaged
+    if damaged.unit != "line" or not file.unended:
+        return reports
+    last = len(file.lines)
+    if last not in damaged.lines:
         return reports
     reasons = np.where(damaged.lines == last, "the last line is incomplete", damaged.reasons)
     return replace(reports, damaged=replace(damaged, reasons=reasons))

@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from sameas.errors import InputError
 from sameas.io.sensors import aircraft, ais, arpa, asterix, beast, mode_s, nmea, sbs, signalk, tables
 from sameas.io.sensors.asterix_records import looks_cut_off, looks_like, split_blocks
@@ -92,6 +94,7 @@ class ReportStream:
         self._checked, self._is_beast = False, False
         self._lines: list[tuple[float, str]] = []
         self._datagrams: list[tuple[float, bytes]] = []
+        self._messages: list[mode_s.Messages] = []
         self._ais_state, self._ship, self._vessels = ais.ReceiverState(), arpa.ArpaState(), signalk.Vessels()
         self._latest: sbs.Latest = {}
         self._aircraft: dict[str, object] = {}
@@ -175,10 +178,10 @@ class ReportStream:
     def _feed_frames(self, data: bytes, received_s: float, last: bool) -> bytes:
         """Adds complete Beast frames; the rest is an incomplete one."""
         self._is_beast = True
-        end = beast.split_frames(data, final=last).end
-        if end:
-            self._datagrams.append((received_s, data[:end]))
-        return data[end:]
+        frames = beast.split_frames(data, final=last)
+        if frames.end:
+            self._messages.append(mode_s.Messages.of_frames(frames).received(received_s))
+        return data[frames.end :]
 
     @property
     def own_ship(self) -> tuple[float, float, float]:
@@ -209,9 +212,9 @@ class ReportStream:
         ------
         InputError : the data have no report of this format: a column, a library or a time is missing.
         """
-        if not self._lines and not self._datagrams:
+        if not self._lines and not self._datagrams and not self._messages:
             return []
-        received_s = max([*(when for when, _ in self._lines[-1:]), *(when for when, _ in self._datagrams[-1:])])
+        received_s = max((when for when, _ in (*self._lines[-1:], *self._datagrams[-1:])), default=-math.inf)
         positions = self._ship.positions + self._vessels.positions
         try:
             return self._decoded()
@@ -221,8 +224,8 @@ class ReportStream:
 
     def _decoded(self) -> list[Reports]:
         """The reports in the lines and datagrams that wait."""
-        lines, datagrams = self._lines, self._datagrams
-        self._lines, self._datagrams = [], []
+        lines, datagrams, messages = self._lines, self._datagrams, self._messages
+        self._lines, self._datagrams, self._messages = [], [], []
         texts, received = [text for _, text in lines], [when for when, _ in lines]
         if self.format == "nmea":
             return self._nmea(texts, received)
@@ -230,7 +233,7 @@ class ReportStream:
             parts = [self._read(partial(self._asterix, data, when)) for when, data in datagrams]
             return [reports for part in parts for reports in part]
         if self.format == "mode-s":
-            return self._mode_s(texts, received, datagrams)
+            return self._mode_s(texts, received, messages)
         if self.format == "sbs":
             if len(self._latest) > MOST_REMEMBERED:
                 self._latest.clear()
@@ -259,15 +262,14 @@ class ReportStream:
             self._blocks.clear()
         return asterix.read(data, self.source, received_s=received_s, blocks_read=self._blocks)
 
-    def _mode_s(self, texts: list[str], received: list[float], datagrams: list[tuple[float, bytes]]) -> list[Reports]:
+    def _mode_s(self, texts: list[str], received: list[float], found: list[mode_s.Messages]) -> list[Reports]:
         """Messages of transponders; those without a time have that of receipt."""
         if len(self._transponders.fields) > MOST_REMEMBERED:
             self._transponders = mode_s.Aircraft()
-        found = [(mode_s.Messages.of_frames(beast.split_frames(data, final=True)), when) for when, data in datagrams]
         if texts:
             read = mode_s.Messages.of_json if texts[0].lstrip()[:1] == "{" else mode_s.Messages.of_lines
-            found += [(read([text]), when) for text, when in zip(texts, received, strict=True)]
-        messages = mode_s.Messages.joined([one.received(when) for one, when in found])
+            found = [*found, read(texts).received(np.array(received))]
+        messages = mode_s.Messages.joined(found)
         return self._read(lambda: [mode_s.read(messages, self.source, aircraft=self._transponders)])
 
     def _nmea(self, texts: list[str], received: list[float]) -> list[Reports]:
