@@ -1,17 +1,12 @@
 """Object ids: each object of the picture keeps its number from instant to instant.
 
 The objects of an instant are identified with those of the picture as by :func:`sameas.identify`, one to one and
-jointly, by their predicted positions and common tracks. So a number never goes to another object while its own is
+jointly, by the evidence of :mod:`sameas.picture.continuity`. So a number never goes to another object while its own is
 present, and if two objects exchange a record, each keeps the most probable number.
 
 An object is *tentative* when it appears, *confirmed* when it is certain (:class:`Stages`), *coasting* while no source
 detects it and its position is predicted, and *ended* when more than one other object is expected within its own 1σ
 ellipse, or when all its tracks are of another object. An object that returns with a unique id gets its number again.
-
-The evidence compares the position with the prediction, the velocities, and the tracks of both objects. If a track
-breaks and continues under another id, there is no common track; then velocities separate two objects that cross
-undetected. A unique id (MMSI, ICAO address) has a higher weight and counts at any distance: a ferry that brakes harder
-than its motion model allows is still that ferry. A radar's track numbers are reused, so they are not unique.
 """
 
 from __future__ import annotations
@@ -23,20 +18,19 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, logit
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, distinct, over_columns, places_in, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, over_columns, places_in, taken
 from sameas.assignment import assign, refuse_crowds
 from sameas.errors import InputError
-from sameas.evidence import Evidence, Field, Rule
-from sameas.gate import Pairs
-from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq, symmetric
+from sameas.gaussian import Gaussian, symmetric
 from sameas.groups import groups
+from sameas.picture.continuity import CommonTracks, Continuity, Motions, NearOrSameId, PlotContinuity
 from sameas.picture.fixes import Fixes
 from sameas.picture.hull_echoes import Hulls, owners_among
 from sameas.picture.plot_existence import Looks, NewPlots, PlotOdds
 from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, ObjectStates, PictureObjects
 from sameas.picture.track_existence import ExistenceOdds
 from sameas.picture.track_history import TrackHistory
-from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
+from sameas.picture.tuning import Tuning
 from sameas.prior import EVIDENCE_ALONE
 from sameas.records import Records
 from sameas.representation import in_short
@@ -45,130 +39,6 @@ from sameas.tracks.alignment import aged
 #: Least distance from 0 and 1 of the probability that a look shows an object. LEAST_WEIGHT : a plot goes to an object
 #: that is hardly real, if it exists, but rather to one that is certain: the most by which it counts less.
 MIN_SHOWN, LEAST_WEIGHT = 1e-6, 0.2
-
-
-@dataclass(frozen=True)
-class CommonTracks:
-    """Pairs of an object of the picture and one of the instant with a common track, (k,) each, in ascending order.
-
-    object_place, detection_place : rows of both. weight : ln r. unique : number of common tracks with a unique id.
-    """
-
-    object_place: IntArray
-    detection_place: IntArray
-    weight: FloatArray
-    unique: FloatArray
-
-    @classmethod
-    def of(
-        cls,
-        object_place: IntArray,
-        detection_place: IntArray,
-        share: FloatArray,
-        unique: BoolArray,
-        tuning: Tuning,
-    ) -> CommonTracks:
-        """Of common tracks (m,): each adds ln(1 + s/ε), ε ``id_reassigned``.
-
-        share : s, the track's share in the object over the last minutes. unique : whether the track's id is unique.
-        """
-        key, pair = np.unique((object_place << 32) | detection_place, return_inverse=True)
-        log_ratio = np.log1p(share / tuning.id_reassigned) + math.log(tuning.unique_id_odds) * unique
-        weight = np.bincount(pair, log_ratio, len(key)).astype(np.float64)
-        n_unique = np.bincount(pair, unique, len(key)).astype(np.float64)
-        return cls(key >> 32, key & 0xFFFFFFFF, weight, n_unique)
-
-    def of_pairs(self, pairs: Pairs) -> tuple[FloatArray, FloatArray]:
-        """(m,) weight of each pair and (m,) its number of common unique ids; 0 without a common track."""
-        key = (self.object_place << 32) | self.detection_place
-        pair_key = (pairs.first.rows[pairs.i].astype(np.int64) << 32) | pairs.second.rows[pairs.j]
-        at = np.minimum(np.searchsorted(key, pair_key), max(len(key) - 1, 0))
-        same = np.append(key, -1)[at] == pair_key
-        weight, unique = (np.append(column, 0.0)[at] for column in (self.weight, self.unique))
-        return np.where(same, weight, 0.0), np.where(same, unique, 0.0)
-
-
-@dataclass(frozen=True)
-class Motions:
-    """States (n, 4) of objects, covariances (n, 4, 4), and (n,) the 1σ per axis of velocities of such objects."""
-
-    state: FloatArray
-    covariance: FloatArray
-    speed_m_per_s: FloatArray
-
-
-@dataclass(frozen=True)
-class PlotContinuity:
-    """What objects of the instant that only plots without names show add to :class:`Continuity`.
-
-    clutter_per_m2 : (n,) about each of these, 0 for the others. is_new : (n,) whether its plot is a new one of clutter.
-    log_odds : (k,) that a look since the previous instant shows each object of the picture, if that is real.
-    """
-
-    clutter_per_m2: FloatArray
-    is_new: BoolArray
-    log_odds: FloatArray
-
-    def __call__(self, pairs: Pairs) -> FloatArray:
-        """(m,) what the pairs gain: an object that hardly exists, or is hardly detected, rarely has a plot."""
-        i, j = pairs.first.rows[pairs.i], pairs.second.rows[pairs.j]
-        return np.where(self.is_new[j], self.log_odds[i], 0.0)
-
-
-@dataclass(frozen=True)
-class Continuity(Rule):
-    """ln r of an object of the picture and one of the instant: by positions, at ``per_m2`` objects per m² and the
-    clutter of plots, by tracks, and without a common track by velocities, which plots do not have."""
-
-    per_m2: float
-    common: CommonTracks
-    objects: Motions
-    detections: Motions
-    has_velocity: BoolArray
-    plots: PlotContinuity
-    tuning: Tuning = DEFAULT_TUNING
-
-    def __call__(self, pairs: Pairs) -> Evidence:
-        elsewhere = self.tuning.new_share * self.per_m2 + self.plots.clutter_per_m2
-        place = Field(elsewhere)(pairs).log_ratio + self.plots(pairs)
-        weight, unique = self.common.of_pairs(pairs)
-        place = np.where(unique > 0.0, np.maximum(place, math.log(self.tuning.id_reassigned)), place)
-        velocity = np.zeros(len(pairs))
-        unrelated = np.flatnonzero((weight == 0.0) & self.has_velocity[pairs.second.rows[pairs.j]])
-        velocity[unrelated] = self._velocities(
-            pairs.first.rows[pairs.i[unrelated]], pairs.second.rows[pairs.j[unrelated]]
-        )
-        return Evidence({"place": place, "velocity": velocity, "tracks in common": weight})
-
-    def _velocities(self, i: IntArray, j: IntArray) -> FloatArray:
-        """(m,) ln of the density of j's velocity as that of i, given both positions, relative to that of any object."""
-        residual = taken(self.objects.state, i) - taken(self.detections.state, j)
-        total = taken(self.objects.covariance, i) + taken(self.detections.covariance, j)
-        velocity = Gaussian(residual[:, 2:], total[:, 2:, 2:])
-        rest = velocity.conditional(total[:, 2:, :2], -residual[:, :2], total[:, :2, :2])
-        same = log_density(rest.mean, rest.covariance)
-        any_ = self.detections.covariance[j, 2:, 2:] + self.detections.speed_m_per_s[j, None, None] ** 2 * np.eye(2)
-        return np.asarray(same - log_density(self.detections.state[j, 2:], any_))
-
-
-@dataclass(frozen=True)
-class NearOrSameId:
-    """A gate: near pairs, and pairs at any distance with a common unique id."""
-
-    common: CommonTracks
-
-    def __call__(self, first: Records, second: Records) -> Pairs:
-        near = GATE(first, second)
-        same_id = self.common.unique > 0.0
-        by_id = (self.common.object_place[same_id] << 32) | self.common.detection_place[same_id]
-        key = distinct(np.concatenate([(near.i.astype(np.int64) << 32) | near.j, by_id]))
-        if len(key) == len(near):
-            return near
-        i, j = (key >> 32).astype(np.int32), (key & 0xFFFFFFFF).astype(np.int32)
-        residual = taken(first.features, i) - taken(second.features, j)
-        total = taken(first.full_covariance(), i) + taken(second.full_covariance(), j)
-        chi_sq = mahalanobis_sq(residual, total)
-        return Pairs(first, second, i, j, i, j, residual, chi_sq, determinant(total), f"{near.gate}, or one name")
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,8 @@ from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotPicture, nameless
 from sameas.picture.summary import Summary, Tally
 from sameas.picture.tables import STAGES
-from sameas.picture.watch import TEXTS, Watch
+from sameas.picture.texts import TEXTS
+from sameas.picture.watch import Watch
 from sameas.representation import in_short
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.placement import Directions

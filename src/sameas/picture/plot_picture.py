@@ -30,8 +30,8 @@ from sameas.picture.picture_state import PictureState, TrackedObjects, has_veloc
 from sameas.picture.plot_existence import still_unseen
 from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
 from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, PictureObjects, Scan
+from sameas.picture.texts import RecordTexts, texts_of
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
-from sameas.picture.watch import RecordTexts, texts_of
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed, walk_of
 from sameas.tracks.scans import joint_times

@@ -22,135 +22,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, are_among, entries, over_columns, taken
+from sameas.arrays import ABSENT, BoolArray, IntArray, are_among, over_columns
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
-from sameas.kernels.components import label_components
 from sameas.many.identify import identify_many
-from sameas.many.marginals import best_sets
 from sameas.many.objects import Objects
 from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import PoissonObjects, SetRule
-from sameas.many.sets import ManyTuning, Sets
 from sameas.picture.fixes import Fixes
 from sameas.picture.hull_echoes import Hulls, ScanPlots
+from sameas.picture.hysteresis import with_hysteresis
 from sameas.picture.memory import TrackMemory, require_order
 from sameas.picture.object_ids import NamedObjects, Stages, UnnumberedObjects
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
 from sameas.picture.plot_existence import Looks, NewPlots, gives_plots, looks_between
 from sameas.picture.plot_rates import PlotRates, nearest_object
-from sameas.picture.tables import CONFIRMED, PictureObjects, Scan, object_states, objects_per_m2
-from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
+from sameas.picture.tables import CONFIRMED, Scan, object_states, objects_per_m2
+from sameas.picture.texts import RecordTexts, texts_of
+from sameas.picture.tuning import DEFAULT_TUNING, GATE, LIVE, Tuning
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.scene import POSITION, Instant, Scene
 
-#: Default b of :func:`with_hysteresis`: odds of a change (chosen).
-BOUND = 4.0
-
-
-def with_hysteresis(
-    identification: Objects, previous_object: IntArray, log_bound: float, tuning: Tuning = DEFAULT_TUNING
-) -> tuple[Objects, BoolArray]:
-    """The objects of an instant, with those of the previous instant kept unless another answer is much more probable;
-    and (n,) whether each object is shown only because it is kept.
-
-    Two vessels at one pier share an echo whose owner stays uncertain for hours: 60 to 40, then 45 to 55. The most
-    probable answer would switch back and forth. So the picture shows the partition that maximises
-
-        ln P(partition) − ln b · links,
-
-    with P from all scans, and ``links`` the number of links that the partition breaks: n − 1 where it splits the
-    records of one object of the previous instant into n parts. Joining breaks no link, and only records of named tracks
-    have a previous object. Two trackers that exchange two ships' ids once are one change, which breaks two links or
-    more; so where this partition and the most probable one differ, each connected part of the difference is kept only
-    while the other answer is less than b times as probable. Probabilities do not change.
-    Source: the decision of least expected loss when a reversed change has a cost (Berger 1985, section 2).
-
-    Parameters
-    ----------
-    previous_object : (records,) the object of each pooled record's track at the previous instant, ABSENT without one.
-    log_bound : ln b; 0 to show the most probable answer always.
-    tuning : with the time limit of the search for the best partition of one group.
-    """
-    sets, answer, n = identification.sets, identification.answer, len(identification.pooled)
-    if log_bound <= 0.0:
-        return identification, np.zeros(len(identification), bool)
-    # Components that no possible set connects are independent; only those that split a previous object are re-solved.
-    possible, record = answer.probability > 0.0, over_columns(np.maximum, sets.members)
-    component = _components(sets, possible | answer.chosen, n)[record]
-    resolve = _splits(sets, component, previous_object, answer.chosen)[component]
-    if not resolve.any():
-        return identification, np.zeros(len(identification), bool)
-    which = np.flatnonzero(resolve)
-    log_weight = sets.log_weight.copy()
-    log_weight[which] += log_bound * _links(taken(sets.members, which), previous_object)
-    with_links = replace(sets, log_weight=log_weight)
-    best = best_sets(with_links, n, possible & resolve, time_limit_s=tuning.search_s, tuning=LIVE)
-    chosen = np.where(resolve, best, answer.chosen)
-    change = _components(sets, chosen ^ answer.chosen, n)[record]
-    gain = np.bincount(change, sets.log_weight * (answer.chosen.astype(np.int64) - chosen), n)
-    chosen = np.where(gain[change] < log_bound, chosen, answer.chosen)
-    log_loss = _log_weight(sets, answer.chosen) - _log_weight(sets, chosen)
-    kept = replace(identification, answer=replace(answer, chosen=chosen, gap=answer.gap + np.maximum(log_loss, 0.0)))
-    return kept, ~answer.chosen[kept.set_of_object]
-
-
-def _components(sets: Sets, which: BoolArray, n_records: int) -> IntArray:
-    """(records,) the connected component of each record, by the sets ``which``."""
-    several = np.flatnonzero(which & (sets.size > 1))
-    members = taken(sets.members, several)
-    at, record = entries(members)
-    edges = (n_records + at, record)
-    parent, component = np.empty((2, n_records + len(several)), np.int64)
-    label_components(*edges, parent, component)
-    return component[:n_records]
-
-
-def _links(members: IntArray, previous_object: IntArray) -> IntArray:
-    """(k,) links within each set (k, S): its records with a previous object, minus the number of these objects."""
-    previous = np.sort(np.append(previous_object, ABSENT)[members], axis=1)
-    has_previous = previous >= 0
-    objects = (has_previous[:, :1] + np.cumsum((previous[:, 1:] != previous[:, :-1]) & has_previous[:, 1:], axis=1))[
-        :, -1:
-    ].sum(axis=1)
-    return np.asarray(has_previous.sum(axis=1) - objects)
-
-
-def _splits(sets: Sets, component: IntArray, previous_object: IntArray, chosen: BoolArray) -> BoolArray:
-    """(components,) whether the chosen sets split a previous object; component : (k,) of each set."""
-    which = np.flatnonzero(chosen)
-    members = taken(sets.members, which)
-    at, record = entries(members)
-    previous, own = previous_object[record], which[at]
-    order = np.lexsort([own, component[own], previous])
-    order = order[previous[order] >= 0]
-    one, other = order[:-1], order[1:]
-    same_component = component[own[one]] == component[own[other]]
-    split = (previous[one] == previous[other]) & same_component & (own[one] != own[other])
-    out = np.zeros(int(component.max(initial=-1)) + 1, bool)
-    out[component[own[other[split]]]] = True
-    return out
-
-
-def _log_weight(sets: Sets, chosen: BoolArray) -> FloatArray:
-    """(g,) ln w of the partition of each group."""
-    return np.asarray(np.bincount(sets.group[chosen], sets.log_weight[chosen], len(sets.start) - 1), np.float64)
-
-
-#: Attributes of identity in the tables of a picture: names of an object, and what is reported with them.
-NAMES, WITH_NAMES = ("mmsi", "icao", "callsign", "name"), ("mode_a", "type")
-TEXTS = (*NAMES, *WITH_NAMES)
 #: Attributes that are unique to an object.
 UNIQUE_IDS = ("mmsi", "icao", "callsign")
-#: Work limits of an instant. In crowded pictures (500 objects, 0.1 others within σ) the excluded sets change
-#: probabilities by at most 5e-4; a first cut of 20, with 6 for the largest groups as well, takes twice as long.
-LIVE = ManyTuning(cuts=(10.0, 8.0, 6.0, 4.0, 2.0, 1.0), block_steps=10_000)
-#: The texts of an object without any.
-NO_TEXTS = np.full(len(TEXTS), "", dtype=object)
-
-
 #: Makes the rule of an instant from the instant and the memory.
 EvidenceOf = Callable[[Instant, TrackMemory], SetRule]
 
@@ -187,8 +83,8 @@ class Watch:
     evidence : makes the rule of an instant. ``lambda now, memory: now.rule() + memory.rule()`` ignores identities,
         ``lambda now, memory: now.rule() + now.height() + now.identity()`` identifies each instant without memory.
     memory : the memory of tracks; give one to set the correlation times of their errors.
-    bound : odds at which records change their object (:func:`with_hysteresis`); 1 for the most probable answer of
-        each instant.
+    bound : odds at which records change their object (:mod:`sameas.picture.hysteresis`; chosen); 1 for the most
+        probable answer of each instant.
     stages : when objects are confirmed. gate : of ``identify_many``. tuning : other chosen numbers.
     misread : names of sources whose positions may be wrong (:attr:`sameas.tracks.scene.Scene.misread`): one with false
         records confirms no object by itself.
@@ -200,7 +96,7 @@ class Watch:
 
     evidence: EvidenceOf = all_evidence
     memory: TrackMemory = field(default_factory=TrackMemory)
-    bound: float = BOUND
+    bound: float = 4.0
     stages: Stages = field(default_factory=Stages)
     misread: frozenset[str] = frozenset()
     gate: ChiSquare = GATE
@@ -412,7 +308,6 @@ class Watch:
         is_named = memory.tracks.track_of_record >= 0
         names = [description.name for description in scan.now.descriptions]
         believed = clutter_free | np.array([name not in self.misread for name in names], dtype=bool)
-        plots = NewPlots.of(scan, members, is_new, is_named, looks)
         new_report, new_plot = (
             over_columns(np.logical_or, np.append(column, False)[members]) for column in (is_new, is_new & ~is_named)
         )
@@ -421,89 +316,22 @@ class Watch:
             for column in (scan.walk_m2_per_s3, scan.speed_m_per_s)
         )
         return UnnumberedObjects(
-            states,
-            track,
-            has_unique_id[members] & is_member,
-            new_report,
-            new_plot,
-            plots,
-            Fixes.of(scan, members, is_new),
-            hulls,
-            looks,
-            is_certain,
-            (is_member & believed).any(axis=1),
-            memory.existence.of_objects(track),
-            walk,
-            speed,
-            np.concatenate([self.forgotten, memory.tracks.forgotten]),
+            states=states,
+            tracks=track,
+            unique=has_unique_id[members] & is_member,
+            new_report=new_report,
+            new_plot=new_plot,
+            plots=NewPlots.of(scan, members, is_new, is_named, looks),
+            fixes=Fixes.of(scan, members, is_new),
+            hulls=hulls,
+            looks=looks,
+            is_certain=is_certain,
+            is_believed=(is_member & believed).any(axis=1),
+            existence=memory.existence.of_objects(track),
+            walk_m2_per_s3=walk,
+            speed_m_per_s=speed,
+            forgotten=np.concatenate([self.forgotten, memory.tracks.forgotten]),
         )
-
-
-def texts_of(scan: Scan) -> dict[str, NDArray[Any]]:
-    """(records,) the texts of an instant by column, of the columns that a source reports."""
-    return {name: scan.texts(name) for name in TEXTS if scan.reports(name)}
-
-
-@dataclass(frozen=True)
-class RecordTexts:
-    """The texts of the records of an instant, one column of :data:`TEXTS` each.
-
-    newest : (n, texts) of each detected object, that of its newest record with it; "" for none. holders : by column and
-    text, the numbers of the objects that have a record with it.
-    """
-
-    newest: NDArray[Any]
-    holders: Mapping[tuple[int, str], set[int]]
-
-    @classmethod
-    def of(
-        cls, scan: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], objects: PictureObjects
-    ) -> RecordTexts:
-        """members : (n, S) records of the detected objects. texts : (records,) by column, if reported."""
-        at, record = entries(members)
-        newest = np.full((len(members), len(TEXTS)), "", dtype=object)
-        holders: dict[tuple[int, str], set[int]] = {}
-        number_of = np.zeros(len(members) + 1, np.int64)  # the last place is that of objects without records
-        number_of[objects.detection] = objects.number
-        number_of[-1] = 0
-        for column, name in enumerate(TEXTS):
-            if name not in texts:
-                continue
-            values = texts[name][record]
-            with_value = np.flatnonzero(values != "")
-            if not len(with_value):
-                continue
-            # The newest is written last; of ties the first in alphabetical order.
-            alphabetical = np.argsort(np.argsort(values[with_value].astype(str)[::-1]))
-            order = with_value[np.lexsort([alphabetical, scan.time_s[record[with_value]]])]
-            newest[at[order], column] = values[order]
-            for value, number in zip(values[with_value], number_of[at[with_value]].tolist(), strict=True):
-                if number:
-                    holders.setdefault((column, value), set()).add(number)
-        return cls(newest, holders)
-
-    def of_objects(self, objects: PictureObjects, previous: Mapping[int, NDArray[Any]]) -> Mapping[int, NDArray[Any]]:
-        """By number of the object, its texts: those of its records, else the previous ones, except those that another
-        object has now."""
-        out = {number: previous.get(number, NO_TEXTS) for number in objects.number.tolist()}
-        has_text = np.append((self.newest != "").any(axis=1), False)[objects.detection]
-        for number, k in zip(objects.number[has_text].tolist(), objects.detection[has_text].tolist(), strict=True):
-            out[number] = np.where(self.newest[k] != "", self.newest[k], out[number])
-        if not self.holders:
-            return out
-        return {number: self._without_foreign(number, words) for number, words in out.items()}
-
-    def _without_foreign(self, number: int, words: NDArray[Any]) -> NDArray[Any]:
-        """The texts of an object without the names that only others have now; then what came with them goes, too."""
-        foreign = [
-            column
-            for column, value in enumerate(words[: len(NAMES)].tolist())
-            if value != "" and number not in self.holders.get((column, value), {number})
-        ]
-        if not foreign:
-            return words
-        dropped = np.isin(np.arange(len(TEXTS)), [*foreign, *range(len(NAMES), len(TEXTS))])
-        return np.where(dropped, "", words).astype(object)
 
 
 def _certain_pairs(members: IntArray, identification: Objects | None, stages: Stages) -> BoolArray:

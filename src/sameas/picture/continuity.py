@@ -1,0 +1,145 @@
+"""Continuity: the evidence that an object of the picture is one of the instant, and the gate of such pairs.
+
+The evidence compares the position with the prediction, the velocities, and the tracks of both objects. If a track
+breaks and continues under another id, there is no common track; then velocities separate two objects that cross
+undetected. A unique id (MMSI, ICAO address) has a higher weight and counts at any distance: a ferry that brakes harder
+than its motion model allows is still that ferry. A radar's track numbers are reused, so they are not unique.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray, IntArray, distinct, taken
+from sameas.evidence import Evidence, Field, Rule
+from sameas.gate import Pairs
+from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq
+from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
+from sameas.records import Records
+
+
+@dataclass(frozen=True)
+class CommonTracks:
+    """Pairs of an object of the picture and one of the instant with a common track, (k,) each, in ascending order.
+
+    object_place, detection_place : rows of both. weight : ln r. unique : number of common tracks with a unique id.
+    """
+
+    object_place: IntArray
+    detection_place: IntArray
+    weight: FloatArray
+    unique: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        object_place: IntArray,
+        detection_place: IntArray,
+        share: FloatArray,
+        unique: BoolArray,
+        tuning: Tuning,
+    ) -> CommonTracks:
+        """Of common tracks (m,): each adds ln(1 + s/ε), ε ``id_reassigned``.
+
+        share : s, the track's share in the object over the last minutes. unique : whether the track's id is unique.
+        """
+        key, pair = np.unique((object_place << 32) | detection_place, return_inverse=True)
+        log_ratio = np.log1p(share / tuning.id_reassigned) + math.log(tuning.unique_id_odds) * unique
+        weight = np.bincount(pair, log_ratio, len(key)).astype(np.float64)
+        n_unique = np.bincount(pair, unique, len(key)).astype(np.float64)
+        return cls(key >> 32, key & 0xFFFFFFFF, weight, n_unique)
+
+    def of_pairs(self, pairs: Pairs) -> tuple[FloatArray, FloatArray]:
+        """(m,) weight of each pair and (m,) its number of common unique ids; 0 without a common track."""
+        key = (self.object_place << 32) | self.detection_place
+        pair_key = (pairs.first.rows[pairs.i].astype(np.int64) << 32) | pairs.second.rows[pairs.j]
+        at = np.minimum(np.searchsorted(key, pair_key), max(len(key) - 1, 0))
+        same = np.append(key, -1)[at] == pair_key
+        weight, unique = (np.append(column, 0.0)[at] for column in (self.weight, self.unique))
+        return np.where(same, weight, 0.0), np.where(same, unique, 0.0)
+
+
+@dataclass(frozen=True)
+class Motions:
+    """States (n, 4) of objects, covariances (n, 4, 4), and (n,) the 1σ per axis of velocities of such objects."""
+
+    state: FloatArray
+    covariance: FloatArray
+    speed_m_per_s: FloatArray
+
+
+@dataclass(frozen=True)
+class PlotContinuity:
+    """What objects of the instant that only plots without names show add to :class:`Continuity`.
+
+    clutter_per_m2 : (n,) about each of these, 0 for the others. is_new : (n,) whether its plot is a new one of clutter.
+    log_odds : (k,) that a look since the previous instant shows each object of the picture, if that is real.
+    """
+
+    clutter_per_m2: FloatArray
+    is_new: BoolArray
+    log_odds: FloatArray
+
+    def __call__(self, pairs: Pairs) -> FloatArray:
+        """(m,) what the pairs gain: an object that hardly exists, or is hardly detected, rarely has a plot."""
+        i, j = pairs.first.rows[pairs.i], pairs.second.rows[pairs.j]
+        return np.where(self.is_new[j], self.log_odds[i], 0.0)
+
+
+@dataclass(frozen=True)
+class Continuity(Rule):
+    """ln r of an object of the picture and one of the instant: by positions, at ``per_m2`` objects per m² and the
+    clutter of plots, by tracks, and without a common track by velocities, which plots do not have."""
+
+    per_m2: float
+    common: CommonTracks
+    objects: Motions
+    detections: Motions
+    has_velocity: BoolArray
+    plots: PlotContinuity
+    tuning: Tuning = DEFAULT_TUNING
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        elsewhere = self.tuning.new_share * self.per_m2 + self.plots.clutter_per_m2
+        place = Field(elsewhere)(pairs).log_ratio + self.plots(pairs)
+        weight, unique = self.common.of_pairs(pairs)
+        place = np.where(unique > 0.0, np.maximum(place, math.log(self.tuning.id_reassigned)), place)
+        velocity = np.zeros(len(pairs))
+        unrelated = np.flatnonzero((weight == 0.0) & self.has_velocity[pairs.second.rows[pairs.j]])
+        velocity[unrelated] = self._velocities(
+            pairs.first.rows[pairs.i[unrelated]], pairs.second.rows[pairs.j[unrelated]]
+        )
+        return Evidence({"place": place, "velocity": velocity, "tracks in common": weight})
+
+    def _velocities(self, i: IntArray, j: IntArray) -> FloatArray:
+        """(m,) ln of the density of j's velocity as that of i, given both positions, relative to that of any object."""
+        residual = taken(self.objects.state, i) - taken(self.detections.state, j)
+        total = taken(self.objects.covariance, i) + taken(self.detections.covariance, j)
+        velocity = Gaussian(residual[:, 2:], total[:, 2:, 2:])
+        rest = velocity.conditional(total[:, 2:, :2], -residual[:, :2], total[:, :2, :2])
+        same = log_density(rest.mean, rest.covariance)
+        any_ = self.detections.covariance[j, 2:, 2:] + self.detections.speed_m_per_s[j, None, None] ** 2 * np.eye(2)
+        return np.asarray(same - log_density(self.detections.state[j, 2:], any_))
+
+
+@dataclass(frozen=True)
+class NearOrSameId:
+    """A gate: near pairs, and pairs at any distance with a common unique id."""
+
+    common: CommonTracks
+
+    def __call__(self, first: Records, second: Records) -> Pairs:
+        near = GATE(first, second)
+        same_id = self.common.unique > 0.0
+        by_id = (self.common.object_place[same_id] << 32) | self.common.detection_place[same_id]
+        key = distinct(np.concatenate([(near.i.astype(np.int64) << 32) | near.j, by_id]))
+        if len(key) == len(near):
+            return near
+        i, j = (key >> 32).astype(np.int32), (key & 0xFFFFFFFF).astype(np.int32)
+        residual = taken(first.features, i) - taken(second.features, j)
+        total = taken(first.full_covariance(), i) + taken(second.full_covariance(), j)
+        chi_sq = mahalanobis_sq(residual, total)
+        return Pairs(first, second, i, j, i, j, residual, chi_sq, determinant(total), f"{near.gate}, or one name")
