@@ -19,13 +19,14 @@ from sameas.maps.sheet import ellipse_axes
 from sameas.picture.live import LiveState
 from sameas.picture.picture import Columns, object_columns, record_columns, with_degrees
 from sameas.picture.tables import STAGES
+from sameas.picture.texts import LABELS
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.heights import HeightModel
 
 #: Columns of the rows that are sent to the web page: of an object, and of a record.
 OBJECT = (
     "n", "stage", "x", "y", "vx", "vy", "speed", "course", "major", "minor", "angle", "sources", "p", "ambiguous",
-    "rival", "height", "sh", "climb", "label", "mmsi", "icao", "callsign", "name", "mode_a", "type",
+    "rival", "height", "sh", "climb", *LABELS,
 )  # fmt: skip
 RECORD = ("n", "source", "row", "x", "y", "major", "minor", "angle", "p", "alone", "age", "bearing", "sb", "sx", "sy",
           "track_id")  # fmt: skip
@@ -163,11 +164,7 @@ class Situation:
                 "stage": str(o["stage"][k]),
                 **{name: column[k] for name, column in columns.items()},
             }
-            one |= {
-                name: str(o[name][k])
-                for name in ("label", "mmsi", "icao", "callsign", "name", "mode_a", "type")
-                if o[name][k]
-            }
+            one |= {name: str(o[name][k]) for name in LABELS if o[name][k]}
             one["sources"] = [f"{source}:{track}" for source, track in self.members.get(number, ())]
             if number in cpa:
                 one["cpa_m"], one["tcpa_s"] = round(cpa[number][0], 1), round(cpa[number][1], 1)

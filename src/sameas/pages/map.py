@@ -22,6 +22,7 @@ from sameas.maps.outline import Outline, outline
 from sameas.maps.sheet import Columns, MapSheet, ellipse_axes, members_of
 from sameas.pages import POLICY, SERVED_POLICY, asset, page_of, script_safe
 from sameas.picture.tables import STAGES
+from sameas.picture.texts import LABELS
 
 # Packed columns of numbers, small in the file and unpacked by a few lines of script (map-table.js).
 #
@@ -180,7 +181,7 @@ def _texts(sheet: MapSheet) -> dict[str, str]:
 def _objects(sheet: MapSheet) -> tuple[dict[str, tuple[NDArray[Any], float]], dict[str, list[str]]]:
     """Columns of the objects with their steps, and the lists of texts that coded columns refer to."""
     o, step = sheet.objects, _step(sheet)
-    numbers, strings = _coded(o, ("label", "mmsi", "icao", "callsign", "name", "mode_a", "type"), "o")
+    numbers, strings = _coded(o, LABELS, "o")
     stage = np.array([STAGES.index(name) for name in o["stage"].tolist()], np.float64)
     first, rows = _runners_up(sheet)
     return {

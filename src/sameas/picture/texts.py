@@ -15,6 +15,8 @@ from sameas.picture.tables import PictureObjects, Scan
 #: Attributes of identity in the tables of a picture: names of an object, and what is reported with them.
 NAMES, WITH_NAMES = ("mmsi", "icao", "callsign", "name"), ("mode_a", "type")
 TEXTS = (*NAMES, *WITH_NAMES)
+#: The columns of text of an object in tables and on maps.
+LABELS = ("label", *TEXTS)
 #: The texts of an object without any.
 NO_TEXTS = np.full(len(TEXTS), "", dtype=object)
 
