@@ -39,7 +39,7 @@ class IdentifiedObjects:
     """The objects of ``identify_many``; ``identification`` is None if no source has a record.
 
     by_hysteresis : (n,) whether an object is shown only because it was at the previous instant
-        (:mod:`sameas.picture.hysteresis`).
+        (:mod:`sameas.many.hysteresis`).
     """
 
     scan: Scan

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from sameas.arrays import ABSENT, BoolArray, IntArray, are_among, over_columns
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
+from sameas.many.hysteresis import with_hysteresis
 from sameas.many.identify import identify_many
 from sameas.many.objects import Objects
 from sameas.many.observations import records_of
@@ -32,7 +33,6 @@ from sameas.many.pooled import PooledRecords
 from sameas.many.rules import PoissonObjects, SetRule
 from sameas.picture.fixes import Fixes
 from sameas.picture.hull_echoes import Hulls, ScanPlots
-from sameas.picture.hysteresis import with_hysteresis
 from sameas.picture.memory import TrackMemory, require_order
 from sameas.picture.object_ids import NamedObjects, Stages, UnnumberedObjects
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
@@ -83,7 +83,7 @@ class Watch:
     evidence : makes the rule of an instant. ``lambda now, memory: now.rule() + memory.rule()`` ignores identities,
         ``lambda now, memory: now.rule() + now.height() + now.identity()`` identifies each instant without memory.
     memory : the memory of tracks; give one to set the correlation times of their errors.
-    bound : odds at which records change their object (:mod:`sameas.picture.hysteresis`; chosen); 1 for the most
+    bound : odds at which records change their object (:mod:`sameas.many.hysteresis`; chosen); 1 for the most
         probable answer of each instant.
     stages : when objects are confirmed. gate : of ``identify_many``. tuning : other chosen numbers.
     misread : names of sources whose positions may be wrong (:attr:`sameas.tracks.scene.Scene.misread`): one with false
@@ -211,7 +211,8 @@ class Watch:
                 identification,
                 self._previous_objects(identification.pooled, scan, memory),
                 math.log(self.bound),
-                self.tuning,
+                time_limit_s=self.tuning.search_s,
+                tuning=LIVE,
             )
         objects_now = IdentifiedObjects(scan, identification, by_hysteresis)
         members = objects_now.members

@@ -10,12 +10,16 @@ from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries, over
 from sameas.kernels.components import label_components
 from sameas.many.marginals import best_sets
 from sameas.many.objects import Objects
-from sameas.many.sets import Sets
-from sameas.picture.tuning import DEFAULT_TUNING, LIVE, Tuning
+from sameas.many.sets import TUNING, ManyTuning, Sets
 
 
 def with_hysteresis(
-    identification: Objects, previous_object: IntArray, log_bound: float, tuning: Tuning = DEFAULT_TUNING
+    identification: Objects,
+    previous_object: IntArray,
+    log_bound: float,
+    *,
+    time_limit_s: float = 60.0,
+    tuning: ManyTuning = TUNING,
 ) -> tuple[Objects, BoolArray]:
     """The objects of an instant, with those of the previous instant kept unless another answer is much more probable;
     and (n,) whether each object is shown only because it is kept.
@@ -36,7 +40,7 @@ def with_hysteresis(
     ----------
     previous_object : (records,) the object of each pooled record's track at the previous instant, ABSENT without one.
     log_bound : ln b; 0 to show the most probable answer always.
-    tuning : with the time limit of the search for the best partition of one group.
+    time_limit_s, tuning : as of :func:`sameas.identify_many`, of which only the best partition is computed again.
     """
     sets, answer, n = identification.sets, identification.answer, len(identification.pooled)
     if log_bound <= 0.0:
@@ -51,7 +55,7 @@ def with_hysteresis(
     log_weight = sets.log_weight.copy()
     log_weight[which] += log_bound * _links(taken(sets.members, which), previous_object)
     with_links = replace(sets, log_weight=log_weight)
-    best = best_sets(with_links, n, possible & resolve, time_limit_s=tuning.search_s, tuning=LIVE)
+    best = best_sets(with_links, n, possible & resolve, time_limit_s=time_limit_s, tuning=tuning)
     chosen = np.where(resolve, best, answer.chosen)
     change = _components(sets, chosen ^ answer.chosen, n)[record]
     gain = np.bincount(change, sets.log_weight * (answer.chosen.astype(np.int64) - chosen), n)
