@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from sameas.errors import InputError
+from sameas.kernels.tracks import filter_tracks
 from sameas.tracks.alignment import States, aged, follow, moved
 
 Q = 0.2
@@ -199,3 +200,18 @@ def test_a_covariance_that_is_singular_by_rounding_is_aged():
     covariance[0, :2, :2] = 8e20 * np.outer(axis, axis)
     covariance[1, :2, :2] = 25.0**2 * np.eye(2)
     assert aged(covariance, 1e-9).tolist() == [True, False]
+
+
+def test_the_filter_gives_the_same_result_interpreted_as_compiled(monkeypatch):
+    made, _ = changing(np.random.default_rng(13), tracks=10)
+    made.state[500, :2] += 20e3  # an id given to another object
+    ways = []
+    for way in ("interpreted", "compiled"):
+        monkeypatch.setattr("sameas.tracks.alignment.filter_tracks", getattr(filter_tracks, way))
+        ways.append(follow(made, acceleration_m2_per_s3=0.01))
+    one, other = ways
+    assert (one.trend[:, 3] == 0.0).any() and one.began[500]
+    for name in ("nis", "began", "trend"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    np.testing.assert_array_equal(one.states.state, other.states.state)
+    np.testing.assert_array_equal(one.states.covariance, other.states.covariance)

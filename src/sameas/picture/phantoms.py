@@ -151,13 +151,11 @@ def _sightings(ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tu
         reach = tuning.near_share * np.hypot(*arm[rows].T) + lag_s * speed[rows]
         reach = reach + tuning.apart_sigmas * np.sqrt(variance[own[rows]])
 
-        def near(places: FloatArray, reach: FloatArray = reach, tree: Any = tree, sigma: FloatArray = sigma) -> Any:
-            distance, nearest = tree.query(places)
-            return distance <= reach + tuning.apart_sigmas * sigma[nearest]
-
-        objects = records["object"][own[rows]]
-        seen[rows] = near(arm[rows]) | np.isin(objects, records["object"][theirs])
-        chance[rows] = np.mean([near(arm[rows] @ turn) for turn in turns], axis=0)
+        # The places themselves, and turned about the radar.
+        distance, nearest = tree.query(np.concatenate([arm[rows][None], arm[rows] @ turns]))
+        near = distance <= reach + tuning.apart_sigmas * sigma[nearest]
+        seen[rows] = near[0] | np.isin(records["object"][own[rows]], records["object"][theirs])
+        chance[rows] = np.mean(near[1:], axis=0)
     fast = tuning.under_way_m_per_s[KINDS[ships.description.kind].target == "aircraft"]
     heights = _heights(ships, names, ship, time_s)
     return _Sightings(tuple(names.tolist()), ship, time_s, arm, speed > fast, heights, seen, chance)
@@ -360,10 +358,11 @@ class _Looks:
                 mixed = 1.0 + theta * (ratio - 1.0)
                 log_exists = exists.sum(axis=0)
                 together = log_exists[:, None] + np.log(mixed).sum(axis=0) + log_prior
-                log_without.append(logsumexp(log_exists + np.log(p_hidden)))
-                log_with.append(logsumexp(together))
-                posterior = np.exp(together - log_with[-1])
-                own.append(((theta * ratio / mixed) * posterior).sum(axis=(1, 2)))
+                most = together.max()
+                posterior = np.exp(together - most)
+                log_without.append(log_exists + np.log(p_hidden))
+                log_with.append(most + math.log(posterior.sum()))
+                own.append(((theta * ratio / mixed) * posterior).sum(axis=(1, 2)) / posterior.sum())
         log_odds = logsumexp(log_with) - logsumexp(log_without) + math.log(tuning.invented_odds)
         of_grid = np.exp(np.array(log_with) - logsumexp(log_with))
         p = expit(log_odds) * (of_grid @ np.array(own))

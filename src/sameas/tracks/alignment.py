@@ -22,8 +22,8 @@ and motion are described correctly. :func:`are_unfiltered` decides whether repor
 smoothed.
 
 A ship that accelerates for a minute leaves this model: the filter lags by tens of metres, with a covariance of a few.
-Its innovations then lie on one side, which :class:`InnovationTrend` detects; q is larger from then on for the length of
-a manoeuvre.
+Its innovations then lie on one side, so that their sum grows; q is larger from then on for the length of a manoeuvre,
+and the noise of the time in which the sum has grown is added at once. After a longer gap nothing is known of one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -40,11 +39,11 @@ from numpy.typing import ArrayLike, NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray, finite_rows, taken
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
-from sameas.gaussian import Gaussian, determinant, mahalanobis_sq, symmetric
+from sameas.gaussian import determinant, symmetric
 from sameas.kernels.compiled import runs_compiled
 from sameas.kernels.kalman import states_moved
+from sameas.kernels.tracks import filter_tracks
 from sameas.many.observations import StatePart
-from sameas.ragged import Ragged
 from sameas.representation import counted
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
@@ -342,15 +341,13 @@ def jump_of(
     outlier = math.log(tuning.clock_outlier / (2.0 * tuning.clock_search_s[1]))
     log_no_jump = np.logaddexp(_log_normal(steps.late_s, steps.sigma_s), outlier)
     best: tuple[float, int, float, int] | None = None
+    begins, ends = at[steps.first] + 1, at[steps.second] + 1
     # All lines between the same two reports of a track are one place for a jump.
     places = len(steps.first) / len(np.unique(steps.track))
     for jump_s in seconds:
         log_ratio = np.logaddexp(_log_normal(steps.late_s - jump_s, steps.sigma_s), outlier) - log_no_jump
         log_ratio = np.clip(log_ratio, -tuning.clock_vote, tuning.clock_vote)
-        total = np.zeros(size)
-        np.add.at(total, at[steps.first] + 1, log_ratio)
-        np.add.at(total, at[steps.second] + 1, -log_ratio)
-        total = np.cumsum(total)
+        total = np.cumsum(np.bincount(begins, log_ratio, size) - np.bincount(ends, log_ratio, size))
         row = int(np.argmax(total))
         log_odds = float(total[row]) + math.log(prior / (len(seconds) * places))
         if best is None or log_odds > best[0]:
@@ -411,7 +408,9 @@ class FilteredTracks:
     nis : (n,) normalised innovation squared of each report; NaN where it started a track.
     began : (n,) whether the report started a track: the first one, or one so far from the prediction that the id went
         to another object, or the object moved in a way that its motion model excludes.
-    trend : (n, 4) the innovations up to each report, to continue from it; see :class:`InnovationTrend`.
+    trend : (n, 4) the innovations up to each report, by which a manoeuvre is detected: the fading sum (2,) of the
+        innovations, each whitened by its covariance; the sum of the squared weights, which is its variance per axis
+        while the motion is as modelled; seconds since the last manoeuvre was detected.
     """
 
     states: States
@@ -420,67 +419,8 @@ class FilteredTracks:
     trend: FloatArray
 
 
-#: A row of :attr:`InnovationTrend.table` without innovations.
+#: A row of :attr:`FilteredTracks.trend` without innovations.
 NO_TREND = (0.0, 0.0, 0.0, math.inf)
-
-
-@dataclass(frozen=True)
-class InnovationTrend:
-    """The recent innovations of tracks, by which a manoeuvre is detected; rows of (n, 4) arrays.
-
-    total : (n, 2) fading sum of the innovations, each whitened by its covariance. weight : (n,) sum of the squared
-    weights, which is the variance of ``total`` per axis while the motion is as modelled. since_s : (n,) seconds since
-    the last manoeuvre was detected.
-
-    Source: Bar-Shalom, Li and Kirubarajan 2001, section 11.2 (noise level adjustment), with the sum of the innovations
-    instead of that of their squares: a lag has a direction.
-    """
-
-    total: FloatArray
-    weight: FloatArray
-    since_s: FloatArray
-
-    @classmethod
-    def of(cls, table: FloatArray) -> InnovationTrend:
-        return cls(table[:, :2], table[:, 2], table[:, 3])
-
-    @property
-    def table(self) -> FloatArray:
-        return np.column_stack([self.total, self.weight, self.since_s])
-
-    def with_manoeuvres(
-        self, covariance: FloatArray, dt_s: FloatArray, walk: float, tuning: Tuning
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Before reports ``dt_s`` later: the covariances (n, 4, 4), q (n,), and the seconds since a manoeuvre.
-
-        A manoeuvre detected now began about the memory of the sum ago, at most its length: the noise of that time is
-        added at once. After a longer gap nothing is known of a manoeuvre.
-        """
-        size = np.abs(dt_s)
-        fast = walk * tuning.manoeuvre_noise
-        lags = np.sum(self.total**2, axis=1) > ChiSquare(1.0 - tuning.manoeuvre_probability).limit(2) * self.weight
-        lags &= size <= tuning.manoeuvre_s
-        begins = lags & (self.since_s > tuning.manoeuvre_s)
-        if begins.any():
-            before_s = np.minimum(
-                size[begins] * tuning.innovation_memory / (1.0 - tuning.innovation_memory), tuning.manoeuvre_s
-            )
-            covariance = covariance.copy()
-            covariance[begins] += process_noise(before_s, fast)
-        since_s = np.where(lags, 0.0, self.since_s + size)
-        return covariance, np.where(since_s > tuning.manoeuvre_s, walk, fast), since_s
-
-    def updated(self, innovation: FloatArray, total: FloatArray, since_s: FloatArray, tuning: Tuning) -> FloatArray:
-        """(n, 4) after innovations (n, 2) with covariances (n, 2, 2)."""
-        root_xx = np.sqrt(total[:, 0, 0])
-        slope = total[:, 0, 1] / root_xx
-        x = innovation[:, 0] / root_xx
-        y = (innovation[:, 1] - slope * x) / np.sqrt(np.maximum(total[:, 1, 1] - slope**2, 1e-12))
-        # A single outlier is no lag.
-        shrunk = np.minimum(tuning.max_innovation / np.maximum(np.hypot(x, y), 1e-12), 1.0)
-        rho = tuning.innovation_memory
-        sums = rho * self.total + shrunk[:, None] * np.column_stack([x, y])
-        return InnovationTrend(sums, rho**2 * self.weight + 1.0, since_s).table
 
 
 def follow(
@@ -500,37 +440,24 @@ def follow(
     acceleration_m2_per_s3 : power density of the velocity's random walk.
     trend : (n, 4) :attr:`FilteredTracks.trend` at the first report of each track, where that is a filtered state.
 
-    Source: METHOD 1 (prediction); Bar-Shalom, Li and Kirubarajan 2001, sections 5.2 and 6.2.
+    Source: METHOD 1 (prediction); Bar-Shalom, Li and Kirubarajan 2001, sections 5.2 and 6.2; for manoeuvres 11.2 (noise
+    level adjustment), with the sum of the innovations instead of that of their squares: a lag has a direction.
     """
     if reports.track is None:
         raise InputError("follow: reports name no tracks; give the source's own track numbers or identities")
-    usable = reports.usable
-    state, covariance = reports.state.copy(), reports.covariance.copy()
+    rows = np.flatnonzero(reports.usable)
+    number = track_numbers(reports.track[rows])
+    order = np.lexsort([reports.time_s[rows], number])
+    rows, number = rows[order], number[order]
+    state, covariance = np.array(reports.state, order="C"), np.array(reports.covariance, order="C")
     nis, began = np.full(len(reports), np.nan), np.zeros(len(reports), bool)
-    trends = np.tile(NO_TREND, (len(reports), 1)) if trend is None else trend.copy()
-    limit = ChiSquare(1.0 - tuning.new_track_probability).limit(2)
-    before = np.empty(0, np.int64)
-    for now in by_turn(reports, usable):
-        if not len(before):
-            began[now] = True
-            before = now
-            continue
-        before = before[: len(now)]
-        dt = reports.time_s[now] - reports.time_s[before]
-        recent = InnovationTrend.of(trends[before])
-        p_before, walk, since_s = recent.with_manoeuvres(covariance[before], dt, acceleration_m2_per_s3, tuning)
-        predicted, p_predicted = moved(state[before], p_before, dt, walk)
-        position = Gaussian(reports.state[now, :2], reports.covariance[now, :2, :2])
-        innovation = position.mean - predicted[:, :2]
-        total = p_predicted[:, :2, :2] + position.covariance
-        updated = Gaussian(predicted, p_predicted).updated(position)
-        chi_sq = mahalanobis_sq(innovation, total)
-        starts = chi_sq > limit
-        continues = now[~starts]
-        state[continues], covariance[continues] = updated.mean[~starts], updated.covariance[~starts]
-        nis[continues], began[now[starts]] = chi_sq[~starts], True
-        trends[now] = np.where(starts[:, None], NO_TREND, recent.updated(innovation, total, since_s, tuning))
-        before = now
+    trends = np.tile(NO_TREND, (len(reports), 1)) if trend is None else np.array(trend, order="C")
+    filter_tracks(
+        rows, np.diff(number, prepend=-1) != 0, np.ascontiguousarray(reports.time_s), float(acceleration_m2_per_s3),
+        float(acceleration_m2_per_s3 * tuning.manoeuvre_noise), ChiSquare(1.0 - tuning.new_track_probability).limit(2),
+        ChiSquare(1.0 - tuning.manoeuvre_probability).limit(2), tuning.manoeuvre_s, tuning.innovation_memory,
+        tuning.max_innovation, state, covariance, trends, nis, began,
+    )  # fmt: skip
     return FilteredTracks(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began, trends)
 
 
@@ -544,20 +471,3 @@ def are_unfiltered(reports: States, *, acceleration_m2_per_s3: float, tuning: Tu
     nis = follow(reports, acceleration_m2_per_s3=acceleration_m2_per_s3, tuning=tuning).nis
     nis = nis[np.isfinite(nis)]
     return len(nis) >= tuning.min_innovations and float(np.median(nis)) > tuning.innovation_ratio * MEDIAN
-
-
-def by_turn(reports: States, usable: BoolArray) -> list[IntArray]:
-    """The first report of each track, then the second, …; in each list, tracks with more reports come first."""
-    rows = np.flatnonzero(usable)
-    assert reports.track is not None
-    number = track_numbers(reports.track[rows])
-    count = np.bincount(number)
-    # By descending number of reports, so that the tracks of a list are the first ones of the list before.
-    rank = np.empty(len(count), np.int64)
-    rank[np.argsort(-count, kind="stable")] = np.arange(len(count))
-    order = np.lexsort([reports.time_s[rows], rank[number]])
-    rows, owner = rows[order], rank[number][order]
-    turn = Ragged.of_sorted(owner, len(count)).index
-    by_turn = np.lexsort([owner, turn])
-    cuts = Ragged.of_sorted(turn[by_turn], int(count.max(initial=0))).start
-    return [rows[by_turn[a:b]] for a, b in pairwise(cuts)]
