@@ -125,8 +125,6 @@ class LiveFeed:
         self._numbers: dict[str, int] = {}
         self._next_number, self._serial = 0, 0
         self._rows = ReportTable(0)
-        self._freed = np.empty(0, np.int64)
-        self._free = np.empty(0, np.int64)
         self._order = np.empty(0, np.int64)
         # (n, 2): final gaps within tracks, and how late the later report of each was.
         self._gaps = np.empty((0, 2))
@@ -212,8 +210,7 @@ class LiveFeed:
         if in_plane.track is None or isinstance(in_plane, Directions):
             if in_plane.track is not None:
                 new.number = self._numbered(new.name)
-            places = self._claim(len(new))
-            self._rows.put(places, new)
+            self._rows.add(new)
         else:
             self._add_to_tracks(new)
 
@@ -269,8 +266,8 @@ class LiveFeed:
         heights = rows.heights.copy() if HEIGHTS in rows.groups else None
         attributes = {name: column.copy() for name, column in rows.attributes.items()}
         feed = Feed(
-            self.description, reports, scan_times_s, scan_s, sensor_m, attributes, None, (), None, rotation, p_slow,
-            self.tuning, heights,
+            self.description, reports, scan_times_s, scan_s, sensor_m, attributes, rotation=rotation, p_slow=p_slow,
+            tuning=self.tuning, heights=heights,
         )  # fmt: skip
         if self._named:
             feed = feed.with_succession(self._succession(rows), self.track_timeout_s())
@@ -278,31 +275,25 @@ class LiveFeed:
 
     def release(self) -> None:
         """Frees the rows of dropped reports for new ones; to be called after each instant."""
-        self._free = np.concatenate([self._free, self._freed])
-        self._freed = np.empty(0, np.int64)
-        if len(self._rows) > max(self.live.least_rows, self.live.spare_rows * (len(self._rows) - len(self._free))):
+        self._rows.release()
+        if len(self._rows) > max(self.live.least_rows, self.live.spare_rows * self._rows.n_held):
             self._shrink()
 
     def _shrink(self) -> None:
         """Gives back rows that a flood of reports has left empty.
 
-        New reports take the lowest rows, and those beyond twice the number in use are cut off once no instant needs a
-        report there: it has been replaced, or its track has ended.
+        Those beyond twice the number in use are cut off once no instant needs a report there: it has been replaced, or
+        its track has ended.
         """
-        rows, self._free = self._rows, np.sort(self._free)
+        rows = self._rows
+        rows.use_lowest()
         taken = np.flatnonzero(rows.taken)
         size = max(self.live.least_rows // 2, 2 * len(taken))
         beyond = taken[taken >= size]
         ended_s = self._instant_s - self.lag_s - max(self.track_timeout_s(), 2.0 * self.tuning.stationary_timeout_s)
         if (rows.time_s[beyond] >= ended_s).any() or (len(beyond) and not self._named):
             return
-        place = np.arange(len(rows))
-        place[beyond] = self._free[: len(beyond)]
-        rows.put(place[beyond], rows.only(np.isin(np.arange(len(rows)), beyond)))
-        self._order = place[self._order]
-        self._free = self._free[len(beyond) :]
-        self._free = self._free[self._free < size]
-        self._rows = rows.only(np.arange(len(rows)) < size)
+        self._order = rows.shrink(size)[self._order]
 
     def track_timeout_s(self, delay_s: float = 0.0) -> float:
         """Seconds without a report after which a track has ended; infinite while no track has two reports.
@@ -380,8 +371,7 @@ class LiveFeed:
         if split:
             # A split changes the tracks of the new reports, and so their neighbours.
             own = self._neighbours(new)
-        places = self._claim(len(new))
-        self._rows.put(places, new)
+        places = self._rows.add(new)
         self._insert(places)
         self._filter(np.concatenate([own, places]), np.concatenate([np.zeros(len(own), bool), np.ones(len(new), bool)]))
 
@@ -465,18 +455,16 @@ class LiveFeed:
         suspects = self._far(new, last, radius, limit)
         if not (self._split or suspects.any()):
             return False
+        last_radius = self.tuning.position_sigmas * _sigma_m(taken(rows.measured_covariance, last))
         for k in np.lexsort([new.serial, new.time_s]).tolist():
             name = new.name[k]
-            if name not in self._split and not suspects[k]:
-                continue
+            if name not in self._split and suspects[k]:
+                at = np.flatnonzero(rows.number[last] == new.number[k])
+                if len(at):
+                    row, radius_m = last[at[0]], float(last_radius[at[0]])
+                    self._split[name] = Branches.of(float(rows.time_s[row]), rows.measured[row], radius_m)
             if name not in self._split:
-                at = last[rows.number[last] == new.number[k]]
-                if not len(at):
-                    continue
-                radius_m = self.tuning.position_sigmas * math.sqrt(
-                    float(np.trace(rows.measured_covariance[at[0], :2, :2]))
-                )
-                self._split[name] = Branches.of(float(rows.time_s[at[0]]), rows.measured[at[0]], radius_m)
+                continue
             branches = self._split[name]
             owner = branches.add(float(new.time_s[k]), new.measured[k], float(radius[k]), limit, self.tuning)
             if owner is None:
@@ -569,15 +557,6 @@ class LiveFeed:
             table.modes[at], table.modes_mean[at] = modes.log_p[updated], modes.mean[updated]
             table.modes_covariance[at] = modes.covariance[updated]
 
-    def _claim(self, n: int) -> IntArray:
-        """(n,) free rows; the table is extended if there are too few."""
-        if len(self._free) < n:
-            grown = max(64, n - len(self._free), len(self._rows))
-            self._free = np.concatenate([self._free, len(self._rows) + np.arange(grown)])
-            self._rows = self._rows.grown(grown)
-        claimed, self._free = self._free[:n], self._free[n:]
-        return claimed
-
     # ---- feeds ----
 
     def _drop(self, horizon_s: float) -> None:
@@ -606,7 +585,6 @@ class LiveFeed:
         self._order = self._order[remains[self._order]]
         names = rows.name[ended].tolist()
         rows.clear(dropped)
-        self._freed = np.concatenate([self._freed, dropped])
         for name in names:
             self._numbers.pop(name, None)
             self._split.pop(name, None)

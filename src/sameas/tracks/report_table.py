@@ -1,4 +1,8 @@
-"""The table of a live source: its reports, each in a row of its own as long as it may be current."""
+"""The table of a live source: its reports, each in a row of its own as long as it may be current.
+
+Rows are used again: those of dropped reports (:meth:`ReportTable.clear`) are free for new ones after
+:meth:`ReportTable.release`, and :meth:`ReportTable.shrink` gives back those that a flood of reports has left empty.
+"""
 
 from __future__ import annotations
 
@@ -65,6 +69,7 @@ class ReportTable:
         self.serial = np.full(n, ABSENT)
         self.name: NDArray[Any] = np.full(n, "", object)
         self.attributes: dict[str, NDArray[Any]] = {}
+        self._free, self._cleared = np.empty(0, np.int64), np.empty(0, np.int64)
 
     def __len__(self) -> int:
         return len(self.taken)
@@ -131,18 +136,25 @@ class ReportTable:
         out.attributes = {name: column[which] for name, column in self.attributes.items()}
         return out
 
-    def grown(self, n: int) -> ReportTable:
-        """The table with ``n`` more empty rows."""
-        more, out = ReportTable(n, self.groups), ReportTable(0, self.groups)
-        for name in self._columns:
-            setattr(out, name, np.concatenate([getattr(self, name), getattr(more, name)]))
-        none = np.full(n, None, object)
-        for name, column in self.attributes.items():
-            empty = none if column.dtype == object else np.full(n, np.nan)
-            out.attributes[name] = np.concatenate([column, empty])
-        return out
+    def add(self, new: ReportTable) -> IntArray:
+        """(len(new),) the free rows that the rows ``new`` are written to; the table grows if there are too few."""
+        if len(self._free) < len(new):
+            self._grow(max(64, len(new) - len(self._free), len(self)))
+        places, self._free = self._free[: len(new)], self._free[len(new) :]
+        self._put(places, new)
+        return places
 
-    def put(self, places: IntArray, new: ReportTable) -> None:
+    def _grow(self, n: int) -> None:
+        """Adds ``n`` empty rows."""
+        more = ReportTable(n, self.groups)
+        self._free = np.concatenate([self._free, len(self) + np.arange(n)])
+        for name, column in self.attributes.items():
+            empty = np.full(n, None, object) if column.dtype == object else np.full(n, np.nan)
+            self.attributes[name] = np.concatenate([column, empty])
+        for name in self._columns:
+            setattr(self, name, np.concatenate([getattr(self, name), getattr(more, name)]))
+
+    def _put(self, places: IntArray, new: ReportTable) -> None:
         """Writes the rows ``new`` to these rows of the table."""
         self.add_groups(*new.groups)
         new.add_groups(*self.groups)
@@ -162,3 +174,34 @@ class ReportTable:
         self.taken[places], self.number[places], self.serial[places], self.name[places] = False, ABSENT, ABSENT, ""
         for column in self.attributes.values():
             column[places] = None if column.dtype == object else np.nan
+        self._cleared = np.concatenate([self._cleared, places])
+
+    def release(self) -> None:
+        """Frees the rows that were emptied."""
+        self._free, self._cleared = np.concatenate([self._free, self._cleared]), np.empty(0, np.int64)
+
+    @property
+    def n_held(self) -> int:
+        """Number of rows that are not free."""
+        return len(self) - len(self._free)
+
+    def use_lowest(self) -> None:
+        """New reports take the lowest free rows, so that those at the end become empty."""
+        self._free = np.sort(self._free)
+
+    def shrink(self, n: int) -> IntArray:
+        """Cuts the table to its first ``n`` rows, at least those held; the reports beyond move to the lowest free rows.
+
+        Returns (n,) the new row of each of the present ones that is in use.
+        """
+        self.use_lowest()
+        place = np.arange(len(self))
+        stays, moves = place < n, self.taken & (place >= n)
+        n_moved = np.count_nonzero(moves)
+        place[moves], free = self._free[:n_moved], self._free[n_moved:]
+        self._put(place[moves], self.only(moves))
+        kept = self.only(stays)
+        for name in (*self._columns, "attributes"):
+            setattr(self, name, getattr(kept, name))
+        self._free = free[free < n]
+        return place
