@@ -6,7 +6,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, zoom
 
 from sameas.kernels import frames
 from sameas.sky.frame.centroid import PSF, Background, CentroidTuning, Subtracted, _interpolated, centroids
-from sameas.sky.frame.detect import _usable_share
+from sameas.sky.frame.peaks import usable_share
 
 
 @pytest.mark.parametrize("reach", [1, 2, 4])
@@ -59,7 +59,7 @@ def test_the_usable_share_of_a_kernel_is_that_of_a_convolution(shape):
     expected = sum(
         kernel[v, w] * padded[v : v + shape[0], w : w + shape[1]] for v in range(13) for w in range(13)
     ) / kernel.sum(dtype=float)
-    assert _usable_share(usable, kernel) == pytest.approx(expected, abs=1e-5)
+    assert usable_share(usable, kernel) == pytest.approx(expected, abs=1e-5)
 
 
 def test_a_mesh_is_interpolated_by_bicubic_splines_within_its_range():

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import Argument, InputError, Message
+from sameas.gaussian import symmetric
 from sameas.sky.frame.centroid import (
     DEFAULT_CENTROIDS,
     FWHM_PER_SIGMA,
@@ -31,11 +32,11 @@ from sameas.sky.frame.centroid import (
     cut_stamps,
     noise_correlation,
 )
+from sameas.sky.frame.defects import DEFAULT_DEFECTS, DefectTuning, without_defects
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag, Measurements
+from sameas.sky.frame.peaks import DEFAULT_PEAKS, PeakTuning, peaks
 from sameas.sky.frame.photon_noise import DEFAULT_GAIN, GainTuning, InverseGain, measured_inverse_gain
-
-_EIGHT_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 
 
 @dataclass(frozen=True)
@@ -44,18 +45,6 @@ class DetectionTuning:
 
     Attributes
     ----------
-    defect_sigmas : a pixel is a defect if it exceeds the sharpest star by this many standard deviations.
-    defect_passes : maximum number of passes; in each, known defects are replaced by their neighbours.
-    sharpness_margin : maximum ratio of sharpness among stars.
-    line_sigmas : a column or row is bad if it differs from its neighbours by this many standard deviations of lines.
-    min_line : minimum difference of a bad line, in standard deviations of a pixel; weaker lines are harmless.
-    min_usable : no star is detected where less than this share of its pixels is usable.
-    saddle_sigmas : minimum depth of the saddle between two stars, in standard deviations of the sky.
-    saddle_photons : the same for the photon noise of the star, larger because the saddle is the minimum of many points
-        along a trail.
-    saddle_share : minimum depth of the saddle as a share of the lower peak.
-    saddle_widths : peaks farther apart than this many FWHM are always two stars; longer trails are split.
-    ridge_px : offset of the three parallel lines on which the saddle is measured; a ridge may miss the pixel centres.
     first_sigma_px : standard deviation of the initial PSF.
     sharpest_sigma_px : standard deviation of the sharpest possible star before the PSF is measured (FWHM 1.3 px).
     psf_stars : maximum number of stars for the PSF.
@@ -66,20 +55,9 @@ class DetectionTuning:
     neighbour_passes : number of passes that subtract all neighbours and remeasure every star.
     shift_share : share of the shift by neighbours that remains after their subtraction.
     pair_share : position variance of an unresolved pair, as a share of its excess second moment.
-    centroids, gain : of the centroids, and of the measurement of the gain.
+    defects, peaks, centroids, gain : of the defects, the peaks, the centroids, and the measurement of the gain.
     """
 
-    defect_sigmas: float = 6.0
-    defect_passes: int = 3
-    sharpness_margin: float = 1.4
-    line_sigmas: float = 8.0
-    min_line: float = 0.7
-    min_usable: float = 0.3
-    saddle_sigmas: float = 3.0
-    saddle_photons: float = 5.0
-    saddle_share: float = 0.02
-    saddle_widths: float = 8.0
-    ridge_px: float = 0.6
     first_sigma_px: float = 1.3
     sharpest_sigma_px: float = 0.55
     psf_stars: int = 200
@@ -91,6 +69,8 @@ class DetectionTuning:
     neighbour_passes: int = 3
     shift_share: float = 0.25
     pair_share: float = 0.1
+    defects: DefectTuning = DEFAULT_DEFECTS
+    peaks: PeakTuning = DEFAULT_PEAKS
     centroids: CentroidTuning = DEFAULT_CENTROIDS
     gain: GainTuning = DEFAULT_GAIN
 
@@ -116,172 +96,9 @@ class Detection:
             if not right:
                 raise InputError(Message(Argument(name), f" is {getattr(self, name):g}; give a number {least[name]}"))
 
-
-def flag_defects(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> Frame:
-    """The frame with its defects flagged: HOT, COSMIC, and MASKED for bad columns and rows.
-
-    A defect is sharper than any star: the limit is the contrast of a star centred on a pixel. Single pixels are HOT,
-    connected ones COSMIC; a single frame cannot separate a short cosmic ray hit from a hot pixel, darks can
-    (:mod:`sameas.sky.frame.image`). astroscrappy (van Dokkum 2001, PASP 113, 1420) is not used because it does not
-    compare the sharpness with the frame's stars: it flags the cores of stars with a FWHM of 1.5 px.
-    """
-    lines = _bad_lines(frame, background, tuning)
-    sharp = _too_sharp(frame, background, psf, tuning) & ~lines
-    from scipy.ndimage import label
-
-    parts, _ = label(sharp, np.ones((3, 3)))
-    size = np.bincount(parts.ravel())
-    single = sharp & (size[parts] == 1)
-    return frame.marked(lines, Flag.MASKED).marked(single, Flag.HOT).marked(sharp & ~single, Flag.COSMIC)
-
-
-def _too_sharp(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> BoolArray:
-    """(rows, columns) mask of the pixels that are sharper than any star."""
-    from scipy.ndimage import binary_dilation
-
-    neighbour_light = np.array([psf.light(float(x), float(y)) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
-    contrast = tuning.sharpness_margin * float(psf.light(0.0, 0.0)) / float(np.median(neighbour_light))
-    light = frame.image - background.level
-    usable = np.isfinite(background.variance)
-    variance = np.where(usable, background.variance, 0.0)
-    defect = np.zeros(frame.shape, bool)
-    saturated = (frame.flags & Flag.SATURATED) != 0
-    # Bleeding and diffraction of saturated stars may be sharper than stars.
-    saturated &= binary_dilation(saturated, np.ones((3, 3))) & ~_isolated(saturated)
-    near_saturated = binary_dilation(saturated, np.ones((3, 3)), iterations=2)
-    rows, columns = np.nonzero((light > tuning.defect_sigmas * np.sqrt(variance)) & usable & ~near_saturated)
-    work = np.pad(np.where(usable, light, 0.0), 1, mode="reflect")
-    central, sky_variance = light[rows, columns], variance[rows, columns]
-    for _ in range(tuning.defect_passes):
-        shifted = [work[rows + 1 + y, columns + 1 + x] for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
-        neighbours = np.maximum(np.median(shifted, axis=0), 0.0)
-        photons = neighbours * contrast * (1 + 0.2 * contrast)
-        noise = np.sqrt(sky_variance * (1 + 0.2 * contrast**2) + background.inverse_gain * photons)
-        sharp = central - contrast * neighbours > tuning.defect_sigmas * noise
-        if not (sharp & ~defect[rows, columns]).any():
-            break
-        defect[rows[sharp], columns[sharp]] = True
-        work[rows[sharp] + 1, columns[sharp] + 1] = neighbours[sharp]
-    return defect
-
-
-def _isolated(mask: BoolArray) -> BoolArray:
-    """The pixels of a mask without neighbours in it."""
-    from scipy.ndimage import convolve
-
-    return np.asarray(mask & (convolve(mask.astype(np.int8), _EIGHT_NEIGHBOURS.astype(np.int8), mode="constant") == 0))
-
-
-def _bad_lines(frame: Frame, background: Background, tuning: DetectionTuning) -> BoolArray:
-    """(rows, columns) mask of the columns and rows whose median differs from their neighbours' by far."""
-    from scipy.ndimage import median_filter
-
-    bad = np.zeros(frame.shape, bool)
-    usable = np.isfinite(background.variance)
-    normal = np.where(usable, (frame.image - background.level) / np.sqrt(np.where(usable, background.variance, 1)), 0)
-    for axis in (0, 1):
-        # Half of the pixels are enough for a median.
-        median = np.median(normal[::2] if axis == 0 else normal[:, ::2], axis=axis)
-        deviation = np.abs(median - median_filter(median, 15, mode="reflect"))
-        limit = max(tuning.min_line, tuning.line_sigmas * robust_scale(deviation))
-        line = deviation > limit
-        if line.mean() < 0.05:
-            bad |= line[None, :] if axis == 0 else line[:, None]
-    return bad
-
-
-def significance(light: FloatArray, background: Background, psf: PSF, min_usable: float) -> FloatArray:
-    """(rows, columns) signal to noise ratio of a star at the centre of each pixel; 0 where most of it is masked.
-
-    Matched filter: Σ k I/v over √(Σ k²/v), k the PSF, v the variance of the sky, infinite for unusable pixels.
-    min_usable : share of the pixels of a star, weighted by k², that must be usable.
-    """
-    from scipy.signal import oaconvolve
-
-    half = int(np.ceil(3.5 * np.sqrt(np.linalg.eigvalsh(psf.matrix)[1])))
-    reach = np.arange(-half, half + 1)
-    inverse = np.linalg.inv(psf.matrix)
-    dx, dy = np.meshgrid(reach, reach)
-    kernel = np.exp(-0.5 * (inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2))
-    kernel = kernel.astype(np.float32)
-    weight = np.where(np.isfinite(background.variance), 1 / background.variance, 0).astype(np.float32)
-    typical_weight = float(np.median(weight[weight > 0]))
-    weight /= typical_weight
-    signal = oaconvolve((light * weight).astype(np.float32), kernel, mode="same")
-    noise_sq = oaconvolve(weight, kernel**2, mode="same")
-    factor = float(background.factor(np.array([psf.sigma_px]))[0][0])
-    enough = _usable_share(weight > 0, kernel**2) > min_usable
-    return np.where(enough, signal * np.sqrt(typical_weight / factor) / np.sqrt(np.maximum(noise_sq, 1e-12)), 0.0)
-
-
-def _usable_share(usable: BoolArray, kernel: FloatArray) -> FloatArray:
-    """(rows, columns) share of the kernel (k, k) that lies on usable pixels."""
-    from scipy.signal import oaconvolve
-
-    from sameas.kernels.frames import take_away
-
-    kernel = kernel / kernel.sum()
-    # Without unusable pixels the share depends on the distance from the edges only.
-    rows, columns = (_from_edges(length, len(kernel) // 2) for length in usable.shape)
-    share = oaconvolve(np.ones((rows[-1] + 1, columns[-1] + 1), np.float32), kernel, mode="same")[
-        rows[:, None], columns
-    ]
-    at_rows, at_columns = np.nonzero(~usable)
-    take_away(share, at_rows, at_columns, kernel)
-    return np.asarray(share)
-
-
-def _from_edges(length: int, half: int) -> IntArray:
-    """(length,) the index in an axis of at most 4 half + 1 pixels that is as far from both ends, up to 2 half."""
-    index = np.arange(length)
-    if length <= 4 * half + 1:
-        return index
-    return np.minimum(index, 2 * half) + np.maximum(index - (length - 1 - 2 * half), 0)
-
-
-def photon_noise(light: FloatArray, background: Background) -> FloatArray:
-    """(rows, columns) noise of a pixel with the photons of the stars, relative to that of the sky alone."""
-    return np.sqrt(1 + background.inverse_gain * np.maximum(light, 0) / background.variance)
-
-
-def peaks(snr: FloatArray, noise: FloatArray, psf: PSF, detection: Detection) -> tuple[FloatArray, FloatArray]:
-    """(n, 2) pixels (x, y) of the stars, the most significant first, and their significance (n,).
-
-    Stars are maxima of the significance; two maxima without a saddle between them are one star.
-    noise : (rows, columns) from :func:`photon_noise`: a saddle must be deeper than photon noise can make it.
-    """
-    from sameas.kernels.frames import local_maxima
-
-    y, x = local_maxima(snr, detection.threshold_sigmas, max(1, round(psf.sigma_px)))
-    if not len(x):
-        return np.empty((0, 2)), np.empty(0)
-    value = snr[y, x].astype(float)
-    x, y = x.astype(float), y.astype(float)
-    order = np.lexsort((x, y, -value))
-    xy, value = np.column_stack([x, y])[order], value[order]
-    keep = _separated(snr, noise, xy, value, psf, detection.tuning)
-    return xy[keep], value[keep]
-
-
-def _separated(
-    snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, psf: PSF, tuning: DetectionTuning
-) -> IntArray:
-    """Rows of the peaks with a saddle between them and every higher peak within reach."""
-    from scipy.spatial import cKDTree
-
-    from sameas.kernels.frames import saddles
-
-    reach_px = tuning.saddle_widths * psf.fwhm_px
-    pairs = cKDTree(xy).query_pairs(reach_px, output_type="ndarray")
-    if not len(pairs):
-        return np.arange(len(xy))
-    higher, lower = pairs.min(axis=1), pairs.max(axis=1)
-    # A ridge may pass half a pixel from the centres of its end pixels.
-    saddle = saddles(snr, xy[higher], xy[lower], int(np.ceil(reach_px)), tuning.ridge_px)
-    x, y = xy[lower].astype(int).T
-    random_depth = np.sqrt(tuning.saddle_sigmas**2 + tuning.saddle_photons**2 * (noise[y, x] ** 2 - 1))
-    depth = np.maximum(random_depth, tuning.saddle_share * value[lower])
-    return np.setdiff1d(np.arange(len(xy)), lower[value[lower] - saddle < depth])
+    def peaks(self, light: FloatArray, background: Background, psf: PSF) -> tuple[FloatArray, FloatArray]:
+        """(n, 2) pixels (x, y) of the stars, the most significant first, and their significance (n,)."""
+        return peaks(light, background, psf, self.threshold_sigmas, self.tuning.peaks)
 
 
 def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
@@ -302,7 +119,7 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
     background = Background.of(frame, box_px=detection.box_px, tuning=detection.tuning.centroids)
     if detection.defects:
         sharpest = PSF(detection.tuning.sharpest_sigma_px**2 * np.eye(2))
-        frame, background = _without_defects(frame, background, sharpest, detection.tuning)
+        frame, background = without_defects(frame, background, sharpest, detection.tuning.defects)
     psf = _mean_psf(frame, background, detection)
     measured_gain = None
     if not background.inverse_gain and frame.sigma is None:
@@ -310,9 +127,9 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
         if measured_gain is not None:
             background = replace(background, inverse_gain=measured_gain.value)
     if detection.defects:
-        frame, background = _without_defects(frame, background, psf, detection.tuning)
+        frame, background = without_defects(frame, background, psf, detection.tuning.defects)
     light = _above_sky(frame, background)
-    xy, snr = _peaks_of(light, background, psf, detection)
+    xy, snr = detection.peaks(light, background, psf)
     _refuse_negative(frame, light, background, psf, len(xy), detection)
     if not len(xy):
         raise InputError(f"{frame.name}: no star above {detection.threshold_sigmas:g}σ; lower threshold_sigmas")
@@ -328,7 +145,7 @@ def _inverse_gain(frame: Frame, background: Background, psf: PSF, detection: Det
     of centroids. Unresolved stars of a crowded sky are no noise: the correlation is that without the stars.
     """
     light, tuning = _above_sky(frame, background), detection.tuning
-    xy, snr = _peaks_of(light, background, psf, detection)
+    xy, snr = detection.peaks(light, background, psf)
     if len(xy) < tuning.gain.stars:
         return None
     stars = _deblended(light, background, psf, xy, snr, detection, passes=1)
@@ -385,7 +202,7 @@ def _refuse_negative(
     """Refuses an image with hardly any stars and many dark spots, as of a scanned photographic negative."""
     if n_stars >= detection.tuning.max_stars_of_negative:
         return
-    dark = len(_peaks_of(-light, background, psf, detection)[0])
+    dark = len(detection.peaks(-light, background, psf)[0])
     if dark > detection.tuning.min_dark_ratio * max(n_stars, 1):
         raise InputError(
             f"{frame.name}: {n_stars} bright and {dark} dark spots above {detection.threshold_sigmas:g}σ: it seems to "
@@ -399,29 +216,13 @@ def _above_sky(frame: Frame, background: Background) -> FloatArray:
     return np.where(np.isfinite(background.variance), frame.image - background.level, 0.0)
 
 
-def _peaks_of(
-    light: FloatArray, background: Background, psf: PSF, detection: Detection
-) -> tuple[FloatArray, FloatArray]:
-    snr = significance(light, background, psf, detection.tuning.min_usable)
-    return peaks(snr, photon_noise(light, background), psf, detection)
-
-
-def _without_defects(
-    frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning
-) -> tuple[Frame, Background]:
-    """The frame with its defects flagged, and the background with infinite variance there."""
-    frame = flag_defects(frame, background, psf, tuning)
-    unusable = (frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) != 0
-    return frame, replace(background, variance=np.where(unusable, np.inf, background.variance).astype(np.float32))
-
-
 def _mean_psf(frame: Frame, background: Background, detection: Detection) -> PSF:
     """The PSF of bright, single, unsaturated stars, measured twice: from a first guess, then from the result."""
     light, tuning = _above_sky(frame, background), detection.tuning
     bright = replace(detection, threshold_sigmas=max(detection.threshold_sigmas, 8.0))
     psf = PSF(tuning.first_sigma_px**2 * np.eye(2))
     for _ in range(2):
-        xy, snr = _peaks_of(light, background, psf, bright)
+        xy, snr = bright.peaks(light, background, psf)
         xy = _single(frame, xy, snr, 4 * psf.fwhm_px)[: tuning.psf_stars]
         if len(xy) < 3:
             return psf
@@ -595,7 +396,8 @@ def _measurements(
         rows = shapes.rows[own_shape]
         own = shapes.centroids
         xy[rows] = own.xy[own_shape]
-        covariance[rows] = own.covariance(_bounded(own.jacobian))[own_shape]
+        # Flat tops have singular Jacobians.
+        covariance[rows] = own.covariance(_bounded(np.nan_to_num(symmetric(own.jacobian)), 0.15, 1.0))[own_shape]
         flux[rows] = 2 * own.weight[own_shape]
         flux_err[rows] = 2 * np.sqrt(own.weight_variance[own_shape])
         flags[rows] |= _flags_near(frame, xy[rows], 1.0, shapes.matrices[own_shape])
@@ -628,8 +430,7 @@ def _with_systematic_errors(
     covariance = covariance + (floor + np.where(saturated, (0.03 * psf.fwhm_px) ** 2, 0.0))[:, None, None] * np.eye(2)
     covariance[~common.converged] = psf.matrix
     # An unresolved pair is wider along one axis only: the excess along the other may be negative.
-    values, vectors = np.linalg.eigh((covariance + covariance.transpose(0, 2, 1)) / 2)
-    return np.asarray((vectors * np.maximum(values, floor + 1e-12)[:, None, :]) @ vectors.transpose(0, 2, 1))
+    return _bounded(symmetric(covariance), floor + 1e-12, np.inf)
 
 
 def _ellipses(matrices: FloatArray) -> dict[str, FloatArray]:
@@ -696,11 +497,10 @@ def _gaussian_jacobian(psf: PSF) -> FloatArray:
     )
 
 
-def _bounded(jacobian: FloatArray) -> FloatArray:
-    """Jacobians of individual stars with eigenvalues limited to 0.15 … 1: flat tops have singular ones."""
-    symmetric = (jacobian + jacobian.transpose(0, 2, 1)) / 2
-    values, vectors = np.linalg.eigh(np.nan_to_num(symmetric))
-    return np.asarray((vectors * np.clip(values, 0.15, 1.0)[:, None, :]) @ vectors.transpose(0, 2, 1))
+def _bounded(matrices: FloatArray, low: float, high: float) -> FloatArray:
+    """Symmetric matrices (n, 2, 2) with eigenvalues limited to low … high."""
+    values, vectors = np.linalg.eigh(matrices)
+    return np.asarray((vectors * np.clip(values, low, high)[:, None, :]) @ vectors.transpose(0, 2, 1))
 
 
 def _flags_near(

@@ -1,0 +1,131 @@
+"""Peaks: the pixels on which the stars of a frame are centred, by a matched filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.sky.frame.centroid import PSF, Background
+
+
+@dataclass(frozen=True)
+class PeakTuning:
+    """Parameters of the search for peaks, tuned on simulated frames (``scripts/bench centroids`` and ``crowded``).
+
+    Attributes
+    ----------
+    min_usable : no star is detected where less than this share of its pixels is usable.
+    saddle_sigmas : minimum depth of the saddle between two stars, in standard deviations of the sky.
+    saddle_photons : the same for the photon noise of the star, larger because the saddle is the minimum of many points
+        along a trail.
+    saddle_share : minimum depth of the saddle as a share of the lower peak.
+    saddle_widths : peaks farther apart than this many FWHM are always two stars; longer trails are split.
+    ridge_px : offset of the three parallel lines on which the saddle is measured; a ridge may miss the pixel centres.
+    """
+
+    min_usable: float = 0.3
+    saddle_sigmas: float = 3.0
+    saddle_photons: float = 5.0
+    saddle_share: float = 0.02
+    saddle_widths: float = 8.0
+    ridge_px: float = 0.6
+
+
+DEFAULT_PEAKS = PeakTuning()
+
+
+def peaks(
+    light: FloatArray, background: Background, psf: PSF, threshold_sigmas: float, tuning: PeakTuning
+) -> tuple[FloatArray, FloatArray]:
+    """(n, 2) pixels (x, y) of the stars, the most significant first, and their significance (n,).
+
+    Stars are maxima of the significance; two maxima without a saddle between them are one star.
+
+    light : (rows, columns) above the sky. threshold_sigmas : minimum significance.
+    """
+    from sameas.kernels.frames import local_maxima
+
+    snr = _significance(light, background, psf, tuning.min_usable)
+    y, x = local_maxima(snr, threshold_sigmas, max(1, round(psf.sigma_px)))
+    if not len(x):
+        return np.empty((0, 2)), np.empty(0)
+    # A saddle must be deeper than photon noise can make it: that of a pixel, relative to the noise of the sky alone.
+    noise = np.sqrt(1 + background.inverse_gain * np.maximum(light, 0) / background.variance)
+    value = snr[y, x].astype(float)
+    x, y = x.astype(float), y.astype(float)
+    order = np.lexsort((x, y, -value))
+    xy, value = np.column_stack([x, y])[order], value[order]
+    keep = _separated(snr, noise, xy, value, psf, tuning)
+    return xy[keep], value[keep]
+
+
+def _significance(light: FloatArray, background: Background, psf: PSF, min_usable: float) -> FloatArray:
+    """(rows, columns) signal to noise ratio of a star at the centre of each pixel; 0 where most of it is masked.
+
+    Matched filter: Σ k I/v over √(Σ k²/v), k the PSF, v the variance of the sky, infinite for unusable pixels.
+    min_usable : share of the pixels of a star, weighted by k², that must be usable.
+    """
+    from scipy.signal import oaconvolve
+
+    half = int(np.ceil(3.5 * np.sqrt(np.linalg.eigvalsh(psf.matrix)[1])))
+    reach = np.arange(-half, half + 1)
+    inverse = np.linalg.inv(psf.matrix)
+    dx, dy = np.meshgrid(reach, reach)
+    kernel = np.exp(-0.5 * (inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2))
+    kernel = kernel.astype(np.float32)
+    weight = np.where(np.isfinite(background.variance), 1 / background.variance, 0).astype(np.float32)
+    typical_weight = float(np.median(weight[weight > 0]))
+    weight /= typical_weight
+    signal = oaconvolve((light * weight).astype(np.float32), kernel, mode="same")
+    noise_sq = oaconvolve(weight, kernel**2, mode="same")
+    factor = float(background.factor(np.array([psf.sigma_px]))[0][0])
+    enough = usable_share(weight > 0, kernel**2) > min_usable
+    return np.where(enough, signal * np.sqrt(typical_weight / factor) / np.sqrt(np.maximum(noise_sq, 1e-12)), 0.0)
+
+
+def usable_share(usable: BoolArray, kernel: FloatArray) -> FloatArray:
+    """(rows, columns) share of the kernel (k, k) that lies on usable pixels."""
+    from scipy.signal import oaconvolve
+
+    from sameas.kernels.frames import take_away
+
+    kernel = kernel / kernel.sum()
+    # Without unusable pixels the share depends on the distance from the edges only.
+    rows, columns = (_from_edges(length, len(kernel) // 2) for length in usable.shape)
+    share = oaconvolve(np.ones((rows[-1] + 1, columns[-1] + 1), np.float32), kernel, mode="same")[
+        rows[:, None], columns
+    ]
+    at_rows, at_columns = np.nonzero(~usable)
+    take_away(share, at_rows, at_columns, kernel)
+    return np.asarray(share)
+
+
+def _from_edges(length: int, half: int) -> IntArray:
+    """(length,) the index in an axis of at most 4 half + 1 pixels that is as far from both ends, up to 2 half."""
+    index = np.arange(length)
+    if length <= 4 * half + 1:
+        return index
+    return np.minimum(index, 2 * half) + np.maximum(index - (length - 1 - 2 * half), 0)
+
+
+def _separated(
+    snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, psf: PSF, tuning: PeakTuning
+) -> IntArray:
+    """Rows of the peaks with a saddle between them and every higher peak within reach."""
+    from scipy.spatial import cKDTree
+
+    from sameas.kernels.frames import saddles
+
+    reach_px = tuning.saddle_widths * psf.fwhm_px
+    pairs = cKDTree(xy).query_pairs(reach_px, output_type="ndarray")
+    if not len(pairs):
+        return np.arange(len(xy))
+    higher, lower = pairs.min(axis=1), pairs.max(axis=1)
+    # A ridge may pass half a pixel from the centres of its end pixels.
+    saddle = saddles(snr, xy[higher], xy[lower], int(np.ceil(reach_px)), tuning.ridge_px)
+    x, y = xy[lower].astype(int).T
+    random_depth = np.sqrt(tuning.saddle_sigmas**2 + tuning.saddle_photons**2 * (noise[y, x] ** 2 - 1))
+    depth = np.maximum(random_depth, tuning.saddle_share * value[lower])
+    return np.setdiff1d(np.arange(len(xy)), lower[value[lower] - saddle < depth])
