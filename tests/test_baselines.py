@@ -9,8 +9,8 @@ import naive
 from problems import DRAWS, components_of, laid_out, many_blocks, plane_records
 from sameas import Box, CommonObjects, InputError, PerPair, Radius, Records
 from sameas.assignment import assign
+from sameas.decision import Loss
 from sameas.groups import groups
-from sameas.result import Loss
 from sameas.score.baselines import classified, enumerated, most_pairs, mutual_nearest, nearest, number_of_hypotheses
 
 

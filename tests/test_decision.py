@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import naive
 from sameas import CloseObjects, CommonObjects, InputError, Radius, Records, identify
-from sameas.result import ALL_ALIKE, Loss, evaluate_choice, least_loss, most_right
+from sameas.decision import ALL_ALIKE, Loss, evaluate_choice, least_loss, most_right
 
 
 def small_answer(seed, n1=3, n2=3):

@@ -28,6 +28,7 @@ prior
 assignment
 posterior
 result
+decision
 _identify
 estimate
 many

@@ -18,12 +18,13 @@ import numpy as np
 from benchmarks.study.scenes import Formation, Lattice, Scenes
 from sameas._identify import identify
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.decision import most_right
 from sameas.evidence import CloseObjects, ConstantCost, Field, Flat, GaussianMixture, Rule, Universal
 from sameas.gate import Box, Pairs
 from sameas.groups import groups
 from sameas.prior import CommonObjects, PerPair, Prior
 from sameas.records import Records
-from sameas.result import Identification, most_right
+from sameas.result import Identification
 from sameas.score.baselines import classified, enumerated, most_pairs, mutual_nearest, nearest
 
 Gate = Callable[[Records, Records], Pairs]

@@ -9,6 +9,10 @@ from . import simulate as simulate
 from . import sky as sky
 from . import tracks as tracks
 from ._identify import identify as identify
+from .decision import Loss as Loss
+from .decision import evaluate_choice as evaluate_choice
+from .decision import least_loss as least_loss
+from .decision import most_right as most_right
 from .errors import InputError as InputError
 from .estimate.result import Estimate as Estimate
 from .evidence import CloseObjects as CloseObjects
@@ -68,10 +72,6 @@ from .registration import Shift as Shift
 from .registration import Similarity as Similarity
 from .registration import register as register
 from .result import Identification as Identification
-from .result import Loss as Loss
-from .result import evaluate_choice as evaluate_choice
-from .result import least_loss as least_loss
-from .result import most_right as most_right
 from .space import Plane as Plane
 from .space import Sphere as Sphere
 from .space import unit_vectors as unit_vectors

@@ -1,31 +1,22 @@
-"""The result: which records are the same object, which have no partner, how sure it is, and why; decisions by loss.
+"""The result: which records are the same object, which have no partner, how sure it is, and why.
 
 - :class:`Identification`: the answer of :func:`sameas.identify`, with the values of all stages. Rows in it are rows of
   the sources' own tables; absence is a mask. Everything is computed from the values of the stages when first used.
 - :class:`Explanation`: why one record was identified as it was: its candidates, their terms, and the cost of other
   answers.
-- :func:`least_loss`, :func:`most_right`: other choices of pairs.
 
-Which one-to-one decision is best depends on the cost of errors:
-
-- The most probable hypothesis (``Identification.chosen``, the MAP) maximises the probability that *all* records are
-  right, which is negligible for 1000 uncertain records; it is the papers' answer and good for small groups.
-- :func:`most_right` maximises the *expected number of records* of both sources that are decided correctly.
-- :func:`least_loss` minimises the *expected loss* where wrong and missed pairs cost differently (METHOD 3.5 [F8–F13],
-  one to one): raise ``wrong`` for a list that must be pure, ``missed`` for one that must be complete.
-
-All need only the probabilities of pairs: expected losses add over records, so an assignment finds the exact optimum.
+Other choices of pairs than the most probable hypothesis are in :mod:`sameas.decision`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
 from sameas.assignment import Hypothesis, assign
@@ -36,7 +27,7 @@ from sameas.gate.gate import quantile
 from sameas.groups import Groups
 from sameas.kernels import threads
 from sameas.posterior import APPROXIMATE, METHODS, Posterior
-from sameas.prior import LogPrior, PerPair
+from sameas.prior import LogPrior
 from sameas.records import Records
 from sameas.representation import in_short
 
@@ -306,6 +297,9 @@ class Competitor:
 class Explanation:
     """The result of :meth:`Identification.explain`; ``str()`` of it is a text for people.
 
+    row : in the table of its source. set_aside : why it could not be used, empty for a usable record.
+    group, records : its group, None if no pair passes the gate, and the number of the group's records of each source.
+    method : by which the group's posterior was computed. competitors : all answers, the most probable first.
     prior : a sentence on the prior of the number of pairs, empty if it is part of the log-odds.
     next_best_cost : ln of the probability of the group's best hypothesis over that of the next best, None if there is
         no other or the group is too large to search. next_best : the pairs of ids that differ, (added, removed).
@@ -315,14 +309,14 @@ class Explanation:
     source: str
     other: str
     row: int
-    usable: str
-    group: int | None
-    records: tuple[int, int]
-    method: str
-    competitors: tuple[Competitor, ...]
-    prior: str
-    next_best_cost: float | None
-    next_best: tuple[list[tuple[Any, Any]], list[tuple[Any, Any]]]
+    set_aside: str = ""
+    group: int | None = None
+    records: tuple[int, int] = (0, 0)
+    method: str = ""
+    competitors: tuple[Competitor, ...] = ()
+    prior: str = ""
+    next_best_cost: float | None = None
+    next_best: tuple[list[tuple[Any, Any]], list[tuple[Any, Any]]] = field(default_factory=lambda: ([], []))
 
     def __str__(self) -> str:
         return "\n".join(_lines(self))
@@ -332,30 +326,28 @@ def explain(result: Identification, record: Any, source: int) -> Explanation:
     """See :meth:`sameas.result.Identification.explain`."""
     own, other = (result.first, result.second) if source == 1 else (result.second, result.first)
     row = row_of(own.ids, record, own.source)
-    at = own.at_row(row)
+    asked, at = Explanation(own.ids[row], own.source, other.source, row), own.at_row(row)
     if at is None:
-        reason = str(own.set_aside.reasons[own.set_aside.rows == row][0])
-        return Explanation(
-            own.ids[row], own.source, other.source, row, reason, None, (0, 0), "", (), "", None, ([], [])
-        )
-    position = result.pairs.i if source == 1 else result.pairs.j
-    own_pairs = np.flatnonzero(position == at)
+        return replace(asked, set_aside=str(own.set_aside.reasons[own.set_aside.rows == row][0]))
+    own_pairs = np.flatnonzero((result.pairs.i if source == 1 else result.pairs.j) == at)
     if not len(own_pairs):
         alone = Competitor(None, 1.0, 0.0, None, {}, None, None, True)
-        return Explanation(
-            own.ids[row], own.source, other.source, row, "", None, (1, 0), METHODS[0], (alone,), "", None, ([], [])
-        )
+        return replace(asked, records=(1, 0), method=METHODS[0], competitors=(alone,))
     group = int(result.groups.of_pairs()[own_pairs[0]])
     problem = _GroupProblem(result, group)
     competitors = [problem.candidate(int(e), own_pairs, source) for e in own_pairs]
     competitors.append(problem.no_partner(own_pairs, competitors))
-    competitors.sort(key=lambda c: (-c.probability, c.cost))
     cost, difference = problem.next_best()
-    sizes = (int(result.groups.sizes_1[group]), int(result.groups.sizes_2[group]))
-    return Explanation(
-        own.ids[row], own.source, other.source, row, "", group, sizes, result.method(group), tuple(competitors),
-        problem.prior_in_words(), cost, difference,
-    )  # fmt: skip
+    return replace(
+        asked,
+        group=group,
+        records=(int(result.groups.sizes_1[group]), int(result.groups.sizes_2[group])),
+        method=result.method(group),
+        competitors=tuple(sorted(competitors, key=lambda c: (-c.probability, c.cost))),
+        prior=problem.prior_in_words(),
+        next_best_cost=cost,
+        next_best=difference,
+    )
 
 
 def row_of(ids: NDArray[Any], record: Any, source: str) -> int:
@@ -474,8 +466,8 @@ class _GroupProblem:
 
 
 def _lines(x: Explanation) -> list[str]:
-    if x.usable:
-        return [f"{x.source} {x.id} (row {x.row}) could not be used: {x.usable}."]
+    if x.set_aside:
+        return [f"{x.source} {x.id} (row {x.row}) could not be used: {x.set_aside}."]
     if x.group is None:
         return [f"{x.source} {x.id} (row {x.row}): no record of {x.other} passes the gate; it has no partner."]
     chosen = next(c for c in x.competitors if c.chosen)
@@ -510,141 +502,3 @@ def probability_text(p: float) -> str:
     if p > 0.9999:
         return f"1 − {1 - p:.0e}" if p < 1 else "1"
     return f"{p:.4f}" if p > 1e-3 else f"{p:.1e}"
-
-
-@in_short
-@dataclass(frozen=True)
-class Loss:
-    """The loss matrix Π of a record of source 1: the cost of one decision where another is true.
-
-    Parameters
-    ----------
-    wrong : cost of assigning candidate e to a record without a partner; a number, or (m,) at the candidates.
-    missed : cost of assigning no partner to a record whose partner is candidate e; a number, or (m,).
-    swapped : cost of assigning candidate e to a record whose partner is another; a number, or (m,). None is the sum of
-        both errors, ``wrong`` of the assigned and ``missed`` of the true one: the same for both sources.
-    """
-
-    wrong: ArrayLike = 1.0
-    missed: ArrayLike = 1.0
-    swapped: ArrayLike | None = None
-
-    def at(self, m: int) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """``wrong``, ``missed`` and ``swapped`` at m candidates, (m,) each."""
-        swapped = None if self.swapped is None else _at(self.swapped, m, "swapped")
-        return _at(self.wrong, m, "wrong"), _at(self.missed, m, "missed"), swapped
-
-    def expected(self, p: FloatArray, record: NDArray[np.integer], p_none: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Expected loss (m,) of assigning each candidate to its record, and (n,) of assigning no partner.
-
-        p (m,) and ``p_none`` (n,) are probabilities, of the candidates of ``record`` (m,) and of no partner.
-        """
-        wrong, missed, swapped = self.at(len(p))
-        alone: FloatArray = np.bincount(record, missed * p, len(p_none)).astype(np.float64)
-        if swapped is None:
-            return wrong * (1.0 - p) + alone[record] - missed * p, alone
-        others = np.clip(1.0 - p_none[record] - p, 0.0, 1.0)
-        return wrong * p_none[record] + swapped * others, alone
-
-
-@in_short
-@dataclass(frozen=True)
-class Decision:
-    """A one-to-one decision.
-
-    Attributes
-    ----------
-    chosen : (m,) whether each candidate is accepted, in the order of the gate.
-    expected_loss : of all records of source 1 that have candidates, in the unit of the losses.
-    expected_right : expected number of records of both sources, of those with candidates, that are decided correctly.
-    """
-
-    chosen: BoolArray
-    expected_loss: float
-    expected_right: float
-
-
-#: Every wrong and every missed pair costs one, a swapped record both.
-ONE_EACH = Loss()
-#: Every error of a record costs the same, so that its most probable answer is the best.
-ALL_ALIKE = Loss(1.0, 1.0, 1.0)
-
-
-def least_loss(result: Identification, loss: Loss = ONE_EACH) -> Decision:
-    """The one-to-one decision of least expected loss.
-
-    Example
-    -------
-    >>> from sameas import CloseObjects, CommonObjects, Records, identify
-    >>> radar = Records.of([[0.0, 0.0], [3.0, 0.0]], sigma=1.0)
-    >>> ais = Records.of([[1.4, 0.0]], sigma=1.0)
-    >>> answer = identify(radar, ais, rule=CloseObjects(a=1.5, b=6.0), prior=CommonObjects(q1=0.1, q2=0.2))
-    >>> int(least_loss(answer).chosen.sum()), int(least_loss(answer, Loss(wrong=20.0)).chosen.sum())
-    (1, 0)
-    """
-    assigned, alone = _losses(result, loss)
-    return _decision(result, alone[result.pairs.i] - assigned, loss)
-
-
-def most_right(result: Identification) -> Decision:
-    """The one-to-one decision with the largest expected number of correctly decided records of both sources.
-
-    Its ``expected_loss`` is that of :class:`Loss` with one for each error.
-    """
-    none_1, none_2 = _p_none(result)
-    return _decision(result, 2.0 * result.p_pair - none_1[result.pairs.i] - none_2[result.pairs.j], ONE_EACH)
-
-
-def evaluate_choice(result: Identification, chosen: BoolArray, loss: Loss = ONE_EACH) -> Decision:
-    """Any one-to-one decision among ``result``'s candidates, with its expected loss and number of correct records.
-
-    ``evaluate_choice(result, result.chosen)`` evaluates the most probable hypothesis.
-    """
-    pairs = result.pairs
-    if chosen.shape != (len(pairs),):
-        raise InputError(
-            f"evaluate_choice: chosen has shape {chosen.shape}; give ({len(pairs)},), one for each candidate"
-        )
-    for source, record in ((1, pairs.i), (2, pairs.j)):
-        if len(np.unique(record[chosen])) != np.count_nonzero(chosen):
-            raise InputError(
-                f"evaluate_choice: a record of source {source} is chosen twice; give a one-to-one decision"
-            )
-    assigned, alone = _losses(result, loss)
-    without_1 = np.setdiff1d(pairs.i, pairs.i[chosen])
-    without_2 = np.setdiff1d(pairs.j, pairs.j[chosen])
-    none_1, none_2 = _p_none(result)
-    right = 2.0 * result.p_pair[chosen].sum() + none_1[without_1].sum() + none_2[without_2].sum()
-    return Decision(chosen, float(assigned[chosen].sum() + alone[without_1].sum()), float(right))
-
-
-def _decision(result: Identification, gain: FloatArray, loss: Loss) -> Decision:
-    """The one-to-one decision of greatest total gain; pairs without a gain are not chosen."""
-    return evaluate_choice(result, _best(result.groups, gain), loss)
-
-
-def _best(groups: Groups, gain: FloatArray) -> BoolArray:
-    best = assign(groups, gain, PerPair(0.0)(groups.sizes_1, groups.sizes_2))
-    chosen = np.empty(len(gain), np.bool_)
-    chosen[groups.order] = best.chosen
-    return chosen
-
-
-def _losses(result: Identification, loss: Loss) -> tuple[FloatArray, FloatArray]:
-    return loss.expected(result.p_pair, result.pairs.i, _p_none(result)[0])
-
-
-def _p_none(result: Identification) -> tuple[FloatArray, FloatArray]:
-    """(n₁,), (n₂,) probabilities of no partner."""
-    p, pairs = result.p_pair, result.pairs
-    totals = (np.bincount(pairs.i, p, len(pairs.first)), np.bincount(pairs.j, p, len(pairs.second)))
-    return np.clip(1.0 - totals[0], 0.0, 1.0), np.clip(1.0 - totals[1], 0.0, 1.0)
-
-
-def _at(value: ArrayLike, m: int, name: str) -> FloatArray:
-    values = np.asarray(value, np.float64)
-    if values.shape not in ((), (m,)):
-        raise InputError(f"Loss: {name} has shape {values.shape}; give a number or ({m},), one for each candidate")
-    if not np.all((values >= 0.0) & (values < np.inf)):
-        raise InputError(f"Loss: {name} is negative or not finite; give what the mistake costs, zero or more")
-    return np.broadcast_to(values, m)

@@ -152,8 +152,8 @@ def explanation_lines(match: SkyMatch, explanation: Explanation, source: int) ->
     """The explanation of one record: its answer, its competitors, and the cost of other answers."""
     mine, other = (match.first, match.second) if source == 1 else (match.second, match.first)
     head = f"{explanation.source} {explanation.id} (row {explanation.row})"
-    if explanation.usable:
-        return [f"{head} could not be used: {explanation.usable}"]
+    if explanation.set_aside:
+        return [f"{head} could not be used: {explanation.set_aside}"]
     covered = (match.covered_1 if source == 1 else match.covered_2)[explanation.row]
     properties = [
         *entry("position", _position(mine, explanation.row)),

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray
+from sameas.decision import ALL_ALIKE, Loss
 from sameas.errors import InputError
 from sameas.gate import Pairs
 from sameas.groups import Groups
 from sameas.prior import LogPrior
-from sameas.result import ALL_ALIKE, Loss
 
 #: Most hypotheses of a group that are enumerated: some seconds.
 AT_MOST = 2_000_000

@@ -27,7 +27,7 @@ from sameas.evidence import PoissonField
 from sameas.gate import Radius
 from sameas.gaussian import LOG_2PI, inverse, log_density, log_determinant
 from sameas.groups import groups
-from sameas.prior import PerPair
+from sameas.prior import EVIDENCE_ALONE
 from sameas.records import Records
 from sameas.sky.frame.pointing import Pointing, design
 
@@ -231,7 +231,7 @@ def _paired(
     # As in `identify`, without probabilities: only the best hypothesis is used.
     pairs = Radius(4.0)(frame, sky)
     grouped = groups(pairs)
-    best = assign(grouped, rule(pairs).log_ratio, PerPair(0.0)(grouped.sizes_1, grouped.sizes_2))
+    best = assign(grouped, rule(pairs).log_ratio, EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
     chosen = grouped.order[best.chosen]
     i, j = pairs.i[chosen].astype(np.int64), pairs.j[chosen].astype(np.int64)
     order = np.argsort(j, kind="stable")
