@@ -43,11 +43,27 @@ def test_relative_bearings_are_corrected_by_the_latest_heading():
     assert made.bearing_deg[0] == pytest.approx(3.6)
 
 
+def test_a_compass_serves_where_no_gyro_gives_the_heading():
+    relative = ttm(flag="R", bearing="10.0")
+    # Deviation 0.5° W, variation 2.5° E, as in the sentence; then the last one, with a heading of HDM.
+    made = reports(ZDA, "HCHDG,20.0,0.5,W,2.5,E", relative, "HCHDM,30.0,M", relative)
+    np.testing.assert_allclose(made.bearing_deg, [32.0, 42.5])
+    west = "GPRMC,130212.00,A,5046.380,N,00105.576,W,10.0,157.8,120116,3.0,W,A"
+    made = reports("HCHDM,1.0,M", west, relative, "HCHDG,1.0,,,,", relative, "HEHDT,350.0,T", "HCHDM,90.0,M", relative)
+    np.testing.assert_allclose(made.bearing_deg, [8.0, 8.0, 0.0])
+    np.testing.assert_allclose(made.station_heading_deg, [358.0, 358.0, 350.0])
+
+
+def test_a_compass_without_variation_is_no_heading():
+    with pytest.raises(InputError, match="HDG with a variation"):
+        reports(ZDA, "HCHDM,30.0,M", ttm(flag="R"))
+
+
 def test_a_relative_bearing_without_heading_is_missing():
     made = reports(ZDA, ttm(flag="R"), ttm(number="02", course_flag="R"))
     assert made.track_id.tolist() == ["02"] and made.course_deg is None
     assert made.damaged.sentences() == [
-        "1 line damaged: direction from the bow before the first heading (OSD, HDT, THS) (line 2)"
+        "1 line damaged: direction from the bow before the first heading (OSD, HDT, THS, or HDG with a variation) (line 2)"
     ]
 
 

@@ -260,7 +260,7 @@ def read(log: Log, source: str, start_s: float | None = None, state: ReceiverSta
 
 
 def own_ship(sentence: Sentence) -> dict[str, Any]:
-    """The latitude, longitude and heading of own ship that a VDO sentence gives, and her MMSI.
+    """The latitude, longitude and true heading of own ship that a VDO sentence gives, and her MMSI.
 
     Raises
     ------
@@ -278,7 +278,7 @@ def own_ship(sentence: Sentence) -> dict[str, Any]:
     mmsi = f"{int(decoded.mmsi):09d}"
     fields: dict[str, Any] = {"lat": float(decoded.lat), "lon": float(decoded.lon), "mmsi": mmsi}
     heading = _available(getattr(decoded, "heading", None), 360)
-    return fields if heading is None else fields | {"heading": heading}
+    return fields if heading is None else fields | {"true_heading": heading}
 
 
 def _messages(log: Log, state: ReceiverState | None) -> tuple[list[AisMessage], list[tuple[int, str]]]:

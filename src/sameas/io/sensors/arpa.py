@@ -3,7 +3,7 @@
 TTM gives range and bearing, speed and course, each true or relative by a flag of its own; TLL gives latitude and
 longitude computed by the radar. Of a target that has both, only TTM, the measurement, is used; one that has TLL alone
 beside others with TTM is reported by its range and bearing from own ship. OSD, HDT and THS give the heading of own
-ship; RMC, GGA, GLL and own AIS (VDO) its position. The accuracy of the radar is in no sentence; it comes from the
+ship, else a compass (HDG, HDM) with the variation of HDG or RMC; RMC, GGA, GLL and own AIS (VDO) give its position. The accuracy of the radar is in no sentence; it comes from the
 description of the source.
 
 Target numbers have two digits and are used again: ``05`` is the first target with this number, ``05/2`` the second. A
@@ -75,12 +75,16 @@ class Target:
 class ArpaState:
     """Own ship before these lines. has_ttm : whether TTM sentences have occurred. targets : by number.
 
+    heading : from true north, of a gyro (``true_heading``) or else a compass (``magnetic_heading`` and ``variation``).
     speed, course : over ground, m/s and degrees. mmsi : of own ship, "" before her AIS gave it. positions : number of
     positions of own ship so far.
     measured_s : clock time of the last TTM, by the number of the target.
     """
 
     heading: float = math.nan
+    true_heading: float = math.nan
+    magnetic_heading: float = math.nan
+    variation: float = math.nan
     lat: float = math.nan
     lon: float = math.nan
     speed: float = math.nan
@@ -212,7 +216,7 @@ def _track_ids(
 
 def _own_ship(log: Log, ship: ArpaState) -> dict[str, FloatArray]:
     """Heading, position, speed and course of own ship at each sentence: the latest values, NaN before the first."""
-    columns = {name: np.full(len(log.sentences), np.nan) for name in ("heading", "lat", "lon", "speed", "course")}
+    columns = {name: np.full(len(log.sentences), np.nan) for name in _OF_SHIP}
     for name, values in columns.items():
         values[:1] = getattr(ship, name)
     for index, sentence in enumerate(log.sentences):
@@ -227,9 +231,15 @@ def _own_ship(log: Log, ship: ArpaState) -> dict[str, FloatArray]:
                 columns[name][index] = np.nan if value is None else value
             ship.positions += "lat" in position and bool(np.isfinite(columns["lat"][index] + columns["lon"][index]))
     known = {name: _latest(values) for name, values in columns.items()}
+    compass = np.mod(known["magnetic_heading"] + known["variation"], 360.0)
+    known["heading"] = np.where(np.isfinite(known["true_heading"]), known["true_heading"], compass)
     for name, values in known.items():
         setattr(ship, name, float(values[-1]) if len(values) else getattr(ship, name))
     return known
+
+
+#: What is known of own ship at each sentence, apart from the heading, which follows from three of these.
+_OF_SHIP = ("true_heading", "magnetic_heading", "variation", "lat", "lon", "speed", "course")
 
 
 def _latest(values: FloatArray) -> FloatArray:
@@ -253,11 +263,35 @@ def _velocity(s: Sentence, speed: int, course: int) -> dict[str, float | None]:
     return given if degrees is None else given | {"course": degrees}
 
 
+def _eastward(s: Sentence, number: int) -> float | None:
+    """An angle and its side in two fields, east positive: deviation and variation."""
+    degrees = s.number(number)
+    return -degrees if degrees is not None and s.field(number + 1) == "W" else degrees
+
+
+def _compass(s: Sentence) -> dict[str, float | None]:
+    """The magnetic heading of HDG, and the variation where it has one; the deviation is applied."""
+    sensor, variation = s.number(1), _eastward(s, 4)
+    heading = {"magnetic_heading": None if sensor is None else sensor + (_eastward(s, 2) or 0.0)}
+    return heading if variation is None else heading | {"variation": variation}
+
+
+def _recommended(s: Sentence) -> dict[str, float | None]:
+    """Position, velocity and, where it is given, variation of RMC."""
+    if s.field(2) == "V":
+        return {}
+    variation = _eastward(s, 10)
+    given = _position(3)(s) | _velocity(s, 7, 8)
+    return given if variation is None else given | {"variation": variation}
+
+
 _OWN_SHIP: Mapping[str, Callable[[Sentence], dict[str, Any]]] = {
-    "OSD": lambda s: {"heading": s.number(1) if s.field(2) != "V" else None},
-    "HDT": lambda s: {"heading": s.number(1)},
-    "THS": lambda s: {"heading": s.number(1) if s.field(2) != "V" else None},
-    "RMC": lambda s: _position(3)(s) | _velocity(s, 7, 8) if s.field(2) != "V" else {},
+    "OSD": lambda s: {"true_heading": s.number(1) if s.field(2) != "V" else None},
+    "HDT": lambda s: {"true_heading": s.number(1)},
+    "THS": lambda s: {"true_heading": s.number(1) if s.field(2) != "V" else None},
+    "HDG": _compass,
+    "HDM": lambda s: {"magnetic_heading": s.number(1)},
+    "RMC": _recommended,
     "VTG": lambda s: _velocity(s, 5, 1),
     "GGA": lambda s: _position(2)(s) if s.field(6) != "0" else {},
     "GLL": lambda s: _position(1)(s) if s.field(6) != "V" else {},
@@ -341,7 +375,7 @@ def _from_north(angle: float, flag: str, heading: float) -> float:
     if flag != "R":
         raise ValueError(f"flag of a direction is {flag!r}, neither T nor R")
     if not np.isfinite(heading):
-        raise ValueError("direction from the bow before the first heading (OSD, HDT, THS)")
+        raise ValueError("direction from the bow before the first heading (OSD, HDT, THS, or HDG with a variation)")
     return angle + heading
 
 
