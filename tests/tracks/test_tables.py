@@ -395,6 +395,53 @@ def test_the_accuracy_of_ais_is_a_flag_and_no_error():
     assert any("accuracy is the accuracy flag of AIS" in note for note in reports.notes)
     reports = table("time,mmsi,lat,lon,accuracy\n1e9,219000001,55.0,12.0,12\n1e9,219000002,56.0,12.0,1")
     assert reports.covariance_m2[0, 0] == 144.0
+    # As Spire writes it.
+    reports = table("time,mmsi,lat,lon,accuracy\n1e9,219000001,55.0,12.0,LOW\n1e9,219000002,56.0,12.0,HIGH")
+    assert reports.covariance_m2[:, 0].tolist() == [225.0, 25.0]
+
+
+def test_the_number_of_a_row_is_no_track_where_every_row_has_an_mmsi():
+    """Exports of databases number their rows: every report would be a track of its own."""
+    rows = "1,1e9,219000001,55.0,12.0\n2,1000000010,219000001,55.0,12.0\n3,1e9,219000002,55.0,12.0"
+    reports = table(f"id,time,mmsi,lat,lon\n{rows}")
+    assert reports.track_id.tolist() == ["219000001", "219000001", "219000002"]
+    assert any("columns not used: id" in note for note in reports.notes)
+    reports = table(f"id,time,mmsi,lat,lon\n{rows}\n4,1e9,,55.0,12.0")
+    assert reports.track_id.tolist() == ["1", "2", "3", "4"]
+
+
+def test_speeds_of_marinetraffic_are_tenths_of_a_knot():
+    names = "MMSI,SHIP_ID,LAT,LON,SPEED,HEADING,COURSE,STATUS,TIMESTAMP,DSRC"
+    reports = table(f"{names}\n219000001,1,55.0,12.0,123,511,90,0,2026-06-01T12:00:00,TER")
+    np.testing.assert_allclose(reports.speed_m_per_s, 12.3 * 1852 / 3600)
+    assert any("tenths of a knot" in note for note in reports.notes)
+
+
+def test_records_of_barentswatch_are_read():
+    record = {"mmsi": 257000001, "msgtime": "2026-06-01T12:00:00+00:00", "latitude": 60.0, "longitude": 5.0,
+              "speedOverGround": 10.0, "courseOverGround": 90.0, "trueHeading": None, "name": "EXAMPLE"}  # fmt: skip
+    reports = read(cells_of_json([json.dumps([record])], "latest"), "latest")
+    assert reports.time_s.tolist() == [1780315200.0] and reports.name.tolist() == ["EXAMPLE"]
+    np.testing.assert_allclose(reports.speed_m_per_s, 10.0 * 1852 / 3600)
+
+
+def test_messages_of_aisstream_have_their_content_under_their_type():
+    """A message without a position comes with an old one, at the time of the message: it is not used."""
+    place = {"Latitude": 55.5, "Longitude": 12.5}
+    motion = {"Sog": 10.0, "Cog": 90.0, "TrueHeading": 511, "Timestamp": 17, "UserID": 219000001}
+
+    def message(kind, content):
+        about = {"MMSI": 219000001, "ShipName": "EXAMPLE    ", "latitude": 55.0, "longitude": 12.0,
+                 "time_utc": "2026-06-01 12:00:00.123456789 +0000 UTC"}  # fmt: skip
+        return json.dumps({"Message": {kind: content}, "MessageType": kind, "MetaData": about})
+
+    lines = [message("PositionReport", place | motion), message("ShipStaticData", {"CallSign": "ABCD"})]
+    reports = read(cells_of_json(lines, "stream"), "stream")
+    assert (reports.lat_deg.tolist(), reports.lon_deg.tolist()) == ([55.5], [12.5])
+    assert (reports.mmsi[0], reports.name[0]) == ("219000001", "EXAMPLE")
+    assert reports.course_deg[0] == 90.0 and reports.heading_deg is None
+    np.testing.assert_allclose(reports.speed_m_per_s, 10.0 * 1852 / 3600)
+    np.testing.assert_allclose(reports.time_s, 1780315200.123457, atol=1e-6)
 
 
 def test_tables_of_ais_give_the_middle_of_the_hull():

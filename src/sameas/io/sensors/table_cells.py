@@ -140,7 +140,7 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
         objects = list(enumerate((state for states in answers for state in states or ()), start=1))
     for number, value in objects:
         if isinstance(value, dict):
-            rows.append(_flattened(value))
+            rows.append(_of_aisstream(value) or _flattened(value))
             line_numbers.append(number)
         else:
             damaged.append((number, "no JSON object"))
@@ -203,6 +203,23 @@ def _states(answer: Any) -> list[dict[str, Any]] | None:
     states = answer["states"] if isinstance(answer["states"], list) else []
     states = [state for state in states if isinstance(state, list)]
     return [{"time": answer["time"]} | dict(zip(_STATE, state, strict=False)) for state in states]
+
+
+def _of_aisstream(value: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The cells of a message of aisstream.io, whose content is under its type; None for another object.
+
+    Every message comes with a position, which is an old one if its content has none: that is not used.
+    """
+    about, content = value.get("MetaData"), value.get("Message")
+    if not isinstance(about, dict) or not isinstance(content, dict) or "MessageType" not in value:
+        return None
+    inner = content.get(str(value["MessageType"]))
+    inner = inner if isinstance(inner, dict) else {}
+    of_message = ("Latitude", "Longitude", "Sog", "Cog", "TrueHeading")
+    return {
+        "time_utc": about.get("time_utc"), "MMSI": about.get("MMSI"), "ShipName": about.get("ShipName"),
+        **{name: inner.get(name) for name in of_message},
+    }  # fmt: skip
 
 
 def _has_position(value: Mapping[str, Any]) -> bool:

@@ -32,7 +32,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
               "kmperh": 1.0 / 3.6, "mph": 0.44704, "fpm": FEET_PER_MINUTE_M_PER_S, "ftmin": FEET_PER_MINUTE_M_PER_S,
               "knoten": KNOT_M_PER_S, "noeuds": KNOT_M_PER_S, "nds": KNOT_M_PER_S, "nudos": KNOT_M_PER_S,
               "nodi": KNOT_M_PER_S, "nos": KNOT_M_PER_S, "knop": KNOT_M_PER_S, "knob": KNOT_M_PER_S,
-              "knopen": KNOT_M_PER_S},
+              "knopen": KNOT_M_PER_S, "kn10": KNOT_M_PER_S / 10.0},
     "variance": {"m2": 1.0, "km2": 1e6},
     "speed variance": {"m2s2": 1.0, "m2pers2": 1.0},
     "time": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "utc": 0.0},
@@ -61,7 +61,8 @@ QUANTITIES = (
     _quantity(
         "time_s",
         "time",
-        "lastposupdate time timestamp datetime basedatetime t utc timeutc utctime dt epoch unixtime unix date",
+        "lastposupdate time timestamp datetime basedatetime t utc timeutc utctime dt epoch unixtime unix date msgtime "
+        "dtpos",
     ),
     _quantity("day_s", "time", "timeofday tod"),
     _quantity("lat_deg", "angle", "lat latitude latitudewgs84"),
@@ -139,6 +140,7 @@ _QUANTITY = {quantity.column: quantity for quantity in QUANTITIES}
 OF_THE_ANTENNA = tuple(f"to_{side}_m" for side in SIDES)
 #: Conventional units where none is stated: sentence, columns or kind of source that indicate it, names, unit.
 _CONVENTIONS = (
+    ("speeds are tenths of a knot in tables of MarineTraffic", ("dsrc",), ("speed",), "kn/10"),
     ("ship speeds are knots", ("mmsi", "sourcemmsi", "imo", "ais"), ("sog", "speed", "speedoverground"), "kn"),
     ("speeds over ground (sog) are knots", ("sog", "speedoverground"), ("sog", "speedoverground"), "kn"),
     ("speeds of aircraft are knots", ("groundspeed", "gs"), ("groundspeed", "gs"), "kn"),
@@ -283,9 +285,10 @@ def _choice(
         return Choice(name, quantity, factors[unit], "")
     if stem in quantity.translations and quantity.column == "speed_m_per_s":
         stem = "speed"
-    for why, indicators, applies, unit in _CONVENTIONS:
+    for why, indicators, applies, written in _CONVENTIONS:
+        unit = written.replace("/", "")
         if stem in applies and unit in factors and not signs.isdisjoint(indicators):
-            return Choice(name, quantity, factors[unit], f"{name} is read in {unit}: {why}")
+            return Choice(name, quantity, factors[unit], f"{name} is read in {written}: {why}")
     if quantity.column in ("length_m", "width_m", *OF_THE_ANTENNA):
         return Choice(name, quantity, 1.0, "")  # of ships, in metres everywhere
     # Angles without a unit are degrees everywhere.

@@ -71,6 +71,7 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     values = {
         name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
     }
+    chosen = _without_row_numbers(values, chosen)
     marks = _mark_unavailable(values, chosen, is_ais)
     start_s = start_seconds(options.start, source)
     values["time_s"], note = times_of(cells, chosen, source, start_s, options.time_zone)
@@ -135,12 +136,13 @@ def _with_split_positions(cells: TableText) -> TableText:
 
 
 def _with_flagged_errors(cells: TableText, chosen: dict[str, Choice]) -> tuple[TableText, dict[str, Choice]]:
-    """The table with errors in metres instead of the accuracy flag of AIS, if its column of errors has only 0 and 1."""
+    """The table with errors in metres instead of the accuracy flag of AIS, if its column of errors has only 0 and 1, or
+    low and high (Spire)."""
     choice = chosen.get("sigma_m")
     if choice is None:
         return cells, chosen
     flags = ["" if cell is None else str(cell).strip().lower() for cell in cells.columns[choice.name]]
-    is_set, is_not = {"1", "1.0", "true"}, {"0", "0.0", "false", *NULLS}
+    is_set, is_not = {"1", "1.0", "true", "high"}, {"0", "0.0", "false", "low", *NULLS}
     if not is_set | is_not >= set(flags):
         return cells, chosen
     errors = [AIS_SIGMA_M[flag in is_set] for flag in flags]
@@ -307,6 +309,17 @@ def _without_stations(values: dict[str, Any]) -> tuple[dict[str, Any], int]:
     if ships.all() or not ships.any():
         return values, 0
     return {name: column[ships] for name, column in values.items()}, int(np.count_nonzero(~ships))
+
+
+def _without_row_numbers(values: dict[str, Any], chosen: dict[str, Choice]) -> dict[str, Choice]:
+    """The columns without an ``id`` beside an MMSI in every row, which databases give each row; removes its values."""
+    choice = chosen.get("track_id")
+    if choice is None or stem_of(choice.name)[0] not in ("id", "uid") or "mmsi" not in values:
+        return chosen
+    if any(one is None for one in values["mmsi"]):
+        return chosen
+    del values["track_id"]
+    return {column: one for column, one in chosen.items() if one is not choice}
 
 
 def _with_track_id(values: dict[str, Any]) -> dict[str, Any]:
