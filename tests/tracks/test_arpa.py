@@ -63,7 +63,8 @@ def test_a_relative_bearing_without_heading_is_missing():
     made = reports(ZDA, ttm(flag="R"), ttm(number="02", course_flag="R"))
     assert made.track_id.tolist() == ["02"] and made.course_deg is None
     assert made.damaged.sentences() == [
-        "1 line damaged: direction from the bow before the first heading (OSD, HDT, THS, or HDG with a variation) (line 2)"
+        "1 line damaged: direction from the bow before the first heading (OSD, HDT, THS, or HDG with a variation)"
+        " (line 2)"
     ]
 
 

@@ -3,8 +3,8 @@
 TTM gives range and bearing, speed and course, each true or relative by a flag of its own; TLL gives latitude and
 longitude computed by the radar. Of a target that has both, only TTM, the measurement, is used; one that has TLL alone
 beside others with TTM is reported by its range and bearing from own ship. OSD, HDT and THS give the heading of own
-ship, else a compass (HDG, HDM) with the variation of HDG or RMC; RMC, GGA, GLL and own AIS (VDO) give its position. The accuracy of the radar is in no sentence; it comes from the
-description of the source.
+ship, else a compass (HDG, HDM) with the variation of HDG or RMC; RMC, GGA, GLL and own AIS (VDO) give its position. The
+accuracy of the radar is in no sentence; it comes from the description of the source.
 
 Target numbers have two digits and are used again: ``05`` is the first target with this number, ``05/2`` the second. A
 target with a known number is another one if the radar had lost the number (status L), acquires it (Q) after it was
