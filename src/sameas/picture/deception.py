@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -376,6 +377,11 @@ class _TrackHistories:
         order = np.argsort(key, kind="stable")
         return cls(tracks, feeds, instants, key[order], number[order], tuning)
 
+    @cached_property
+    def report_times_s(self) -> list[dict[str, FloatArray]]:
+        """The times of the reports of each track, ascending, by source and id; none of sources without ids."""
+        return [_times_by_track(feed.reports.track, feed.reports.time_s) for feed in self.feeds]
+
     def name(self, track: PictureTrack) -> str:
         """The name of its source."""
         return self.feeds[track.source].description.name
@@ -495,12 +501,10 @@ class _TrackHistories:
 
     def silent(self, own: PictureTrack, others: Sequence[PictureTrack]) -> Iterator[Fault]:
         """An alarm if its reports end while its source continues and a sensor still tracks the ship."""
-        reports = self.feeds[own.source].reports
-        assert reports.track is not None
-        times = np.unique(reports.time_s[reports.track.astype(str) == own.track])
+        times = self.report_times_s[own.source].get(own.track, np.empty(0))
         if len(times) < self.tuning.min_reports:
             return
-        pauses, end = np.diff(times), float(reports.time_s.max())
+        pauses, end = np.diff(times), float(self.feeds[own.source].reports.time_s.max())
         longest = float(pauses.max())
         seen_until, sensors = -math.inf, set()
         for other, last in self.companions(own, others):
@@ -521,6 +525,15 @@ class _TrackHistories:
         )
         last_s = min(seen_until, end)
         yield Fault("silent", self.name(own), float(times[-1]), last_s, min(log_odds, 50.0), words, own.track)
+
+
+def _times_by_track(track: NDArray[Any] | None, time_s: FloatArray) -> dict[str, FloatArray]:
+    if track is None or not len(track):
+        return {}
+    names, number = np.unique(track.astype(str), return_inverse=True)
+    order = np.lexsort([time_s, number])
+    times = np.split(time_s[order], np.flatnonzero(np.diff(number[order])) + 1)
+    return {str(name): np.unique(own) for name, own in zip(names, times, strict=True)}
 
 
 def _has_partner(own: PictureTrack, others: Sequence[PictureTrack]) -> BoolArray:
