@@ -205,6 +205,9 @@ def test_signal_k_gives_vessels_own_ship_and_radar_targets(tmp_path):
     path = tmp_path / "deltas.jsonl"
     path.write_bytes(data)
     assert [reports.kind for reports in read_reports(path)] == ["ais", "arpa"]
+    # The log of a server has milliseconds and the provider before each delta.
+    path.write_text("".join(f"1714564800000;n2k;{json.dumps(line)}\n" for line in lines))
+    assert [reports.kind for reports in read_reports(path)] == ["ais", "arpa"]
 
 
 def test_an_invalid_line_does_not_affect_the_others():

@@ -43,8 +43,8 @@ def picture(
         typer.Argument(
             metavar="FILE...",
             show_default=False,
-            help="Recordings of the sensors: CSV, Parquet, JSON lines, AIS and ARPA NMEA, aircraft.json, SBS, Mode S, "
-            "ASTERIX. NAME=FILE names the source.",
+            help="Recordings of the sensors: CSV, Parquet, JSON lines, AIS and ARPA NMEA, NMEA 2000, Signal K, gpsd, "
+            "aircraft.json, SBS, Mode S, ASTERIX. NAME=FILE names the source.",
         ),
     ] = None,
     sensors: Annotated[

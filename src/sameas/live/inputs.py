@@ -32,6 +32,7 @@ from http.client import HTTPException
 from urllib.parse import parse_qs, urlsplit
 
 from sameas.errors import InputError
+from sameas.io.sensors.gpsd import WATCH
 from sameas.io.sensors.recording import Piece, Recorder
 from sameas.io.sensors.stream import ReportStream, format_of
 from sameas.live import websocket
@@ -54,6 +55,8 @@ MOST_SENDERS = 1000
 _SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "ws", "wss", "file", "serial", "stdin")
 #: A Signal K server sends deltas over TCP only to a client that subscribes (Signal K 1.7, "Subscription protocol").
 _SUBSCRIPTION = '{"context":"*","subscribe":[{"path":"*","policy":"instant"}]}'
+#: What servers on TCP want to be asked, by the format of their greeting.
+_REQUESTS = {"signalk": _SUBSCRIPTION, "gpsd": WATCH}
 
 
 @dataclass
@@ -250,9 +253,10 @@ class Wire:
                 if not data:
                     return
                 self.receive(data, connection)
-                if not subscribed and (self.stream.format or format_of(data)) == "signalk":
-                    # Its first message is a greeting.
-                    writer.write(_SUBSCRIPTION.encode() + b"\r\n")
+                request = _REQUESTS.get(self.stream.format or format_of(data) or "")
+                if request is not None and not subscribed:
+                    # The first message is a greeting.
+                    writer.write(request.encode() + b"\r\n")
                     subscribed = True
         except TimeoutError:
             raise TimeoutError(f"no data for {SILENT_S:.0f} s") from None

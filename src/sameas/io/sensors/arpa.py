@@ -407,7 +407,7 @@ def _notes(source: str, log: Log, columns: Mapping[str, Any]) -> tuple[str, ...]
     return tuple(notes)
 
 
-def _of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
+def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
     """AIS and radar targets of a log; two sources where it has both."""
     kinds = {sentence.kind for sentence in log.sentences}
     has_ais, has_arpa = "VDM" in kinds, bool(kinds & set(SENTENCES))
@@ -430,6 +430,6 @@ def _recognises(file: SensorFile) -> bool:
 FORMAT = SensorFormat(
     "nmea",
     "NMEA 0183: AIS (VDM) and tracked radar targets (TTM, TLL)",
-    lambda file: _of_log(log_of(file.lines, file.unended), file.source, file.start_s),
+    lambda file: of_log(log_of(file.lines, file.unended), file.source, file.start_s),
     _recognises,
 )

@@ -7,6 +7,7 @@ tag block (``\\c:1241544035*53\\!AIVDM…``), a time before the sentence, a time
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -76,17 +77,24 @@ class Log:
     damaged: tuple[tuple[int, str], ...]
 
 
-def log_of(lines: Sequence[str], unended: bool = False, received_s: Sequence[float] | None = None) -> Log:
+def log_of(
+    lines: Sequence[str],
+    unended: bool = False,
+    received_s: Sequence[float] | None = None,
+    numbers: Sequence[int] | None = None,
+) -> Log:
     """The sentences of these lines. Lines that are no sentences, or have a wrong checksum, are damaged.
 
     unended : whether the last line has no line end; then it needs its checksum.
     received_s : (n,) for a stream, the receive time of each line, used where the line has none.
+    numbers : (n,) of the lines; None: they are 1, 2, …
     """
     sentences, damaged = [], []
-    for number, raw in enumerate(lines, start=1):
+    last = len(lines) if numbers is None else math.inf
+    for number, raw in zip(range(1, len(lines) + 1) if numbers is None else numbers, lines, strict=True):
         if not raw.strip() or raw.lstrip().startswith("#"):
             continue
-        sentence = _sentence(number, raw, whole=not unended or number < len(lines))
+        sentence = _sentence(number, raw, whole=not unended or number < last)
         if isinstance(sentence, Sentence):
             sentences.append(sentence)
         else:
@@ -172,7 +180,9 @@ def _receive_time(tags: str, before: str, after: str) -> float:
     tagged = _TAG_TIME.search(tags)
     if tagged:
         return seconds(float(tagged[1]))
-    for text in (before.strip(" \t[]<>,;|"), *reversed(after.split(","))):
+    # Before it may stand more than a time: 1780315200100;N;$GPRMC…, or the columns of a log in CSV.
+    begin = re.split(r"[;,]", before, maxsplit=1)[0]
+    for text in (before.strip(" \t[]<>,;|"), begin, *reversed(after.split(","))):
         time_s = instant(text.strip(" \t[]<>,;|")) if text.strip() else None
         # A small number is a counter or a signal strength.
         if time_s is not None and time_s > 1e8:

@@ -24,6 +24,8 @@ from sameas.io.sensors.format import SensorFormat, instant, of_json, plain_text
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 _MMSI = re.compile(r"mmsi:(\d{9})$")
+#: What a server writes before each message of its log: milliseconds and the name of the provider.
+_LOGGED = re.compile(r"^\d{13};[^;{]*;")
 _TARGET = re.compile(r"(?:^|\.)radars\.([^.]+)\.targets\.([^.]+)$")
 #: Paths of numeric values, with their column and the factor to its unit.
 _NUMBERS = {
@@ -88,7 +90,7 @@ def read(lines: Sequence[str], source: str, vessels: Vessels | None = None) -> l
         if not line.strip():
             continue
         try:
-            delta = of_json(line)
+            delta = of_json(_LOGGED.sub("", line))
         except ValueError:
             damaged.append((number, "no delta"))
             continue

@@ -17,7 +17,21 @@ from pathlib import Path
 import numpy as np
 
 from sameas.errors import InputError
-from sameas.io.sensors import aircraft, ais, arpa, asterix, beast, mode_s, nmea, sbs, signalk, tables
+from sameas.io.sensors import (
+    aircraft,
+    ais,
+    arpa,
+    asterix,
+    beast,
+    gpsd,
+    mode_s,
+    n2k,
+    nmea,
+    sbs,
+    sentences,
+    signalk,
+    tables,
+)
 from sameas.io.sensors.asterix_records import looks_cut_off, looks_like, split_blocks
 from sameas.io.sensors.format import ReadOptions, SensorFile
 from sameas.tracks.reports import Damaged, NoReports, Reports
@@ -28,7 +42,7 @@ LONGEST_LINE = 4 << 20
 MOST_REMEMBERED = 20_000
 _CHECKSUM = re.compile(rb"\*[0-9A-Fa-f]{2}")
 _MODE_S = re.compile(rb"[*@](?:[0-9A-Fa-f]{14}){1,2}(?:[0-9A-Fa-f]{12})?;|" + mode_s.IN_JSON.encode())
-STREAM_FORMATS = ("nmea", "sbs", "aircraft", "mode-s", "asterix", "table", "signalk")
+STREAM_FORMATS = ("nmea", "n2k", "gpsd", "sbs", "aircraft", "mode-s", "asterix", "table", "signalk")
 
 
 def format_of(data: bytes) -> str | None:
@@ -42,12 +56,17 @@ def format_of(data: bytes) -> str | None:
         return "nmea"
     if re.match(rb"(MSG|SEL|ID|AIR|STA|CLK),", text):
         return "sbs"
+    if gpsd.looks_like(text):
+        return "gpsd"
     if text[:1] == b"{":
         # The hello message of a server has roles, or its version and own ship.
         greets = b'"roles"' in text or (b'"version"' in text and b'"self"' in text)
         if b'"updates"' in text or greets:
             return "signalk"
         return "aircraft" if b'"aircraft"' in text else "table" if b"\n" in text else None
+    # The first bytes may be the end of a line.
+    if n2k.looks_like(text.decode("ascii", errors="replace").splitlines()[:8]):
+        return "n2k"
     # A line may begin with its receive time.
     return "nmea" if re.search(rb"[!$][A-Z]{4,9}[A-Z0-9]?,", text) else None
 
@@ -96,6 +115,7 @@ class ReportStream:
         self._datagrams: list[tuple[float, bytes]] = []
         self._messages: list[mode_s.Messages] = []
         self._ais_state, self._ship, self._vessels = ais.ReceiverState(), arpa.ArpaState(), signalk.Vessels()
+        self._translators: dict[str, sentences.Translator] = {"n2k": n2k.Bus(), "gpsd": gpsd.JsonMessages()}
         self._latest: sbs.Latest = {}
         self._aircraft: dict[str, object] = {}
         self._transponders = mode_s.Aircraft()
@@ -227,7 +247,11 @@ class ReportStream:
         lines, datagrams, messages = self._lines, self._datagrams, self._messages
         self._lines, self._datagrams, self._messages = [], [], []
         texts, received = [text for _, text in lines], [when for when, _ in lines]
-        if self.format == "nmea":
+        if translate := self._translators.get(self.format or ""):
+            texts, numbers, damaged = sentences.translated(texts, translate)
+            self._count(Damaged.of(damaged), {})
+            received = [received[number - 1] for number in numbers]
+        if self.format in ("nmea", *self._translators):
             return self._nmea(texts, received)
         if self.format == "asterix":
             parts = [self._read(partial(self._asterix, data, when)) for when, data in datagrams]
