@@ -292,7 +292,7 @@ def identify_averaged(
     rule: Rule,
     expected: float,
     n_records: tuple[int, int],
-    companion_log_odds: FloatArray | None = None,
+    companion_log_odds: FloatArray | None,
 ) -> Identification:
     """The identification of these candidates with averaged probabilities.
 

@@ -140,7 +140,7 @@ def within_holes(
     other: Points,
     density: FloatArray,
     share: float,
-    tuning: HolesTuning = DEFAULT_HOLES,
+    tuning: HolesTuning,
 ) -> BoolArray:
     """(n,) whether records of one source, ``own``, lie in holes of the other, ``other``.
 

@@ -87,7 +87,7 @@ class MatchMany(Result):
             yield from (*catalogue_lines(catalogue, side, path if isinstance(path, str) else "", stated), "")
         yield from self.result_lines(words)
 
-    def result_lines(self, words: Callable[[str], str] = str) -> list[str]:
+    def result_lines(self, words: Callable[[str], str]) -> list[str]:
         """Estimates and results, without the interpretation of the input."""
         from sameas.report.many import many_estimate_lines, many_summary_lines
 

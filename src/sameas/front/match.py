@@ -175,7 +175,7 @@ class Match(Result):
                 yield from (*catalogue_lines(catalogue, side, self._path(side), stated), "")
         yield from self.result_lines(words)
 
-    def result_lines(self, words: Callable[[str], str] = str) -> list[str]:
+    def result_lines(self, words: Callable[[str], str]) -> list[str]:
         """The report without the part about the input."""
         from sameas.report.match import estimate_lines, records_lines, summary_lines
 

@@ -128,7 +128,7 @@ class ErrorCorrelation:
         kept : (n,) g."""
         return self.lasting(source, tuning) + kept * self.decaying(source, elapsed_s, tuning)
 
-    def decaying(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+    def decaying(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning) -> FloatArray:
         """(n,) the part of the correlation that decays, mean (1 − s) exp(−Δt/τ)."""
         of_tau = np.einsum("nst,s->nt", self._weights, 1.0 - np.array(tuning.lasting_shares))
         # Sources have few distinct Δt.

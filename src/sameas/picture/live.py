@@ -436,9 +436,7 @@ class Registered:
 
 
 def estimated(
-    sources: Sequence[tuple[Description, Reports]],
-    plane: LocalPlane | None = None,
-    tuning: TracksTuning = DEFAULT_TRACKS,
+    sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None, tuning: TracksTuning
 ) -> Registered:
     """The biases of sources and of their heights from some minutes of their reports; empty for a single source."""
     if len(sources) < 2:
@@ -450,9 +448,9 @@ def estimated(
 def faults_of(
     sources: Sequence[tuple[Description, Reports]],
     sightings: Columns,
-    plane: LocalPlane | None = None,
-    tuning: TracksTuning = DEFAULT_TRACKS,
-    picture: Tuning = DEFAULT_TUNING,
+    plane: LocalPlane | None,
+    tuning: TracksTuning,
+    picture: Tuning,
 ) -> tuple[Fault, ...]:
     """The deceptions and faults in some minutes of the reports of sources and in the records of their picture.
 

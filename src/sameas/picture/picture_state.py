@@ -27,7 +27,7 @@ from sameas.many.observations import records_of
 from sameas.picture.bernoulli import KNOWN
 from sameas.picture.plot_tracker import TrackedPlots
 from sameas.picture.tables import ObjectStates, PictureObjects, Scan
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.picture.tuning import Tuning
 from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.scene import Instant
@@ -245,7 +245,7 @@ class TrackedObjects:
         return best
 
 
-def has_velocity(covariance: FloatArray, region: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> BoolArray:
+def has_velocity(covariance: FloatArray, region: FloatArray, tuning: Tuning) -> BoolArray:
     """(n,) whether velocities are known better than from the region's prior; region : (4, 4) its covariance."""
     unknown = tuning.unknown_velocity_share * np.diagonal(region)[2:4]
     return np.asarray((covariance[:, 2, 2] < unknown[0]) & (covariance[:, 3, 3] < unknown[1]))

@@ -237,7 +237,7 @@ class TrackPairs(ColumnTable):
         return replace(out, **changed)
 
     def stepped(
-        self, step: Step, reassigned: float, swaps: SwapRates, per_m2: float, tuning: Tuning = DEFAULT_TUNING,
+        self, step: Step, reassigned: float, swaps: SwapRates, per_m2: float, tuning: Tuning,
         *, keeps: bool = True,
     ) -> tuple[TrackPairs, SwapRates]:  # fmt: skip
         """The pairs after a step, if both tracks are in it, and the updated swap rates.

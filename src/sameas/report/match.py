@@ -108,7 +108,7 @@ def nearest_lines(match: SkyMatch) -> list[str]:
     return lines
 
 
-def _doubt_lines(doubts: Sequence[str], words: Callable[[str], str] = str) -> list[str]:
+def _doubt_lines(doubts: Sequence[str], words: Callable[[str], str]) -> list[str]:
     """One unwrapped line per doubt, since a doubt may be printed alone."""
     return [DOUBT + words(doubt) for doubt in doubts]
 

@@ -116,6 +116,9 @@ class Refinement:
     tuning: RefinementTuning = field(default=DEFAULT_REFINEMENT, repr=False)
 
 
+REFINEMENT = Refinement()
+
+
 @in_short
 @dataclass(frozen=True)
 class FrameIdentification:
@@ -238,7 +241,7 @@ class FrameIdentification:
 
 
 def identify_frame(
-    measured: Measurements, stars: StarField, placement: Placement, refinement: Refinement | None = None
+    measured: Measurements, stars: StarField, placement: Placement, refinement: Refinement
 ) -> FrameIdentification:
     """The identification of a placed frame with the stars of its field, and its refined plate.
 
@@ -251,9 +254,8 @@ def identify_frame(
     ------
     InputError : too few pairs for a plate model; no star of the catalogue is on the frame.
 
-    Example: ``identify_frame(measurements, stars, placement).plate.describe()``.
+    Example: ``identify_frame(measurements, stars, placement, Refinement()).plate.describe()``.
     """
-    refinement = refinement or Refinement()
     tuning = refinement.tuning
     records, faintest = measured.records(), None
     plate = _first_plate(measured, stars, placement, tuning)
@@ -420,7 +422,7 @@ def solve(
     hints: Hint | Sequence[Hint],
     *,
     epoch_jyr: float | None,
-    refinement: Refinement | None = None,
+    refinement: Refinement = REFINEMENT,
     index: SkyIndex | None = None,
     motion: bool = True,
     faintest: float | None = None,
@@ -446,7 +448,7 @@ def solve(
     >>> found.plate.to_wcs()  # doctest: +SKIP
     """
     hints = [hints] if isinstance(hints, ApproximateWcs | Aim | AllSky) else list(hints)
-    room = (refinement or Refinement()).tuning.room
+    room = refinement.tuning.room
     near = search_cone(hints, measured.shape, room)
     stars = StarField.of(catalogue, epoch_jyr, motion=motion, near=near)
     if faintest is not None:
@@ -537,7 +539,7 @@ def _log_tailed(residual_sq: FloatArray, variance: FloatArray, tuning: Refinemen
     return np.asarray(np.log((1.0 - tuning.tail_share) * core + tuning.tail_share * tail + 1e-300))
 
 
-def _with_common_error(match: FrameIdentification, refinement: Refinement | None) -> FrameIdentification:
+def _with_common_error(match: FrameIdentification, refinement: Refinement) -> FrameIdentification:
     """The identification repeated with the common error estimated from the residuals, and a doubt that reports it."""
     sigma = common_star_error(match)
     repeated = identify_frame(match.measured, match.stars.with_error(sigma), match.placement, refinement)

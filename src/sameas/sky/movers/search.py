@@ -275,7 +275,7 @@ def _found(
     influence: Influence | None,
     least: int,
     min_probability: float,
-    stationary: Stationary | None = None,
+    stationary: Stationary | None,
 ) -> Movers:
     """The tracklets of detections without stationary ones.
 
@@ -534,7 +534,7 @@ def search(
         if len(np.unique(series.frame[series.unexplained])) < 2:
             return _no_movers(_no_detections(series)), series
         around = Surroundings.of(unexplained_detections(series), motion)
-        movers = _found(around, *_learned(around, MotionModel(), tuning.counts), 2, 0.0)
+        movers = _found(around, *_learned(around, MotionModel(), tuning.counts), 2, 0.0, None)
         slow, stuck = _stationary_and_fixed(movers, series, tuning)
         if not (slow | stuck).any():
             break
