@@ -292,10 +292,12 @@ def to_estimate(answer: Identification, coverage: Coverage, result: GateResult, 
     photometry = estimates.photometry if estimates.photometry is not None and estimates.photometry.is_fitted else None
     precision = None if estimates.grades is None else estimates.grades.rule
     estimate = Estimate(
-        common, min(1.0, common / n_1), min(1.0, common / n_2), estimates.errors, result.gate_sigmas, coverage,
-        result.iterations, result.converged, result.learned_from, tuple(remarks) + _notes(result, common), photometry,
-        precision, answer,
-        estimates.fits_errors and common >= result.tuning.em.min_pairs, columns=estimates.columns, tuning=result.tuning,
+        common=common, share_1=min(1.0, common / n_1), share_2=min(1.0, common / n_2), errors=estimates.errors,
+        gate_sigmas=result.gate_sigmas, coverage=coverage, iterations=result.iterations, converged=result.converged,
+        learned_from=result.learned_from, notes=tuple(remarks) + _notes(result, common), photometry=photometry,
+        precision=precision, answer=answer,
+        errors_estimated=estimates.fits_errors and common >= result.tuning.em.min_pairs, columns=estimates.columns,
+        tuning=result.tuning,
     )  # fmt: skip
     if not estimates.errors.as_modelled:
         return estimate

@@ -432,11 +432,11 @@ def learn(
     part = [p * w for p, w in zip(estimates.p_partner, weights, strict=True)]
     places = places.with_shares(cells, part, weights)
     return Learned(
-        estimates.errors, matched.gate_errors, matched.gate_sigmas, estimates.mean_shares,
-        _without_records(estimates.photometry),
-        None if estimates.grades is None or estimates.grades.rule is None else _without_grades(estimates.grades),
-        estimates.columns and estimates.columns.without_records(), assumed.density, places,
-        tuning.em, matched.estimate,
+        errors=estimates.errors, start=matched.gate_errors, gate_sigmas=matched.gate_sigmas,
+        means=estimates.mean_shares, photometry=_without_records(estimates.photometry),
+        grades=None if estimates.grades is None or estimates.grades.rule is None else _without_grades(estimates.grades),
+        columns=estimates.columns and estimates.columns.without_records(), density=assumed.density, places=places,
+        tuning=tuning.em, estimate=matched.estimate,
     )  # fmt: skip
 
 

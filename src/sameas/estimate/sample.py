@@ -132,8 +132,9 @@ def _part(pairs: Pairs, kept: IntArray, rows_1: IntArray, rows_2: IntArray) -> P
     i, j = (_renumbered(at[kept], rows) for at, rows in ((pairs.i, rows_1), (pairs.j, rows_2)))
     place_1, place_2 = (_renumbered(place[kept], _places(place[kept])) for place in (pairs.place_1, pairs.place_2))
     return Pairs(
-        pairs.first.part(rows_1), pairs.second.part(rows_2), place_1, place_2, i, j, pairs.residual[kept],
-        pairs.mahalanobis_sq[kept], pairs.determinant[kept], pairs.gate,
+        first=pairs.first.part(rows_1), second=pairs.second.part(rows_2), place_1=place_1, place_2=place_2, i=i, j=j,
+        residual=pairs.residual[kept], mahalanobis_sq=pairs.mahalanobis_sq[kept], determinant=pairs.determinant[kept],
+        gate=pairs.gate,
     )  # fmt: skip
 
 

@@ -225,7 +225,10 @@ def _possible(observers: Observers, s: int, t: int, gate: Gate) -> Pairs:
     i, j, chi_sq = (np.concatenate(column) for column in zip(*possible, strict=True))
     i, j = i.astype(np.int32), j.astype(np.int32)
     described = f"χ² ≤ {limit:.2f} of one object of the region"
-    return Pairs(first, second, i, j, i, j, np.empty((len(i), 0)), chi_sq, np.full(len(i), np.nan), described)
+    return Pairs(
+        first=first, second=second, place_1=i, place_2=j, i=i, j=j, residual=np.empty((len(i), 0)),
+        mahalanobis_sq=chi_sq, determinant=np.full(len(i), np.nan), gate=described,
+    )  # fmt: skip
 
 
 def numbered_groups(i: IntArray, j: IntArray, n: int) -> IntArray:

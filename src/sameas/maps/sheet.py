@@ -187,10 +187,10 @@ class MapSheet:
         by_object = np.lexsort((rows["time_s"], rows["object"]))
         by_source = np.lexsort((marks["time_s"], marks["row"], marks["source"].astype(str)))
         return cls(
-            title, {name: column[by_object] for name, column in rows.items()},
-            {name: column[by_source] for name, column in marks.items()}, times, (*sensors, *added), plane,
-            tuple(summary), tuple(alarms), dict(texts or {}), ground,
-            tuple(overlays),
+            title=title, objects={name: column[by_object] for name, column in rows.items()},
+            records={name: column[by_source] for name, column in marks.items()}, instants_s=times,
+            sensors=(*sensors, *added), plane=plane, summary=tuple(summary), alarms=tuple(alarms),
+            texts=dict(texts or {}), ground=ground, overlays=tuple(overlays),
         )  # fmt: skip
 
     @property

@@ -142,4 +142,7 @@ class NearOrSameId:
         residual = taken(first.features, i) - taken(second.features, j)
         total = taken(first.full_covariance(), i) + taken(second.full_covariance(), j)
         chi_sq = mahalanobis_sq(residual, total)
-        return Pairs(first, second, i, j, i, j, residual, chi_sq, determinant(total), f"{near.gate}, or one name")
+        return Pairs(
+            first=first, second=second, place_1=i, place_2=j, i=i, j=j, residual=residual, mahalanobis_sq=chi_sq,
+            determinant=determinant(total), gate=f"{near.gate}, or one name",
+        )  # fmt: skip

@@ -189,8 +189,10 @@ class NamedTracks:
         is_new = number >= self.n_numbers
         by_name, absent, forgotten = self._names_after(scan, place[is_new], number[is_new], number)
         tracks = NamedTracks(
-            now_s, self.n_numbers + int(np.count_nonzero(is_new)), by_name, absent, forgotten, number, place,
-            track_of_record, error_mean, error_covariance, log_kept, lasting, scan, correlation, source, factors,
+            instant_s=now_s, n_numbers=self.n_numbers + int(np.count_nonzero(is_new)), by_name=by_name, absent=absent,
+            forgotten=forgotten, number=number, place=place, track_of_record=track_of_record, error_mean=error_mean,
+            error_covariance=error_covariance, log_kept=log_kept, lasting=lasting, scan=scan,
+            error_correlation=correlation, source=source, error_factors=factors,
         )  # fmt: skip
         return tracks, step
 
@@ -260,18 +262,9 @@ class NamedTracks:
         )
         k = np.flatnonzero(new_report)
         reports = NewReports(
-            previous,
-            scan,
-            last[k],
-            place[k],
-            source[k],
-            dt[k],
-            elapsed[k],
-            taken(shift, k),
-            taken(motion, k),
-            taken(root_last, k),
-            taken(root, k),
-        )
+            previous=previous, scan=scan, last=last[k], place=place[k], source=source[k], dt=dt[k], elapsed=elapsed[k],
+            shift=taken(shift, k), motion=taken(motion, k), root_last=taken(root_last, k), root=taken(root, k),
+        )  # fmt: skip
         correlation = reports.correlation_after(self.error_correlation)
         slope, noise = np.empty((len(at), 2, 4)), np.empty((len(at), 2, 2))
         share, decaying = correlation.lasting(source, scan.tuning), correlation.decaying(source, elapsed, scan.tuning)
@@ -290,9 +283,11 @@ class NamedTracks:
         updated_mean[repeated], updated_covariance[repeated] = error_mean[repeated], error_covariance[repeated]
         new[repeated] = old[repeated]
         step = Step(
-            number, source, np.ascontiguousarray(taken(previous.state, last)[:, :2]), moved, moved + shift, new, drift,
-            np.sqrt(share)[:, None, None] * root, taken_plane(scan.reported_covariance, place), slope, noise, shift,
-            new_report, log_kept, log_own, updated_mean, updated_covariance, scan.now.instant_s, reports,
+            number=number, source=source, last=np.ascontiguousarray(taken(previous.state, last)[:, :2]), moved=moved,
+            here=moved + shift, covariance=new, drift=drift, lasting=np.sqrt(share)[:, None, None] * root,
+            reported=taken_plane(scan.reported_covariance, place), slope=slope, noise=noise, shift=shift,
+            new_report=new_report, log_kept=log_kept, log_own=log_own, error_mean=updated_mean,
+            error_covariance=updated_covariance, instant_s=scan.now.instant_s, reports=reports,
         )  # fmt: skip
         consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - scan.tuning.new_track_probability).limit(2))
         return step if consistent.all() else step.take(np.flatnonzero(consistent)), correlation

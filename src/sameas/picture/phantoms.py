@@ -312,8 +312,9 @@ class _Looks:
         np.minimum.at(first, one.ship, one.time_s)
         np.maximum.at(last, one.ship, one.time_s)
         return cls(
-            ships.description.name, radar.description.name, one.names, looks.astype(np.int64), hits.astype(np.int64),
-            np.clip(c, 1e-3, 0.5), rate / rate.max(), hidden, first, last, far, tuning,
+            source=ships.description.name, radar=radar.description.name, names=one.names, looks=looks.astype(np.int64),
+            seen=hits.astype(np.int64), chance=np.clip(c, 1e-3, 0.5), relative=rate / rate.max(), hidden=hidden,
+            first_s=first, last_s=last, within_m=far, tuning=tuning,
         )  # fmt: skip
 
     def phantoms(self) -> Iterator[Phantom]:
@@ -328,9 +329,10 @@ class _Looks:
         minutes = looks * self.tuning.look_s / 60.0
         for k in np.flatnonzero(looks >= self.tuning.min_looks).tolist():
             yield Phantom(
-                self.source, self.names[k], self.radar, int(looks[k]), int(seen[k]), float(minutes[k]),
-                int(are_seen.sum() - are_seen[k]), share, self.within_m, float(self.first_s[k]), float(self.last_s[k]),
-                float(log_odds[k]),
+                source=self.source, track=self.names[k], radar=self.radar, looks=int(looks[k]), seen=int(seen[k]),
+                minutes=float(minutes[k]), others=int(are_seen.sum() - are_seen[k]), share=share,
+                within_m=self.within_m, first_s=float(self.first_s[k]), last_s=float(self.last_s[k]),
+                log_odds=float(log_odds[k]),
             )  # fmt: skip
 
     def log_odds(self) -> FloatArray:

@@ -61,9 +61,9 @@ class Tally:
         ambiguous = len(np.unique(state.detections.group[state.ambiguous]))
         several = shows.sum(axis=1) > 1
         return cls(
-            now.instant_s, len(shows), float(np.sum(1.0 - state.probability)), ambiguous, shows.sum(axis=0),
-            (shows & several[:, None]).sum(axis=0), due.sum(axis=1), (due * ~shows.T).sum(axis=1), now.aged,
-            state.alarms,
+            instant_s=now.instant_s, objects=len(shows), expected_wrong=float(np.sum(1.0 - state.probability)),
+            ambiguous_groups=ambiguous, records=shows.sum(axis=0), shared=(shows & several[:, None]).sum(axis=0),
+            due=due.sum(axis=1), missed=(due * ~shows.T).sum(axis=1), aged=now.aged, alarms=state.alarms,
         )  # fmt: skip
 
 
@@ -237,12 +237,13 @@ class Summary:
         by_sources, unconfirmed = _by_sources(objects, len(scene.feeds))
         assumed = tuple(str(line) for feed in scene.feeds for line in feed.description.assumed)
         return cls(
-            len(tallies), tallies[0].instant_s, tallies[-1].instant_s, by_sources, unconfirmed,
-            float(np.mean([tally.objects for tally in tallies])),
-            float(np.mean([tally.expected_wrong for tally in tallies])),
-            float(np.mean([tally.ambiguous_groups for tally in tallies])), PositionErrors.of(objects, len(tallies)),
-            tuple(_misses(scene.feeds, tallies, tuning)), tuple(biases), tuple(_alarms(scene.feeds, tallies)), assumed,
-            tuple(_notes(scene.feeds, tallies)), tuple(faults), tuple(errors),
+            instants=len(tallies), first_s=tallies[0].instant_s, last_s=tallies[-1].instant_s, by_sources=by_sources,
+            unconfirmed=unconfirmed, detected=float(np.mean([tally.objects for tally in tallies])),
+            expected_wrong=float(np.mean([tally.expected_wrong for tally in tallies])),
+            ambiguous_groups=float(np.mean([tally.ambiguous_groups for tally in tallies])),
+            places=PositionErrors.of(objects, len(tallies)), misses=tuple(_misses(scene.feeds, tallies, tuning)),
+            biases=tuple(biases), alarms=tuple(_alarms(scene.feeds, tallies)), assumed=assumed,
+            notes=tuple(_notes(scene.feeds, tallies)), faults=tuple(faults), errors=tuple(errors),
         )  # fmt: skip
 
     def entries(self) -> list[tuple[str, str]]:

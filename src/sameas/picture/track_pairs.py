@@ -155,12 +155,12 @@ class TrackPairs(ColumnTable):
         k = len(first)
         zero = np.zeros(k)
         return cls(
-            first, second, np.arange(k), zero, zero, log_n, log_n, chi_sq,
-            np.full(k, np.nan), np.full_like(delta, np.nan), np.zeros(delta.shape, bool), np.zeros(delta.shape),
-            np.zeros(k, np.int64), np.zeros(k, bool),
-            np.zeros_like(delta), np.zeros(k, np.int64), np.full(k, -np.inf),
-            np.ones(delta.shape, bool), zero, zero, np.full(k, instant_s),
-            np.zeros((k, len(DEFAULT_TUNING.swap_models[0]))), errors,
+            first=first, second=second, row=np.arange(k), log_convoy=zero, log_ratio=zero, log_reported=log_n,
+            log_now=log_n, chi_sq=chi_sq, anchor_s=np.full(k, np.nan), anchor=np.full_like(delta, np.nan),
+            anchor_new=np.zeros(delta.shape, bool), anchor_kept=np.zeros(delta.shape), n_compared=np.zeros(k, np.int64),
+            sure=np.zeros(k, bool), offset=np.zeros_like(delta), n_offsets=np.zeros(k, np.int64),
+            offset_s=np.full(k, -np.inf), offset_new=np.ones(delta.shape, bool), offset_chi_sq=zero, log_offset=zero,
+            agreed_s=np.full(k, instant_s), by_model=np.zeros((k, len(DEFAULT_TUNING.swap_models[0]))), errors=errors,
         )  # fmt: skip
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
@@ -296,16 +296,18 @@ class TrackPairs(ColumnTable):
         new_report = over_columns(np.logical_or, is_new)
         log_ratio, log_reported = self.log_ratio[rows], self.log_reported[rows]
         return TrackPairs(
-            self.first[rows], self.second[rows], np.arange(k),
-            np.clip(log_convoy + log_in_convoy - log_independent, -bound, bound),
-            np.where(new_report, log_ratio + log_reported + gain - log_now, log_ratio),
-            np.where(new_report, log_now, log_reported), log_now,
-            chi_sq, self.anchor_s[rows], taken(self.anchor, rows), taken(self.anchor_new, rows) | is_new,
-            taken(self.anchor_kept, rows), self.n_compared[rows], self.sure[rows],
-            taken(self.offset, rows), self.n_offsets[rows], self.offset_s[rows], taken(self.offset_new, rows) | is_new,
-            self.offset_chi_sq[rows], self.log_offset[rows],
-            np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.agreed_s[rows]),
-            taken(self.by_model, rows), errors,
+            first=self.first[rows], second=self.second[rows], row=np.arange(k),
+            log_convoy=np.clip(log_convoy + log_in_convoy - log_independent, -bound, bound),
+            log_ratio=np.where(new_report, log_ratio + log_reported + gain - log_now, log_ratio),
+            log_reported=np.where(new_report, log_now, log_reported), log_now=log_now, chi_sq=chi_sq,
+            anchor_s=self.anchor_s[rows], anchor=taken(self.anchor, rows),
+            anchor_new=taken(self.anchor_new, rows) | is_new, anchor_kept=taken(self.anchor_kept, rows),
+            n_compared=self.n_compared[rows], sure=self.sure[rows], offset=taken(self.offset, rows),
+            n_offsets=self.n_offsets[rows], offset_s=self.offset_s[rows],
+            offset_new=taken(self.offset_new, rows) | is_new, offset_chi_sq=self.offset_chi_sq[rows],
+            log_offset=self.log_offset[rows],
+            agreed_s=np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.agreed_s[rows]),
+            by_model=taken(self.by_model, rows), errors=errors,
         ), log_two  # fmt: skip
 
     def _with_id_changes(

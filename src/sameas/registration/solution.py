@@ -453,8 +453,9 @@ def register(
     ahead = [one.log_evidence - best.log_evidence for one in solutions[1:]]
     probability = 1.0 / (1.0 + sum(math.exp(x) for x in ahead) + math.exp(min(-best.log_evidence, 700.0)))
     return Registration(
-        placed, best.theta, best.covariance, registered, answer, best.common, best.log_evidence, tuple(solutions[1:]),
-        probability, best.iterations, best.converged, _notes(scene, solutions), tuning,
+        model=placed, theta=best.theta, covariance=best.covariance, registered=registered, identification=answer,
+        common=best.common, log_evidence=best.log_evidence, rivals=tuple(solutions[1:]), probability=probability,
+        iterations=best.iterations, converged=best.converged, notes=_notes(scene, solutions), tuning=tuning,
     )  # fmt: skip
 
 

@@ -130,11 +130,13 @@ class Exposure:
             return np.column_stack([column(key) for key in keys])
 
         return cls(
-            name, mjd_utc, column("x_px"), column("y_px"), matrix("cov_xx_px2", "cov_xy_px2", "cov_yy_px2"),
-            column("ra_deg"), column("dec_deg"), matrix("cov_ee_arcsec2", "cov_en_arcsec2", "cov_nn_arcsec2"),
-            column("flux"), column("flux_err"), column("snr"), column("flags").astype(np.int64),
-            np.nan_to_num(column("p_match")), column("magnitude"), scale, shape, exposure_s,
-            np.ma.filled(np.ma.MaskedArray(rows["star"]).astype(str), ""), psf_fwhm_px,
+            name=name, mjd_utc=mjd_utc, x_px=column("x_px"), y_px=column("y_px"),
+            covariance_px=matrix("cov_xx_px2", "cov_xy_px2", "cov_yy_px2"), ra_deg=column("ra_deg"),
+            dec_deg=column("dec_deg"), covariance=matrix("cov_ee_arcsec2", "cov_en_arcsec2", "cov_nn_arcsec2"),
+            flux=column("flux"), flux_err=column("flux_err"), snr=column("snr"), flags=column("flags").astype(np.int64),
+            p_star=np.nan_to_num(column("p_match")), magnitude=column("magnitude"), scale_arcsec_per_px=scale,
+            shape=shape, exposure_s=exposure_s, star=np.ma.filled(np.ma.MaskedArray(rows["star"]).astype(str), ""),
+            psf_fwhm_px=psf_fwhm_px,
         )  # fmt: skip
 
     @property
@@ -321,9 +323,10 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_SERIES) ->
     each = [(tied - place)[frame == k] for k in range(len(ordered))]
     shift = np.array([np.median(off, axis=0) if len(off) else [0.0, 0.0] for off in each])
     return Series(
-        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= tuning.min_p_star, stationary,
-        fixed & ~stationary, (everything["flags"] & int(_SPOILT)) != 0, magnitude, floor, shift, ties, stars,
-        _notes(ordered, ties, tuning.min_ties),
+        exposures=ordered, middle_deg=middle, frame=frame, row=row, place=tied, sigma_arcsec=sigma,
+        star=everything["p_star"] >= tuning.min_p_star, stationary=stationary, fixed=fixed & ~stationary,
+        unreliable=(everything["flags"] & int(_SPOILT)) != 0, magnitude=magnitude, floor_arcsec=floor,
+        shift_arcsec=shift, ties=ties, stars=stars, notes=_notes(ordered, ties, tuning.min_ties),
     )  # fmt: skip
 
 

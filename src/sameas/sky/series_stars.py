@@ -138,8 +138,9 @@ def gather(
     error = np.where(np.isfinite(light), np.hypot(error, floor), np.nan)
     mean, mean_error, scatter, p = _constancy(light, error)
     return SeriesStars(
-        names, middle, 1.0 / np.sqrt(np.maximum(total, 1e-30)), rows, residual, light, error, mean, mean_error, scatter,
-        p, zero, zero_error, ensemble, floor, scale,
+        name=names, place=middle, sigma_arcsec=1.0 / np.sqrt(np.maximum(total, 1e-30)), measurement=rows,
+        residual_arcsec=residual, magnitude=light, error=error, mean=mean, mean_error=mean_error, scatter_mag=scatter,
+        p_constant=p, zero_point=zero, zero_error=zero_error, ensemble=ensemble, floor_mag=floor, scale=scale,
     )  # fmt: skip
 
 

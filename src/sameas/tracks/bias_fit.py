@@ -207,10 +207,10 @@ def _converged(pool: Pool, theta: FloatArray) -> BiasFit:
     prior = -0.5 * float(np.sum(pool.precision * at[0] ** 2))
     likelihood = float(sum(each.gain[0] for each in weights)) * _independent(pool) / instants
     return BiasFit(
-        pool.biases, at[0], covariance, projection @ covariance @ projection.T,
-        float(sum(e.common[0] for e in weights)),
-        instants, tracks, likelihood + prior + min(float(occam), 0.0), (), converged, pool.tuning,
-        float(np.median([scan.speed_m_per_s for scan in pool.scans])),
+        biases=pool.biases, theta=at[0], covariance=covariance, relative=projection @ covariance @ projection.T,
+        pairs=float(sum(e.common[0] for e in weights)), instants=instants, tracks=tracks,
+        log_evidence=likelihood + prior + min(float(occam), 0.0), rivals=(), converged=converged, tuning=pool.tuning,
+        speed_m_per_s=float(np.median([scan.speed_m_per_s for scan in pool.scans])),
     )  # fmt: skip
 
 

@@ -345,7 +345,10 @@ def _pairs(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning) -> _Pairs:
         parts.append([np.full(len(i), s), np.full(len(i), t), i, j, np.full(len(i), match.weight)])
     if not parts:
         none, no_rows = np.empty(0), np.empty(0, np.int64)
-        return _Pairs(no_rows, no_rows, no_rows, no_rows, none, none, none, np.empty(0, bool), none, none)
+        return _Pairs(
+            s=no_rows, t=no_rows, i=no_rows, j=no_rows, range_m=none, along_m=none, across_m=none,
+            placed=np.empty(0, bool), box_m=none, weight=none,
+        )  # fmt: skip
     return _compared(feeds, prior, [np.concatenate(column) for column in zip(*parts, strict=True)], tuning)
 
 

@@ -215,8 +215,9 @@ class Feed:
         scan_times = scans.scan_s if given_times is None else np.concatenate([given_times, scans.scan_s])
         attributes = {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
         return cls(
-            description, in_plane, np.unique(scan_times), scans.scan_s, sensor_m, attributes, reports, notes, measured,
-            scans.rotation, p_slow, placed.tuning,
+            description=description, reports=in_plane, scan_times_s=np.unique(scan_times), scan_s=scans.scan_s,
+            sensor_m=sensor_m, attributes=attributes, raw_reports=reports, notes=notes, measured=measured,
+            rotation=scans.rotation, p_slow=p_slow, tuning=placed.tuning,
         )  # fmt: skip
 
     @property

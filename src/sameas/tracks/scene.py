@@ -209,9 +209,11 @@ class Scene:
             for known, one in zip(self.heights, snapshots, strict=True)
         )
         return Instant(
-            instant_s, features, tuple(self.feeds), tuple(one.source(instant_s, features, places) for one in snapshots),
-            tuple(instant_s - one.time_s for one in snapshots), tuple(one.aged for one in snapshots), heights,
-            surroundings.region, surroundings.density, self.shared_error_m,
+            instant_s=instant_s, features=features, feeds=tuple(self.feeds),
+            sources=tuple(one.source(instant_s, features, places) for one in snapshots),
+            age_s=tuple(instant_s - one.time_s for one in snapshots), aged=tuple(one.aged for one in snapshots),
+            heights=heights, region=surroundings.region, density=surroundings.density,
+            shared_error_m=self.shared_error_m,
         )  # fmt: skip
 
 

@@ -279,8 +279,9 @@ def identify_frame(
     zero = _zero_point(measured, stars, i, j, p, tuning)
     notes = _notes(result, estimate, plate, converged)
     return FrameIdentification(
-        measured, stars, placement, plate, result, estimate, px, covariance, candidate, zero, completeness, iteration,
-        converged, notes, tuning,
+        measured=measured, stars=stars, placement=placement, plate=plate, result=result, estimate=estimate,
+        predicted_px=px, predicted_covariance=covariance, candidate=candidate, zero_point=zero,
+        completeness=completeness, iterations=iteration, converged=converged, notes=notes, tuning=tuning,
     )  # fmt: skip
 
 

@@ -678,5 +678,8 @@ def _movers(
     detections = replace(detections, frame_names=names)
     members = np.arange(3 * k).reshape(k, 3)
     p_member = np.repeat(p[:, None], 3, axis=1)
-    return Movers(detections, movers.model, members, p, p, p_member, log_weight, chance, 0.0, np.zeros((k, 6)),
-                  np.full(k, 3), np.zeros(k), prefix=ADDED)  # fmt: skip
+    return Movers(
+        detections=detections, model=movers.model, members=members, p_tracklet=p, p_exact=p, p_member=p_member,
+        log_weight=log_weight, expected_chance=chance, gap=0.0, state=np.zeros((k, 6)), n_covered=np.full(k, 3),
+        log_missed=np.zeros(k), prefix=ADDED,
+    )  # fmt: skip

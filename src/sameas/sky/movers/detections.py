@@ -158,8 +158,10 @@ class Detections:
             )
         bands, band_of = np.unique(colours, return_inverse=True)
         return cls(
-            ra[keep], dec[keep], error[keep], mjd[keep], number, bright[0][keep], bright[1][keep], band_of[keep],
-            tuple(str(b) for b in bands), all_ids[keep], keep, names, SetAside(aside, reasons[aside]), name,
+            ra_deg=ra[keep], dec_deg=dec[keep], covariance=error[keep], mjd_utc=mjd[keep], frame=number,
+            magnitude=bright[0][keep], magnitude_error=bright[1][keep], band=band_of[keep],
+            bands=tuple(str(b) for b in bands), ids=all_ids[keep], rows=keep, frame_names=names,
+            set_aside=SetAside(aside, reasons[aside]), name=name,
         )  # fmt: skip
 
     def some(self, rows: NDArray[Any]) -> Detections:

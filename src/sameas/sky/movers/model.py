@@ -229,9 +229,10 @@ class Surroundings:
         density, wide = _densities(detections, axes, (tuning.neighbours, tuning.wide * tuning.neighbours))
         coverage = ExposureCoverage.of(detections, axes, density)
         return cls(
-            detections, axes, minutes, axes.rotated(detections.covariance), np.log(density),
-            np.log(np.maximum(density / (tuning.crowded * wide), 1.0)), reference_rate(elongation),
-            _brightness(detections), coverage, coverage.cell(axes.unit), _trail(detections, axes), tuning,
+            detections=detections, axes=axes, minutes=minutes, covariance=axes.rotated(detections.covariance),
+            log_density=np.log(density), log_crowding=np.log(np.maximum(density / (tuning.crowded * wide), 1.0)),
+            reference=reference_rate(elongation), log_brightness=_brightness(detections), coverage=coverage,
+            cell=coverage.cell(axes.unit), trail=_trail(detections, axes), tuning=tuning,
         )  # fmt: skip
 
     def misses(self, i: IntArray, j: IntArray) -> IntArray:

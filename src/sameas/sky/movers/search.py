@@ -422,10 +422,10 @@ def _movers(
     width = int(competition.tracks.size[keep].max(initial=2))
     chance = len(detections) * np.exp(-np.clip(weight, -50.0, 700.0))
     return Movers(
-        detections, model, competition.members[keep][:, :width], p_tracklet[keep],
-        (p_moving * competition.p_track)[keep], p_member[keep][:, :width], weight, chance, competition.gap,
-        competition.tracks.state[keep],
-        competition.tracks.n_covered[keep], competition.tracks.log_missed[keep],
+        detections=detections, model=model, members=competition.members[keep][:, :width], p_tracklet=p_tracklet[keep],
+        p_exact=(p_moving * competition.p_track)[keep], p_member=p_member[keep][:, :width], log_weight=weight,
+        expected_chance=chance, gap=competition.gap, state=competition.tracks.state[keep],
+        n_covered=competition.tracks.n_covered[keep], log_missed=competition.tracks.log_missed[keep],
     )  # fmt: skip
 
 
@@ -580,16 +580,18 @@ def _no_detections(series: Series) -> Detections:
     values, rows = np.empty(0), np.empty(0, np.int64)
     names = tuple(exposure.name for exposure in series.exposures)
     return Detections(
-        values, values, np.empty((0, 3)), values, rows, values, values, rows, ("",), rows, rows, names, name="series"
-    )
+        ra_deg=values, dec_deg=values, covariance=np.empty((0, 3)), mjd_utc=values, frame=rows, magnitude=values,
+        magnitude_error=values, band=rows, bands=("",), ids=rows, rows=rows, frame_names=names, name="series",
+    )  # fmt: skip
 
 
 def _no_movers(detections: Detections) -> Movers:
     """An empty set of tracklets."""
     values, rows, pairs = np.empty(0), np.empty(0, np.int64), np.empty((0, 2))
     return Movers(
-        detections, MotionModel(), pairs.astype(np.int64), values, values, pairs, values, values, 0.0,
-        np.empty((0, 6)), rows, values,
+        detections=detections, model=MotionModel(), members=pairs.astype(np.int64), p_tracklet=values, p_exact=values,
+        p_member=pairs, log_weight=values, expected_chance=values, gap=0.0, state=np.empty((0, 6)), n_covered=rows,
+        log_missed=values,
     )  # fmt: skip
 
 

@@ -145,7 +145,8 @@ def stack(
         p = 1.0 / (1.0 + np.exp(-np.clip(odds, -700, 700)))
     stacked, snr = _stacked(along, flux, error, hidden)
     return Stack(
-        place, chip, flux, error, hidden, detected, log_ratio, p, along, tuple(fixed), stacked, snr, scale
+        place=place, chip=chip, flux=flux, error=error, hidden=hidden, detected=detected, log_ratio=log_ratio, p=p,
+        along=along, fixed=tuple(fixed), stacked=stacked, snr=snr, scale_arcsec_per_px=scale,
     )  # fmt: skip
 
 
