@@ -24,6 +24,7 @@ from tests.live.conftest import SITE, START_S, descriptions, harbour, replay, se
 
 from sameas.errors import InputError
 from sameas.io import read_table
+from sameas.io.processes import Aside
 from sameas.live.journal import LAYOUT, Journal, load_state
 from sameas.live.keeper import Keeper
 from sameas.live.outputs import sentence
@@ -829,3 +830,26 @@ def test_the_jitter_of_a_position_alongside_is_no_speed_and_a_measured_speed_is_
     assert own_ship_at(keeper, now, 33.1) is not None
     assert words not in [alarm.text for alarm in keeper.situation.alarms]
     keeper.close()
+
+
+@pytest.mark.slow
+def test_the_offsets_and_faults_of_a_watch_are_the_same_from_another_process():
+    offsets, faults = [], []
+    for aside in (Aside(10**9), Aside(1)):
+        keeper = Keeper(settings(), replay=replay())
+        keeper.aside = aside
+        keeper.replay.sources, keeper.replay._next = [], []
+        for name, one in harbour(until_s=330.0).items():
+            if name == "radar":
+                one = one.where(one.time_s < START_S + 200.0)
+            keeper.picture.add(name, one)
+        for t in np.arange(5.0, 330.0, 5.0):
+            keeper.tick(START_S + t)
+        keeper.register()
+        keeper.search()
+        keeper.search()
+        offsets.append([str(one) for one in keeper.picture.biases.values()])
+        faults.append({key: str(fault) for key, fault in keeper._faults.items()})
+        keeper.close()
+    assert offsets[0] == offsets[1] and len(offsets[0]) > 0
+    assert faults[0] == faults[1] and any("radar: ends" in words for words in faults[0].values())

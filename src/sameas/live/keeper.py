@@ -14,7 +14,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from sameas.errors import InputError, reading
+from sameas.io.processes import Aside
 from sameas.live.alarms import MOST_UNSAVED, AlarmLog, fault_alarms, identity_alarms
 from sameas.live.approaches import Approaches
 from sameas.live.guard import GuardZones
@@ -34,10 +35,11 @@ from sameas.live.replay import Playback, Replay, SteadyClock, in_words
 from sameas.live.settings import Settings
 from sameas.live.situation import Alarm, Delta, Situation
 from sameas.picture.deception import Fault
-from sameas.picture.live import LivePicture, faults_of
+from sameas.picture.live import LivePicture, estimated, faults_of
 from sameas.picture.picture_state import PictureState
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
+from sameas.tracks.source import Description
 
 LOG = logging.getLogger("sameas.live")
 #: Number of deltas that are kept for listeners that reconnect.
@@ -46,6 +48,8 @@ KEPT_DELTAS = 300
 STANDS_S = 5.0
 #: An alarm is raised if half of the last SLOW_TICKS ticks take longer than their interval by the factor SLOWER.
 SLOW_TICKS, SLOWER = 10, 1.2
+#: Registration and the search for faults of fewer reports take less than half a second, and are done in a thread.
+LEAST_ASIDE = 20_000
 #: Number of ticks whose durations are kept.
 KEPT_DURATIONS = 600
 
@@ -110,6 +114,8 @@ class Keeper:
         self.zones = GuardZones(settings.watch.zones)
         self.own_ship = OwnShipMotion(settings, self.wires, replayed=replay is not None)
         self._saved_s = -math.inf
+        #: For registration and the search for faults.
+        self.aside = Aside(LEAST_ASIDE)
         self._faults: dict[str, Fault] = {}
         self._suspected: frozenset[str] = frozenset()
         self._tick = 0
@@ -228,8 +234,10 @@ class Keeper:
 
     def register(self) -> None:
         """Estimates the biases of the sources from the last minutes; a failure is logged and changes nothing."""
+        recent = self.picture.recent()
         try:
-            self.picture.register()
+            registered = self.aside.call(_number(recent), estimated, recent, self.picture.plane, self.picture.tuning)
+            self.picture.take_off(registered)
         except Exception as error:
             # A failed bias fit must not end the watch: the previous biases stay in use.
             LOG.info("registration: %s", error, exc_info=not isinstance(error, InputError))
@@ -242,8 +250,9 @@ class Keeper:
         """
         with self.lock:
             recent, sightings, tuning = self.picture.recent(), self.picture.sightings(), self.picture.picture_tuning
+        plane = self.picture.plane
         try:
-            faults = faults_of(recent, sightings, self.picture.plane, self.picture.tuning, tuning)
+            faults = self.aside.call(_number(recent), faults_of, recent, sightings, plane, self.picture.tuning, tuning)
         except Exception as error:
             # A failed search must not end the watch.
             LOG.info("faults: %s", error, exc_info=not isinstance(error, InputError))
@@ -376,6 +385,7 @@ class Keeper:
         ------
         InputError : the disk refused the state; the last one that was saved stays.
         """
+        self.aside.close()
         with self.lock:
             for sink in self.sinks:
                 sink.close()
@@ -447,6 +457,11 @@ class Keeper:
             "outputs": {f"{sink.format} {sink.url}": {"failed": sink.failed, "unnumbered": sink.numbers.unnumbered}
                         for sink in self.sinks},
         }  # fmt: skip
+
+
+def _number(sources: Sequence[tuple[Description, Reports]]) -> int:
+    """Of all reports."""
+    return sum(len(reports) for _, reports in sources)
 
 
 @dataclass

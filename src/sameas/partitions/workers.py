@@ -6,20 +6,16 @@ A worker's functions take the folder and a task. Workers share nothing else.
 from __future__ import annotations
 
 import os
-import signal
-import sys
-import types
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 from sameas.errors import InputError
-from sameas.io.atomic import end_with_parent
+from sameas.io.processes import begin_worker, without_script
 from sameas.io.saved import dumps, loads
 from sameas.kernels import threads
 from sameas.partitions.hats import Cell, written_whole
@@ -114,7 +110,7 @@ class Workers:
     def _completed(self, work: Callable[[str, T], R], folder: str, tasks: Sequence[T]) -> Iterator[tuple[T, R]]:
         """Tasks and their results, until a worker dies."""
         pool = self._pool()
-        with _empty_main():
+        with without_script():
             futures: dict[Future[R], T] = {pool.submit(work, folder, task): task for task in tasks}
         for future in as_completed(futures):
             yield futures[future], future.result()
@@ -130,7 +126,7 @@ class Workers:
             context: Any = multiprocessing.get_context("forkserver" if can_fork else "spawn")
             if can_fork:
                 context.set_forkserver_preload(list(_PRELOADED))
-            self._own = ProcessPoolExecutor(self.number, mp_context=context, initializer=_start_worker)
+            self._own = ProcessPoolExecutor(self.number, mp_context=context, initializer=_begin_worker)
         return self._own
 
 
@@ -138,26 +134,12 @@ def _cell_of_task(task: Any) -> Any:
     return next((part for part in task if isinstance(part, Cell)), task)
 
 
-@contextmanager
-def _empty_main() -> Iterator[None]:
-    """Processes started within it do not import the caller's script: scripts need no ``if __name__ == "__main__"``."""
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = types.ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
-
-
 #: Modules that the fork server imports.
 _PRELOADED = ("sameas.partitions.run", "sameas._identify", "numba", "pyarrow.parquet", "pyarrow.compute", "cdshealpix",
            "scipy.spatial", "astropy.table", "astropy.coordinates")  # fmt: skip
 
 
-def _start_worker() -> None:
-    """Let a worker use one thread, ignore Ctrl-C, and end with the process that started the run."""
+def _begin_worker() -> None:
+    """Let a worker use one thread."""
     os.environ["SAMEAS_THREADS"] = "1"
-    # A terminal sends SIGINT to all processes; the main process ends its workers. The worker watches the main process
-    # and not its own parent, the fork server, which lives as long as its workers do.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent()
+    begin_worker()
