@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from tests.live.conftest import START_S
 
+from sameas.cli.watch import _settings
+from sameas.io.sensors.nmea import checksum
 from sameas.live.own_ship import OwnShipMotion
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings
 from sameas.tracks import Description
@@ -74,3 +76,25 @@ def test_a_replayed_ship_is_where_her_reports_have_the_sensor():
     assert own.at(START_S, START_S, None, PLANE) is None
     own.take("bridge", Reports.of("bridge", "marine radar", targets | places))
     assert own.at(START_S, START_S, None, PLANE).y_m == pytest.approx(111.2, abs=0.1)
+
+
+def test_a_replayed_ship_goes_on_between_the_reports_of_her_log():
+    """A log of her receivers has her position, course and speed at each report of another ship, which may be rare."""
+    own = motion(OwnShip(source="bridge"), replayed=True)
+    ship = {"own_lat_deg": [50.0], "own_lon_deg": [-1.0], "own_heading_deg": [93.0], "own_speed_m_per_s": [5.0],
+            "own_course_deg": [90.0]}  # fmt: skip
+    own.take("bridge", Reports.of("bridge", "ais", {"time_s": [START_S], "lat_deg": [50.1], "lon_deg": [-1.1]} | ship))
+    for after_s, x_m in ((0.0, 0.0), (10.0, 50.0), (100.0, 150.0)):
+        state = own.at(START_S + after_s, START_S, None, PLANE)
+        assert (state.x_m, state.y_m) == pytest.approx((x_m, 0.0), abs=0.05)
+        assert (state.vx_m_per_s, state.vy_m_per_s, state.heading_deg) == pytest.approx((5.0, 0.0, 93.0))
+
+
+def test_a_replayed_log_of_a_bridge_shows_the_ship_that_wrote_it(tmp_path):
+    bodies = ["GPRMC,130212.00,A,5046.380,N,00105.576,W,10.0,157.8,120116,,,A", "RATTM,01,2.5,13,T,7,20,T,,,N,,T,,,A"]
+    (tmp_path / "bridge.nmea").write_text("".join(f"${body}*{checksum(body):02X}\n" for body in bodies))
+    settings, _ = _settings([str(tmp_path / "bridge.nmea")], None, None, 10.0)
+    assert settings.watch.own_ship == OwnShip(source="bridge")
+    (tmp_path / "named.toml").write_text("[watch]\nown_ship = { mmsi = '235000009' }\n[sources.bridge]\n")
+    settings, _ = _settings([str(tmp_path / "bridge.nmea")], tmp_path / "named.toml", None, 10.0)
+    assert settings.watch.own_ship == OwnShip(mmsi="235000009")

@@ -5,6 +5,7 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.io.sensors import arpa, read_reports
+from sameas.io.sensors.format import OWN_SHIP
 from sameas.io.sensors.nmea import checksum, latitude, log_of, longitude
 
 DAY = 1452556800.0  # 2016-01-12
@@ -181,6 +182,19 @@ def test_a_log_of_ais_and_radar_is_two_sources(tmp_path):
     ships, radar = read_reports(tmp_path / "log.nmea")
     assert (ships.source, ships.kind, radar.source, radar.kind) == ("log.nmea:ais", "ais", "log.nmea:arpa", "arpa")
     assert ships.damaged.lines.tolist() == [4] and len(radar.damaged) == 0
+
+
+def test_both_sources_of_a_log_say_where_own_ship_was(tmp_path):
+    """Reports of AIS have no range and bearing from her; a replay shows her, and watches her approaches, by these."""
+    body = [ZDA, RMC, "HEHDT,350.0,T"]
+    lines = [*(f"${one}*{checksum(one):02X}" for one in body), "!AIVDM,1,1,,B,15M67FC000G?ufbE`FepT@3n00Sa,0*5C"]
+    (tmp_path / "log.nmea").write_text("\n".join([*lines, f"${ttm()}*{checksum(ttm()):02X}"]))
+    for found in read_reports(tmp_path / "log.nmea"):
+        own = [found.extra[column][0] for column in OWN_SHIP.values()]
+        np.testing.assert_allclose(own, [50 + 46.38 / 60, -(1 + 5.576 / 60), 350.0, 10.0 * 1852 / 3600, 157.8])
+    (tmp_path / "log.nmea").write_text("\n".join([lines[0], lines[3]]))
+    [found] = read_reports(tmp_path / "log.nmea")
+    assert not set(OWN_SHIP.values()) & set(found.extra)
 
 
 def test_a_number_used_again_is_another_target():

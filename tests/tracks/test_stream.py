@@ -210,6 +210,21 @@ def test_signal_k_gives_vessels_own_ship_and_radar_targets(tmp_path):
     assert [reports.kind for reports in read_reports(path)] == ["ais", "arpa"]
 
 
+def test_the_compass_of_a_yacht_on_signal_k_is_her_heading_with_its_variation(tmp_path):
+    at = {"timestamp": "2024-05-01T12:00:00Z"}
+    place = {"path": "navigation.position", "value": {"latitude": 50.0, "longitude": -1.0}}
+    compass = {"path": "navigation.headingMagnetic", "value": math.radians(1.0)}
+    variation = {"path": "navigation.magneticVariation", "value": math.radians(-3.0)}
+    other = "vessels.urn:mrn:imo:mmsi:235070762"
+    lines = [{"context": "vessels.self", "updates": [at | {"values": [one]}]} for one in (place, compass, variation)]
+    lines.append({"context": other, "updates": [at | {"values": [place, compass]}]})
+    data = "".join(json.dumps(line) + "\n" for line in lines).encode()
+    stream, found = by_pieces(data, [])
+    assert stream.own_ship == pytest.approx((50.0, -1.0, 358.0))
+    assert found["wire:ais"].extra["own_heading_deg"][0] == pytest.approx(358.0)
+    assert "magnetic_heading_deg" not in found["wire:ais"].extra
+
+
 def test_an_invalid_line_does_not_affect_the_others():
     stream = ReportStream("coast", "table")
     stream.feed(b'time,lat\n{"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi": "235070762"}\n[1]\n', 0.0)

@@ -223,12 +223,23 @@ def _settings(files: list[str], sensors: Path | None, start: str | None, pace: f
         sources = [source for source in sources if source.description.name not in aside]
         replay = Replay([(source.description.name, source.reports) for source in sources], pace, scene.plane)
         live = {source.description.name: LiveSource(source.description) for source in sources}
+        settings = _with_own_ship(settings, replay)
     else:
         for name in [name for name, source in live.items() if source.url is None]:
             aside[name] = InputError(f"{name}: has no input", 'give input = "udp://HOST:PORT", serial: … in its table')
             del live[name]
     words = {name: in_options(error.words, sensor_option) for name, error in aside.items()}
     return Settings(live, settings.watch, words), replay
+
+
+def _with_own_ship(settings: Settings, replay: Replay) -> Settings:
+    """The settings with the ship that wrote the replayed log as own ship, unless they name one."""
+    from sameas.live.settings import OwnShip
+
+    logs = [name for name, reports in replay.sources if "own_lat_deg" in reports.extra]
+    if settings.watch.own_ship is not None or not logs:
+        return settings
+    return replace(settings, watch=replace(settings.watch, own_ship=OwnShip(source=logs[-1])))
 
 
 def _recorded(files: list[str], sensors: Path | None, pace: float) -> tuple[Settings, Playback]:

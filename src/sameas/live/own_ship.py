@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from sameas.io.sensors.format import OWN_SHIP
 from sameas.live.inputs import Wire
 from sameas.live.settings import Settings
 from sameas.picture.picture_state import PictureState
-from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.coordinates import LocalPlane, geodesy
 from sameas.tracks.reports import Reports
 
 #: Positions that are kept for a velocity, and seconds over which it is fitted.
@@ -51,15 +52,14 @@ class OwnShipMotion:
         # None where her source was set aside.
         self._source = None if source is None else name
         self.wire = None if source is None else wires.get(source.url or "")
-        # Latitude, longitude and heading with the last replayed report of her source.
-        self._station = (math.nan, math.nan, math.nan)
+        self._replayed = ReplayedShip()
         # Time, east and north of the last positions.
         self._positions: deque[tuple[float, float, float]] = deque(maxlen=KEPT_POSITIONS)
 
     def take(self, name: str, reports: Reports) -> None:
         """Takes the position of the sensor from replayed reports of her source."""
         if self.replayed and self._source == name:
-            self._station = _last_station(reports, self._station)
+            self._replayed = self._replayed.after(reports)
 
     def at(
         self, time_s: float, clock_s: float, state: PictureState[Any], plane: LocalPlane | None
@@ -82,7 +82,8 @@ class OwnShipMotion:
         heading = math.nan
         lat, lon = own.lat_deg, own.lon_deg
         if self._source is not None:
-            lat, lon, heading = self._station if self.wire is None else self.wire.stream.own_ship
+            replayed = self._replayed.at(time_s)
+            lat, lon, heading = replayed if self.wire is None else self.wire.stream.own_ship
             if self.wire is not None and clock_s - self.wire.stream.own_ship_s > self.silent_s:
                 # Approaches to where she was would be worse than none.
                 return None
@@ -127,7 +128,8 @@ class OwnShipMotion:
 
     def _given_velocity(self) -> tuple[float, float] | None:
         """Her velocity (m/s east, north) as her receiver gives it; None if it does not."""
-        speed, course = (math.nan, math.nan) if self.wire is None else self.wire.stream.own_velocity
+        replayed = self._replayed.speed_m_per_s, self._replayed.course_deg
+        speed, course = replayed if self.wire is None else self.wire.stream.own_velocity
         if speed == 0.0 and math.isnan(course):
             # One that rests has no course.
             course = 0.0
@@ -146,11 +148,34 @@ class OwnShipMotion:
         return float(slope[0]), float(slope[1])
 
 
-def _last_station(reports: Reports, before: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Latitude, longitude and heading of the sensor at the last report that has them; as before where none has."""
-    lat, lon = reports.station_lat_deg, reports.station_lon_deg
-    if lat is None or lon is None or not np.isfinite(lat + lon).any():
-        return before
-    last = int(np.flatnonzero(np.isfinite(lat + lon))[-1])
-    heading = reports.station_heading_deg
-    return float(lat[last]), float(lon[last]), math.nan if heading is None else float(heading[last])
+@dataclass(frozen=True)
+class ReplayedShip:
+    """Own ship with the last replayed report of her source; NaN where unknown."""
+
+    time_s: float = math.nan
+    lat_deg: float = math.nan
+    lon_deg: float = math.nan
+    heading_deg: float = math.nan
+    speed_m_per_s: float = math.nan
+    course_deg: float = math.nan
+
+    def after(self, reports: Reports) -> ReplayedShip:
+        """Her state at the last of these reports that has her position, or that of the sensor; as before where none
+        has."""
+        columns = [reports.extra.get(name) for name in OWN_SHIP.values()]
+        if columns[0] is None:
+            columns = [reports.station_lat_deg, reports.station_lon_deg, reports.station_heading_deg, None, None]
+        lat, lon = columns[:2]
+        if lat is None or lon is None or not np.isfinite(lat + lon).any():
+            return self
+        last = int(np.flatnonzero(np.isfinite(lat + lon))[-1])
+        values = (math.nan if column is None else float(column[last]) for column in columns)
+        return ReplayedShip(float(reports.time_s[last]), *values)
+
+    def at(self, time_s: float) -> tuple[float, float, float]:
+        """Latitude, longitude and heading at this time, on her course since the report where it is known."""
+        if not math.isfinite(self.speed_m_per_s + self.course_deg):
+            return self.lat_deg, self.lon_deg, self.heading_deg
+        metres = self.speed_m_per_s * min(max(time_s - self.time_s, 0.0), FIT_S)
+        lat, lon, _ = geodesy().aer2geodetic(self.course_deg, 0.0, metres, self.lat_deg, self.lon_deg, 0.0)
+        return float(lat), float(lon), self.heading_deg

@@ -25,7 +25,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import InputError, naming
 from sameas.io.sensors import ais
-from sameas.io.sensors.format import KNOT_M_PER_S, SensorFile, SensorFormat, forward_filled
+from sameas.io.sensors.format import KNOT_M_PER_S, OWN_SHIP, SensorFile, SensorFormat, forward_filled
 from sameas.io.sensors.nmea import Log, Sentence, latitude, log_of, longitude, time_of_day, with_date
 from sameas.tracks.coordinates import MILE_M, geodesy
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
@@ -414,13 +414,24 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
     if not (has_ais or has_arpa):
         listed = ", ".join(sorted(kinds)) or "none"
         raise InputError(f"{source}: no AIS (VDM) and no radar targets (TTM, TLL) among its sentences: {listed}")
-    both = has_ais and has_arpa
+    both, own = has_ais and has_arpa, _own_ship(log, ArpaState())
     sources = [ais.read(log, f"{source}:ais" if both else source, start_s)] if has_ais else []
     if has_arpa:
         # Damaged lines are counted once, with the first source.
         rest = replace(log, damaged=()) if both else log
         sources.append(read(rest, f"{source}:arpa" if both else source, start_s))
-    return sources
+    return [_with_own_ship(reports, log, own) for reports in sources]
+
+
+def _with_own_ship(reports: Reports, log: Log, own: Mapping[str, FloatArray]) -> Reports:
+    """The reports with own ship at each of them, as :data:`~sameas.io.sensors.format.OWN_SHIP`, where the log has her
+    position."""
+    if not np.isfinite(own["lat"] + own["lon"]).any():
+        return reports
+    lines = np.array([sentence.line for sentence in log.sentences])
+    index = np.searchsorted(lines, reports.line, side="right") - 1
+    columns = {column: own[name][index] for name, column in OWN_SHIP.items()}
+    return replace(reports, extra={**reports.extra, **columns})
 
 
 def _recognises(file: SensorFile) -> bool:

@@ -325,6 +325,12 @@ class SensorFormat:
     magic: tuple[bytes, ...] = ()
 
 
+#: The columns of own ship at each report of a log that has her position, in m/s and degrees from north.
+OWN_SHIP: Mapping[str, str] = {
+    "lat": "own_lat_deg", "lon": "own_lon_deg", "heading": "own_heading_deg", "speed": "own_speed_m_per_s",
+    "course": "own_course_deg",
+}  # fmt: skip
+
 #: The kind of source of a format.
 _KIND_OF_FORMAT: Mapping[str, str] = {
     "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b", "asterix 048": "air radar",

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from sameas.io.sensors.ais import LENGTH_PER_WIDTH, at_hull_centres
-from sameas.io.sensors.format import SensorFormat, instant, of_json, plain_text
+from sameas.io.sensors.format import OWN_SHIP, SensorFormat, instant, of_json, plain_text
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 _MMSI = re.compile(r"mmsi:(\d{9})$")
@@ -32,7 +32,11 @@ _NUMBERS = {
     "navigation.speedOverGround": ("speed_m_per_s", 1.0),
     "navigation.courseOverGroundTrue": ("course_deg", 180.0 / math.pi),
     "navigation.headingTrue": ("heading_deg", 180.0 / math.pi),
+    "navigation.headingMagnetic": ("magnetic_heading_deg", 180.0 / math.pi),
+    "navigation.magneticVariation": ("variation_deg", 180.0 / math.pi),
 }
+#: Columns of own ship's compass.
+_OF_COMPASS = ("magnetic_heading_deg", "variation_deg")
 #: Paths of sizes in metres, with their column; the length may be an object. The signs of ``fromCenter`` differ between
 #: servers, so that antennas are taken to be on the centre line.
 _SIZES = {
@@ -62,6 +66,25 @@ class Vessels:
     own_context: str = "vessels.self"
     station: tuple[float, float] = (math.nan, math.nan)
     positions: int = 0
+
+    @property
+    def own_heading_deg(self) -> float:
+        """The true heading of own ship, or that of her compass with the variation; NaN where unknown."""
+        own = {name: value for name, (_, value) in self.fields.get("self", {}).items()}
+        compass = own.get("magnetic_heading_deg", math.nan) + own.get("variation_deg", math.nan)
+        return float(own.get("heading_deg", compass % 360.0))
+
+    @property
+    def own_velocity(self) -> tuple[float, float]:
+        """Speed (m/s) and course (degrees) of own ship over ground; NaN where unknown."""
+        own = self.fields.get("self", {})
+        speed, course = (own.get(name, (0.0, math.nan))[1] for name in ("speed_m_per_s", "course_deg"))
+        return float(speed), float(course)
+
+    def own_ship(self) -> dict[str, float]:
+        """The columns of own ship for a report, by the names of :data:`~sameas.io.sensors.format.OWN_SHIP`."""
+        values = (*self.station, self.own_heading_deg, *self.own_velocity)
+        return dict(zip(OWN_SHIP.values(), values, strict=True))
 
     @property
     def own_mmsi(self) -> str:
@@ -140,7 +163,7 @@ def _add_delta(
             if match := _TARGET.search(path):
                 row = _target(value, match[1], match[2], vessels.station)
                 if row is not None:
-                    rows["arpa"].append({"line": number, "time_s": time_s, **row})
+                    rows["arpa"].append({"line": number, "time_s": time_s, **row, **vessels.own_ship()})
             elif path == "navigation.position" and value is not None:
                 position_deg = (float(value["latitude"]), float(value["longitude"]))
             elif path in _NUMBERS and value is not None:
@@ -165,11 +188,12 @@ def _add_delta(
             match_mmsi = _MMSI.search(context)
             mmsi = match_mmsi[1] if match_mmsi else None
             last = {
-                name: value for name, (when, value) in fields.items() if not _STALE_S < abs(time_s - when) < math.inf
-            }
+                name: value for name, (when, value) in fields.items()
+                if not _STALE_S < abs(time_s - when) < math.inf and name not in _OF_COMPASS
+            }  # fmt: skip
             rows["ais"].append({
                 "line": number, "time_s": time_s, "lat_deg": position_deg[0], "lon_deg": position_deg[1], "mmsi": mmsi,
-                "track_id": mmsi or context, **last,
+                "track_id": mmsi or context, **last, **vessels.own_ship(),
             })  # fmt: skip
 
 

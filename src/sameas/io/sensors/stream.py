@@ -207,8 +207,7 @@ class ReportStream:
     def own_ship(self) -> tuple[float, float, float]:
         """The latest latitude, longitude and heading of own ship in the stream, NaN where unknown."""
         if self.format == "signalk":
-            heading = self._vessels.fields.get("self", {}).get("heading_deg", (0.0, math.nan))[1]
-            return (*self._vessels.station, heading)
+            return (*self._vessels.station, self._vessels.own_heading_deg)
         return self._ship.lat, self._ship.lon, self._ship.heading
 
     @property
@@ -220,9 +219,7 @@ class ReportStream:
     def own_velocity(self) -> tuple[float, float]:
         """The latest speed (m/s) and course (degrees) of own ship over ground in the stream, NaN where unknown."""
         if self.format == "signalk":
-            own = self._vessels.fields.get("self", {})
-            speed, course = (own.get(name, (0.0, math.nan))[1] for name in ("speed_m_per_s", "course_deg"))
-            return float(speed), float(course)
+            return self._vessels.own_velocity
         return self._ship.speed, self._ship.course
 
     def reports(self) -> list[Reports]:
