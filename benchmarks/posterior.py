@@ -56,15 +56,15 @@ def approximations(solved: Solved) -> dict[str, np.ndarray]:
     method = np.where(solved.posterior.method == EXACT, stage.APPROXIMATE, 0).astype(np.int8)
     belief = np.zeros(len(g.order))
     tuning = stage.Tuning()
-    messages = stage._Messages.of(g, best, method, belief, tuning.tolerance, tuning)
+    messages = stage.PairMessages.of(g, best, method, belief, tuning.tolerance, tuning)
     inside = np.flatnonzero(np.repeat(method == stage.APPROXIMATE, g.pair_counts))
     around = belief.copy()
-    around[inside] = stage._neighbourhoods(g, best, inside, messages, tuning)
+    around[inside] = stage.neighbourhoods(g, best, inside, messages, tuning)
     ways = {"messages": belief, "neighbourhoods": around}
     for threshold in tuning.thresholds[:: len(tuning.thresholds) - 1]:
         basis = around if threshold >= tuning.neighbourhood_threshold else belief
         probable = inside[(basis[inside] > threshold) | best.chosen[inside]]
-        part, summed = stage._Thinned.of(g, best, probable, messages.weight[probable]).exact()
+        part, summed = stage.Thinned.of(g, best, probable, messages.weight[probable]).exact()
         thinned = basis.copy()
         thinned[probable[summed]] = part[summed]
         ways[f"thinned below {threshold:g}"] = thinned

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import map_coordinates, maximum_filter, zoom
 
 from sameas.kernels import frames
-from sameas.sky.frame.centroid import PSF, Background, CentroidTuning, Subtracted, _interpolated, centroids
+from sameas.sky.frame.centroid import PSF, Background, CentroidTuning, Subtracted, centroids, interpolated
 from sameas.sky.frame.peaks import usable_share
 
 
@@ -66,7 +66,7 @@ def test_a_mesh_is_interpolated_by_bicubic_splines_within_its_range():
     mesh = np.random.default_rng(5).normal(100.0, 3.0, (5, 8))
     expected = np.clip(zoom(mesh, 16, order=3, mode="reflect", grid_mode=True), mesh.min(), mesh.max())[:75, :120]
     # A spline of one axis after the other, with the same finite edges: 1e-6 of the range.
-    assert _interpolated(mesh, 16, (75, 120)) == pytest.approx(expected, abs=1e-4)
+    assert interpolated(mesh, 16, (75, 120)) == pytest.approx(expected, abs=1e-4)
 
 
 def in_numpy(light, background, start, window, own, steps=25, short=2e-4):

@@ -18,12 +18,12 @@ from sameas.posterior import (
     EVERY,
     METHODS,
     THINNED,
+    PairMessages,
     Tuning,
-    _bethe,
-    _Messages,
-    _neighbourhoods,
+    bethe_log_sum,
     by_messages,
     log_evidence,
+    neighbourhoods,
     posterior,
 )
 from test_assignment import PRIORS
@@ -105,7 +105,7 @@ def test_the_evidence_of_a_group_too_large_for_elimination_is_the_bethe_approxim
     # On a chain the Bethe approximation is exact and equals elimination.
     chain = {(i, j): float(np.sin(3 * i + j)) for i in range(n) for j in (i, i + 1) if j < n}
     _, grouped, best, sure = solved(n, n, chain, PerPair(0.0))
-    bethe = _bethe(grouped, best.weight, sure.p_pair[grouped.order])
+    bethe = bethe_log_sum(grouped, best.weight, sure.p_pair[grouped.order])
     assert log_evidence(grouped, best, sure.p_pair) == pytest.approx(bethe, rel=1e-9)
 
 
@@ -241,8 +241,8 @@ def all_local(grouped, best):
     """(m,) probabilities of the layout's pairs from balls, (m,) by messages, whatever else could have solved them."""
     method = np.full(len(grouped), APPROXIMATE, np.int8)
     p_messages = np.zeros(len(grouped.order))
-    messages = _Messages.of(grouped, best, method, p_messages, 1e-8, Tuning())
-    return _neighbourhoods(grouped, best, np.arange(len(grouped.order)), messages, Tuning()), p_messages
+    messages = PairMessages.of(grouped, best, method, p_messages, 1e-8, Tuning())
+    return neighbourhoods(grouped, best, np.arange(len(grouped.order)), messages, Tuning()), p_messages
 
 
 # With extreme ratios, messages around loops leave some rows almost no weight; such rows were left out of the balls.

@@ -136,9 +136,7 @@ def _decision(result: Identification, gain: FloatArray, loss: Loss) -> Decision:
     """The one-to-one decision of greatest total gain; pairs without a gain are not chosen."""
     groups = result.groups
     best = assign(groups, gain, EVIDENCE_ALONE(groups.sizes_1, groups.sizes_2))
-    chosen = np.empty(len(gain), np.bool_)
-    chosen[groups.order] = best.chosen
-    return evaluate_choice(result, chosen, loss)
+    return evaluate_choice(result, groups.in_given_order(best.chosen), loss)
 
 
 def _losses(result: Identification, loss: Loss) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import IntArray
+from sameas.arrays import IntArray, Scalar
 from sameas.gate import Pairs
 from sameas.kernels import threads
 from sameas.ragged import Ragged
@@ -72,6 +72,12 @@ class Groups:
     def places(self) -> tuple[IntArray, IntArray]:
         """(m,), (m,) indices into ``rows_1`` and ``rows_2`` of the two records of each pair of the layout."""
         return self.start_1[self.group] + self.local_1, self.start_2[self.group] + self.local_2
+
+    def in_given_order(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
+        """(m,) values of the layout's pairs, in the order of the gate."""
+        out = np.empty_like(values)
+        out[self.order] = values
+        return out
 
     def of_pairs(self) -> NDArray[np.int32]:
         """(m,) group of each pair, in the order of the gate."""

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, Scalar
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.assignment import Hypothesis
 from sameas.groups import Groups, laid_out
 from sameas.kernels import threads
@@ -139,8 +139,7 @@ def posterior(
         share = _scaled_to_one(groups, share)
         if not math.isfinite(float(share.sum())):
             raise ArithmeticError("a probability is not a number; please report this with the records")
-    p_pair = np.empty(m)
-    p_pair[groups.order] = np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)
+    p_pair = groups.in_given_order(np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share))
     return Posterior(p_pair, method, excluded_below, message_change, None if edge is None else edge.pairs(groups))
 
 
@@ -162,17 +161,15 @@ class _Edge:
         with_cut = _with_any(groups.start_1, edge.cut[0]) | _with_any(groups.start_2, edge.cut[1])
         return cls(edge.cut, np.repeat(with_cut & (method != APPROXIMATE), groups.pair_counts))
 
-    def note(self, thin: _Thinned, pairs: IntArray, solved: BoolArray) -> None:
+    def note(self, thin: Thinned, pairs: IntArray, solved: BoolArray) -> None:
         """Mark ``solved`` pairs among these ``pairs`` of the layout, laid out as ``thin``."""
         g = thin.groups
         with_cut = _with_any(g.start_1, self.cut[0][g.rows_1]) | _with_any(g.start_2, self.cut[1][g.rows_2])
-        self.open[pairs] = solved & thin._in_given_order(np.repeat(with_cut, g.pair_counts))
+        self.open[pairs] = solved & thin.groups.in_given_order(np.repeat(with_cut, g.pair_counts))
 
     def pairs(self, groups: Groups) -> BoolArray:
         """(m,) ``open`` in the order of the gate."""
-        out = np.empty(len(self.open), np.bool_)
-        out[groups.order] = self.open
-        return out
+        return groups.in_given_order(self.open)
 
 
 def _with_any(start: IntArray, records: BoolArray) -> BoolArray:
@@ -201,7 +198,7 @@ def _sum_probable(
         some = probable[slice(*np.searchsorted(probable, groups.start[[first, last]]))]
         if not len(some):
             return some
-        thin = _Thinned.of(groups, best, some, best.weight[some])
+        thin = Thinned.of(groups, best, some, best.weight[some])
         part, solved = thin.exact()
         if edge is not None:
             edge.note(thin, some, solved)
@@ -243,16 +240,15 @@ def by_messages(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNIN
     _exact(groups, best, share, method, tuning.rough_records if linear else tuning.rough_small, tuning.rough_sums)
     change, large = 0.0, method == APPROXIMATE
     if not linear:
-        change = _Messages.of(groups, best, method, share, tuning.rough_tolerance, tuning).change
+        change = PairMessages.of(groups, best, method, share, tuning.rough_tolerance, tuning).change
     elif large.any():
         bound = share.copy()
         _upper_bounds(groups, best, large, bound)
         probable = np.flatnonzero(np.repeat(large, groups.pair_counts) & (bound > tuning.rough_improbable))
-        thin = _Thinned.of(groups, best, probable, best.weight[probable])
+        thin = Thinned.of(groups, best, probable, best.weight[probable])
         share[probable], messages = thin.by_messages(tuning.rough_tolerance, tuning)
         change = messages.change
-    p_pair = np.empty(len(share))
-    p_pair[groups.order] = np.clip(share, 0.0, 1.0, out=share)
+    p_pair = groups.in_given_order(np.clip(share, 0.0, 1.0, out=share))
     return Posterior(p_pair, method, np.zeros(len(groups)), change)
 
 
@@ -280,11 +276,11 @@ def log_evidence(groups: Groups, best: Hypothesis, p_pair: FloatArray) -> FloatA
     threads.over(lambda a, b: log_sums(a, b, *shape, *state, out), bounds)
     rough = np.isnan(out)
     if rough.any():
-        out[rough] = _bethe(groups, best.weight, p_pair[groups.order])[rough]
+        out[rough] = bethe_log_sum(groups, best.weight, p_pair[groups.order])[rough]
     return out
 
 
-def _bethe(groups: Groups, weight: FloatArray, share: FloatArray) -> FloatArray:
+def bethe_log_sum(groups: Groups, weight: FloatArray, share: FloatArray) -> FloatArray:
     """(g,) Bethe's ln Z, from pairs (m,) in the layout of the groups."""
     of_pairs = share * weight - _p_log_p(share) + _p_log_p(1.0 - share)
     total = np.add.reduceat(of_pairs, groups.start[:-1])
@@ -302,7 +298,7 @@ def _p_log_p(p: FloatArray) -> FloatArray:
 
 @in_short
 @dataclass(frozen=True)
-class _Messages:
+class PairMessages:
     """Sum-product messages of the APPROXIMATE groups.
 
     weight : (m,) with a linear prior. claims_1 : (m,) odds with which record 1 claims record 2; claims_2 : the reverse.
@@ -323,7 +319,7 @@ class _Messages:
         share: FloatArray,
         tolerance: float,
         tuning: Tuning,
-    ) -> _Messages:
+    ) -> PairMessages:
         """Messages with the prior linearised about the expected number of pairs; fills ``share``."""
         limits = tuning.sweeps, tolerance
         if best.prior.slope is not None:
@@ -346,7 +342,7 @@ class _Messages:
         method: NDArray[np.int8],
         share: FloatArray,
         limits: tuple[int, float],
-    ) -> _Messages:
+    ) -> PairMessages:
         from sameas.kernels.messages import messages
 
         claims = np.zeros(len(weight)), np.zeros(len(weight))
@@ -409,10 +405,10 @@ def _local(
     for threshold in tuning.thresholds:
         if threshold == tuning.neighbourhood_threshold:
             # From here on the dropped pairs matter, and messages alone are too over-confident to choose them.
-            share[open_pairs] = _neighbourhoods(groups, best, open_pairs, messages, tuning)
+            share[open_pairs] = neighbourhoods(groups, best, open_pairs, messages, tuning)
         excluded_below[group[open_pairs]] = threshold
         probable = open_pairs[(share[open_pairs] > threshold) | best.chosen[open_pairs]]
-        thin = _Thinned.of(groups, best, probable, messages.weight[probable])
+        thin = Thinned.of(groups, best, probable, messages.weight[probable])
         part, solved = thin.exact()
         if edge is not None:
             edge.note(thin, probable, solved)
@@ -426,38 +422,38 @@ def _local(
 
 def _messages(
     groups: Groups, best: Hypothesis, open_pairs: IntArray, method: NDArray[np.int8], share: FloatArray, tuning: Tuning
-) -> _Messages:
+) -> PairMessages:
     """Messages among the pairs that elimination gave up; fills their ``share``."""
     m = len(share)
     if best.prior.slope is None:  # linearised group by group
         p_messages = np.zeros(m)
-        messages = _Messages.of(groups, best, method, p_messages, tuning.tolerance, tuning)
+        messages = PairMessages.of(groups, best, method, p_messages, tuning.tolerance, tuning)
         share[open_pairs] = p_messages[open_pairs]
         return messages
-    thin = _Thinned.of(groups, best, open_pairs, best.weight[open_pairs])
+    thin = Thinned.of(groups, best, open_pairs, best.weight[open_pairs])
     share[open_pairs], messages = thin.by_messages(tuning.tolerance, tuning)
     claims = np.zeros(m), np.zeros(m)
     claims[0][open_pairs], claims[1][open_pairs] = messages.claims_1, messages.claims_2
-    return _Messages(best.weight, *claims, messages.change)
+    return PairMessages(best.weight, *claims, messages.change)
 
 
-def _neighbourhoods(
-    groups: Groups, best: Hypothesis, pairs: IntArray, messages: _Messages, tuning: Tuning
+def neighbourhoods(
+    groups: Groups, best: Hypothesis, pairs: IntArray, messages: PairMessages, tuning: Tuning
 ) -> FloatArray:
     """Probabilities of some pairs from the neighbourhoods of their records: the mean of those around both records."""
-    one = _Thinned.of(groups, best, pairs, messages.weight[pairs])
+    one = Thinned.of(groups, best, pairs, messages.weight[pairs])
     around_1 = one.by_neighbourhoods(messages.claims_1[pairs], tuning)
     del one
     order = np.lexsort([place[pairs] for place in groups.places])
     by_2 = pairs[order]
-    two = _Thinned.of(groups, best, by_2, messages.weight[by_2], swapped=True)
+    two = Thinned.of(groups, best, by_2, messages.weight[by_2], swapped=True)
     around_2 = np.empty_like(around_1)
     around_2[order] = two.by_neighbourhoods(messages.claims_2[by_2], tuning)
     return 0.5 * (around_1 + around_2)
 
 
 @dataclass(frozen=True)
-class _Thinned:
+class Thinned:
     """The remaining pairs of entangled groups, laid out as new groups, with a linear prior."""
 
     groups: Groups
@@ -466,7 +462,7 @@ class _Thinned:
     @classmethod
     def of(
         cls, groups: Groups, best: Hypothesis, pairs: IntArray, weight: FloatArray, *, swapped: bool = False
-    ) -> _Thinned:
+    ) -> Thinned:
         """The groups of some ``pairs``, sorted by group and record 1; ``swapped`` exchanges the sources, with pairs
         sorted by record 2."""
         ends = pairs[[0, -1]] if len(pairs) else np.zeros(2, np.int64)
@@ -499,16 +495,16 @@ class _Thinned:
         method = np.zeros(len(self.groups), np.int8)
         _exact(self.groups, self.best, share, method)
         solved = np.repeat(method != APPROXIMATE, self.groups.pair_counts)
-        return self._in_given_order(share), self._in_given_order(solved)
+        return self.groups.in_given_order(share), self.groups.in_given_order(solved)
 
-    def by_messages(self, tolerance: float, tuning: Tuning) -> tuple[FloatArray, _Messages]:
+    def by_messages(self, tolerance: float, tuning: Tuning) -> tuple[FloatArray, PairMessages]:
         """Probability of every pair by messages alone, and the messages, in the order of the given pairs."""
         share = np.zeros(len(self.groups.order))
         method = np.full(len(self.groups), APPROXIMATE, np.int8)
-        messages = _Messages.of(self.groups, self.best, method, share, tolerance, tuning)
+        messages = PairMessages.of(self.groups, self.best, method, share, tolerance, tuning)
         of_pairs = (messages.weight, messages.claims_1, messages.claims_2)
-        weight, claims_1, claims_2 = (self._in_given_order(values) for values in of_pairs)
-        return self._in_given_order(share), _Messages(weight, claims_1, claims_2, messages.change)
+        weight, claims_1, claims_2 = (self.groups.in_given_order(values) for values in of_pairs)
+        return self.groups.in_given_order(share), PairMessages(weight, claims_1, claims_2, messages.change)
 
     def by_neighbourhoods(self, claims: FloatArray, tuning: Tuning) -> FloatArray:
         """Probability of every pair from the neighbourhood of its record, with these messages (``claims``)."""
@@ -527,13 +523,7 @@ class _Thinned:
         ranges = threads.even(len(none), least=256)
         threads.over(lambda a, b: rank_rivals(a, b, graph, rivals, strength), ranges)
         threads.over(lambda a, b: balls(a, b, graph, rivals, strength, tuning.neighbourhood_bits, share), ranges)
-        return self._in_given_order(share)
-
-    def _in_given_order(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Values per pair of the layout, in the order of the given pairs."""
-        back = np.empty_like(values)
-        back[self.groups.order] = values
-        return back
+        return self.groups.in_given_order(share)
 
 
 def _local_slopes(best: Hypothesis, size: FloatArray) -> FloatArray:

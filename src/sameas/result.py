@@ -103,16 +103,12 @@ class Identification:
     @cached_property
     def chosen(self) -> BoolArray:
         """(m,) whether each candidate belongs to the most probable hypothesis, in the order of the gate."""
-        chosen = np.empty(len(self.pairs), np.bool_)
-        chosen[self.groups.order] = self.best.chosen
-        return chosen
+        return self.groups.in_given_order(self.best.chosen)
 
     @cached_property
     def log_odds(self) -> FloatArray:
         """(m,) ln λ of each candidate, with the prior's slope where the prior is linear."""
-        weight = np.empty(len(self.pairs))
-        weight[self.groups.order] = self.best.weight
-        return weight
+        return self.groups.in_given_order(self.best.weight)
 
     @property
     def p_pair(self) -> FloatArray:

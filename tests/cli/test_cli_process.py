@@ -246,9 +246,9 @@ except SystemExit:
 
 def test_paragraphs_of_a_help_are_filled():
     """Line breaks of a docstring were kept in all paragraphs but the first."""
-    from sameas.cli.app import _command
+    from sameas.cli.app import command_of
 
-    assert all("\n" not in part for part in _command("movers").help.split("\n\n"))
+    assert all("\n" not in part for part in command_of("movers").help.split("\n\n"))
 
 
 @pytest.mark.slow

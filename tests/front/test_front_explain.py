@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 import sameas
 from sameas import InputError
 from sameas.cli.app import app
-from sameas.front.explain import ComparedObjects, _lines
+from sameas.front.explain import ComparedObjects, comparison_lines
 from sameas.io import read_provenance, write_table
 
 
@@ -272,6 +272,6 @@ def test_a_difference_that_lasts_is_listed_once_with_its_span() -> None:
     records = [(t, source, "7") for t in times for source in ("ais", "radar")]
     joined = ComparedObjects("one", {r: k // 2 for k, r in enumerate(records)}, {k: 0.9 + 0.003 * k for k in range(30)})
     apart = ComparedObjects("two", {r: k for k, r in enumerate(records)}, dict.fromkeys(range(60), 0.8))
-    lines = "\n".join(_lines(joined, apart, set(records)))
+    lines = "\n".join(comparison_lines(joined, apart, set(records)))
     assert lines.count("ais 7 at 30 instants from 100 s to 390 s") == 1 and "\nand " not in lines
     assert "radar 7, probability 0.9000 to 0.9870" in lines and "no partner, probability 0.8000" in lines

@@ -5,7 +5,7 @@ import sqlite3
 import pytest
 from tests.live.conftest import START_S
 
-from sameas.cli.watch import _News
+from sameas.cli.watch import News
 from sameas.live.alarms import AlarmLog
 from sameas.live.journal import Journal, Store
 from sameas.live.situation import Alarm
@@ -13,7 +13,7 @@ from sameas.live.situation import Alarm
 
 def test_the_terminal_shows_an_alarm_once_however_long_the_ticks_are():
     log = AlarmLog(Store(None), START_S)
-    news = _News({}, log)
+    news = News({}, log)
     for t in (0.0, 30.0, 60.0):
         log.update([Alarm("cpa 1", "cpa", "A will pass at 100 m in 2.0 min", (1,))], START_S + t)
         log.update([Alarm("cpa 1", "cpa", "A will pass at 100 m in 1.5 min", (1,))], START_S + t)
@@ -22,7 +22,7 @@ def test_the_terminal_shows_an_alarm_once_however_long_the_ticks_are():
 
 def test_a_flood_of_alarms_is_a_few_lines_with_a_count_and_hides_no_other_alarm():
     log, clock = AlarmLog(Store(None), START_S), [0.0]
-    news = _News({}, log, clock=lambda: clock[0])
+    news = News({}, log, clock=lambda: clock[0])
     forged = [Alarm(f"identity mmsi {k}", "identity", f"MMSI {k} is forged", (k,)) for k in range(400)]
     log.update([*forged[:350], Alarm("silent radar", "source", "radar is silent")], START_S)
     lines = news()
@@ -43,7 +43,7 @@ def test_a_flood_of_alarms_is_a_few_lines_with_a_count_and_hides_no_other_alarm(
 def test_every_second_names_the_most_urgent_approaches():
     """An approach is a danger of its own, whatever began a while ago."""
     log, clock = AlarmLog(Store(None), START_S), [0.0]
-    news = _News({}, log, clock=lambda: clock[0])
+    news = News({}, log, clock=lambda: clock[0])
     fleet = [Alarm(f"cpa {k}", "cpa", f"{k} will pass", (k,)) for k in range(100)]
     log.update(fleet[:90], START_S)
     assert len(news()) == 6

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.live.conftest import START_S
 
-from sameas.cli.watch import _settings
+from sameas.cli.watch import settings_of
 from sameas.io.sensors.nmea import checksum
 from sameas.live.own_ship import OwnShipMotion
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings
@@ -93,8 +93,8 @@ def test_a_replayed_ship_goes_on_between_the_reports_of_her_log():
 def test_a_replayed_log_of_a_bridge_shows_the_ship_that_wrote_it(tmp_path):
     bodies = ["GPRMC,130212.00,A,5046.380,N,00105.576,W,10.0,157.8,120116,,,A", "RATTM,01,2.5,13,T,7,20,T,,,N,,T,,,A"]
     (tmp_path / "bridge.nmea").write_text("".join(f"${body}*{checksum(body):02X}\n" for body in bodies))
-    settings, _ = _settings([str(tmp_path / "bridge.nmea")], None, None, 10.0)
+    settings, _ = settings_of([str(tmp_path / "bridge.nmea")], None, None, 10.0)
     assert settings.watch.own_ship == OwnShip(source="bridge")
     (tmp_path / "named.toml").write_text("[watch]\nown_ship = { mmsi = '235000009' }\n[sources.bridge]\n")
-    settings, _ = _settings([str(tmp_path / "bridge.nmea")], tmp_path / "named.toml", None, 10.0)
+    settings, _ = settings_of([str(tmp_path / "bridge.nmea")], tmp_path / "named.toml", None, 10.0)
     assert settings.watch.own_ship == OwnShip(mmsi="235000009")

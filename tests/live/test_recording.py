@@ -19,7 +19,7 @@ import pytest
 from tests.live.conftest import SITE, START_S
 from tests.live.test_inputs import free_port
 
-from sameas.cli.watch import _recorded, _settings
+from sameas.cli.watch import recorded_inputs, settings_of
 from sameas.errors import InputError
 from sameas.front.picture import match_picture
 from sameas.io.sensors.recording import FILE_S, RecordedInput, RecordedSource, Recorder, files_in, read
@@ -227,7 +227,7 @@ def test_a_recording_is_replayed_with_the_sensor_file_of_the_watch(tmp_path, sen
     keeper.tick()
     keeper.close()
     # A source that sent nothing is no error.
-    settings, replay = _settings([str(tmp_path / "raw")], path, None, 10.0)
+    settings, replay = settings_of([str(tmp_path / "raw")], path, None, 10.0)
     assert sorted(settings.sources) == ["ais", "radar"]
     again = Keeper(settings, replay=replay)
     replay.begin(0.0)
@@ -356,7 +356,7 @@ def test_a_recording_is_replayed_as_it_was_received(tmp_path):
     assert "time stamps are 45 s ahead" in words and "south has sent no report" in words and "the oldest data" in words
     assert live[-1][2]["south"] == 1
 
-    settings, playback = _recorded([str(tmp_path / "raw")], path, 8.0)
+    settings, playback = recorded_inputs([str(tmp_path / "raw")], path, 8.0)
     real = [1000.0]
     again = Keeper(settings, playback=playback, clock=lambda: real[0])
     playback.begin(1000.0, begin_s - 1.0 + 1e-9)
@@ -409,4 +409,4 @@ def test_a_replay_as_received_waits_for_the_picture_and_ends_with_the_recording(
 def test_what_cannot_be_replayed_as_received_is_refused(files, given, words, tmp_path, sensors):
     recorded(tmp_path, [(START_S, cable(0), 1, True)], [RecordedSource("tower", "tracks")])
     with pytest.raises(InputError, match=words):
-        _recorded([str(tmp_path / file) for file in files], sensors[0] if given else None, 1.0)
+        recorded_inputs([str(tmp_path / file) for file in files], sensors[0] if given else None, 1.0)

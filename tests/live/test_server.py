@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from tests.live.conftest import EVIL, START_S, descriptions, replay, served
 
-from sameas.cli.watch import _addresses, source_lines
+from sameas.cli.watch import map_addresses, source_lines
 from sameas.live.keeper import Keeper
 from sameas.live.outputs import metrics
-from sameas.live.server import Access, _event
+from sameas.live.server import Access, sse_event
 from sameas.live.settings import LiveSource, Settings, WatchSettings
 from sameas.live.situation import Delta
 from sameas.picture.live import Registered
@@ -320,7 +320,7 @@ def test_no_name_breaks_an_event_stream(keeper):
     delta = Delta(
         situation.tick, situation.time_s, objects=[(1, 'a\n\nevent: whole\r\ndata: {}\u2028</script>\x1b[31m"')]
     )
-    event = _event("delta", keeper, situation, delta)
+    event = sse_event("delta", keeper, situation, delta)
     head, data, end, rest = event.split("\n", 1)[1].split("\n")
     assert head == "event: delta" and end == rest == "" and event.isascii()
     assert json.loads(data.removeprefix("data: "))["objects"] == [list(row) for row in delta.objects]
@@ -340,8 +340,8 @@ def test_the_evidence_of_an_object_is_served_as_text(keeper):
 
 
 def test_the_addresses_that_are_printed_can_be_given_to_others():
-    assert _addresses("127.0.0.1", 8642, Access.of("127.0.0.1")) == ["Map: http://127.0.0.1:8642/"]
-    assert _addresses("::1", 1, Access.of("::1")) == ["Map: http://[::1]:1/"]
-    lines = _addresses("0.0.0.0", 8642, Access("0.0.0.0", "op", "view"))
+    assert map_addresses("127.0.0.1", 8642, Access.of("127.0.0.1")) == ["Map: http://127.0.0.1:8642/"]
+    assert map_addresses("::1", 1, Access.of("::1")) == ["Map: http://[::1]:1/"]
+    lines = map_addresses("0.0.0.0", 8642, Access("0.0.0.0", "op", "view"))
     name = socket.gethostname()
     assert lines == [f"Map: http://{name}:8642/?token=op", f"  to look only: http://{name}:8642/?token=view"]

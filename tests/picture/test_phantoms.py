@@ -7,7 +7,7 @@ import pytest
 from modelled_scenes import describe, feed, straight
 
 from sameas.picture import LivePicture
-from sameas.picture.phantoms import _Looks, _proven, _Sightings, phantoms
+from sameas.picture.phantoms import RadarLooks, ShipSightings, phantoms, proven
 from sameas.picture.picture import Picture
 from sameas.picture.tuning import Tuning
 from sameas.tracks.scene import Scene
@@ -93,7 +93,7 @@ def looks(hits, n_looks, chance=0.02, **tuning):
     hits = np.asarray(hits)
     names, n = tuple(f"{k}" for k in range(len(hits))), np.full((len(hits), 1), n_looks)
     times, ones = np.zeros(len(hits)), np.ones(1)
-    return _Looks(
+    return RadarLooks(
         "ais",
         "radar",
         names,
@@ -150,9 +150,9 @@ def test_a_place_is_seen_only_where_another_ship_at_its_bearing_is_seen_as_far_a
     seen, ship = np.array([0, 1, 0, 1, 1, 0, 1], bool), np.array([0, 1, 2, 3, 4, 5, 6])
     arm = range_m[:, None] * np.column_stack([np.sin(np.radians(bearing)), np.cos(np.radians(bearing))])
     zeros = np.zeros(len(ship))
-    one = _Sightings(tuple("abcdefg"), ship, zeros, arm, seen, zeros, seen, zeros)
+    one = ShipSightings(tuple("abcdefg"), ship, zeros, arm, seen, zeros, seen, zeros)
     # Number 5 is between two ships, 7° to either side; no ship proves her own place.
-    assert _proven(one, bearing, False, Tuning()).tolist() == [True, False, False, False, False, True, False]
+    assert proven(one, bearing, False, Tuning()).tolist() == [True, False, False, False, False, True, False]
 
 
 def test_nothing_is_said_without_records():

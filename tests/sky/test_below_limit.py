@@ -12,7 +12,7 @@ import naive
 from sameas.errors import InputError
 from sameas.kernels.linear import best_motion
 from sameas.simulate.frames import Camera, GaussianProfile, frame_of
-from sameas.sky.movers.below_limit import Plan, _normalised, search_below_limit
+from sameas.sky.movers.below_limit import Plan, normalise, search_below_limit
 from sameas.sky.movers.search import search
 from sameas.sky.movers.stack import stack
 from sameas.sky.series import Exposure, tie
@@ -141,7 +141,7 @@ def test_noise_is_normalised_on_an_uneven_sky():
     phi = np.ones((256, 256), np.float32)
     v, u = np.mgrid[0:256, 0:256]
     psi = ((1.0 + u / 256) * rng.standard_normal(phi.shape) + 4.0 * v / 256).astype(np.float32)
-    _normalised(psi, phi)
+    normalise(psi, phi)
     z = psi / np.sqrt(phi)
     assert [z[:, part].std() for part in (slice(0, 64), slice(192, 256))] == pytest.approx([1.0, 1.0], abs=0.1)
 

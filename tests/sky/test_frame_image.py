@@ -9,7 +9,7 @@ import pytest
 from astropy.io import fits
 
 from sameas.errors import InputError
-from sameas.sky.frame.image import Frame, _decoder_can_crash, read
+from sameas.sky.frame.image import Frame, decoder_can_crash, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Flag
 
@@ -199,7 +199,7 @@ def test_usual_rice_images_are_decoded_in_the_process_itself(cards, can_crash):
         "ZCMPTYPE": "RICE_1", "ZNAXIS": 2, "ZNAXIS1": 4000, "ZNAXIS2": 4000, "ZTILE1": 4000, "ZTILE2": 1,
         "ZNAME1": "BLOCKSIZE", "ZVAL1": 32, "ZNAME2": "BYTEPIX", "ZVAL2": 2,
     }  # fmt: skip
-    assert _decoder_can_crash(fits.Header(usual | cards)) is can_crash
+    assert decoder_can_crash(fits.Header(usual | cards)) is can_crash
 
 
 def test_a_decoder_that_hangs_is_stopped(tmp_path, monkeypatch):

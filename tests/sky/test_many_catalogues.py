@@ -28,11 +28,11 @@ from sameas.sky.many import ManyMatch, ManyOptions, match_many
 from sameas.sky.many_joins import joined_many
 from sameas.sky.population import (
     AstrometricRecords,
-    _local_share,
     degrees_of_freedom,
     fitted,
     pairs_within,
     patterns_of,
+    share_of_source,
 )
 from sameas.sky.set_magnitudes import SetMagnitudes
 from sameas.space import displaced, sphere_offset
@@ -414,7 +414,7 @@ def test_many_combinations_cost_no_more_than_those_that_overlap() -> None:
     for share, weight in ((0.0, np.zeros_like(weights)), (1e-9, weights)):
         full = local_share(coverage.levels, 1, share * weight, weight, pseudo_count=50.0)
         least = 1e-2
-        short = _local_share(coverage, 1, share * weight, weight, least)
+        short = share_of_source(coverage, 1, share * weight, weight, least)
         assert all(one.ndim == 0 for one in short)
         for one, other in zip(short, full, strict=True):
             np.testing.assert_allclose(np.maximum(one, least), np.maximum(other, least), rtol=1e-12)

@@ -10,7 +10,7 @@ import pytest
 
 from sameas import InputError
 from sameas.sky.motion import AU_KM
-from sameas.sky.movers.orbits import Elements, _planets, ephemeris, near, packed_date, states, two_body
+from sameas.sky.movers.orbits import Elements, de421, ephemeris, near, packed_date, states, two_body
 from sameas.sky.movers.search import search
 from sameas.sky.series import Exposure, SeriesTuning, tie
 from sameas.sky.series_stars import StarTuning
@@ -248,7 +248,7 @@ def test_pluto_does_not_perturb_itself(tmp_path):
     alone = states(both.some(np.array([0])), 59300.0)
     # Its elements include its motion about the Pluto-Charon barycentre, 20 m/s.
     assert np.abs(together[0, :, 0] - alone[0, :, 0]).max() * AU_KM < 20.0
-    there = _planets().perturbers(np.array([59300.0]))[8, :, 0]
+    there = de421().perturbers(np.array([59300.0]))[8, :, 0]
     assert np.abs(together[0, :, 1] - there).max() < 0.1
 
 

@@ -6,7 +6,7 @@ import pytest
 from sameas.simulate.frames import Camera, GaussianProfile, frame_of
 from sameas.sky.frame.detect import detect
 from sameas.sky.movers.search import search
-from sameas.sky.movers.trails import _Pixels, with_trails
+from sameas.sky.movers.trails import TrailPixels, with_trails
 from sameas.sky.series import Exposure, tie
 
 SIDE, SCALE, RA, DEC, FWHM, EXPOSURE_MIN, EVERY_MIN = 320, 1.2, 150.0, 20.0, 3.0, 4.0, 6.0
@@ -64,7 +64,7 @@ def test_ends_and_errors_of_a_trail_are_right():
         at, light = line(middle - half, middle + half, 15000.0)
         made = frame_of(rng, x_px=at[:, 0], y_px=at[:, 1], flux_e=light, psf=GaussianProfile(FWHM),
                         camera=Camera(shape=(100, 100), sky_e=300.0, read_noise_e=5.0)).frame  # fmt: skip
-        pixels = _Pixels.of(made, np.empty((0, 2)), np.empty(0), FWHM)
+        pixels = TrailPixels.of(made, np.empty((0, 2)), np.empty(0), FWHM)
         ((_, ends),) = pixels.candidates((middle + 0.2 * half)[None])
         trail = pixels.fitted(middle + 0.2 * half, ends)
         turn = np.sign(trail.half @ half)
@@ -80,7 +80,7 @@ def test_stars_are_no_trails():
     made, exposures, _ = frames(3, count=2)
     one = exposures[0]
     at = np.column_stack([one.x_px, one.y_px])
-    pixels = _Pixels.of(made[0], np.empty((0, 2)), np.empty(0), one.psf_fwhm_px)
+    pixels = TrailPixels.of(made[0], np.empty((0, 2)), np.empty(0), one.psf_fwhm_px)
     alone = np.sort(np.hypot(*(at[:, None] - at[None]).transpose(2, 0, 1)), axis=1)[:, 1] > 15.0
     found = [pixels.fitted(at[alone][k], ends) for k, ends in pixels.candidates(at[alone])]
     assert alone.sum() > 20 and not any(trail is not None for trail in found)

@@ -17,7 +17,7 @@ from sameas.errors import InputError
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.column_choice import SURVEYS
 from sameas.sky.column_values import typical_errors, year_of
-from sameas.sky.completion import CommonErrorTuning, _nearest, common_error, completed, in_strips
+from sameas.sky.completion import CommonErrorTuning, common_error, completed, in_strips, nearest_chords
 
 
 def catalogue(table: Table | dict[str, object], name: str = "cat", **options: object) -> Catalogue:
@@ -230,7 +230,7 @@ def test_neighbours_agree_with_a_kd_tree(field: float, window: int, most: int) -
     one, two = (middle * (field < 1.0) + field * rng.normal(0.0, 1.0, (n, 3)) for n in (300, 2_000))
     two[:400] = two[0]
     one, two = (x / np.linalg.norm(x, axis=1)[:, None] for x in (one, two))
-    chord, which = _nearest(one, two, 6, CommonErrorTuning(max_products=most, window=window))
+    chord, which = nearest_chords(one, two, 6, CommonErrorTuning(max_products=most, window=window))
     due, _ = cKDTree(two).query(one, k=6)
     np.testing.assert_allclose(chord, due, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(np.linalg.norm(one[:, None] - two[which], axis=2), due, rtol=1e-12, atol=1e-15)

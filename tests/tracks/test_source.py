@@ -10,7 +10,7 @@ from sameas.errors import InputError
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.source import (
-    _PARTS,
+    PARTS,
     BiasPrior,
     Description,
     KnownBiases,
@@ -69,7 +69,7 @@ def test_the_split_probability_is_given_or_assumed():
 def test_defaults_of_every_kind_are_known_numbers_with_reasons(kind):
     for name, (value, why) in KINDS[kind].defaults.items():
         part, _, field = name.partition(".")
-        assert hasattr(_PARTS[part](), field) and np.isfinite(value) and len(why) > 3
+        assert hasattr(PARTS[part](), field) and np.isfinite(value) and len(why) > 3
     described = Description("one", kind)
     assert len(described.assumed) == len(KINDS[kind].defaults)
 
@@ -135,7 +135,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "sensors.md").read_text(encoding="u
 def kinds_table():
     """Defaults in rows, kinds in columns, as on the page."""
     kinds = [name for name, kind in KINDS.items() if kind.defaults]
-    names = list(dict.fromkeys(name for part in _PARTS for kind in kinds for name in KINDS[kind].defaults
+    names = list(dict.fromkeys(name for part in PARTS for kind in kinds for name in KINDS[kind].defaults
                                if name.startswith(f"{part}.")))  # fmt: skip
     lines = ["| | " + " | ".join(kinds) + " |", "|---" * (len(kinds) + 1) + "|"]
     for name in names:
@@ -150,7 +150,7 @@ def test_the_defaults_of_all_kinds_are_on_the_page():
 
 def test_every_part_and_field_of_a_description_is_on_the_page():
     rows = {line.split("`")[1]: line for line in PAGE.splitlines() if line.startswith("| `")}
-    for part, made in _PARTS.items():
+    for part, made in PARTS.items():
         for field in fields(made):
             assert f"`{field.name}`" in rows[part], f"{part}.{field.name} is not on the page"
 

@@ -528,12 +528,12 @@ def test_a_single_report_with_a_list_in_it_is_one_report():
 
 
 def test_tables_in_memory_are_read_like_files_of_their_name(tmp_path):
-    from sameas.front.picture import _sources
+    from sameas.front.picture import sensor_sources
 
     columns = {"t": [1e9], "shipid": [7], "lat": [55.0], "lon": [12.0], "speed": [10.0], "course": [90.0]}
     (tmp_path / "ais.csv").write_text("t,shipid,lat,lon,speed,course\n1e9,7,55.0,12.0,10,90\n")
     for sources in ([tmp_path / "ais.csv"], {"ais": columns}):
-        (source,) = _sources(sources, {}, None)
+        (source,) = sensor_sources(sources, {}, None)
         assert source.reports.speed_m_per_s[0] == pytest.approx(10 * KNOT)
 
 

@@ -110,11 +110,11 @@ class _Lazy(TyperCommand):
     """A command with only a name and a help sentence; its options are built when it runs."""
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
-        return _command(str(self.name)).make_context(info_name, args, parent, **extra)
+        return command_of(str(self.name)).make_context(info_name, args, parent, **extra)
 
 
 @cache
-def _command(name: str) -> Any:
+def command_of(name: str) -> Any:
     """A command with its options."""
     alone = typer.Typer(add_completion=False)
     function = getattr(importlib.import_module(f"sameas.cli.{name}"), name)

@@ -145,9 +145,9 @@ def watch(
 
         every_s, replay, playback = duration_s(every), None, None
         if as_received:
-            settings, playback = _recorded(files or [], sensors, pace)
+            settings, playback = recorded_inputs(files or [], sensors, pace)
         else:
-            settings, replay = _settings(files or [], sensors, start, pace)
+            settings, replay = settings_of(files or [], sensors, start, pace)
         if every_s is not None:
             settings = replace(settings, watch=replace(settings.watch, every_s=every_s))
         settings = _with_charts(settings, chart) if chart else settings
@@ -200,7 +200,9 @@ def source_lines(name: str, health: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _settings(files: list[str], sensors: Path | None, start: str | None, pace: float) -> tuple[Settings, Replay | None]:
+def settings_of(
+    files: list[str], sensors: Path | None, start: str | None, pace: float
+) -> tuple[Settings, Replay | None]:
     """The settings, and the replay if files are given. Sources that cannot be used are set aside, if others can."""
     from sameas.io.sensors.sources import read_source_options, read_sources
     from sameas.live.replay import Replay
@@ -242,7 +244,7 @@ def _with_own_ship(settings: Settings, replay: Replay) -> Settings:
     return replace(settings, watch=replace(settings.watch, own_ship=OwnShip(source=logs[-1])))
 
 
-def _recorded(files: list[str], sensors: Path | None, pace: float) -> tuple[Settings, Playback]:
+def recorded_inputs(files: list[str], sensors: Path | None, pace: float) -> tuple[Settings, Playback]:
     """The settings, and recordings to replay as they were received on the inputs of these."""
     from sameas.io.sensors.recording import Recording, recordings
     from sameas.live.replay import Playback
@@ -298,11 +300,11 @@ def _server(
     config = uvicorn.Config(
         application(keeper, access), log_level="warning", access_log=False, timeout_graceful_shutdown=1, ws="none"
     )
-    say(_addresses(host, listener.getsockname()[1], access))
+    say(map_addresses(host, listener.getsockname()[1], access))
     return uvicorn.Server(config), listener
 
 
-def _addresses(host: str, port: int, access: Access) -> list[str]:
+def map_addresses(host: str, port: int, access: Access) -> list[str]:
     """Printable: the addresses of the map for those who may acknowledge, and for those who may look only."""
     from socket import gethostname
 
@@ -315,7 +317,7 @@ def _addresses(host: str, port: int, access: Access) -> list[str]:
     return lines if access.viewer is None else [*lines, f"  to look only: {map_at}?token={access.viewer}"]
 
 
-class _News:
+class News:
     """Lines on what has changed since the last call: connections, and alarms that begin.
 
     A forger can raise hundreds of alarms. Of each condition the first :data:`FEW` within a minute have a line of their
@@ -388,7 +390,7 @@ async def _run(
         server[0].install_signal_handlers = lambda: None  # type: ignore[attr-defined]  # of older versions
         server[0].capture_signals = contextlib.nullcontext  # type: ignore[method-assign,assignment]
         served = asyncio.create_task(server[0].serve(sockets=[server[1]]))
-    news = _News(keeper.wires, keeper.alarms)
+    news = News(keeper.wires, keeper.alarms)
 
     async def tell() -> None:
         while True:

@@ -280,6 +280,4 @@ def changed_without(answer: Identification, names: tuple[str, ...]) -> int:
     grouped = answer.groups
     linear = PerPair()(grouped.sizes_1, grouped.sizes_2)
     other = assign(grouped, answer.evidence.log_ratio - np.sum(terms, axis=0), linear)
-    chosen = np.empty(len(answer.pairs), np.bool_)
-    chosen[grouped.order] = other.chosen
-    return len(np.unique(answer.pairs.i[chosen != answer.chosen]))
+    return len(np.unique(answer.pairs.i[grouped.in_given_order(other.chosen) != answer.chosen]))

@@ -298,10 +298,10 @@ def compare(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> Lines
             f"{one} and {other} have no record in common{sources}",
             "give outputs of the same catalogues, or of the same sensors at the same instants",
         )
-    return Lines(tuple(_lines(first, second, shared)))
+    return Lines(tuple(comparison_lines(first, second, shared)))
 
 
-def _lines(first: ComparedObjects, second: ComparedObjects, shared: set[Record]) -> Iterator[str]:
+def comparison_lines(first: ComparedObjects, second: ComparedObjects, shared: set[Record]) -> Iterator[str]:
     pictures = any(time_s for time_s, _, _ in shared)
     # A table of pairs omits records without partner, so a partner that only one table has is a different answer. In a
     # picture, a record that only one output has at an instant is ignored.

@@ -506,7 +506,7 @@ def match_picture(
     described = read_source_options(Path(sensors)) if sensors is not None else {}
     excluded = (without,) if isinstance(without, str) else tuple(without)
     method = Method(registration, identity, memory, excluded)
-    included = method.included(_sources(sources, described, start))
+    included = method.included(sensor_sources(sources, described, start))
     return pictured(included, Instants(_duration_s(every), at, begin, end), method, call=call, progress=progress)
 
 
@@ -520,7 +520,7 @@ def _duration_s(every: float | str | None) -> float | None:
     return seconds
 
 
-def _sources(sources: Any, described: Mapping[str, SourceOptions], start: str | None) -> list[SensorSource]:
+def sensor_sources(sources: Any, described: Mapping[str, SourceOptions], start: str | None) -> list[SensorSource]:
     """The sources, from any form that :func:`match_picture` accepts."""
     if isinstance(sources, str | os.PathLike):
         sources = [sources]

@@ -295,10 +295,10 @@ async def _events(keeper: Keeper, clients: Clients, since: int | None) -> AsyncI
                 missed = [] if sent is None else [delta for delta in deltas if delta.tick > sent]
                 known = sent is not None and (missed[0].tick == sent + 1 if missed else sent == situation.tick)
                 if not known:
-                    yield _event("whole", keeper, situation, Delta.between(None, situation))
+                    yield sse_event("whole", keeper, situation, Delta.between(None, situation))
                 else:
                     for delta in missed:
-                        yield _event("delta", keeper, situation, delta)
+                        yield sse_event("delta", keeper, situation, delta)
                 sent = situation.tick
             if keeper.ended:
                 return
@@ -312,7 +312,7 @@ async def _events(keeper: Keeper, clients: Clients, since: int | None) -> AsyncI
         keeper.leave(listener)
 
 
-def _event(kind: str, keeper: Keeper, situation: Situation, delta: Delta) -> str:
+def sse_event(kind: str, keeper: Keeper, situation: Situation, delta: Delta) -> str:
     own = situation.own_ship
     content = {
         "tick": delta.tick, "t": delta.time_s, "whole": kind == "whole", "objects": delta.objects,

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ordered_by, over_columns, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ordered_by, over_columns, places_in, taken
 from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
@@ -113,12 +113,8 @@ class PooledRecords:
 
     def pair(self, i: IntArray, j: IntArray) -> tuple[BoolArray, IntArray]:
         """Whether records i < j are a pair, and the number of the pair (0 if not)."""
-        if not len(self._keys):
-            return np.zeros(i.shape, bool), np.zeros(i.shape, np.int64)
-        key = i * len(self) + j
-        index = np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
-        is_pair = self._keys[index] == key
-        return is_pair, np.where(is_pair, index, 0)
+        index = places_in(self._keys, i * len(self) + j)
+        return index >= 0, np.maximum(index, 0)
 
     @cached_property
     def _keys(self) -> IntArray:

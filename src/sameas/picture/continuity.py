@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, distinct, taken
+from sameas.arrays import BoolArray, FloatArray, IntArray, distinct, places_in, taken
 from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq
@@ -56,10 +56,8 @@ class CommonTracks:
         """(m,) weight of each pair and (m,) its number of common unique ids; 0 without a common track."""
         key = (self.object_place << 32) | self.detection_place
         pair_key = (pairs.first.rows[pairs.i].astype(np.int64) << 32) | pairs.second.rows[pairs.j]
-        at = np.minimum(np.searchsorted(key, pair_key), max(len(key) - 1, 0))
-        same = np.append(key, -1)[at] == pair_key
-        weight, unique = (np.append(column, 0.0)[at] for column in (self.weight, self.unique))
-        return np.where(same, weight, 0.0), np.where(same, unique, 0.0)
+        at = places_in(key, pair_key)
+        return np.append(self.weight, 0.0)[at], np.append(self.unique, 0.0)[at]
 
 
 @dataclass(frozen=True)

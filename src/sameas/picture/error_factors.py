@@ -178,7 +178,7 @@ class ErrorFactors:
         first, second = np.minimum(*parts), np.maximum(*parts)
         one, other = (np.where(swap[:, None, None], *both) for both in (stated[::-1], stated))
         log_p, log_likely = (
-            weight[:, None, None] * _log_density(delta, one, other, motion, tuning),
+            weight[:, None, None] * log_of_differences(delta, one, other, motion, tuning),
             self.log_likely.copy(),
         )
         np.add.at(log_likely, (first, second), log_p)
@@ -221,7 +221,7 @@ class ErrorFactors:
     def _with_posterior(self, tuning: Tuning) -> ErrorFactors:
         """The estimate with ``factor``, ``sigma`` and ``by_range`` updated to all evidence."""
         logs, n, k = np.log(np.array(tuning.error_factors)), len(self.names), len(tuning.error_factors)
-        own = _log_prior(logs, tuning) + _of_residuals(
+        own = _log_prior(logs, tuning) + log_of_residuals(
             self.log_shifts.reshape(n, RANGE_BANDS, k, -1).sum(axis=1), tuning
         )
         # L symmetrised: by the factor of the first part, then of the second.
@@ -256,7 +256,7 @@ class ErrorFactors:
         ratio = np.exp(-0.5 * ((logs - logs[:, None]) / tuning.error_factor_sigma) ** 2)
         change = 0.5 * np.eye(k) + 0.5 * ratio / ratio.sum(axis=1, keepdims=True)
         prior = np.repeat(np.log(weight @ change + 1e-300), RANGE_BANDS, axis=0)
-        of_bands = np.exp(log_softmax(prior + _of_residuals(self.log_shifts, tuning) + log_pairs, axis=1))
+        of_bands = np.exp(log_softmax(prior + log_of_residuals(self.log_shifts, tuning) + log_pairs, axis=1))
         return np.where(
             several[:, None], np.sqrt(of_bands @ np.exp(2.0 * logs)).reshape(n, RANGE_BANDS), factor[:, None]
         )
@@ -303,7 +303,7 @@ def evenly(position: FloatArray, max_rows: int) -> IntArray:
     return np.sort(ordered_by(position.T)[np.linspace(0, len(position) - 1, max_rows).astype(np.int64)])
 
 
-def _of_residuals(log_shifts: FloatArray, tuning: Tuning) -> FloatArray:
+def log_of_residuals(log_shifts: FloatArray, tuning: Tuning) -> FloatArray:
     """(n, K) ln p of residuals for each factor, from that for each ρ and both cases of the motion (n, K, 2ρ)."""
     share = tuning.errors_new
     prior = np.full(len(FACTOR_CORRELATIONS), (1.0 - share) / len(FACTOR_CORRELATIONS))
@@ -334,7 +334,7 @@ def _marginals(own: FloatArray, pairwise: FloatArray) -> FloatArray:
     return np.asarray(out / out.sum(axis=1, keepdims=True))
 
 
-def _log_density(
+def log_of_differences(
     delta: FloatArray, one: FloatArray, other: FloatArray, motion: FloatArray, tuning: Tuning
 ) -> FloatArray:
     """(n, K, K) ln p(δ), up to a constant, for each pair of factors; one, other : (n, 2, 2) R_a and R_b."""

@@ -77,7 +77,7 @@ def phantoms(
     least: dict[tuple[str, str], Phantom] = {}
     for ships in (feed for feed in feeds if feed.description.kind in CORRELATED_KINDS):
         for radar in filter(_sees_by_itself, feeds):
-            looks = _Looks.of(ships, radar, records, tuning)
+            looks = RadarLooks.of(ships, radar, records, tuning)
             for one in () if looks is None else looks.phantoms():
                 known = least.get((one.source, one.track))
                 if known is None or one.log_odds < known.log_odds:
@@ -96,7 +96,7 @@ def _sees_by_itself(feed: Feed) -> bool:
 
 
 @dataclass(frozen=True)
-class _Sightings:
+class ShipSightings:
     """The records of the ships at the instants at which the radar shows anything, (k,) each.
 
     ship : index of its track in ``names``. arm : (k, 2) position from the radar. moved : whether the ship is under way.
@@ -113,7 +113,7 @@ class _Sightings:
     seen: BoolArray
     chance: FloatArray
 
-    def take(self, which: BoolArray) -> _Sightings:
+    def take(self, which: BoolArray) -> ShipSightings:
         """Some of the records."""
         columns = ("ship", "time_s", "arm", "moved", "height_m", "seen", "chance")
         return replace(self, **{name: getattr(self, name)[which] for name in columns})
@@ -123,7 +123,7 @@ class _Sightings:
         return np.asarray(np.hypot(*self.arm.T))
 
 
-def _sightings(ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tuning: Tuning) -> _Sightings | None:
+def _sightings(ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tuning: Tuning) -> ShipSightings | None:
     """None where the source has no ids or the radar shows nothing."""
     placed = ~np.ma.getmaskarray(records["x_m"])
     position = np.column_stack([np.ma.filled(records[name], np.nan) for name in ("x_m", "y_m")])
@@ -158,7 +158,7 @@ def _sightings(ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tu
         chance[rows] = np.mean(near[1:], axis=0)
     fast = tuning.under_way_m_per_s[KINDS[ships.description.kind].target == "aircraft"]
     heights = _heights(ships, names, ship, time_s)
-    return _Sightings(tuple(names.tolist()), ship, time_s, arm, speed > fast, heights, seen, chance)
+    return ShipSightings(tuple(names.tolist()), ship, time_s, arm, speed > fast, heights, seen, chance)
 
 
 def _speeds(ship: IntArray, time_s: FloatArray, place: FloatArray) -> FloatArray:
@@ -194,7 +194,7 @@ def _heights(ships: Feed, names: NDArray[Any], ship: IntArray, time_s: FloatArra
     return out
 
 
-def _proven(one: _Sightings, bearing_deg: FloatArray, moving: bool, tuning: Tuning) -> BoolArray:
+def proven(one: ShipSightings, bearing_deg: FloatArray, moving: bool, tuning: Tuning) -> BoolArray:
     """(k,) whether the radar demonstrably sees the place of each record.
 
     It saw another ship that was as far away or farther, and no higher, within ``sight_deg`` of its bearing, or one on
@@ -251,7 +251,7 @@ def _within(farthest: tuple[FloatArray, IntArray], low: int, high: int) -> tuple
 
 
 @dataclass(frozen=True)
-class _Looks:
+class RadarLooks:
     """The looks of a radar at ships: (n, b) their numbers by ship and range, and those with anything near the ship.
 
     chance, relative : (b,) c and ρ. hidden : (n,) how many times h is each ship's. first_s, last_s : (n,) of each ship.
@@ -272,7 +272,7 @@ class _Looks:
     tuning: Tuning
 
     @classmethod
-    def of(cls, ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tuning: Tuning) -> _Looks | None:
+    def of(cls, ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tuning: Tuning) -> RadarLooks | None:
         """None where the radar sees too few ships."""
         one = _sightings(ships, radar, records, tuning)
         if one is None:
@@ -284,7 +284,7 @@ class _Looks:
         covered = radar.description.q_at(one.range_m, bearing) < tuning.covered_q
         length_m = _lengths(ships, one.names)
         long_enough = ~(length_m < tuning.steel_m)[one.ship]
-        one = one.take(one.moved & covered & long_enough & _proven(one, bearing, moving, tuning))
+        one = one.take(one.moved & covered & long_enough & proven(one, bearing, moving, tuning))
         if np.unique(one.ship[one.seen]).size < tuning.comparable_ships:
             return None
         # One look an interval: a tracker that shows a ship shows it again ten seconds later.

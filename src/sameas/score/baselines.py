@@ -50,9 +50,8 @@ def most_pairs(pairs: Pairs, groups: Groups) -> BoolArray:
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
-    chosen = np.zeros(len(pairs), np.bool_)
     if not len(pairs):
-        return chosen
+        return np.zeros(0, np.bool_)
     n1, n2 = len(groups.rows_1), len(groups.rows_2)
     place_1, place_2 = groups.places
     cost = pairs.mahalanobis_sq[groups.order]
@@ -67,8 +66,7 @@ def most_pairs(pairs: Pairs, groups: Groups) -> BoolArray:
     partner = np.full(n1, n2, np.int64)
     matched_1, matched_2 = min_weight_full_bipartite_matching(graph)
     partner[matched_1] = matched_2
-    chosen[groups.order] = partner[place_1] == place_2
-    return chosen
+    return groups.in_given_order(partner[place_1] == place_2)
 
 
 def classified(pairs: Pairs, log_odds: FloatArray, loss: Loss = ALL_ALIKE) -> BoolArray:
@@ -118,9 +116,7 @@ def enumerated(groups: Groups, log_ratio: FloatArray, prior: LogPrior) -> BoolAr
             log_prior = prior.table[prior.start[group] : prior.start[group + 1]]
         taken = _best_of_all(groups.local_1[part], groups.local_2[part], weight[part], n1, log_prior.tolist())
         best[part.start + np.array(taken, np.int64)] = True
-    chosen = np.empty(len(best), np.bool_)
-    chosen[groups.order] = best
-    return chosen
+    return groups.in_given_order(best)
 
 
 def number_of_hypotheses(n1: int, n2: int) -> int:

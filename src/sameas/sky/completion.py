@@ -245,14 +245,16 @@ def _neighbours(
     sampled = np.arange(0, len(one), max(1, len(one) // tuning.max_records))
     directions = one[sampled]
     count = min(tuning.neighbours, len(two))
-    chord, rows = _nearest(directions, two, count, tuning)
+    chord, rows = nearest_chords(directions, two, count, tuning)
     separation = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) * ARCSEC_PER_RADIAN
     # The nearest may be the partner, so it is excluded from the density (unless it is the only one).
     density = max(count - 1, 1) / (np.pi * np.maximum(separation[:, -1], 1e-3) ** 2)
     return np.maximum(separation[:, 0], tuning.copied_arcsec), density, rows[:, 0], sampled
 
 
-def _nearest(one: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTuning) -> tuple[FloatArray, IntArray]:
+def nearest_chords(
+    one: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTuning
+) -> tuple[FloatArray, IntArray]:
     """(k, count) chords to the nearest directions in ``two``, ascending, and their rows."""
     if len(one) * len(two) > tuning.max_products:
         return _nearest_along(one, two, count, tuning)
@@ -264,7 +266,7 @@ def _nearest(one: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTu
 def _nearest_along(
     one: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTuning
 ) -> tuple[FloatArray, IntArray]:
-    """The same as :func:`_nearest`, searched in windows along the axis of largest extent.
+    """The same as :func:`nearest_chords`, searched in windows along the axis of largest extent.
 
     Windows are doubled until every direction outside must be farther away than the ``count`` found.
     """

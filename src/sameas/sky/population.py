@@ -391,7 +391,7 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray], min_share:
             density_at = coverage.density(side, np.ones(len(shares[s])))
             for pattern in _patterns_with(s, n_sources):
                 weights = covered[s][:, pattern].astype(np.float64)
-                share_at = _local_share(coverage, side, shares[s][:, pattern] * weights, weights, min_share)
+                share_at = share_of_source(coverage, side, shares[s][:, pattern] * weights, weights, min_share)
                 for t, density, share in zip((a, b), density_at, share_at, strict=True):
                     if pattern >> t & 1:
                         # A catalogue's own records are in n − 1 coverages, those of another in one.
@@ -404,7 +404,7 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray], min_share:
     return tuple(total)
 
 
-def _local_share(
+def share_of_source(
     coverage: Coverage, side: int, part: FloatArray, weights: FloatArray, min_share: float
 ) -> tuple[FloatArray, FloatArray]:
     """Local share Σ part / Σ weights at the records of both, arrays of no dimension where it is the same everywhere.

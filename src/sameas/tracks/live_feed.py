@@ -404,10 +404,8 @@ class LiveFeed:
             return ~late
         rows, own = self._rows, self._order
         first = own[np.flatnonzero(np.diff(rows.number[own], prepend=-1))]
-        at = np.searchsorted(rows.number[first], new.number)
-        at = np.minimum(at, max(len(first) - 1, 0))
-        known = np.append(rows.number[first], -2)[at] == new.number if len(first) else np.zeros(len(new), bool)
-        oldest = np.append(rows.time_s[first], math.inf)[np.where(known, at, ABSENT)]
+        at = places_in(rows.number[first], new.number)
+        known, oldest = at >= 0, np.append(rows.time_s[first], math.inf)[at]
         dropped_s = self._horizon_s + self.lag_s - self._memory_s
         return np.asarray(
             (new.time_s >= self._horizon_s) | (new.time_s >= oldest) | (~known & (new.time_s >= dropped_s))

@@ -335,7 +335,7 @@ class Description:
         object.__setattr__(self, "assumed", tuple(assumptions))
 
     def _parts(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in _PARTS if name not in ("site", "platform")}
+        return {name: getattr(self, name) for name in PARTS if name not in ("site", "platform")}
 
     @classmethod
     def from_mapping(cls, name: str, given: Mapping[str, Any]) -> Description:
@@ -346,12 +346,12 @@ class Description:
                 # AIS and adsb are ais and ads-b.
                 plain = {re.sub(r"[ _-]", "", kind): kind for kind in KINDS}
                 parts["kind"] = plain.get(re.sub(r"[ _-]", "", str(value).lower()), str(value))
-            elif key not in _PARTS:
-                raise InputError(_unknown(name, key, ["kind", *_PARTS]))
+            elif key not in PARTS:
+                raise InputError(_unknown(name, key, ["kind", *PARTS]))
             elif not isinstance(value, Mapping):
                 raise InputError(f"{name}: {key} is {value!r}; give a table, such as {key} = {{ … }}")
             else:
-                parts[key] = _part(name, key, _PARTS[key], value)
+                parts[key] = _part(name, key, PARTS[key], value)
         return cls(name, **parts)
 
     def with_motion_of_aircraft(self) -> Description:
@@ -376,7 +376,7 @@ class Description:
 
 
 #: The parts of a description: sections of a file.
-_PARTS: dict[str, Any] = {
+PARTS: dict[str, Any] = {
     "site": Site, "platform": Platform, "coverage": SensorCoverage, "misses": MissRate, "clutter": Clutter,
     "resolution": Resolution, "errors": SensorErrors, "targets": Targets, "timing": Timing, "motion": Motion,
     "bias": BiasPrior, "calibration": KnownBiases,

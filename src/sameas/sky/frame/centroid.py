@@ -134,15 +134,15 @@ _MOST_SLOPES = 4
 def _meshes(frame: Frame, box_px: int) -> tuple[FloatArray, FloatArray]:
     """Level and standard deviation of the sky, (rows, columns) each."""
     level, rms = _mesh(frame.name, frame.image, frame.flags != 0, box_px)
-    sky = _interpolated(level, box_px, frame.shape)
+    sky = interpolated(level, box_px, frame.shape)
     for _ in range(_MOST_SLOPES):
         steps = [np.abs(np.diff(level, axis=axis)) / np.delete(rms, 0, axis=axis) for axis in (0, 1)]
         if not any(bool((step > _STEEP_SIGMAS).any()) for step in steps):
             break
         # The scatter in a box of a steep sky is mostly the slope, and its mode is not the sky in the middle.
         level, flat = _mesh(frame.name, frame.image - sky, frame.flags != 0, box_px)
-        sky, rms = sky + _interpolated(level, box_px, frame.shape), np.minimum(rms, flat)
-    return sky, _interpolated(rms, box_px, frame.shape)
+        sky, rms = sky + interpolated(level, box_px, frame.shape), np.minimum(rms, flat)
+    return sky, interpolated(rms, box_px, frame.shape)
 
 
 def _mesh(name: str, image: Image | FloatArray, mask: BoolArray, box_px: int) -> tuple[FloatArray, FloatArray]:
@@ -168,7 +168,7 @@ def _mesh(name: str, image: Image | FloatArray, mask: BoolArray, box_px: int) ->
         raise InputError(f"{name}: too few usable pixels for a background ({error})") from error
 
 
-def _interpolated(mesh: FloatArray, box_px: int, shape: tuple[int, int]) -> FloatArray:
+def interpolated(mesh: FloatArray, box_px: int, shape: tuple[int, int]) -> FloatArray:
     """(rows, columns) a mesh of boxes at every pixel, by bicubic splines, within the range of the mesh.
 
     That of photutils, one axis after the other, which takes less time.

@@ -252,12 +252,12 @@ def _can_crash(file: Any) -> bool:
     file.seek(0)
     tables = fits.open(file, memmap=False, disable_image_compression=True)
     try:
-        return any(_decoder_can_crash(each.header) for each in tables)
+        return any(decoder_can_crash(each.header) for each in tables)
     finally:
         tables.close(closed=False)
 
 
-def _decoder_can_crash(header: Header) -> bool:
+def decoder_can_crash(header: Header) -> bool:
     """Whether the decoder could end the process on damaged data, by the header of the table with the tiles."""
     kind = header.get("ZCMPTYPE")
     if kind not in _RICE:

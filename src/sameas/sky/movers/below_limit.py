@@ -325,7 +325,7 @@ def _filtered(
     typical = float(np.median(phi[phi > 0])) if (phi > 0).any() else 0.0
     phi[phi < tuning.share * typical] = 0.0
     psi[phi == 0] = 0.0
-    _normalised(psi, phi)
+    normalise(psi, phi)
     return psi, phi
 
 
@@ -339,7 +339,7 @@ def _hide(inverse: Plane, at: FloatArray, reach: FloatArray) -> None:
             inverse[a:c, b:d][(u - x) ** 2 + (v - y) ** 2 <= r * r] = 0.0
 
 
-def _normalised(psi: Plane, phi: Plane, box: int = 64) -> None:
+def normalise(psi: Plane, phi: Plane, box: int = 64) -> None:
     """Normalises ψ/√φ to mean 0 and width 1 in each box, for correlated noise and diffuse light; in place."""
     if not (phi > 0).any():
         return

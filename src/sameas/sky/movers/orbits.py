@@ -276,7 +276,7 @@ def states(elements: Elements, mjd_utc: float) -> FloatArray:
     """(2, 3, n) heliocentric positions, au, and velocities, au/day, of the objects at a time, on ICRS axes."""
     from sameas.sky.times import Time
 
-    planets = _planets()
+    planets = de421()
     planets.check(np.array([mjd_utc]))
     middle = float(Time(mjd_utc, format="mjd", scale="utc").tdb.mjd)
     state = np.empty((2, 3, len(elements)))
@@ -312,7 +312,7 @@ def ephemeris(
     """
     from sameas.sky.times import Time
 
-    planets = _planets()
+    planets = de421()
     planets.check(np.asarray(mjd_utc))
     tdb = Time(np.asarray(mjd_utc), format="mjd", scale="utc").tdb.mjd
     order = np.argsort(tdb)
@@ -383,7 +383,7 @@ def near(elements: Elements, mjd_utc: float, ra_deg: float, dec_deg: float, radi
     The radius is widened for perturbations, by 0.1° plus 0.3° per year of the elements' age, more for objects near the
     Earth.
     """
-    planets = _planets()
+    planets = de421()
     time = np.array([mjd_utc])
     earth = planets.earth(time) - planets.sun(time)
     to_object = _state(elements, mjd_utc)[0] - earth
@@ -572,7 +572,7 @@ class _Planets:
 
 
 @lru_cache(maxsize=1)
-def _planets() -> _Planets:
+def de421() -> _Planets:
     """The planets of DE421, from the package ``skyfield-data``."""
     with optional("known objects need jplephem and skyfield-data", "movers"):
         from jplephem.spk import SPK

@@ -138,7 +138,7 @@ def stack(
     factor = 10 ** (-0.4 * np.nan_to_num(np.where(np.isfinite(zero), np.nanmean(zero) - zero, 0.0)))
     flux, error = flux / factor, error / factor
     detected = np.zeros((k, f), bool) if blind else _detected(movers, series)[:k]
-    log_ratio = np.zeros(k) if blind else _evidence(movers, flux, error, hidden, detected, tuning)
+    log_ratio = np.zeros(k) if blind else stacked_evidence(movers, flux, error, hidden, detected, tuning)
     p = movers.p_tracklet[:k]
     with np.errstate(divide="ignore", over="ignore"):
         odds = np.log(np.maximum(p, 1e-300)) - np.log(np.maximum(1 - p, 1e-16)) + log_ratio
@@ -303,7 +303,7 @@ def _detected(movers: Movers, series: Series) -> BoolArray:
     return out
 
 
-def _evidence(
+def stacked_evidence(
     movers: Movers,
     flux: FloatArray,
     error: FloatArray,

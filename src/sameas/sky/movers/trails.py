@@ -128,7 +128,7 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
         if not tried.any() or len(rows) < 6:
             continue
         width = max(one.psf_fwhm_px, 1.5)
-        pixels = _Pixels.of(frame, at[~free], one.snr[series.row[rows]][~free], width, tuning)
+        pixels = TrailPixels.of(frame, at[~free], one.snr[series.row[rows]][~free], width, tuning)
         to_sky = ChipMap(at, series.place[rows])
         done, measured, known = np.zeros(len(rows), bool), np.zeros(len(rows), bool), list[_Trail]()
         candidates = np.flatnonzero(tried)
@@ -192,7 +192,7 @@ def _long_lines(trails: list[_Trail], width: float, longest: float) -> list[list
 
 
 @dataclass(frozen=True)
-class _Pixels:
+class TrailPixels:
     """The pixels of a frame that is searched for trails.
 
     image : with excluded pixels at the sky level. good : (rows, columns) mask of usable pixels without known sources.
@@ -211,7 +211,7 @@ class _Pixels:
     @classmethod
     def of(
         cls, frame: Frame, sources: FloatArray, snr: FloatArray, width: float, tuning: TrailTuning = TRAIL_TUNING
-    ) -> _Pixels:
+    ) -> TrailPixels:
         """The pixels of a frame. sources : (n, 2) pixels of known sources, excluded. snr : (n,)."""
         image = np.asarray(frame.image, np.float64).copy()
         good = ((frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) == 0) & np.isfinite(image)
