@@ -210,6 +210,19 @@ def test_signal_k_gives_vessels_own_ship_and_radar_targets(tmp_path):
     assert [reports.kind for reports in read_reports(path)] == ["ais", "arpa"]
 
 
+def test_reports_of_a_stream_say_where_own_ship_was_then():
+    """A recording is replayed by them; her position may have come long before."""
+    stream = ReportStream("bridge", "nmea")
+    stream.feed(nmea_line("GPRMC,130212.00,A,5000.0,N,00100.0,W,10.0,90.0,120116,,,A") + b"\r\n", 1e9)
+    assert stream.reports() == []
+    for lat in ("5000.0", "5001.0"):
+        stream.feed(TTM + b"\r\n" + nmea_line(f"GPGLL,{lat},N,00100.0,W,,A") + b"\r\n", 1e9 + 3.0)
+    [reports] = stream.reports()
+    assert reports.extra["own_lat_deg"].tolist() == [50.0, 50.0]
+    assert reports.extra["own_course_deg"].tolist() == [90.0, 90.0]
+    assert stream.own_ship[0] == pytest.approx(50.0 + 1 / 60)
+
+
 def test_the_compass_of_a_yacht_on_signal_k_is_her_heading_with_its_variation(tmp_path):
     at = {"timestamp": "2024-05-01T12:00:00Z"}
     place = {"path": "navigation.position", "value": {"latitude": 50.0, "longitude": -1.0}}

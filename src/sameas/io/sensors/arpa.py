@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -414,24 +414,28 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
     if not (has_ais or has_arpa):
         listed = ", ".join(sorted(kinds)) or "none"
         raise InputError(f"{source}: no AIS (VDM) and no radar targets (TTM, TLL) among its sentences: {listed}")
-    both, own = has_ais and has_arpa, _own_ship(log, ArpaState())
+    both = has_ais and has_arpa
     sources = [ais.read(log, f"{source}:ais" if both else source, start_s)] if has_ais else []
     if has_arpa:
         # Damaged lines are counted once, with the first source.
         rest = replace(log, damaged=()) if both else log
         sources.append(read(rest, f"{source}:arpa" if both else source, start_s))
-    return [_with_own_ship(reports, log, own) for reports in sources]
+    return with_own_ship(sources, log, ArpaState())
 
 
-def _with_own_ship(reports: Reports, log: Log, own: Mapping[str, FloatArray]) -> Reports:
-    """The reports with own ship at each of them, as :data:`~sameas.io.sensors.format.OWN_SHIP`, where the log has her
-    position."""
+def with_own_ship(sources: Sequence[Reports], log: Log, before: ArpaState) -> list[Reports]:
+    """The reports of a log with own ship at each of them, as :data:`~sameas.io.sensors.format.OWN_SHIP`, where her
+    position is known. before : own ship before the log; updated."""
+    own = _own_ship(log, before)
     if not np.isfinite(own["lat"] + own["lon"]).any():
-        return reports
+        return list(sources)
     lines = np.array([sentence.line for sentence in log.sentences])
-    index = np.searchsorted(lines, reports.line, side="right") - 1
-    columns = {column: own[name][index] for name, column in OWN_SHIP.items()}
-    return replace(reports, extra={**reports.extra, **columns})
+    out = []
+    for reports in sources:
+        index = np.searchsorted(lines, reports.line, side="right") - 1
+        columns = {column: own[name][index] for name, column in OWN_SHIP.items()}
+        out.append(replace(reports, extra={**reports.extra, **columns}))
+    return out
 
 
 def _recognises(file: SensorFile) -> bool:
