@@ -12,6 +12,7 @@ from scipy.stats import chi2, kstest, spearmanr
 
 import naive
 from sameas.errors import InputError
+from sameas.simulate import blended_field, counterparts, growing_field, with_outliers
 from sameas.simulate.scenes import (
     Cap,
     LonLatBox,
@@ -264,3 +265,58 @@ def test_a_million_rows_are_simulated():
 def test_invalid_scenes_are_refused_with_a_clear_message(make, words):
     with pytest.raises(InputError, match=words):
         make()
+
+
+def span_deg(records):
+    """The larger side of the box around the records, degrees."""
+    lon, lat = np.ptp(records.features, axis=0)
+    return max(float(lon * math.cos(math.radians(records.features[0, 1]))), float(lat))
+
+
+def sigma_arcsec(records):
+    return np.sqrt(records.covariance[:, 0])
+
+
+def test_the_options_of_a_blended_field():
+    def made(**options):
+        return blended_field(np.random.default_rng(1), objects=2_000, **options)
+
+    usual, alone = made(), made(only_coarse=0.5)
+    assert (alone.parts < 0).all(axis=1).sum() == 1_000 and (usual.parts < 0).all(axis=1).sum() == 200
+    units = len(usual.first) - 200
+    assert len(made(share=0.35).first) - 200 == pytest.approx(units / 2, rel=0.1)
+    assert span_deg(made(per_deg2=5_000.0).second) == pytest.approx(2.0 * span_deg(usual.second), rel=0.05)
+    wide = sigma_arcsec(made(sigma_arcsec=(1.0, 2.0)).first)
+    assert 1.0 <= wide.min() < 1.1 and 1.9 < wide.max() <= 2.0
+    for field, beyond in ((usual, True), (made(steepness=60.0), False)):
+        blend = field.parts[(field.parts >= 0).all(axis=1)]
+        off = vectors(field.second.features[blend[:, 0]]) - vectors(field.second.features[blend[:, 1]])
+        apart = np.linalg.norm(off, axis=1) * ARCSEC_PER_RADIAN / field.resolution_arcsec
+        assert bool(apart.max() > 1.1) is beyond
+
+
+def test_the_options_of_a_field_whose_errors_grow():
+    def made(**options):
+        return growing_field(np.random.default_rng(1), 2_000, lambda m, r: 0.1 + 0.0 * m, **options)[0]
+
+    usual, missed, crowded, wide = made(), made(missing=0.5), made(chance=4.0), made(quoted_arcsec=0.4)
+    assert len(missed.first) == pytest.approx(1_000, rel=0.1) and len(usual.first) == pytest.approx(1_700, rel=0.05)
+    assert span_deg(usual.first) == pytest.approx(2.0 * span_deg(crowded.first), rel=0.02)
+    assert span_deg(wide.first) == pytest.approx(4.0 * span_deg(usual.first), rel=0.02)
+    np.testing.assert_allclose(sigma_arcsec(wide.second), 0.4)
+
+
+def test_the_options_of_counterparts_and_outliers():
+    made = counterparts(np.random.default_rng(1), sources=60, records=2_000, share=0.5, sigma_arcsec=(3.0, 4.0))
+    assert len(made.scene.true_pairs()[0]) == 30
+    assert sigma_arcsec(made.scene.first).min() >= 3.0 and sigma_arcsec(made.scene.first).max() <= 4.0
+    scene = crowded_sky(np.random.default_rng(1), 200, 0.1, sigma_arcsec=0.2, names=("one", "two"))
+    assert (scene.first.source, scene.second.source) == ("one", "two")
+    np.testing.assert_allclose(sigma_arcsec(scene.first), 0.2)
+    far = with_outliers(np.random.default_rng(2), scene, 1.0, sigmas=50.0)
+    moved = np.linalg.norm(vectors(far.first.features) - vectors(scene.first.features), axis=1) * ARCSEC_PER_RADIAN
+    np.testing.assert_allclose(moved, 10.0, rtol=1e-6)
+    area = chance_area_steradians(100, 0.5, 0.2)
+    assert chance_area_steradians(100, 0.5, 0.2, gate_sigmas=6.0) == pytest.approx(4.0 * area)
+    named = line(np.random.default_rng(1), n=5, spacing_sigmas=10.0, q1=0.0, q2=0.0, names=("radar", "ais"))
+    assert (named.first.source, named.second.source) == ("radar", "ais")
