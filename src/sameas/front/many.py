@@ -110,13 +110,14 @@ class MatchMany(Result):
         from sameas.result import row_of
 
         names = [catalogue.name for catalogue in self.sky.catalogues]
-        number = names.index(source) if isinstance(source, str) and source in names else source
-        if isinstance(number, str) or (number != source and isinstance(source, int)):
-            raise InputError(f"no catalogue is named {source!r}; give one of {', '.join(names)}, or its number")
-        if isinstance(source, int):
-            if not 1 <= source <= len(names):
-                raise InputError(f"source is {source}; give 1 to {len(names)}, or a name")
+        if isinstance(source, str):
+            if source not in names:
+                raise InputError(f"no catalogue is named {source!r}; give one of {', '.join(names)}, or its number")
+            number = names.index(source)
+        elif 1 <= source <= len(names):
             number = source - 1
+        else:
+            raise InputError(f"source is {source}; give 1 to {len(names)}, or a name")
         records = self.objects.given[number]
         assert isinstance(records, Records)
         at = row_of(records.ids, id_of(records, id, row), records.source)

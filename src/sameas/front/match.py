@@ -77,11 +77,10 @@ class Match(Result):
         """Warnings about the input and the result, one sentence each."""
         if self.sky is None:
             return (*self.notes, *self.estimate.notes)
-        sides: tuple[tuple[str, ...], ...] = (self.sky.first.named_doubts, self.sky.second.named_doubts)
-        if self.request is not None:
-            request = self.request
-            sides = tuple(tuple(request.words(one, side) for one in doubts) for side, doubts in enumerate(sides, 1))
-        return (*self.notes, *(doubt for doubts in sides for doubt in doubts), *self.sky.doubts)
+        words = (lambda doubt, side: doubt) if self.request is None else self.request.words
+        sides = enumerate((self.sky.first, self.sky.second), 1)
+        of_input = (words(doubt, side) for side, catalogue in sides for doubt in catalogue.named_doubts)
+        return (*self.notes, *of_input, *self.sky.doubts)
 
     @property
     def expected_wrong(self) -> float:
