@@ -174,17 +174,9 @@ class TrackMemory:
         """The rule of previous scans for the records of the instant."""
         log_ratio, level = self._log_ratio
         first, second = self.track_pairs.first, self.track_pairs.second
-        return PreviousScans(self._numbers(), first, second, log_ratio, level, self._precision())
-
-    def _numbers(self) -> dict[str, IntArray]:
-        """By source name, the track number of each row of the source's table, ABSENT for rows without an id."""
-        scan, numbers = self.tracks.scan, {}
-        for s, description in enumerate(() if scan is None else scan.now.descriptions):
-            assert scan is not None
-            records = slice(scan.start[s], scan.start[s + 1])
-            numbers[description.name] = np.full(int(scan.table[records].max(initial=-1)) + 1, ABSENT)
-            numbers[description.name][scan.table[records]] = self.tracks.track_of_record[records]
-        return numbers
+        scan = self.tracks.scan
+        numbers = {} if scan is None else scan.by_table(self.tracks.track_of_record)
+        return PreviousScans(numbers, first, second, log_ratio, level, self._precision())
 
     def first_contact(self, history: PreviousScans) -> FirstContact | None:
         """The rule for pairs of records of the instant that were never sure; None before the first instant.
@@ -194,11 +186,7 @@ class TrackMemory:
         scan = self.tracks.scan
         if scan is None:
             return None
-        records = {}
-        for s, description in enumerate(scan.now.descriptions):
-            own = np.arange(scan.start[s], scan.start[s + 1])
-            records[description.name] = np.full(int(scan.table[own].max(initial=-1)) + 1, ABSENT)
-            records[description.name][scan.table[own]] = own
+        records = scan.by_table(np.arange(len(scan)))
         sure = ~np.isnan(self.track_pairs.anchor_s)
         return FirstContact(scan, records, history, sure, self.reassigned)
 

@@ -155,6 +155,15 @@ class Scan:
         now = replace(self.now, sources=tuple(sources))
         return replace(self, now=now, covariance=self.covariance + extra)
 
+    def by_table(self, values: IntArray) -> dict[str, IntArray]:
+        """By source name, values (n,) of its records by row of the source's table; ABSENT for rows without a record."""
+        out = {}
+        for s, description in enumerate(self.now.descriptions):
+            records = slice(self.start[s], self.start[s + 1])
+            column = out[description.name] = np.full(int(self.table[records].max(initial=-1)) + 1, ABSENT)
+            column[self.table[records]] = values[records]
+        return out
+
     def places(self, members: np.ma.MaskedArray) -> IntArray:
         """(n, S) the records of the scan of members that are given as rows of the sources' records, ABSENT for none."""
         rows, absent = np.ma.getdata(members), np.ma.getmaskarray(members)
