@@ -138,18 +138,7 @@ def estimate(
     ------
     InputError : columns that are not recognised; no usable rows; a partition that cannot be read, by name.
     """
-    if options.offset != "none":
-        raise InputError(naming("{offset}: offsets are not fitted over partitions"), "remove it before the import")
-    for one in options.evidence:
-        for column in one.columns if isinstance(one, Related) else (one,):
-            if not isinstance(column.values, str):
-                raise InputError(
-                    "evidence: values for rows cannot be used over partitions", "give the names of columns"
-                )
-    for side in columns:
-        if side.fill_errors:
-            typical = naming("{fill_errors}: typical errors would depend on the partition")
-            raise InputError(typical, "give every row an error")
+    _refuse_unsupported(options, columns)
     progress("columns")
     samples = tuple(_first_rows(one, chosen, tuning) for one, chosen in zip(stored, columns, strict=True))
     columns_of(samples[0], samples[1], options.evidence)  # refuses columns that do not exist
@@ -182,6 +171,18 @@ def estimate(
     catalogues = [replace(c, doubts=first.doubts) for c, first in zip(sampled, epochs, strict=True)]
     return Estimated(work, counts, (catalogues[0], catalogues[1]), moved, (rows[0], rows[1]),
                      (*doubts, *assumed, *learned.estimate.notes), learned.estimate.learned_from)  # fmt: skip
+
+
+def _refuse_unsupported(options: MatchOptions, columns: tuple[CatalogueOptions, CatalogueOptions]) -> None:
+    """Refuse what needs the rows of all partitions at once."""
+    if options.offset != "none":
+        raise InputError(naming("{offset}: offsets are not fitted over partitions"), "remove it before the import")
+    evidence = (column for one in options.evidence for column in (one.columns if isinstance(one, Related) else (one,)))
+    if not all(isinstance(column.values, str) for column in evidence):
+        raise InputError("evidence: values for rows cannot be used over partitions", "give the names of columns")
+    if any(side.fill_errors for side in columns):
+        typical = naming("{fill_errors}: typical errors would depend on the partition")
+        raise InputError(typical, "give every row an error")
 
 
 def _first_rows(stored: HatsCatalogue, options: CatalogueOptions, tuning: RunTuning) -> Catalogue:

@@ -175,9 +175,8 @@ def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tu
                 image = hdus[chosen].data
                 planes = {"image": image, **_companions(hdus, chosen, image.shape[-2:])}
                 header = hdus[chosen].header.copy(strip=False)
-                for card in hdus[0].header.cards if chosen else ():
-                    if card.keyword and card.keyword not in header and card.keyword not in ("COMMENT", "HISTORY"):
-                        header.append(card, end=True)
+                if chosen:
+                    _inherit(header, hdus[0].header)
     except (InputError, MemoryError, ImportError):
         raise
     except Warning as warning:
@@ -187,6 +186,13 @@ def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tu
             f"{path.name}: the file cannot be read as FITS ({first_line(error)}); copy it again or convert it"
         ) from error
     return planes, header, notes
+
+
+def _inherit(header: Header, primary: Header) -> None:
+    """Adds the keywords of the primary header that the extension's does not have."""
+    for card in primary.cards:
+        if card.keyword and card.keyword not in header and card.keyword not in ("COMMENT", "HISTORY"):
+            header.append(card, end=True)
 
 
 #: astropy's decoders in C. On damaged data that of HCOMPRESS writes out of bounds, and those of PLIO and Rice read out

@@ -115,59 +115,87 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
     frames : calibrated, in the order of ``series.exposures``, used one at a time. Other measurements of parts of a
     trail are marked as unreliable, and so are all along lines of trails longer than ``max_px`` allows.
     """
-    place, sigma, unreliable = series.place.copy(), series.sigma_arcsec.copy(), series.unreliable.copy()
-    vector, error = np.full((len(place), 2), np.nan), np.full(len(place), np.nan)
-    magnitude, exposures, long = series.magnitude.copy(), list(series.exposures), 0
+    columns, exposures, long = _Columns.of(series), list(series.exposures), 0
     for n, frame in enumerate(frames):
-        one = series.exposures[n]
-        rows = np.flatnonzero(series.frame == n)
+        exposures[n], lines = columns.remeasured(series, n, frame, tuning)
+        long += lines
+    note = f"{long} trails longer than {2 * tuning.max_px:.0f} px, as of satellites, are removed"
+    return replace(
+        series, place=columns.place, sigma_arcsec=columns.sigma_arcsec, unreliable=columns.unreliable,
+        magnitude=columns.magnitude, exposures=tuple(exposures),
+        trails=Trails(columns.vector, columns.error, tuning.min_widths),
+        notes=(*series.notes, *([note] if long else [])),
+    )  # fmt: skip
+
+
+@dataclass
+class _Columns:
+    """Columns of a series, (n,) each, which change in place; vector, error : of ``Trails``, NaN where there is none."""
+
+    place: FloatArray
+    sigma_arcsec: FloatArray
+    unreliable: BoolArray
+    magnitude: FloatArray
+    vector: FloatArray
+    error: FloatArray
+
+    @classmethod
+    def of(cls, series: Series) -> _Columns:
+        """Those of a series without trails."""
+        vector = np.full(series.place.shape, np.nan)
+        return cls(
+            series.place.copy(), series.sigma_arcsec.copy(), series.unreliable.copy(), series.magnitude.copy(), vector,
+            vector[:, 0].copy(),
+        )  # fmt: skip
+
+    def remeasured(self, series: Series, n: int, frame: Frame, tuning: TrailTuning) -> tuple[Exposure, int]:
+        """Exposure n with the trails of its frame, and the number of lines that are too long for a mover's."""
+        one, rows = series.exposures[n], np.flatnonzero(series.frame == n)
         at = np.column_stack([one.x_px, one.y_px])[series.row[rows]]
         flags = np.asarray(one.flags)[series.row[rows]]
         free = ~(series.star | series.stationary | series.fixed)[rows]
-        tried = free & ((flags & _NO_LIGHT) == 0)
-        if not tried.any() or len(rows) < 6:
-            continue
+        candidates = np.flatnonzero(free & ((flags & _NO_LIGHT) == 0))
+        if not len(candidates) or len(rows) < 6:
+            return one, 0
         width = max(one.psf_fwhm_px, 1.5)
         pixels = TrailPixels.of(frame, at[~free], one.snr[series.row[rows]][~free], width, tuning)
         to_sky = ChipMap(at, series.place[rows])
         done, measured, known = np.zeros(len(rows), bool), np.zeros(len(rows), bool), list[_Trail]()
-        candidates = np.flatnonzero(tried)
         for k, start in pixels.candidates(at[candidates]):
             mine = int(candidates[k])
-            if done[mine]:
-                continue
-            trail = pixels.fitted(at[mine], start)
+            trail = None if done[mine] else pixels.fitted(at[mine], start)
             if trail is None:
                 continue
             parts = free & trail.covers(at, width)
-            again = any(one.covers(trail.middle[None], width)[0] for one in known)
             parts[mine] = True
             done |= parts
-            unreliable[rows[parts & ~measured]] = True
-            if again:
+            self.unreliable[rows[parts & ~measured]] = True
+            if any(other.covers(trail.middle[None], width)[0] for other in known):
                 continue
-            row, own = rows[mine], int(series.row[rows[mine]])
-            measured[mine], unreliable[row] = True, False
+            measured[mine] = True
             known.append(trail)
-            ends = to_sky(trail.middle + trail.half * np.array([[1.0], [-1.0], [0.0]]))
-            place[row] = ends[2] + series.place[row] - to_sky(at[mine][None])[0]
-            vector[row] = ends[0] - ends[1]
-            scale = one.scale_arcsec_per_px
-            error[row] = 2.0 * scale * math.sqrt(0.5 * np.trace(trail.covariance[2:, 2:]))
-            sigma[row] = math.hypot(scale * math.sqrt(0.5 * np.trace(trail.covariance[:2, :2])), series.floor_arcsec[n])
-            magnitude[row] += trail.fainter_than(one.flux[own])
+            own = int(series.row[rows[mine]])
+            self._put(rows[mine], trail, one, own, series.floor_arcsec[n], at[mine], to_sky)
             one = trail.measured_on(one, own)
-        for line in _long_lines(known, width, 1.8 * tuning.max_px):
-            now_at = np.column_stack([one.x_px, one.y_px])[series.row[rows]]
+        lines = _long_lines(known, width, 1.8 * tuning.max_px)
+        now_at = np.column_stack([one.x_px, one.y_px])[series.row[rows]]
+        for line in lines:
             parts = free & (known[line[0]].covers(at, width, math.inf) | known[line[0]].covers(now_at, width, math.inf))
-            unreliable[rows[parts]], vector[rows[parts]], error[rows[parts]] = True, np.nan, np.nan
-            long += 1
-        exposures[n] = one
-    note = f"{long} trails longer than {2 * tuning.max_px:.0f} px, as of satellites, are removed"
-    return replace(
-        series, place=place, sigma_arcsec=sigma, unreliable=unreliable, magnitude=magnitude, exposures=tuple(exposures),
-        trails=Trails(vector, error, tuning.min_widths), notes=(*series.notes, *([note] if long else [])),
-    )  # fmt: skip
+            self.unreliable[rows[parts]], self.vector[rows[parts]], self.error[rows[parts]] = True, np.nan, np.nan
+        return one, len(lines)
+
+    def _put(
+        self, row: int, trail: _Trail, one: Exposure, own: int, floor_arcsec: float, at: FloatArray, to_sky: ChipMap
+    ) -> None:
+        """Puts a trail in place of a measurement, ``own`` of its exposure, which was at the pixel ``at`` (2,)."""
+        ends = to_sky(trail.middle + trail.half * np.array([[1.0], [-1.0], [0.0]]))
+        scale, variance = one.scale_arcsec_per_px, np.diagonal(trail.covariance)
+        self.unreliable[row] = False
+        self.place[row] = ends[2] + self.place[row] - to_sky(at[None])[0]
+        self.vector[row] = ends[0] - ends[1]
+        self.error[row] = 2.0 * scale * math.sqrt(0.5 * (variance[2] + variance[3]))
+        self.sigma_arcsec[row] = math.hypot(scale * math.sqrt(0.5 * (variance[0] + variance[1])), floor_arcsec)
+        self.magnitude[row] += trail.fainter_than(one.flux[own])
 
 
 def _long_lines(trails: list[_Trail], width: float, longest: float) -> list[list[int]]:
