@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
+from sameas.io.sensors import ReadOptions, read_reports
+from sameas.io.sensors.sentences import clock, heading, position
 from sameas.picture.live import LivePicture
 from sameas.tracks import Description, Platform, Reports, Scene, SensorErrors
 from sameas.tracks.coordinates import LocalPlane
@@ -175,6 +177,21 @@ def test_bearings_from_the_bow_are_turned_by_the_heading_of_the_vessel(every_s):
 def test_a_heading_of_the_reports_themselves_needs_no_other():
     [feed] = scene(described(source="gps"), gps(), reports=bow_plots(station_heading_deg=headings(TIMES))).feeds
     assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 0.1
+
+
+def test_a_log_of_own_ship_alone_carries_a_radar_and_is_no_object(tmp_path):
+    """Her receivers' sentences, without AIS or targets."""
+    lines = []
+    for time_s, (lat, lon) in zip(gps().time_s, zip(gps().lat_deg, gps().lon_deg, strict=True), strict=True):
+        lines += [clock(time_s), *position(lat, lon), heading(45.0)]
+    (tmp_path / "gps.nmea").write_text("\n".join(lines))
+    [own] = read_reports(tmp_path / "gps.nmea", ReadOptions(source="gps"))
+    np.testing.assert_allclose(own.lat_deg, gps().lat_deg, atol=1e-7)
+    assert own.object_ids is None and own.extra["own_heading_deg"][-1] == 45.0
+    [feed] = scene(described(source="gps"), own).feeds
+    assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 15.0
+    with pytest.raises(InputError, match="gps: only the positions of own ship"):
+        Scene.of([(Description("gps", "tracks"), own)], PLANE)
 
 
 def test_without_headings_the_course_of_a_vessel_under_way_is_used_and_said():

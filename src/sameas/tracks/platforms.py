@@ -70,6 +70,9 @@ def on_platform(
     return reports, tuple(notes)
 
 
+#: The kind of reports of the positions of a ship by her own receivers.
+OWN_POSITIONS = "own ship"
+
 Step = tuple[Reports, list[str]]
 
 
@@ -149,7 +152,8 @@ def _under_way(reports: Reports, tuning: Tuning) -> Reports:
 def only_carries(source: str, reports: Reports, descriptions: Iterable[Description]) -> bool:
     """Whether a source gives the position of a vessel that carries sensors, and names no object: it is no sensor."""
     platforms = (description.platform for description in descriptions)
-    return reports.object_ids is None and any(one is not None and one.source == source for one in platforms)
+    carries = reports.kind == OWN_POSITIONS or any(one is not None and one.source == source for one in platforms)
+    return reports.object_ids is None and carries
 
 
 #: The columns of a sensor's position, by those of positions.

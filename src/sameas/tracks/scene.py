@@ -354,6 +354,9 @@ def _with_platforms(
             set_aside[description.name] = error
         else:
             out.append((description, placed))
+    if sources and not out and not set_aside:
+        names = ", ".join(description.name for description in descriptions)
+        raise InputError(f"{names}: only the positions of own ship", "give the file of an AIS receiver or a radar, too")
     return out
 
 

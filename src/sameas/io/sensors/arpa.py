@@ -28,6 +28,7 @@ from sameas.io.sensors import ais
 from sameas.io.sensors.format import KNOT_M_PER_S, OWN_SHIP, SensorFile, SensorFormat, forward_filled
 from sameas.io.sensors.nmea import Log, Sentence, latitude, log_of, longitude, time_of_day, with_date
 from sameas.tracks.coordinates import MILE_M, geodesy
+from sameas.tracks.platforms import OWN_POSITIONS
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 #: The sentences of targets.
@@ -412,6 +413,8 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
     kinds = {sentence.kind for sentence in log.sentences}
     has_ais, has_arpa = "VDM" in kinds, bool(kinds & set(SENTENCES))
     if not (has_ais or has_arpa):
+        if own := _own_positions(log, source, start_s):
+            return with_own_ship([own], log, ArpaState())
         listed = ", ".join(sorted(kinds)) or "none"
         raise InputError(f"{source}: no AIS (VDM) and no radar targets (TTM, TLL) among its sentences: {listed}")
     both = has_ais and has_arpa
@@ -421,6 +424,42 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
         rest = replace(log, damaged=()) if both else log
         sources.append(read(rest, f"{source}:arpa" if both else source, start_s))
     return with_own_ship(sources, log, ArpaState())
+
+
+#: Sentences of positions, and the field of their time of day.
+_POSITIONS = {"RMC": 1, "GGA": 1, "GLL": 5}
+
+
+def _own_positions(log: Log, source: str, start_s: float | None) -> Reports | None:
+    """The positions of own ship, the last of each time; None if the log has none.
+
+    Raises
+    ------
+    InputError : no time.
+    """
+    own = _own_ship(log, ArpaState())
+    of_position = [k for k, s in enumerate(log.sentences) if s.kind in _POSITIONS]
+    indices = np.array([k for k in of_position if np.isfinite(own["lat"][k] + own["lon"][k])], np.int64)
+    if not len(indices):
+        return None
+    sentences = [log.sentences[k] for k in indices]
+    day_s = np.array([_day_s(s) for s in sentences])
+    time_s = _times(log, day_s, indices, source, start_s)
+    _, last = np.unique(time_s[::-1], return_index=True)
+    rows = np.sort(len(time_s) - 1 - last)
+    values = {column.removeprefix("own_"): own[name][indices[rows]] for name, column in OWN_SHIP.items()}
+    lines = np.array([s.line for s in sentences])[rows]
+    return Reports.of(
+        source, OWN_POSITIONS, values | {"time_s": time_s[rows], "line": lines}, damaged=Damaged.of(log.damaged)
+    )
+
+
+def _day_s(sentence: Sentence) -> float:
+    """The time of day of a sentence of a position; NaN where it has none."""
+    try:
+        return time_of_day(sentence.field(_POSITIONS[sentence.kind]))
+    except ValueError:
+        return np.nan
 
 
 def with_own_ship(sources: Sequence[Reports], log: Log, before: ArpaState) -> list[Reports]:

@@ -55,7 +55,7 @@ def _angle(degrees: float, digits: int, sides: str) -> tuple[str, str]:
     """Degrees and minutes, to 2 mm, and the side."""
     minutes = round(abs(degrees) * 60.0, 6)
     whole = int(minutes // 60.0)
-    return f"{whole:0{digits}d}{minutes - 60.0 * whole:09.6f}", sides[degrees < 0.0]
+    return f"{whole:0{digits}d}{minutes - 60.0 * whole:09.6f}", sides[int(degrees < 0.0)]
 
 
 def velocity(course_deg: float | None, speed_m_per_s: float | None) -> str:
