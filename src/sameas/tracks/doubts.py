@@ -201,46 +201,80 @@ def doubts(
     by_plots = [_by_plots(feed, feeds, fits) for feed in feeds]
     matched = {name for fit in by_plots if fit is not None and fit[0].established for name in fit[1]}
     tolerant = [_tolerant(feed) for feed in feeds]
-    others = [
-        _comparable(feed, [other for other in tolerant if other.description != feed.description]) for feed in feeds
-    ]
-    shared = [_best(feed, partners, tuning) for feed, partners in zip(tolerant, others, strict=True)]
-    guesses = [
-        _best_guess(feed, partners, in_common, plane, tuning)
-        if partners
-        and feed.description.name not in matched
-        and (in_common is None or in_common.share < tuning.guess_share)
-        else None
-        for feed, partners, in_common in zip(feeds, others, shared, strict=True)
+    examined = [
+        _Examined.of(feed, own, tolerant, fit, feed.description.name in matched, plane, tuning)
+        for feed, own, fit in zip(feeds, tolerant, by_plots, strict=True)
     ]
     sentences: dict[str, str] = {}
-    of_bearings: frozenset[str] = frozenset()
-    for feed, guess in zip(feeds, guesses, strict=True):
+    for one in examined:
         # Of two that contradict each other one sentence is enough.
-        if guess is not None and guess.other not in sentences:
-            sentences[feed.description.name] = guess.sentence
-    for feed, fit in zip(feeds, by_plots, strict=True):
-        name = feed.description.name
-        if fit is None or name in matched or name in sentences:
-            continue
-        if of_bow := _bow_sentence(feed, feeds, plane, fits):
-            sentences[name], of_bearings = of_bow, of_bearings | {name}
-    misread = {feed.description.name: guess.either for feed, guess in zip(feeds, guesses, strict=True) if guess}
-    misread |= {name: frozenset({name}) for name in of_bearings}
-    named = {guess.other for guess in guesses if guess is not None}
-    for feed, partners, in_common, fit in zip(feeds, others, shared, by_plots, strict=True):
-        name = feed.description.name
-        has_common = name in matched or (
-            in_common is not None and in_common.share > tuning.unrelated_share and in_common.gain > 0.0
-        )
-        accused = all(other.description.name in sentences for other in partners)
-        if not (has_common or name in sentences or name in named or accused):
-            undecided = fit is not None and fit[0].log_evidence > -tuning.registration.decisive
-            sentences[name] = (
-                _undecided(fit[0], fit[1]) if undecided and fit else _nothing_in_common(feed, partners, in_common)
-            )
-    names = (feed.description.name for feed in feeds if feed.description.name in sentences)
+        if one.guess is not None and one.guess.other not in sentences:
+            sentences[one.name] = one.guess.sentence
+    of_bow = {
+        one.name: sentence for one in examined
+        if one.by_plots is not None and not one.is_matched and one.name not in sentences
+        and (sentence := _bow_sentence(one.feed, feeds, plane, fits))
+    }  # fmt: skip
+    sentences |= of_bow
+    guesses = {one.name: one.guess for one in examined if one.guess is not None}
+    misread = {name: guess.either for name, guess in guesses.items()} | {name: frozenset({name}) for name in of_bow}
+    named = {guess.other for guess in guesses.values()}
+    for one in examined:
+        accused = all(other.description.name in sentences for other in one.partners)
+        if not (one.has_common(tuning) or one.name in sentences or one.name in named or accused):
+            sentences[one.name] = one.unmatched(tuning)
+    names = (one.name for one in examined if one.name in sentences)
     return tuple(Doubt(sentences[name], misread.get(name, frozenset())) for name in names)
+
+
+@dataclass(frozen=True)
+class _Examined:
+    """A source beside the others.
+
+    partners : the sources with comparable reports. in_common : what it has in common with the best of them.
+    by_plots : as of :func:`_by_plots`. is_matched : whether the plots of all scans show that it matches another source.
+    guess : the mistake by which it would match one; None if none is likely.
+    """
+
+    feed: Feed
+    partners: Sequence[Feed]
+    in_common: Shared | None
+    by_plots: tuple[BiasFit, tuple[str, ...]] | None
+    is_matched: bool
+    guess: BestGuess | None
+
+    @classmethod
+    def of(
+        cls,
+        feed: Feed,
+        own: Feed,
+        tolerant: Sequence[Feed],
+        by_plots: tuple[BiasFit, tuple[str, ...]] | None,
+        is_matched: bool,
+        plane: LocalPlane | None,
+        tuning: Tuning,
+    ) -> _Examined:
+        """own : the feed as of :func:`_tolerant`, one of ``tolerant``."""
+        partners = _comparable(feed, [other for other in tolerant if other.description != feed.description])
+        in_common, guess = _best(own, partners, tuning), None
+        if partners and not is_matched and (in_common is None or in_common.share < tuning.guess_share):
+            guess = _best_guess(feed, partners, in_common, plane, tuning)
+        return cls(feed, partners, in_common, by_plots, is_matched, guess)
+
+    @property
+    def name(self) -> str:
+        return self.feed.description.name
+
+    def has_common(self, tuning: Tuning) -> bool:
+        """Whether it has more in common with another source than by chance."""
+        best = self.in_common
+        return self.is_matched or (best is not None and best.share > tuning.unrelated_share and best.gain > 0.0)
+
+    def unmatched(self, tuning: Tuning) -> str:
+        """The sentence on a source that has nothing in common with the others."""
+        if self.by_plots is not None and self.by_plots[0].log_evidence > -tuning.registration.decisive:
+            return _undecided(*self.by_plots)
+        return _nothing_in_common(self.feed, self.partners, self.in_common)
 
 
 def _by_plots(feed: Feed, feeds: Sequence[Feed], fits: PlotFits) -> tuple[BiasFit, tuple[str, ...]] | None:
