@@ -68,8 +68,8 @@ class Aside:
         if work >= self.least:
             try:
                 return self._submitted(function, *arguments, **named).result()
-            except (BrokenProcessPool, OSError) as error:
-                # As where the memory does not suffice for another process.
+            except (BrokenProcessPool, OSError, ImportError, NotImplementedError) as error:
+                # As where the memory does not suffice for another process, or the system has no shared semaphores.
                 LOG.info("the process beside this one ended: %r", error)
                 self._pool = None
         return function(*arguments, **named)

@@ -409,7 +409,7 @@ class LivePicture:
             return live_feed.feed(instant_s)
         delay_s = float(biases.theta[TIME])
         feed = live_feed.feed(instant_s, early_s=max(0.0, -delay_s))
-        return unbiased_now(feed, biases, live_feed.track_timeout_s(delay_s))
+        return unbiased_now(feed, biases, live_feed.track_timeout_s(delay_s), instant_s)
 
     def _start(self) -> Watch | PlotPicture:
         reporting = [feed for feed in self._feeds.values() if feed.has_reports]

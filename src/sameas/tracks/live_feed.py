@@ -605,10 +605,18 @@ def _sigma_m(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(covariance[:, 0, 0] + covariance[:, 1, 1]))
 
 
-def unbiased_now(feed: Feed, biases: SourceBiases, track_timeout_s: float) -> Feed:
-    """A live feed corrected for biases; the order of its reports stays."""
-    now = biases.removed(feed)
-    if feed.reports.track is None or biases.theta is None:
-        return now
+def unbiased_now(feed: Feed, biases: SourceBiases, track_timeout_s: float, instant_s: float) -> Feed:
+    """A live feed corrected for biases, for one instant; the order of its reports stays.
+
+    Of tracks, only the reports that are current at the instant have a place: to correct all takes ten times as long.
+    """
+    reports = feed.reports
+    if reports.track is None or biases.theta is None:
+        return biases.removed(feed)
     succession = replace(feed.succession, time_s=feed.succession.time_s - biases.theta[TIME])
-    return now.with_succession(succession, track_timeout_s)
+    if isinstance(reports, States):
+        state = np.full_like(reports.state, np.nan)
+        current = succession.at(instant_s)
+        state[current] = reports.state[current]
+        feed = replace(feed, reports=replace(reports, state=state))
+    return biases.removed(feed).with_succession(succession, track_timeout_s)
