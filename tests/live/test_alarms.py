@@ -1,12 +1,15 @@
 """The log of alarms: they begin and end, are acknowledged, and a flood of them hides no other."""
 
+import math
 import sqlite3
+from types import SimpleNamespace
 
 import pytest
 from tests.live.conftest import START_S
 
 from sameas.cli.watch import News
 from sameas.live.alarms import AlarmLog
+from sameas.live.inputs import WireState
 from sameas.live.journal import Journal, Store
 from sameas.live.situation import Alarm
 
@@ -50,6 +53,17 @@ def test_every_second_names_the_most_urgent_approaches():
     clock[0] = 1.0
     log.update(fleet[90:91], START_S + 1.0)
     assert len(news()) == 1
+
+
+def test_the_terminal_says_once_that_an_input_has_own_ship():
+    """Without her no approach is watched, which nothing else shows."""
+    wire = SimpleNamespace(state=WireState(), stream=SimpleNamespace(own_ship=(math.nan, math.nan, math.nan)))
+    news = News({"udp://:1": wire}, AlarmLog(Store(None), START_S), names_own_ship=False)
+    assert news() == []
+    wire.stream.own_ship = (50.0, -1.0, math.nan)
+    assert "own_ship = { source = … }" in news()[0] and news() == []
+    news = News({"udp://:1": wire}, AlarmLog(Store(None), START_S))
+    assert news() == []
 
 
 def opened(folder):

@@ -86,7 +86,12 @@ def canboat_frames(time_s, message):
     return [f"{moment},4,{message[0]},43,255,{len(part)},{part.hex(',')}" for part in frames(*message)[1]]
 
 
-FORMS = (candump_log, candump, yacht_devices, canboat, canboat_frames)
+def signal_k(time_s, message):
+    """As the log of a Signal K server has them."""
+    return [f"{round(time_s * 1000)};A;{line}" for line in canboat(time_s, message)]
+
+
+FORMS = (candump_log, candump, yacht_devices, canboat, canboat_frames, signal_k)
 
 
 def log(form, *messages, every_s=1.0):

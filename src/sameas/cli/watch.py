@@ -322,12 +322,19 @@ class News:
 
     A forger can raise hundreds of alarms. Of each condition the first :data:`FEW` within a minute have a line of their
     own, and those after them a count. An approach is a danger of its own: of these every call names the first.
+
+    names_own_ship : whether the settings do; if not, it is said once that an input has her position.
     """
 
     def __init__(
-        self, wires: Mapping[str, Wire], alarms: AlarmLog, clock: Callable[[], float] = time.monotonic
+        self,
+        wires: Mapping[str, Wire],
+        alarms: AlarmLog,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        names_own_ship: bool = True,
     ) -> None:
-        self.wires, self.alarms, self.clock = wires, alarms, clock
+        self.wires, self.alarms, self.clock, self.names_own_ship = wires, alarms, clock, names_own_ship
         self.connections: dict[str, tuple[str, int]] = {}
         self.crowds: dict[str, _Crowd] = defaultdict(_Crowd)
 
@@ -338,6 +345,12 @@ class News:
             if words and connection != self.connections.get(url):
                 self.connections[url] = connection
                 lines.append(f"  {url}: {words}")
+            if not self.names_own_ship and math.isfinite(wire.stream.own_ship[0]):
+                self.names_own_ship = True
+                lines.append(
+                    f"  {url} has own ship's position: with own_ship = {{ source = … }} in [watch], the map shows her "
+                    "and approaches are watched"
+                )
         for condition, crowd in self.crowds.items():
             if condition == "cpa" or now_s - crowd.since_s >= CROWD_S:
                 crowd.named, crowd.since_s = 0, now_s
@@ -390,7 +403,7 @@ async def _run(
         server[0].install_signal_handlers = lambda: None  # type: ignore[attr-defined]  # of older versions
         server[0].capture_signals = contextlib.nullcontext  # type: ignore[method-assign,assignment]
         served = asyncio.create_task(server[0].serve(sockets=[server[1]]))
-    news = News(keeper.wires, keeper.alarms)
+    news = News(keeper.wires, keeper.alarms, names_own_ship=keeper.settings.watch.own_ship is not None)
 
     async def tell() -> None:
         while True:

@@ -325,6 +325,8 @@ class SensorFormat:
     magic: tuple[bytes, ...] = ()
 
 
+#: What a Signal K server writes before each message of its log: milliseconds and the provider, or its kind.
+LOGGED = re.compile(r"^\d{13};[^;{]*;")
 #: The columns of own ship at each report of a log that has her position, in m/s and degrees from north.
 OWN_SHIP: Mapping[str, str] = {
     "lat": "own_lat_deg", "lon": "own_lon_deg", "heading": "own_heading_deg", "speed": "own_speed_m_per_s",

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sameas.io.sensors import sentences
-from sameas.io.sensors.format import DAY_S, KNOT_M_PER_S, SensorFormat, instant
+from sameas.io.sensors.format import DAY_S, KNOT_M_PER_S, LOGGED, SensorFormat, instant
 from sameas.io.sensors.sentences import AisWriter
 
 #: First bit, number of bits, unit of a step, whether the number is signed.
@@ -147,6 +147,7 @@ class Bus:
 
 def _frame(line: str) -> tuple[float | None, int, int, bytes]:
     """Time of receipt, PGN, source and bytes of a line."""
+    line = LOGGED.sub("", line)
     if found := _CANBOAT.match(line):
         data = bytes(int(byte, 16) for byte in found["data"].split(",") if byte)[: int(found["n"])]
         # canboat writes 2011-11-24-22:42:04.388, too.
@@ -257,6 +258,7 @@ _SENTENCES: Mapping[int, Callable[[Given, AisWriter], list[str]]] = {
 
 
 def _is_frame(line: str) -> bool:
+    line = LOGGED.sub("", line)
     return any(form.match(line) is not None for form in (_CANDUMP, _CANBOAT, _YACHT_DEVICES))
 
 

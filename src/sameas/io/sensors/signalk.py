@@ -20,12 +20,10 @@ from typing import Any
 import numpy as np
 
 from sameas.io.sensors.ais import LENGTH_PER_WIDTH, at_hull_centres
-from sameas.io.sensors.format import OWN_SHIP, SensorFormat, instant, of_json, plain_text
+from sameas.io.sensors.format import LOGGED, OWN_SHIP, SensorFormat, instant, of_json, plain_text
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 _MMSI = re.compile(r"mmsi:(\d{9})$")
-#: What a server writes before each message of its log: milliseconds and the name of the provider.
-_LOGGED = re.compile(r"^\d{13};[^;{]*;")
 _TARGET = re.compile(r"(?:^|\.)radars\.([^.]+)\.targets\.([^.]+)$")
 #: Paths of numeric values, with their column and the factor to its unit.
 _NUMBERS = {
@@ -113,7 +111,7 @@ def read(lines: Sequence[str], source: str, vessels: Vessels | None = None) -> l
         if not line.strip():
             continue
         try:
-            delta = of_json(_LOGGED.sub("", line))
+            delta = of_json(LOGGED.sub("", line))
         except ValueError:
             damaged.append((number, "no delta"))
             continue
