@@ -3,6 +3,7 @@
 import math
 import sqlite3
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from tests.live.conftest import START_S
@@ -57,7 +58,7 @@ def test_every_second_names_the_most_urgent_approaches():
 
 def test_the_terminal_says_once_that_an_input_has_own_ship():
     """Without her no approach is watched, which nothing else shows."""
-    wire = SimpleNamespace(state=WireState(), stream=SimpleNamespace(own_ship=(math.nan, math.nan, math.nan)))
+    wire: Any = SimpleNamespace(state=WireState(), stream=SimpleNamespace(own_ship=(math.nan, math.nan, math.nan)))
     news = News({"udp://:1": wire}, AlarmLog(Store(None), START_S), names_own_ship=False)
     assert news() == []
     wire.stream.own_ship = (50.0, -1.0, math.nan)
