@@ -218,20 +218,9 @@ def _position_sigmas(
         sigma = np.full(len(table), error.sigma_arcsec)
         return sigma, sigma, None
     if error.kind == "variances":
-        names = [
-            *((c.name, c.unit) for c in error.columns),
-            *([(error.covariance, "arcsec2")] * bool(error.covariance)),
-        ]
-        squares = [column_values.numbers(table, n, source) * column_values.factor(u, "arcsec2") for n, u in names]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            east, north = (np.sqrt(np.where(square >= 0, square, np.nan)) for square in squares[:2])
-            rho = np.nan_to_num(squares[2] / (east * north), posinf=0.0, neginf=0.0) if error.covariance else None
-        return east, north, rho
+        return _of_variances(table, error, source)
     if error.kind == "inverse variances":
-        inverses = [
-            column_values.numbers(table, c.name, source) * column_values.factor(c.unit, "1/arcsec2")
-            for c in error.columns
-        ]
+        inverses = _in_unit(table, error, "1/arcsec2", source)
         with np.errstate(invalid="ignore", divide="ignore"):  # 0 states that nothing was measured
             east, north = (1.0 / np.sqrt(np.where(inverse > 0, inverse, np.nan)) for inverse in inverses)
         return east, north, None
@@ -252,21 +241,46 @@ def _position_sigmas(
         xx, yy, xy = ellipse_covariance(major, np.where(minor > 0, minor, np.nan), np.where(major == minor, 0.0, angle))
         return np.sqrt(xx), np.sqrt(yy), xy / np.sqrt(xx * yy)
     east, north = columns
+    return east, north, _stated_correlation(table, error, east, north, source)
+
+
+def _in_unit(table: Table, error: PositionError, unit: str, source: str) -> list[FloatArray]:
+    """(n,) each of the columns of an error, in one unit."""
+    columns = ((column_values.numbers(table, c.name, source), c.unit) for c in error.columns)
+    return [values * column_values.factor(own, unit) for values, own in columns]
+
+
+def _of_variances(table: Table, error: PositionError, source: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """As of :func:`_position_sigmas`, of an error that is given by variances in columns."""
+    with np.errstate(invalid="ignore"):
+        east, north = (np.sqrt(np.where(x >= 0, x, np.nan)) for x in _in_unit(table, error, "arcsec2", source))
+    if not error.covariance:
+        return east, north, None
+    return east, north, _correlation(column_values.numbers(table, error.covariance, source), east, north)
+
+
+def _stated_correlation(
+    table: Table, error: PositionError, east: FloatArray, north: FloatArray, source: str
+) -> FloatArray | None:
+    """(n,) correlation of the errors east and north, arcsec, by a column of it, or of the covariance; None without."""
     if error.correlation:
-        return east, north, np.nan_to_num(column_values.numbers(table, error.correlation, source))
+        return np.nan_to_num(column_values.numbers(table, error.correlation, source))
     if error.co_sigma:
         root = column_values.numbers(table, error.co_sigma, source)
         root = root * column_values.factor(error.columns[0].unit, "arcsec")
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return east, north, np.nan_to_num(root * np.abs(root) / (east * north), posinf=0.0, neginf=0.0)
+        return _correlation(root * np.abs(root), east, north)
     if error.covariance:
         unit = column_values.unit_of(table, error.covariance)
         native = column_values.factor(error.columns[0].unit, "arcsec") ** 2
         square = column_values.factor(unit.to_string(), "arcsec2") if unit else native
-        covariance = column_values.numbers(table, error.covariance, source) * square
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return east, north, np.nan_to_num(covariance / (east * north), posinf=0.0, neginf=0.0)
-    return east, north, None
+        return _correlation(column_values.numbers(table, error.covariance, source) * square, east, north)
+    return None
+
+
+def _correlation(covariance: FloatArray, east: FloatArray, north: FloatArray) -> FloatArray:
+    """(n,) correlation by the covariance of two errors; 0 where one of them is 0 or unknown."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num(covariance / (east * north), posinf=0.0, neginf=0.0)
 
 
 def _motion_numbers(
