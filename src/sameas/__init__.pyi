@@ -26,7 +26,7 @@ from .evidence import PoissonField as PoissonField
 from .evidence import Samples as Samples
 from .evidence import Universal as Universal
 from .evidence.close import estimate_reach as estimate_reach
-from .front.explain import compare as compare
+from .front.comparison import compare as compare
 from .front.explain import explain as explain
 from .front.frame import MatchFrame as MatchFrame
 from .front.frame import match_frame as match_frame

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 import sameas
 from sameas import InputError
 from sameas.cli.app import app
-from sameas.front.explain import ComparedObjects, comparison_lines
+from sameas.front.comparison import ComparedObjects, comparison_lines
 from sameas.io import read_provenance, write_table
 
 

@@ -24,7 +24,7 @@ def compare(
     """
     with answering(debug):
         from sameas.cli.terminal import Pace, Printer
-        from sameas.front.explain import compare as comparison
+        from sameas.front.comparison import compare as comparison
 
         with Pace(quiet=False) as pace:
             pace(f"reading {one} and {other}")

@@ -313,6 +313,7 @@ async def _events(keeper: Keeper, clients: Clients, since: int | None) -> AsyncI
 
 
 def sse_event(kind: str, keeper: Keeper, situation: Situation, delta: Delta) -> str:
+    """A server-sent event, "whole" or "delta": what a page shows of a situation, as JSON."""
     own = situation.own_ship
     content = {
         "tick": delta.tick, "t": delta.time_s, "whole": kind == "whole", "objects": delta.objects,
