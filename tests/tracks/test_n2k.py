@@ -1,5 +1,6 @@
 """NMEA 2000: messages packed by hand, in every form of a log, give the reports of AIS and ARPA."""
 
+import json
 import math
 import struct
 
@@ -123,6 +124,58 @@ def test_every_form_of_a_log_gives_ships_targets_and_own_ship(form, tmp_path):
     assert targets.station_heading_deg[0] == pytest.approx(33.0, abs=0.01)
     assert targets.time_s[0] == START_S + (0.0 if form is yacht_devices else 6.0)
     assert not len(ships.damaged.lines) and not len(targets.damaged.lines)
+
+
+def analyzed(pgn, radians=False, **fields):
+    """A message as JSON of canboat, or of canboatjs."""
+    moment = "2026-06-01-12:00:03.000"
+    names = {name: math.radians(value) if radians and name in ("COG", "Heading", "Bearing") else value
+             for name, value in fields.items()}  # fmt: skip
+    more = {"input": []} if radians else {}
+    return json.dumps({"timestamp": moment, "prio": 4, "src": 43, "dst": 255, "pgn": pgn, **more, "fields": names})
+
+
+@pytest.mark.parametrize("radians", [False, True])
+def test_the_json_of_canboat_says_the_same(radians, tmp_path):
+    place = {"Longitude": -10.25, "Latitude": 54.5, "Position Accuracy": "High", "Time Stamp": "1"}
+    ship = {"Message ID": "Scheduled Class A position report", "User ID": 211000001}
+    heard = {"AIS Transceiver information": "Channel B VDL reception"}
+    motion = {"COG": 120.0, "SOG": 8.0, "Heading": 118.0, "Nav Status": "At anchor"}
+    sizes = {
+        "Length": 120.0,
+        "Beam": 20.0,
+        "Position reference from Starboard": 8.0,
+        "Position reference from Bow": 100.0,
+    }
+    about = {
+        "Name": "Example",
+        "Callsign": "DABC",
+        "IMO number": 9123456,
+        "Type of ship": "Cargo, No additional information",
+    }
+    own = {"AIS Transceiver information": {"value": 4, "name": "Own information not broadcast"}}
+    lines = [
+        analyzed(129038, radians, **ship, **own, **place, **motion),
+        analyzed(126992, Date="2026.06.01", Time="12:00:00.00000"),
+        analyzed(129025, Latitude=54.4, Longitude=-10.3),
+        analyzed(127250, radians, Heading=33.0, Reference="True"),
+        analyzed(129794, **ship, **heard, **sizes, **about),
+        analyzed(129038, radians, **ship, **heard, **place, **motion),
+        analyzed(128520, radians, **{
+            "Target ID #": 7, "Track Status": "Tracking", "Bearing Reference": "True", "Bearing": 45.0,
+            "Distance": 3704.0, "Course": None, "Speed": 5.0,
+        }),
+        analyzed(127488, Speed=800.0), '{"pgn": 129038, "fields": 7}',
+    ]  # fmt: skip
+    assert format_of("\n".join(lines).encode()) == "n2k"
+    ships, targets = read_reports(written(tmp_path, lines))
+    assert (ships.mmsi[0], ships.name[0], ships.callsign[0], ships.type[0]) == ("211000001", "EXAMPLE", "DABC", "cargo")
+    assert (ships.length_m[0], ships.extra["nav_status"][0], ships.covariance_m2[0, 0] > 25.0) == (120.0, 1.0, True)
+    np.testing.assert_allclose([ships.course_deg[0], ships.heading_deg[0]], [120.0, 118.0], atol=0.1)
+    np.testing.assert_allclose(ships.speed_m_per_s[0], 8.0, atol=0.03)
+    assert targets.track_id[0] == "7" and targets.bearing_deg[0] == pytest.approx(45.0)
+    assert targets.station_heading_deg[0] == pytest.approx(33.0) and targets.course_deg is None
+    assert ships.passed_over == {"own ship's own report (VDO)": 1} and ships.damaged.lines.tolist() == [9]
 
 
 def test_what_own_transponder_sends_is_own_ship(tmp_path):

@@ -1,10 +1,10 @@
 """NMEA 2000: the frames of a ship's CAN bus, of AIS, radar targets and own ship.
 
-Logs of candump (also ``-L``), of canboat and Actisense (``time,priority,PGN,source,destination,length,byte,…``) and the
-RAW protocol of Yacht Devices gateways are read, one frame or message in a line, with their times of receipt or else
-those of the bus. A message longer than 8 bytes comes in several frames (fast packet), which are joined by source and
-number. Every message (PGN) that is used is translated to a sentence of NMEA 0183
-(:mod:`sameas.io.sensors.sentences`). Layouts: NMEA 2000 as analysed by the canboat project.
+Logs of candump (also ``-L``), of canboat and Actisense (``time,priority,PGN,source,destination,length,byte,…``), the
+RAW protocol of Yacht Devices gateways and the JSON of canboat (:mod:`sameas.io.sensors.n2k_json`) are read, one frame
+or message in a line, with their times of receipt or else those of the bus. A message longer than 8 bytes comes in
+several frames (fast packet), which are joined by source and number. Every message (PGN) that is used is translated to a
+sentence of NMEA 0183 (:mod:`sameas.io.sensors.sentences`). Layouts: NMEA 2000 as analysed by the canboat project.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any
 
 from sameas.io.sensors import sentences
 from sameas.io.sensors.format import DAY_S, KNOT_M_PER_S, LOGGED, SensorFormat, instant
+from sameas.io.sensors.n2k_json import described, iso_time
 from sameas.io.sensors.sentences import AisWriter
 
 #: First bit, number of bits, unit of a step, whether the number is signed.
@@ -110,6 +111,10 @@ class Bus:
         ------
         ValueError : it is no frame.
         """
+        if line.lstrip()[:1] == "{":
+            time_s, pgn, said = described(line)
+            given: Given = {name: said.get(name) for name in (*FIELDS.get(pgn, ()), *_TEXTS.get(pgn, ()))}
+            return self._sentences(time_s, pgn, given)
         time_s, pgn, source, data = _frame(line)
         if pgn not in FIELDS:
             return ()
@@ -120,9 +125,13 @@ class Bus:
             data = joined
         if len(data) < _LEAST.get(pgn, 0):
             raise ValueError(f"message {pgn} of {len(data)} bytes is cut off")
-        given: Given = {name: _number(data, *layout) for name, layout in FIELDS[pgn].items()}
+        given = {name: _number(data, *layout) for name, layout in FIELDS[pgn].items()}
         given = {**given, **{name: _text(data, *place) for name, place in _TEXTS.get(pgn, {}).items()}}
-        return [sentences.at_time(text, time_s) for text in _SENTENCES[pgn](given, self.write_ais)]
+        return self._sentences(time_s, pgn, given)
+
+    def _sentences(self, time_s: float | None, pgn: int, given: Given) -> list[str]:
+        texts = _SENTENCES[pgn](given, self.write_ais) if pgn in FIELDS else []
+        return [sentences.at_time(text, time_s) for text in texts]
 
     def _joined(self, pgn: int, source: int, frame: bytes) -> bytes | None:
         """The message that this frame completes; None if frames are missing."""
@@ -150,8 +159,7 @@ def _frame(line: str) -> tuple[float | None, int, int, bytes]:
     line = LOGGED.sub("", line)
     if found := _CANBOAT.match(line):
         data = bytes(int(byte, 16) for byte in found["data"].split(",") if byte)[: int(found["n"])]
-        # canboat writes 2011-11-24-22:42:04.388, too.
-        time_s = instant(re.sub(r"(\d\d)-(\d\d:)", r"\1T\2", found["time"]))
+        time_s = instant(iso_time(found["time"]))
         return time_s, int(found["pgn"]), int(found["src"]), data
     found = _CANDUMP.match(line) or _YACHT_DEVICES.match(line)
     if not found:
@@ -221,8 +229,7 @@ def _ais(kind: int | None, **more: Any) -> Callable[[Given, AisWriter], list[str
         fields = {name: value for name, value in given.items() if name not in _OF_SIZE and name != "transceiver"}
         if "length" in given:
             fields |= _sides(given)
-        if kind is not None:
-            fields["type"] = kind
+        fields["type"] = kind or given["type"] or 1
         return write_ais(fields | more, own=given["transceiver"] in _OWN)
 
     return write
@@ -259,6 +266,8 @@ _SENTENCES: Mapping[int, Callable[[Given, AisWriter], list[str]]] = {
 
 def _is_frame(line: str) -> bool:
     line = LOGGED.sub("", line)
+    if line.lstrip()[:1] == "{":
+        return re.search(r'"pgn"\s*:\s*\d', line) is not None and '"updates"' not in line
     return any(form.match(line) is not None for form in (_CANDUMP, _CANBOAT, _YACHT_DEVICES))
 
 
@@ -270,7 +279,7 @@ def looks_like(lines: Sequence[str]) -> bool:
 
 FORMAT = SensorFormat(
     "n2k",
-    "NMEA 2000: frames of candump, canboat, Actisense or Yacht Devices",
+    "NMEA 2000: frames of candump, canboat, Actisense or Yacht Devices, JSON of canboat",
     lambda file: sentences.read_translated(file, Bus()),
     lambda file: looks_like(file.head_lines),
 )

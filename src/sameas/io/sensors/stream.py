@@ -58,15 +58,15 @@ def format_of(data: bytes) -> str | None:
         return "sbs"
     if gpsd.looks_like(text):
         return "gpsd"
+    # The first bytes may be the end of a line.
+    if n2k.looks_like(text.decode("ascii", errors="replace").splitlines()[:8]):
+        return "n2k"
     if text[:1] == b"{":
         # The hello message of a server has roles, or its version and own ship.
         greets = b'"roles"' in text or (b'"version"' in text and b'"self"' in text)
         if b'"updates"' in text or greets:
             return "signalk"
         return "aircraft" if b'"aircraft"' in text else "table" if b"\n" in text else None
-    # The first bytes may be the end of a line.
-    if n2k.looks_like(text.decode("ascii", errors="replace").splitlines()[:8]):
-        return "n2k"
     # A line may begin with its receive time.
     return "nmea" if re.search(rb"[!$][A-Z]{4,9}[A-Z0-9]?,", text) else None
 
