@@ -40,7 +40,6 @@ from benchmarks.memory import instant_evidence
 from benchmarks.picture import World, solent
 from benchmarks.tables import Table, report
 from benchmarks.watch_rules import SHIP_RULES, SOURCE_RULES, rule_alarms, source_alarms
-from sameas.picture.deception import source_faults
 from sameas.picture.picture import Picture, picture_states
 from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_tracker import PlotTracker
@@ -51,6 +50,7 @@ from sameas.simulate.sensors import Bias, Sensor, SensorOutput, TrueMotion
 from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import AZIMUTH
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.faults import source_faults
 from sameas.tracks.feed import Feed
 from sameas.tracks.plot_offsets import fit_plots
 from sameas.tracks.plot_pairs import Plots, candidates

@@ -8,13 +8,13 @@ import pytest
 from modelled_scenes import describe, feed, straight
 
 from sameas.picture import LivePicture
-from sameas.picture.deception import source_faults
 from sameas.picture.picture import Picture, instants
 from sameas.picture.tuning import Tuning
 from sameas.picture.watch import Watch
 from sameas.report.picture import found_lines
 from sameas.report.prose import ALARM
 from sameas.tracks import Description, SensorErrors, Site
+from sameas.tracks.faults import source_faults
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 

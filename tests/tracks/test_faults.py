@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sameas.io.sensors.format import unwrapped
-from sameas.picture.deception import Fault, source_faults
 from sameas.simulate.boat_radar import boat_radar
+from sameas.tracks.faults import Fault, source_faults
 from sameas.tracks.scene import Scene
 
 

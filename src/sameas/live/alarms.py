@@ -13,8 +13,8 @@ from typing import Any
 
 from sameas.live.journal import Journal, Store
 from sameas.live.situation import Alarm, Situation
-from sameas.picture.deception import Fault
 from sameas.picture.picture_state import PictureState
+from sameas.tracks.faults import Fault
 
 #: An alarm ends when its condition has been absent for this many seconds of picture time.
 ALARM_ENDS_S = 10.0

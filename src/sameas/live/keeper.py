@@ -34,10 +34,10 @@ from sameas.live.reception import Reception
 from sameas.live.replay import Playback, Replay, SteadyClock, in_words
 from sameas.live.settings import Settings
 from sameas.live.situation import Alarm, Delta, Situation
-from sameas.picture.deception import Fault
 from sameas.picture.live import LivePicture, estimated, faults_of
 from sameas.picture.picture_state import PictureState
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.faults import Fault
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from sameas.errors import InputError
-from sameas.picture.deception import Fault, faults_and_deceptions, sightings_of
+from sameas.picture.deception import faults_and_deceptions, sightings_of
 from sameas.picture.picture import Columns, error_lines, gathered, object_columns, record_columns, with_degrees
 from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_picture import PlotPicture
@@ -30,6 +30,7 @@ from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import Watch
 from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.faults import Fault
 from sameas.tracks.feed import Feed
 from sameas.tracks.heights import HeightModel
 from sameas.tracks.kinds import KINDS

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import IdentityConflict
-from sameas.picture.deception import Fault
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotObjects
 from sameas.picture.tables import CONFIRMED
 from sameas.picture.texts import TEXTS
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.tracks.faults import Fault
 from sameas.tracks.feed import Feed, fastest_vessel_m_per_s
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.scene import Scene
