@@ -223,6 +223,16 @@ def test_reports_of_a_stream_say_where_own_ship_was_then():
     assert stream.own_ship[0] == pytest.approx(50.0 + 1 / 60)
 
 
+def test_buoys_and_base_stations_on_signal_k_are_no_ships():
+    place = {"path": "navigation.position", "value": {"latitude": 50.0, "longitude": -1.0}}
+    contexts = "atons.urn:mrn:imo:mmsi:992351000", "shore.basestations.urn:mrn:imo:mmsi:002320001", "vessels.x"
+    update = {"timestamp": "2024-05-01T12:00:00Z", "values": [place]}
+    lines = [json.dumps({"context": context, "updates": [update]}) + "\n" for context in contexts]
+    stream, found = by_pieces("".join(lines).encode(), [])
+    assert found["wire:ais"].track_id.tolist() == ["vessels.x"]
+    assert stream.passed_over["aid to navigation or base station"] == 2
+
+
 def test_the_compass_of_a_yacht_on_signal_k_is_her_heading_with_its_variation(tmp_path):
     at = {"timestamp": "2024-05-01T12:00:00Z"}
     place = {"path": "navigation.position", "value": {"latitude": 50.0, "longitude": -1.0}}

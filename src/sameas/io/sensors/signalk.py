@@ -33,6 +33,8 @@ _NUMBERS = {
     "navigation.headingMagnetic": ("magnetic_heading_deg", 180.0 / math.pi),
     "navigation.magneticVariation": ("variation_deg", 180.0 / math.pi),
 }
+#: The beginnings of contexts that are no vessels.
+_STATIONS = ("atons.", "shore.")
 #: Columns of own ship's compass.
 _OF_COMPASS = ("magnetic_heading_deg", "variation_deg")
 #: Paths of sizes in metres, with their column; the length may be an object. The signs of ``fromCenter`` differ between
@@ -146,6 +148,9 @@ def _add_delta(
     context = plain_text(delta.get("context", vessels.own_context))
     if context is None:
         raise ValueError("its context is no text")
+    if context.startswith(_STATIONS):
+        passed_over["aid to navigation or base station"] += 1
+        return
     is_own = context in ("vessels.self", vessels.own_context, f"vessels.{vessels.own_context}")
     fields = vessels.fields.setdefault("self" if is_own else context, {})
     for update in delta["updates"]:
