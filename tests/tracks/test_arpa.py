@@ -122,6 +122,12 @@ def test_a_stream_remembers_which_targets_ttm_reports():
     assert reports(later, tll("01", time="130512.00"), ship=ship).track_id.tolist() == ["01/2"]
 
 
+def test_own_position_may_come_from_several_satellite_systems():
+    gns = "GNGNS,130211.00,5046.380,N,00105.576,W,{},14,0.7,12.0,45.0,,"
+    made = reports(ZDA, gns.format("NNN"), ttm(), gns.format("DAN"), ttm())
+    assert np.isnan(made.station_lat_deg[0]) and made.station_lat_deg[1] == pytest.approx(50 + 46.38 / 60)
+
+
 def test_own_position_may_come_from_own_ais():
     pyais = pytest.importorskip("pyais")
     [sentence] = pyais.encode_dict({"type": 1, "mmsi": 235000001, "lat": 50.9, "lon": -1.4, "heading": 30})

@@ -3,8 +3,8 @@
 TTM gives range and bearing, speed and course, each true or relative by a flag of its own; TLL gives latitude and
 longitude computed by the radar. Of a target that has both, only TTM, the measurement, is used; one that has TLL alone
 beside others with TTM is reported by its range and bearing from own ship. OSD, HDT and THS give the heading of own
-ship, else a compass (HDG, HDM) with the variation of HDG or RMC; RMC, GGA, GLL and own AIS (VDO) give its position. The
-accuracy of the radar is in no sentence; it comes from the description of the source.
+ship, else a compass (HDG, HDM) with the variation of HDG or RMC; RMC, GGA, GNS, GLL and own AIS (VDO) give its
+position. The accuracy of the radar is in no sentence; it comes from the description of the source.
 
 Target numbers have two digits and are used again: ``05`` is the first target with this number, ``05/2`` the second. A
 target with a known number is another one if the radar had lost the number (status L), acquires it (Q) after it was
@@ -295,6 +295,7 @@ _OWN_SHIP: Mapping[str, Callable[[Sentence], dict[str, Any]]] = {
     "RMC": _recommended,
     "VTG": lambda s: _velocity(s, 5, 1),
     "GGA": lambda s: _position(2)(s) if s.field(6) != "0" else {},
+    "GNS": lambda s: _position(2)(s) if s.field(6).strip("N") else {},
     "GLL": lambda s: _position(1)(s) if s.field(6) != "V" else {},
     "VDO": ais.own_ship,
 }
@@ -427,7 +428,7 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
 
 
 #: Sentences of positions, and the field of their time of day.
-_POSITIONS = {"RMC": 1, "GGA": 1, "GLL": 5}
+_POSITIONS = {"RMC": 1, "GGA": 1, "GNS": 1, "GLL": 5}
 
 
 def _own_positions(log: Log, source: str, start_s: float | None) -> Reports | None:
