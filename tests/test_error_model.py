@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sameas import Records
-from sameas.estimate.error_model import DEFAULT_SCALES, ErrorModel, ScalesTuning, error_model, fit_errors, tail
+from sameas.estimate.error_model import ErrorModel, error_model, tail
+from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
 from sameas.estimate.match import match
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors

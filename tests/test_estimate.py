@@ -8,7 +8,7 @@ import pytest
 
 from problems import calibration, counterparts_of_ellipses
 from sameas import InputError, Radius, Records
-from sameas.estimate.error_model import fit_errors
+from sameas.estimate.error_scales import fit_errors
 from sameas.estimate.match import match
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors

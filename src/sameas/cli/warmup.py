@@ -101,7 +101,7 @@ def compile_sums() -> None:
 
 def compile_scales() -> None:
     """Compile the kernels of the error scales on a few pairs."""
-    from sameas.estimate.error_model import fit_errors
+    from sameas.estimate.error_scales import fit_errors
     from sameas.evidence import Errors
 
     compiled.compile_all()

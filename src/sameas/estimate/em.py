@@ -21,7 +21,7 @@ from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.companions import Companions
 from sameas.estimate.coverage import local_share
 from sameas.estimate.error_average import Average, Averaged, HypothesisSums, without_positions
-from sameas.estimate.error_model import DEFAULT_SCALES, ScalesTuning, fit_errors
+from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
 from sameas.estimate.grades import DEFAULT_GRADES, Grades, GradesTuning
 from sameas.estimate.photometry import LearningPairs, Photometry
 from sameas.estimate.quantity import MAX_MISSING

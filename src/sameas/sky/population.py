@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.estimate.coverage import Coverage, local_share
 from sameas.estimate.em import DEFAULT_EM, EMTuning
-from sameas.estimate.error_model import fit_errors
+from sameas.estimate.error_scales import fit_errors
 from sameas.evidence import Errors
 from sameas.gaussian import LOG_2PI, InformationSum, inverse, log_density, propagated
 from sameas.kernels import threads
