@@ -194,6 +194,34 @@ def test_a_log_of_own_ship_alone_carries_a_radar_and_is_no_object(tmp_path):
         Scene.of([(Description("gps", "tracks"), own)], PLANE)
 
 
+def test_a_track_of_gpx_carries_a_radar(tmp_path):
+    def point(lat, lon, time):
+        return f'<trkpt lat="{lat}" lon="{lon}"><ele>3</ele>{time}</trkpt>'
+
+    times = [f"<time>{np.datetime64(round(t), 's')}Z</time>" for t in gps().time_s]
+    points = [point(*one) for one in zip(gps().lat_deg, gps().lon_deg, times, strict=True)]
+    more = point(50.0, 1.0, ""), point("north", 1.0, times[0]), point(91.0, 1.0, times[0])
+    head = '<?xml version="1.0"?>\n<gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1">'
+    text = f"{head}<wpt lat='1' lon='1'/><trk><trkseg>{''.join([*reversed(points), *more])}</trkseg></trk></gpx>"
+    (tmp_path / "own.gpx").write_text(text)
+    [own] = read_reports(tmp_path / "own.gpx", ReadOptions(source="gps"))
+    assert own.damaged.counts() == {"no time": 1, "no position": 1, "position outside the earth": 1}
+    assert own.extra["own_lat_deg"].tolist() == own.lat_deg.tolist() == gps().lat_deg.tolist()
+    [feed] = scene(described(source="gps"), own).feeds
+    assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [("<gpx><trk>", "is no GPX: no element found"), ("<gpx><wpt lat='1' lon='1'/></gpx>", "no point of a track"),
+     ("<!DOCTYPE gpx><gpx/>", "has a document type")],
+)  # fmt: skip
+def test_gpx_that_is_no_track_is_refused(content, words, tmp_path):
+    (tmp_path / "own.gpx").write_text(content)
+    with pytest.raises(InputError, match=words):
+        read_reports(tmp_path / "own.gpx")
+
+
 def test_without_headings_the_course_of_a_vessel_under_way_is_used_and_said():
     known = gps()
     speed = np.where(known.time_s < START_S + 60.0, 5.0, 0.5)
