@@ -120,7 +120,8 @@ def frame(
     """
     with answering(debug, frame_option):
         from sameas.cli.frames import aim_of, expanded, names_of, scale_of
-        from sameas.front.framing import FrameRequest, PointingOptions, given_values
+        from sameas.front.framing import FrameRequest, given_values
+        from sameas.front.pointing import PointingOptions
 
         paths = expanded(
             [str(path) for path in images], [str(path) for path in (*(dark or ()), *(flat or ()), *(bias or ()))]

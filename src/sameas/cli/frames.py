@@ -21,7 +21,8 @@ from sameas.cli.outcome import end_cleanly_on_sigterm, fault, interruption
 from sameas.cli.outputs import keep_freed_memory
 from sameas.cli.terminal import Printer, notice
 from sameas.errors import InputError
-from sameas.front.framing import CLOSE, FrameRequest, fulfil
+from sameas.front.framing import FrameRequest, fulfil
+from sameas.front.pointing import CLOSE
 from sameas.io.atomic import end_with_parent
 
 if TYPE_CHECKING:

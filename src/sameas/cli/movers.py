@@ -164,8 +164,9 @@ def movers(
     if catalog is not None:
         with answering(debug, frame_option):
             from sameas.cli.frames import aim_of, scale_of
-            from sameas.front.framing import FrameRequest, PointingOptions
+            from sameas.front.framing import FrameRequest
             from sameas.front.options import fields_of
+            from sameas.front.pointing import PointingOptions
 
             darks, flats, biases = (tuple(map(str, kind or ())) for kind in (dark, flat, bias))
             template = FrameRequest(

@@ -213,6 +213,7 @@ def match_frame(
     InputError : no image; the approximate pointing is unknown; no reliable solution; unknown options.
     """
     from sameas.front import framing
+    from sameas.front.pointing import PointingOptions
     from sameas.sky.frame.image import Frame
 
     own = {
@@ -232,7 +233,7 @@ def match_frame(
         folder="identified",
         name=Path(name).stem,
         catalogue=catalogue if isinstance(catalogue, str) else "in memory",
-        pointing=framing.PointingOptions(_aim(aim), radius, _scale(scale), header),
+        pointing=PointingOptions(_aim(aim), radius, _scale(scale), header),
         columns=fields_of(stated, 0),
         given=framing.given_values(gain, read_noise, saturation),
         time=None if time is None else _time(time),
@@ -292,7 +293,7 @@ def _aim(aim: Any) -> tuple[float, float] | None:
 
 
 def _scale(scale: float | tuple[float, float] | None) -> tuple[float, float] | None:
-    from sameas.front.framing import CLOSE
+    from sameas.front.pointing import CLOSE
 
     if scale is None:
         return None
