@@ -98,3 +98,16 @@ def test_a_replayed_log_of_a_bridge_shows_the_ship_that_wrote_it(tmp_path):
     (tmp_path / "named.toml").write_text("[watch]\nown_ship = { mmsi = '235000009' }\n[sources.bridge]\n")
     settings, _ = settings_of([str(tmp_path / "bridge.nmea")], tmp_path / "named.toml", None, 10.0)
     assert settings.watch.own_ship == OwnShip(mmsi="235000009")
+
+
+def test_a_replayed_track_has_its_speed_by_the_times_of_its_reports():
+    """At 30 times real time the instants are 30 s apart: by these she was at rest every other time."""
+    own = motion(OwnShip(source="bridge"), replayed=True)
+    for k in range(4):
+        times = START_S + 30.0 * k + np.arange(0.0, 30.0, 5.0)
+        lat, lon = PLANE.to_geodetic(np.column_stack([3.0 * (times - START_S), 4.0 * (times - START_S)]))
+        places = {"lat_deg": lat, "lon_deg": lon, "own_lat_deg": lat, "own_lon_deg": lon}
+        own.take("bridge", Reports.of("bridge", "own ship", {"time_s": times} | places))
+        state = own.at(START_S + 30.0 * (k + 1), START_S, None, PLANE)
+        assert (state.vx_m_per_s, state.vy_m_per_s) == pytest.approx((3.0, 4.0), abs=1e-3)
+        assert (state.x_m, state.y_m) == pytest.approx((90.0 * (k + 1), 120.0 * (k + 1)), abs=0.5)

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from sameas.arrays import FloatArray
 from sameas.io.sensors.format import OWN_SHIP
 from sameas.live.inputs import Wire
 from sameas.live.settings import Settings
@@ -144,13 +145,15 @@ class OwnShipMotion:
         if len(recent) < 2 or recent[-1][0] - recent[0][0] < 1.0:
             return 0.0, 0.0
         times, east, north = np.array(recent).T
-        slope = np.polynomial.polynomial.polyfit(times - times[-1], np.column_stack([east, north]), 1)[1]
-        return float(slope[0]), float(slope[1])
+        return _slope(times, np.column_stack([east, north]))
 
 
 @dataclass(frozen=True)
 class ReplayedShip:
-    """Own ship with the last replayed report of her source; NaN where unknown."""
+    """Own ship with the last replayed report of her source; NaN where unknown.
+
+    track : (k, 3) time, latitude and longitude at the reports of the last :data:`FIT_S` before it.
+    """
 
     time_s: float = math.nan
     lat_deg: float = math.nan
@@ -158,6 +161,7 @@ class ReplayedShip:
     heading_deg: float = math.nan
     speed_m_per_s: float = math.nan
     course_deg: float = math.nan
+    track: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
 
     def after(self, reports: Reports) -> ReplayedShip:
         """Her state at the last of these reports that has her position, or that of the sensor; as before where none
@@ -168,9 +172,17 @@ class ReplayedShip:
         lat, lon = columns[:2]
         if lat is None or lon is None or not np.isfinite(lat + lon).any():
             return self
-        last = int(np.flatnonzero(np.isfinite(lat + lon))[-1])
-        values = (math.nan if column is None else float(column[last]) for column in columns)
-        return ReplayedShip(float(reports.time_s[last]), *values)
+        placed = np.flatnonzero(np.isfinite(lat + lon))
+        last = int(placed[-1])
+        heading, speed, course = (math.nan if column is None else float(column[last]) for column in columns[2:])
+        track = np.vstack([self.track, np.column_stack([reports.time_s, lat, lon])[placed]])
+        track = track[track[:, 0] > track[-1, 0] - FIT_S]
+        if not math.isfinite(speed + course):
+            # By the times of the reports: at a fast pace the instants are too far apart.
+            speed, course = _motion(track)
+        return ReplayedShip(
+            float(reports.time_s[last]), float(lat[last]), float(lon[last]), heading, speed, course, track
+        )
 
     def at(self, time_s: float) -> tuple[float, float, float]:
         """Latitude, longitude and heading at this time, on her course since the report where it is known."""
@@ -179,3 +191,18 @@ class ReplayedShip:
         metres = self.speed_m_per_s * min(max(time_s - self.time_s, 0.0), FIT_S)
         lat, lon, _ = geodesy().aer2geodetic(self.course_deg, 0.0, metres, self.lat_deg, self.lon_deg, 0.0)
         return float(lat), float(lon), self.heading_deg
+
+
+def _motion(track: FloatArray) -> tuple[float, float]:
+    """Speed (m/s) and course (degrees) of a track (k, 3) of time, latitude and longitude; NaN below 1 s of it."""
+    if not len(track) or np.ptp(track[:, 0]) < 1.0:
+        return math.nan, math.nan
+    places = LocalPlane.about(track[-1:, 1], track[-1:, 2]).of_geodetic(track[:, 1], track[:, 2])
+    east, north = _slope(track[:, 0], places)
+    return math.hypot(east, north), math.degrees(math.atan2(east, north)) % 360.0
+
+
+def _slope(times: FloatArray, places: FloatArray) -> tuple[float, float]:
+    """Slope (m/s east, north) of the line that fits places (k, 2) at these times (k,)."""
+    slope = np.polynomial.polynomial.polyfit(times - times[-1], places, 1)[1]
+    return float(slope[0]), float(slope[1])
