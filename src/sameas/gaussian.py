@@ -33,6 +33,12 @@ def symmetric(matrix: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (matrix + np.swapaxes(matrix, -1, -2)))
 
 
+def correlation_of(covariance: FloatArray, one: FloatArray, other: FloatArray) -> FloatArray:
+    """(n,) correlation, by the covariance (n,) of two numbers and their 1σ (n,); 0 where one of these is 0 or NaN."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num(covariance / (one * other), posinf=0.0, neginf=0.0)
+
+
 def inverse(covariance: FloatArray) -> FloatArray:
     """(…, d, d) the inverse of a covariance or information matrix, exactly symmetric."""
     if covariance.shape[-1] == 2:

@@ -16,8 +16,9 @@ import sameas
 from sameas.errors import InputError
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.column_choice import SURVEYS
-from sameas.sky.column_values import typical_errors, year_of
+from sameas.sky.column_values import year_of
 from sameas.sky.completion import CommonErrorTuning, common_error, completed, in_strips, nearest_chords
+from sameas.sky.table_astrometry import typical_errors
 
 
 def catalogue(table: Table | dict[str, object], name: str = "cat", **options: object) -> Catalogue:

@@ -16,9 +16,8 @@ from sameas.arrays import FloatArray
 from sameas.errors import Argument, Message
 from sameas.records import Records
 from sameas.sky.catalogue import Catalogue
+from sameas.sky.celestial_frames import in_icrs
 from sameas.sky.column_choice import ColumnChoice
-from sameas.sky.column_values import to_icrs
-from sameas.sky.conventions import SkyFrame
 from sameas.sky.frame.pointing import directions_deg
 from sameas.space import mean_direction, unit_vectors
 
@@ -97,12 +96,6 @@ class _Misreading:
 
 def _no_unit(choice: ColumnChoice) -> bool:
     return choice.frame == "icrs" and choice.ra.unit == "deg" and choice.ra.reason == "by convention"
-
-
-def in_icrs(frame: SkyFrame, position_deg: FloatArray) -> FloatArray:
-    """(n, 2) positions in ICRS, degrees, of those in another frame."""
-    ra, dec, _ = to_icrs(frame, *position_deg.T)
-    return np.column_stack([ra, dec])
 
 
 def _swapped(position_deg: FloatArray) -> FloatArray:

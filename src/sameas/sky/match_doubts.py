@@ -23,7 +23,7 @@ from sameas.kernels import threads
 from sameas.records import Records
 from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.disjoint import in_icrs
+from sameas.sky.celestial_frames import in_icrs
 from sameas.sky.residual_epoch import epoch_doubt
 from sameas.sky.sky_match import ARCSEC2_PER_DEG2, SkyMatch, area_and_densities, nearest
 from sameas.sky.systematics import Rotation, Warp, residual_rotation

@@ -11,12 +11,13 @@ from dataclasses import replace
 import numpy as np
 from astropy.table import Table
 
-from sameas.arrays import BoolArray, FloatArray, within_turn
+from sameas.arrays import BoolArray, FloatArray, median, within_turn
 from sameas.errors import InputError, naming
+from sameas.gaussian import correlation_of
 from sameas.representation import counted
 from sameas.sky import column_values
+from sameas.sky.celestial_frames import rotated_errors, to_icrs
 from sameas.sky.column_choice import OF_RA, SECONDS_OF_RA, CatalogueOptions, ChosenColumn, ColumnChoice, PositionError
-from sameas.sky.column_values import rotated_errors, to_icrs, typical_errors
 from sameas.sky.motion import Astrometry, MissingMotion
 
 FULL_TURN = {"deg": 360.0, "rad": 2 * np.pi, "hourangle": 24.0, "sexagesimal hours": 24.0}
@@ -88,6 +89,33 @@ def _possible_declinations(ra: FloatArray, dec: FloatArray, source: str) -> Floa
     else:
         remedy = "give degrees"
     raise InputError(message, remedy, source=source)
+
+
+#: Minimum number of rows per median error (chosen).
+_ROWS_PER_MEDIAN = 25
+#: Maximum number of medians along the magnitude (chosen).
+_MOST_MEDIANS = 50
+
+
+def typical_errors(sigma: FloatArray, magnitude: FloatArray | None) -> FloatArray:
+    """(n,) the median error at the magnitude of each row; the overall median for rows without a magnitude.
+
+    sigma : (n,) errors, NaN where not known. magnitude : (n,), NaN where not known. All NaN if no error is known.
+
+    >>> typical_errors(np.array([0.1, 0.1, np.nan, 0.3, 0.3]), None).tolist()
+    [0.2, 0.2, 0.2, 0.2, 0.2]
+    """
+    known = np.isfinite(sigma) & (sigma > 0)
+    if not known.any():
+        return np.full(len(sigma), np.nan)
+    overall = np.full(len(sigma), median(sigma[known]))
+    both = np.flatnonzero(known & np.isfinite(magnitude)) if magnitude is not None else np.zeros(0, np.int64)
+    if magnitude is None or len(both) < 2 * _ROWS_PER_MEDIAN:
+        return overall
+    parts = np.array_split(both[np.argsort(magnitude[both])], min(_MOST_MEDIANS, len(both) // _ROWS_PER_MEDIAN))
+    mags = [median(magnitude[part]) for part in parts]
+    logs = [median(np.log(sigma[part])) for part in parts]
+    return np.where(np.isfinite(magnitude), np.exp(np.interp(magnitude, mags, logs)), overall)
 
 
 def _with_typical_errors(
@@ -256,7 +284,7 @@ def _of_variances(table: Table, error: PositionError, source: str) -> tuple[Floa
         east, north = (np.sqrt(np.where(x >= 0, x, np.nan)) for x in _in_unit(table, error, "arcsec2", source))
     if not error.covariance:
         return east, north, None
-    return east, north, _correlation(column_values.numbers(table, error.covariance, source), east, north)
+    return east, north, correlation_of(column_values.numbers(table, error.covariance, source), east, north)
 
 
 def _stated_correlation(
@@ -268,19 +296,13 @@ def _stated_correlation(
     if error.co_sigma:
         root = column_values.numbers(table, error.co_sigma, source)
         root = root * column_values.factor(error.columns[0].unit, "arcsec")
-        return _correlation(root * np.abs(root), east, north)
+        return correlation_of(root * np.abs(root), east, north)
     if error.covariance:
         unit = column_values.unit_of(table, error.covariance)
         native = column_values.factor(error.columns[0].unit, "arcsec") ** 2
         square = column_values.factor(unit.to_string(), "arcsec2") if unit else native
-        return _correlation(column_values.numbers(table, error.covariance, source) * square, east, north)
+        return correlation_of(column_values.numbers(table, error.covariance, source) * square, east, north)
     return None
-
-
-def _correlation(covariance: FloatArray, east: FloatArray, north: FloatArray) -> FloatArray:
-    """(n,) correlation by the covariance of two errors; 0 where one of them is 0 or unknown."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.nan_to_num(covariance / (east * north), posinf=0.0, neginf=0.0)
 
 
 def _motion_numbers(
