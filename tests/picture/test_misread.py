@@ -1,9 +1,12 @@
-"""Sources that a doubt says are read wrongly: what only they show is not confirmed."""
+"""Sources that a doubt says are read wrongly: what only they show is not confirmed, in files and live."""
 
 import numpy as np
 import pytest
 
 import sameas
+from sameas.picture import LivePicture, Watch
+from sameas.picture.live import Registered, Window
+from sameas.tracks import Description, Reports, Site
 
 N, SPAN_S = 8, 240.0
 
@@ -40,3 +43,43 @@ def test_what_only_a_misread_radar_shows_is_not_confirmed(wrong, tmp_path):
     assert int(np.isin(alone["stage"], ("confirmed", "coasting")).sum()) == (0 if wrong else 1)
     assert len(alone) >= 8 if wrong else len(alone) >= 1
     assert int((late["stage"] == "confirmed").sum()) == N + (not wrong)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [True, False])
+def test_what_only_a_misread_radar_shows_is_not_confirmed_live(wrong):
+    """It was for as long as the radar showed it: live, no doubt was looked for."""
+    given = sources_of(1, wrong)
+    radar = Description("radar", "marine radar", site=Site(east_m=0.0, north_m=0.0))
+    picture = LivePicture([Description("ais", "ais"), radar])
+    feeds = {name: Reports.of(name, "ais" if name == "ais" else "table", given[name]) for name in given}
+    for t in np.arange(5.0, SPAN_S, 5.0).tolist():
+        for name, reports in feeds.items():
+            picture.add(name, reports.where(np.flatnonzero((reports.time_s > t - 5.0) & (reports.time_s <= t))))
+        if t % 60.0 == 0.0:
+            picture.register()
+        state = picture.advance(t)
+    assert any("look exchanged" in doubt for doubt in picture.doubts) == wrong
+    objects = picture.objects
+    confirmed = np.isin(objects["stage"], ("confirmed", "coasting"))
+    assert int((confirmed & (objects["sources"] == "radar")).sum()) == (0 if wrong else 1)
+    assert int((objects["stage"] == "confirmed").sum()) >= N
+    assert isinstance(state.watch, Watch) and ("radar" in state.watch.misread) == wrong
+
+
+def test_a_doubt_stays_for_the_reports_that_raised_it_and_ends_with_another_description():
+    radar, ais = Description("radar", "marine radar", site=Site(east_m=0.0, north_m=0.0)), Description("ais", "ais")
+    picture = LivePicture([ais, radar], window=Window(span_s=100.0))
+    reports = Reports.of("radar", "table", {"time_s": [0.0], "range_m": [500.0], "bearing_deg": [10.0]})
+    picture.add("radar", reports)
+    picture.advance(1.0)
+    picture.take_off(Registered(doubts=("radar: its bearings …",), misread=frozenset({"radar"})))
+    for t, stays in ((60.0, True), (100.0, True), (102.0, False)):
+        picture.advance(t)
+        picture.take_off(Registered())
+        assert (picture.doubts == ("radar: its bearings …",)) == stays
+    picture.take_off(Registered(doubts=("radar: its bearings …",), misread=frozenset({"radar"})))
+    picture.describe([ais, radar])
+    assert picture.doubts
+    picture.describe([ais, Description("radar", "marine radar", site=Site(east_m=1.0, north_m=0.0))])
+    assert not picture.doubts

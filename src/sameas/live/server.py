@@ -330,7 +330,7 @@ def sse_event(kind: str, keeper: Keeper, situation: Situation, delta: Delta) -> 
             "berthed": sorted(keeper.approaches.berthed),
             "cpa": {n: [round(metres), round(seconds)] for n, (metres, seconds) in situation.cpa.items()},
             "alarms": keeper.alarm_list(most_ended=100), "zones": keeper.zones.outlines,
-            "alignment": keeper.offsets.in_words(), "errors": list(keeper.picture.errors),
+            "alignment": keeper.offsets.in_words(), "errors": [*keeper.picture.doubts, *keeper.picture.errors],
         }  # fmt: skip
     return f"id: {delta.tick}\nevent: {kind}\ndata: {json.dumps(content, allow_nan=False, separators=(',', ':'))}\n\n"
 

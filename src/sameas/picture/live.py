@@ -115,6 +115,9 @@ class LivePicture:
         self._biases: dict[str, SourceBiases] = {}
         self._estimates: dict[str, SourceBiases] = {}
         self._held: frozenset[str] = frozenset()
+        self._given_misread = watch.misread if isinstance(watch, Watch) else frozenset()
+        self._doubts, self._misread = tuple[str, ...](), frozenset[str]()
+        self._misread_s = -math.inf
         #: Seconds for which an object that names itself keeps its number while it is away; None: as the watch says.
         self.return_s: float | None = None
         self._heights: HeightModel | None = None
@@ -230,6 +233,11 @@ class LivePicture:
         """Printable lines on sources whose errors, as estimated by the picture, are not as stated."""
         return tuple(error_lines(self._carried)) if self._carried is not None else ()
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Suspected errors of whole sources in the last minutes, as of ``Scene.doubts``, from :meth:`register`."""
+        return self._doubts
+
     def describe(self, descriptions: Sequence[Description], lag_s: float | None = None) -> tuple[str, ...]:
         """Goes on with these sources, and gives the names of those that are new or were described differently before.
 
@@ -265,6 +273,8 @@ class LivePicture:
             self._biases.pop(description.name, None)
             self._estimates.pop(description.name, None)
             self._held -= {description.name}
+        if self._misread & set(changed):
+            self._doubts, self._misread, self._misread_s = (), frozenset(), -math.inf
         return tuple(changed)
 
     def add(self, source: str, reports: Reports) -> None:
@@ -339,6 +349,9 @@ class LivePicture:
         scene = Scene(feeds, self.plane, self.tuning, self.height_model)
         carried = self._start() if self._carried is None else self._named(self._carried)
         state: LiveState
+        misread = self._given_misread | self._misread
+        if isinstance(carried, Watch) and carried.misread != misread and self._state is not None:
+            carried = carried.doubting(misread, self._state.members)
         if isinstance(carried, PlotPicture):
             state = carried.at(scene, instant_s)
         else:
@@ -388,7 +401,15 @@ class LivePicture:
         return gathered(list(self._sightings))
 
     def take_off(self, registered: Registered) -> None:
-        """Subtracts the established biases at later instants; for other sources, and those held, the previous stay."""
+        """Subtracts the established biases at later instants; for other sources, and those held, the previous stay.
+
+        What only sources show that are read wrongly, by a doubt, is not confirmed from then on, until no such doubt has
+        come for the span of the window, or one of them is described differently.
+        """
+        # Reports that raised such a doubt are in the window for as long.
+        if registered.misread or self._last_s - self._misread_s > self.window.span_s:
+            self._doubts, self._misread = registered.doubts, registered.misread
+            self._misread_s = self._last_s if registered.misread else -math.inf
         self._heights = registered.heights or self._heights
         for biases in registered.biases:
             self._estimates[biases.source] = biases
@@ -430,20 +451,28 @@ class LivePicture:
 
 @dataclass(frozen=True)
 class Registered:
-    """The biases of the sources from some minutes of reports, and the model of their heights."""
+    """The biases of the sources from some minutes of reports, and the model of their heights.
+
+    doubts, misread : as of :class:`~sameas.tracks.scene.Scene`.
+    """
 
     biases: tuple[SourceBiases, ...] = ()
     heights: HeightModel | None = None
+    doubts: tuple[str, ...] = ()
+    misread: frozenset[str] = frozenset()
 
 
 def estimated(
     sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None, tuning: TracksTuning
 ) -> Registered:
-    """The biases of sources and of their heights from some minutes of their reports; empty for a single source."""
+    """The biases of sources and of their heights from some minutes of their reports, and doubts about them; empty for a
+    single source."""
     if len(sources) < 2:
         return Registered()
-    scene, biases = Scene.of(sources, plane, tuning=tuning).registered()
-    return Registered(biases, HeightModel.of(scene.feeds))
+    given = Scene.of(sources, plane, tuning=tuning)
+    doubts, misread = given.doubts(), given.misread
+    scene, biases = given.registered()
+    return Registered(biases, HeightModel.of(scene.feeds), doubts, misread)
 
 
 def faults_of(

@@ -38,7 +38,7 @@ from sameas.picture.object_ids import NamedObjects, Stages, UnnumberedObjects
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
 from sameas.picture.plot_existence import Looks, NewPlots, gives_plots, looks_between
 from sameas.picture.plot_rates import PlotRates, nearest_object
-from sameas.picture.tables import CONFIRMED, Scan, object_states, objects_per_m2
+from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, Scan, object_states, objects_per_m2
 from sameas.picture.texts import RecordTexts, texts_of
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, LIVE, Tuning
 from sameas.records import Records
@@ -147,6 +147,25 @@ class Watch:
         objects = self.objects.with_ends(ended, elapsed_s, ended.walk_m2_per_s3)
         texts = {number: before.texts[number] for number in ended.number.tolist()}
         return replace(self, objects=objects, texts={**self.texts, **texts})
+
+    def doubting(self, misread: frozenset[str], members: IntArray) -> Watch:
+        """The watch with other sources whose positions may be wrong.
+
+        A confirmed object is tentative again if new ones of these alone show it, or if plots without names alone ever
+        showed it and all sources of such plots are among them.
+
+        members : (n, S) records of the objects of the last instant shown.
+        """
+        out = replace(self, misread=misread)
+        if self.shown is None or not misread - self.misread:
+            return out
+        feeds, objects = self.shown.now.feeds, self.objects
+        wrong = np.array([feed.description.name in misread and feed.clutter(2) > 0.0 for feed in feeds], dtype=bool)
+        of_plots = np.array([gives_plots(feed) for feed in feeds], dtype=bool)
+        only_wrong = np.append(np.append(wrong[self.shown.source], True)[members].all(axis=1), False)[objects.detection]
+        only_wrong |= objects.by_plots & bool(wrong[of_plots].all())
+        doubtful = only_wrong & np.isin(objects.stage, (CONFIRMED, COASTING))
+        return replace(out, objects=replace(objects, stage=np.where(doubtful, TENTATIVE, objects.stage)))
 
     def passed(self, now: Instant) -> Watch:
         """The watch after an instant that is not shown: its reports are in the memory of tracks."""
