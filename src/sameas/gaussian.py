@@ -4,6 +4,7 @@
 - :class:`InformationSum`: the product of many normal densities of one unknown, as sums of information and vector.
 - :func:`mahalanobis_sq`, :func:`log_density`: χ² and ln N(Δ; 0, Σ).
 - :func:`symmetric`, :func:`inverse`, :func:`propagated`: covariances that are exactly symmetric despite rounding.
+- :func:`correlation_of`: the correlation by a covariance.
 
 Leading axes are those of the rows, and broadcast. Source: Bar-Shalom, Li and Kirubarajan 2001, 1.4 and 5.2.
 """
@@ -34,7 +35,11 @@ def symmetric(matrix: FloatArray) -> FloatArray:
 
 
 def correlation_of(covariance: FloatArray, one: FloatArray, other: FloatArray) -> FloatArray:
-    """(n,) correlation, by the covariance (n,) of two numbers and their 1σ (n,); 0 where one of these is 0 or NaN."""
+    """(n,) correlation, by the covariance (n,) of two numbers and their 1σ (n,); 0 where one of these is 0 or NaN.
+
+    >>> correlation_of(np.array([2.0, 0.0]), np.array([1.0, 0.0]), np.array([4.0, 1.0])).tolist()
+    [0.5, 0.0]
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.nan_to_num(covariance / (one * other), posinf=0.0, neginf=0.0)
 
