@@ -92,7 +92,13 @@ def signal_k(time_s, message):
     return [f"{round(time_s * 1000)};A;{line}" for line in canboat(time_s, message)]
 
 
-FORMS = (candump_log, candump, yacht_devices, canboat, canboat_frames, signal_k)
+def candump_dated(time_s, message):
+    """With -tA and -a."""
+    moment = str(np.datetime64(round(time_s * 1e6), "us")).replace("T", " ")
+    return [line.replace(f"{time_s:.6f}", moment) + "   '..q.Z..'" for line in candump(time_s, message)]
+
+
+FORMS = (candump_log, candump, candump_dated, yacht_devices, canboat, canboat_frames, signal_k)
 
 
 def log(form, *messages, every_s=1.0):

@@ -80,8 +80,8 @@ _MOST_WAITING = 1000
 _STATUS_OF_TARGET = {0: "L", 1: "Q", 2: "T", 3: "L"}
 
 _CANDUMP = re.compile(
-    r"\s*(?:\((?P<time>[\d.]+)\)\s*)?\w+\s+(?P<id>[0-9A-F]{8})(?:#|\s+\[\d\]\s+)"
-    r"(?P<data>(?:[0-9A-F]{2} ?){0,8})\s*(?:[RT]\s*)?$",
+    r"\s*(?:\((?P<time>[\d. :-]+)\)\s*)?\w+\s+(?P<id>[0-9A-F]{8})(?:#|\s+\[\d\]\s+)"
+    r"(?P<data>(?:[0-9A-F]{2} ?){0,8})\s*(?:[RT]\s*)?(?:'.*)?$",
     re.IGNORECASE,
 )
 _CANBOAT = re.compile(
@@ -168,7 +168,8 @@ def _frame(line: str) -> tuple[float | None, int, int, bytes]:
     form, specific = number >> 16 & 0xFF, number >> 8 & 0xFF
     pgn = (number >> 24 & 3) << 16 | form << 8 | (specific if form >= 240 else 0)
     # A small number is the time since the first frame.
-    time_s = None if stamp is None or float(stamp) < 1e8 else float(stamp)
+    time_s = None if stamp is None else instant(stamp)
+    time_s = None if time_s is None or time_s < 1e8 else time_s
     return time_s, pgn, number & 0xFF, bytes.fromhex(found["data"])
 
 
