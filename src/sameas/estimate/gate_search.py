@@ -204,6 +204,11 @@ class GateSearch:
         estimates, p_counted, n, converged = iterate(estimates, max_iterations, self.progress, narrow)
         return GateResult(whole, estimates, p_counted, limit, n, converged, estimates.setting.n_counted, self.tuning)
 
+    def remaining(self, result: GateResult) -> int:
+        """Iterations that may follow on a result: those left, at least two thirds of all."""
+        most = self.tuning.max_iterations
+        return max(most - result.iterations, 2 * most // 3, 5)
+
     def without_message_errors(self, result: GateResult) -> GateResult:
         """The result after further iterations with the errors of messages removed.
 
@@ -213,11 +218,9 @@ class GateSearch:
         errors = result.estimates.message_errors()
         if errors is None:
             return result
-        most = self.tuning.max_iterations
-        remaining = max(most - result.iterations, 2 * most // 3, 5)
         estimates, p_counted, n, converged = iterate(
-            result.estimates, remaining, self.progress, message_errors=errors
-        )  # fmt: skip
+            result.estimates, self.remaining(result), self.progress, message_errors=errors
+        )
         estimates = estimates.with_evidence(p_counted, last=True)
         return replace(
             result, estimates=estimates, p_counted=p_counted, iterations=result.iterations + n,

@@ -193,12 +193,11 @@ def _fit(search: GateSearch, scan: ErrorScan | None, errors: Errors | None) -> t
 
 
 def _rerun(search: GateSearch, result: GateResult, errors: Errors | None) -> GateResult:
-    """The result of a changed search with the remaining iterations, at least two thirds of all; all are counted.
+    """The result of a changed search with the remaining iterations; all are counted.
 
     With each error model the gate is doubled anew; five times take 12 to 18 iterations.
     """
-    most = search.tuning.max_iterations
-    again = search.run(errors, max(most - result.iterations, 2 * most // 3, 5))
+    again = search.run(errors, search.remaining(result))
     return replace(again, iterations=result.iterations + again.iterations)
 
 
