@@ -8,6 +8,7 @@ import pytest
 from sameas.errors import InputError
 from sameas.io.sensors import ais, read_reports
 from sameas.io.sensors.nmea import checksum, log_of
+from sameas.io.sensors.stream import ReportStream
 from sameas.tracks.coordinates import LocalPlane
 
 pyais = pytest.importorskip("pyais")
@@ -149,6 +150,17 @@ def test_the_second_in_the_message_gives_its_time_before_receipt():
     assert at(minute + 2, 58) == minute - 2
     # The receiver's clock may be slightly slow.
     assert at(minute + 58, 1) == minute + 61
+
+
+def test_sentences_that_follow_each_other_without_a_line_end_are_all_read():
+    """As dispatchers put them into a datagram."""
+    first, second = "!AIVDM,1,1,,A,13`dt7@P16PE:8tMUuV0wOwhR8R?,0*3C", "!AIVDM,1,1,,A,13aGsd0P0wPDfptMU9wk6gwl2@RF,0*55"
+    log = log_of([f"\\s:x,c:1780315200*00\\{first}{second}", first])
+    assert [(one.line, one.text) for one in log.sentences] == [(1, first), (1, second), (2, first)]
+    assert not log.damaged and np.all(log.clock_s == 1780315200.0)
+    stream = ReportStream("dispatcher")
+    stream.feed((first + second).encode(), 1780315200.0, last=True)
+    assert sum(len(reports) for reports in stream.reports()) == 2
 
 
 @pytest.mark.parametrize(

@@ -52,6 +52,13 @@ def test_sentences_that_ais_catcher_carries_are_read_at_their_time(tmp_path):
     assert ships.mmsi.tolist() == ["227006760"] and ships.time_s[0] == pytest.approx(START_S + 5.25, abs=60.0)
 
 
+@pytest.mark.parametrize("time", [{"toa": START_S + 5.25}, {"rxtime": "20260601120005"}])
+def test_the_time_of_receipt_has_several_names_in_ais_catcher(time, tmp_path):
+    """Its decoded messages have no ``rxuxtime``, at times."""
+    [ships] = read_reports(written(tmp_path, POSITION | {"second": 60} | time))
+    assert ships.time_s[0] == pytest.approx(START_S + 5.0, abs=0.3)
+
+
 def test_a_damaged_object_is_counted(tmp_path):
     path = written(tmp_path, TPV, POSITION, POSITION | {"lat": "north"})
     path.write_text(path.read_text() + '{"class": "AIS"')

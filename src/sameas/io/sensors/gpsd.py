@@ -3,7 +3,7 @@
 Objects of class AIS have the fields of a message, in its units or (``scaled`` false) as it is sent; where they carry
 the sentences themselves (``nmea`` of AIS-catcher), these are read. TPV and ATT of gpsd give own ship's position,
 velocity and heading. Everything is translated to sentences (:mod:`sameas.io.sensors.sentences`). Source: gpsd 3.25,
-``gpsd_json(5)``; AIS-catcher 0.60, whose objects have the same fields and ``rxuxtime``, the time of receipt.
+``gpsd_json(5)``; AIS-catcher 0.60, whose objects have the same fields and a time of receipt.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any
 
 from sameas.io.sensors import sentences
@@ -52,8 +53,7 @@ class JsonMessages:
             return [sentences.heading(float(said["heading"]))]
         if said.get("class") != "AIS":
             return ()
-        received = said.get("rxuxtime")
-        time_s = None if received is None else float(received)
+        time_s = _received_s(said)
         texts = said["nmea"] if isinstance(said.get("nmea"), list) else self._ais(said)
         return [sentences.at_time(str(text), time_s) for text in texts]
 
@@ -74,6 +74,15 @@ class JsonMessages:
             return self.write_ais(fields | {"type": 5})
         parts = [part for part, name in enumerate(("shipname", "callsign")) if said.get(name)]
         return [text for part in parts for text in self.write_ais(fields | {"type": 24, "partno": part})]
+
+
+def _received_s(said: Mapping[str, Any]) -> float | None:
+    """The time of receipt of AIS-catcher, which has it by several names; None of gpsd."""
+    for name in ("rxuxtime", "toa"):
+        if said.get(name) is not None:
+            return float(said[name])
+    written = said.get("rxtime")
+    return None if written is None else datetime.strptime(str(written), "%Y%m%d%H%M%S").replace(tzinfo=UTC).timestamp()
 
 
 def _scaled(value: Any, step: float | None) -> Any:

@@ -19,6 +19,8 @@ from sameas.arrays import FloatArray
 from sameas.io.sensors.format import DAY_S, forward_filled, instant, seconds, unwrapped
 
 _SENTENCE = re.compile(r"([!$])([A-Z]{1,5}[A-Z0-9]{0,4})((?:,[^*]*)?)(?:\*([0-9A-Fa-f]{2}))?")
+#: Between two sentences without a line end, as some dispatchers put them into a datagram.
+_JOINT = re.compile(r"(?<=\*[0-9A-Fa-f]{2})(?=[!$])")
 _TAG_BLOCK = re.compile(r"\\([^\\]*)\\")
 _TAG_TIME = re.compile(r"(?:^|,)c:(\d+(?:\.\d+)?)")
 #: The group of sentences, and the station, in a tag block (IEC 61162-450): \\g:1-2-73,s:r003669945*hh\\.
@@ -94,11 +96,12 @@ def log_of(
     for number, raw in zip(range(1, len(lines) + 1) if numbers is None else numbers, lines, strict=True):
         if not raw.strip() or raw.lstrip().startswith("#"):
             continue
-        sentence = _sentence(number, raw, whole=not unended or number < last)
-        if isinstance(sentence, Sentence):
-            sentences.append(sentence)
-        else:
-            damaged.append((number, sentence))
+        for one in _JOINT.split(raw):
+            sentence = _sentence(number, one, whole=not unended or number < last)
+            if isinstance(sentence, Sentence):
+                sentences.append(sentence)
+            else:
+                damaged.append((number, sentence))
     if received_s is not None:
         own = np.array([sentence.time_s for sentence in sentences], np.float64)
         received = np.array([received_s[sentence.line - 1] for sentence in sentences], np.float64)
