@@ -55,6 +55,19 @@ def test_a_compass_serves_where_no_gyro_gives_the_heading():
     np.testing.assert_allclose(made.station_heading_deg, [358.0, 358.0, 350.0])
 
 
+def test_what_opencpn_and_its_radar_write_is_read():
+    """Blanks, an empty flag, a checksum of one digit, and a compass that is called HDT."""
+    body = "RATTM, 1,1.033854,237.500000,,5.76,176.3,T, , ,N,ARPA 1,T, "
+    lines = [f"15:35:17 (virtual) ${one}*{checksum(one):x}<0x0D><0x0A>" for one in (ZDA, body, "HCHDT,10.0,M")]
+    assert lines[2].endswith("M*1<0x0D><0x0A>")
+    log = log_of(lines)
+    assert not log.damaged
+    made = arpa.read(log, "radar_pi")
+    assert (made.track_id[0], made.bearing_deg[0], made.name[0]) == ("1", 237.5, "ARPA 1")
+    made = reports(RMC.replace(",,,A", ",2.0,W,A"), "GPHDT,356.7,M", ttm(flag="R", bearing="10.0"))
+    np.testing.assert_allclose(made.bearing_deg, [4.7])
+
+
 def test_a_compass_without_variation_is_no_heading():
     with pytest.raises(InputError, match="HDG with a variation"):
         reports(ZDA, "HCHDM,30.0,M", ttm(flag="R"))

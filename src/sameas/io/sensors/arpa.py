@@ -288,7 +288,8 @@ def _recommended(s: Sentence) -> dict[str, float | None]:
 
 _OWN_SHIP: Mapping[str, Callable[[Sentence], dict[str, Any]]] = {
     "OSD": lambda s: {"true_heading": s.number(1) if s.field(2) != "V" else None},
-    "HDT": lambda s: {"true_heading": s.number(1)},
+    # Some compasses call their heading so, and say M.
+    "HDT": lambda s: {"magnetic_heading" if s.field(2) == "M" else "true_heading": s.number(1)},
     "THS": lambda s: {"true_heading": s.number(1) if s.field(2) != "V" else None},
     "HDG": _compass,
     "HDM": lambda s: {"magnetic_heading": s.number(1)},

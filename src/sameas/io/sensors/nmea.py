@@ -18,7 +18,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.io.sensors.format import DAY_S, forward_filled, instant, seconds, unwrapped
 
-_SENTENCE = re.compile(r"([!$])([A-Z]{1,5}[A-Z0-9]{0,4})((?:,[^*]*)?)(?:\*([0-9A-Fa-f]{2}))?")
+_SENTENCE = re.compile(r"([!$])([A-Z]{1,5}[A-Z0-9]{0,4})((?:,[^*]*)?)(?:\*([0-9A-Fa-f]{1,2}))?")
 #: Between two sentences without a line end, as some dispatchers put them into a datagram.
 _JOINT = re.compile(r"(?<=\*[0-9A-Fa-f]{2})(?=[!$])")
 _TAG_BLOCK = re.compile(r"\\([^\\]*)\\")
