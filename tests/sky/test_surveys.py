@@ -180,3 +180,18 @@ def test_tables_of_surveys_are_read_without_units(title, names, values, sigma_ar
         found = np.sqrt([astrometry.variance(axis)[0] for axis in (0, 1)]) / 1000.0
         np.testing.assert_allclose(found, sigma_arcsec, rtol=2e-3)
     assert source.epoch_jyr == (None if epoch is None else pytest.approx(epoch, abs=0.006))
+
+
+def test_the_covariance_of_variances_is_read_in_its_own_unit() -> None:
+    variances = {"cov_ee_arcsec2": [0.04, 0.09], "cov_nn_arcsec2": [0.09, 0.04], "cov_en_arcsec2": [0.03, -0.012]}
+    place = {"measurement": ["1", "2"], "ra_deg": [10.0, 10.1], "dec_deg": [5.0, 5.1]}
+    correlations = []
+    for mas in ((), ("cov_en_arcsec2",), tuple(variances)):
+        table = Table(place | variances)
+        for name in mas:
+            table[name] = table[name] * 1e6
+            table[name].unit = "mas2"
+        records = Catalogue.of(table, name="frame").records()
+        correlations.append(records.covariance[:, 1] / np.sqrt(records.covariance[:, 0] * records.covariance[:, 2]))
+    np.testing.assert_allclose(correlations[0], [0.5, -0.2])
+    np.testing.assert_allclose(correlations[1:], [correlations[0]] * 2)

@@ -282,9 +282,7 @@ def _of_variances(table: Table, error: PositionError, source: str) -> tuple[Floa
     """As of :func:`_position_sigmas`, of an error that is given by variances in columns."""
     with np.errstate(invalid="ignore"):
         east, north = (np.sqrt(np.where(x >= 0, x, np.nan)) for x in _in_unit(table, error, "arcsec2", source))
-    if not error.covariance:
-        return east, north, None
-    return east, north, correlation_of(column_values.numbers(table, error.covariance, source), east, north)
+    return east, north, _by_covariance(table, error, error.columns[0].unit, east, north, source)
 
 
 def _stated_correlation(
@@ -297,12 +295,18 @@ def _stated_correlation(
         root = column_values.numbers(table, error.co_sigma, source)
         root = root * column_values.factor(error.columns[0].unit, "arcsec")
         return correlation_of(root * np.abs(root), east, north)
-    if error.covariance:
-        unit = column_values.unit_of(table, error.covariance)
-        native = column_values.factor(error.columns[0].unit, "arcsec") ** 2
-        square = column_values.factor(unit.to_string(), "arcsec2") if unit else native
-        return correlation_of(column_values.numbers(table, error.covariance, source) * square, east, north)
-    return None
+    return _by_covariance(table, error, f"{error.columns[0].unit}2", east, north, source)
+
+
+def _by_covariance(
+    table: Table, error: PositionError, unit: str, east: FloatArray, north: FloatArray, source: str
+) -> FloatArray | None:
+    """(n,) correlation by a column of the covariance, in its own unit or else in ``unit``; None without one."""
+    if not error.covariance:
+        return None
+    own = column_values.unit_of(table, error.covariance)
+    square = column_values.factor(own.to_string() if own else unit, "arcsec2")
+    return correlation_of(column_values.numbers(table, error.covariance, source) * square, east, north)
 
 
 def _motion_numbers(
