@@ -457,7 +457,8 @@ def nights(folder: Path, image: Path) -> Path:
     night_folder.mkdir()
     with fits.open(image) as hdus:
         for k in range(3):
-            noise = np.random.default_rng(k).normal(0.0, 7.0, hdus[0].data.shape)
+            photons = np.maximum(hdus[0].data - 500.0, 0.0)
+            noise = np.random.default_rng(k).normal(0.0, np.sqrt(7.0**2 + photons))
             rows, columns = np.mgrid[:256, :256]
             noise += 900.0 * np.exp(-((columns - 100.3 - 9.0 * k) ** 2 + (rows - 91.4 - 7.0 * k) ** 2) / (2 * 1.5**2))
             header = hdus[0].header.copy()
