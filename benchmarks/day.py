@@ -75,11 +75,14 @@ class Ships:
 class Traffic(Replay):
     """Reports made when they are taken: those of a day need not be kept in memory, which is measured."""
 
-    def __init__(self, mean: int, seed: int) -> None:
+    def __init__(
+        self, mean: int, seed: int, radar_period_s: float = RADAR_PERIOD_S, ais_period_s: float = AIS_PERIOD_S
+    ) -> None:
         first = {"time_s": [START_S], "lat_deg": [SITE[0]], "lon_deg": [SITE[1]]}
         super().__init__([("ais", Reports.of("ais", "ais", first | {"mmsi": ["1"], "track_id": ["1"]}))])
         self.ships, self.rng = Ships(mean, np.random.default_rng(seed)), np.random.default_rng((seed, 1))
         self.plane, self.taken_s = LocalPlane(*SITE), START_S
+        self.radar_period_s, self.ais_period_s = radar_period_s, ais_period_s
 
     def take(self, until_s: float) -> list[tuple[str, Reports]]:
         """The reports since the last call."""
@@ -100,7 +103,7 @@ class Traffic(Replay):
         return np.asarray(place + POSITION_M * self.rng.standard_normal(place.shape))
 
     def _ais(self, ships: np.ndarray, until_s: float, elapsed_s: float) -> Reports:
-        times_s = self._times(ships, until_s, elapsed_s, AIS_PERIOD_S)
+        times_s = self._times(ships, until_s, elapsed_s, self.ais_period_s)
         has = np.isfinite(times_s)
         lat, lon = self.plane.to_geodetic(self._measured(ships, times_s, until_s)[has])
         mmsi = np.array([f"{235_000_000 + int(k)}" for k in ships[has, 0]], object)
@@ -111,7 +114,7 @@ class Traffic(Replay):
         }).in_time_order()  # fmt: skip
 
     def _radar(self, name: str, ships: np.ndarray, until_s: float, elapsed_s: float) -> Reports:
-        times_s = self._times(ships, until_s, elapsed_s, RADAR_PERIOD_S)
+        times_s = self._times(ships, until_s, elapsed_s, self.radar_period_s)
         has = np.isfinite(times_s)
         place = self._measured(ships, times_s, until_s)[has]
         return Reports.of(name, "table", {
