@@ -75,6 +75,14 @@ class States:
         """(n,) whether a report has a position with its error."""
         return usable_states(self.state, self.covariance)
 
+    def by_track(self) -> tuple[IntArray, IntArray]:
+        """(k,) rows of the usable reports, by track and time, and (k,) the numbers of their tracks."""
+        assert self.track is not None
+        rows = np.flatnonzero(self.usable)
+        number = track_numbers(self.track[rows])
+        order = np.lexsort([self.time_s[rows], number])
+        return rows[order], number[order]
+
     def take(self, which: NDArray[Any]) -> States:
         """The reports of an index array or a mask."""
         track = None if self.track is None else self.track[which]
@@ -445,10 +453,7 @@ def follow(
     """
     if reports.track is None:
         raise InputError("follow: reports name no tracks; give the source's own track numbers or identities")
-    rows = np.flatnonzero(reports.usable)
-    number = track_numbers(reports.track[rows])
-    order = np.lexsort([reports.time_s[rows], number])
-    rows, number = rows[order], number[order]
+    rows, number = reports.by_track()
     state, covariance = np.array(reports.state, order="C"), np.array(reports.covariance, order="C")
     nis, began = np.full(len(reports), np.nan), np.zeros(len(reports), bool)
     trends = np.tile(NO_TREND, (len(reports), 1)) if trend is None else np.array(trend, order="C")

@@ -35,7 +35,7 @@ from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, symmetric
 from sameas.kernels.modes import filter_modes
-from sameas.tracks.alignment import States, track_numbers
+from sameas.tracks.alignment import States
 from sameas.tracks.source import Motion
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
@@ -155,13 +155,13 @@ class _Model:
 
     def filtered(self, reports: States, has_velocity: BoolArray, known: Modes | None) -> Modes:
         """The modes by all reports; reports without a velocity start their tracks again."""
-        rows = np.flatnonzero(reports.usable)
-        begins = np.ones(len(rows), bool)
-        if reports.track is not None:
-            number = track_numbers(reports.track[rows])
-            order = np.lexsort([reports.time_s[rows], number])
-            rows, number = rows[order], number[order]
-            begins[1:] = (number[1:] != number[:-1]) | ~has_velocity[rows[:-1]]
+        if reports.track is None:
+            rows = np.flatnonzero(reports.usable)
+            begins = np.ones(len(rows), bool)
+        else:
+            rows, number = reports.by_track()
+            begins = np.diff(number, prepend=-1) != 0
+            begins[1:] |= ~has_velocity[rows[:-1]]
         kept = has_velocity[rows]
         rows, begins = rows[kept], begins[kept]
         modes = Modes.unknown(len(reports))
