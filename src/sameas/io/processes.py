@@ -68,20 +68,23 @@ class Aside:
         if work >= self.least:
             try:
                 return self._submitted(function, *arguments, **named).result()
-            except (BrokenProcessPool, OSError, ImportError, NotImplementedError) as error:
-                # As where the memory does not suffice for another process, or the system has no shared semaphores.
-                LOG.info("the process beside this one ended: %r", error)
+            except BrokenProcessPool as error:
+                LOG.info("no process beside this one: %r", error)
                 self._pool = None
         return function(*arguments, **named)
 
     def _submitted(self, function: Callable[P, R], *arguments: P.args, **named: P.kwargs) -> Future[R]:
         with self._lock, without_script():
-            if self._pool is None:
-                import multiprocessing
+            try:
+                if self._pool is None:
+                    import multiprocessing
 
-                context = multiprocessing.get_context("spawn")
-                self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_begin_aside)
-            return self._pool.submit(function, *arguments, **named)
+                    context = multiprocessing.get_context("spawn")
+                    self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_begin_aside)
+                return self._pool.submit(function, *arguments, **named)
+            except (OSError, ImportError, NotImplementedError) as error:
+                # As where the memory does not suffice for another process, or the system has no shared semaphores.
+                raise BrokenProcessPool("the process cannot be started") from error
 
     def close(self) -> None:
         """Ends the process; calls that wait are not begun."""
