@@ -236,9 +236,10 @@ def settings_of(
 
 def _with_own_ship(settings: Settings, replay: Replay) -> Settings:
     """The settings with the ship that wrote the replayed log as own ship, unless they name one."""
+    from sameas.io.sensors.format import OWN_SHIP
     from sameas.live.settings import OwnShip
 
-    logs = [name for name, reports in replay.sources if "own_lat_deg" in reports.extra]
+    logs = [name for name, reports in replay.sources if OWN_SHIP["lat"] in reports.extra]
     if settings.watch.own_ship is not None or not logs:
         return settings
     return replace(settings, watch=replace(settings.watch, own_ship=OwnShip(source=logs[-1])))

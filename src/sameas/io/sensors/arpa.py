@@ -111,7 +111,13 @@ class ArpaState:
         return last_s is not None and not abs(clock_s - last_s) > SILENT_S
 
 
-def read(log: Log, source: str, start_s: float | None = None, ship: ArpaState | None = None) -> Reports:
+def read(
+    log: Log,
+    source: str,
+    start_s: float | None = None,
+    ship: ArpaState | None = None,
+    own: Mapping[str, FloatArray] | None = None,
+) -> Reports:
     """The targets of a ship's radar.
 
     Parameters
@@ -120,6 +126,7 @@ def read(log: Log, source: str, start_s: float | None = None, ship: ArpaState | 
     source : its name in messages.
     start_s : UTC of the first line, for logs with the time of day but no date.
     ship : for a stream, own ship before the log; updated.
+    own : as of :func:`own_ship_of`, where it is known, and ``ship`` updated.
 
     Raises
     ------
@@ -130,7 +137,7 @@ def read(log: Log, source: str, start_s: float | None = None, ship: ArpaState | 
     kind = "TTM" if ship.has_ttm else "TLL"
     damaged = list(log.damaged)
     passed_over: Counter[str] = Counter()
-    own = _own_ship(log, ship)
+    own = own_ship_of(log, ship) if own is None else own
     indices: list[int] = []
     rows: list[dict[str, Any]] = []
     # Number of the target, and its row, None where it is lost.
@@ -215,8 +222,11 @@ def _track_ids(
     return out
 
 
-def _own_ship(log: Log, ship: ArpaState) -> dict[str, FloatArray]:
-    """Heading, position, speed and course of own ship at each sentence: the latest values, NaN before the first."""
+def own_ship_of(log: Log, ship: ArpaState) -> dict[str, FloatArray]:
+    """Heading, position, speed and course of own ship at each sentence: the latest values, NaN before the first.
+
+    ship : own ship before the log; updated.
+    """
     columns = {name: np.full(len(log.sentences), np.nan) for name in _OF_SHIP}
     for name, values in columns.items():
         values[:1] = getattr(ship, name)
@@ -414,9 +424,10 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
     """AIS and radar targets of a log; two sources where it has both."""
     kinds = {sentence.kind for sentence in log.sentences}
     has_ais, has_arpa = "VDM" in kinds, bool(kinds & set(SENTENCES))
+    own = own_ship_of(log, ArpaState())
     if not (has_ais or has_arpa):
-        if own := _own_positions(log, source, start_s):
-            return with_own_ship([own], log, ArpaState())
+        if positions := _own_positions(log, source, start_s, own):
+            return with_own_ship([positions], log, own)
         listed = ", ".join(sorted(kinds)) or "none"
         raise InputError(f"{source}: no AIS (VDM) and no radar targets (TTM, TLL) among its sentences: {listed}")
     both = has_ais and has_arpa
@@ -424,22 +435,21 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
     if has_arpa:
         # Damaged lines are counted once, with the first source.
         rest = replace(log, damaged=()) if both else log
-        sources.append(read(rest, f"{source}:arpa" if both else source, start_s))
-    return with_own_ship(sources, log, ArpaState())
+        sources.append(read(rest, f"{source}:arpa" if both else source, start_s, own=own))
+    return with_own_ship(sources, log, own)
 
 
 #: Sentences of positions, and the field of their time of day.
 _POSITIONS = {"RMC": 1, "GGA": 1, "GNS": 1, "GLL": 5}
 
 
-def _own_positions(log: Log, source: str, start_s: float | None) -> Reports | None:
-    """The positions of own ship, the last of each time; None if the log has none.
+def _own_positions(log: Log, source: str, start_s: float | None, own: Mapping[str, FloatArray]) -> Reports | None:
+    """The positions of own ship, as of :func:`own_ship_of`, the last of each time; None if the log has none.
 
     Raises
     ------
     InputError : no time.
     """
-    own = _own_ship(log, ArpaState())
     of_position = [k for k, s in enumerate(log.sentences) if s.kind in _POSITIONS]
     indices = np.array([k for k in of_position if np.isfinite(own["lat"][k] + own["lon"][k])], np.int64)
     if not len(indices):
@@ -464,10 +474,9 @@ def _day_s(sentence: Sentence) -> float:
         return np.nan
 
 
-def with_own_ship(sources: Sequence[Reports], log: Log, before: ArpaState) -> list[Reports]:
+def with_own_ship(sources: Sequence[Reports], log: Log, own: Mapping[str, FloatArray]) -> list[Reports]:
     """The reports of a log with own ship at each of them, as :data:`~sameas.io.sensors.format.OWN_SHIP`, where her
-    position is known. before : own ship before the log; updated."""
-    own = _own_ship(log, before)
+    position is known. own : as of :func:`own_ship_of`."""
     if not np.isfinite(own["lat"] + own["lon"]).any():
         return list(sources)
     lines = np.array([sentence.line for sentence in log.sentences])

@@ -53,10 +53,9 @@ def read(file: SensorFile) -> list[Reports]:
             f"{file.source}: no point of a track with a time among {len(points)}", "export a track, not waypoints"
         )
     time_s, lat, lon, line = np.array(sorted(rows)).T
-    places = {"lat_deg": lat, "lon_deg": lon}
-    unknown = {column: np.full(len(lat), np.nan) for column in OWN_SHIP.values()}
-    columns = {"time_s": time_s, "line": line.astype(np.int64), **places}
-    own = unknown | {f"own_{name}": values for name, values in places.items()}
+    columns = {"time_s": time_s, "line": line.astype(np.int64), "lat_deg": lat, "lon_deg": lon}
+    known = {"lat": lat, "lon": lon}
+    own = {column: known.get(name, np.full(len(lat), np.nan)) for name, column in OWN_SHIP.items()}
     return [Reports.of(file.source, OWN_POSITIONS, columns | own, damaged=Damaged.of(damaged, "record"))]
 
 

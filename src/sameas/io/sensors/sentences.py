@@ -118,7 +118,7 @@ class AisWriter:
             from pyais.encode import encode_dict
         self.sequence = (self.sequence + 1) % 10
         kind = int(fields["type"])
-        absent = _ABSENT_STATIC if kind in (5, 24) else _ABSENT | ({"status": 15} if kind in (1, 2, 3) else {})
+        absent = {} if kind in (5, 24) else _ABSENT | ({"status": 15} if kind in (1, 2, 3) else {})
         given = {name: value for name, value in fields.items() if value is not None}
         try:
             return list(encode_dict({**absent, **given}, sentence_type="VDO" if own else "VDM", seq_id=self.sequence))
@@ -127,9 +127,8 @@ class AisWriter:
             raise ValueError(f"no AIS message of type {kind}: {error}") from error
 
 
-#: What stands for a value that is not available (ITU-R M.1371).
+#: What stands for a value that is not available in reports of positions (ITU-R M.1371).
 _ABSENT = {"lat": 91.0, "lon": 181.0, "speed": 102.3, "course": 360.0, "heading": 511, "second": 60}
-_ABSENT_STATIC: Mapping[str, Any] = {}
 
 
 def read_translated(file: SensorFile, translate: Translator) -> list[Reports]:

@@ -10,7 +10,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -299,12 +299,12 @@ class ReportStream:
         log = nmea.Log(log.sentences, log.clock_s, log.clock, ())
         kinds = {sentence.kind for sentence in log.sentences}
         out: list[Reports] = []
-        before = replace(self._ship)
+        own = arpa.own_ship_of(log, self._ship)
         if kinds & set(ais.SENTENCES):
             out += self._read(lambda: [ais.read(log, f"{self.source}:ais", state=self._ais_state)])
         if kinds - {"VDM"}:
-            out += self._read(lambda: [arpa.read(log, f"{self.source}:arpa", ship=self._ship)])
-        return arpa.with_own_ship(out, log, before)
+            out += self._read(lambda: [arpa.read(log, f"{self.source}:arpa", ship=self._ship, own=own)])
+        return arpa.with_own_ship(out, log, own)
 
     def _read(self, read: Callable[[], list[Reports]]) -> list[Reports]:
         """The reports of a reader; its counts of damaged and skipped lines are added to those of the stream."""
