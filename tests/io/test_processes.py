@@ -23,6 +23,13 @@ def refuse(words):
     raise InputError(words, "give another")
 
 
+def fail_on(path):
+    """Fails as a full disk does, and leaves a line at each call."""
+    with open(path, "a") as file:
+        file.write("called\n")
+    raise OSError("no space left on device")
+
+
 def end_at_once():
     os.kill(os.getpid(), signal.SIGKILL)
 
@@ -43,6 +50,14 @@ def test_little_work_is_done_here_and_much_in_another_process(aside):
         aside.call(1000, refuse, "no such thing")
     if hasattr(os, "nice"):
         assert aside.call(1000, os.nice, 0) == min(os.nice(0) + NICENESS, 19)
+
+
+@pytest.mark.slow
+def test_an_error_of_the_work_is_not_one_of_the_process(aside, tmp_path):
+    there = aside.call(1000, os.getpid)
+    with pytest.raises(OSError, match="no space left"):
+        aside.call(1000, fail_on, tmp_path / "calls")
+    assert (tmp_path / "calls").read_text() == "called\n" and aside.call(1000, os.getpid) == there
 
 
 @pytest.mark.slow
