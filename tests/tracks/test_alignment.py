@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sameas.errors import InputError
+from sameas.kernels.tracks import search_jumps
 from sameas.many.observations import Bearing, LinearPart
 from sameas.tracks.alignment import (
     Earlier,
@@ -114,3 +115,24 @@ def test_reports_without_a_time_are_refused():
         States.of([0.0], np.zeros((1, 2)), np.eye(2), speed_m_per_s=8.0, velocity=[[0.0, 0.0]])
     with pytest.raises(InputError, match="give how fast objects may be"):
         States.of([0.0], np.zeros((1, 2)), np.eye(2), speed_m_per_s=0.0)
+
+
+@pytest.mark.parametrize("way", ["interpreted", "compiled"])
+def test_the_jump_of_a_clock_is_searched_as_by_the_sums_over_all_rows(way):
+    rng = np.random.default_rng(4)
+    m, rows, most, log_outlier = 40, 90, 8.0, -6.0
+    before = np.sort(rng.choice(rows - 8, m, replace=False))
+    after = before + rng.integers(1, 8, m)
+    late, sigma, seconds = rng.normal(0.0, 8.0, m), rng.uniform(0.5, 6.0, m), np.array([-40.0, -6.0, 6.0, 12.0, 400.0])
+    late[before > 50] += 12.0
+    log_width = np.log(sigma * np.sqrt(2.0 * np.pi))
+    log_no_jump = np.logaddexp(-0.5 * (late / sigma) ** 2 - log_width, log_outlier)
+    total, row = np.empty(5), np.empty(5, np.int64)
+    getattr(search_jumps, way)(
+        seconds, late, sigma, log_width, log_no_jump, before + 1, after + 1, log_outlier, most, total, row
+    )
+    for s, jump_s in enumerate(seconds):
+        log_ratio = np.logaddexp(-0.5 * ((late - jump_s) / sigma) ** 2 - log_width, log_outlier) - log_no_jump
+        log_ratio = np.clip(log_ratio, -most, most)
+        sums = np.array([log_ratio[(before < n) & (n <= after)].sum() for n in range(rows)])
+        assert total[s] == pytest.approx(sums.max(), abs=1e-9) and sums[row[s]] == pytest.approx(sums.max(), abs=1e-9)

@@ -1,4 +1,5 @@
-"""Compiled loop over the reports of tracks: their Kalman filter (:mod:`sameas.tracks.alignment`)."""
+"""Compiled loops over the reports of tracks: their Kalman filter, and the evidence of their motion on a clock
+(:mod:`sameas.tracks.alignment`)."""
 
 from __future__ import annotations
 
@@ -100,3 +101,47 @@ def _add_innovation(
     shrunk = min(most / max(math.sqrt(x * x + y * y), 1e-12), 1.0)
     trend[0], trend[1] = memory * before[0] + shrunk * x, memory * before[1] + shrunk * y
     trend[2] = memory * memory * before[2] + 1.0
+
+
+def _work_of_jumps(seconds: FloatArray, late_s: FloatArray, *_: object) -> float:
+    return 2.0 * len(seconds) * len(late_s)
+
+
+@small_by(_work_of_jumps)
+def search_jumps(
+    seconds: FloatArray, late_s: FloatArray, sigma_s: FloatArray, log_width: FloatArray, log_no_jump: FloatArray,
+    begins: IntArray, ends: IntArray, log_outlier: float, most: float, total: FloatArray, row: IntArray,
+) -> None:  # fmt: skip
+    """Write for each jump (s,) of a clock by ``seconds`` the most probable ``row`` of the file from which on it stands,
+    the first of several, and ``total``, the log-ratio there: the sum over the pairs of reports on both sides of it.
+
+    late_s, sigma_s : (m,) as of :class:`sameas.tracks.alignment.Steps`. log_width : (m,) ln(σ √(2π)). log_no_jump :
+    (m,) ln of the density of the stamps without a jump. begins, ends : (m,) the rows, from the first to before the
+    second, from which on a jump lies between the reports of a pair. log_outlier : ln of the density of a stamp that no
+    motion explains. most : limit of the log-ratio of a pair, and of its negative.
+    """
+    rows = ends.max() + 1
+    added, taken = np.empty(rows), np.empty(rows)
+    for s in range(len(seconds)):
+        added[:] = 0.0
+        taken[:] = 0.0
+        for k in range(len(late_s)):
+            sigmas = (late_s[k] - seconds[s]) / sigma_s[k]
+            log_normal = -0.5 * (sigmas * sigmas) - log_width[k]
+            ratio = min(max(_log_sum(log_normal, log_outlier) - log_no_jump[k], -most), most)
+            added[begins[k]] += ratio
+            taken[ends[k]] += ratio
+        here = 0.0
+        total[s], row[s] = -math.inf, 0
+        for n in range(rows):
+            here += added[n] - taken[n]
+            if here > total[s]:
+                total[s], row[s] = here, n
+
+
+@part
+def _log_sum(x: float, y: float) -> float:
+    """ln(eˣ + eʸ), as of ``np.logaddexp``; of an x far below y it is y, for which no exponential is taken."""
+    if x > y:
+        return x + math.log1p(math.exp(y - x))
+    return y if x < y - 50.0 else y + math.log1p(math.exp(x - y))

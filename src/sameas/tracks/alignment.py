@@ -42,7 +42,7 @@ from sameas.gate import ChiSquare
 from sameas.gaussian import determinant, symmetric
 from sameas.kernels.compiled import runs_compiled
 from sameas.kernels.kalman import states_moved
-from sameas.kernels.tracks import filter_tracks
+from sameas.kernels.tracks import filter_tracks, search_jumps
 from sameas.many.observations import StatePart
 from sameas.representation import counted
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
@@ -345,27 +345,27 @@ def jump_of(
     """
     if len(steps.first) < 2:
         return None
-    size = int(at.max()) + 2
-    outlier = math.log(tuning.clock_outlier / (2.0 * tuning.clock_search_s[1]))
-    log_no_jump = np.logaddexp(_log_normal(steps.late_s, steps.sigma_s), outlier)
-    best: tuple[float, int, float, int] | None = None
-    begins, ends = at[steps.first] + 1, at[steps.second] + 1
+    log_outlier = math.log(tuning.clock_outlier / (2.0 * tuning.clock_search_s[1]))
+    log_width = np.log(steps.sigma_s * math.sqrt(2.0 * math.pi))
+
+    def log_density(late_s: FloatArray) -> FloatArray:
+        return np.asarray(np.logaddexp(-0.5 * (late_s / steps.sigma_s) ** 2 - log_width, log_outlier))
+
+    log_no_jump = log_density(steps.late_s)
+    before, after = at[steps.first], at[steps.second]
+    total, row = np.empty(len(seconds)), np.empty(len(seconds), np.int64)
+    search_jumps(
+        seconds, steps.late_s, steps.sigma_s, log_width, log_no_jump, before + 1, after + 1, log_outlier,
+        tuning.clock_vote, total, row,
+    )  # fmt: skip
     # All lines between the same two reports of a track are one place for a jump.
     places = len(steps.first) / len(np.unique(steps.track))
-    for jump_s in seconds:
-        log_ratio = np.logaddexp(_log_normal(steps.late_s - jump_s, steps.sigma_s), outlier) - log_no_jump
-        log_ratio = np.clip(log_ratio, -tuning.clock_vote, tuning.clock_vote)
-        total = np.cumsum(np.bincount(begins, log_ratio, size) - np.bincount(ends, log_ratio, size))
-        row = int(np.argmax(total))
-        log_odds = float(total[row]) + math.log(prior / (len(seconds) * places))
-        if best is None or log_odds > best[0]:
-            supports = (at[steps.first] < row) & (row <= at[steps.second]) & (log_ratio > 0.0)
-            best = log_odds, row, float(jump_s), len(np.unique(steps.track[supports]))
-    return best
-
-
-def _log_normal(value: FloatArray, sigma: FloatArray) -> FloatArray:
-    return np.asarray(-0.5 * (value / sigma) ** 2 - np.log(sigma * math.sqrt(2.0 * math.pi)))
+    log_odds = total + math.log(prior / (len(seconds) * places))
+    best = int(np.argmax(log_odds))
+    across = (before < row[best]) & (row[best] <= after)
+    supports = across & (log_density(steps.late_s - seconds[best]) > log_no_jump)
+    votes = len(np.unique(steps.track[supports]))
+    return float(log_odds[best]), int(row[best]), float(seconds[best]), votes
 
 
 def with_minutes(reports: States, walk: FloatArray, tuning: Tuning) -> tuple[States, int]:
