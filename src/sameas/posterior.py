@@ -136,7 +136,8 @@ def posterior(
             open_pairs = np.flatnonzero(np.repeat(method == APPROXIMATE, groups.pair_counts))
     if len(open_pairs):
         message_change = _local(groups, best, open_pairs, method, share, excluded_below, tuning, edge)
-        share = _scaled_to_one(groups, share)
+        total_1, total_2 = (np.bincount(place, share)[place] for place in groups.places)
+        share = share / np.maximum(1.0, np.maximum(total_1, total_2))
         if not math.isfinite(float(share.sum())):
             raise ArithmeticError("a probability is not a number; please report this with the records")
     p_pair = groups.in_given_order(np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share))
@@ -220,12 +221,6 @@ def _upper_bounds(groups: Groups, best: Hypothesis, large: BoolArray, bound: Flo
     shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_1, groups.local_2)
     state = (best.weight, best.chosen, large, bound)
     threads.over(lambda a, b: bounds(a, b, *shape, *state), groups.bounds_of_threads())
-
-
-def _scaled_to_one(groups: Groups, share: FloatArray) -> FloatArray:
-    """Approximate shares, scaled so that those of every record sum to at most 1."""
-    total_1, total_2 = (np.bincount(place, share)[place] for place in groups.places)
-    return share / np.maximum(1.0, np.maximum(total_1, total_2))
 
 
 def by_messages(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNING) -> Posterior:

@@ -240,18 +240,13 @@ def _packed_matrices(matrices: FloatArray, n: int, d: int, source: str) -> Float
 
     packed = np.empty((n, d * (d + 1) // 2))
     if not pack(np.ascontiguousarray(matrices), packed):
-        _refuse_skew(matrices, source)
+        with np.errstate(invalid="ignore"):
+            skew = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
+            size = np.abs(matrices).max(axis=(1, 2), initial=0.0)
+            lopsided = np.flatnonzero(skew > 1e-9 * size)
+        if len(lopsided):
+            raise InputError(f"{source}: {len(lopsided)} covariances are not symmetric (first: row {lopsided[0]})")
     return packed
-
-
-def _refuse_skew(matrices: FloatArray, source: str) -> None:
-    """Covariances may differ from their transposes by rounding only."""
-    with np.errstate(invalid="ignore"):
-        skew = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
-        size = np.abs(matrices).max(axis=(1, 2), initial=0.0)
-        lopsided = np.flatnonzero(skew > 1e-9 * size)
-    if len(lopsided):
-        raise InputError(f"{source}: {len(lopsided)} covariances are not symmetric (first: row {lopsided[0]})")
 
 
 def _unusable(

@@ -44,7 +44,10 @@ def _in_lines(self: Any) -> str:
 def shown(value: Any) -> str:
     """A value in a few words."""
     if isinstance(value, np.ndarray):
-        return _array(value)
+        if value.size <= ITEMS and value.dtype.kind != "O":
+            return " ".join(repr(value.tolist()).split())
+        masked = "masked " if isinstance(value, np.ma.MaskedArray) else ""
+        return f"<{masked}{value.dtype} {value.shape}>"
     if hasattr(value, "colnames"):
         return f"<{type(value).__name__} of {len(value)} rows, {len(value.colnames)} columns>"
     if is_dataclass(value) and not isinstance(value, type):
@@ -56,13 +59,6 @@ def shown(value: Any) -> str:
         return _collection(value)
     text = " ".join(repr(value).split())
     return text if len(text) <= LETTERS else f"<{type(value).__qualname__}>"
-
-
-def _array(values: np.ndarray) -> str:
-    if values.size <= ITEMS and values.dtype.kind != "O":
-        return " ".join(repr(values.tolist()).split())
-    masked = "masked " if isinstance(values, np.ma.MaskedArray) else ""
-    return f"<{masked}{values.dtype} {values.shape}>"
 
 
 def _collection(values: Any) -> str:

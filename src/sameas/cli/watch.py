@@ -154,7 +154,7 @@ def watch(
         settings = settings.with_zones(zones) if zones else settings
         if record is not None and (replay or playback) is not None:
             raise InputError("--record: files are replayed, and nothing is received", "leave it out")
-        settings = settings if record is None else _with_record(settings, record)
+        settings = settings if record is None else replace(settings, watch=replace(settings.watch, record=str(record)))
         share_compilation(quiet, "picture")
         keeper = Keeper(settings, output, replay=replay, playback=playback)
         to_stdout = any(sink.url.startswith("stdout:") for sink in keeper.sinks)
@@ -265,10 +265,6 @@ def recorded_inputs(files: list[str], sensors: Path | None, pace: float) -> tupl
                 raise InputError(f"{file}: {known} {', '.join(names)}", "give the sensor file of that watch")
             played.append((str(urls.pop()), recording))
     return settings, Playback(played, pace)
-
-
-def _with_record(settings: Settings, folder: Path) -> Settings:
-    return replace(settings, watch=replace(settings.watch, record=str(folder)))
 
 
 def _with_charts(settings: Settings, charts: Sequence[Path]) -> Settings:

@@ -212,7 +212,9 @@ def _view(places: FloatArray, outlines: FloatArray) -> tuple[FloatArray, FloatAr
 def _lines(axes: Axes, result: Identification, sides: tuple[_CatalogueSide, _CatalogueSide], pairs: IntArray) -> None:
     order = pairs[np.argsort(result.chosen[pairs], kind="stable")]
     for k, pair in enumerate(order):
-        ends = _ends(result, sides, pair)
+        one = np.flatnonzero(sides[0].position == result.pairs.i[pair])[0]
+        two = np.flatnonzero(sides[1].position == result.pairs.j[pair])[0]
+        ends = np.stack([sides[0].place[one], sides[1].place[two]])
         chosen = bool(result.chosen[pair])
         line, ink, weight = (FOUND, FOUND, "bold") if chosen else (FAINT, "#555555", "normal")
         axes.plot(*ends.T, color=line, lw=3.4 if chosen else 1.2, zorder=1, solid_capstyle="round")
@@ -223,12 +225,6 @@ def _lines(axes: Axes, result: Identification, sides: tuple[_CatalogueSide, _Cat
             x, y, percent(result.p_pair[pair]), ha="center", va="center", fontsize=10, fontweight=weight,
             color=ink, zorder=4, bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.2, "alpha": 0.9},
         )  # fmt: skip
-
-
-def _ends(result: Identification, sides: tuple[_CatalogueSide, _CatalogueSide], pair: int) -> FloatArray:
-    one = np.flatnonzero(sides[0].position == result.pairs.i[pair])[0]
-    two = np.flatnonzero(sides[1].position == result.pairs.j[pair])[0]
-    return np.stack([sides[0].place[one], sides[1].place[two]])
 
 
 def _ellipses(axes: Axes, side: _CatalogueSide, reach: float) -> FloatArray:

@@ -223,7 +223,12 @@ def normalised(match: SkyMatch) -> Figure:
     """
     distance = match.result.matches.mahalanobis
     errors = match.estimate.spread
-    figure = sheet(finding(match), _detail(match))
+    words = f"{count(len(match.result.matches))} identified pairs of {match.first.name} and {match.second.name}."
+    beyond = match.estimate.tail
+    if beyond is not None:
+        share = f"{percent(beyond.share.value)} of them have errors about {times(beyond.factor)} times the quoted ones"
+        words += f" A tail: {share}."
+    figure = sheet(finding(match), words)
     if not len(distance):
         return figure
     bulk, tail = figure.subplots(1, 2)
@@ -306,15 +311,6 @@ def finding(match: SkyMatch) -> str:
         words = f"{scale:.2g} times as far" if scale >= 0.01 else "less than 0.01 times as far"
         return f"The quoted errors are too large: the typical pair scatters {words}"
     return "The typical pair scatters as its quoted errors"
-
-
-def _detail(match: SkyMatch) -> str:
-    words = f"{count(len(match.result.matches))} identified pairs of {match.first.name} and {match.second.name}."
-    beyond = match.estimate.tail
-    if beyond is not None:
-        share = f"{percent(beyond.share.value)} of them have errors about {times(beyond.factor)} times the quoted ones"
-        words += f" A tail: {share}."
-    return words
 
 
 # Scatter of the identified pairs by quoted error and by magnitude.

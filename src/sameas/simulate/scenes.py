@@ -158,7 +158,9 @@ def poisson_field(
     True
     """
     size = np.asarray(extent, float)
-    _require_densities(density, false_1, false_2)
+    for name, value in (("density", density), ("false_1", false_1), ("false_2", false_2)):
+        if not 0 <= value < math.inf:
+            raise InputError(f"poisson_field: {name} is {value}; give a number that is not negative")
     if size.ndim != 1 or not len(size) or not (size > 0).all():
         raise InputError(f"poisson_field: extent is {extent}; give one positive size per feature")
     count, *n_false = rng.poisson(size.prod() * np.array([density, false_1, false_2]))
@@ -405,9 +407,3 @@ def _bounds(sigma: Sigma, name: str) -> tuple[float, float]:
     if not 0 < low <= high < math.inf:
         raise InputError(f"{name}: sigma is {sigma}; give a positive number, or (low, high) with 0 < low ≤ high")
     return float(low), float(high)
-
-
-def _require_densities(density: float, false_1: float, false_2: float) -> None:
-    for name, value in (("density", density), ("false_1", false_1), ("false_2", false_2)):
-        if not 0 <= value < math.inf:
-            raise InputError(f"poisson_field: {name} is {value}; give a number that is not negative")

@@ -135,7 +135,9 @@ def _with_likelier_unit(catalogues: Sequence[Catalogue], k: int, tuning: CommonE
         return catalogue, ""
     estimates = [common_error(catalogue, other, tuning=tuning) for other in others]
     sigma, share = max(estimates, key=lambda estimate: estimate[1])
-    quoted = _median_sigma_arcsec(catalogue)
+    variance = 0.5 * (catalogue.astrometry.variance(0) + catalogue.astrometry.variance(1))
+    known = variance[np.isfinite(variance)]
+    quoted = 1e-3 * math.sqrt(median(known)) if len(known) else np.nan
     if share <= 0.0 or not quoted > 0.0:
         return catalogue, ""
     in_arcsec = {"mas": 1e-3, "arcsec": 1.0, "deg": 3600.0}
@@ -154,12 +156,6 @@ def _with_likelier_unit(catalogues: Sequence[Catalogue], k: int, tuning: CommonE
 
 def _is_guessed(column: ChosenColumn) -> bool:
     return column.reason == GUESSED
-
-
-def _median_sigma_arcsec(catalogue: Catalogue) -> float:
-    variance = 0.5 * (catalogue.astrometry.variance(0) + catalogue.astrometry.variance(1))
-    known = variance[np.isfinite(variance)]
-    return 1e-3 * math.sqrt(median(known)) if len(known) else np.nan
 
 
 def common_error(

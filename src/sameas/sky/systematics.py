@@ -326,7 +326,7 @@ class Warp:
     def displacement(self, position_deg: FloatArray) -> FloatArray:
         """(n, 2) arcsec east and north at positions (n, 2)."""
         # Outside the field the polynomial would diverge: its value at the edge is used.
-        position = _plane_arcsec(position_deg, self.centre) / self.radius_arcsec
+        position = (to_plane(unit_vectors(*position_deg.T), self.centre) * ARCSEC_PER_RADIAN) / self.radius_arcsec
         position /= np.maximum(np.hypot(*position.T), 1.0)[:, None]
         return np.asarray(_basis(position, self.order) @ self.coefficients)
 
@@ -351,11 +351,6 @@ class Warp:
             f"(scale {1e6 * self.scale:+.2g} parts in a million, turn {self.rotation_arcsec:+.2g}″), from "
             f"{self.pairs} pairs"
         )
-
-
-def _plane_arcsec(position_deg: FloatArray, centre: FloatArray) -> FloatArray:
-    """(n, 2) positions on the tangent plane, arcsec."""
-    return to_plane(unit_vectors(*position_deg.T), centre) * ARCSEC_PER_RADIAN
 
 
 def _basis(position: FloatArray, order: int) -> FloatArray:

@@ -229,11 +229,6 @@ Length = int | str | tuple["Field | None", ...]
 Field = tuple[str, Length]
 
 
-def _subfields(text: str) -> tuple[Field | None, ...]:
-    """Subfields from ``"ADR:3 TID:n15 -"``; a dash is a spare bit."""
-    return tuple(None if part == "-" else _field(part) for part in text.split())
-
-
 def _field(part: str) -> Field:
     name, length = part.split(":")
     return name, int(length) if length.isdigit() else length
@@ -252,7 +247,7 @@ def _category(number: int, items: str, compounds: Mapping[str, str]) -> AsterixC
     for part in items.split():
         name = part.split(":")[0]
         if name in compounds:
-            fields.append((name, _subfields(compounds[name])))
+            fields.append((name, tuple(None if part == "-" else _field(part) for part in compounds[name].split())))
         else:
             fields.append(None if part == "-" else _field(part))
     return AsterixCategory(number, tuple(fields))

@@ -246,7 +246,7 @@ def _best_depth(
 
     if not len(gain):
         return -math.inf, lengths
-    ns, ms = (_depths(length, depths) for length in lengths)
+    ns, ms = (np.unique(np.round(np.geomspace(min(4, length), length, depths)).astype(np.int64)) for length in lengths)
     inside = (i[None, None, :] < ns[:, None, None]) & (j[None, None, :] < ms[None, :, None])
     k, log_gain = inside.sum(axis=2), inside @ gain
     n_, m_ = ns[:, None], ms[None, :]
@@ -255,11 +255,6 @@ def _best_depth(
     score = log_gain - ways - np.log(np.minimum(n_, m_) + 1.0) - math.log(k.size)
     a, b = np.unravel_index(int(np.argmax(score)), score.shape)
     return float(score[a, b]), (int(ns[a]), int(ms[b]))
-
-
-def _depths(n: int, number: int) -> IntArray:
-    """About ``number`` prefix lengths of a list of n, in geometric progression from 4 to n."""
-    return np.unique(np.round(np.geomspace(min(4, n), n, number)).astype(np.int64))
 
 
 def _total_covariance(

@@ -75,13 +75,17 @@ def _identity_columns(identification: FrameIdentification, unidentified: IntArra
     fate = np.where(np.ma.getmaskarray(partner), "unidentified", "identified")
     ids = _selected(stars.ids, partner)
     expected = identification.p_detect[unidentified] >= identification.tuning.p_expected
+    words = [Flag.words(bits) for bits in identification.measured.flags]
+    for k in identification.odd_brightness:
+        row = int(identification.pairs[0][k])
+        words[row] = "; ".join(filter(None, [odd_words(float(identification.excess_mag[k])), words[row]]))
     return {
         "fate": (fate, np.where(expected, "missing", "too faint"), "", "fate of the row"),
         "measurement": (np.arange(len(m)), None, "", "number of the measurement, brightest first"),
         "star": (ids, stars.ids[unidentified], "", f"identifier in {stars.name}"),
         "star_row": (_selected(stars.rows, partner), stars.rows[unidentified], "", f"row in {stars.name}"),
         "remark": (
-            np.array(_remarks(identification), dtype=str),
+            np.array(words, dtype=str),
             np.array(why_missing(identification, unidentified), dtype=str),
             "",
             "flags of a measurement, and whether its star is brighter or fainter than catalogued; what stands in the "
@@ -89,14 +93,6 @@ def _identity_columns(identification: FrameIdentification, unidentified: IntArra
         ),
         "flags": (m.flags, None, "", "bits: " + ", ".join(f"{int(f)} {str(f.name).lower()}" for f in Flag)),
     }
-
-
-def _remarks(identification: FrameIdentification) -> list[str]:
-    words = [Flag.words(bits) for bits in identification.measured.flags]
-    for k in identification.odd_brightness:
-        row = int(identification.pairs[0][k])
-        words[row] = "; ".join(filter(None, [odd_words(float(identification.excess_mag[k])), words[row]]))
-    return words
 
 
 def odd_words(excess_mag: float) -> str:

@@ -103,7 +103,10 @@ def grow(around: Surroundings, links: Links, model: MotionModel) -> Tracks:
     # Last exposure with a link from each: after it the covariances, nine tenths of the memory, are dropped.
     last_use = np.full(len(detections.frame_names), ABSENT)
     np.maximum.at(last_use, detections.frame[links.i], detections.frame[links.j])
-    kept: list[_Extendable] = [_no_tracks()]
+    rows = np.empty(0, np.int64)
+    values = np.empty(0)
+    tracks = Tracks(rows, rows, rows, rows, values, values, rows, values, np.empty((0, 6)))
+    kept: list[_Extendable] = [_Extendable(tracks, np.empty((0, 6, 6)))]
     offsets = [0]
     # Range of the tracks that end at each detection; those of one exposure are sorted by detection.
     start, count = np.zeros(len(detections), np.int64), np.zeros(len(detections), np.int64)
@@ -140,13 +143,6 @@ def _gathered(levels: list[_Extendable], offsets: list[int], number: IntArray) -
     inverse_order = np.empty_like(order)
     inverse_order[order] = np.arange(len(order))
     return _Extendable.concatenated(parts).only(inverse_order)
-
-
-def _no_tracks() -> _Extendable:
-    rows = np.empty(0, np.int64)
-    values = np.empty(0)
-    tracks = Tracks(rows, rows, rows, rows, values, values, rows, values, np.empty((0, 6)))
-    return _Extendable(tracks, np.empty((0, 6, 6)))
 
 
 def _with_outer_exposures(around: Surroundings, tracks: Tracks, model: MotionModel) -> Tracks:
