@@ -62,8 +62,6 @@ class Certificate:
 class Hypothesis:
     """The most probable hypothesis, in the layout of the groups.
 
-    Attributes
-    ----------
     chosen : (m,) whether each pair of the layout belongs to it.
     weight : (m,) ln λ of each pair, with the prior's slope where the prior is linear.
     dual_1, dual_2 : dual variables of the records of the layout: u + v ≥ weight + multiplier.
@@ -121,8 +119,6 @@ def refuse_crowds(pairs: Pairs, tuning: Tuning = DEFAULT_TUNING) -> None:
 def assign(groups: Groups, log_ratio: FloatArray, prior: LogPrior) -> Hypothesis:
     """The most probable hypothesis of every group.
 
-    Parameters
-    ----------
     log_ratio : (m,) ln λ of the pairs, in the order of the gate.
     """
     from sameas.kernels.assign import assign_counted, assign_linear

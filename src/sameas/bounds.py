@@ -46,9 +46,7 @@ TEXT_UNPACKING = Unpacking(least=1 << 25, ratio=30)
 def unpacked(path: str | os.PathLike[str], bounds: Unpacking | None = None) -> bytes:
     """All bytes of a gzipped file.
 
-    Raises
-    ------
-    InputError : it is cut off, damaged, or unpacks to more than its ``bounds``.
+    Raises InputError: it is cut off, damaged, or unpacks to more than its ``bounds``.
     """
     path = Path(path)
     most = (bounds or Unpacking()).of(path.stat().st_size)
@@ -189,9 +187,7 @@ def checked_fits(path: Path, limits: Headers | None = None) -> Path | io.BytesIO
 
     Headers that require more than the file can contain are refused.
 
-    Raises
-    ------
-    InputError : a header without an end; impossible axes, columns, rows or sizes; see :func:`unpacked`.
+    Raises InputError: a header without an end; impossible axes, columns, rows or sizes; see :func:`unpacked`.
     """
     limits = limits or Headers()
     size = path.stat().st_size

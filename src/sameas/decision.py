@@ -66,8 +66,6 @@ class Loss:
 class Decision:
     """A one-to-one decision.
 
-    Attributes
-    ----------
     chosen : (m,) whether each candidate is accepted, in the order of the gate.
     expected_loss : of all records of source 1 that have candidates, in the unit of the losses.
     expected_right : expected number of records of both sources, of those with candidates, that are decided correctly.

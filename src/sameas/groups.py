@@ -26,8 +26,6 @@ PlaceArray = NDArray[np.int32]
 class Groups:
     """Candidates laid out group by group; g groups, m pairs.
 
-    Attributes
-    ----------
     order : (m,) pair ``order[e]`` of the gate is the e-th of the layout.
     start : (g+1,) group k holds the layout's pairs start[k]:start[k+1].
     rows_1, start_1 : records of source 1, group by group, and their (g+1,) starts; rows_2, start_2 likewise.

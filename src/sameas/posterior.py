@@ -92,8 +92,6 @@ PAIRS_AT_ONCE = 200_000
 class Posterior:
     """Posterior probabilities.
 
-    Attributes
-    ----------
     p_pair : (m,) probability of each pair, in the order of the gate.
     method : (g,) index into :data:`METHODS`.
     excluded_below : (g,) pairs with a first estimate below this probability were not summed exactly; 0 if all were.
@@ -258,8 +256,6 @@ def log_evidence(groups: Groups, best: Hypothesis, p_pair: FloatArray) -> FloatA
 
     with p₀ the probabilities of the records to have no partner.
 
-    Parameters
-    ----------
     p_pair : (m,) probabilities of the pairs, in the order of the gate.
     """
     from sameas.kernels.posterior import log_sums

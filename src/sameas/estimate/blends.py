@@ -38,8 +38,6 @@ from sameas.result import Identification
 class BlendTuning:
     """Parameters of the search for blends; chosen with ``scripts/bench field --only blends``.
 
-    Attributes
-    ----------
     steepness : B(s) = exp(−ln 2 · (s/resolution)^steepness).
     reach : maximum separation of a blend, in resolutions.
     gate_sigmas, tail_sigmas : maximum distance of a partner from its expected position, in typical standard
@@ -109,8 +107,6 @@ class BlendCandidates:
 class Blends:
     """Records of the coarse source, each with no partner, one, or two.
 
-    Attributes
-    ----------
     partner, other : (n₁,) records of source 2 in the most probable hypothesis of each group, and the second one of a
         blend; masked where there is none.
     p_match : (n₁,) probability of that answer (of no partner if masked). p_blend : (n₁,) probability that the record
@@ -143,8 +139,6 @@ def find_blends(
 ) -> Blends:
     """Which records of a coarse source are one object of a fine one, and which are two, with probabilities.
 
-    Parameters
-    ----------
     first, second : the coarse and the fine source.
     resolution : separation in the unit of the residuals (arcsec on the sphere) at which half of the couples are one
         record of the coarse source.
@@ -152,9 +146,7 @@ def find_blends(
     flux : (n₂,) of the fine source's records in the coarse source's band; NaN where unknown.
     coverage : of both; estimated if None.
 
-    Raises
-    ------
-    InputError : a resolution that is not positive, fluxes that are not one above 0 per record.
+    Raises InputError: a resolution that is not positive, fluxes that are not one above 0 per record.
 
     The model is that of the module.
 

@@ -30,8 +30,6 @@ from sameas.space import ARCSEC_PER_RADIAN, Sphere
 class CellsTuning:
     """Parameters of cells and outlines, all chosen.
 
-    Attributes
-    ----------
     fewest : least number of points for an outline.
     corners, most : a field is a rectangle if its corners hold more than this fraction of the points expected for an
         even distribution, or if its outline fills more than the second fraction of the rectangle.

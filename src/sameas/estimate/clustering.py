@@ -36,8 +36,6 @@ _EXPANSION, _LARGE = [math.prod((2 * j - 1) ** 2 / (8 * j) for j in range(1, k +
 class CompanionsTuning:
     """Sample sizes and limits for companions.
 
-    Attributes
-    ----------
     radii : of the rings, in typical standard deviations of a residual. reach : greatest distance of neighbours, same
         unit.
     n_records : approximate number of records used, of each source. n_neighbours : of their neighbour pairs.

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 class CoverageTuning:
     """Parameters of the coverage, its holes and the densities; chosen where no source is given.
 
-    Attributes
-    ----------
     pseudo_count : pseudo-count of the densities by which holes in cells are found.
     smooths : pseudo-counts of local densities, one of which is chosen per level by the likelihood of the records;
         with few records the strongest one.

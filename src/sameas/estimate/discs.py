@@ -22,8 +22,6 @@ from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 class DiscsTuning:
     """Parameters of the search for discs; chosen where no source is given.
 
-    Attributes
-    ----------
     first_records, most_centres : records whose nearest centres are found first, since few fields are discs; and the
         number of centres above which none are looked for.
     full : discs must fill at most this fraction of the region of all records.

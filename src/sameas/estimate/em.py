@@ -38,8 +38,6 @@ from sameas.representation import in_short
 class EMTuning:
     """When an EM iteration learns what, and when the iterations end.
 
-    Attributes
-    ----------
     min_p_pair, max_p_pair : where errors are fitted, a pair of a lower probability gets its odds from its likelihood
         ratio and its records' probabilities of having no other partner; higher probabilities are clipped.
     min_log_odds : pairs of smaller ln odds, before one-to-one, are less probable than 1e-5; sums ignore them.
@@ -95,8 +93,6 @@ Both = tuple[FloatArray, FloatArray]
 class EMState:
     """The estimates after an EM iteration.
 
-    Attributes
-    ----------
     setting : candidates and records, the same in all iterations.
     p_partner : (n₁,), (n₂,) probability of having a partner, estimated where ``counted``.
     local_shares : (n₁,), (n₂,) local share of the source's other records that have a partner.

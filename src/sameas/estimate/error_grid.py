@@ -36,8 +36,6 @@ from sameas.space import ball_volume
 class GridTuning:
     """The grid of error scales and floors, and their prior.
 
-    Attributes
-    ----------
     chance_candidates : of a record of the poorer source, within the widest radius.
     crowded_candidates : the same where that radius is shorter than the gate by the quoted errors: the radius is then
         extended as far as this, if neither source has more than twice ``enough`` records.
@@ -134,8 +132,6 @@ def scan_errors(
     That is where records lie so close that quoted errors cannot be enlarged, and where no record of one source lies in
     the field of the other: with densities of an empty sky, all records would be candidates of all.
 
-    Parameters
-    ----------
     density : (ρ₁, ρ₂) of all records of each source, if given by the user.
     """
     if not all(covered.any() for covered in coverage.covered):

@@ -36,8 +36,6 @@ from sameas.result import Identification
 class ErrorFitTuning:
     """Parameters of the fits of error factors, floors and tails; chosen where no source is given.
 
-    Attributes
-    ----------
     min_pairs, max_pairs : pairs needed for a fit (expected number), and pairs used at most.
     min_p : pairs less probable than this are not used.
     min_tail_pairs : normals of the tail with fewer pairs than this are excluded from the information matrix.

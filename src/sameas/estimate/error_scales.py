@@ -18,8 +18,6 @@ from sameas.evidence import Errors
 class ScalesTuning:
     """How the mixture of error scales is fitted.
 
-    Attributes
-    ----------
     rung, lowest : step of the ladder of scales, as a factor, fine enough for any smooth distribution; and its lowest
         rung, in steps from 1.
     max_log_scale, shifts : if the typical scale differs from 1 by more than this, in ln, ladders shifted by these
@@ -89,8 +87,6 @@ def fit_errors(
     pseudo-count on the scale nearest to 1 limits the effect of few pairs. If the typical scale is not near 1, shifted
     ladders are tried too: one normal mixed from two neighbouring rungs has too long a tail, which chance pairs fill.
 
-    Parameters
-    ----------
     mahalanobis_sq, log_odds : (m,) squared normalised distances m² in d features, and ln of the odds.
     start : initial mixture.
     """

@@ -40,8 +40,6 @@ from sameas.space import Plane, unit_vectors
 class TrendTuning:
     """Limits for trends of errors; all chosen.
 
-    Attributes
-    ----------
     min_p, min_p_other : pairs less probable than this are not used; below the second, not by other errors either.
     min_pairs : pairs needed for a trend (expected number).
     max_knots, pairs_per_knot : number of knots of a trend, limited by the number of pairs.

@@ -31,8 +31,6 @@ from sameas.representation import in_short
 class GradesTuning:
     """Parameters of the grades of precision; chosen where no source is given.
 
-    Attributes
-    ----------
     records_per_cell, max_grades : records of the poorer source per cell of the table of two grades, and greatest
         number of grades.
     pseudo_count : pseudo-pairs per cell of the table, distributed as for unrelated grades.

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 class HolesTuning:
     """Parameters of the search for holes by empty discs; chosen.
 
-    Attributes
-    ----------
     disc : records expected in an empty disc, by the density where its source observes. More than in a cell: cells
         are few and fixed, but a disc is tried around every record.
     min_expected : minimum number of records expected in it from the number of records of its own source in it

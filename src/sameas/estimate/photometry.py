@@ -44,8 +44,6 @@ from sameas.result import Identification
 class RelationTuning:
     """Parameters of the fits of magnitudes; chosen where no source is given.
 
-    Attributes
-    ----------
     pseudo_unrelated : pairs that are always counted as unrelated.
     per_knot, max_knots, bend_sigma, slope_sigma : pairs per knot and greatest number of knots of a curve; prior
         standard deviations of its second differences, mag, and of slopes of colours.

@@ -44,8 +44,6 @@ _EMPTY = np.empty(0)
 class PlacesTuning:
     """Parameters of densities, coverage and shares from counts in cells; chosen.
 
-    Attributes
-    ----------
     coarsest : records in the coarsest cells on average; larger cells give no more than the overall mean.
     partly : a cell lies entirely within the field unless pairs of its records that share one of its finest cells exceed
         chance by this many standard deviations.
@@ -130,9 +128,7 @@ class Places:
     def of(cls, counts: CellCounts, volume: float, tuning: PlacesTuning = DEFAULT_PLACES) -> Places:
         """From the counts of all records, in cells of this volume; shares are NaN.
 
-        Raises
-        ------
-        InputError : a source has no records.
+        Raises InputError: a source has no records.
         """
         totals = counts.numbers.sum(axis=0)
         if not totals.all():
@@ -405,14 +401,10 @@ def learn(
 ) -> Learned:
     """The estimates for all records, from a sample.
 
-    Parameters
-    ----------
     places : densities and coverage, from the counts of all records.
     assumed, brightness, evidence : as for ``estimate.match.match``.
 
-    Raises
-    ------
-    InputError : the sample holds no records of one source.
+    Raises InputError: the sample holds no records of one source.
     """
     (first, second), cells = sample.records, sample.cells
     for one, has_counted in zip(sample.records, sample.counted, strict=True):

@@ -39,8 +39,6 @@ COLUMN_TERMS = ("columns", "prior odds", "relations")
 class MatchTuning:
     """Limits for widening the gate and for accepting estimates.
 
-    Attributes
-    ----------
     max_iterations : EM iterations after which no further error model is tried; its iterations are at most two thirds of
         these more.
     min_outer_share : the gate is widened when this share of the expected true pairs lies beyond 0.7 of its radius

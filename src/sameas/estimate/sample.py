@@ -23,8 +23,6 @@ from sameas.representation import in_short
 class Sampling:
     """How a sample is drawn.
 
-    Attributes
-    ----------
     enough : records of each source in a sample.
     worth_sampling : a sample is drawn if there are more than this many times as many records; else all are used.
     cell : least mean number of records of both sources in a cell.
@@ -42,8 +40,6 @@ class Sampling:
 class Setting:
     """The candidates and records of an estimation, which stay the same in all EM iterations.
 
-    Attributes
-    ----------
     pairs : the candidates.
     rows : (n₁,), (n₂,) indices of their records among all records.
     levels : their cells, coarse to fine.

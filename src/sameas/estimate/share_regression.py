@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 class ColumnsTuning:
     """Parameters of the fit; tuned on simulated counterparts of X-ray sources (``simulate.counterparts``).
 
-    Attributes
-    ----------
     folds : number of folds for cross-fitting.
     per_cell : mean number of records of the poorer source in the cells that are assigned to folds, at least.
     per_knot, max_knots : expected partners per knot of a curve, and their greatest number, without ``knots_of_all``.

@@ -53,8 +53,6 @@ class Relation:
     of normals, whose variance is that of the quoted errors plus a scatter that depends on the first of the others. The
     share ``unrelated`` follows ``background`` instead, which is the lower limit of the density at any difference.
 
-    Attributes
-    ----------
     knots, offset, scatter : (k,) magnitudes, and there the mean difference and the scatter beyond quoted errors, mag.
     slopes, centres : (c,) mag per mag of colour, about these colours: the other magnitudes minus the first of them.
         The mean is conditional on measured magnitudes, as needed to predict measured pairs: errors of the colours make
@@ -167,8 +165,6 @@ Pattern = tuple[bool, ...]
 class Magnitudes:
     """Magnitudes of every row of one source's table, in one or more bands.
 
-    Parameters
-    ----------
     values : (n_table,) or (n_table, bands), mag; NaN or masked where not measured. The completeness is estimated for
         the first band.
     sigma : one number, or of the shape of ``values``: 1σ errors, mag. Where NaN or not given, the fitted scatter
@@ -206,9 +202,7 @@ class Magnitudes:
     def of(self, records: Records) -> MeasuredMagnitudes:
         """The magnitudes at a source's usable records.
 
-        Raises
-        ------
-        InputError : the number of magnitudes differs from that of the table's rows.
+        Raises InputError: the number of magnitudes differs from that of the table's rows.
         """
         values = np.asarray(self.values)
         if len(values) != records.n_table:
@@ -399,8 +393,6 @@ class Chain:
 class Brightness(Rule):
     """Evidence of a pair's magnitudes, fitted by ``sameas.estimate.photometry``; add it to a rule of positions.
 
-    Parameters
-    ----------
     sides : the magnitudes of each source and their densities.
     chains : of source 1 given source 2, and the reverse; None without a fit.
     completeness_1, completeness_2 : (n₁,), (n₂,) change of a record's log-odds of being in both sources by its

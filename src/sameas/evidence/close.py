@@ -450,8 +450,6 @@ DOUBT_SIGMAS = 2.0
 class Spacing:
     """The distance of neighbours in the sources, per feature, in the unit of the residuals.
 
-    Attributes
-    ----------
     a : (d,) inner box: 1.1 σ of a typical residual [T], below which two objects look like one.
     b : (d,) outer box: twice the distance of a typical neighbour, and at least 4 σ.
     neighbour : (d,) distance of a typical neighbour, which may lie along any feature: √(d · mean square), 0 where the

@@ -254,8 +254,6 @@ class Association:
 class Columns(Rule):
     """Evidence of columns, estimated by ``sameas.estimate.columns`` or given; add it to a rule of positions.
 
-    Parameters
-    ----------
     learned : (n₁,), (n₂,) estimated ln r of all columns of each source together. given : the same of given priors.
     associations : of related columns.
     """
@@ -293,8 +291,6 @@ class TrainingPairs:
 class Precision(Rule):
     """ln p(g₁, g₂ | one object) − ln p(g₁, g₂ | two objects), with grades g of the sizes of both records' errors.
 
-    Parameters
-    ----------
     grades : (n₁,), (n₂,) of every record, from 0. log_ratio : (k₁, k₂) of every two grades.
     training : the pairs that this was estimated from; None after a change of candidates.
     """

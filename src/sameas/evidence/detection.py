@@ -21,8 +21,6 @@ from sameas.representation import in_short
 class ShareTuning:
     """Parameters of the fitted and of the reported share by magnitude, all chosen.
 
-    Attributes
-    ----------
     sorted_values : quantiles are taken from about this many values of a longer list: sufficient for knots.
     per_knot, max_knots : records per knot of the curve, and greatest number of knots.
     bend, sigma : prior standard deviations of the curve's logit: of its second differences between knots, and of its
@@ -124,8 +122,6 @@ def roughness(k: int, bend: float, weight: FloatArray | float = 1.0) -> FloatArr
 class DetectionCurve:
     """The share of a source's covered records that the other source shows, in bins of magnitude.
 
-    Attributes
-    ----------
     band : its name. edges : (b + 1,) mag. number : (b,) records.
     probability, standard_error : (b,) of the share; the error is that of counting and of uncertain pairs.
     density : (b,) of records without a partner, per (residual unit)^d and mag; density_error : its error.

@@ -96,8 +96,6 @@ class ConstantCost(Rule):
 class DetectionField(Rule):
     """λ·odds = P_d N(Δ; 0, Σ) / [(1 − P_d) β]: measurements of source 1 against records of source 2 (METHOD 3.4).
 
-    Parameters
-    ----------
     detection_probability : P_d, the probability that source 1 shows record j; a number or (n₂,).
     density : β of measurements of other objects and false ones, per unit volume; a number or (n₁,).
     """

@@ -135,8 +135,6 @@ class _Quantity:
 class Heights(Rule):
     """The heights and vertical speeds of the records, in addition to their positions.
 
-    Parameters
-    ----------
     heights : by the source's name, (n_table, 2) height and its 1σ error of every row of its table, metres; NaN where a
         record has none. All are of one kind.
     climbs : the same of vertical speeds, m/s upwards; sources without any may be left out.

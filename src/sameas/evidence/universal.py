@@ -191,9 +191,7 @@ class Expected:
 def expectation(integrand: Integrand, pairs: int, k: int, relative_error: float, seed: int, density: str) -> Expected:
     """E f(z), z ~ N(0, 1)^k, for every pair, to ``relative_error`` if the number of steps suffices.
 
-    Raises
-    ------
-    InputError : the values are negative or not finite, or zero around every pair.
+    Raises InputError: the values are negative or not finite, or zero around every pair.
     """
     f, rows = _Checked(integrand, density), np.arange(pairs)
     if k > 2:

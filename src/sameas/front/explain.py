@@ -215,9 +215,7 @@ def _reasons(folder: Path) -> dict[int, list[tuple[float, str]]]:
 def picture_tables(folder: Path) -> tuple[Table, Table]:
     """The objects and the records of a picture in a folder.
 
-    Raises
-    ------
-    InputError : they are not there.
+    Raises InputError: they are not there.
     """
     from sameas.io import read_table
     from sameas.partitions.hats import is_hats

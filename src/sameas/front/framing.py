@@ -117,9 +117,7 @@ def fulfil(request: FrameRequest, progress: Progress, words: Callable[[str], str
 
     words : formats a message that names arguments.
 
-    Raises
-    ------
-    InputError : the frame, the catalogue or an output path cannot be used.
+    Raises InputError: the frame, the catalogue or an output path cannot be used.
     """
     began = time.perf_counter()
     request.digest()  # refuses missing files before any work

@@ -60,8 +60,6 @@ FAINT = 0.02
 class MoverOptions:
     """What is searched, and how tracklets are identified with known objects and reported.
 
-    Attributes
-    ----------
     least, probability : minimum number of detections and minimum probability of a tracklet.
     elements : known objects, or None. observer : of the report, or None. reported : minimum probability of a tracklet
         in the report.
@@ -80,9 +78,7 @@ class MoverOptions:
              site: Site | None) -> MoverOptions:  # fmt: skip
         """elements : file of known objects, or None. header : TOML of the report, or None.
 
-        Raises
-        ------
-        InputError : a file cannot be read.
+        Raises InputError: a file cannot be read.
         """
         observer = None if header is None else Observer.read(header)
         return cls(least, probability, None if elements is None else Elements.read(elements), observer, reported, site)
@@ -121,15 +117,11 @@ def read_night(
 ) -> Night:
     """The detections in the tables of one night.
 
-    Parameters
-    ----------
     others : tables of other nights, from which the rates of motion are learned. wanted : columns of detections.
     columns : options of the tables and their columns, as of :func:`sameas.match`: ``{"sigma": 0.2}``.
     progress : called with the name of each step. say : called with the lines of the report, section by section.
 
-    Raises
-    ------
-    InputError : a table that cannot be read or interpreted.
+    Raises InputError: a table that cannot be read or interpreted.
     """
     every = (*paths, *others)
     read = []
@@ -221,8 +213,6 @@ class FaintMovers:
 class SeriesMovers:
     """The movers on a series of frames.
 
-    Attributes
-    ----------
     found : the tracklets. field : the series and its frames. pixels : the frames stacked along each tracklet.
     known : names of the tracklets, or None without elements. below : candidates below the detection limit, or None.
     failed : names of frames that could not be identified, and why. reasons : why others are not in the series.
@@ -308,15 +298,11 @@ def series_movers(
 ) -> SeriesMovers:
     """The movers on the frames of one field, whatever their filters.
 
-    Parameters
-    ----------
     failed : names of frames that could not be identified, and why.
     below_limit : highest rate, arcsec/min, of the search below the detection limit; None for no such search.
     say : called with the lines of the report, section by section.
 
-    Raises
-    ------
-    InputError : fewer than two frames, no two of one field, or several fields.
+    Raises InputError: fewer than two frames, no two of one field, or several fields.
     """
     from sameas.front.series import series_of
     from sameas.sky.movers.stack import confirmed, stack

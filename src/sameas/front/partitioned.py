@@ -205,9 +205,7 @@ def _made(folder: Path) -> Path:
 def both_hats(first: object, second: object) -> bool:
     """Whether both sources are HATS catalogues.
 
-    Raises
-    ------
-    InputError : only one of them is, or has partitions without their properties.
+    Raises InputError: only one of them is, or has partitions without their properties.
     """
     in_parts = [is_hats(source) for source in (first, second)]
     if any(in_parts) and not all(in_parts):

@@ -110,9 +110,7 @@ class Method:
     ) -> list[SensorSource]:
         """The sources that are not excluded. set_aside : the errors of others; those of excluded ones are removed.
 
-        Raises
-        ------
-        InputError : a name that no source has; no source remains.
+        Raises InputError: a name that no source has; no source remains.
         """
         names = [source.description.name for source in sources]
         for name in self.without:
@@ -416,8 +414,6 @@ def pictured(
 ) -> MatchPicture:
     """The picture of sources.
 
-    Parameters
-    ----------
     call : the call or command that makes it.
     set_aside : the errors of sources that cannot be used, by name. It receives those of sources that cannot be placed;
         without it, the first of these is raised. words : of such an error.

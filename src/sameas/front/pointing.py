@@ -42,9 +42,7 @@ class PointingOptions:
 def hints(pointing: PointingOptions, frame: Frame, *, whole_sky: bool = True) -> list[Hint]:
     """Hints on the pointing, the most certain first: header solution, aim, whole sky with a range of scales.
 
-    Raises
-    ------
-    InputError : the pointing or the scale is unknown.
+    Raises InputError: the pointing or the scale is unknown.
     """
     candidates: list[Hint] = []
     wcs = _solution(frame) if pointing.header else None

@@ -31,8 +31,6 @@ Options = TypeVar("Options", bound="MatchOptions | ManyOptions")
 class Request(Generic[Options]):
     """The catalogues to be identified, with all options.
 
-    Attributes
-    ----------
     sources : two or more paths, tables (see :func:`sameas.front.tables.table_of`) or catalogues.
     options : of the match.
     columns : options of the catalogues by parameter: ``sigma`` applies to all, ``sigma2`` to the second.
@@ -72,10 +70,8 @@ class Request(Generic[Options]):
     def catalogue(self, side: int) -> Catalogue:
         """Catalogue 1, 2, …, read from its source.
 
-        Raises
-        ------
-        InputError : not a table; refused by :meth:`~sameas.sky.catalogue.Catalogue.of`; column options for a source
-            that is a ``Catalogue`` already.
+        Raises InputError: not a table; refused by :meth:`~sameas.sky.catalogue.Catalogue.of`; column options for a
+        source that is a ``Catalogue`` already.
         """
         from sameas.sky.catalogue import Catalogue
 
@@ -93,15 +89,11 @@ class Request(Generic[Options]):
     ) -> list[Catalogue]:
         """All catalogues.
 
-        Parameters
-        ----------
         read : called with the number of each catalogue and the catalogue once it has been read, in order.
         two_at_once : read in two threads. Readers change the warnings filters of the process, so this is for processes
             that show no warnings.
 
-        Raises
-        ------
-        InputError : as :meth:`catalogue`, with the errors of all catalogues in one message.
+        Raises InputError: as :meth:`catalogue`, with the errors of all catalogues in one message.
         """
         catalogues, refused = [], []
         for side, catalogue in enumerate(self._readers(two_at_once), 1):
@@ -198,9 +190,7 @@ class Request(Generic[Options]):
     def of_facts(facts: Mapping[str, Any], output: str) -> Request[MatchOptions]:
         """The request of two catalogues from the provenance of an output file.
 
-        Raises
-        ------
-        InputError : no provenance; an input no longer exists or has changed.
+        Raises InputError: no provenance; an input no longer exists or has changed.
         """
         from sameas.sky.crossmatch import MatchOptions
 
@@ -251,9 +241,7 @@ def stem_of(path: str) -> str:
 def read_catalogue(source: Any, name: str, columns: Mapping[str, Any], side: int) -> Catalogue:
     """A catalogue from what holds its positions, with the options of a side; side 0 has those of all sides only.
 
-    Raises
-    ------
-    InputError : as :func:`~sameas.front.tables.table_of` and :meth:`~sameas.sky.catalogue.Catalogue.of`.
+    Raises InputError: as :func:`~sameas.front.tables.table_of` and :meth:`~sameas.sky.catalogue.Catalogue.of`.
     """
     from sameas.sky.catalogue import Catalogue, CatalogueOptions
 

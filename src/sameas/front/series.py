@@ -31,9 +31,7 @@ _NO_SKY = ("dark", "flat", "bias", "zero")
 def frames_in(folder: str | Path) -> list[str]:
     """The paths of the frames in a folder, sorted; without calibration frames (by IMAGETYP) and our own tables.
 
-    Raises
-    ------
-    InputError : there is none.
+    Raises InputError: there is none.
     """
     found = [str(path) for path in _images_in(folder) if _shows_sky(path)]
     if not found:
@@ -89,9 +87,7 @@ class IdentifiedFrame:
     def exposure(self) -> Exposure:
         """The measurements, read from the output table.
 
-        Raises
-        ------
-        InputError : the header has no time of the exposure.
+        Raises InputError: the header has no time of the exposure.
         """
         from sameas.sky.times import Time
 

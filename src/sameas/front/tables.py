@@ -34,9 +34,7 @@ def table_of(data: Any, name: str, *, format: str | None = None, hdu: int | str 
 
     name : of the source, for messages. format, hdu : of a file.
 
-    Raises
-    ------
-    InputError : not a table; a file that cannot be read; several columns of ``SkyCoord``.
+    Raises InputError: not a table; a file that cannot be read; several columns of ``SkyCoord``.
     """
     if isinstance(data, str | os.PathLike):
         from sameas.io import read_table
@@ -58,9 +56,7 @@ def odds_of(source: Any) -> OddsTable:
     source : a path, a table, a mapping of values to odds, or rows. Columns are (low, high, odds), (value, odds), or as
     in NWAY's files (low, high, selected, others), where the odds are the ratio of the last two.
 
-    Raises
-    ------
-    InputError : other columns; odds that are not positive.
+    Raises InputError: other columns; odds that are not positive.
     """
     from astropy.table import Table
 

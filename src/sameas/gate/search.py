@@ -46,9 +46,7 @@ Sweep = Callable[[int, int, Any], tuple[int, int]]
 def search(first: Records, second: Records, limit: float, box: bool, tuning: Tuning) -> Columns:
     """All pairs with Δᵀ Σ⁻¹ Δ ≤ limit (or, with ``box``, Δ_v² ≤ limit·Σ_vv in every feature v).
 
-    Raises
-    ------
-    InputError : there are more than the memory holds.
+    Raises InputError: there are more than the memory holds.
     """
     return _search(first, second, limit, box, tuning, _Allowed(first, second, tuning))
 

@@ -256,8 +256,6 @@ class Zones:
 class Layout:
     """The layout of a source, by classes of errors, smallest first.
 
-    Attributes
-    ----------
     side : all records, by class. starts : first place of each class, and the end.
     zones, grids : of every class. widest : largest variances in x and in y of every class.
     """

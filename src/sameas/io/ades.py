@@ -81,9 +81,7 @@ class Observer:
     def read(cls, path: str | Path) -> Observer:
         """From a TOML file.
 
-        Raises
-        ------
-        InputError : not TOML, a required key is missing, or has a wrong type or form.
+        Raises InputError: not TOML, a required key is missing, or has a wrong type or form.
         """
         try:
             settings = tomllib.loads(Path(path).read_text(encoding="utf-8"))

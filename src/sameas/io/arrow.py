@@ -40,9 +40,7 @@ def column_of(name: str, values: pa.ChunkedArray) -> Column | None:
 def array_of(column: Column) -> pa.Array:
     """The Arrow array of an astropy column; fixed-size lists where the column has several dimensions.
 
-    Raises
-    ------
-    InputError : cells of a type that Arrow does not have, or of several types.
+    Raises InputError: cells of a type that Arrow does not have, or of several types.
     """
     import pyarrow as pa
 

@@ -46,16 +46,12 @@ written: list[Path] = []
 def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[Path]:
     """A temporary file that replaces ``path`` when the block succeeds, and is deleted when it fails.
 
-    Parameters
-    ----------
     path : the output; links are followed. The temporary file is in the same folder, with the same extension and the
         permissions of the replaced file, or those of the umask.
     overwrite : False refuses a path that exists.
 
-    Raises
-    ------
-    InputError : no such directory, no permission, a directory, an existing path, a full device.
-        Other exceptions of the block, KeyboardInterrupt included, pass through.
+    Raises InputError: no such directory, no permission, a directory, an existing path, a full device. Other exceptions
+    of the block, KeyboardInterrupt included, pass through.
 
     Examples
     --------
@@ -97,10 +93,8 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
     Other files in the folder stay. The files are moved in the order in which they were written. A folder that was
     created for this is removed on failure.
 
-    Raises
-    ------
-    InputError : the folder cannot be made or written, a full device. Other exceptions of the block, KeyboardInterrupt
-        included, pass through.
+    Raises InputError: the folder cannot be made or written, a full device. Other exceptions of the block,
+    KeyboardInterrupt included, pass through.
 
     Examples
     --------
@@ -200,9 +194,7 @@ def held(folder: Path) -> sqlite3.Connection:
 
     SQLite uses the file locks of the operating system; only ``lock.sqlite`` is locked.
 
-    Raises
-    ------
-    InputError : another process holds it. sqlite3.Error : it cannot be written.
+    Raises InputError: another process holds it. sqlite3.Error : it cannot be written.
     """
     import sqlite3
 

@@ -68,9 +68,7 @@ class GaiaArchive:
     ) -> Table:
         """The stars of a cone down to a magnitude, from the cache or the archive.
 
-        Raises
-        ------
-        InputError : pyvo is missing; the archive does not answer, or refuses the query.
+        Raises InputError: pyvo is missing; the archive does not answer, or refuses the query.
         """
         cached = self._cached(cone, faintest)
         if cached is not None:
@@ -310,9 +308,7 @@ def bright_options() -> CatalogueOptions:
 def bright_table() -> Table:
     """The bright stars, columns named as in the Gaia archive; ``hip`` is masked where unknown. Takes ~20 s.
 
-    Raises
-    ------
-    InputError : the packages are not installed.
+    Raises InputError: the packages are not installed.
     """
     hipparcos, gaia = _tables()
     first = Catalogue.of(hipparcos, "hipparcos")

@@ -39,8 +39,6 @@ UTF_16 = codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE
 class Format:
     """One format of tables.
 
-    Attributes
-    ----------
     name : as given by users, and of its module in ``sameas.io`` unless it is only read. label : its name in messages.
     extensions : of its files, with their dots.
     signatures : files of the format begin with one of these; may be empty.
@@ -101,9 +99,7 @@ class LazyTable(Protocol):
 def plain(provenance: Mapping[str, Any]) -> dict[str, Any]:
     """The mapping with plain values only: text, whole numbers, floats, truth values, None, lists of these.
 
-    Raises
-    ------
-    InputError : a key that is not text, or a value of another kind.
+    Raises InputError: a key that is not text, or a value of another kind.
     """
     wrong = [key for key in provenance if not isinstance(key, str)]
     if wrong:

@@ -30,13 +30,9 @@ DECIMALS, DIGITS = 7, 9
 def write_geojson(objects: Columns, path: str | os.PathLike[str]) -> None:
     """Writes the objects of a picture as a FeatureCollection, atomically.
 
-    Parameters
-    ----------
     objects : columns as of :class:`sameas.picture.Picture`, lat_deg and lon_deg among them.
 
-    Raises
-    ------
-    InputError : there are no latitudes and longitudes; the path cannot be written.
+    Raises InputError: there are no latitudes and longitudes; the path cannot be written.
     """
     for name in ("time_s", "object", "lat_deg", "lon_deg"):
         if name not in objects:

@@ -50,9 +50,7 @@ def stacked(tables: Sequence[Table], headers: Sequence[Header | None], path: obj
     tables, headers : one per chip. Columns that a chip lacks are left out, with a note; so is a column ``CHIP`` of the
     file's own if there is one, which is kept. Chips that were exposed at different times get a column of it.
 
-    Raises
-    ------
-    InputError : a column has another shape or kind in another chip.
+    Raises InputError: a column has another shape or kind in another chip.
     """
     from astropy.table import Column, vstack
 

@@ -52,9 +52,7 @@ def solution_cards(plate: PlateModel) -> Header:
 def write_solution(plate: PlateModel, path: str | os.PathLike[str]) -> None:
     """Writes a FITS file without data whose header is the solution, as other programs expect next to a frame.
 
-    Raises
-    ------
-    InputError : the path cannot be written.
+    Raises InputError: the path cannot be written.
     """
     from astropy.io import fits
 
@@ -70,9 +68,7 @@ def write_solution(plate: PlateModel, path: str | os.PathLike[str]) -> None:
 def write_copy(plate: PlateModel, frame: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
     """Writes a copy of a frame with the solution in the header of its image.
 
-    Raises
-    ------
-    InputError : the copy would replace the frame; no image has the plate's shape; the path cannot be written.
+    Raises InputError: the copy would replace the frame; no image has the plate's shape; the path cannot be written.
     """
     from astropy.io import fits
     from astropy.utils.exceptions import AstropyWarning
@@ -139,9 +135,7 @@ def write_regions(listing: Table, path: str | os.PathLike[str], *, radius_arcsec
 
     radius_arcsec : of the symbols.
 
-    Raises
-    ------
-    InputError : the path cannot be written.
+    Raises InputError: the path cannot be written.
     """
     # Rows of an astropy table take a hundred times as long to read as lists.
     columns = [["--" if cell is None else cell for cell in listing[name].tolist()] for name in _COLUMNS]

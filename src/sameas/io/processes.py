@@ -61,9 +61,7 @@ class Aside:
     def call(self, work: int, function: Callable[P, R], *arguments: P.args, **named: P.kwargs) -> R:
         """The result of a function, in this process if the other one dies; from any thread.
 
-        Raises
-        ------
-        Exception : what the function raises.
+        Raises Exception: what the function raises.
         """
         if work >= self.least:
             try:

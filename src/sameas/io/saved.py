@@ -96,9 +96,7 @@ def loads(content: bytes, where: str) -> Any:
 
     where : the file, for messages.
 
-    Raises
-    ------
-    InputError : damaged bytes, or bytes that name anything but data.
+    Raises InputError: damaged bytes, or bytes that name anything but data.
     """
     size = hashlib.sha256().digest_size
     try:

@@ -54,9 +54,7 @@ _OTHER_SIGNATURES = (
 def checksum(path: str | os.PathLike[str]) -> str:
     """The SHA-256 of a file, in hexadecimal digits.
 
-    Raises
-    ------
-    InputError : the file cannot be read.
+    Raises InputError: the file cannot be read.
     """
     try:
         with open(path, "rb") as file:
@@ -211,9 +209,7 @@ def write_table(
 def read_provenance(path: str | os.PathLike[str], *, format: str | None = None) -> dict[str, Any]:
     """The provenance of a file, as given to :func:`write_table`; empty if the file has none.
 
-    Raises
-    ------
-    InputError : as :func:`read_table`.
+    Raises InputError: as :func:`read_table`.
     """
     path = Path(path)
     known = _format_in(path, format)

@@ -160,9 +160,7 @@ def parsed(content: bytes, path: Path, size: int | None = None) -> Any:
 
     size : bytes of the whole file, if ``content`` lacks its rows.
 
-    Raises
-    ------
-    InputError : external data; it declares far more columns or cells than it has.
+    Raises InputError: external data; it declares far more columns or cells than it has.
     """
     from astropy.io.votable import parse
 

@@ -29,12 +29,8 @@ class AlarmLog:
     """The alarms, tick after tick. ``key in log`` : whether the alarm of this condition is active;
     ``len(log)`` : how many are.
 
-    Parameters
-    ----------
     store : whose journal keeps them, and has those that were active when it was last closed. time_s : of the picture.
 
-    Attributes
-    ----------
     begun : alarms that began, with their times, for the terminal, which takes them.
     """
 

@@ -112,8 +112,6 @@ class WireState:
 class Wire:
     """One wire, its queue and its stream of reports.
 
-    Parameters
-    ----------
     url : see the module. stream : decodes the bytes. max_bytes : size of the queue. clock : UTC in seconds.
     recorder : writes the bytes to disk before they are decoded. login : for a server that wants one.
     """
@@ -167,9 +165,7 @@ class Wire:
     def take(self, max_bytes: int = 2 << 20) -> list[Reports]:
         """The reports in the oldest queued pieces, about ``max_bytes`` of them.
 
-        Raises
-        ------
-        InputError : the data cannot be decoded to reports; they are dropped.
+        Raises InputError: the data cannot be decoded to reports; they are dropped.
         """
         pieces = self.queue.take(max_bytes)
         self._record(pieces)

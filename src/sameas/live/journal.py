@@ -54,9 +54,7 @@ _TEXTS = ("label", "mmsi", "icao", "callsign", "name", "type")
 class Journal:
     """The journal and the archive in a folder, which is created with access for its owner only.
 
-    Raises
-    ------
-    InputError : the folder cannot be made or written; another run writes there; the journal is another program's.
+    Raises InputError: the folder cannot be made or written; another run writes there; the journal is another program's.
     """
 
     def __init__(self, folder: Path, *, archive_every_s: float = 10.0) -> None:
@@ -254,12 +252,8 @@ class Journal:
 class Store:
     """The folder of a watch. A write that the disk refuses does not end the watch: it is tried again when due.
 
-    Parameters
-    ----------
     folder : None: nothing is written. archive_every_s : as of :class:`Journal`.
 
-    Attributes
-    ----------
     journal : None without a folder, and once it is closed.
     """
 
@@ -295,9 +289,7 @@ class Store:
     def close(self) -> None:
         """Closes the journal.
 
-        Raises
-        ------
-        InputError : the disk refused the journal or the last state; what was saved before stays.
+        Raises InputError: the disk refused the journal or the last state; what was saved before stays.
         """
         refusal = self.refusal
         self.attempt(Journal.close)
@@ -327,10 +319,8 @@ def save_state(folder: Path, state: Mapping[str, Any]) -> None:
 def load_state(folder: Path) -> dict[str, Any] | None:
     """The saved state; None where there is none.
 
-    Raises
-    ------
-    InputError : the file is damaged, was saved by another version of sameas, or belongs to another user. There is no
-        fresh start instead: the journal next to it refers to the object numbers of this state.
+    Raises InputError: the file is damaged, was saved by another version of sameas, or belongs to another user. There is
+    no fresh start instead: the journal next to it refers to the object numbers of this state.
     """
     path = folder / "state.pickle"
     if not path.exists():

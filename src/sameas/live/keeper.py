@@ -57,15 +57,11 @@ KEPT_DURATIONS = 600
 class Keeper:
     """The live picture for given settings.
 
-    Parameters
-    ----------
     settings : sources and watch options. folder : for state, journal and archive; None writes none of them.
     replay : reports of files instead of wires. playback : recordings of the wires, as they were received. clock : UTC
         in seconds; that of the computer if not given.
 
-    Raises
-    ------
-    InputError : a source has no wire and is not replayed; the folder cannot be written.
+    Raises InputError: a source has no wire and is not replayed; the folder cannot be written.
     """
 
     def __init__(
@@ -381,9 +377,7 @@ class Keeper:
     def close(self) -> None:
         """Saves the state and closes the journal.
 
-        Raises
-        ------
-        InputError : the disk refused the state; the last one that was saved stays.
+        Raises InputError: the disk refused the state; the last one that was saved stays.
         """
         self.aside.close()
         with self.lock:

@@ -29,9 +29,7 @@ OFFSETS: Mapping[str, tuple[str, Mapping[str, float]]] = {
 def read_offset(body: bytes) -> tuple[str, float]:
     """The name and the value of a bias in its unit, from the JSON that an operator's page sends.
 
-    Raises
-    ------
-    InputError : no JSON; no such bias, no number, or another unit than those of :data:`OFFSETS`.
+    Raises InputError: no JSON; no such bias, no number, or another unit than those of :data:`OFFSETS`.
     """
     form = 'give JSON such as {"bias": "azimuth_deg", "value": 2.0, "unit": "°"}'
     try:
@@ -53,13 +51,9 @@ def read_offset(body: bytes) -> tuple[str, float]:
 class SourceOffsets:
     """The offsets of the sources of a picture.
 
-    Parameters
-    ----------
     picture : of the watch. sources : by name. store : whose journal records what an operator does, at once.
     lock : of picture and journal. clock : UTC in seconds.
 
-    Attributes
-    ----------
     unsaved : whether an operator has changed any since the state was saved; the next tick saves it.
     """
 
@@ -121,9 +115,7 @@ class SourceOffsets:
     def set(self, source: str, bias: str, value: float, who: str = "operator") -> bool:
         """Subtracts an offset as an operator sets it, and holds the source; False for an unknown source.
 
-        Raises
-        ------
-        InputError : as of :meth:`sameas.picture.live.LivePicture.set_offset`.
+        Raises InputError: as of :meth:`sameas.picture.live.LivePicture.set_offset`.
         """
         with self.lock:
             if source not in self.sources:

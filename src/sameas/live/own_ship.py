@@ -40,8 +40,6 @@ class OwnShipState:
 class OwnShipMotion:
     """Own ship's position and velocity, tick after tick.
 
-    Parameters
-    ----------
     settings : which ship is own ship, if any. wires : by URL; one of them may give her position. replayed : whether
         reports are replayed from files.
     """

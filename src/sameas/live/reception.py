@@ -57,19 +57,13 @@ class SourceState:
 class Reception:
     """The wires and the states of all sources.
 
-    Parameters
-    ----------
     settings : sources and watch options. clock : UTC in seconds. replay : reports of files instead of wires.
     playback : recordings of the wires, as they were received. use : takes the reports of a source, by name.
 
-    Attributes
-    ----------
     wires : by URL. sources : by name. began_s : when the reception began. taken_s : when reports were last taken.
         Receive times are compared with this: a tick may take long.
 
-    Raises
-    ------
-    InputError : a source has no wire and is not replayed.
+    Raises InputError: a source has no wire and is not replayed.
     """
 
     def __init__(

@@ -19,8 +19,6 @@ class SteadyClock:
 
     A clock that is set forward is followed: a small computer has no time of its own until a network gives it.
 
-    Parameters
-    ----------
     wall : the clock of the computer. steady : seconds that nobody sets.
     """
 
@@ -83,8 +81,6 @@ class Paced:
 class Replay(Paced):
     """Replays the reports of files in the order of their times, at ``pace`` times real time.
 
-    Parameters
-    ----------
     sources : name and reports of each source. pace : seconds of the reports per second of the clock.
     origin : the plane about all positions, unless the user gives one; None for metres on a plane of their own.
 
@@ -158,8 +154,6 @@ class Playback(Paced):
 
     Late reports, clocks that jump, sources that fall silent and floods come again as they came.
 
-    Parameters
-    ----------
     recordings : each with the wire that it was received on. pace : seconds of the recording per second of the clock.
 
     Example

@@ -94,9 +94,7 @@ class Clients:
 def application(keeper: Keeper, access: Access | None) -> Starlette:
     """The ASGI application of a keeper, for uvicorn or another server.
 
-    Raises
-    ------
-    InputError : Starlette is not installed.
+    Raises InputError: Starlette is not installed.
     """
     with optional("the live map needs Starlette and uvicorn", "live"):
         from starlette.applications import Starlette

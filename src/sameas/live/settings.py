@@ -170,9 +170,7 @@ def read_settings(path: str | Path, *, set_aside: dict[str, InputError] | None =
 
     set_aside : receives the errors of sources that cannot be used, by name. Without it, the first one is raised.
 
-    Raises
-    ------
-    InputError : not TOML, no sources, an unknown name, an invalid value.
+    Raises InputError: not TOML, no sources, an unknown name, an invalid value.
     """
     tables = source_tables(path)
     content = tomllib.loads(Path(path).read_text(encoding="utf-8"))

@@ -53,8 +53,6 @@ class Alarm:
 class Situation:
     """The picture at one tick.
 
-    Attributes
-    ----------
     tick : number of the tick since the state was created. time_s : time of the picture.
     objects, records : columns as of :mod:`sameas.picture.picture`. members : source and track of each record of an
         object, by the number of the object.

@@ -42,8 +42,6 @@ _STREAM_PATH = "/signalk/v1/stream"
 class Login:
     """How to be let in: a token; or a user name and a password, with which a token is asked for; or an access request.
 
-    Attributes
-    ----------
     access_file : keeps the request for access, and the token that an administrator of the server has granted.
     ca_file : certificates (PEM) that are trusted instead of those of the system. server_name : for which the server's
         certificate is made, if it is another than in the address.
@@ -63,9 +61,7 @@ class Login:
     def tls(self) -> ssl.SSLContext:
         """The certificates to trust. No connection is made without verification.
 
-        Raises
-        ------
-        OSError : the file cannot be read, or holds no certificate.
+        Raises OSError: the file cannot be read, or holds no certificate.
         """
         context = _NamedServer(ssl.PROTOCOL_TLS_CLIENT)
         context.server_name = self.server_name
@@ -195,9 +191,7 @@ def _token_in(answer: Mapping[str, Any], path: str) -> str:
 def _read_access(file: Path) -> dict[str, Any]:
     """What is kept of an access request; the name of a new device where the file does not exist.
 
-    Raises
-    ------
-    InputError : the file is another one.
+    Raises InputError: the file is another one.
     """
     if not file.exists():
         _write_access(file, {"clientId": str(uuid4())})

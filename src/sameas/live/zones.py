@@ -49,9 +49,7 @@ class Zone:
 def zone_of(table: Any, where: str) -> Zone:
     """The circle or sector of a table.
 
-    Raises
-    ------
-    InputError : unknown keys, numbers out of range, no radius; a fixed centre with a sector relative to the bow.
+    Raises InputError: unknown keys, numbers out of range, no radius; a fixed centre with a sector relative to the bow.
     """
     form = 'give { name = "…", radius_m = … }, with lat_deg and lon_deg where it does not move with own ship'
     if not isinstance(table, Mapping) or not isinstance(table.get("name"), str) or not table["name"].strip():
@@ -93,9 +91,7 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
     A polygon is a zone as it is; a point with the properties of :func:`zone_of` is a circle or a sector about it, and a
     feature without geometry one about own ship.
 
-    Raises
-    ------
-    InputError : the file cannot be read, is not GeoJSON, or has a feature that is no zone.
+    Raises InputError: the file cannot be read, is not GeoJSON, or has a feature that is no zone.
     """
     try:
         whole = json.loads(Path(path).read_text(encoding="utf-8"))

@@ -74,8 +74,6 @@ class MapExtent:
 def outline(plane: LocalPlane, west_m: float, south_m: float, east_m: float, north_m: float) -> Outline:
     """The outlines in a box of a plane.
 
-    Parameters
-    ----------
     plane : of the result's coordinates.
     west_m, south_m, east_m, north_m : the box; lines farther than 2500 km from the origin are excluded.
 
@@ -227,9 +225,7 @@ def read_coast(path: str | os.PathLike[str]) -> Coast:
 
     path : polygons are land, their holes are water; lines are shores. Points and properties are ignored.
 
-    Raises
-    ------
-    InputError : the file cannot be read, is not GeoJSON, has no polygon or line, or has invalid coordinates.
+    Raises InputError: the file cannot be read, is not GeoJSON, has no polygon or line, or has invalid coordinates.
     """
     try:
         with open(path, encoding="utf-8") as file:

@@ -116,8 +116,6 @@ class MapAlarm:
 class MapSheet:
     """The content of a map. Make it with :meth:`MapSheet.of`, which checks it.
 
-    Attributes
-    ----------
     title : of the map.
     objects : columns of :data:`OBJECTS`, one row per object and instant, in the order of objects and times.
     records : columns of :data:`RECORDS`, one row per record and instant, in the order of sources, rows and times.
@@ -163,9 +161,7 @@ class MapSheet:
         instants_s : None: the times of the objects and records. sensors : sources of records that are not among them
         are added.
 
-        Raises
-        ------
-        InputError : a column is missing or has another length; an unknown stage; a time that is no instant.
+        Raises InputError: a column is missing or has another length; an unknown stage; a time that is no instant.
         """
         rows, marks = _complete("objects", objects, OBJECTS), _complete("records", records, RECORDS)
         wrong = sorted(set(rows["stage"].tolist()) - set(STAGES))

@@ -61,9 +61,7 @@ class Chart:
     def tile(self, zoom: int, column: int, row: int) -> tuple[bytes, str] | None:
         """The picture of a tile and its media type; None where the chart has none. Rows are counted from the north.
 
-        Raises
-        ------
-        InputError : the file cannot be read there, or the tile is no picture.
+        Raises InputError: the file cannot be read there, or the tile is no picture.
         """
         if not (0 <= zoom <= DEEPEST and 0 <= column < 1 << zoom and 0 <= row < 1 << zoom):
             return None
@@ -93,9 +91,7 @@ def is_tiles(path: str | os.PathLike[str]) -> bool:
 def open_chart(path: str | os.PathLike[str]) -> Chart:
     """The chart of an MBTiles or PMTiles file.
 
-    Raises
-    ------
-    InputError : the file cannot be read, is damaged, has vector tiles, or has none.
+    Raises InputError: the file cannot be read, is damaged, has vector tiles, or has none.
     """
     path = Path(path)
     try:

@@ -46,9 +46,7 @@ def write_frame_page(
     facts : result of :func:`sameas.sky.frame.outputs.summary` for this frame, with its provenance. brightest : number
     of the brightest identified stars marked at first, None for all; the page has a slider.
 
-    Raises
-    ------
-    InputError : the path cannot be written.
+    Raises InputError: the path cannot be written.
     """
     factor = binning(frame.shape)
     grey = stretched(binned(frame.image, factor))[::-1]
@@ -195,9 +193,7 @@ def write_movers_page(
     below : the same three for movers found only in the stacked frames, if these were searched. in_report : (k,) whether
     a tracklet is in the report; None without a report.
 
-    Raises
-    ------
-    InputError : the path cannot be written.
+    Raises InputError: the path cannot be written.
     """
     count = min(len(pixels), MOST)
     more = f", the first {count} of them here" if count < len(found) else ""
@@ -368,9 +364,7 @@ def write_series_page(
     fields : results of :func:`series_field`. failed : (name, reason) of frames that could not be identified. reasons :
     why frames are in no series. movers : file of the page of movers, and the words of the link to it.
 
-    Raises
-    ------
-    InputError : the path cannot be written.
+    Raises InputError: the path cannot be written.
     """
     data = {
         "fields": list(fields), "failed": [list(one) for one in failed], "reasons": list(reasons),

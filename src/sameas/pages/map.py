@@ -34,8 +34,6 @@ from sameas.picture.texts import LABELS
 def packed(columns: Mapping[str, tuple[NDArray[Any], float]]) -> tuple[list[dict[str, Any]], str]:
     """The description of each column, in order, and all their numbers as text.
 
-    Parameters
-    ----------
     columns : name to (values (n,), step); NaN where there is no number.
 
     Returns
@@ -90,9 +88,7 @@ PROBABILITY_STEP = 1e-5
 def write_map_page(sheet: MapSheet, path: str | os.PathLike[str]) -> None:
     """Writes the page of a sheet: one file, complete in itself.
 
-    Raises
-    ------
-    InputError : the path cannot be written; a number is too large to show.
+    Raises InputError: the path cannot be written; a number is too large to show.
     """
     page = map_page(sheet)
     with replacing(path) as draft:

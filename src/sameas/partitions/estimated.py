@@ -46,8 +46,6 @@ Progress = Callable[[str], None]
 class RunTuning:
     """Numbers of a run, all chosen.
 
-    Attributes
-    ----------
     column_rows, column_partitions : rows of each partition, and partitions, from which columns are recognised.
     far_arcsec, far_sigmas : a record is *far* if its motion or error reach exceeds the larger of far_arcsec and
         far_sigmas median errors; far records are read for every part.

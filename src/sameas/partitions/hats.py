@@ -138,9 +138,7 @@ class HatsCatalogue:
     def open(cls, path: str | os.PathLike[str], name: str = "") -> HatsCatalogue:
         """The catalogue in a folder, or the primary one of a collection.
 
-        Raises
-        ------
-        InputError : not a HATS catalogue; no partitions; partitions that overlap or are no HEALPix cells.
+        Raises InputError: not a HATS catalogue; no partitions; partitions that overlap or are no HEALPix cells.
         """
         folder = Path(path)
         with reading(str(path), "its list of partitions or its properties cannot be read"):
@@ -183,9 +181,7 @@ class HatsCatalogue:
     def position(self) -> tuple[str, str]:
         """The columns of right ascension and declination by which the catalogue is partitioned.
 
-        Raises
-        ------
-        InputError : its files have no such column.
+        Raises InputError: its files have no such column.
         """
         names = self.properties.get("hats_col_ra", "ra"), self.properties.get("hats_col_dec", "dec")
         for key, name in zip(("hats_col_ra", "hats_col_dec"), names, strict=True):
@@ -215,9 +211,7 @@ class HatsCatalogue:
 
         columns : names; None for all except those of HATS itself. Row groups that the statistics exclude are not read.
 
-        Raises
-        ------
-        InputError : a partition is missing or broken; it is named.
+        Raises InputError: a partition is missing or broken; it is named.
         """
         import pyarrow as pa
 
@@ -241,9 +235,7 @@ class HatsCatalogue:
     def pieces(self, cell: Cell, columns: list[str], max_rows: int) -> Iterator[pa.Table]:
         """The rows of a partition in their stored order, at most ``max_rows`` in a table, with their cells.
 
-        Raises
-        ------
-        InputError : the partition is missing or broken; it is named.
+        Raises InputError: the partition is missing or broken; it is named.
         """
         import pyarrow as pa
         from pyarrow import parquet
@@ -332,9 +324,7 @@ class HatsCatalogue:
     def partition_rows(self) -> IntArray:
         """(p,) numbers of rows of the partitions, from their footers.
 
-        Raises
-        ------
-        InputError : a partition is missing or broken; it is named.
+        Raises InputError: a partition is missing or broken; it is named.
         """
         return np.array([sum(_opened(file, cell).metadata.num_rows for file in self._files(cell))
                          for cell in self.cells], np.int64)  # fmt: skip

@@ -47,8 +47,6 @@ if TYPE_CHECKING:
 class PartTuning:
     """Numbers of the halo of a part and of the sums over its groups.
 
-    Attributes
-    ----------
     competing : only pairs of larger log odds extend a group, since others are never chosen. The effect
         of the others on probabilities falls off within one or two gates: halos of 32″ and of 129″ gave the same to
         1e-11 at λ 2.

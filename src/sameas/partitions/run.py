@@ -182,10 +182,8 @@ def write(
     path : the collection's folder. facts : the provenance; an unfinished run with another one is refused. piece_rows :
     approximate records of both catalogues in a piece; fewer where they would have too many candidates.
 
-    Raises
-    ------
-    InputError : the folder exists and is not an unfinished run with the same provenance; a partition cannot be read, by
-        name; workers keep dying; the disk is full.
+    Raises InputError: the folder exists and is not an unfinished run with the same provenance; a partition cannot be
+    read, by name; workers keep dying; the disk is full.
     """
     collection = _Collection(path, facts, margin_arcsec, piece_rows)
     try:

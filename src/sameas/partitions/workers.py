@@ -80,9 +80,7 @@ class Workers:
     def each(self, work: Callable[[str, T], R], folder: str, tasks: Sequence[T]) -> Iterator[tuple[T, R]]:
         """Tasks and their results, in the order of completion.
 
-        Raises
-        ------
-        InputError : raised by a task; or workers keep dying: names the tasks that they were at.
+        Raises InputError: raised by a task; or workers keep dying: names the tasks that they were at.
         """
         if self.executor is None and self.number == 1:
             for task in tasks:

@@ -45,8 +45,6 @@ def log_odds(q: FloatArray) -> FloatArray:
 class BernoulliObjects(ObjectsRule):
     """The rule of known and unknown objects; see the module.
 
-    Parameters
-    ----------
     density : ρ, unknown objects per unit volume of the state at the centre of the region.
     sources : names of all sources, including those without records: the columns of the tables of q.
     q : by source, (rows of its records, sources) miss probabilities at the place of the record.

@@ -174,8 +174,6 @@ class ErrorCorrelation:
     ) -> ErrorCorrelation:
         """The estimate after new reports of tracks; reports after a manoeuvre are ignored.
 
-        Parameters
-        ----------
         source, elapsed_s, shift : (n,), (n,), (n, 2) the source, Δt and ν of each report.
         errors : R + R′ and L L′ᵀ, (n, 2, 2) each. motion : D, and what is in it from the errors of measured velocities.
         """
@@ -202,8 +200,6 @@ class ErrorCorrelation:
     ) -> ErrorCorrelation:
         """The estimate after comparing the differences of sure pairs with earlier ones of the same pairs.
 
-        Parameters
-        ----------
         sources : of both tracks, (n,) each. elapsed_s : (n,) Δt. differences : δ and δ′, (n, 2) each.
         reported : R of both, (n, 2, 2) each. total : (n, 2, 2) S. kept : (n, 2) g of both.
         """

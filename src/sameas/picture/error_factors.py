@@ -132,8 +132,6 @@ class ErrorFactors:
     ) -> ErrorFactors:
         """The estimate after new reports of tracks, those chosen by :meth:`informative`.
 
-        Parameters
-        ----------
         part, shift : (n,), (n, 2) the part of the source, and ν. errors : R + R′ and L L′ᵀ as stated. motion : D, and
         what is in it from the errors of measured velocities. (n, 2, 2) each.
         """
@@ -167,8 +165,6 @@ class ErrorFactors:
     ) -> ErrorFactors:
         """The estimate after pairs of tracks that are surely one object, at most :data:`MAX_PAIRS` per instant.
 
-        Parameters
-        ----------
         parts : of both sources, (n,) each. delta : (n, 2) δ. stated : R of both, (n, 2, 2) each.
         motion : (n, 2, 2) D. weight : (n,) of :func:`information`.
         """

@@ -486,9 +486,7 @@ def faults_of(
 
     tuning, picture : of the reports, and of the picture.
 
-    Raises
-    ------
-    InputError : the sources have no common plane.
+    Raises InputError: the sources have no common plane.
     """
     if not sources:
         return ()

@@ -97,8 +97,6 @@ class Step(ColumnTable):
 class NamedTracks:
     """The named tracks at an instant.
 
-    Attributes
-    ----------
     instant_s : the instant. n_numbers : count of numbers in use, and the number of the next new track.
     by_name : number of a track, by source and id. absent : by number, the source and id of the tracks that are not in
         the scan of the instant, and the time until which they keep it. forgotten : numbers that ended at this instant.

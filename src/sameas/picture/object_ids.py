@@ -101,8 +101,6 @@ class UnnumberedObjects:
 class NamedObjects(PictureObjects):
     """The objects of a picture whose sources have track ids, (k,) each.
 
-    Attributes
-    ----------
     instant_s : the instant. n_numbers : the highest number in use.
     n_updates, n_plots : number of instants with a new report, and with one of a source without track ids.
     main_track, main_log_odds, earlier_log_odds : the track with the highest odds of existence, the gain of log-odds by

@@ -216,8 +216,6 @@ class PlotRates:
     ) -> PlotRates:  # fmt: skip
         """The counts after an instant.
 
-        Parameters
-        ----------
         is_named, number : (records,), (records,) whether the object of each record of the scan has a name, and its
             number. is_new : (records,) whether the report is new. named : (k,) the confirmed objects with a name.
             shown : (k, S) whether each source of the scan has a new plot of them. owners : of hulls.

@@ -48,8 +48,6 @@ from sameas.tracks.snapshot import pointed_at
 class PlotTracker:
     """The parameters of the tracker.
 
-    Parameters
-    ----------
     correlation_s : τ, correlation time of the errors of scans; 10 s (chosen).
     lifetime_s : mean time that undetected objects exist. sighting_scans : weight, in scans, of the described miss
         probability relative to the object's own hits and misses. sighting_s : time constant of the latter.
@@ -80,9 +78,8 @@ class PlotTracker:
 
         now : with velocities among its features, and with the same sources at each instant.
 
-        Raises
-        ------
-        InputError : positions only; a source with ids; an instant before the previous one; other sources than before.
+        Raises InputError: positions only; a source with ids; an instant before the previous one; other sources than
+        before.
         """
         _require_plots(now, before)
         prior_objects = BernoulliTable.none(len(now.feeds)) if before is None else self._carried(before, now)
@@ -149,8 +146,6 @@ class PlotTracker:
 class TrackedPlots:
     """The objects at an instant, (n,) each; made by :meth:`PlotTracker.advance`.
 
-    Attributes
-    ----------
     now : the instant. number : of each object, constant while it exists.
     members : (n, S) rows of the sources' records at the instant, ABSENT for none, and if the object is only predicted.
     probability : that exactly these records are the object. existence : probability that the object exists.

@@ -151,8 +151,6 @@ class FirstContact(Rule):
     lower of both counts. Where one source names ships and the other aircraft, the ratio is :data:`WRONG_TARGET` times
     that.
 
-    Parameters
-    ----------
     scan : of the instant. records : by source name, the record of the scan of each row of the source's table, or
         ABSENT.
     history : of the pairs of tracks. sure : (k,) which of them were sure before. reassigned : ε.

@@ -43,8 +43,6 @@ RANGE_BANDS = 4
 class Scan:
     """The records of an instant, (n,) each.
 
-    Attributes
-    ----------
     now : the instant.
     start : (S+1,) records of source s are start[s] … start[s+1] − 1.
     source : number of the record's source. row : of the source's reports. table : row among the source's records.
@@ -331,8 +329,6 @@ STAGES = ("tentative", "confirmed", "coasting", "ended")
 class PictureObjects(ObjectTable):
     """The objects of the picture at an instant, (k,) each, by ascending number, including those that end there.
 
-    Attributes
-    ----------
     stage : index in :data:`STAGES`.
     placed : whether the position is known.
     moving : whether the velocity is known, reported or from the object's positions.

@@ -49,8 +49,6 @@ class TrackHistory(ColumnTable):
     ) -> TrackHistory:
         """The history after a later instant.
 
-        Parameters
-        ----------
         track, number, unique : (m,) the tracks of its scan, their objects, and whether their ids are unique.
         alive : ascending numbers of the objects that have not ended. Of ended objects only unique ids are kept: a track
             that was part of another object for a while returns with its own number. forgotten : tracks whose ids have

@@ -85,8 +85,6 @@ class DistantPairs(ColumnTable):
 class TrackPairs(ColumnTable):
     """Pairs of tracks at an instant, (k,) each, ordered by :func:`keys`.
 
-    Attributes
-    ----------
     first, second : numbers of the tracks, first < second.
     errors, new_errors : (n, WIDTH), (m, WIDTH) mean and covariance of (e_a, z_a, z_b) for one object and of
         (e_a, z_a, z_b, d) for a convoy, in the layout of :mod:`sameas.kernels.track_pairs`: of the pairs of the last

@@ -40,9 +40,7 @@ _EVERY = {
 def every(match: SkyMatch) -> Iterator[tuple[str, Figure]]:
     """Name and figure of each plot that this match has data for.
 
-    Raises
-    ------
-    InputError : matplotlib is not installed.
+    Raises InputError: matplotlib is not installed.
     """
     required()
     for name, draw in _EVERY.items():

@@ -452,9 +452,7 @@ def mover_picture(
     probable. Left: maximum over the frames at fixed sky positions, or the frame on which it is brightest if the mover
     goes too far for that. Right: mean along its motion.
 
-    Raises
-    ------
-    InputError : matplotlib is not installed.
+    Raises InputError: matplotlib is not installed.
     """
     figure = required()(figsize=(11.0, 6.6), dpi=DOTS_PER_INCH, facecolor=NIGHT)
     fixed = pixels.fixed[k]

@@ -65,9 +65,7 @@ def most_ambiguous(match: SkyMatch) -> int:
 
     It has the largest Σ H(p) over its candidates, H the entropy of a pair's probability.
 
-    Raises
-    ------
-    InputError : no record has two candidates.
+    Raises InputError: no record has two candidates.
     """
     result = match.result
     p = np.clip(result.p_pair, 1e-15, 1.0 - 1e-15)
@@ -90,14 +88,10 @@ def group(match: SkyMatch, *, record: Any = None, source: int = 1) -> Figure:
     distribution. Every candidate pair is a line with its probability, identified pairs are thick. North is up,
     east left.
 
-    Parameters
-    ----------
     record : id of a record of the group; None: the most ambiguous group.
     source : 1 or 2, the catalogue of the id.
 
-    Raises
-    ------
-    InputError : an unknown id, a record without candidates, a group of more than 60, nothing ambiguous.
+    Raises InputError: an unknown id, a record without candidates, a group of more than 60, nothing ambiguous.
     """
     result = match.result
     if record is None:

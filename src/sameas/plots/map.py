@@ -125,13 +125,9 @@ TENTATIVE_LINE, TENTATIVE_ALPHA = (0, (4, 2.5)), 0.6
 def chart(drawn: MapSheet, instant_s: float | None = None) -> Figure:
     """A chart of objects with courses, ellipses and records, on coast and grid.
 
-    Parameters
-    ----------
     instant_s : the nearest instant of the sheet is drawn; None: the last.
 
-    Raises
-    ------
-    InputError : matplotlib is not installed.
+    Raises InputError: matplotlib is not installed.
 
     Example
     -------

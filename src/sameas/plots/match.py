@@ -513,9 +513,7 @@ MAX_DOTS = 5000
 def brightness(match: SkyMatch) -> Figure:
     """Completeness of each catalogue and density of its records without a partner, by magnitude; magnitudes of pairs.
 
-    Raises
-    ------
-    InputError : no magnitudes were used.
+    Raises InputError: no magnitudes were used.
     """
     e = match.estimate
     if e.photometry is None:

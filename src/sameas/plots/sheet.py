@@ -40,9 +40,7 @@ LETTERS_OF_NAME = 22
 def required() -> type[Figure]:
     """Matplotlib's figure class.
 
-    Raises
-    ------
-    InputError : matplotlib is not installed.
+    Raises InputError: matplotlib is not installed.
     """
     with optional("plots need matplotlib", "plots"):
         from matplotlib.figure import Figure
@@ -67,9 +65,7 @@ def _shown(figure: type[Figure]) -> type[Figure]:
 def sheet(title: str, subtitle: str, width: float = 11.0, height: float = 5.4) -> Figure:
     """An empty figure with a title (the finding) and a wrapped subtitle; sizes in inches.
 
-    Raises
-    ------
-    InputError : matplotlib is not installed.
+    Raises InputError: matplotlib is not installed.
     """
     subtitle = textwrap.fill(subtitle, int(LETTERS_PER_INCH * width), break_on_hyphens=False)
     figure = required()(figsize=(width, height), dpi=DOTS_PER_INCH, facecolor="white", layout="constrained")
@@ -102,9 +98,7 @@ def short(name: str) -> str:
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Writes a figure atomically; the extension gives the format (png, pdf, svg).
 
-    Raises
-    ------
-    InputError : an unknown format, or the file cannot be written.
+    Raises InputError: an unknown format, or the file cannot be written.
     """
     kind = os.path.splitext(os.fspath(path))[1].lstrip(".").lower()
     known = figure.canvas.get_supported_filetypes()

@@ -103,9 +103,7 @@ class Output:
     def rows_of(self, asked: Asked) -> IntArray:
         """The rows with a record of a catalogue.
 
-        Raises
-        ------
-        InputError : there is no such record, or rows cannot be counted.
+        Raises InputError: there is no such record, or rows cannot be counted.
         """
         table, facts, name = self.table, self.facts, self.name(asked.source)
         column = facts.get(f"id_column_{asked.source}")
@@ -243,9 +241,7 @@ def _brightness(catalogue: Catalogue, row: int) -> str:
 def match_lines(output: Output, asked: Asked) -> list[str]:
     """One record of a match of two catalogues.
 
-    Raises
-    ------
-    InputError : no such record in the table.
+    Raises InputError: no such record in the table.
     """
     rows, source = output.rows_of(asked), asked.source
     mine, other = output.name(source), output.name(3 - source)

@@ -37,8 +37,6 @@ SHORE_PLOTS, SEA_PLOTS, SCATTERERS, BUOYS, SEA_M = 6.0, 1.0, 150, 6, 500.0
 class BoatRadarScene:
     """A drawn scene.
 
-    Attributes
-    ----------
     sources : the radar and AIS, each with a description as a user would write it.
     truth : (n,) number of the vessel of each plot, −1 (ABSENT) for land, buoys and sea. Vessels with AIS come first.
     mmsi : of the vessels with AIS, in their order. common : (k,) numbers of those under way that the radar sees.
@@ -101,8 +99,6 @@ def boat_radar(
 ) -> BoatRadarScene:
     """A scene of this many minutes.
 
-    Parameters
-    ----------
     bias : of the radar; by default an azimuth too far clockwise by 3° and a range too long by 20 m.
     common : vessels under way with AIS that the radar detects. moored : further ones that are stationary.
     unseen : vessels with AIS that it never detects. silent : vessels without AIS that it detects.
@@ -110,9 +106,7 @@ def boat_radar(
     compass_deg, compass_s : 1σ and correlation time of the heading's error.
     fading_s : mean time for which a hull is seen, and for which it is not, since echoes fade; 0 for independent scans.
 
-    Raises
-    ------
-    InputError : a negative number of vessels, or no time.
+    Raises InputError: a negative number of vessels, or no time.
 
     Example
     -------

@@ -32,9 +32,7 @@ def doubts_of(
 ) -> tuple[str, ...]:
     """One line per doubt about a catalogue; empty if nothing looks wrong. duplicates : that of :func:`duplicate_doubt`.
 
-    Raises
-    ------
-    InputError : most right ascensions are beyond a turn, so that another unit or column is likelier.
+    Raises InputError: most right ascensions are beyond a turn, so that another unit or column is likelier.
     """
     lines = [
         _error_doubt(astrometry, choice),
@@ -263,9 +261,7 @@ def _not_measured_note(table: Table, choice: ColumnChoice) -> str:
 def _turns_doubt(table: Table, choice: ColumnChoice, source: str) -> str:
     """A doubt about right ascensions (or longitudes) beyond a turn, which are reduced to one.
 
-    Raises
-    ------
-    InputError : most of them are, so that another unit or column is likelier.
+    Raises InputError: most of them are, so that another unit or column is likelier.
     """
     if choice.ra.unit != "deg":
         return ""  # refused beyond a turn when they are read

@@ -141,9 +141,7 @@ def is_placeholder(values: FloatArray) -> BoolArray:
 def measured(table: Table, name: str, source: str) -> tuple[FloatArray, tuple[int, str] | None]:
     """(n,) numbers of the column, and the first row with another text (an upper limit, a remark) and the text, or None.
 
-    Raises
-    ------
-    InputError : a text column with more other texts than numbers; a column of several dimensions.
+    Raises InputError: a text column with more other texts than numbers; a column of several dimensions.
     """
     if not is_text(table, name) or table[name].ndim != 1:
         return numbers(table, name, source), None

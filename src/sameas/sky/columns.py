@@ -35,9 +35,7 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
     table : read are names, units, UCDs, descriptions, header and the notation of the cells.
     options : columns given by the user. source : name used in messages.
 
-    Raises
-    ------
-    InputError : no position, two equally good ones, ambiguous errors, unknown columns, unfit units; all at once.
+    Raises InputError: no position, two equally good ones, ambiguous errors, unknown columns, unfit units; all at once.
     """
     search = ColumnSearch(table, options, source)
     convention, not_used = _convention(search)

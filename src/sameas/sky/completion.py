@@ -28,8 +28,6 @@ from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 class CommonErrorTuning:
     """How a common position error is estimated; all chosen.
 
-    Attributes
-    ----------
     usual_arcsec, spread_log : median of the prior of s, and standard deviation of its natural logarithm.
     min_arcsec, largest_arcsec : range of the grid of s. steps, share_steps : grid points of s and of f.
     neighbours : the local density is taken from the distance to the neighbour of this rank.

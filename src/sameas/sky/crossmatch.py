@@ -41,8 +41,6 @@ from sameas.sky.systematics import DEFAULT_WARP, Warp, WarpTuning, find_rotation
 class CrossmatchTuning:
     """Thresholds for refusing input, and for doubting a result; all chosen.
 
-    Attributes
-    ----------
     max_records_per_error : more records per typical error, in both catalogues, are refused: positions cannot separate
         them, and the unit of the errors is probably wrong.
     sampled_from_rows, sampled_rings : tables longer than ``sampled_from_rows`` are checked for this on one declination
@@ -181,9 +179,7 @@ def at_common_epoch(
 ) -> tuple[float | None, str, Records, Records]:
     """The common epoch, a sentence that explains it, and the records of both catalogues at this epoch.
 
-    Raises
-    ------
-    InputError : no usable rows; a common epoch is needed and not known.
+    Raises InputError: no usable rows; a common epoch is needed and not known.
     """
     epoch, note = common_epoch(first, second, epoch_jyr, tuning)
     calls = [partial(catalogue.records, epoch) for catalogue in (first, second)]

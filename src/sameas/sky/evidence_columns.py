@@ -24,14 +24,10 @@ MAGNITUDE_ERROR_NAMES = ("e_{}", "{}_error", "{}_err", "{}err", "{}Err", "sigma_
 def magnitudes_of(first: Catalogue, second: Catalogue, choice: str = AUTO) -> tuple[Magnitudes, Magnitudes] | None:
     """The magnitudes of both catalogues; None if they are not used or one catalogue has none.
 
-    Parameters
-    ----------
     choice : "auto" uses the magnitude chosen for each catalogue; "off" none; "G,BP,RP:J,H" these columns of the first
         and of the second catalogue, the brightest known band of each first.
 
-    Raises
-    ------
-    InputError : no such columns; another text.
+    Raises InputError: no such columns; another text.
     """
     if choice == OFF:
         return None
@@ -52,13 +48,9 @@ def columns_of(
 
     The magnitude of a catalogue is included if the other has none.
 
-    Parameters
-    ----------
     evidence : as given, by column names. magnitudes : as in :func:`magnitudes_of`.
 
-    Raises
-    ------
-    InputError : no such columns.
+    Raises InputError: no such columns.
     """
     sides = first, second
     columns: list[Column | Related] = []

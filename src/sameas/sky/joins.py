@@ -218,15 +218,11 @@ def joined(
 ) -> Table:
     """The joined table.
 
-    Parameters
-    ----------
     join : one of :data:`~sameas.sky.output_columns.JOINS`.
     nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor`` by NWAY's names.
     rows : some of :func:`joined_rows`; None: all.
 
-    Raises
-    ------
-    InputError : an unknown join.
+    Raises InputError: an unknown join.
     """
     rows = joined_rows(match, join) if rows is None else rows
     table = Table()
@@ -289,9 +285,7 @@ class JoinedTable:
 def joined_rows(match: Joinable, join: str) -> JoinedRows:
     """The rows of a join.
 
-    Raises
-    ------
-    InputError : an unknown join.
+    Raises InputError: an unknown join.
     """
     check_join(join)
     result = match.result

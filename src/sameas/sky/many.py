@@ -567,9 +567,7 @@ def _content(catalogue: Catalogue) -> tuple[object, ...]:
 def _at_common_epoch(catalogues: list[Catalogue], given: float | None) -> tuple[float | None, list[Catalogue]]:
     """The reference epoch, and the catalogues; without epochs unless all are known.
 
-    Raises
-    ------
-    InputError : some have proper motions, and not all epochs are known.
+    Raises InputError: some have proper motions, and not all epochs are known.
     """
     epochs = [catalogue.epoch_jyr for catalogue in catalogues]
     unknown = [c.name for c, epoch in zip(catalogues, epochs, strict=True) if epoch is None]

@@ -37,9 +37,7 @@ MIN_RUNNER_UP = 1e-3
 def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
     """One row per object in at least ``least`` catalogues; with 1 also the unusable rows.
 
-    Raises
-    ------
-    InputError : ``least`` is not between 1 and the number of catalogues.
+    Raises InputError: ``least`` is not between 1 and the number of catalogues.
     """
     if not 1 <= least <= len(match.catalogues):
         raise InputError(

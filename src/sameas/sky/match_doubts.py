@@ -33,8 +33,6 @@ from sameas.sky.systematics import Rotation, Warp, residual_rotation
 class MatchDoubtsTuning:
     """Thresholds for doubting a result; all chosen.
 
-    Attributes
-    ----------
     min_common_share, min_common_sigmas : two catalogues have hardly any objects in common if the expected number
         is at most this share of the smaller catalogue and at most this many of its standard errors.
     max_spacing_share : with hardly any common objects the errors are doubted if the lower quartile of the

@@ -119,8 +119,6 @@ _CHUNK = 8192
 class Astrometry:
     """Six astrometric parameters of each object at an epoch, with covariances. Make it with :meth:`Astrometry.of`.
 
-    Attributes
-    ----------
     ra_deg, dec_deg : (n,) ICRS, NaN where there is no position.
     parallax_mas : (n,) as measured; may be zero or negative.
     pm_ra_mas_per_yr, pm_dec_mas_per_yr : (n,) proper motion; ``pm_ra`` includes cos(dec).
@@ -185,8 +183,6 @@ class Astrometry:
     ) -> Astrometry:
         """Astrometry from the columns of a catalogue, checked; unmeasured parameters get the prior ``missing``.
 
-        Parameters
-        ----------
         ra_deg, dec_deg : (n,). A missing position or error (NaN or masked) stays missing at other epochs.
         epoch_jyr : Julian year, one for all or (n,).
         sigma : (n, k) standard deviations of the first k of ``PARAMETERS``, 2 ≤ k ≤ 6, in the units of
@@ -198,10 +194,8 @@ class Astrometry:
             without an error.
         source : name used in messages.
 
-        Raises
-        ------
-        InputError : columns of different lengths, dec beyond ±90°, negative errors, correlations beyond ±1,
-            an epoch that is not a Julian year.
+        Raises InputError: columns of different lengths, dec beyond ±90°, negative errors, correlations beyond ±1, an
+        epoch that is not a Julian year.
 
         Example
         -------

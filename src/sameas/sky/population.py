@@ -61,8 +61,6 @@ _POSITION_AND_MOTION = np.array([0, 1, 3, 4])
 class AstrometricRecords:
     """Position and motion of one catalogue's usable records; lengths in arcsec, times in years, axes east, north.
 
-    Attributes
-    ----------
     direction : (n, 2) right ascension and declination, degrees: at the reference epoch if the motion is known, else at
         the record's own epoch.
     motion : (n, 2) proper motion, 0 where not known.
@@ -220,8 +218,6 @@ Coverages = Mapping[tuple[int, int], Coverage]
 class PopulationTuning:
     """Parameters of the estimate of the population (EM), all chosen.
 
-    Attributes
-    ----------
     iterations : maximum number.
     converged_share : maximum change of the expected number of objects of a pattern at convergence, as a share of all.
     min_p_set : minimum probability of a set used for the errors.

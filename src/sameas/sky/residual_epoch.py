@@ -108,8 +108,6 @@ def _as_they_are(values: FloatArray) -> FloatArray:
 class MovedPairs:
     """Pairs with objects that were moved by their proper motions, as a test of epoch and motions.
 
-    Attributes
-    ----------
     motion : (m, 2) arcsec/yr, east with cos δ, and north. displaced : (m, 2) arcsec by which the objects were moved.
     residual : (m, 2) arcsec, their position minus that in the other source. precision : (m, 2, 2) of the residuals.
     cos_dec : (m,) cosine of declination. remaining : what a fit to the residuals leaves of (m, 2) values, for residuals

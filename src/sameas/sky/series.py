@@ -46,8 +46,6 @@ _PARTIAL = PIXEL_FLAGS | Flag.EDGE | Flag.POOR
 class SeriesTuning:
     """Parameters for tying a series together.
 
-    Attributes
-    ----------
     reach_px : maximum separation of measurements of one source in two frames, or 3σ if larger.
     tie_arcsec : maximum separation of sources that tie frames, by their plates. tie_snr : minimum signal to noise.
     min_ties : minimum number of sources to tie a frame; with fewer its own plate is used.
@@ -162,8 +160,6 @@ class Trails:
 class Series:
     """A series of frames tied together.
 
-    Attributes
-    ----------
     exposures : in order of time. frame, row : (n,) exposure of each measurement, and its row there.
     place : (n, 2) arcsec east and north of ``middle_deg`` on the tangent plane, in the common system.
     sigma_arcsec : (n,) error of the position relative to other frames, per axis.
@@ -281,9 +277,7 @@ _UNITS = {"_deg": "deg", "_arcsec": "arcsec", "_mag": "mag"}
 def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_SERIES) -> Series:
     """A series of frames of one field, tied together, with stationary sources marked.
 
-    Raises
-    ------
-    InputError : fewer than two frames; frames of different fields; frames of the same time.
+    Raises InputError: fewer than two frames; frames of different fields; frames of the same time.
     """
     ordered = tuple(sorted(exposures, key=lambda e: e.mjd_utc))
     middle = _checked(ordered, tuning.overlap)

@@ -29,8 +29,6 @@ from sameas.sky.frame.measurements import POGSON
 class StarTuning:
     """Parameters for the stars of a series and their zero points; all chosen.
 
-    Attributes
-    ----------
     odds : prior odds that a star of the series is measured on a frame.
     min_ensemble : minimum number of stars for a zero point. often : minimum share of frames of such a star.
     iterations : of the fit. huber : residuals beyond this many errors get a lower weight.
@@ -51,8 +49,6 @@ STAR_TUNING = StarTuning()
 class SeriesStars:
     """The stars of a series, (s,) each, in its (f,) frames.
 
-    Attributes
-    ----------
     name : identifier in the catalogue, "" for other stars. place : (s, 2) arcsec in the system of the series.
     sigma_arcsec : its error per axis.
     measurement : (s, f) row among the measurements of the series, ABSENT where it was not measured.

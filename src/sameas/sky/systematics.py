@@ -47,8 +47,6 @@ if TYPE_CHECKING:
 class RotationTuning:
     """Parameters of the search for a rotation, all chosen.
 
-    Attributes
-    ----------
     patch_records : approximate number of records of either source in the searched patch.
     patch_deg : maximum radius of the patch, degrees. patch_places : number of centres that are tried.
     iterations : maximum number. converged_share : maximum step at convergence, as a fraction of a record's error.
@@ -169,8 +167,6 @@ def find_rotation(
 ) -> Rotation:
     """The rotation from the records of the second catalogue to those of the first.
 
-    Parameters
-    ----------
     first, second : records on the sphere, at one epoch. progress : called with the name of the current stage.
 
     Source: METHOD 6; the search as :func:`sameas.registration.register`.
@@ -280,8 +276,6 @@ def _axes(centre_deg: tuple[float, float]) -> FloatArray:
 class WarpTuning:
     """Parameters of the fit of a warp, all chosen.
 
-    Attributes
-    ----------
     highest : maximum order. pairs_per_term : minimum number of pairs per term of an order.
     max_pairs : more pairs are sampled regularly. max_radius_deg : maximum radius of a field.
     iterations : number of reweighted fits. tail_sigmas : larger residuals get a lower weight.
@@ -307,8 +301,6 @@ DEFAULT_WARP = WarpTuning()
 class Warp:
     """A smooth displacement of the second catalogue, to be added to its positions.
 
-    Attributes
-    ----------
     centre : (3,) of the tangent plane. radius_arcsec : unit of u and v. order : of the polynomial.
     coefficients : (q, 2) arcsec, east and north. rms_arcsec, largest_arcsec : of the displacement at the pairs.
     gain : decrease of the leave-one-out −2 ln L against a shift alone. pairs : number used.

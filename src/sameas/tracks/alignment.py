@@ -52,8 +52,6 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 class States:
     """Reports of one source in a plane, in the order of the source.
 
-    Attributes
-    ----------
     time_s : (n,) seconds, the time of the state.
     state : (n, 4) east, north, velocity east, velocity north; NaN where the position is unknown.
     covariance : (n, 4, 4).
@@ -239,8 +237,6 @@ def track_numbers(track: NDArray[Any]) -> IntArray:
 class Succession:
     """The order of a source's reports within its tracks, for :meth:`at` at many instants.
 
-    Attributes
-    ----------
     rows : (n,) reports, track by track, ordered by time; ties in the order of the reports.
     time_s : (n,) their times. final : (n,) whether a report is the last of its track.
     """
@@ -410,8 +406,6 @@ MEDIAN = 2.0 * math.log(2.0)
 class FilteredTracks:
     """The filtered tracks of a source.
 
-    Attributes
-    ----------
     states : the reports with the filtered state of their track after each.
     nis : (n,) normalised innovation squared of each report; NaN where it started a track.
     began : (n,) whether the report started a track: the first one, or one so far from the prediction that the id went
@@ -442,8 +436,6 @@ def follow(
 
     A reported velocity counts at the start of a track only.
 
-    Parameters
-    ----------
     reports : in any order; they are filtered in order of time.
     acceleration_m2_per_s3 : power density of the velocity's random walk.
     trend : (n, 4) :attr:`FilteredTracks.trend` at the first report of each track, where that is a filtered state.

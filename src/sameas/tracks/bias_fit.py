@@ -31,8 +31,6 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 class BiasFit:
     """The fitted biases.
 
-    Attributes
-    ----------
     biases : (p,) their numbers, as in :class:`~sameas.tracks.snapshot.CommonScan`. theta : (p,) their values.
     covariance : (p, p) of theta, by data and prior.
     relative : (p, p) the same without the common displacement of all sources, for comparing these with each other.

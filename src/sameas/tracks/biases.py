@@ -270,8 +270,6 @@ def corrected(
     Covariances are transformed as well: an error along the line of sight stays along the corrected one. The uncertainty
     of the biases is added to each report; its correlation between reports is ignored.
 
-    Parameters
-    ----------
     sensor_m : (n, 2) position of the sensor at each report; None for a source without a site, which has no range and
         azimuth biases.
     biases, covariance : (6,) and (6, 6), in the order of :data:`BIASES`, or (n, 6) and (n, 6, 6), of each report.

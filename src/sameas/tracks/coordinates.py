@@ -191,8 +191,6 @@ def polar_to_geodetic(
     1993). Above 80° elevation J is that at 80°. The variance along is at most r²; where it is above g², it
     replaces g² in that across, so that a target straight above the sensor has an error in both directions.
 
-    Parameters
-    ----------
     range_m : (n,) slant range. bearing_deg : (n,) clockwise from true north at the sensor.
     sensor_lat_deg, sensor_lon_deg, sensor_height_m : the sensor, numbers or (n,) if it moves.
     height_m : (n,) or a number: height of the targets above the ellipsoid. A target whose range is shorter than the

@@ -24,8 +24,6 @@ def split_duplicate_ids(
 ) -> tuple[States, tuple[str, ...]]:
     """The reports with one track per object of a duplicate id, and printable notes.
 
-    Parameters
-    ----------
     reports : of one source; without track ids they are returned unchanged.
     speed_m_per_s : usual speed of its objects, motion.speed_m_per_s of the description.
     doubtful_s : possible error of the time between two reports, for sources with a doubtful clock.

@@ -94,8 +94,6 @@ class _Positions:
 class PlacedReports:
     """The reports of one source in the plane of the picture, with the latency of the source subtracted from the times.
 
-    Parameters
-    ----------
     description : of the source, with its latency, and its errors for reports that state none.
     reports : as read.
     plane : of the picture; None for sources that give metres in a plane of the user's own.
@@ -116,9 +114,7 @@ class PlacedReports:
     def in_plane(self) -> States | Directions:
         """States, or directions if the source measures no distance.
 
-        Raises
-        ------
-        InputError : a position, error or site that is needed is missing.
+        Raises InputError: a position, error or site that is needed is missing.
         """
         if self.reports.position == "bearing":
             return self._directions()

@@ -33,15 +33,11 @@ def on_platform(
     that they need, is not known are set aside, with a note that counts them. A position and a heading that the reports
     have themselves stay as they are.
 
-    Parameters
-    ----------
     others : by name, the reports of all sources; those of the sensor itself are not used.
     tuning : ``platform_gap_s``, ``platform_heading_gap_s``, ``platform_ahead_s`` and ``platform_course_m_per_s``.
 
-    Raises
-    ------
-    InputError : no source reports the vessel, several do, or none at the times of the sensor's reports; bearings are
-        from the bow, and no source has the heading.
+    Raises InputError: no source reports the vessel, several do, or none at the times of the sensor's reports; bearings
+    are from the bow, and no source has the heading.
     """
     if not len(reports):
         return reports, ()

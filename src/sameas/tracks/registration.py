@@ -160,9 +160,7 @@ def registered(
     references : names of the sources with unbiased positions; if not given, all without a bias in their descriptions.
     fits : of sources of plots, where already made.
 
-    Raises
-    ------
-    InputError : a reference that is not a source of positions.
+    Raises InputError: a reference that is not a source of positions.
     """
     fixed, free, directions = _parts(feeds, references)
     fits = fits or PlotFits()

@@ -69,8 +69,6 @@ def scans_of(
 ) -> Scans:
     """The scans of bare plots.
 
-    Parameters
-    ----------
     time_s : (n,) in any order. period_s : between scans, as described; without it each stamp is a scan.
     bearing_deg : (n,) of the plots from the sensor, NaN where unknown; None if the sensor's position is unknown.
     scan_times_s : (l,) times of all scans, where known.

@@ -50,8 +50,6 @@ def pointed_at(
     The distance of a direction is not measured but needed: metres of hull or of motion are more degrees the nearer the
     object, and a camera detects far boats less often than near ones. It follows from objects of other sources.
 
-    Parameters
-    ----------
     bearing_deg, sigma_deg : (n,) directions, clockwise from the plane's north, and their 1σ.
     sensor_m : (2,) place of the sensor. places : (p, 2) in the plane.
     extent_m : 1σ of the observed point relative to the centre of the object.

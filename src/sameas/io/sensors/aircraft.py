@@ -61,15 +61,11 @@ _RADIUS_OF_NUCP = {
 def read(lines: Sequence[str], source: str, last: dict[str, Mapping[str, Any]] | None = None) -> Reports:
     """The positions of aircraft in snapshots.
 
-    Parameters
-    ----------
     lines : of a file that is one snapshot, or has one in each line.
     source : its name in messages.
     last : for a stream, the last report of each aircraft; updated.
 
-    Raises
-    ------
-    InputError : no snapshot; no position.
+    Raises InputError: no snapshot; no position.
     """
     damaged: list[tuple[int, str]] = []
     passed_over: Counter[str] = Counter()

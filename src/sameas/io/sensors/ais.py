@@ -215,17 +215,13 @@ class ReceiverState:
 def read(log: Log, source: str, start_s: float | None = None, state: ReceiverState | None = None) -> Reports:
     """The reports of ships in a log.
 
-    Parameters
-    ----------
     log : sentences with their clock; those that are not AIS are ignored.
     source : its name in messages.
     start_s : UTC of the first message, for logs without a clock: times are counted from it by the UTC seconds in the
         messages.
     state : for a stream, the state before the log; updated. Incomplete messages at the end of the log are kept in it.
 
-    Raises
-    ------
-    InputError : pyais is not installed; no position among the messages; no time.
+    Raises InputError: pyais is not installed; no position among the messages; no time.
     """
     messages, damaged = _messages(log, state)
     statics = _statics(messages, state)
@@ -262,9 +258,7 @@ def read(log: Log, source: str, start_s: float | None = None, state: ReceiverSta
 def own_ship(sentence: Sentence) -> dict[str, Any]:
     """The latitude, longitude and true heading of own ship that a VDO sentence gives, and her MMSI.
 
-    Raises
-    ------
-    ValueError : it cannot be decoded, or pyais is not installed.
+    Raises ValueError: it cannot be decoded, or pyais is not installed.
     """
     if sentence.field(1) != "1":
         return {}

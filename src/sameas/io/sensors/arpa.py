@@ -120,17 +120,13 @@ def read(
 ) -> Reports:
     """The targets of a ship's radar.
 
-    Parameters
-    ----------
     log : sentences with their clock; other kinds are ignored.
     source : its name in messages.
     start_s : UTC of the first line, for logs with the time of day but no date.
     ship : for a stream, own ship before the log; updated.
     own : as of :func:`own_ship_of`, where it is known, and ``ship`` updated.
 
-    Raises
-    ------
-    InputError : no target; no time.
+    Raises InputError: no target; no time.
     """
     ship = ArpaState() if ship is None else ship
     ship.add_measured(log)
@@ -446,9 +442,7 @@ _POSITIONS = {"RMC": 1, "GGA": 1, "GNS": 1, "GLL": 5}
 def _own_positions(log: Log, source: str, start_s: float | None, own: Mapping[str, FloatArray]) -> Reports | None:
     """The positions of own ship, as of :func:`own_ship_of`, the last of each time; None if the log has none.
 
-    Raises
-    ------
-    InputError : no time.
+    Raises InputError: no time.
     """
     of_position = [k for k, s in enumerate(log.sentences) if s.kind in _POSITIONS]
     indices = np.array([k for k in of_position if np.isfinite(own["lat"][k] + own["lon"][k])], np.int64)

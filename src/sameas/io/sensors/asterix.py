@@ -370,17 +370,13 @@ def read(
 ) -> list[Reports]:
     """The reports in ASTERIX bytes, one :class:`Reports` for each category and sensor (SAC, SIC).
 
-    Parameters
-    ----------
     content : consecutive blocks, or a pcap capture. Line numbers are those of the records in the file.
     source : its name in messages; several sensors are named ``source:048 SAC/SIC``.
     start_s : UTC date of the first record, for files that are no capture: records have the time of day only.
     received_s, blocks_read : for a stream, the receive time and the earlier blocks (updated); every sensor is then
         named as one of several.
 
-    Raises
-    ------
-    InputError : nothing of categories 021, 048 or 062; no date.
+    Raises InputError: nothing of categories 021, 048 or 062; no date.
     """
     if content[:4] == PCAPNG:
         raise InputError(f"{source}: is a pcapng capture; convert it: editcap -F pcap FILE FILE.pcap")

@@ -304,9 +304,7 @@ class DamagedRecord(ValueError):
 def records_of(category: AsterixCategory, data: bytes) -> Iterator[dict[str, Item]]:
     """The records in the data of a block: items by name, compound items as mappings of their subfields.
 
-    Raises
-    ------
-    DamagedRecord : after the last valid record; the start of the next one cannot be determined.
+    Raises DamagedRecord: after the last valid record; the start of the next one cannot be determined.
 
     Example
     -------

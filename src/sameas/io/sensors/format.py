@@ -74,9 +74,7 @@ def seconds(number: float) -> float:
 def zone_of(name: str) -> tzinfo:
     """A time zone, of a name such as ``Europe/Berlin`` or an offset from UTC such as ``+02:00``.
 
-    Raises
-    ------
-    InputError : it is neither.
+    Raises InputError: it is neither.
     """
     match = re.fullmatch(r"(?:UTC|GMT)?\s*([+-])(\d{1,2})(?::?([0-5]\d))?", name.strip())
     if match and int(match[2]) <= 15:
@@ -275,9 +273,7 @@ class SensorFile:
     def of(cls, path: str | os.PathLike[str], options: ReadOptions) -> SensorFile:
         """The file at a path.
 
-        Raises
-        ------
-        InputError : no such file, a directory, empty, a packed file cut off.
+        Raises InputError: no such file, a directory, empty, a packed file cut off.
         """
         path = Path(path)
         source = options.source or path.name
@@ -348,9 +344,7 @@ def kind_of(format_name: str) -> str | None:
 def content(path: str | os.PathLike[str]) -> bytes:
     """All bytes of a file, unpacked where it is gzipped.
 
-    Raises
-    ------
-    InputError : no such file, a directory, empty, a packed file cut off.
+    Raises InputError: no such file, a directory, empty, a packed file cut off.
     """
     path = Path(path)
     if os.path.isdir(path):  # Path's own raises where a name is too long for a file
@@ -382,9 +376,7 @@ def lines_of(content_bytes: bytes) -> list[str]:
 def of_json(text: str) -> Any:
     """The value of a JSON text.
 
-    Raises
-    ------
-    ValueError : it is not JSON, or is nested too deeply for Python's stack.
+    Raises ValueError: it is not JSON, or is nested too deeply for Python's stack.
     """
     try:
         return json.loads(text)

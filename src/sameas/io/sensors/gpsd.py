@@ -40,9 +40,7 @@ class JsonMessages:
     def __call__(self, line: str) -> Sequence[str]:
         """The sentences of an object; none of one that says nothing of interest.
 
-        Raises
-        ------
-        ValueError : it is no object, or damaged.
+        Raises ValueError: it is no object, or damaged.
         """
         said = of_json(line)
         if not isinstance(said, Mapping):

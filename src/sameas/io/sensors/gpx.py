@@ -21,9 +21,7 @@ _POINTS = ("trkpt", "rtept")
 def read(file: SensorFile) -> list[Reports]:
     """The points with a time, in the order of their times.
 
-    Raises
-    ------
-    InputError : no XML; no point with a time.
+    Raises InputError: no XML; no point with a time.
     """
     if b"<!DOCTYPE" in file.content or b"<!ENTITY" in file.content:
         raise InputError(f"{file.source}: has a document type, which GPX has not", "export the track anew")

@@ -150,9 +150,7 @@ class Messages:
     def times(self, source: str, start_s: float | None) -> FloatArray:
         """UTC (n,) of the messages, stated or counted from a start.
 
-        Raises
-        ------
-        InputError : neither is known.
+        Raises InputError: neither is known.
         """
         if np.isfinite(self.time_s).all():
             return self.time_s
@@ -198,16 +196,12 @@ class Aircraft:
 def read(found: Messages, source: str, start_s: float | None = None, aircraft: Aircraft | None = None) -> Reports:
     """The positions of aircraft in raw messages.
 
-    Parameters
-    ----------
     found : messages.
     source : its name in messages.
     start_s : UTC of the first message, for receivers that only count.
     aircraft : for a stream, what earlier messages left; updated.
 
-    Raises
-    ------
-    InputError : rs1090 is not installed; no message; no time; no position.
+    Raises InputError: rs1090 is not installed; no message; no time; no position.
     """
     damaged, passed_over = list(found.damaged), Counter(found.passed_over)
     if not found.messages:

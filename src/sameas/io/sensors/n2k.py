@@ -107,9 +107,7 @@ class Bus:
     def __call__(self, line: str) -> Sequence[str]:
         """The sentences of a line; none of a message that is not used, or not complete yet.
 
-        Raises
-        ------
-        ValueError : it is no frame.
+        Raises ValueError: it is no frame.
         """
         if line.lstrip()[:1] == "{":
             time_s, pgn, said = described(line)

@@ -46,9 +46,7 @@ _TEXTS = ("callsign", "shipname")
 def described(line: str) -> tuple[float | None, int, dict[str, Any]]:
     """Time of receipt, PGN and fields of a message.
 
-    Raises
-    ------
-    ValueError : it is none.
+    Raises ValueError: it is none.
     """
     said = of_json(line)
     if not isinstance(said, Mapping) or "pgn" not in said or not isinstance(said.get("fields"), Mapping):

@@ -52,9 +52,7 @@ class Sentence:
     def number(self, number: int) -> float | None:
         """The field as a number; None where it is empty.
 
-        Raises
-        ------
-        ValueError : the field is no finite number.
+        Raises ValueError: the field is no finite number.
         """
         text = self.field(number)
         if not text:
@@ -113,9 +111,7 @@ def log_of(
 def latitude(text: str, hemisphere: str) -> float:
     """Degrees, of ddmm.mm and N or S.
 
-    Raises
-    ------
-    ValueError : another text.
+    Raises ValueError: another text.
     """
     return _degrees(text, hemisphere, 2, "NS", 90.0)
 

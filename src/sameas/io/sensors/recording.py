@@ -87,8 +87,6 @@ class Recorder:
     A line is handed to the system as soon as it is written: a process that is killed loses none of them. A disk that
     refuses is named in ``error``; the next piece is tried again.
 
-    Parameters
-    ----------
     folder : is made if needed. recorded : of the input. keep_s : older files of this input are deleted; 0: none are.
     """
 
@@ -181,9 +179,7 @@ class Recording:
     def of(cls, file: SensorFile) -> Recording:
         """The recording in a file.
 
-        Raises
-        ------
-        InputError : the first line is damaged.
+        Raises InputError: the first line is damaged.
         """
         pieces: list[Piece] = []
         dropped, damaged = [0], 0
@@ -210,9 +206,7 @@ class Recording:
 def read(file: SensorFile) -> list[Reports]:
     """The reports of a recording, one :class:`Reports` for each source of its input that has any.
 
-    Raises
-    ------
-    InputError : no report; the first line is damaged.
+    Raises InputError: no report; the first line is damaged.
     """
     recording = Recording.of(file)
     recorded = recording.recorded
@@ -251,9 +245,7 @@ def paths_in(folder: Path) -> list[Path]:
 def recordings(path: Path) -> list[SensorFile]:
     """The recordings in a folder, the files of each input as one; or a single file.
 
-    Raises
-    ------
-    InputError : there is none; the file is no recording.
+    Raises InputError: there is none; the file is no recording.
     """
     if path.is_dir():
         return list(files_in(path))
@@ -266,9 +258,7 @@ def recordings(path: Path) -> list[SensorFile]:
 def files_in(folder: Path) -> Iterator[SensorFile]:
     """The recordings in a folder, the files of each input as one, in the order of their times.
 
-    Raises
-    ------
-    InputError : there is none.
+    Raises InputError: there is none.
     """
     wires: dict[str, list[Path]] = {}
     for path in paths_in(folder):

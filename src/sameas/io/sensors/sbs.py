@@ -43,17 +43,13 @@ def read(
 ) -> Reports:
     """The positions of aircraft in SBS lines.
 
-    Parameters
-    ----------
     lines : other than MSG (SEL, ID, AIR, STA, CLK) are skipped.
     source : its name in messages.
     unended : whether the last line has no line end; then it must have all its cells.
     latest_fields : for a stream, the fields before these lines; updated.
     time_zone : of the times; UTC if not given.
 
-    Raises
-    ------
-    InputError : no position.
+    Raises InputError: no position.
     """
     damaged: list[tuple[int, str]] = []
     passed_over: Counter[str] = Counter()

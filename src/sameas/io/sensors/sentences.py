@@ -110,9 +110,7 @@ class AisWriter:
         fields : by the names of pyais (``type``, ``mmsi``, ``lat`` …) and in its units, knots and degrees; those that
             are None are not available. own : whether own ship's transponder reports itself.
 
-        Raises
-        ------
-        ValueError : a value that the message cannot have. InputError : pyais is not installed.
+        Raises ValueError: a value that the message cannot have. InputError : pyais is not installed.
         """
         with optional("AIS messages need pyais", "targets"):
             from pyais.encode import encode_dict
@@ -134,9 +132,7 @@ _ABSENT = {"lat": 91.0, "lon": 181.0, "speed": 102.3, "course": 360.0, "heading"
 def read_translated(file: SensorFile, translate: Translator) -> list[Reports]:
     """The reports of a file whose lines stand for sentences.
 
-    Raises
-    ------
-    InputError : no AIS and no radar target among them; no time.
+    Raises InputError: no AIS and no radar target among them; no time.
     """
     texts, numbers, damaged = translated(file.lines, translate)
     log = log_of(texts, numbers=numbers)

@@ -96,14 +96,10 @@ class Vessels:
 def read(lines: Sequence[str], source: str, vessels: Vessels | None = None) -> list[Reports]:
     """The vessels and the radar targets in deltas, one :class:`Reports` each where there are both.
 
-    Parameters
-    ----------
     lines : JSON objects. source : its name in messages; two sources are named ``source:ais`` and ``source:arpa``.
     vessels : for a stream, the state before these lines; updated.
 
-    Raises
-    ------
-    InputError : no position and no target.
+    Raises InputError: no position and no target.
     """
     vessels, live = Vessels() if vessels is None else vessels, vessels is not None
     damaged: list[tuple[int, str]] = []

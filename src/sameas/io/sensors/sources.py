@@ -49,8 +49,6 @@ REPORT_FORMATS: Mapping[str, str] = {
 def read_reports(path: str | os.PathLike[str], options: ReadOptions | None = None) -> list[Reports]:
     """Reads a sensor file: one :class:`~sameas.tracks.reports.Reports` for each sensor in it.
 
-    Parameters
-    ----------
     path : a file of one of :data:`REPORT_FORMATS`, gzipped or not. A ship's log may hold its AIS and its radar, an
         ASTERIX capture several radars: they are separate sources.
     options : for what the file does not contain.
@@ -59,9 +57,7 @@ def read_reports(path: str | os.PathLike[str], options: ReadOptions | None = Non
     -------
     Reports with times in UTC, metres and degrees. Unusable lines are in ``damaged``, with their numbers.
 
-    Raises
-    ------
-    InputError : no such file; no usable report; no time or position; an unknown format.
+    Raises InputError: no such file; no usable report; no time or position; an unknown format.
 
     Example
     -------
@@ -101,9 +97,7 @@ def _with_last_line(reports: Reports, file: SensorFile) -> Reports:
 def format_of(file: SensorFile) -> SensorFormat:
     """The format of a file, detected from its content.
 
-    Raises
-    ------
-    InputError : it is none of :data:`SENSOR_FORMATS`.
+    Raises InputError: it is none of :data:`SENSOR_FORMATS`.
     """
     for known in SENSOR_FORMATS:
         if file.content.startswith(known.magic):
@@ -163,9 +157,7 @@ def read_source_options(
 
     set_aside : receives the errors of tables that cannot be used, by name. Without it, the first one is raised.
 
-    Raises
-    ------
-    InputError : not TOML, no sources, an unknown name.
+    Raises InputError: not TOML, no sources, an unknown name.
     """
     found: dict[str, SourceOptions] = {}
     for name, table in source_tables(path).items():
@@ -219,8 +211,6 @@ def read_sources(
 ) -> list[SensorSource]:
     """All sources of the given files, and of files named in the descriptions, with their descriptions.
 
-    Parameters
-    ----------
     files : paths, or NAME=PATH, or a folder of recordings, which say the names of their sources. A file that holds
         several sensors (a log of AIS and radar) gives NAME:ais, NAME:arpa.
     options : by name, from :func:`read_source_options`.
@@ -229,10 +219,8 @@ def read_sources(
         cannot be read, or have no file, if others can. Without it, and if no source can be read, the first error is
         raised.
 
-    Raises
-    ------
-    InputError : no files, two sources of one name; without ``set_aside`` a description without a file, an unknown kind,
-        an unreadable file.
+    Raises InputError: no files, two sources of one name; without ``set_aside`` a description without a file, an unknown
+    kind, an unreadable file.
     """
     described = dict(options or {})
     named = [_named(str(file)) for file in files]
@@ -271,9 +259,7 @@ def read_sources(
 def _recorded(folder: Path) -> list[Reports]:
     """The reports of all recordings in a folder.
 
-    Raises
-    ------
-    InputError : there is no recording, or no report in any of them.
+    Raises InputError: there is no recording, or no report in any of them.
     """
     out: list[Reports] = []
     empty: list[InputError] = []

@@ -75,14 +75,10 @@ def format_of(data: bytes) -> str | None:
 class ReportStream:
     """Decodes bytes to reports as they arrive.
 
-    Parameters
-    ----------
     source : its name in messages; several sensors of a stream are named as in a file, NAME:ais, NAME:048 1/2.
     format : one of :data:`STREAM_FORMATS`; None: detected from the first bytes.
     options : columns and units of tables.
 
-    Attributes
-    ----------
     damaged, passed_over : number of unused lines or records by reason.
 
     Example
@@ -225,9 +221,7 @@ class ReportStream:
     def reports(self) -> list[Reports]:
         """The reports in the data since the last call, one :class:`Reports` per sensor.
 
-        Raises
-        ------
-        InputError : the data have no report of this format: a column, a library or a time is missing.
+        Raises InputError: the data have no report of this format: a column, a library or a time is missing.
         """
         if not self._lines and not self._datagrams and not self._messages:
             return []

@@ -176,17 +176,13 @@ def choose(
 ) -> dict[str, Choice]:
     """The recognised columns, by their column in Reports.
 
-    Parameters
-    ----------
     names : of the table's columns.
     source : its name in messages.
     named : name of the column of a quantity (``lat_deg``, ``time_s`` …); None: the table does not have it.
     units : unit of a column, by its name in the table.
     kind : of the source, if known: speeds of AIS are knots.
 
-    Raises
-    ------
-    InputError : two columns of equal rank, an unknown name or unit.
+    Raises InputError: two columns of equal rank, an unknown name or unit.
     """
     named, units = dict(named or {}), dict(units or {})
     _check_named(names, source, named, units)

@@ -46,15 +46,11 @@ _STATION = re.compile("00[2-7]|99[2-7]")
 def read(cells: TableText, source: str, options: ReadOptions | None = None) -> Reports:
     """The reports of a table.
 
-    Parameters
-    ----------
     cells : of the table.
     source : its name in messages; it may show the kind of the source.
     options : what the table does not contain.
 
-    Raises
-    ------
-    InputError : no time; no position; two columns of one quantity; every row damaged; dates of two readings.
+    Raises InputError: no time; no position; two columns of one quantity; every row damaged; dates of two readings.
     """
     options = options or ReadOptions()
     kind = options.kind or kind_by_name(source)

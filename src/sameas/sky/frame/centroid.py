@@ -39,8 +39,6 @@ from sameas.sky.frame.image import Frame, Image
 class CentroidTuning:
     """Parameters of the noise and of centroids, tuned on simulated frames (``scripts/bench centroids``).
 
-    Attributes
-    ----------
     noise_side_px : the noise correlation is measured in a square of this side in the middle of the frame.
     noise_reach_px : maximum offset along an axis for the noise correlation.
     star_sigmas : 3 × 3 means farther than this from the sky are stars, and excluded from the noise measurement.
@@ -72,8 +70,6 @@ DEFAULT_CENTROIDS = CentroidTuning()
 class Background:
     """The sky of a frame.
 
-    Attributes
-    ----------
     level : (rows, columns) the sky, in the unit of the frame.
     variance : (rows, columns) of a pixel without a star; infinite for unusable pixels.
     inverse_gain : units of the frame per electron: the variance added per unit of star light; 0 if not known, or if the
@@ -90,9 +86,7 @@ class Background:
     def of(cls, frame: Frame, *, box_px: int = 64, tuning: CentroidTuning = DEFAULT_CENTROIDS) -> Background:
         """The background of a frame; ``box_px`` should be about ten times the width of a star.
 
-        Raises
-        ------
-        InputError : photutils is missing; hardly a pixel is usable.
+        Raises InputError: photutils is missing; hardly a pixel is usable.
         """
         level, rms = _meshes(frame, min(box_px, min(frame.shape) // 2))
         variance = rms**2 if frame.sigma is None else frame.sigma**2

@@ -23,8 +23,6 @@ _EIGHT_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.int8)
 class DefectTuning:
     """Parameters of the search for defects, tuned on simulated frames (``scripts/bench centroids`` and ``crowded``).
 
-    Attributes
-    ----------
     sigmas : a pixel is a defect if it exceeds the sharpest star by this many standard deviations.
     passes : maximum number of passes; in each, known defects are replaced by their neighbours.
     sharpness_margin : maximum ratio of sharpness among stars.

@@ -43,8 +43,6 @@ from sameas.sky.frame.photon_noise import DEFAULT_GAIN, GainTuning, InverseGain,
 class DetectionTuning:
     """Parameters of star detection, tuned on simulated frames (``scripts/bench centroids`` and ``crowded``).
 
-    Attributes
-    ----------
     first_sigma_px : standard deviation of the initial PSF.
     sharpest_sigma_px : standard deviation of the sharpest possible star before the PSF is measured (FWHM 1.3 px).
     psf_stars : maximum number of stars for the PSF.

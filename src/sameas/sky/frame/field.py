@@ -24,8 +24,6 @@ from sameas.space import chord_angle_deg, sphere_offset, unit_vectors
 class Stars:
     """Catalogue stars at the frame's epoch, for plate solving.
 
-    Attributes
-    ----------
     ra_deg, dec_deg : (m,) ICRS. sigma_arcsec : (m,) error per axis, or one number. magnitude : (m,) in any band near
         that of the frame; stars without one (NaN) are sorted last.
     """

@@ -43,8 +43,6 @@ from sameas.space import chord_angle_deg
 class RefinementTuning:
     """Parameters of the refinement, all chosen.
 
-    Attributes
-    ----------
     margin_px : stars predicted up to this distance outside the frame are candidates.
     min_p_pair : minimum probability of a pair used for the plate.
     pairs_beyond_linear : with more pairs than this the first plate may have an order above 1.

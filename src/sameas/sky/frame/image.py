@@ -137,16 +137,12 @@ def read(
 ) -> Frame:
     """One image of a FITS file.
 
-    Parameters
-    ----------
     path : plain, ``.gz`` or tile-compressed ``.fz``.
     hdu : number or EXTNAME of the image; by default the first extension named SCI, else the first image.
     mask : a second FITS file, non-zero for unusable pixels.
     given : facts that replace those of the header.
 
-    Raises
-    ------
-    InputError : no such file, not FITS, truncated, no image, no such extension, only NaN, all saturated.
+    Raises InputError: no such file, not FITS, truncated, no image, no such extension, only NaN, all saturated.
     """
     path = Path(path)
     name = path.name
@@ -363,8 +359,6 @@ def _refuse_flat(values: NDArray[Any], facts: Facts, name: str) -> None:
 class CalibrationTuning:
     """Parameters of the calibration of frames, all chosen.
 
-    Attributes
-    ----------
     hot_sigmas : a pixel of the dark is hot above this many robust standard deviations from its surroundings.
     unsteady : variation of hot pixels from frame to frame, as a share of their excess.
     darkest_flat : pixels of a flat below this sensitivity, relative to the median, are dead.
@@ -384,8 +378,6 @@ DEFAULT_CALIBRATION = CalibrationTuning()
 class MasterFrames:
     """Master frames; make them with :meth:`MasterFrames.of`, apply them by ``masters(frame)``.
 
-    Attributes
-    ----------
     bias, dark : (rows, columns) ADU or None; the dark includes the bias unless there is one.
     dark_exposure_s : exposure of the darks, NaN without them.
     flat : (rows, columns) sensitivity around 1, or None.
@@ -413,9 +405,8 @@ class MasterFrames:
     ) -> MasterFrames:
         """Masters from frames of each kind; any may be missing.
 
-        Raises
-        ------
-        InputError : frames of different shapes; darks of different exposures without a bias; a flat without light.
+        Raises InputError: frames of different shapes; darks of different exposures without a bias; a flat without
+        light.
         """
         bias = _median(biases) if biases else None
         dark, exposure_s = (None, math.nan) if not darks else _dark(darks, bias, tuning.same_exposure)
@@ -432,9 +423,7 @@ class MasterFrames:
     def __call__(self, frame: Frame) -> Frame:
         """The calibrated frame, with bad pixels flagged and a line in its facts for each step.
 
-        Raises
-        ------
-        InputError : the masters have another shape.
+        Raises InputError: the masters have another shape.
         """
         for plane in (self.bias, self.dark, self.flat):
             if plane is not None and plane.shape != frame.shape:

@@ -204,8 +204,6 @@ class Given:
 class Facts:
     """The facts of an exposure.
 
-    Attributes
-    ----------
     gain_e_per_adu, read_noise_e : NaN if not known; the noise is then measured on the image alone.
     saturation_adu : lowest value of a saturated pixel, infinite if not known.
     exposure_s : NaN if not known.
@@ -271,9 +269,7 @@ class Facts:
     def time(self) -> Time:
         """The middle of the exposure.
 
-        Raises
-        ------
-        InputError : it is not known.
+        Raises InputError: it is not known.
         """
         if self.mid_time is None:
             raise InputError(

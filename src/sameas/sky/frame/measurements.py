@@ -51,8 +51,6 @@ PIXEL_FLAGS = Flag.SATURATED | Flag.HOT | Flag.COSMIC | Flag.MASKED
 class Measurements:
     """The detections of one frame, brightest first.
 
-    Attributes
-    ----------
     x_px, y_px : (n,) windowed centroids, 0-based, integers at pixel centres.
     covariance : (n, 3) of the centroid in px²: xx, xy, yy.
     flux, flux_err : (n,) in the unit of the frame (ADU of the calibrated frame): the total light of a star with

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 class OddsTuning:
     """Parameters of the odds of a pointing, all chosen.
 
-    Attributes
-    ----------
     shear : 1σ of the difference in scale of a frame's axes, and of their angle from 90°, by refraction, tilt or
         non-square pixels.
     deepest : maximum number of brightest measurements and stars that are compared.
@@ -82,8 +80,6 @@ class SearchVolume:
 class PlateProblem:
     """The measurements of a frame and the stars of a catalogue, both brightest first.
 
-    Attributes
-    ----------
     px : (n, 2) measurements. covariance : (n, 2, 2) px². shape : (rows, columns) of the frame.
     vectors : (m, 3) directions of stars. sigma_rad : (m,) their errors per axis.
     """
@@ -130,8 +126,6 @@ class PlateProblem:
 class Verdict:
     """A verified pointing.
 
-    Attributes
-    ----------
     pointing : refined. log_odds : natural, against chance; −inf if fewer than three stars fit.
     measured, stars : (k,) the paired rows of the problem, ordered by the brightness of the stars.
     residual_px : (k, 2) measurement minus prediction. depth : number of measurements and predicted stars compared.

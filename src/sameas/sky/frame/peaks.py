@@ -14,8 +14,6 @@ from sameas.sky.frame.centroid import PSF, Background
 class PeakTuning:
     """Parameters of the search for peaks, tuned on simulated frames (``scripts/bench centroids`` and ``crowded``).
 
-    Attributes
-    ----------
     min_usable : no star is detected where less than this share of its pixels is usable.
     saddle_sigmas : minimum depth of the saddle between two stars, in standard deviations of the sky.
     saddle_photons : the same for the photon noise of the star, larger because the saddle is the minimum of many points

@@ -29,8 +29,6 @@ from sameas.gaussian import inverse
 class PhotometryTuning:
     """Parameters of the fits of zero point and completeness, all chosen.
 
-    Attributes
-    ----------
     min_pairs : minimum number of pairs for a zero point. pairs_per_term : minimum of additional pairs per term.
     iterations : of the fit and its weights.
     tail_sigmas : the weight of residuals beyond this many robust standard deviations falls with their inverse square.
@@ -55,8 +53,6 @@ DEFAULT_PHOTOMETRY = PhotometryTuning()
 class ZeroPoint:
     """The calibration from fluxes to magnitudes. Make it with :meth:`ZeroPoint.of`.
 
-    Attributes
-    ----------
     zero_point : magnitude minus instrumental magnitude of a star of mean brightness and colour; on a linear detector
         also the magnitude of a star of flux 1. sigma : its standard error.
     colour_term, colour_sigma : magnitudes per magnitude of colour, 0 if not needed or not known.

@@ -31,8 +31,6 @@ _MEDIAN_VARIANCE = 1.36
 class GainTuning:
     """Parameters of the measurement of the gain, tuned on simulated frames (``scripts/bench centroids``).
 
-    Attributes
-    ----------
     stars, pixels : minimum numbers for a measured gain; sample : maximum number of stars for it.
     snr : minimum signal to noise ratio of these stars. neighbours : maximum share of neighbours' light in it.
     reach_sigmas : distance to which a star's pixels are used. steps : iterations.
@@ -80,8 +78,6 @@ def measured_inverse_gain(
 ) -> InverseGain | None:
     """The inverse gain from the scatter of stars' pixels about their profiles; None with too few pixels.
 
-    Parameters
-    ----------
     residual : (rows, columns) light of the frame without the stars. stars : all stars, in ``residual`` no longer.
     usable : (n,) mask of the stars without defects, saturated pixels and edges nearby.
 

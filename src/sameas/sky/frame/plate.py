@@ -44,8 +44,6 @@ HIGHEST_ORDER = 5
 class PlateTuning:
     """Parameters of the plate fit, all chosen.
 
-    Attributes
-    ----------
     iterations : number of iterations of the fit, its weights and the transformed errors.
     tail_sigmas : the weight of larger residuals falls with their inverse square, so that wrong pairs and blends have
         little influence; blends move one star in ten of a crowded frame. With 3.5 instead of 2 the plates of crowded
@@ -211,8 +209,6 @@ def _reverse(
 class MatchedStars:
     """Pairs of measurements and catalogue stars.
 
-    Attributes
-    ----------
     px : (n, 2) 0-based pixels. covariance_px : (n, 3) their covariances: xx, xy, yy in px².
     ra_deg, dec_deg : (n,) of the stars at the frame's epoch. covariance_arcsec : (n, 3) east-east, east-north,
         north-north in arcsec². p_match : (n,) the probability of each pair.
@@ -244,8 +240,6 @@ class MatchedStars:
 class PlateModel:
     """A fitted plate model. Make it with :func:`fit_plate`.
 
-    Attributes
-    ----------
     centre : (3,) tangent point. polynomial : pixels → ξ, η in arcsec.
     covariance : (2q, 2q) of the coefficients (those of ξ, then those of η), arcsec², multiplied by ``error_scale``².
     error_scale : ratio of residuals to quoted errors, at least 1. floor_arcsec : error per axis that was added in
@@ -349,15 +343,11 @@ def fit_plate(
 ) -> PlateModel:
     """The plate model of identified stars.
 
-    Parameters
-    ----------
     stars : the pairs with their errors and probabilities.
     start : a linear solution, accurate enough to transform the errors; its tangent point is kept.
     shape : (rows, columns) of the frame. order : 1 … 5, or None to choose it.
 
-    Raises
-    ------
-    InputError : too few pairs for the order (order 1 needs three, an order of q terms q + 1).
+    Raises InputError: too few pairs for the order (order 1 needs three, an order of q terms q + 1).
 
     Example
     -------

@@ -210,8 +210,6 @@ def brightest_per_cell(vectors: FloatArray, rank: IntArray, side_rad: float, n: 
 class PointingTuning:
     """Parameters of the search for a pointing, tuned on simulated frames.
 
-    Attributes
-    ----------
     code_tolerance : maximum distance of two codes of similar patterns: 1.5 % of the longest side per coordinate.
     sides_all_sky, sides_few, sides_many : (least, largest) longest side of a pattern over the side of the field: in the
         index of the whole sky, and around an aim with few or many stars per field.
@@ -373,9 +371,7 @@ def sky_index(
 ) -> SkyIndex:
     """The index of a catalogue of the whole sky, for frames of ``shape`` (rows, columns) and the scales of the hint.
 
-    Raises
-    ------
-    InputError : the catalogue has too few stars for fields of this size.
+    Raises InputError: the catalogue has too few stars for fields of this size.
     """
     order = stars.order()
     vectors = unit_vectors(np.asarray(stars.ra_deg)[order], np.asarray(stars.dec_deg)[order])

@@ -51,8 +51,6 @@ _NO_LIGHT = Flag.HOT | Flag.COSMIC | Flag.MASKED | Flag.SATURATED
 class BelowLimitTuning:
     """Parameters for stacking frames along motions; all chosen.
 
-    Attributes
-    ----------
     min_frames : minimum number of frames. step_widths : step of the rates, as the displacement on the first and
     last frame in FWHM of a star. min_widths : minimum motion over all frames, FWHM. hidden_widths : radius of
     excluded pixels around sources, FWHM; larger for bright ones. clip : maximum signal of one frame, in its noise:
@@ -121,9 +119,7 @@ class Plan:
     def of(cls, series: Series, fastest: float, tuning: BelowLimitTuning = TUNING) -> Plan:
         """The plan for a series. fastest : maximum rate, arcsec/min.
 
-        Raises
-        ------
-        InputError : too few frames; a maximum rate below the slowest one that can be distinguished from a star.
+        Raises InputError: too few frames; a maximum rate below the slowest one that can be distinguished from a star.
         """
         if len(series.exposures) < tuning.min_frames:
             raise InputError(
@@ -227,9 +223,7 @@ def search_below_limit(
     that return the calibrated frames in the order of ``series.exposures``; each is read once per strip. fastest :
     maximum rate, arcsec/min; the cost grows with its square (:class:`Plan`).
 
-    Raises
-    ------
-    InputError : fewer than five frames; a rate that is too low.
+    Raises InputError: fewer than five frames; a rate that is too low.
     """
     plan = Plan.of(series, fastest, tuning)
     known = predicted(movers, series), _signal_to_noise(movers, series)

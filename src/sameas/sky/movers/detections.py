@@ -277,9 +277,7 @@ def detections_of(
 
     catalogues : the tables. Without a column of exposures, equal times are one exposure.
 
-    Raises
-    ------
-    InputError : no column of times, a named column that does not exist, or a column without times.
+    Raises InputError: no column of times, a named column that does not exist, or a column without times.
 
     Example
     -------

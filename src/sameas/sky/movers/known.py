@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 class KnownObjectsTuning:
     """Parameters of the identification of movers with known objects, all chosen.
 
-    Attributes
-    ----------
     error_factor : factor on the predicted errors, as elements are often worse than their age suggests.
     odds : prior odds that a known object predicted in the field is one of the tracklets.
     min_probability : of an accepted match.

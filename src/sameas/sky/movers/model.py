@@ -29,8 +29,6 @@ from sameas.space import ARCSEC_PER_RADIAN
 class StationaryTuning:
     """Parameters of the search for stationary sources and for detections fixed on the chip, all chosen.
 
-    Attributes
-    ----------
     within_sigmas : tracks with rates within this many errors of 0 are counted as stationary or slow.
     prior_counts : prior counts of stationary and of moving tracks among these.
     least_tracks : minimum number of tracks for the offset of an exposure and the error scale.

@@ -104,9 +104,7 @@ class Elements:
 
         path : of the file; ``"demo"`` for the five that come with the package: (1) to (4) and (2713).
 
-        Raises
-        ------
-        InputError : neither of the two formats; no row with all elements.
+        Raises InputError: neither of the two formats; no row with all elements.
 
         Example
         -------

@@ -457,8 +457,6 @@ def _linear_fits(detections: Detections, members: IntArray) -> tuple[FloatArray,
 class MoverTuning:
     """Parameters of the search in a series of frames.
 
-    Attributes
-    ----------
     min_move_px : minimum motion between first and last frame: less on the sky is a faint or blended star, less on the
         chip a defect.
     creep_px, creep_sigmas : with five or more detections a smaller motion counts as real if it exceeds this many pixels

@@ -34,8 +34,6 @@ from sameas.sky.series import Series
 class StackTuning:
     """Parameters for measuring tracklets in the pixels; all chosen.
 
-    Attributes
-    ----------
     half_px : half-size of a cut-out along the motion. max_half_px : maximum half-size of one fixed on the sky.
     controls : number of positions around the track, per frame, that give the noise. far_widths : their maximum
         distance, FWHM.
@@ -65,8 +63,6 @@ DEFAULT_STACK = StackTuning()
 class Stack:
     """Measurements of the first k tracklets in the pixels of f frames.
 
-    Attributes
-    ----------
     place : (k, f, 2) predicted, arcsec in the system of the series. chip : (k, f, 2) the same in pixels of the frame.
     flux, error : (k, f) measured there, on the scale of the mean frame; NaN outside the frame or where unusable.
     hidden : (k, f) by a star. detected : (k, f) the tracklet has a detection.

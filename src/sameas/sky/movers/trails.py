@@ -37,8 +37,6 @@ _NO_LIGHT = int(Flag.HOT | Flag.COSMIC | Flag.EDGE)
 class TrailTuning:
     """Parameters for measuring trails; chosen on injected ones (``scripts/bench movers --rounds``).
 
-    Attributes
-    ----------
     min_widths : minimum length, FWHM; shorter trails are measured as stars.
     max_px : maximum half-length; longer trails are of satellites and are removed.
     angles : number of directions that are tried.
