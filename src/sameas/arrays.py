@@ -199,8 +199,6 @@ DENSE = 4
 def spans_in(ascending: IntArray, numbers: IntArray) -> tuple[IntArray, IntArray]:
     """(k,) first positions of numbers among ascending ones, and how often they occur.
 
-    Example
-    -------
     >>> spans_in(np.array([3, 3, 5]), np.array([5, 3, 4]))
     (array([2, 0, 2]), array([1, 2, 0]))
     """
@@ -234,8 +232,6 @@ def ordered_by(columns: Sequence[NDArray[Any]] | NDArray[Any]) -> IntArray:
     Equals ``np.lexsort`` of the columns from the last to the first, in a third of the time if the first column has no
     duplicates.
 
-    Example
-    -------
     >>> ordered_by([np.array([2.0, 1.0, 2.0]), np.array([5, 6, 4])])
     array([1, 2, 0])
     """

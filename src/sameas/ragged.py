@@ -27,8 +27,6 @@ class Ragged:
 
     start : (n+1,) row k has the entries start[k]:start[k+1]; the first is 0, the last m.
 
-    Example
-    -------
     >>> rows = Ragged.of_sizes([2, 0, 3])
     >>> rows.start, rows.row, rows.index
     (array([0, 2, 2, 5]), array([0, 0, 2, 2, 2]), array([0, 1, 0, 1, 2]))
@@ -76,8 +74,6 @@ class Ragged:
 def ranges(first: IntArray, size: IntArray) -> tuple[IntArray, IntArray]:
     """Row and value of each entry of the ranges first[k] … first[k] + size[k] − 1, in order.
 
-    Example
-    -------
     >>> ranges(np.array([7, 0, 4]), np.array([2, 0, 3]))
     (array([0, 0, 2, 2, 2]), array([7, 8, 4, 5, 6]))
     """
@@ -90,8 +86,6 @@ def ranges(first: IntArray, size: IntArray) -> tuple[IntArray, IntArray]:
 def flattened(lists: Sequence[Sequence[int]]) -> tuple[IntArray, IntArray]:
     """Row and value of each entry of lists of integers, in order.
 
-    Example
-    -------
     >>> flattened([[7, 8], [], [4]])
     (array([0, 0, 2]), array([7, 8, 4]))
     """

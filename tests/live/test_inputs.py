@@ -12,7 +12,7 @@ import pytest
 from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
 from sameas.live import inputs
-from sameas.live.inputs import BoundedQueue, Wire, _keep_alive
+from sameas.live.inputs import BoundedQueue, Wire
 from sameas.live.reception import is_time_zone
 from sameas.live.replay import Replay
 from sameas.tracks.reports import Reports
@@ -333,13 +333,13 @@ def test_a_serial_cable_is_pulled_and_put_back(tmp_path):
 @pytest.mark.parametrize("listens", [False, True])
 def test_the_other_side_of_a_silent_connection_is_asked_whether_it_is_there(listens, monkeypatch):
     """A receiver that loses its power ends no connection; it was known after two minutes."""
-    asked = []
+    asked, keep_alive = [], inputs.keep_alive
 
-    def keep_alive(writer):
-        _keep_alive(writer)
+    def asking(writer):
+        keep_alive(writer)
         asked.append(writer.get_extra_info("socket").getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE))
 
-    monkeypatch.setattr(inputs, "_keep_alive", keep_alive)
+    monkeypatch.setattr(inputs, "keep_alive", asking)
 
     async def run():
         port = free_port()

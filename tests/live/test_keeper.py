@@ -849,7 +849,7 @@ def test_the_offsets_and_faults_of_a_watch_are_the_same_from_another_process():
         keeper.search()
         keeper.search()
         offsets.append([str(one) for one in keeper.picture.biases.values()])
-        faults.append({key: str(fault) for key, fault in keeper._faults.items()})
+        faults.append({key: str(fault) for key, fault in keeper.faults.confirmed.items()})
         keeper.close()
     assert offsets[0] == offsets[1] and len(offsets[0]) > 0
     assert faults[0] == faults[1] and any("radar: ends" in words for words in faults[0].values())

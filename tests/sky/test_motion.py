@@ -356,7 +356,7 @@ def test_without_parallax_the_radial_velocity_is_unchanged():
 
 
 def test_positions_alone_agree_with_the_full_propagation_for_any_chunk_size():
-    stars = random_stars(np.random.default_rng(4), motion._CHUNK + 3)
+    stars = random_stars(np.random.default_rng(4), motion.CHUNK + 3)
     end = propagate(stars, 1991.25)
     ra, dec, covariance = position_at(stars, 1991.25)
     assert (ra == end.ra_deg).all() and (dec == end.dec_deg).all()

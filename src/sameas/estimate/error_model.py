@@ -138,8 +138,6 @@ UNSCALED = Quantity(1.0, 0.0)
 def error_model(answer: Identification, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT) -> ErrorModel:
     """The error model of the pairs of an answer.
 
-    Example
-    -------
     >>> error_model(match(plate, gaia)[0]).factor_1  # doctest: +SKIP
     Quantity(value=1.68, standard_error=0.04, unit='')
     """
@@ -471,8 +469,6 @@ def tail(answer: Identification, errors: Errors, tuning: ErrorFitTuning = DEFAUL
     The standard error is that of the share in a mixture of tail and core of known shape, with the information
     Σ p [(f_tail − f_core) / f]².
 
-    Example
-    -------
     >>> answer, estimate = match(plate, gaia)  # doctest: +SKIP
     >>> tail(answer, estimate.errors).share  # doctest: +SKIP
     Quantity(value=0.021, standard_error=0.0018, unit='')

@@ -171,8 +171,6 @@ class Magnitudes:
         includes them.
     names : of the bands, for reports.
 
-    Example
-    -------
     >>> from sameas.evidence import Magnitudes
     >>> Magnitudes([[15.2, 14.8], [16.0, float("nan")]], sigma=0.02, names=("G", "J")).bands
     2

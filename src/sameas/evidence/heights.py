@@ -139,8 +139,6 @@ class Heights(Rule):
         record has none. All are of one kind.
     climbs : the same of vertical speeds, m/s upwards; sources without any may be left out.
 
-    Example
-    -------
     >>> from sameas import Radius, Records
     >>> radar = Records.of([[0.0, 0.0]], sigma=50.0, source="radar")
     >>> adsb = Records.of([[10.0, 0.0], [0.0, 10.0], [5.0, 5.0]], sigma=50.0, source="adsb")

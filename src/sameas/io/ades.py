@@ -328,8 +328,6 @@ def _packed(number: int) -> str:
 def line_of(one: Observation, observer: Observer) -> str:
     """One line of 80 columns.
 
-    Example
-    -------
     >>> who = Observer("810", "J. Doe", (), (), (), "Gaia3")
     >>> line_of(Observation("sa00001", "2018-10-18T03:03:53.784", 62.5, 22.5, 0.1, 0.1, 0.0), who)
     '     sa00001  C2018 10 18.12770604 10 00.000+22 30 00.00               W     810'

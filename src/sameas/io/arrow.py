@@ -158,8 +158,6 @@ def _dtype(kind: pa.DataType) -> np.dtype[Any]:
 def numbers_in(chunk: pa.Array) -> NDArray[Any]:
     """The numbers or booleans of an Arrow array, sharing its memory if possible; null cells have arbitrary values.
 
-    Examples
-    --------
     >>> import pyarrow as pa
     >>> numbers_in(pa.array([1.5, 2.5, 3.5])[1:])
     array([2.5, 3.5])

@@ -53,8 +53,6 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterat
     Raises InputError: no such directory, no permission, a directory, an existing path, a full device. Other exceptions
     of the block, KeyboardInterrupt included, pass through.
 
-    Examples
-    --------
     >>> with replacing("note.txt") as draft:  # doctest: +SKIP
     ...     draft.write_text("whole")
     """
@@ -96,8 +94,6 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
     Raises InputError: the folder cannot be made or written, a full device. Other exceptions of the block,
     KeyboardInterrupt included, pass through.
 
-    Examples
-    --------
     >>> with filling("report") as draft:  # doctest: +SKIP
     ...     (draft / "note.txt").write_text("all or none")
     """

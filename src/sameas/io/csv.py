@@ -121,8 +121,6 @@ def provenance(path: Path) -> dict[str, Any]:
 def sidecar(path: Path) -> Path:
     """The path of the provenance file of a CSV file.
 
-    Examples
-    --------
     >>> sidecar(Path("pairs.csv")).name
     'pairs.csv.provenance.json'
     """

@@ -108,8 +108,6 @@ def known_formats() -> dict[str, tuple[str, ...]]:
 
     Text formats are recognised by content: a file with any of the text extensions may have any of the text formats.
 
-    Examples
-    --------
     >>> known_formats()["ecsv"]
     ('.ecsv', '.ecsv.gz')
     """
@@ -119,8 +117,6 @@ def known_formats() -> dict[str, tuple[str, ...]]:
 def written_formats() -> dict[str, tuple[str, ...]]:
     """The writable formats by name, with their extensions.
 
-    Examples
-    --------
     >>> ", ".join(written_formats())
     'fits, votable, ecsv, parquet, csv'
     """

@@ -43,17 +43,9 @@ _INFO = "sameas:"
 _NO_XML = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]|\xef\xbf[\xbe\xbf]")
 _STREAM = re.compile(rb"<BINARY2>\s*<STREAM\s[^>]*encoding=[\"']base64[\"'][^>]*>")
 _DTYPES = {
-    "boolean": "S1",
-    "unsignedByte": "u1",
-    "short": ">i2",
-    "int": ">i4",
-    "long": ">i8",
-    "float": ">f4",
-    "double": ">f8",
-    "floatComplex": ">c8",
-    "doubleComplex": ">c16",
-    "unicodeChar": ">u2",
-}
+    "boolean": "S1", "unsignedByte": "u1", "short": ">i2", "int": ">i4", "long": ">i8", "float": ">f4", "double": ">f8",
+    "floatComplex": ">c8", "doubleComplex": ">c16", "unicodeChar": ">u2",
+}  # fmt: skip
 
 
 def read(path: Path, hdu: None) -> Table:

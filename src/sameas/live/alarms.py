@@ -1,4 +1,4 @@
-"""Alarms: which are active, with their ids and who acknowledged them; and those that the picture itself gives.
+"""Alarms: which are active, with their ids and who acknowledged them; and those of the picture and of the watch itself.
 
 An alarm is active as long as its condition is found at the ticks. It is kept in the journal; where there is none, or
 the disk refuses, it is kept here, with a negative id.
@@ -8,10 +8,15 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sameas.live.journal import Journal, Store
+from sameas.live.replay import in_words
 from sameas.live.situation import Alarm, Situation
 from sameas.picture.picture_state import PictureState
 from sameas.tracks.faults import Fault
@@ -23,6 +28,10 @@ ALARM_ENDS_S = 10.0
 MOST_UNSAVED = 500
 #: Largest number of alarms that wait for a terminal that takes none: it may be stopped.
 MOST_BEGUN = 100_000
+#: The picture stands still if the clock is this many seconds before its last instant.
+STANDS_S = 5.0
+#: An alarm is raised if half of the last SLOW_TICKS ticks take longer than their interval by the factor SLOWER.
+SLOW_TICKS, SLOWER = 10, 1.2
 
 
 class AlarmLog:
@@ -133,3 +142,64 @@ def fault_alarms(faults: Mapping[str, Fault], situation: Situation) -> list[Alar
         objects = tuple(n for n, tracks in situation.members.items() if where in tracks) if fault.track else ()
         out.append(Alarm(key, "deception" if fault.track else "source", str(fault), objects))
     return out
+
+
+@dataclass
+class ConfirmedFaults:
+    """Faults that two successive searches found, by key: that of one search alone would too often be false, with a
+    search every half minute. ``suspected`` : the keys of the last search."""
+
+    confirmed: Mapping[str, Fault] = field(default_factory=dict)
+    suspected: frozenset[str] = frozenset()
+
+    def update(self, faults: Sequence[Fault]) -> None:
+        """Takes what a search found."""
+        found = {f"{fault.kind} {fault.source} {fault.track}".rstrip(): fault for fault in reversed(faults)}
+        self.confirmed = {key: fault for key, fault in found.items() if key in self.suspected}
+        self.suspected = frozenset(found)
+
+
+def disk_alarms(folder: Path | None, refusal: str, recordings: str | None, errors: Sequence[str]) -> list[Alarm]:
+    """Alarms where the folder of the watch, or that of its recordings, cannot be written."""
+    alarms = []
+    if refusal:
+        alarms.append(Alarm("folder", "fault", f"{folder} cannot be written; events are not saved: {refusal}"))
+    if errors:
+        text = f"{recordings} cannot be written; what is received is not recorded: {'; '.join(errors)}"
+        alarms.append(Alarm("record", "fault", text))
+    return alarms
+
+
+def pace_alarms(durations_s: Sequence[float], every_s: float, *, active: bool) -> list[Alarm]:
+    """An alarm where the picture is older than its interval says, because an instant takes longer than that.
+
+    durations_s : of all ticks. active : whether there is an alarm; it holds a little longer, so that the limit is not
+    crossed again and again.
+    """
+    last = durations_s[-SLOW_TICKS:]
+    if len(last) < SLOW_TICKS or float(np.median(last)) <= (every_s if active else SLOWER * every_s):
+        return []
+    text = (
+        f"an instant takes {np.median(last):.1f} s, and every_s is {every_s:g}: the picture is that old; give a "
+        "longer every_s, or fewer sources"
+    )
+    return [Alarm("pace", "fault", text)]
+
+
+def clock_alarms(set_back_s: float, early_s: float) -> list[Alarm]:
+    """Alarms where the clock of this computer was set back, now or while the watch was ended.
+
+    set_back_s : by how much it was, now. early_s : by how much it is before the picture's last instant.
+    """
+    alarms = []
+    if set_back_s > 0.0:
+        by = in_words(set_back_s)
+        text = f"the clock of this computer was set back by {by}; the watch keeps the time before: set it right"
+        alarms.append(Alarm("set back", "fault", text))
+    if early_s > STANDS_S:
+        text = (
+            f"the picture is {in_words(early_s)} later than the clock of this computer, and stands still until "
+            "then: set the clock right, or move the folder of its state away and begin anew"
+        )
+        alarms.append(Alarm("stands still", "fault", text))
+    return alarms

@@ -239,7 +239,7 @@ class Wire:
                 reader, writer = await asyncio.open_connection(parts.hostname, parts.port)
         except TimeoutError:
             raise TimeoutError(f"no answer for {ANSWER_S:.0f} s") from None
-        _keep_alive(writer)
+        keep_alive(writer)
         connection = self._set_connected()
         subscribed = False
         try:
@@ -291,7 +291,7 @@ class Wire:
 
         async def served(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             writers.add(writer)
-            _keep_alive(writer)
+            keep_alive(writer)
             connection = self._set_connected()
             try:
                 with suppress(OSError):
@@ -365,7 +365,7 @@ class Wire:
         self._ended(0)
 
 
-def _keep_alive(writer: asyncio.StreamWriter) -> None:
+def keep_alive(writer: asyncio.StreamWriter) -> None:
     """Has the system ask a silent other side whether it is there: one that was switched off ends no connection."""
     connection = writer.get_extra_info("socket")
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)

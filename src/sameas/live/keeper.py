@@ -19,11 +19,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sameas.errors import InputError, reading
 from sameas.io.processes import Aside
-from sameas.live.alarms import MOST_UNSAVED, AlarmLog, fault_alarms, identity_alarms
+from sameas.live.alarms import (
+    MOST_UNSAVED,
+    AlarmLog,
+    ConfirmedFaults,
+    clock_alarms,
+    disk_alarms,
+    fault_alarms,
+    identity_alarms,
+    pace_alarms,
+)
 from sameas.live.approaches import Approaches
 from sameas.live.guard import GuardZones
 from sameas.live.journal import Store, load_state, save_state
@@ -31,23 +38,18 @@ from sameas.live.offsets import SourceOffsets
 from sameas.live.outputs import sinks_of
 from sameas.live.own_ship import OwnShipMotion
 from sameas.live.reception import Reception
-from sameas.live.replay import Playback, Replay, SteadyClock, in_words
+from sameas.live.replay import Playback, Replay, SteadyClock
 from sameas.live.settings import Settings
 from sameas.live.situation import Alarm, Delta, Situation
 from sameas.picture.live import LivePicture, estimated, faults_of
 from sameas.picture.picture_state import PictureState
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.faults import Fault
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description
 
 LOG = logging.getLogger("sameas.live")
 #: Number of deltas that are kept for listeners that reconnect.
 KEPT_DELTAS = 300
-#: The picture stands still if the clock is this many seconds before its last instant.
-STANDS_S = 5.0
-#: An alarm is raised if half of the last SLOW_TICKS ticks take longer than their interval by the factor SLOWER.
-SLOW_TICKS, SLOWER = 10, 1.2
 #: Registration and the search for faults of fewer reports take less than half a second, and are done in a thread.
 LEAST_ASIDE = 20_000
 #: Number of ticks whose durations are kept.
@@ -112,8 +114,7 @@ class Keeper:
         self._saved_s = -math.inf
         #: For registration and the search for faults.
         self.aside = Aside(LEAST_ASIDE)
-        self._faults: dict[str, Fault] = {}
-        self._suspected: frozenset[str] = frozenset()
+        self.faults = ConfirmedFaults()
         self._tick = 0
         self.store = Store(folder, archive_every_s=settings.watch.archive_every_s)
         with contextlib.ExitStack() as opened:
@@ -200,10 +201,10 @@ class Keeper:
             own_ship = self.own_ship.at(instant_s, clock_s, state, plane)
             situation = Situation.of(self._tick, state, plane, (), own_ship, self.picture.height_model)
             alarms = [*identity_alarms(state), *self.reception.alarms(excused={self.own_ship.source(clock_s)}),
-                      *fault_alarms(self._faults, situation), *self._own_ship_alarms(situation),
+                      *fault_alarms(self.faults.confirmed, situation), *self._own_ship_alarms(situation),
                       *self.approaches.alarms(situation, state, self.alarms, self.own_ship.mmsi),
                       *self.zones.alarms(situation, self.alarms, self.own_ship.mmsis),
-                      *self._folder_alarms(), *self._pace_alarms(), *self._clock_alarms()]  # fmt: skip
+                      *self._own_alarms()]  # fmt: skip
             situation = replace(situation, alarms=tuple(alarms))
             self.alarms.update(alarms, instant_s)
             self.deltas.append(Delta.between(self.situation, situation))
@@ -239,11 +240,7 @@ class Keeper:
             LOG.info("registration: %s", error, exc_info=not isinstance(error, InputError))
 
     def search(self) -> None:
-        """Searches the last minutes for deception and source faults; a failure is logged and changes nothing.
-
-        A fault raises an alarm when two successive searches find it: with a search every half minute, the false-alarm
-        rate of a single search would be too high.
-        """
+        """Searches the last minutes for deception and source faults; a failure is logged and changes nothing."""
         with self.lock:
             recent, sightings, tuning = self.picture.recent(), self.picture.sightings(), self.picture.picture_tuning
         plane = self.picture.plane
@@ -253,10 +250,8 @@ class Keeper:
             # A failed search must not end the watch.
             LOG.info("faults: %s", error, exc_info=not isinstance(error, InputError))
             return
-        found = {f"{fault.kind} {fault.source} {fault.track}".rstrip(): fault for fault in reversed(faults)}
         with self.lock:
-            self._faults = {key: fault for key, fault in found.items() if key in self._suspected}
-            self._suspected = frozenset(found)
+            self.faults.update(faults)
 
     def _use(self, name: str, reports: Reports) -> None:
         """Takes the reports of a source into the picture; they are refused as of :meth:`LivePicture.add`."""
@@ -272,8 +267,6 @@ class Keeper:
         while self.history and situation.time_s - self.history[0].time_s > self.settings.watch.history_s:
             self.history.popleft()
 
-    # ---- alarms ----
-
     def _own_ship_alarms(self, situation: Situation) -> list[Alarm]:
         """An alarm where own ship's position is to come from a source, and does not: no approach is computed."""
         silence = self.own_ship.silence(self.reception.taken_s, self.reception.began_s)
@@ -281,46 +274,15 @@ class Keeper:
             return []
         return [Alarm("own ship", "source", f"own ship: {silence}; no approach is watched")]
 
-    def _folder_alarms(self) -> list[Alarm]:
-        alarms = []
-        if refusal := self.store.refusal:
-            text = f"{self.folder} cannot be written; events are not saved: {refusal}"
-            alarms.append(Alarm("folder", "fault", text))
-        if errors := self.reception.recorder_errors():
-            folder = self.settings.watch.record
-            text = f"{folder} cannot be written; what is received is not recorded: {'; '.join(errors)}"
-            alarms.append(Alarm("record", "fault", text))
-        return alarms
-
-    def _pace_alarms(self) -> list[Alarm]:
-        """An alarm where the picture is older than its interval says, because an instant takes longer than that."""
-        last = list(self.durations_s)[-SLOW_TICKS:]
-        every_s = self.settings.watch.every_s
-        # An active alarm holds a little longer, so that the limit is not crossed again and again.
-        limit_s = every_s if "pace" in self.alarms else SLOWER * every_s
-        if self.replay is not None or len(last) < SLOW_TICKS or float(np.median(last)) <= limit_s:
-            return []
-        text = (
-            f"an instant takes {np.median(last):.1f} s, and every_s is {every_s:g}: the picture is that old; give a "
-            "longer every_s, or fewer sources"
-        )
-        return [Alarm("pace", "fault", text)]
-
-    def _clock_alarms(self) -> list[Alarm]:
-        """Alarms where the clock of this computer was set back, now or while the watch was ended."""
-        alarms = []
-        if isinstance(self.clock, SteadyClock) and self.clock.set_back_s > 0.0:
-            by = in_words(self.clock.set_back_s)
-            text = f"the clock of this computer was set back by {by}; the watch keeps the time before: set it right"
-            alarms.append(Alarm("set back", "fault", text))
-        early_s = self.picture.instant_s - self.now_s()
-        if self.replay is None and early_s > STANDS_S:
-            text = (
-                f"the picture is {in_words(early_s)} later than the clock of this computer, and stands still until "
-                "then: set the clock right, or move the folder of its state away and begin anew"
-            )
-            alarms.append(Alarm("stands still", "fault", text))
-        return alarms
+    def _own_alarms(self) -> list[Alarm]:
+        """The alarms of the watch itself: of its disk, its pace and the clock."""
+        watch = self.settings.watch
+        alarms = disk_alarms(self.folder, self.store.refusal, watch.record, self.reception.recorder_errors())
+        early_s = -math.inf
+        if self.replay is None:
+            alarms += pace_alarms(list(self.durations_s), watch.every_s, active="pace" in self.alarms)
+            early_s = self.picture.instant_s - self.now_s()
+        return [*alarms, *clock_alarms(self.clock.set_back_s if isinstance(self.clock, SteadyClock) else 0.0, early_s)]
 
     # ---- the loop ----
 

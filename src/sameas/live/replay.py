@@ -84,8 +84,6 @@ class Replay(Paced):
     sources : name and reports of each source. pace : seconds of the reports per second of the clock.
     origin : the plane about all positions, unless the user gives one; None for metres on a plane of their own.
 
-    Example
-    -------
     >>> replay = Replay([("a", Reports.of("a", "table", {"time_s": [5.0, 7.0], "x_m": [0, 1], "y_m": [0, 0]}))], 2.0)
     >>> replay.begin(100.0)
     >>> replay.now_s(100.75), [(name, len(reports)) for name, reports in replay.take(6.5)]
@@ -156,8 +154,6 @@ class Playback(Paced):
 
     recordings : each with the wire that it was received on. pace : seconds of the recording per second of the clock.
 
-    Example
-    -------
     >>> from sameas.io.sensors.recording import RecordedInput
     >>> pieces = [(100.0, b"a", 1, False), (107.0, b"b", 1, False)]
     >>> played = Playback([("tcp://ais:1", Recording(RecordedInput(()), pieces, [0, 2, 0]))], pace=2.0)

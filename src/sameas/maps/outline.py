@@ -77,8 +77,6 @@ def outline(plane: LocalPlane, west_m: float, south_m: float, east_m: float, nor
     plane : of the result's coordinates.
     west_m, south_m, east_m, north_m : the box; lines farther than 2500 km from the origin are excluded.
 
-    Example
-    -------
     >>> around = outline(LocalPlane(50.8, -1.3), -30e3, -30e3, 30e3, 30e3)
     >>> len(around.land) > 0 and len(around.borders) == 0
     True

@@ -301,8 +301,6 @@ def _numbers(what: str, column: Any, default: Any) -> NDArray[Any]:
 def members_of(text: str) -> list[tuple[str, int]]:
     """(source, row) of each member in a list as written in tables.
 
-    Example
-    -------
     >>> members_of("radar:12 north ais:3")
     [('radar', 12), ('north ais', 3)]
     """

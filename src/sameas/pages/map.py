@@ -41,8 +41,6 @@ def packed(columns: Mapping[str, tuple[NDArray[Any], float]]) -> tuple[list[dict
     (heads, text) : per column its name, step, length, bytes per number, and whether a presence byte per number follows
         (``holes``); base64 of gzip of the bytes.
 
-    Example
-    -------
     >>> heads, text = packed({"x_m": (np.array([1.0, 2.5]), 0.5)})
     >>> heads
     [{'name': 'x_m', 'step': 0.5, 'n': 2, 'bytes': 1, 'holes': False}]

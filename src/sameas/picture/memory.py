@@ -303,54 +303,56 @@ class TrackMemory:
 
         members, probability : (n, S) records of the scan, ABSENT for none, and (n,) of the objects of the instant.
         """
-        tracks, scan = self.tracks, self.tracks.scan
+        tracks, scan, pairs = self.tracks, self.tracks.scan, self.track_pairs
         if scan is None or not len(members):
             return self
-        sure = members[probability >= scan.tuning.sure_pair]
-        usable = (sure >= 0) & scan.placed[sure] & (tracks.track_of_record[sure] >= 0)
-        places, share = pairs_within(np.where(usable, sure, ABSENT))
-        places = np.take_along_axis(places, np.argsort(tracks.track_of_record[places], axis=1), axis=1)
-        number = tracks.track_of_record[places]
-        at = places_in(keys(self.track_pairs.first, self.track_pairs.second), keys(number[:, 0], number[:, 1]))
-        at, places, share = at[at >= 0], places[at >= 0], share[at >= 0]
-        elapsed = scan.now.instant_s - self.track_pairs.anchor_s[at]
+        at, places, share = self._sure_pairs(scan, members[probability >= scan.tuning.sure_pair])
+        elapsed = scan.now.instant_s - pairs.anchor_s[at]
         delta = scan.state[places[:, 0], :2] - scan.state[places[:, 1], :2]
-        due = np.flatnonzero((elapsed >= scan.tuning.lasting_s) & self.track_pairs.anchor_new[at].all(axis=1))
+        due = np.flatnonzero((elapsed >= scan.tuning.lasting_s) & pairs.anchor_new[at].all(axis=1))
         # Pairs added at one instant are due at one instant; beyond MAX_PAIRS they wait for the next.
         due = due[evenly(scan.state[places[due, 0], :2], MAX_PAIRS)]
-        correlation = tracks.error_correlation
-        source = correlation.numbers(scan)[scan.source]
         restart = np.isnan(elapsed)
         restart[due] = True
         log_kept = np.zeros(len(scan))
         log_kept[tracks.place] = tracks.log_kept
-        track_pairs = self.track_pairs.anchored(at, restart, scan.now.instant_s, delta, log_kept[places])
-        a, b = places[due].T
-        kept = np.exp(np.minimum(log_kept[places[due]] - self.track_pairs.anchor_kept[at[due]], 0.0))
-        reported, total = scan.reported_covariance[:, :2, :2], scan.covariance[:, :2, :2]
+        track_pairs = pairs.anchored(at, restart, scan.now.instant_s, delta, log_kept[places])
+        at, places, elapsed, delta = at[due], places[due], elapsed[due], delta[due]
+        kept = np.exp(np.minimum(log_kept[places] - pairs.anchor_kept[at], 0.0))
+        errors, a, b = tracks.error_correlation, *places.T
+        source = errors.numbers(scan)[scan.source]
+        own, whole = scan.reported_covariance[:, :2, :2], scan.covariance[:, :2, :2]
+        reported, total = (own[a], own[b]), whole[a] + whole[b]
         # Correlation of a pair's difference with its previous one, and with all previous ones by lasting errors.
-        trace = _trace(total[a] + total[b])
-        rho = sum(
-            (_trace(reported[record]) * correlation.correlation(source[record], elapsed[due], scan.tuning, g)
-             for record, g in zip((a, b), kept.T, strict=True)), np.zeros(len(a)),
-        ) / trace  # fmt: skip
-        lasting_rho = sum(
-            (_trace(reported[record]) * correlation.lasting(source[record], scan.tuning) for record in (a, b)),
-            np.zeros(len(a)),
-        ) / trace  # fmt: skip
+        correlated = (
+            errors.correlation(source[k], elapsed, scan.tuning, g) for k, g in zip((a, b), kept.T, strict=True)
+        )
+        lasting = (errors.lasting(source[k], scan.tuning) for k in (a, b))
+        rho, lasting_rho = (
+            sum((_trace(r) * share_of for r, share_of in zip(reported, shares, strict=True)), np.zeros(len(a)))
+            / _trace(total)
+            for shares in (correlated, lasting)
+        )
         part = source * RANGE_BANDS + scan.range_band
         factors = self.error_factors.with_sure_pairs(
-            (part[a], part[b]), delta[due],
-            tuple(reported[record] / scan.error_factor[record, None, None] ** 2 for record in (a, b)),
-            total[a] + total[b] - reported[a] - reported[b],
-            share[due] * information(self.track_pairs.n_compared[at[due]], rho, lasting_rho), scan.tuning,
+            (part[a], part[b]), delta, tuple(own[k] / scan.error_factor[k, None, None] ** 2 for k in (a, b)),
+            total - reported[0] - reported[1],
+            share[due] * information(pairs.n_compared[at], rho, lasting_rho), scan.tuning,
         )  # fmt: skip
-        correlation = correlation.with_sure_pairs(
-            (source[a], source[b]), elapsed[due], (self.track_pairs.anchor[at[due]], delta[due]),
-            (reported[a], reported[b]), total[a] + total[b], kept, scan.tuning,
-        )  # fmt: skip
+        correlation = errors.with_sure_pairs(
+            (source[a], source[b]), elapsed, (pairs.anchor[at], delta), reported, total, kept, scan.tuning
+        )
         tracks = replace(tracks, error_correlation=correlation, error_factors=factors)
         return replace(self, tracks=tracks, track_pairs=track_pairs)
+
+    def _sure_pairs(self, scan: Scan, sure: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
+        """(k,) known pairs of tracks among the records of objects (n, S), (k, 2) their records, (k,) their shares."""
+        usable = (sure >= 0) & scan.placed[sure] & (self.tracks.track_of_record[sure] >= 0)
+        places, share = pairs_within(np.where(usable, sure, ABSENT))
+        places = np.take_along_axis(places, np.argsort(self.tracks.track_of_record[places], axis=1), axis=1)
+        number = self.tracks.track_of_record[places]
+        at = places_in(keys(self.track_pairs.first, self.track_pairs.second), keys(number[:, 0], number[:, 1]))
+        return at[at >= 0], places[at >= 0], share[at >= 0]
 
 
 def _trace(covariance: FloatArray) -> FloatArray:

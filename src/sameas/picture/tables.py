@@ -181,21 +181,11 @@ class Scan:
 
 
 _EMPTY: dict[str, NDArray[Any]] = {
-    "row": np.empty(0, np.int64),
-    "table": np.empty(0, np.int64),
-    "track": np.empty(0, object),
-    "time_s": np.empty(0),
-    "late_s": np.empty(0),
-    "walk_m2_per_s3": np.empty(0),
-    "p_stationary": np.empty(0),
-    "speed_m_per_s": np.empty(0),
-    "reported_state": np.empty((0, 4)),
-    "reported_covariance": np.empty((0, 4, 4)),
-    "state": np.empty((0, 4)),
-    "covariance": np.empty((0, 4, 4)),
-    "heights": np.empty((0, 4)),
-    "range_band": np.empty(0, np.int64),
-}
+    "row": np.empty(0, np.int64), "table": np.empty(0, np.int64), "track": np.empty(0, object), "time_s": np.empty(0),
+    "late_s": np.empty(0), "walk_m2_per_s3": np.empty(0), "p_stationary": np.empty(0), "speed_m_per_s": np.empty(0),
+    "reported_state": np.empty((0, 4)), "reported_covariance": np.empty((0, 4, 4)), "state": np.empty((0, 4)),
+    "covariance": np.empty((0, 4, 4)), "heights": np.empty((0, 4)), "range_band": np.empty(0, np.int64),
+}  # fmt: skip
 
 
 def _part(

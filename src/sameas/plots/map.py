@@ -49,8 +49,6 @@ def graticule(
 ) -> list[GridLine]:
     """About ``lines`` lines in each direction over a box; a grid of metres if ``plane`` is None.
 
-    Example
-    -------
     >>> [line.words for line in graticule(None, 0.0, 0.0, 1000.0, 400.0) if not line.parallel]
     ['x 0 m', 'x 200 m', 'x 400 m', 'x 600 m', 'x 800 m', 'x 1000 m']
     """
@@ -129,8 +127,6 @@ def chart(drawn: MapSheet, instant_s: float | None = None) -> Figure:
 
     Raises InputError: matplotlib is not installed.
 
-    Example
-    -------
     >>> from sameas.plots import save
     >>> save(chart(shown), "map.png")  # doctest: +SKIP
     """

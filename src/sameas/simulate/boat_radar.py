@@ -108,8 +108,6 @@ def boat_radar(
 
     Raises InputError: a negative number of vessels, or no time.
 
-    Example
-    -------
     >>> scene = boat_radar(np.random.default_rng(1), minutes=5.0)
     >>> radar, ais = (reports for _, reports in scene.sources)
     >>> round(len(radar) / (300.0 / 2.5)), len(scene.mmsi)

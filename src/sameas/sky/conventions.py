@@ -117,12 +117,8 @@ _STAR_MOTION = MotionNames(
 PLAIN_MOTIONS = (GAIA_MOTION, VIZIER_MOTION, _ASTROPY_MOTION, _STAR_MOTION)
 
 TWOMASS_MAGNITUDES = (
-    ("j_m", "j_msigcom"),
-    ("Jmag", "e_Jmag"),
-    ("ks_m", ""),
-    ("k_m", "k_msigcom"),
-    ("Kmag", "e_Kmag"),
-)
+    ("j_m", "j_msigcom"), ("Jmag", "e_Jmag"), ("ks_m", ""), ("k_m", "k_msigcom"), ("Kmag", "e_Kmag"),
+)  # fmt: skip
 SEXTRACTOR_MAGNITUDES = (
     ("MAG_AUTO", "MAGERR_AUTO"),
     ("MAG_PSF", "MAGERR_PSF"),
@@ -130,34 +126,14 @@ SEXTRACTOR_MAGNITUDES = (
     ("MAG_APER", "MAGERR_APER"),
 )
 PLAIN_MAGNITUDES = (
-    ("phot_g_mean_mag", "phot_g_mean_mag_error"),
-    ("Gmag", "e_Gmag"),
-    ("Vmag", "e_Vmag"),
-    ("VTmag", "e_VTmag"),
-    ("Hpmag", "e_Hpmag"),
-    ("rmag", "e_rmag"),
-    *SEXTRACTOR_MAGNITUDES,
-    *TWOMASS_MAGNITUDES,
-    ("Tmag", "e_Tmag"),
-    ("ksAperMag3", "ksAperMag3Err"),
-    ("kAperMag3", "kAperMag3Err"),
-    ("jAperMag3", "jAperMag3Err"),
-    ("Ksap3", "e_Ksap3"),
-    ("Jap3", "e_Jap3"),
-    ("r_psf", "e_r_psf"),
-    ("g_psf", "e_g_psf"),
-    ("MAG_PSF_R", "MAGERR_PSF_R"),
-    ("MAG_PSF_G", "MAGERR_PSF_G"),
-    ("r_psfMag", "r_psfMagErr"),
-    ("i_psfMag", "i_psfMagErr"),
-    ("i_psfflux_mag", "i_psfflux_magerr"),
-    ("magpsf", "sigmapsf"),
-    ("medianmag", ""),
-    ("mag", "magerr"),
-    ("mag", "mag_err"),
-    ("mag", "e_mag"),
-    ("magnitude", "magnitude_error"),
-)
+    ("phot_g_mean_mag", "phot_g_mean_mag_error"), ("Gmag", "e_Gmag"), ("Vmag", "e_Vmag"), ("VTmag", "e_VTmag"),
+    ("Hpmag", "e_Hpmag"), ("rmag", "e_rmag"), *SEXTRACTOR_MAGNITUDES, *TWOMASS_MAGNITUDES, ("Tmag", "e_Tmag"),
+    ("ksAperMag3", "ksAperMag3Err"), ("kAperMag3", "kAperMag3Err"), ("jAperMag3", "jAperMag3Err"), ("Ksap3", "e_Ksap3"),
+    ("Jap3", "e_Jap3"), ("r_psf", "e_r_psf"), ("g_psf", "e_g_psf"), ("MAG_PSF_R", "MAGERR_PSF_R"),
+    ("MAG_PSF_G", "MAGERR_PSF_G"), ("r_psfMag", "r_psfMagErr"), ("i_psfMag", "i_psfMagErr"),
+    ("i_psfflux_mag", "i_psfflux_magerr"), ("magpsf", "sigmapsf"), ("medianmag", ""), ("mag", "magerr"),
+    ("mag", "mag_err"), ("mag", "e_mag"), ("magnitude", "magnitude_error"),
+)  # fmt: skip
 #: Bands by which columns are named that say their unit to be mag; without it the letters may be anything.
 BANDS = (
     "G", "V", "VT", "Hp", "R", "Rc", "r", "I", "Ic", "i", "g", "B", "BT", "z", "y", "u", "U", "J", "H", "K", "Ks", "W1",
@@ -174,36 +150,15 @@ PLAIN_IDS = (
     "sourceID", "source_name", "component_name", "IAUNAME", "main_id", "MatchID", "obsid",
 )  # fmt: skip
 PLAIN_EPOCHS = (
-    "ref_epoch",
-    "epoch",
-    "epoch_jyr",
-    "mean_epoch",
-    "mean_jd",
-    "mean_mjd",
-    "mjd",
-    "obs_mjd",
-    "jd",
-    "obs_date",
-    "date_obs",
-    "obstime",
-    "Date",
-)
+    "ref_epoch", "epoch", "epoch_jyr", "mean_epoch", "mean_jd", "mean_mjd", "mjd", "obs_mjd", "jd", "obs_date",
+    "date_obs", "obstime", "Date",
+)  # fmt: skip
 PLAIN_CIRCLES = tuple(
     ErrorNames("circle", (stem + suffix,))
-    for stem in (
-        "sigma",
-        "pos_err",
-        "poserr",
-        "e_pos",
-        "ePos",
-        "pos_error",
-        "pos_sigma",
-        "positional_error",
-        "err",
-        "error",
-    )
+    for stem in ("sigma", "pos_err", "poserr", "e_pos", "ePos", "pos_error", "pos_sigma", "positional_error", "err",
+                 "error")
     for suffix in ("", "_arcsec", "_mas", "_deg")
-)
+)  # fmt: skip
 
 #: Containment of the radius √(σ_east² + σ_north²), which emldetect (XMM-Newton, eROSITA) calls the 1σ radial error.
 RADIAL_CONTAINMENT = 1.0 - math.exp(-1.0)

@@ -111,7 +111,7 @@ _RADIAN_PER_MAS = 1e-3 / ARCSEC_PER_RADIAN
 #: Limit of Julian years, so that an MJD or JD given as an epoch is refused.
 _FARTHEST_JYR = 10_000.0
 #: Rows per chunk: intermediate arrays stay in the processor's cache (timed).
-_CHUNK = 8192
+CHUNK = 8192
 
 
 @in_short
@@ -409,7 +409,7 @@ def _along_and_across(path: _GreatCircle, along: FloatArray | float, across: Flo
 
 
 def _chunks(n: int) -> Iterator[slice]:
-    return (slice(start, start + _CHUNK) for start in range(0, n, _CHUNK))
+    return (slice(start, start + CHUNK) for start in range(0, n, CHUNK))
 
 
 def _errors(sigma: ArrayLike, n: int, source: str) -> list[FloatArray]:

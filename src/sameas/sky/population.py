@@ -25,7 +25,7 @@ of the residual at the common epoch.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -381,23 +381,32 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray], min_share:
     """
     n_sources = len(shares)
     total = [np.zeros(share.shape, order="F") for share in shares]
-    covered = [_covered(coverages, s, shares) for s in range(n_sources)]
-    for (a, b), coverage in coverages.items():
-        for side, s in ((1, a), (2, b)):
-            density_at = coverage.density(side, np.ones(len(shares[s])))
-            for pattern in _patterns_with(s, n_sources):
-                weights = covered[s][:, pattern].astype(np.float64)
-                share_at = share_of_source(coverage, side, shares[s][:, pattern] * weights, weights, min_share)
-                for t, density, share in zip((a, b), density_at, share_at, strict=True):
-                    if pattern >> t & 1:
-                        # A catalogue's own records are in n − 1 coverages, those of another in one.
-                        weight = 1.0 / (n_sources - 1) if t == s else 1.0
-                        total[t][:, pattern] += weight * np.log(density * np.maximum(share, min_share))
+    for s, pattern, densities in _densities(coverages, shares, min_share):
+        for t, density, share in densities:
+            if pattern >> t & 1:
+                # A catalogue's own records are in n − 1 coverages, those of another in one.
+                weight = 1.0 / (n_sources - 1) if t == s else 1.0
+                total[t][:, pattern] += weight * np.log(density * np.maximum(share, min_share))
     sizes = np.array([max(pattern.bit_count(), 1) for pattern in range(1 << n_sources)])
     for s, column in enumerate(total):
         column /= sizes
         column[:, np.arange(1 << n_sources) >> s & 1 == 0] = -np.inf
     return tuple(total)
+
+
+def _densities(
+    coverages: Coverages, shares: Sequence[FloatArray], min_share: float
+) -> Iterator[tuple[int, int, Iterable[tuple[int, FloatArray, FloatArray]]]]:
+    """For each catalogue and each of its patterns, by each of its coverages: the two catalogues of the coverage, the
+    density of the first's records at the records of both, and the share of the pattern in it."""
+    covered = [_covered(coverages, s, shares) for s in range(len(shares))]
+    for pair, coverage in coverages.items():
+        for side, s in enumerate(pair, start=1):
+            density = coverage.density(side, np.ones(len(shares[s])))
+            for pattern in _patterns_with(s, len(shares)):
+                weights = covered[s][:, pattern].astype(np.float64)
+                share = share_of_source(coverage, side, shares[s][:, pattern] * weights, weights, min_share)
+                yield s, pattern, zip(pair, density, share, strict=True)
 
 
 def share_of_source(

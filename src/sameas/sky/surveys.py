@@ -484,28 +484,13 @@ _IN_PARTS = Convention(
 )
 
 _PLAIN_POSITIONS = (
-    ("ra", "dec"),
-    ("ra", "de"),
-    ("ra", "decl"),
-    ("RAdeg", "DEdeg"),
-    ("ra_deg", "dec_deg"),
-    ("RA_ICRS", "DE_ICRS"),
-    ("RAICRS", "DEICRS"),
-    ("RAJ2000", "DEJ2000"),
-    ("RAJ2000", "DECJ2000"),
-    ("ra2000", "dec2000"),
-    ("ra_j2000", "dec_j2000"),
-    ("RAhms", "DEdms"),
+    ("ra", "dec"), ("ra", "de"), ("ra", "decl"), ("RAdeg", "DEdeg"), ("ra_deg", "dec_deg"), ("RA_ICRS", "DE_ICRS"),
+    ("RAICRS", "DEICRS"), ("RAJ2000", "DEJ2000"), ("RAJ2000", "DECJ2000"), ("ra2000", "dec2000"),
+    ("ra_j2000", "dec_j2000"), ("RAhms", "DEdms"),
     *((hours, declination) for hours in ("ra_h", "ra_hr", "ra_hrs", "ra_hours") for declination in ("dec_deg", "dec")),
-    ("RightAscension", "Declination"),
-    ("right_ascension", "declination"),
-    ("lon", "lat"),
-    ("MatchRA", "MatchDec"),
-    ("_RAJ2000", "_DEJ2000"),
-    ("_RA", "_DE"),
-    ("_RA_icrs", "_DE_icrs"),
-    ("_RA.icrs", "_DE.icrs"),
-)
+    ("RightAscension", "Declination"), ("right_ascension", "declination"), ("lon", "lat"), ("MatchRA", "MatchDec"),
+    ("_RAJ2000", "_DEJ2000"), ("_RA", "_DE"), ("_RA_icrs", "_DE_icrs"), ("_RA.icrs", "_DE.icrs"),
+)  # fmt: skip
 _GALACTIC_POSITIONS = (
     ("GLON", "GLAT"), ("l", "b"), ("l_deg", "b_deg"), ("gal_lon", "gal_lat"), ("gallon", "gallat"), ("lii", "bii"),
     ("galactic_longitude", "galactic_latitude"), ("_Glon", "_Glat"),
@@ -520,40 +505,11 @@ _B1950_POSITIONS = (
 
 # The order only breaks ties: known surveys first.
 CONVENTIONS: tuple[Convention, ...] = (
-    _GAIA,
-    _GAIA_VIZIER,
-    _HIP2,
-    *_HIPPARCOS,
-    _TYCHO2,
-    *_TWOMASS,
-    *_ALLWISE,
-    _CATWISE,
-    _TRACTOR,
-    *_SDSS,
-    *_SPECTRA,
-    _PANSTARRS,
-    _PANSTARRS_VIZIER,
-    _CATWISE_VIZIER,
-    _SKYMAPPER,
-    _NSC,
-    _UCAC4,
-    *_USNO_B1,
-    *_DES,
-    *_LSST,
-    *HIGH_ENERGY,
-    *RADIO,
-    _GALEX,
-    _REFCAT2,
-    *_TIC,
-    _UCAC5,
-    _SAMEAS_FRAME,
-    *_sextractor("WIN"),
-    *_sextractor("PSF"),
-    *_sextractor("PEAK"),
-    *_sextractor(""),
-    *(plain(position) for position in _PLAIN_POSITIONS),
-    _IN_PARTS,
-)
+    _GAIA, _GAIA_VIZIER, _HIP2, *_HIPPARCOS, _TYCHO2, *_TWOMASS, *_ALLWISE, _CATWISE, _TRACTOR, *_SDSS, *_SPECTRA,
+    _PANSTARRS, _PANSTARRS_VIZIER, _CATWISE_VIZIER, _SKYMAPPER, _NSC, _UCAC4, *_USNO_B1, *_DES, *_LSST, *HIGH_ENERGY,
+    *RADIO, _GALEX, _REFCAT2, *_TIC, _UCAC5, _SAMEAS_FRAME, *_sextractor("WIN"), *_sextractor("PSF"),
+    *_sextractor("PEAK"), *_sextractor(""), *(plain(position) for position in _PLAIN_POSITIONS), _IN_PARTS,
+)  # fmt: skip
 
 #: Used if there is no right ascension.
 OTHER_FRAMES: tuple[Convention, ...] = (

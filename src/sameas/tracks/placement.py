@@ -98,8 +98,6 @@ class PlacedReports:
     reports : as read.
     plane : of the picture; None for sources that give metres in a plane of the user's own.
 
-    Example
-    -------
     >>> reports = Reports.of("radar", "table", {"time_s": [10.0], "x_m": [5.0], "y_m": [0.0]})
     >>> PlacedReports(Description("radar", "ais"), reports).in_plane.state[0, :2].tolist()
     [5.0, 0.0]

@@ -246,6 +246,76 @@ class Knots:
         return out
 
 
+@dataclass(frozen=True)
+class _Estimates:
+    """The estimates after an EM iteration, and the probabilities and precisions that it used.
+
+    state : of :class:`_Parts`; covariance, information, prior : of it. rate : (t,) plots of each track per scan.
+    scales : factors on the errors in range and across. lasting_m2 : variances of places along and across a hull.
+    drift_variance : (m,) at each pair. residual, variance, weight : (m, 2), (m, 2), (m,) of the pairs, by the estimates
+    before. total : (t,) plots of each track.
+    """
+
+    state: FloatArray
+    rate: FloatArray
+    scales: FloatArray
+    lasting_m2: FloatArray
+    process: _Process
+    drift_variance: FloatArray
+    residual: FloatArray
+    variance: FloatArray
+    weight: FloatArray
+    total: FloatArray
+    covariance: FloatArray
+    information: FloatArray
+    prior: FloatArray
+
+    @classmethod
+    def initial(cls, parts: _Parts, pairs: PlotPairs, start: FloatArray, spread: tuple[float, float]) -> _Estimates:
+        """Those at the start; the others are not known yet."""
+        state, tuning, none = np.zeros(parts.size), parts.tuning, np.empty(0)
+        state[: len(parts.fitted)] = start[parts.fitted]
+        rate = np.full(len(pairs.scans), float(np.median(tuning.plot_rates)))
+        process = _Process(max(spread[1], tuning.compass_deg) ** 2, tuning.compass_correlation_s)
+        drift_variance = np.full(len(pairs.plot), process.variance_deg2 if len(parts.knots) else 0.0)
+        scales, lasting_m2 = np.full(2, spread[0]), np.full(2, pairs.lasting_m2)
+        return cls(state, rate, scales, lasting_m2, process, drift_variance, *[none] * 7)
+
+    def iterated(self, parts: _Parts, pairs: PlotPairs, n_plots: int, scale: float) -> _Estimates:
+        """Those after one more iteration. scale : prior factor on the errors."""
+        tuning = parts.tuning
+        residual = pairs.residual - (parts.design @ self.state).reshape(-1, 2)
+        variance = self.scales**2 * pairs.variance
+        # Where the drift is not known yet, plots farther off are possible.
+        lever = pairs.jacobian[:, 1, FITTED.index(AZIMUTH)]
+        wide = variance + np.column_stack([np.zeros(len(lever)), lever**2 * self.drift_variance])
+        weight = _probabilities(pairs, residual, wide, self.rate, n_plots)
+        total = np.bincount(pairs.track, weight, len(pairs.scans))
+        rate = (total + tuning.rate_prior) / (pairs.scans + tuning.rate_prior / np.median(tuning.plot_rates))
+        weighted = parts.design.multiply((weight[:, None] / variance).reshape(-1, 1)).tocsr()
+        target = residual.ravel() + parts.design @ self.state
+        prior = parts.prior(self.lasting_m2, self.process)
+        information = (weighted.T @ parts.design).toarray() + prior
+        covariance = inverse(information)
+        state = covariance @ (weighted.T @ target)
+        # The variances of places on the hull, of the detected tracks, and of the drift.
+        detected = total > tuning.min_plots
+        square = (state**2 + np.diag(covariance))[parts.hulls].reshape(-1, 2)[detected].sum(axis=0)
+        lasting_m2 = (square + tuning.hull_prior * pairs.lasting_m2) / (detected.sum() + tuning.hull_prior)
+        chi_sq = np.einsum("m,ma->a", weight, residual**2 / pairs.variance)
+        scales = np.sqrt((chi_sq + tuning.scale_prior * scale**2) / (weight.sum() + tuning.scale_prior))
+        return _Estimates(
+            state, rate, np.clip(scales, *tuning.scale_limits), lasting_m2, parts.process(state, covariance),
+            parts.drift_variance(covariance), residual, variance, weight, total, covariance, information, prior,
+        )  # fmt: skip
+
+    def has_converged(self, before: FloatArray, parts: _Parts) -> bool:
+        """Whether the biases differ by a small part of their errors from those of the state before."""
+        change = np.abs(parts.reported @ (self.state - before))
+        errors = np.sqrt(np.einsum("pq,qr,pr->p", parts.reported, self.covariance, parts.reported))
+        return bool(np.all(change < parts.tuning.step_tolerance * errors))
+
+
 def refined(
     pairs: PlotPairs, widths: FloatArray, start: FloatArray, spread: tuple[float, float], plots: Plots, tuning: Tuning
 ) -> BiasFit:
@@ -254,63 +324,29 @@ def refined(
 
     spread : factor on the errors of plots, and 1σ of the drift, at the start.
     """
-    parts = _Parts.of(pairs, widths, plots, tuning)
-    state = np.zeros(parts.size)
-    state[: len(parts.fitted)] = start[parts.fitted]
-    tracks = len(pairs.scans)
-    rate = np.full(tracks, float(np.median(tuning.plot_rates)))
-    scales, converged = np.full(2, spread[0]), False
-    lasting_m2, process = (
-        np.full(2, pairs.lasting_m2),
-        _Process(max(spread[1], tuning.compass_deg) ** 2, tuning.compass_correlation_s),
-    )
-    drift_variance = np.full(len(pairs.plot), process.variance_deg2 if len(parts.knots) else 0.0)
+    parts, converged = _Parts.of(pairs, widths, plots, tuning), False
+    em = _Estimates.initial(parts, pairs, start, spread)
     for step in range(tuning.max_steps):
-        residual = pairs.residual - (parts.design @ state).reshape(-1, 2)
-        variance = scales**2 * pairs.variance
-        # Where the drift is not known yet, plots farther off are possible.
-        lever = pairs.jacobian[:, 1, FITTED.index(AZIMUTH)]
-        wide = variance + np.column_stack([np.zeros(len(lever)), lever**2 * drift_variance])
-        weight = _probabilities(pairs, residual, wide, rate, len(plots))
-        total = np.bincount(pairs.track, weight, tracks)
-        rate = (total + tuning.rate_prior) / (pairs.scans + tuning.rate_prior / np.median(tuning.plot_rates))
-        weighted = parts.design.multiply((weight[:, None] / variance).reshape(-1, 1)).tocsr()
-        target = residual.ravel() + parts.design @ state
-        prior = parts.prior(lasting_m2, process)
-        information = (weighted.T @ parts.design).toarray() + prior
-        covariance = inverse(information)
-        before, state = state, covariance @ (weighted.T @ target)
-        # The variances of places on the hull, of the detected tracks, and of the drift.
-        detected = total > tuning.min_plots
-        square = (state**2 + np.diag(covariance))[parts.hulls].reshape(-1, 2)[detected].sum(axis=0)
-        lasting_m2 = (square + tuning.hull_prior * pairs.lasting_m2) / (detected.sum() + tuning.hull_prior)
-        drift_variance, process = parts.drift_variance(covariance), parts.process(state, covariance)
-        chi_sq = np.einsum("m,ma->a", weight, residual**2 / pairs.variance)
-        scales = np.clip(
-            np.sqrt((chi_sq + tuning.scale_prior * spread[0] ** 2) / (weight.sum() + tuning.scale_prior)),
-            *tuning.scale_limits,
-        )  # fmt: skip
-        change = np.abs(parts.reported @ (state - before))
-        errors = np.sqrt(np.einsum("pq,qr,pr->p", parts.reported, covariance, parts.reported))
-        converged = bool(step > 3 and np.all(change < tuning.step_tolerance * errors))
+        before, em = em.state, em.iterated(parts, pairs, len(plots), spread[0])
+        converged = step > 3 and em.has_converged(before, parts)
         if converged:
             break
-    sure = weight > 0.5
-    error = (residual[:, 1] / np.sqrt(variance[:, 1]))[sure]
+    sure, detected = em.weight > 0.5, em.total > tuning.min_plots
+    error = (em.residual[:, 1] / np.sqrt(em.variance[:, 1]))[sure]
     inflation = _variance_inflation(plots.time_s[pairs.plot[sure]], pairs.track[sure], error)
-    covariance = inverse((information - prior) / inflation + prior)
+    covariance = inverse((em.information - em.prior) / inflation + em.prior)
     p = len(parts.fitted)
     speed = np.hypot(*pairs.jacobian[sure, :, FITTED.index(TIME)].T)
     biases = np.array([FITTED[k] for k in parts.fitted], np.int64)
     moving = float(np.median(speed)) if sure.any() else 0.0
-    common = np.diag(_common_hull(biases, float(np.sqrt(lasting_m2[0])), moving, tuning) ** 2)
+    common = np.diag(_common_hull(biases, float(np.sqrt(em.lasting_m2[0])), moving, tuning) ** 2)
     # The azimuth is the mean over the recording, and its standard error that of the mean without drift.
     of_mean = parts.reported @ covariance @ parts.reported.T
+    missed = _missed(pairs, em.weight, plots.scan[pairs.plot])[detected if detected.any() else slice(None)]
     return BiasFit(
-        biases, parts.reported @ state, covariance[:p, :p] + common, of_mean + common, float(weight.sum()),
-        int(plots.scan.max()) + 1, float(np.sum(total > tuning.min_plots)), 0.0, (), converged, tuning, moving,
-        parts.drift(state, covariance, process),
-        float(np.mean(_missed(pairs, weight, plots.scan[pairs.plot])[detected if detected.any() else slice(None)])),
+        biases, parts.reported @ em.state, covariance[:p, :p] + common, of_mean + common, float(em.weight.sum()),
+        int(plots.scan.max()) + 1, float(np.sum(detected)), 0.0, (), converged, tuning, moving,
+        parts.drift(em.state, covariance, em.process), float(np.mean(missed)),
     )  # fmt: skip
 
 

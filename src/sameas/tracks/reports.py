@@ -8,6 +8,7 @@ weather message among ships) are counted by kind.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -59,8 +60,6 @@ class Damaged:
     def sentences(self) -> list[str]:
         """One printable line per reason: the number of lines, and the first of them.
 
-        Example
-        -------
         >>> Damaged.of([(7, "wrong checksum"), (3, "wrong checksum")]).sentences()
         ['2 lines damaged: wrong checksum (lines 3, 7)']
         """
@@ -90,6 +89,31 @@ class NoReports(InputError):
         super().__init__(message, remedy) if remedy else super().__init__(message)
         self.damaged = Damaged() if damaged is None else damaged
         self.passed_over = dict(passed_over or {})
+
+
+@dataclass
+class Unused:
+    """What a reader does not use of its input: damaged lines, by number and reason, and others, by what they are.
+
+    unit : of the numbers, as of :class:`Damaged`.
+    """
+
+    damaged: list[tuple[int, str]] = field(default_factory=list)
+    passed_over: Counter[str] = field(default_factory=Counter)
+    unit: str = "line"
+
+    def reasons(self) -> str:
+        """The damage in one line; empty for none."""
+        return "; ".join(Damaged.of(self.damaged, self.unit).sentences())
+
+    def refusal(self, message: str, remedy: Any = "") -> NoReports:
+        """The error of an input of which nothing is used."""
+        return NoReports(message, remedy, damaged=Damaged.of(self.damaged, self.unit), passed_over=self.passed_over)
+
+    def reports(self, source: str, kind: str, columns: Mapping[str, Any], notes: Sequence[str] = ()) -> Reports:
+        """The reports of the input, with what is not used of it."""
+        damaged = Damaged.of(self.damaged, self.unit)
+        return Reports.of(source, kind, columns, damaged=damaged, passed_over=self.passed_over, notes=notes)
 
 
 @in_short
@@ -281,8 +305,6 @@ class Reports:
 def joined(parts: Sequence[Reports]) -> Reports:
     """The reports of several parts of one source, concatenated; columns missing in a part are absent there.
 
-    Example
-    -------
     >>> one = Reports.of("a", "table", {"time_s": [0.0], "x_m": [1.0], "y_m": [2.0]})
     >>> two = Reports.of("a", "table", {"time_s": [3.0], "x_m": [4.0], "y_m": [5.0], "track_id": ["7"]})
     >>> both = joined([one, two])

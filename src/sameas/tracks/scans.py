@@ -73,8 +73,6 @@ def scans_of(
     bearing_deg : (n,) of the plots from the sensor, NaN where unknown; None if the sensor's position is unknown.
     scan_times_s : (l,) times of all scans, where known.
 
-    Example
-    -------
     >>> scans_of(np.array([5.0, 0.0, 0.0, 5.0]), 5.0)
     Scans(scan_s=array([5., 0., 0., 5.]), rotation=None)
     """

@@ -54,8 +54,6 @@ def pointed_at(
     sensor_m : (2,) place of the sensor. places : (p, 2) in the plane.
     extent_m : 1σ of the observed point relative to the centre of the object.
 
-    Example
-    -------
     >>> boats = np.array([[0.0, 100.0], [5.0, 300.0], [90.0, 0.0]])
     >>> pointed_at(np.array([0.0, 180.0]), 1.0, (0.0, 0.0), boats, 2.0, Tuning()).round(2).tolist()
     [[0.51, 0.49, 0.0], [0.0, 0.0, 0.0]]

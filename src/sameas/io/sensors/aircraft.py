@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -33,23 +32,17 @@ from sameas.io.sensors.format import (
     sigma_of_nic,
 )
 from sameas.tracks.coordinates import FOOT_M
-from sameas.tracks.reports import LAST_S, Damaged, NoReports, Reports, of_rows
+from sameas.tracks.reports import LAST_S, Reports, Unused, of_rows
 
 #: Snapshots round the age of a position to 0.1 s, so the times of one position differ by less than 0.25 s.
 _SAME_POSITION_S = 0.25
 _NO_POSITION = "aircraft without a position"
 #: Numeric fields, with their column and its factor.
 _NUMBERS = {
-    "gs": ("speed_m_per_s", KNOT_M_PER_S),
-    "track": ("course_deg", 1.0),
-    "true_heading": ("heading_deg", 1.0),
-    "alt_geom": ("alt_m", FOOT_M),
-    "nac_p": ("nac_p", 1.0),
-    "nac_v": ("nac_v", 1.0),
-    "nic": ("nic", 1.0),
-    "rc": ("rc_m", 1.0),
-    "sil": ("sil", 1.0),
-}
+    "gs": ("speed_m_per_s", KNOT_M_PER_S), "track": ("course_deg", 1.0), "true_heading": ("heading_deg", 1.0),
+    "alt_geom": ("alt_m", FOOT_M), "nac_p": ("nac_p", 1.0), "nac_v": ("nac_v", 1.0), "nic": ("nic", 1.0),
+    "rc": ("rc_m", 1.0), "sil": ("sil", 1.0),
+}  # fmt: skip
 #: Fields of dump1090-mutability, with their names today.
 _OLDER = {"altitude": "alt_baro", "speed": "gs", "vert_rate": "baro_rate"}
 #: Containment radius of each navigation uncertainty category of position, metres (RTCA DO-260, table 2-11).
@@ -67,31 +60,28 @@ def read(lines: Sequence[str], source: str, last: dict[str, Mapping[str, Any]] |
 
     Raises InputError: no snapshot; no position.
     """
-    damaged: list[tuple[int, str]] = []
-    passed_over: Counter[str] = Counter()
+    unused = Unused()
     rows: list[dict[str, Any]] = []
     last = {} if last is None else last
-    numbered, unit = _documents(lines, damaged)
-    for number, snapshot in _snapshots(numbered, damaged):
+    numbered, unused.unit = _documents(lines, unused.damaged)
+    for number, snapshot in _snapshots(numbered, unused.damaged):
         for aircraft in snapshot["aircraft"]:
             row = _row(number, snapshot["now"], aircraft)
             if isinstance(row, str):
                 if row == _NO_POSITION:
-                    passed_over[row] += 1
+                    unused.passed_over[row] += 1
                 else:
-                    damaged.append((number, row))
+                    unused.damaged.append((number, row))
             elif _is_same(last.get(row["track_id"]), row):
-                passed_over["position repeated"] += 1
+                unused.passed_over["position repeated"] += 1
             else:
                 last[row["track_id"]] = row
                 rows.append(row)
-    unusable = Damaged.of(damaged, unit)
     if not rows:
-        reasons = "; ".join(unusable.sentences()) or "no aircraft has one"
-        raise NoReports(f"{source}: no position of an aircraft: {reasons}", damaged=unusable, passed_over=passed_over)
+        raise unused.refusal(f"{source}: no position of an aircraft: {unused.reasons() or 'no aircraft has one'}")
     columns = of_rows(rows)
     columns |= errors_of(columns)
-    return Reports.of(source, "adsb", columns, damaged=unusable, passed_over=passed_over, notes=notes(source))
+    return unused.reports(source, "adsb", columns, notes(source))
 
 
 def errors_of(columns: Mapping[str, Any]) -> dict[str, FloatArray]:

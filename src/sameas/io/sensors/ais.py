@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -31,7 +30,7 @@ from sameas.io.sensors.format import (
 )
 from sameas.io.sensors.nmea import Log, Sentence
 from sameas.tracks.coordinates import MILE_M, along_and_across, geodesy
-from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
+from sameas.tracks.reports import Damaged, Reports, Unused, of_rows
 
 
 @dataclass(frozen=True)
@@ -225,7 +224,8 @@ def read(log: Log, source: str, start_s: float | None = None, state: ReceiverSta
     """
     messages, damaged = _messages(log, state)
     statics = _statics(messages, state)
-    positions, passed_over = [], Counter[str]()
+    positions, unused = [], Unused(damaged)
+    passed_over = unused.passed_over
     for message in messages:
         reason = _unusable(message)
         if message.own_ship:
@@ -242,17 +242,14 @@ def read(log: Log, source: str, start_s: float | None = None, state: ReceiverSta
         else:
             positions.append(message)
     if not positions:
-        raise NoReports(
-            f"{source}: no AIS position in {len(messages)} messages; {_unused_lines(damaged, passed_over)}",
-            damaged=Damaged.of(damaged), passed_over=passed_over,
-        )  # fmt: skip
+        lines = [*Damaged.of(damaged).sentences(), *(f"{n} skipped: {what}" for what, n in passed_over.items())]
+        raise unused.refusal(
+            f"{source}: no AIS position in {len(messages)} messages; {'; '.join(lines) or 'is it AIS?'}"
+        )
     time_s, clock = _times(log, messages, positions, source, start_s)
     columns = of_rows(_rows(positions, statics))
     columns |= {"time_s": time_s, **_hull_centres(columns, np.array([message.type for message in positions]))}
-    reports = Reports.of(
-        source, "ais", columns, damaged=Damaged.of(damaged), passed_over=passed_over, notes=_notes(source, clock)
-    )
-    return replace(reports, counted_clock=clock == COUNTED)
+    return replace(unused.reports(source, "ais", columns, _notes(source, clock)), counted_clock=clock == COUNTED)
 
 
 def own_ship(sentence: Sentence) -> dict[str, Any]:
@@ -497,11 +494,6 @@ def _hull_centres(columns: Mapping[str, Any], message_type: np.ndarray) -> dict[
     lat, lon, extent = hull.centre(lat, lon, heading)
     return {"lat_deg": lat, "lon_deg": lon, "covariance_m2": covariance + extent,
             "length_m": hull.length_m, "width_m": hull.width_m}  # fmt: skip
-
-
-def _unused_lines(damaged: Sequence[tuple[int, str]], passed_over: Mapping[str, int]) -> str:
-    lines = Damaged.of(damaged).sentences() + [f"{count} skipped: {what}" for what, count in passed_over.items()]
-    return "; ".join(lines) or "is it AIS?"
 
 
 def _notes(source: str, clock: str) -> tuple[str, ...]:

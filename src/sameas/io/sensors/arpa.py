@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -29,7 +28,7 @@ from sameas.io.sensors.format import KNOT_M_PER_S, OWN_SHIP, SensorFile, SensorF
 from sameas.io.sensors.nmea import Log, Sentence, latitude, log_of, longitude, time_of_day, with_date
 from sameas.tracks.coordinates import MILE_M, geodesy
 from sameas.tracks.platforms import OWN_POSITIONS
-from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
+from sameas.tracks.reports import Damaged, Reports, Unused, of_rows
 
 #: The sentences of targets.
 SENTENCES = ("TTM", "TLL")
@@ -131,8 +130,7 @@ def read(
     ship = ArpaState() if ship is None else ship
     ship.add_measured(log)
     kind = "TTM" if ship.has_ttm else "TLL"
-    damaged = list(log.damaged)
-    passed_over: Counter[str] = Counter()
+    unused = Unused(list(log.damaged))
     own = own_ship_of(log, ship) if own is None else own
     indices: list[int] = []
     rows: list[dict[str, Any]] = []
@@ -142,21 +140,21 @@ def read(
         if sentence.kind not in SENTENCES:
             continue
         if sentence.kind != kind and ship.is_measured(sentence.field(1), float(log.clock_s[index])):
-            passed_over["TLL of targets that TTM reports too"] += 1
+            unused.passed_over["TLL of targets that TTM reports too"] += 1
             continue
         ship_then = {name: float(values[index]) for name, values in own.items()}
         if sentence.kind != kind and not np.isfinite(ship_then["lat"] + ship_then["lon"]):
             # The ranges of TTM and the positions of TLL cannot be reports of one source.
-            passed_over["TLL of targets that no TTM reports, without own ship's position"] += 1
+            unused.passed_over["TLL of targets that no TTM reports, without own ship's position"] += 1
             continue
         try:
             row = _target(sentence, ship_then)
             row = row if row is None or sentence.kind == kind else _measured_from(row)
         except ValueError as error:
-            damaged.append((sentence.line, str(error)))
+            unused.damaged.append((sentence.line, str(error)))
             continue
         if row is None:
-            passed_over["target lost by the radar"] += 1
+            unused.passed_over["target lost by the radar"] += 1
             events.append((sentence.field(1), None))
         else:
             events.append((row["track_id"], len(rows)))
@@ -165,26 +163,15 @@ def read(
     if not rows:
         for number, _ in events:
             ship.targets.setdefault(number, Target(use=0)).lost = True
-        reasons = "; ".join(Damaged.of(damaged).sentences()) or "every target is lost"
-        raise NoReports(
-            f"{source}: no radar target that can be used: {reasons}",
-            damaged=Damaged.of(damaged),
-            passed_over=passed_over,
-        )
+        reasons = unused.reasons() or "every target is lost"
+        raise unused.refusal(f"{source}: no radar target that can be used: {reasons}")
     columns = of_rows(rows)
     if kind == "TLL" and not np.isfinite(columns["station_lat_deg"]).all():
         # Positions do not need own ship; it is dropped unless known for all of them.
         del columns["station_lat_deg"], columns["station_lon_deg"]
     columns["time_s"] = _times(log, columns.pop("day_s"), np.array(indices), source, start_s)
     columns["track_id"] = _track_ids(columns, events, ship.targets)
-    return Reports.of(
-        source,
-        "arpa",
-        columns,
-        damaged=Damaged.of(damaged),
-        passed_over=passed_over,
-        notes=_notes(source, log, columns),
-    )
+    return unused.reports(source, "arpa", columns, _notes(source, log, columns))
 
 
 def _track_ids(

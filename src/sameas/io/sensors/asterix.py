@@ -6,7 +6,6 @@ decodes their items, by category, and groups them into the reports of each senso
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -37,7 +36,7 @@ from sameas.io.sensors.format import (
     unwrapped,
 )
 from sameas.tracks.coordinates import FOOT_M, MILE_M, geodesy
-from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
+from sameas.tracks.reports import Damaged, Reports, Unused, of_rows
 
 # Category 021: ADS-B target reports of ground stations, editions 2.1 to 2.7.
 
@@ -98,9 +97,14 @@ def _climb(items: Mapping[str, Any]) -> float | None:
     """Geometric, else barometric rate of climb in m/s; None where the first bit says it is out of range."""
     for name in ("157", "155"):
         if name in items and not items[name][0] & 0x80:
-            rate = unsigned(items[name]) & 0x7FFF
-            return (rate - 0x8000 if rate & 0x4000 else rate) * 6.25 * FEET_PER_MINUTE_M_PER_S
+            return _low_bits(items[name], 15) * 6.25 * FEET_PER_MINUTE_M_PER_S
     return None
+
+
+def _low_bits(item: bytes, bits: int) -> int:
+    """The signed number in the lowest bits of an item."""
+    value = unsigned(item) & (1 << bits) - 1
+    return value - (1 << bits) if value >> bits - 1 else value
 
 
 def _velocity_021(item: bytes | None) -> dict[str, float]:
@@ -122,14 +126,6 @@ def _quality_021(items: Mapping[str, Any]) -> dict[str, float]:
         if len(quality) > 1:
             values["nac_p"], values["sil"] = float(quality[1] >> 1 & 15), float(quality[1] >> 5 & 3)
     return values
-
-
-def notes_021(source: str) -> tuple[str, ...]:
-    """The assumptions about these records."""
-    return (
-        f"{source}: errors are NACp (radius of 95 % over 2.45), NUCp where the transponder is of version 0, else half "
-        "of the containment radius of NIC as the radius of 95 %",
-    )
 
 
 # Category 048: target reports of one radar, editions 1.27 to 1.32.
@@ -182,8 +178,7 @@ def _pressure_altitude_048(item: bytes | None) -> float | None:
     """Metres from the flight level; None where the code is invalid or garbled (first two bits)."""
     if item is None or item[0] & 0xC0:
         return None
-    level = unsigned(item) & 0x3FFF
-    return (level - 0x4000 if level & 0x2000 else level) / 4.0 * 100.0 * FOOT_M
+    return _low_bits(item, 14) / 4.0 * 100.0 * FOOT_M
 
 
 def _mode_a(item: bytes | None) -> str | None:
@@ -203,14 +198,6 @@ def _quality_048(item: bytes | None) -> dict[str, float]:
     if item is None or not (item[0] and item[1]):
         return {}
     return {"sigma_x_m": item[0] * MILE_M / 128.0, "sigma_y_m": item[1] * MILE_M / 128.0}
-
-
-def notes_048(source: str) -> tuple[str, ...]:
-    """The assumptions about these records."""
-    return (
-        f"{source}: ranges are slant ranges; the description of the radar must state its position and height",
-        f"{source}: bearings are taken from true north; errors are those of the radar's description, or of item 210",
-    )
 
 
 # Category 062: tracks of a surveillance data processing system, editions 1.16 to 1.21, with their accuracies.
@@ -307,8 +294,7 @@ def _pressure_altitude_062(items: Mapping[str, Any]) -> float | None:
     if "136" in items:
         return signed(items["136"]) / 4.0 * 100.0 * FOOT_M
     if "135" in items and not items["135"][0] & 0x80:
-        level = unsigned(items["135"]) & 0x7FFF
-        return (level - 0x8000 if level & 0x4000 else level) / 4.0 * 100.0 * FOOT_M
+        return _low_bits(items["135"], 15) / 4.0 * 100.0 * FOOT_M
     return None
 
 
@@ -326,14 +312,6 @@ def _metres_per_degree(lat_deg: Any) -> tuple[Any, Any]:
     )
 
 
-def notes_062(source: str) -> tuple[str, ...]:
-    """The assumptions about these records."""
-    return (
-        f"{source}: accuracies are those of item 500; its x and y are read as east and north of the track",
-        f"{source}: tracks are the output of a tracker: their errors are correlated in time",
-    )
-
-
 # Reports of each sensor.
 
 
@@ -342,14 +320,23 @@ class _Decoder(NamedTuple):
 
     row: Callable[[Mapping[str, Any]], dict[str, Any] | str]
     errors: Callable[[Mapping[str, Any]], dict[str, Any]]
-    notes: Callable[[str], tuple[str, ...]]
+    notes: tuple[str, ...]
 
 
 _DECODERS = {
-    21: _Decoder(row_021, errors_021, notes_021),
-    48: _Decoder(row_048, errors_048, notes_048),
-    62: _Decoder(row_062, errors_062, notes_062),
-}
+    21: _Decoder(row_021, errors_021, (
+        "errors are NACp (radius of 95 % over 2.45), NUCp where the transponder is of version 0, else half of the "
+        "containment radius of NIC as the radius of 95 %",
+    )),
+    48: _Decoder(row_048, errors_048, (
+        "ranges are slant ranges; the description of the radar must state its position and height",
+        "bearings are taken from true north; errors are those of the radar's description, or of item 210",
+    )),
+    62: _Decoder(row_062, errors_062, (
+        "accuracies are those of item 500; its x and y are read as east and north of the track",
+        "tracks are the output of a tracker: their errors are correlated in time",
+    )),
+}  # fmt: skip
 #: Category, SAC and SIC: one sensor.
 Sensor = tuple[int, int, int]
 
@@ -381,9 +368,7 @@ def read(
     if content[:4] == PCAPNG:
         raise InputError(f"{source}: is a pcapng capture; convert it: editcap -F pcap FILE FILE.pcap")
     rows: dict[Sensor, list[dict[str, Any]]] = {}
-    damaged: list[tuple[int, str]] = []
-    passed_over: Counter[str] = Counter()
-    number, read = 0, False
+    unused, number, read = Unused(unit="record"), 0, False
     live = blocks_read is not None
     blocks_read = set() if blocks_read is None else blocks_read
     for block in blocks_of(content, received_s):
@@ -391,40 +376,34 @@ def read(
         blocks_read.add((block.category, block.data))
         if repeated and not block.problem:
             # Sensors may send over two networks; otherwise blocks differ by their time of day.
-            passed_over["block that came before, from a second network"] += 1
+            unused.passed_over["block that came before, from a second network"] += 1
         elif block.problem:
-            damaged.append((number + 1, block.problem))
+            unused.damaged.append((number + 1, block.problem))
         elif block.category not in _DECODERS:
-            passed_over[f"block of category {block.category:03d}"] += 1
+            unused.passed_over[f"block of category {block.category:03d}"] += 1
         else:
             read = True
-            number = _add_block(block, number, rows, damaged, passed_over)
+            number = _add_block(block, number, rows, unused)
     if not rows:
-        problems = Damaged.of(damaged, "record").sentences()
+        problems = Damaged.of(unused.damaged, "record").sentences()
         more = len(problems) - _LISTED
         problems = [*problems[:_LISTED], *([f"{more} more kinds of damage"] if more > 0 else [])]
-        problems += [f"{n} skipped: {what}" for what, n in passed_over.items()]
-        remedy = f"are its records of another edition? Read are {_EDITIONS}" if read and damaged else ""
-        raise NoReports(
-            f"{source}: no target of category 021, 048 or 062; {'; '.join(problems) or 'is it ASTERIX?'}",
-            remedy, damaged=Damaged.of(damaged, "record"), passed_over=passed_over,
-        )  # fmt: skip
+        problems += [f"{n} skipped: {what}" for what, n in unused.passed_over.items()]
+        remedy = f"are its records of another edition? Read are {_EDITIONS}" if read and unused.damaged else ""
+        raise unused.refusal(
+            f"{source}: no target of category 021, 048 or 062; {'; '.join(problems) or 'is it ASTERIX?'}", remedy
+        )
     # Damaged and skipped records are counted for the whole file, with its first sensor.
-    unused: list[tuple[Damaged, Mapping[str, int]]] = [(Damaged.of(damaged, "record"), passed_over)]
-    unused += [(Damaged(unit="record"), {})] * (len(rows) - 1)
     return [
-        _reports(sensor, of_rows(own_rows), _name(source, sensor, 2 if live else len(rows)), start_s, *own_unused)
-        for (sensor, own_rows), own_unused in zip(sorted(rows.items()), unused, strict=True)
-    ]
+        _reports(
+            sensor, of_rows(rows[sensor]), _name(source, sensor, 2 if live else len(rows)), start_s,
+            Unused(unit="record") if k else unused,
+        )
+        for k, sensor in enumerate(sorted(rows))
+    ]  # fmt: skip
 
 
-def _add_block(
-    block: Block,
-    number: int,
-    rows: dict[Sensor, list[dict[str, Any]]],
-    damaged: list[tuple[int, str]],
-    passed_over: Counter[str],
-) -> int:
+def _add_block(block: Block, number: int, rows: dict[Sensor, list[dict[str, Any]]], unused: Unused) -> int:
     """Adds the reports of a block to ``rows``; returns the number of its last record in the file."""
     decoder = _DECODERS[block.category]
     try:
@@ -434,19 +413,19 @@ def _add_block(
             if isinstance(row, str):
                 # A reason that begins with the category is that of an intact record without a target.
                 if row.startswith("0"):
-                    passed_over[row] += 1
+                    unused.passed_over[row] += 1
                 else:
-                    damaged.append((number, row))
+                    unused.damaged.append((number, row))
                 continue
             if abs(row.get("lat_deg", 0.0)) > 90.0:
-                damaged.append((number, "latitude beyond ±90°"))
+                unused.damaged.append((number, "latitude beyond ±90°"))
                 continue
             identity = items.get("010", b"\0\0")
             sensor = (block.category, unsigned(identity[:1]), unsigned(identity[1:]))  # type: ignore[index]
             rows.setdefault(sensor, []).append({"line": number, "received_s": block.received_s, **row})
     except DamagedRecord as error:
         number += 1
-        damaged.append((number, f"{error}; the rest of its block is lost"))
+        unused.damaged.append((number, f"{error}; the rest of its block is lost"))
     return number
 
 
@@ -455,21 +434,14 @@ def _name(source: str, sensor: Sensor, count: int) -> str:
     return source if count == 1 else f"{source}:{category:03d} {sac}/{sic}"
 
 
-def _reports(
-    sensor: Sensor,
-    columns: dict[str, Any],
-    name: str,
-    start_s: float | None,
-    damaged: Damaged,
-    passed_over: Mapping[str, int],
-) -> Reports:
+def _reports(sensor: Sensor, columns: dict[str, Any], name: str, start_s: float | None, unused: Unused) -> Reports:
     decoder = _DECODERS[sensor[0]]
     received_s = columns.pop("received_s")
     columns["time_s"] = _times(columns.pop("day_s"), received_s, name, start_s)
     columns |= decoder.errors(columns)
     date_source = "of the capture" if np.isfinite(received_s).any() else "that was given"
-    notes = (f"{name}: times of day on the date {date_source}", *decoder.notes(name))
-    return Reports.of(name, f"asterix {sensor[0]:03d}", columns, damaged=damaged, passed_over=passed_over, notes=notes)
+    notes = [f"{name}: {note}" for note in (f"times of day on the date {date_source}", *decoder.notes)]
+    return unused.reports(name, f"asterix {sensor[0]:03d}", columns, notes)
 
 
 def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float | None) -> FloatArray:

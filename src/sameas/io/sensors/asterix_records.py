@@ -89,8 +89,6 @@ def split_blocks(data: bytes, *, final: bool) -> BlockSplit:
     final : whether nothing follows: a datagram, a file, the end of a connection. Otherwise the last block is taken at
         once if its records end with it; whether another follows is not yet known.
 
-    Example
-    -------
     >>> one = bytes.fromhex("30 000D D0 0102 054600 0A002000")
     >>> split_blocks(one + b"#" + one[4:] + one + one, final=True)
     BlockSplit(blocks=[(0, 13), (23, 36), (36, 49)], gaps=[(13, 23)], end=49)
@@ -306,8 +304,6 @@ def records_of(category: AsterixCategory, data: bytes) -> Iterator[dict[str, Ite
 
     Raises DamagedRecord: after the last valid record; the start of the next one cannot be determined.
 
-    Example
-    -------
     >>> from sameas.io.sensors.asterix_records import CATEGORIES
     >>> [record] = records_of(CATEGORIES[48], bytes.fromhex("D0 0102 054600 0A002000"))
     >>> {name: value.hex() for name, value in record.items()}

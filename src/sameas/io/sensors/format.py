@@ -45,8 +45,6 @@ def instant(text: str) -> float | None:
 
     Text without a zone is UTC, and so is text that ends with UTC or GMT.
 
-    Example
-    -------
     >>> instant("2016-01-12 13:02:11.5"), instant("1452603731500"), instant("radar")
     (1452603731.5, 1452603731.5, None)
     """
@@ -130,8 +128,6 @@ def unwrapped(values: ArrayLike, period_s: float, start_s: float | None = None) 
     Each value is placed in the period in which it is nearest to the previous one, so values out of order by less than
     half a period are placed correctly.
 
-    Example
-    -------
     >>> unwrapped([86399.0, 2.0, 86398.0, 5.0], 86400.0).tolist()
     [86399.0, 86402.0, 86398.0, 86405.0]
     """
@@ -426,8 +422,6 @@ AIS_RECKONED_SIGMA_M = 100.0
 def sigma_of_nacp(nacp: ArrayLike) -> FloatArray:
     """(n,) metres per axis, of navigation accuracy categories; NaN where the class is 0, not known or reserved.
 
-    Example
-    -------
     >>> sigma_of_nacp([9, 8, 0]).round(1).tolist()
     [12.3, 37.8, nan]
     """

@@ -33,7 +33,7 @@ from sameas.io.sensors.format import (
     unwrapped,
 )
 from sameas.tracks.coordinates import FOOT_M
-from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
+from sameas.tracks.reports import Reports, Unused, of_rows
 
 #: Characters of the longest line, a message and its time (chosen): the patterns take quadratic time.
 _LONGEST_LINE = 200
@@ -203,47 +203,41 @@ def read(found: Messages, source: str, start_s: float | None = None, aircraft: A
 
     Raises InputError: rs1090 is not installed; no message; no time; no position.
     """
-    damaged, passed_over = list(found.damaged), Counter(found.passed_over)
+    unused = Unused(list(found.damaged), Counter(found.passed_over), found.unit)
     if not found.messages:
-        reasons = Damaged.of(damaged, found.unit)
-        raise NoReports(
-            f"{source}: no Mode S message: {'; '.join(reasons.sentences())}", damaged=reasons, passed_over=passed_over
-        )
+        raise unused.refusal(f"{source}: no Mode S message: {unused.reasons()}")
     aircraft = Aircraft() if aircraft is None else aircraft
     times = found.times(source, start_s).tolist()
     rows = []
     all_decoded = _decoded(found.messages, times, aircraft)
     for number, when, place, decoded in zip(found.numbers, times, found.places.tolist(), all_decoded, strict=True):
         if decoded is None:
-            damaged.append((number, "not Mode S, or wrong parity"))
+            unused.damaged.append((number, "not Mode S, or wrong parity"))
             continue
         if decoded.get("df") not in ("17", "18"):
-            passed_over[f"downlink format {decoded.get('df')}"] += 1
+            unused.passed_over[f"downlink format {decoded.get('df')}"] += 1
             continue
         if aircraft.is_repeated(decoded["frame"], when):
-            passed_over["message of a second receiver"] += 1
+            unused.passed_over["message of a second receiver"] += 1
             continue
         fields = aircraft.fields.setdefault(decoded["icao24"], {})
         fields |= {name: (when, value) for name, value in _fields(decoded).items()}
         if "lat_cpr" not in decoded:
-            passed_over[f"message of register {decoded.get('bds')}"] += 1
+            unused.passed_over[f"message of register {decoded.get('bds')}"] += 1
             continue
         if decoded.get("latitude") is not None:
             place = [decoded["latitude"], decoded["longitude"]]
         if np.isnan(place).any():
-            passed_over["half a position"] += 1
+            unused.passed_over["half a position"] += 1
             continue
         rows.append({"line": number, "time_s": when, **_report(decoded, place, fields, when)})
-    unusable = Damaged.of(damaged, found.unit)
     if not rows:
-        raise NoReports(
-            f"{source}: no position in {len(found.messages)} messages; two halves within 10 s make one",
-            damaged=unusable,
-            passed_over=passed_over,
+        raise unused.refusal(
+            f"{source}: no position in {len(found.messages)} messages; two halves within 10 s make one"
         )
     columns = of_rows(rows)
     columns |= _errors(columns)
-    return Reports.of(source, "adsb", columns, damaged=unusable, passed_over=passed_over, notes=notes(source))
+    return unused.reports(source, "adsb", columns, notes(source))
 
 
 def _decoder() -> Callable[..., Any]:

@@ -8,14 +8,13 @@ some programs and UTC in others; the lines do not say which.
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 from sameas.io.sensors.aircraft import identity_of
 from sameas.io.sensors.format import FEET_PER_MINUTE_M_PER_S, KNOT_M_PER_S, SensorFormat, instant, utc_of
 from sameas.tracks.coordinates import FOOT_M
-from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
+from sameas.tracks.reports import Reports, Unused, of_rows
 
 #: Fields older than this, in seconds, are not joined to a position (chosen).
 _STALE_S = 30.0
@@ -51,8 +50,7 @@ def read(
 
     Raises InputError: no position.
     """
-    damaged: list[tuple[int, str]] = []
-    passed_over: Counter[str] = Counter()
+    unused = Unused()
     by_aircraft: Latest = {} if latest_fields is None else latest_fields
     rows = []
     for number, line in enumerate(lines, start=1):
@@ -60,31 +58,27 @@ def read(
             continue
         cells = line.split(",")
         if cells[0].strip() in ("SEL", "ID", "AIR", "STA", "CLK"):
-            passed_over[f"{cells[0].strip()} line"] += 1
+            unused.passed_over[f"{cells[0].strip()} line"] += 1
             continue
         try:
             time_s, address, fields = _message(cells, least=CELLS if unended and number == len(lines) else 16)
         except ValueError as error:
-            damaged.append((number, str(error)))
+            unused.damaged.append((number, str(error)))
             continue
         latest = by_aircraft.setdefault(address, {})
         latest |= {name: (time_s, value) for name, value in fields.items() if value is not None}
         if fields.get("lat_deg") is None or fields.get("lon_deg") is None:
-            passed_over["message without a position"] += 1
+            unused.passed_over["message without a position"] += 1
         else:
             current = {name: value for name, (when, value) in latest.items() if abs(time_s - when) <= _STALE_S}
             rows.append({"line": number, "time_s": time_s, **identity_of(address), **current})
     if not rows:
-        unusable = Damaged.of(damaged)
-        raise NoReports(
-            f"{source}: no position: {'; '.join(unusable.sentences()) or 'no MSG,2 or MSG,3'}",
-            damaged=unusable, passed_over=passed_over,
-        )  # fmt: skip
+        raise unused.refusal(f"{source}: no position: {unused.reasons() or 'no MSG,2 or MSG,3'}")
     zone = time_zone or "UTC"
     notes = (f"{source}: times are read as {zone}; SBS lines state no time zone", f"{source}: SBS states no errors")
     columns = of_rows(rows)
     columns["time_s"] = utc_of(columns["time_s"], time_zone)
-    return Reports.of(source, "adsb", columns, damaged=Damaged.of(damaged), passed_over=passed_over, notes=notes)
+    return unused.reports(source, "adsb", columns, notes)
 
 
 def _message(cells: Sequence[str], least: int) -> tuple[float, str, dict[str, Any]]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,7 +20,7 @@ import numpy as np
 
 from sameas.io.sensors.ais import LENGTH_PER_WIDTH, at_hull_centres
 from sameas.io.sensors.format import LOGGED, OWN_SHIP, SensorFormat, instant, of_json, plain_text
-from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
+from sameas.tracks.reports import Reports, Unused, of_rows
 
 _MMSI = re.compile(r"mmsi:(\d{9})$")
 _TARGET = re.compile(r"(?:^|\.)radars\.([^.]+)\.targets\.([^.]+)$")
@@ -102,57 +101,63 @@ def read(lines: Sequence[str], source: str, vessels: Vessels | None = None) -> l
     Raises InputError: no position and no target.
     """
     vessels, live = Vessels() if vessels is None else vessels, vessels is not None
-    damaged: list[tuple[int, str]] = []
-    passed_over: Counter[str] = Counter()
-    rows: dict[str, list[dict[str, Any]]] = {"ais": [], "arpa": []}
+    taken = _Deltas(vessels)
+    unused = taken.unused
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
         try:
             delta = of_json(LOGGED.sub("", line))
         except ValueError:
-            damaged.append((number, "no delta"))
+            unused.damaged.append((number, "no delta"))
             continue
         try:
-            _add_delta(delta, number, vessels, rows, passed_over)
+            taken.add(delta, number)
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
-            damaged.append((number, f"no delta: {error}"))
-    unusable, kinds = Damaged.of(damaged), [kind for kind in rows if rows[kind]]
+            unused.damaged.append((number, f"no delta: {error}"))
+    kinds = [kind for kind, rows in taken.rows.items() if rows]
     if not kinds:
-        raise NoReports(
-            f"{source}: no position of a vessel and no target: {'; '.join(unusable.sentences()) or 'no deltas'}",
-            damaged=unusable, passed_over=passed_over,
-        )  # fmt: skip
+        raise unused.refusal(f"{source}: no position of a vessel and no target: {unused.reasons() or 'no deltas'}")
     several = live or len(kinds) > 1
     return [
-        Reports.of(
-            f"{source}:{kind}" if several else source, kind, _at_hull_centres(of_rows(rows[kind])),
-            damaged=unusable if kind == kinds[0] else Damaged(), passed_over=passed_over if kind == kinds[0] else {},
+        (Unused() if k else unused).reports(
+            f"{source}:{kind}" if several else source, kind, _at_hull_centres(of_rows(taken.rows[kind]))
         )
-        for kind in kinds
-    ]  # fmt: skip
+        for k, kind in enumerate(kinds)
+    ]
 
 
-def _add_delta(
-    delta: Any, number: int, vessels: Vessels, rows: dict[str, list[dict[str, Any]]], passed_over: Counter[str]
-) -> None:
-    """Adds the reports of a delta to ``rows``, and its fields to ``vessels``. Raises an error where it is no delta."""
-    if "updates" not in delta:
-        vessels.own_context = plain_text(delta.get("self")) or vessels.own_context
-        passed_over["hello or other message"] += 1
-        return
-    context = plain_text(delta.get("context", vessels.own_context))
-    if context is None:
-        raise ValueError("its context is no text")
-    if context.startswith(_STATIONS):
-        passed_over["aid to navigation or base station"] += 1
-        return
-    is_own = context in ("vessels.self", vessels.own_context, f"vessels.{vessels.own_context}")
-    fields = vessels.fields.setdefault("self" if is_own else context, {})
-    for update in delta["updates"]:
-        if _is_fused(update):
-            passed_over["update that sameas has sent"] += 1
-            continue
+@dataclass
+class _Deltas:
+    """Takes deltas: their fields go to ``vessels``, their reports to ``rows``."""
+
+    vessels: Vessels
+    rows: dict[str, list[dict[str, Any]]] = field(default_factory=lambda: {"ais": [], "arpa": []})
+    unused: Unused = field(default_factory=Unused)
+
+    def add(self, delta: Any, number: int) -> None:
+        """Takes the delta of a line. Raises an error where it is none."""
+        vessels = self.vessels
+        if "updates" not in delta:
+            vessels.own_context = plain_text(delta.get("self")) or vessels.own_context
+            self.unused.passed_over["hello or other message"] += 1
+            return
+        context = plain_text(delta.get("context", vessels.own_context))
+        if context is None:
+            raise ValueError("its context is no text")
+        if context.startswith(_STATIONS):
+            self.unused.passed_over["aid to navigation or base station"] += 1
+            return
+        if context in ("vessels.self", vessels.own_context, f"vessels.{vessels.own_context}"):
+            context = "self"
+        for update in delta["updates"]:
+            if _is_fused(update):
+                self.unused.passed_over["update that sameas has sent"] += 1
+            else:
+                self._add_update(update, number, context)
+
+    def _add_update(self, update: Mapping[str, Any], number: int, context: str) -> None:
+        vessels, fields = self.vessels, self.vessels.fields.setdefault(context, {})
         time_s = instant(str(update.get("timestamp", "")))
         if time_s is None:
             raise ValueError("an update without a time")
@@ -162,25 +167,16 @@ def _add_delta(
             if match := _TARGET.search(path):
                 row = _target(value, match[1], match[2], vessels.station)
                 if row is not None:
-                    rows["arpa"].append({"line": number, "time_s": time_s, **row, **vessels.own_ship()})
+                    self.rows["arpa"].append({"line": number, "time_s": time_s, **row, **vessels.own_ship()})
             elif path == "navigation.position" and value is not None:
                 position_deg = (float(value["latitude"]), float(value["longitude"]))
-            elif path in _NUMBERS and value is not None:
-                column, scale = _NUMBERS[path]
-                fields[column] = (time_s, scale * float(value))
-            elif path == "navigation.state" and isinstance(value, str):
-                fields["nav_status"] = (math.inf, _STATES.get(value.lower(), math.nan))
-            elif path in _SIZES:
-                size = value.get("overall", value.get("hull")) if isinstance(value, Mapping) else value
-                if size is not None and 0.0 <= float(size) < _LONGEST_M:
-                    fields[_SIZES[path]] = (math.inf, float(size))
-            elif path in _TEXTS or path == "":
-                fields |= {column: (math.inf, text) for column, text in _texts(path, value)}
+            else:
+                fields |= _fields(path, value, time_s)
         if position_deg is None:
-            passed_over["update without a position"] += 1
+            self.unused.passed_over["update without a position"] += 1
         elif not (abs(position_deg[0]) <= 90.0 and abs(position_deg[1]) <= 180.0):
             raise ValueError("position outside the earth")
-        elif is_own:
+        elif context == "self":
             vessels.station = position_deg
             vessels.positions += 1
         else:
@@ -190,10 +186,25 @@ def _add_delta(
                 name: value for name, (when, value) in fields.items()
                 if not _STALE_S < abs(time_s - when) < math.inf and name not in _OF_COMPASS
             }  # fmt: skip
-            rows["ais"].append({
+            self.rows["ais"].append({
                 "line": number, "time_s": time_s, "lat_deg": position_deg[0], "lon_deg": position_deg[1], "mmsi": mmsi,
                 "track_id": mmsi or context, **last, **vessels.own_ship(),
             })  # fmt: skip
+
+
+def _fields(path: str, value: Any, time_s: float) -> dict[str, tuple[float, Any]]:
+    """The fields that a value gives, with their times; those that stay are of all times (∞)."""
+    if path in _NUMBERS:
+        column, scale = _NUMBERS[path]
+        return {} if value is None else {column: (time_s, scale * float(value))}
+    if path == "navigation.state" and isinstance(value, str):
+        return {"nav_status": (math.inf, _STATES.get(value.lower(), math.nan))}
+    if path in _SIZES:
+        size = value.get("overall", value.get("hull")) if isinstance(value, Mapping) else value
+        return {_SIZES[path]: (math.inf, float(size))} if size is not None and 0.0 <= float(size) < _LONGEST_M else {}
+    if path in _TEXTS or path == "":
+        return {column: (math.inf, text) for column, text in _texts(path, value)}
+    return {}
 
 
 def _is_fused(update: Mapping[str, Any]) -> bool:

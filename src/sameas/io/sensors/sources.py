@@ -59,8 +59,6 @@ def read_reports(path: str | os.PathLike[str], options: ReadOptions | None = Non
 
     Raises InputError: no such file; no usable report; no time or position; an unknown format.
 
-    Example
-    -------
     >>> import pathlib, tempfile
     >>> file = pathlib.Path(tempfile.mkdtemp()) / "coast.csv"
     >>> _ = file.write_text("time,lat,lon,sog,mmsi\\n2024-05-01T12:00:00Z,50.1,-1.2,10,235070762\\n")

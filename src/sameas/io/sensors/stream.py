@@ -81,8 +81,6 @@ class ReportStream:
 
     damaged, passed_over : number of unused lines or records by reason.
 
-    Example
-    -------
     >>> stream = ReportStream("coast")
     >>> stream.feed(b'{"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi"', 0.0)
     >>> stream.reports()

@@ -53,88 +53,68 @@ class SensorQuantity:
     translations: tuple[str, ...] = ()
 
 
-def _quantity(column: str, kind: str, names: str) -> SensorQuantity:
-    return SensorQuantity(column, kind, tuple(names.split()))
-
-
-QUANTITIES = (
-    _quantity(
-        "time_s",
-        "time",
-        "lastposupdate time timestamp datetime basedatetime t utc timeutc utctime dt epoch unixtime unix date msgtime "
-        "dtpos",
-    ),
-    _quantity("day_s", "time", "timeofday tod"),
-    _quantity("lat_deg", "angle", "lat latitude latitudewgs84"),
-    _quantity("lon_deg", "angle", "lon long longitude lng longitudewgs84"),
-    _quantity("alt_m", "length", "alt altitude geoaltitude geometricaltitude altgeom heightellipsoid height hae"),
-    _quantity("pressure_alt_m", "length", "pressurealtitude baroaltitude altbaro baroalt flightlevelaltitude"),
-    _quantity("x_m", "length", "x east e xeast easting xpos posx"),
-    _quantity("y_m", "length", "y north n ynorth northing ypos posy"),
-    _quantity("z_m", "length", "z up"),
-    _quantity("range_m", "length", "range rng rho distance dist slantrange r"),
-    _quantity(
-        "bearing_deg",
-        "angle",
-        "bearing brg azimuth az theta truebearing truebrg bearingtrue brgtrue bearingt brgt bearingdegt",
-    ),
-    _quantity(
-        "relative_bearing_deg",
-        "angle",
-        "relativebearing relbearing relbrg bearingrelative bearingrel brgrel relativebrg relativeazimuth "
-        "azimuthrelative relazimuth relaz azrel bearingr brgr bowbearing bearingfrombow",
-    ),
-    _quantity("elevation_deg", "angle", "elevation el elev"),
-    _quantity("station_lat_deg", "angle", "stationlat sensorlat ownlat ownshiplat"),
-    _quantity("station_lon_deg", "angle", "stationlon sensorlon ownlon ownshiplon"),
-    _quantity("station_x_m", "length", "stationx sensorx ownx ownshipx"),
-    _quantity("station_y_m", "length", "stationy sensory owny ownshipy"),
-    _quantity(
-        "station_heading_deg",
-        "angle",
-        "stationheading sensorheading ownheading ownshipheading platformheading ownhdg ownshiphdg",
-    ),
-    _quantity("speed_m_per_s", "speed", "sog speed groundspeed gs velocity speedoverground"),
-    _quantity("course_deg", "angle", "cog course courseoverground track trackangle direction"),
-    _quantity("heading_deg", "angle", "heading hdg trueheading"),
-    _quantity("vx_m_per_s", "speed", "vx ve veast velx velocityx xvel vele xspeed xdot"),
-    _quantity("vy_m_per_s", "speed", "vy vn vnorth vely velocityy yvel veln yspeed ydot"),
-    _quantity("climb_m_per_s", "speed", "climb verticalrate vertrate rocd vrate vz"),
-    _quantity("sigma_m", "length", "sigma sigmapos sigmaposition positionsigma poserror accuracy std stddev"),
-    _quantity("sigma_x_m", "length", "sigmax sx stdx xstd xsigma xerr sigmaeast sigmae"),
-    _quantity("sigma_y_m", "length", "sigmay sy stdy ystd ysigma yerr sigmanorth sigman"),
-    _quantity("cov_xx", "variance", "covxx covee pxx varx xvar covarxx"),
-    _quantity("cov_xy", "variance", "covxy coven pxy covarxy covyx"),
-    _quantity("cov_yy", "variance", "covyy covnn pyy vary yvar covaryy"),
-    _quantity("cov_vxvx", "speed variance", "covvxvx varvx vxvar"),
-    _quantity("cov_vxvy", "speed variance", "covvxvy"),
-    _quantity("cov_vyvy", "speed variance", "covvyvy varvy vyvar"),
-    _quantity("sigma_vx", "speed", "sigmavx stdvx vxstd vxsigma sigmave"),
-    _quantity("sigma_vy", "speed", "sigmavy stdvy vystd vysigma sigmavn"),
-    _quantity("sigma_alt_m", "length", "sigmaalt sigmaz altsigma sigmaaltitude altstd"),
-    _quantity("sigma_range_m", "length", "sigmarange rangesigma rangestd stdrange sigmar"),
-    _quantity("sigma_bearing_deg", "angle", "sigmabearing bearingsigma bearingstd sigmaazimuth azimuthsigma sigmaaz"),
-    _quantity("sigma_elevation_deg", "angle", "sigmaelevation elevationsigma sigmael"),
-    _quantity(
-        "track_id",
-        "text",
-        "trackid tracknumber trackno tracknum id targetid target targetno targetnumber tgt tgtid tgtno trkid trkno "
-        "tracknr targetnr objectid uid shipid vesselid",
-    ),
-    _quantity("mmsi", "text", "mmsi sourcemmsi"),
-    _quantity("imo", "text", "imo imonumber"),
-    _quantity("icao", "text", "icao24 icao icaoaddress hex modes modesaddress"),
-    _quantity("callsign", "text", "callsign flight"),
-    _quantity("mode_a", "text", "squawk modea mode3a modea3"),
-    _quantity("name", "text", "name vesselname shipname"),
-    _quantity("type", "text", "type vesseltype shiptype typecode"),
-    _quantity("length_m", "length", "length loa"),
-    _quantity("width_m", "length", "width beam"),
-    *(
-        _quantity(f"to_{side}_m", "length", f"to{side} {side} dim{letter} dimension{letter} size{letter} {letter}")
-        for side, letter in zip(SIDES, "abcd", strict=True)
-    ),
-)
+QUANTITIES = tuple(
+    SensorQuantity(column, kind, tuple(names.split()))
+    for column, kind, names in (
+        ("time_s", "time", "lastposupdate time timestamp datetime basedatetime t utc timeutc utctime dt epoch "
+                           "unixtime unix date msgtime dtpos"),
+        ("day_s", "time", "timeofday tod"),
+        ("lat_deg", "angle", "lat latitude latitudewgs84"),
+        ("lon_deg", "angle", "lon long longitude lng longitudewgs84"),
+        ("alt_m", "length", "alt altitude geoaltitude geometricaltitude altgeom heightellipsoid height hae"),
+        ("pressure_alt_m", "length", "pressurealtitude baroaltitude altbaro baroalt flightlevelaltitude"),
+        ("x_m", "length", "x east e xeast easting xpos posx"),
+        ("y_m", "length", "y north n ynorth northing ypos posy"),
+        ("z_m", "length", "z up"),
+        ("range_m", "length", "range rng rho distance dist slantrange r"),
+        ("bearing_deg", "angle", "bearing brg azimuth az theta truebearing truebrg bearingtrue brgtrue bearingt brgt "
+                                 "bearingdegt"),
+        ("relative_bearing_deg", "angle", "relativebearing relbearing relbrg bearingrelative bearingrel brgrel "
+                                          "relativebrg relativeazimuth azimuthrelative relazimuth relaz azrel "
+                                          "bearingr brgr bowbearing bearingfrombow"),
+        ("elevation_deg", "angle", "elevation el elev"),
+        ("station_lat_deg", "angle", "stationlat sensorlat ownlat ownshiplat"),
+        ("station_lon_deg", "angle", "stationlon sensorlon ownlon ownshiplon"),
+        ("station_x_m", "length", "stationx sensorx ownx ownshipx"),
+        ("station_y_m", "length", "stationy sensory owny ownshipy"),
+        ("station_heading_deg", "angle", "stationheading sensorheading ownheading ownshipheading platformheading "
+                                         "ownhdg ownshiphdg"),
+        ("speed_m_per_s", "speed", "sog speed groundspeed gs velocity speedoverground"),
+        ("course_deg", "angle", "cog course courseoverground track trackangle direction"),
+        ("heading_deg", "angle", "heading hdg trueheading"),
+        ("vx_m_per_s", "speed", "vx ve veast velx velocityx xvel vele xspeed xdot"),
+        ("vy_m_per_s", "speed", "vy vn vnorth vely velocityy yvel veln yspeed ydot"),
+        ("climb_m_per_s", "speed", "climb verticalrate vertrate rocd vrate vz"),
+        ("sigma_m", "length", "sigma sigmapos sigmaposition positionsigma poserror accuracy std stddev"),
+        ("sigma_x_m", "length", "sigmax sx stdx xstd xsigma xerr sigmaeast sigmae"),
+        ("sigma_y_m", "length", "sigmay sy stdy ystd ysigma yerr sigmanorth sigman"),
+        ("cov_xx", "variance", "covxx covee pxx varx xvar covarxx"),
+        ("cov_xy", "variance", "covxy coven pxy covarxy covyx"),
+        ("cov_yy", "variance", "covyy covnn pyy vary yvar covaryy"),
+        ("cov_vxvx", "speed variance", "covvxvx varvx vxvar"),
+        ("cov_vxvy", "speed variance", "covvxvy"),
+        ("cov_vyvy", "speed variance", "covvyvy varvy vyvar"),
+        ("sigma_vx", "speed", "sigmavx stdvx vxstd vxsigma sigmave"),
+        ("sigma_vy", "speed", "sigmavy stdvy vystd vysigma sigmavn"),
+        ("sigma_alt_m", "length", "sigmaalt sigmaz altsigma sigmaaltitude altstd"),
+        ("sigma_range_m", "length", "sigmarange rangesigma rangestd stdrange sigmar"),
+        ("sigma_bearing_deg", "angle", "sigmabearing bearingsigma bearingstd sigmaazimuth azimuthsigma sigmaaz"),
+        ("sigma_elevation_deg", "angle", "sigmaelevation elevationsigma sigmael"),
+        ("track_id", "text", "trackid tracknumber trackno tracknum id targetid target targetno targetnumber tgt tgtid "
+                             "tgtno trkid trkno tracknr targetnr objectid uid shipid vesselid"),
+        ("mmsi", "text", "mmsi sourcemmsi"),
+        ("imo", "text", "imo imonumber"),
+        ("icao", "text", "icao24 icao icaoaddress hex modes modesaddress"),
+        ("callsign", "text", "callsign flight"),
+        ("mode_a", "text", "squawk modea mode3a modea3"),
+        ("name", "text", "name vesselname shipname"),
+        ("type", "text", "type vesseltype shiptype typecode"),
+        ("length_m", "length", "length loa"),
+        ("width_m", "length", "width beam"),
+        *((f"to_{side}_m", "length", f"to{side} {side} dim{letter} dimension{letter} size{letter} {letter}")
+          for side, letter in zip(SIDES, "abcd", strict=True)),
+    )
+)  # fmt: skip
 _QUANTITY = {quantity.column: quantity for quantity in QUANTITIES}
 #: Places of the antenna on the hull, A to D in AIS: other tables call other things by these letters.
 OF_THE_ANTENNA = tuple(f"to_{side}_m" for side in SIDES)

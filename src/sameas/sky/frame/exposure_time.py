@@ -44,15 +44,8 @@ _UNSET = ("1900-01-01T00:00:00", "1970-01-01T00:00:00", "1980-01-06T00:00:00", "
 _FIRST_UTC_YEAR = 1960
 #: TT − UT in seconds before UTC existed (Espenak & Meeus 2006, NASA/TP-2006-214141, from Morrison & Stephenson 2004).
 _DELTA_T = (
-    (1880, -5.0),
-    (1900, -2.7),
-    (1910, 10.4),
-    (1920, 21.2),
-    (1930, 24.0),
-    (1940, 24.3),
-    (1950, 29.1),
-    (1960, 33.2),
-)
+    (1880, -5.0), (1900, -2.7), (1910, 10.4), (1920, 21.2), (1930, 24.0), (1940, 24.3), (1950, 29.1), (1960, 33.2),
+)  # fmt: skip
 
 
 def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...]]:

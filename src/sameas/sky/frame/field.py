@@ -53,14 +53,9 @@ class Stars:
 #: Colour columns, and pairs of magnitudes whose difference is a colour, in order of preference.
 COLOURS = ("bp_rp", "BP-RP", "b_v", "B-V", "g_r", "J-K")
 DIFFERENCES = (
-    ("phot_bp_mean_mag", "phot_rp_mean_mag"),
-    ("BPmag", "RPmag"),
-    ("Bmag", "Vmag"),
-    ("BTmag", "VTmag"),
-    ("BT", "VT"),
-    ("gmag", "rmag"),
-    ("Jmag", "Kmag"),
-)
+    ("phot_bp_mean_mag", "phot_rp_mean_mag"), ("BPmag", "RPmag"), ("Bmag", "Vmag"), ("BTmag", "VTmag"), ("BT", "VT"),
+    ("gmag", "rmag"), ("Jmag", "Kmag"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

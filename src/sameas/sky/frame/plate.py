@@ -349,8 +349,6 @@ def fit_plate(
 
     Raises InputError: too few pairs for the order (order 1 needs three, an order of q terms q + 1).
 
-    Example
-    -------
     >>> plate = fit_plate(stars, placement.pointing, (1024, 1024))  # doctest: +SKIP
     >>> x, y, covariance_px = plate.predict(ra_deg, dec_deg)  # doctest: +SKIP
     """

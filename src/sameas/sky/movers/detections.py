@@ -279,8 +279,6 @@ def detections_of(
 
     Raises InputError: no column of times, a named column that does not exist, or a column without times.
 
-    Example
-    -------
     >>> from sameas.sky import Catalogue, CatalogueOptions
     >>> table = {"ra": [10.0, 10.01], "dec": [5.0, 5.0], "mjd": [60000.0, 60000.02]}
     >>> seen, lines = detections_of([Catalogue.of(table, "night", options=CatalogueOptions(sigma=0.2))])

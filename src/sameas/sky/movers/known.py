@@ -114,8 +114,6 @@ def name_movers(
     longitude (degrees, east positive) and height (metres) of the observer; None for the centre of the Earth, an error
     of up to 8″ for the main belt.
 
-    Example
-    -------
     >>> named = name_movers(found, Elements.read("MPCORB.DAT"), site=(42.61, -71.485, 100.0))  # doctest: +SKIP
     """
     k, detections = len(movers), movers.detections
@@ -322,8 +320,6 @@ def near_earth_scores(movers: Movers, site: tuple[float, float, float] | None) -
     None for the centre of the Earth. Scores of 65 and more go to the confirmation page of the Minor Planet Center.
     Magnitudes are assumed to be V.
 
-    Example
-    -------
     >>> near_earth_scores(found, site=(42.61, -71.485, 100.0))  # doctest: +SKIP
     array([ 3.2, 98.1])
     """

@@ -106,8 +106,6 @@ class Elements:
 
         Raises InputError: neither of the two formats; no row with all elements.
 
-        Example
-        -------
         >>> Elements.read("demo").number
         ('1', '2', '3', '4', '2713')
         """
