@@ -24,7 +24,7 @@ from sameas.cli.options import (
 )
 from sameas.cli.outcome import answering
 from sameas.errors import InputError
-from sameas.front.options import SIDE_OPTIONS
+from sameas.front.options import SIDE_OPTIONS, fields_of
 
 if TYPE_CHECKING:
     from sameas.cli.outputs import Outputs
@@ -165,7 +165,6 @@ def movers(
         with answering(debug, frame_option):
             from sameas.cli.frames import aim_of, scale_of
             from sameas.front.framing import FrameRequest
-            from sameas.front.options import fields_of
             from sameas.front.pointing import PointingOptions
 
             darks, flats, biases = (tuple(map(str, kind or ())) for kind in (dark, flat, bias))

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sameas.errors import InputError, reading
-from sameas.report.explain import Asked, Output
+from sameas.errors import InputError, naming, reading
+from sameas.report.explain import Asked, Output, explanation_lines, frame_lines, many_lines, match_lines
 from sameas.report.prose import Lines
 
 if TYPE_CHECKING:
@@ -99,8 +99,6 @@ def explain(
 
 def _of_table(kind: str, output: Output, asked: Asked) -> Iterable[str]:
     """The explanation of a record from the table alone."""
-    from sameas.report.explain import frame_lines, many_lines, match_lines
-
     if kind == "match":
         return (*_either(match_lines, output, asked), "", ALONE)
     return many_lines(output, asked) if kind == "many" else frame_lines(output, asked)
@@ -140,7 +138,6 @@ def _repeated(
     """The explanation from a repeated match; None where it cannot be repeated and this was not requested."""
     from sameas.front.match import id_of
     from sameas.front.request import Request
-    from sameas.report.explain import explanation_lines
     from sameas.sky import crossmatch
 
     try:
@@ -185,8 +182,6 @@ def _either(lines: Callable[[Output, Asked], list[str]], output: Output, asked: 
 
 
 def _of_other(record: str, name: str, other: int) -> InputError:
-    from sameas.errors import naming
-
     return InputError(f"{record} is a record of {name}", naming(f"give {{source:{other}}}"))
 
 

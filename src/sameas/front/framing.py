@@ -28,7 +28,7 @@ from sameas.io.format import json_text
 from sameas.io.plate import write_copy, write_regions, write_solution
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.frame.detect import Detection, detect
-from sameas.sky.frame.field import Cone
+from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.identified import FrameIdentification, Refinement, hints_by_field, search_cone, solve
 from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.keywords import Given
@@ -349,8 +349,6 @@ def _cached_catalogue(key: _Key, progress: Progress = lambda stage: None) -> Cat
 
 @lru_cache(maxsize=2)
 def _index(key: _Key, epoch_jyr: float | None, shape: tuple[int, int], hint: AllSky) -> SkyIndex:
-    from sameas.sky.frame.field import StarField
-
     # Within a year proper motions do not change the star patterns.
     return sky_index(StarField.of(_cached_catalogue(key), epoch_jyr).stars(), shape, hint)
 

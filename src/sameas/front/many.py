@@ -9,7 +9,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError
-from sameas.front.match import call_text, id_of
+from sameas.front.match import as_source, call_text, draw, id_of
 from sameas.front.options import MOST, refuse_numbers, refuse_unknown, side_parameters, with_side_options
 from sameas.report.prose import Result, in_one
 
@@ -139,8 +139,6 @@ class MatchMany(Result):
         ------
         InputError : no such catalogues; see :meth:`sameas.Match.plot`.
         """
-        from sameas.front.match import draw
-
         names = [catalogue.name for catalogue in self.sky.catalogues]
         wanted = (first or names[0], second or next(n for n in names if n != (first or names[0])))
         for pair, match in self.sky.two_by_two.items():
@@ -230,7 +228,6 @@ def match_many(
     >>> len(found), len(found.joined(3))
     (30, 25)
     """
-    from sameas.front.match import as_source
     from sameas.front.request import Request
     from sameas.sky.many import ManyOptions
 

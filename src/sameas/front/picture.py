@@ -18,7 +18,7 @@ from sameas.front.explain import REASONS
 from sameas.front.match import call_text
 from sameas.front.provenance import made_by
 from sameas.front.tables import table_of
-from sameas.io import checksum
+from sameas.io import checksum, write_table
 from sameas.io.atomic import filling
 from sameas.io.format import json_text
 from sameas.io.sensors.format import ReadOptions, duration, picture_time
@@ -26,7 +26,7 @@ from sameas.io.sensors.recording import paths_in
 from sameas.io.sensors.sources import SensorSource, SourceOptions, read_source_options, read_sources, source_of
 from sameas.io.sensors.table_cells import TableText
 from sameas.io.sensors.tables import read as read_cells
-from sameas.maps.outline import Coast
+from sameas.maps.outline import Coast, read_coast
 from sameas.maps.sheet import MapAlarm, MapSensor, MapSheet
 from sameas.picture.picture import MAX_INSTANTS, Picture, instants
 from sameas.picture.plot_picture import PlotPicture, nameless
@@ -256,8 +256,6 @@ class MatchPicture(Result):
         ------
         InputError : the folder cannot be written; an unknown format.
         """
-        from sameas.maps.outline import read_coast
-
         if format not in ("parquet", "csv"):
             raise InputError(f"format is {format!r}; give 'parquet' or 'csv'")
         outline = None if coast is None else read_coast(coast)
@@ -317,7 +315,6 @@ def write(
     """Writes the requested outputs into a folder and returns the file names. warn : called for an omitted one."""
     from astropy.table import Table
 
-    from sameas.io import write_table
     from sameas.io.geojson import write_geojson
 
     picture, facts = result.picture, result.facts(outputs.command)

@@ -180,20 +180,16 @@ class LiveFeed:
         biases = known_biases(self.description, sensor_m)
         in_plane = corrected(in_plane, sensor_m, biases) if biases.any() else in_plane
         attributes = {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
-        heights = (
-            None
-            if isinstance(in_plane, Directions)
-            else HeightColumns.of(self.description, reports, self.tuning.heights)
-        )
+        heights = None
+        if not isinstance(in_plane, Directions):
+            heights = HeightColumns.of(self.description, reports, self.tuning.heights)
         usable = np.flatnonzero(in_plane.usable)
         self.counts.newest_s = max(self.counts.newest_s, float(in_plane.time_s.max()))
         if isinstance(in_plane, Directions):
             self._directions = True
-            new = ReportTable.of_directions(in_plane, usable, sensor_m, attributes)
-        else:
-            if self.to_tracks is None and in_plane.track is not None:
-                self._decide_filtering(placed)
-            new = ReportTable.of_states(in_plane, usable, sensor_m, attributes)
+        elif self.to_tracks is None and in_plane.track is not None:
+            self._decide_filtering(placed)
+        new = ReportTable.of(in_plane, usable, sensor_m, attributes)
         if heights is not None:
             new.add_groups(HEIGHTS)
             new.heights = heights.table[usable]

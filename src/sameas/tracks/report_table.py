@@ -7,6 +7,7 @@ Rows are used again: those of dropped reports (:meth:`ReportTable.clear`) are fr
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -75,29 +76,21 @@ class ReportTable:
         return len(self.taken)
 
     @classmethod
-    def of_states(
-        cls, in_plane: States, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
-    ) -> ReportTable:
+    def of(
+        cls, in_plane: States | Directions, usable: IntArray, sensor_m: FloatArray | None,
+        attributes: Mapping[str, NDArray[Any]],
+    ) -> ReportTable:  # fmt: skip
+        """The usable reports; of directions, bearing and 1σ are the first columns of the state."""
         rows = cls(len(usable))
-        rows.measured, rows.measured_covariance = taken(in_plane.state, usable), taken(in_plane.covariance, usable)
-        return rows._with(in_plane.time_s[usable], usable, sensor_m, attributes)
-
-    @classmethod
-    def of_directions(
-        cls, in_plane: Directions, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
-    ) -> ReportTable:
-        rows = cls(len(usable))
-        rows.measured[:, 0], rows.measured[:, 1] = in_plane.bearing_deg[usable], in_plane.sigma_deg[usable]
-        return rows._with(in_plane.time_s[usable], usable, sensor_m, attributes)
-
-    def _with(
-        self, time_s: FloatArray, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
-    ) -> ReportTable:
-        self.time_s, self.taken = time_s.copy(), np.ones(len(usable), bool)
+        if isinstance(in_plane, Directions):
+            rows.measured[:, 0], rows.measured[:, 1] = in_plane.bearing_deg[usable], in_plane.sigma_deg[usable]
+        else:
+            rows.measured, rows.measured_covariance = taken(in_plane.state, usable), taken(in_plane.covariance, usable)
+        rows.time_s, rows.taken = in_plane.time_s[usable], np.ones(len(usable), bool)
         if sensor_m is not None:
-            self.sensor_m = np.asarray(sensor_m)[usable]
-        self.attributes = {name: column[usable] for name, column in attributes.items()}
-        return self
+            rows.sensor_m = np.asarray(sensor_m)[usable]
+        rows.attributes = {name: column[usable] for name, column in attributes.items()}
+        return rows
 
     def add_groups(self, *groups: str) -> None:
         """Adds the columns that it has not yet, empty; filtered tracks as measured."""

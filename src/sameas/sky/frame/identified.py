@@ -36,7 +36,7 @@ from sameas.sky.frame.plate import DEFAULT_PLATE, MatchedStars, PlateModel, Plat
 from sameas.sky.frame.pointing import Pointing, directions_deg
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.sky.residual_epoch import EPOCH, MovedPairs, Questioned
-from sameas.space import chord_angle_deg
+from sameas.space import chord_angle_deg, sphere_offset
 
 
 @dataclass(frozen=True)
@@ -185,8 +185,6 @@ class FrameIdentification:
     @cached_property
     def residual_arcsec(self) -> FloatArray:
         """(k, 2) residuals of the identified pairs, east and north: measured minus predicted."""
-        from sameas.space import sphere_offset
-
         i, j, _ = self.pairs
         ra, dec, _ = self.plate.to_sky(self.measured.x_px[i], self.measured.y_px[i])
         return sphere_offset(ra, dec, self.stars.ra_deg[j], self.stars.dec_deg[j])
