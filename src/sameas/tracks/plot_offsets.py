@@ -290,7 +290,7 @@ class _Estimates:
         lever = pairs.jacobian[:, 1, FITTED.index(AZIMUTH)]
         wide = variance + np.column_stack([np.zeros(len(lever)), lever**2 * self.drift_variance])
         weight = _probabilities(pairs, residual, wide, self.rate, n_plots)
-        total = np.bincount(pairs.track, weight, len(pairs.scans))
+        total = np.asarray(np.bincount(pairs.track, weight, len(pairs.scans)), np.float64)
         rate = (total + tuning.rate_prior) / (pairs.scans + tuning.rate_prior / np.median(tuning.plot_rates))
         weighted = parts.design.multiply((weight[:, None] / variance).reshape(-1, 1)).tocsr()
         target = residual.ravel() + parts.design @ self.state
