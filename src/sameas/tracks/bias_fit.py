@@ -28,6 +28,26 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
 @dataclass(frozen=True)
+class BearingReading:
+    """A reading of a radar's bearings other than that given; see :mod:`sameas.tracks.bearing_readings`.
+
+    suspicion : what is wrong, after "its ". changed : what is tried, before "its plots". remedy : what to do.
+    log_odds : against the biases that it is compared with. log_evidence : against no object in common, without the
+    track that fits best.
+    """
+
+    suspicion: str
+    changed: str
+    remedy: str
+    log_odds: float
+    log_evidence: float
+
+    def is_decisive(self, tuning: Tuning) -> bool:
+        """Whether it is decisively more probable than these biases and than no object in common."""
+        return min(self.log_odds, self.log_evidence) > tuning.registration.decisive
+
+
+@dataclass(frozen=True)
 class BiasFit:
     """The fitted biases.
 
@@ -40,6 +60,7 @@ class BiasFit:
     speed_m_per_s : median speed of the compared objects, 0 if unknown.
     drift : of the azimuth about its mean, for a sensor that moves. missed : for a source of plots, the mean probability
         that a scan has none of a track.
+    reading : the most probable other reading of the bearings; None if there is none, or none was compared.
     """
 
     biases: IntArray
@@ -56,6 +77,7 @@ class BiasFit:
     speed_m_per_s: float = 0.0
     drift: AzimuthDrift | None = None
     missed: float | None = None
+    reading: BearingReading | None = None
 
     @property
     def near_rivals(self) -> tuple[tuple[FloatArray, float], ...]:
@@ -64,8 +86,17 @@ class BiasFit:
 
     @property
     def established(self) -> bool:
-        """Whether these biases are decisively more probable than any rival and than no object in common."""
-        return self.log_evidence > self.tuning.registration.decisive and not self.near_rivals
+        """Whether these biases are decisively more probable than any rival, than no object in common, and than another
+        reading of the bearings."""
+        decisive = self.tuning.registration.decisive
+        reread = self.reading is not None and self.reading.log_odds > -decisive
+        return self.log_evidence > decisive and not self.near_rivals and not reread
+
+    @property
+    def misread(self) -> BearingReading | None:
+        """The other reading of the bearings, if it is decisively more probable than these biases and than no object in
+        common."""
+        return self.reading if self.reading is not None and self.reading.is_decisive(self.tuning) else None
 
 
 @dataclass(frozen=True)

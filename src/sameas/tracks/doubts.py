@@ -22,13 +22,14 @@ from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.registration.weights import weigh
 from sameas.tracks.alignment import States
+from sameas.tracks.bearing_readings import best_other_reading
 from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, FOOT_M, MILE_M, LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.plot_offsets import PlotFits
-from sameas.tracks.plot_pairs import shows_bare_plots, shows_tracks
+from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_tracks
 from sameas.tracks.registration import unbiased
 from sameas.tracks.reports import Reports
 from sameas.tracks.snapshot import ComparedSource, bias_widths, common_scans
@@ -95,6 +96,9 @@ def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
         yield UnitGuess("bearings look like angles from the east, anticlockwise", "them read so",
                       "give 90° less the angle: bearings run clockwise from north",
                       _with_bearings(lambda angle: 90.0 - angle, 360.0))  # fmt: skip
+        yield UnitGuess("bearings look counter-clockwise", "their sign turned",
+                      "turn their sign: bearings run clockwise from north",
+                      _with_bearings(lambda angle: -angle, 360.0))  # fmt: skip
         yield from bow_guesses(reports)
 
 
@@ -210,18 +214,16 @@ def doubts(
         # Of two that contradict each other one sentence is enough.
         if one.guess is not None and one.guess.other not in sentences:
             sentences[one.name] = one.guess.sentence
-    of_bow = {
-        one.name: sentence for one in examined
-        if one.by_plots is not None and not one.is_matched and one.name not in sentences
-        and (sentence := _bow_sentence(one.feed, feeds, plane, fits))
-    }  # fmt: skip
-    sentences |= of_bow
     guesses = {one.name: one.guess for one in examined if one.guess is not None}
-    misread = {name: guess.either for name, guess in guesses.items()} | {name: frozenset({name}) for name in of_bow}
     named = {guess.other for guess in guesses.values()}
+    misread = {name: guess.either for name, guess in guesses.items()}
     for one in examined:
         accused = all(other.description.name in sentences for other in one.partners)
-        if not (one.has_common(tuning) or one.name in sentences or one.name in named or accused):
+        if one.is_matched or one.name in sentences or one.name in named or accused:
+            continue
+        if sentence := _reading_sentence(one, tuning):
+            sentences[one.name], misread[one.name] = sentence, frozenset({one.name})
+        elif not one.has_common(tuning):
             sentences[one.name] = one.unmatched(tuning)
     names = (one.name for one in examined if one.name in sentences)
     return tuple(Doubt(sentences[name], misread.get(name, frozenset())) for name in names)
@@ -286,20 +288,23 @@ def _by_plots(feed: Feed, feeds: Sequence[Feed], fits: PlotFits) -> tuple[BiasFi
     return None if fit is None else (fit, tuple(one.description.name for one in (feed, *named)))
 
 
-def _bow_sentence(feed: Feed, feeds: Sequence[Feed], plane: LocalPlane | None, fits: PlotFits) -> str:
-    """The sentence on bearings of a moving radar that all its scans show to be of another kind; "" if they do not."""
-    if feed.raw_reports is None or feed.sensor_m is None or not np.ptp(feed.sensor_m, axis=0).any():
+def _reading_sentence(one: _Examined, tuning: Tuning) -> str:
+    """The sentence on bearings that all reports show to be of another kind; "" if they do not."""
+    named = [other for other in one.partners if shows_tracks(other)]
+    if one.by_plots is not None:
+        misread = one.by_plots[0].misread
+    elif named and has_bearings(one.feed) and not one.has_common(tuning):
+        reading = best_other_reading(one.feed, named)
+        misread = reading if reading is not None and reading.is_decisive(tuning) else None
+    else:
         return ""
-    others = [other for other in feeds if other is not feed]
-    for guess in bow_guesses(feed.raw_reports):
-        source = guess.read(feed.description, feed.raw_reports)
-        fit = source and _by_plots(Feed.of(*source, plane, tuning=feed.tuning), others, fits)
-        if fit and fit[0].established:
-            return (
-                f"{feed.description.name}: its {guess.suspicion}: with {guess.changed}, its plots are on the tracks of "
-                f"{' and '.join(fit[1][1:])} (log evidence {fit[0].log_evidence:.0f}); {guess.remedy}"
-            )
-    return ""
+    if misread is None:
+        return ""
+    others = " and ".join(other.description.name for other in named)
+    return (
+        f"{one.name}: its {misread.suspicion}: {misread.changed}, its plots are on the tracks of {others} "
+        f"(log evidence {misread.log_evidence:.0f}); {misread.remedy}"
+    )
 
 
 def _undecided(fit: BiasFit, names: tuple[str, ...]) -> str:

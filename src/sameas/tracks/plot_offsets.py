@@ -36,6 +36,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, inverse
+from sameas.tracks.bearing_readings import best_other_reading
 from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import AZIMUTH, RANGE, TIME, AzimuthDrift
 from sameas.tracks.feed import Feed
@@ -156,7 +157,9 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
                 continue
         rivals.append((theta, evidence - log_ratio))
     rivals.sort(key=lambda rival: -rival[1])
-    return replace(best, log_evidence=evidence, rivals=tuple(rivals))
+    azimuth_deg = float(best.theta[best.biases == AZIMUTH][0])
+    reading = best_other_reading(feed, partners, azimuth_deg, log_companion)
+    return replace(best, log_evidence=evidence, rivals=tuple(rivals), reading=reading)
 
 
 class PlotFits:

@@ -31,6 +31,11 @@ def shows_bare_plots(feed: Feed) -> bool:
     return polar and bool(widths[AZIMUTH] > 0.0) and not (widths[EAST] or widths[NORTH])
 
 
+def has_bearings(feed: Feed) -> bool:
+    """Whether a source gives ranges and bearings from a known place, with an unknown azimuth bias."""
+    return isinstance(feed.reports, States) and feed.sensor_m is not None and bool(bias_widths(feed)[AZIMUTH] > 0.0)
+
+
 def shows_tracks(feed: Feed) -> bool:
     """Whether a source's records are tracks of objects."""
     return isinstance(feed.reports, States) and feed.reports.track is not None
@@ -74,6 +79,10 @@ class Plots:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    def where(self, which: IntArray) -> Plots:
+        """Some of the plots, with the numbers of their scans."""
+        return Plots(*(column[which] for column in vars(self).values()))
+
 
 def _sight(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Range (at least 1 m), azimuth (°) and (n, 2, 2) unit vectors along and across (clockwise) lines of sight."""
@@ -105,10 +114,15 @@ class PlotPairs:
     frame: FloatArray
 
 
-def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tuning) -> PlotPairs:
-    """The candidate pairs of all plots and all tracks of the partners."""
+def candidates(
+    plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tuning, reach_deg: float | None = None
+) -> PlotPairs:
+    """The candidate pairs of all plots and all tracks of the partners.
+
+    reach_deg : the most by which their azimuths differ; by default the reach of the search.
+    """
     widths = bias_widths(feed)
-    reach_deg = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0)
+    reach_deg = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0) if reach_deg is None else reach_deg
     parts: list[tuple[NDArray[Any], ...]] = []
     scans: list[float] = []
     lasting = max(feed.description.errors.extent_m or 0.0, LEAST_LASTING_M) ** 2

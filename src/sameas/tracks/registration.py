@@ -21,12 +21,13 @@ from sameas.errors import InputError
 from sameas.registration import Parameter
 from sameas.representation import in_short
 from sameas.tracks.alignment import States
+from sameas.tracks.bearing_readings import best_other_reading
 from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import AZIMUTH, BIASES, TIME, AzimuthDrift, corrected
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
 from sameas.tracks.placement import Directions
 from sameas.tracks.plot_offsets import PlotFits
-from sameas.tracks.plot_pairs import shows_bare_plots, shows_tracks, with_plot_statistics
+from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_tracks, with_plot_statistics
 from sameas.tracks.snapshot import CommonScan, ComparedSource, bias_widths, common_scans
 from sameas.tracks.source import Description
 
@@ -242,7 +243,19 @@ def _fit(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> BiasFit | None
     if by_plots is not None:
         return by_plots
     scans = _common_scans(feed, partners)
-    return fit_biases(scans, feed.tuning) if _observable(scans) else None
+    if not _observable(scans):
+        return None
+    fit = fit_biases(scans, feed.tuning)
+    if not fit.established or not named or not has_bearings(feed) or _is_plain(fit, scans):
+        return fit
+    azimuth_deg = float(fit.theta[fit.biases == AZIMUTH][0])
+    return replace(fit, reading=best_other_reading(feed, named, azimuth_deg))
+
+
+def _is_plain(fit: BiasFit, scans: Sequence[CommonScan]) -> bool:
+    """Whether so many records are in pairs that they cannot be read in another way."""
+    records = sum(min(len(scan.weighing.first), len(scan.weighing.second)) for scan in scans)
+    return fit.tracks > fit.tuning.reading_tracks and fit.pairs > fit.tuning.reading_share * records
 
 
 def _common_scans(feed: Feed, partners: Sequence[Feed]) -> list[CommonScan]:
@@ -417,6 +430,8 @@ def _notes(feed: Feed, which: IntArray, own: IntArray, fit: BiasFit, against: tu
             f"{name}: its azimuth drifts by {fit.drift.spread_deg:.1f}° about this (root mean square), as with a "
             f"heading from a compass; the drift is removed, and the mean is known to {mean_deg:.2f}°"
         )
+    if fit.reading is not None and fit.reading.log_odds > -fit.tuning.registration.decisive:
+        notes.append(f"{name}: its {fit.reading.suspicion} (log odds {fit.reading.log_odds:.1f} against these biases)")
     if fit.near_rivals:
         theta, evidence = fit.near_rivals[0]
         values = ", ".join(f"{BIASES[k]} {value:.4g}" for k, value in zip(which, theta[own], strict=True))

@@ -130,6 +130,13 @@ class Tuning:
     companion : probability that another object accompanies a track; it limits the evidence of one track to
         −ln companion.
     max_tracks : with more tracks than this in view, and more plots per scan, instants are compared instead.
+    misread : prior probability that a radar's bearings are read wrongly in one of the ways that are tried.
+        reading_step_deg : of their offsets, all around. reading_window_deg : plots farther than this from an offset are
+        no evidence for it. reading_near_deg : an offset as given is compared at its best place within this.
+        reading_plots : about the most plots used. reading_course_s : the course of a sensor that moves is that from so
+        long before to so long after. reading_same_deg : bearings from the bow that differ by less from those with an
+        offset are no other reading. reading_share, reading_tracks : an offset with pairs of a larger share of the
+        records, and with more tracks, is not compared.
     hull_prior : weight of the described extents when they are estimated, in tracks. way_m_per_s : speed above which a
         hull lies along the course.
     rate_prior : weight of the median of plot_rates, in scans. min_plots : minimum number of plots of a detected track.
@@ -256,6 +263,15 @@ class Tuning:
     scale_prior: float = 10.0
     companion: float = 3e-4
     max_tracks: float = 30.0
+    misread: float = 0.01
+    reading_step_deg: float = 1.0
+    reading_window_deg: float = 12.0
+    reading_near_deg: float = 2.0
+    reading_plots: int = 5000
+    reading_course_s: float = 15.0
+    reading_same_deg: float = 6.0
+    reading_share: float = 0.5
+    reading_tracks: float = 4.0
     hull_prior: float = 2.0
     way_m_per_s: float = 1.0
     rate_prior: float = 10.0
@@ -319,6 +335,11 @@ class Tuning:
     near_m: float = 50e3
 
     heights: HeightTuning = HeightTuning()
+
+    @property
+    def readings_deg(self) -> FloatArray:
+        """The offsets of bearings all around."""
+        return np.arange(-180.0, 180.0, self.reading_step_deg)
 
     def is_known(self, variance: FloatArray, speed_m_per_s: float) -> BoolArray:
         """(n,) whether velocities with these variances per axis (n,) are known, of objects with 1σ of velocity per axis
