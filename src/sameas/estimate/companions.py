@@ -17,13 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from sameas.arrays import ABSENT, FloatArray, IntArray, places_in
-from sameas.estimate.clustering import (
-    DEFAULT_COMPANIONS,
-    Clustering,
-    CompanionsTuning,
-    ScaledSource,
-    scaled_sources,
-)
+from sameas.estimate.clustering import DEFAULT_COMPANIONS, Clustering, CompanionsTuning, ScaledSource, scaled_sources
 from sameas.estimate.sample import Setting
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs

@@ -99,13 +99,7 @@ def fit_errors(
 
 
 def _on_ladder(
-    reach: float,
-    cells: BinnedPairs,
-    d: int,
-    start: Errors,
-    widest: float,
-    shift: float,
-    tuning: ScalesTuning,
+    reach: float, cells: BinnedPairs, d: int, start: Errors, widest: float, shift: float, tuning: ScalesTuning
 ) -> ErrorFit:
     """The maximum-likelihood mixture of the grid of scales ``shift`` of a step above 1, 1.5, …"""
     from sameas.kernels.mixture import fit

@@ -133,12 +133,7 @@ def _buckets(source: Points, side: float, n: int) -> Buckets:
 
 
 def within_holes(
-    own: Points,
-    covered: BoolArray,
-    other: Points,
-    density: FloatArray,
-    share: float,
-    tuning: HolesTuning,
+    own: Points, covered: BoolArray, other: Points, density: FloatArray, share: float, tuning: HolesTuning
 ) -> BoolArray:
     """(n,) whether records of one source, ``own``, lie in holes of the other, ``other``.
 

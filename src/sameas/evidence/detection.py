@@ -54,11 +54,7 @@ DEFAULT_SHARES = ShareTuning()
 
 
 def knots_of(
-    x: FloatArray,
-    weights: FloatArray,
-    per_knot: float,
-    most: int,
-    sorted_values: int = DEFAULT_SHARES.sorted_values,
+    x: FloatArray, weights: FloatArray, per_knot: float, most: int, sorted_values: int = DEFAULT_SHARES.sorted_values
 ) -> FloatArray:
     """(k,) increasing knots at quantiles of ``x``: one per about ``per_knot`` of the weight, at most ``most``.
 

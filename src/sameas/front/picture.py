@@ -31,14 +31,7 @@ from sameas.maps.sheet import MapAlarm, MapSensor, MapSheet
 from sameas.picture.picture import MAX_INSTANTS, Picture, instants
 from sameas.picture.plot_picture import PlotPicture, nameless
 from sameas.picture.watch import EvidenceOf, Watch, all_evidence
-from sameas.report.picture import (
-    assumed_lines,
-    doubt_lines,
-    estimated_lines,
-    found_lines,
-    read_lines,
-    scene_lines,
-)
+from sameas.report.picture import assumed_lines, doubt_lines, estimated_lines, found_lines, read_lines, scene_lines
 from sameas.report.prose import Lines, Result, in_one, span
 from sameas.representation import count, counted, listed
 from sameas.tracks.registration import SourceBiases

@@ -23,14 +23,7 @@ if TYPE_CHECKING:
     from astropy.table import Table
 
 #: The formats, in the order of messages and of the recognition of texts.
-FORMATS: tuple[Format, ...] = (
-    fits.FORMAT,
-    votable.FORMAT,
-    ecsv.FORMAT,
-    parquet.FORMAT,
-    *text.TEXT_FORMATS,
-    csv.FORMAT,
-)
+FORMATS: tuple[Format, ...] = (fits.FORMAT, votable.FORMAT, ecsv.FORMAT, parquet.FORMAT, *text.TEXT_FORMATS, csv.FORMAT)
 #: Number of bytes for the recognition of a format; VizieR's comments are long.
 _HEAD_BYTES = 1 << 16
 

@@ -238,11 +238,7 @@ class _Collection:
 
 
 def _write_all(
-    estimated: Estimated,
-    collection: _Collection,
-    workers: Workers,
-    progress: Progress,
-    last: Callable[[], None],
+    estimated: Estimated, collection: _Collection, workers: Workers, progress: Progress, last: Callable[[], None]
 ) -> Written:
     """Write the collection, by the only run in its folder, continuing what another run left.
 

@@ -35,12 +35,7 @@ class CommonTracks:
 
     @classmethod
     def of(
-        cls,
-        object_place: IntArray,
-        detection_place: IntArray,
-        share: FloatArray,
-        unique: BoolArray,
-        tuning: Tuning,
+        cls, object_place: IntArray, detection_place: IntArray, share: FloatArray, unique: BoolArray, tuning: Tuning
     ) -> CommonTracks:
         """Of common tracks (m,): each adds ln(1 + s/ε), ε ``id_reassigned``.
 

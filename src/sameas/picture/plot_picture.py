@@ -107,12 +107,7 @@ class Confirmation:
     confirmed: frozenset[int] = frozenset()
 
     def advance(
-        self,
-        before: TrackedPlots | None,
-        after: TrackedPlots,
-        lifetime_s: float,
-        real: float,
-        tuning: Tuning,
+        self, before: TrackedPlots | None, after: TrackedPlots, lifetime_s: float, real: float, tuning: Tuning
     ) -> Confirmation:
         """The confirmation after the scans of ``after``."""
         unseen_share, last = self.unseen_share, {} if before is None else before.last_number

@@ -22,13 +22,7 @@ Reasons = Mapping[int, Sequence[tuple[float, str]]]
 
 
 def picture_lines(
-    objects: Table,
-    records: Table,
-    record: str,
-    source: str | None,
-    at_s: float | None,
-    why: Reasons,
-    other: str | None,
+    objects: Table, records: Table, record: str, source: str | None, at_s: float | None, why: Reasons, other: str | None
 ) -> list[str]:
     """One object of a picture by its number or label, or, where ``source`` is named, one of its records by track, line
     or row.

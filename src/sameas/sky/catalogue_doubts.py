@@ -23,12 +23,7 @@ _FASTEST_MAS_PER_YR = 20_000.0  # Barnard's star moves 10.4 arcsec a year
 
 
 def doubts_of(
-    table: Table,
-    astrometry: Astrometry,
-    choice: ColumnChoice,
-    options: CatalogueOptions,
-    duplicates: str,
-    source: str,
+    table: Table, astrometry: Astrometry, choice: ColumnChoice, options: CatalogueOptions, duplicates: str, source: str
 ) -> tuple[str, ...]:
     """One line per doubt about a catalogue; empty if nothing looks wrong. duplicates : that of :func:`duplicate_doubt`.
 

@@ -265,11 +265,7 @@ def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ..
     if names[1] is None and not options.pm and (plain_names := search.find_all(("pm_ra", "pm_dec"))):
         not_used = f"{', '.join(plain_names)} not used: with or without cos(dec) is not stated; if with, give "
         notes.append(Message(not_used, Argument("pm", repr(",".join(plain_names)))))
-    return (
-        _motion_columns(search, names),
-        _motion_columns(search, errors),
-        tuple(notes),
-    )
+    return (_motion_columns(search, names), _motion_columns(search, errors), tuple(notes))
 
 
 def _motion_columns(search: ColumnSearch, names: list[str | None]) -> tuple[ChosenColumn | None, ...]:

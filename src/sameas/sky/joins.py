@@ -210,11 +210,7 @@ class JoinedRows:
 
 
 def joined(
-    match: Joinable,
-    join: str = JOINS[0],
-    *,
-    nway_columns: bool = False,
-    rows: JoinedRows | None = None,
+    match: Joinable, join: str = JOINS[0], *, nway_columns: bool = False, rows: JoinedRows | None = None
 ) -> Table:
     """The joined table.
 

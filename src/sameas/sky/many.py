@@ -532,11 +532,7 @@ class _LogWeight:
 
 
 def _initial_population(
-    matches: Matches,
-    records: Sequence[Records],
-    coverages: Coverages,
-    options: ManyOptions,
-    tuning: PopulationTuning,
+    matches: Matches, records: Sequence[Records], coverages: Coverages, options: ManyOptions, tuning: PopulationTuning
 ) -> Population:
     """The initial population of EM, from the pairwise matches."""
     p_partner: dict[tuple[int, int], FloatArray] = {}

@@ -221,9 +221,7 @@ _MOTION_MISREADINGS = (
         lambda moved, cos_dec: moved * np.column_stack([cos_dec, np.ones_like(cos_dec)]),
     ),
     _MotionMisreading(
-        "as if {ra} and {dec} were exchanged",
-        "give {{pm{side}:'{dec},{ra}'}}",
-        lambda moved, cos_dec: moved[:, ::-1],
+        "as if {ra} and {dec} were exchanged", "give {{pm{side}:'{dec},{ra}'}}", lambda moved, cos_dec: moved[:, ::-1]
     ),
     _MotionMisreading("as if {ra} had the other sign", "was it lost?", lambda moved, cos_dec: moved * [-1.0, 1.0]),
     _MotionMisreading("as if {dec} had the other sign", "was it lost?", lambda moved, cos_dec: moved * [1.0, -1.0]),

@@ -59,11 +59,9 @@ def _sextractor(flavour: str) -> tuple[Convention, ...]:
             # SExtractor manual, "Positions and shapes": _WORLD in degrees; _J2000, _SKY east of north.
             errors=(*_ellipses(flavour, frame),),
             magnitudes=SEXTRACTOR_MAGNITUDES,
-            over={
-                "J2000": (f"ALPHA{flavour}_SKY", f"X{flavour}_WORLD"),
-                "SKY": (f"X{flavour}_WORLD",),
-                "WORLD": (),
-            }[frame],
+            over={"J2000": (f"ALPHA{flavour}_SKY", f"X{flavour}_WORLD"), "SKY": (f"X{flavour}_WORLD",), "WORLD": ()}[
+                frame
+            ],
         )
         for frame in ("J2000", "SKY", "WORLD")
     )

@@ -132,15 +132,7 @@ _ASKAP = Convention(
     errors=(ErrorNames("axes", ("ra_err", "dec_err"), "arcsec"),),
 )
 
-HIGH_ENERGY: tuple[Convention, ...] = (
-    *_XMM,
-    _XMM_HEASARC,
-    _EROSITA,
-    _ROSAT,
-    _CHANDRA,
-    *_FERMI,
-    *_X_RAYS_AT_VIZIER,
-)
+HIGH_ENERGY: tuple[Convention, ...] = (*_XMM, _XMM_HEASARC, _EROSITA, _ROSAT, _CHANDRA, *_FERMI, *_X_RAYS_AT_VIZIER)
 
 RADIO: tuple[Convention, ...] = (
     Convention(

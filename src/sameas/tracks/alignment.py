@@ -184,11 +184,7 @@ def usable_states(state: FloatArray, covariance: FloatArray) -> BoolArray:
 
 
 def moved(
-    state: FloatArray,
-    covariance: FloatArray,
-    dt_s: ArrayLike,
-    acceleration_m2_per_s3: ArrayLike,
-    late_s: float = 0.0,
+    state: FloatArray, covariance: FloatArray, dt_s: ArrayLike, acceleration_m2_per_s3: ArrayLike, late_s: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
     """States (n, 4) and covariances (n, 4, 4) moved by dt (n,) seconds, back in time where negative.
 
@@ -426,11 +422,7 @@ NO_TREND = (0.0, 0.0, 0.0, math.inf)
 
 
 def follow(
-    reports: States,
-    *,
-    acceleration_m2_per_s3: float,
-    trend: FloatArray | None = None,
-    tuning: Tuning = DEFAULT_TUNING,
+    reports: States, *, acceleration_m2_per_s3: float, trend: FloatArray | None = None, tuning: Tuning = DEFAULT_TUNING
 ) -> FilteredTracks:
     """The filtered track state after each report of a source with track ids, by the positions.
 

@@ -247,10 +247,7 @@ class AzimuthDrift:
         outside_s = np.abs(time_s - np.clip(time_s, self.time_s[0], self.time_s[-1]))
         kept = np.exp(-outside_s / self.correlation_s)
         variance = kept**2 * np.interp(time_s, self.time_s, self.variance_deg2)
-        return (
-            kept * np.interp(time_s, self.time_s, self.azimuth_deg),
-            variance + (1.0 - kept**2) * self.process_deg2,
-        )
+        return (kept * np.interp(time_s, self.time_s, self.azimuth_deg), variance + (1.0 - kept**2) * self.process_deg2)
 
     @property
     def spread_deg(self) -> float:

@@ -22,10 +22,7 @@ from sameas.tracks.tuning import Tuning
 
 
 def on_platform(
-    description: Description,
-    reports: Reports,
-    others: Mapping[str, Sequence[Reports]],
-    tuning: Tuning,
+    description: Description, reports: Reports, others: Mapping[str, Sequence[Reports]], tuning: Tuning
 ) -> tuple[Reports, tuple[str, ...]]:
     """The reports with the position of their sensor, if it is aboard a vessel that another source reports, and notes.
 

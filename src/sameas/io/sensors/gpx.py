@@ -62,9 +62,4 @@ def _name(element: ElementTree.Element) -> str:
     return element.tag.rpartition("}")[2] if isinstance(element.tag, str) else ""
 
 
-FORMAT = SensorFormat(
-    "gpx",
-    "GPX: the track of own ship",
-    read,
-    lambda file: b"<gpx" in file.head[:4096],
-)
+FORMAT = SensorFormat("gpx", "GPX: the track of own ship", read, lambda file: b"<gpx" in file.head[:4096])

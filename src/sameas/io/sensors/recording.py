@@ -271,9 +271,5 @@ def files_in(folder: Path) -> Iterator[SensorFile]:
 
 
 FORMAT = SensorFormat(
-    "recording",
-    "recording of sameas watch",
-    read,
-    lambda file: file.head.startswith(MAGIC),
-    (MAGIC,),
+    "recording", "recording of sameas watch", read, lambda file: file.head.startswith(MAGIC), (MAGIC,)
 )

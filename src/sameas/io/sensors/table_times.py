@@ -25,11 +25,7 @@ _ZONE = re.compile(r"T.*[+-]\d\d:?\d\d$| .*:\d\d[+-]\d\d:?\d\d$")
 
 
 def times_of(
-    cells: TableText,
-    chosen: Mapping[str, Choice],
-    source: str,
-    start_s: float | None,
-    time_zone: str | None,
+    cells: TableText, chosen: Mapping[str, Choice], source: str, start_s: float | None, time_zone: str | None
 ) -> tuple[FloatArray, str]:
     """The time of each row, and a note on its interpretation."""
     choice = chosen.get("time_s") or chosen["day_s"]

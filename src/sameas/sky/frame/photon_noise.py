@@ -70,11 +70,7 @@ class InverseGain:
 
 
 def measured_inverse_gain(
-    residual: FloatArray,
-    background: Background,
-    stars: Subtracted,
-    usable: BoolArray,
-    tuning: GainTuning,
+    residual: FloatArray, background: Background, stars: Subtracted, usable: BoolArray, tuning: GainTuning
 ) -> InverseGain | None:
     """The inverse gain from the scatter of stars' pixels about their profiles; None with too few pixels.
 

@@ -483,11 +483,7 @@ def _restricted_misfit(
 
 
 def _bic(
-    normalised_sq: FloatArray,
-    scale_sq: float,
-    p_match: FloatArray,
-    parameters: int,
-    tuning: PlateTuning,
+    normalised_sq: FloatArray, scale_sq: float, p_match: FloatArray, parameters: int, tuning: PlateTuning
 ) -> float:
     """−2 ln L + parameters · ln(effective pairs), with an unknown error scale.
 

@@ -300,12 +300,7 @@ def _detected(movers: Movers, series: Series) -> BoolArray:
 
 
 def stacked_evidence(
-    movers: Movers,
-    flux: FloatArray,
-    error: FloatArray,
-    hidden: BoolArray,
-    detected: BoolArray,
-    tuning: StackTuning,
+    movers: Movers, flux: FloatArray, error: FloatArray, hidden: BoolArray, detected: BoolArray, tuning: StackTuning
 ) -> FloatArray:
     """(k,) log ratio by the frames without a detection."""
     usable = np.isfinite(flux) & ~hidden

@@ -209,16 +209,10 @@ class _RateFit:
 def _counts(rates: _Rates, tuning: StationaryTuning) -> tuple[float, float]:
     """Numbers of stationary and of moving tracks with rates near 0, by EM."""
     log_ratio = rates.log_ratio[rates.near]
-    stationary, moving = (
-        0.5 * len(log_ratio) + tuning.prior_counts[0],
-        0.5 * len(log_ratio) + tuning.prior_counts[1],
-    )
+    stationary, moving = (0.5 * len(log_ratio) + tuning.prior_counts[0], 0.5 * len(log_ratio) + tuning.prior_counts[1])
     for _ in range(50):
         p = float(expit(log_ratio + math.log(stationary / moving)).sum())
-        stationary, moving = (
-            p + tuning.prior_counts[0],
-            len(log_ratio) - p + tuning.prior_counts[1],
-        )
+        stationary, moving = (p + tuning.prior_counts[0], len(log_ratio) - p + tuning.prior_counts[1])
     return stationary, moving
 
 
