@@ -18,6 +18,7 @@ from sameas.kernels.kalman import (
     update_in_plane,
     weights_of_least_determinant,
 )
+from sameas.kernels.nearest import nearest_at_once
 from sameas.kernels.zones import merge_rows
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.picture.error_correlation import growth
@@ -190,3 +191,16 @@ def test_two_ordered_lists_of_rows_are_merged(rng, way):
 def test_percentiles_agree_with_numpy_to_the_last_digit(rng, n):
     values = rng.standard_normal((n, 2))
     assert np.array_equal(percentiles(values, (0.05, 0.95)), np.percentile(values, (5, 95), axis=0))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_the_nearest_place_of_an_instant_is_that_of_all_distances(rng, way):
+    sizes, at = np.array([3, 1, 6]), np.array([2, 0, 0, 1, 2])
+    points, places = rng.standard_normal((4, 5, 2)), rng.standard_normal((10, 2))
+    start = np.append(0, np.cumsum(sizes))
+    distance, nearest = np.empty((4, 5)), np.empty((4, 5), np.int64)
+    getattr(nearest_at_once, way)(points, at, places, start, distance, nearest)
+    apart = np.hypot(*np.moveaxis(points[:, :, None] - places, -1, 0))
+    apart = np.where(np.repeat(np.arange(3), sizes) == at[:, None], apart, np.inf)
+    assert np.array_equal(nearest, apart.argmin(axis=2))
+    np.testing.assert_allclose(distance, apart.min(axis=2), rtol=1e-12)

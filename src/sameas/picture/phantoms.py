@@ -25,15 +25,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from scipy.special import betainc, expit, logit, logsumexp
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.kernels.nearest import nearest_at_once
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.ragged import Ragged
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
 from sameas.tracks.kinds import KINDS
 
@@ -136,26 +139,24 @@ def _sightings(ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tu
     names, ship = np.unique(records["track_id"][own].astype(str), return_inverse=True)
     time_s, place = records["time_s"][own], position[own]
     speed = _speeds(ship, time_s, place)
-    seen, chance = np.zeros(len(own), bool), np.zeros(len(own))
-    arm = np.empty((len(own), 2))
-    lag_s = 0.0 if radar.reports.track is None else tuning.tracker_lag_s
+    instants, at = np.unique(time_s, return_inverse=True)
+    sensor = np.array([radar.sensor_at(instant_s) for instant_s in instants.tolist()])
+    shown = shown[np.isin(records["time_s"][shown], instants)]
+    shown_at = np.searchsorted(instants, records["time_s"][shown])
+    order = np.argsort(shown_at, kind="stable")
+    shown, shown_at = shown[order], shown_at[order]
+    arm, echoes = place - sensor[at], position[shown] - sensor[shown_at]
     angle = np.radians(tuning.turned_deg)
     turns = np.stack([np.stack([np.cos(angle), np.sin(angle)], -1), np.stack([-np.sin(angle), np.cos(angle)], -1)], 1)
-    for instant_s in np.unique(time_s):
-        rows, theirs = np.flatnonzero(time_s == instant_s), shown[records["time_s"][shown] == instant_s]
-        sensor = radar.sensor_at(float(instant_s))
-        assert sensor is not None
-        arm[rows] = place[rows] - sensor
-        echoes, sigma = position[theirs] - sensor, np.sqrt(variance[theirs])
-        tree = cKDTree(echoes)
-        reach = tuning.near_share * np.hypot(*arm[rows].T) + lag_s * speed[rows]
-        reach = reach + tuning.apart_sigmas * np.sqrt(variance[own[rows]])
-
-        # The places themselves, and turned about the radar.
-        distance, nearest = tree.query(np.concatenate([arm[rows][None], arm[rows] @ turns]))
-        near = distance <= reach + tuning.apart_sigmas * sigma[nearest]
-        seen[rows] = near[0] | np.isin(records["object"][own[rows]], records["object"][theirs])
-        chance[rows] = np.mean(near[1:], axis=0)
+    # The places themselves, and turned about the radar.
+    places = np.concatenate([arm[None], arm @ turns])
+    distance, nearest = np.empty(places.shape[:2]), np.empty(places.shape[:2], np.int64)
+    nearest_at_once(places, at, echoes, Ragged.of_sorted(shown_at, len(instants)).start, distance, nearest)
+    lag_s = 0.0 if radar.reports.track is None else tuning.tracker_lag_s
+    reach = tuning.near_share * np.hypot(*arm.T) + lag_s * speed + tuning.apart_sigmas * np.sqrt(variance[own])
+    near = distance <= reach + tuning.apart_sigmas * np.sqrt(variance[shown])[nearest]
+    with_radar = np.isin(_keys(at, records["object"][own]), _keys(shown_at, records["object"][shown]))
+    seen, chance = near[0] | with_radar, near[1:].mean(axis=0)
     fast = tuning.under_way_m_per_s[KINDS[ships.description.kind].target == "aircraft"]
     heights = _heights(ships, names, ship, time_s)
     return ShipSightings(tuple(names.tolist()), ship, time_s, arm, speed > fast, heights, seen, chance)
@@ -163,17 +164,21 @@ def _sightings(ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tu
 
 def _speeds(ship: IntArray, time_s: FloatArray, place: FloatArray) -> FloatArray:
     """(k,) speeds over ground, from the positions of each ship; 0 for a ship with one record."""
+    rows = np.lexsort([time_s, ship])
+    rows = rows[np.append(True, (np.diff(ship[rows]) > 0) | (np.diff(time_s[rows]) > 0.0))]
+    of_ship = Ragged.of_sorted(ship[rows], int(ship.max()) + 1)
+    # Between the neighbours on both sides: errors of positions are no speed.
+    every, number = np.arange(len(rows)), ship[rows]
+    low, high = np.maximum(every - 2, of_ship.start[number]), np.minimum(every + 2, of_ship.start[number + 1] - 1)
+    rows, low, high = rows[low < high], rows[low[low < high]], rows[high[low < high]]
     out = np.zeros(len(ship))
-    for k in range(int(ship.max()) + 1):
-        rows = np.flatnonzero(ship == k)
-        rows = rows[np.argsort(time_s[rows], kind="stable")]
-        rows = rows[np.append(True, np.diff(time_s[rows]) > 0.0)]
-        if len(rows) > 1:
-            # Between the neighbours on both sides: errors of positions are no speed.
-            ends = np.clip(np.arange(len(rows)) + np.array([[-2], [2]]), 0, len(rows) - 1)
-            step = place[rows[ends[1]]] - place[rows[ends[0]]]
-            out[rows] = np.hypot(*step.T) / (time_s[rows[ends[1]]] - time_s[rows[ends[0]]])
+    out[rows] = np.hypot(*(place[high] - place[low]).T) / (time_s[high] - time_s[low])
     return out
+
+
+def _keys(at: IntArray, number: IntArray) -> IntArray:
+    """(k,) instant and object in one number."""
+    return np.asarray(at.astype(np.int64) << 32 | number.astype(np.int64))
 
 
 def _heights(ships: Feed, names: NDArray[Any], ship: IntArray, time_s: FloatArray) -> FloatArray:
@@ -339,38 +344,47 @@ class RadarLooks:
         """(n,) log-odds that each ship is invented; 0 for those without looks."""
         tuning, judged = self.tuning, self.looks.sum(axis=1) > 0
         looks, seen = self.looks[judged], self.seen[judged]
-        edges = np.linspace(0.0, 1.0, tuning.detectabilities + 1)
-        missed = (1.0 - 0.5 * (edges[1:] + edges[:-1])[:, None] * self.relative) * (1.0 - self.chance)
+        middles, weight = _detectabilities(tuning)
+        missed = (1.0 - middles[:, None] * self.relative) * (1.0 - self.chance)
         # (m, d) ln of the probability of the looks of each ship with each detectability, and (m,) with none.
         log_seen = seen @ np.log1p(-missed).T + (looks - seen) @ np.log(missed).T
         log_none = seen @ np.log(self.chance) + (looks - seen) @ np.log1p(-self.chance)
         share, p_hidden = _cells(np.append(0.0, np.logspace(-4.0, 0.0, 33)), *tuning.hidden_share)
         theta, p_theta = _cells(np.linspace(0.0, 1.0, 21), *tuning.invented_share)
         h, log_prior = share * self.hidden[judged, None], np.log(p_hidden)[:, None] + np.log(p_theta)
-        peak = log_seen.max(axis=1)
+        peak = log_seen.max(axis=1)[:, None]
+        real = peak + np.log(np.maximum(np.exp(log_seen - peak) @ weight, 1e-300))
+        # (m, c, h) ships that exist, hidden or not; the ratio of an invented one to that is 1/h at most.
+        log_hidden = log_none[:, None] + np.log(h)
+        exists = np.logaddexp(real[:, :, None] + np.log1p(-h)[:, None], log_hidden[:, None])
+        ratios, log_exists = np.exp(log_none[:, None, None] - exists), exists.sum(axis=0)
         # For each mean and width: ln of the evidence without and with invented ships, and the posterior with them.
-        log_without, log_with, own = [], [], []
-        for mean in tuning.mean_detectabilities:
-            for width in tuning.detectability_widths:
-                weight = np.diff(betainc(mean * width, (1.0 - mean) * width, edges))
-                real = peak + np.log(np.maximum(np.exp(log_seen - peak[:, None]) @ weight, 1e-300))
-                # (m, h) ships that exist, hidden or not; the ratio of an invented one to that is 1/h at most.
-                exists = np.logaddexp(real[:, None] + np.log1p(-h), log_none[:, None] + np.log(h))
-                ratio = np.exp(log_none[:, None] - exists)[:, :, None]
-                mixed = 1.0 + theta * (ratio - 1.0)
-                log_exists = exists.sum(axis=0)
-                together = log_exists[:, None] + np.log(mixed).sum(axis=0) + log_prior
-                most = together.max()
-                posterior = np.exp(together - most)
-                log_without.append(log_exists + np.log(p_hidden))
-                log_with.append(most + math.log(posterior.sum()))
-                own.append(((theta * ratio / mixed) * posterior).sum(axis=(1, 2)) / posterior.sum())
+        log_without = log_exists + np.log(p_hidden)
+        log_with, own = [], []
+        for c, log_real in enumerate(log_exists):
+            ratio = ratios[:, c]
+            mixed = 1.0 + theta * (ratio[:, :, None] - 1.0)
+            together = log_real[:, None] + np.log(mixed).sum(axis=0) + log_prior
+            most = together.max()
+            posterior = np.exp(together - most)
+            log_with.append(most + math.log(posterior.sum()))
+            own.append(np.einsum("mht,mh->m", theta * posterior / mixed, ratio) / posterior.sum())
         log_odds = logsumexp(log_with) - logsumexp(log_without) + math.log(tuning.invented_odds)
         of_grid = np.exp(np.array(log_with) - logsumexp(log_with))
         p = expit(log_odds) * (of_grid @ np.array(own))
         out = np.zeros(len(judged))
         out[judged] = logit(np.clip(p, 1e-300, 1.0 - 1e-12))
         return out
+
+
+@cache
+def _detectabilities(tuning: Tuning) -> tuple[FloatArray, FloatArray]:
+    """Middles (d,) of steps of detectability, and their probabilities (d, c) for each mean and width of the Beta
+    distribution."""
+    edges = np.linspace(0.0, 1.0, tuning.detectabilities + 1)
+    mean, width = np.array(list(product(tuning.mean_detectabilities, tuning.detectability_widths))).T
+    weight = np.diff(betainc(mean * width, (1.0 - mean) * width, edges[:, None]), axis=0)
+    return 0.5 * (edges[1:] + edges[:-1]), weight
 
 
 def _cells(edges: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:
