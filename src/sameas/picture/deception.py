@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, distinct, places_in, spans_in
 from sameas.picture.phantoms import Phantom, phantoms
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
@@ -43,10 +43,11 @@ from sameas.tracks.kinds import KINDS
 class PictureTrack:
     """One track in the records of a picture, (k,) each.
 
-    source, track : number of its source, and its id. at : indices of its instants. object : numbers of its objects.
-    position, variance : (k, 2), (k,) positions and the larger variance of their axes.
+    number : its own, from 0. source, track : number of its source, and its id. at : indices of its instants, ascending.
+    object : numbers of its objects. position, variance : (k, 2), (k,) positions and the larger variance of their axes.
     """
 
+    number: int
     source: int
     track: str
     at: IntArray
@@ -54,15 +55,40 @@ class PictureTrack:
     position: FloatArray
     variance: FloatArray
 
-    @property
+    @cached_property
     def keys(self) -> IntArray:
         """(k,) instant and object in one number."""
         return np.asarray(self.at.astype(np.int64) << 32 | self.object.astype(np.int64))
 
 
+@dataclass(frozen=True)
+class _Meeting:
+    """Another source's track at the instants (k,) at which both it and one's own have records.
+
+    own, theirs : (k,) indices of their records. together : (k,) whether they are one object then, as once at least.
+    """
+
+    other: PictureTrack
+    own: IntArray
+    theirs: IntArray
+    together: BoolArray
+
+    @classmethod
+    def of(cls, own: PictureTrack, other: PictureTrack) -> _Meeting:
+        place = places_in(own.at, other.at)
+        theirs = np.flatnonzero(place != ABSENT)
+        place = place[theirs]
+        return cls(other, place, theirs, own.object[place] == other.object[theirs])
+
+    @cached_property
+    def last(self) -> int:
+        """The index of the last of their records at which they are one object."""
+        return int(self.theirs[self.together][-1])
+
+
 def _tracks(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], instants: FloatArray) -> list[PictureTrack]:
     """All tracks of sources with track ids."""
-    out = []
+    out: list[PictureTrack] = []
     at = np.searchsorted(instants, records["time_s"])
     hidden = np.ma.getmaskarray(records["x_m"])
     position = np.column_stack([np.ma.filled(records[name], np.nan) for name in ("x_m", "y_m")])
@@ -72,9 +98,10 @@ def _tracks(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], instants
             continue
         own = np.flatnonzero((records["source"] == feed.description.name) & ~hidden)
         names, number = np.unique(records["track_id"][own].astype(str), return_inverse=True)
-        order = np.argsort(number, kind="stable")
+        order = np.lexsort([at[own], number])
         for name, rows in zip(names, np.split(own[order], np.flatnonzero(np.diff(number[order])) + 1), strict=False):
-            out.append(PictureTrack(s, str(name), at[rows], records["object"][rows], position[rows], variance[rows]))
+            columns = (at[rows], records["object"][rows], position[rows], variance[rows])
+            out.append(PictureTrack(len(out), s, str(name), *columns))
     return out
 
 
@@ -107,13 +134,13 @@ def deceptions(
     histories = _TrackHistories.of(tracks, feeds, instants, tuning)
     alarms: list[Fault] = []
     for own in filter(histories.is_cooperative, tracks):
-        others = [
-            other
-            for other in histories.partners(own)
-            if not (histories.is_of_another(other, own) or histories.carried(other, own))
+        meetings = [
+            meeting
+            for meeting in histories.meetings(own)
+            if not (histories.is_of_another(meeting, own) or histories.carried(meeting, own))
         ]
-        alarms += histories.dragged(own, others)
-        alarms += histories.silent(own, others)
+        alarms += histories.dragged(own, meetings)
+        alarms += histories.silent(own, meetings)
     dragged = {(fault.source, fault.track) for fault in alarms if fault.probability > tuning.sure_deception}
     for feed in feeds:
         alarms += [fault for fault in _jumped(feed, tuning) if (fault.source, fault.track) not in dragged]
@@ -174,9 +201,17 @@ class _TrackHistories:
         return cls(tracks, feeds, instants, key[order], number[order], tuning)
 
     @cached_property
-    def report_times_s(self) -> list[dict[str, FloatArray]]:
-        """The times of the reports of each track, ascending, by source and id; none of sources without ids."""
-        return [_times_by_track(feed.reports.track, feed.reports.time_s) for feed in self.feeds]
+    def report_times_s(self) -> dict[int, dict[str, FloatArray]]:
+        """The times of the reports of each track, ascending, by source and id, of cooperative sources."""
+        own = {track.source for track in self.tracks if self.is_cooperative(track)}
+        return {s: _times_by_track(self.feeds[s].reports.track, self.feeds[s].reports.time_s) for s in own}
+
+    @cached_property
+    def of_track(self) -> tuple[IntArray, BoolArray, IntArray]:
+        """(n,) of each track: the number of its source, whether that is cooperative, and the number of its id."""
+        cooperative = np.array([self.is_cooperative(track) for track in self.tracks])
+        ids = np.unique([track.track for track in self.tracks], return_inverse=True)[1]
+        return np.array([track.source for track in self.tracks]), cooperative, ids
 
     def name(self, track: PictureTrack) -> str:
         """The name of its source."""
@@ -185,30 +220,35 @@ class _TrackHistories:
     def is_cooperative(self, track: PictureTrack) -> bool:
         return self.feeds[track.source].description.kind in CORRELATED_KINDS
 
-    def partners(self, own: PictureTrack) -> list[PictureTrack]:
-        """The tracks of other sources that were one object with this one at any instant."""
-        low, high = np.searchsorted(self.key, own.keys), np.searchsorted(self.key, own.keys, side="right")
-        _, rows = ranges(low, high - low)
-        return [track for k in np.unique(self.track[rows]) if (track := self.tracks[k]).source != own.source]
+    def company(self, own: PictureTrack) -> tuple[IntArray, IntArray]:
+        """(e,) records of a track, ascending, and the number of each track that is one object with it then, also of
+        itself; of its source no other."""
+        record, rows = ranges(*spans_in(self.key, own.keys))
+        number = self.track[rows]
+        kept = (number == own.number) | (self.of_track[0][number] != own.source)
+        return record[kept], number[kept]
 
-    def is_of_another(self, other: PictureTrack, own: PictureTrack) -> bool:
+    def meetings(self, own: PictureTrack) -> list[_Meeting]:
+        """With the tracks of other sources that were one object with this one at any instant."""
+        numbers = distinct(self.company(own)[1]).tolist()
+        return [_Meeting.of(own, self.tracks[k]) for k in numbers if k != own.number]
+
+    def is_of_another(self, meeting: _Meeting, own: PictureTrack) -> bool:
         """Whether a track is that of a vessel that reports another identity, before and after the own one left it.
 
         A helicopter leaves its ship, or switches off on board: the radar still sees the ship. A neighbour whose reports
         meet the radar's track only after the own ones have left it is no proof: they may be forged.
         """
-        keys = other.keys
-        together = np.flatnonzero(np.isin(keys, own.keys))
-        if not len(together):
+        other, after = meeting.other, meeting.last + 1
+        if after == len(other.at):
             return False
-        before, after = np.split(keys, [together[-1] + 1])
-        named = filter(self.is_cooperative, (other, *self.partners(other)))
-        named_keys = [track.keys for track in named if track.track != own.track]
-        if not (len(after) and named_keys):
-            return False
-        return all(np.isin(part, np.concatenate(named_keys)).mean() > 0.5 for part in (before, after))
+        record, number = self.company(other)
+        _, cooperative, ids = self.of_track
+        named = np.zeros(len(other.at), bool)
+        named[record[cooperative[number] & (ids[number] != ids[own.number])]] = True
+        return all(part.mean() > 0.5 for part in (named[:after], named[after:]))
 
-    def carried(self, other: PictureTrack, own: PictureTrack) -> bool:
+    def carried(self, meeting: _Meeting, own: PictureTrack) -> bool:
         """Whether a track is that of a vessel on which an aircraft stood: while both are one object, and afterwards, it
         moves no faster than vessels do.
 
@@ -216,12 +256,9 @@ class _TrackHistories:
         """
         if KINDS[self.feeds[own.source].description.kind].target != "aircraft":
             return False
-        together = np.flatnonzero(np.isin(other.keys, own.keys))
-        if not len(together):
-            return False
         fastest = fastest_vessel_m_per_s(self.feeds[own.source].tuning)
-        parts = np.split(np.arange(len(other.at)), [together[-1] + 1])
-        return all(self._mean_speed(other, part) <= fastest for part in parts)
+        parts = np.split(np.arange(len(meeting.other.at)), [meeting.last + 1])
+        return all(self._mean_speed(meeting.other, part) <= fastest for part in parts)
 
     def _mean_speed(self, track: PictureTrack, part: IntArray) -> float:
         """Metres per second from the first of some records of a track to the last; 0 for less than two."""
@@ -231,30 +268,29 @@ class _TrackHistories:
         seconds = float(np.diff(self.instants[track.at[ends]])[0])
         return float(np.hypot(*np.diff(track.position[ends], axis=0)[0])) / max(seconds, 1e-9)
 
-    def companions(self, own: PictureTrack, others: Sequence[PictureTrack]) -> Iterator[tuple[PictureTrack, int]]:
-        """The tracks that were one object with it for ``min_instants`` instants, and the index of the last of these."""
-        for other in others:
-            both, i, j = np.intersect1d(own.at, other.at, return_indices=True)
-            together = own.object[i] == other.object[j]
-            if together.sum() >= self.tuning.min_instants:
-                yield other, int(both[together][-1])
+    def companions(self, meetings: Sequence[_Meeting]) -> Iterator[_Meeting]:
+        """The tracks that were one object with it for ``min_instants`` instants."""
+        return (meeting for meeting in meetings if meeting.together.sum() >= self.tuning.min_instants)
 
-    def dragged(self, own: PictureTrack, others: Sequence[PictureTrack]) -> Iterator[Fault]:
+    def dragged(self, own: PictureTrack, meetings: Sequence[_Meeting]) -> Iterator[Fault]:
         """An alarm if its positions moved away from those of the sensors that tracked the same object before."""
         contradicting, begins = [], []
         after = np.zeros(len(own.at), bool)
-        for other, last in self.companions(own, others):
-            common_instants, i, j = np.intersect1d(own.at, other.at, return_indices=True)
-            contradicts = (common_instants > last) & (self.disagreement(own, other, i, j) > self.tuning.apart_sigmas**2)
+        for meeting in self.companions(meetings):
+            since = meeting.theirs > meeting.last
+            if since.sum() < self.tuning.apart_instants:
+                continue
+            other, i, j = meeting.other, meeting.own[since], meeting.theirs[since]
+            contradicts = self.disagreement(own, other, i, j) > self.tuning.apart_sigmas**2
             if contradicts.sum() >= self.tuning.apart_instants and contradicts[-1]:
                 distance_m = float(np.sqrt(np.sum((own.position[i[-1]] - other.position[j[-1]]) ** 2)))
                 contradicting.append((self.name(other), distance_m))
-                begins.append(int(common_instants[contradicts][0]))
-                after |= own.at >= common_instants[contradicts][0]
+                begins.append(int(own.at[i[contradicts][0]]))
+                after |= own.at >= begins[-1]
         if not contradicting:
             return
         # If a sensor tracks an object at the reported position, the sensor lost its old track; nothing was dragged.
-        unaccompanied = after & ~_has_partner(own, others)
+        unaccompanied = after & ~_has_partner(own, meetings)
         if unaccompanied.sum() < 0.8 * after.sum():
             return
         sensors = sorted({name for name, _ in contradicting})
@@ -295,7 +331,7 @@ class _TrackHistories:
             and feed.reports.track is not None
         )
 
-    def silent(self, own: PictureTrack, others: Sequence[PictureTrack]) -> Iterator[Fault]:
+    def silent(self, own: PictureTrack, meetings: Sequence[_Meeting]) -> Iterator[Fault]:
         """An alarm if its reports end while its source continues and a sensor still tracks the ship."""
         times = self.report_times_s[own.source].get(own.track, np.empty(0))
         if len(times) < self.tuning.min_reports:
@@ -303,7 +339,8 @@ class _TrackHistories:
         pauses, end = np.diff(times), float(self.feeds[own.source].reports.time_s.max())
         longest = float(pauses.max())
         seen_until, sensors = -math.inf, set()
-        for other, last in self.companions(own, others):
+        for meeting in self.companions(meetings):
+            other, last = meeting.other, int(meeting.other.at[meeting.last])
             if self.instants[last] < times[-1] - longest or other.at[-1] <= last:
                 continue
             # The sensor's track must continue without large gaps.
@@ -332,12 +369,11 @@ def _times_by_track(track: NDArray[Any] | None, time_s: FloatArray) -> dict[str,
     return {str(name): np.unique(own) for name, own in zip(names, times, strict=True)}
 
 
-def _has_partner(own: PictureTrack, others: Sequence[PictureTrack]) -> BoolArray:
+def _has_partner(own: PictureTrack, meetings: Sequence[_Meeting]) -> BoolArray:
     """(k,) whether another source's track is one object with it."""
     out = np.zeros(len(own.at), bool)
-    for other in others:
-        _, i, j = np.intersect1d(own.at, other.at, return_indices=True)
-        out[i[own.object[i] == other.object[j]]] = True
+    for meeting in meetings:
+        out[meeting.own[meeting.together]] = True
     return out
 
 
