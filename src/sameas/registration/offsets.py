@@ -77,6 +77,10 @@ class Offset:
         d, shape = features.shape[-1], np.broadcast_shapes(features.shape[:-1], theta.shape[:-1])
         return np.broadcast_to(np.eye(d), (*shape, d, d))
 
+    def moved_and_carried(self, features: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """:meth:`moved` and :meth:`carried`, of which a model may compute both at once."""
+        return self.moved(features, theta), self.carried(features, theta)
+
     def chart(self, features: FloatArray) -> FloatArray:
         """(…, n, d) coordinates in which each parameter of ``voted`` shifts all records by the same amount."""
         return features

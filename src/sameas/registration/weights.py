@@ -122,8 +122,9 @@ def candidates_at(scene: PlacedSources, theta: FloatArray, widening: float) -> C
 
     features = scene.second.features
     shape = (len(theta), *features.shape)
-    moved = np.ascontiguousarray(np.broadcast_to(scene.model.moved(features, theta[:, None, :]), shape))
-    carried = np.broadcast_to(scene.model.carried(features, theta[:, None, :]), (*shape, scene.first.d))
+    moved, carried = scene.model.moved_and_carried(features, theta[:, None, :])
+    moved, carried = np.broadcast_to(moved, shape), np.broadcast_to(carried, (*shape, scene.first.d))
+    moved = np.ascontiguousarray(moved)
     spread = carried_errors(np.ascontiguousarray(carried), scene.covariance_2)
     flat = np.ascontiguousarray(flattened(moved, scene.model, scene.second))
     volume, volumes, inside = overlap(scene.box, scene.flat, flat, scene.sigma, scene.periods)

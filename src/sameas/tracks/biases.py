@@ -13,7 +13,9 @@ The range bias is along the ground; at steep elevations it differs from that of 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,13 +35,20 @@ RANGE, AZIMUTH, GAIN, TIME, EAST, NORTH = range(6)
 MIN_RANGE_M = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Displaced:
-    """Displaced positions (…, n, 2), and their derivatives by those before (…, n, 2, 2) and by the biases."""
+    """Displaced positions (…, n, 2), and their derivatives by those before (…, n, 2, 2).
+
+    bias_slopes : gives those by the biases, (…, n, 2, 6): most users ask for the positions only.
+    """
 
     position: FloatArray
     by_position: FloatArray
-    by_bias: FloatArray
+    bias_slopes: Callable[[], FloatArray]
+
+    @cached_property
+    def by_bias(self) -> FloatArray:
+        return self.bias_slopes()
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,22 +63,22 @@ class BiasModel:
     def forward(self, position: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
         """The measured positions of objects at ``position`` (…, n, 2) with ``velocity`` (n, 2)."""
         before = position - velocity * theta[..., TIME, None]
-        shift, eye = theta[..., EAST:], np.broadcast_to(np.eye(2), (*before.shape, 2))
         if self.site_m is None:
-            measured, by_position, polar = before, eye, np.zeros((*before.shape, 3))
-        else:
-            site = np.asarray(self.site_m, dtype=np.float64)
-            true_m, along, across = line_of_sight(before - site, MIN_RANGE_M)
-            measured_m = true_m * (1.0 + theta[..., GAIN]) + theta[..., RANGE]
-            along_out, across_out = _rotated(along, across, theta[..., AZIMUTH])
-            measured = site + measured_m[..., None] * along_out
-            by_range = (1.0 + theta[..., GAIN])[..., None, None] * _outer(along_out, along)
-            by_position = by_range + (measured_m / true_m)[..., None, None] * _outer(across_out, across)
+            eye = np.broadcast_to(np.eye(2), (*before.shape, 2))
+            no_polar = np.zeros((*before.shape, 3))
+            return Displaced(before + theta[..., EAST:], eye, lambda: _with_late_and_shift(no_polar, eye, velocity))
+        site = np.asarray(self.site_m, dtype=np.float64)
+        true_m, along, across = line_of_sight(before - site, MIN_RANGE_M)
+        measured_m = true_m * (1.0 + theta[..., GAIN]) + theta[..., RANGE]
+        along_out, across_out = _rotated(along, across, theta[..., AZIMUTH])
+        by_range = (1.0 + theta[..., GAIN])[..., None, None] * _outer(along_out, along)
+        by_position = by_range + (measured_m / true_m)[..., None, None] * _outer(across_out, across)
+
+        def by_bias() -> FloatArray:
             by_polar = along_out, RADIAN * measured_m[..., None] * across_out, true_m[..., None] * along_out
-            polar = np.stack(np.broadcast_arrays(*by_polar), axis=-1)
-        late = -np.einsum("...vw,...w->...v", by_position, np.broadcast_to(velocity, before.shape))
-        by_bias = np.concatenate([polar, late[..., None], np.broadcast_to(eye, by_position.shape)], axis=-1)
-        return Displaced(measured + shift, by_position, by_bias)
+            return _with_late_and_shift(np.stack(np.broadcast_arrays(*by_polar), axis=-1), by_position, velocity)
+
+        return Displaced(site + measured_m[..., None] * along_out + theta[..., EAST:], by_position, by_bias)
 
     def inverse(self, measured_position: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
         """The positions of objects measured at ``measured_position`` (…, n, 2): the inverse of :meth:`forward`."""
@@ -82,7 +91,14 @@ class BiasModel:
         position = measured + velocity * theta[..., TIME, None]
         forward = self.forward(position, velocity, theta)
         back = _inverse(forward.by_position)
-        return Displaced(position, back, -back @ forward.by_bias)
+        return Displaced(position, back, lambda: -back @ forward.by_bias)
+
+
+def _with_late_and_shift(polar: FloatArray, by_position: FloatArray, velocity: FloatArray) -> FloatArray:
+    """(…, n, 2, 6) derivatives by all biases, from those by range, azimuth and gain, (…, n, 2, 3)."""
+    late = -np.einsum("...vw,...w->...v", by_position, np.broadcast_to(velocity, by_position.shape[:-1]))
+    shift = np.broadcast_to(np.eye(2), by_position.shape)
+    return np.concatenate([polar, late[..., None], shift], axis=-1)
 
 
 def _rotated(along: FloatArray, across: FloatArray, azimuth_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -96,6 +112,11 @@ def _inverse(matrix: FloatArray) -> FloatArray:
     (a, b), (c, d) = (matrix[..., 0, 0], matrix[..., 0, 1]), (matrix[..., 1, 0], matrix[..., 1, 1])
     adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
     return np.asarray(adjugate / (a * d - b * c)[..., None, None])
+
+
+def _joined(by_first: FloatArray, by_second: FloatArray) -> FloatArray:
+    """(…, n, 2, 12) derivatives by the biases of both sources."""
+    return np.concatenate(np.broadcast_arrays(by_first, by_second), axis=-1)
 
 
 def _outer(one: FloatArray, other: FloatArray) -> FloatArray:
@@ -144,21 +165,25 @@ class RelativeBias(Offset):
     def carried(self, features: FloatArray, theta: FloatArray) -> FloatArray:
         return self._displaced(features, theta).by_position
 
+    def moved_and_carried(self, features: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        displaced = self._displaced(features, theta)
+        return displaced.position, displaced.by_position
+
     def _displaced(self, features: FloatArray, theta: FloatArray) -> Displaced:
         theta_12 = np.zeros((*theta.shape[:-1], 12))
         theta_12[..., list(self.which)] = theta
         if not any(self.prior[:6]):
             true = self.second.inverse(features, self.velocity, theta_12[..., 6:])
-            return replace(true, by_bias=np.concatenate([np.zeros_like(true.by_bias), true.by_bias], axis=-1))
+            return replace(true, bias_slopes=lambda: _joined(np.zeros_like(true.by_bias), true.by_bias))
         if not any(self.prior[6:]):
             measured = self.first.forward(features, self.velocity, theta_12[..., :6])
-            return replace(
-                measured, by_bias=np.concatenate([measured.by_bias, np.zeros_like(measured.by_bias)], axis=-1)
-            )
+            return replace(measured, bias_slopes=lambda: _joined(measured.by_bias, np.zeros_like(measured.by_bias)))
         true = self.second.inverse(features, self.velocity, theta_12[..., 6:])
         measured = self.first.forward(true.position, self.velocity, theta_12[..., :6])
-        by_bias = np.concatenate(np.broadcast_arrays(measured.by_bias, measured.by_position @ true.by_bias), axis=-1)
-        return Displaced(measured.position, measured.by_position @ true.by_position, by_bias)
+        back = measured.by_position
+        return Displaced(
+            measured.position, back @ true.by_position, lambda: _joined(measured.by_bias, back @ true.by_bias)
+        )
 
     def chart(self, features: FloatArray) -> FloatArray:
         site = self._charted()[1]
