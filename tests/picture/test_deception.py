@@ -124,6 +124,18 @@ def test_ais_silence_of_a_ship_still_on_radar_is_an_alarm():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("heard_until_s", [np.inf, 200.0])
+def test_a_ship_that_leaves_one_base_station_while_another_receives_her_is_not_silent(heard_until_s):
+    """Of three base stations with overlapping coverage, each raised the alarm for every ship that went out of reach."""
+    radar, (ais, reports) = sources(silent_from_s=200.0)
+    _, received = sources()[1]
+    kept = (received.track_id != MMSI[0]) | (received.time_s <= heard_until_s)
+    other = replace(ais, name="other"), replace(received.where(kept), source="other")
+    found = faults(Scene.of([radar, (ais, reports), other]))
+    assert [(fault.kind, fault.source) for fault in found] == ([] if heard_until_s > 400.0 else [("silent", "other")])
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "kind"),
     [

@@ -331,10 +331,22 @@ class _TrackHistories:
             and feed.reports.track is not None
         )
 
+    def received_later(self, own: PictureTrack, time_s: float) -> bool:
+        """Whether another source of its kind has a report of the same ship after this time."""
+        kind = self.feeds[own.source].description.kind
+        return any(
+            float(reported[own.track][-1]) > time_s
+            for s, reported in self.report_times_s.items()
+            if s != own.source and own.track in reported and self.feeds[s].description.kind == kind
+        )
+
     def silent(self, own: PictureTrack, meetings: Sequence[_Meeting]) -> Iterator[Fault]:
-        """An alarm if its reports end while its source continues and a sensor still tracks the ship."""
+        """An alarm if its reports end while its source continues and a sensor still tracks the ship.
+
+        Of several base stations, only the one that received the ship last can tell.
+        """
         times = self.report_times_s[own.source].get(own.track, np.empty(0))
-        if len(times) < self.tuning.min_reports:
+        if len(times) < self.tuning.min_reports or self.received_later(own, float(times[-1])):
             return
         pauses, end = np.diff(times), float(self.feeds[own.source].reports.time_s.max())
         longest = float(pauses.max())
