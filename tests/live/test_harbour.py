@@ -83,6 +83,11 @@ def at(east, north):
     return lambda t: np.array([east, north], float)
 
 
+def straight(start, velocity):
+    """A straight course at a velocity in m/s."""
+    return lambda t: np.array(start, float) + np.multiply(velocity, t)
+
+
 def leg(start, *legs):
     """A path of straight legs: (seconds, knots, course in degrees) each."""
     ends, places = [0.0], [np.array(start, float)]
@@ -234,3 +239,26 @@ def test_own_ship_in_the_ais_of_others_is_no_approach(tmp_path):
     assert set(situation.objects["mmsi"].tolist()) == {"235000009", "235000001"}
     assert [alarm.text.split()[0] for alarm in situation.alarms if alarm.kind == "cpa"] == ["235000001"]
     keeper.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("apart_m", [350.0, 800.0])
+def test_a_yacht_in_company_is_one_alarm_of_an_approach(apart_m):
+    """She closes and opens by a few decimetres a second: the alarm began and ended every other minute."""
+
+    def company(t):
+        swing = 60.0 * np.sin(t / 70.0), 40.0 * np.cos(t / 55.0)
+        return straight([apart_m, 0.0], [0.0, 3.0])(t) + np.array(swing)
+
+    sea = Sea(straight([0.0, 0.0], [0.0, 3.0]), {"235000001": company}, harbour_kn=0.0)
+    sea.run(1200.0)
+    rows = [row for row in sea.keeper.alarm_list() if row["kind"] == "cpa"]
+    assert len(rows) == 1, [(row["first_s"] - START_S, row["last_s"] - START_S) for row in rows]
+
+
+@pytest.mark.slow
+def test_an_approach_ends_soon_after_the_ship_has_passed():
+    sea = Sea(straight([0.0, 0.0], [0.0, 5.0]), {"235000001": straight([300.0, 3000.0], [0.0, -5.0])}, harbour_kn=0.0)
+    sea.run(600.0)
+    [row] = [row for row in sea.keeper.alarm_list() if row["kind"] == "cpa"]
+    assert not row["active"] and 290.0 < row["last_s"] - START_S < 330.0

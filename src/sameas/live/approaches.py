@@ -13,6 +13,9 @@ alongside if
 
 A slow radar target without AIS beside one that is alongside is that ship, or the quay.
 
+An alarm of a ship in company, which closes and opens slowly, stays while she is as near: it would begin and end with
+every change of a knot.
+
 An approaching object that no source shows any more is an alarm of its own, while its approach is extrapolated.
 
 A ship that leaves her berth loses the probability with her first reports, or those of a radar, and is watched as any
@@ -31,18 +34,25 @@ from scipy.spatial import cKDTree
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.io.sensors.format import KNOT_M_PER_S
+from sameas.live.own_ship import OwnShipState
 from sameas.live.settings import WatchSettings, read_chart
 from sameas.live.situation import Alarm, Situation
 from sameas.maps.outline import Coast
 from sameas.picture.live import LiveState
+from sameas.picture.picture import Columns
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 from sameas.tracks.stationary import RESTS
 
 #: An active alarm of closest approach ends beyond this multiple of its limits.
 CPA_HOLDS = 1.2
+#: An object with an active alarm is still near while it opens by less than this, m/s, and is not farther than this
+#: multiple of its least range since, or so many metres more.
+PARTS_M_PER_S, PARTS, PARTS_M = 1.0, 1.5, 100.0
 #: CPA in metres that raises an alarm unless it is given, 0.5 nm, while own ship is at least this fast, m/s (1 kn).
 CPA_M, UNDER_WAY_M_PER_S = 926.0, KNOT_M_PER_S
+#: Own ship with the limit above is under way down to this multiple of that speed.
+UNDER_WAY_HOLDS = 0.7
 #: Own ship leaves the harbour at this multiple of its speed.
 HARBOUR_HOLDS = 1.25
 #: An object is alongside from the first probability on, and no longer below the second. Reports every three minutes
@@ -79,6 +89,9 @@ class Approaches:
     in_harbour: bool = False
     berthed: frozenset[int] = frozenset()
     _alongside: frozenset[int] = frozenset()
+    _under_way: bool = False
+    #: Least range of each object since its alarm began, metres.
+    _nearest_m: dict[int, float] = field(default_factory=dict)
     #: The land of the user's chart in the plane, and whether the place of an object at rest is beside it.
     _quays: _Quays | None = None
     _at_quay: dict[tuple[float, float], bool] = field(default_factory=dict)
@@ -113,7 +126,8 @@ class Approaches:
         speed = 0.0 if ship is None else math.hypot(ship.vx_m_per_s, ship.vy_m_per_s)
         cpa_m = watch.cpa_m
         if cpa_m is None:
-            cpa_m = CPA_M if speed > UNDER_WAY_M_PER_S else 0.0
+            self._under_way = speed > UNDER_WAY_M_PER_S * (UNDER_WAY_HOLDS if self._under_way else 1.0)
+            cpa_m = CPA_M if self._under_way else 0.0
         limit = watch.harbour_kn * KNOT_M_PER_S
         self.in_harbour = ship is not None and speed < limit * (HARBOUR_HOLDS if self.in_harbour else 1.0)
         self._alongside = self._objects_alongside(situation, state)
@@ -123,13 +137,14 @@ class Approaches:
         texts = dict(zip(numbers, zip(labels, mmsis, strict=True), strict=True))
         tentative = [number for number, stage in zip(numbers, stages, strict=True) if stage == "tentative"]
         self._since_s = {number: self._since_s.get(number, situation.time_s) for number in tentative}
-        lost = self._lost(situation)
+        lost, company = self._lost(situation), self._in_company(situation, active, CPA_HOLDS * cpa_m)
+        passing = company | situation.cpa
         # The most urgent first: of many at once only the first are named.
-        for number, (metres, seconds) in sorted(situation.cpa.items(), key=lambda one: one[1][1]):
+        for number, (metres, seconds) in sorted(passing.items(), key=lambda one: one[1][1]):
             label, mmsi = texts[number]
             # An alarm that is active holds a little longer, so that one approach is not many alarms.
             holds = CPA_HOLDS if f"cpa {number}" in active else 1.0
-            near = metres < holds * cpa_m and seconds < holds * watch.tcpa_s
+            near = number in company or (metres < holds * cpa_m and seconds < holds * watch.tcpa_s)
             settled = situation.time_s - self._since_s.get(number, -math.inf) >= TENTATIVE_S
             if not near or not settled or mmsi in own:
                 continue
@@ -138,11 +153,33 @@ class Approaches:
                 berthed.add(number)
                 continue
             name, passes = label or f"object {number}", f"will pass at {metres:.0f} m in {seconds / 60.0:.1f} min"
+            if number not in situation.cpa:
+                passes = f"stays near, at {metres:.0f} m"
             out.append(Alarm(f"cpa {number}", "cpa", f"{name} {passes}", (number,)))
             if number in lost:
                 text = f"{name} is lost: no source shows it any more, and it {passes}"
                 out.append(Alarm(f"lost {number}", "cpa", text, (number,)))
         self.berthed = frozenset(berthed)
+        return out
+
+    def _in_company(
+        self, situation: Situation, active: Container[str], limit_m: float
+    ) -> dict[int, tuple[float, float]]:
+        """Range (m) and 0 s of the objects with an active alarm that are still as near as they were, by number."""
+        ship, objects, out = situation.own_ship, situation.objects, {}
+        nearest_m, self._nearest_m = self._nearest_m, {}
+        for k, number in enumerate(objects["object"].tolist()):
+            if (
+                ship is None
+                or f"cpa {number}" not in active
+                or objects["stage"][k] == "ended"
+                or np.ma.is_masked(objects["x_m"][k])
+            ):
+                continue
+            range_m, opens = _opening(objects, k, ship)
+            self._nearest_m[number] = least_m = min(nearest_m.get(number, math.inf), range_m)
+            if range_m < min(limit_m, max(PARTS * least_m, least_m + PARTS_M)) and not opens > PARTS_M_PER_S:
+                out[number] = (range_m, 0.0)
         return out
 
     def _lost(self, situation: Situation) -> set[int]:
@@ -197,6 +234,16 @@ class Approaches:
         self._at_quay = {one: self._at_quay[one] for one in squares if one in self._at_quay}
         self._at_quay |= {one: self._quays.distance_m(np.multiply(one, 10.0)) <= QUAY_M for one in fresh}
         return np.array([self._at_quay[one] for one in squares], bool)
+
+
+def _opening(objects: Columns, k: int, ship: OwnShipState) -> tuple[float, float]:
+    """Range (m) of an object from own ship, and the speed (m/s) at which it grows; NaN where that is unknown."""
+    x, y, vx, vy = (
+        float(np.ma.filled(objects[name][k], np.nan)) for name in ("x_m", "y_m", "vx_m_per_s", "vy_m_per_s")
+    )
+    range_m = math.hypot(x - ship.x_m, y - ship.y_m)
+    opening = (x - ship.x_m) * (vx - ship.vx_m_per_s) + (y - ship.y_m) * (vy - ship.vy_m_per_s)
+    return range_m, opening / max(range_m, 1.0)
 
 
 @dataclass(frozen=True)
