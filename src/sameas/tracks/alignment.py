@@ -224,9 +224,14 @@ def track_numbers(track: NDArray[Any]) -> IntArray:
     >>> track_numbers(np.array(["b", "a", "b"])).tolist()
     [1, 0, 1]
     """
-    # Names need not be comparable; their texts are.
-    names = track if track.dtype.kind in "iu" else track.astype(str)
-    return np.unique(names, return_inverse=True)[1]
+    if track.dtype.kind in "iu":
+        return np.unique(track, return_inverse=True)[1]
+    # Names need not be comparable; their texts are. Each is looked up: to sort all takes twice as long.
+    names = track.tolist()
+    text = {name: str(name) for name in names}
+    number = {one: k for k, one in enumerate(sorted(set(text.values())))}
+    of_name = {name: number[one] for name, one in text.items()}
+    return np.fromiter(map(of_name.__getitem__, names), np.int64, len(names))
 
 
 @dataclass(frozen=True)

@@ -90,8 +90,10 @@ class LocalPlane:
         places = unit_vectors(lon[known][few], lat[known][few])
         middle = places.mean(axis=0)
         for _ in range(MEDIAN_STEPS):
-            weight = 1.0 / np.maximum(np.linalg.norm(places - middle, axis=1), 1e-7)
+            weight, before = 1.0 / np.maximum(np.linalg.norm(places - middle, axis=1), 1e-7), middle
             middle = weight @ places / weight.sum()
+            if (middle == before).all():
+                break
         x, y, z = middle
         if np.hypot(np.hypot(x, y), z) < 1e-6:
             raise InputError("LocalPlane: the positions lie all around the earth; give the origin of the plane")

@@ -331,13 +331,16 @@ def too_far_apart(sources: Sequence[Source], tuning: Tuning) -> dict[str, str]:
     known = {k: position for k, position in enumerate(positions) if position is not None and len(position[0])}
     if not known:
         return {}
-    far: dict[int, list[int]] = {}
-    for k, position in known.items():
-        middle = LocalPlane.about(*position)
-        far[k] = [n for n, other in known.items() if n != k and _median_distance_m(middle, other) > FARTHEST_M]
+    middle = {k: LocalPlane.about(*position) for k, position in known.items()}
+    far = {
+        k: [n for n, other in known.items() if n != k and _median_distance_m(middle[k], other) > FARTHEST_M]
+        for k in known
+    }
     home = min(known, key=lambda k: (len(far[k]), -len(known[k][0]), k))
-    middle = LocalPlane.about(*known[home])
-    reach = max(tuning.near_extents * float(np.quantile(_distance_m(middle, known[home]), 0.9)), tuning.near_m)
+    if not far[home]:
+        return {}
+    distance_m = _distance_m(middle[home], known[home])
+    reach = max(tuning.near_extents * float(np.quantile(distance_m, 0.9)), tuning.near_m)
     return {sources[k][0].name: _far_sentence(sources[k], sources[home], reach) for k in far[home]}
 
 

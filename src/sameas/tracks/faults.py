@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import expit
 
 from sameas.arrays import FloatArray
-from sameas.tracks.alignment import States, Steps, follow, followed_back, jump_of
+from sameas.tracks.alignment import States, Steps, follow, followed_back, jump_of, track_numbers
 from sameas.tracks.feed import CORRELATED_KINDS, Feed, walk_of
 from sameas.tracks.reports import Reports
 
@@ -102,10 +102,14 @@ def _filtered_both_ways(measured: States, feed: Feed) -> tuple[States, States]:
     part = np.empty(len(measured), np.int64)
     part[at] = np.cumsum(np.diff(measured.time_s[at], prepend=-np.inf) < -feed.tuning.clock_search_s[0])
     assert measured.track is not None
-    names = np.array([f"{n} {name}" for n, name in zip(part.tolist(), measured.track.tolist(), strict=True)], object)
+    number = track_numbers(measured.track)
     speed = feed.description.motion.speed_m_per_s or 0.0
     given = States.of(
-        measured.time_s, measured.state[:, :2], measured.covariance[:, :2, :2], track=names, speed_m_per_s=speed
+        measured.time_s,
+        measured.state[:, :2],
+        measured.covariance[:, :2, :2],
+        track=part * (number.max(initial=0) + 1) + number,
+        speed_m_per_s=speed,
     )
     walk = walk_of(feed.description)
     forwards = follow(given, acceleration_m2_per_s3=walk, tuning=feed.tuning).states
@@ -158,9 +162,12 @@ def _frozen(feed: Feed) -> Iterator[Fault]:
     position = None if raw is None else _places(raw)
     if raw is None or position is None or not isinstance(reports, States) or raw.object_ids is None:
         return
-    _, number = np.unique(np.array([str(one) for one in raw.object_ids]), return_inverse=True)
+    number = track_numbers(raw.object_ids)
     order = np.lexsort([raw.time_s, number])
     time_s, position, number = raw.time_s[order], position[order], number[order]
+    last_two = np.flatnonzero(np.diff(number, append=-1))[:, None] - [1, 0]
+    if (position[last_two[:, 0]] != position[last_two[:, 1]]).any(axis=1).all():
+        return  # No track ends with a position that it repeats.
     velocity = raw.velocity_m_per_s()
     # Without velocities a track counts as moving by its changing positions only.
     speed = np.full(len(order), np.inf) if velocity is None else np.nan_to_num(np.hypot(*velocity.T), nan=0.0)[order]
