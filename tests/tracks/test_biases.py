@@ -49,7 +49,7 @@ def test_derivatives_agree_with_finite_differences(name, way):
         if name == "nowhere" and k < 3:
             continue
         slope = (move(POSITION, VELOCITY, theta + e).position - move(POSITION, VELOCITY, theta - e).position) / 2e-4
-        np.testing.assert_allclose(found.by_bias[..., k], slope, atol=2e-3, err_msg=BIASES[k])
+        np.testing.assert_allclose(found.by_theta[..., k], slope, atol=2e-3, err_msg=BIASES[k])
 
 
 @pytest.mark.slow

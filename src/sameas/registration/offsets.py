@@ -13,8 +13,9 @@ A new offset is a frozen dataclass with the methods of :class:`Offset`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,6 +45,22 @@ def line_of_sight(arm: FloatArray, least: float = 0.0) -> tuple[FloatArray, Floa
     sine, cosine = np.sin(angle), np.cos(angle)
     along, across = np.stack([sine, cosine], axis=-1), np.stack([cosine, -sine], axis=-1)
     return np.maximum(np.hypot(arm[..., 0], arm[..., 1]), least), along, across
+
+
+@dataclass(frozen=True, eq=False)
+class Displaced:
+    """Displaced positions (…, n, d), and their derivatives by those before (…, n, d, d).
+
+    slopes : gives those by the parameters θ, (…, n, d, p): most users ask for the positions only.
+    """
+
+    position: FloatArray
+    by_position: FloatArray
+    slopes: Callable[[], FloatArray]
+
+    @cached_property
+    def by_theta(self) -> FloatArray:
+        return self.slopes()
 
 
 class Offset:
@@ -77,9 +94,10 @@ class Offset:
         d, shape = features.shape[-1], np.broadcast_shapes(features.shape[:-1], theta.shape[:-1])
         return np.broadcast_to(np.eye(d), (*shape, d, d))
 
-    def moved_and_carried(self, features: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """:meth:`moved` and :meth:`carried`, of which a model may compute both at once."""
-        return self.moved(features, theta), self.carried(features, theta)
+    def displaced(self, features: FloatArray, theta: FloatArray) -> Displaced:
+        """:meth:`moved`, :meth:`carried` and :meth:`jacobian`, of which a model may compute common parts once."""
+        position, by_position = self.moved(features, theta), self.carried(features, theta)
+        return Displaced(position, by_position, lambda: self.jacobian(features, theta))
 
     def chart(self, features: FloatArray) -> FloatArray:
         """(…, n, d) coordinates in which each parameter of ``voted`` shifts all records by the same amount."""

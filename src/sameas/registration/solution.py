@@ -204,8 +204,7 @@ def normal_equations(
     from sameas.kernels.offsets import score_and_information
 
     d, p = scene.second.d, theta.shape[1]
-    jacobian = scene.model.jacobian(scene.second.features, theta[:, None, :])
-    jacobian = np.ascontiguousarray(np.broadcast_to(jacobian, (len(theta), len(scene.second), d, p)))
+    jacobian = np.ascontiguousarray(np.broadcast_to(weights.displaced.by_theta, (len(theta), len(scene.second), d, p)))
     score, information = score_and_information(
         weights.s, weights.j, weights.residual, weights.precision, weights.weight, jacobian, scene.tuning.min_weight
     )

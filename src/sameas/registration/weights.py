@@ -20,7 +20,7 @@ from sameas.gaussian import inverse, log_density
 from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.registration.hough import DEFAULT_TUNING, Tuning, typical_sigma
-from sameas.registration.offsets import Offset
+from sameas.registration.offsets import Displaced, Offset
 from sameas.space import Plane
 
 if TYPE_CHECKING:
@@ -76,11 +76,13 @@ class PlacedSources:
 class Weighed:
     """Weights of pairs under s offsets.
 
+    displaced : the second source's records (s, n₂).
     s, i, j : (m,) offset and records of each pair. residual (m, d), precision (m, d, d) Σ⁻¹, weight (m,) posterior.
     common : (s,) expected number of common objects. gain : (s,) log likelihood minus that of nothing in common.
     in_common : (s, 2) number of records of either source in the overlap.
     """
 
+    displaced: Displaced
     s: IntArray
     i: IntArray
     j: IntArray
@@ -96,10 +98,12 @@ class Weighed:
 class CandidatePairs:
     """Candidate pairs under s offsets, and the overlap of the sources.
 
+    displaced : the second source's records (s, n₂).
     start (s + 1,), i, j (m,), residual (m, d), precision (m, d, d), log_normal (m,) ln density of a true pair.
     volume (s,) of the overlap, expected (s, 2) mean number of records of each in it, in_common (s, 2) their number.
     """
 
+    displaced: Displaced
     start: IntArray
     i: IntArray
     j: IntArray
@@ -122,14 +126,14 @@ def candidates_at(scene: PlacedSources, theta: FloatArray, widening: float) -> C
 
     features = scene.second.features
     shape = (len(theta), *features.shape)
-    moved, carried = scene.model.moved_and_carried(features, theta[:, None, :])
-    moved, carried = np.broadcast_to(moved, shape), np.broadcast_to(carried, (*shape, scene.first.d))
-    moved = np.ascontiguousarray(moved)
+    displaced = scene.model.displaced(features, theta[:, None, :])
+    moved = np.ascontiguousarray(np.broadcast_to(displaced.position, shape))
+    carried = np.broadcast_to(displaced.by_position, (*shape, scene.first.d))
     spread = carried_errors(np.ascontiguousarray(carried), scene.covariance_2)
     flat = np.ascontiguousarray(flattened(moved, scene.model, scene.second))
     volume, volumes, inside = overlap(scene.box, scene.flat, flat, scene.sigma, scene.periods)
     expected = np.array([len(scene.first), len(scene.second)]) / volumes * volume[:, None]
-    return CandidatePairs(*_candidates(scene, moved, spread, widening), volume, expected, inside)
+    return CandidatePairs(displaced, *_candidates(scene, moved, spread, widening), volume, expected, inside)
 
 
 def weigh(scene: PlacedSources, theta: FloatArray, common: FloatArray, widening: float) -> Weighed:
@@ -168,6 +172,7 @@ def weighed(scene: PlacedSources, candidates: CandidatePairs, common: FloatArray
     )
     gain = np.where(volume > 0.0, in_both + alone.sum(axis=1) + log_sum, 0.0)
     return Weighed(
+        candidates.displaced,
         s,
         candidates.i,
         candidates.j,

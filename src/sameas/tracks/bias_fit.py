@@ -140,17 +140,15 @@ class Pool:
         score = -self.precision * theta
         information = np.broadcast_to(np.diag(self.precision), (len(theta), *np.shape(self.precision) * 2)).copy()
         for k, each in enumerate(weights):
-            terms, squares, s = self.contributions(k, theta, each)
+            terms, squares, s = self.contributions(k, each)
             np.add.at(score, s, terms)
             np.add.at(information, s, squares)
         return score, information
 
-    def contributions(self, k: int, theta: FloatArray, weights: Weighed) -> tuple[FloatArray, FloatArray, IntArray]:
+    def contributions(self, k: int, weights: Weighed) -> tuple[FloatArray, FloatArray, IntArray]:
         """The contributions of the pairs of a scan to score (m, p) and information (m, p, p), and their candidates."""
-        scan, at = self.scans[k], self.columns[k]
-        model, features = scan.weighing.model, scan.weighing.second.features
-        jacobian = np.zeros((len(weights.s), weights.residual.shape[1], theta.shape[1]))
-        jacobian[:, :, at] = model.jacobian(features, theta[:, None, at])[weights.s, weights.j]
+        jacobian = np.zeros((len(weights.s), weights.residual.shape[1], len(self.biases)))
+        jacobian[:, :, self.columns[k]] = weights.displaced.by_theta[weights.s, weights.j]
         weighted = np.einsum("mvw,mwp->mvp", weights.precision, jacobian) * weights.weight[:, None, None]
         terms = np.einsum("mvp,mv->mp", weighted, weights.residual)
         return terms, np.einsum("mvp,mvq->mpq", weighted, jacobian), weights.s
@@ -229,7 +227,7 @@ def _converged(pool: Pool, theta: FloatArray) -> BiasFit:
     weights = pool.weighed(at, common, 1.0)
     _, complete = pool.equations(at, weights)
     by_model = _covariance(pool, at, common, complete[0])
-    covariance, tracks = _with_scatter(pool, at, weights, complete[0], by_model)
+    covariance, tracks = _with_scatter(pool, weights, complete[0], by_model)
     projection = _without_gauge(pool, at)
     instants = len({scan.instant_s for scan in pool.scans})
     occam = 0.5 * (float(log_determinant(covariance)) + np.sum(np.log(pool.precision)))
@@ -259,13 +257,13 @@ def _covariance(pool: Pool, theta: FloatArray, common: list[FloatArray], complet
 
 
 def _with_scatter(
-    pool: Pool, theta: FloatArray, weights: Sequence[Weighed], complete: FloatArray, by_model: FloatArray
+    pool: Pool, weights: Sequence[Weighed], complete: FloatArray, by_model: FloatArray
 ) -> tuple[FloatArray, float]:
     """The covariance, at least that of the scatter between tracks (Liang and Zeger 1986), and the number of tracks.
 
     A pair without an id counts as a track of its own; so the described constant errors of its object are added.
     """
-    parts = [pool.contributions(k, theta, each) for k, each in enumerate(weights)]
+    parts = [pool.contributions(k, each) for k, each in enumerate(weights)]
     names = [_pair_names(scan, each) for scan, each in zip(pool.scans, weights, strict=True)]
     track, count = _numbered(np.concatenate(names))
     p, weight = len(by_model), np.concatenate([each.weight for each in weights])

@@ -13,7 +13,6 @@ The range bias is along the ground; at steep elevations it differs from that of 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,7 +22,7 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.gaussian import propagated
 from sameas.records import Records
-from sameas.registration.offsets import RADIAN, Offset, line_of_sight, range_and_azimuth
+from sameas.registration.offsets import RADIAN, Displaced, Offset, line_of_sight, range_and_azimuth
 from sameas.tracks.alignment import States
 from sameas.tracks.placement import Directions
 
@@ -33,22 +32,6 @@ BIASES = ("range_m", "azimuth_deg", "range_gain", "time_s", "east_m", "north_m")
 RANGE, AZIMUTH, GAIN, TIME, EAST, NORTH = range(6)
 #: Least range of an object from its sensor in metres, for the derivatives.
 MIN_RANGE_M = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Displaced:
-    """Displaced positions (…, n, 2), and their derivatives by those before (…, n, 2, 2).
-
-    bias_slopes : gives those by the biases, (…, n, 2, 6): most users ask for the positions only.
-    """
-
-    position: FloatArray
-    by_position: FloatArray
-    bias_slopes: Callable[[], FloatArray]
-
-    @cached_property
-    def by_bias(self) -> FloatArray:
-        return self.bias_slopes()
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +57,11 @@ class BiasModel:
         by_range = (1.0 + theta[..., GAIN])[..., None, None] * _outer(along_out, along)
         by_position = by_range + (measured_m / true_m)[..., None, None] * _outer(across_out, across)
 
-        def by_bias() -> FloatArray:
+        def by_theta() -> FloatArray:
             by_polar = along_out, RADIAN * measured_m[..., None] * across_out, true_m[..., None] * along_out
             return _with_late_and_shift(np.stack(np.broadcast_arrays(*by_polar), axis=-1), by_position, velocity)
 
-        return Displaced(site + measured_m[..., None] * along_out + theta[..., EAST:], by_position, by_bias)
+        return Displaced(site + measured_m[..., None] * along_out + theta[..., EAST:], by_position, by_theta)
 
     def inverse(self, measured_position: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
         """The positions of objects measured at ``measured_position`` (…, n, 2): the inverse of :meth:`forward`."""
@@ -91,7 +74,7 @@ class BiasModel:
         position = measured + velocity * theta[..., TIME, None]
         forward = self.forward(position, velocity, theta)
         back = _inverse(forward.by_position)
-        return Displaced(position, back, lambda: -back @ forward.by_bias)
+        return Displaced(position, back, lambda: -back @ forward.by_theta)
 
 
 def _with_late_and_shift(polar: FloatArray, by_position: FloatArray, velocity: FloatArray) -> FloatArray:
@@ -136,7 +119,7 @@ class RelativeBias(Offset):
     velocity: FloatArray
     prior: tuple[float, ...]
 
-    @property
+    @cached_property
     def which(self) -> tuple[int, ...]:
         """Numbers of the biases that are fitted; those of the second source count from 6."""
         return tuple(k for k, width in enumerate(self.prior) if width > 0.0)
@@ -157,32 +140,32 @@ class RelativeBias(Offset):
         return self
 
     def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
-        return self._displaced(features, theta).position
+        return self.displaced(features, theta).position
 
     def jacobian(self, features: FloatArray, theta: FloatArray) -> FloatArray:
-        return self._displaced(features, theta).by_bias[..., list(self.which)]
+        return self.displaced(features, theta).by_theta
 
     def carried(self, features: FloatArray, theta: FloatArray) -> FloatArray:
-        return self._displaced(features, theta).by_position
+        return self.displaced(features, theta).by_position
 
-    def moved_and_carried(self, features: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        displaced = self._displaced(features, theta)
-        return displaced.position, displaced.by_position
+    def displaced(self, features: FloatArray, theta: FloatArray) -> Displaced:
+        true = self._displaced(features, theta)
+        return replace(true, slopes=lambda: true.by_theta[..., list(self.which)])
 
     def _displaced(self, features: FloatArray, theta: FloatArray) -> Displaced:
         theta_12 = np.zeros((*theta.shape[:-1], 12))
         theta_12[..., list(self.which)] = theta
         if not any(self.prior[:6]):
             true = self.second.inverse(features, self.velocity, theta_12[..., 6:])
-            return replace(true, bias_slopes=lambda: _joined(np.zeros_like(true.by_bias), true.by_bias))
+            return replace(true, slopes=lambda: _joined(np.zeros_like(true.by_theta), true.by_theta))
         if not any(self.prior[6:]):
             measured = self.first.forward(features, self.velocity, theta_12[..., :6])
-            return replace(measured, bias_slopes=lambda: _joined(measured.by_bias, np.zeros_like(measured.by_bias)))
+            return replace(measured, slopes=lambda: _joined(measured.by_theta, np.zeros_like(measured.by_theta)))
         true = self.second.inverse(features, self.velocity, theta_12[..., 6:])
         measured = self.first.forward(true.position, self.velocity, theta_12[..., :6])
         back = measured.by_position
         return Displaced(
-            measured.position, back @ true.by_position, lambda: _joined(measured.by_bias, back @ true.by_bias)
+            measured.position, back @ true.by_position, lambda: _joined(measured.by_theta, back @ true.by_theta)
         )
 
     def chart(self, features: FloatArray) -> FloatArray:
@@ -314,6 +297,6 @@ def corrected(
     state[usable] = np.einsum("nvw,nw->nv", jacobian, state[usable])
     state[usable, :2] = true.position
     corrected_covariance = propagated(jacobian, out_covariance[usable])
-    corrected_covariance[:, :2, :2] += propagated(true.by_bias, covariance)
+    corrected_covariance[:, :2, :2] += propagated(true.by_theta, covariance)
     out_covariance[usable] = corrected_covariance
     return replace(reports, time_s=time_s, state=state, covariance=out_covariance)
