@@ -9,6 +9,7 @@ memory that grows with the hours is a leak; the journal and the archive grow, as
 from __future__ import annotations
 
 import argparse
+import gc
 import tempfile
 import time
 from collections.abc import Iterator
@@ -183,6 +184,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     compiled.compile_all()
+    gc.freeze()
+    gc.set_threshold(100_000, 50, 100)  # as in the command
     report("day", table(options.hours, options.ships, options.seed))
 
 
