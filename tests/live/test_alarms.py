@@ -57,12 +57,12 @@ def test_every_second_names_the_most_urgent_approaches():
 
 
 def test_the_terminal_says_once_that_an_input_has_own_ship():
-    """Without her no approach is watched, which nothing else shows."""
+    """With several, the user sees which one has been taken."""
     wire: Any = SimpleNamespace(state=WireState(), stream=SimpleNamespace(own_ship=(math.nan, math.nan, math.nan)))
     news = News({"udp://:1": wire}, AlarmLog(Store(None), START_S), names_own_ship=False)
     assert news() == []
     wire.stream.own_ship = (50.0, -1.0, math.nan)
-    assert "own_ship = { source = … }" in news()[0] and news() == []
+    assert "udp://:1 has own ship's position" in news()[0] and news() == []
     news = News({"udp://:1": wire}, AlarmLog(Store(None), START_S))
     assert news() == []
 

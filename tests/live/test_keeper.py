@@ -369,7 +369,8 @@ def test_a_cable_with_several_sources_that_falls_silent_is_one_alarm(tmp_path):
     ]
     wire.state.connected, wire.state.error = False, "Connection refused"
     assert alarms(31.0) == [
-        "tcp://127.0.0.1:10110, of coast and bridge, is silent for 30 s: it is not connected (Connection refused)"
+        "tcp://127.0.0.1:10110, of coast and bridge, is silent for 30 s: it is not connected (Connection refused)",
+        "own ship: bridge has given no position for 30 s; no approach is watched",
     ]
     keeper.close()
 

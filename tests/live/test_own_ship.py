@@ -58,6 +58,17 @@ def test_a_velocity_is_that_of_the_receiver_or_else_fitted_to_the_last_positions
     assert own.at(START_S + 41.0, START_S, None, PLANE).vx_m_per_s == 0.0
 
 
+def test_own_ship_is_the_one_whose_receiver_an_input_has_unless_the_settings_name_her():
+    """Replayed, a log was taken so; live, the same sentences were only named in the terminal."""
+    wire = receiver(lat_deg=np.nan)
+    own = motion(None, wire=wire)
+    assert own.at(START_S, START_S, None, PLANE) is None and own.silence(START_S + 1e6, START_S) == ""
+    wire.stream.own_ship = (50.0, -1.0, 45.0)
+    assert own.at(START_S, START_S, None, PLANE) is not None and own.source(START_S) == "bridge"
+    # Her silence is an alarm from then on.
+    assert own.silence(START_S + 100.0, START_S).startswith("bridge has given no position for")
+
+
 def test_a_receiver_that_fails_leaves_no_ship_and_its_silence_is_said():
     own = motion(OwnShip(source="bridge"), wire=receiver())
     assert own.source(START_S + 60.0) == "bridge" and own.at(START_S, START_S + 60.0, None, PLANE) is not None

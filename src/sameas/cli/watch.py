@@ -320,7 +320,7 @@ class News:
     A forger can raise hundreds of alarms. Of each condition the first :data:`FEW` within a minute have a line of their
     own, and those after them a count. An approach is a danger of its own: of these every call names the first.
 
-    names_own_ship : whether the settings do; if not, it is said once that an input has her position.
+    names_own_ship : whether the settings do; if not, the input that has her position is named once.
     """
 
     def __init__(
@@ -344,10 +344,7 @@ class News:
                 lines.append(f"  {url}: {words}")
             if not self.names_own_ship and math.isfinite(wire.stream.own_ship[0]):
                 self.names_own_ship = True
-                lines.append(
-                    f"  {url} has own ship's position: with own_ship = {{ source = … }} in [watch], the map shows her "
-                    "and approaches are watched"
-                )
+                lines.append(f"  {url} has own ship's position: the map shows her, and approaches are watched")
         for condition, crowd in self.crowds.items():
             if condition == "cpa" or now_s - crowd.since_s >= CROWD_S:
                 crowd.named, crowd.since_s = 0, now_s

@@ -121,7 +121,7 @@ class Approaches:
         her transponder gives it: stations on shore receive her as well.
         """
         watch, ship, out, berthed = self.watch, situation.own_ship, [], set()
-        if watch.own_ship is None:
+        if watch.own_ship is None and ship is None:
             return []
         speed = 0.0 if ship is None else math.hypot(ship.vx_m_per_s, ship.vy_m_per_s)
         cpa_m = watch.cpa_m
@@ -131,7 +131,7 @@ class Approaches:
         limit = watch.harbour_kn * KNOT_M_PER_S
         self.in_harbour = ship is not None and speed < limit * (HARBOUR_HOLDS if self.in_harbour else 1.0)
         self._alongside = self._objects_alongside(situation, state)
-        own = {own_mmsi, watch.own_ship.mmsi or ""} - {""}
+        own = {own_mmsi, "" if watch.own_ship is None else watch.own_ship.mmsi or ""} - {""}
         objects = situation.objects
         numbers, stages, labels, mmsis = (objects[name].tolist() for name in ("object", "stage", "label", "mmsi"))
         texts = dict(zip(numbers, zip(labels, mmsis, strict=True), strict=True))

@@ -1,7 +1,7 @@
 """Own ship: her position and velocity at every tick, from what the settings say of her.
 
 A fixed position; the object with her MMSI; or the sentences of her receiver on the wire of a source, or in its replayed
-reports.
+reports. If they say nothing, she is the ship of the first wire that has such sentences, as in a log that is replayed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.io.sensors.format import OWN_SHIP
 from sameas.live.inputs import Wire
-from sameas.live.settings import Settings
+from sameas.live.settings import OwnShip, Settings
 from sameas.picture.picture_state import PictureState
 from sameas.tracks.coordinates import LocalPlane, geodesy
 from sameas.tracks.reports import Reports
@@ -46,11 +46,13 @@ class OwnShipMotion:
 
     def __init__(self, settings: Settings, wires: Mapping[str, Wire], *, replayed: bool) -> None:
         self.settings, self.silent_s, self.replayed = settings.watch.own_ship, settings.watch.silent_s, replayed
+        # Of several sources on one cable, AIS is not the one that gives her position.
+        sources = sorted(settings.sources.items(), key=lambda one: one[1].description.kind == "ais")
+        self._wires = {name: wires[source.url] for name, source in sources if source.url and source.url in wires}
         name = None if self.settings is None else self.settings.source
-        source = None if name is None else settings.sources.get(name)
         # None where her source was set aside.
-        self._source = None if source is None else name
-        self.wire = None if source is None else wires.get(source.url or "")
+        self._source = name if name in settings.sources else None
+        self.wire = self._wires.get(self._source or "")
         self._replayed = ReplayedShip()
         # Time, east and north of the last positions.
         self._positions: deque[tuple[float, float, float]] = deque(maxlen=KEPT_POSITIONS)
@@ -67,6 +69,7 @@ class OwnShipMotion:
 
         clock_s : time of the clock, with which receive times of her sentences are compared. state : the picture then.
         """
+        self._find()
         own = self.settings
         if own is None:
             return None
@@ -94,6 +97,15 @@ class OwnShipMotion:
         if last is None or last[1:] != (east, north) or time_s - last[0] >= 1.0:
             self._positions.append((time_s, east, north))
         return OwnShipState(east, north, *(self._given_velocity() or self._fitted_velocity(time_s)), heading)
+
+    def _find(self) -> None:
+        """Takes the first wire with her position, if the settings do not say who she is."""
+        if self.settings is not None:
+            return
+        for name, wire in self._wires.items():
+            if math.isfinite(wire.stream.own_ship[0]):
+                self.settings, self._source, self.wire = OwnShip(source=name), name, wire
+                return
 
     def silence(self, clock_s: float, began_s: float) -> str:
         """How long her position has been missing though a source is to give it; empty if it is not.
