@@ -26,6 +26,8 @@ _TAG_TIME = re.compile(r"(?:^|,)c:(\d+(?:\.\d+)?)")
 #: The group of sentences, and the station, in a tag block (IEC 61162-450): \\g:1-2-73,s:r003669945*hh\\.
 _TAG_GROUP = re.compile(r"(?:^|,)g:\d+-\d+-(\w+)")
 _TAG_STATION = re.compile(r"(?:^|,)s:([^,*]+)")
+#: A date of the receive time with the day first, as German programs write it: 01.06.2026 12:00:00.
+_DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T,]+(\d{1,2}):(\d{2}:\d{2}(?:\.\d+)?)")
 
 
 @dataclass(frozen=True)
@@ -181,6 +183,10 @@ def _receive_time(tags: str, before: str, after: str) -> float:
         return seconds(float(tagged[1]))
     # Before it may stand more than a time: 1780315200100;N;$GPRMC…, or the columns of a log in CSV.
     begin = re.split(r"[;,]", before, maxsplit=1)[0]
+    day_first = _DAY_FIRST.search(before)
+    if day_first:
+        day, month, year, hour, rest = day_first.groups()
+        before = f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{rest}"
     for text in (before.strip(" \t[]<>,;|"), begin, *reversed(after.split(","))):
         time_s = instant(text.strip(" \t[]<>,;|")) if text.strip() else None
         # A small number is a counter or a signal strength.
