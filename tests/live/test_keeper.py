@@ -26,7 +26,7 @@ from sameas.errors import InputError
 from sameas.io import read_table
 from sameas.io.processes import Aside
 from sameas.live.journal import LAYOUT, Journal, load_state
-from sameas.live.keeper import Keeper
+from sameas.live.keeper import Keeper, _Periodic
 from sameas.live.outputs import sentence
 from sameas.live.replay import SteadyClock
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings, read_settings
@@ -854,3 +854,18 @@ def test_the_offsets_and_faults_of_a_watch_are_the_same_from_another_process():
         keeper.close()
     assert offsets[0] == offsets[1] and len(offsets[0]) > 0
     assert faults[0] == faults[1] and any("radar: ends" in words for words in faults[0].values())
+
+
+def test_biases_are_estimated_soon_after_the_beginning_and_then_at_growing_intervals():
+    """The first doubt about a radar that is read wrongly came after a minute or two; until then it confirmed alone."""
+
+    async def begun(*first_s):
+        times, now_s = [], [0.0]
+        work = _Periodic(lambda: times.append(now_s[0]), 60.0, *first_s)
+        for now_s[0] in np.arange(200.0).tolist():
+            work.begin_if_due(now_s[0])
+            await work.task
+        return times
+
+    assert asyncio.run(begun(10.0)) == [0.0, 10.0, 30.0, 70.0, 130.0, 190.0]
+    assert asyncio.run(begun()) == [0.0, 60.0, 120.0, 180.0]

@@ -52,6 +52,9 @@ LOG = logging.getLogger("sameas.live")
 KEPT_DELTAS = 300
 #: Registration and the search for faults of fewer reports take less than half a second, and are done in a thread.
 LEAST_ASIDE = 20_000
+#: Biases are estimated so soon after the beginning, in seconds, and then at growing intervals: what a radar that is
+#: read wrongly shows alone is confirmed until there is a doubt about it.
+FIRST_REGISTERED_S = 10.0
 #: Number of ticks whose durations are kept.
 KEPT_DURATIONS = 600
 
@@ -294,7 +297,10 @@ class Keeper:
         wires = self.wires.values() if self.playback is None else ()
         readers = [asyncio.create_task(wire.run()) for wire in wires]
         watch = self.settings.watch
-        background = [_Periodic(self.register, watch.register_every_s), _Periodic(self.search, watch.faults_every_s)]
+        background = [
+            _Periodic(self.register, watch.register_every_s, FIRST_REGISTERED_S),
+            _Periodic(self.search, watch.faults_every_s),
+        ]
         replayed = self._replayed
         if replayed is not None:
             from_s = self.picture.instant_s
@@ -422,15 +428,22 @@ def _number(sources: Sequence[tuple[Description, Reports]]) -> int:
 
 @dataclass
 class _Periodic:
-    """Work in a thread of its own, every so many seconds of picture time; 0: never. It is not begun while it lasts."""
+    """Work in a thread of its own, every so many seconds of picture time; 0: never. It is not begun while it lasts.
+
+    first_s : the first times are so many seconds after the beginning, and then twice as long after the last.
+    """
 
     work: Callable[[], None]
     every_s: float
+    first_s: float = math.inf
     begun_s: float = -math.inf
     task: asyncio.Task[None] | None = None
 
     def begin_if_due(self, now_s: float) -> None:
         """Begins the work at this time of the picture if it is due."""
-        due = self.every_s > 0.0 and now_s - self.begun_s >= self.every_s
+        wait_s = min(self.every_s, self.first_s)
+        due = self.every_s > 0.0 and now_s - self.begun_s >= wait_s
         if due and (self.task is None or self.task.done()):
+            # The very first time there is hardly a report.
+            self.first_s *= 2.0 if math.isfinite(self.begun_s) else 1.0
             self.begun_s, self.task = now_s, asyncio.create_task(asyncio.to_thread(self.work))
