@@ -562,6 +562,46 @@ def set_samples(groups: IntArray, start: IntArray, members: IntArray, weight: Fl
         share[a:b] = sampled(begin, entry, source[:number], weight[a:b], chosen[a:b])
 
 
+@kernel
+def pack(groups: IntArray, start: IntArray, members: IntArray, weight: FloatArray, n: int, chosen: BoolArray) -> None:
+    """Replace ``chosen`` (k,), sets of a partition of each of the ``groups``, by a better one where one is found.
+
+    start : (g+1,) sets of each group. members : (k, S) sets, −1 for none, of n records in all. Duals are annealed, and
+    the sets of little reduced cost packed, from those of the relaxation and from the partition that is known.
+    """
+    local = np.full(n, NONE)
+    for g in groups:
+        a, b = start[g], start[g + 1]
+        begin, entry, number = _local_numbers(members[a:b], local)
+        dual = np.zeros(number)
+        for s in range(b - a):
+            for e in range(begin[s], begin[s + 1]):
+                dual[entry[e]] = max(dual[entry[e]], weight[a + s] / (begin[s + 1] - begin[s]))
+        own = weight[a:b]
+        relaxed = _anneal(begin, entry, own, ANNEALINGS[-1], dual)
+        cost = np.empty(b - a)
+        for s in range(b - a):
+            cost[s] = _cost(s, begin, entry, own, dual)
+        known = chosen[a:b].copy()
+        _greedy(begin, entry, own, cost, relaxed, number)
+        _greedy(begin, entry, own, cost, known, number)
+        value, best = 0.0, 0.0
+        for s in range(b - a):
+            value += own[s] if relaxed[s] else 0.0
+            best += own[s] if known[s] else 0.0
+        if value > best + 1e-9 * abs(best):
+            known = relaxed
+        taken = np.zeros(number, np.bool_)
+        for s in range(b - a):
+            chosen[a + s] = known[s]
+            if known[s]:
+                for e in range(begin[s], begin[s + 1]):
+                    taken[entry[e]] = True
+        for s in range(b - a):
+            if begin[s + 1] - begin[s] == 1:
+                chosen[a + s] = not taken[entry[begin[s]]]
+
+
 @part
 def _anneal(begin: IntArray, entry: IntArray, weight: FloatArray, sweeps: int, dual: FloatArray) -> BoolArray:
     """Replace the duals by nearly those of the linear relaxation; returns the sets (k,) of x > ½.

@@ -15,7 +15,7 @@ c > 20, 14, …, until it is short enough; where c would have to be below 2, sam
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -74,11 +74,7 @@ def best_partition(sets: Sets, n_records: int, groups: BoolArray | None = None, 
     slack = np.maximum(np.bincount(group_of_record, dual, n_groups) - value, 0.0)
     gap = np.maximum(bound - value, 0.0)
     gap = np.where(gap <= 1e-7 * scale, 0.0, gap)
-    # An excluded set has two records or more and weighs at most the floor, so duals of half a floor bound it.
-    cut = sets.floor > 0
-    half = np.where(cut, 0.5 * np.where(cut, sets.floor, 0.0), 0.0)[group_of_record]
-    bound_with_excluded = np.bincount(group_of_record, np.maximum(dual, half), n_groups) - value
-    return Partition(chosen, np.where(cut, np.maximum(gap, bound_with_excluded), gap), dual, slack)
+    return Partition(chosen, np.where(sets.floor > 0, np.inf, gap), dual, slack)
 
 
 def best_counted(weight: FloatArray, merges: IntArray, incidence: csr_array, log_p: FloatArray, time_limit_s: float
@@ -241,7 +237,7 @@ def answer(
         weight = sets.log_weight.copy()
         for g in np.flatnonzero(~solved).tolist():
             gap[g] = max(gap[g], _solve_counted(sets, sums, g, weight, chosen, time_limit_s))
-        tilted = Sets(sets.members, sets.size, weight, sets.group, sets.start, sets.floor)
+        tilted = replace(sets, log_weight=weight)
         best = best_partition(tilted, len(pooled), time_limit_s=time_limit_s)
         cost = _reduced_cost(sets, best.dual, best.slack, weight)
         part, _, cut = sums.all(cost, chosen, cut, weight)
@@ -251,11 +247,21 @@ def answer(
 
 def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning: ManyTuning = TUNING) -> Answer:
     """:func:`answer` without a count prior; sizes : (g,) number of records of every group."""
+    from sameas.kernels.partitions import pack, set_samples
+
     n = int(sizes.sum())
     share, chosen, cut = sum_pruned_groups(sets, n, np.ones(len(sizes), bool), tuning)
+    gap = np.where(sets.floor > 0, np.inf, 0.0)
+    if sets.partition is not None:
+        near = (cut < 0) & (gap > 0.0)
+        groups, chosen = np.flatnonzero(near), np.where(near[sets.group], sets.partition, chosen)
+        # The weights may have changed since the partition was found.
+        pack(groups, sets.start, sets.members, sets.log_weight, n, chosen)
+        set_samples(groups, sets.start, sets.members, sets.log_weight, chosen, n, share)
+        cut[near] = 0.0
     unsolved = cut < 0
     if not unsolved.any():
-        return Answer(chosen, share, np.zeros(len(sizes)), cut)
+        return Answer(chosen, share, gap, cut)
     best = best_partition(sets, n, unsolved, time_limit_s=time_limit_s)
     cost = _reduced_cost(sets, best.dual, best.slack, sets.log_weight)
     part, _, cut = _Sums.additive(sets, n, tuning).all(cost, best.chosen, cut, sets.log_weight)
@@ -263,7 +269,7 @@ def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning:
     return Answer(
         np.where(of_unsolved, best.chosen, chosen),
         np.where(of_unsolved, part, share),
-        np.where(unsolved, best.gap, 0.0),
+        np.where(unsolved, best.gap, gap),
         cut,
     )
 
@@ -301,7 +307,7 @@ def sum_pruned_groups(
     at, record = sets.entries()
     np.maximum.at(dual, record, (sets.log_weight / sets.size)[at])
     share, chosen, cut = np.zeros(n), np.zeros(n, bool), np.full(len(groups), -1.0)
-    remaining, few = groups & (sets.floor <= 0), np.zeros(len(groups), bool)
+    remaining, few = groups.copy(), np.zeros(len(groups), bool)
     if tuning.small >= FEW_RECORDS:
         short = np.flatnonzero(remaining & (np.diff(sets.start) <= FEW_SETS))
         sum_few(short, sets.start, sets.members, sets.log_weight, n_records, share, chosen, few)

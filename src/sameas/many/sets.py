@@ -4,17 +4,19 @@ A set has at most one record of each source, and every two of its records are a 
 record at a time, in pooled order. A set is dropped if neither it nor any larger set from it can weigh more than a
 ``floor``: a record adds at most its gain, the largest term of any pair of its group in each rule, and −½ ln|2π R|, the
 peak of its density. With floor 0 the best partition is not affected: its sets outweigh their records alone, and a count
-prior only requires more. Each group has the lowest of ``ManyTuning.floors`` with at most ``ManyTuning.max_sets`` sets;
-a floor above 0 is reported as a gap.
+prior only requires more. Each group has the lowest of ``ManyTuning.floors`` with at most ``ManyTuning.max_sets`` sets.
+Where even those are too many, as of twelve sources, whose records of one object have 4096 subsets, a group has the sets
+near a good partition instead (:mod:`sameas.many.near_sets`), its floor is infinite, and no bound of the gap is known.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries, taken
+from sameas.many.near_sets import among, near_sets
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Terms
 from sameas.ragged import Ragged, ranges
@@ -28,16 +30,18 @@ class ManyTuning:
     Attributes
     ----------
     floors : ln w below which sets of a group are excluded, tried in this order until ``max_sets`` is not exceeded.
-    max_sets : of a group. max_pairs : of a group in which the floor leaves only single records.
+    max_sets : of a group; with more it has those near a good partition.
+    near_cost, near_breadth : of these, the largest cost in ln, and how many are changed further for each record.
     cuts : reduced costs above which sets are excluded from a group's sum, tried in this order until it is short enough.
     max_steps : maximum number of transitions between states in the sum of a group.
     small : groups of at most this many records are summed with all their sets.
     block_steps : most transitions in the sum of a block, a part of a group that has its own cut.
     """
 
-    floors: tuple[float, ...] = (-np.inf, 0.0, 6.0, 15.0, 30.0, 80.0, np.inf)
-    max_sets: int = 400_000
-    max_pairs: int = 100_000
+    floors: tuple[float, ...] = (-np.inf, 0.0)
+    max_sets: int = 100_000
+    near_cost: float = 20.0
+    near_breadth: int = 4
     cuts: tuple[float, ...] = (30.0, 20.0, 14.0, 10.0, 8.0, 6.0, 4.0, 2.0, 1.0)
     max_steps: int = 300_000
     small: int = 8
@@ -58,7 +62,8 @@ class Sets:
     size : (k,) number of records.
     log_weight : (k,) ln w; 0 for one record.
     group : (k,) group of the set, ascending. start : (g+1,) first set of each group.
-    floor : (g,) ln w below which sets were excluded.
+    floor : (g,) ln w below which sets were excluded; infinite for a group with the sets near a good partition only.
+    partition : (k,) the sets of that partition, False in other groups; None if there is no such group.
     """
 
     members: IntArray
@@ -67,6 +72,7 @@ class Sets:
     group: IntArray
     start: IntArray
     floor: FloatArray
+    partition: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.size)
@@ -75,7 +81,10 @@ class Sets:
         """Some of the sets (ascending numbers), in the same groups."""
         group = self.group[which]
         start = Ragged.of_sorted(group, len(self.start) - 1).start
-        return Sets(taken(self.members, which), self.size[which], self.log_weight[which], group, start, self.floor)
+        partition = None if self.partition is None else self.partition[which]
+        return Sets(
+            taken(self.members, which), self.size[which], self.log_weight[which], group, start, self.floor, partition
+        )
 
     def entries(self) -> tuple[IntArray, IntArray]:
         """(set, record) of every member of a set, sets ascending."""
@@ -96,14 +105,13 @@ def candidate_sets(pooled: PooledRecords, terms: Terms, tuning: ManyTuning = TUN
         unsolved &= too_many
         if not unsolved.any():
             break
-    # Many objects at one position, none of them distinct, have no set above the floor: they get their sets of two.
-    without_sets = floor > 0.0
-    for level in levels:
-        without_sets[pooled.group[level.records[:, 0]]] = False
-    if without_sets.any():
-        pairs, too_many = growth.all(without_sets, -np.inf, tuning.max_pairs, largest=2)
-        levels += [level.of_groups(pooled, ~too_many) for level in pairs]
-    return _gathered(pooled, levels, floor)
+    members, weight = _of_all_sizes(pooled, levels)
+    if not unsolved.any():
+        return _gathered(pooled, members, weight, floor)
+    floor[unsolved] = np.inf
+    near = near_sets(pooled, terms, unsolved, tuning.near_cost, tuning.near_breadth)
+    members, weight = np.concatenate([members, near.members]), np.concatenate([weight, near.log_weight])
+    return _gathered(pooled, members, weight, floor, near.partition)
 
 
 @in_short
@@ -222,19 +230,31 @@ def _by_source(pooled: PooledRecords, records: IntArray) -> IntArray:
     return members
 
 
-def _gathered(pooled: PooledRecords, levels: list[_SetsOfSize], floor: FloatArray) -> Sets:
-    """The sets of all sizes in one table, single records first in each group."""
-    numbers = np.arange(len(pooled))
-    members = np.concatenate([_by_source(pooled, numbers[:, None]), *(_by_source(pooled, x.records) for x in levels)])
-    weight = np.concatenate([np.zeros(len(pooled)), *(x.log_weight for x in levels)])
-    size = np.concatenate(
-        [np.ones(len(pooled), np.int64), *(np.full(len(x.records), x.records.shape[1]) for x in levels)]
+def _of_all_sizes(pooled: PooledRecords, levels: list[_SetsOfSize]) -> tuple[IntArray, FloatArray]:
+    """(k, S) the sets of all levels, and their ln w."""
+    none = np.empty((0, len(pooled.sources)), np.int64)
+    return (
+        np.concatenate([none, *(_by_source(pooled, level.records) for level in levels)]),
+        np.concatenate([np.empty(0), *(level.log_weight for level in levels)]),
     )
-    group = np.concatenate([pooled.group, *(pooled.group[x.records[:, 0]] for x in levels)])
+
+
+def _gathered(
+    pooled: PooledRecords, members: IntArray, weight: FloatArray, floor: FloatArray, partition: IntArray | None = None
+) -> Sets:
+    """Sets (k, S) of two or more records and all single records in one table, single records first in each group.
+
+    partition : (c, S) sets that are a partition of the groups of infinite floor.
+    """
+    n = len(pooled)
+    members = np.concatenate([_by_source(pooled, np.arange(n)[:, None]), members])
+    size = np.count_nonzero(members != ABSENT, axis=1)
+    group = pooled.group[members.max(axis=1)]
     order = _ordered([group, size, *(members + 1).T])
-    group = group[order]
-    start = Ragged.of_sorted(group, len(pooled.sizes)).start
-    return Sets(taken(members, order), size[order], weight[order], group, start, floor)
+    start = Ragged.of_sorted(group[order], len(pooled.sizes)).start
+    weight = np.concatenate([np.zeros(n), weight])
+    sets = Sets(taken(members, order), size[order], weight[order], group[order], start, floor)
+    return sets if partition is None else replace(sets, partition=among(sets.members, partition))
 
 
 def _ordered(columns: list[IntArray]) -> IntArray:

@@ -1,0 +1,134 @@
+"""Groups of more sets than can be listed, which have those near a good partition instead."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sameas import CloseObjects, Objects, PoissonObjects, Records, identify_many
+from sameas.gate import DEFAULT_GATE
+from sameas.many.near_sets import near_sets
+from sameas.many.pooled import pooled
+from sameas.many.rules import MissedObjects, terms_of
+from sameas.many.sets import ManyTuning, candidate_sets
+
+Scene = tuple[list[Records], list[np.ndarray]]
+
+
+def scene(rng: np.random.Generator, n_sources: int, n: int, close: float, missed: float = 0.2) -> Scene:
+    """n objects in a unit square that every source misses with a probability, and the object of each record.
+
+    close : other objects within 1σ of a difference.
+    """
+    sigma = np.sqrt(close / (2.0 * np.pi * n))
+    places, sources, objects = rng.random((n, 2)), [], []
+    for s in range(n_sources):
+        seen = rng.permutation(np.flatnonzero(rng.random(n) > missed))
+        objects.append(seen)
+        measured = places[seen] + sigma * rng.standard_normal((len(seen), 2))
+        sources.append(Records.of(measured, sigma=sigma, source=f"source {s}"))
+    return sources, objects
+
+
+def of_one_object(found: Objects, objects: list[np.ndarray]) -> np.ndarray:
+    """(k,) whether each found object has all records of one object and no other."""
+    total = np.bincount(np.concatenate(objects))
+    right = np.zeros(len(found), bool)
+    for k, members in enumerate(found.members):
+        own = {int(objects[s][row]) for s, row in enumerate(members) if row is not np.ma.masked}
+        right[k] = len(own) == 1 and np.ma.count(members) == total[own.pop()]
+    return right
+
+
+def value(found: Objects) -> float:
+    """ln w of the partition."""
+    return float(found.sets.log_weight[found.answer.chosen].sum())
+
+
+def by_records(found: Objects) -> dict[tuple[int, ...], float]:
+    """The probability of every candidate set."""
+    return dict(zip(map(tuple, found.sets.members.tolist()), found.answer.probability.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("n_sources", [3, 5])
+def test_sets_near_a_partition_give_the_answer_of_all_sets(n_sources, seed):
+    rng = np.random.default_rng(seed)
+    sources, _ = scene(rng, n_sources, 24, 0.05)
+    rule = PoissonObjects(24.0, 0.2)
+    whole = identify_many(sources, rule=rule)
+    near = identify_many(sources, rule=rule, tuning=ManyTuning(max_sets=12))
+    assert not whole.groups.gap.any() and (near.groups.floor == np.inf).any()
+    assert value(near) == pytest.approx(value(whole), abs=1e-6)
+    p, missing = by_records(near), 0.0
+    for members, expected in by_records(whole).items():
+        missing = max(missing, abs(p.get(members, 0.0) - expected))
+    assert missing < 1e-3
+
+
+def test_twelve_sources_of_which_objects_have_too_many_subsets_give_the_objects():
+    """Formerly 452 objects were found where there were 100, and none of them was right."""
+    right, stated = 0, 0.0
+    for seed in range(3):
+        sources, objects = scene(np.random.default_rng(seed), 12, 40, 0.05)
+        found = identify_many(sources, rule=PoissonObjects(40.0, 0.2), tuning=ManyTuning(max_sets=20_000))
+        near = found.groups.floor == np.inf
+        assert near.any() and not found.groups.exact[near].any()
+        right += int(of_one_object(found, objects).sum())
+        stated += float(found.probability.sum())
+        assert value(found) >= true_value(found, objects) - 1e-6
+    assert right > 90 and stated == pytest.approx(right, abs=8.0)
+
+
+def true_value(found: Objects, objects: list[np.ndarray]) -> float:
+    """ln w of the true partition."""
+    terms, records = found.terms, found.pooled
+    assert terms is not None
+    together: dict[int, list[int]] = {}
+    for s, source in enumerate(records.sources):
+        assert isinstance(source, Records)
+        for at, row in enumerate(source.rows.tolist()):
+            together.setdefault(int(objects[records.given[s]][row]), []).append(int(records.start[s]) + at)
+    several = [np.array([members]) for members in together.values() if len(members) > 1]
+    return float(sum(terms.linear_of(one)[0] + records.log_joint(one)[0] for one in several))
+
+
+def test_the_order_of_many_sources_changes_nothing():
+    rng = np.random.default_rng(5)
+    sources, _ = scene(rng, 10, 30, 0.05)
+    tuning = ManyTuning(max_sets=500)
+    first = identify_many(sources, rule=PoissonObjects(30.0, 0.2), tuning=tuning)
+    turn = rng.permutation(len(sources))
+    again = identify_many([sources[s] for s in turn], rule=PoissonObjects(30.0, 0.2), tuning=tuning)
+    back = np.ma.filled(again.members, -1)[:, np.argsort(turn)]
+    expected = dict(zip(map(tuple, np.ma.filled(first.members, -1).tolist()), first.probability.tolist(), strict=True))
+    assert dict(zip(map(tuple, back.tolist()), again.probability.tolist(), strict=True)) == expected
+
+
+@pytest.mark.parametrize("rule", [PoissonObjects(30.0, 0.2), CloseObjects(0.02, 0.2)])
+def test_near_sets_include_their_partition_and_weigh_what_all_sets_weigh(rule: Any):
+    sources, _ = scene(np.random.default_rng(8), 4, 30, 0.1)
+    prior = MissedObjects(0.2)
+    together = pooled(sources, DEFAULT_GATE)
+    terms = terms_of(rule, prior, together) if isinstance(rule, CloseObjects) else rule.terms(together)
+    near = near_sets(together, terms, np.ones(len(together.sizes), bool), 20.0, 4)
+    listed = candidate_sets(together, terms)
+    weight = dict(zip(map(tuple, listed.members.tolist()), listed.log_weight.tolist(), strict=True))
+    for members, log_weight in zip(near.members.tolist(), near.log_weight.tolist(), strict=True):
+        assert weight[tuple(members)] == pytest.approx(log_weight, abs=1e-9)
+    covered = np.sort(near.partition[near.partition >= 0])
+    np.testing.assert_array_equal(covered, np.arange(len(together)))
+    found = set(map(tuple, near.members.tolist()))
+    assert all(tuple(members) in found for members in near.partition.tolist() if sum(m >= 0 for m in members) > 1)
+
+
+def test_a_count_prior_with_sets_near_a_partition():
+    sources, _ = scene(np.random.default_rng(3), 4, 10, 0.1)
+    arguments: dict[str, Any] = {"rule": CloseObjects(0.02, 0.4), "prior": MissedObjects(0.2)}
+    whole = identify_many(sources, **arguments)
+    near = identify_many(sources, **arguments, tuning=ManyTuning(max_sets=12))
+    assert np.isinf(near.groups.gap).any()
+    assert set(map(tuple, np.ma.filled(near.members, -1))) == set(map(tuple, np.ma.filled(whole.members, -1)))
+    np.testing.assert_allclose(near.probability.sum(), whole.probability.sum(), rtol=0.02)
