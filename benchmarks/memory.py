@@ -242,12 +242,13 @@ METHODS: Mapping[str, Callable[[Kind], Watch]] = {
 
 @dataclass(frozen=True)
 class Score:
-    """(n,) of every scored object: stated probability, whether it is right, metres to the next object, its scene; and,
-    of those that are right, χ²/2 of the fused position, and squared errors of the fused position and of the best
-    member."""
+    """(n,) of every scored object: stated probability, whether it is right, whether it is kept by hysteresis though
+    another is more probable, metres to the next object, its scene; and, of those that are right, χ²/2 of the fused
+    position, and squared errors of the fused position and of the best member."""
 
     p: np.ndarray
     right: np.ndarray
+    kept: np.ndarray
     spacing_m: np.ndarray
     scene: np.ndarray
     nees: np.ndarray
@@ -279,7 +280,7 @@ class Score:
                 best = own[np.argmin(sigma[own])]
                 measured = right and len(own) > 1
                 rows.append((
-                    state.probability[n], right, spacing[n], seed,
+                    state.probability[n], right, state.p_runner_up[n] > state.probability[n], spacing[n], seed,
                     float(off @ np.linalg.solve(p, off)) / 2.0 if measured else np.nan,
                     float(off @ off) if measured else np.nan,
                     float(np.sum((scan.state[best, :2] - places[ship]) ** 2)) if measured else np.nan,
@@ -304,27 +305,30 @@ class Score:
         return mean, float(np.sqrt(np.sum(sums**2) * scenes / (scenes - 1))) / len(scene) if scenes > 1 else np.nan
 
     def rows(self, label: list[object]) -> list[list[object]]:
-        """By spacing: number, log loss, verdict, and of all bins stated probability, its excess over the share right
-        with standard error, and number."""
+        """By spacing, of all objects and of those kept by hysteresis: number, log loss, verdict, and of all bins stated
+        probability, its excess over the share right with standard error, and number."""
         out: list[list[object]] = []
         for low, high in [*pairwise(SPACING_M), (0.0, np.inf)]:
             near = (self.spacing_m >= low) & (self.spacing_m < high) | (low == 0.0) & np.isinf(high)
-            if not near.any():
-                continue
-            bins, verdict = [], 0
-            for a, b in pairwise(BINS):
-                some = near & (self.p >= a) & (self.p < b)
-                if some.sum() < COUNTED:
-                    bins.append(f"({int(some.sum())})")
-                    continue
-                excess, error = self.mean(self.p - self.right, some)
-                bins.append(f"{self.p[some].mean():.3f} {excess:+.3f}±{error:.3f} ({int(some.sum())})")
-                is_real = abs(excess) - TOLERANCE > SIGNIFICANT * error
-                verdict = max(verdict, 3 if is_real else 2 if abs(excess) > TOLERANCE else 1)
             words = "all" if (low, high) == (0.0, np.inf) else f"{low:g} to {high:g}"
-            loss = float(self.log_loss[near].mean())
-            out.append([*label, words, int(near.sum()), loss, VERDICTS[verdict], *bins])
+            for which, named in ((near, words), (near & (self.kept > 0), f"{words}, kept")):
+                if which.any():
+                    out.append([*label, named, *self._by_probability(which)])
         return out
+
+    def _by_probability(self, which: np.ndarray) -> list[object]:
+        """Of the objects ``which``: number, log loss, verdict and bins as of :meth:`rows`."""
+        bins, verdict = [], 0
+        for a, b in pairwise(BINS):
+            some = which & (self.p >= a) & (self.p < b)
+            if some.sum() < COUNTED:
+                bins.append(f"({int(some.sum())})")
+                continue
+            excess, error = self.mean(self.p - self.right, some)
+            bins.append(f"{self.p[some].mean():.3f} {excess:+.3f}±{error:.3f} ({int(some.sum())})")
+            is_real = abs(excess) - TOLERANCE > SIGNIFICANT * error
+            verdict = max(verdict, 3 if is_real else 2 if abs(excess) > TOLERANCE else 1)
+        return [int(which.sum()), float(self.log_loss[which].mean()), VERDICTS[verdict], *bins]
 
     def compared(self, other: Score) -> list[object]:
         """Percent right and that of another score of the same scenes, log loss and that of the other: the differences
