@@ -722,3 +722,14 @@ def test_broken_documents_are_refused_in_words(text, tmp_path):
     (tmp_path / "adsb.json").write_text(text)
     with pytest.raises(InputError, match=r"no columns? of|no row can be used|no JSON object"):
         read_reports(tmp_path / "adsb.json")
+
+
+def test_the_navigational_status_of_ais_is_read_as_number_or_text_and_that_of_others_is_not():
+    """Live, a ship that says she is moored is berthed; of tables nobody was."""
+    rows = ["Moored", "At anchor", "Under way using engine", "5", "1.0", "15", ""]
+    lines = [f"2024-05-01T12:0{k}:00Z,235000001,50.0,-1.{k},{text}" for k, text in enumerate(rows)]
+    ais = table("time,mmsi,lat,lon,Navigational status\n" + "\n".join(lines) + "\n")
+    assert np.array_equal(ais.extra["nav_status"], [5.0, 1.0, np.nan, 5.0, 1.0, np.nan, np.nan], equal_nan=True)
+    plots = "time,range_m,bearing_deg,status\n2024-05-01T12:00:00Z,500,20,5\n2024-05-01T12:00:03Z,510,20,1\n"
+    radar = table(plots)
+    assert "nav_status" not in radar.extra and "columns not used: status" in " ".join(radar.notes)

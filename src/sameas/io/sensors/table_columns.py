@@ -109,6 +109,7 @@ QUANTITIES = tuple(
         ("mode_a", "text", "squawk modea mode3a modea3"),
         ("name", "text", "name vesselname shipname"),
         ("type", "text", "type vesseltype shiptype typecode"),
+        ("nav_status", "text", "navstatus navstat navigationalstatus navigationstatus status"),
         ("length_m", "length", "length loa"),
         ("width_m", "length", "width beam"),
         *((f"to_{side}_m", "length", f"to{side} {side} dim{letter} dimension{letter} size{letter} {letter}")

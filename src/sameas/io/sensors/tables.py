@@ -67,7 +67,7 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     values = {
         name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
     }
-    chosen = _without_row_numbers(values, chosen)
+    values, chosen = _with_nav_status(values, _without_row_numbers(values, chosen), is_ais)
     marks = _mark_unavailable(values, chosen, is_ais)
     start_s = start_seconds(options.start, source)
     values["time_s"], note = times_of(cells, chosen, source, start_s, options.time_zone)
@@ -215,6 +215,24 @@ def _texts(column: Sequence[Any], quantity: str) -> NDArray[np.object_]:
             text = text.zfill(9)
         texts.append(text.lower() if quantity == "icao" else text)
     return np.array([*texts, None], object)[:-1]
+
+
+#: Numbers of the navigational statuses of AIS that tables write as texts (ITU-R M.1371, table 48).
+_STATUSES = {"at anchor": 1.0, "not under command": 2.0, "moored": 5.0, "aground": 6.0}
+
+
+def _with_nav_status(
+    values: dict[str, Any], chosen: dict[str, Choice], is_ais: bool
+) -> tuple[dict[str, Any], dict[str, Choice]]:
+    """The navigational statuses of AIS as numbers, NaN for those without a number of ours; no statuses of others."""
+    status = values.pop("nav_status", None)
+    if status is None:
+        return values, chosen
+    if not is_ais:
+        return values, {name: choice for name, choice in chosen.items() if name != "nav_status"}
+    texts = ["" if text is None else str(text).strip().lower() for text in status]
+    numbers = [float(text) if re.fullmatch(r"1?\d(\.0*)?", text) else _STATUSES.get(text, math.nan) for text in texts]
+    return values | {"nav_status": np.array([math.nan if number >= 15.0 else number for number in numbers])}, chosen
 
 
 def _mark(rows: BoolArray, lines: IntArray, damaged: dict[int, str], reason: str) -> None:
