@@ -228,7 +228,7 @@ def track_numbers(track: NDArray[Any]) -> IntArray:
         return np.unique(track, return_inverse=True)[1]
     # Names need not be comparable; their texts are. Each is looked up: to sort all takes twice as long.
     names = track.tolist()
-    text = {name: str(name) for name in names}
+    text = {name: str(name) for name in set(names)}
     number = {one: k for k, one in enumerate(sorted(set(text.values())))}
     of_name = {name: number[one] for name, one in text.items()}
     return np.fromiter(map(of_name.__getitem__, names), np.int64, len(names))
