@@ -3,7 +3,9 @@
 Twenty records of one object have a million subsets, nearly all of which are in no partition of any weight. Here sets
 are reached from a good partition instead, one record at a time:
 
-1. *Partition.* Clusters of records merge while their union outweighs them, mutual best ones first.
+1. *Partition.* Source after source is assigned to the clusters of those before it, by the best assignment as a whole;
+   then every source anew to the clusters of all others, and clusters merge whose union outweighs them, until that
+   gains no more. Three starts, the first source, the last, and all records alone, are packed into one partition.
 2. *Cost.* A set A taken out of the clusters C that it has records of leaves C∖A. Its cost is
    Σ ln w(C) − ln w(A) − Σ ln w(C∖A): so much less probable, in ln, is the partition with this one change.
 3. *Search.* From the single records and the clusters, a record is added (in place of one of the same source) or
@@ -22,6 +24,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.many.pooled import PooledRecords
@@ -51,8 +55,9 @@ def near_sets(pooled: PooledRecords, terms: Terms, groups: BoolArray, most_cost:
     """
     search = _Search.of(pooled, terms, groups)
     single = search.single(np.flatnonzero(groups[pooled.group]))
-    partition = search.merged(single)
-    found = np.concatenate([single, partition])
+    starts = [search.settled(c) for c in (search.in_sequence(single, 1), search.in_sequence(single, -1), single)]
+    found = search.known.unique(np.concatenate([single, *starts]))
+    partition = search.packed(starts[0], found)
     improving = groups
     for _ in range(ROUNDS):
         searched = improving[search.group_of(partition)]
@@ -144,7 +149,54 @@ class _Search:
         """(k,) the group of sets that are not empty."""
         return np.asarray(self.pooled.group[sets.max(axis=1)])
 
-    def merged(self, clusters: IntArray) -> IntArray:
+    def in_sequence(self, single: IntArray, order: int) -> IntArray:
+        """(c, S) clusters of single records: one source after another assigned to those before, from the first source
+        on (``order`` 1) or from the last (−1)."""
+        clusters = single[:0]
+        for s in range(len(self.pooled.sources))[::order]:
+            clusters = self._assigned(clusters, single[single[:, s] != ABSENT, s], s)
+        return clusters
+
+    def settled(self, clusters: IntArray) -> IntArray:
+        """(c, S) clusters with every source assigned anew and unions merged, until that gains no more."""
+        value = -np.inf
+        while (now := float(self.known(clusters).sum())) > value + LEAST_GAIN:
+            value = now
+            for s in range(len(self.pooled.sources)):
+                records = clusters[:, s]
+                others = clusters.copy()
+                others[:, s] = ABSENT
+                clusters = self._assigned(
+                    others[(others != ABSENT).any(axis=1)], np.sort(records[records != ABSENT]), s
+                )
+            clusters = self._merged(clusters)
+        return clusters
+
+    def _assigned(self, clusters: IntArray, records: IntArray, s: int) -> IntArray:
+        """The clusters (c, S) with the records (n,) of source s, of which they have none, assigned by the largest gain
+        in all; a record that is not assigned is a cluster of its own."""
+        row, place = ranges(self.start[records], self.start[records + 1] - self.start[records])
+        column = self._numbers(clusters)[self.neighbour[place]]
+        inside = column != ABSENT
+        pair, count = np.unique(row[inside] * len(clusters) + column[inside], return_counts=True)
+        row, column = np.divmod(pair, max(len(clusters), 1))
+        all_pairs = count == np.count_nonzero(clusters[column] != ABSENT, axis=1)
+        row, column = row[all_pairs], column[all_pairs]
+        together = clusters[column]
+        together[:, s] = records[row]
+        gain = self.known(together) - self.known(clusters[column])
+        row, column, gain = row[gain > 0.0], column[gain > 0.0], gain[gain > 0.0]
+        # A record may also stay alone, in a column of its own. Costs are above 0, which would mean no edge.
+        alone, n = 1.0 + gain.max(initial=0.0), len(records)
+        cost = np.concatenate([alone - gain, np.full(n, alone)])
+        edges = np.concatenate([row, np.arange(n)]), np.concatenate([column, len(clusters) + np.arange(n)])
+        _, chosen = min_weight_full_bipartite_matching(csr_array((cost, edges), shape=(n, len(clusters) + n)))
+        joined = chosen < len(clusters)
+        clusters = clusters.copy()
+        clusters[chosen[joined], s] = records[joined]
+        return np.concatenate([clusters, self.single(records[~joined])])
+
+    def _merged(self, clusters: IntArray) -> IntArray:
         """The clusters merged while a union outweighs its parts, mutual best ones first."""
         while True:
             a, b = self._unions(clusters)
