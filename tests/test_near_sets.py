@@ -90,6 +90,13 @@ def test_the_partition_of_twenty_sources_is_at_least_as_probable_as_the_true_one
     assert value(found) >= true_value(found, objects) - 1e-6
 
 
+def test_a_source_without_records_in_a_group_of_too_many_sets():
+    sources, _ = scene(np.random.default_rng(2), 4, 12, 0.05)
+    far = Records.of([[50.0, 50.0]], sigma=0.01, source="far")
+    with_far = identify_many([*sources, far], rule=PoissonObjects(12.0, 0.2), tuning=ManyTuning(max_sets=12))
+    assert (with_far.groups.floor == np.inf).any() and len(with_far) == 13
+
+
 def true_value(found: Objects, objects: list[np.ndarray]) -> float:
     """ln w of the true partition."""
     terms, records = found.terms, found.pooled

@@ -163,18 +163,18 @@ class _Search:
         while (now := float(self.known(clusters).sum())) > value + LEAST_GAIN:
             value = now
             for s in range(len(self.pooled.sources)):
-                records = clusters[:, s]
+                records = np.sort(clusters[clusters[:, s] != ABSENT, s])
                 others = clusters.copy()
                 others[:, s] = ABSENT
-                clusters = self._assigned(
-                    others[(others != ABSENT).any(axis=1)], np.sort(records[records != ABSENT]), s
-                )
+                clusters = self._assigned(others[(others != ABSENT).any(axis=1)], records, s)
             clusters = self._merged(clusters)
         return clusters
 
     def _assigned(self, clusters: IntArray, records: IntArray, s: int) -> IntArray:
         """The clusters (c, S) with the records (n,) of source s, of which they have none, assigned by the largest gain
         in all; a record that is not assigned is a cluster of its own."""
+        if not len(records):
+            return clusters
         row, place = ranges(self.start[records], self.start[records + 1] - self.start[records])
         column = self._numbers(clusters)[self.neighbour[place]]
         inside = column != ABSENT

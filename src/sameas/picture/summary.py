@@ -21,6 +21,7 @@ from sameas.tracks.faults import Fault
 from sameas.tracks.feed import Feed, fastest_vessel_m_per_s
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.scene import Scene
+from sameas.tracks.source import SensorCoverage
 
 #: Attributes of identity that only aircraft have.
 _OF_AIRCRAFT = [TEXTS.index(name) for name in ("icao", "mode_a")]
@@ -117,7 +118,8 @@ class MissCount:
 
     An object counts at each instant; a named track has a record until its timeout. error : standard error of the share,
     from its scatter between blocks of successive instants; None for a single block. described : the miss probability
-    per scan that the picture uses: described, assumed or estimated; None without one.
+    per scan that the picture uses: described, assumed or estimated; None without one. bounded : whether its coverage is
+    described; without it a source is due to show objects at any distance.
     """
 
     source: str
@@ -125,12 +127,14 @@ class MissCount:
     share: float
     error: float | None
     described: float | None
+    bounded: bool = True
 
     def __str__(self) -> str:
         described = "" if self.described is None else f"; used: {100.0 * self.described:.0f} % per scan"
         error = "" if self.error is None else f" ± {100.0 * self.error:.1f}"
         share = f"{100.0 * self.share:.{1 if error else 0}f}{error} %"
-        return f"{self.source} misses {share} of the others' objects within its coverage{described}"
+        where = "within its coverage" if self.bounded else "at any distance, as its coverage is not described"
+        return f"{self.source} misses {share} of the others' objects {where}{described}"
 
 
 @dataclass(frozen=True)
@@ -304,9 +308,9 @@ def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally], tuning: Tuning) -> 
             q = feed.description.misses.q
             described = None if q is None else float(np.mean(q))
             share = float(missed[:, s].sum() / whole)
-            yield MissCount(
-                feed.description.name, whole, share, share_error(due[:, s], missed[:, s], tuning.blocks), described
-            )
+            error = share_error(due[:, s], missed[:, s], tuning.blocks)
+            bounded = feed.description.coverage != SensorCoverage()
+            yield MissCount(feed.description.name, whole, share, error, described, bounded)
 
 
 def share_error(due: FloatArray, missed: FloatArray, blocks: int = DEFAULT_TUNING.blocks) -> float | None:
