@@ -29,13 +29,15 @@ STEPS, MIN_RECORDS, BURN_IN = 5_000, 100, 0.1
 #: Multiplier and modulus of the random numbers, equal compiled and interpreted (Park, Miller and Stockmeyer 1993).
 MULTIPLIER, MODULUS = 48271, 2147483647
 NO_SET = -1
+#: With more sources, half of the exchanges and divisions are by one source alone.
+FEW_SOURCES = 8
 
 
 class KeyedSets(NamedTuple):
     """The sets of a group, the records of each and the sets of each record (both as CSR), and their keys.
 
     code : (n,) a random key of each record. key : (k,) of each set, the exclusive or of its records' keys. table : a
-    hash table of the sets by key, ``NO_SET`` where empty.
+    hash table of the sets by key, ``NO_SET`` where empty. n_sources : number of sources.
     """
 
     begin: IntArray
@@ -44,6 +46,7 @@ class KeyedSets(NamedTuple):
     code: IntArray
     key: IntArray
     table: IntArray
+    n_sources: int
     member_begin: IntArray
     member_sets: IntArray
 
@@ -59,7 +62,10 @@ def sampled(begin: IntArray, entry: IntArray, source: IntArray, weight: FloatArr
     total, since_step = np.zeros(k), np.zeros(k, np.int64)
     code, key, table = _keys(begin, entry, n)
     member_begin, member_sets = memberships(begin, entry, n, np.ones(len(weight), np.bool_))
-    sets = KeyedSets(begin, entry, source, code, key, table, member_begin, member_sets)
+    n_sources = np.int64(0)
+    for r in range(n):
+        n_sources = max(n_sources, source[r] + 1)
+    sets = KeyedSets(begin, entry, source, code, key, table, n_sources, member_begin, member_sets)
     set_of = _sets_of_records(chosen, sets)
     records, old, new = _records_in_sets(set_of), _sets_of_a_step(source), _sets_of_a_step(source)
     if len(records) == 0:
@@ -130,6 +136,10 @@ def _propose(
         q = sets.entry[sets.begin[t] + random % (sets.begin[t + 1] - sets.begin[t])]
     random = random * MULTIPLIER % MODULUS
     mask = random >> 8
+    if sets.n_sources > FEW_SOURCES:
+        # A set of random ones is rarely the few whose records two objects may exchange.
+        random = random * MULTIPLIER % MODULUS
+        mask = np.int64(1) << (mask % sets.n_sources) if random % 2 == 0 else mask | (random >> 8) << 23
     if r == q or set_of[q] == NO_SET:
         return random, 0, 0
     if proposal < 5:
