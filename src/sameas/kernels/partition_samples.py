@@ -62,12 +62,11 @@ def sampled(begin: IntArray, entry: IntArray, source: IntArray, weight: FloatArr
     total, since_step = np.zeros(k), np.zeros(k, np.int64)
     code, key, table = _keys(begin, entry, n)
     member_begin, member_sets = memberships(begin, entry, n, np.ones(len(weight), np.bool_))
-    n_sources = np.int64(0)
-    for r in range(n):
-        n_sources = max(n_sources, source[r] + 1)
+    n_sources = _number_of_sources(source)
     sets = KeyedSets(begin, entry, source, code, key, table, n_sources, member_begin, member_sets)
     set_of = _sets_of_records(chosen, sets)
-    records, old, new = _records_in_sets(set_of), _sets_of_a_step(source), _sets_of_a_step(source)
+    # A step replaces the sets of one record of each source at most, and one.
+    records, old, new = _records_in_sets(set_of), np.empty(n_sources + 1, np.int64), np.empty(n_sources + 1, np.int64)
     if len(records) == 0:
         return total
     steps = STEPS * max(len(records), MIN_RECORDS)
@@ -243,12 +242,11 @@ def _records_in_sets(set_of: IntArray) -> IntArray:
 
 
 @part
-def _sets_of_a_step(source: IntArray) -> IntArray:
-    """An array for the most sets that a step replaces: one per source, and one."""
+def _number_of_sources(source: IntArray) -> int:
     sources = 0
     for s in source:
         sources = max(sources, s + 1)
-    return np.empty(sources + 1, np.int64)
+    return sources
 
 
 @part

@@ -25,7 +25,7 @@ from scipy.sparse import csr_array, hstack, vstack
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries
-from sameas.many.pooled import PooledRecords
+from sameas.many.pooled import PooledRecords, record_codes
 from sameas.many.rules import MissedObjects
 from sameas.many.sets import TUNING, ManyTuning, Sets
 from sameas.ragged import Ragged
@@ -111,9 +111,8 @@ def _relaxation(sets: Sets, incidence: csr_array, groups: BoolArray) -> tuple[In
 
 def _dominated(sets: Sets) -> BoolArray:
     """(k,) the sets that weigh at most as much as the set without one of their records."""
-    # Sets are looked up by the sum of a random number for each record, then compared record by record.
-    code = np.random.default_rng(0).integers(0, 1 << 62, sets.members.max(initial=0) + 2, dtype=np.uint64)
-    code[-1] = 0
+    # Sets are looked up by the sum of their codes, then compared record by record.
+    code = record_codes(int(sets.members.max(initial=0)) + 1)
     total = code[sets.members].sum(axis=1, dtype=np.uint64)
     order = np.argsort(total, kind="stable")
     ordered = total[order]

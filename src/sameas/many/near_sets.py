@@ -28,7 +28,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
-from sameas.many.pooled import PooledRecords
+from sameas.many.pooled import PooledRecords, record_codes
 from sameas.many.rules import Terms, pairs_of
 from sameas.ragged import Ragged, ranges
 
@@ -72,24 +72,17 @@ def near_sets(pooled: PooledRecords, terms: Terms, groups: BoolArray, most_cost:
     return NearSets(found, search.known(found), partition)
 
 
-def among(sets: IntArray, some: IntArray) -> BoolArray:
-    """(k,) whether each set (k, S) is one of ``some`` (c, S)."""
-    known = {row.tobytes() for row in np.ascontiguousarray(some)}
-    return np.array([row.tobytes() in known for row in np.ascontiguousarray(sets)], bool)
-
-
 class _Weights:
-    """ln w of sets (k, S), each weighed once: a set is known by the sum of a random number for each record."""
+    """ln w of sets (k, S), each weighed once."""
 
     def __init__(self, pooled: PooledRecords, terms: Terms) -> None:
         self.pooled, self.terms = pooled, terms
-        self.number = np.random.default_rng(0).integers(0, 1 << 62, len(pooled) + 1, dtype=np.uint64)
-        self.number[ABSENT] = 0
+        self.codes = record_codes(len(pooled))
         self.key, self.weight = np.empty(0, np.uint64), np.empty(0)
 
     def keys(self, sets: IntArray) -> NDArray[np.uint64]:
         """(k,) the key of each set."""
-        return np.asarray(self.number[sets].sum(axis=1, dtype=np.uint64))
+        return np.asarray(self.codes[sets].sum(axis=1, dtype=np.uint64))
 
     def unique(self, sets: IntArray) -> IntArray:
         """The different ones of the sets."""

@@ -121,6 +121,13 @@ class PooledRecords:
         return self.i * len(self) + self.j
 
 
+def record_codes(n: int) -> NDArray[np.uint64]:
+    """(n + 1,) a random number for each record, and 0 for ABSENT: a set is known by the sum of those of its records."""
+    codes = np.random.default_rng(0).integers(0, 1 << 62, n + 1, dtype=np.uint64)
+    codes[ABSENT] = 0
+    return codes
+
+
 def pooled(sources: Sequence[Source], gate: Gate, region: Region | None = None) -> PooledRecords:
     """The records of two or more sources, their pairs and groups."""
     if len(sources) < 2:

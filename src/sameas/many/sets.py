@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries, taken
-from sameas.many.near_sets import among, near_sets
-from sameas.many.pooled import PooledRecords
+from sameas.many.near_sets import near_sets
+from sameas.many.pooled import PooledRecords, record_codes
 from sameas.many.rules import Terms
 from sameas.ragged import Ragged, ranges
 from sameas.representation import in_short
@@ -254,7 +254,10 @@ def _gathered(
     start = Ragged.of_sorted(group[order], len(pooled.sizes)).start
     weight = np.concatenate([np.zeros(n), weight])
     sets = Sets(taken(members, order), size[order], weight[order], group[order], start, floor)
-    return sets if partition is None else replace(sets, partition=among(sets.members, partition))
+    if partition is None:
+        return sets
+    code = record_codes(n)
+    return replace(sets, partition=np.isin(code[sets.members].sum(axis=1), code[partition].sum(axis=1)))
 
 
 def _ordered(columns: list[IntArray]) -> IntArray:
