@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, distinct, places_in, spans_in
-from sameas.picture.phantoms import Phantom, phantoms
+from sameas.picture.phantoms import Phantom, instant_keys, phantoms
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
@@ -58,7 +58,7 @@ class PictureTrack:
     @cached_property
     def keys(self) -> IntArray:
         """(k,) instant and object in one number."""
-        return np.asarray(self.at.astype(np.int64) << 32 | self.object.astype(np.int64))
+        return instant_keys(self.at, self.object)
 
 
 @dataclass(frozen=True)

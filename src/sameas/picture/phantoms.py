@@ -155,7 +155,7 @@ def _sightings(ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tu
     lag_s = 0.0 if radar.reports.track is None else tuning.tracker_lag_s
     reach = tuning.near_share * np.hypot(*arm.T) + lag_s * speed + tuning.apart_sigmas * np.sqrt(variance[own])
     near = distance <= reach + tuning.apart_sigmas * np.sqrt(variance[shown])[nearest]
-    with_radar = np.isin(_keys(at, records["object"][own]), _keys(shown_at, records["object"][shown]))
+    with_radar = np.isin(instant_keys(at, records["object"][own]), instant_keys(shown_at, records["object"][shown]))
     seen, chance = near[0] | with_radar, near[1:].mean(axis=0)
     fast = tuning.under_way_m_per_s[KINDS[ships.description.kind].target == "aircraft"]
     heights = _heights(ships, names, ship, time_s)
@@ -176,7 +176,7 @@ def _speeds(ship: IntArray, time_s: FloatArray, place: FloatArray) -> FloatArray
     return out
 
 
-def _keys(at: IntArray, number: IntArray) -> IntArray:
+def instant_keys(at: IntArray, number: IntArray) -> IntArray:
     """(k,) instant and object in one number."""
     return np.asarray(at.astype(np.int64) << 32 | number.astype(np.int64))
 

@@ -22,7 +22,7 @@ from sameas.gaussian import LOG_2PI
 from sameas.tracks.bias_fit import BearingReading
 from sameas.tracks.biases import AZIMUTH
 from sameas.tracks.feed import Feed
-from sameas.tracks.plot_pairs import FITTED, PlotPairs, Plots, candidates, first_of_scans
+from sameas.tracks.plot_pairs import FITTED, PlotPairs, Plots, candidates, first_of_scans, log_prior_of_azimuth, moves
 from sameas.tracks.snapshot import bias_widths
 from sameas.tracks.tuning import Tuning
 
@@ -61,7 +61,7 @@ def best_other_reading(
         near = np.abs(grid) <= limit_deg
     else:
         near = np.abs(_wrapped(grid - azimuth_deg)) <= tuning.reading_near_deg
-    log_prior = -np.log(np.pi * width * (1.0 + (_wrapped(grid) / width) ** 2))
+    log_prior = log_prior_of_azimuth(_wrapped(grid), width)
     given = _best(as_given, np.where(near, log_prior, -np.inf))
     azimuth_deg = float(grid[given.at])
     measured_deg = plots.azimuth_deg[pairs.plot]
@@ -123,14 +123,10 @@ class _Likelihood:
     @classmethod
     def of(cls, pairs: PlotPairs, plots: Plots, widths: FloatArray, tuning: Tuning) -> _Likelihood:
         """The biases other than the azimuth are integrated over their priors."""
-        others = widths[list(FITTED)] * (np.arange(len(FITTED)) != FITTED.index(AZIMUTH))
-        prior = np.einsum("map,p,map->ma", pairs.jacobian, others**2, pairs.jacobian)
+        prior = pairs.variance_without_azimuth(widths)
         lever, step_deg = pairs.jacobian[:, 1, FITTED.index(AZIMUTH)], tuning.reading_step_deg
-        moves = float(np.ptp(plots.sensor, axis=0).max()) >= tuning.compass_moved_m
         ratios, sigmas = [], []
-        for scale, drift_deg in tuning.plot_spreads:
-            if drift_deg and not moves:
-                continue
+        for scale, drift_deg in plots.spreads(tuning):
             variance = scale**2 * pairs.variance + prior + pairs.lasting_m2
             variance[:, 1] += (drift_deg**2 + 0.25 * step_deg**2) * lever**2
             along = -0.5 * np.log(variance[:, 0]) - 0.5 * pairs.residual[:, 0] ** 2 / variance[:, 0]
@@ -189,7 +185,7 @@ def _fewer(plots: Plots, tuning: Tuning) -> Plots:
 def _headings(feed: Feed, plots: Plots) -> list[tuple[Words, FloatArray]]:
     """The readings by the heading of the vessel that carries the sensor, or her course, with (n,) what they add to the
     bearings; none for a fixed sensor."""
-    if not len(plots) or float(np.ptp(plots.sensor, axis=0).max()) < feed.tuning.compass_moved_m:
+    if not moves(plots.sensor, feed.tuning):
         return []
     raw = feed.raw_reports
     if raw is not None:

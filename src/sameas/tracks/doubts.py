@@ -22,7 +22,7 @@ from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.registration.weights import weigh
 from sameas.tracks.alignment import States
-from sameas.tracks.bearing_readings import best_other_reading
+from sameas.tracks.bearing_readings import MIRRORED, OF_BOW, OF_NORTH, best_other_reading
 from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, FOOT_M, MILE_M, LocalPlane
@@ -96,9 +96,8 @@ def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
         yield UnitGuess("bearings look like angles from the east, anticlockwise", "them read so",
                       "give 90° less the angle: bearings run clockwise from north",
                       _with_bearings(lambda angle: 90.0 - angle, 360.0))  # fmt: skip
-        yield UnitGuess("bearings look counter-clockwise", "their sign turned",
-                      "turn their sign: bearings run clockwise from north",
-                      _with_bearings(lambda angle: -angle, 360.0))  # fmt: skip
+        mirrored = _with_bearings(lambda angle: -angle, 360.0)
+        yield UnitGuess(MIRRORED[0], "their sign turned", MIRRORED[2], mirrored)
         yield from bow_guesses(reports)
 
 
@@ -107,10 +106,10 @@ def bow_guesses(reports: Reports) -> Iterator[UnitGuess]:
     heading_deg = reports.heading_deg if reports.station_heading_deg is None else reports.station_heading_deg
     if reports.position != "polar" or reports.bearing_deg is None or heading_deg is None:
         return
-    yield UnitGuess("bearings look relative to the bow", "the heading added", "name their column relative_bearing",
-                  _with_bearings(lambda angle: angle + heading_deg, 360.0))  # fmt: skip
-    yield UnitGuess("bearings look as from north, not from the bow", "the heading taken off",
-                  "name their column bearing", _with_bearings(lambda angle: angle - heading_deg, 360.0))  # fmt: skip
+    of_bow = _with_bearings(lambda angle: angle + heading_deg, 360.0)
+    yield UnitGuess(OF_BOW[0], "the heading added", OF_BOW[2], of_bow)
+    of_north = _with_bearings(lambda angle: angle - heading_deg, 360.0)
+    yield UnitGuess(OF_NORTH[0], "the heading taken off", OF_NORTH[2], of_north)
 
 
 def clock_guesses() -> Iterator[tuple[str, str, float]]:

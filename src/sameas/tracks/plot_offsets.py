@@ -40,7 +40,7 @@ from sameas.tracks.bearing_readings import best_other_reading
 from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import AZIMUTH, RANGE, TIME, AzimuthDrift
 from sameas.tracks.feed import Feed
-from sameas.tracks.plot_pairs import FITTED, PlotPairs, Plots, candidates, first_of_scans
+from sameas.tracks.plot_pairs import FITTED, PlotPairs, Plots, candidates, first_of_scans, log_prior_of_azimuth, moves
 from sameas.tracks.snapshot import bias_widths
 from sameas.tracks.tuning import Tuning
 
@@ -73,9 +73,7 @@ def search_azimuth(pairs: PlotPairs, plots: Plots, widths: FloatArray, tuning: T
     """ln L of each track at each azimuth, with the other biases integrated over their priors."""
     reach = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0)
     grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / tuning.azimuth_step_deg)) + 1)
-    others = widths[list(FITTED)] * (np.arange(len(FITTED)) != FITTED.index(AZIMUTH))
-    prior = np.einsum("map,p,map->ma", pairs.jacobian, others**2, pairs.jacobian)
-    spreads = _spreads(plots, tuning)
+    prior, spreads = pairs.variance_without_azimuth(widths), plots.spreads(tuning)
     out = np.zeros((len(spreads), len(pairs.scans), len(grid)))
     for number in range(len(pairs.scans)):
         own = pairs.track == number
@@ -90,12 +88,6 @@ def search_azimuth(pairs: PlotPairs, plots: Plots, widths: FloatArray, tuning: T
             ratio = np.exp(log_density[:, None] - 0.5 * across**2 / variance[:, 1, None])
             out[s, number] = _log_mean_over_rates(ratio / pairs.background[own, None], pairs.scans[number], tuning)
     return AzimuthSearch(grid, out)
-
-
-def _spreads(plots: Plots, tuning: Tuning) -> list[tuple[float, float]]:
-    """The trial factors on the errors of plots, with 1σ of the drift in degrees: none for a fixed sensor."""
-    drifts = len(Knots.of(plots.time_s, plots.sensor, tuning)) > 0
-    return [spread for spread in tuning.plot_spreads if drifts or not spread[1]]
 
 
 def _log_mean_over_rates(ratio: FloatArray, scans: float, tuning: Tuning) -> FloatArray:
@@ -124,8 +116,7 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
     # The evidence against no object in common is bounded per track; the comparison of azimuths is not.
     log_companion = search.log_companion(tuning)
     bounded = search.log_likelihood - np.logaddexp(0.0, search.log_likelihood + log_companion)
-    width = float(widths[AZIMUTH])
-    log_prior = -np.log(np.pi * width * (1.0 + (search.azimuth_deg / width) ** 2))
+    log_prior = log_prior_of_azimuth(search.azimuth_deg, float(widths[AZIMUTH]))
     step = float(search.azimuth_deg[1] - search.azimuth_deg[0])
     log_posterior = np.logaddexp.reduce(bounded.sum(axis=1), axis=0) - np.log(len(search.log_likelihood)) + log_prior
     peaks: list[tuple[float, int, int, slice]] = []
@@ -140,7 +131,7 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
     evidence = min(evidence, float(np.logaddexp.reduce(others[peak]) + np.log(step)))
     start = np.zeros(len(FITTED))
     start[FITTED.index(AZIMUTH)] = search.azimuth_deg[at]
-    spread = _spreads(plots, tuning)[s]
+    spread = plots.spreads(tuning)[s]
     best = refined(pairs, widths, start, spread, plots, tuning)
     rivals = []
     for other in [one[2] for one in peaks if one[2] != at]:
@@ -209,7 +200,7 @@ class Knots:
     @classmethod
     def of(cls, time_s: FloatArray, sensor: FloatArray, tuning: Tuning) -> Knots:
         """The knots for plots at these times (n,) from these positions of the sensor (n, 2)."""
-        if not len(time_s) or float(np.ptp(sensor, axis=0).max()) < tuning.compass_moved_m:
+        if not moves(sensor, tuning):
             return cls(np.empty(0))
         first, last = float(time_s.min()), float(time_s.max())
         count = int(np.clip(np.ceil((last - first) / tuning.compass_knot_s) + 1, 2, tuning.compass_knots))

@@ -26,9 +26,8 @@ FITTED = (RANGE, AZIMUTH, GAIN, TIME)
 def shows_bare_plots(feed: Feed) -> bool:
     """Whether a source's offsets are fitted from its plots: positions without ids, from a sensor with unknown
     azimuth bias and no unknown shift."""
-    widths, reports = bias_widths(feed), feed.reports
-    polar = isinstance(reports, States) and reports.track is None and feed.sensor_m is not None
-    return polar and bool(widths[AZIMUTH] > 0.0) and not (widths[EAST] or widths[NORTH])
+    widths = bias_widths(feed)
+    return has_bearings(feed) and not shows_tracks(feed) and not (widths[EAST] or widths[NORTH])
 
 
 def has_bearings(feed: Feed) -> bool:
@@ -83,6 +82,21 @@ class Plots:
         """Some of the plots, with the numbers of their scans."""
         return Plots(*(column[which] for column in vars(self).values()))
 
+    def spreads(self, tuning: Tuning) -> list[tuple[float, float]]:
+        """The trial factors on their errors, with 1σ of the drift in degrees: none for a fixed sensor."""
+        drifts = moves(self.sensor, tuning)
+        return [spread for spread in tuning.plot_spreads if drifts or not spread[1]]
+
+
+def moves(sensor: FloatArray, tuning: Tuning) -> bool:
+    """Whether a sensor at these places (n, 2) moves, so that its azimuth drifts with the heading of its vessel."""
+    return len(sensor) > 0 and float(np.ptp(sensor, axis=0).max()) >= tuning.compass_moved_m
+
+
+def log_prior_of_azimuth(azimuth_deg: FloatArray, width_deg: float) -> FloatArray:
+    """(g,) log prior density of azimuth biases, a Cauchy distribution of this width."""
+    return np.asarray(-np.log(np.pi * width_deg * (1.0 + (azimuth_deg / width_deg) ** 2)))
+
 
 def _sight(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Range (at least 1 m), azimuth (°) and (n, 2, 2) unit vectors along and across (clockwise) lines of sight."""
@@ -112,6 +126,11 @@ class PlotPairs:
     lasting_m2: float
     hull: FloatArray
     frame: FloatArray
+
+    def variance_without_azimuth(self, widths: FloatArray) -> FloatArray:
+        """(m, 2) prior variances of the residual by all biases but the azimuth, of these widths."""
+        others = widths[list(FITTED)] * (np.arange(len(FITTED)) != FITTED.index(AZIMUTH))
+        return np.einsum("map,p,map->ma", self.jacobian, others**2, self.jacobian)
 
 
 def candidates(
