@@ -63,7 +63,7 @@ def identified(scene: Scene, rule: PoissonObjects, identify: Callable[..., Objec
     found = identify(scene.sources, rule=rule)
     cpu_s = time.process_time() - start
     members = np.ma.filled(found.members, -1)
-    return Score(_right(scene, members), float(found.probability.sum()), len(members), cpu_s)
+    return Score(right_objects(scene, members), float(found.probability.sum()), len(members), cpu_s)
 
 
 def linked(scene: Scene) -> Score:
@@ -81,7 +81,7 @@ def linked(scene: Scene) -> Score:
     return Score(right, float("nan"), number, time.process_time() - start)
 
 
-def _right(scene: Scene, members: np.ndarray) -> int:
+def right_objects(scene: Scene, members: np.ndarray) -> int:
     """How many found objects, (k, S) rows or −1, have all records of one object and no other."""
     total, right = np.bincount(np.concatenate(scene.objects)), 0
     for rows in members:

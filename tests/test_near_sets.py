@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.many import right_objects, scene
 
 from sameas import CloseObjects, Objects, PoissonObjects, Records, identify_many
 from sameas.gate import DEFAULT_GATE
@@ -14,32 +15,8 @@ from sameas.many.pooled import pooled
 from sameas.many.rules import MissedObjects, terms_of
 from sameas.many.sets import ManyTuning, candidate_sets
 
-Scene = tuple[list[Records], list[np.ndarray]]
-
-
-def scene(rng: np.random.Generator, n_sources: int, n: int, close: float, missed: float = 0.2) -> Scene:
-    """n objects in a unit square that every source misses with a probability, and the object of each record.
-
-    close : other objects within 1σ of a difference.
-    """
-    sigma = np.sqrt(close / (2.0 * np.pi * n))
-    places, sources, objects = rng.random((n, 2)), [], []
-    for s in range(n_sources):
-        seen = rng.permutation(np.flatnonzero(rng.random(n) > missed))
-        objects.append(seen)
-        measured = places[seen] + sigma * rng.standard_normal((len(seen), 2))
-        sources.append(Records.of(measured, sigma=sigma, source=f"source {s}"))
-    return sources, objects
-
-
-def of_one_object(found: Objects, objects: list[np.ndarray]) -> np.ndarray:
-    """(k,) whether each found object has all records of one object and no other."""
-    total = np.bincount(np.concatenate(objects))
-    right = np.zeros(len(found), bool)
-    for k, members in enumerate(found.members):
-        own = {int(objects[s][row]) for s, row in enumerate(members) if row is not np.ma.masked}
-        right[k] = len(own) == 1 and np.ma.count(members) == total[own.pop()]
-    return right
+#: Probability of a miss.
+MISSED = 0.2
 
 
 def value(found: Objects) -> float:
@@ -56,7 +33,7 @@ def by_records(found: Objects) -> dict[tuple[int, ...], float]:
 @pytest.mark.parametrize("n_sources", [3, 5])
 def test_sets_near_a_partition_give_the_answer_of_all_sets(n_sources, seed):
     rng = np.random.default_rng(seed)
-    sources, _ = scene(rng, n_sources, 24, 0.05)
+    sources, _, _ = scene(rng, n_sources, 24, 0.05, MISSED)
     rule = PoissonObjects(24.0, 0.2)
     whole = identify_many(sources, rule=rule)
     near = identify_many(sources, rule=rule, tuning=ManyTuning(max_sets=12))
@@ -72,11 +49,12 @@ def test_twelve_sources_of_which_objects_have_too_many_subsets_give_the_objects(
     """Formerly 452 objects were found where there were 100, and none of them was right."""
     right, stated = 0, 0.0
     for seed in range(3):
-        sources, objects = scene(np.random.default_rng(seed), 12, 40, 0.05)
+        made = scene(np.random.default_rng(seed), 12, 40, 0.05, MISSED)
+        sources, objects, _ = made
         found = identify_many(sources, rule=PoissonObjects(40.0, 0.2), tuning=ManyTuning(max_sets=20_000))
         near = found.groups.floor == np.inf
         assert near.any() and not found.groups.exact[near].any()
-        right += int(of_one_object(found, objects).sum())
+        right += right_objects(made, np.ma.filled(found.members, -1))
         stated += float(found.probability.sum())
         assert value(found) >= true_value(found, objects) - 1e-6
     assert right > 90 and stated == pytest.approx(right, abs=8.0)
@@ -85,13 +63,13 @@ def test_twelve_sources_of_which_objects_have_too_many_subsets_give_the_objects(
 @pytest.mark.parametrize("close", [0.05, 0.2])
 def test_the_partition_of_twenty_sources_is_at_least_as_probable_as_the_true_one(close):
     """Merging clusters alone ends with two objects of many records in three clusters, e⁷⁰ times less probable."""
-    sources, objects = scene(np.random.default_rng(3), 20, 30, close)
+    sources, objects, _ = scene(np.random.default_rng(3), 20, 30, close, MISSED)
     found = identify_many(sources, rule=PoissonObjects(30.0, 0.2), tuning=ManyTuning(max_sets=2_000))
     assert value(found) >= true_value(found, objects) - 1e-6
 
 
 def test_a_source_without_records_in_a_group_of_too_many_sets():
-    sources, _ = scene(np.random.default_rng(2), 4, 12, 0.05)
+    sources, _, _ = scene(np.random.default_rng(2), 4, 12, 0.05, MISSED)
     far = Records.of([[50.0, 50.0]], sigma=0.01, source="far")
     with_far = identify_many([*sources, far], rule=PoissonObjects(12.0, 0.2), tuning=ManyTuning(max_sets=12))
     assert (with_far.groups.floor == np.inf).any() and len(with_far) == 13
@@ -112,7 +90,7 @@ def true_value(found: Objects, objects: list[np.ndarray]) -> float:
 
 def test_the_order_of_many_sources_changes_nothing():
     rng = np.random.default_rng(5)
-    sources, _ = scene(rng, 10, 30, 0.05)
+    sources, _, _ = scene(rng, 10, 30, 0.05, MISSED)
     tuning = ManyTuning(max_sets=500)
     first = identify_many(sources, rule=PoissonObjects(30.0, 0.2), tuning=tuning)
     turn = rng.permutation(len(sources))
@@ -124,7 +102,7 @@ def test_the_order_of_many_sources_changes_nothing():
 
 @pytest.mark.parametrize("rule", [PoissonObjects(30.0, 0.2), CloseObjects(0.02, 0.2)])
 def test_near_sets_include_their_partition_and_weigh_what_all_sets_weigh(rule: Any):
-    sources, _ = scene(np.random.default_rng(8), 4, 30, 0.1)
+    sources, _, _ = scene(np.random.default_rng(8), 4, 30, 0.1, MISSED)
     prior = MissedObjects(0.2)
     together = pooled(sources, DEFAULT_GATE)
     terms = terms_of(rule, prior, together) if isinstance(rule, CloseObjects) else rule.terms(together)
@@ -140,7 +118,7 @@ def test_near_sets_include_their_partition_and_weigh_what_all_sets_weigh(rule: A
 
 
 def test_a_count_prior_with_sets_near_a_partition():
-    sources, _ = scene(np.random.default_rng(3), 4, 10, 0.1)
+    sources, _, _ = scene(np.random.default_rng(3), 4, 10, 0.1, MISSED)
     arguments: dict[str, Any] = {"rule": CloseObjects(0.02, 0.4), "prior": MissedObjects(0.2)}
     whole = identify_many(sources, **arguments)
     near = identify_many(sources, **arguments, tuning=ManyTuning(max_sets=12))
