@@ -165,6 +165,13 @@ def test_the_format_is_recognised_from_the_content(found, name):
     assert name in REPORT_FORMATS and format_of(file).name == name
 
 
+@pytest.mark.parametrize("head", ['"time","mmsi","lat","lon"', "Altitude,time,mmsi,lat,lon", ">time;mmsi;lat;lon"])
+def test_a_long_table_is_no_asterix(tmp_path, head):
+    """Its first three bytes are a category of radars and, in a file of 30 kB, the length of a block."""
+    (tmp_path / "coast.csv").write_text(head + "\n" + '"2024-05-01 12:00:00",235070762,50.1,-1.2\n' * 1000)
+    assert format_of(SensorFile.of(tmp_path / "coast.csv", ReadOptions())).name == "table"
+
+
 def test_gzipped_files_are_read(tmp_path):
     (tmp_path / "log.gz").write_bytes(gzip.compress((DATA / "ais_sample.nmea").read_bytes()))
     [packed], [plain] = read_reports(tmp_path / "log.gz"), read_reports(DATA / "ais_sample.nmea")

@@ -42,11 +42,15 @@ def blocks_of(content: bytes, received_s: float) -> Iterator[Block]:
 
 
 def looks_like(content: bytes) -> bool:
-    """Whether these bytes are a capture, or begin with a block of a likely category and length."""
+    """Whether these bytes are a capture, or begin with a block of a likely category and length.
+
+    The quotation mark and the letter A with which tables begin are categories, and the next two letters of a table are
+    a length in a file of 30 kB; but no block is text.
+    """
     if content[:4] in _PCAP:
         return True
     length = int.from_bytes(content[1:3], "big")
-    if len(content) < 6 or content[0] not in _LIKELY:
+    if len(content) < 6 or content[0] not in _LIKELY or _NOT_IN_TEXT.search(content[:length]) is None:
         return False
     return 4 <= length <= len(content) and (length == len(content) or content[length] < 248)
 
@@ -69,6 +73,7 @@ def _split(data: bytes, received_s: float) -> Iterator[Block]:
 #: Categories that are sent along with the ones that are read; I010, the sensor, is the first item of all of them.
 _LIKELY = (1, 2, 4, 8, 9, 10, 11, 19, 20, 21, 23, 34, 48, 62, 63, 65, 247)
 _HEADER = re.compile(b"[" + b"".join(b"\\x%02x" % category for category in _LIKELY) + b"][\\x00-\\x1f]", re.DOTALL)
+_NOT_IN_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 #: Bytes in which a block may begin that are kept while none is found; longer blocks are rare, and lost here.
 _KEPT = 8192
 
