@@ -8,6 +8,7 @@ import pytest
 from modelled_scenes import describe, feed, straight
 
 from sameas.picture import LivePicture
+from sameas.picture.deception import deceptions
 from sameas.picture.picture import Picture, instants
 from sameas.picture.tuning import Tuning
 from sameas.picture.watch import Watch
@@ -51,6 +52,23 @@ def test_ais_that_drifts_away_from_the_radar_position_is_an_alarm(drag, leap, ra
     assert (fault.kind, fault.source, fault.track) == ("dragged", "ais", MMSI[0])
     assert fault.probability > 0.95 and 150.0 < fault.first_s < 230.0
     assert f"ais reports {MMSI[0]} at one place" in str(fault) and "probability" in str(fault)
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_tracks_that_were_one_object_by_mistake_and_stay_where_they_are_are_no_deception(moves):
+    """A moored ship behind a pier, and 80 m from her a track of the radar, whose errors were assumed too large."""
+    n, early = len(TIMES), TIMES < 150.0
+    place = np.zeros((2, n, 2))
+    place[1, :, 1] = 80.0
+    place[0, early, 1] = 80.0 if moves else 0.0
+    records = {
+        "time_s": np.tile(TIMES, 2), "source": np.repeat(["ais", "radar"], n),
+        "track_id": np.repeat([MMSI[0], "radar0"], n), "object": np.concatenate([np.full(n, 1), np.where(early, 1, 2)]),
+        "x_m": np.ma.MaskedArray(place[:, :, 0].ravel()), "y_m": np.ma.MaskedArray(place[:, :, 1].ravel()),
+        **{name: np.ma.MaskedArray(np.tile(np.where(early, 400.0, 40.0), 2)) for name in ("var_x_m2", "var_y_m2")},
+    }  # fmt: skip
+    found = deceptions(scene().feeds, records)
+    assert [(fault.kind, fault.track) for fault in found] == ([("dragged", MMSI[0])] if moves else [])
 
 
 def test_the_tuning_of_the_watch_decides_which_deceptions_are_alarms():

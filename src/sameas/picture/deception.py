@@ -80,6 +80,14 @@ class _Meeting:
         place = place[theirs]
         return cls(other, place, theirs, own.object[place] == other.object[theirs])
 
+    def shift(self, own: PictureTrack, i: IntArray, j: IntArray) -> FloatArray:
+        """(k,) χ² of the way from their records ``j`` to the own ones ``i``, against its median while they were one
+        object. Neighbours that were one by mistake, while errors were not known yet, stay as far apart as they were."""
+        own_rows, theirs = self.own[self.together], self.theirs[self.together]
+        before = np.median(own.position[own_rows] - self.other.position[theirs], axis=0)
+        variance = own.variance[i] + self.other.variance[j]
+        return np.asarray(np.sum((own.position[i] - self.other.position[j] - before) ** 2, axis=1) / variance)
+
     @cached_property
     def last(self) -> int:
         """The index of the last of their records at which they are one object."""
@@ -282,6 +290,7 @@ class _TrackHistories:
                 continue
             other, i, j = meeting.other, meeting.own[since], meeting.theirs[since]
             contradicts = self.disagreement(own, other, i, j) > self.tuning.apart_sigmas**2
+            contradicts &= meeting.shift(own, i, j) > self.tuning.apart_sigmas**2
             if contradicts.sum() >= self.tuning.apart_instants and contradicts[-1]:
                 distance_m = float(np.sqrt(np.sum((own.position[i[-1]] - other.position[j[-1]]) ** 2)))
                 contradicting.append((self.name(other), distance_m))
