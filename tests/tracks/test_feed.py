@@ -1,5 +1,7 @@
 """Feeds: plots are filtered into tracks where needed, repeated positions set aside, stationary vessels recognised."""
 
+import gc
+import weakref
 from dataclasses import replace
 from typing import Any
 
@@ -349,3 +351,17 @@ def test_the_probability_that_two_objects_have_one_echo_is_that_of_drawn_positio
     without = replace(feed, description=replace(radar, resolution=Resolution(0.0, 0.0)))
     places = one, np.tile(spread[0], (3, 1, 1))
     assert not any(each.p_unresolved(3.0, places, places).any() for each in (without, camera))
+
+
+def test_a_feed_does_not_keep_itself_in_memory():
+    """A watch makes one every minute of each source, and its garbage collector runs every few hours only."""
+    reports = Reports.of("one", "ais", PLACES | SPEEDS | {"mmsi": ["2", "2"]})
+    made = Scene.of([(Description("one", "ais"), reports)]).feeds[0]
+    assert made.as_measured is made
+    gone = weakref.ref(made)
+    gc.disable()
+    try:
+        del made
+        assert gone() is None
+    finally:
+        gc.enable()

@@ -225,10 +225,16 @@ class Feed:
         """Whether the reports were filtered to tracks."""
         return self.measured is not None
 
-    @cached_property
+    @property
     def as_measured(self) -> Feed:
         """The feed with measured instead of filtered positions, whose errors are correlated in time."""
-        return self if self.measured is None else replace(self, reports=self.measured)
+        return self if self.measured is None else self._of_measured
+
+    @cached_property
+    def _of_measured(self) -> Feed:
+        # A feed that kept itself would stay in memory until the garbage collector finds it, hours later in a watch.
+        assert self.measured is not None
+        return replace(self, reports=self.measured)
 
     @cached_property
     def walk_m2_per_s3(self) -> FloatArray:
