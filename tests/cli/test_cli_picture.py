@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from sameas.front.picture import Instants
+from sameas.front.picture_options import Instants
 from sameas.io import read_table
 from sameas.io.sensors.sources import read_sources
 from sameas.kernels import threads
@@ -380,6 +380,50 @@ def test_the_default_number_of_instants_is_reasonable():
     assert len(Instants(None, None, None, None).of([(START, START + 100.0)])) == 101
     for span_s in (7000.0, 86400.0, 1e7):
         assert 100 <= len(Instants(None, None, None, None).of([(START, START + span_s)])) <= 202
+
+
+@pytest.mark.slow
+def test_only_reports_of_an_area_are_used(sameas, refused, coast, tmp_path):
+    """AIS of a harbour and of another one 3 000 km away, and a file of ships of that one only."""
+    rows = (coast / "ais.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows[1:]]
+    away = [",".join([one[0], str(int(one[1]) + 50), str(float(one[2]) - 27.0), *one[3:]]) for one in cells]
+    (tmp_path / "ais.csv").write_text("\n".join([*rows, *away]) + "\n")
+    (tmp_path / "south.csv").write_text("\n".join([rows[0], *away]) + "\n")
+    files = tmp_path / "ais.csv", coast / "radar.csv"
+    near = "-s", coast / "sensors.toml", "--within", f"{LAT},{LON},20nm"
+    shown = sameas("picture", *files, tmp_path / "south.csv", *near, "-o", tmp_path / "part", *QUICK, exit_code=1)
+    assert f"{len(cells)} of {2 * len(cells)} reports are within 37 km of {LAT}, {LON:g}; only these" in shown.stdout
+    assert f"south: none of its {len(cells)} positions is within 37 km" in shown.stdout
+    one = tmp_path / "one"
+    sameas("picture", coast / "ais.csv", files[1], "-s", coast / "sensors.toml", "-o", one, *QUICK)
+    objects, alone = (read_table(folder / "objects.parquet") for folder in (tmp_path / "part", one))
+    assert objects["lat_deg"].tolist() == alone["lat_deg"].tolist()
+    assert f"south: none of its {len(cells)} positions" in refused(tmp_path / "south.csv", *near[2:])
+
+
+@pytest.mark.parametrize("text", ["54;10", "54,10", "54,10,50 miles", "95,10,50", "54,10,0", "nan,1,1"])
+def test_an_area_that_is_none_is_refused(text, refused, coast):
+    assert f"--within {text.removesuffix(' miles')}"[:11] in refused(coast / "ais.csv", "--within", text)
+
+
+def test_a_continent_is_one_area_and_the_earth_is_none(sameas, refused, tmp_path):
+    """Aircraft over a continent were 'too far for one plane' from their own second source."""
+    rng = np.random.default_rng(5)
+    places = {"wide": ((30.0, 50.0), (-120.0, -70.0)), "earth": ((-80.0, 80.0), (-180.0, 180.0))}
+    for name, (lat, lon) in places.items():
+        start = np.column_stack([rng.uniform(*lat, 30), rng.uniform(*lon, 30)])
+        for part, noise in (("a", 1e-4), ("b", 2e-4)):
+            rows = [
+                [START + t, f"{0x4B0000 + k:06x}", *(start[k] + [1e-3 * t, 0.0] + noise * rng.normal(size=2)), 216, 0]
+                for t in range(0, 60, 5) for k in range(30)
+            ]  # fmt: skip
+            write(tmp_path / f"{name}-{part}.csv", ["time", "icao24", "lat", "lon", "groundspeed", "track"], rows)
+    files = [tmp_path / f"wide-{part}.csv" for part in "ab"]
+    shown = sameas("picture", *files, "--no-identity", "-o", tmp_path / "wide", *QUICK)
+    assert "30 confirmed; seen: 30 by 2 sources at once" in shown.stdout
+    words = refused(*(tmp_path / f"earth-{part}.csv" for part in "ab"))
+    assert "--within LAT,LON,KM" in words
 
 
 def test_two_flights_months_apart_are_a_picture_of_both(sameas, tmp_path):

@@ -86,7 +86,7 @@ def mover_option(argument: Argument) -> str:
 
 _OF_PICTURE = {
     "read_source_options": "--sensors", "at": "--at", "begin": "--from", "end": "--to", "every": "--every",
-    "without": "--without",
+    "within": "--within", "without": "--without",
 }  # fmt: skip
 
 

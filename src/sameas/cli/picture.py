@@ -15,14 +15,15 @@ from sameas.cli.options import Debug, Folder, Quiet, in_options, one_of, option,
 from sameas.cli.outcome import INPUT_ERROR, answering
 from sameas.cli.terminal import Pace, Printer, notice, share_compilation
 from sameas.errors import InputError
-from sameas.front.picture import Instants, Method, PictureOutputs, older, pictured, write
+from sameas.front.picture import PictureOutputs, older, pictured, write
+from sameas.front.picture_options import Area, Instants, Method
 from sameas.io.atomic import filling
 from sameas.io.sensors.format import duration
 from sameas.io.sensors.sources import read_source_options, read_sources
 from sameas.maps.outline import read_coast
 from sameas.report.picture import read_lines
 
-_TIMES, _METHOD, _FILES = "The instants", "The method", "Outputs"
+_TIMES, _AREA, _METHOD, _FILES = "The instants", "The area", "The method", "Outputs"
 TABLES = ("parquet", "csv")
 
 
@@ -67,6 +68,15 @@ def picture(
         str | None,
         option("--start", panel=_TIMES, metavar="TIME", help="UTC of the first line, for files without a date."),
     ] = None,
+    within: Annotated[
+        str | None,
+        option(
+            "--within",
+            panel=_AREA,
+            metavar="LAT,LON,KM",
+            help="Use only reports within this distance of a place; 50km, 20nm.",
+        ),
+    ] = None,
     without: Annotated[
         list[str] | None,
         option(
@@ -108,6 +118,7 @@ def picture(
         began, printer = time.perf_counter(), Printer(quiet)
         when = Instants(duration_s(every), at, begin, end)
         method = Method(not no_registration, not no_identity, not no_memory, tuple(without or ()))
+        area = None if within is None else Area.of_text(within)
         land = None if coast is None else read_coast(coast)
         outputs = PictureOutputs(output, format, not no_map, not no_image, ctx.meta.get("typed", ""), land)
         set_aside: dict[str, InputError] = {}
@@ -124,6 +135,8 @@ def picture(
                     described = read_source_options(sensors, set_aside=set_aside) if sensors else None
                     read = read_sources(files or [], described, start=start, set_aside=set_aside)
                 sources = method.included(read, set_aside)
+                if area is not None:
+                    sources = area.part(sources, set_aside)
                 say(read_lines((source.reports.source, source.lines()) for source in sources))
                 share_compilation(quiet, "picture")
                 with _remedies(sensors):

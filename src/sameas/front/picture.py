@@ -6,16 +6,16 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sameas.arrays import FloatArray
 from sameas.errors import Argument, InputError, Message, MissingPackage, naming
 from sameas.front.explain import REASONS
 from sameas.front.match import call_text
+from sameas.front.picture_options import Area, Instants, Method
 from sameas.front.provenance import made_by
 from sameas.front.tables import table_of
 from sameas.io import checksum, write_table
@@ -28,12 +28,11 @@ from sameas.io.sensors.table_cells import TableText
 from sameas.io.sensors.tables import read as read_cells
 from sameas.maps.outline import Coast, read_coast
 from sameas.maps.sheet import MapAlarm, MapSensor, MapSheet
-from sameas.picture.picture import MAX_INSTANTS, Picture, instants
-from sameas.picture.plot_picture import PlotPicture, nameless
-from sameas.picture.watch import EvidenceOf, Watch, all_evidence
+from sameas.picture.picture import Picture
+from sameas.picture.plot_picture import nameless
 from sameas.report.picture import assumed_lines, doubt_lines, estimated_lines, found_lines, read_lines, scene_lines
 from sameas.report.prose import Lines, Result, in_one, span
-from sameas.representation import count, counted, listed
+from sameas.representation import counted, listed
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
@@ -41,91 +40,6 @@ from sameas.tracks.scene import Scene
 if TYPE_CHECKING:
     from astropy.table import Table
     from matplotlib.figure import Figure
-
-#: Default steps between instants in seconds, the shortest that gives at most ``ENOUGH`` instants is used.
-STEPS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 1800.0, 3600.0)
-ENOUGH = 200
-
-
-@dataclass(frozen=True)
-class Instants:
-    """The instants that the user asks for: one (``at``), or a series."""
-
-    every_s: float | None = None
-    at: str | float | None = None
-    begin: str | float | None = None
-    end: str | float | None = None
-
-    def of(self, sessions_s: Sequence[tuple[float, float]]) -> FloatArray:
-        """(k,) the instants in seconds, ascending, for reports within these spans, of which the pauses between them get
-        none if the user gives no times."""
-        span_s = sessions_s[0][0], sessions_s[-1][1]
-        if self.at is not None:
-            return np.array([picture_time(self.at, "at", span_s)])
-        first = span_s[0] if self.begin is None else picture_time(self.begin, "begin", span_s)
-        last = span_s[1] if self.end is None else picture_time(self.end, "end", span_s)
-        if first > last:
-            words = Message("the picture would be from ", self._range_text(first, last), ": it ends before it begins")
-            raise InputError(words)
-        if self.every_s is not None and not 0.0 < self.every_s < np.inf:
-            raise InputError(Message(Argument("every", f"{self.every_s:g}s"), " is no time between instants"),
-                             "give a time above 0")  # fmt: skip
-        if self.every_s is not None and (last - first) / self.every_s >= MAX_INSTANTS:
-            times = f" makes {count(round((last - first) / self.every_s))} instants from {span(first, last)}"
-            every = Argument("every", f"{self.every_s:g}s")
-            raise InputError(Message(every, times), "give a longer time between instants")
-        if self.every_s is not None or self.begin is not None or self.end is not None:
-            sessions_s = [(first, last)]
-        if len(sessions_s) > ENOUGH:
-            sessions_s = [sessions_s[k] for k in np.linspace(0, len(sessions_s) - 1, ENOUGH).astype(int)]
-        length_s = sum(end - begin for begin, end in sessions_s)
-        step = next((step for step in STEPS_S if length_s / step <= ENOUGH), length_s / ENOUGH)
-        return np.concatenate([instants(session, self.every_s or step) for session in sessions_s])
-
-    def _range_text(self, first_s: float, last_s: float) -> Message:
-        begin, end = span(first_s, last_s).split(" to ", 1)
-        given = [Message(" (", Argument(name, str(value)), ")") if value is not None else ""
-                 for name, value in (("begin", self.begin), ("end", self.end))]  # fmt: skip
-        return Message(begin, given[0], " to ", end, given[1])
-
-
-@dataclass(frozen=True)
-class Method:
-    """Steps of the method that can be switched off. without : names of excluded sources."""
-
-    registration: bool = True
-    identity: bool = True
-    memory: bool = True
-    without: tuple[str, ...] = ()
-
-    def included(
-        self, sources: Sequence[SensorSource], set_aside: dict[str, InputError] | None = None
-    ) -> list[SensorSource]:
-        """The sources that are not excluded. set_aside : the errors of others; those of excluded ones are removed.
-
-        Raises InputError: a name that no source has; no source remains.
-        """
-        names = [source.description.name for source in sources]
-        for name in self.without:
-            if (set_aside is None or set_aside.pop(name, None) is None) and name not in names:
-                words = Message(Argument("without", name), ": there is no such source")
-                raise InputError(words, f"give one of {', '.join(names)}")
-        included = [source for source in sources if source.description.name not in self.without]
-        if not included:
-            raise InputError(Message(Argument("without", ", ".join(self.without)), ": no source is left"))
-        return included
-
-    def evidence(self) -> EvidenceOf:
-        """The evidence that is used at an instant."""
-        return partial(all_evidence, identity=self.identity, previous_scans=self.memory)
-
-    def watch(self, scene: Scene, misread: frozenset[str] = frozenset()) -> Watch | PlotPicture:
-        """The state that is carried from instant to instant; without memory, instants are independent. misread : as of
-        the watch."""
-        if not self.memory:
-            return Watch(evidence=self.evidence(), bound=1.0, misread=misread)
-        return PlotPicture() if nameless(scene) else Watch(evidence=self.evidence(), misread=misread)
-
 
 # Outputs: tables, GeoJSON, map, image and summary, written into a folder atomically.
 
@@ -449,6 +363,7 @@ def match_picture(
     begin: float | str | None = None,
     end: float | str | None = None,
     start: str | None = None,
+    within: str | None = None,
     without: str | Sequence[str] = (),
     registration: bool = True,
     identity: bool = True,
@@ -463,6 +378,7 @@ def match_picture(
         dicts of columns) with times and positions. sensors : TOML file that describes the sources.
     every : time between instants, in seconds or as 10s, 2min, 1h. at : a single instant. begin, end : first and last
         instant, in seconds since 1970 or as dates. start : UTC of the first line, for files without dates.
+    within : "LAT,LON,KM", an area outside of which reports are not used, as "55.5,10.5,50km" or 20nm.
     without : sources to exclude. registration : whether to correct the sensors' offsets. identity, memory : whether
         reported identities and the history of tracks are evidence.
     progress : called with the name of each step.
@@ -481,7 +397,8 @@ def match_picture(
     [1]
     """
     stated = {
-        "sensors": sensors, "every": every, "at": at, "begin": begin, "end": end, "start": start, "without": without,
+        "sensors": sensors, "every": every, "at": at, "begin": begin, "end": end, "start": start, "within": within,
+        "without": without,
         "registration": registration, "identity": identity, "memory": memory,
     }  # fmt: skip
     alone = isinstance(sources, str | os.PathLike)
@@ -493,6 +410,8 @@ def match_picture(
     excluded = (without,) if isinstance(without, str) else tuple(without)
     method = Method(registration, identity, memory, excluded)
     included = method.included(sensor_sources(sources, described, start))
+    if within is not None:
+        included = Area.of_text(within).part(included)
     return pictured(included, Instants(_duration_s(every), at, begin, end), method, call=call, progress=progress)
 
 

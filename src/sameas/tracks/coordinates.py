@@ -15,6 +15,7 @@ Geodesy is done by pymap3d (BSD-2-Clause).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
@@ -23,11 +24,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError, optional
+from sameas.errors import InputError, naming, optional
 from sameas.space import unit_vectors
 
-#: Beyond this distance from the origin the plane shortens distances by more than 1 %.
-FARTHEST_M = 900e3
+#: Places farther than this from the origin are not in the plane, which shortens distances there by a fifth (chosen).
+FARTHEST_M = 4000e3
 #: The geometric median uses at most 20 000 positions, evenly sampled, and 50 Weiszfeld iterations (chosen).
 MEDIAN_SAMPLE, MEDIAN_STEPS = 20_000, 50
 #: Mean radius of the earth, where a sphere is accurate enough.
@@ -49,7 +50,8 @@ def geodesy() -> ModuleType:
 class LocalPlane:
     """The tangent plane of the WGS84 ellipsoid at an origin; x is east, y is north there, in metres.
 
-    Distances are exact at the origin and 0.05 % short at 200 km from it.
+    Distances are exact at the origin, 0.05 % short at 200 km from it, 1 % at 900 km and 20 % at 4000 km. Velocities and
+    covariances are transformed accordingly.
 
     Parameters
     ----------
@@ -96,13 +98,16 @@ class LocalPlane:
                 break
         x, y, z = middle
         if np.hypot(np.hypot(x, y), z) < 1e-6:
-            raise InputError("LocalPlane: the positions lie all around the earth; give the origin of the plane")
+            raise InputError(
+                "the positions lie all around the earth, and a picture has one plane",
+                naming("use those of an area: {within:LAT,LON,KM}"),
+            )
         return cls(float(np.degrees(np.arctan2(z, np.hypot(x, y)))), float(np.degrees(np.arctan2(y, x))))
 
     def of_geodetic(self, lat_deg: ArrayLike, lon_deg: ArrayLike, source: str = "positions") -> FloatArray:
         """(n, 2) east and north in metres of the feet of positions (n,).
 
-        NaN where a position is unknown, or farther than 900 km from the origin, the limit of the plane.
+        NaN where a position is unknown, or farther than 4000 km from the origin, the limit of the plane.
 
         Raises
         ------
@@ -119,11 +124,21 @@ class LocalPlane:
             first = far[0]
             raise InputError(
                 f"{source}: {len(far)} positions lie farther than {FARTHEST_M / 1e3:.0f} km from the origin "
-                f"{self.lat_deg:g}, {self.lon_deg:g} (first: row {first}: {lat[first]:g}, {lon[first]:g}); "
-                "check the sign of the longitude and the order latitude, longitude, or give the origin of the plane"
+                f"{self.lat_deg:g}, {self.lon_deg:g} (first: row {first}: {lat[first]:g}, {lon[first]:g})",
+                naming(
+                    "check the sign of the longitude and the order latitude, longitude; of reports of the whole earth, "
+                    "use an area: {within:LAT,LON,KM}"
+                ),
             )
         position[beyond] = np.nan
         return position
+
+    def great_circle_m(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> FloatArray:
+        """(n,) distances of places (n,) from the origin on a sphere, in metres."""
+        lat, lon = _numbers(lat_deg, lon_deg)
+        phi, start, lam = np.radians(lat), math.radians(self.lat_deg), np.radians(lon - self.lon_deg)
+        half = np.sin((phi - start) / 2.0) ** 2 + np.cos(phi) * math.cos(start) * np.sin(lam / 2.0) ** 2
+        return np.asarray(2.0 * EARTH_M * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0))))
 
     def enu(self, lat_deg: FloatArray, lon_deg: FloatArray) -> FloatArray:
         """(n, 3) east, north and up in metres of places (n,) on the ellipsoid, wherever they are."""

@@ -25,7 +25,7 @@ from sameas.tracks.alignment import States
 from sameas.tracks.bearing_readings import MIRRORED, OF_BOW, OF_NORTH, best_other_reading
 from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import TIME
-from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, FOOT_M, MILE_M, LocalPlane
+from sameas.tracks.coordinates import FOOT_M, MILE_M, LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.plot_offsets import PlotFits
@@ -323,23 +323,23 @@ def _comparable(feed: Feed, others: Sequence[Feed]) -> list[Feed]:
 def too_far_apart(sources: Sequence[Source], tuning: Tuning) -> dict[str, str]:
     """By name, sentences on sources too far for one plane from that which is near most others.
 
-    Of several such, that with the most positions. The site of a sensor counts where its reports have no positions in
-    degrees.
+    Sources of a continent are as far apart as they are wide. Of several that are near most others, that with the most
+    positions counts, and the site of a sensor where its reports have no positions in degrees.
     """
     positions = [_geodetic_positions(*source) for source in sources]
     known = {k: position for k, position in enumerate(positions) if position is not None and len(position[0])}
     if not known:
         return {}
     middle = {k: LocalPlane.about(*position) for k, position in known.items()}
+    extent_m = {k: float(np.quantile(middle[k].great_circle_m(*position), 0.9)) for k, position in known.items()}
     far = {
-        k: [n for n, other in known.items() if n != k and _median_distance_m(middle[k], other) > FARTHEST_M]
+        k: [n for n, m in middle.items() if _apart_m(middle[k], m) > max(tuning.apart_m, extent_m[k], extent_m[n])]
         for k in known
     }
     home = min(known, key=lambda k: (len(far[k]), -len(known[k][0]), k))
     if not far[home]:
         return {}
-    distance_m = _distance_m(middle[home], known[home])
-    reach = max(tuning.near_extents * float(np.quantile(distance_m, 0.9)), tuning.near_m)
+    reach = max(tuning.near_extents * extent_m[home], tuning.near_m)
     return {sources[k][0].name: _far_sentence(sources[k], sources[home], reach) for k in far[home]}
 
 
@@ -375,7 +375,7 @@ def _far_sentence(source: Source, home: Source, reach_m: float) -> str:
     """The sentence on a source beyond the plane of another, ``home``; reach_m : radius of the positions of that one."""
     positions, home_positions = _geodetic_positions(*source), _geodetic_positions(*home)
     assert positions is not None and home_positions is not None
-    distance_m = _median_distance_m(LocalPlane.about(*home_positions), positions)
+    distance_m = _apart_m(LocalPlane.about(*home_positions), LocalPlane.about(*positions))
     opening = f"{source[0].name}: lies {distance_m / 1e3:.0f} km from {home[0].name}, too far for one plane"
     # Wrong columns are tried first: they are more frequent than wrong sites.
     pairs = sorted([(source, home), (home, source)], key=lambda pair: pair[0][1].lat_deg is None)
@@ -397,7 +397,7 @@ def _explanation(source: Source, other: Source, reach_m: float) -> str:
         corrected = None if changed is None else _geodetic_positions(*changed)
         if corrected is None:
             continue
-        inside = int(np.sum(_distance_m(LocalPlane.about(*positions), corrected) < reach_m))
+        inside = int(np.sum(LocalPlane.about(*positions).great_circle_m(*corrected) < reach_m))
         if 2 * inside > len(corrected[0]):
             what = "its site lies" if source[1].lat_deg is None else f"{inside} of {len(corrected[0])} positions lie"
             where = f"{what} where {other[0].name} is"
@@ -417,16 +417,9 @@ def _geodetic_positions(description: Description, reports: Reports) -> tuple[Flo
     return np.array([site.lat_deg]), np.array([site.lon_deg])
 
 
-def _distance_m(middle: LocalPlane, position: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """(n,) great-circle distances on a sphere."""
-    phi, lam = np.radians(position[0]), np.radians(position[1] - middle.lon_deg)
-    start = np.radians(middle.lat_deg)
-    half = np.sin((phi - start) / 2.0) ** 2 + np.cos(phi) * np.cos(start) * np.sin(lam / 2.0) ** 2
-    return np.asarray(2.0 * EARTH_M * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0))))
-
-
-def _median_distance_m(middle: LocalPlane, position: tuple[FloatArray, FloatArray]) -> float:
-    return float(np.median(_distance_m(middle, position)))
+def _apart_m(first: LocalPlane, second: LocalPlane) -> float:
+    """The great-circle distance between the origins of two planes."""
+    return float(first.great_circle_m([second.lat_deg], [second.lon_deg])[0])
 
 
 def _tolerant(feed: Feed) -> Feed:

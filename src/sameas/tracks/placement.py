@@ -22,7 +22,6 @@ from sameas.records import unpack
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import (
     EARTH_M,
-    FARTHEST_M,
     LocalPlane,
     along_and_across,
     bearing_in_plane,
@@ -33,6 +32,8 @@ from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, SensorErrors
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
+#: Ranges longer than this are in another unit; no sensor reaches farther, metres.
+LONGEST_M = 900e3
 #: Beginning of the names that reports without an id are given.
 UNNAMED = "unnamed "
 
@@ -244,11 +245,11 @@ class PlacedReports:
         return _Positions(position, propagated(to_plane, ground.covariance + extent), to_plane)
 
     def _refuse_long_ranges(self, range_m: FloatArray) -> None:
-        """Refuse ranges in another unit: of which at least half are beyond the limit of the plane."""
-        far = np.flatnonzero(range_m > FARTHEST_M)
+        """Refuse ranges in another unit: of which at least half are longer than any sensor's."""
+        far = np.flatnonzero(range_m > LONGEST_M)
         if len(far) and 2 * len(far) >= np.count_nonzero(np.isfinite(range_m)):
             raise InputError(
-                f"{self.description.name}: {len(far)} ranges are longer than {FARTHEST_M / 1e3:.0f} km "
+                f"{self.description.name}: {len(far)} ranges are longer than {LONGEST_M / 1e3:.0f} km "
                 f"(first: row {far[0]}: {range_m[far[0]] / 1e3:.0f} km)",
                 "are they in another unit? Give it in the name of the column, for example range_m or range_nm",
             )
