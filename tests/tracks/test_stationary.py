@@ -1,5 +1,7 @@
 """Whether an object is stationary: by all its reports, calibrated, and the same live as from a file."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -10,7 +12,7 @@ from sameas.tracks.feed import Feed
 from sameas.tracks.live_feed import LiveFeed
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Motion, SensorErrors
-from sameas.tracks.stationary import ADRIFT, FILTERED, MIN_VARIANCE, stationary
+from sameas.tracks.stationary import ADRIFT, FILTERED, MIN_VARIANCE, slow_objects, stationary
 from sameas.tracks.tuning import DEFAULT_TUNING
 
 VESSELS = Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=0.2)
@@ -225,3 +227,18 @@ def test_a_live_feed_gives_the_probabilities_of_the_file(late):
     assert feed.reports.time_s[order].tolist() == whole.reports.time_s[of_file].tolist()
     np.testing.assert_allclose(feed.p_stationary[order], whole.p_stationary[of_file], rtol=1e-9)
     np.testing.assert_allclose(feed.reports.covariance[order], whole.reports.covariance[of_file], rtol=1e-9)
+
+
+@pytest.mark.parametrize("bare", [False, True])
+def test_reports_taken_in_batches_of_tracks_are_the_same(bare):
+    """The modes of a day of a country's AIS take 20 GB at once."""
+    made, _ = simulated(np.random.default_rng(6), 30, 12, 10.0)
+    made = made.take(np.random.default_rng(7).permutation(len(made)))
+    usable = made.state.copy()
+    usable[::17] = np.nan
+    made = replace(made, state=usable, track=None if bare else made.track)
+    whole, p_whole = slow_objects(made, VESSELS)
+    for batch in (1, 50, 200):
+        now, p = slow_objects(made, VESSELS, batch=batch)
+        assert np.array_equal(now.state, whole.state, equal_nan=True) and np.array_equal(p, p_whole)
+        assert np.array_equal(now.covariance, whole.covariance, equal_nan=True)

@@ -27,7 +27,7 @@ from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import AntennaRotation, scans_of, seen_from, usual_period_s
 from sameas.tracks.source import Description
-from sameas.tracks.stationary import ADRIFT, MODES, RESTS, mode_shares, stationary
+from sameas.tracks.stationary import ADRIFT, MODES, RESTS, mode_shares, slow_objects
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 #: Smallest probability of a mode of motion.
@@ -204,10 +204,9 @@ class Feed:
             tracks = follow(in_plane, acceleration_m2_per_s3=walk_of(description), tuning=placed.tuning).states
             at_reported = at_reported_positions(in_plane, tracks)
             in_plane = at_reported if description.kind in CORRELATED_KINDS else tracks
-            measured, _ = stationary(at_reported, description.motion, placed.tuning)
+            measured, _ = slow_objects(at_reported, description.motion, placed.tuning)
         if isinstance(in_plane, States):
-            in_plane, modes = stationary(in_plane, description.motion, placed.tuning)
-            p_slow = None if modes is None else modes.p_slow
+            in_plane, p_slow = slow_objects(in_plane, description.motion, placed.tuning)
         given_times = None if scan_times_s is None else np.asarray(scan_times_s, np.float64)
         scans = scans_of(
             in_plane.time_s, description.timing.period_s, bearings_of(in_plane, sensor_m), given_times, placed.tuning

@@ -44,6 +44,8 @@ RESTS, SLOW, MODES = 2, 3, 4
 #: Modes that are filtered: those under way on a steady course and others apart.
 FILTERED = MODES + 1
 ADRIFT = 2
+#: Reports of which the modes are in memory at once; 200 MB.
+BATCH = 100_000
 #: Smallest variance of a reported coordinate, m² or m²/s²: errors may be stated as 0.
 MIN_VARIANCE = 1e-6
 
@@ -121,6 +123,34 @@ def stationary(
     state[rows] = x + mean
     covariance[rows] = symmetric(mixed - mean[:, :, None] * mean[:, None, :])
     return States(reports.time_s, state, covariance, reports.track, reports.rows), modes
+
+
+def slow_objects(
+    reports: States, motion: Motion, tuning: Tuning = DEFAULT_TUNING, batch: int = BATCH
+) -> tuple[States, FloatArray | None]:
+    """As :func:`stationary`, with (n, SLOW) probabilities of the slow modes instead of all modes.
+
+    batch : number of reports above which some whole tracks are taken at a time: the modes of a report take 2 kB.
+    """
+    if len(reports) <= batch:
+        now, modes = stationary(reports, motion, tuning)
+        return now, None if modes is None else modes.p_slow
+    if mode_shares(motion, tuning) is None:
+        return reports, None
+    if reports.track is None:
+        rows, ends = np.flatnonzero(reports.usable), np.arange(batch, len(reports), batch)
+    else:
+        rows, number = reports.by_track()
+        last = np.flatnonzero(np.diff(number)) + 1
+        ends = last[np.flatnonzero(np.diff(last // batch, prepend=0))]
+    state, covariance = reports.state.copy(), reports.covariance.copy()
+    p_slow = np.zeros((len(reports), SLOW))
+    for part in np.split(rows, ends[ends < len(rows)]):
+        part = np.sort(part)
+        now, modes = stationary(reports.take(part), motion, tuning)
+        assert modes is not None
+        state[part], covariance[part], p_slow[part] = now.state, now.covariance, modes.p_slow
+    return States(reports.time_s, state, covariance, reports.track, reports.rows), p_slow
 
 
 def mode_shares(motion: Motion, tuning: Tuning) -> FloatArray | None:
