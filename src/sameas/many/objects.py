@@ -108,6 +108,11 @@ class Objects:
         """(n, S) row of each object's record in the table of each source, masked where the source has none."""
         return self._table.rows_of(taken(self.sets.members, self.set_of_object))
 
+    @cached_property
+    def set_rows(self) -> np.ma.MaskedArray:
+        """(k, S) as :attr:`members`, of every possible set."""
+        return self._table.rows_of(self.sets.members)
+
     @property
     def probability(self) -> FloatArray:
         """(n,) probability that exactly these records are one object."""

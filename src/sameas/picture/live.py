@@ -435,9 +435,7 @@ class LivePicture:
 
     def _start(self) -> Watch | PlotPicture:
         reporting = [feed for feed in self._feeds.values() if feed.has_reports]
-        bare = (
-            reporting and not any(feed.named for feed in reporting) and not all(feed.directions for feed in reporting)
-        )
+        bare = bool(reporting) and not any(feed.named for feed in reporting)
         return PlotPicture() if bare else Watch()
 
     def _named(self, carried: Watch | PlotPicture) -> Watch | PlotPicture:

@@ -25,6 +25,7 @@ from sameas.evidence.identity import IdentityConflict
 from sameas.many.objects import Name, ObjectExplanation, Objects
 from sameas.many.observations import records_of
 from sameas.picture.bernoulli import KNOWN
+from sameas.picture.crossings import is_placed
 from sameas.picture.plot_tracker import TrackedPlots
 from sameas.picture.tables import ObjectStates, PictureObjects, Scan
 from sameas.picture.tuning import Tuning
@@ -186,9 +187,7 @@ class TrackedObjects:
         region = tracks.now.region.covariance
         position = [isinstance(feed.reports, States) for feed in scan.now.feeds]
         placed = ((self.members >= 0) & np.array(position, dtype=bool)).any(axis=1) | (tracks.prior_of[which] >= 0)
-        # Without crossing directions the position along them is unknown.
-        widest = np.linalg.eigvalsh(region[:2, :2])[-1]
-        placed |= np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1] < scan.tuning.crossing_share**2 * widest
+        placed |= is_placed(covariance, region, scan.tuning)
         return ObjectStates(state, covariance, placed, placed & has_velocity(covariance, region, scan.tuning))
 
     @cached_property

@@ -32,16 +32,14 @@ from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
 from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, PictureObjects, Scan
 from sameas.picture.texts import RecordTexts, texts_of
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
-from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed, walk_of
 from sameas.tracks.scans import joint_times
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, Scene
 
 
 def nameless(scene: Scene) -> bool:
-    """Whether no source of a scene has ids or names, and at least one has positions."""
-    no_ids = all(feed.reports.track is None and feed.attributes.keys().isdisjoint(NAMING) for feed in scene.feeds)
-    return no_ids and any(isinstance(feed.reports, States) for feed in scene.feeds)
+    """Whether no source of a scene has ids or names."""
+    return all(feed.reports.track is None and feed.attributes.keys().isdisjoint(NAMING) for feed in scene.feeds)
 
 
 def scan_times_between(

@@ -29,12 +29,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.identify import identify_many
 from sameas.many.objects import Objects
 from sameas.many.observations import Joint, Observations, Region, Source, joint_density, records_of
 from sameas.picture.bernoulli import KNOWN, BernoulliObjects, BernoulliTable, Sighting
+from sameas.picture.crossings import Crossings
 from sameas.picture.tables import objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import aged
@@ -330,21 +331,50 @@ class TrackedPlots:
         return replace(self.prior_objects, state=state, covariance=covariance)
 
     def new_objects(self, sets: IntArray) -> tuple[BernoulliTable, FloatArray]:
-        """The new objects with positions among the records ``sets``, and (b, S) the described miss probabilities at
-        their places."""
-        placed = np.array([not isinstance(feed.reports, Directions) for feed in self.now.feeds], dtype=bool)
-        at = np.flatnonzero((self.prior_of < 0) & ((sets >= 0) & placed).any(axis=1))
-        if not len(at):
-            return BernoulliTable.none(sets.shape[1]), np.empty((0, sets.shape[1]))
+        """The new objects among the records ``sets`` with positions, and at clear crossings of directions with one of
+        them, and (b, S) the described miss probabilities at their places."""
+        has_place = np.array([not isinstance(feed.reports, Directions) for feed in self.now.feeds], dtype=bool)
+        at = np.flatnonzero((self.prior_of < 0) & ((sets >= 0) & has_place).any(axis=1))
+        born, q = self._born(at, sets[at], np.ones(sets[at].shape), self.existence[at], has_place)
+        if self.identification is None or has_place.all():
+            return born, q
+        is_free = (self.prior_of < 0) & ~((self.members >= 0) & has_place).any(axis=1)
+        crossings = Crossings.among(
+            self.now, self.identification, self.members, is_free, self._birth_region, self.tuning
+        ).with_any(sets)
+        if not len(crossings.object):
+            return born, q
+        is_new = (crossings.sets[:, None] == sets).any(axis=1) & (crossings.sets >= 0)
+        weight = np.where(is_new, 1.0, self.tuning.current_weight)
+        more, more_q = self._born(crossings.object, crossings.sets, weight, crossings.p, ~has_place)
+        return born.with_(more), np.vstack([q, more_q])
+
+    @property
+    def _birth_region(self) -> Region:
+        """The region of new objects: it constrains their velocities only."""
         covariance = self._wide_region.covariance
         covariance[2:, 2:] = self.now.region.covariance[2:, 2:]
-        joint = joint_density(list(self.now.sources), sets[at], Region(self.now.region.centre, covariance))
-        hits = (sets[at] >= 0).astype(np.float64)
+        return Region(self.now.region.centre, covariance)
+
+    def _born(
+        self, objects: IntArray, sets: IntArray, weight: FloatArray, existence: FloatArray, located_by: BoolArray
+    ) -> tuple[BernoulliTable, FloatArray]:
+        """New objects with the numbers of ``objects`` (b,) from the weighted records ``sets`` (b, S), and (b, S) the
+        miss probabilities at the places of those of the sources ``located_by`` (S,)."""
+        if not len(objects):
+            return BernoulliTable.none(sets.shape[1]), np.empty((0, sets.shape[1]))
+        sources, columns = [], np.full(sets.shape, ABSENT)
+        for s, source in enumerate(self.now.sources):
+            at = np.flatnonzero(sets[:, s] >= 0)
+            sources.append(_weighted(source, sets[at, s], weight[at, s]))
+            columns[at, s] = np.arange(len(at))
+        joint = joint_density(sources, columns, self._birth_region)
+        hits = (sets >= 0).astype(np.float64)
         tables = [self.rule.q[name] for name in self.rule.sources]
-        own_q = [[tables[s][sets[n, s]] for s in np.flatnonzero((sets[n] >= 0) & placed)] for n in at]
+        own_q = [[tables[s][row[s]] for s in np.flatnonzero((row >= 0) & located_by)] for row in sets]
         q = np.array([np.mean(each, axis=0) for each in own_q])
         least = self.tuning.min_probability
-        return BernoulliTable.born(self.number[at], joint.state, joint.covariance, self.existence[at], hits, least), q
+        return BernoulliTable.born(self.number[objects], joint.state, joint.covariance, existence, hits, least), q
 
 
 def _unresolved(objects: BernoulliTable, now: Instant) -> FloatArray:

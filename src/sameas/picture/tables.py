@@ -27,6 +27,7 @@ from sameas.kernels.track_pairs import pair_distances
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.many.objects import Objects
 from sameas.many.observations import Source, records_of
+from sameas.picture.crossings import is_placed
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import Ragged
 from sameas.records import Records
@@ -407,9 +408,5 @@ def object_states(scan: Scan, members: IntArray, identification: Objects | None)
         state[directed, :2] = fused.state[directed, :2]
         covariance[directed, :2], covariance[directed, 2:, :2] = 0.0, 0.0
         covariance[directed, :2, :2] = fused.covariance[directed, :2, :2]
-        # Without crossing directions the position along them is unknown.
-        widest = np.linalg.eigvalsh(scan.now.region.covariance[:2, :2])[-1]
-        placed[directed] |= (
-            np.linalg.eigvalsh(covariance[directed, :2, :2])[:, -1] < scan.tuning.crossing_share**2 * widest
-        )
+        placed[directed] |= is_placed(covariance[directed], scan.now.region.covariance, scan.tuning)
     return ObjectStates(state, covariance, placed, moving)

@@ -32,6 +32,9 @@ class Tuning:
     explained_rival : a new rival is explained only if its probability is above this.
     explained_change : a change of probability is explained only if it is larger than this.
     crossing_share : directions cross if the object's 1σ is below this share of that of the region.
+        crossing_existence : a new object begins at a crossing of at least this probability, which is at least the share
+        clear_crossing of that of all crossings of its directions. current_weight : of directions that will be used
+        again, in the position at which it begins.
 
     manoeuvre_chi_sq : a report with a larger χ² from its prediction is of a manoeuvre and not used to estimate errors;
         the limit of 1 in 1000 for two degrees of freedom.
@@ -147,6 +150,9 @@ class Tuning:
     explained_rival: float = 1e-3
     explained_change: float = 0.02
     crossing_share: float = 0.2
+    crossing_existence: float = 0.3
+    clear_crossing: float = 0.8
+    current_weight: float = 0.01
 
     manoeuvre_chi_sq: float = 13.8
     correlation_s: tuple[float, ...] = (

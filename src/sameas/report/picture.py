@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
+import numpy as np
+
+from sameas.arrays import FloatArray
 from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.summary import Summary
 from sameas.picture.watch import Watch
 from sameas.report.prose import ALARM, DOUBT, entry, moment, span
 from sameas.representation import counted, listed
+from sameas.tracks.placement import Directions
 from sameas.tracks.scene import Scene
 
 
@@ -29,6 +33,29 @@ def scene_lines(scene: Scene, watch: Watch | PlotPicture) -> Iterator[str]:
             yield f"  {feed.description.name}: plots without ids; objects that only they show are followed over scans"
     if isinstance(watch, PlotPicture):
         yield "  no source identifies its objects: they are tracked from scan to scan"
+    if scene.feeds and all(isinstance(feed.reports, Directions) for feed in scene.feeds):
+        yield f"  directions only, from {_crossing_line(scene)}"
+
+
+#: Direction finders nearer to each other than this are at one place: their directions do not cross.
+ONE_PLACE_M = 10.0
+
+
+def _crossing_line(scene: Scene) -> str:
+    """What the places of sensors of directions allow to say about positions."""
+    places: list[FloatArray] = []
+    for feed in scene.feeds:
+        at = feed.sensor_m
+        if at is not None and len(at) and all(np.hypot(*(at[0] - other)) > ONE_PLACE_M for other in places):
+            places.append(at[0])
+    if len(places) < 2:
+        return "one place: no object gets a position; add a sensor at another place, or a source of positions"
+    if len(places) == 2:
+        return (
+            "two places: positions are their crossings; of several objects, some may be at false crossings, which only "
+            "a third place or names that both sources give can exclude"
+        )
+    return f"{len(places)} places: positions are their crossings"
 
 
 def doubt_lines(doubts: Sequence[str]) -> Iterator[str]:

@@ -202,7 +202,7 @@ KINDS: Mapping[str, Kind] = {
         {
             "coverage.range_m": (100_000.0, "the radio horizon and beyond"),
             "misses.q": (0.5, "many do not emit"),
-            "clutter.per_deg": (0.01, "reflections"),
+            "clutter.per_deg": (0.001, "reflections: one in three scans all around"),
             "resolution.bearing_deg": (5.0, "usual"),
             "resolution.split": (0.02, "one emitter rarely gives two bearings"),
             "errors.bearing_deg": (3.0, "usual"),

@@ -160,11 +160,6 @@ class LiveFeed:
         """Whether any report was added."""
         return self._serial > 0
 
-    @property
-    def directions(self) -> bool:
-        """Whether its reports are directions."""
-        return self._directions
-
     def add(self, reports: Reports) -> None:
         """Adds reports, in any order; those without a position are counted and ignored.
 

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
 
 from sameas.arrays import FloatArray, IntArray, tall_product
 from sameas.errors import InputError
@@ -321,8 +322,10 @@ class _Surroundings:
             narrow = max(float(np.trace(spread)) / 20.0, (min(reach, 1000.0) or 1000.0) ** 2 / 16.0)
             spread = spread + narrow * np.eye(2)
         else:
-            sensors = [one.sensor() for one in snapshots]
-            centre, spread = np.mean(sensors, axis=0), np.eye(2) * ((reach or 1000.0) / 2.0) ** 2
+            sensors = np.array([one.sensor() for one in snapshots])
+            apart_m = float(pdist(sensors).max(initial=0.0))
+            half = 0.5 * (reach or 1000.0)
+            centre, spread = sensors.mean(axis=0), np.eye(2) * (min(half, 2.0 * apart_m) or half) ** 2
         area = 2.0 * math.pi * math.sqrt(float(np.linalg.det(spread)))
         density = _objects(snapshots, area) / area
         if features == POSITION:
@@ -363,12 +366,17 @@ def _with_platforms(
 def _objects(snapshots: Sequence[Snapshot], area_m2: float) -> float:
     """Number of objects, by the source with the most: (its records − its clutter) / (1 − q)."""
     most = 1.0
+    of_directions = not any(isinstance(one.feed.reports, States) for one in snapshots)
     for one in snapshots:
         description = one.feed.description
         if isinstance(one.feed.reports, States):
             clutter = (description.clutter.per_km2 or 0.0) * area_m2 / 1e6
-            q = float(np.mean(description.misses.at(np.zeros(1)))) if description.misses.q is not None else 0.5
-            most = max(most, (len(one.rows) - clutter) / (1.0 - q))
+        elif of_directions:
+            clutter = min(360.0 * (description.clutter.per_deg or 0.0), 0.5 * len(one.rows))
+        else:
+            continue
+        q = float(np.mean(description.misses.at(np.zeros(1)))) if description.misses.q is not None else 0.5
+        most = max(most, (len(one.rows) - clutter) / (1.0 - q))
     return most
 
 

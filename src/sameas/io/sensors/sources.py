@@ -297,6 +297,10 @@ def source_of(name: str, reports: Reports, described: Mapping[str, SourceOptions
     return SensorSource(replace(description, kind=kind), reports, path, why)
 
 
+#: Cameras give more directions than one in this time; direction finders and sonars rarely do.
+SLOWEST_CAMERA_S = 1.0
+
+
 def _kind(reports: Reports) -> tuple[str, str]:
     """The guessed kind of a source without a description, and the reason."""
     if (kind := kind_of(reports.kind)) is not None:
@@ -310,7 +314,10 @@ def _kind(reports: Reports) -> tuple[str, str]:
         if getattr(reports, column) is not None:
             return kind, f"it has a column of {column}"
     if reports.position == "bearing":
-        return "camera", "it has directions only"
+        times_s = np.unique(reports.time_s)
+        if len(times_s) > 1 and float(np.median(np.diff(times_s))) < SLOWEST_CAMERA_S:
+            return "camera", "it has directions only, several a second"
+        return "esm", f"it has directions only, not more often than every {SLOWEST_CAMERA_S:g} s"
     raise InputError(
         f"{reports.source}: what kind of sensor is it? Neither its name nor its columns show it",
         Message(
