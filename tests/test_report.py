@@ -8,7 +8,7 @@ from astropy.table import Table
 
 from sameas.errors import InputError
 from sameas.report import prose
-from sameas.report.match import catalogue_lines, estimate_lines, nearest_lines, summary_lines
+from sameas.report.match import _bins, catalogue_lines, estimate_lines, nearest_lines, summary_lines
 from sameas.representation import count
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, match
@@ -177,3 +177,11 @@ def test_zero_errors_are_refused_with_the_remedy():
     table = Table({"ra": [10.0, 10.1], "dec": [0.0, 0.1], "sigma_arcsec": [0.0, 0.0]})
     with pytest.raises(InputError, match=r"no error \(2\); an error of 0 or less counts as none: give sigma=ARCSEC"):
         match(Catalogue.of(table, "left"), Catalogue.of(table, "right"))
+
+
+def test_numbers_of_millions_of_rows_do_not_run_together():
+    """Cells of nine characters touched each other in columns of eight."""
+    magnitude = np.repeat([10.5, 11.5, 12.5, 13.5], 1_200_000).astype(np.float32)
+    lines = _bins("left, mag", magnitude, np.ones(len(magnitude), np.bool_))
+    assert lines[2].count("1 200 000") == 4 and len(re.findall(r"  1 200 000", lines[2])) == 4
+    assert len({len(line) for line in lines[1:]}) == 1

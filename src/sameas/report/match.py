@@ -287,8 +287,9 @@ def _bins(title: str, magnitude: FloatArray, identified: BoolArray) -> list[str]
     names = [f"<{inner[0]:g}", *(f"{a:g}–{b:g}" for a, b in pairwise(inner)), f"≥{inner[-1]:g}"]
     shares = [f"{100 * s:.1f}" if n else "–" for s, n in zip(share, number, strict=True)]
     table = (("magnitude", names), ("rows", [count(n) for n in number]), ("identified, %", shares))
+    wide = max(8, 2 + max(len(cell) for _, cells in table for cell in cells))  # of millions of rows the cells are wider
     return [f"  {title}"] + [
-        f"    {label:{LABEL - 6}}" + "".join(f"{cell:>8}" for cell in cells) for label, cells in table
+        f"    {label:{LABEL - 6}}" + "".join(f"{cell:>{wide}}" for cell in cells) for label, cells in table
     ]
 
 
