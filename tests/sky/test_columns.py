@@ -601,3 +601,26 @@ def test_a_unit_beyond_the_range_of_numbers_is_no_unit():
     with pytest.raises(ValueError, match="beyond the range of numbers"):
         factor("1PB(99999999)", "s / yr")
     assert not is_in_seconds_of_time("1PB(99999999)")
+
+
+@pytest.mark.parametrize(
+    ("keywords", "year", "words"),
+    [
+        ({"DATE-OBS": "31/12/98"}, 1998.997, "header DATE-OBS = '31/12/98'"),
+        ({"JD": 2451545.0}, 2000.0, "header JD"),
+        ({"MJDREF": 50814.0, "TSTART": 0.0, "TSTOP": 2.0 * 86400.0}, 1998.0027, "header TSTART, TSTOP and MJDREF"),
+        ({"BJDREFI": 2457000, "BJDREFF": 0.0, "TSTART": 389.0, "TIMEUNIT": "d"}, 2016.0, "header TSTART and BJDREFI"),
+    ],
+)
+def test_the_epoch_is_read_from_every_way_a_header_states_it(keywords, year, words):
+    """These were not read, and the epoch of the other catalogue was assumed."""
+    table = Table({"ra": [10.0, 10.1], "dec": [5.0, 5.1]}, meta=keywords)
+    seen = Catalogue.of(table, "seen", options=CatalogueOptions(sigma=0.2))
+    assert seen.epoch_jyr == pytest.approx(year, abs=2e-3)
+    assert any(words in line for line in seen.interpretation)
+
+
+def test_the_epoch_is_read_from_times_at_the_sun_and_counted_ones_are_passed_over():
+    for name, values, year in (("HJD", [2451545.0] * 2, 2000.0), ("BJD", [7389.0] * 2, None)):
+        table = Table({"ra": [10.0, 10.1], "dec": [5.0, 5.1], name: values})
+        assert Catalogue.of(table, "seen", options=CatalogueOptions(sigma=0.2)).epoch_jyr == year

@@ -287,3 +287,35 @@ def test_saturation_is_recognised_by_a_pile_up_of_bright_pixels():
     piled = np.minimum(1000 + rng.exponential(9000.0, 100_000), 30_000)
     assert 29_000 < plateau(piled) <= 30_000
     assert plateau(falling) > 55_000
+
+
+@pytest.mark.parametrize(
+    ("cards", "comments", "start"),
+    [
+        ({"UT": 3.5}, {}, "03:30:00"),
+        ({"UT": "3.5"}, {}, "03:30:00"),
+        ({"TIME_OBS": 3.5}, {}, "03:30:00"),
+        ({"UTC_OBS": 12600.0}, {}, "03:30:00"),
+        ({"UT": 20.0}, {"UT": "[s] start"}, "00:00:20"),
+    ],
+)
+def test_a_time_of_day_in_numbers_is_read_and_its_unit_reported(cards, comments, start):
+    """It was ignored, and noon was taken."""
+    read = facts(DATE_OBS="2018-10-18", EXPTIME=0.0, comments=comments, **cards)
+    assert abs((read.time() - Time(f"2018-10-18T{start}")).sec) < 1e-3
+    assert any("of the day" in line for line in read.lines) and not any("12:00" in line for line in read.lines)
+
+
+def test_a_julian_date_without_its_first_digits_is_no_mjd():
+    """It was read as an MJD, twelve hours late."""
+    assert abs((facts(JD=57389.25, EXPTIME=0.0).time() - Time(2457389.25, format="jd")).sec) < 1e-3
+
+
+def test_the_zero_of_an_event_file_and_times_at_the_sun_are_used_if_there_is_no_other():
+    cards = {"MJDREFI": 51910, "MJDREFF": 7.428703703703703e-04, "TIMESYS": "TT", "TSTART": 1e8, "TSTOP": 1e8 + 200.0}
+    # Chandra's zero is 1998-01-01 TT, Fermi's and Swift's 2001-01-01 UTC: 64.184 s of TT less UTC then.
+    expected = Time("2001-01-01T00:01:04.184", scale="tt").mjd + (1e8 + 100.0) / 86400.0
+    assert abs(facts(**cards).time().tt.mjd - expected) * 86400.0 < 1e-3
+    solar = facts(HJD=2457389.25, EXPTIME=60.0)
+    assert abs(solar.time().jd - 2457389.25) < 1e-6
+    assert any("HJD is a time at the Sun" in line for line in solar.lines)

@@ -5,6 +5,8 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
+from astropy.coordinates import EarthLocation, SkyCoord
+from astropy.table import Column, Table
 from moving import night
 
 from sameas import InputError
@@ -19,6 +21,7 @@ from sameas.sky.movers.rates import EclipticAxes, RateDensity, reference_rate, s
 from sameas.sky.movers.search import detection_probability
 from sameas.sky.movers.stationary import fixed_on_chip
 from sameas.sky.movers.tracks import Tracks, compete, grow
+from sameas.sky.times import Time
 
 
 def named(found, truth):
@@ -416,3 +419,63 @@ def test_drifting_warm_pixels_are_no_movers():
     found = find_movers(detections, least=3)
     assert found.same_rate >= 48
     assert sorted(truth[found.members[:, 0]].tolist()) == [0, 1, 2, 3, 4]
+
+
+MJD = 57388.625 + np.array([0.0, 0.01])  # 2016-01-01T15:00
+
+
+def at(table, sigma=0.2, **keywords):
+    """The times read from a table of two detections, and the line on how."""
+    columns = Table({"ra": [10.0, 10.0], "dec": [5.0, 5.0], **table}, meta=keywords)
+    seen, lines = detections_of([Catalogue.of(columns, "night", options=CatalogueOptions(sigma=sigma))])
+    return seen.mjd_utc, lines[0]
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"date_obs": ["2016-01-01"] * 2, "UT": 24.0 * (MJD % 1.0)}, "date_obs (dates and UT [h], UTC)"),
+        ({"date": ["2016-01-01"] * 2, "time": ["15:00:00", "15:14:24"]}, "date (dates and time [h], UTC)"),
+        ({"mjd": [57388, 57388], "utc": 86400.0 * (MJD % 1.0)}, "mjd (MJD and utc [s], UTC)"),
+        ({"jd": MJD + 0.5}, "jd (JD − 2400000, UTC)"),
+    ],
+)
+def test_a_date_with_a_clock_beside_it_is_a_time(table, words):
+    """Both were taken for one exposure, or refused; the last was read as MJD, twelve hours late."""
+    mjd, line = at(table)
+    np.testing.assert_allclose(mjd, MJD, atol=1e-9)
+    assert words in line
+
+
+def test_days_without_a_time_of_day_are_refused():
+    with pytest.raises(InputError, match="holds days without a time of day") as refused:
+        at({"date_obs": ["2016-01-01", "2016-01-02"]})
+    assert "time" in str(refused.value)
+
+
+@pytest.mark.parametrize("unit", ["s", None])
+def test_times_of_event_files_count_from_the_zero_of_the_header(unit):
+    seconds = Column((MJD - 50814.0) * 86400.0, unit=unit)
+    mjd, line = at({"TIME": seconds}, MJDREF=50814.0, TIMESYS="TT", TIMEUNIT="s")
+    np.testing.assert_allclose((MJD - mjd) * 86400.0, 68.184, atol=1e-3)
+    assert "elapsed times since MJDREF of TT, turned into UTC" in line
+
+
+def test_the_scale_of_the_header_is_kept():
+    """Times of TAI were read as UTC."""
+    mjd, line = at({"mjd": MJD}, TIMESYS="TAI")
+    np.testing.assert_allclose((MJD - mjd) * 86400.0, 36.0, atol=1e-3)
+    assert "MJD of TAI, turned into UTC" in line
+
+
+@pytest.mark.parametrize(("name", "kind"), [("HJD", "heliocentric"), ("BJD_TDB", "barycentric")])
+def test_times_at_the_sun_become_those_at_the_earth(name, kind):
+    """Checked with astropy's light travel time."""
+    place = EarthLocation.from_geocentric(0.0, 0.0, 0.0, unit="m")
+    time = Time(MJD, format="mjd", scale="utc", location=place)
+    later = time.light_travel_time(SkyCoord(10.0, 5.0, unit="deg"), kind, ephemeris="builtin")
+    there = time + later if kind == "heliocentric" else time.tdb + later
+    mjd, line = at({name: there.jd})
+    assert np.abs(later.sec).min() > 5.0
+    np.testing.assert_allclose((mjd - MJD) * 86400.0, 0.0, atol=0.05)
+    assert "turned into UTC at the Earth" in line

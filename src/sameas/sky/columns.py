@@ -23,6 +23,8 @@ from sameas.sky.column_choice import CatalogueOptions, ChosenColumn, ColumnChoic
 from sameas.sky.column_search import ColumnSearch
 from sameas.sky.conventions import Convention
 from sameas.sky.error_columns import own_error, position_error
+from sameas.sky.frame.cards import date_of
+from sameas.sky.reference_times import start_mjd
 
 _DESCRIBED_EPOCH = re.compile(r"\bEp(?:och)?\s*[=:]?\s*J?\s*((?:18|19|20)\d\d(?:\.\d+)?)", re.IGNORECASE)
 #: Parts of the names of columns of errors.
@@ -304,7 +306,7 @@ def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
     if convention.only_epoch:
         named = f"epoch of {convention.title}" if convention.epoch_jyr is not None else "not known"
         return Epoch(jyr=convention.epoch_jyr, reason=named)
-    for wanted in conventions.PLAIN_EPOCHS:  # valid with any names of the position
+    for wanted in conventions.PLAIN_EPOCHS + conventions.SOLAR_EPOCHS:  # valid with any names of the position
         name = search.find(wanted)
         if name and column_values.are_years(table, name):
             return Epoch(column=name, reason=f"column {name}")
@@ -364,7 +366,14 @@ def _header_epoch(table: Table) -> Epoch:
             try:
                 return Epoch(jyr=column_values.year_of(text), reason=f"header {key}{unread}")
             except ValueError:
+                day = date_of(text.strip())  # 31/12/98, of FITS before 2000
+                if day is not None:
+                    year = float(column_values.mjd_to_jyr(day[0] + (day[1] or 0.0)))
+                    return Epoch(jyr=year, reason=f"header {key} = {text!r}{unread}")
                 unread = unread or f"; {key} = {text!r} is no time"
+    counted = start_mjd(header)
+    if counted is not None:
+        return Epoch(jyr=float(column_values.mjd_to_jyr(counted[0])), reason=f"header {counted[1]}{unread}")
     return Epoch(reason=f"{Epoch.reason}{unread}")
 
 

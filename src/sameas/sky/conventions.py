@@ -153,6 +153,8 @@ PLAIN_EPOCHS = (
     "ref_epoch", "epoch", "epoch_jyr", "mean_epoch", "mean_jd", "mean_mjd", "mjd", "obs_mjd", "jd", "obs_date",
     "date_obs", "obstime", "Date",
 )  # fmt: skip
+#: At the Sun or the barycentre: minutes are nothing to an epoch.
+SOLAR_EPOCHS = ("bjd_tdb", "bjd_utc", "bjd", "hjd_utc", "hjd")
 PLAIN_CIRCLES = tuple(
     ErrorNames("circle", (stem + suffix,))
     for stem in ("sigma", "pos_err", "poserr", "e_pos", "ePos", "pos_error", "pos_sigma", "positional_error", "err",
@@ -185,6 +187,7 @@ LIGHT_RADII = ("r50", "r_50", "r25", "r20", "r80", "r_80", "r50_r", "petroR50_r"
 # Header keywords for the time of observation, and that of a VOTable's COOSYS. Not EPOCH: in FITS it is the equinox.
 HEADER_EPOCHS = (
     "REF_EPOCH", "REFEPOCH", "epoch_jyr", "COOSYS_EPOCH", "MJD-AVG", "MJD-MID", "DATE-AVG", "MJD-OBS", "DATE-OBS",
+    "JD-OBS", "MJD", "JD",
 )  # fmt: skip
 
 # Columns that VizieR computes in addition to the catalogue's own.

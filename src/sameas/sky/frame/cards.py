@@ -97,7 +97,9 @@ def day_of(card: Card) -> float | None:
     if math.isfinite(value):
         if 2_300_000 < value < 2_500_000:
             return value - 2_400_000.5
-        return value if 0 < value < 100_000 and "JD" in card.name + "MJD" * card.name.startswith("EXP") else None
+        if not 0 < value < 100_000 or "JD" not in card.name + "MJD" * card.name.startswith("EXP"):
+            return None
+        return value - 0.5 if "JD" in card.name and "MJD" not in card.name else value  # a JD less 2 400 000
     date = date_of(card.text())
     return date[0] + date[1] if date is not None and date[1] is not None else None
 

@@ -23,6 +23,7 @@ from sameas.sky.frame.cards import (
     time_of_day,
     year_of_digits,
 )
+from sameas.sky.reference_times import SCALES, TAI_MINUS_GPS_S, start_mjd
 
 if TYPE_CHECKING:
     from astropy.time import Time
@@ -31,12 +32,13 @@ _MIDDLE = ("DATE-AVG", "DATE-MID", "DATE_MID", "MIDPOINT", "MJD-AVG", "MJD-MID",
 STARTS = ("DATE-OBS", "DATE_OBS", "DATE-BEG", "DATE-STA", "DATEOBS", "UTSTART")
 _END = ("DATE-END", "DATE_END", "MJD-END", "EXPEND")
 _CLOCK = ("TIME-OBS", "TIME_OBS", "UT", "UTC", "UTC-OBS", "UT-OBS", "UT-START", "UTSTART", "TIME-BEG", "TIME", "UTIME")
+#: Of these a number is a time of day, too.
+_CLOCK_NUMBERS = ("TIME-OBS", "TIME_OBS", "UT", "UTC", "UTC-OBS", "UT-OBS", "UT-START", "UTSTART", "TIME-BEG", "UTIME")
+#: Times at the Sun or the barycentre of the Solar System, used if there is no other.
+_AT_SUN = ("HJD", "HJD-OBS", "HJD_UTC", "HJD-MID", "BJD", "BJD-OBS", "BJD_TDB", "BJD_UTC", "BJD-MID")
 #: Those that are universal time by their name.
 _UNIVERSAL = ("UT", "UTC", "UTC-OBS", "UT-OBS", "UT-START", "UTSTART", "UTIME")
 _COUNTED = ("MJD-OBS", "MJD_OBS", "MJD-BEG", "EXPSTART", "MJD", "MJD-STR", "JD", "JD-OBS", "JULDAT", "JULIAN", "JD_UTC")
-_SCALES = {"UTC": "utc", "UT": "utc", "GMT": "utc", "TDB": "tdb", "TT": "tt", "TDT": "tt", "TAI": "tai", "TCB": "tcb"}
-_SCALES |= {"TCG": "tcg", "UT1": "ut1", "IAT": "tai", "ET": "tt", "GPS": "gps"}
-_TAI_MINUS_GPS_S = 19.0
 #: Keywords of digitised photographic plates: only these may be older than the first detectors.
 _PLATE = ("PLTLABEL", "PLATEID", "PLTSCALE", "PLTRAH", "PLATE", "PLATENUM", "EMULSION")
 #: Times at which clocks start that were never set.
@@ -60,7 +62,7 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
             return _time_of(day, scale, f"middle of the exposure ({card.name})", lines + _unreadable(cards, card.name))
     start = _start(cards)
     if start is None:
-        return None, _unreadable(cards, "")
+        return _elsewhere(cards, scale)
     card, day, remark = start
     lines += _unreadable(cards, card.name)
     if card.says(r"\bmid"):
@@ -81,6 +83,20 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
     return _time_of(day + exposure_s / 2 / S_PER_DAY, scale, f"start ({card.name}) and half the exposure", lines)
 
 
+def _elsewhere(cards: Cards, scale: str) -> tuple[Time | None, tuple[str, ...]]:
+    """The middle of the exposure by the zero of an event file, or by a time at the Sun; None without either."""
+    lines = _unreadable(cards, "")
+    counted = start_mjd({card.name: card.value for card in cards.all(map(str, cards.header))})
+    if counted is not None:
+        return _time_of(counted[0], scale, counted[1], lines)
+    for card in cards.all(_AT_SUN):
+        value = card.number()
+        if 2_300_000 < value < 2_500_000:
+            doubt = f"doubt: {card.name} is a time at the Sun, up to 8.4 min from that at the telescope; it is used"
+            return _time_of(value - 2_400_000.5, "utc", f"{card.name}, of the middle or the start", (*lines, doubt))
+    return None, lines
+
+
 def _time_of(day: float, scale: str, how: str, lines: tuple[str, ...]) -> tuple[Time, tuple[str, ...]]:
     """The time of an MJD on a scale (TT before UTC existed), and the lines, with one on its origin ``how``."""
     from sameas.sky.times import Time
@@ -92,7 +108,7 @@ def _time_of(day: float, scale: str, how: str, lines: tuple[str, ...]) -> tuple[
         day, scale = day + delta / S_PER_DAY, "tt"
         lines = (*lines, f"assumed: universal time, turned into TT by {delta:+.1f} s (there was no UTC before 1960)")
     if scale == "gps":
-        day, scale, how = day + _TAI_MINUS_GPS_S / S_PER_DAY, "tai", f"{how}, GPS time + {_TAI_MINUS_GPS_S:.0f} s"
+        day, scale, how = day + TAI_MINUS_GPS_S / S_PER_DAY, "tai", f"{how}, GPS time + {TAI_MINUS_GPS_S:.0f} s"
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*dubious year")
         whole = math.floor(day)
@@ -112,8 +128,8 @@ def _time_scale(cards: Cards) -> tuple[str, tuple[str, ...]]:
     if card is None:
         return "utc", ("assumed: times are UTC (no TIMESYS)",)
     name = re.sub(r"\(.*\)", "", card.text()).strip().upper()  # UTC(NIST) is a realization of UTC
-    if name in _SCALES:
-        return _SCALES[name], ()
+    if name in SCALES:
+        return SCALES[name], ()
     return "utc", (f"doubt: TIMESYS = {card.text()!r} is no known time scale; times are taken as UTC",)
 
 
@@ -136,15 +152,29 @@ def _start(cards: Cards) -> tuple[Card, float, tuple[str, ...]] | None:
     remark = () if dated is None else _order(dated[0], _century(cards))
     if dated is not None and local is None:
         for clock in cards.all(_CLOCK):
-            fraction = time_of_day(clock.text())
+            fraction, words = _fraction_of(clock)
             if fraction is not None:
-                return Card(f"{dated[0].name} and {clock.name}", None, clock.comment), dated[1] + fraction, remark
+                return (
+                    Card(f"{dated[0].name} and {clock.name}", None, clock.comment),
+                    dated[1] + fraction,
+                    remark + words,
+                )
     if counted is not None:
         return (*counted, _other_day(*counted, dated))
     if dated is not None:
         noon = f"assumed: 12:00, for {dated[0].name} has no time of day; up to 12 h wrong"
         return dated[0], dated[1] + 0.5, (*remark, noon)
     return None
+
+
+def _fraction_of(card: Card) -> tuple[float | None, tuple[str, ...]]:
+    """The time of day of a card as a fraction of the day, or None, and a line if it is a number without a unit."""
+    fraction, number = time_of_day(card.text()), card.number()
+    if fraction is not None or card.name not in _CLOCK_NUMBERS or not 0.0 <= number <= S_PER_DAY:
+        return fraction, ()
+    in_seconds = number > 24.0 or card.says(r"\bs(ec(onds?)?)?\b")
+    line = f"assumed: {card.name} = {card.text()} is in {'seconds' if in_seconds else 'hours'} of the day"
+    return number / (S_PER_DAY if in_seconds else 24.0), (line,)
 
 
 def _is_local(card: Card) -> bool:

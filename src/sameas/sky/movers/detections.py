@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import FloatArray, IntArray, median
+from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.records import SetAside
 from sameas.representation import counted, in_short
 from sameas.sky.catalogue import Catalogue
+from sameas.sky.movers.detection_times import TIMES, possible, times_of
 from sameas.sky.movers.rates import EclipticAxes
 
 #: Times within this many seconds are one exposure if no column of exposures is given (chosen).
 SAME_EXPOSURE_S = 0.5
-#: MJD of 1890, before the first asteroid was photographed (1891), and of 2150: times outside are in another unit.
-_FIRST_MJD, _LAST_MJD = 11368.0, 106332.0
 
 
 @dataclass(frozen=True)
@@ -139,7 +138,7 @@ class Detections:
             if values is not None and len(values) != n:
                 raise InputError(f"{name}: {len(values)} values of {what} for {n} rows; give one per row")
         reasons = _reasons(ra, dec, mjd, error)
-        in_range = _possible(mjd)
+        in_range = possible(mjd)
         reasons[(reasons == "") & ~in_range] = "a time that is no MJD between 1890 and 2150"
         if 2 * np.count_nonzero(in_range) < np.count_nonzero(np.isfinite(mjd)):
             wrong = mjd[np.isfinite(mjd) & ~in_range][0]
@@ -212,11 +211,6 @@ def _reasons(ra: FloatArray, dec: FloatArray, mjd: FloatArray, error: FloatArray
     return reasons
 
 
-def _possible(mjd: FloatArray) -> NDArray[np.bool_]:
-    with np.errstate(invalid="ignore"):
-        return np.asarray((mjd > _FIRST_MJD) & (mjd < _LAST_MJD))
-
-
 def _frames(mjd: FloatArray, labels: NDArray[Any] | None) -> tuple[IntArray, tuple[str, ...]]:
     """(n,) number of each row's exposure by time, and the names."""
     if labels is None:
@@ -245,24 +239,16 @@ def _repeated(ra: FloatArray, dec: FloatArray, frame: IntArray) -> NDArray[np.bo
 # Tables of detections: columns of times, exposures and bands; positions as in catalogues.
 
 #: Recognised column names, ignoring case, in order of preference.
-TIMES = (
-    "mjd_utc", "mjd", "mjd_mid", "mjd_obs", "midpointmjdtai", "expmidptmjd", "obstime", "obs_time", "date_obs",
-    "jd_utc_mid", "jd_utc", "jd", "time",
-)  # fmt: skip
 EXPOSURES = ("exposure", "frame", "visit", "expnum", "exposure_id", "obsid", "image")
 BANDS = ("band", "filter", "fid", "filt", "fltr")
-#: Columns of LSST whose MJD are those of TAI, by lower-case name.
-_IN_TAI = ("midpointmjdtai", "expmidptmjd")
-#: Numbers above this are Julian dates, not MJD.
-_JULIAN = 2_000_000.0
 
 
 @dataclass(frozen=True)
 class DetectionColumns:
     """Columns of a table of detections; None finds them by name.
 
-    time : middle of the exposure, UTC: MJD, JD or ISO dates. exposure : label of the exposure; "none" groups equal
-    times. band : of the magnitude; "none" for no band.
+    time : middle of the exposure: MJD, JD, HJD, BJD, dates, or days with a time of day in another column.
+    exposure : label of the exposure; "none" groups equal times. band : of the magnitude; "none" for no band.
     """
 
     time: str | None = None
@@ -313,7 +299,7 @@ def _one(catalogue: Catalogue, wanted: DetectionColumns) -> tuple[dict[str, Any]
         )
     exposure = None if wanted.exposure == "none" else _chosen(catalogue, wanted.exposure, EXPOSURES, "exposure")
     band = None if wanted.band == "none" else _chosen(catalogue, wanted.band, BANDS, "band")
-    mjd, how = _mjd(table[time], catalogue.name, time)
+    mjd, how = times_of(catalogue, time)
     a = catalogue.astrometry
     spread = catalogue.records()
     covariance = np.full((n, 3), np.nan)
@@ -342,46 +328,6 @@ def _chosen(catalogue: Catalogue, option: str | None, known: Sequence[str], what
         there = ", ".join(catalogue.table.colnames[:12])
         raise InputError(f"{catalogue.name}: no column {option!r} (there are {there})", naming(f"give {{{what}:NAME}}"))
     return next((names[name] for name in known if name in names), None)
-
-
-def _mjd(column: Any, name: str, label: str) -> tuple[FloatArray, str]:
-    """MJD (UTC) of a column of times, NaN where there is none, and how it was read."""
-    from sameas.sky.times import Time
-
-    values = np.ma.MaskedArray(column)
-    if values.dtype.kind in "fiu":
-        days = np.asarray(np.ma.filled(values.astype(np.float64), np.nan))
-        known = days[np.isfinite(days)]
-        julian = len(known) > 0 and _JULIAN < median(known) < _JULIAN + 1e6
-        _refuse_other_times(known - 2400000.5 * julian, median(known), getattr(column, "unit", None), name, label)
-        if label.lower() in _IN_TAI:
-            days[np.isfinite(days)] = Time(known, format="mjd", scale="tai").utc.mjd
-            return days, "MJD of TAI, turned into UTC"
-        return (days - 2400000.5, "JD, UTC") if julian else (days, "MJD, UTC")
-    texts = np.ma.filled(values.astype(str), "")
-    out = np.full(len(texts), np.nan)
-    there = np.char.strip(texts) != ""
-    try:
-        out[there] = Time([t.strip().removesuffix("Z") for t in texts[there]], scale="utc").mjd
-    except ValueError:
-        raise InputError(
-            f"{name}: column {label} holds neither MJD, JD nor dates such as 2018-10-18T03:01:20",
-            naming("give {time:NAME}"),
-        ) from None
-    return out, "dates, UTC"
-
-
-def _refuse_other_times(mjd: FloatArray, middle: float, unit: Any, name: str, label: str) -> None:
-    """Refuses a column of times most of which are no MJD, or that has another unit than days. middle : as written."""
-    in_days = unit is None or not unit.is_equivalent("day") or unit == "day"
-    if in_days and 2 * np.count_nonzero(_possible(mjd)) >= len(mjd):
-        return
-    about = f"about {middle:g}{'' if in_days else f' {unit}'}"
-    since_1970 = "; of seconds since 1970 the MJD is 40587 + seconds / 86400" if 3e8 < middle < 5e9 else ""
-    raise InputError(
-        f"{name}: column {label!r} ({about}) is no MJD or JD between 1890 and 2150{since_1970}",
-        naming("give {time:NAME} with MJD, JD or dates in UTC"),
-    )
 
 
 def _texts(column: Any) -> NDArray[Any]:
