@@ -23,8 +23,7 @@ from sameas.sky.column_choice import CatalogueOptions, ChosenColumn, ColumnChoic
 from sameas.sky.column_search import ColumnSearch
 from sameas.sky.conventions import Convention
 from sameas.sky.error_columns import own_error, position_error
-from sameas.sky.frame.cards import date_of
-from sameas.sky.reference_times import start_mjd
+from sameas.sky.frame.cards import date_of, start_mjd
 
 _DESCRIBED_EPOCH = re.compile(r"\bEp(?:och)?\s*[=:]?\s*J?\s*((?:18|19|20)\d\d(?:\.\d+)?)", re.IGNORECASE)
 #: Parts of the names of columns of errors.

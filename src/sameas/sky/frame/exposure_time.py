@@ -15,15 +15,17 @@ from typing import TYPE_CHECKING
 from sameas.sky.frame.cards import (
     OLD_DATE,
     S_PER_DAY,
+    SCALES,
+    TAI_MINUS_GPS_S,
     Card,
     Cards,
     date_of,
     day_of,
     is_zoned,
+    start_mjd,
     time_of_day,
     year_of_digits,
 )
-from sameas.sky.reference_times import SCALES, TAI_MINUS_GPS_S, start_mjd
 
 if TYPE_CHECKING:
     from astropy.time import Time

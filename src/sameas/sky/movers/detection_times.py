@@ -19,7 +19,7 @@ from sameas.arrays import FloatArray, median
 from sameas.errors import InputError, naming
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.reference_times import SCALES, TAI_MINUS_GPS_S, reference_mjd
+from sameas.sky.frame.cards import SCALES, TAI_MINUS_GPS_S, reference_mjd
 from sameas.space import unit_vectors
 
 #: Recognised names of columns of times, ignoring case, in order of preference.
