@@ -10,7 +10,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
+from types import NoneType
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,10 +25,23 @@ from sameas.io.sensors.table_columns import QUANTITIES, rank_of, stem_of
 #: Texts of cells without a value.
 NULLS = {"", "null", "none", "na", "n/a", "-", "--", "nan", "unknown", "undefined"}
 _DELIMITERS = ",;\t|"
+_T = TypeVar("_T")
 #: Numbers with a decimal comma or none, and with a decimal point.
 _COMMA, _POINT = re.compile(r"\s*[+-]?\d+(,\d+)?\s*"), re.compile(r"\s*[+-]?\d+\.\d+\s*")
 #: Number of cells always read from a Parquet file, however small: it compresses equal cells (1 GB as Python lists).
 _CELLS = 1 << 24
+
+
+def of_each(read: Callable[[Any], _T], cells: Sequence[Any]) -> list[_T]:
+    """What ``read`` makes of each cell; of equal texts once, since the columns of a log have few.
+
+    >>> of_each(len, ["2024-05-01", "", "2024-05-01"])
+    [10, 0, 10]
+    """
+    if not set(map(type, cells)) <= {str, NoneType}:
+        return [read(cell) for cell in cells]
+    of_text = {text: read(text) for text in dict.fromkeys(cells)}
+    return [of_text[text] for text in cells]
 
 
 @dataclass(frozen=True)

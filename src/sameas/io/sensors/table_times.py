@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any, SupportsFloat
 
 import numpy as np
@@ -13,7 +14,7 @@ from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError, naming
 from sameas.io.sensors.format import DAY_S, instant, seconds, unwrapped, utc_of
 from sameas.io.sensors.languages import DATES, HOURS, plain
-from sameas.io.sensors.table_cells import TableText
+from sameas.io.sensors.table_cells import TableText, of_each
 from sameas.io.sensors.table_columns import Choice, stem_of
 
 #: Columns of tables whose dates like 01/05/2024 have the day first: Danish AIS.
@@ -73,10 +74,14 @@ def times_of(
 
 def _zones(column: Sequence[Any]) -> tuple[BoolArray, BoolArray]:
     """(n,) whether a cell states an offset from UTC, and whether it is a clock time without a zone."""
-    texts = ["" if cell is None or isinstance(cell, (int, float)) else str(cell).strip() for cell in column]
-    offset = np.array([_ZONE.search(text) is not None for text in texts], bool)
-    local = np.array([":" in text and re.search(r"(?i)(Z|UTC|GMT)$", text) is None for text in texts], bool)
-    return offset, local & ~offset
+    stated = np.array(of_each(_zone, column), bool).reshape(-1, 2)
+    return stated[:, 0], stated[:, 1]
+
+
+def _zone(cell: Any) -> tuple[bool, bool]:
+    text = "" if cell is None or isinstance(cell, (int, float)) else str(cell).strip()
+    offset = _ZONE.search(text) is not None
+    return offset, not offset and ":" in text and re.search(r"(?i)(Z|UTC|GMT)$", text) is None
 
 
 def _instants(column: Sequence[Any], choice: Choice, source: str, start_s: float | None, day_first: bool) -> FloatArray:
@@ -90,7 +95,7 @@ def _instants(column: Sequence[Any], choice: Choice, source: str, start_s: float
         texts = ["" if cell is None else str(cell).strip() for cell in column]
         if any(_DAY_FIRST.fullmatch(text) for text in texts[:100]):
             return _day_month_dates(texts, source, start_s, day_first)
-        return np.array([np.nan if (time_s := instant(text)) is None else time_s for text in texts])
+        return np.array([np.nan if time_s is None else time_s for time_s in of_each(instant, texts)])
     if choice.factor in (1.0, 0.0):
         return np.array([seconds(number) for number in numbers])
     return numbers * choice.factor
@@ -100,7 +105,7 @@ def _day_month_dates(texts: Sequence[str], source: str, start_s: float | None, a
     """Times from dates like 13/01/2024 12:00:00. A number above 12 shows which one is the day, else the kind of table
     does, the start, or points between the numbers: these are written day first (DIN 5008, and wherever dates have
     points)."""
-    day_first, month_first = (np.array([_of_date(text, day) for text in texts]) for day in (1, 2))
+    day_first, month_first = (np.array(of_each(partial(_of_date, day=day), texts)) for day in (1, 2))
     readable = [np.isfinite(day_first), np.isfinite(month_first)]
     only = [bool((readable[k] & ~readable[1 - k]).any()) for k in (0, 1)]
     if only[0] and only[1]:

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from sameas.io.sensors.format import (
     start_seconds,
 )
 from sameas.io.sensors.languages import DATES, HOURS, plain
-from sameas.io.sensors.table_cells import NULLS, PARQUET, TableText, cells_of
+from sameas.io.sensors.table_cells import NULLS, PARQUET, TableText, cells_of, of_each
 from sameas.io.sensors.table_columns import Choice, choose, require_columns, stem_of
 from sameas.io.sensors.table_times import times_of
 from sameas.representation import counted
@@ -199,22 +200,22 @@ def _degrees(text: str) -> float:
 
 def _texts(column: Sequence[Any], quantity: str) -> NDArray[np.object_]:
     """Text cells in standard form: integers without decimal point, ICAO addresses in lower case, 4-digit squawks."""
-    texts: list[str | None] = []
-    for cell in column:
-        if isinstance(cell, float):
-            cell = None if np.isnan(cell) else (int(cell) if cell.is_integer() else cell)
-        text = "" if cell is None else str(cell).strip()
-        if text.lower() in NULLS:
-            texts.append(None)
-            continue
-        if quantity in ("mmsi", "mode_a", "imo") and re.fullmatch(r"\d+\.0*", text):
-            text = text.split(".")[0]
-        if quantity == "mode_a" and text.isdigit():
-            text = text.zfill(4)
-        if quantity == "mmsi" and text.isdigit():
-            text = text.zfill(9)
-        texts.append(text.lower() if quantity == "icao" else text)
-    return np.array([*texts, None], object)[:-1]
+    return np.array([*of_each(partial(_text, quantity=quantity), column), None], object)[:-1]
+
+
+def _text(cell: Any, quantity: str) -> str | None:
+    if isinstance(cell, float):
+        cell = None if np.isnan(cell) else (int(cell) if cell.is_integer() else cell)
+    text = "" if cell is None else str(cell).strip()
+    if text.lower() in NULLS:
+        return None
+    if quantity in ("mmsi", "mode_a", "imo") and re.fullmatch(r"\d+\.0*", text):
+        text = text.split(".")[0]
+    if quantity == "mode_a" and text.isdigit():
+        text = text.zfill(4)
+    if quantity == "mmsi" and text.isdigit():
+        text = text.zfill(9)
+    return text.lower() if quantity == "icao" else text
 
 
 #: Numbers of the navigational statuses of AIS that tables write as texts (ITU-R M.1371, table 48).
@@ -230,9 +231,13 @@ def _with_nav_status(
         return values, chosen
     if not is_ais:
         return values, {name: choice for name, choice in chosen.items() if name != "nav_status"}
-    texts = ["" if text is None else str(text).strip().lower() for text in status]
-    numbers = [float(text) if re.fullmatch(r"1?\d(\.0*)?", text) else _STATUSES.get(text, math.nan) for text in texts]
-    return values | {"nav_status": np.array([math.nan if number >= 15.0 else number for number in numbers])}, chosen
+    return values | {"nav_status": np.array(of_each(_nav_status, status.tolist()))}, chosen
+
+
+def _nav_status(text: str | None) -> float:
+    text = "" if text is None else str(text).strip().lower()
+    number = float(text) if re.fullmatch(r"1?\d(\.0*)?", text) else _STATUSES.get(text, math.nan)
+    return math.nan if number >= 15.0 else number
 
 
 def _mark(rows: BoolArray, lines: IntArray, damaged: dict[int, str], reason: str) -> None:
