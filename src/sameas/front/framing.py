@@ -13,13 +13,13 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
 import sameas
 from sameas.errors import Argument, InputError, Message, naming
-from sameas.front.pointing import PointingOptions, difference_of_solutions, header_elsewhere, hints
+from sameas.front.pointing import PointingOptions, binned, difference_of_solutions, header_elsewhere, hints
 from sameas.front.provenance import program
 from sameas.io import checksum, write_table
 from sameas.io.atomic import filling
@@ -34,7 +34,8 @@ from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.outputs import listing, summary
-from sameas.sky.frame.pointing_hints import AllSky, ApproximateWcs, Hint, SkyIndex, sky_index
+from sameas.sky.frame.place import NoSolution
+from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, sky_index
 
 Progress = Callable[[str], None]
 #: Outputs in addition to the table; page and pictures are optional.
@@ -216,21 +217,11 @@ def _found_by_hints(
     request: FrameRequest, frame: Frame, measured: Measurements, progress: Progress, given: Catalogue | None
 ) -> tuple[FrameIdentification, Catalogue]:
     own_hints = hints(request.pointing, frame, whole_sky=request.catalogue.lower() != GAIA)
-    refusals: list[InputError] = []
-    for near in hints_by_field(own_hints, frame.shape):
-        try:
-            match, stars = _solved(request, frame, measured, near, progress, given)
-            break
-        except InputError as error:
-            refusals.append(error)
-    else:
-        elsewhere = header_elsewhere(request.pointing, own_hints, frame)
-        if len(refusals) == 1 and not elsewhere:
-            raise refusals[0]
-        words = [part for error in refusals for part in ("; ", error.words)][1:] + (
-            ["; ", elsewhere] if elsewhere else []
-        )
-        raise InputError(Message(*words), source=refusals[0].source) from refusals[0]
+    solved = partial(_solved, request, frame, measured, progress=progress, given=given)
+    try:
+        match, stars = _first_solved(solved, request, frame, own_hints)
+    except NoSolution as refusal:
+        match, stars = _solved_binned(solved, binned(request.pointing, own_hints), refusal)
     header = next((hint.wcs for hint in own_hints if isinstance(hint, ApproximateWcs)), None)
     off = "" if header is None else difference_of_solutions(header, match.plate.to_wcs(), frame.shape)
     if off:
@@ -238,11 +229,50 @@ def _found_by_hints(
     return match, stars
 
 
+_Solver = Callable[[Sequence[Hint]], tuple[FrameIdentification, Catalogue]]
+
+
+def _first_solved(
+    solved: _Solver, request: FrameRequest, frame: Frame, own_hints: Sequence[Hint]
+) -> tuple[FrameIdentification, Catalogue]:
+    """The solution by the first field of hints that has one; refused with the words of all."""
+    refusals: list[InputError] = []
+    for near in hints_by_field(own_hints, frame.shape):
+        try:
+            return solved(near)
+        except InputError as error:
+            refusals.append(error)
+    elsewhere = header_elsewhere(request.pointing, own_hints, frame)
+    if len(refusals) == 1 and not elsewhere:
+        raise refusals[0]
+    words = [part for error in refusals for part in ("; ", error.words)][1:] + (["; ", elsewhere] if elsewhere else [])
+    kind = NoSolution if all(isinstance(error, NoSolution) for error in refusals) else InputError
+    raise kind(Message(*words), source=refusals[0].source) from refusals[0]
+
+
+def _solved_binned(
+    solved: _Solver, others: Sequence[Aim], refusal: NoSolution
+) -> tuple[FrameIdentification, Catalogue]:
+    """The solution at a scale that a header gives without the binning of its pixels, with a doubt; else the refusal."""
+    for aim in others:
+        try:
+            match, stars = solved([aim])
+        except NoSolution:
+            continue
+        times = "twice" if aim is others[0] else "half"
+        text = f"doubt: the pixels are {times} as large as the header says: does it leave out their binning?"
+        return replace(match, notes=(*match.notes, text)), stars
+    if others:
+        raise NoSolution(Message(refusal.words, "; twice and half this scale were tried, too"), source=refusal.source)
+    raise refusal
+
+
 def _solved(
     request: FrameRequest,
     frame: Frame,
     measured: Measurements,
     near: Sequence[Hint],
+    *,
     progress: Progress,
     given: Catalogue | None,
 ) -> tuple[FrameIdentification, Catalogue]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 #: Relative tolerance of a scale from focal length and pixels, and of a scale that was given as one number.
 LOOSE, CLOSE = 0.2, 0.05
+#: Factors on the scale of a header by which no solution is found: it may say the size of single pixels of a frame that
+#: is binned 2 × 2, or the reverse.
+BINNINGS = (2.0, 0.5)
 #: Default error of an aim: the larger of this many degrees and this many half diagonals of the frame.
 OFF_DEG, OFF_FRAMES = 0.5, 1.0
 
@@ -69,6 +72,15 @@ def hints(pointing: PointingOptions, frame: Frame, *, whole_sky: bool = True) ->
             )
         candidates.append(AllSky(scale))
     return candidates
+
+
+def binned(pointing: PointingOptions, own_hints: Sequence[Hint]) -> list[Aim]:
+    """The first aim at twice and half the scale; none if the scale was given."""
+    aim = next((hint for hint in own_hints if isinstance(hint, Aim)), None)
+    if aim is None or pointing.scale_arcsec is not None:
+        return []
+    low, high = aim.scale_arcsec
+    return [replace(aim, scale_arcsec=(factor * low, factor * high)) for factor in BINNINGS]
 
 
 def header_elsewhere(pointing: PointingOptions, own_hints: Sequence[Hint], frame: Frame) -> str:

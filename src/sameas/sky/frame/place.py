@@ -45,6 +45,10 @@ if TYPE_CHECKING:
 DEFAULT_ODDS = 1e6
 
 
+class NoSolution(InputError):
+    """No hint leads to a placement with high enough odds."""
+
+
 class MeasuredStars(Protocol):
     """Measurements for :func:`place`: 0-based pixels, covariances (xx, xy, yy in px²), fluxes, shape of the frame."""
 
@@ -141,7 +145,7 @@ def place(
 
     Raises
     ------
-    InputError : too few measurements or stars, or no placement reaches ``odds``.
+    InputError : too few measurements or stars. NoSolution : no placement reaches ``odds``.
 
     Example
     -------
@@ -157,7 +161,7 @@ def place(
         if best is not None and _is_established(best, second, math.log(odds)):
             return _placement(problem, best, second, hint, (order_1, order_2), tuning)
         refusals.append(_refusal(hint, best, second))
-    raise InputError(f"{measured.name}: no solution: {'; '.join(refusals)}; {_advice(hints)}")
+    raise NoSolution(f"{measured.name}: no solution: {'; '.join(refusals)}; {_advice(hints)}")
 
 
 def problem_of(measured: MeasuredStars, stars: Stars) -> tuple[PlateProblem, IntArray, IntArray]:
