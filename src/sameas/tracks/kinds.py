@@ -42,6 +42,10 @@ AIRCRAFT_MOTION = {
     "motion.manoeuvring_share": (0.1, "near an airport, aircraft turn or change speed for a tenth of the time"),
     "motion.speed_m_per_s": (150.0, "aircraft move at 300 knots, at most twice that"),
 }
+_DRONE = {
+    "motion.acceleration_m2_per_s3": (4.0, "a multicopter's turns and stops: 2 m/s in a second"),
+    "motion.speed_m_per_s": (12.0, "drones move at up to 20 m/s or so"),
+}
 _FIXED_ERRORS = {
     "errors.speed_m_per_s": (0.3, "satellite receivers"),
     "errors.course_deg": (3.0, "satellite receivers"),
@@ -155,6 +159,52 @@ KINDS: Mapping[str, Kind] = {
         },
         correlation_s=30.0,  # the same receivers for a while
         self_named=True,
+        target="aircraft",
+    ),
+    "drone": Kind(
+        "drones' self-reported positions (Remote ID, MAVLink)",
+        {
+            "misses.q": (0.2, "a broadcast a second, not all received"),
+            "clutter.per_km2": (0.0, "each transmission comes from a drone"),
+            "errors.position_m": (5.0, "ASTM F3411: mostly better than 10 m in 95 %, with the wind in the antenna"),
+            "errors.height_m": (15.0, "ASTM F3411: vertical accuracy mostly worse than 10 m"),
+            "errors.speed_m_per_s": (0.5, "satellite receivers"),
+            "errors.course_deg": (5.0, "whole degrees, of a vehicle that turns"),
+            "timing.period_s": (1.0, "ASTM F3411: once a second at least"),
+            "timing.latency_s": (0.0, "time stamp of the position"),
+            "timing.latency_sigma_s": (0.5, "ASTM F3411: within a second"),
+            **_DRONE,
+        },
+        correlation_s=600.0,  # a receiver's error drifts over minutes
+        self_named=True,
+        target="aircraft",
+    ),
+    "drone radar": Kind(
+        "a radar against drones, some kilometres, with range, bearing and elevation",
+        {
+            "coverage.range_m": (5000.0, "small drones are lost there"),
+            "misses.q": (0.2, "small drones that hover are taken for clutter"),
+            "clutter.per_km2": (0.5, "birds, vehicles and trees"),
+            "resolution.range_m": (5.0, "bandwidth of some 30 MHz"),
+            "resolution.bearing_deg": (2.0, "beam width with monopulse"),
+            "resolution.split": (0.02, "a small drone rarely gives two plots"),
+            "errors.range_m": (3.0, "bandwidth of some 30 MHz"),
+            "errors.range_share": (0.0, "clock error, negligible"),
+            "errors.bearing_deg": (0.7, "data sheets of such radars: 0.5° to 1°"),
+            "errors.height_m": (15.0, "where a height is reported"),
+            "errors.speed_m_per_s": (1.0, "tracked"),
+            "errors.course_deg": (10.0, "tracked"),
+            "targets.height_m": (60.0, "where neither height nor elevation is reported"),
+            "targets.height_sigma_m": (40.0, "drones fly below 120 m"),
+            "timing.period_s": (0.5, "electronic scan, or 60 rotations a minute"),
+            "timing.latency_s": (0.0, "time stamp of the measurement"),
+            "timing.latency_sigma_s": (0.2, "clocks and queues"),
+            "bias.range_m": (10.0, "cable and trigger delay"),
+            "bias.azimuth_deg": (2.0, "set up in the field"),
+            "bias.time_s": (0.5, "clocks and queues"),
+            **_DRONE,
+        },
+        correlation_s=5.0,  # every scan is a new measurement
         target="aircraft",
     ),
     "lidar": Kind(

@@ -241,8 +241,10 @@ class ReadOptions:
 
 #: Words in the name of a source, and the kind that they indicate.
 _WORDS = {
-    "airradar": "air radar", "radar": "marine radar", "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "mlat": "mlat",
-    "esm": "esm", "camera": "camera", "tracks": "tracks",
+    "droneradar": "drone radar", "cuas": "drone radar", "counteruas": "drone radar", "counterdrone": "drone radar",
+    "drone": "drone", "remoteid": "drone", "mavlink": "drone", "airradar": "air radar", "radar": "marine radar",
+    "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "mlat": "mlat", "esm": "esm", "camera": "camera",
+    "tracks": "tracks",
 }  # fmt: skip
 
 
@@ -328,7 +330,7 @@ OWN_SHIP: Mapping[str, str] = {
 #: The kind of source of a format.
 _KIND_OF_FORMAT: Mapping[str, str] = {
     "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b", "asterix 048": "air radar",
-    "asterix 062": "tracks",
+    "asterix 062": "tracks", "mavlink": "drone", "remote id": "drone",
 }  # fmt: skip
 
 

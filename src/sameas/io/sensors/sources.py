@@ -308,6 +308,8 @@ def _kind(reports: Reports) -> tuple[str, str]:
     if reports.kind in KINDS:
         return reports.kind, f"its format is {reports.kind}"
     by_name = kind_by_name(reports.source)
+    if by_name is not None and KINDS[by_name].directions and reports.position in ("local", "geodetic"):
+        return "lidar", f"it has positions, which a {by_name} does not measure"
     if by_name is not None:
         return by_name, "by its name"
     for column, kind in _COLUMNS.items():

@@ -61,8 +61,10 @@ QUANTITIES = tuple(
         ("day_s", "time", "timeofday tod"),
         ("lat_deg", "angle", "lat latitude latitudewgs84"),
         ("lon_deg", "angle", "lon long longitude lng longitudewgs84"),
-        ("alt_m", "length", "alt altitude geoaltitude geometricaltitude altgeom heightellipsoid height hae"),
-        ("pressure_alt_m", "length", "pressurealtitude baroaltitude altbaro baroalt flightlevelaltitude"),
+        ("alt_m", "length", "alt altitude geoaltitude geometricaltitude altgeom heightellipsoid height hae "
+                            "geodeticaltitude altitudegeodetic"),
+        ("pressure_alt_m", "length", "pressurealtitude baroaltitude altbaro baroalt flightlevelaltitude "
+                                     "altitudebarometric barometricaltitude"),
         ("x_m", "length", "x east e xeast easting xpos posx"),
         ("y_m", "length", "y north n ynorth northing ypos posy"),
         ("z_m", "length", "z up"),
@@ -101,7 +103,8 @@ QUANTITIES = tuple(
         ("sigma_bearing_deg", "angle", "sigmabearing bearingsigma bearingstd sigmaazimuth azimuthsigma sigmaaz"),
         ("sigma_elevation_deg", "angle", "sigmaelevation elevationsigma sigmael"),
         ("track_id", "text", "trackid tracknumber trackno tracknum id targetid target targetno targetnumber tgt tgtid "
-                             "tgtno trkid trkno tracknr targetnr objectid uid shipid vesselid"),
+                             "tgtno trkid trkno tracknr targetnr objectid uid shipid vesselid uasid "
+                             "uavid droneid"),
         ("mmsi", "text", "mmsi sourcemmsi"),
         ("imo", "text", "imo imonumber"),
         ("icao", "text", "icao24 icao icaoaddress hex modes modesaddress"),
@@ -119,7 +122,8 @@ QUANTITIES = tuple(
 _QUANTITY = {quantity.column: quantity for quantity in QUANTITIES}
 #: Places of the antenna on the hull, A to D in AIS: other tables call other things by these letters.
 OF_THE_ANTENNA = tuple(f"to_{side}_m" for side in SIDES)
-#: Conventional units where none is stated: sentence, columns or kind of source that indicate it, names, unit.
+#: Conventional units where none is stated: sentence, columns (several together) or kind of source that indicate it,
+#: names, unit.
 _CONVENTIONS = (
     ("speeds are tenths of a knot in tables of MarineTraffic", ("dsrc",), ("speed",), "kn/10"),
     ("ship speeds are knots", ("mmsi", "sourcemmsi", "imo", "ais"), ("sog", "speed", "speedoverground"), "kn"),
@@ -128,8 +132,8 @@ _CONVENTIONS = (
     ("altitudes are feet", ("groundspeed", "gs"), ("altitude", "alt", "geoaltitude", "altgeom", "altbaro",
                                                    "baroaltitude"), "ft"),
     ("vertical rates are feet a minute", ("groundspeed", "gs"), ("verticalrate", "rocd", "vertrate"), "fpm"),
-    ("speeds are knots in tables of flightradar24", ("direction",), ("speed",), "kn"),
-    ("altitudes are feet in tables of flightradar24", ("direction",), ("altitude",), "ft"),
+    ("speeds are knots in tables of flightradar24", ("utc callsign direction",), ("speed",), "kn"),
+    ("altitudes are feet in tables of flightradar24", ("utc callsign direction",), ("altitude",), "ft"),
 )  # fmt: skip
 
 
@@ -264,7 +268,7 @@ def _choice(
         stem = "speed"
     for why, indicators, applies, written in _CONVENTIONS:
         unit = written.replace("/", "")
-        if stem in applies and unit in factors and not signs.isdisjoint(indicators):
+        if stem in applies and unit in factors and any(set(each.split()) <= signs for each in indicators):
             return Choice(name, quantity, factors[unit], f"{name} is read in {written}: {why}")
     if quantity.column in ("length_m", "width_m", *OF_THE_ANTENNA):
         return Choice(name, quantity, 1.0, "")  # of ships, in metres everywhere

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.io.sensors import drones
 from sameas.io.sensors.ais import SIDES, at_hull_centres
 from sameas.io.sensors.format import (
     AIS_SIGMA_M,
@@ -55,7 +56,8 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     """
     options = options or ReadOptions()
     kind = options.kind or kind_by_name(source)
-    cells = _with_split_positions(cells)
+    format_name = drones.format_of(cells)
+    cells, read_as = drones.with_our_units(_with_split_positions(cells))
     chosen = choose(list(cells.columns), source, options.columns, options.units, kind)
     require_columns(chosen, list(cells.columns), source)
     if not len(cells.lines):
@@ -86,9 +88,9 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     passed_over = {what: count for what, count in counts.items() if count}
     truncated = ["its last line has no line end: it may be incomplete"] * cells.unended
     values, hulls = _at_hulls(_with_covariances(values), is_ais)
-    more = [f"{source}: {one}" for one in (*truncated, *marks, *_interpretation(cells, chosen), *hulls)]
+    more = [f"{source}: {one}" for one in (*read_as, *truncated, *marks, *_interpretation(cells, chosen), *hulls)]
     return Reports.of(
-        source, "table", values, damaged=Damaged.of(damaged.items(), cells.unit),
+        source, format_name, values, damaged=Damaged.of(damaged.items(), cells.unit),
         passed_over=passed_over, notes=[note, *more],
     )  # fmt: skip
 
