@@ -6,6 +6,7 @@ import socket
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from sameas.live.outputs import (
     sinks_of,
 )
 from sameas.live.own_ship import OwnShipState
+from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.heights import GEOMETRIC, PRESSURE, HeightModel, _Line
 
 
@@ -143,7 +145,19 @@ def ships(numbers, x_m=None):
         {"object": n, "stage": "confirmed", "x_m": places[n], "y_m": 0.0, "speed_m_per_s": 1.0, "course_deg": 0.0}
         for n in numbers
     ]
-    return SimpleNamespace(own_ship=OwnShipState(0.0, 0.0), cpa={}, time_s=START_S, listed=lambda: listed)
+    return SimpleNamespace(own_ship=OwnShipState(0.0, 0.0), cpa={}, time_s=START_S, plane=None, listed=lambda: listed)
+
+
+def test_bearings_of_targets_are_from_true_north():
+    """Own ship is 100 km east of the plane's origin, where north is 1.1 degrees from the plane's."""
+    plane = LocalPlane(50.8, -1.3)
+    (x, y), (x_of, y_of) = plane.of_geodetic([50.8, 50.9], [0.1, 0.1])
+    one = {"object": 1, "stage": "confirmed", "x_m": x_of, "y_m": y_of, "speed_m_per_s": 0.0, "course_deg": 0.0}
+    made: Any = SimpleNamespace(
+        own_ship=OwnShipState(x, y), cpa={}, time_s=START_S, plane=plane, listed=lambda: [{"probability": 1.0, **one}]
+    )
+    (target,) = [part.decode().split(",") for part in nmea(made) if b"TTM" in part]
+    assert abs((float(target[3]) + 180.0) % 360.0 - 180.0) < 0.05 and float(target[2]) == pytest.approx(6.0, abs=0.05)
 
 
 def test_no_two_targets_have_the_same_number_and_a_target_keeps_its_own():

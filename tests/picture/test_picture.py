@@ -189,6 +189,19 @@ def test_degrees_are_given_if_the_plane_is_on_the_earth():
     assert "lat_deg" in picture.records and picture.plane is not None
 
 
+def test_speeds_and_courses_are_those_at_the_place_of_an_object():
+    """Courses of aircraft 500 km from the middle were off by five degrees: north there is not the plane's."""
+    lon = np.array([-8.0, 0.0, 8.0])
+    columns: dict[str, Any] = {
+        "time_s": np.zeros(3), "lat_deg": np.full(3, 52.0), "lon_deg": lon, "icao": ["4b00", "4b01", "4b02"],
+        "speed_m_per_s": np.full(3, 200.0), "course_deg": np.full(3, 90.0),
+    }  # fmt: skip
+    objects = Picture.of(Scene.of([(Description("adsb", "ads-b"), Reports.of("adsb", "adsb", columns))]), [0.0]).objects
+    np.testing.assert_allclose(objects["course_deg"], 90.0, atol=1e-3)
+    np.testing.assert_allclose(objects["speed_m_per_s"], 200.0, rtol=1e-3)
+    assert np.ptp(objects["vy_m_per_s"]) > 40.0
+
+
 @pytest.mark.slow
 def test_explanations_use_object_numbers_and_come_when_records_change():
     scene, times = two_meet(1, 60.0)

@@ -38,11 +38,11 @@ def placed(zone: Zone, plane: LocalPlane | None, own: OwnShipState | None) -> Pl
             rings = (np.array(ring) for ring in zone.rings)
             return PlacedZone(zone, tuple(plane.of_geodetic(ring[:, 1], ring[:, 0]) for ring in rings))
         centre = plane.of_geodetic(np.array([zone.lat_deg]), np.array([zone.lon_deg]))[0]
-        return PlacedZone(zone, centre=centre, north_deg=_north_deg(plane, centre))
+        return PlacedZone(zone, centre=centre, north_deg=plane.north_deg(centre))
     if own is None:
         return "the position of own ship is not known"
     centre = np.array([own.x_m, own.y_m])
-    north = 0.0 if plane is None else _north_deg(plane, centre)
+    north = 0.0 if plane is None else plane.north_deg(centre)
     if zone.to_bow:
         north += own.heading_deg if math.isfinite(own.heading_deg) else 0.0
         if not math.isfinite(own.heading_deg):
@@ -51,13 +51,6 @@ def placed(zone: Zone, plane: LocalPlane | None, own: OwnShipState | None) -> Pl
                 # Without a heading and a course all around is guarded.
                 zone = replace(zone, sector_deg=None)
     return PlacedZone(zone, centre=centre, north_deg=north)
-
-
-def _north_deg(plane: LocalPlane, place: FloatArray) -> float:
-    """The direction of true north in the plane at a place, clockwise from its second axis."""
-    lat, lon = plane.to_geodetic(place[None])
-    step = plane.of_geodetic(lat + 1e-3, lon)[0] - place
-    return math.degrees(math.atan2(step[0], step[1]))
 
 
 @dataclass(frozen=True)

@@ -110,6 +110,8 @@ def nmea(situation: Situation, numbers: TargetNumbers | None = None) -> Iterator
     """
     own, clock = situation.own_ship, datetime.fromtimestamp(situation.time_s, UTC).strftime("%H%M%S.%f")[:9]
     numbers = TargetNumbers() if numbers is None else numbers
+    plane = situation.plane
+    north_deg = 0.0 if own is None or plane is None else plane.north_deg((own.x_m, own.y_m))
     for lost in numbers.update(situation):
         yield sentence(f"RATTM,{lost:02d},,,T,,,T,,,N,,L,,{clock},A")
         yield sentence(f"RATLL,{lost:02d},,,,,,{clock},L,")
@@ -122,7 +124,8 @@ def nmea(situation: Situation, numbers: TargetNumbers | None = None) -> Iterator
         )
         if own is not None and one["x_m"] is not None:
             east, north = one["x_m"] - own.x_m, one["y_m"] - own.y_m
-            bearing, range_nm = math.degrees(math.atan2(east, north)) % 360.0, math.hypot(east, north) / MILE_M
+            bearing = (math.degrees(math.atan2(east, north)) - north_deg) % 360.0
+            range_nm = math.hypot(east, north) / MILE_M
             cpa, tcpa = situation.cpa.get(one["object"], (math.nan, math.nan))
             speed, course = one["speed_m_per_s"], one["course_deg"]
             fields = [

@@ -213,10 +213,10 @@ def object_columns(state: PictureState[Carried]) -> Columns:
     """The columns of a picture state's objects, one row each.
 
     time_s, object, stage; x_m, y_m, var_x_m2, cov_xy_m2, var_y_m2, masked if directions do not cross; vx_m_per_s,
-    vy_m_per_s, speed_m_per_s, course_deg, masked if unknown; height_m, sigma_height_m, climb_m_per_s if sources report
-    heights, of the kind of ``Scene.heights``; n_sources, sources, members ("radar:12 ais:3": rows of the sources'
-    reports), probability, runner_up, p_runner_up, masked while coasting; label, mmsi, icao, callsign, name, mode_a,
-    type; ambiguous: whether the probability is below ``ambiguous_below``.
+    vy_m_per_s of the plane, speed_m_per_s, course_deg, masked if unknown; height_m, sigma_height_m, climb_m_per_s if
+    sources report heights, of the kind of ``Scene.heights``; n_sources, sources, members ("radar:12 ais:3": rows of the
+    sources' reports), probability, runner_up, p_runner_up, masked while coasting; label, mmsi, icao, callsign, name,
+    mode_a, type; ambiguous: whether the probability is below ``ambiguous_below``.
     """
     objects, detected = state.objects, state.objects.detected
     # ABSENT, the last row, for undetected objects; it is masked.
@@ -231,8 +231,7 @@ def object_columns(state: PictureState[Carried]) -> Columns:
         **_ellipse(objects.state, objects.covariance, ~objects.placed),
         "vx_m_per_s": _masked(velocity[:, 0], velocity_unknown),
         "vy_m_per_s": _masked(velocity[:, 1], velocity_unknown),
-        "speed_m_per_s": _masked(np.hypot(*velocity.T), velocity_unknown),
-        "course_deg": _masked(np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1])) % 360.0, velocity_unknown),
+        **_speed_and_course(velocity, velocity_unknown),
         **_fused_heights(state, at),
         "n_sources": np.append((state.members >= 0).sum(axis=1), 0)[at],
         **_memberships(state, at),
@@ -284,7 +283,8 @@ def _concatenated(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def with_degrees(columns: Columns, plane: LocalPlane | None) -> Columns:
-    """The columns with lat_deg and lon_deg before x_m and y_m, if there is a plane on the earth."""
+    """The columns with lat_deg and lon_deg before x_m and y_m, if there is a plane on the earth. Speeds and courses are
+    then those at the place: away from its origin north is not the plane's, and lengths are shorter in it."""
     if plane is None or not columns:
         return columns
     hidden = np.ma.getmaskarray(columns["x_m"])
@@ -295,7 +295,20 @@ def with_degrees(columns: Columns, plane: LocalPlane | None) -> Columns:
         if name == "x_m":
             out |= {"lat_deg": _masked(lat, hidden), "lon_deg": _masked(lon, hidden)}
         out[name] = column
+    if "course_deg" in out:
+        unknown = np.ma.getmaskarray(out["course_deg"])
+        velocity = np.column_stack([np.ma.filled(out[name], 0.0) for name in ("vx_m_per_s", "vy_m_per_s")])
+        # A velocity is known where bearings cross nowhere, too: it stays that in the plane.
+        there = np.where(hidden[:, None, None], np.eye(2), plane.jacobian(lat, lon))
+        out |= _speed_and_course(np.linalg.solve(there, velocity[:, :, None])[:, :, 0], unknown)
     return out
+
+
+def _speed_and_course(velocity: FloatArray, unknown: BoolArray) -> Columns:
+    return {
+        "speed_m_per_s": _masked(np.hypot(*velocity.T), unknown),
+        "course_deg": _masked(np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1])) % 360.0, unknown),
+    }
 
 
 def _masked(values: ArrayLike, hidden: BoolArray) -> np.ma.MaskedArray:

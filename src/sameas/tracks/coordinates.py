@@ -166,6 +166,15 @@ class LocalPlane:
         lat, lon, _ = pm.ecef2geodetic(*(above + height[:, None] * up).T)
         return np.atleast_1d(lat), np.atleast_1d(lon)
 
+    def north_deg(self, position: ArrayLike) -> float:
+        """The direction of true north in the plane at a position (2,), clockwise from the plane's own north.
+
+        >>> round(LocalPlane(50.8, -1.3).north_deg([100e3, 0.0]), 2)
+        -1.1
+        """
+        lat, lon = self.to_geodetic(position)
+        return float((bearing_in_plane(self, [0.0], lat, lon)[0] + 180.0) % 360.0 - 180.0)
+
     def jacobian(self, lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLike = 0.0) -> FloatArray:
         """(n, 2, 2) Jacobians from metres east and north at places (n,) to the plane, for velocities and covariances.
 
