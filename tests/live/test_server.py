@@ -11,6 +11,7 @@ import time
 import urllib.error
 import urllib.request
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from sameas.live.settings import LiveSource, Settings, WatchSettings
 from sameas.live.situation import Delta
 from sameas.picture.live import Registered
 from sameas.registration import Parameter
-from sameas.tracks import Timing
+from sameas.tracks import Reports, Timing
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.source import KnownBiases
 
@@ -324,6 +325,23 @@ def test_no_name_breaks_an_event_stream(keeper):
     head, data, end, rest = event.split("\n", 1)[1].split("\n")
     assert head == "event: delta" and end == rest == "" and event.isascii()
     assert json.loads(data.removeprefix("data: "))["objects"] == [list(row) for row in delta.objects]
+    keeper.close()
+
+
+def test_the_explanation_of_an_object_begins_with_the_navigational_status_in_its_ais(keeper):
+    objects = keeper.tick(START_S + 2.0).objects
+    at = int(np.flatnonzero(objects["mmsi"] != "")[0])
+    number, mmsi = int(objects["object"][at]), str(objects["mmsi"][at])
+    assert keeper.why(number).startswith(f"Object {number} is ")
+    columns: dict[str, Any] = {
+        "time_s": [START_S],
+        "lat_deg": [50.0],
+        "lon_deg": [0.0],
+        "mmsi": [mmsi],
+        "nav_status": [1.0],
+    }
+    keeper.approaches.take(Reports.of("ais", "ais", columns))
+    assert keeper.why(number).startswith(f"Navigational status in its AIS: at anchor\nObject {number} is ")
     keeper.close()
 
 

@@ -74,6 +74,11 @@ LOST_S, LOST_M = 60.0, 300.0
 HIT_CPA_S, HIT_TCPA_S = 15.0, 60.0
 #: Navigational status of AIS (ITU-R M.1371): moored; not under command, at anchor, aground.
 MOORED, HAZARDS = 5.0, (1.0, 2.0, 6.0)
+STATUSES = {
+    0: "under way using engine", 1: "at anchor", 2: "not under command", 3: "restricted manoeuvrability",
+    4: "constrained by her draught", 5: "moored", 6: "aground", 7: "engaged in fishing", 8: "under way sailing",
+    11: "towing astern", 12: "pushing ahead or towing alongside", 14: "AIS-SART, MOB or EPIRB",
+}  # fmt: skip
 #: Most MMSIs whose statuses are kept: a flood of forged ones fills no memory.
 MOST_STATUSES = 100_000
 
@@ -113,6 +118,10 @@ class Approaches:
                 for mmsi, value in zip(reports.mmsi.tolist(), status.tolist(), strict=True)
                 if mmsi and value == value
             }
+
+    def status(self, mmsi: str) -> str:
+        """The last navigational status in the AIS of an MMSI, in words; "" for none."""
+        return STATUSES.get(int(self._status.get(mmsi, -1.0)), "")
 
     def alarms(self, situation: Situation, state: LiveState, active: Container[str], own_mmsi: str = "") -> list[Alarm]:
         """The alarms of a situation; none without an own ship.

@@ -378,11 +378,14 @@ class Keeper:
             return self.alarms.rows(most_ended)
 
     def why(self, number: int) -> str:
-        """Why its records are this object now; a sentence where no source shows it."""
-        state = self._state
+        """Why its records are this object now, and the status in its AIS; a sentence where no source shows it."""
+        state, situation = self._state, self.situation
         if state is None or not (state.number == number).any():
             return f"no source shows object {number} now"
-        return str(state.explain(number))
+        objects = {} if situation is None else situation.objects
+        mmsi = [] if not objects else objects["mmsi"][objects["object"] == number].tolist()
+        status = self.approaches.status(str(mmsi[0])) if mmsi else ""
+        return (f"Navigational status in its AIS: {status}\n" if status else "") + str(state.explain(number))
 
     def acknowledge(self, alarm_id: int, who: str) -> bool:
         """Records who acknowledged an alarm."""
