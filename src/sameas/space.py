@@ -93,6 +93,12 @@ def unit_vectors(lon_deg: ArrayLike, lat_deg: ArrayLike) -> FloatArray:
     return np.stack([cosine * np.cos(lon), cosine * np.sin(lon), np.sin(lat)], axis=-1)
 
 
+def directions_deg(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Longitude (0 … 360) and latitude in degrees of vectors (..., 3) of any length."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arctan2(z, np.hypot(x, y)))
+
+
 def chord_angle_deg(chord: float) -> float:
     """Degrees between two unit vectors, by the length of their difference."""
     return math.degrees(2 * math.asin(min(1.0, chord / 2)))
@@ -110,6 +116,30 @@ def local_axes(lon: FloatArray, lat: FloatArray) -> tuple[FloatArray, FloatArray
     east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lon)], axis=-1)
     north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=-1)
     return east, north
+
+
+def axes_at(direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The unit vectors to the east and to the north, (..., 3) each, at unit vectors (..., 3)."""
+    x, y, z = np.moveaxis(direction, -1, 0)
+    return local_axes(np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)))
+
+
+def to_plane(vectors: FloatArray, centre: FloatArray, axes: tuple[FloatArray, FloatArray] | None = None) -> FloatArray:
+    """(..., 2) gnomonic projection of unit vectors on the tangent plane at ``centre``, radians; NaN at 90° or more.
+
+    axes : the two unit vectors of the plane, (..., 3) each; by default east and north.
+    """
+    first, second = axes_at(centre) if axes is None else axes
+    depth = np.sum(vectors * centre, axis=-1)
+    depth = np.where(depth > 0.0, depth, np.nan)
+    return np.stack([np.sum(vectors * first, axis=-1), np.sum(vectors * second, axis=-1)], axis=-1) / depth[..., None]
+
+
+def from_plane(plane: FloatArray, centre: FloatArray, axes: tuple[FloatArray, FloatArray] | None = None) -> FloatArray:
+    """(..., 3) unit vectors of points (..., 2) on the tangent plane at ``centre``; the inverse of :func:`to_plane`."""
+    first, second = axes_at(centre) if axes is None else axes
+    vectors = centre + plane[..., :1] * first + plane[..., 1:] * second
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def half_convergence(lon_1: ArrayLike, lat_1: ArrayLike, lon_2: ArrayLike, lat_2: ArrayLike) -> FloatArray:

@@ -31,9 +31,9 @@ from sameas.sky.frame.measurements import Flag, Measurements
 from sameas.sky.frame.outputs import ERROR_TERM_NAMES, listing, summary
 from sameas.sky.frame.photometry import Completeness, PhotometryTuning, ZeroPoint
 from sameas.sky.frame.plate import PlateTuning
-from sameas.sky.frame.pointing import Pointing, directions_deg
+from sameas.sky.frame.pointing import Pointing
 from sameas.sky.frame.pointing_hints import Aim, ApproximateWcs
-from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, directions_deg, unit_vectors
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 SIDE = 1000

@@ -7,9 +7,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from sameas.sky.frame.pointing import from_plane, similarities, to_plane
+from sameas.sky.frame.pointing import similarities
 from sameas.sky.frame.pointing_hints import PatternIndex, brightest_per_cell, codes, mirrored, patterns
-from sameas.space import unit_vectors
+from sameas.space import from_plane, to_plane, unit_vectors
 
 
 def points(n: int = 11, seed: int = 0) -> np.ndarray:

@@ -17,9 +17,9 @@ from sameas.sky.frame.field import Stars
 from sameas.sky.frame.odds import PlateProblem, SearchVolume, verify
 from sameas.sky.frame.place import Placement, odds_in_words, place
 from sameas.sky.frame.plate import MatchedStars, fit_plate
-from sameas.sky.frame.pointing import Pointing, directions_deg, from_plane, to_plane
+from sameas.sky.frame.pointing import Pointing
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, sky_index
-from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, directions_deg, from_plane, to_plane, unit_vectors
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 SHAPE = (900, 1100)

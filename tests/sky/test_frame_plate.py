@@ -13,8 +13,8 @@ from astropy.wcs import WCS
 
 from sameas.errors import InputError
 from sameas.sky.frame.plate import MatchedStars, PlateModel, Polynomial, fit_plate, sky_axes, terms
-from sameas.sky.frame.pointing import Pointing, directions_deg, from_plane
-from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
+from sameas.sky.frame.pointing import Pointing
+from sameas.space import ARCSEC_PER_RADIAN, directions_deg, from_plane, sphere_offset, unit_vectors
 
 SHAPE = (1500, 2000)
 MIDDLE = np.array([999.5, 749.5])

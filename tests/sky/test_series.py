@@ -14,6 +14,7 @@ from sameas.sky.movers.orbits import Elements, de421, ephemeris, near, packed_da
 from sameas.sky.movers.search import search
 from sameas.sky.series import Exposure, SeriesTuning, tie
 from sameas.sky.series_stars import StarTuning
+from sameas.space import unit_vectors
 
 RA, DEC, SCALE = 62.5, 22.9, 1.2
 
@@ -225,8 +226,8 @@ def test_ephemerides_are_continuous_and_near_two_body_ones(elements):
     assert step[0] == pytest.approx(step[1], rel=1e-3) and 1.5 < there.distance_au[0, 0] < 4.0
     assert 6.0 < there.magnitude[0, 0] < 10.0
     ra, dec = float(there.ra_deg[0, 0]), float(there.dec_deg[0, 0])
-    assert near(elements, 59900.0, ra, dec, 0.0).tolist() == [0]
-    assert near(elements, 59900.0, ra + 40.0, dec, 1.0).tolist() == []
+    assert near(elements, 59900.0, unit_vectors(ra, dec), 0.0).tolist() == [0]
+    assert near(elements, 59900.0, unit_vectors(ra + 40.0, dec), 1.0).tolist() == []
     with pytest.raises(InputError, match="the planetary ephemeris covers"):
         ephemeris(elements, np.array([100000.0]))
 

@@ -14,7 +14,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import InputError, optional
 from sameas.io import replacing
-from sameas.space import ARCSEC_PER_RADIAN, local_axes, mean_direction, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, axes_at, local_axes, mean_direction, unit_vectors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,25 +119,16 @@ class TangentAxes:
     @classmethod
     def about(cls, position_deg: FloatArray) -> TangentAxes:
         """The frame at the mean direction of (n, 2) longitudes and latitudes."""
-        middle = mean_direction(_axes(position_deg)[0])
-        lon = np.degrees(np.arctan2(middle[1], middle[0]))
-        lat = np.degrees(np.arctan2(middle[2], np.hypot(middle[0], middle[1])))
-        _, east, north = _axes(np.array([[lon, lat]]))
-        return cls(middle, east[0], north[0])
+        middle = mean_direction(unit_vectors(*position_deg.T))
+        return cls(middle, *axes_at(middle))
 
     def __call__(self, position_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n, 2) positions in arcsec east and north of the middle, and (n, 2, 2) matrices that rotate vectors from
         each record's own east and north to those of the frame."""
-        direction, east, north = _axes(position_deg)
+        east, north = local_axes(*np.radians(position_deg).T)
         basis = np.stack([self.east, self.north])
-        place = ARCSEC_PER_RADIAN * (direction - self.middle) @ basis.T
+        place = ARCSEC_PER_RADIAN * (unit_vectors(*position_deg.T) - self.middle) @ basis.T
         return place, np.stack([east @ basis.T, north @ basis.T], axis=2)
-
-
-def _axes(position_deg: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, 3) unit vectors towards each direction, to its east and to its north."""
-    position_deg = np.asarray(position_deg, dtype=np.float64)
-    return unit_vectors(*position_deg.T), *local_axes(*np.radians(position_deg).T)
 
 
 def ellipse(place: FloatArray, covariance: FloatArray, sigmas: float, points: int = 121) -> FloatArray:

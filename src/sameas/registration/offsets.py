@@ -24,7 +24,7 @@ from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.space import Plane, Sphere, displaced, sphere_offset
+from sameas.space import Plane, Sphere, directions_deg, displaced, sphere_offset, unit_vectors
 
 RADIAN = math.pi / 180.0
 #: Largest radius of a field on the sphere that has one shift in its tangent plane.
@@ -228,9 +228,8 @@ class Shift(Offset):
 
 def _centre_deg(records: Records) -> tuple[float, float]:
     """Longitude and latitude of the mean direction of the records."""
-    lon, lat = np.radians(records.features.T)
-    x, y, z = (np.cos(lat) * np.cos(lon)).mean(), (np.cos(lat) * np.sin(lon)).mean(), np.sin(lat).mean()
-    return float(np.degrees(np.arctan2(y, x))) % 360.0, float(np.degrees(np.arctan2(z, np.hypot(x, y))))
+    lon, lat = directions_deg(np.array([axis.mean() for axis in unit_vectors(*records.features.T).T]))
+    return float(lon), float(lat)
 
 
 def _mean_position(records: Records) -> tuple[float, ...]:

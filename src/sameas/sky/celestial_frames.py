@@ -14,7 +14,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.gaussian import correlation_of
 from sameas.sky.conventions import SkyFrame
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.space import ARCSEC_PER_RADIAN, local_axes, unit_vectors
 
 # Columns: the directions of the galactic x, y and z axes in ICRS (SP-1200, equation 1.5.11).
 _GALACTIC = np.array(
@@ -49,10 +49,9 @@ _FK4_MOTION = np.array(
 _CENTURIES = 0.500002095577002
 
 
-def _from_b1950(lon: FloatArray, lat: FloatArray) -> FloatArray:
-    """(3, n) directions at J2000, not normalised, of right ascensions and declinations at B1950, radians."""
-    at = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-    at = at - _E_TERMS[:, None] + (_E_TERMS @ at) * at
+def _from_b1950(unit: FloatArray) -> FloatArray:
+    """(3, n) directions at J2000, not normalised, of unit vectors (3, n) at B1950."""
+    at = unit - _E_TERMS[:, None] + (_E_TERMS @ unit) * unit
     return np.asarray(_FK4_POSITION @ at + (-_CENTURIES / ARCSEC_PER_RADIAN) * (_FK4_MOTION @ at))
 
 
@@ -66,15 +65,15 @@ def to_icrs(frame: SkyFrame, lon_deg: FloatArray, lat_deg: FloatArray) -> tuple[
     >>> float(ra[0].round(3)), float(dec[0].round(3))
     (192.859, 27.128)
     """
-    lon, lat = np.radians(lon_deg), np.radians(lat_deg)
+    unit = unit_vectors(lon_deg, lat_deg).T
     if frame == "B1950":
-        matrix, (x, y, z) = _FK4_POSITION, _from_b1950(lon, lat)
+        matrix, (x, y, z) = _FK4_POSITION, _from_b1950(unit)
     else:
         matrix = {"galactic": _GALACTIC, "ecliptic": _ECLIPTIC}[frame]
-        x, y, z = matrix @ np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+        x, y, z = matrix @ unit
     ra, dec = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
     # The direction of increasing longitude in ICRS, relative to east and north there.
-    ex, ey, ez = matrix @ np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lon)])
+    ex, ey, ez = matrix @ local_axes(*np.radians([lon_deg, lat_deg]))[0].T
     east = -np.sin(ra) * ex + np.cos(ra) * ey
     north = -np.sin(dec) * (np.cos(ra) * ex + np.sin(ra) * ey) + np.cos(dec) * ez
     return np.degrees(ra) % 360.0, np.degrees(dec), np.arctan2(north, east)

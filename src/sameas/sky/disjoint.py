@@ -18,8 +18,7 @@ from sameas.records import Records
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.celestial_frames import in_icrs
 from sameas.sky.column_choice import ColumnChoice
-from sameas.sky.frame.pointing import directions_deg
-from sameas.space import mean_direction, unit_vectors
+from sameas.space import directions_deg, mean_direction, unit_vectors
 
 #: Maximum number of records that determine a field: more hardly change its outline.
 _MOST_RECORDS = 10_000

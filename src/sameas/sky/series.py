@@ -27,7 +27,7 @@ from sameas.errors import InputError
 from sameas.representation import in_short
 from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
 from sameas.sky.series_stars import STAR_TUNING, SeriesMeasurements, SeriesStars, StarTuning, gather
-from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, directions_deg, from_plane, to_plane, unit_vectors
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -201,11 +201,7 @@ class Series:
 
     def sky(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(k,) ra_deg, dec_deg of places (k, 2) on the tangent plane."""
-        east, north, unit = _basis(*self.middle_deg)
-        direction = unit + (place[:, :1] * east + place[:, 1:] * north) / ARCSEC_PER_RADIAN
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        ra = np.degrees(np.arctan2(direction[:, 1], direction[:, 0])) % 360.0
-        return ra, np.degrees(np.arcsin(np.clip(direction[:, 2], -1, 1)))
+        return directions_deg(from_plane(place / ARCSEC_PER_RADIAN, unit_vectors(*self.middle_deg)))
 
     def star_table(self) -> Table:
         """A table with one row per star; values per frame are in columns of (f,) arrays."""
@@ -288,9 +284,8 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_SERIES) ->
         for name in ("x_px", "y_px", "covariance_px", "snr", "flags", "p_star", "magnitude", "flux", "flux_err")
     }
     scale = np.array([e.scale_arcsec_per_px for e in ordered])
-    place = _projected(
-        np.concatenate([e.ra_deg for e in ordered]), np.concatenate([e.dec_deg for e in ordered]), middle
-    )
+    ra, dec = (np.concatenate(angles) for angles in zip(*((e.ra_deg, e.dec_deg) for e in ordered), strict=True))
+    place = ARCSEC_PER_RADIAN * to_plane(unit_vectors(ra, dec), unit_vectors(*middle))
     variance = 0.5 * (everything["covariance_px"][:, 0] + everything["covariance_px"][:, 2]) * scale[frame] ** 2
     good = (everything["snr"] >= tuning.tie_snr) & ((everything["flags"] & ~int(Flag.BLENDED)) == 0)
     tied, ties = _tied(place, frame, variance, good, len(ordered), tuning)
@@ -331,7 +326,7 @@ def _checked(exposures: tuple[Exposure, ...], overlap: float) -> tuple[float, fl
     for one, other in itertools.pairwise(exposures):
         if abs(one.mjd_utc - other.mjd_utc) * 86400.0 < 1.0:
             raise InputError(f"{other.name}: its time is that of {one.name}; check DATE-OBS, or give each frame once")
-    middles = np.array([_unit(np.median(e.ra_deg), np.median(e.dec_deg)) for e in exposures if len(e)])
+    middles = np.array([unit_vectors(np.median(e.ra_deg), np.median(e.dec_deg)) for e in exposures if len(e)])
     centre = np.median(middles, axis=0)
     centre /= np.linalg.norm(centre)
     for e, unit in zip([e for e in exposures if len(e)], middles, strict=True):
@@ -342,26 +337,8 @@ def _checked(exposures: tuple[Exposure, ...], overlap: float) -> tuple[float, fl
                 f"{e.name}: points {off:.2f}° from the middle of the other frames, which are {diagonal:.2f}° across; "
                 "search the frames of each field by themselves"
             )
-    ra = math.degrees(math.atan2(centre[1], centre[0])) % 360.0
-    return ra, math.degrees(math.asin(centre[2]))
-
-
-def _unit(ra_deg: float, dec_deg: float) -> FloatArray:
-    ra, dec = math.radians(ra_deg), math.radians(dec_deg)
-    return np.array([math.cos(dec) * math.cos(ra), math.cos(dec) * math.sin(ra), math.sin(dec)])
-
-
-def _basis(ra_deg: float, dec_deg: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    ra = math.radians(ra_deg)
-    unit, east = _unit(ra_deg, dec_deg), np.array([-math.sin(ra), math.cos(ra), 0.0])
-    return east, np.cross(unit, east), unit
-
-
-def _projected(ra_deg: FloatArray, dec_deg: FloatArray, middle: tuple[float, float]) -> FloatArray:
-    """(n, 2) arcsec on the tangent plane at the middle."""
-    east, north, unit = _basis(*middle)
-    to = unit_vectors(ra_deg, dec_deg)
-    return np.asarray(ARCSEC_PER_RADIAN * np.column_stack([to @ east, to @ north]) / (to @ unit)[:, None])
+    ra, dec = directions_deg(centre)
+    return float(ra), float(dec)
 
 
 def _tied(

@@ -34,8 +34,16 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky.frame.plate import terms
-from sameas.sky.frame.pointing import directions_deg, to_plane
-from sameas.space import ARCSEC_PER_RADIAN, displaced, local_axes, mean_direction, sphere_offset, unit_vectors
+from sameas.space import (
+    ARCSEC_PER_RADIAN,
+    directions_deg,
+    displaced,
+    local_axes,
+    mean_direction,
+    sphere_offset,
+    to_plane,
+    unit_vectors,
+)
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

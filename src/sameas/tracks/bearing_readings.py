@@ -53,7 +53,7 @@ def best_other_reading(
         return None
     log_companion = float(np.log(tuning.companion)) if log_companion is None else log_companion
     width = float(bias_widths(feed)[AZIMUTH])
-    limit_deg = min(tuning.azimuth_reach * width, 180.0)
+    limit_deg = tuning.azimuth_limit_deg(width)
     likelihood = _Likelihood.of(pairs, plots, bias_widths(feed), tuning)
     apart_deg = pairs.residual[:, 1] / pairs.jacobian[:, 1, FITTED.index(AZIMUTH)]
     grid, as_given = tuning.readings_deg, likelihood.by_offset(apart_deg)

@@ -71,7 +71,7 @@ class AzimuthSearch:
 
 def search_azimuth(pairs: PlotPairs, plots: Plots, widths: FloatArray, tuning: Tuning) -> AzimuthSearch:
     """ln L of each track at each azimuth, with the other biases integrated over their priors."""
-    reach = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0)
+    reach = tuning.azimuth_limit_deg(widths[AZIMUTH])
     grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / tuning.azimuth_step_deg)) + 1)
     prior, spreads = pairs.variance_without_azimuth(widths), plots.spreads(tuning)
     out = np.zeros((len(spreads), len(pairs.scans), len(grid)))

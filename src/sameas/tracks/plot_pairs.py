@@ -141,7 +141,7 @@ def candidates(
     reach_deg : the most by which their azimuths differ; by default the reach of the search.
     """
     widths = bias_widths(feed)
-    reach_deg = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0) if reach_deg is None else reach_deg
+    reach_deg = tuning.azimuth_limit_deg(widths[AZIMUTH]) if reach_deg is None else reach_deg
     parts: list[tuple[NDArray[Any], ...]] = []
     scans: list[float] = []
     lasting = max(feed.description.errors.extent_m or 0.0, LEAST_LASTING_M) ** 2

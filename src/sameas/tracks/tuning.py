@@ -343,6 +343,10 @@ class Tuning:
         """The offsets of bearings all around."""
         return np.arange(-180.0, 180.0, self.reading_step_deg)
 
+    def azimuth_limit_deg(self, width_deg: float) -> float:
+        """The largest offset of the azimuth that is searched; ``width_deg`` : its prior 1σ."""
+        return min(self.azimuth_reach * width_deg, 180.0)
+
     def is_known(self, variance: FloatArray, speed_m_per_s: float) -> BoolArray:
         """(n,) whether velocities with these variances per axis (n,) are known, of objects with 1σ of velocity per axis
         ``speed_m_per_s``."""

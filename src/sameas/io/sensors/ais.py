@@ -165,6 +165,9 @@ AMBIGUOUS_S = 3.0
 MOST_WAITING = 10_000
 _ALONE = "part of a message without the others"
 SIDES = ("bow", "stern", "port", "starboard")
+#: Numbers of the navigational statuses that tell ships at rest apart, by the words of tables and of Signal K
+#: (ITU-R M.1371, table 48).
+STATUSES_AT_REST = {"at anchor": 1.0, "anchored": 1.0, "not under command": 2.0, "moored": 5.0, "aground": 6.0}
 _SHIP_TYPES = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 33: "dredging", 34: "diving",
           35: "military", 36: "sailing", 37: "pleasure", 40: "high speed craft", 50: "pilot",
           51: "search and rescue", 52: "tug", 53: "port tender", 54: "anti-pollution", 55: "law enforcement",

@@ -26,6 +26,7 @@ from sameas.errors import InputError, naming
 from sameas.io.sensors import ais
 from sameas.io.sensors.format import KNOT_M_PER_S, OWN_SHIP, SensorFile, SensorFormat, forward_filled
 from sameas.io.sensors.nmea import Log, Sentence, latitude, log_of, longitude, time_of_day, with_date
+from sameas.space import unit_vectors
 from sameas.tracks.coordinates import MILE_M, geodesy
 from sameas.tracks.platforms import OWN_POSITIONS
 from sameas.tracks.reports import Damaged, Reports, Unused, of_rows
@@ -183,11 +184,9 @@ def _track_ids(
         place = np.column_stack([range_m * np.sin(bearing), range_m * np.cos(bearing), np.zeros(len(range_m))])
     else:
         # In three dimensions a step across the 180th meridian is as short as any other.
-        lat, lon = (np.deg2rad(np.asarray(columns[name], np.float64)) for name in ("lat_deg", "lon_deg"))
-        range_m = np.zeros(len(lat))
-        place = np.rad2deg(60.0 * MILE_M) * np.column_stack(
-            [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]
-        )
+        lat_deg, lon_deg = (np.asarray(columns[name], np.float64) for name in ("lat_deg", "lon_deg"))
+        range_m = np.zeros(len(lat_deg))
+        place = np.rad2deg(60.0 * MILE_M) * unit_vectors(lon_deg, lat_deg)
     if len(targets) > MOST_NUMBERS:
         targets.clear()
     out: list[str] = []

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from sameas.io.sensors.ais import LENGTH_PER_WIDTH, at_hull_centres
+from sameas.io.sensors.ais import LENGTH_PER_WIDTH, STATUSES_AT_REST, at_hull_centres
 from sameas.io.sensors.format import LOGGED, OWN_SHIP, SensorFormat, instant, of_json, plain_text
 from sameas.tracks.reports import Reports, Unused, of_rows
 
@@ -42,8 +42,6 @@ _SIZES = {
     "design.length": "length_m", "design.beam": "width_m", "sensors.ais.fromBow": "to_bow_m",
     "sensors.gps.fromBow": "to_bow_m",
 }  # fmt: skip
-#: Values of navigation.state with their code of AIS, of those that tell ships at rest apart.
-_STATES = {"anchored": 1.0, "not under command": 2.0, "moored": 5.0, "aground": 6.0}
 #: Paths of texts, with their column; the same are keys of the value of the path "".
 _TEXTS = {"name": "name", "communication.callsignVhf": "callsign", "registrations.imo": "imo"}
 #: Source of the updates that sameas sends.
@@ -198,7 +196,7 @@ def _fields(path: str, value: Any, time_s: float) -> dict[str, tuple[float, Any]
         column, scale = _NUMBERS[path]
         return {} if value is None else {column: (time_s, scale * float(value))}
     if path == "navigation.state" and isinstance(value, str):
-        return {"nav_status": (math.inf, _STATES.get(value.lower(), math.nan))}
+        return {"nav_status": (math.inf, STATUSES_AT_REST.get(value.lower(), math.nan))}
     if path in _SIZES:
         size = value.get("overall", value.get("hull")) if isinstance(value, Mapping) else value
         return {_SIZES[path]: (math.inf, float(size))} if size is not None and 0.0 <= float(size) < _LONGEST_M else {}

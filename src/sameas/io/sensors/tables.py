@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.io.sensors import drones
-from sameas.io.sensors.ais import SIDES, at_hull_centres
+from sameas.io.sensors.ais import SIDES, STATUSES_AT_REST, at_hull_centres
 from sameas.io.sensors.format import (
     AIS_SIGMA_M,
     KNOT_M_PER_S,
@@ -220,10 +220,6 @@ def _text(cell: Any, quantity: str) -> str | None:
     return text.lower() if quantity == "icao" else text
 
 
-#: Numbers of the navigational statuses of AIS that tables write as texts (ITU-R M.1371, table 48).
-_STATUSES = {"at anchor": 1.0, "not under command": 2.0, "moored": 5.0, "aground": 6.0}
-
-
 def _with_nav_status(
     values: dict[str, Any], chosen: dict[str, Choice], is_ais: bool
 ) -> tuple[dict[str, Any], dict[str, Choice]]:
@@ -238,7 +234,7 @@ def _with_nav_status(
 
 def _nav_status(text: str | None) -> float:
     text = "" if text is None else str(text).strip().lower()
-    number = float(text) if re.fullmatch(r"1?\d(\.0*)?", text) else _STATUSES.get(text, math.nan)
+    number = float(text) if re.fullmatch(r"1?\d(\.0*)?", text) else STATUSES_AT_REST.get(text, math.nan)
     return math.nan if number >= 15.0 else number
 
 

@@ -33,10 +33,10 @@ from sameas.sky.frame.measurements import POGSON, Flag, Measurements
 from sameas.sky.frame.photometry import DEFAULT_PHOTOMETRY, Completeness, PhotometryTuning, ZeroPoint, instrumental
 from sameas.sky.frame.place import Placement, place
 from sameas.sky.frame.plate import DEFAULT_PLATE, MatchedStars, PlateModel, PlateTuning, fit_plate, terms
-from sameas.sky.frame.pointing import Pointing, directions_deg
+from sameas.sky.frame.pointing import Pointing
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.sky.residual_epoch import EPOCH, MovedPairs, Questioned
-from sameas.space import chord_angle_deg, sphere_offset
+from sameas.space import chord_angle_deg, directions_deg, sphere_offset
 
 
 @dataclass(frozen=True)

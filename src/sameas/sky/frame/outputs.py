@@ -25,8 +25,8 @@ from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import POGSON, Flag
 from sameas.sky.frame.place import odds_in_words
-from sameas.sky.frame.pointing import directions_deg
 from sameas.sky.output_columns import meta_of
+from sameas.space import directions_deg
 
 if TYPE_CHECKING:
     from astropy.table import Table

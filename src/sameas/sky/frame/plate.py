@@ -29,8 +29,8 @@ from sameas.errors import InputError
 from sameas.gaussian import inverse, log_determinant, propagated, symmetric
 from sameas.records import unpack
 from sameas.representation import in_short
-from sameas.sky.frame.pointing import Pointing, axes, directions_deg, from_plane, to_plane
-from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
+from sameas.sky.frame.pointing import Pointing
+from sameas.space import ARCSEC_PER_RADIAN, axes_at, directions_deg, from_plane, to_plane, unit_vectors
 
 if TYPE_CHECKING:
     from astropy.wcs import WCS
@@ -585,9 +585,9 @@ def _weighted_mean_square(sigmas: float) -> float:
 
 def sky_axes(vectors: FloatArray, centre: FloatArray) -> FloatArray:
     """(n, 2, 2) ∂(local east, north)/∂(ξ, η) at directions (n, 3)."""
-    east, north = axes(np.broadcast_to(centre, vectors.shape))
+    east, north = axes_at(np.broadcast_to(centre, vectors.shape))
     depth = np.sum(vectors * centre, axis=1)
-    local = np.stack(axes(vectors), axis=1)
+    local = np.stack(axes_at(vectors), axis=1)
     # v = (c + ξe + ηn)/|…|, |…| = 1/depth; the component of the step along v is orthogonal to the local axes.
     step = np.stack([east, north], axis=2) * depth[:, None, None]
     return np.asarray(local @ step)

@@ -15,37 +15,10 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.representation import in_short
-from sameas.space import ARCSEC_PER_RADIAN, local_axes, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, directions_deg, from_plane, to_plane, unit_vectors
 
 if TYPE_CHECKING:
     from astropy.wcs import WCS
-
-
-def directions_deg(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Right ascension (0 … 360) and declination in degrees of vectors (..., 3) of any length."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arctan2(z, np.hypot(x, y)))
-
-
-def axes(centre: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The unit vectors east and north, (..., 3) each, of the tangent plane at ``centre`` (..., 3)."""
-    lon = np.arctan2(centre[..., 1], centre[..., 0])
-    return local_axes(lon, np.arctan2(centre[..., 2], np.hypot(centre[..., 0], centre[..., 1])))
-
-
-def to_plane(vectors: FloatArray, centre: FloatArray) -> FloatArray:
-    """(..., 2) ξ, η of ``vectors`` on the tangent plane at ``centre``; NaN at 90° or more."""
-    east, north = axes(centre)
-    depth = np.sum(vectors * centre, axis=-1)
-    depth = np.where(depth > 0.0, depth, np.nan)
-    return np.stack([np.sum(vectors * east, axis=-1), np.sum(vectors * north, axis=-1)], axis=-1) / depth[..., None]
-
-
-def from_plane(plane: FloatArray, centre: FloatArray) -> FloatArray:
-    """(..., 3) unit vectors of points ξ, η on the tangent plane at ``centre``."""
-    east, north = axes(centre)
-    vectors = centre + plane[..., :1] * east + plane[..., 1:] * north
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 @in_short

@@ -27,8 +27,8 @@ from sameas.errors import InputError
 from sameas.ragged import Ragged, ranges
 from sameas.representation import in_short
 from sameas.sky.frame.odds import DEFAULT_ODDS_TUNING, OddsTuning, PlateProblem, SearchVolume
-from sameas.sky.frame.pointing import Pointing, from_plane, similarities, to_plane
-from sameas.space import ARCSEC_PER_RADIAN, chord_angle_deg, unit_vectors
+from sameas.sky.frame.pointing import Pointing, similarities
+from sameas.space import ARCSEC_PER_RADIAN, chord_angle_deg, from_plane, to_plane, unit_vectors
 
 if TYPE_CHECKING:
     from astropy.wcs import WCS

@@ -22,7 +22,7 @@ from sameas.records import Records
 from sameas.sky.motion import AU_KM
 from sameas.sky.movers.orbits import Elements, ephemeris, geocentric_km, near, states
 from sameas.sky.movers.search import Movers
-from sameas.space import ARCSEC_PER_RADIAN, mean_direction
+from sameas.space import ARCSEC_PER_RADIAN, mean_direction, to_plane, unit_vectors
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -159,8 +159,7 @@ def _missing(
     radius = float(np.degrees(np.arccos(np.clip(unit @ centre, -1, 1)).max()))
     if radius > tuning.field_deg:
         return ()
-    ra0, dec0 = math.degrees(math.atan2(centre[1], centre[0])) % 360.0, math.degrees(math.asin(centre[2]))
-    elements = elements.some(np.setdiff1d(near(elements, middle, ra0, dec0, radius), found))
+    elements = elements.some(np.setdiff1d(near(elements, middle, centre, radius), found))
     if not len(elements):
         return ()
     place = None if site is None else geocentric_km(*site, np.array([middle]))
@@ -168,8 +167,7 @@ def _missing(
     ra, dec, magnitude, sigma = (
         values[:, 0] for values in (predicted.ra_deg, predicted.dec_deg, predicted.magnitude, predicted.sigma_arcsec)
     )
-    east, north = np.degrees(np.arctan2(unit[:, 1], unit[:, 0])), np.degrees(np.arcsin(np.clip(unit[:, 2], -1, 1)))
-    seen, at = _plane(east, north, ra0, dec0), _plane(ra, dec, ra0, dec0)
+    seen, at = ARCSEC_PER_RADIAN * to_plane(unit, centre), _arcsec_from(centre, ra, dec)
     # An object that may as well be beside the field is not missed.
     edge = tuning.error_factor * sigma[:, None]
     inside = ((at > seen.min(axis=0) + edge) & (at < seen.max(axis=0) - edge)).all(axis=1)
@@ -224,10 +222,9 @@ def _of_field(
     k, detections = len(movers), movers.detections
     owner, p, magnitude = np.full(k, ABSENT), np.zeros(k), np.full(k, np.nan)
     offset = np.full((len(detections), 2), np.nan)
-    unit = mean_direction(unit_of)
-    radius = float(np.degrees(np.arccos(np.clip(unit_of @ unit, -1, 1)).max()))
-    ra0, dec0 = math.degrees(math.atan2(unit[1], unit[0])) % 360.0, math.degrees(math.asin(unit[2]))
-    near_rows = near(all_elements, middle, ra0, dec0, radius + 0.1)
+    centre = mean_direction(unit_of)
+    radius = float(np.degrees(np.arccos(np.clip(unit_of @ centre, -1, 1)).max()))
+    near_rows = near(all_elements, middle, centre, radius + 0.1)
     no_rows = np.empty(0, np.int64)
     if not len(near_rows):
         return _FieldMatch(no_rows, owner, p, magnitude, no_rows, np.empty((0, 2)))
@@ -236,8 +233,8 @@ def _of_field(
     place = None if site is None else geocentric_km(*site, times)
     start = None if state is None else (middle, state[:, :, near_rows])
     predicted_sky = ephemeris(elements, times, place, start=start)
-    at = _plane(predicted_sky.ra_deg, predicted_sky.dec_deg, ra0, dec0)  # (objects, times, 2)
-    measured, covariance = _records_of(movers, ra0, dec0)
+    at = _arcsec_from(centre, predicted_sky.ra_deg, predicted_sky.dec_deg)  # (objects, times, 2)
+    measured, covariance = _records_of(movers, centre)
     predicted = np.empty((k, len(elements), 4))
     for row in range(k):
         rows = movers.members[row][movers.members[row] >= 0]
@@ -263,7 +260,7 @@ def _of_field(
         owner[row], p[row] = known, probability
         rows = movers.members[row][movers.members[row] >= 0]
         time_index = np.searchsorted(times, detections.mjd_utc[rows])
-        observed = _plane(detections.ra_deg[rows], detections.dec_deg[rows], ra0, dec0)
+        observed = _arcsec_from(centre, detections.ra_deg[rows], detections.dec_deg[rows])
         offset[rows] = observed - at[known, time_index]
         magnitude[row] = float(predicted_sky.magnitude[known, time_index].mean())
     known = np.flatnonzero(np.isfinite(offset).all(axis=1))
@@ -271,14 +268,14 @@ def _of_field(
     return _FieldMatch(near_rows, owner, p, magnitude, known, offset[known])
 
 
-def _records_of(movers: Movers, ra0: float, dec0: float) -> tuple[FloatArray, FloatArray]:
-    """(k, 4) mean position and motion of each tracklet, arcsec, and (k, 4, 4) their covariances."""
+def _records_of(movers: Movers, centre: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(k, 4) mean position and motion of each tracklet, arcsec from the centre, and (k, 4, 4) their covariances."""
     detections = movers.detections
     out, covariance = np.empty((len(movers), 4)), np.zeros((len(movers), 4, 4))
     for row, members in enumerate(movers.members):
         rows = members[members >= 0]
         t = detections.mjd_utc[rows]
-        out[row] = _mean_and_motion(_plane(detections.ra_deg[rows], detections.dec_deg[rows], ra0, dec0)[None], t)[0]
+        out[row] = _mean_and_motion(_arcsec_from(centre, detections.ra_deg[rows], detections.dec_deg[rows])[None], t)[0]
         variance = detections.covariance[rows][:, [0, 2]].mean(axis=0) + 0.05**2
         time_off = t - t.mean()
         covariance[row, [0, 1], [0, 1]] = variance / len(rows) + 0.1**2
@@ -293,14 +290,9 @@ def _mean_and_motion(position: FloatArray, t: FloatArray) -> FloatArray:
     return np.concatenate([position.mean(axis=1), slope * np.ptp(t)], axis=1)
 
 
-def _plane(ra_deg: FloatArray, dec_deg: FloatArray, ra0: float, dec0: float) -> FloatArray:
-    """(…, 2) arcsec east and north on the tangent plane at a direction."""
-    ra, dec, middle = np.radians(ra_deg) - math.radians(ra0), np.radians(dec_deg), math.radians(dec0)
-    depth = math.sin(middle) * np.sin(dec) + math.cos(middle) * np.cos(dec) * np.cos(ra)
-    east = np.cos(dec) * np.sin(ra)
-    north = math.cos(middle) * np.sin(dec) - math.sin(middle) * np.cos(dec) * np.cos(ra)
-    with np.errstate(divide="ignore"):
-        return ARCSEC_PER_RADIAN * np.stack([east, north], -1) / np.where(depth > 0.1, depth, np.nan)[..., None]
+def _arcsec_from(centre: FloatArray, ra_deg: FloatArray, dec_deg: FloatArray) -> FloatArray:
+    """(…, 2) arcsec east and north on the tangent plane at a unit vector."""
+    return ARCSEC_PER_RADIAN * to_plane(unit_vectors(ra_deg, dec_deg), centre)
 
 
 # Orbit classes of tracklets: the score of ``digest2``, of the Minor Planet Center, for a near-Earth object.

@@ -373,8 +373,8 @@ def _sigma_by_covariance(
     return out
 
 
-def near(elements: Elements, mjd_utc: float, ra_deg: float, dec_deg: float, radius_deg: float) -> IntArray:
-    """Rows of the objects within a radius of a direction by two-body motion, seen from the centre of the Earth.
+def near(elements: Elements, mjd_utc: float, direction: FloatArray, radius_deg: float) -> IntArray:
+    """Rows of the objects within a radius of a direction (3,) by two-body motion, seen from the centre of the Earth.
 
     The radius is widened for perturbations, by 0.1° plus 0.3° per year of the elements' age, more for objects near the
     Earth.
@@ -384,9 +384,7 @@ def near(elements: Elements, mjd_utc: float, ra_deg: float, dec_deg: float, radi
     earth = planets.earth(time) - planets.sun(time)
     to_object = _state(elements, mjd_utc)[0] - earth
     distance = np.linalg.norm(to_object, axis=0)
-    ra, dec = math.radians(ra_deg), math.radians(dec_deg)
-    unit = np.array([math.cos(dec) * math.cos(ra), math.cos(dec) * math.sin(ra), math.sin(dec)])
-    distance_deg = np.degrees(np.arccos(np.clip(unit @ to_object / distance, -1.0, 1.0)))
+    distance_deg = np.degrees(np.arccos(np.clip(direction @ to_object / distance, -1.0, 1.0)))
     age = np.abs(mjd_utc - elements.epoch_mjd) / 365.25
     return np.flatnonzero(distance_deg < radius_deg + (0.1 + 0.3 * age) * np.maximum(1.0, 1.7 / distance))
 

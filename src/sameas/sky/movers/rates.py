@@ -14,7 +14,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import inverse, log_density
-from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, from_plane, to_plane, unit_vectors
 
 #: Gauss's constant: the mean angular speed of the Earth about the Sun, radian per day; and in arcsec per minute.
 GAUSS = 0.01720209895
@@ -82,16 +82,12 @@ class EclipticAxes:
 
     def offsets(self, origin: np.ndarray, other: np.ndarray) -> FloatArray:
         """(m, 2) offsets of directions ``other`` on the tangent planes at ``origin``, arcsec; both (m,) are rows."""
-        to = self.unit[other]
-        depth = (self.unit[origin] * to).sum(1)
-        along = (self.east[origin] * to).sum(1), (self.north[origin] * to).sum(1)
-        return ARCSEC_PER_RADIAN * np.column_stack(along) / depth[:, None]
+        axes = self.east[origin], self.north[origin]
+        return ARCSEC_PER_RADIAN * to_plane(self.unit[other], self.unit[origin], axes)
 
     def directions(self, origin: np.ndarray, offsets: FloatArray) -> FloatArray:
         """(m, 3) unit vectors at offsets (m, 2), arcsec, on the tangent planes at rows ``origin``."""
-        x, y = offsets.T[..., None] / ARCSEC_PER_RADIAN
-        out = self.unit[origin] + x * self.east[origin] + y * self.north[origin]
-        return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+        return from_plane(offsets / ARCSEC_PER_RADIAN, self.unit[origin], (self.east[origin], self.north[origin]))
 
     def rotated(self, covariance: FloatArray) -> FloatArray:
         """(n, 2, 2) covariances on these axes. covariance : (n, 3) ee, en, nn on the equatorial axes."""
