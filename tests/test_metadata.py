@@ -60,9 +60,10 @@ def test_the_paper_has_the_header_required_by_its_journal(key):
     assert re.search(rf"^{key}:", head, re.MULTILINE)
 
 
-def test_every_row_of_the_papers_tables_is_in_measured_md():
-    """Rows of the paper's tables are rows of docs/measured.md."""
-    measured = [row.replace("*", "") for row in text_of("docs/measured.md").splitlines()]
+def test_every_row_of_the_papers_tables_was_measured():
+    """Rows of the paper's tables are rows of the pages of what was measured."""
+    pages = text_of("docs/measured.md") + text_of("docs/measured-targets.md")
+    measured = [row.replace("*", "") for row in pages.splitlines()]
     rows = [row for row in text_of("paper.md").splitlines() if row.startswith("| ") and re.search(r"\d", row)]
     assert len(rows) >= 10
     for row in rows:
