@@ -70,10 +70,10 @@ def table(ships: int, seed: int) -> Iterator[Table]:
         with tempfile.TemporaryDirectory() as folder:
             traffic = Traffic(ships, seed, radar_period_s=1.0, ais_period_s=2.0)
             keeper = Keeper(settings(), Path(folder), replay=traffic)
-            keeper.aside = Aside(least)
+            keeper.background.aside = Aside(least)
             ticks = Ticks(keeper)
             ticks.timed(WARM_S)
-            for work in (keeper.register, keeper.search):
+            for work in (keeper.background.register, keeper.background.search):
                 began = time.perf_counter()
                 work()  # begins the process, where there is one
                 work()

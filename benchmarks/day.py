@@ -150,9 +150,9 @@ def table(hours: float, mean: int, seed: int) -> Iterator[Table]:
             situation = keeper.tick(START_S + elapsed_s)
             spent.append(time.thread_time() - tick_began)
             if elapsed_s % REGISTER_S == 0.0:
-                keeper.register()
+                keeper.background.register()
             if elapsed_s % SEARCH_S == 0.0:
-                keeper.search()
+                keeper.background.search()
             if elapsed_s % 3600.0 == 0.0:
                 assert situation is not None
                 of_files = [size_mb(Path(folder), f"{kind}*") for kind in ("state", "journal")]

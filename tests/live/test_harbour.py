@@ -32,7 +32,7 @@ class Sea:
         given = WatchSettings(own_ship=OwnShip(mmsi=OWN), register_every_s=0.0, plane=plane, **watch)
         self.radar = radar
         self.keeper = Keeper(Settings({one.name: LiveSource(one) for one in sources}, given), replay=replay())
-        self.keeper.replay.sources, self.keeper.replay._next = [], []
+        self.keeper.clock.replay.sources, self.keeper.clock.replay._next = [], []
 
     def run(self, until_s, every_s=5.0, silent=(), interval_s=None):
         """The objects of alarms of approaches by the names of ships: {MMSI: time of the first alarm}."""

@@ -26,7 +26,7 @@ from sameas.errors import InputError
 from sameas.io import read_table
 from sameas.io.processes import Aside
 from sameas.live.journal import LAYOUT, Journal, load_state
-from sameas.live.keeper import Keeper, _Periodic
+from sameas.live.keeper import BackgroundWork, Keeper, _Periodic
 from sameas.live.outputs import sentence
 from sameas.live.replay import SteadyClock
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings, read_settings
@@ -72,7 +72,7 @@ def test_a_restarted_watch_keeps_its_object_numbers(tmp_path):
     before = numbers(ticked(first, 60.0))
     first.close()
     again = Keeper(settings(), tmp_path, replay=replay())
-    again.replay.take(START_S + 60.0)
+    again.clock.replay.take(START_S + 60.0)
     after = again.tick(START_S + 62.0)
     assert again.restored and numbers(after) == before and after.tick == 31
     again.close()
@@ -107,13 +107,13 @@ def test_a_watch_with_another_sensor_file_keeps_its_object_numbers_and_uses_the_
     radar = replace(radar, site=Site(lat_deg=SITE[0], lon_deg=SITE[1], height_m=12.0))
     sources = {d.name: LiveSource(d) for d in (Description("new", "ais"), ais, radar)}
     again = Keeper(Settings(sources, settings().watch), tmp_path, replay=replay())
-    again.replay.take(START_S + 60.0)
+    again.clock.replay.take(START_S + 60.0)
     after = again.tick(START_S + 62.0)
     assert again.changed == ("new", "radar") and numbers(after) == before
     assert after.tick == 31 and again.picture.descriptions[1].site.height_m == 12.0
     again.close()
     last = Keeper(settings(), tmp_path, replay=replay())
-    last.replay.take(START_S + 62.0)
+    last.clock.replay.take(START_S + 62.0)
     assert last.changed == ("radar",) and numbers(last.tick(START_S + 64.0)) == before
     last.close()
 
@@ -136,7 +136,7 @@ def test_identities_survive_a_kill(tmp_path):
     before = ast.literal_eval(lines[25].split(" ", 1)[1])
     again = Keeper(settings(), tmp_path, replay=replay())
     assert again.restored and again.picture.instant_s >= START_S + 2.0 * 29
-    again.replay.take(again.picture.instant_s)
+    again.clock.replay.take(again.picture.instant_s)
     assert numbers(again.tick(again.picture.instant_s + 2.0)) == before
     base = sqlite3.connect(tmp_path / "journal.sqlite")
     assert base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
@@ -197,7 +197,7 @@ def approach(own_ship, also=None, **watch):
         ),
         replay=replay(),
     )
-    keeper.replay.sources, keeper.replay._next, kinds = [], [], set()
+    keeper.clock.replay.sources, keeper.clock.replay._next, kinds = [], [], set()
     for t in np.arange(0.0, 60.0, 2.0):
         north = 2000.0 - 10.0 * t
         row: dict[str, Any] = {"time_s": [START_S + t], "lat_deg": [50.0 + north / 111_240.0], "lon_deg": [-0.9986]}
@@ -225,7 +225,7 @@ def test_an_approaching_ship_that_no_source_shows_any_more_is_an_alarm(beside_m)
     watch = WatchSettings(own_ship=OwnShip(lat_deg=50.0, lon_deg=-1.0), cpa_m=500.0, register_every_s=0.0,
                           plane={"lat_deg": 50.0, "lon_deg": -1.0})  # fmt: skip
     keeper = Keeper(Settings(sources, watch), replay=replay())
-    keeper.replay.sources, keeper.replay._next = [], []
+    keeper.clock.replay.sources, keeper.clock.replay._next = [], []
 
     def report(t, mmsi, east):
         row: dict[str, Any] = {"time_s": [START_S + t], "lat_deg": [50.0 + (8000.0 - 10.0 * t) / 111_240.0]}
@@ -445,7 +445,7 @@ def test_a_close_approach_is_an_alarm_until_it_has_passed(tmp_path):
     }  # fmt: skip
     watch = WatchSettings(own_ship=OwnShip(mmsi="235000002"), register_every_s=0.0, cpa_m=926.0)
     keeper = Keeper(Settings({"ais": LiveSource(Description("ais", "ais"))}, watch), tmp_path, replay=replay())
-    keeper.replay.sources, keeper.replay._next = [], []
+    keeper.clock.replay.sources, keeper.clock.replay._next = [], []
     raised = []
     for k, time_s in enumerate(t):
         for one in (ship, own):
@@ -484,7 +484,7 @@ def test_a_replay_skips_nothing_while_kernels_are_compiled(tmp_path, monkeypatch
     monkeypatch.setattr("sameas.live.keeper.asyncio.sleep", stalled)
     asyncio.run(keeper.run(until=lambda: len(ticks) >= 8))
     steps_s = np.diff([situation.time_s for situation in ticks])
-    assert keeper.waited_s > 1.4 and steps_s.max() < 20.0 * 1.0
+    assert keeper.clock.waited_s > 1.4 and steps_s.max() < 20.0 * 1.0
 
 
 def test_unusable_reports_do_not_stop_the_keeper(keeper):
@@ -505,13 +505,13 @@ def test_a_failed_registration_or_search_does_not_stop_the_keeper(tmp_path, monk
     def failing(*arguments):
         raise ZeroDivisionError("a fault of ours")
 
-    for name in ("picture.live.estimated", "live.keeper.faults_of"):
-        monkeypatch.setattr(f"sameas.{name}", failing)
+    for name in ("estimated", "faults_of"):
+        monkeypatch.setattr(f"sameas.live.keeper.{name}", failing)
     keeper = Keeper(settings(register_every_s=0.1, faults_every_s=0.1, every_s=0.05), tmp_path, replay=replay())
     asyncio.run(keeper.run(until=lambda: keeper._tick >= 3))
     assert keeper.store.journal is None and load_state(tmp_path)["tick"] == 3
     # Nor does an exception that the keeper does not catch.
-    monkeypatch.setattr(Keeper, "register", failing)
+    monkeypatch.setattr(BackgroundWork, "register", failing)
     again = Keeper(settings(register_every_s=0.1, every_s=0.05), tmp_path, replay=replay())
     asyncio.run(again.run(until=lambda: again._tick >= 6))
     assert again.restored and again.store.journal is None and load_state(tmp_path)["tick"] == 6
@@ -766,7 +766,7 @@ def test_deception_and_source_faults_are_alarms_that_can_be_acknowledged(source,
     elif change == "clock":
         made[source] = replace(reports, time_s=reports.time_s + 30.0 * late)
     keeper = Keeper(settings(), tmp_path, replay=replay())
-    keeper.replay.sources, keeper.replay._next = [], []
+    keeper.clock.replay.sources, keeper.clock.replay._next = [], []
 
     def goes_on(since_s, until_s):
         for t in np.arange(since_s, until_s, 5.0) + START_S:
@@ -777,10 +777,10 @@ def test_deception_and_source_faults_are_alarms_that_can_be_acknowledged(source,
         return situation
 
     goes_on(0.0, 300.0)
-    keeper.search()
+    keeper.background.search()
     goes_on(300.0, 310.0)
     assert not [alarm for alarm in keeper.alarm_list() if alarm["kind"] in ("source", "deception")]
-    keeper.search()
+    keeper.background.search()
     situation = goes_on(310.0, 320.0)
     found = [alarm for alarm in keeper.alarm_list() if alarm["kind"] in ("source", "deception")]
     assert [alarm["kind"] for alarm in found] == ([kind] if kind else [])
@@ -838,19 +838,19 @@ def test_the_offsets_and_faults_of_a_watch_are_the_same_from_another_process():
     offsets, faults = [], []
     for aside in (Aside(10**9), Aside(1)):
         keeper = Keeper(settings(), replay=replay())
-        keeper.aside = aside
-        keeper.replay.sources, keeper.replay._next = [], []
+        keeper.background.aside = aside
+        keeper.clock.replay.sources, keeper.clock.replay._next = [], []
         for name, one in harbour(until_s=330.0).items():
             if name == "radar":
                 one = one.where(one.time_s < START_S + 200.0)
             keeper.picture.add(name, one)
         for t in np.arange(5.0, 330.0, 5.0):
             keeper.tick(START_S + t)
-        keeper.register()
-        keeper.search()
-        keeper.search()
+        keeper.background.register()
+        keeper.background.search()
+        keeper.background.search()
         offsets.append([str(one) for one in keeper.picture.biases.values()])
-        faults.append({key: str(fault) for key, fault in keeper.faults.confirmed.items()})
+        faults.append({key: str(fault) for key, fault in keeper.background.faults.confirmed.items()})
         keeper.close()
     assert offsets[0] == offsets[1] and len(offsets[0]) > 0
     assert faults[0] == faults[1] and any("radar: ends" in words for words in faults[0].values())

@@ -171,8 +171,8 @@ def watch(
         asyncio.run(_run(keeper, server, until_s, say))
         state = keeper.health()
         say([f"Watched: {counted(state['tick'], 'instant')}, {counted(state['objects'], 'object')} in the last"])
-        if keeper.waited_s > 5.0:
-            say([f"  The replay waited {keeper.waited_s:.0f} s for the picture: it was slower than --pace {pace:g}"])
+        if (waited_s := keeper.clock.waited_s) > 5.0:
+            say([f"  The replay waited {waited_s:.0f} s for the picture: it was slower than --pace {pace:g}"])
         for name, one in state["sources"].items():
             say(source_lines(name, one))
     if settings.set_aside:
@@ -389,7 +389,7 @@ async def _run(
             loop.add_signal_handler(number, over.set)
 
     def ends() -> bool:
-        return over.is_set() or (keeper.done if until_s is None else time.monotonic() >= until_s)
+        return over.is_set() or (keeper.clock.done if until_s is None else time.monotonic() >= until_s)
 
     served = None
     if server is not None:

@@ -38,8 +38,8 @@ from sameas.live.offsets import SourceOffsets
 from sameas.live.outputs import sinks_of
 from sameas.live.own_ship import OwnShipMotion
 from sameas.live.reception import Reception
-from sameas.live.replay import Playback, Replay, SteadyClock
-from sameas.live.settings import Settings
+from sameas.live.replay import Playback, Replay, SteadyClock, WatchClock
+from sameas.live.settings import Settings, WatchSettings
 from sameas.live.situation import Alarm, Delta, Situation
 from sameas.picture.live import LivePicture, estimated, faults_of
 from sameas.picture.picture_state import PictureState
@@ -78,19 +78,12 @@ class Keeper:
         playback: Playback | None = None,
         clock: Callable[[], float] | None = None,
     ) -> None:
-        clock = clock or SteadyClock()
         if playback is not None:
-            # All times are those of the recording, which is not recorded again.
-            real_clock, played = clock, playback
+            # A recording is not recorded again.
             settings = replace(settings, watch=replace(settings.watch, record=None))
-
-            def clock() -> float:
-                return played.time_s(real_clock())
-
-        self._real_clock = clock if playback is None else real_clock
-        self.settings, self.folder, self.replay, self.clock = settings, folder, replay, clock
-        self.playback = playback
-        self.reception = Reception(settings, clock, replay=replay, playback=playback, use=self._use)
+        self.settings, self.folder = settings, folder
+        self.clock = WatchClock(clock or SteadyClock(), replay=replay, playback=playback)
+        self.reception = Reception(settings, self.clock, replay=replay, playback=playback, use=self._use)
         self.wires = self.reception.wires
         self.situation: Situation | None = None
         # The state of the last tick, from which explanations are made.
@@ -101,8 +94,6 @@ class Keeper:
         self.failed_ticks = 0
         # The last exception of a tick.
         self._fault = ""
-        #: Seconds by which a replay waited for the picture.
-        self.waited_s = 0.0
         self.durations_s: deque[float] = deque(maxlen=KEPT_DURATIONS)
         # Number of all ticks since the start, and their durations together.
         self._timed, self._timed_s = 0, 0.0
@@ -115,9 +106,6 @@ class Keeper:
         self.zones = GuardZones(settings.watch.zones)
         self.own_ship = OwnShipMotion(settings, self.wires, replayed=replay is not None)
         self._saved_s = -math.inf
-        #: For registration and the search for faults.
-        self.aside = Aside(LEAST_ASIDE)
-        self.faults = ConfirmedFaults()
         self._tick = 0
         self.store = Store(folder, archive_every_s=settings.watch.archive_every_s)
         with contextlib.ExitStack() as opened:
@@ -126,13 +114,14 @@ class Keeper:
             self._restore(folder)
             opened.pop_all()
         self.alarms = AlarmLog(self.store, self.picture.instant_s)
+        self.background = BackgroundWork(self.picture, settings.watch, self.lock)
 
     def _restore(self, folder: Path | None) -> None:
         """Continues with the saved state of the folder; without one, begins anew."""
-        watch, settings = self.settings.watch, self.settings
+        watch, settings, replay = self.settings.watch, self.settings, self.clock.replay
         state = None if folder is None else load_state(folder)
         descriptions = [source.description for source in settings.sources.values()]
-        origin = watch.origin or (None if self.replay is None else self.replay.origin)
+        origin = watch.origin or (None if replay is None else replay.origin)
         self.picture = LivePicture(descriptions, plane=origin, lag_s=watch.lag_s)
         with reading(f"{folder}: the state of the watch", "is damaged"):
             self.restored = state is not None
@@ -163,23 +152,7 @@ class Keeper:
 
     def now_s(self) -> float:
         """The current time of the picture."""
-        clock_s = self.clock()
-        now_s = clock_s if self.replay is None else self.replay.now_s(clock_s)
-        return now_s - self.settings.watch.behind_s
-
-    @property
-    def pace(self) -> float | None:
-        """How many times as fast files or recordings are replayed; None where nothing is."""
-        return None if self._replayed is None else self._replayed.pace
-
-    @property
-    def done(self) -> bool:
-        """Whether all that is replayed has been taken."""
-        return self._replayed is not None and self._replayed.done
-
-    @property
-    def _replayed(self) -> Replay | Playback | None:
-        return self.replay or self.playback
+        return self.clock.replayed_s() - self.settings.watch.behind_s
 
     def tick(self, now_s: float | None = None) -> Situation | None:
         """Processes the new reports and returns the situation then; None, and a log entry, where this failed."""
@@ -204,7 +177,7 @@ class Keeper:
             own_ship = self.own_ship.at(instant_s, clock_s, state, plane)
             situation = Situation.of(self._tick, state, plane, (), own_ship, self.picture.height_model)
             alarms = [*identity_alarms(state), *self.reception.alarms(excused={self.own_ship.source(clock_s)}),
-                      *fault_alarms(self.faults.confirmed, situation), *self._own_ship_alarms(situation),
+                      *fault_alarms(self.background.faults.confirmed, situation), *self._own_ship_alarms(situation),
                       *self.approaches.alarms(situation, state, self.alarms, self.own_ship.mmsi),
                       *self.zones.alarms(situation, self.alarms, self.own_ship.mmsis),
                       *self._own_alarms()]  # fmt: skip
@@ -232,30 +205,6 @@ class Keeper:
             save_state(self.folder, {"picture": self.picture, "tick": self._tick})
             self._saved_s, self.offsets.unsaved = self.picture.instant_s, False
 
-    def register(self) -> None:
-        """Estimates the biases of the sources from the last minutes; a failure is logged and changes nothing."""
-        recent = self.picture.recent()
-        try:
-            registered = self.aside.call(_number(recent), estimated, recent, self.picture.plane, self.picture.tuning)
-            self.picture.take_off(registered)
-        except Exception as error:
-            # A failed bias fit must not end the watch: the previous biases stay in use.
-            LOG.info("registration: %s", error, exc_info=not isinstance(error, InputError))
-
-    def search(self) -> None:
-        """Searches the last minutes for deception and source faults; a failure is logged and changes nothing."""
-        with self.lock:
-            recent, sightings, tuning = self.picture.recent(), self.picture.sightings(), self.picture.picture_tuning
-        plane = self.picture.plane
-        try:
-            faults = self.aside.call(_number(recent), faults_of, recent, sightings, plane, self.picture.tuning, tuning)
-        except Exception as error:
-            # A failed search must not end the watch.
-            LOG.info("faults: %s", error, exc_info=not isinstance(error, InputError))
-            return
-        with self.lock:
-            self.faults.update(faults)
-
     def _use(self, name: str, reports: Reports) -> None:
         """Takes the reports of a source into the picture; they are refused as of :meth:`LivePicture.add`."""
         self.picture.add(name, reports)
@@ -282,10 +231,10 @@ class Keeper:
         watch = self.settings.watch
         alarms = disk_alarms(self.folder, self.store.refusal, watch.record, self.reception.recorder_errors())
         early_s = -math.inf
-        if self.replay is None:
+        if self.clock.replay is None:
             alarms += pace_alarms(list(self.durations_s), watch.every_s, active="pace" in self.alarms)
             early_s = self.picture.instant_s - self.now_s()
-        return [*alarms, *clock_alarms(self.clock.set_back_s if isinstance(self.clock, SteadyClock) else 0.0, early_s)]
+        return [*alarms, *clock_alarms(self.clock.set_back_s, early_s)]
 
     # ---- the loop ----
 
@@ -294,37 +243,21 @@ class Keeper:
 
         stop : ends the wait for the next tick, so that ``until`` is checked at once.
         """
-        wires = self.wires.values() if self.playback is None else ()
+        wires = self.wires.values() if self.clock.playback is None else ()
         readers = [asyncio.create_task(wire.run()) for wire in wires]
         watch = self.settings.watch
-        background = [
-            _Periodic(self.register, watch.register_every_s, FIRST_REGISTERED_S),
-            _Periodic(self.search, watch.faults_every_s),
-        ]
-        replayed = self._replayed
-        if replayed is not None:
-            from_s = self.picture.instant_s
-            replayed.begin(self._real_clock(), from_s if self.restored and math.isfinite(from_s) else None)
-        # Seconds of the keeper's clock in a second: that of a recording runs at its pace.
-        tempo = 1.0 if self.playback is None else self.playback.pace
+        from_s = self.picture.instant_s
+        self.clock.begin(from_s if self.restored and math.isfinite(from_s) else None)
         next_s = self.clock()
         try:
             while until is None or not until():
                 # Missed ticks are not caught up: the next one has all reports. A replay waits instead.
-                late_s = max(self.clock() - next_s, 0.0)
-                next_s += late_s
-                if replayed is not None:
-                    replayed.wait(late_s / tempo)
-                    self.waited_s += late_s / tempo
-                if self.playback is not None:
-                    # Ticks are as far apart in the recording as they were.
-                    next_s -= late_s
+                next_s += self.clock.catch_up(max(self.clock() - next_s, 0.0))
                 await asyncio.to_thread(self._tick_and_send)
                 self._tell_listeners()
-                for work in background:
-                    work.begin_if_due(self.picture.instant_s)
+                self.background.begin_due(self.picture.instant_s)
                 next_s += watch.every_s
-                wait_s = max(next_s - self.clock(), 0.0) / tempo
+                wait_s = max(next_s - self.clock(), 0.0) / self.clock.tempo
                 if stop is None:
                     await asyncio.sleep(wait_s)
                 else:
@@ -337,8 +270,7 @@ class Keeper:
                 task.cancel()
             try:
                 # The state is saved whatever the tasks raise.
-                tasks = [work.task for work in background if work.task is not None]
-                await asyncio.gather(*readers, *tasks, return_exceptions=True)
+                await asyncio.gather(*readers, *self.background.tasks, return_exceptions=True)
             finally:
                 self.close()
 
@@ -347,7 +279,7 @@ class Keeper:
 
         Raises InputError: the disk refused the state; the last one that was saved stays.
         """
-        self.aside.close()
+        self.background.aside.close()
         with self.lock:
             for sink in self.sinks:
                 sink.close()
@@ -391,13 +323,13 @@ class Keeper:
         """Records who acknowledged an alarm."""
         with self.lock:
             # In a replay, alarms and those who acknowledge them live in the time of the picture.
-            time_s = self.clock() if self.replay is None or self.situation is None else self.situation.time_s
+            time_s = self.clock() if self.clock.replay is None or self.situation is None else self.situation.time_s
             return self.alarms.acknowledge(alarm_id, who, time_s)
 
     def health(self) -> dict[str, Any]:
         """Whether the picture advances, and the counters of every source and wire."""
         age_s = None if self.situation is None else self.now_s() - self.situation.time_s
-        late_s = max(10.0 * self.settings.watch.every_s * (self.pace or 1.0), 10.0)
+        late_s = max(10.0 * self.settings.watch.every_s * (self.clock.pace or 1.0), 10.0)
         ticking = age_s is not None and abs(age_s) < late_s
         counts, biases = self.picture.counts, self.offsets.biases()
         sources = {
@@ -422,6 +354,57 @@ class Keeper:
             "outputs": {f"{sink.format} {sink.url}": {"failed": sink.failed, "unnumbered": sink.numbers.unnumbered}
                         for sink in self.sinks},
         }  # fmt: skip
+
+
+class BackgroundWork:
+    """Registration and the search for faults, each in a thread, with many reports in a process of its own.
+
+    picture : whose last minutes they use, and lock : held while ticks change it. A failure of either is logged and
+    changes nothing.
+    """
+
+    def __init__(self, picture: LivePicture, watch: WatchSettings, lock: threading.Lock) -> None:
+        self.picture, self.lock = picture, lock
+        self.aside = Aside(LEAST_ASIDE)
+        self.faults = ConfirmedFaults()
+        self._work = (
+            _Periodic(self.register, watch.register_every_s, FIRST_REGISTERED_S),
+            _Periodic(self.search, watch.faults_every_s),
+        )
+
+    def register(self) -> None:
+        """Estimates the biases of the sources from the last minutes."""
+        recent = self.picture.recent()
+        try:
+            registered = self.aside.call(_number(recent), estimated, recent, self.picture.plane, self.picture.tuning)
+            self.picture.take_off(registered)
+        except Exception as error:
+            # A failed bias fit must not end the watch: the previous biases stay in use.
+            LOG.info("registration: %s", error, exc_info=not isinstance(error, InputError))
+
+    def search(self) -> None:
+        """Searches the last minutes for deception and source faults."""
+        with self.lock:
+            recent, sightings, tuning = self.picture.recent(), self.picture.sightings(), self.picture.picture_tuning
+        plane = self.picture.plane
+        try:
+            faults = self.aside.call(_number(recent), faults_of, recent, sightings, plane, self.picture.tuning, tuning)
+        except Exception as error:
+            # A failed search must not end the watch.
+            LOG.info("faults: %s", error, exc_info=not isinstance(error, InputError))
+            return
+        with self.lock:
+            self.faults.update(faults)
+
+    def begin_due(self, now_s: float) -> None:
+        """Begins what is due at this time of the picture."""
+        for work in self._work:
+            work.begin_if_due(now_s)
+
+    @property
+    def tasks(self) -> list[asyncio.Task[None]]:
+        """The last of each that was begun."""
+        return [work.task for work in self._work if work.task is not None]
 
 
 def _number(sources: Sequence[tuple[Description, Reports]]) -> int:

@@ -199,3 +199,63 @@ class Playback(Paced):
             out.append(self._pieces[self._next][1:])
             self._next += 1
         return out
+
+
+class WatchClock:
+    """The clock of a watch: that of the computer, or the time at which played recordings were received.
+
+    clock : UTC in seconds. replay : reports of files. playback : recordings; at most one of the two.
+    """
+
+    def __init__(
+        self, clock: Callable[[], float], *, replay: Replay | None = None, playback: Playback | None = None
+    ) -> None:
+        self._clock, self.replay, self.playback = clock, replay, playback
+        #: Seconds by which a replay waited for the picture.
+        self.waited_s = 0.0
+
+    def __call__(self) -> float:
+        clock_s = self._clock()
+        return clock_s if self.playback is None else self.playback.time_s(clock_s)
+
+    def replayed_s(self) -> float:
+        """The time that files replay now; else that of the clock."""
+        return self() if self.replay is None else self.replay.now_s(self())
+
+    @property
+    def set_back_s(self) -> float:
+        """Seconds by which the clock of the computer was set back."""
+        clock = self._clock
+        return clock.set_back_s if self.playback is None and isinstance(clock, SteadyClock) else 0.0
+
+    @property
+    def pace(self) -> float | None:
+        """How many times as fast files or recordings are replayed; None where nothing is."""
+        return None if self._replayed is None else self._replayed.pace
+
+    @property
+    def done(self) -> bool:
+        """Whether all that is replayed has been taken."""
+        return self._replayed is not None and self._replayed.done
+
+    @property
+    def tempo(self) -> float:
+        """Seconds of this clock in a second: that of a recording runs at its pace."""
+        return 1.0 if self.playback is None else self.playback.pace
+
+    @property
+    def _replayed(self) -> Replay | Playback | None:
+        return self.replay or self.playback
+
+    def begin(self, from_s: float | None) -> None:
+        """Starts what is replayed, from its beginning or after ``from_s``."""
+        if self._replayed is not None:
+            self._replayed.begin(self._clock(), from_s)
+
+    def catch_up(self, late_s: float) -> float:
+        """Waits with what is replayed for a tick that is late, and returns by how much the next one is later."""
+        if self._replayed is not None:
+            self._replayed.wait(late_s / self.tempo)
+            self.waited_s += late_s / self.tempo
+        # Ticks are as far apart in a recording as they were.
+        return late_s if self.playback is None else 0.0

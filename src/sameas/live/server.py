@@ -348,7 +348,7 @@ def live_page(keeper: Keeper, operator: bool) -> str:
     charts = [read_chart(path) for path in watch.chart]
     # The first one is the land.
     lines = [] if plane is None else [chart.in_plane(plane) for chart in charts if isinstance(chart, Coast)]
-    title = "Live picture" if keeper.pace is None else f"Replay, {keeper.pace:g} × real time"
+    title = "Live picture" if keeper.clock.pace is None else f"Replay, {keeper.clock.pace:g} × real time"
     sheet = MapSheet.of(
         title, _filled(objects), records, instants_s=np.array([instant_s]), sensors=sensors, plane=plane,
         ground=lines[0] if lines else None, overlays=lines[1:],
@@ -356,7 +356,7 @@ def live_page(keeper: Keeper, operator: bool) -> str:
     live = {
         "object": list(OBJECT), "record": list(RECORD), "operator": operator, "tick": watch.every_s,
         "every": max(10.0, watch.every_s), "history": watch.history_s,
-        "word": "live" if keeper.pace is None else "replay",
+        "word": "live" if keeper.clock.pace is None else "replay",
         "charts": _charts(watch.chart, charts),
         "offsets": {bias: [words, list(units)] for bias, (words, units) in OFFSETS.items()},
     }  # fmt: skip
