@@ -13,7 +13,8 @@ from sameas.simulate.sensors import Bias
 from sameas.tracks import Clutter, Description, MissRate, Reports, SensorErrors, Site, Timing, plot_offsets
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.plot_offsets import Knots, fit_plots
+from sameas.tracks.plot_fit import Knots
+from sameas.tracks.plot_offsets import fit_plots
 from sameas.tracks.plot_pairs import shows_bare_plots, shows_tracks
 from sameas.tracks.scene import Scene
 from sameas.tracks.tuning import DEFAULT_TUNING
