@@ -264,6 +264,8 @@ def column_evidence(of_first: list[str], of_second: list[str], related: list[str
 
 def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quiet: bool) -> None:
     """Match, print, write."""
+    from sameas.io import parquet
+
     large = request.n_bytes >= READ_AHEAD_BYTES
     if large:
         _read_ahead(request)
@@ -292,6 +294,8 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
 
             warmup.read_ahead()
         catalogues = _read_both(request, printer, pace)
+        if large:
+            parquet.release_unused()
         match = identified(request, catalogues, progress=pace)
         match = replace(match, join=joining.join, nway_columns=joining.nway_columns)
         assert match.sky is not None

@@ -56,7 +56,6 @@ def _content(path: Path) -> pa.Table:
 
 def read(path: Path, hdu: None) -> Table:
     """The table of a Parquet file."""
-    import pyarrow as pa
     from astropy.table import Table
 
     content = _begun.pop(path, partial(_content, path))()
@@ -73,12 +72,22 @@ def read(path: Path, hdu: None) -> Table:
         described(column, decoded(content.schema.field(name).metadata))
         columns.append(column)
     table = _with_file_metadata(Table(columns, copy=False), content.schema.metadata or {}, path)
-    # What was read is NumPy's now; Arrow would keep as much again for what it might read next.
-    del content
-    pa.default_memory_pool().release_unused()
+    del content  # what was read is NumPy's now
+    release_unused()
     if left_out:
         table.meta["sameas_notes"] = left_out
     return table
+
+
+def release_unused() -> None:
+    """Return the memory of what was read to the system; Arrow would keep it for what it might read next.
+
+    Call it in the main thread, too, after several files were read in others: what these freed of one another's memory
+    is returned only then (a tenth of the peak of a match).
+    """
+    import pyarrow as pa
+
+    pa.default_memory_pool().release_unused()
 
 
 def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
