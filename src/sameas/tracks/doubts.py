@@ -1,170 +1,33 @@
 """Doubts: sentences on what looks wrong with a source as a whole.
 
 A longitude of the wrong sign, kilometres for metres, a clock in another time zone: such a source matches no other as
-given, and matches well in another unit, sign or order. These guesses (:class:`UnitGuess`) are tried only for sources
-that match no other, and only to name the remedy: data are never changed.
-
-- :func:`doubts`: on the sources of a scene. :func:`too_far_apart`: on sources too far apart for one plane,
-  :func:`of_other_days`: for one time.
+given, and matches well in another unit, sign or order (:mod:`sameas.tracks.unit_guesses`). Doubts that need no scene,
+of sources at another place or of other days, are in :mod:`sameas.tracks.elsewhere`.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.registration.weights import weigh
 from sameas.tracks.alignment import States
-from sameas.tracks.bearing_readings import MIRRORED, OF_BOW, OF_NORTH, best_other_reading
+from sameas.tracks.bearing_readings import best_other_reading
 from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import TIME
-from sameas.tracks.coordinates import FOOT_M, MILE_M, LocalPlane
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.elsewhere import span_of
 from sameas.tracks.feed import Feed
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.plot_offsets import PlotFits
 from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_tracks
 from sameas.tracks.registration import unbiased
-from sameas.tracks.reports import Reports
 from sameas.tracks.snapshot import ComparedSource, bias_widths, common_scans
-from sameas.tracks.source import Description, Site
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
-
-#: Units in which a length may be given, in metres.
-LENGTHS = (("kilometres", 1000.0), ("nautical miles", MILE_M), ("feet", FOOT_M), ("millimetres", 0.001))
-#: Seconds of a day.
-DAY_S = 86400.0
-#: Hours between time zones, and seconds by which GPS time is ahead of UTC since 2017.
-HOURS, LEAP_S = (*range(-12, 0), *range(1, 15)), 18.0
-DEGREE = 180.0 / math.pi
-
-Source = tuple[Description, Reports]
-Read = Callable[[Description, Reports], Source | None]
-
-
-@dataclass(frozen=True)
-class UnitGuess:
-    """A possible mistake in a source's coordinates or units, in words. It is never applied to the data.
-
-    suspicion : the mistake, after "its ". changed : the change tried, after "with ". remedy : what to do.
-    read : makes the changed source; None if its values exclude the mistake.
-    """
-
-    suspicion: str
-    changed: str
-    remedy: str
-    read: Read
-
-
-def place_guesses(reports: Reports) -> Iterator[UnitGuess]:
-    """Possible mistakes in geodetic coordinates: of positions, or of the sensor's site."""
-    if reports.position == "geodetic":
-        yield UnitGuess("longitudes look like they have the wrong sign", "the sign turned",
-                      "turn the sign of its longitudes (west is negative)", _scaled(-1.0, "lon_deg"))  # fmt: skip
-        yield UnitGuess("latitudes look like they have the wrong sign", "the sign turned",
-                      "turn the sign of its latitudes (south is negative)", _scaled(-1.0, "lat_deg"))  # fmt: skip
-        yield UnitGuess("latitudes and longitudes look exchanged", "them exchanged",
-                      "exchange the two columns, or name them", _with_exchange)  # fmt: skip
-        yield UnitGuess("latitudes and longitudes look like radians", "them read so",
-                      "give their unit as rad", _with_radians)  # fmt: skip
-        return
-    yield UnitGuess("site's longitude looks like it has the wrong sign", "the sign turned",
-                  "turn the sign of lon_deg in its site (west is negative)",
-                  _with_site(lambda lat, lon: (lat, -lon)))  # fmt: skip
-    yield UnitGuess("site's latitude and longitude look exchanged", "them exchanged",
-                  "exchange lat_deg and lon_deg in its site", _with_site(lambda lat, lon: (lon, lat)))  # fmt: skip
-
-
-def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
-    """All possible mistakes in the positions of a source."""
-    yield from place_guesses(reports)
-    if reports.position == "local":
-        yield UnitGuess("x and y look exchanged", "them exchanged", "name the columns: x is east, y is north",
-                      lambda about, reports: (about, replace(reports, x_m=reports.y_m, y_m=reports.x_m)))  # fmt: skip
-        yield from (_in_length("coordinates", unit, _scaled(m, "x_m", "y_m")) for unit, m in LENGTHS)
-    if reports.position == "polar":
-        yield from (_in_length("ranges", unit, _scaled(m, "range_m")) for unit, m in LENGTHS)
-    if reports.bearing_deg is not None:
-        yield UnitGuess("bearings look like radians", "them read so", "give their unit as rad",
-                      _with_bearings(lambda bearing: bearing * DEGREE, 2.0 * math.pi + 0.01))  # fmt: skip
-        yield UnitGuess("bearings look like angles from the east, anticlockwise", "them read so",
-                      "give 90° less the angle: bearings run clockwise from north",
-                      _with_bearings(lambda angle: 90.0 - angle, 360.0))  # fmt: skip
-        mirrored = _with_bearings(lambda angle: -angle, 360.0)
-        yield UnitGuess(MIRRORED[0], "their sign turned", MIRRORED[2], mirrored)
-        yield from bow_guesses(reports)
-
-
-def bow_guesses(reports: Reports) -> Iterator[UnitGuess]:
-    """That bearings from the bow of a vessel are read as from north, or the reverse."""
-    heading_deg = reports.heading_deg if reports.station_heading_deg is None else reports.station_heading_deg
-    if reports.position != "polar" or reports.bearing_deg is None or heading_deg is None:
-        return
-    of_bow = _with_bearings(lambda angle: angle + heading_deg, 360.0)
-    yield UnitGuess(OF_BOW[0], "the heading added", OF_BOW[2], of_bow)
-    of_north = _with_bearings(lambda angle: angle - heading_deg, 360.0)
-    yield UnitGuess(OF_NORTH[0], "the heading taken off", OF_NORTH[2], of_north)
-
-
-def clock_guesses() -> Iterator[tuple[str, str, float]]:
-    """Suspicion, remedy, and the seconds by which the stamps would be ahead."""
-    for hours in sorted(HOURS, key=abs):
-        ahead = "ahead" if hours > 0 else "behind"
-        yield (f"clock looks {abs(hours)} h {ahead}, as in another time zone", "give its times in UTC", 3600.0 * hours)
-    yield "clock looks 18 s ahead, as that of satellites", "take the leap seconds off its times", LEAP_S
-
-
-def _scaled(factor: float, *columns: str) -> Read:
-    def read(about: Description, reports: Reports) -> Source | None:
-        scaled: dict[str, Any] = {name: factor * np.asarray(getattr(reports, name)) for name in columns}
-        return about, replace(reports, **scaled)
-
-    return read
-
-
-def _with_exchange(about: Description, reports: Reports) -> Source | None:
-    lat, lon = np.asarray(reports.lat_deg), np.asarray(reports.lon_deg)
-    return None if np.nanmax(np.abs(lon)) > 90.0 else (about, replace(reports, lat_deg=lon, lon_deg=lat))
-
-
-def _with_radians(about: Description, reports: Reports) -> Source | None:
-    lat, lon = np.asarray(reports.lat_deg), np.asarray(reports.lon_deg)
-    if np.nanmax(np.abs(lat)) > math.pi / 2.0 or np.nanmax(np.abs(lon)) > math.pi:
-        return None
-    return about, replace(reports, lat_deg=DEGREE * lat, lon_deg=DEGREE * lon)
-
-
-def _with_site(changed: Callable[[float, float], tuple[float, float]]) -> Read:
-    def read(about: Description, reports: Reports) -> Source | None:
-        if about.site is None or about.site.lat_deg is None or about.site.lon_deg is None:
-            return None
-        lat, lon = changed(about.site.lat_deg, about.site.lon_deg)
-        site = Site(lat, lon, about.site.height_m)
-        return None if abs(lat) > 90.0 else (replace(about, site=site), reports)
-
-    return read
-
-
-def _in_length(what: str, unit: str, read: Read) -> UnitGuess:
-    return UnitGuess(
-        f"{what} look like {unit}", "them read so", f"give their unit as {unit}, or convert them to metres", read
-    )
-
-
-def _with_bearings(changed: Callable[[FloatArray], FloatArray], most: float) -> Read:
-    def read(about: Description, reports: Reports) -> Source | None:
-        bearing = np.asarray(reports.bearing_deg)
-        if not np.nanmax(bearing) <= most:
-            return None
-        return about, replace(reports, bearing_deg=np.mod(changed(bearing), 360.0))
-
-    return read
+from sameas.tracks.unit_guesses import clock_guesses, unit_guesses
 
 
 @dataclass(frozen=True)
@@ -320,108 +183,6 @@ def _comparable(feed: Feed, others: Sequence[Feed]) -> list[Feed]:
     return [o for o in others if len(feed.reports) and len(o.reports) and (own or isinstance(o.reports, States))]
 
 
-def too_far_apart(sources: Sequence[Source], tuning: Tuning) -> dict[str, str]:
-    """By name, sentences on sources too far for one plane from that which is near most others.
-
-    Sources of a continent are as far apart as they are wide. Of several that are near most others, that with the most
-    positions counts, and the site of a sensor where its reports have no positions in degrees.
-    """
-    positions = [_geodetic_positions(*source) for source in sources]
-    known = {k: position for k, position in enumerate(positions) if position is not None and len(position[0])}
-    if not known:
-        return {}
-    middle = {k: LocalPlane.about(*position) for k, position in known.items()}
-    extent_m = {k: float(np.quantile(middle[k].great_circle_m(*position), 0.9)) for k, position in known.items()}
-    far = {
-        k: [n for n, m in middle.items() if _apart_m(middle[k], m) > max(tuning.apart_m, extent_m[k], extent_m[n])]
-        for k in known
-    }
-    home = min(known, key=lambda k: (len(far[k]), -len(known[k][0]), k))
-    if not far[home]:
-        return {}
-    reach = max(tuning.near_extents * extent_m[home], tuning.near_m)
-    return {sources[k][0].name: _far_sentence(sources[k], sources[home], reach) for k in far[home]}
-
-
-def of_other_days(sources: Sequence[Source]) -> dict[str, str]:
-    """By name, sentences on sources whose reports are days from those of most others: a picture has one time.
-
-    Most are the most sources without a pause of a day between them, and of several such, those with most reports. The
-    pause to the others is longer than all of these last.
-    """
-    spans = sorted((float(r.time_s.min()), float(r.time_s.max()), d.name, len(r)) for d, r in sources if len(r))
-    sessions: list[list[tuple[float, float, str, int]]] = []
-    last_s = -math.inf
-    for span in spans:
-        if span[0] - last_s > DAY_S:
-            sessions.append([])
-        sessions[-1].append(span)
-        last_s = max(last_s, span[1])
-    if len(sessions) < 2:
-        return {}
-    home = max(sessions, key=lambda session: (len(session), sum(span[3] for span in session)))
-    first_s, last_s = home[0][0], max(span[1] for span in home)
-    theirs = " to ".join(_span(np.array([first_s, last_s])))
-    return {
-        name: f"{name}: its reports are of {' to '.join(_span(np.array([first, last])))}, days from those of others, "
-        f"{theirs}; check its clock and its date"
-        for session in sessions if session is not home
-        for first, last, name, _ in session
-        if max(first_s - last, first - last_s) > last_s - first_s
-    }  # fmt: skip
-
-
-def _far_sentence(source: Source, home: Source, reach_m: float) -> str:
-    """The sentence on a source beyond the plane of another, ``home``; reach_m : radius of the positions of that one."""
-    positions, home_positions = _geodetic_positions(*source), _geodetic_positions(*home)
-    assert positions is not None and home_positions is not None
-    distance_m = _apart_m(LocalPlane.about(*home_positions), LocalPlane.about(*positions))
-    opening = f"{source[0].name}: lies {distance_m / 1e3:.0f} km from {home[0].name}, too far for one plane"
-    # Wrong columns are tried first: they are more frequent than wrong sites.
-    pairs = sorted([(source, home), (home, source)], key=lambda pair: pair[0][1].lat_deg is None)
-    explanations = [one for pair in pairs if (one := _explanation(*pair, reach_m))]
-    if len(explanations) == 2:
-        return f"{opening}; {'; or '.join(explanations)}"
-    if explanations:
-        wrong = home if explanations[0].startswith(f"{source[0].name}: ") else source
-        return f"{opening}; {explanations[0]}, unless it is {wrong[0].name} that is wrong"
-    return f"{opening}; check the sign and the order of its coordinates, or make a picture of one of the two areas"
-
-
-def _explanation(source: Source, other: Source, reach_m: float) -> str:
-    """The mistake in a source that would explain its distance from another one, and its remedy; "" if there is none."""
-    name, positions = source[0].name, _geodetic_positions(*other)
-    assert positions is not None
-    for guess in place_guesses(source[1]):
-        changed = guess.read(*source)
-        corrected = None if changed is None else _geodetic_positions(*changed)
-        if corrected is None:
-            continue
-        inside = int(np.sum(LocalPlane.about(*positions).great_circle_m(*corrected) < reach_m))
-        if 2 * inside > len(corrected[0]):
-            what = "its site lies" if source[1].lat_deg is None else f"{inside} of {len(corrected[0])} positions lie"
-            where = f"{what} where {other[0].name} is"
-            return f"{name}: its {guess.suspicion}: with {guess.changed}, {where}; {guess.remedy}"
-    return ""
-
-
-def _geodetic_positions(description: Description, reports: Reports) -> tuple[FloatArray, FloatArray] | None:
-    """Latitudes and longitudes of the positions, or of the sensor; None if none are given in degrees."""
-    for lat, lon in ((reports.lat_deg, reports.lon_deg), (reports.station_lat_deg, reports.station_lon_deg)):
-        if lat is not None and lon is not None:
-            is_known = np.isfinite(lat) & np.isfinite(lon)
-            return (lat[is_known], lon[is_known]) if is_known.any() else None
-    site = description.site
-    if site is None or site.lat_deg is None or site.lon_deg is None:
-        return None
-    return np.array([site.lat_deg]), np.array([site.lon_deg])
-
-
-def _apart_m(first: LocalPlane, second: LocalPlane) -> float:
-    """The great-circle distance between the origins of two planes."""
-    return float(first.great_circle_m([second.lat_deg], [second.lon_deg])[0])
-
-
 def _tolerant(feed: Feed) -> Feed:
     """The feed with covariances increased by the prior uncertainty of its biases."""
     widths = bias_widths(feed)
@@ -517,17 +278,11 @@ def _nothing_in_common(feed: Feed, others: Sequence[Feed], best: Shared | None) 
             f"{name}: matches the others no better than by chance: {best.pairs:.0f} of {best.records:.0f} "
             f"records of an instant match {best.other}; {remedy}"
         )
-    own, theirs = _span(feed.reports.time_s), _span(np.concatenate([other.reports.time_s for other in others]))
+    own, theirs = (
+        span_of(feed.reports.time_s),
+        span_of(np.concatenate([other.reports.time_s for other in others])),
+    )
     return (
         f"{name}: has no reports while others do: its reports are of {own[0]} to {own[1]}, theirs of "
         f"{theirs[0]} to {theirs[1]}; check its clock and its date, or leave it out"
     )
-
-
-def _span(time_s: FloatArray) -> tuple[str, str]:
-    """The first and the last time: in UTC, or in seconds if below 1e8, which count from an arbitrary start."""
-    first, last = float(np.min(time_s)), float(np.max(time_s))
-    if abs(last) < 1e8:
-        return f"{first:.0f} s", f"{last:.0f} s"
-    dates = [datetime.fromtimestamp(t, UTC).strftime("%Y-%m-%d %H:%M:%S") for t in (first, last)]
-    return dates[0], dates[1]

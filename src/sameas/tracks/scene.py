@@ -38,7 +38,8 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.doubts import Doubt, doubts, of_other_days, too_far_apart
+from sameas.tracks.doubts import Doubt, doubts
+from sameas.tracks.elsewhere import of_other_days, too_far_apart
 from sameas.tracks.error_fit import TrackErrorFit, fit_errors
 from sameas.tracks.feed import Feed, need_filtering, of_their_objects
 from sameas.tracks.heights import HeightModel, HeightReports, heights_of
