@@ -26,20 +26,18 @@ the same side scatters little, but the hull is as large as the other sources sho
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import FloatArray
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, PlacedReports
-from sameas.tracks.scans import usual_period_s
+from sameas.tracks.plot_differences import MatchedScans, PlotDifferences, matched_scans, plot_differences
 from sameas.tracks.source import CLUTTER, MISSES, Description, MissRate
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
@@ -84,43 +82,19 @@ def _percents(misses: MissRate) -> str:
 
 
 @dataclass(frozen=True)
-class _Pairs:
-    """Pairs of plots of two sources at one time, (m,) each.
-
-    s, t : the sources. i, j : rows of their reports. range_m : r. along_m, across_m : the difference along and across
-    the line of sight. placed : whether both have ranges; along_m is 0 otherwise. box_m : half the width of the box.
-    weight : of the pair, in independent scans.
-    """
-
-    s: IntArray
-    t: IntArray
-    i: IntArray
-    j: IntArray
-    range_m: FloatArray
-    along_m: FloatArray
-    across_m: FloatArray
-    placed: NDArray[np.bool_]
-    box_m: FloatArray
-    weight: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.s)
-
-
-@dataclass(frozen=True)
 class _Model:
     """logs : (3, S) ln a, ln b (radians) and ln e of each source. real : (S, S) π of each pair of sources."""
 
     logs: FloatArray
     real: FloatArray
 
-    def variances(self, pairs: _Pairs) -> tuple[FloatArray, FloatArray]:
+    def variances(self, pairs: PlotDifferences) -> tuple[FloatArray, FloatArray]:
         """(m,) variances along and across."""
         a, b, e = np.exp(2.0 * self.logs)
         hull = e[pairs.s] + e[pairs.t]
         return a[pairs.s] + a[pairs.t] + hull, pairs.range_m**2 * (b[pairs.s] + b[pairs.t]) + hull
 
-    def log_odds(self, pairs: _Pairs) -> FloatArray:
+    def log_odds(self, pairs: PlotDifferences) -> FloatArray:
         """(m,) log-odds that a pair is of one object."""
         along, across = self.variances(pairs)
         log_box = math.log(2.0) + np.log(pairs.box_m)
@@ -160,9 +134,10 @@ def fit_errors(
     p_pair = expit(mean.model.log_odds(mean.pairs))
     if float(p_pair @ mean.pairs.weight) < tuning.fit_pairs:
         return TrackErrorFit(tuple(feeds))
-    matches, partner = list(_matched_scans(mean.feeds, tuning)), _p_partner(mean.feeds, mean.pairs, p_pair)
+    matches, partner = list(matched_scans(mean.feeds, tuning)), _p_partner(mean.feeds, mean.pairs, p_pair)
     out, misses = list(feeds), _misses(mean.feeds, matches, partner, tuning)
-    densities = _clutter(mean, misses, matches, partner, p_pair)
+    first = _p_first(mean.feeds, mean.pairs, p_pair)
+    densities = _clutter(mean.feeds, misses, matches, partner, first)
     for k, feed, description in zip(at, mean.feeds, _described(mean, latency_s, misses, densities), strict=True):
         out[k] = _rebuilt(feed, description, plane)
     shared = common_error_m(np.exp(mean.model.logs[2]), tuning)
@@ -218,14 +193,14 @@ class _Prior:
 @dataclass(frozen=True)
 class _Fit:
     feeds: tuple[Feed, ...]
-    pairs: _Pairs
+    pairs: PlotDifferences
     model: _Model
     log_posterior: float
 
 
 def _fits(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning, log_prior: float = 0.0) -> list[_Fit]:
     """The fits of feeds with the latencies that they have, one from each starting point."""
-    pairs, out = _pairs(feeds, prior, tuning), []
+    pairs, out = plot_differences(feeds, prior.median, tuning), []
     for shift in tuning.fit_starts:
         start = _Model(prior.median + shift * prior.sigma, np.full((len(feeds), len(feeds)), tuning.fit_real))
         model = _converged(pairs, start, prior, tuning)
@@ -248,7 +223,7 @@ def _averaged(fits: Sequence[_Fit]) -> tuple[_Fit, FloatArray]:
     return replace(best, model=replace(best.model, logs=logs)), latency_s
 
 
-def _converged(pairs: _Pairs, model: _Model, prior: _Prior, tuning: Tuning) -> _Model:
+def _converged(pairs: PlotDifferences, model: _Model, prior: _Prior, tuning: Tuning) -> _Model:
     """The model after EM iterations until convergence, at most ``fit_steps``."""
     for _ in range(tuning.fit_steps if len(pairs) else 0):
         p = expit(model.log_odds(pairs))
@@ -260,20 +235,20 @@ def _converged(pairs: _Pairs, model: _Model, prior: _Prior, tuning: Tuning) -> _
     return model
 
 
-def _log_likelihood(pairs: _Pairs, model: _Model) -> float:
+def _log_likelihood(pairs: PlotDifferences, model: _Model) -> float:
     """ln of the likelihood relative to chance pairs only: ln((1 − π) + π N/u) = ln(1 − π) + ln(1 + odds)."""
     real = model.real[pairs.s, pairs.t]
     return float(pairs.weight @ (np.log1p(-real) + np.logaddexp(0.0, model.log_odds(pairs)))) if len(pairs) else 0.0
 
 
-def _pair_shares(pairs: _Pairs, p: FloatArray, sources: int) -> FloatArray:
+def _pair_shares(pairs: PlotDifferences, p: FloatArray, sources: int) -> FloatArray:
     """(S, S) π: the mean of p by pair of sources, with one pseudo-count of each kind."""
     code = pairs.s * sources + pairs.t
     count, total = (np.bincount(code, weights, sources**2) for weights in (None, p))
     return np.asarray((total + 1.0) / (count + 2.0)).reshape(sources, sources)
 
 
-def _updated_logs(pairs: _Pairs, p: FloatArray, logs: FloatArray, prior: _Prior) -> FloatArray:
+def _updated_logs(pairs: PlotDifferences, p: FloatArray, logs: FloatArray, prior: _Prior) -> FloatArray:
     """(3, S) the logarithms after a step of Fisher scoring towards the maximum of the expected posterior density."""
     weight, sources = p * pairs.weight, logs.shape[1]
     parts = [(weight * pairs.placed, pairs.along_m**2), (weight, pairs.across_m**2)]
@@ -301,110 +276,6 @@ def _updated_logs(pairs: _Pairs, p: FloatArray, logs: FloatArray, prior: _Prior)
         if cost(logs + share * step) <= before:
             return np.asarray(logs + share * step)
     return logs
-
-
-@dataclass(frozen=True)
-class _MatchedScans:
-    """Scans of two sources nearest in time: the sources, the numbers and the rows of the scans, the time, and the
-    weight in independent scans."""
-
-    sources: tuple[int, int]
-    numbers: tuple[int, int]
-    rows: tuple[IntArray, IntArray]
-    time_s: float
-    weight: float
-
-
-def _matched_scans(feeds: Sequence[Feed], tuning: Tuning) -> Iterator[_MatchedScans]:
-    """For any two sources, not both of directions, each scan of that with fewer and the nearest one of the other."""
-    scans = [_scans(feed) for feed in feeds]
-    for s, t in combinations(range(len(feeds)), 2):
-        if all(isinstance(feeds[k].reports, Directions) for k in (s, t)):
-            continue
-        fewer, other = (s, t) if len(scans[s][0]) <= len(scans[t][0]) else (t, s)
-        times, rows = scans[fewer]
-        if len(times) < 2 or not len(scans[other][0]):
-            continue
-        period, period_other = usual_period_s(times), usual_period_s(scans[other][0])
-        step = max(len(times) // tuning.fit_scans, 1)
-        nearest = _nearest(scans[other][0], times)
-        gap = np.abs(scans[other][0][nearest] - times)
-        weight = min(step * period / tuning.fit_correlation_s, 1.0)
-        for k in range(0, len(times), step):
-            if gap[k] <= 0.6 * period_other:
-                numbers, both = (k, int(nearest[k])), (rows[k], scans[other][1][nearest[k]])
-                yield _MatchedScans((fewer, other), numbers, both, float(times[k]), weight)
-
-
-def _pairs(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning) -> _Pairs:
-    """The pairs of plots of any two sources, between scans that are nearest in time."""
-    parts: list[list[Any]] = []
-    for match in _matched_scans(feeds, tuning):
-        i, j = (side.ravel() for side in np.meshgrid(*match.rows, indexing="ij"))
-        s, t = match.sources
-        parts.append([np.full(len(i), s), np.full(len(i), t), i, j, np.full(len(i), match.weight)])
-    if not parts:
-        none, no_rows = np.empty(0), np.empty(0, np.int64)
-        return _Pairs(
-            s=no_rows, t=no_rows, i=no_rows, j=no_rows, range_m=none, along_m=none, across_m=none,
-            placed=np.empty(0, bool), box_m=none, weight=none,
-        )  # fmt: skip
-    return _compared(feeds, prior, [np.concatenate(column) for column in zip(*parts, strict=True)], tuning)
-
-
-def _compared(feeds: Sequence[Feed], prior: _Prior, columns: Sequence[NDArray[Any]], tuning: Tuning) -> _Pairs:
-    """The pairs with their differences, of those within the box; columns : s, t, i, j and weight."""
-    s, t, i, j, weight = columns
-    n = len(s)
-    position, sensor, bearing = np.full((2, n, 2), np.nan), np.empty((2, n, 2)), np.full((2, n), np.nan)
-    for k, feed in enumerate(feeds):
-        for side, (which, rows) in enumerate(((s, i), (t, j))):
-            of_feed = which == k
-            sensor[side, of_feed] = feed.sensor_m[rows[of_feed]]  # type: ignore[index]
-            if isinstance(feed.reports, Directions):
-                bearing[side, of_feed] = feed.reports.bearing_deg[rows[of_feed]]
-            else:
-                position[side, of_feed] = feed.reports.state[rows[of_feed], :2]
-    has_position = np.isfinite(position[:, :, 0])
-    both_positions = has_position.all(axis=0)
-    middle = np.where(
-        both_positions[:, None],
-        0.5 * (position[0] + position[1]),
-        np.where(has_position[0][:, None], position[0], position[1]),
-    )
-    # A direction is compared with a position as seen from the sensor of the direction.
-    origin = np.where(has_position[0][:, None], sensor[1], sensor[0])
-    from_sensor = middle - origin
-    range_m = np.maximum(np.hypot(*from_sensor.T), 1e-9)
-    direction = from_sensor / range_m[:, None]
-    delta = np.where(both_positions[:, None], position[0] - position[1], 0.0)
-    bearing_of_position = np.degrees(np.arctan2(from_sensor[:, 0], from_sensor[:, 1]))
-    angles = [np.where(has_position[side], bearing_of_position, bearing[side]) for side in (0, 1)]
-    angle = np.radians((angles[0] - angles[1] + 180.0) % 360.0 - 180.0)
-    along = np.einsum("nv,nv->n", delta, direction)
-    across = np.where(both_positions, delta[:, 0] * direction[:, 1] - delta[:, 1] * direction[:, 0], angle * range_m)
-    a, b, e = np.exp(2.0 * prior.median)
-    hull = e[s] + e[t]
-    sigma = np.sqrt(np.maximum(a[s] + a[t], range_m**2 * (b[s] + b[t])) + hull)
-    box = np.maximum(tuning.fit_box_m, tuning.fit_box_sigmas * sigma)
-    kept = np.flatnonzero((np.abs(along) < box) & (np.abs(across) < box) & (range_m > 1.0))
-    return _Pairs(*(x[kept] for x in (s, t, i, j, range_m, along, across, both_positions, box, weight)))
-
-
-def _scans(feed: Feed) -> tuple[FloatArray, list[IntArray]]:
-    """The times of the scans, including empty ones, and the rows of the usable reports of each."""
-    times, rows = feed.scan_times_s, np.flatnonzero(feed.reports.usable)
-    number = np.searchsorted(times, feed.scan_s[rows])
-    order = np.argsort(number, kind="stable")
-    return times, np.split(rows[order], np.cumsum(np.bincount(number, minlength=len(times)))[:-1])
-
-
-def _nearest(times: FloatArray, at: FloatArray) -> IntArray:
-    after = np.clip(np.searchsorted(times, at), 1, max(len(times) - 1, 1))
-    before = after - 1
-    if len(times) < 2:
-        return np.zeros(len(at), np.int64)
-    return np.where(np.abs(times[after] - at) < np.abs(times[before] - at), after, before)
 
 
 def _described(
@@ -439,7 +310,7 @@ def _described(
 
 
 def _misses(
-    feeds: Sequence[Feed], matches: Sequence[_MatchedScans], partner: Mapping[tuple[int, int], FloatArray],
+    feeds: Sequence[Feed], matches: Sequence[MatchedScans], partner: Mapping[tuple[int, int], FloatArray],
     tuning: Tuning,
 ) -> list[MissRate]:  # fmt: skip
     """The miss rates of the sources, by range where enough scans tell; those described where too few do, or where the
@@ -465,7 +336,7 @@ def _misses(
     ]  # fmt: skip
 
 
-def _p_partner(feeds: Sequence[Feed], pairs: _Pairs, p_pair: FloatArray) -> dict[tuple[int, int], FloatArray]:
+def _p_partner(feeds: Sequence[Feed], pairs: PlotDifferences, p_pair: FloatArray) -> dict[tuple[int, int], FloatArray]:
     """By two sources, (n,) the probability that each report of the first is one object with a report of the second."""
     p_alone = {(s, t): np.ones(len(feeds[s].reports)) for s in range(len(feeds)) for t in range(len(feeds)) if s != t}
     for (s, t), p in p_alone.items():
@@ -475,7 +346,7 @@ def _p_partner(feeds: Sequence[Feed], pairs: _Pairs, p_pair: FloatArray) -> dict
     return {key: 1.0 - p for key, p in p_alone.items()}
 
 
-def _p_first(feeds: Sequence[Feed], pairs: _Pairs, p_pair: FloatArray) -> list[FloatArray]:
+def _p_first(feeds: Sequence[Feed], pairs: PlotDifferences, p_pair: FloatArray) -> list[FloatArray]:
     """By source, (n,) the share of each report in its object: below 1 where its scan has further reports that are one
     object with the same report of another source, such as those of the two ends of a hull."""
     shares, total = ([np.zeros(len(feed.reports)) for feed in feeds] for _ in range(2))
@@ -519,26 +390,25 @@ def estimated_miss_rate(described: Description, parts: Sequence[Sequence[FloatAr
 
 
 def _clutter(
-    best: _Fit, misses: Sequence[MissRate], matches: Sequence[_MatchedScans],
-    partner: Mapping[tuple[int, int], FloatArray], p_pair: FloatArray,
+    feeds: Sequence[Feed], misses: Sequence[MissRate], matches: Sequence[MatchedScans],
+    partner: Mapping[tuple[int, int], FloatArray], first: Sequence[FloatArray],
 ) -> list[float]:  # fmt: skip
     """Clutter per km² or per degree in the field of each source.
 
     A real plot is without a partner with the probability m that all sources miss it of which a scan is compared, a
     false one always: per scan, β times the size of the field is Σ (p_alone − m) / Σ (1 − m). A second plot of an object
-    in one scan counts as false.
+    in one scan counts as false. partner, first : of :func:`_p_partner` and :func:`_p_first`.
     """
-    p_first = _p_first(best.feeds, best.pairs, p_pair)
     q = [float(np.mean(each.q)) if each.q is not None else 0.5 for each in misses]
-    missed = [np.ones(len(feed.scan_times_s)) for feed in best.feeds]
+    missed = [np.ones(len(feed.scan_times_s)) for feed in feeds]
     for match in matches:
         for (k, number), other in zip(zip(match.sources, match.numbers, strict=True), match.sources[::-1], strict=True):
             missed[k][number] *= q[other]
     out = []
-    for k, feed in enumerate(best.feeds):
+    for k, feed in enumerate(feeds):
         rows = np.flatnonzero(feed.reports.usable)
         p_known = 1.0 - np.prod([1.0 - p[rows] for (s, _), p in partner.items() if s == k], axis=0)
-        p_alone = 1.0 - p_first[k][rows] * p_known
+        p_alone = 1.0 - first[k][rows] * p_known
         p_missed = missed[k][np.searchsorted(feed.scan_times_s, feed.scan_s[rows])]
         n_false = float(np.sum((p_alone - p_missed)[p_missed < 1.0]))
         scans = float(np.sum(1.0 - missed[k]))
