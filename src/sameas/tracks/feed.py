@@ -183,10 +183,8 @@ class Feed:
             unknown, and the previous scan remains current until it is too uncertain.
         to_tracks : whether reports with ids are first filtered to tracks (:func:`need_filtering`).
         """
-        description, reports, in_plane = placed.description, placed.reports, placed.in_plane
+        description, reports, in_plane = placed.description, placed.reports, calibrated(placed)
         notes, sensor_m = placed.notes, placed.sensor_m
-        biases = known_biases(description, sensor_m)
-        in_plane = corrected(in_plane, sensor_m, biases) if biases.any() else in_plane
         if isinstance(in_plane, States) and reports.counted_clock:
             in_plane, minutes = with_minutes(in_plane, np.full(len(in_plane), walk_of(description)), placed.tuning)
             notes += (_counted_note(description.name, minutes),)
@@ -212,11 +210,10 @@ class Feed:
             in_plane.time_s, description.timing.period_s, bearings_of(in_plane, sensor_m), given_times, placed.tuning
         )
         scan_times = scans.scan_s if given_times is None else np.concatenate([given_times, scans.scan_s])
-        attributes = {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
         return cls(
             description=description, reports=in_plane, scan_times_s=np.unique(scan_times), scan_s=scans.scan_s,
-            sensor_m=sensor_m, attributes=attributes, raw_reports=reports, notes=notes, measured=measured,
-            rotation=scans.rotation, p_slow=p_slow, tuning=placed.tuning,
+            sensor_m=sensor_m, attributes=identity_attributes(reports), raw_reports=reports, notes=notes,
+            measured=measured, rotation=scans.rotation, p_slow=p_slow, tuning=placed.tuning,
         )  # fmt: skip
 
     @property
@@ -433,15 +430,21 @@ def _counted_note(name: str, minutes: int) -> str:
     return f"{name}: its clock is counted on from the seconds in messages; {mended}, others may be missing"
 
 
-def known_biases(description: Description, sensor_m: FloatArray | None) -> FloatArray:
-    """(6,) biases given as known by the user, in the order of BIASES."""
-    known = description.calibration
+def calibrated(placed: PlacedReports) -> States | Directions:
+    """The reports in their plane, without the biases that the user gives as known."""
+    in_plane, known, sensor_m = placed.in_plane, placed.description.calibration, placed.sensor_m
     polar = (known.range_m, known.azimuth_deg, known.range_gain)
     if sensor_m is None and any(polar):
         raise InputError(
-            f"{description.name}: calibration of range or azimuth needs to know where the sensor is; give site"
+            f"{placed.description.name}: calibration of range or azimuth needs to know where the sensor is; give site"
         )
-    return np.array([value or 0.0 for value in (*polar, None, known.east_m, known.north_m)], dtype=np.float64)
+    biases = np.array([value or 0.0 for value in (*polar, None, known.east_m, known.north_m)], dtype=np.float64)
+    return corrected(in_plane, sensor_m, biases) if biases.any() else in_plane
+
+
+def identity_attributes(reports: Reports) -> dict[str, NDArray[Any]]:
+    """The columns of reports that tell who an object is, by name."""
+    return {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
 
 
 def need_filtering(placed: PlacedReports) -> bool:

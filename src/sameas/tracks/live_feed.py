@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, are_among, places_in, taken
-from sameas.evidence.identity import MODELS, NAMING
+from sameas.evidence.identity import NAMING
 from sameas.kernels.zones import merge_rows
 from sameas.tracks.alignment import NO_TREND, States, Succession, are_unfiltered, follow
-from sameas.tracks.biases import TIME, corrected
+from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.duplicate_ids import Branches, fastest
 from sameas.tracks.feed import (
@@ -35,8 +35,9 @@ from sameas.tracks.feed import (
     Feed,
     at_reported_positions,
     bearings_of,
+    calibrated,
+    identity_attributes,
     in_motion,
-    known_biases,
     need_filtering,
     of_aircraft,
     repeated,
@@ -171,10 +172,7 @@ class LiveFeed:
             return
         self._take_motion_of(reports)
         placed = PlacedReports(self.description, reports, self.plane, self.tuning)
-        in_plane, sensor_m = placed.in_plane, placed.sensor_m
-        biases = known_biases(self.description, sensor_m)
-        in_plane = corrected(in_plane, sensor_m, biases) if biases.any() else in_plane
-        attributes = {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
+        in_plane = calibrated(placed)
         heights = None
         if not isinstance(in_plane, Directions):
             heights = HeightColumns.of(self.description, reports, self.tuning.heights)
@@ -184,7 +182,7 @@ class LiveFeed:
             self._directions = True
         elif self.to_tracks is None and in_plane.track is not None:
             self._decide_filtering(placed)
-        new = ReportTable.of(in_plane, usable, sensor_m, attributes)
+        new = ReportTable.of(in_plane, usable, placed.sensor_m, identity_attributes(reports))
         if heights is not None:
             new.add_groups(HEIGHTS)
             new.heights = heights.table[usable]
