@@ -25,6 +25,8 @@ Columns = Mapping[str, NDArray[Any]]
 
 #: Decimals of degrees (7 are a centimetre), and significant digits of other numbers.
 DECIMALS, DIGITS = 7, 9
+#: Rows that are Python objects at once: those of a coast of 2 000 ships would take 2 kB each.
+PART = 10_000
 
 
 def write_geojson(objects: Columns, path: str | os.PathLike[str]) -> None:
@@ -40,9 +42,11 @@ def write_geojson(objects: Columns, path: str | os.PathLike[str]) -> None:
                 f"cannot write {path}: the objects have no {name}; GeoJSON needs latitudes and longitudes, which a "
                 "picture in metres of its own does not have; write CSV or Parquet"
             )
+    n = len(objects["object"])
     with replacing(path) as draft, draft.open("w", encoding="utf-8") as out:
         out.write('{"type": "FeatureCollection", "features": [')
-        for k, feature in enumerate(chain(_points(objects), _tracks(objects))):
+        parts = ({name: column[k : k + PART] for name, column in objects.items()} for k in range(0, n, PART))
+        for k, feature in enumerate(chain(chain.from_iterable(map(_points, parts)), _tracks(objects))):
             out.write((",\n" if k else "\n") + json.dumps(feature, ensure_ascii=False, allow_nan=False))
         out.write("\n]}\n")
 
