@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.io.sensors import ais, read_reports
+from sameas.io.sensors import ReadOptions, ais, read_reports
 from sameas.io.sensors.nmea import checksum, log_of
 from sameas.io.sensors.stream import ReportStream
 from sameas.tracks.coordinates import LocalPlane
@@ -184,6 +184,24 @@ def test_other_sentences_give_the_time_too():
     assert reports([clock, *message(second=10)], stamp="").time_s[0] == 1452603730.0
     clock = sentence("GPZDA,130211.00,12,01,2016,00,00").replace("!", "$")
     assert reports([clock, *message(second=60)], stamp="").time_s[0] == 1452603731.0
+
+
+@pytest.mark.parametrize("stamp", ["{} ", "[{}.250] ", "{};"])
+def test_a_time_of_day_before_a_sentence_needs_the_date_only(tmp_path, stamp):
+    clocks = ["23:59:40", "23:59:50", "00:00:00"]
+    lines = [
+        stamp.format(clock) + encoded(type=1, lat=54.5, lon=10.2, speed=8.0, course=0.0, second=60)[0]
+        for clock in clocks
+    ]
+    path = tmp_path / "coast.nmea"
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(
+        InputError, match=r"no time: the lines have the time of day, but no date; give start, the UTC date"
+    ):
+        read_reports(path)
+    [reports] = read_reports(path, ReadOptions(start="2024-05-01"))
+    of_day = reports.time_s - 1714521600.0
+    np.testing.assert_allclose(of_day, np.array([86380.0, 86390.0, 86400.0]) + 0.25 * ("250" in stamp))
 
 
 def test_without_a_clock_seconds_are_counted_from_the_start():

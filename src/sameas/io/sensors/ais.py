@@ -384,6 +384,9 @@ def _times(
     if np.isfinite(clock_s[indices]).all():
         return at_second(clock_s[indices], second), clock
     if start_s is None:
+        if log.has_times_of_day:
+            reason = f"{source}: no time: the lines have the time of day, but no date"
+            raise InputError(reason, naming("give {start}, the UTC date of the first line"))
         raise InputError(
             f"{source}: no time: the lines carry no time of receipt, and there is no ZDA, RMC or base station",
             naming("give {start}, the UTC of the first line"),

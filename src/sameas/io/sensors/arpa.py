@@ -475,6 +475,6 @@ def _recognises(file: SensorFile) -> bool:
 FORMAT = SensorFormat(
     "nmea",
     "NMEA 0183: AIS (VDM) and tracked radar targets (TTM, TLL)",
-    lambda file: of_log(log_of(file.lines, file.unended), file.source, file.start_s),
+    lambda file: of_log(log_of(file.lines, file.unended, start_s=file.start_s), file.source, file.start_s),
     _recognises,
 )

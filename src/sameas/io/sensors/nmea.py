@@ -26,6 +26,8 @@ _TAG_TIME = re.compile(r"(?:^|,)c:(\d+(?:\.\d+)?)")
 #: The group of sentences, and the station, in a tag block (IEC 61162-450): \\g:1-2-73,s:r003669945*hh\\.
 _TAG_GROUP = re.compile(r"(?:^|,)g:\d+-\d+-(\w+)")
 _TAG_STATION = re.compile(r"(?:^|,)s:([^,*]+)")
+#: A time of day alone, as terminal programs and pipes write it before a line: 15:35:17, [15:35:17.250].
+_OF_DAY = re.compile(r"[\s\[(<]*([01]?\d|2[0-3]):([0-5]\d):([0-5]\d(?:\.\d+)?)[\s\])>;,|]*")
 #: A date of the receive time with the day first, as German programs write it: 01.06.2026 12:00:00.
 _DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T,]+(\d{1,2}):(\d{2}:\d{2}(?:\.\d+)?)")
 
@@ -35,7 +37,7 @@ class Sentence:
     """One sentence. line : its number. text : from the first character to the checksum.
 
     kind : the sentence type without talker ("TTM" of "RATTM"). fields : the values after it.
-    time_s : the receive time in the line, NaN where it has none.
+    time_s : the receive time in the line, NaN where it has none. received_of_day_s : its time of day without a date.
     origin : what the sentences of one message have in common, and those of other stations have not: the talker, and the
     group or else the station of the tag block.
     """
@@ -46,6 +48,7 @@ class Sentence:
     fields: tuple[str, ...]
     time_s: float
     origin: str = ""
+    received_of_day_s: float = math.nan
 
     def field(self, number: int) -> str:
         """Field 1, 2, … without blanks; empty where the sentence is shorter."""
@@ -78,18 +81,25 @@ class Log:
     clock: str
     damaged: tuple[tuple[int, str], ...]
 
+    @property
+    def has_times_of_day(self) -> bool:
+        """Whether lines have the time of day before their sentence."""
+        return any(math.isfinite(sentence.received_of_day_s) for sentence in self.sentences)
+
 
 def log_of(
     lines: Sequence[str],
     unended: bool = False,
     received_s: Sequence[float] | None = None,
     numbers: Sequence[int] | None = None,
+    start_s: float | None = None,
 ) -> Log:
     """The sentences of these lines. Lines that are no sentences, or have a wrong checksum, are damaged.
 
     unended : whether the last line has no line end; then it needs its checksum.
     received_s : (n,) for a stream, the receive time of each line, used where the line has none.
     numbers : (n,) of the lines; None: they are 1, 2, …
+    start_s : UTC of the first line, for lines with their time of day only.
     """
     sentences, damaged = [], []
     last = len(lines) if numbers is None else math.inf
@@ -106,7 +116,7 @@ def log_of(
         own = np.array([sentence.time_s for sentence in sentences], np.float64)
         received = np.array([received_s[sentence.line - 1] for sentence in sentences], np.float64)
         return Log(tuple(sentences), np.where(np.isfinite(own), own, received), "the times of receipt", tuple(damaged))
-    clock_s, clock = _clock(sentences)
+    clock_s, clock = _clock(sentences, start_s)
     return Log(tuple(sentences), clock_s, clock, tuple(damaged))
 
 
@@ -162,10 +172,14 @@ def _sentence(number: int, raw: str, whole: bool) -> Sentence | str:
     address, *values = body.split(",")
     kind = address[1:] if address.startswith("P") else address[2:]
     time_s = _receive_time(tags, line[: match.start()], line[match.end() :])
+    of_day = _OF_DAY.fullmatch(line[: match.start()])
+    of_day_s = np.nan if of_day is None else 3600.0 * int(of_day[1]) + 60.0 * int(of_day[2]) + float(of_day[3])
     group, station = _TAG_GROUP.search(tags), _TAG_STATION.search(tags)
     # Only the first sentence of a group needs to have the station.
     origin = f"group {group[1]}" if group else f"station {station[1]}" if station else ""
-    return Sentence(number, text, kind, tuple(values), time_s, f"{address.removesuffix(kind)} {origin}".rstrip())
+    return Sentence(
+        number, text, kind, tuple(values), time_s, f"{address.removesuffix(kind)} {origin}".rstrip(), of_day_s
+    )
 
 
 def checksum(body: str) -> int:
@@ -195,7 +209,7 @@ def _receive_time(tags: str, before: str, after: str) -> float:
     return np.nan
 
 
-def _clock(sentences: Sequence[Sentence]) -> tuple[FloatArray, str]:
+def _clock(sentences: Sequence[Sentence], start_s: float | None) -> tuple[FloatArray, str]:
     received = np.array([s.time_s for s in sentences])
     if np.isfinite(received).any():
         return forward_filled(received), "times of receipt written in the log"
@@ -204,6 +218,9 @@ def _clock(sentences: Sequence[Sentence]) -> tuple[FloatArray, str]:
         clock_s = np.array([time_s if s.kind in kinds else np.nan for s, time_s in times])
         if np.isfinite(clock_s).any():
             return forward_filled(clock_s), description
+    of_day_s = np.array([s.received_of_day_s for s in sentences])
+    if start_s is not None and np.isfinite(of_day_s).any():
+        return forward_filled(unwrapped(of_day_s, DAY_S, start_s)), "times of day before the sentences, read as UTC"
     return np.full(len(sentences), np.nan), ""
 
 

@@ -135,7 +135,7 @@ def read_translated(file: SensorFile, translate: Translator) -> list[Reports]:
     Raises InputError: no AIS and no radar target among them; no time.
     """
     texts, numbers, damaged = translated(file.lines, translate)
-    log = log_of(texts, numbers=numbers)
+    log = log_of(texts, numbers=numbers, start_s=file.start_s)
     log = replace(log, damaged=tuple(sorted((*log.damaged, *damaged))))
     return arpa.of_log(log, file.source, file.start_s)
 
