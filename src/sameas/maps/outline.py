@@ -19,12 +19,12 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.maps.tiles import is_tiles
 from sameas.ragged import Ragged
-from sameas.tracks.coordinates import EARTH_M, LocalPlane
+from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, LocalPlane
 
 #: Cells and steps of the data in degrees, and cells in a row: as in scripts/make-outline.
 CELL_DEG, STEP_DEG, COLUMNS = 5.0, 0.0005, 72
-#: Outlines end this far from the origin of the plane, in metres: beyond, the plane distorts too much.
-OUTLINE_REACH_M = 2500e3
+#: Outlines end this far from the origin of the plane, in metres, as the places do.
+OUTLINE_REACH_M = FARTHEST_M
 #: Lines longer than this, in degrees, are split: they follow a parallel, not a chord.
 LONGEST_DEG = 0.25
 
@@ -75,7 +75,7 @@ def outline(plane: LocalPlane, west_m: float, south_m: float, east_m: float, nor
     """The outlines in a box of a plane.
 
     plane : of the result's coordinates.
-    west_m, south_m, east_m, north_m : the box; lines farther than 2500 km from the origin are excluded.
+    west_m, south_m, east_m, north_m : the box; lines farther than 4000 km from the origin are excluded.
 
     >>> around = outline(LocalPlane(50.8, -1.3), -30e3, -30e3, 30e3, 30e3)
     >>> len(around.land) > 0 and len(around.borders) == 0
@@ -202,7 +202,7 @@ class Coast:
     roles: tuple[str, ...]
 
     def in_plane(self, plane: LocalPlane) -> Outline:
-        """The coast in metres east and north of a plane; lines that reach farther than 2500 km are excluded."""
+        """The coast in metres east and north of a plane; lines that reach farther than 4000 km are excluded."""
         land: list[FloatArray] = []
         coast: list[FloatArray] = []
         for places, role in zip(self.lines, self.roles, strict=True):
