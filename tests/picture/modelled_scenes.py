@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sameas.picture import LivePicture
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import (
@@ -96,3 +97,13 @@ def beside(seed, gap_m, sigma_m=(30.0, 8.0), stated_m=(30.0, 8.0), radar_sees_it
         feed(rng, ais, times[::3], x[by_ais, ::3], v[by_ais, ::3], 300.0, names[1], {"mmsi": mmsi.astype(str)},
              sigma_m=sigma_m[1]),
     ])  # fmt: skip
+
+
+def watched_live(sources, times_s):
+    """The live picture after instants ten seconds apart, which takes the reports between them as they come."""
+    live = LivePicture([description for description, _ in sources])
+    for now_s in times_s:
+        for description, reports in sources:
+            live.add(description.name, reports.where((reports.time_s > now_s - 10.0) & (reports.time_s <= now_s)))
+        live.advance(now_s)
+    return live

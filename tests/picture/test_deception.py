@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from modelled_scenes import describe, feed, straight
+from modelled_scenes import describe, feed, straight, watched_live
 
-from sameas.picture import LivePicture
 from sameas.picture.deception import deceptions
 from sameas.picture.picture import Picture, instants
 from sameas.picture.tuning import Tuning
@@ -165,11 +164,7 @@ def test_a_ship_that_leaves_one_base_station_while_another_receives_her_is_not_s
 )
 def test_a_live_picture_finds_deception_too(changes, kind):
     made = sources(radars=("radar", "other"), **changes)
-    live = LivePicture([description for description, _ in made])
-    for now_s in TIMES:
-        for description, reports in made:
-            live.add(description.name, reports.where((reports.time_s > now_s - 10.0) & (reports.time_s <= now_s)))
-        live.advance(now_s)
+    live = watched_live(made, TIMES)
     assert [(fault.kind, fault.track) for fault in live.faults()] == ([(kind, MMSI[0])] if kind else [])
     assert pickle.loads(pickle.dumps(live)).faults() == ()
 

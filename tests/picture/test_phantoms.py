@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from modelled_scenes import describe, feed, straight
+from modelled_scenes import describe, feed, straight, watched_live
 
-from sameas.picture import LivePicture
 from sameas.picture.phantoms import RadarLooks, ShipSightings, phantoms, proven
 from sameas.picture.picture import Picture
 from sameas.picture.tuning import Tuning
@@ -163,10 +162,5 @@ def test_nothing_is_said_without_records():
 @pytest.mark.slow
 def test_a_live_picture_finds_a_fleet_in_ais_only_too():
     made, invented = fleet(1, invented=5)
-    live = LivePicture([description for description, _ in made])
-    for now_s in TIMES:
-        for description, reports in made:
-            live.add(description.name, reports.where((reports.time_s > now_s - 10.0) & (reports.time_s <= now_s)))
-        live.advance(now_s)
-    found = live.faults()
+    found = watched_live(made, TIMES).faults()
     assert {fault.kind for fault in found} == {"phantom"} and {fault.track for fault in found} <= invented
