@@ -606,14 +606,15 @@ def test_a_unit_beyond_the_range_of_numbers_is_no_unit():
 @pytest.mark.parametrize(
     ("keywords", "year", "words"),
     [
-        ({"DATE-OBS": "31/12/98"}, 1998.997, "header DATE-OBS = '31/12/98'"),
+        ({"DATE-OBS": "31/12/98"}, 1998.997, "header DATE-OBS"),
+        ({"MJD-OBS": 0.0, "DATE-OBS": "2001-01-01T00:00:00"}, 2001.0, "header DATE-OBS; MJD-OBS = '0.0' is no time"),
         ({"JD": 2451545.0}, 2000.0, "header JD"),
         ({"MJDREF": 50814.0, "TSTART": 0.0, "TSTOP": 2.0 * 86400.0}, 1998.0027, "header TSTART, TSTOP and MJDREF"),
         ({"BJDREFI": 2457000, "BJDREFF": 0.0, "TSTART": 389.0, "TIMEUNIT": "d"}, 2016.0, "header TSTART and BJDREFI"),
     ],
 )
 def test_the_epoch_is_read_from_every_way_a_header_states_it(keywords, year, words):
-    """These were not read, and the epoch of the other catalogue was assumed."""
+    """These were not read, and the epoch of the other catalogue was assumed; an MJD that was not set was year 0."""
     table = Table({"ra": [10.0, 10.1], "dec": [5.0, 5.1]}, meta=keywords)
     seen = Catalogue.of(table, "seen", options=CatalogueOptions(sigma=0.2))
     assert seen.epoch_jyr == pytest.approx(year, abs=2e-3)

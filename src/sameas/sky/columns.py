@@ -362,18 +362,27 @@ def _header_epoch(table: Table) -> Epoch:
     for key in conventions.HEADER_EPOCHS:
         if key.upper() in header:
             text = str(header[key.upper()])
-            try:
-                return Epoch(jyr=column_values.year_of(text), reason=f"header {key}{unread}")
-            except ValueError:
-                day = date_of(text.strip())  # 31/12/98, of FITS before 2000
-                if day is not None:
-                    year = float(column_values.mjd_to_jyr(day[0] + (day[1] or 0.0)))
-                    return Epoch(jyr=year, reason=f"header {key} = {text!r}{unread}")
-                unread = unread or f"; {key} = {text!r} is no time"
+            year = _header_year(text)
+            if year is not None:
+                return Epoch(jyr=year, reason=f"header {key}{unread}")
+            unread = unread or f"; {key} = {text!r} is no time"
     counted = start_mjd(header)
     if counted is not None:
         return Epoch(jyr=float(column_values.mjd_to_jyr(counted[0])), reason=f"header {counted[1]}{unread}")
     return Epoch(reason=f"{Epoch.reason}{unread}")
+
+
+def _header_year(text: str) -> float | None:
+    """The Julian year of a header's text, also of a date as in FITS before 2000 (31/12/98).
+
+    None for what is no time, and for zero or less, which stands for a time that was not set.
+    """
+    try:
+        year = column_values.year_of(text)
+    except ValueError:
+        day = date_of(text.strip())
+        return None if day is None else float(column_values.mjd_to_jyr(day[0] + (day[1] or 0.0)))
+    return year if year > 0.0 else None
 
 
 def _id(search: ColumnSearch, convention: Convention) -> str | None:
