@@ -245,10 +245,10 @@ def test_a_scale_without_the_binning_of_the_pixels_is_found_and_doubted(files, s
     where = {"SECPIX": scale, "RA": WHERE[0], "DEC": WHERE[1]}
     frame = picture(tmp_path / "binned.fits", read_table(files.stars), solved=False, **where)
     out = tmp_path / "out"
-    text = sameas("frame", frame, "--catalog", files.stars, "-o", out, "--no-page", "--no-picture")
+    shown = sameas("frame", frame, "--catalog", files.stars, "-o", out, "--no-page", "--no-picture")
     summary = json.loads((out / "binned.json").read_text())
     assert summary["place"]["scale_arcsec_per_px"] == pytest.approx(2.0, rel=0.01)
-    assert f"the pixels are {times} as large as the header says" in " ".join(text.split())
+    assert f"the pixels are {times} as large as the header says" in " ".join(shown.stdout.split())
 
 
 def test_an_aim_and_a_scale_place_a_frame_without_a_solution(files, sameas, tmp_path):
