@@ -49,24 +49,18 @@ _REMOTE_ID = {"uasid", "basicid", "selfid", "operatorid", "operatorlat", "operat
               "takeofflatitude"}  # fmt: skip
 
 
-def format_of(cells: TableText) -> str:
-    """The format of a table: "mavlink", "remote id" or "table"."""
-    if (message := _message(cells)) is not None:
-        return "mavlink" if message == "GLOBAL_POSITION_INT" else "table"
-    stems = {stem_of(name)[0] for name in cells.columns}
-    return "remote id" if not stems.isdisjoint(_REMOTE_ID) else "table"
-
-
-def with_our_units(cells: TableText) -> tuple[TableText, list[str]]:
-    """A table of messages of MAVLink with our names and units, and a sentence on it; other tables as they are."""
+def recognised(cells: TableText) -> tuple[TableText, str, list[str]]:
+    """A table, its format ("mavlink", "remote id" or "table"), and sentences on how it is read: one of messages of
+    MAVLink with our names and units, others as they are."""
     message = _message(cells)
     if message is None:
-        return cells, []
+        stems = {stem_of(name)[0] for name in cells.columns}
+        return cells, "table" if stems.isdisjoint(_REMOTE_ID) else "remote id", []
     column = _columns_of(cells, message)
     flags = [_number(cell) for cell in column("flags")]
     out: dict[str, Sequence[Any]] = {"time_s": column("timestamp")}
     for name, field in _FIELDS[message].items():
-        out[name] = [_scaled(cell, field, flag) for cell, flag in zip(column(field.name), flags, strict=True)]
+        out[name] = [_scaled(cell, field) for cell in _valid(column(field.name), flags, field.flag)]
     if message == "ADSB_VEHICLE":
         types = [_number(cell) for cell in column("altitude_type")]
         heights = list(zip(out["alt_m"], types, strict=True))
@@ -74,10 +68,11 @@ def with_our_units(cells: TableText) -> tuple[TableText, list[str]]:
         out["pressure_altitude_m"] = [height if kind == 0.0 else None for height, kind in heights]
         out["icao"] = [_address(cell) for cell in column("ICAO_address")]
         out["callsign"] = _valid(column("callsign"), flags, _CALLSIGN)
-        out["squawk"] = [_code(cell) for cell in _valid(column("squawk"), flags, _CODE)]
+        out["squawk"] = _valid(column("squawk"), flags, _CODE)
     else:
         out["track_id"] = [f"vehicle {cell or 1}" for cell in column("srcSystem")]
-    return replace(cells, columns=out), [f"read as {message} of MAVLink, in the units of that message"]
+    format_name = "mavlink" if message == "GLOBAL_POSITION_INT" else "table"
+    return replace(cells, columns=out), format_name, [f"read as {message} of MAVLink, in the units of that message"]
 
 
 def _message(cells: TableText) -> str | None:
@@ -114,22 +109,20 @@ def _number(cell: Cell) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _scaled(cell: Cell, field: _Field, flags: float | None) -> float | None:
+def _scaled(cell: Cell, field: _Field) -> float | None:
     value = _number(cell)
     if value is None or (field.name in ("hdg", "heading") and value == _UNKNOWN_HEADING):
         return None
-    return value * field.factor if not field.flag or flags is None or int(flags) & field.flag else None
+    return value * field.factor
 
 
 def _valid(column: Sequence[Cell], flags: Sequence[float | None], flag: int) -> list[Cell]:
+    """The cells of a column without those that are not valid by their flags; all where no flag tells (0)."""
+    if not flag:
+        return list(column)
     return [cell if bits is None or int(bits) & flag else None for cell, bits in zip(column, flags, strict=True)]
 
 
 def _address(cell: Cell) -> str | None:
     value = _number(cell)
     return None if not value else f"{int(value):06x}"
-
-
-def _code(cell: Cell) -> str | None:
-    value = _number(cell)
-    return None if value is None else f"{int(value):04d}"

@@ -56,8 +56,7 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     """
     options = options or ReadOptions()
     kind = options.kind or kind_by_name(source)
-    format_name = drones.format_of(cells)
-    cells, read_as = drones.with_our_units(_with_split_positions(cells))
+    cells, format_name, read_as = drones.recognised(_with_split_positions(cells))
     chosen = choose(list(cells.columns), source, options.columns, options.units, kind)
     require_columns(chosen, list(cells.columns), source)
     if not len(cells.lines):
