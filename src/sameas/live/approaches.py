@@ -33,6 +33,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sameas.arrays import BoolArray, FloatArray
+from sameas.io.sensors.ais import STATUSES
 from sameas.io.sensors.format import KNOT_M_PER_S
 from sameas.live.own_ship import OwnShipState
 from sameas.live.settings import WatchSettings, read_chart
@@ -74,11 +75,6 @@ LOST_S, LOST_M = 60.0, 300.0
 HIT_CPA_S, HIT_TCPA_S = 15.0, 60.0
 #: Navigational status of AIS (ITU-R M.1371): moored; not under command, at anchor, aground.
 MOORED, HAZARDS = 5.0, (1.0, 2.0, 6.0)
-STATUSES = {
-    0: "under way using engine", 1: "at anchor", 2: "not under command", 3: "restricted manoeuvrability",
-    4: "constrained by her draught", 5: "moored", 6: "aground", 7: "engaged in fishing", 8: "under way sailing",
-    11: "towing astern", 12: "pushing ahead or towing alongside", 14: "AIS-SART, MOB or EPIRB",
-}  # fmt: skip
 #: Most MMSIs whose statuses are kept: a flood of forged ones fills no memory.
 MOST_STATUSES = 100_000
 

@@ -165,9 +165,14 @@ AMBIGUOUS_S = 3.0
 MOST_WAITING = 10_000
 _ALONE = "part of a message without the others"
 SIDES = ("bow", "stern", "port", "starboard")
-#: Numbers of the navigational statuses that tell ships at rest apart, by the words of tables and of Signal K
-#: (ITU-R M.1371, table 48).
-STATUSES_AT_REST = {"at anchor": 1.0, "anchored": 1.0, "not under command": 2.0, "moored": 5.0, "aground": 6.0}
+#: Navigational statuses (ITU-R M.1371, table 48), and the numbers of those that tell ships at rest apart, by the words
+#: of tables and of Signal K.
+STATUSES = {
+    0: "under way using engine", 1: "at anchor", 2: "not under command", 3: "restricted manoeuvrability",
+    4: "constrained by her draught", 5: "moored", 6: "aground", 7: "engaged in fishing", 8: "under way sailing",
+    11: "towing astern", 12: "pushing ahead or towing alongside", 14: "AIS-SART, MOB or EPIRB",
+}  # fmt: skip
+STATUSES_AT_REST = {STATUSES[number]: float(number) for number in (1, 2, 5, 6)} | {"anchored": 1.0}
 _SHIP_TYPES = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 33: "dredging", 34: "diving",
           35: "military", 36: "sailing", 37: "pleasure", 40: "high speed craft", 50: "pilot",
           51: "search and rescue", 52: "tug", 53: "port tender", 54: "anti-pollution", 55: "law enforcement",
