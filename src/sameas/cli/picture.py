@@ -117,8 +117,8 @@ def picture(
     with answering(debug, sensor_option):
         began, printer = time.perf_counter(), Printer(quiet)
         when = Instants(duration_s(every), at, begin, end)
-        method = Method(not no_registration, not no_identity, not no_memory, tuple(without or ()))
         area = None if within is None else Area.of_text(within)
+        method = Method(not no_registration, not no_identity, not no_memory, tuple(without or ()), area)
         land = None if coast is None else read_coast(coast)
         outputs = PictureOutputs(output, format, not no_map, not no_image, ctx.meta.get("typed", ""), land)
         set_aside: dict[str, InputError] = {}
@@ -135,8 +135,6 @@ def picture(
                     described = read_source_options(sensors, set_aside=set_aside) if sensors else None
                     read = read_sources(files or [], described, start=start, set_aside=set_aside)
                 sources = method.included(read, set_aside)
-                if area is not None:
-                    sources = area.part(sources, set_aside)
                 say(read_lines((source.reports.source, source.lines()) for source in sources))
                 share_compilation(quiet, "picture")
                 with _remedies(sensors):

@@ -398,8 +398,7 @@ def match_picture(
     """
     stated = {
         "sensors": sensors, "every": every, "at": at, "begin": begin, "end": end, "start": start, "within": within,
-        "without": without,
-        "registration": registration, "identity": identity, "memory": memory,
+        "without": without, "registration": registration, "identity": identity, "memory": memory,
     }  # fmt: skip
     alone = isinstance(sources, str | os.PathLike)
     given = [sources] if alone else list(sources.values() if isinstance(sources, Mapping) else sources)
@@ -408,10 +407,9 @@ def match_picture(
         raise InputError("match_picture: give at, or every with begin and end, not both")
     described = read_source_options(Path(sensors)) if sensors is not None else {}
     excluded = (without,) if isinstance(without, str) else tuple(without)
-    method = Method(registration, identity, memory, excluded)
+    area = None if within is None else Area.of_text(within)
+    method = Method(registration, identity, memory, excluded, area)
     included = method.included(sensor_sources(sources, described, start))
-    if within is not None:
-        included = Area.of_text(within).part(included)
     return pictured(included, Instants(_duration_s(every), at, begin, end), method, call=call, progress=progress)
 
 

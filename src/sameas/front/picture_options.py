@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,8 +23,8 @@ from sameas.tracks.reports import NoReports
 from sameas.tracks.scene import Scene
 
 _UNITS_M = {"km": 1000.0, "nm": MILE_M, "m": 1.0}
-_DISTANCE = re.compile(rf"([\d.]+)\s*({'|'.join(_UNITS_M)})?")
-_REMEDY = "give latitude and longitude in degrees and a distance, as 55.5,10.5,50km"
+_NUMBER = r"\s*([+-]?(?:\d+\.?\d*|\.\d+))\s*"
+_AREA = re.compile(rf"{_NUMBER},{_NUMBER},{_NUMBER}({'|'.join(_UNITS_M)})?\s*")
 
 #: Default steps between instants in seconds, the shortest that gives at most ``ENOUGH`` instants is used.
 STEPS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 1800.0, 3600.0)
@@ -75,44 +74,6 @@ class Instants:
 
 
 @dataclass(frozen=True)
-class Method:
-    """Steps of the method that can be switched off. without : names of excluded sources."""
-
-    registration: bool = True
-    identity: bool = True
-    memory: bool = True
-    without: tuple[str, ...] = ()
-
-    def included(
-        self, sources: Sequence[SensorSource], set_aside: dict[str, InputError] | None = None
-    ) -> list[SensorSource]:
-        """The sources that are not excluded. set_aside : the errors of others; those of excluded ones are removed.
-
-        Raises InputError: a name that no source has; no source remains.
-        """
-        names = [source.description.name for source in sources]
-        for name in self.without:
-            if (set_aside is None or set_aside.pop(name, None) is None) and name not in names:
-                words = Message(Argument("without", name), ": there is no such source")
-                raise InputError(words, f"give one of {', '.join(names)}")
-        included = [source for source in sources if source.description.name not in self.without]
-        if not included:
-            raise InputError(Message(Argument("without", ", ".join(self.without)), ": no source is left"))
-        return included
-
-    def evidence(self) -> EvidenceOf:
-        """The evidence that is used at an instant."""
-        return partial(all_evidence, identity=self.identity, previous_scans=self.memory)
-
-    def watch(self, scene: Scene, misread: frozenset[str] = frozenset()) -> Watch | PlotPicture:
-        """The state that is carried from instant to instant; without memory, instants are independent. misread : as of
-        the watch."""
-        if not self.memory:
-            return Watch(evidence=self.evidence(), bound=1.0, misread=misread)
-        return PlotPicture() if nameless(scene) else Watch(evidence=self.evidence(), misread=misread)
-
-
-@dataclass(frozen=True)
 class Area:
     """The places within ``radius_m`` of a latitude and longitude, by great circles.
 
@@ -125,12 +86,6 @@ class Area:
     lon_deg: float
     radius_m: float
 
-    def __post_init__(self) -> None:
-        numbers = (self.lat_deg, self.lon_deg, self.radius_m)
-        if not all(map(math.isfinite, numbers)) or abs(self.lat_deg) > 90.0 or self.radius_m <= 0.0:
-            words = f"{self.lat_deg:g},{self.lon_deg:g},{self.radius_m / 1000.0:g}km"
-            raise InputError(Message(Argument("within", words), " is no area"), _REMEDY)
-
     def __str__(self) -> str:
         radius_km = self.radius_m / 1000.0
         return f"{radius_km:{'.0f' if radius_km > 10.0 else '.3g'}} km of {self.lat_deg:g}, {self.lon_deg:g}"
@@ -141,15 +96,15 @@ class Area:
 
         Raises InputError: it is none.
         """
-        parts = [part.strip() for part in text.split(",")]
-        distance = _DISTANCE.fullmatch(parts[-1])
-        try:
-            lat_deg, lon_deg = (float(part) for part in parts[:-1])
-        except ValueError:
-            distance = None
-        if distance is None:
-            raise InputError(Message(Argument("within", text), " is no area"), _REMEDY)
-        return cls(lat_deg, lon_deg, float(distance[1]) * _UNITS_M[distance[2] or "km"])
+        match = _AREA.fullmatch(text)
+        if match is not None:
+            lat_deg, lon_deg, distance = (float(number) for number in match.group(1, 2, 3))
+            if abs(lat_deg) <= 90.0 and distance > 0.0:
+                return cls(lat_deg, lon_deg, distance * _UNITS_M[match[4] or "km"])
+        raise InputError(
+            Message(Argument("within", text), " is no area"),
+            "give latitude and longitude in degrees and a distance, as 55.5,10.5,50km",
+        )
 
     def holds(self, lat_deg: FloatArray, lon_deg: FloatArray) -> np.ndarray:
         """(n,) whether places (n,) are in the area; not where they are NaN."""
@@ -183,3 +138,44 @@ class Area:
         if set_aside is not None:
             set_aside |= errors
         return out
+
+
+@dataclass(frozen=True)
+class Method:
+    """Steps of the method that can be switched off, and what is left out. without : names of excluded sources. area :
+    outside of which positions are not used."""
+
+    registration: bool = True
+    identity: bool = True
+    memory: bool = True
+    without: tuple[str, ...] = ()
+    area: Area | None = None
+
+    def included(
+        self, sources: Sequence[SensorSource], set_aside: dict[str, InputError] | None = None
+    ) -> list[SensorSource]:
+        """The sources that are not excluded, with their reports in the area. set_aside : the errors of others; those
+        of excluded ones are removed, and those without a position in the area get one.
+
+        Raises InputError: a name that no source has; no source remains.
+        """
+        names = [source.description.name for source in sources]
+        for name in self.without:
+            if (set_aside is None or set_aside.pop(name, None) is None) and name not in names:
+                words = Message(Argument("without", name), ": there is no such source")
+                raise InputError(words, f"give one of {', '.join(names)}")
+        included = [source for source in sources if source.description.name not in self.without]
+        if not included:
+            raise InputError(Message(Argument("without", ", ".join(self.without)), ": no source is left"))
+        return included if self.area is None else self.area.part(included, set_aside)
+
+    def evidence(self) -> EvidenceOf:
+        """The evidence that is used at an instant."""
+        return partial(all_evidence, identity=self.identity, previous_scans=self.memory)
+
+    def watch(self, scene: Scene, misread: frozenset[str] = frozenset()) -> Watch | PlotPicture:
+        """The state that is carried from instant to instant; without memory, instants are independent. misread : as of
+        the watch."""
+        if not self.memory:
+            return Watch(evidence=self.evidence(), bound=1.0, misread=misread)
+        return PlotPicture() if nameless(scene) else Watch(evidence=self.evidence(), misread=misread)
