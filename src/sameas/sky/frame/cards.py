@@ -163,10 +163,15 @@ def zone_of(clock: str) -> float:
 
 
 #: Scales of TIMESYS as astropy names them; "gps" is none of its own.
-SCALES = {"UTC": "utc", "UT": "utc", "GMT": "utc", "TDB": "tdb", "TT": "tt", "TDT": "tt", "TAI": "tai", "TCB": "tcb"}
-SCALES |= {"TCG": "tcg", "UT1": "ut1", "IAT": "tai", "ET": "tt", "GPS": "gps"}
+_SCALES = {"UTC": "utc", "UT": "utc", "GMT": "utc", "TDB": "tdb", "TT": "tt", "TDT": "tt", "TAI": "tai", "TCB": "tcb"}
+_SCALES |= {"TCG": "tcg", "UT1": "ut1", "IAT": "tai", "ET": "tt", "GPS": "gps"}
 TAI_MINUS_GPS_S = 19.0
 _JD_OF_MJD_0 = 2400000.5
+
+
+def scale_of(text: str) -> str:
+    """The scale of a TIMESYS, "" if it is not known; UTC(NIST) is a realisation of UTC."""
+    return _SCALES.get(re.sub(r"\(.*\)", "", text).strip().upper(), "")
 
 
 def reference_mjd(keywords: Mapping[str, Any]) -> tuple[float, str] | None:
@@ -179,19 +184,19 @@ def reference_mjd(keywords: Mapping[str, Any]) -> tuple[float, str] | None:
     """
     for stem, zero in (("MJDREF", 0.0), ("JDREF", _JD_OF_MJD_0), ("BJDREF", _JD_OF_MJD_0)):
         for name in (stem, f"{stem}I"):
-            whole = _number(keywords.get(name))
+            whole = _number(keywords, name)
             if whole is not None:
-                fraction = 0.0 if name == stem else _number(keywords.get(f"{stem}F")) or 0.0
-                return whole - zero + fraction + (_number(keywords.get("TIMEZERO")) or 0.0) * _unit_days(keywords), name
+                fraction = 0.0 if name == stem else _number(keywords, f"{stem}F") or 0.0
+                return whole - zero + fraction + (_number(keywords, "TIMEZERO") or 0.0) * _unit_days(keywords), name
     return None
 
 
 def start_mjd(keywords: Mapping[str, Any]) -> tuple[float, str] | None:
     """The MJD of TSTART (the middle of TSTART and TSTOP, if both are there), and what states it; None without."""
-    zero, start = reference_mjd(keywords), _number(keywords.get("TSTART"))
+    zero, start = reference_mjd(keywords), _number(keywords, "TSTART")
     if zero is None or start is None:
         return None
-    stop = _number(keywords.get("TSTOP"))
+    stop = _number(keywords, "TSTOP")
     elapsed = start if stop is None else 0.5 * (start + stop)
     return zero[0] + elapsed * _unit_days(keywords), f"{'TSTART' if stop is None else 'TSTART, TSTOP'} and {zero[1]}"
 
@@ -203,8 +208,6 @@ def _unit_days(keywords: Mapping[str, Any]) -> float:
     )
 
 
-def _number(value: Any) -> float | None:
-    try:
-        return None if value is None or isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
-        return None
+def _number(keywords: Mapping[str, Any], name: str) -> float | None:
+    number = Card(name, keywords.get(name)).number()
+    return number if math.isfinite(number) else None

@@ -8,20 +8,19 @@ exposure is reported. The scale is that of TIMESYS, else UTC.
 from __future__ import annotations
 
 import math
-import re
 import warnings
 from typing import TYPE_CHECKING
 
 from sameas.sky.frame.cards import (
     OLD_DATE,
     S_PER_DAY,
-    SCALES,
     TAI_MINUS_GPS_S,
     Card,
     Cards,
     date_of,
     day_of,
     is_zoned,
+    scale_of,
     start_mjd,
     time_of_day,
     year_of_digits,
@@ -129,9 +128,8 @@ def _time_scale(cards: Cards) -> tuple[str, tuple[str, ...]]:
     card = cards.first(("TIMESYS",))
     if card is None:
         return "utc", ("assumed: times are UTC (no TIMESYS)",)
-    name = re.sub(r"\(.*\)", "", card.text()).strip().upper()  # UTC(NIST) is a realization of UTC
-    if name in SCALES:
-        return SCALES[name], ()
+    if scale := scale_of(card.text()):
+        return scale, ()
     return "utc", (f"doubt: TIMESYS = {card.text()!r} is no known time scale; times are taken as UTC",)
 
 

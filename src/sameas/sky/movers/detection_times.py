@@ -19,7 +19,7 @@ from sameas.arrays import FloatArray, median
 from sameas.errors import InputError, naming
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.frame.cards import SCALES, TAI_MINUS_GPS_S, reference_mjd
+from sameas.sky.frame.cards import TAI_MINUS_GPS_S, reference_mjd, scale_of
 from sameas.space import unit_vectors
 
 #: Recognised names of columns of times, ignoring case, in order of preference.
@@ -68,8 +68,7 @@ def possible(mjd: FloatArray) -> NDArray[np.bool_]:
 def _days(catalogue: Catalogue, name: str) -> tuple[FloatArray, str, str]:
     """(n,) MJD of a column of times on its own scale, how it was read, and the scale if it is stated."""
     keywords = {str(key).upper(): value for key, value in catalogue.table.meta.items()}
-    stated = re.sub(r"\(.*\)", "", str(keywords.get("TIMESYS", ""))).strip().upper()
-    scale = "tai" if name.lower() in _IN_TAI else SCALES.get(stated, "")
+    scale = "tai" if name.lower() in _IN_TAI else scale_of(str(keywords.get("TIMESYS", "")))
     column = catalogue.table[name]
     if np.ma.MaskedArray(column).dtype.kind in "fiu":
         days, how = _counted(column, keywords, catalogue.name, name)
