@@ -251,15 +251,14 @@ def _first_solved(
 
 
 def _solved_binned(
-    solved: _Solver, others: Sequence[Aim], refusal: NoSolution
+    solved: _Solver, others: Mapping[str, Aim], refusal: NoSolution
 ) -> tuple[FrameIdentification, Catalogue]:
     """The solution at a scale that a header gives without the binning of its pixels, with a doubt; else the refusal."""
-    for aim in others:
+    for times, aim in others.items():
         try:
             match, stars = solved([aim])
         except NoSolution:
             continue
-        times = "twice" if aim is others[0] else "half"
         text = f"doubt: the pixels are {times} as large as the header says: does it leave out their binning?"
         return replace(match, notes=(*match.notes, text)), stars
     if others:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 LOOSE, CLOSE = 0.2, 0.05
 #: Factors on the scale of a header by which no solution is found: it may say the size of single pixels of a frame that
 #: is binned 2 × 2, or the reverse.
-BINNINGS = (2.0, 0.5)
+BINNINGS = {"twice": 2.0, "half": 0.5}
 #: Default error of an aim: the larger of this many degrees and this many half diagonals of the frame.
 OFF_DEG, OFF_FRAMES = 0.5, 1.0
 
@@ -74,13 +74,13 @@ def hints(pointing: PointingOptions, frame: Frame, *, whole_sky: bool = True) ->
     return candidates
 
 
-def binned(pointing: PointingOptions, own_hints: Sequence[Hint]) -> list[Aim]:
-    """The first aim at twice and half the scale; none if the scale was given."""
+def binned(pointing: PointingOptions, own_hints: Sequence[Hint]) -> dict[str, Aim]:
+    """The first aim at the scale times each of :data:`BINNINGS`; none if the scale was given."""
     aim = next((hint for hint in own_hints if isinstance(hint, Aim)), None)
     if aim is None or pointing.scale_arcsec is not None:
-        return []
+        return {}
     low, high = aim.scale_arcsec
-    return [replace(aim, scale_arcsec=(factor * low, factor * high)) for factor in BINNINGS]
+    return {times: replace(aim, scale_arcsec=(factor * low, factor * high)) for times, factor in BINNINGS.items()}
 
 
 def header_elsewhere(pointing: PointingOptions, own_hints: Sequence[Hint], frame: Frame) -> str:

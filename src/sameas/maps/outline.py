@@ -23,8 +23,6 @@ from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, LocalPlane
 
 #: Cells and steps of the data in degrees, and cells in a row: as in scripts/make-outline.
 CELL_DEG, STEP_DEG, COLUMNS = 5.0, 0.0005, 72
-#: Outlines end this far from the origin of the plane, in metres, as the places do.
-OUTLINE_REACH_M = FARTHEST_M
 #: Lines longer than this, in degrees, are split: they follow a parallel, not a chord.
 LONGEST_DEG = 0.25
 
@@ -138,7 +136,7 @@ class _PackedLines:
 
     def near(self, plane: LocalPlane, box: MapExtent) -> Iterator[_Line]:
         """The lines of all cells that may overlap the box."""
-        reach = np.degrees(min(box.farthest_m, OUTLINE_REACH_M) / EARTH_M) * 1.1 + CELL_DEG
+        reach = np.degrees(min(box.farthest_m, FARTHEST_M) / EARTH_M) * 1.1 + CELL_DEG
         row, column = np.divmod(self.cell, COLUMNS)
         lat = np.radians((row + 0.5) * CELL_DEG - 90.0)
         lon = np.radians((column + 0.5) * CELL_DEG - 180.0 - plane.lon_deg)
@@ -208,7 +206,7 @@ class Coast:
         for places, role in zip(self.lines, self.roles, strict=True):
             lon, lat = places.T
             line, up = np.split(plane.enu(lat, lon), [2], axis=1)
-            if ((np.hypot(*line.T) > OUTLINE_REACH_M) | (up[:, 0] < -OUTLINE_REACH_M)).any():
+            if ((np.hypot(*line.T) > FARTHEST_M) | (up[:, 0] < -FARTHEST_M)).any():
                 continue
             coast.append(line)
             ring = line[:-1] if np.array_equal(line[0], line[-1]) else line

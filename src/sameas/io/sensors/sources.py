@@ -115,6 +115,8 @@ _FILE: Mapping[str, type | tuple[type, ...]] = {
 }  # fmt: skip
 #: Columns of a table, and the kind of source that they indicate.
 _COLUMNS = {"mmsi": "ais", "icao": "ads-b", "range_m": "marine radar", "covariance_m2": "tracks"}
+#: Cameras give more directions than one in this time; direction finders and sonars rarely do.
+SLOWEST_CAMERA_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -295,10 +297,6 @@ def source_of(name: str, reports: Reports, described: Mapping[str, SourceOptions
         kind, why = _kind(reports)
     description = Description(reports.source) if options is None else options.description
     return SensorSource(replace(description, kind=kind), reports, path, why)
-
-
-#: Cameras give more directions than one in this time; direction finders and sonars rarely do.
-SLOWEST_CAMERA_S = 1.0
 
 
 def _kind(reports: Reports) -> tuple[str, str]:
