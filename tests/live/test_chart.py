@@ -197,6 +197,24 @@ def test_panning_over_a_chart_copies_its_tiles_and_asks_for_each_once(charted, t
             page.close()
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_a_chart_with_tiles_that_failed_is_not_said_to_be_drawn(charted, tmp_path):
+    with served(charted) as url:
+        page = Browser(tmp_path / "profile", url)
+        try:
+            page.until("mapPage.live && mapPage.live.tick > 3 && mapPage.chartIsDrawn()")
+            page.js("""window.failed = 0; const own = window.fetch;
+              window.fetch = (at, ...a) =>
+                String(at).startsWith('chart/') ? (window.failed++, Promise.reject()) : own(at, ...a);
+              mapPage.view.scale /= 4; mapPage.paint()""")
+            page.until("window.failed > 0")
+            page.settle()
+            assert not page.js("mapPage.paint(); mapPage.chartIsDrawn()")
+        finally:
+            page.close()
+
+
 BOX = [[-1.6, 50.3], [-0.3, 50.3], [-0.3, 50.8], [-1.6, 50.8], [-1.6, 50.3]]
 LINES = [{"type": "Polygon", "coordinates": [BOX]},
          {"type": "LineString", "coordinates": [[-0.96, 50.5], [-0.92, 50.5]]}]  # fmt: skip

@@ -30,7 +30,8 @@ function chartOfTiles(TILES) {
     wantedTiles = [],
     scaleBefore = 0,
     frameNumber = 0,
-    complete = false;
+    complete = false,
+    awaited = false; // a tile that failed, to be asked for again
 
   // The range of tiles of a zoom in the view: west, north, east, south, inclusive; null if there are too many.
   function tilesInView(z, w, h) {
@@ -153,7 +154,7 @@ function chartOfTiles(TILES) {
       z = zoomOfView(ratio),
       box = tilesInView(z, w, h);
     wantedTiles = [];
-    complete = false;
+    awaited = complete = false;
     if (!box) return;
     // Place of the screen's corner in pixels of the plane. Rounded: all sprites are moved by whole pixels.
     const u = Math.round(view.x * pixels - (w / 2) * ratio),
@@ -187,7 +188,7 @@ function chartOfTiles(TILES) {
     c.restore();
     forget(pictures, KEPT_PICTURES);
     forget(chartSprites, KEPT_SPRITES);
-    complete = !unmade && !wantedTiles.length && !fetches;
+    complete = !unmade && !wantedTiles.length && !fetches && !awaited;
     fetchTiles();
     if (unmade) draw();
   }
@@ -212,7 +213,11 @@ function chartOfTiles(TILES) {
       known.used = frameNumber;
       // Where the chart has no tile, the next larger one is there instead.
       if (known.none && zoom > TILES.zooms[0]) return want(zoom - 1, Math.floor(x / 2 ** (up + 1)), Math.floor(row / 2), far);
-      if (known.picture || known.asked || known.none || performance.now() < known.failed) return;
+      if (known.picture || known.asked || known.none) return;
+      if (performance.now() < known.failed) {
+        awaited = true;
+        return;
+      }
     }
     wantedTiles.push({ key, far });
   }
