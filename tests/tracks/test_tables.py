@@ -13,7 +13,7 @@ from pyarrow import parquet
 from sameas.errors import InputError
 from sameas.io.sensors import ReadOptions, read_reports
 from sameas.io.sensors.sources import read_source_options, read_sources
-from sameas.io.sensors.table_cells import cells_of_csv, cells_of_json
+from sameas.io.sensors.table_cells import PackedTexts, cells_of_csv, cells_of_json
 from sameas.io.sensors.table_columns import choose
 from sameas.io.sensors.tables import read
 from sameas.tracks.reports import Reports
@@ -278,6 +278,48 @@ def test_identities_are_read_as_text():
     made = table("time,lat,lon,mmsi,icao24,squawk\n0,1,2,2350070,4CA7A8,17\n1,1,2,2350070.0,,1000.0")
     assert made.mmsi.tolist() == ["002350070"] * 2 and made.icao.tolist() == ["4ca7a8", None]
     assert made.mode_a.tolist() == ["0017", "1000"] and made.track_id.tolist() == ["002350070"] * 2
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # Danish AIS with damage, quotes over two lines, comments, missing cells and the flag of accuracy.
+        """# Timestamp,Type of mobile,MMSI,Latitude,Longitude,SOG,Name,Navigational status,Accuracy
+01/05/2024 12:00:01,Class A,211000001,55.1,12.1,5.5,"NORD, ÅSE",Moored,1
+# a comment
+01/05/2024 12:00:02,Class A,211000002,55.2,12.2,unknown,TWO,Moored,0
+01/05/2024 12:00:03,Class A,211000001,55.3
+01/05/2024 12:00:03,Class B,211000003,55.3,12.3,fast,,,0
+
+01/05/2024 12:00:04,Class A,211000001,55 06.6 N,12.1,5.6,"NORD,
+ÅSE",Under way using engine,1
+01/05/2024 12:00:04,Class A,211000001,55 06.6 N,12.1,5.6,ÅSE,Under way using engine,1
+01/05/2024 12:00:05,Base Station,002190000,55.4,12.4,,STATION,,1
+01/05/2024 12:00:06,Class A,211000002,91.5,12.2,7,TWO,Moored,""",
+        """time;mmsi;lat;lon;sog_kn
+2024-05-01T12:00:01Z;211000001;55,1;12,1;5,5
+2024-05-01T12:00:02Z;211000002;55,2;;6
+2024-05-01T12:00:03Z;211000002;55,3;12;nan
+2024-05-01T12:00:04Z;211000002;55,4;12,4;6""",
+    ],
+)
+@pytest.mark.parametrize("rows_of_part", [1, 2, 3])
+def test_a_long_table_is_read_in_parts_to_the_same_reports(text, rows_of_part):
+    whole, packed = (cells_of_csv(text.splitlines(keepends=True), "ais", rows) for rows in (len(text), rows_of_part))
+    assert all(isinstance(column, PackedTexts) for column in packed.columns.values())
+    for name, column in whole.columns.items():
+        assert list(packed.columns[name]) == list(column) and len(packed.columns[name]) == len(column)
+        assert packed.columns[name][-1] == column[-1] and packed.columns[name][1:3] == list(column[1:3])
+    one, two = read(whole, "ais"), read(packed, "ais")
+    assert len(one) and one.summary() == two.summary()
+    assert one.columns().keys() == two.columns().keys()
+    for name, column in one.columns().items():
+        np.testing.assert_array_equal(two.columns()[name], column)
+
+
+def test_reports_of_unknown_objects_are_no_repetitions():
+    made = table("time,x_m,y_m,track_id\n1,0,0,\n1,0,0,\n1,0,0,7\n1,-0,0,7\n2,0,0,7")
+    assert made.line.tolist() == [2, 3, 4, 6] and made.passed_over == {"position repeated": 1}
 
 
 def test_repeated_rows_are_ignored():

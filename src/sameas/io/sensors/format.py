@@ -5,10 +5,11 @@ A format is a module of this package with a ``FORMAT``, listed in :data:`sameas.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from functools import cached_property
@@ -369,6 +370,16 @@ def lines_of(content_bytes: bytes) -> list[str]:
         .rstrip("\n")
         .split("\n")
     )
+
+
+def lines_in(content_bytes: bytes) -> Iterator[str]:
+    """:func:`lines_of` with their ends, one after another: as a list those of a day of AIS take more memory than the
+    file.
+
+    >>> list(lines_in(b"time,lat\r\n1,2\r3,4"))
+    ['time,lat\\n', '1,2\\n', '3,4']
+    """
+    return io.TextIOWrapper(io.BytesIO(content_bytes), "utf-8-sig", "replace")
 
 
 def of_json(text: str) -> Any:

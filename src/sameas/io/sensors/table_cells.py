@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
-import io
 import os
 import re
+from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import chain
 from types import NoneType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import numpy as np
 
-from sameas.arrays import IntArray
+from sameas.arrays import AnyIntArray, IntArray
 from sameas.bounds import check_columns
 from sameas.errors import InputError
-from sameas.io.sensors.format import SensorFile, json_lines, of_json
+from sameas.io.sensors.format import SensorFile, json_lines, lines_in, of_json
 from sameas.io.sensors.languages import PLACES
 from sameas.io.sensors.table_columns import QUANTITIES, rank_of, stem_of
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 #: Texts of cells without a value.
 NULLS = {"", "null", "none", "na", "n/a", "-", "--", "nan", "unknown", "undefined"}
@@ -30,6 +35,8 @@ _T = TypeVar("_T")
 _COMMA, _POINT = re.compile(r"\s*[+-]?\d+(,\d+)?\s*"), re.compile(r"\s*[+-]?\d+\.\d+\s*")
 #: Number of cells always read from a Parquet file, however small: it compresses equal cells (1 GB as Python lists).
 _CELLS = 1 << 24
+#: Rows of a CSV file whose cells are Python objects at once: all of a day of AIS would take 2 kB a row.
+ROWS_OF_PART = 50_000
 
 
 def of_each(read: Callable[[Any], _T], cells: Sequence[Any]) -> list[_T]:
@@ -38,10 +45,69 @@ def of_each(read: Callable[[Any], _T], cells: Sequence[Any]) -> list[_T]:
     >>> of_each(len, ["2024-05-01", "", "2024-05-01"])
     [10, 0, 10]
     """
-    if not set(map(type, cells)) <= {str, NoneType}:
+    if not isinstance(cells, PackedTexts) and not set(map(type, cells)) <= {str, NoneType}:
         return [read(cell) for cell in cells]
-    of_text = {text: read(text) for text in dict.fromkeys(cells)}
+    of_text = {text: read(text) for text in dict.fromkeys(distinct_texts(cells))}
     return [of_text[text] for text in cells]
+
+
+class PackedTexts(Sequence[str]):
+    """A column of texts in parts, of which each stores equal texts once.
+
+    parts : dictionary arrays of Arrow, which take a tenth of the memory of texts of Python.
+    """
+
+    def __init__(self, parts: Iterable[pa.DictionaryArray]) -> None:
+        self.parts = tuple(parts)
+        self._start = np.cumsum([0, *map(len, self.parts)])
+
+    @staticmethod
+    def part(cells: Sequence[str]) -> pa.DictionaryArray:
+        """A part of these cells."""
+        import pyarrow as pa
+
+        return pa.array(cells, pa.string()).dictionary_encode()
+
+    def __len__(self) -> int:
+        return int(self._start[-1])
+
+    @overload
+    def __getitem__(self, row: int) -> str: ...
+    @overload
+    def __getitem__(self, row: slice) -> Sequence[str]: ...
+    def __getitem__(self, row: int | slice) -> str | Sequence[str]:
+        if isinstance(row, slice):
+            return [self[k] for k in range(len(self))[row]]
+        row = range(len(self))[row]
+        k = int(np.searchsorted(self._start, row, side="right")) - 1
+        return str(self.parts[k][row - int(self._start[k])].as_py())
+
+    def __iter__(self) -> Iterator[str]:
+        for texts, number in parts_of(self):
+            yield from map(texts.__getitem__, number.tolist())
+
+    def changed(self, change: Callable[[str], str]) -> PackedTexts:
+        """The column with other texts."""
+        import pyarrow as pa
+
+        return PackedTexts(
+            pa.DictionaryArray.from_arrays(number, pa.array(map(change, texts), pa.string()))
+            for texts, number in parts_of(self)
+        )
+
+
+def parts_of(cells: Sequence[Any]) -> Iterator[tuple[Sequence[Any], AnyIntArray]]:
+    """The parts of a column: distinct cells (k,), and which of them (n,) stands in each row of the part."""
+    if isinstance(cells, PackedTexts):
+        for part in cells.parts:
+            yield part.dictionary.to_pylist(), part.indices.to_numpy()
+    else:
+        yield cells, np.arange(len(cells))
+
+
+def distinct_texts(cells: Sequence[Any]) -> Iterator[Any]:
+    """The cells of a column, of which equal texts may be missing."""
+    return chain.from_iterable(texts for texts, _ in parts_of(cells))
 
 
 @dataclass(frozen=True)
@@ -77,20 +143,22 @@ class TableText:
     unit: str = "line"
 
 
-def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
+def cells_of_csv(lines: Iterable[str], source: str, rows_of_part: int = ROWS_OF_PART) -> TableText:
     """The cells of lines separated by commas, semicolons, tabs or bars (ECSV: also blanks). Lines that begin with # are
-    comments."""
-    ecsv = bool(lines) and lines[0].startswith(ECSV)
+    comments. rows_of_part : of a longer table, columns are packed in parts of so many rows."""
+    above: list[str] = []
+    lines = iter(lines)
     # A comment with the delimiter of the rows may be the line of names, as in Danish AIS.
-    number = next(
-        (
-            k
-            for k, line in enumerate(lines, start=1)
-            if line.strip() and (line[0] != "#" or (_delimiter_of(line) and not ecsv))
-        ),
-        1,
-    )
-    header = lines[number - 1].lstrip("# ")
+    for line in lines:
+        above.append(line)
+        ecsv = above[0].startswith(ECSV)
+        if line.strip() and (line[0] != "#" or (_delimiter_of(line) and not ecsv)):
+            number = len(above)
+            break
+    else:
+        number = 1
+    ecsv = bool(above) and above[0].startswith(ECSV)
+    header = above[number - 1].lstrip("# ")
     delimiter = _delimiter_of(header) or (" " if ecsv else "")
     if not delimiter:
         raise InputError(f"{source}: no format of sensors fits; as a table, its line {number} does not name columns")
@@ -100,41 +168,69 @@ def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
     duplicates = [name for name in names if counts[name] > 1]
     if duplicates:
         raise InputError(f"{source}: two columns are called {duplicates[0]}; rename one")
-    rows: list[list[str]] = []
-    line_numbers: list[int] = []
+    columns, line_numbers, damaged = _rows(chain(above[number:], lines), number, names, delimiter, rows_of_part)
+    if delimiter != ",":
+        columns = _with_points(columns)
+    return TableText(columns, line_numbers, tuple(damaged))
+
+
+def _rows(
+    lines: Iterable[str], above: int, names: Sequence[str], delimiter: str, rows_of_part: int
+) -> tuple[dict[str, Sequence[str]], IntArray, list[tuple[int, str]]]:
+    """The columns of lines below ``above`` others, the line of each row, and the numbers of damaged lines with the
+    reasons."""
     damaged: list[tuple[int, str]] = []
-    reader = csv.reader(io.StringIO("\n".join(lines[number:])), delimiter=delimiter)
+    rows: list[list[str]] = []
+    line_numbers = array("q")
+    packed: list[list[pa.DictionaryArray]] = [[] for _ in names]
+    reader = csv.reader(lines, delimiter=delimiter)
     for row in reader:
-        line = number + reader.line_num
+        line = above + reader.line_num
         if not row or row[0].startswith("#"):
             continue
-        if len(row) == len(names):
-            rows.append(row)
-            line_numbers.append(line)
-        else:
+        if len(row) != len(names):
             damaged.append((line, f"has not {len(names)} cells"))
-    columns: dict[str, Sequence[Any]] = dict(
-        zip(names, zip(*rows, strict=True) if rows else [()] * len(names), strict=True)
-    )
-    if delimiter != "," and any("," in line for line in lines[number:]):
-        columns = _with_points(columns)
-    return TableText(columns, np.array(line_numbers, np.int64), tuple(damaged))
+            continue
+        rows.append(row)
+        line_numbers.append(line)
+        if len(rows) == rows_of_part:
+            _pack(rows, packed)
+    if not packed[0]:
+        # Few rows are not worth packing.
+        cells = zip(*rows, strict=True) if rows else [()] * len(names)
+        return dict(zip(names, cells, strict=True)), np.array(line_numbers, np.int64), damaged
+    if rows:
+        _pack(rows, packed)
+    columns = dict(zip(names, map(PackedTexts, packed), strict=True))
+    return dict(columns), np.array(line_numbers, np.int64), damaged
+
+
+def _pack(rows: list[list[str]], packed: Sequence[list[pa.DictionaryArray]]) -> None:
+    """Moves the cells of rows to the columns."""
+    for column, cells in zip(packed, zip(*rows, strict=True), strict=True):
+        column.append(PackedTexts.part(cells))
+    rows.clear()
 
 
 def _with_points(columns: Mapping[str, Sequence[Any]]) -> dict[str, Sequence[Any]]:
     """The columns with decimal points for decimal commas, unless any number of the table has a point: then a comma may
     separate thousands. Changes columns of numbers only."""
-    if any(_POINT.fullmatch(cell) for cells in columns.values() for cell in cells):
+    if not any("," in cell for cells in columns.values() for cell in distinct_texts(cells)):
+        return dict(columns)
+    if any(_POINT.fullmatch(cell) for cells in columns.values() for cell in distinct_texts(cells)):
         return dict(columns)
     numbers = {
         name
         for name, cells in columns.items()
-        if all(_COMMA.fullmatch(cell) or cell.strip().lower() in NULLS for cell in cells)
+        if all(_COMMA.fullmatch(cell) or cell.strip().lower() in NULLS for cell in distinct_texts(cells))
     }
-    return {
-        name: tuple(cell.replace(",", ".") for cell in cells) if name in numbers else cells
-        for name, cells in columns.items()
-    }
+    return {name: _with_point(cells) if name in numbers else cells for name, cells in columns.items()}
+
+
+def _with_point(cells: Sequence[str]) -> Sequence[str]:
+    if isinstance(cells, PackedTexts):
+        return cells.changed(lambda cell: cell.replace(",", "."))
+    return tuple(cell.replace(",", ".") for cell in cells)
 
 
 def cells_of_json(lines: Sequence[str], source: str) -> TableText:
@@ -289,12 +385,17 @@ def _flattened(nested: Mapping[str, Any]) -> dict[str, Any]:
 
 
 PARQUET, ECSV = b"PAR1", "# %ECSV"
+#: Bytes that are decoded at once.
+_BLOCK = 1 << 24
 
 
 def _of_windows(file: SensorFile) -> SensorFile:
     """The file in UTF-8, where its text has other letters and is that of Windows (code page 1252), as Excel writes."""
     try:
-        file.content.decode("utf-8")
+        decoder = codecs.getincrementaldecoder("utf-8")()
+        for start in range(0, len(file.content), _BLOCK):
+            decoder.decode(file.content[start : start + _BLOCK])
+        decoder.decode(b"", final=True)
     except UnicodeDecodeError:
         with suppress(UnicodeDecodeError):
             return replace(file, content=file.content.decode("cp1252").encode())
@@ -306,8 +407,8 @@ def cells_of(file: SensorFile) -> TableText:
     if file.content.startswith(PARQUET):
         return cells_of_parquet(file.path)
     file = _of_windows(file)
-    first = next((line.strip() for line in file.lines if line.strip()), "")
+    first = next((line.strip() for line in lines_in(file.content) if line.strip()), "")
     # The first line of a log may be truncated.
     if first[:1] in "{[" or file.share_of_lines(r"\{.*") > 0.5:
         return cells_of_json(file.lines, file.source)
-    return replace(cells_of_csv(file.lines, file.source), unended=file.unended)
+    return replace(cells_of_csv(lines_in(file.content), file.source), unended=file.unended)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ordered_by
 from sameas.errors import InputError
 from sameas.io.sensors import drones
 from sameas.io.sensors.ais import SIDES, STATUSES_AT_REST, at_hull_centres
@@ -31,7 +31,7 @@ from sameas.io.sensors.format import (
     start_seconds,
 )
 from sameas.io.sensors.languages import DATES, HOURS, plain
-from sameas.io.sensors.table_cells import NULLS, PARQUET, TableText, cells_of, of_each
+from sameas.io.sensors.table_cells import NULLS, PARQUET, TableText, cells_of, distinct_texts, of_each, parts_of
 from sameas.io.sensors.table_columns import Choice, choose, require_columns, stem_of
 from sameas.io.sensors.table_times import times_of
 from sameas.representation import counted
@@ -139,11 +139,11 @@ def _with_flagged_errors(cells: TableText, chosen: dict[str, Choice]) -> tuple[T
     choice = chosen.get("sigma_m")
     if choice is None:
         return cells, chosen
-    flags = ["" if cell is None else str(cell).strip().lower() for cell in cells.columns[choice.name]]
+    column = cells.columns[choice.name]
     is_set, is_not = {"1", "1.0", "true", "high"}, {"0", "0.0", "false", "low", *NULLS}
-    if not is_set | is_not >= set(flags):
+    if not is_set | is_not >= set(map(_flag, distinct_texts(column))):
         return cells, chosen
-    errors = [AIS_SIGMA_M[flag in is_set] for flag in flags]
+    errors = of_each(lambda cell: AIS_SIGMA_M[_flag(cell) in is_set], column)
     why = f"{choice.name} is the accuracy flag of AIS: {AIS_SIGMA_M[True]:g} m per axis where it is set, "
     why += f"{AIS_SIGMA_M[False]:g} m where not"
     others = {name: cells.columns[name] for name in cells.columns if name != choice.name}
@@ -153,27 +153,44 @@ def _with_flagged_errors(cells: TableText, chosen: dict[str, Choice]) -> tuple[T
     )
 
 
+def _flag(cell: Any) -> str:
+    return "" if cell is None else str(cell).strip().lower()
+
+
 def _values(cells: TableText, choice: Choice, damaged: dict[int, str]) -> NDArray[Any]:
     """A column in SI units or degrees; lines with cells that are not numbers become damaged."""
     column = cells.columns[choice.name]
     if choice.quantity.kind == "text":
         return _texts(column, choice.quantity.column)
+    values = np.empty(len(column))
+    first, is_place = 0, choice.quantity.column in ("lat_deg", "lon_deg")
+    for texts, number in parts_of(column):
+        numbers, unreadable = _numbers(texts, choice.factor, is_place)
+        values[first : first + len(number)] = numbers[number]
+        if unreadable.any():
+            for k in np.flatnonzero(unreadable[number]):
+                damaged.setdefault(int(cells.lines[first + k]), f"{choice.name} is no number")
+        first += len(number)
+    return values
+
+
+def _numbers(column: Sequence[Any], factor: float, is_place: bool) -> tuple[FloatArray, BoolArray]:
+    """The numbers of cells (n,), times the factor, NaN where there is none; and whether a cell has something else."""
+    unreadable = np.zeros(len(column), bool)
     try:
-        return np.array(column, dtype=np.float64) * choice.factor
+        return np.array(column, dtype=np.float64) * factor, unreadable
     except (TypeError, ValueError, OverflowError):
         pass
     values = np.full(len(column), np.nan)
-    is_place = choice.quantity.column in ("lat_deg", "lon_deg")
     for k, cell in enumerate(column):
         if cell is None or str(cell).strip().lower() in NULLS:
             continue
         try:
-            values[k] = float(cell) * choice.factor
+            values[k] = float(cell) * factor
         except (TypeError, ValueError, OverflowError):
             values[k] = _degrees(str(cell)) if is_place else math.nan
-            if math.isnan(values[k]):
-                damaged.setdefault(int(cells.lines[k]), f"{choice.name} is no number")
-    return values
+            unreadable[k] = math.isnan(values[k])
+    return values, unreadable
 
 
 #: Degrees, minutes and seconds, of which the last may have decimals, between letters of the hemisphere.
@@ -321,7 +338,7 @@ def _without_stations(values: dict[str, Any]) -> tuple[dict[str, Any], int]:
     If there are no ships, all rows are kept."""
     if "mmsi" not in values:
         return values, 0
-    ships = np.array([one is None or _STATION.match(one) is None for one in values["mmsi"]])
+    ships = np.array(of_each(lambda one: one is None or _STATION.match(one) is None, values["mmsi"].tolist()))
     if ships.all() or not ships.any():
         return values, 0
     return {name: column[ships] for name, column in values.items()}, int(np.count_nonzero(~ships))
@@ -349,11 +366,17 @@ def _without_repeats(values: dict[str, Any]) -> tuple[dict[str, Any], int]:
     if "track_id" not in values:
         return values, 0
     position = next(pair for pair in _POSITIONS_IN if pair[0] in values)
-    rows_read: set[tuple[Any, ...]] = set()
-    first = np.ones(len(values["time_s"]), bool)
-    for k, key in enumerate(zip(*(values[name].tolist() for name in ("track_id", "time_s", *position)), strict=True)):
-        first[k] = key[0] is None or key not in rows_read
-        rows_read.add(key)
+    names = values["track_id"].tolist()
+    number_of = {name: k for k, name in enumerate(dict.fromkeys(names))}
+    number = np.fromiter(map(number_of.__getitem__, names), np.int64, len(names))
+    keys = [number, *(values[name] for name in ("time_s", *position))]
+    order = ordered_by(keys)
+    repeats = np.ones(max(len(order) - 1, 0), bool)
+    for key in keys:
+        repeats &= key[order[1:]] == key[order[:-1]]
+    first = np.ones(len(order), bool)
+    first[order[1:][repeats]] = False
+    first |= number == number_of.get(None, ABSENT)
     return {name: column[first] for name, column in values.items()}, int((~first).sum())
 
 
