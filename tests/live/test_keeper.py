@@ -66,6 +66,29 @@ def test_ships_are_matched_with_their_radar_targets_in_the_journal(keeper, tmp_p
     assert set(archive["object"]) == set(situation.objects["object"].tolist()) and len(set(archive["time_s"])) >= 5
 
 
+def test_clutter_that_is_never_confirmed_is_not_in_the_journal(tmp_path):
+    """A harbour of 60 ships with 12 radars had 1 800 objects in its journal after 20 minutes."""
+    keeper = Keeper(settings(), tmp_path, replay=replay())
+    echo = {"time_s": [START_S + 20.5, START_S + 40.5], "range_m": [2500.0, 2600.0], "bearing_deg": [200.0, 80.0]}
+    situation = ticked(keeper, 18.0)
+    keeper.picture.add("radar", Reports.of("radar", "table", echo | {"track_id": ["98", "99"]}))
+    ticked(keeper, 38.0, 18.0)
+    alarm = Alarm("zone harbour", "zone", "in the harbour")
+    for t in (42.0, 44.0):
+        situation = keeper.tick(START_S + t)
+        tentative = situation.objects["object"][situation.objects["stage"] == "tentative"]
+        keeper.store.journal.write(replace(situation, alarms=(replace(alarm, objects=tuple(tentative.tolist())),)))
+    assert len(tentative) == 1 and len(situation.objects["object"]) == 6
+    keeper.close()
+    joined, _, objects = events(tmp_path)
+    # What was in an alarm is known, since it was first shown.
+    assert [row[1] for row in objects].count(0) == 1 and len(objects) == 6
+    assert {track for _, source, track, _ in joined if source == "radar"} == {"0", "1", "2", "3", "4", "99"}
+    with contextlib.closing(sqlite3.connect(tmp_path / "journal.sqlite")) as base:
+        [[first_s]] = base.execute("SELECT first_s FROM objects WHERE confirmed = 0").fetchall()
+    assert first_s == START_S + 42.0
+
+
 @pytest.mark.slow
 def test_a_restarted_watch_keeps_its_object_numbers(tmp_path):
     first = Keeper(settings(), tmp_path, replay=replay())

@@ -259,11 +259,15 @@ def test_an_aircraft_has_no_closest_approach_to_a_ship(situation):
     assert set(situation.cpa) - set(flying.cpa) == {number}
 
 
-def test_lines_and_geojson_contain_every_object(situation):
+def test_lines_and_geojson_contain_every_object_but_geojson_no_tentative_one(situation):
     lines = [json.loads(line) for line in b"".join(ENCODERS["jsonl"](situation)).splitlines()]
     assert {one["object"] for one in lines} == set(situation.objects["object"].tolist())
     assert all(set(one["sources"]) and one["time_s"] == situation.time_s for one in lines)
     assert len(geojson(situation)["features"]) == 5
+    stage = situation.objects["stage"].copy()
+    stage[1] = "tentative"
+    unsure = replace(situation, objects=situation.objects | {"stage": stage})
+    assert len(geojson(unsure)["features"]) == 4 and len(list(ENCODERS["jsonl"](unsure))) == 5
 
 
 def test_a_sink_sends_what_fits_in_datagrams(situation):

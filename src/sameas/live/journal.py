@@ -1,10 +1,12 @@
 """The journal of identities and alarms (SQLite, one transaction per tick), the archive of objects (Parquet), the state.
 
 Table ``identities`` has a row each time a track joins or leaves an object, ``objects`` the last attributes of every
-object, ``alarms`` every alarm, who acknowledged it and when, ``offsets`` what an operator held, set and released.
-SQLite runs in WAL mode: readers, and a restart after a
-kill, see complete ticks only. The state file is replaced atomically. Rows not yet archived, at most ten minutes of
-them, are lost when the process is killed. Only one watch may use a folder.
+object. Both have an object once it was confirmed or in an alarm: most tentative ones of radars are clutter. ``alarms``
+has every alarm, who acknowledged it and when, ``offsets`` what an operator held, set and released.
+
+SQLite runs in WAL mode: readers, and a restart after a kill, see complete ticks only. The state file is replaced
+atomically. Rows not yet archived, at most ten minutes of them, are lost when the process is killed. Only one watch may
+use a folder.
 
 :class:`Store` is what a running watch writes through: a full disk does not end it.
 """
@@ -77,6 +79,8 @@ class Journal:
                 raise _refused(folder, error) from None
             opened.pop_all()
         self._known: dict[int, tuple[Any, ...]] = {}
+        #: Since when an object is in the picture that is not in the journal yet.
+        self._since_s: dict[int, float] = {}
         self._archive: list[Columns] = []
         self._archived_s = -np.inf
 
@@ -126,13 +130,19 @@ class Journal:
         o, rows = situation.objects, []
         stages = o["stage"].tolist()
         attributes = list(zip(*(o[name].tolist() for name in _TEXTS), strict=True)) if len(stages) else []
+        alarmed = {number for alarm in situation.alarms for number in alarm.objects}
+        waiting, self._since_s = self._since_s, {}
         for number, stage, texts in zip(o["object"].tolist(), stages, attributes, strict=True):
-            known = self._known.get(number)
+            known, since_s = self._known.get(number), waiting.get(number, situation.time_s)
             confirmed = int(stage in ("confirmed", "coasting")) or (known[0] if known else 0)
+            if not (known or confirmed or number in alarmed):
+                if stage != "ended":
+                    self._since_s[number] = since_s
+                continue
             # Unchanged objects get a new last_s once a minute.
             current = (confirmed, texts, int(situation.time_s // 60.0))
             if known != current:
-                rows.append((number, situation.time_s, situation.time_s, confirmed, *texts))
+                rows.append((number, since_s, situation.time_s, confirmed, *texts))
                 self._known[number] = current
             if stage == "ended":
                 self._known.pop(number, None)
@@ -147,7 +157,7 @@ class Journal:
     def _write_identities(self, situation: Situation) -> None:
         tracks = {
             (source, track): number for number, members in situation.members.items() for source, track in members
-            if not track.startswith("plot ")
+            if number in self._known and not track.startswith("plot ")
         }  # fmt: skip
         probabilities = np.ma.filled(situation.objects["probability"], np.nan).tolist()
         p_object = dict(zip(situation.objects["object"].tolist(), probabilities, strict=True))

@@ -45,7 +45,8 @@ _SENTENCE = 82 - len("$*hh\r\n")
 
 
 def geojson(situation: Situation) -> dict[str, Any]:
-    """A FeatureCollection (RFC 7946) of the objects as points; empty where the plane has no geographic origin."""
+    """A FeatureCollection (RFC 7946) of the objects as points, without tentative ones, which a layer of a chart would draw
+    as ships; empty where the plane has no geographic origin."""
     features = [
         {
             "type": "Feature", "id": one["object"],
@@ -54,7 +55,7 @@ def geojson(situation: Situation) -> dict[str, Any]:
                 "time": _iso(situation.time_s), **{k: v for k, v in one.items() if k not in ("lat_deg", "lon_deg")},
             },
         }
-        for one in situation.listed() if one.get("lat_deg") is not None
+        for one in situation.listed() if one["stage"] != "tentative" and one.get("lat_deg") is not None
     ]  # fmt: skip
     return {"type": "FeatureCollection", "features": features}
 

@@ -184,7 +184,7 @@ function prepareLayer() {
 let found = [];
 function* objectStages(c, w, h) {
   const ahead_s = +el("vector").value,
-    drawn = now.rows.filter(r => Number.isFinite(objects.x[r])).map(r => drawnAt(r, w, h, ahead_s));
+    drawn = now.rows.filter(r => Number.isFinite(objects.x[r]) && isInView(r)).map(r => drawnAt(r, w, h, ahead_s));
   yield;
   const density = crowding(drawn);
   // What is drawn of an object stays the same while the chart is dragged.
@@ -215,12 +215,13 @@ function drawnAt(r, w, h, ahead_s) {
 const CELL = 64,
   VECTORS_FROM = 22,
   DETAILS_FROM = 44,
+  TENTATIVE_RADIUS = 4.5,
   MOST_RAYS = 30;
 let crowd = { radius: 8, vectors: true, details: true, few: true, cells: new Map() };
 const cellOf = (u, v) => Math.floor(u / CELL) * 4096 + Math.floor(v / CELL);
 function crowding(drawn) {
   const cells = new Map(),
-    inside = drawn.filter(d => d.inside);
+    inside = drawn.filter(d => d.inside && !isMinor(d.r));
   for (const d of inside) cells.set(cellOf(d.u, d.v), (cells.get(cellOf(d.u, d.v)) || 0) + 1);
   const spacing = inside.length > 60 ? CELL * Math.sqrt(cells.size / inside.length) : Infinity;
   return {
@@ -240,9 +241,12 @@ function isApart(d) {
   return n <= 6;
 }
 function isImportant(n) {
-  return n === picked || now.alarmed.has(n) || !!objects.ambiguous[now.rowOf.get(n)];
+  return n === picked || now.alarmed.has(n) || isAmbiguous(now.rowOf.get(n));
 }
-const drawnInFull = n => crowd.details || isImportant(n);
+// Tentative objects that nobody asks about, and whether one is drawn at all.
+const isMinor = r => isTentative(r) && !isImportant(numberOf(r));
+const isInView = r => shown.tentative || !isMinor(r);
+const drawnInFull = n => isImportant(n) || (crowd.details && !isTentative(now.rowOf.get(n)));
 
 function trails(c, w, h, drawn) {
   const back = +el("trail").value;
@@ -290,7 +294,7 @@ function ellipses(c, drawn) {
   const kinds = new Map();
   for (const d of drawn) {
     if (!d.inside || objects.stage[d.r] === STAGE.ended || !drawnInFull(d.n)) continue;
-    const ink = objects.ambiguous[d.r] ? colour.warn : d.n === picked ? colour.accent : colour.dim;
+    const ink = isAmbiguous(d.r) ? colour.warn : d.n === picked ? colour.accent : colour.dim;
     addEllipse(groupPath(kinds, ink, { ink, dash: [] }), objects, d.r, d.u, d.v);
   }
   for (const r of (shown.records && now.members.get(picked)) || []) {
@@ -321,7 +325,7 @@ function marks(c, w, h) {
   if (!shown.records) return;
   const directions = [];
   for (const r of now.marks) {
-    if (!shown.source[records.source[r]] || !drawnInFull(records.n[r])) continue;
+    if (!shown.source[records.source[r]] || !(crowd.details || isImportant(records.n[r]))) continue;
     const place = rowsOf.has(records.n[r]) && markPlace(r),
       [u, v] = place ? toScreen(...place) : [NaN, NaN],
       inside = u > -10 && v > -10 && u < w + 10 && v < h + 10;
@@ -386,7 +390,7 @@ function memberLines(c, drawn) {
   for (const d of drawn) {
     if (!drawnInFull(d.n)) continue;
     for (const r of now.members.get(d.n)) join(d, r, colourOf(records.source[r]), d.n === picked ? 2 : 1, []);
-    if (!objects.ambiguous[d.r] && d.n !== picked) continue;
+    if (!isAmbiguous(d.r) && d.n !== picked) continue;
     for (const r of rivalsOf(d.r)) if (records.n[r] !== d.n) join(d, r, colour.warn, 1.4, [5, 4]);
   }
   for (const { path, ink, width, dash } of kinds.values()) {
@@ -409,9 +413,9 @@ function* symbols(c, drawn) {
       for (const d of part) {
         const how = {
           several: isSeveral(d.r),
-          ambiguous: !!objects.ambiguous[d.r],
+          ambiguous: isAmbiguous(d.r),
           alarmed: now.alarmed.has(d.n),
-          r: isImportant(d.n) ? 8 : crowd.radius,
+          r: isImportant(d.n) ? 8 : Math.min(crowd.radius, isTentative(d.r) ? TENTATIVE_RADIUS : crowd.radius),
         };
         copy(symbolSprite(objects.stage[d.r], how), d.u, d.v);
         found.push({ u: d.u, v: d.v, n: d.n, r: d.r, record: false });
@@ -424,10 +428,10 @@ function* symbols(c, drawn) {
 function vectors(c, inside) {
   const kinds = new Map();
   for (const d of inside) {
-    if (!d.ahead || !(crowd.vectors || isImportant(d.n))) continue;
+    if (!d.ahead || isMinor(d.r) || !(crowd.vectors || isImportant(d.n))) continue;
     const stage = objects.stage[d.r],
       dashed = stage === STAGE.coasting || stage === STAGE.tentative,
-      ink = objects.ambiguous[d.r] ? colour.warn : colour.ink;
+      ink = isAmbiguous(d.r) ? colour.warn : colour.ink;
     const path = groupPath(kinds, ink + dashed, { ink, dashed });
     path.moveTo(d.u, d.v);
     path.lineTo(...d.ahead);

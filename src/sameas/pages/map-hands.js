@@ -100,7 +100,7 @@ const counted = k => {
   let live = 0,
     doubt = 0;
   for (const r of objectsAt(k))
-    if (objects.stage[r] !== STAGE.ended) {
+    if (objects.stage[r] !== STAGE.ended && !isTentative(r)) {
       live++;
       if (objects.ambiguous[r]) doubt++;
     }
@@ -322,6 +322,7 @@ function onTables() {
   for (const tick of document.querySelectorAll("[data-layer]"))
     tick.addEventListener("change", () => {
       shown[tick.dataset.layer] = tick.checked;
+      if (tick.dataset.layer === "tentative") listing();
       draw();
     });
   for (const name of ["vector", "trail", "ring"])

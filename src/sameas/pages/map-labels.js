@@ -72,12 +72,12 @@ const spotsAround = (wide, high) => [
 function rank(d) {
   if (d.n === picked) return 0;
   if (now.alarmed.has(d.n)) return 1;
-  if (objects.ambiguous[d.r]) return 2;
+  if (isAmbiguous(d.r)) return 2;
   return objects.stage[d.r] === STAGE.confirmed ? 3 : 4;
 }
 function labelInk(d) {
   if (now.alarmed.has(d.n)) return colour.alarm;
-  if (objects.ambiguous[d.r]) return colour.warn;
+  if (isAmbiguous(d.r)) return colour.warn;
   return objects.stage[d.r] === STAGE.tentative ? colour.dim : colour.ink;
 }
 // Draws the lines of a label at the first free place around the symbol; returns its box, or undefined.
@@ -112,6 +112,7 @@ function* labels(c, w, drawn) {
   c.setLineDash([]);
   for (const [k, d] of named.entries()) {
     if (k % 40 === 39) yield;
+    if (isMinor(d.r) && !textOf("o", "label", d.r)) continue;
     const name = nameOf(d.r).slice(0, 24);
     const full = Number.isFinite(objects.speed[d.r]) && (crowd.few || d.n === picked);
     const high = Number.isFinite(objects.height[d.r]) ? ` ${flightLevel(objects.height[d.r])}` : "";

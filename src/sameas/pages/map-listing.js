@@ -50,7 +50,7 @@ function heads() {
   );
 }
 function wanted(r, words) {
-  if (objects.stage[r] === STAGE.ended) return false;
+  if (objects.stage[r] === STAGE.ended || !isInView(r)) return false;
   return (
     !words ||
     ["label", "name", "callsign", "mmsi", "icao", "mode_a", "type"].some(key =>
@@ -65,7 +65,7 @@ function listed() {
     words = el("search").value.trim().toLowerCase();
   const key = new Map(now.rows.map(r => [r, column.of(r)]));
   const rank = v => (typeof v === "number" && Number.isNaN(v) ? 1 : 0),
-    calm = r => (order.alarmsFirst && now.alarmed.has(numberOf(r)) ? 0 : 1);
+    calm = r => (order.alarmsFirst && now.alarmed.has(numberOf(r)) ? 0 : isMinor(r) ? 2 : 1);
   return now.rows
     .filter(r => wanted(r, words))
     .sort((a, b) => {
@@ -128,7 +128,7 @@ function fill(tr, r) {
   tr.dataset.number = n;
   tr.className = [
     n === picked ? "picked" : "",
-    objects.ambiguous[r] ? "ambiguous" : "",
+    isAmbiguous(r) ? "ambiguous" : "",
     now.alarmed.has(n) ? "alarmed" : "",
     faint ? "faint" : "",
   ]

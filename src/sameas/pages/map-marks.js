@@ -39,6 +39,7 @@ const markOf = (() => {
 const shown = {
   source: data.sensors.map(() => true),
   records: true,
+  tentative: true,
   ellipses: true,
   members: true,
   labels: true,
@@ -112,7 +113,7 @@ const symbolSprite = (stage, how) =>
 function symbolInk(stage, ambiguous, alarmed) {
   if (alarmed) return colour.alarm;
   if (ambiguous) return colour.warn;
-  return stage === STAGE.coasting || stage === STAGE.ended ? colour.dim : colour.ink;
+  return stage === STAGE.confirmed ? colour.ink : colour.dim;
 }
 function drawSymbol(c, stage, x, y, { several = false, ambiguous = false, alarmed = false, r = 8 } = {}) {
   c.strokeStyle = c.fillStyle = symbolInk(stage, ambiguous, alarmed);

@@ -270,7 +270,7 @@ function showHelp() {
     }),
   );
   const notes = [
-    "Circles are objects: dashed while tentative, crossed while no source shows them. A dot: two or more sources show it. Lines ahead are where it will be if it keeps course and speed.",
+    "Circles are objects, crossed while no source shows them. Small dashed ones are tentative: it is not certain yet that they exist. They are last in the list. A dot: two or more sources show it. Lines ahead are where it will be if it keeps course and speed.",
     "An orange ring and “?”: which records belong to it is not certain; dashed lines lead to the records it would have otherwise. A red triangle: an alarm.",
     "Times are UTC, courses and bearings true, 1 nm = 1852 m. " +
       (data.origin
@@ -344,13 +344,15 @@ function showCounts() {
   const counts = data.sensors.map(() => 0);
   for (const r of now.marks) counts[records.source[r]]++;
   for (const e of document.querySelectorAll("[data-count]")) e.textContent = data.live && now.k < last ? "" : grouped(counts[e.dataset.count]);
-  const live = now.rows.filter(r => objects.stage[r] !== STAGE.ended),
-    doubtful = live.filter(r => objects.ambiguous[r]).length,
+  const all = now.rows.filter(r => objects.stage[r] !== STAGE.ended),
+    live = all.filter(r => !isTentative(r)),
+    doubtful = live.filter(isAmbiguous).length,
     several = live.filter(isSeveral).length;
   el("counts").replaceChildren(
     text("b", plural(live.length, "object")),
     // What is doubtful first: on a narrow screen the end is cut.
     ...(doubtful ? [", ", text("span", `${grouped(doubtful)} ambiguous`, "warn")] : []),
     ...(data.sensors.length > 1 ? [`, ${grouped(several)} seen by two or more sources`] : []),
+    ...(all.length > live.length ? [`, ${grouped(all.length - live.length)} tentative`] : []),
   );
 }

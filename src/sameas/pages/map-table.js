@@ -112,6 +112,9 @@ function instant(k) {
   return { k, time: data.instants[k], rows, marks, members, rowOf, alarmed };
 }
 const rivalsOf = row => [...objects.rivalRows.subarray(objects.rivals[row], objects.rivals[row + 1])];
+// Of tentative objects, most are clutter of radars: they do not count as objects, and less is drawn of them.
+const isTentative = row => objects.stage[row] === STAGE.tentative;
+const isAmbiguous = row => !!objects.ambiguous[row] && !isTentative(row);
 const numberOf = row => objects.n[row];
 // Whether several sources report an object, by the probability of its members; used wherever this is displayed.
 const LIKELY = 0.5;
