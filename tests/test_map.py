@@ -309,11 +309,12 @@ def test_the_slider_changes_the_drawn_instant(shown: tuple[Browser, MapSheet]) -
     key(browser, "ArrowRight")
     browser.until(f"document.body.dataset.drawn === '{k + 1}'")
     seconds = int(sheet.instants_s[k + 1] - START_S)
-    # The counts above the slider are a band without gaps: an empty column would be an instant without objects. At the first
-    # two all are tentative.
+    # The counts above the slider are a band without gaps: an empty column would be an instant without objects. At the
+    # first two all are tentative.
     empty, wide = browser.js(
         "(s => { const p = s.getContext('2d').getImageData(0, s.height - 2, s.width, 1).data; let n = 0;"
-        "for (let k = 3; k < p.length; k += 4) if (!p[k]) n++; return [n, s.width]; })(document.getElementById('strip'))"
+        "for (let k = 3; k < p.length; k += 4) if (!p[k]) n++;"
+        "return [n, s.width]; })(document.getElementById('strip'))"
     )
     assert empty <= wide * 2 / len(sheet.instants_s)
     assert words(browser, "time") == f"22:{13 + (20 + seconds) // 60}:{(20 + seconds) % 60:02d}"

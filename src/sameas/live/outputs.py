@@ -45,8 +45,10 @@ _SENTENCE = 82 - len("$*hh\r\n")
 
 
 def geojson(situation: Situation) -> dict[str, Any]:
-    """A FeatureCollection (RFC 7946) of the objects as points, without tentative ones, which a layer of a chart would draw
-    as ships; empty where the plane has no geographic origin."""
+    """A FeatureCollection (RFC 7946) of the objects as points; empty where the plane has no geographic origin.
+
+    Tentative objects are left out: a chart would draw them as ships.
+    """
     features = [
         {
             "type": "Feature", "id": one["object"],

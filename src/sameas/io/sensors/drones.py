@@ -55,7 +55,9 @@ def recognised(cells: TableText) -> tuple[TableText, str, list[str]]:
     message = _message(cells)
     if message is None:
         stems = {stem_of(name)[0] for name in cells.columns}
-        return cells, "table" if stems.isdisjoint(_REMOTE_ID) else "remote id", []
+        if stems.isdisjoint(_REMOTE_ID):
+            return cells, "table", []
+        return _without_heights_above_ground(cells), "remote id", []
     column = _columns_of(cells, message)
     flags = [_number(cell) for cell in column("flags")]
     out: dict[str, Sequence[Any]] = {"time_s": column("timestamp")}
@@ -73,6 +75,17 @@ def recognised(cells: TableText) -> tuple[TableText, str, list[str]]:
         out["track_id"] = [f"vehicle {cell or 1}" for cell in column("srcSystem")]
     format_name = "mavlink" if message == "GLOBAL_POSITION_INT" else "table"
     return replace(cells, columns=out), format_name, [f"read as {message} of MAVLink, in the units of that message"]
+
+
+def _without_heights_above_ground(cells: TableText) -> TableText:
+    """A table of Remote ID without its ``Height``, where a type says from where it counts: the ground, or the place of
+    take-off (ASTM F3411)."""
+    stems = {stem_of(name)[0]: name for name in cells.columns}
+    if "height" not in stems or stems.keys().isdisjoint(("heighttype", "heightref", "heightreference")):
+        return cells
+    height = stems["height"]
+    kept = {name: cells.columns[name] for name in cells.columns if name != height}
+    return replace(cells, columns=kept | {f"{height} above ground": cells.columns[height]})
 
 
 def _message(cells: TableText) -> str | None:

@@ -37,6 +37,8 @@ DAY_S = 86400.0
 _FINER_UNITS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
 
 
+#: A date and a time of day without signs between the numbers, as exactEarth writes them: 20240501_104000.
+_COMPACT = re.compile(r"((?:19|20)\d{6})[T_ -]?(\d{6})(\.\d+)?Z?")
 #: The name of the zone at the end of a time.
 _UTC = re.compile(r"\s+(UTC|GMT)$", re.IGNORECASE)
 
@@ -44,12 +46,21 @@ _UTC = re.compile(r"\s+(UTC|GMT)$", re.IGNORECASE)
 def instant(text: str) -> float | None:
     """UTC seconds since 1970 from ISO 8601 text or a number of (milli-, micro-, nano-) seconds; None for other text.
 
-    Text without a zone is UTC, and so is text that ends with UTC or GMT.
+    Text without a zone is UTC, and so is text that ends with UTC or GMT. Fourteen digits that are a date are one: as
+    milliseconds they lie beyond the year 2570.
 
-    >>> instant("2016-01-12 13:02:11.5"), instant("1452603731500"), instant("radar")
-    (1452603731.5, 1452603731.5, None)
+    >>> instant("2016-01-12 13:02:11.5"), instant("1452603731500"), instant("radar"), instant("20160112_130211")
+    (1452603731.5, 1452603731.5, None, 1452603731.0)
     """
     cell = text.strip()
+    if compact := _COMPACT.fullmatch(cell):
+        try:
+            moment = datetime.strptime(compact[1] + compact[2], "%Y%m%d%H%M%S").replace(tzinfo=UTC)
+        except ValueError:
+            return None
+        return moment.timestamp() + float(compact[3] or 0.0)
+    if "_" in cell:
+        return None  # a number for Python
     try:
         number = seconds(float(cell))
         return number if abs(number) <= LAST_S else None

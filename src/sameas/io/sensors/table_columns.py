@@ -23,7 +23,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "length": {"m": 1.0, "metres": 1.0, "meters": 1.0, "metre": 1.0, "meter": 1.0, "km": 1000.0, "ft": FOOT_M,
                "feet": FOOT_M, "nm": MILE_M, "nmi": MILE_M, "cm": 0.01, "mm": 0.001, "sm": MILE_M, "seemeilen": MILE_M,
                "milles": MILE_M, "millas": MILE_M, "miglia": MILE_M, "milhas": MILE_M, "sjomil": MILE_M,
-               "somil": MILE_M, "zeemijl": MILE_M, "metri": 1.0, "metros": 1.0},
+               "somil": MILE_M, "zeemijl": MILE_M, "metri": 1.0, "metros": 1.0, "100ft": 100.0 * FOOT_M},
     "angle": {"deg": 1.0, "degrees": 1.0, "degree": 1.0, "rad": 57.29577951308232, "radians": 57.29577951308232,
               "mrad": 0.05729577951308232, "grad": 1.0, "degres": 1.0, "grados": 1.0, "gradi": 1.0, "graus": 1.0,
               "grader": 1.0, "graden": 1.0},
@@ -57,14 +57,15 @@ QUANTITIES = tuple(
     SensorQuantity(column, kind, tuple(names.split()))
     for column, kind, names in (
         ("time_s", "time", "lastposupdate time timestamp datetime basedatetime t utc timeutc utctime dt epoch "
-                           "unixtime unix date msgtime dtpos"),
+                           "unixtime unix date msgtime dtpos clock"),
         ("day_s", "time", "timeofday tod"),
         ("lat_deg", "angle", "lat latitude latitudewgs84"),
         ("lon_deg", "angle", "lon long longitude lng longitudewgs84"),
-        ("alt_m", "length", "alt altitude geoaltitude geometricaltitude altgeom heightellipsoid height hae "
+        ("alt_m", "length", "alt altitude geoaltitude geometricaltitude altgeom altitudegeo heightellipsoid "
+                            "height hae "
                             "geodeticaltitude altitudegeodetic"),
         ("pressure_alt_m", "length", "pressurealtitude baroaltitude altbaro baroalt flightlevelaltitude "
-                                     "altitudebarometric barometricaltitude"),
+                                     "altitudebarometric barometricaltitude altitudebaro"),
         ("x_m", "length", "x east e xeast easting xpos posx"),
         ("y_m", "length", "y north n ynorth northing ypos posy"),
         ("z_m", "length", "z up"),
@@ -81,12 +82,12 @@ QUANTITIES = tuple(
         ("station_y_m", "length", "stationy sensory owny ownshipy"),
         ("station_heading_deg", "angle", "stationheading sensorheading ownheading ownshipheading platformheading "
                                          "ownhdg ownshiphdg"),
-        ("speed_m_per_s", "speed", "sog speed groundspeed gs velocity speedoverground"),
+        ("speed_m_per_s", "speed", "sog speed groundspeed gs velocity speedoverground speedhorizontal horizontalspeed"),
         ("course_deg", "angle", "cog course courseoverground track trackangle direction"),
         ("heading_deg", "angle", "heading hdg trueheading"),
         ("vx_m_per_s", "speed", "vx ve veast velx velocityx xvel vele xspeed xdot"),
         ("vy_m_per_s", "speed", "vy vn vnorth vely velocityy yvel veln yspeed ydot"),
-        ("climb_m_per_s", "speed", "climb verticalrate vertrate rocd vrate vz"),
+        ("climb_m_per_s", "speed", "climb verticalrate vertrate rocd vrate vz speedvertical verticalspeed"),
         ("sigma_m", "length", "sigma sigmapos sigmaposition positionsigma poserror accuracy std stddev"),
         ("sigma_x_m", "length", "sigmax sx stdx xstd xsigma xerr sigmaeast sigmae"),
         ("sigma_y_m", "length", "sigmay sy stdy ystd ysigma yerr sigmanorth sigman"),
@@ -104,11 +105,11 @@ QUANTITIES = tuple(
         ("sigma_elevation_deg", "angle", "sigmaelevation elevationsigma sigmael"),
         ("track_id", "text", "trackid tracknumber trackno tracknum id targetid target targetno targetnumber tgt tgtid "
                              "tgtno trkid trkno tracknr targetnr objectid uid shipid vesselid uasid "
-                             "uavid droneid"),
+                             "uavid droneid faflightid"),
         ("mmsi", "text", "mmsi sourcemmsi"),
         ("imo", "text", "imo imonumber"),
-        ("icao", "text", "icao24 icao icaoaddress hex modes modesaddress"),
-        ("callsign", "text", "callsign flight"),
+        ("icao", "text", "icao24 icao icaoaddress hex hexid modes modesaddress"),
+        ("callsign", "text", "callsign flight ident"),
         ("mode_a", "text", "squawk modea mode3a modea3"),
         ("name", "text", "name vesselname shipname"),
         ("type", "text", "type vesseltype shiptype typecode"),
@@ -129,6 +130,7 @@ _CONVENTIONS = (
     ("ship speeds are knots", ("mmsi", "sourcemmsi", "imo", "ais"), ("sog", "speed", "speedoverground"), "kn"),
     ("speeds over ground (sog) are knots", ("sog", "speedoverground"), ("sog", "speedoverground"), "kn"),
     ("speeds of aircraft are knots", ("groundspeed", "gs"), ("groundspeed", "gs"), "kn"),
+    ("altitudes are hundreds of feet in answers of FlightAware", ("faflightid",), ("altitude",), "100 ft"),
     ("altitudes are feet", ("groundspeed", "gs"), ("altitude", "alt", "geoaltitude", "altgeom", "altbaro",
                                                    "baroaltitude"), "ft"),
     ("vertical rates are feet a minute", ("groundspeed", "gs"), ("verticalrate", "rocd", "vertrate"), "fpm"),
@@ -267,7 +269,7 @@ def _choice(
     if stem in quantity.translations and quantity.column == "speed_m_per_s":
         stem = "speed"
     for why, indicators, applies, written in _CONVENTIONS:
-        unit = written.replace("/", "")
+        unit = re.sub("[/ ]", "", written)
         if stem in applies and unit in factors and any(set(each.split()) <= signs for each in indicators):
             return Choice(name, quantity, factors[unit], f"{name} is read in {written}: {why}")
     if quantity.column in ("length_m", "width_m", *OF_THE_ANTENNA):

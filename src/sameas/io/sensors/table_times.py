@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any, SupportsFloat
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError, naming
@@ -21,6 +22,8 @@ from sameas.io.sensors.table_columns import Choice, stem_of
 _DAY_FIRST_TABLES = ("typeofmobile",)
 _DAY_FIRST = re.compile(r"(\d{1,2})[/.-](\d{1,2})[/.-](\d{4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
 _OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
+#: A date and a time of day that look like a number.
+_FOURTEEN = re.compile(r"(?:19|20)\d{12}(?:\.\d+)?")
 #: The offset of a time zone at the end of ISO text; Z is UTC.
 _ZONE = re.compile(r"T.*[+-]\d\d:?\d\d$| .*:\d\d[+-]\d\d:?\d\d$")
 
@@ -40,6 +43,9 @@ def times_of(
         days, hours = (cells.columns[str(part)] for part in parts)
         column = [f"{day} {hour}" for day, hour in zip(days, hours, strict=True)]
     if choice.quantity.column == "time_s":
+        if _is_expedition(cells, choice):
+            since_1900 = np.array(column, np.float64)
+            return (since_1900 - _EXCEL_1970) * DAY_S, f"{source}: {choice.name} is read as days of Excel, UTC"
         # Of the languages that are read, only English has the month first.
         day_first = any("".join(stem_of(name)) in _DAY_FIRST_TABLES for name in cells.columns)
         day_first = day_first or any(one.translated for one in chosen.values())
@@ -72,6 +78,58 @@ def times_of(
     return utc_of(unwrapped(times, DAY_S, start_s), time_zone), note
 
 
+#: The number of the first day of 1970 in Excel.
+_EXCEL_1970 = 25569.0
+
+
+def _is_expedition(cells: TableText, choice: Choice) -> bool:
+    """Whether the times of a table are days since 1900, as in logs of Expedition."""
+    if stem_of(choice.name) != ("utc", "") or all(stem_of(name)[0] != "boat" for name in cells.columns):
+        return False
+    try:
+        days = np.array(cells.columns[choice.name], np.float64)
+    except (TypeError, ValueError):
+        return False
+    return bool(len(days)) and bool(((days > _EXCEL_1970) & (days < 2.0 * _EXCEL_1970 + 30_000.0)).all())
+
+
+#: Rows of the first numbers by which milliseconds are told from seconds; instants that they need at least; steps of
+#: milliseconds between these at least, if nothing is known of the motion, and at most: 25 scans a second, one in 5 s.
+_ROWS, _INSTANTS, _LEAST_STEP, _MOST_STEP = 20_000, 10, 40.0, 5000.0
+#: Speeds in m/s: nothing slower is under way, and nothing is faster.
+_SLOW_M_PER_S, _FAST_M_PER_S = 0.1, 1000.0
+
+
+def milliseconds(time_s: FloatArray, track: NDArray[Any] | None, place: FloatArray) -> bool:
+    """Whether numbers (n,) from an origin of their own, whose column states no unit, are milliseconds, not seconds.
+
+    track : (n,) ids of the objects, or None. place : (n, 2) positions in metres. Scans are not 40 s or more apart, and
+    whole numbers that are so far apart are milliseconds; where ids show motion, if it is one of 0.1 to 1000 m/s with
+    milliseconds, and slower with seconds.
+
+    >>> t = np.repeat(np.arange(0.0, 3000.0, 100.0), 2)
+    >>> milliseconds(t, None, np.zeros((60, 2))), milliseconds(t / 100.0, None, np.zeros((60, 2)))
+    (True, False)
+    """
+    order = np.argsort(time_s[:_ROWS], kind="stable")
+    time_s, place = time_s[:_ROWS][order], place[:_ROWS][order]
+    instants = np.unique(time_s[np.isfinite(time_s)])
+    if len(instants) < _INSTANTS or (instants % 1.0).any():
+        return False
+    step = float(np.median(np.diff(instants)))
+    if track is None:
+        return _LEAST_STEP <= step <= _MOST_STEP
+    of = np.unique(track[:_ROWS][order].astype(str), return_inverse=True)[1]
+    by_track = np.argsort(of, kind="stable")
+    dt = np.diff(time_s[by_track])
+    moved = np.hypot(*np.diff(place[by_track], axis=0).T)
+    known = (np.diff(of[by_track]) == 0) & (dt > 0.0) & np.isfinite(moved)
+    if np.count_nonzero(known) < _INSTANTS:
+        return False
+    speed = float(np.median(moved[known] / dt[known]))
+    return step > 1.0 and speed < _SLOW_M_PER_S and _SLOW_M_PER_S <= 1000.0 * speed <= _FAST_M_PER_S
+
+
 def _zones(column: Sequence[Any]) -> tuple[BoolArray, BoolArray]:
     """(n,) whether a cell states an offset from UTC, and whether it is a clock time without a zone."""
     stated = np.array(of_each(_zone, column), bool).reshape(-1, 2)
@@ -91,6 +149,8 @@ def _instants(column: Sequence[Any], choice: Choice, source: str, start_s: float
     """
     try:
         numbers = np.array(column, dtype=np.float64)
+        if any(isinstance(cell, str) and ("_" in cell or _FOURTEEN.fullmatch(cell.strip())) for cell in column[:100]):
+            raise ValueError
     except (TypeError, ValueError, OverflowError):
         texts = ["" if cell is None else str(cell).strip() for cell in column]
         if any(_DAY_FIRST.fullmatch(text) for text in texts[:100]):

@@ -33,12 +33,14 @@ from sameas.io.sensors.format import (
 from sameas.io.sensors.languages import DATES, HOURS, plain
 from sameas.io.sensors.table_cells import NULLS, PARQUET, TableText, cells_of, distinct_texts, of_each, parts_of
 from sameas.io.sensors.table_columns import Choice, choose, require_columns, stem_of
-from sameas.io.sensors.table_times import times_of
+from sameas.io.sensors.table_times import milliseconds, times_of
 from sameas.representation import counted
 from sameas.tracks.reports import DIRECTIONS, Damaged, Reports, is_impossible
 
 #: Columns with latitude and longitude in one cell.
 _POSITIONS = ("position", "latlon", "latlong", "latlng", "coordinates")
+#: Metres of a degree of latitude.
+DEGREE_M = 111_200.0
 #: Number of unused columns that are listed.
 _LISTED = 12
 #: MMSI of base stations (00 and the country) and aids to navigation.
@@ -73,6 +75,8 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     marks = _mark_unavailable(values, chosen, is_ais)
     start_s = start_seconds(options.start, source)
     values["time_s"], note = times_of(cells, chosen, source, start_s, options.time_zone)
+    if _is_in_milliseconds(values, chosen, options):
+        values["time_s"], note = values["time_s"] / 1000.0, f"{note}; they are milliseconds, by their steps"
     _mark(np.isnan(values["time_s"]), cells.lines, damaged, "no time")
     _mark_unusable(values, cells.lines, damaged)
     good = ~np.isin(cells.lines, list(damaged))
@@ -92,6 +96,26 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
         source, format_name, values, damaged=Damaged.of(damaged.items(), cells.unit),
         passed_over=passed_over, notes=[note, *more],
     )  # fmt: skip
+
+
+def _is_in_milliseconds(values: Mapping[str, Any], chosen: Mapping[str, Choice], options: ReadOptions) -> bool:
+    """Whether times from an origin of their own are milliseconds, though nothing says so."""
+    time = chosen.get("time_s")
+    if time is None or time.name in (options.units or {}) or stem_of(time.name)[1] or {"mmsi", "icao"} & set(values):
+        return False
+    if np.nanmax(np.abs(values["time_s"]), initial=0.0) >= 1e8:
+        return False
+    n = len(values["time_s"])
+    place = np.full((n, 2), np.nan)
+    if {"x_m", "y_m"} <= set(values):
+        place = np.column_stack([values["x_m"], values["y_m"]])
+    elif {"range_m", "bearing_deg"} <= set(values):
+        angle = np.radians(values["bearing_deg"])
+        place = values["range_m"][:, None] * np.column_stack([np.sin(angle), np.cos(angle)])
+    elif {"lat_deg", "lon_deg"} <= set(values):
+        east = values["lon_deg"] * np.cos(np.radians(values["lat_deg"]))
+        place = DEGREE_M * np.column_stack([east, values["lat_deg"]])
+    return milliseconds(values["time_s"], values.get("track_id"), place)
 
 
 def _interpretation(cells: TableText, chosen: Mapping[str, Choice]) -> list[str]:
