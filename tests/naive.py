@@ -445,12 +445,12 @@ def em_iteration(
 ):
     """One EM iteration: (offset, scatter, slopes, scales, shares, covariance, mean basis, scatter error).
 
-    sample : (n, 7) difference, its two variances, weight, density if unrelated, first other magnitude, density if the
-        pair is wrong.
+    sample : (n, 6) difference, its two variances, density if unrelated, first other magnitude, density if the pair is
+        wrong.
     colours : (n, 2c) c colours, then their variances.
     """
     offset, scatter, slopes, scales, shares = state[:5]
-    difference, variance, of_first, weight, background, x, chance = sample.T
+    difference, variance, of_first, background, x, chance = sample.T
     c, curve = len(slopes), linear_basis(knots, x)
     basis = np.hstack([curve, colours[:, :c]])
     quoted = variance + (1 - slopes.sum()) ** 2 * of_first + colours[:, c:] @ slopes**2
@@ -458,7 +458,7 @@ def em_iteration(
     residual = difference - basis @ np.append(offset, slopes)
     parts = shares[:-1] * norm.pdf(residual[:, None], 0.0, scales * np.sqrt(total)[:, None])
     unrelated = shares[-1] * background
-    each = weight / (parts.sum(axis=1) + unrelated + chance)
+    each = 1.0 / (parts.sum(axis=1) + unrelated + chance)
     parts *= each[:, None]
     own, precise = parts.sum(axis=1), parts @ scales**-2.0
     precision, number, true = precise / total, own.sum(), own.sum() + unrelated @ each

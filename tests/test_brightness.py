@@ -339,7 +339,9 @@ def test_a_relation_and_its_errors_are_recovered():
         lost = rng.uniform(size=800) < 0.03
         y[lost] = rng.uniform(12.0, 22.0, int(lost.sum()))
         background = np.exp(density_of(y)(y))
-        sample = Sample.of(y, np.column_stack([x, x - colour]), error**2, np.zeros((800, 2)), background, np.ones(800))
+        sample = Sample.of(
+            y, np.column_stack([x, x - colour]), error**2, np.zeros((800, 2)), background, np.ones(800), background
+        )
         relation = fit_relation(sample, density_of(y))
         relation = fit_relation(sample, density_of(y), relation, last=True)
         truth = 0.5 + 0.1 * float(np.average(colour[~lost] - 0.8))
@@ -426,6 +428,16 @@ def test_a_simulated_exposure_has_the_stated_false_and_uncatalogued_shares():
     assert misquoted(scene, 2.0).first.covariance == pytest.approx(scene.first.covariance / 4.0)
     moved = with_outliers(np.random.default_rng(16), scene, 0.05)
     assert np.mean(np.any(moved.first.features != scene.first.features, axis=1)) == pytest.approx(0.05, abs=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 3])
+def test_hardly_any_pair_is_taken_for_one_with_unrelated_magnitudes_where_there_is_none(seed):
+    """The share was estimated from a thousand pairs, with probabilities that already rested on a larger share: 0.1 to
+    0.2 %, and false pairs with good positions became pairs with unrelated magnitudes."""
+    made = exposure(np.random.default_rng([seed, 9]), Sky(stars_per_deg2=3_000_000.0, uncatalogued=0.3), side_deg=0.15)
+    _, estimate = match(made.scene.first, made.scene.second, brightness=made.brightness)
+    assert estimate.photometry.first_relation.unrelated < 2e-4
 
 
 @pytest.mark.slow

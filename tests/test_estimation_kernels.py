@@ -119,7 +119,7 @@ def magnitudes(seed, c):
     """A sample of pairs with c colours as ``learn`` takes it, and an initial relation."""
     rng = np.random.default_rng([2, seed, c])
     n, knots = 300, np.sort(rng.uniform(14.0, 20.0, 1 + seed))
-    x, weight = rng.uniform(13.0, 21.0, n), rng.uniform(0.01, 1.0, n)
+    x = rng.uniform(13.0, 21.0, n)
     colours = np.hstack([rng.normal(0.0, 0.5, (n, c)), rng.uniform(1e-4, 1e-2, (n, c))])
     slopes = rng.normal(0.0, 0.1, c)
     difference = 0.3 + 0.02 * (x - 17.0) + colours[:, :c] @ slopes + rng.normal(0.0, 0.1, n)
@@ -127,7 +127,7 @@ def magnitudes(seed, c):
     quoted = rng.uniform(1e-4, 2e-2, (2, n))
     unrelated = rng.uniform(0.02, 0.3, n)
     chance = unrelated * rng.choice([0.0, 0.2, 3.0], n)
-    sample = np.column_stack([difference, *quoted, weight, unrelated, x, chance])
+    sample = np.column_stack([difference, *quoted, unrelated, x, chance])
     k = len(knots)
     start = (
         np.full(k, 0.2), rng.uniform(0.05, 0.2, k), np.zeros(c), np.array([1.0, 3.0, 9.0]),
@@ -201,19 +201,17 @@ def test_weighted_quartiles_of_the_values_nearest_to_each_knot(seed):
 
 
 @pytest.mark.parametrize("c", [0, 2])
-@pytest.mark.parametrize("weighed", [True, False])
-def test_a_sample_of_pairs_is_gathered(weighed, c):
+def test_a_sample_of_pairs_is_gathered(c):
     rng = np.random.default_rng([7, c])
-    y, variance, unrelated = rng.uniform(size=(3, 20))
+    y, variance, unrelated, assumed = rng.uniform(size=(4, 20))
     others, other_variance = rng.uniform(size=(2, 20, 1 + c))
     at, weight = rng.permutation(20)[:8], rng.uniform(0.1, 1.0, 8)
-    sample, colours = np.empty((8, 7)), np.empty((8, 2 * c))
-    relation.gather(at, weight, y, variance, others, other_variance, unrelated, weighed, sample, colours)
+    sample, colours = np.empty((8, 6)), np.empty((8, 2 * c))
+    relation.gather(at, weight, y, variance, others, other_variance, unrelated, assumed, sample, colours)
     for e, row in enumerate(at):
         odds = (1.0 - weight[e]) / weight[e]
-        expected = (weight[e], 0.0) if weighed else (1.0, odds * unrelated[row])
         first = y[row] - others[row, 0], variance[row], other_variance[row, 0]
-        assert sample[e] == pytest.approx([*first, expected[0], unrelated[row], others[row, 0], expected[1]])
+        assert sample[e] == pytest.approx([*first, unrelated[row], others[row, 0], odds * assumed[row]])
         assert colours[e] == pytest.approx([*(others[row, 1:] - others[row, 0]), *other_variance[row, 1:]])
 
 

@@ -117,3 +117,12 @@ def test_samples_of_an_uneven_sky_are_representative():
     _, by_all = match(made.first, second)
     assert max(by_sample.learned_from) < len(made.first)
     assert by_sample.common == pytest.approx(by_all.common, rel=0.015)
+
+
+def test_a_sample_of_a_large_source_grows_with_it():
+    made = field(0)
+    whole = setting(made.first, made.second)
+    few = Sampling(enough=700, cell=100, share=0.15)
+    n1, n2 = whole.sample(few).n_counted
+    assert min(n1, n2) >= 0.15 * min(len(made.first), len(made.second)) > 700
+    assert few.size(1_000) == 700 and few.size(10**9) == few.most

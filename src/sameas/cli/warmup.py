@@ -116,7 +116,7 @@ def compile_relations() -> None:
 
     learn.limit = 0
     magnitude, one = np.linspace(10.0, 14.0, 20), np.ones(20)
-    sample = Sample.of(magnitude + 0.1, magnitude[:, None], 1e-4 * one, 1e-4 * one[:, None], 0.2 * one, one)
+    sample = Sample.of(magnitude + 0.1, magnitude[:, None], 1e-4 * one, 1e-4 * one[:, None], 0.2 * one, one, one)
     fit_relation(sample, MagnitudeDensity(magnitude, np.log(0.2 * one)))
 
 

@@ -52,8 +52,8 @@ class RelationTuning:
     tolerance, first_tolerance : EM ends when no estimate changes by more than this share of its standard error; the
         first fit, whose pairs have probabilities without magnitudes, may end earlier.
     min_pairs : expected pairs with a pattern of measured bands, or records of a source, for any fit.
-    max_pairs, max_pairs_in_em : greatest number of pairs for a relation, in the last fit and in EM iterations; more
-        give no noticeable gain.
+    max_pairs, max_pairs_in_em : greatest number of pairs for a relation, in the last fit and in EM iterations. A tenth
+        of them suffices for the relation, but the unrelated share decides between a wrong pair and an unrelated one.
     curve_records, curve_records_in_em, own_band_records : records for a curve of the shares, in the last fit and in
         EM iterations, and for relations between bands of a source. shares : of the curves of the shares.
     max_curve_factor : the records for a curve are those of a share of one half; with other shares more have the same
@@ -73,8 +73,8 @@ class RelationTuning:
     tolerance: float = 0.05
     first_tolerance: float = 1.0
     min_pairs: float = 50.0
-    max_pairs: int = 10_000
-    max_pairs_in_em: int = 1_000
+    max_pairs: int = 100_000
+    max_pairs_in_em: int = 10_000
     curve_records: int = 2_000
     curve_records_in_em: int = 1_000
     own_band_records: int = 1_000
@@ -117,9 +117,10 @@ def density_of(magnitude: FloatArray) -> MagnitudeDensity:
 class Sample:
     """Pairs for a fit. Make it with :meth:`Sample.of`.
 
-    pairs : (n, 7) difference of the magnitude and the first of the others, variances of both, the pair's weight, the
-    density of the magnitude if unrelated, the first of the others, and that density times the odds that the pair is
-    false. colours : (n, 2c) the other magnitudes minus the first of them, then their variances.
+    pairs : (n, 6) difference of the magnitude and the first of the others, variances of both, the density of the
+    magnitude if unrelated, the first of the others, and the weight of the pair being false, on the scale of the
+    magnitude's density if it is true. colours : (n, 2c) the other magnitudes minus the first of them, then their
+    variances.
     weight : (n,) the probability of each pair.
     """
 
@@ -136,21 +137,21 @@ class Sample:
         other_variance: FloatArray,
         unrelated: FloatArray,
         weight: FloatArray,
-        *,
-        informed: bool = True,
+        assumed: FloatArray,
     ) -> Sample:
         """From magnitudes y (n,), others (n, 1 + c), the variances of both, the density of y if unrelated, and the
         probability of each pair; pairs of probability zero are dropped.
 
-        informed : whether the probabilities include the evidence of magnitudes. If not, a pair whose magnitudes do not
-            fit is less probable than stated, and does not count as unrelated.
+        assumed : (n,) the density of y in a true pair with which the probabilities were computed: that of unrelated
+            magnitudes if these are no evidence yet. With another relation the probabilities are others, and a pair
+            whose magnitudes do not fit it is a false one rather than an unrelated one.
         """
         from sameas.kernels.relation import gather
 
         at = np.flatnonzero(weight)
         weight = weight[at]
-        pairs, colours = np.empty((len(at), 7)), np.empty((len(at), 2 * others.shape[1] - 2))
-        gather(at, weight, y, variance, others, other_variance, unrelated, informed, pairs, colours)
+        pairs, colours = np.empty((len(at), 6)), np.empty((len(at), 2 * others.shape[1] - 2))
+        gather(at, weight, y, variance, others, other_variance, unrelated, assumed, pairs, colours)
         return cls(pairs, colours, weight)
 
 
@@ -174,7 +175,7 @@ def _initial_relation(sample: Sample, background: MagnitudeDensity, tuning: Rela
     """Medians and interquartile ranges at every knot, without slopes: robust against outliers and chance pairs."""
     from sameas.kernels.relation import quartiles
 
-    difference, x, c = sample.pairs[:, 0], sample.pairs[:, 5], sample.colours.shape[1] // 2
+    difference, x, c = sample.pairs[:, 0], sample.pairs[:, 4], sample.colours.shape[1] // 2
     knots = knots_of(x, sample.weight, tuning.per_knot, tuning.max_knots)
     centres = sample.weight @ sample.colours[:, :c] / sample.weight.sum()
     nearest = np.searchsorted(0.5 * (knots[1:] + knots[:-1]), x)
@@ -398,17 +399,13 @@ def _fit_chain(
     *,
     last: bool,
 ) -> Chain:
-    """Relations of the bands of one source to those of the other, in pairs with these weights (m,).
-
-    Without a ``previous`` chain, the weights are probabilities by positions only.
-    """
+    """Relations of the bands of one source to those of the other, in pairs with these weights (m,): probabilities
+    with the evidence of the ``previous`` chain, if any."""
     related: list[Mapping[Pattern, Relation]] = []
     for band, (density, comparisons) in enumerate(zip(side.densities, compared.bands, strict=True)):
         start = previous.related[band] if previous else {}
         relations = {
-            x.regressors.pattern: _fit_relation(
-                x, weight, density, start.get(x.regressors.pattern), tuning, last=last, informed=previous is not None
-            )
+            x.regressors.pattern: _fit_relation(x, weight, density, start.get(x.regressors.pattern), tuning, last=last)
             for x in comparisons
         }
         related.append({pattern: relation for pattern, relation in relations.items() if relation is not None})
@@ -445,14 +442,16 @@ def _fit_relation(
     tuning: RelationTuning,
     *,
     last: bool = False,
-    informed: bool = True,
 ) -> Relation | None:
-    """The relation of a band to its regressors; None with too few pairs."""
+    """The relation of a band to its regressors, from pairs whose probabilities rest on the relation ``start``; None
+    with too few pairs."""
     x = compared.regressors
     weight = weight[x.rows]
     if density is None or weight.sum() < tuning.min_pairs:
         return None
-    sample = Sample.of(x.y, x.others, x.variance, x.other_variance, compared.background, weight, informed=informed)
+    background = compared.background
+    assumed = background if start is None else np.exp(x.log_density(start, background))
+    sample = Sample.of(x.y, x.others, x.variance, x.other_variance, background, weight, assumed)
     return fit_relation(sample, density, start, last=last, tuning=tuning)
 
 

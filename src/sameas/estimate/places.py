@@ -271,7 +271,8 @@ def drawn(counts: CellCounts, sampling: Sampling = Sampling()) -> tuple[int, Int
         level, steps = level.coarser(1), steps + 1
     order = np.random.default_rng(sampling.seed).permutation(len(level.cells))
     held = np.cumsum(level.numbers[order], axis=0)
-    needed = max(int(np.searchsorted(held[:, k], sampling.enough)) for k in range(2)) + 1
+    enough = sampling.size(int(held[-1].min()))
+    needed = max(int(np.searchsorted(held[:, k], enough)) for k in range(2)) + 1
     return steps, np.sort(level.cells[order[:needed]])
 
 

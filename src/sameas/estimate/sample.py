@@ -23,16 +23,24 @@ from sameas.representation import in_short
 class Sampling:
     """How a sample is drawn.
 
-    enough : records of each source in a sample.
+    enough : records of each source in a sample. share, most : of the poorer source's records, if these are more, up to
+        a number that fits into memory: small shares, such as that of pairs with unrelated magnitudes, decide about many
+        records of a large source.
     worth_sampling : a sample is drawn if there are more than this many times as many records; else all are used.
     cell : least mean number of records of both sources in a cell.
     seed : of the generator that draws the cells.
     """
 
     enough: int = 30_000
+    share: float = 0.04
+    most: int = 300_000
     worth_sampling: int = 4
     cell: int = 1_000
     seed: int = 20_041
+
+    def size(self, n_poorer: int) -> int:
+        """Records of each source in a sample, from the number of those of the poorer source."""
+        return max(self.enough, min(round(self.share * n_poorer), self.most))
 
 
 @in_short
@@ -106,7 +114,7 @@ class Setting:
             return None
         level = finest(self.levels, sum(n) / sampling.cell)
         counts = level.count(1), level.count(2)
-        drawn = level.drawn(counts, sampling.enough, sampling.seed)
+        drawn = level.drawn(counts, sampling.size(min(n)), sampling.seed)
         share = max(count[drawn].sum() / count.sum() for count in counts)
         return (level, drawn) if share * sampling.worth_sampling < 1.0 else None
 

@@ -199,24 +199,21 @@ def gather(
     others: FloatArray,
     other_variance: FloatArray,
     unrelated: FloatArray,
-    weighed: bool,
+    assumed: FloatArray,
     sample: FloatArray,
     colours: FloatArray,
 ) -> None:
-    """Write ``sample`` (n, 7) and ``colours`` (n, 2c), without subtracting centres, as :func:`learn` takes them, from
+    """Write ``sample`` (n, 6) and ``colours`` (n, 2c), without subtracting centres, as :func:`learn` takes them, from
     the rows ``at`` (n,) of the others (r, ·), whose pairs have the probabilities ``weight`` (n,).
 
-    weighed : whether these probabilities include the evidence of the magnitudes.
+    assumed : (r,) the density of the magnitude in a true pair with which these probabilities were computed.
     """
     c = others.shape[1] - 1
     for e in range(len(at)):
         r = at[e]
         x = others[r, 0]
-        sample[e, 0], sample[e, 1], sample[e, 2], sample[e, 5] = y[r] - x, variance[r], other_variance[r, 0], x
-        sample[e, 4] = unrelated[r]
-        sample[e, 3], sample[e, 6] = weight[e], 0.0
-        if not weighed:
-            sample[e, 3], sample[e, 6] = 1.0, unrelated[r] * (1.0 - weight[e]) / weight[e]
+        sample[e, 0], sample[e, 1], sample[e, 2] = y[r] - x, variance[r], other_variance[r, 0]
+        sample[e, 3], sample[e, 4], sample[e, 5] = unrelated[r], x, assumed[r] * (1.0 - weight[e]) / weight[e]
         for v in range(c):
             colours[e, v], colours[e, c + v] = others[r, v + 1] - x, other_variance[r, v + 1]
 
@@ -233,9 +230,10 @@ def learn(
 ) -> None:
     """EM iterations of the relation, in place, until it has converged or for ``steps`` iterations.
 
-    sample : (n, 7) difference of the magnitude and the first of the others, variances of both, weight, density of the
-    magnitude if unrelated, the first of the others, and that density times the odds that the pair is false (0 if the
-    weight includes these). colours : (n, 2c) other magnitudes minus the first and their centres, then their variances.
+    sample : (n, 6) difference of the magnitude and the first of the others, variances of both, density of the
+    magnitude if unrelated, the first of the others, and the weight of the pair being false, on the scale of the
+    magnitude's density if it is true. colours : (n, 2c) other magnitudes minus the first and their centres, then their
+    variances.
     knots : (k,) ascending. relation : offset and scatter (k,), slopes (c,), scales (s,), each three times the previous
     one, shares (s + 1,), the last of unrelated magnitudes, covariance (k + c, k + c), mean basis (k + c,), and the
     error of the typical scatter (1,). penalty : (k + c, k + c). priors : allowances of the shares (s,), number of
@@ -249,7 +247,7 @@ def learn(
     leverages, hats = np.empty((len(sample), 2)), (np.empty(len(sample), np.int64), np.empty(len(sample)))
     starts = directory(knots)
     for e in range(len(sample)):
-        hats[0][e], _, hats[1][e] = interval(knots, starts, sample[e, 5])
+        hats[0][e], _, hats[1][e] = interval(knots, starts, sample[e, 4])
     for _ in range(steps):
         system, right, owned, counts, excess, weight, wider = _summed(sample, colours, hats, relation, leverages)
         number = summed(owned[:k])
@@ -297,7 +295,7 @@ def _summed(
     true, squared, simple, rest = 0.0, 0.0, 0.0, _square(1.0 - summed(slopes))
     peaks, narrow = shares[:-1] / (scales * np.sqrt(2.0 * np.pi)), 1.0 / scales**2
     for e in range(len(sample)):
-        low, along, weight = left[e], upper[e], sample[e, 3]
+        low, along = left[e], upper[e]
         high = min(low + 1, k - 1)
         width = scatter[low] + along * (scatter[high] - scatter[low])
         total = width * width + sample[e, 1] + rest * sample[e, 2]
@@ -305,13 +303,13 @@ def _summed(
         for v in range(c):
             residual -= slopes[v] * colours[e, v]
             total += _square(slopes[v]) * colours[e, c + v]
-        inverse, unrelated, density = 1.0 / total, shares[-1] * sample[e, 4], 0.0
+        inverse, unrelated, density = 1.0 / total, shares[-1] * sample[e, 3], 0.0
         root, height = np.sqrt(inverse), math.exp(-0.5 * (residual * residual) * inverse * narrow[-1])
         for s in range(normals - 1, -1, -1):
             parts[s] = root * peaks[s] * height
             density += parts[s]
             height = _ninth(height)
-        each = weight / max(density + unrelated + sample[e, 6], 1e-300)
+        each = 1.0 / max(density + unrelated + sample[e, 5], 1e-300)
         own, precise = density * each, 0.0
         true += own + unrelated * each
         for s in range(normals):
