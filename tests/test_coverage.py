@@ -75,6 +75,21 @@ def test_a_hole_is_where_many_records_are_expected_and_none_found():
     assert Coverage.of(first, second).common_volume == pytest.approx(50.0, rel=0.2)
 
 
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_features_of_other_units_have_the_same_holes_and_the_same_region(unit):
+    rng = np.random.default_rng(12)
+    scale = np.array([1.0, unit])
+    for n in (8, 3000):
+        first, second = rng.uniform(0.0, 1000.0, (2, n, 2))
+        second = second[np.hypot(*(second - 500.0).T) > 200.0]
+        plain, scaled = (
+            Coverage.of(*(Records.of(x * by, sigma=np.broadcast_to(by, x.shape)) for x in (first, second)))
+            for by in (np.ones(2), scale)
+        )
+        assert all(np.array_equal(*each) for each in zip(plain.covered, scaled.covered, strict=True))
+        assert scaled.common_volume == pytest.approx(unit * plain.common_volume, rel=1e-9)
+
+
 @pytest.mark.parametrize(
     "area", [WholeSky(), LonLatBox((350.0, 370.0), (-10.0, 10.0)), LonLatBox((0.0, 360.0), (85.0, 90.0))]
 )

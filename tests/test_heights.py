@@ -84,6 +84,17 @@ def test_wrong_vertical_speeds_are_bounded_and_those_of_level_flight_are_weak_ev
     assert not Heights(none, climbs={"a": level})(pairs(9, 9)).log_ratio.any()
 
 
+def test_a_fill_value_among_the_heights_changes_no_other_ratio() -> None:
+    one = Records.of([[0.0, 0.0]], sigma=50.0, source="radar")
+    two = Records.of([[10.0, 0.0], [0.0, 10.0]], sigma=50.0, source="adsb")
+    pairs = Radius(9.0)(one, two)
+    near, far = (
+        Heights({"radar": [[10_000.0, 20.0]], "adsb": [[10_010.0, 20.0], [other, 20.0]]})(pairs).log_ratio
+        for other in (1e6, 9.96921e36)
+    )
+    np.testing.assert_allclose(far, near)
+
+
 def test_invalid_heights_are_refused_with_a_clear_message() -> None:
     with pytest.raises(InputError, match=r"a: row 1: the height's error is 0.0; give metres above 0"):
         Heights({"a": np.array([[1.0, 1.0], [2.0, 0.0]])})

@@ -172,7 +172,7 @@ def test_the_order_of_the_rows_does_not_matter():
 def test_empty_discs_agree_with_the_definition(seed, periods):
     rng, d = np.random.default_rng(seed), len(periods)
     one, two = rng.uniform(0.0, 24.0, (150, d)), rng.uniform(0.0, 24.0, (20, d))
-    own, other = (Points.of(Records.of(x, sigma=1.0, space=Plane(periods))) for x in (one, two))
+    own, other = (Points.of(Records.of(x, sigma=1.0, space=Plane(periods)), np.ones(x.shape[1])) for x in (one, two))
     density, wanted = rng.uniform(0.5, 20.0, 150) / 24.0**d, rng.uniform(size=150) < 0.8
     expected, beyond, least = 1.2, 0.1, 2.0
     unit = math.pi ** (d / 2) / math.gamma(d / 2 + 1)

@@ -204,6 +204,15 @@ def test_a_source_that_shows_one_identity_twice_raises_an_alarm():
     assert alarms([ais], known_nothing) == []
 
 
+def test_positions_on_both_sides_of_a_period_raise_no_alarm():
+    space = Plane((360.0, None))
+    one = Records.of([[359.9, 5.0]], sigma=0.5, source="radar", space=space)
+    two = Records.of([[0.1, 5.0]], sigma=0.5, source="adsb", space=space)
+    rule = Identity({"radar": {"icao": ["4B1814"]}, "adsb": {"icao": ["4B1814"]}})
+    assert len(Radius(3.0)(one, two)) == 1
+    assert alarms([one, two], rule) == []
+
+
 def test_rows_set_aside_do_not_shift_the_attributes_of_others():
     one = Records.of([[np.nan, 0.0], [50.0, 0.0]], sigma=1.0, source="radar")
     two = Records.of([[50.0, 0.5]], sigma=1.0, source="adsb")

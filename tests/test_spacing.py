@@ -130,6 +130,13 @@ def test_directions_and_periodic_features_wrap():
     np.testing.assert_allclose(estimate_reach(ring, ring).neighbour, 30.0, rtol=1e-3)
 
 
+def test_a_value_that_rounds_to_the_period_is_at_its_beginning():
+    space = Plane((360.0, None))
+    ring = Records.of([[-1e-17, 0.0], [5.0, 1.0], [350.0, 2.0]], sigma=1.0, space=space)
+    same = Records.of([[0.0, 0.0], [5.0, 1.0], [350.0, 2.0]], sigma=1.0, space=space)
+    np.testing.assert_allclose(estimate_reach(ring, ring).neighbour, estimate_reach(same, same).neighbour)
+
+
 def test_a_small_reach_raises_a_doubt_and_a_large_one_does_not():
     rng = np.random.default_rng(8)
     scene = line(rng, n=60, spacing_sigmas=6.0, q1=0.1, q2=0.1)

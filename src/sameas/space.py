@@ -66,6 +66,22 @@ class Sphere:
 Space = Plane | Sphere
 
 
+def folded(values: FloatArray, period: float) -> FloatArray:
+    """Values reduced to 0 ≤ x < ``period``; a small negative number rounds to the period, which is 0."""
+    values = np.mod(values, period)
+    return np.where(values < period, values, 0.0)
+
+
+def wrapped(difference: FloatArray, periods: ArrayLike) -> FloatArray:
+    """Differences (…, d) reduced to half a period either way; ``periods`` (d,) are infinite for axes without one."""
+    period = np.asarray(periods, np.float64)
+    wraps = np.isfinite(period)
+    if not wraps.any():
+        return difference
+    turns = np.where(wraps, np.ceil(difference / period - 0.5), 0.0)
+    return np.asarray(difference - turns * np.where(wraps, period, 0.0))
+
+
 def sphere_offset(lon_1: ArrayLike, lat_1: ArrayLike, lon_2: ArrayLike, lat_2: ArrayLike) -> FloatArray:
     """(n, 2) east and north offset of directions 1 from directions 2 in arcsec, on the axes of :class:`Sphere`.
 

@@ -429,10 +429,12 @@ def _margin(extent: FloatArray, first: Records, second: Records) -> FloatArray:
     hundred errors over √n wide, because with few records their errors are all that is known of the scale. On the sphere
     ``extent`` is in degrees.
     """
-    n = max(len(first), len(second))
-    typical = math.sqrt(max(first.covariance[:, 0].mean(), second.covariance[:, 0].mean()))
-    size = extent * 3600.0 if isinstance(first.space, Sphere) else extent
-    return np.maximum(0.5 * size / max(n - 1, 1), 0.5 * (100.0 * typical / math.sqrt(n) - size)).clip(min=0.0)
+    n, on_sphere = max(len(first), len(second)), isinstance(first.space, Sphere)
+    # East and north rotate along the sphere; features of a plane may have different units.
+    one, two = (records.variances.mean(axis=None if on_sphere else 0) for records in (first, second))
+    typical, size = np.sqrt(np.maximum(one, two)), extent * 3600.0 if on_sphere else extent
+    margin: FloatArray = np.maximum(0.5 * size / max(n - 1, 1), 0.5 * (100.0 * typical / math.sqrt(n) - size))
+    return margin.clip(min=0.0)
 
 
 def _extremes(parts: Sequence[FloatArray]) -> tuple[float, float]:

@@ -20,7 +20,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray, inner, median
 from sameas.estimate.cells import DEFAULT_CELLS, CellsTuning, GridLevel, levels_of
 from sameas.estimate.discs import Discs
-from sameas.estimate.holes import DEFAULT_HOLES, HolesTuning, Points, within_holes
+from sameas.estimate.holes import DEFAULT_HOLES, HolesTuning, Points, geometric_mean, within_holes
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
@@ -287,8 +287,8 @@ class Coverage:
             or not counted.any()
         ):
             return
-        scale = unit[:1] if isinstance(self.first.space, Sphere) else unit
-        points, others = one.points / scale, two.points / scale
+        mean = geometric_mean(unit)
+        points, others = one.points / mean, two.points / mean
         per_volume = float(np.prod(unit))
         radius = (tuning.shell * volume / per_volume / ball_volume(d)) ** (1.0 / d)
         n_balls = math.ceil(d * math.log(radius / tuning.near) / math.log(tuning.shell)) - 1
@@ -298,7 +298,7 @@ class Coverage:
         shells = per_volume * ball_volume(d) * (radii**d - tuning.near**d)
         near_sample, weight = counted, counted[sample].astype(np.float64)
         if len(points) > tuning.sparse * len(sample):
-            reach = radius * float(unit.max())
+            reach = radius * mean
             rows = one.in_discs(one.at(sample), np.full(len(sample), reach), reach)
             near_sample = np.zeros(len(points), np.bool_)
             near_sample[rows] = counted[rows]
@@ -398,7 +398,8 @@ class Coverage:
 
     @cached_property
     def _points(self) -> tuple[Points, Points]:
-        one, two = threads.each([partial(Points.of, self.first), partial(Points.of, self.second)], len(self.first))
+        works = [partial(Points.of, records, self.typical_error) for records in (self.first, self.second)]
+        one, two = threads.each(works, len(self.first))
         return one, two
 
     def _mean_densities(self, covered_1: BoolArray, covered_2: BoolArray) -> tuple[float, float]:

@@ -16,7 +16,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, folded, unit_vectors
 
 if TYPE_CHECKING:
     from sameas.kernels.coverage import Buckets
@@ -58,10 +58,11 @@ Floats = TypeVar("Floats", float, FloatArray)
 @in_short
 @dataclass(frozen=True)
 class Points:
-    """The points of a source for the search of empty discs, in the unit of the residuals.
+    """The points of a source for the search of empty discs.
 
-    points : (n, axes); chords for directions on the sphere. period : (axes,), infinite for axes without a period.
-    d : dimension of the space, for the volume of discs.
+    points : (n, axes), chords in arcsec for directions on the sphere; on a plane features whose axes are scaled to
+    equal errors and the same volumes, because a disc needs equal units. period : (axes,), infinite for axes without a
+    period. d : dimension of the space, for the volume of discs.
     """
 
     points: FloatArray
@@ -69,16 +70,16 @@ class Points:
     d: int
 
     @classmethod
-    def of(cls, records: Records) -> Points:
-        """The points of one source's records."""
+    def of(cls, records: Records, typical_error: FloatArray) -> Points:
+        """The points of one source's records, with the typical error of a residual along every axis (d,)."""
         if isinstance(records.space, Sphere):
             return cls(ARCSEC_PER_RADIAN * unit_vectors(*records.features.T), np.full(3, np.inf), 2)
-        period = np.array(records.space.period_list(records.d))
-        wraps = np.isfinite(period)
-        if not wraps.any():
-            return cls(records.features, period, records.d)
-        points = records.features.copy()
-        points[:, wraps] = np.mod(points[:, wraps], period[wraps])
+        scale = typical_error / geometric_mean(typical_error)
+        points = records.features if (scale == 1.0).all() else records.features / scale
+        period = np.array(records.space.period_list(records.d)) / scale
+        for v in np.flatnonzero(np.isfinite(period)):
+            points = points.copy()
+            points[:, v] = folded(points[:, v], period[v])
         return cls(points, period, records.d)
 
     def near(self, other: Points, distance: float) -> BoolArray:
@@ -114,6 +115,11 @@ class Points:
         rows = np.empty(len(self.points), np.int32)
         number = rows_in_reach(self.points, _buckets(self, side, len(self.points)), centres, radius, rows)
         return rows[:number].astype(np.int64)
+
+
+def geometric_mean(values: FloatArray) -> float:
+    """The geometric mean of positive numbers (d,); of equal ones without rounding."""
+    return float(values[0] * np.prod(values / values[0]) ** (1.0 / len(values)))
 
 
 def _buckets(source: Points, side: float, n: int) -> Buckets:

@@ -24,7 +24,7 @@ from sameas.gate import Pairs
 from sameas.gaussian import LOG_2PI
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.space import Sphere, sphere_offset, unit_vectors
+from sameas.space import Sphere, folded, sphere_offset, unit_vectors, wrapped
 
 # Boxes convolved with a normal: the density of a neighbour's residual, in logarithms (METHOD 3.2).
 #
@@ -550,10 +550,10 @@ def _nearest(source: Records) -> IntArray:
     else:
         scale = np.sqrt(_typical_variance(source))
         periods = np.array(source.space.period_list(source.d)) / scale
-        wraps = np.isfinite(periods)
         points = source.features / scale
-        points[:, wraps] %= periods[wraps]
-        tree = cKDTree(points, boxsize=np.where(wraps, periods, 0.0))
+        for v in np.flatnonzero(np.isfinite(periods)):
+            points[:, v] = folded(points[:, v], periods[v])
+        tree = cKDTree(points, boxsize=np.where(np.isfinite(periods), periods, 0.0))
     place = np.arange(len(source))
     nearest = tree.query(points, k=2)[1]
     # Records at one position may be listed in any order.
@@ -564,8 +564,4 @@ def _displacement(source: Records, other: IntArray) -> FloatArray:
     """(n, d) from every record to ``other`` of the same source, in the unit of the residuals."""
     if isinstance(source.space, Sphere):
         return sphere_offset(*source.features[other].T, *source.features.T)
-    delta = source.features[other] - source.features
-    for v, period in enumerate(source.space.period_list(source.d)):
-        if math.isfinite(period):
-            delta[:, v] -= period * np.round(delta[:, v] / period)
-    return delta
+    return wrapped(source.features[other] - source.features, source.space.period_list(source.d))

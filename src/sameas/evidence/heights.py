@@ -50,6 +50,10 @@ class HeightEvidenceTuning:
 
 DEFAULT_TUNING = HeightEvidenceTuning()
 
+#: A normal at −4 … 4 standard deviations, of sum 1.
+SMOOTHING = np.exp(-0.5 * np.arange(-4.0, 5.0) ** 2)
+SMOOTHING /= SMOOTHING.sum()
+
 
 @dataclass(frozen=True)
 class _Quantity:
@@ -116,17 +120,22 @@ class _Quantity:
         known = np.concatenate([np.empty(0), *every])
         return np.sort(known[np.isfinite(known)])
 
+    @cached_property
+    def _number_density(self) -> tuple[FloatArray, FloatArray]:
+        """(g,), (g,) places near the known values, ascending, and the smoothed number of these per unit there."""
+        known, width = self._known, self.bandwidth
+        bins, counts = np.unique(np.rint((known - known[0]) / width), return_counts=True)
+        # Without the places between, where there is nothing: one fill value would make a grid without end.
+        near = np.unique(bins[:, None] + np.arange(-5, 6))
+        number = np.zeros(len(near))
+        number[np.searchsorted(near, bins)] = counts
+        return near * width + known[0], np.convolve(number, SMOOTHING, mode="same") / width
+
     def _log_density(self, value: FloatArray) -> FloatArray:
         """(m,) ln p of values, one of each source being those of the pair itself."""
-        known, width = self._known, self.bandwidth
-        grid = np.arange(-5, int((known[-1] - known[0]) / width) + 7) * width + known[0]
-        counts = np.bincount(np.rint((known - grid[0]) / width).astype(np.int64), minlength=len(grid))
-        steps = np.arange(-4, 5)
-        kernel = np.exp(-0.5 * steps**2)
-        smooth = np.convolve(counts, kernel / kernel.sum(), mode="same") / width
-        own = 2.0 * kernel[4] / kernel.sum() / width
-        others = np.maximum(np.interp(value, grid, smooth) - own, 0.0)
-        total = max(len(known) - 2.0, 0.0) + self.usual_weight
+        own = 2.0 * SMOOTHING.max() / self.bandwidth
+        others = np.maximum(np.interp(value, *self._number_density) - own, 0.0)
+        total = max(len(self._known) - 2.0, 0.0) + self.usual_weight
         return np.asarray(np.log((others + self.usual_weight / self.usual) / total))
 
 

@@ -36,7 +36,7 @@ from sameas.gaussian import mahalanobis_sq
 from sameas.ragged import ranges
 from sameas.records import Records, unpack
 from sameas.representation import in_short
-from sameas.space import Plane
+from sameas.space import Plane, wrapped
 
 
 def plain(values: ArrayLike, unknown: Sequence[str] = ()) -> NDArray[Any]:
@@ -418,9 +418,9 @@ class _SourceValues:
             once = a < b
             a, b, i = a[once], b[once], i[once]
         one, two = self.records, other.records
-        if not len(a) or one.d != two.d:
+        if not len(a) or one.d != two.d or not isinstance(one.space, Plane):
             return []
-        delta = one.features[a] - two.features[b]
+        delta = wrapped(one.features[a] - two.features[b], one.space.period_list(one.d))
         total = unpack(one.covariance[a], one.d) + unpack(two.covariance[b], two.d)
         chi_sq = mahalanobis_sq(delta, total)
         distance = np.linalg.norm(delta[:, :2], axis=1)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.space import Plane, Sphere
+from sameas.space import Plane, Sphere, folded
 
 if TYPE_CHECKING:
     from sameas.kernels import zones as kernels
@@ -133,11 +133,10 @@ class Source:
         for axis in np.flatnonzero(np.isfinite(geometry.periods)):
             period = geometry.periods[axis]
             if ends[0, axis] < 0 or ends[1, axis] >= period:
-                folded = np.mod(features[:, axis], period)
-                folded[folded >= period] = 0.0
+                reduced = folded(features[:, axis], period)
                 features = features.copy()
-                features[:, axis] = folded
-                ends[:, axis] = folded.min(), folded.max()
+                features[:, axis] = reduced
+                ends[:, axis] = reduced.min(), reduced.max()
         variance = _widest(records) if geometry.sphere else records.variances
         return cls(features, records.covariance, variance, records, ends)
 

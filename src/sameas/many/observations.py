@@ -37,7 +37,7 @@ from sameas.errors import InputError
 from sameas.gaussian import InformationSum, inverse, log_density, propagated
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.space import Plane, Sphere, displaced, on_axes_of
+from sameas.space import Plane, Sphere, displaced, folded, on_axes_of, wrapped
 
 
 class StatePart(Protocol):
@@ -286,13 +286,11 @@ class Observers:
         precision = self._precision[s][0][rows]
         records = records_of(source)
         if isinstance(source, Observations):
-            return (
-                _wrapped(records.features[rows] - source.part(at), records.space),
-                precision,
-                source.part.jacobian(at),
-            )
+            assert isinstance(records.space, Plane)
+            residual = records.features[rows] - source.part(at)
+            return wrapped(residual, records.space.period_list(records.d)), precision, source.part.jacobian(at)
         if isinstance(records.space, Plane):
-            return _wrapped(records.features[rows] - at, records.space), precision, None
+            return wrapped(records.features[rows] - at, records.space.period_list(records.d)), precision, None
         offset, rotation = on_axes_of(at, records.features[rows])
         return offset, propagated(rotation, precision), None
 
@@ -304,21 +302,12 @@ class Observers:
         if isinstance(space, Sphere):
             return displaced(at, step)
         moved = at + step
-        periods = np.array(space.period_list(self.dimension))
-        wraps = np.isfinite(periods)
-        moved[:, wraps] %= periods[wraps]
+        for v, period in enumerate(space.periods or ()):
+            if period is not None:
+                moved[:, v] = folded(moved[:, v], period)
         return moved
 
 
 def joint_density(sources: Sequence[Source], sets: NDArray[np.integer], region: Region | None) -> Joint:
     """Joint density and state of sets of records (k, S); see :class:`Observers`."""
     return Observers(tuple(sources), region).joint(sets)
-
-
-def _wrapped(delta: FloatArray, space: Plane | Sphere) -> FloatArray:
-    """Differences reduced to half a period either way, for periodic features; in place."""
-    assert isinstance(space, Plane)
-    for v, period in enumerate(space.periods or ()):
-        if period is not None:
-            delta[:, v] -= period * np.ceil(delta[:, v] / period - 0.5)
-    return delta

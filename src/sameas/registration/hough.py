@@ -17,12 +17,11 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.records import Records
 from sameas.registration.offsets import Offset
-from sameas.space import Sphere
+from sameas.space import Sphere, wrapped
 
 
 @dataclass(frozen=True)
@@ -272,15 +271,6 @@ def _chart_sigma(model: Offset, records: Records, features: FloatArray) -> Float
         step = model.chart(features + sigma[:, axis, None] * np.eye(d)[axis]) - model.chart(features)
         variance += wrapped(step, periods) ** 2
     return np.asarray(np.sqrt(np.median(variance, axis=0)))
-
-
-def wrapped(difference: FloatArray, periods: ArrayLike) -> FloatArray:
-    """Differences reduced to half a period either way, on periodic axes."""
-    period = np.asarray(periods, np.float64)
-    if not np.isfinite(period).any():
-        return difference
-    turns = np.where(np.isfinite(period), np.round(difference / period), 0.0)
-    return np.asarray(difference - turns * np.where(np.isfinite(period), period, 0.0))
 
 
 @dataclass(frozen=True)
