@@ -88,8 +88,9 @@ def test_a_fill_value_among_the_heights_changes_no_other_ratio() -> None:
     one = Records.of([[0.0, 0.0]], sigma=50.0, source="radar")
     two = Records.of([[10.0, 0.0], [0.0, 10.0]], sigma=50.0, source="adsb")
     pairs = Radius(9.0)(one, two)
+    radar = np.array([[10_000.0, 20.0]])
     near, far = (
-        Heights({"radar": [[10_000.0, 20.0]], "adsb": [[10_010.0, 20.0], [other, 20.0]]})(pairs).log_ratio
+        Heights({"radar": radar, "adsb": np.array([[10_010.0, 20.0], [other, 20.0]])})(pairs).log_ratio
         for other in (1e6, 9.96921e36)
     )
     np.testing.assert_allclose(far, near)

@@ -196,8 +196,7 @@ def test_no_pair_is_more_probable_than_its_bound(seed):
     pairs, grouped, best, sure = solved(*scene, PerPair(0.0))
     bound = np.zeros(len(pairs))
     every = np.ones(len(grouped), np.bool_)
-    shape = (grouped.start, grouped.start_1, grouped.start_2, grouped.edges_1, grouped.local_1, grouped.local_2)
-    bounds(0, len(grouped), *shape, best.weight, best.chosen, every, bound)
+    bounds(0, len(grouped), grouped.layout, best.weight, best.chosen, every, bound)
     p = sure.p_pair[grouped.order]
     assert np.all(p <= bound * (1 + 1e-9))
     # The bound is useful: it separates the many improbable pairs of a wide gate from the probable ones.
@@ -475,13 +474,12 @@ def test_no_sum_is_read_before_it_is_written(monkeypatch):
     def shares():
         share, method = np.zeros(len(best.weight)), np.zeros(len(grouped), np.int8)
         exact: Any = getattr(kernels.exact, "function", kernels.exact)
-        exact(0, len(grouped), *shape, best.weight, best.dual_1, best.dual_2, EVERY, math.inf, share, method)
+        exact(0, len(grouped), grouped.layout, best.weight, best.dual_1, best.dual_2, EVERY, math.inf, share, method)
         return share
 
     elimination = kernels.elimination
     for seed in range(30):
         _, grouped, best, _ = solved(8, 8, near(seed), PerPair(-0.7))
-        shape = grouped.start, grouped.start_1, grouped.start_2, grouped.local_1, grouped.local_2
         monkeypatch.setattr(kernels, "elimination", elimination)
         clean = shares()
         monkeypatch.setattr(kernels, "elimination", poisoned)

@@ -129,16 +129,12 @@ def assign(groups: Groups, log_ratio: FloatArray, prior: LogPrior) -> Hypothesis
     v = np.zeros(len(groups.rows_2))
     multiplier = np.zeros(len(groups))
     bounds = groups.bounds_of_threads()
-    shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1)
+    layout = groups.layout
     if prior.slope is not None:
         if np.count_nonzero(prior.slope):
             weight = weight + np.repeat(prior.slope, groups.pair_counts)
-        threads.over(
-            lambda a, b: assign_linear(a, b, *shape, groups.local_1, groups.local_2, weight, chosen, u, v), bounds
-        )
+        threads.over(lambda a, b: assign_linear(a, b, layout, weight, chosen, u, v), bounds)
     else:
         table = (prior.start, prior.table)
-        threads.over(
-            lambda a, b: assign_counted(a, b, *shape, groups.local_2, weight, *table, chosen, u, v, multiplier), bounds
-        )
+        threads.over(lambda a, b: assign_counted(a, b, layout, weight, *table, chosen, u, v, multiplier), bounds)
     return Hypothesis(chosen, weight, u, v, multiplier, prior)

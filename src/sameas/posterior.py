@@ -216,9 +216,8 @@ def _upper_bounds(groups: Groups, best: Hypothesis, large: BoolArray, bound: Flo
     """Fill ``bound`` (m,) with upper bounds of P of the pairs of the groups ``large`` (g,), with a linear prior."""
     from sameas.kernels.messages import bounds
 
-    shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_1, groups.local_2)
-    state = (best.weight, best.chosen, large, bound)
-    threads.over(lambda a, b: bounds(a, b, *shape, *state), groups.bounds_of_threads())
+    arguments = groups.layout, best.weight, best.chosen, large, bound
+    threads.over(lambda a, b: bounds(a, b, *arguments), groups.bounds_of_threads())
 
 
 def by_messages(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNING) -> Posterior:
@@ -261,10 +260,8 @@ def log_evidence(groups: Groups, best: Hypothesis, p_pair: FloatArray) -> FloatA
     from sameas.kernels.posterior import log_sums
 
     out = np.zeros(len(groups))
-    shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
-    state = (best.weight, best.dual_1, best.dual_2)
-    bounds = groups.bounds_of_threads()
-    threads.over(lambda a, b: log_sums(a, b, *shape, *state, out), bounds)
+    arguments = groups.layout, best.weight, best.dual_1, best.dual_2, out
+    threads.over(lambda a, b: log_sums(a, b, *arguments), groups.bounds_of_threads())
     rough = np.isnan(out)
     if rough.any():
         out[rough] = bethe_log_sum(groups, best.weight, p_pair[groups.order])[rough]
@@ -337,11 +334,8 @@ class PairMessages:
         from sameas.kernels.messages import messages
 
         claims = np.zeros(len(weight)), np.zeros(len(weight))
-        shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_1, groups.local_2)
-        duals, bounds = (best.dual_1, best.dual_2), groups.bounds_of_threads()
-        changes = threads.over(
-            lambda a, b: messages(a, b, *shape, weight, *duals, method, *claims, share, *limits), bounds
-        )
+        arguments = groups.layout, weight, best.dual_1, best.dual_2, method, *claims, share, *limits
+        changes = threads.over(lambda a, b: messages(a, b, *arguments), groups.bounds_of_threads())
         return cls(weight, *claims, float(max(changes, default=0.0)))
 
 
@@ -360,19 +354,15 @@ def _exact(
     """
     from sameas.kernels.posterior import exact, exact_counted
 
-    bounds = groups.bounds_of_threads()
-    shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
-    duals, prior = (best.dual_1, best.dual_2), best.prior
+    bounds, layout, prior = groups.bounds_of_threads(), groups.layout, best.prior
+    duals = best.dual_1, best.dual_2
     if prior.slope is not None:
-        threads.over(lambda a, b: exact(a, b, *shape, best.weight, *duals, most, sums_per_pair, share, method), bounds)
+        linear = layout, best.weight, *duals, most, sums_per_pair, share, method
+        threads.over(lambda a, b: exact(a, b, *linear), bounds)
     else:
-        threads.over(
-            lambda a, b: exact_counted(
-                a, b, *shape, best.weight, best.chosen, *duals, prior.start, prior.table, best.multiplier, most, share,
-                method,
-            ),
-            bounds,
-        )  # fmt: skip
+        counts = prior.start, prior.table, best.multiplier
+        counted = layout, best.weight, best.chosen, *duals, *counts, most, share, method
+        threads.over(lambda a, b: exact_counted(a, b, *counted), bounds)
 
 
 def _local(

@@ -13,33 +13,24 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small_by
+from sameas.kernels.components import Layout, sizes
 
 
-def _steps(first: int, last: int, start: IntArray, start1: IntArray, start2: IntArray, *rest: Any) -> float:
+def _steps(first: int, last: int, layout: Layout, *rest: Any) -> float:
     """Upper bound of the work: each record of a group's smaller side needs a path through at most all pairs."""
-    pairs, rows, columns = (np.diff(ends[first : last + 1]).astype(np.float64) for ends in (start, start1, start2))
+    pairs, rows, columns = sizes(first, last, layout)
     return float(pairs @ np.minimum(rows, columns))
 
 
 @small_by(_steps)
 def assign_linear(
-    first: int,
-    last: int,
-    start: IntArray,
-    start1: IntArray,
-    start2: IntArray,
-    edges1: IntArray,
-    local1: Int32Array,
-    local2: Int32Array,
-    weight: FloatArray,
-    chosen: BoolArray,
-    u: FloatArray,
-    v: FloatArray,
+    first: int, last: int, layout: Layout, weight: FloatArray, chosen: BoolArray, u: FloatArray, v: FloatArray
 ) -> None:
     """Maximum-weight matching of the groups first … last − 1; having no partner costs nothing.
 
     weight : (m,) of the layout's pairs. Writes chosen (m,), and the duals u, v of the layout's records.
     """
+    start, start1, start2, edges1, local1, local2 = layout
     most1 = 0
     most2 = 0
     for g in range(first, last):
@@ -187,11 +178,7 @@ def augment(
 def assign_counted(
     first: int,
     last: int,
-    start: IntArray,
-    start1: IntArray,
-    start2: IntArray,
-    edges1: IntArray,
-    local2: Int32Array,
+    layout: Layout,
     weight: FloatArray,
     table_start: IntArray,
     table: FloatArray,
@@ -206,6 +193,7 @@ def assign_counted(
     matching of every size k in turn, of weight W_k; the k of largest ln P(k) + W_k is kept. slope (g,) receives the
     multiplier μ for which u + v ≥ w + μ certifies the kept matching.
     """
+    start1, start2, edges1, local2 = layout.start1, layout.start2, layout.edges1, layout.local2
     for g in range(first, last):
         base = start1[g]
         n1 = start1[g + 1] - base

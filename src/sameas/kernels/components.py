@@ -2,8 +2,29 @@
 
 from __future__ import annotations
 
-from sameas.arrays import AnyIntArray, Int32Array, IntArray
+from typing import NamedTuple
+
+import numpy as np
+
+from sameas.arrays import AnyIntArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small
+
+
+class Layout(NamedTuple):
+    """Pairs and records group by group; the fields of :class:`sameas.groups.Groups`."""
+
+    start: IntArray
+    start1: IntArray
+    start2: IntArray
+    edges1: IntArray
+    local1: Int32Array
+    local2: Int32Array
+
+
+def sizes(first: int, last: int, layout: Layout) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Numbers of pairs and of the records of either source, of the groups first … last − 1."""
+    pairs, one, two = (np.diff(starts[first : last + 1]).astype(np.float64) for starts in layout[:3])
+    return pairs, one, two
 
 
 @part

@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import inlined, kernel, part, small_by
+from sameas.kernels.components import Layout, sizes
 from sameas.kernels.posterior import LOCAL, bounded_exp
 
 # Upper bounds of the probability of pairs.
 #
-# Let i have the partner j′ in the best hypothesis and j the partner i′. With Z the sum sum_of_others all hypotheses,
+# Let i have the partner j′ in the best hypothesis and j the partner i′. With Z the sum over all hypotheses,
 #
 #     P(ij) = λ_ij Z(without i, j) / Z,   Z ≥ λ_ij′ λ_i′j Z₄,   Z₄ = Z(without i, j, i′, j′),
 #
@@ -47,9 +48,9 @@ MAX_LOG_ODDS = 300.0
 QUIET_SHARE = 0.1
 
 
-def _pairs_wanted(first: int, last: int, start: IntArray, *rest: Any) -> float:
+def _pairs_wanted(first: int, last: int, layout: Layout, *rest: Any) -> float:
     """Work: the pairs of the wanted groups, twice in every sweep."""
-    pairs, wanted = np.diff(start[first : last + 1]), rest[-2]
+    (pairs, _, _), wanted = sizes(first, last, layout), rest[-2]
     return 2.0 * SWEEPS * float(pairs[wanted[first:last]].sum())
 
 
@@ -57,12 +58,7 @@ def _pairs_wanted(first: int, last: int, start: IntArray, *rest: Any) -> float:
 def bounds(
     first: int,
     last: int,
-    start: IntArray,
-    start1: IntArray,
-    start2: IntArray,
-    edges1: IntArray,
-    local1: Int32Array,
-    local2: Int32Array,
+    layout: Layout,
     weight: FloatArray,
     chosen: BoolArray,
     wanted: BoolArray,
@@ -72,6 +68,7 @@ def bounds(
 
     weight : (m,) ln λ, including the linear prior.
     """
+    start, start1, start2, edges1, local1, local2 = layout
     for g in range(first, last):
         if not wanted[g]:
             continue
@@ -178,9 +175,9 @@ def sum_but(at: int, whole: float, none: float, values: FloatArray, first: int, 
     return others
 
 
-def _pairs_left(first: int, last: int, start: IntArray, *rest: Any) -> float:
+def _pairs_left(first: int, last: int, layout: Layout, *rest: Any) -> float:
     """Work: the pairs of the LOCAL groups, for the number of sweeps that most groups need."""
-    pairs, method = np.diff(start[first : last + 1]), rest[8]
+    (pairs, _, _), method = sizes(first, last, layout), rest[3]
     return 32.0 * float(pairs[method[first:last] == LOCAL].sum())
 
 
@@ -188,12 +185,7 @@ def _pairs_left(first: int, last: int, start: IntArray, *rest: Any) -> float:
 def messages(
     first: int,
     last: int,
-    start: IntArray,
-    start1: IntArray,
-    start2: IntArray,
-    edges1: IntArray,
-    local1: Int32Array,
-    local2: Int32Array,
+    layout: Layout,
     weight: FloatArray,
     u: FloatArray,
     v: FloatArray,
@@ -210,6 +202,7 @@ def messages(
     its row's other pairs; and belief (m,), the probability of each pair. At most ``sweeps`` sweeps, fewer if no message
     changes by more than ``tolerance``. Returns the largest change in the last sweep.
     """
+    start, start1, start2, edges1, local1, local2 = layout
     worst = 0.0
     for g in range(first, last):
         if method[g] != LOCAL:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import borrowing_part, inlined, part, small_by
+from sameas.kernels.components import Layout, sizes
 from sameas.kernels.eliminate import CountedProblem, eliminate, scratch
 
 # Exact sums by eliminating records one by one.
@@ -538,6 +539,26 @@ def by_row(
 
 
 @borrowing_part
+def reduced(
+    g: int, layout: Layout, weight: FloatArray, u: FloatArray, v: FloatArray, alone: FloatArray, odds: FloatArray
+) -> float:
+    """Write the reduced problem of group g: odds of no partner to ``alone`` (n₁ + n₂ or more), odds of its pairs to
+    ``odds``. Returns the sum of the duals, by which the ln weight of every hypothesis is reduced: that of the best."""
+    low, base1, base2 = layout.start[g], layout.start1[g], layout.start2[g]
+    n1, local1, local2 = layout.start1[g + 1] - base1, layout.local1, layout.local2
+    total = 0.0
+    for r in range(n1):
+        total += u[base1 + r]
+        alone[r] = bounded_exp(-u[base1 + r])
+    for c in range(layout.start2[g + 1] - base2):
+        total += v[base2 + c]
+        alone[n1 + c] = bounded_exp(-v[base2 + c])
+    for e in range(low, layout.start[g + 1]):
+        odds[e - low] = math.exp(max(weight[e] - u[base1 + local1[e]] - v[base2 + local2[e]], -700.0))
+    return total
+
+
+@borrowing_part
 def star(low: int, high: int, weight: FloatArray, share: FloatArray) -> None:
     """Write ``share`` where one record has all the pairs of the group: the softmax of their weights and 0 (alone)."""
     top = 0.0
@@ -563,9 +584,9 @@ def count_factors(prior: FloatArray, slope: float, size: int) -> FloatArray:
     return factors
 
 
-def _sums(first: int, last: int, start: IntArray, start1: IntArray, start2: IntArray, *rest: Any) -> float:
+def _sums(first: int, last: int, layout: Layout, *rest: Any) -> float:
     """Upper bound of the work: sums double with each record of the smaller side, and every pair is added in each."""
-    pairs, one, two = (np.diff(starts[first : last + 1]) for starts in (start, start1, start2))
+    pairs, one, two = sizes(first, last, layout)
     return 10.0 * float(np.sum(pairs * 2.0 ** (np.minimum(np.minimum(one, two), 50) - 1)))
 
 
@@ -602,10 +623,10 @@ def two_at_most(
         share[e] /= total
 
 
-def _sums_of_small(first: int, last: int, start: IntArray, start1: IntArray, start2: IntArray, *rest: Any) -> float:
+def _sums_of_small(first: int, last: int, layout: Layout, *rest: Any) -> float:
     """The same, of at most ``sums_per_pair``; 1 item for a group of more than ``most`` records on both sides."""
-    most, sums_per_pair = rest[5:7]
-    pairs, one, two = (np.diff(starts[first : last + 1]) for starts in (start, start1, start2))
+    most, sums_per_pair = rest[3:5]
+    pairs, one, two = sizes(first, last, layout)
     records = np.minimum(one, two)
     sums = pairs * np.minimum(2.0 ** (np.minimum(records, 50) - 1), sums_per_pair)
     return 10.0 * float(np.sum(np.where(records <= most, sums, 0.1)))
@@ -615,11 +636,7 @@ def _sums_of_small(first: int, last: int, start: IntArray, start1: IntArray, sta
 def exact(
     first: int,
     last: int,
-    start: IntArray,
-    start1: IntArray,
-    start2: IntArray,
-    local1: Int32Array,
-    local2: Int32Array,
+    layout: Layout,
     weight: FloatArray,
     u: FloatArray,
     v: FloatArray,
@@ -633,6 +650,7 @@ def exact(
     method (g,) receives CLOSED, ELIMINATED or LOCAL. LOCAL groups have no share written: both sides have more than
     ``most`` records, or the elimination needs more than ``sums_per_pair`` partial sums a pair, or MAX_SUMS.
     """
+    start, start1, start2 = layout.start, layout.start1, layout.start2
     records, pairs = np.int64(2), np.int64(1)
     for g in range(first, last):
         n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
@@ -642,21 +660,14 @@ def exact(
     work = forest(records), elimination(records, pairs)
     of_pairs = np.empty(pairs), np.empty(pairs)
     of_core = np.empty(records, np.int64), np.empty(records), np.empty(records), np.empty(records)
-    _exact(
-        first, last, start, start1, start2, local1, local2, weight, u, v, most, sums_per_pair, work, of_pairs, of_core,
-        share, method
-    )  # fmt: skip
+    _exact(first, last, layout, weight, u, v, most, sums_per_pair, work, of_pairs, of_core, share, method)
 
 
 @borrowing_part
 def _exact(
     first: int,
     last: int,
-    start: IntArray,
-    start1: IntArray,
-    start2: IntArray,
-    local1: Int32Array,
-    local2: Int32Array,
+    layout: Layout,
     weight: FloatArray,
     u: FloatArray,
     v: FloatArray,
@@ -670,6 +681,7 @@ def _exact(
 ) -> None:
     """:func:`exact` with workspaces for the largest group: of its pairs (odds, odds in the core) and of the records of
     its core (number, odds of having no partner, probabilities of none and of one)."""
+    start, start1, start2 = layout.start, layout.start1, layout.start2
     tree, graph = work
     odds, core_odds = of_pairs
     record, core_alone, p_alone, p_taken = of_core
@@ -684,13 +696,8 @@ def _exact(
         method[g] = LOCAL
         if min(n1, n2) > most:
             continue
-        for r in range(n1):
-            alone[r] = bounded_exp(-u[start1[g] + r])
-        for c in range(n2):
-            alone[n1 + c] = bounded_exp(-v[start2[g] + c])
-        one, two, p_pair = local1[low:high], local2[low:high], share[low:high]
-        for e in range(low, high):
-            odds[e - low] = math.exp(max(weight[e] - u[start1[g] + local1[e]] - v[start2[g] + local2[e]], -700.0))
+        reduced(g, layout, weight, u, v, alone, odds)
+        one, two, p_pair = layout.local1[low:high], layout.local2[low:high], share[low:high]
         if min(n1, n2) == 2 and max(n1, n2) <= MAX_RECORDS_AGAINST_TWO:
             two_at_most(n1, n2, one, two, odds, alone, p_pair)
             method[g] = ELIMINATED
@@ -714,11 +721,7 @@ def _exact(
 def log_sums(
     first: int,
     last: int,
-    start: IntArray,
-    start1: IntArray,
-    start2: IntArray,
-    local1: Int32Array,
-    local2: Int32Array,
+    layout: Layout,
     weight: FloatArray,
     u: FloatArray,
     v: FloatArray,
@@ -726,6 +729,7 @@ def log_sums(
 ) -> None:
     """Write to ``out`` (g,) ln Σ over hypotheses of exp(Σ weight) of the groups first … last − 1, the sum that
     :func:`exact` divides by; NaN where the elimination needs too many partial sums."""
+    start, start1, start2 = layout.start, layout.start1, layout.start2
     records, pairs = np.int64(2), np.int64(1)
     for g in range(first, last):
         records = max(records, start1[g + 1] - start1[g] + start2[g + 1] - start2[g])
@@ -736,17 +740,8 @@ def log_sums(
     for g in range(first, last):
         low, high = start[g], start[g + 1]
         n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
-        # The sum of the duals, by which every hypothesis is reduced, is the weight of the best one.
-        total = 0.0
-        for r in range(n1):
-            total += u[start1[g] + r]
-            tree.odds_alone[r] = bounded_exp(-u[start1[g] + r])
-        for c in range(n2):
-            total += v[start2[g] + c]
-            tree.odds_alone[n1 + c] = bounded_exp(-v[start2[g] + c])
-        one, two = local1[low:high], local2[low:high]
-        for e in range(low, high):
-            odds[e - low] = math.exp(max(weight[e] - u[start1[g] + local1[e]] - v[start2[g] + local2[e]], -700.0))
+        total = reduced(g, layout, weight, u, v, tree.odds_alone, odds)
+        one, two = layout.local1[low:high], layout.local2[low:high]
         leaves = fold(n1, n2, one, two, odds[: high - low], tree)
         total += tree.log_scale[0]
         if leaves == n1 + n2 - 1:
@@ -768,11 +763,7 @@ def log_sums(
 def exact_counted(
     first: int,
     last: int,
-    start: IntArray,
-    start1: IntArray,
-    start2: IntArray,
-    local1: Int32Array,
-    local2: Int32Array,
+    layout: Layout,
     weight: FloatArray,
     chosen: BoolArray,
     u: FloatArray,
@@ -788,6 +779,7 @@ def exact_counted(
 
     table[table_start[g] + k] : ln P of k pairs. slope : (g,) its multiplier μ at the best hypothesis.
     """
+    start, start1, start2, _, local1, local2 = layout
     max_rows, max_pairs, max_columns = np.int64(1), np.int64(1), np.int64(1)
     for g in range(first, last):
         n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]

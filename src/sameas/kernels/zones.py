@@ -140,7 +140,7 @@ def into_cells(
     """Sort every zone by x, then content, then ``rank`` (one for each row of features), and write its cells.
 
     ends (z+1,), side : results of :func:`zones_of` and :func:`into_zones`. frame : (low, extent) of x. grid : (first
-    (z+1,), starts, scale (z,)) of ``spans.Grid``, written, with places from ``base`` on. Returns False if two records
+    (z+1,), starts, scale (z,)) of :data:`Grid`, written, with places from ``base`` on. Returns False if two records
     have the same content and ``rank`` is empty: call again with ranks.
     """
     x_low, x_extent = frame
