@@ -366,15 +366,15 @@ def _fresh():
 
 def test_a_large_dense_group_is_compiled_however_few_its_records():
     from sameas.kernels.assign import assign_counted, assign_linear
-    from sameas.kernels.components import Layout
+    from sameas.kernels.components import GroupLayout
 
     n = 2000  # a chain: every row has the columns i and i + 1
     start, start_1 = np.array([0, 2 * n]), np.array([0, n])
     alone = np.arange(0, 3 * n, 1)
     unused = np.empty(0, np.int64), np.empty(0, np.int32), np.empty(0, np.int32)
     for kernel in (assign_linear, assign_counted):
-        assert kernel.work(0, 1, Layout(start, start_1, start_1, *unused)) > compiled.MAX_INTERPRETED
-        assert kernel.work(0, n, Layout(2 * alone, alone, alone, *unused)) < compiled.MAX_INTERPRETED
+        assert kernel.work(0, 1, GroupLayout(start, start_1, start_1, *unused)) > compiled.MAX_INTERPRETED
+        assert kernel.work(0, n, GroupLayout(2 * alone, alone, alone, *unused)) < compiled.MAX_INTERPRETED
 
 
 def test_once_the_compiler_is_loaded_cached_kernels_are_used_early(monkeypatch):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sameas.arrays import IntArray, Scalar
 from sameas.gate import Pairs
 from sameas.kernels import threads
-from sameas.kernels.components import Layout
+from sameas.kernels.components import GroupLayout
 from sameas.ragged import Ragged
 from sameas.representation import in_short
 
@@ -73,9 +73,9 @@ class Groups:
         return self.start_1[self.group] + self.local_1, self.start_2[self.group] + self.local_2
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> GroupLayout:
         """The layout for compiled loops."""
-        return Layout(self.start, self.start_1, self.start_2, self.edges_1, self.local_1, self.local_2)
+        return GroupLayout(self.start, self.start_1, self.start_2, self.edges_1, self.local_1, self.local_2)
 
     def in_given_order(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """(m,) values of the layout's pairs, in the order of the gate."""

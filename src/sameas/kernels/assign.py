@@ -13,10 +13,10 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small_by
-from sameas.kernels.components import Layout, sizes
+from sameas.kernels.components import GroupLayout, sizes
 
 
-def _steps(first: int, last: int, layout: Layout, *rest: Any) -> float:
+def _steps(first: int, last: int, layout: GroupLayout, *rest: Any) -> float:
     """Upper bound of the work: each record of a group's smaller side needs a path through at most all pairs."""
     pairs, rows, columns = sizes(first, last, layout)
     return float(pairs @ np.minimum(rows, columns))
@@ -24,7 +24,7 @@ def _steps(first: int, last: int, layout: Layout, *rest: Any) -> float:
 
 @small_by(_steps)
 def assign_linear(
-    first: int, last: int, layout: Layout, weight: FloatArray, chosen: BoolArray, u: FloatArray, v: FloatArray
+    first: int, last: int, layout: GroupLayout, weight: FloatArray, chosen: BoolArray, u: FloatArray, v: FloatArray
 ) -> None:
     """Maximum-weight matching of the groups first … last − 1; having no partner costs nothing.
 
@@ -178,7 +178,7 @@ def augment(
 def assign_counted(
     first: int,
     last: int,
-    layout: Layout,
+    layout: GroupLayout,
     weight: FloatArray,
     table_start: IntArray,
     table: FloatArray,

@@ -10,7 +10,7 @@ from sameas.arrays import AnyIntArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small
 
 
-class Layout(NamedTuple):
+class GroupLayout(NamedTuple):
     """Pairs and records group by group; the fields of :class:`sameas.groups.Groups`."""
 
     start: IntArray
@@ -21,7 +21,7 @@ class Layout(NamedTuple):
     local2: Int32Array
 
 
-def sizes(first: int, last: int, layout: Layout) -> tuple[FloatArray, FloatArray, FloatArray]:
+def sizes(first: int, last: int, layout: GroupLayout) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Numbers of pairs and of the records of either source, of the groups first … last − 1."""
     pairs, one, two = (np.diff(starts[first : last + 1]).astype(np.float64) for starts in layout[:3])
     return pairs, one, two

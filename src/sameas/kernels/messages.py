@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import inlined, kernel, part, small_by
-from sameas.kernels.components import Layout, sizes
+from sameas.kernels.components import GroupLayout, sizes
 from sameas.kernels.posterior import LOCAL, bounded_exp
 
 # Upper bounds of the probability of pairs.
@@ -48,7 +48,7 @@ MAX_LOG_ODDS = 300.0
 QUIET_SHARE = 0.1
 
 
-def _pairs_wanted(first: int, last: int, layout: Layout, *rest: Any) -> float:
+def _pairs_wanted(first: int, last: int, layout: GroupLayout, *rest: Any) -> float:
     """Work: the pairs of the wanted groups, twice in every sweep."""
     (pairs, _, _), wanted = sizes(first, last, layout), rest[-2]
     return 2.0 * SWEEPS * float(pairs[wanted[first:last]].sum())
@@ -58,7 +58,7 @@ def _pairs_wanted(first: int, last: int, layout: Layout, *rest: Any) -> float:
 def bounds(
     first: int,
     last: int,
-    layout: Layout,
+    layout: GroupLayout,
     weight: FloatArray,
     chosen: BoolArray,
     wanted: BoolArray,
@@ -175,7 +175,7 @@ def sum_but(at: int, whole: float, none: float, values: FloatArray, first: int, 
     return others
 
 
-def _pairs_left(first: int, last: int, layout: Layout, *rest: Any) -> float:
+def _pairs_left(first: int, last: int, layout: GroupLayout, *rest: Any) -> float:
     """Work: the pairs of the LOCAL groups, for the number of sweeps that most groups need."""
     (pairs, _, _), method = sizes(first, last, layout), rest[3]
     return 32.0 * float(pairs[method[first:last] == LOCAL].sum())
@@ -185,7 +185,7 @@ def _pairs_left(first: int, last: int, layout: Layout, *rest: Any) -> float:
 def messages(
     first: int,
     last: int,
-    layout: Layout,
+    layout: GroupLayout,
     weight: FloatArray,
     u: FloatArray,
     v: FloatArray,

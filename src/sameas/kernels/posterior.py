@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import borrowing_part, inlined, part, small_by
-from sameas.kernels.components import Layout, sizes
+from sameas.kernels.components import GroupLayout, sizes
 from sameas.kernels.eliminate import CountedProblem, eliminate, scratch
 
 # Exact sums by eliminating records one by one.
@@ -540,7 +540,7 @@ def by_row(
 
 @borrowing_part
 def reduced(
-    g: int, layout: Layout, weight: FloatArray, u: FloatArray, v: FloatArray, alone: FloatArray, odds: FloatArray
+    g: int, layout: GroupLayout, weight: FloatArray, u: FloatArray, v: FloatArray, alone: FloatArray, odds: FloatArray
 ) -> float:
     """Write the reduced problem of group g: odds of no partner to ``alone`` (n₁ + n₂ or more), odds of its pairs to
     ``odds``. Returns the sum of the duals, by which the ln weight of every hypothesis is reduced: that of the best."""
@@ -584,7 +584,7 @@ def count_factors(prior: FloatArray, slope: float, size: int) -> FloatArray:
     return factors
 
 
-def _sums(first: int, last: int, layout: Layout, *rest: Any) -> float:
+def _sums(first: int, last: int, layout: GroupLayout, *rest: Any) -> float:
     """Upper bound of the work: sums double with each record of the smaller side, and every pair is added in each."""
     pairs, one, two = sizes(first, last, layout)
     return 10.0 * float(np.sum(pairs * 2.0 ** (np.minimum(np.minimum(one, two), 50) - 1)))
@@ -623,7 +623,7 @@ def two_at_most(
         share[e] /= total
 
 
-def _sums_of_small(first: int, last: int, layout: Layout, *rest: Any) -> float:
+def _sums_of_small(first: int, last: int, layout: GroupLayout, *rest: Any) -> float:
     """The same, of at most ``sums_per_pair``; 1 item for a group of more than ``most`` records on both sides."""
     most, sums_per_pair = rest[3:5]
     pairs, one, two = sizes(first, last, layout)
@@ -636,7 +636,7 @@ def _sums_of_small(first: int, last: int, layout: Layout, *rest: Any) -> float:
 def exact(
     first: int,
     last: int,
-    layout: Layout,
+    layout: GroupLayout,
     weight: FloatArray,
     u: FloatArray,
     v: FloatArray,
@@ -667,7 +667,7 @@ def exact(
 def _exact(
     first: int,
     last: int,
-    layout: Layout,
+    layout: GroupLayout,
     weight: FloatArray,
     u: FloatArray,
     v: FloatArray,
@@ -721,7 +721,7 @@ def _exact(
 def log_sums(
     first: int,
     last: int,
-    layout: Layout,
+    layout: GroupLayout,
     weight: FloatArray,
     u: FloatArray,
     v: FloatArray,
@@ -763,7 +763,7 @@ def log_sums(
 def exact_counted(
     first: int,
     last: int,
-    layout: Layout,
+    layout: GroupLayout,
     weight: FloatArray,
     chosen: BoolArray,
     u: FloatArray,
