@@ -1,7 +1,7 @@
 """Bounds on what input may require, so that a small file can neither fill the memory nor take hours.
 
-:func:`unpacked` unpacks gzip within them; :func:`checked_fits` checks the headers of a FITS file before a library uses
-them. :func:`memory_left` is the available memory.
+:func:`unpacked` unpacks gzip, Zstandard and zip within them; :func:`checked_fits` checks the headers of a FITS file
+before a library uses them. :func:`memory_left` is the available memory.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ import gzip
 import io
 import os
 import re
+import zipfile
 import zlib
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
@@ -21,6 +22,8 @@ from typing import Any
 from sameas.errors import InputError
 
 MAGIC = b"\x1f\x8b"
+#: The first bytes of files packed with Zstandard, and of zip archives.
+ZSTD, ZIP = b"\x28\xb5\x2f\xfd", b"PK\x03\x04"
 _PART = 1 << 22
 
 
@@ -44,15 +47,15 @@ TEXT_UNPACKING = Unpacking(least=1 << 25, ratio=30)
 
 
 def unpacked(path: str | os.PathLike[str], bounds: Unpacking | None = None) -> bytes:
-    """All bytes of a gzipped file.
+    """All bytes of a file packed with gzip or Zstandard, or of the only file in a zip archive.
 
-    Raises InputError: it is cut off, damaged, or unpacks to more than its ``bounds``.
+    Raises InputError: it is cut off, damaged, or unpacks to more than its ``bounds``; an archive of several files.
     """
     path = Path(path)
     most = (bounds or Unpacking()).of(path.stat().st_size)
     parts, total = [], 0
     try:
-        with gzip.open(path) as file:
+        with _opened(path) as file:
             while part := file.read(_PART):
                 parts.append(part)
                 total += len(part)
@@ -62,9 +65,31 @@ def unpacked(path: str | os.PathLike[str], bounds: Unpacking | None = None) -> b
                     )
     except EOFError as error:
         raise InputError(f"{path}: is cut off in the middle; copy it again") from error
-    except (zlib.error, gzip.BadGzipFile) as error:
+    except (zlib.error, gzip.BadGzipFile, zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError) as error:
         raise InputError(f"{path}: is damaged, it cannot be unpacked ({error}); copy it again") from error
     return b"".join(parts)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """The unpacked content of a packed file, to be read in parts."""
+    with path.open("rb") as raw:
+        first = raw.read(4)
+    if first == ZSTD:
+        import pyarrow as pa
+
+        with pa.input_stream(str(path), compression="zstd") as file:
+            yield file
+    elif first == ZIP:
+        with zipfile.ZipFile(path) as archive:
+            names = [one.filename for one in archive.infolist() if not one.is_dir() and "__MACOSX" not in one.filename]
+            if len(names) != 1:
+                raise InputError(f"{path}: is an archive of {len(names)} files; unpack it, and give the files")
+            with archive.open(names[0]) as file:
+                yield file
+    else:
+        with gzip.open(path) as file:
+            yield file
 
 
 def memory_left(system: Path = Path("/")) -> int | None:

@@ -3,12 +3,14 @@
 import json
 import math
 import struct
+from base64 import b64encode
 
 import numpy as np
 import pytest
 
 from sameas.errors import InputError
 from sameas.io.sensors import ReadOptions, n2k, read_reports
+from sameas.io.sensors.nmea import checksum
 from sameas.io.sensors.stream import ReportStream, format_of
 
 START_S = 1780315200.0  # 2026-06-01 12:00
@@ -98,7 +100,18 @@ def candump_dated(time_s, message):
     return [line.replace(f"{time_s:.6f}", moment) + "   '..q.Z..'" for line in candump(time_s, message)]
 
 
-FORMS = (candump_log, candump, candump_dated, yacht_devices, canboat, canboat_frames, signal_k)
+def pcdin(_, message, source=43):
+    pgn, data = message
+    body = f"PCDIN,{pgn:06X},00000000,{source:02X},{data.hex().upper()}"
+    return [f"${body}*{checksum(body):02X}"]
+
+
+def pdgy(time_s, message, source=43):
+    pgn, data = message
+    return [f"!PDGY,{pgn},6,{source},255,{time_s % 60.0:.2f},{b64encode(data).decode().rstrip('=')}"]
+
+
+FORMS = (candump_log, candump, candump_dated, yacht_devices, canboat, canboat_frames, signal_k, pcdin, pdgy)
 
 
 def log(form, *messages, every_s=1.0):
@@ -128,7 +141,7 @@ def test_every_form_of_a_log_gives_ships_targets_and_own_ship(form, tmp_path):
     assert targets.speed_m_per_s[0] == pytest.approx(5.0, abs=0.001)
     np.testing.assert_allclose([targets.station_lat_deg[0], targets.station_lon_deg[0]], [54.4, -10.3], atol=1e-7)
     assert targets.station_heading_deg[0] == pytest.approx(33.0, abs=0.01)
-    assert targets.time_s[0] == START_S + (0.0 if form is yacht_devices else 6.0)
+    assert targets.time_s[0] == START_S + (0.0 if form in (yacht_devices, pcdin, pdgy) else 6.0)
     assert not len(ships.damaged.lines) and not len(targets.damaged.lines)
 
 
@@ -182,6 +195,21 @@ def test_the_json_of_canboat_says_the_same(radians, tmp_path):
     assert targets.track_id[0] == "7" and targets.bearing_deg[0] == pytest.approx(45.0)
     assert targets.station_heading_deg[0] == pytest.approx(33.0) and targets.course_deg is None
     assert ships.passed_over == {"own ship's own report (VDO)": 1} and ships.damaged.lines.tolist() == [9]
+
+
+def test_the_angles_of_canboat_with_si_are_radians(tmp_path):
+    """``-si`` says nothing of it: courses of 0° to 6.28° were read."""
+    lines = [
+        analyzed(126992, Date="2026.06.01", Time="12:00:00.00000"), analyzed(129025, Latitude=54.4, Longitude=-10.3),
+        analyzed(127250, Heading=round(math.radians(33.0), 4), Reference="True"),
+        analyzed(128520, **{
+            "Target ID #": 7, "Track Status": "Tracking", "Bearing Reference": "True", "Distance": 3704.0, "Speed": 5.0,
+            "Bearing": round(math.radians(45.0), 4), "Course": round(math.radians(90.0), 4),
+        }),
+    ]  # fmt: skip
+    [targets] = read_reports(written(tmp_path, lines))
+    angles = targets.bearing_deg[0], targets.course_deg[0], targets.station_heading_deg[0]
+    np.testing.assert_allclose(angles, [45.0, 90.0, 33.0], atol=0.01)
 
 
 def test_what_own_transponder_sends_is_own_ship(tmp_path):

@@ -1,10 +1,11 @@
 """aircraft.json: snapshots of dump1090, readsb and tar1090, one per file or one per line; and the traces of readsb.
 
 A snapshot has all aircraft, so most positions repeat the previous snapshot: only new positions become reports, at the
-time of the snapshot minus ``seen_pos``. Accuracy is NACp, else half the containment radius (``rc``, NIC or NUCp);
-positions by multilateration (mlat) and rebroadcast (tisb) state none and have no error of their own. The older names of
-dump1090-mutability (``altitude``, ``speed``, ``vert_rate``, ``nucp``) count as those of today. A trace (``trace_full``
-of tar1090 and of ADS-B Exchange) has the positions of one aircraft, each a list of values in a fixed order.
+time of the snapshot minus ``seen_pos``. The API of ADS-B Exchange (version 2) and its likes call the list ``ac``.
+Accuracy is NACp, else half the containment radius (``rc``, NIC or NUCp); positions by multilateration (mlat) and
+rebroadcast (tisb) state none and have no error of their own. The older names of dump1090-mutability (``altitude``,
+``speed``, ``vert_rate``, ``nucp``) count as those of today. A trace (``trace_full`` of tar1090 and of ADS-B Exchange)
+has the positions of one aircraft, each a list of values in a fixed order.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def read(lines: Sequence[str], source: str, last: dict[str, Mapping[str, Any]] |
     last = {} if last is None else last
     numbered, unused.unit = _documents(lines, unused.damaged)
     for number, snapshot in _snapshots(numbered, unused.damaged):
-        for aircraft in snapshot["aircraft"]:
+        for aircraft in snapshot.get("aircraft") or snapshot["ac"]:
             row = _row(number, snapshot["now"], aircraft)
             if isinstance(row, str):
                 if row == _NO_POSITION:
@@ -125,7 +126,7 @@ def _snapshots(
 ) -> Iterator[tuple[int, Mapping[str, Any]]]:
     """Numbers and snapshots, without those that are none."""
     for number, snapshot in numbered:
-        if not isinstance(snapshot, dict) or not isinstance(snapshot.get("aircraft"), list):
+        if not isinstance(snapshot, dict) or not isinstance(snapshot.get("aircraft", snapshot.get("ac")), list):
             damaged.append((number, "no list of aircraft"))
         elif not isinstance(snapshot.get("now"), (int, float)):
             damaged.append((number, 'no time ("now")'))
@@ -236,7 +237,7 @@ def _is_same(last: Mapping[str, Any] | None, row: Mapping[str, Any]) -> bool:
 
 FORMAT = SensorFormat(
     "aircraft",
-    "aircraft.json of dump1090, readsb or tar1090, one snapshot a line or a file, or a trace of one aircraft",
+    "aircraft.json of dump1090, readsb, tar1090 or the API of ADS-B Exchange, a snapshot a line or a file, or a trace",
     lambda file: [read(file.lines, file.source)],
-    lambda file: re.search(rb'"aircraft"\s*:\s*\[|"trace"\s*:\s*\[\s*\[', file.head) is not None,
+    lambda file: re.search(rb'"(?:aircraft|ac)"\s*:\s*\[|"trace"\s*:\s*\[\s*\[', file.head) is not None,
 )

@@ -53,6 +53,8 @@ def recognised(cells: TableText) -> tuple[TableText, str, list[str]]:
     """A table, its format ("mavlink", "remote id" or "table"), and sentences on how it is read: one of messages of
     MAVLink with our names and units, others as they are."""
     message = _message(cells)
+    if {"time_utc_usec", "lat", "lon", "vel_n_m_s", "vel_e_m_s"} <= set(cells.columns):
+        return _of_px4(cells), "mavlink", ["read as vehicle_gps_position of PX4, in the units of that topic"]
     if message is None:
         stems = {stem_of(name)[0] for name in cells.columns}
         if stems.isdisjoint(_REMOTE_ID):
@@ -75,6 +77,24 @@ def recognised(cells: TableText) -> tuple[TableText, str, list[str]]:
         out["track_id"] = [f"vehicle {cell or 1}" for cell in column("srcSystem")]
     format_name = "mavlink" if message == "GLOBAL_POSITION_INT" else "table"
     return replace(cells, columns=out), format_name, [f"read as {message} of MAVLink, in the units of that message"]
+
+
+def _of_px4(cells: TableText) -> TableText:
+    """A table of ``vehicle_gps_position`` of PX4 (before 1.14), as ``ulog2csv`` writes it: the time of GNSS, not that
+    since the start, 10⁻⁷ degrees, millimetres above the ellipsoid."""
+    numbers = {name: [_number(cell) for cell in cells.columns[name]] for name in
+               ("time_utc_usec", "lat", "lon", "vel_n_m_s", "vel_e_m_s")}  # fmt: skip
+    out: dict[str, Sequence[Any]] = {
+        "time_s": [None if not cell else cell / 1e6 for cell in numbers["time_utc_usec"]],
+        "lat_deg": [None if cell is None else cell * 1e-7 for cell in numbers["lat"]],
+        "lon_deg": [None if cell is None else cell * 1e-7 for cell in numbers["lon"]],
+        "vx_m_per_s": numbers["vel_e_m_s"], "vy_m_per_s": numbers["vel_n_m_s"],
+        "track_id": ["vehicle 1"] * len(cells.lines),
+    }  # fmt: skip
+    if "alt_ellipsoid" in cells.columns:
+        heights = [_number(cell) for cell in cells.columns["alt_ellipsoid"]]
+        out["alt_m"] = [None if height is None else height / 1e3 for height in heights]
+    return replace(cells, columns=out)
 
 
 def _without_heights_above_ground(cells: TableText) -> TableText:

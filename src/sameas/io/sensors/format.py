@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
-from sameas.bounds import MAGIC, Unpacking, unpacked
+from sameas.bounds import MAGIC, ZIP, ZSTD, Unpacking, unpacked
 from sameas.errors import Argument, InputError, Message
 from sameas.io.format import in_utf_8
 from sameas.tracks.coordinates import FOOT_M, MILE_M
@@ -352,7 +352,7 @@ def kind_of(format_name: str) -> str | None:
 
 
 def content(path: str | os.PathLike[str]) -> bytes:
-    """All bytes of a file, unpacked where it is gzipped.
+    """All bytes of a file, unpacked where it is packed: gzip, Zstandard, or one file in a zip archive.
 
     Raises InputError: no such file, a directory, empty, a packed file cut off.
     """
@@ -365,7 +365,7 @@ def content(path: str | os.PathLike[str]) -> bytes:
         content_bytes = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    if content_bytes[:2] == MAGIC:
+    if content_bytes.startswith((MAGIC, ZSTD, ZIP)):
         content_bytes = unpacked(path, _UNPACKING)
     if not content_bytes:
         raise InputError(f"{path}: is empty")

@@ -1,8 +1,9 @@
 """NMEA 2000: the frames of a ship's CAN bus, of AIS, radar targets and own ship.
 
 Logs of candump (also ``-L``), of canboat and Actisense (``time,priority,PGN,source,destination,length,byte,…``), the
-RAW protocol of Yacht Devices gateways and the JSON of canboat (:mod:`sameas.io.sensors.n2k_json`) are read, one frame
-or message in a line, with their times of receipt or else those of the bus. A message longer than 8 bytes comes in
+RAW protocol of Yacht Devices gateways, the sentences ``$PCDIN`` (SeaSmart, gateways with WiFi) and ``!PDGY`` (iKonvert)
+that wrap a message, and the JSON of canboat (:mod:`sameas.io.sensors.n2k_json`) are read, one frame or message in a
+line, with their times of receipt or else those of the bus. A message longer than 8 bytes comes in
 several frames (fast packet), which are joined by source and number. Every message (PGN) that is used is translated to a
 sentence of NMEA 0183 (:mod:`sameas.io.sensors.sentences`). Layouts: NMEA 2000 as analysed by the canboat project.
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import math
 import re
+from base64 import b64decode
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -91,6 +93,13 @@ _CANBOAT = re.compile(
 _YACHT_DEVICES = re.compile(
     r"\d\d:\d\d:\d\d\.\d+ [RT] (?P<id>[0-9A-F]{8})(?P<data>( [0-9A-F]{2}){0,8})\s*$", re.IGNORECASE
 )
+#: $PCDIN,PGN,time of the gateway,source,data*checksum, all hexadecimal.
+_PCDIN = re.compile(
+    r"\$PCDIN,(?P<pgn>[0-9A-F]{5,6}),[0-9A-F]*,(?P<src>[0-9A-F]{1,2}),(?P<data>(?:[0-9A-F]{2})+)(?:\*[0-9A-F]{2})?\s*$",
+    re.IGNORECASE,
+)
+#: !PDGY,PGN,priority,source,destination,time of the gateway,data in base64.
+_PDGY = re.compile(r"!PDGY,(?P<pgn>\d{5,6}),[0-7],(?P<src>\d+),\d+,[\d.]*,(?P<data>[A-Za-z0-9+/]+=*)\s*$")
 
 
 @dataclass
@@ -159,6 +168,11 @@ def _frame(line: str) -> tuple[float | None, int, int, bytes]:
         data = bytes(int(byte, 16) for byte in found["data"].split(",") if byte)[: int(found["n"])]
         time_s = instant(iso_time(found["time"]))
         return time_s, int(found["pgn"]), int(found["src"]), data
+    if found := _PCDIN.match(line):
+        return None, int(found["pgn"], 16), int(found["src"], 16), bytes.fromhex(found["data"])
+    if found := _PDGY.match(line):
+        text = found["data"]
+        return None, int(found["pgn"]), int(found["src"]), b64decode(text + "=" * (-len(text) % 4))
     found = _CANDUMP.match(line) or _YACHT_DEVICES.match(line)
     if not found:
         raise ValueError("no frame of NMEA 2000")
@@ -267,7 +281,7 @@ def _is_frame(line: str) -> bool:
     line = LOGGED.sub("", line)
     if line.lstrip()[:1] == "{":
         return re.search(r'"pgn"\s*:\s*\d', line) is not None and '"updates"' not in line
-    return any(form.match(line) is not None for form in (_CANDUMP, _CANBOAT, _YACHT_DEVICES))
+    return any(form.match(line) is not None for form in (_CANDUMP, _CANBOAT, _YACHT_DEVICES, _PCDIN, _PDGY))
 
 
 def looks_like(lines: Sequence[str]) -> bool:
@@ -278,7 +292,7 @@ def looks_like(lines: Sequence[str]) -> bool:
 
 FORMAT = SensorFormat(
     "n2k",
-    "NMEA 2000: frames of candump, canboat, Actisense or Yacht Devices, JSON of canboat",
+    "NMEA 2000: frames of candump, canboat, Actisense, Yacht Devices, $PCDIN or !PDGY, JSON of canboat",
     lambda file: sentences.read_translated(file, Bus()),
     lambda file: looks_like(file.head_lines),
 )

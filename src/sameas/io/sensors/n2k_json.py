@@ -2,7 +2,7 @@
 
 The fields have names and units in place of bits, numbers or the texts of their lookups: they become those of
 :data:`sameas.io.sensors.n2k.FIELDS`. Angles are degrees in canboat, and radians in canboatjs, whose objects have the
-frames (``input``) or names in camel case, and in canboat's ``-si``, which nothing shows: its logs are not to be used.
+frames (``input``) or names in camel case, and in canboat's ``-si``, which shows in their decimals: degrees have one.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ _NAMES: Mapping[str, str] = {
     "distance": "range_m", "positionaccuracy": "accuracy",
 }  # fmt: skip
 _ANGLES = ("course", "heading", "bearing", "deviation", "variation")
+#: An angle in radians, as canboat writes it with -si.
+_RADIANS = re.compile(r'"(?:COG|Course|Heading|True Heading|Bearing|Deviation|Variation)"\s*:\s*-?[0-6]\.\d{3,}')
 #: The numbers that the beginnings of texts stand for, by field.
 _LOOKUPS: Mapping[str, tuple[tuple[str, int], ...]] = {
     "type": (("scheduled", 1), ("assigned", 2), ("interrogated", 3)),
@@ -53,6 +55,7 @@ def described(line: str) -> tuple[float | None, int, dict[str, Any]]:
         raise ValueError("no message of NMEA 2000")
     pgn, fields = int(said["pgn"]), said["fields"]
     radians = "input" in said or any(re.match(r"[a-z]+[A-Z]", name) for name in fields)
+    radians = radians or _RADIANS.search(line) is not None
     given: dict[str, Any] = {}
     for name, value in fields.items():
         plain = re.sub(r"[^a-z0-9]", "", name.lower())

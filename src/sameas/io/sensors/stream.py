@@ -53,7 +53,7 @@ def format_of(data: bytes) -> str | None:
     if beast.looks_like(data) or _MODE_S.match(text):
         return "mode-s"
     if text[:1] in b"!$\\" and text:
-        return "nmea"
+        return "n2k" if text.startswith((b"$PCDIN,", b"!PDGY,")) else "nmea"
     if re.match(rb"(MSG|SEL|ID|AIR|STA|CLK),", text):
         return "sbs"
     if gpsd.looks_like(text):
@@ -66,7 +66,7 @@ def format_of(data: bytes) -> str | None:
         greets = b'"roles"' in text or (b'"version"' in text and b'"self"' in text)
         if b'"updates"' in text or greets:
             return "signalk"
-        return "aircraft" if b'"aircraft"' in text else "table" if b"\n" in text else None
+        return "aircraft" if re.search(rb'"(?:aircraft|ac)"\s*:\s*\[', text) else "table" if b"\n" in text else None
     # A line may begin with its receive time.
     return "nmea" if re.search(rb"[!$][A-Z]{4,9}[A-Z0-9]?,", text) else None
 

@@ -152,7 +152,11 @@ def cells_of_csv(lines: Iterable[str], source: str, rows_of_part: int = ROWS_OF_
     for line in lines:
         above.append(line)
         ecsv = above[0].startswith(ECSV)
-        if line.strip() and (line[0] != "#" or (_delimiter_of(line) and not ecsv)):
+        if (
+            line.strip()
+            and not _SEPARATOR.fullmatch(line.strip())
+            and (line[0] != "#" or (_delimiter_of(line) and not ecsv))
+        ):
             number = len(above)
             break
     else:
@@ -162,7 +166,7 @@ def cells_of_csv(lines: Iterable[str], source: str, rows_of_part: int = ROWS_OF_
     delimiter = _delimiter_of(header) or (" " if ecsv else "")
     if not delimiter:
         raise InputError(f"{source}: no format of sensors fits; as a table, its line {number} does not name columns")
-    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
+    names = _of_ros([name.strip() for name in next(csv.reader([header], delimiter=delimiter))])
     check_columns(len(names), source)
     counts = Counter(names)
     duplicates = [name for name in names if counts[name] > 1]
@@ -172,6 +176,31 @@ def cells_of_csv(lines: Iterable[str], source: str, rows_of_part: int = ROWS_OF_
     if delimiter != ",":
         columns = _with_points(columns)
     return TableText(columns, line_numbers, tuple(damaged))
+
+
+#: What Excel wants in the first line of a file.
+_SEPARATOR = re.compile(r"sep=.", re.IGNORECASE)
+#: Fields of messages of ROS, by the ends of their names, and the names of tables for them. Velocities of odometry are
+#: those of the body, not of the plane.
+_ROS = {
+    "%time": "time", "__time": "time", "position.x": "x", "position.y": "y", "position.z": "z", "latitude": "latitude",
+    "longitude": "longitude", "altitude": "altitude", "position_covariance0": "cov_xx",
+    "position_covariance1": "cov_xy", "position_covariance4": "cov_yy", "id": "id",
+}  # fmt: skip
+
+
+def _of_ros(names: Sequence[str]) -> list[str]:
+    """The names of the columns of a topic of ROS, as ``rostopic echo -p`` and PlotJuggler write them, as those of
+    tables; other names as they are."""
+    if not names or names[0] not in ("%time", "__time"):
+        return list(names)
+    out = list(names)
+    for k, name in enumerate(names):
+        words = re.split(r"[./]", name)
+        known = next((_ROS[".".join(words[-n:])] for n in (2, 1) if ".".join(words[-n:]) in _ROS), None)
+        if known is not None and known not in out:
+            out[k] = known
+    return out
 
 
 def _rows(
@@ -368,7 +397,24 @@ def cells_of_parquet(path: str | os.PathLike[str]) -> TableText:
         microseconds = cells.cast(pa.timestamp("us"), safe=False).cast(pa.int64())
         return [None if t is None else t / 1e6 for t in microseconds.to_pylist()]
 
+    points = _points(table) if "geometry" in names else None
+    if points is not None:
+        columns = {name: column(name) for name in names if name != "geometry"}
+        return TableText({**points, **columns}, np.arange(1, table.num_rows + 1), unit="record")
     return TableText(_LazyColumns(names, column), np.arange(1, table.num_rows + 1), unit="record")
+
+
+def _points(table: pa.Table) -> dict[str, list[float]] | None:
+    """The longitudes and latitudes of the points of GeoParquet (WKB of 21 bytes); None of another geometry, or where
+    the table has them as columns."""
+    stems = {stem_of(name)[0] for name in table.column_names}
+    cells = table.column("geometry").to_pylist()
+    if {"lat", "latitude"} & stems or not all(isinstance(cell, bytes) and len(cell) == 21 for cell in cells):
+        return None
+    little = np.frombuffer(b"".join(cells), np.dtype([("order", "u1"), ("kind", "<u4"), ("place", "<f8", 2)]))
+    if not ((little["order"] == 1) & (little["kind"] == 1)).all():
+        return None
+    return {"longitude": little["place"][:, 0].tolist(), "latitude": little["place"][:, 1].tolist()}
 
 
 def _delimiter_of(line: str) -> str:

@@ -63,7 +63,7 @@ QUANTITIES = tuple(
         ("lon_deg", "angle", "lon long longitude lng longitudewgs84"),
         ("alt_m", "length", "alt altitude geoaltitude geometricaltitude altgeom altitudegeo heightellipsoid "
                             "height hae "
-                            "geodeticaltitude altitudegeodetic"),
+                            "geodeticaltitude altitudegeodetic altitudeabovesealevel altitudemsl"),
         ("pressure_alt_m", "length", "pressurealtitude baroaltitude altbaro baroalt flightlevelaltitude "
                                      "altitudebarometric barometricaltitude altitudebaro"),
         ("x_m", "length", "x east e xeast easting xpos posx"),
@@ -329,6 +329,10 @@ def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]
 def require_columns(chosen: Mapping[str, Choice], names: Sequence[str], source: str) -> None:
     """Refuses a table without times or positions; the message names all that is missing at once."""
     listed = ", ".join(names)
+    if any(re.fullmatch(r"I\d{3}", name) for name in names) or {"data_blocks", "data_items"} & set(names):
+        raise InputError(
+            f"{source}: is JSON that a decoder of ASTERIX has written", "give the ASTERIX itself, or its pcap"
+        )
     times = () if {"time_s", "day_s"} & set(chosen) else ("time_s",)
     words = "time and " if times else ""
     for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m")):
