@@ -4,10 +4,12 @@ import pytest
 from tests.live.conftest import START_S
 
 from sameas.errors import InputError
+from sameas.io.sensors.nmea import checksum
 from sameas.live.reception import Reception
 from sameas.live.replay import Replay
 from sameas.live.settings import LiveSource, Settings, WatchSettings, read_settings
 from sameas.tracks import Description
+from sameas.tracks.platforms import OWN_POSITIONS
 from sameas.tracks.reports import Reports
 
 URL = "udp://127.0.0.1:60004"
@@ -96,6 +98,30 @@ def test_reports_of_a_vessel_are_taken_before_those_of_the_sensors_aboard(tmp_pa
     reception = Reception(settings, lambda: START_S, replay=replay, use=lambda name, reports: taken.append(name))
     reception.take(START_S)
     assert taken == ["gps", "arpa"]
+
+
+def test_a_receiver_of_gnss_alone_carries_the_radar_of_another_wire_and_is_none(tmp_path):
+    """RMC without AIS gave no reports live, so the radar had no place; in a file it had one."""
+    path = tmp_path / "sensors.toml"
+    inputs = '[sources.arpa]\nkind = "marine radar"\nplatform = { source = "gps" }\ninput = "udp://:60005"\n'
+    inputs += '[sources.gps]\ninput = "udp://:60006"\n[sources.other]\nkind = "ais"\ninput = "udp://:60007"\n'
+    path.write_text(inputs)
+    taken, now_s = [], START_S + 1.0
+    reception = Reception(read_settings(path), lambda: now_s, use=lambda name, reports: taken.append((name, reports)))
+    sentences = [
+        "$GPRMC,104000.00,A,5030.0000,N,00100.0000,W,10.0,090.0,010524,,,A*63\r\n",
+        "$GPGGA,104001.00,5030.0000,N,00059.0000,W,1,08,1.0,20.0,M,47.0,M,,*47\r\n",
+    ]
+    for name in ("gps", "other"):
+        wire = reception.wires[reception.settings.sources[name].url]
+        for k, line in enumerate(sentences):
+            body = line[1:].partition("*")[0]
+            wire.play((START_S + k, f"${body}*{checksum(body):02X}\r\n".encode(), 0, True), 0)
+    reception.take(now_s)
+    assert [name for name, _ in taken] == ["gps"]
+    places = taken[0][1]
+    assert places.time_s.tolist() == [START_S, START_S + 1.0] and places.kind == OWN_POSITIONS
+    assert places.lon_deg.tolist() == pytest.approx([-1.0, -59.0 / 60.0])
 
 
 def test_a_source_without_a_wire_is_refused():

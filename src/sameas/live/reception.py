@@ -273,13 +273,15 @@ def is_time_zone(seconds: float) -> bool:
 
 def _wires(settings: Settings, clock: Callable[[], float]) -> dict[str, Wire]:
     wires: dict[str, Wire] = {}
+    platforms = [source.description.platform for source in settings.sources.values()]
+    carriers = {platform.source for platform in platforms if platform is not None}
     for name, source in settings.sources.items():
         if source.url is None:
             raise InputError(f"{name}: has no input", 'give input = "udp://HOST:PORT", tcp://, serial: … in its table')
         with reading(f"{name}: input {source.url!r}", "cannot be listened to"):
             if source.url in wires:
                 continue
-            stream, recorder = ReportStream(name, source.format, source.options), None
+            stream, recorder = ReportStream(name, source.format, source.options, name in carriers), None
             if (watch := settings.watch).record is not None:
                 recorded = settings.recorded_input(source.url)
                 recorder = Recorder(Path(watch.record), recorded, watch.record_hours * 3600.0)

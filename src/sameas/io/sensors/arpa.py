@@ -408,7 +408,7 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
     has_ais, has_arpa = "VDM" in kinds, bool(kinds & set(SENTENCES))
     own = own_ship_of(log, ArpaState())
     if not (has_ais or has_arpa):
-        if positions := _own_positions(log, source, start_s, own):
+        if positions := own_positions(log, source, start_s, own):
             return with_own_ship([positions], log, own)
         listed = ", ".join(sorted(kinds)) or "none"
         raise InputError(f"{source}: no AIS (VDM) and no radar targets (TTM, TLL) among its sentences: {listed}")
@@ -425,7 +425,7 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
 _POSITIONS = {"RMC": 1, "GGA": 1, "GNS": 1, "GLL": 5}
 
 
-def _own_positions(log: Log, source: str, start_s: float | None, own: Mapping[str, FloatArray]) -> Reports | None:
+def own_positions(log: Log, source: str, start_s: float | None, own: Mapping[str, FloatArray]) -> Reports | None:
     """The positions of own ship, as of :func:`own_ship_of`, the last of each time; None if the log has none.
 
     Raises InputError: no time.

@@ -78,6 +78,7 @@ class ReportStream:
     source : its name in messages; several sensors of a stream are named as in a file, NAME:ais, NAME:048 1/2.
     format : one of :data:`STREAM_FORMATS`; None: detected from the first bytes.
     options : columns and units of tables.
+    carries : whether positions of own ship are reports, where the stream has nothing else: she carries another sensor.
 
     damaged, passed_over : number of unused lines or records by reason.
 
@@ -94,6 +95,7 @@ class ReportStream:
     source: str
     format: str | None = None
     options: ReadOptions = field(default_factory=ReadOptions)
+    carries: bool = False
     damaged: Counter[str] = field(default_factory=Counter)
     passed_over: Counter[str] = field(default_factory=Counter)
 
@@ -113,6 +115,8 @@ class ReportStream:
         self._latest: sbs.Latest = {}
         self._aircraft: dict[str, object] = {}
         self._transponders = mode_s.Aircraft()
+        #: Whether the sentences have ever been of others than own ship.
+        self._has_others = False
         self._blocks: set[tuple[int, bytes]] = set()
         #: Receive time of the last position of own ship.
         self.own_ship_s = -math.inf
@@ -290,12 +294,16 @@ class ReportStream:
         self._count(Damaged.of(log.damaged), {})
         log = nmea.Log(log.sentences, log.clock_s, log.clock, ())
         kinds = {sentence.kind for sentence in log.sentences}
+        self._has_others |= not kinds.isdisjoint((*ais.SENTENCES, *arpa.SENTENCES))
         out: list[Reports] = []
         own = arpa.own_ship_of(log, self._ship)
         if kinds & set(ais.SENTENCES):
             out += self._read(lambda: [ais.read(log, f"{self.source}:ais", state=self._ais_state)])
         if kinds - {"VDM"}:
             out += self._read(lambda: [arpa.read(log, f"{self.source}:arpa", ship=self._ship, own=own)])
+        if self.carries and not self._has_others:
+            positions = arpa.own_positions(log, self.source, None, own)
+            out = [] if positions is None else [positions]
         return arpa.with_own_ship(out, log, own)
 
     def _read(self, read: Callable[[], list[Reports]]) -> list[Reports]:
