@@ -6,7 +6,7 @@ The state after r records is the set of later records that are taken and, with a
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -455,6 +455,20 @@ def _sum_few(
     return True
 
 
+class KeptSets(NamedTuple):
+    """The sets of a group that are not excluded.
+
+    begin, entry : (k + 1,) and (e,), the records of each set as CSR. weight : (k,) ln w. in_group : (k,) the number of
+    each set in the group. hint : (k,) the sets of a good partition, if known.
+    """
+
+    begin: IntArray
+    entry: IntArray
+    weight: FloatArray
+    in_group: IntArray
+    hint: BoolArray
+
+
 @part
 def _local_numbers(members: IntArray, local: IntArray) -> tuple[IntArray, IntArray, int]:
     """The sets of a group as CSR, begin (k + 1,) and entry, its records numbered by first appearance, and the number of
@@ -495,55 +509,47 @@ def _sum_pruned_group(
             if record != NONE and local[record] != NONE:
                 own_dual[local[record]], source[local[record]] = dual[record], column
                 local[record] = NONE
-    block, done, in_group, hint = np.zeros(n, np.int64), np.zeros(n, np.bool_), np.arange(k), np.zeros(k, np.bool_)
+    block, done = np.zeros(n, np.int64), np.zeros(n, np.bool_)
+    sets = KeptSets(begin, entry, weight, np.arange(k), np.zeros(k, np.bool_))
     if n <= small:
         _blocks(begin, entry, block)
-        if _sum_blocks(begin, entry, weight, in_group, block, done, max_records, cap, share, chosen):
+        if _sum_blocks(sets, block, done, max_records, cap, share, chosen):
             return cuts[0]
-    begin, entry, weight, in_group, hint = _prune(begin, entry, weight, in_group, hint, cuts[0], block, done, own_dual)
-    if _sum_blocks(begin, entry, weight, in_group, block, done, max_records, cap, share, chosen):
+    sets = _prune(sets, cuts[0], block, done, own_dual)
+    if _sum_blocks(sets, block, done, max_records, cap, share, chosen):
         return cuts[0]
     # Blocks share no sets, so only those that are not summed yet need better duals.
-    begin, entry, weight, in_group, hint = _not_done(begin, entry, weight, in_group, hint, done)
+    sets = _not_done(sets, done)
     for sweeps in ANNEALINGS:
         # Each attempt starts from the sets of the first cut.
-        hint = _anneal(begin, entry, weight, sweeps, own_dual)
-        pruned, inexact, is_inexact = (begin, entry, weight, in_group, hint), np.zeros(n, np.bool_), False
+        hint = _anneal(sets.begin, sets.entry, sets.weight, sweeps, own_dual)
+        pruned = KeptSets(sets.begin, sets.entry, sets.weight, sets.in_group, hint)
+        inexact, is_inexact = np.zeros(n, np.bool_), False
         for cut in cuts:
             if cut < MIN_CUT and not is_inexact:
                 is_inexact = True
                 for r in range(n):
                     inexact[r] = not done[r]
-            pruned = _prune(*pruned, cut, block, done, own_dual)
-            if _sum_blocks(*pruned[:4], block, done, max_records, cap, share, chosen):
+            pruned = _prune(pruned, cut, block, done, own_dual)
+            if _sum_blocks(pruned, block, done, max_records, cap, share, chosen):
                 if cut < MIN_CUT:
-                    _sample_shares(begin, entry, weight, in_group, hint, inexact, source, chosen, share)
+                    _sample_shares(sets, inexact, source, chosen, share)
                 return cut
     return -1.0
 
 
 @inlined
-def _sample_shares(
-    begin: IntArray,
-    entry: IntArray,
-    weight: FloatArray,
-    in_group: IntArray,
-    hint: BoolArray,
-    records: BoolArray,
-    source: IntArray,
-    chosen: BoolArray,
-    share: FloatArray,
-) -> None:
+def _sample_shares(sets: KeptSets, records: BoolArray, source: IntArray, chosen: BoolArray, share: FloatArray) -> None:
     """Write ``share`` by samples, of the sets that consist of some ``records`` (n,) only. source : (n,) of records.
     chosen : sets of the best partition of the group."""
-    kept = np.ones(len(weight), np.bool_)
-    for s in range(len(weight)):
-        for e in range(begin[s], begin[s + 1]):
-            kept[s] = kept[s] and records[entry[e]]
-    begin, entry, weight, in_group, _ = _selected(begin, entry, weight, in_group, hint, kept)
-    p = sampled(begin, entry, source, weight, chosen[in_group])
-    for s in range(len(weight)):
-        share[in_group[s]] = p[s]
+    kept = np.ones(len(sets.weight), np.bool_)
+    for s in range(len(kept)):
+        for e in range(sets.begin[s], sets.begin[s + 1]):
+            kept[s] = kept[s] and records[sets.entry[e]]
+    some = _selected(sets, kept)
+    p = sampled(some.begin, some.entry, source, some.weight, chosen[some.in_group])
+    for s in range(len(p)):
+        share[some.in_group[s]] = p[s]
 
 
 @kernel
@@ -652,25 +658,13 @@ def _blocks(begin: IntArray, entry: IntArray, block: IntArray) -> None:
 
 
 @part
-def _prune(
-    begin: IntArray,
-    entry: IntArray,
-    weight: FloatArray,
-    in_group: IntArray,
-    hint: BoolArray,
-    cut: float,
-    block: IntArray,
-    done: BoolArray,
-    dual: FloatArray,
-) -> tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]:
-    """The sets without those of finished blocks and those that the duals of their block prove improbable.
-
-    in_group : (k,) the number of each set in the group. hint : (k,) sets of a good partition, if known.
-    """
+def _prune(sets: KeptSets, cut: float, block: IntArray, done: BoolArray, dual: FloatArray) -> KeptSets:
+    """The sets without those of finished blocks and those that the duals of their block prove improbable."""
     n = len(block)
-    begin, entry, weight, in_group, hint = _not_done(begin, entry, weight, in_group, hint, done)
+    sets = _not_done(sets, done)
     best_weight, bound = np.zeros(n), np.zeros(n)
     for iteration in range(PRUNINGS):
+        begin, entry, weight, _, hint = sets
         k = len(weight)
         _blocks(begin, entry, block)
         cost = np.empty(k)
@@ -693,18 +687,17 @@ def _prune(
             if cost[s] > cut + bound[b] - best_weight[b]:
                 kept[s] = False
                 n_pruned += 1
-        begin, entry, weight, in_group, hint = _selected(begin, entry, weight, in_group, hint, kept)
+        sets = _selected(sets, kept)
         if n_pruned <= MIN_PRUNED_SHARE * k:
             break
-    _blocks(begin, entry, block)
-    return begin, entry, weight, in_group, hint
+    _blocks(sets.begin, sets.entry, block)
+    return sets
 
 
 @part
-def _selected(
-    begin: IntArray, entry: IntArray, weight: FloatArray, in_group: IntArray, hint: BoolArray, kept: BoolArray
-) -> tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]:
+def _selected(sets: KeptSets, kept: BoolArray) -> KeptSets:
     """The sets that are ``kept`` (k,)."""
+    begin, entry, weight, in_group, hint = sets
     count = 0
     for s in range(len(kept)):
         count += kept[s]
@@ -719,18 +712,16 @@ def _selected(
             new_weight[k], new_in_group[k], new_hint[k] = weight[s], in_group[s], hint[s]
             k += 1
             new_begin[k] = at
-    return new_begin, new_entry[:at], new_weight, new_in_group, new_hint
+    return KeptSets(new_begin, new_entry[:at], new_weight, new_in_group, new_hint)
 
 
 @part
-def _not_done(
-    begin: IntArray, entry: IntArray, weight: FloatArray, in_group: IntArray, hint: BoolArray, done: BoolArray
-) -> tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]:
+def _not_done(sets: KeptSets, done: BoolArray) -> KeptSets:
     """The sets of records that are not ``done`` (n,)."""
-    kept = np.ones(len(weight), np.bool_)
-    for s in range(len(weight)):
-        kept[s] = not done[entry[begin[s]]]
-    return _selected(begin, entry, weight, in_group, hint, kept)
+    kept = np.ones(len(sets.weight), np.bool_)
+    for s in range(len(kept)):
+        kept[s] = not done[sets.entry[sets.begin[s]]]
+    return _selected(sets, kept)
 
 
 @part
@@ -813,10 +804,7 @@ def _greedy(begin: IntArray, entry: IntArray, weight: FloatArray, cost: FloatArr
 
 @part
 def _sum_blocks(
-    begin: IntArray,
-    entry: IntArray,
-    weight: FloatArray,
-    in_group: IntArray,
+    kept: KeptSets,
     block: IntArray,
     done: BoolArray,
     max_records: int,
@@ -825,6 +813,7 @@ def _sum_blocks(
     chosen: BoolArray,
 ) -> bool:
     """Sum the blocks of records that the sets connect and that are not ``done`` (n,); returns whether all are now."""
+    begin, entry, in_group = kept.begin, kept.entry, kept.in_group
     n, k = len(block), len(in_group)
     first_set, records = np.zeros(n + 1, np.int64), np.zeros(n, np.int64)
     for s in range(k):
@@ -846,7 +835,7 @@ def _sum_blocks(
             share[in_group[sets[0]]], chosen[in_group[sets[0]]], summed[b] = 1.0, True, True
         elif records[b] <= max_records:
             _order(begin, entry, sets, number, n_sets)
-            summed[b] = _sum_block(begin, entry, weight, in_group, sets, number, records[b], cap, share, chosen)
+            summed[b] = _sum_block(kept, sets, number, records[b], cap, share, chosen)
     all_done = True
     for r in range(n):
         done[r] = done[r] or summed[block[r]]
@@ -899,17 +888,10 @@ def _order(begin: IntArray, entry: IntArray, sets: IntArray, number: IntArray, n
 
 @inlined
 def _sum_block(
-    begin: IntArray,
-    entry: IntArray,
-    weight: FloatArray,
-    in_group: IntArray,
-    sets: IntArray,
-    number: IntArray,
-    n: int,
-    cap: int,
-    share: FloatArray,
-    chosen: BoolArray,
+    kept: KeptSets, sets: IntArray, number: IntArray, n: int, cap: int, share: FloatArray, chosen: BoolArray
 ) -> bool:
+    """Sum a block of n records, numbered by ``number``, over the partitions into some ``sets`` of the kept ones."""
+    begin, entry, weight, in_group, _ = kept
     low, mask = np.empty(len(sets), np.int64), np.zeros(len(sets), np.uint64)
     for at in range(len(sets)):
         low[at] = 1 << 30
