@@ -148,6 +148,8 @@ def of(features=SQUARE, **keywords):
         (of(covariance=[FULL, FULL, -FULL]), r"radar: 1 covariances are not positive definite \(first: row 2\)"),
         (of(covariance=[[1.0, 1.0], [1.0, 1.0]]), "3 covariances are not positive definite .* check the correlations"),
         (of(covariance=[FULL, [[1.0, 0.5], [0.2, 1.0]], FULL]), r"1 covariances are not symmetric \(first: row 1\)"),
+        (of(sigma=1e-80), "radar: errors of 1e-80 to 1e-80 in 2 features have no product that a number can hold; give"),
+        (of(np.zeros((3, 100)), sigma=1e3), "errors of 1e\\+03 to 1e\\+03 in 100 features have no product"),
         (of(sigma=1.0, ids=[1, 2]), r"radar: \(2,\) ids for 3 rows; give one id per row"),
         (of(sigma=1.0, ids=[7, 8, 7]), r"1 id is not unique \(first: 7 in rows 0 and 2\)"),
         (of(sigma=1.0, ids=["b", "a", "a"]), r"1 id is not unique \(first: a in rows 1 and 2\)"),

@@ -6,6 +6,7 @@ position, no error) are set aside with the reason and appear in the result.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
@@ -125,7 +126,8 @@ class Records:
 
         Raises
         ------
-        InputError : wrong shapes, no or several kinds of errors, bad errors, duplicate ids.
+        InputError : wrong shapes, no or several kinds of errors, bad errors, duplicate ids; errors so far from 1 that
+            the determinant of a covariance is no number.
         """
         space = Plane() if space is None else space
         values = _as_float(features, source, "features")
@@ -143,9 +145,13 @@ class Records:
         reasons = _unusable(values, packed, space, d, source, invalid)
         about = {"ids": _checked_ids(ids, n, source), "space": space, "source": source, "table": table}
         if reasons is None:
-            return cls(values, packed, about["ids"] if ids is None else np.arange(n), **about)
-        keep, aside = np.flatnonzero(reasons == 0), np.flatnonzero(reasons)
-        return cls(values[keep], packed[keep], keep, **about, set_aside=SetAside(aside, _REASONS[reasons[aside]]))
+            records = cls(values, packed, about["ids"] if ids is None else np.arange(n), **about)
+        else:
+            keep, aside = np.flatnonzero(reasons == 0), np.flatnonzero(reasons)
+            set_aside = SetAside(aside, _REASONS[reasons[aside]])
+            records = cls(values[keep], packed[keep], keep, **about, set_aside=set_aside)
+        _refuse_extremes(records)
+        return records
 
     @property
     def variances(self) -> FloatArray:
@@ -275,6 +281,22 @@ def _unusable(
                 "give longitude, latitude in degrees"
             )
     return reasons
+
+
+#: Greatest |ln| of a product of variances: a double ends at 709, and a pair has the sum of two covariances.
+_MAX_LOG_PRODUCT = 600.0
+
+
+def _refuse_extremes(records: Records) -> None:
+    """Raise InputError if the variances are so large or small that |Σ| of a pair overflows or underflows."""
+    if not len(records):
+        return
+    least, most = float(records.variances.min()), float(records.variances.max())
+    if records.d * max(math.log(most), -math.log(least)) > _MAX_LOG_PRODUCT:
+        raise InputError(
+            f"{records.source}: errors of {math.sqrt(least):.3g} to {math.sqrt(most):.3g} in {records.d} features have "
+            "no product that a number can hold; give features and errors in a unit in which errors are nearer to 1"
+        )
 
 
 def _all_usable(values: FloatArray, packed: FloatArray, directions: bool) -> bool:

@@ -412,13 +412,13 @@ class _GroupProblem:
         required = np.zeros(len(self.pairs), np.bool_)
         required[at] = True
         cost, _ = self.solve(required, forbidden)
-        ids = result.second.ids[result.rows_2] if source == 1 else result.first.ids[result.rows_1]
+        other = result.second.ids[result.rows_2[e]] if source == 1 else result.first.ids[result.rows_1[e]]
         terms = {name: float(values[e]) for name, values in result.evidence.terms.items()}
         prior = float(result.log_odds[e]) - sum(terms.values())
         if result.best.prior.slope is not None and abs(prior) > 1e-12:
             terms["prior"] = prior
         return Competitor(
-            ids[e], float(result.p_pair[e]), max(0.0, cost), float(result.log_odds[e]), terms,
+            other, float(result.p_pair[e]), max(0.0, cost), float(result.log_odds[e]), terms,
             result.pairs.residual[e] * (1 if source == 1 else -1), float(np.sqrt(result.pairs.mahalanobis_sq[e])),
             bool(result.chosen[e]),
         )  # fmt: skip
