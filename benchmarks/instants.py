@@ -21,8 +21,9 @@ from benchmarks.tables import Table, report
 from sameas.arrays import FloatArray
 from sameas.kernels import compiled
 from sameas.many.identify import identify_many
-from sameas.picture.picture import Columns, object_columns, record_columns
+from sameas.picture.picture import object_columns, record_columns
 from sameas.picture.picture_state import PictureState
+from sameas.picture.rows import Columns
 from sameas.picture.watch import Watch
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Instant, Scene

@@ -1,7 +1,9 @@
 """Set rules next to positions, for many sources: enumeration, invariances, bounds, calibration, explanations."""
 
+import gc
 import itertools
 import math
+import weakref
 from dataclasses import dataclass
 from typing import Any
 
@@ -408,6 +410,19 @@ def test_a_rival_set_that_takes_a_record_from_another_object_is_marked():
     ((record, holder),) = why.runner_up.taken
     assert record in (("ais", 1), ("radar", 1)) and record in why.runner_up.members and holder == 1
     assert str(why).endswith(f"It would take {record[0]} 1 from object 1.")
+
+
+def test_an_explained_result_is_released_with_its_last_reference():
+    sources = small_scene(np.random.default_rng(43), (2, 2))
+    found = identify_many(sources, rule=PoissonObjects(0.1, 0.2))
+    found.explain(0)
+    reference = weakref.ref(found)
+    gc.disable()
+    try:
+        del found
+        assert reference() is None
+    finally:
+        gc.enable()
 
 
 def test_unknown_objects_and_sequential_results_cannot_be_explained():

@@ -228,7 +228,7 @@ def write(
     written = []
     for name, columns in zip(TABLES, (picture.objects, picture.records), strict=True):
         written.append(f"{name}.{outputs.format}")
-        write_table(Table(dict(columns)), draft / written[-1], provenance=facts, format=outputs.format)
+        write_table(Table(dict(columns), copy=False), draft / written[-1], provenance=facts, format=outputs.format)
     if picture.plane is not None:
         written.append("objects.geojson")
         write_geojson(picture.objects, draft / written[-1])

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.io.atomic import replacing
 from sameas.report.prose import UTC_FROM_S
@@ -42,12 +43,12 @@ def write_geojson(objects: Columns, path: str | os.PathLike[str]) -> None:
                 f"cannot write {path}: the objects have no {name}; GeoJSON needs latitudes and longitudes, which a "
                 "picture in metres of its own does not have; write CSV or Parquet"
             )
-    n = len(objects["object"])
+    n, encode = len(objects["object"]), json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
     with replacing(path) as draft, draft.open("w", encoding="utf-8") as out:
         out.write('{"type": "FeatureCollection", "features": [')
         parts = ({name: column[k : k + PART] for name, column in objects.items()} for k in range(0, n, PART))
         for k, feature in enumerate(chain(chain.from_iterable(map(_points, parts)), _tracks(objects))):
-            out.write((",\n" if k else "\n") + json.dumps(feature, ensure_ascii=False, allow_nan=False))
+            out.write((",\n" if k else "\n") + encode(feature))
         out.write("\n]}\n")
 
 
@@ -67,26 +68,26 @@ def _points(objects: Columns) -> Iterator[dict[str, Any]]:
 
 def _tracks(objects: Columns) -> Iterator[dict[str, Any]]:
     """A feature for each object with two or more positions: the line through them, and their times."""
-    rows: dict[int, list[tuple[float, list[float]]]] = {}
-    times, numbers = np.asarray(objects["time_s"], dtype=np.float64).tolist(), np.asarray(objects["object"]).tolist()
-    for time_s, number, position in zip(times, numbers, _positions(objects), strict=True):
-        if position is not None:
-            rows.setdefault(number, []).append((time_s, position))
-    labels = _values(objects["label"]) if "label" in objects else [None] * len(objects["object"])
-    names = {number: label for number, label in zip(numbers, labels, strict=True) if label}
-    for number, points in rows.items():
-        if len(points) < 2:
-            continue
-        points.sort(key=lambda point: point[0])
-        properties = {
-            "track": True, "object": number, "label": names.get(number),
-            "first_s": points[0][0], "last_s": points[-1][0], "times_s": [time_s for time_s, _ in points],
-        }  # fmt: skip
+    time_s, numbers = np.asarray(objects["time_s"], dtype=np.float64), np.asarray(objects["object"])
+    labels = np.ma.getdata(objects["label"]) if "label" in objects else None
+    places = _rounded_positions(objects)
+    known = np.asarray(np.isfinite(places).all(axis=1))
+    # Object by object: all points of a coast in a day as lists would take a gigabyte.
+    order = np.argsort(numbers, kind="stable")
+    of_objects = np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1) if len(order) else []
+    of_tracks = [(rows, rows[known[rows]]) for rows in of_objects]
+    for rows, points in sorted((one for one in of_tracks if len(one[1]) > 1), key=lambda one: int(one[1][0])):
+        points = points[np.argsort(time_s[points], kind="stable")]
+        names = [] if labels is None else _values(labels[rows])
+        times = time_s[points].tolist()
         yield {
             "type": "Feature",
-            "geometry": {"type": "MultiLineString", "coordinates": _line_parts([position for _, position in points])},
-            "properties": properties,
-        }
+            "geometry": {"type": "MultiLineString", "coordinates": _line_parts(places[points].tolist())},
+            "properties": {
+                "track": True, "object": numbers[rows[0]].item(), "label": next(filter(None, reversed(names)), None),
+                "first_s": times[0], "last_s": times[-1], "times_s": times,
+            },
+        }  # fmt: skip
 
 
 def _line_parts(positions: list[list[float]]) -> list[list[list[float]]]:
@@ -112,10 +113,15 @@ def _split_at_antimeridian(begin: list[float], end: list[float]) -> list[list[li
 
 def _positions(columns: Columns) -> list[list[float] | None]:
     """[longitude, latitude] of every row, None where unknown."""
-    lon, lat = (np.ma.filled(np.ma.asarray(columns[name], dtype=np.float64), np.nan) for name in ("lon_deg", "lat_deg"))
-    pairs = np.round(np.column_stack([(lon + 180.0) % 360.0 - 180.0, lat]), DECIMALS)
+    pairs = _rounded_positions(columns)
     known = np.asarray(np.isfinite(pairs).all(axis=1))
     return [pair if is_known else None for pair, is_known in zip(pairs.tolist(), known.tolist(), strict=True)]
+
+
+def _rounded_positions(columns: Columns) -> FloatArray:
+    """(n, 2) longitude and latitude of every row, NaN where unknown."""
+    lon, lat = (np.ma.filled(np.ma.asarray(columns[name], dtype=np.float64), np.nan) for name in ("lon_deg", "lat_deg"))
+    return np.asarray(np.round(np.column_stack([(lon + 180.0) % 360.0 - 180.0, lat]), DECIMALS))
 
 
 def _values(column: NDArray[Any]) -> list[Any]:

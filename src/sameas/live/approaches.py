@@ -40,7 +40,7 @@ from sameas.live.settings import WatchSettings, read_chart
 from sameas.live.situation import Alarm, Situation
 from sameas.maps.outline import Coast
 from sameas.picture.live import LiveState
-from sameas.picture.picture import Columns
+from sameas.picture.rows import Columns
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 from sameas.tracks.stationary import RESTS

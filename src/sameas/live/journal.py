@@ -29,7 +29,7 @@ from sameas.errors import InputError, reading
 from sameas.io.atomic import held, replacing
 from sameas.io.saved import dumps, loads
 from sameas.live.situation import Alarm, Situation
-from sameas.picture.picture import Columns, gathered
+from sameas.picture.rows import Columns, gathered
 
 T = TypeVar("T")
 LOG = logging.getLogger("sameas.live")

@@ -17,7 +17,8 @@ from sameas.arrays import FloatArray
 from sameas.live.own_ship import OwnShipState
 from sameas.maps.sheet import ellipse_axes
 from sameas.picture.live import LiveState
-from sameas.picture.picture import Columns, object_columns, record_columns, with_degrees
+from sameas.picture.picture import object_columns, record_columns, with_degrees
+from sameas.picture.rows import Columns
 from sameas.picture.tables import STAGES
 from sameas.picture.texts import LABELS
 from sameas.tracks.coordinates import LocalPlane

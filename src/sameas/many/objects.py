@@ -209,7 +209,7 @@ class Objects:
         """
         if not 0 <= number < len(self):
             raise InputError(f"there is no object {number}; give 0 … {len(self) - 1}, a row of members")
-        return self._weights.of_object(number)
+        return self._weights.of_object(self, number)
 
     @cached_property
     def _weights(self) -> Weights:
@@ -358,14 +358,16 @@ class Weights:
     """The terms of the probable sets of an answer.
 
     kept : (r,) the sets of a probability of at least :data:`MIN_PROBABILITY`, or chosen. terms : (r,) by name.
-    sets_of : (n, r) records in sets. names : (n) of all records.
+    sets_of : (n, r) records in sets. names : (n) of all records. columns : of the sets' members, in the caller's order
+    of sources.
     """
 
-    objects: Objects
+    # Not the objects, which keep their weights: both would stay in memory until the garbage collector finds them.
     kept: IntArray
     terms: Mapping[str, FloatArray]
     sets_of: csr_array
     names: Sequence[Name]
+    columns: IntArray
 
     @classmethod
     def of(cls, objects: Objects) -> Weights:
@@ -376,25 +378,25 @@ class Weights:
         sets_of = _incidence(objects.sets.members[kept], len(objects.pooled))
         sources = [records_of(source) for source in objects.pooled.sources]
         names = [(source.source, name) for source in sources for name in source.ids[source.rows].tolist()]
-        return cls(objects, kept, _terms(objects, objects.terms, kept), sets_of, names)
+        columns = np.argsort(objects.pooled.given)
+        return cls(kept, _terms(objects, objects.terms, kept), sets_of, names, columns)
 
-    def of_object(self, number: int) -> ObjectExplanation:
-        """The explanation of one object."""
-        objects = self.objects
+    def of_object(self, objects: Objects, number: int) -> ObjectExplanation:
+        """The explanation of one of the objects."""
         own = int(objects.set_of_object[number])
         records = objects.sets.members[own]
         indptr, indices = self.sets_of.indptr, self.sets_of.indices
         near = np.unique(np.concatenate([indices[indptr[r] : indptr[r + 1]] for r in records[records != ABSENT]]))
         # Ties go to the object itself, then to the first by content.
         p, other = objects.answer.probability[self.kept[near]], self.kept[near] != own
-        rivals = tuple(self._rival(at, number) for at in near[np.lexsort([near, other, -p])].tolist())
+        rivals = tuple(self._rival(objects, at, number) for at in near[np.lexsort([near, other, -p])].tolist())
         group = int(objects.sets.group[own])
         exact = bool(objects.answer.exact(objects.sets.floor)[group])
         return ObjectExplanation(number, group, int(objects.pooled.sizes[group]), exact, rivals)
 
-    def _rival(self, at: int, number: int) -> Rival:
-        objects, which = self.objects, int(self.kept[at])
-        records = [r for r in objects.sets.members[which, self._columns].tolist() if r != ABSENT]
+    def _rival(self, objects: Objects, at: int, number: int) -> Rival:
+        which = int(self.kept[at])
+        records = [r for r in objects.sets.members[which, self.columns].tolist() if r != ABSENT]
         holders = objects.object_of_record[records].tolist()
         pairs = zip(records, holders, strict=True)
         return Rival(
@@ -405,11 +407,6 @@ class Weights:
             tuple((self.names[r], holder) for r, holder in pairs if holder != number),
             which == int(objects.set_of_object[number]),
         )
-
-    @cached_property
-    def _columns(self) -> IntArray:
-        """Columns of the sets' members in the caller's order of sources."""
-        return np.argsort(self.objects.pooled.given)
 
 
 def _incidence(members: IntArray, n_records: int) -> csr_array:

@@ -183,8 +183,8 @@ class MapSheet:
         by_object = np.lexsort((rows["time_s"], rows["object"]))
         by_source = np.lexsort((marks["time_s"], marks["row"], marks["source"].astype(str)))
         return cls(
-            title=title, objects={name: column[by_object] for name, column in rows.items()},
-            records={name: column[by_source] for name, column in marks.items()}, instants_s=times,
+            title=title, objects={name: rows.pop(name)[by_object] for name in list(rows)},
+            records={name: marks.pop(name)[by_source] for name in list(marks)}, instants_s=times,
             sensors=(*sensors, *added), plane=plane, summary=tuple(summary), alarms=tuple(alarms),
             texts=dict(texts or {}), ground=ground, overlays=tuple(overlays),
         )  # fmt: skip
@@ -283,7 +283,9 @@ def _texts(column: Any) -> NDArray[Any]:
     hidden = np.ma.getmaskarray(np.ma.asarray(column))
     values = np.ma.getdata(np.ma.asarray(column)).tolist()
     texts = ["" if off or v is None or v != v else str(v) for v, off in zip(values, hidden, strict=True)]
-    return np.array(texts, dtype=object)
+    # Equal texts of a column are one object: they are names of sources and ships.
+    shared = {text: text for text in texts}
+    return np.array([shared[text] for text in texts], dtype=object)
 
 
 def _numbers(what: str, column: Any, default: Any) -> NDArray[Any]:

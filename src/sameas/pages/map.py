@@ -10,6 +10,7 @@ import gzip
 import json
 import os
 from collections.abc import Iterable, Mapping
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -226,11 +227,14 @@ def _coded(
 
 def _runners_up(sheet: MapSheet) -> tuple[IntArray, IntArray]:
     """The members of each object row's runner-up: offsets (n + 1,) into an array of rows of the records."""
-    r = sheet.records
-    keys = zip(sheet.instant_of(r).tolist(), r["source"].tolist(), r["row"].tolist(), strict=True)
-    row_of = {(t, source, int(row)): k for k, (t, source, row) in enumerate(keys)}
+    r, o = sheet.records, sheet.objects
+    texts = zip(sheet.instant_of(o).tolist(), o["runner_up"].tolist(), strict=True)
+    members = [[(t, *member) for member in members_of(text)] if text else () for t, text in texts]
+    named = set(chain.from_iterable(members))
+    keys = zip(sheet.instant_of(r).tolist(), r["source"].tolist(), map(int, r["row"].tolist()), strict=True)
+    row_of = {key: k for k, key in enumerate(keys) if key in named}
     first, rows = [0], []
-    for t, text in zip(sheet.instant_of(sheet.objects).tolist(), sheet.objects["runner_up"].tolist(), strict=True):
-        rows += [row_of[(t, *member)] for member in members_of(text) if (t, *member) in row_of]
+    for each in members:
+        rows += [row_of[member] for member in each if member in row_of]
         first.append(len(rows))
     return np.array(first, np.int64), np.array(rows, np.int64)

@@ -23,9 +23,10 @@ import numpy as np
 
 from sameas.errors import InputError
 from sameas.picture.deception import faults_and_deceptions, sightings_of
-from sameas.picture.picture import Columns, error_lines, gathered, object_columns, record_columns, with_degrees
+from sameas.picture.picture import error_lines, object_columns, record_columns, with_degrees
 from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_picture import PlotPicture
+from sameas.picture.rows import Columns, gathered
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import Watch
 from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME

@@ -23,6 +23,7 @@ from sameas.many.observations import Observations, records_of
 from sameas.picture.deception import faults_and_deceptions
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotPicture, nameless
+from sameas.picture.rows import Columns, GatheredRows
 from sameas.picture.summary import Summary, Tally
 from sameas.picture.tables import STAGES
 from sameas.picture.texts import TEXTS
@@ -146,19 +147,19 @@ class Picture:
         times = np.asarray(instants_s, dtype=np.float64)
         if times.ndim != 1 or not len(times) or not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
             raise InputError("picture: give one instant or more, in seconds, each later than the one before")
-        objects, records, tallies = [], [], []
+        objects, records, tallies = GatheredRows(), GatheredRows(), []
         texts: dict[tuple[int, int], str] = {}
         explained: dict[int, tuple[str, str, float]] = {}
         state = None
         for k, state in enumerate(picture_states(scene, times, watch, features=features)):
             if progress is not None:
                 progress(f"instant {k + 1} of {len(times)}")
-            objects.append(object_columns(state))
-            records.append(record_columns(state))
+            objects.add(object_columns(state))
+            records.add(record_columns(state))
             tallies.append(Tally.of(state))
             texts |= {(k, number): str(state.explain(number)) for number in _to_explain(state, explained)}
         assert state is not None
-        table, records_table = (with_degrees(gathered(columns), scene.plane) for columns in (objects, records))
+        table, records_table = (with_degrees(rows.taken(), scene.plane) for rows in (objects, records))
         faults = faults_and_deceptions(scene.feeds, records_table, state.scan.tuning)
         return cls(
             times, table, records_table,
@@ -202,11 +203,6 @@ def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, st
             explained[number] = members, rival, p
             out.append(number)
     return out
-
-
-#: One row per object or record. Numbers are arrays, masked where absent; texts are arrays of str, "" for none.
-#: Latitudes and longitudes are included if the picture has a plane on the earth.
-Columns = dict[str, NDArray[Any]]
 
 
 def object_columns(state: PictureState[Carried]) -> Columns:
@@ -268,20 +264,6 @@ def record_columns(state: PictureState[Carried]) -> Columns:
     }
 
 
-def gathered(parts: Sequence[Mapping[str, NDArray[Any]]]) -> Columns:
-    """The rows of several instants, concatenated."""
-    if not parts:
-        return {}
-    return {name: _concatenated([part[name] for part in parts]) for name in parts[0]}
-
-
-def _concatenated(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Concatenated columns, a masked array if any of them is."""
-    if any(isinstance(column, np.ma.MaskedArray) for column in columns):
-        return np.asanyarray(np.ma.concatenate(columns))  # type: ignore[no-untyped-call]
-    return np.concatenate(columns)
-
-
 def with_degrees(columns: Columns, plane: LocalPlane | None) -> Columns:
     """The columns with lat_deg and lon_deg before x_m and y_m, if there is a plane on the earth. Speeds and courses are
     then those at the place: away from its origin north is not the plane's, and lengths are shorter in it."""
@@ -312,7 +294,8 @@ def _speed_and_course(velocity: FloatArray, unknown: BoolArray) -> Columns:
 
 
 def _masked(values: ArrayLike, hidden: BoolArray) -> np.ma.MaskedArray:
-    return np.ma.MaskedArray(values, hidden)
+    # A column of a matrix would keep all of it in memory.
+    return np.ma.MaskedArray(np.ascontiguousarray(values), hidden)
 
 
 def _ellipse(state: NDArray[Any], covariance: NDArray[Any], hidden: BoolArray) -> Columns:
