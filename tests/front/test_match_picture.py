@@ -10,6 +10,7 @@ import pytest
 
 import sameas
 from sameas.errors import InputError
+from sameas.front import picture as front
 
 START = 1_714_560_000.0
 
@@ -48,6 +49,30 @@ def toml(tmp_path_factory):
 def found(toml):
     ais, radar = harbour()
     return sameas.match_picture({"ais": ais, "radar": radar}, sensors=toml, every=15.0)
+
+
+def test_maps_of_many_positions_have_fewer_instants_and_say_so(found, tmp_path, monkeypatch) -> None:
+    picture, n = found.picture, len(found.picture.objects["object"])
+    assert front.thinned(picture, n) is picture
+    third = front.thinned(picture, n // 3 + 1)
+    assert third.instants_s.tolist() == picture.instants_s[::-3][::-1].tolist()
+    for columns, whole in ((third.objects, picture.objects), (third.records, picture.records)):
+        rows = np.isin(whole["time_s"], third.instants_s)
+        assert columns["object"].tolist() == whole["object"][rows].tolist() and rows.sum() < len(rows)
+    last = {number: text for (_, number), text in sorted(picture.texts.items())}
+    assert {number: text for (_, number), text in sorted(third.texts.items())} == last
+    # An explanation is not shown before it is valid.
+    assert all(
+        third.instants_s[at] >= picture.instants_s[min(k for k, one in picture.texts if one == number)]
+        for at, number in third.texts
+    )
+    monkeypatch.setattr(front, "MOST_POSITIONS", n // 3 + 1)
+    with pytest.warns(UserWarning, match=r"objects.geojson and map.html: \d of the \d instants.*objects.parquet and"):
+        found.write(tmp_path / "out", image=False)
+    features = json.loads((tmp_path / "out" / "objects.geojson").read_text("utf-8"))["features"]
+    points = [one["properties"]["time_s"] for one in features if "time_s" in one["properties"]]
+    assert points == third.objects["time_s"].tolist()
+    assert len(sameas.io.read_table(tmp_path / "out" / "objects.parquet")) == n
 
 
 @pytest.mark.slow

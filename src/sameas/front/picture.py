@@ -32,7 +32,7 @@ from sameas.picture.picture import Picture
 from sameas.picture.plot_picture import nameless
 from sameas.report.picture import assumed_lines, doubt_lines, estimated_lines, found_lines, read_lines, scene_lines
 from sameas.report.prose import Lines, Result, in_one, span
-from sameas.representation import counted, listed
+from sameas.representation import count, counted, listed
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 #: Names of all output files; those of the tables without extension.
 TABLES = ("objects", "identities")
 OTHERS = ("objects.geojson", "summary.json", REASONS, "map.html", "picture.png")
+#: Positions of objects in GeoJSON (0.7 kB each) and on the map: of more, those of every second instant or fewer.
+MOST_POSITIONS = 500_000
 
 
 @dataclass(frozen=True)
@@ -204,15 +206,15 @@ class MatchPicture(Result):
             "assumed": [asdict(line) for feed in self.scene.feeds for line in feed.description.assumed],
         }  # fmt: skip
 
-    def sheet(self) -> MapSheet:
-        """The content of the map."""
-        picture, plane = self.picture, self.picture.plane
+    def sheet(self, shown: Picture | None = None) -> MapSheet:
+        """The content of the map. shown : the picture at some of the instants; None: at all."""
+        picture, plane = self.picture if shown is None else shown, self.picture.plane
         sensors = [MapSensor.of(source.description, plane, source.path.name) for source in self.sources]
         title = "Picture of " + listed([source.description.name for source in self.sources])
         return MapSheet.of(
             title, picture.objects, picture.records, instants_s=picture.instants_s, sensors=sensors, plane=plane,
             summary=[*(f"doubt: {doubt}" for doubt in self.source_doubts), *picture.summary.lines()],
-            alarms=list(_map_alarms(picture)), texts=picture.texts,
+            alarms=list(_map_alarms(self.picture)), texts=picture.texts,
         )  # fmt: skip
 
 
@@ -229,15 +231,22 @@ def write(
     for name, columns in zip(TABLES, (picture.objects, picture.records), strict=True):
         written.append(f"{name}.{outputs.format}")
         write_table(Table(dict(columns), copy=False), draft / written[-1], provenance=facts, format=outputs.format)
+    drawn = thinned(picture, MOST_POSITIONS)
+    if len(drawn.instants_s) < len(picture.instants_s) and (picture.plane is not None or outputs.map):
+        names = listed(["objects.geojson"] * (picture.plane is not None) + ["map.html"] * outputs.map)
+        warn(
+            f"{names}: {len(drawn.instants_s)} of the {count(len(picture.instants_s))} instants, since all "
+            f"{count(len(picture.objects['object']))} positions are too many for maps; {' and '.join(written)} have all"
+        )
     if picture.plane is not None:
         written.append("objects.geojson")
-        write_geojson(picture.objects, draft / written[-1])
+        write_geojson(drawn.objects, draft / written[-1])
     written.append("summary.json")
     (draft / written[-1]).write_text(json_text(facts | result.as_json()), "utf-8")
     written.append(REASONS)
     (draft / written[-1]).write_text(json_text({"objects": picture.reasons()}), "utf-8")
     if outputs.map or outputs.image:
-        written += _drawn(result, draft, outputs, warn)
+        written += _drawn(result, drawn, draft, outputs, warn)
     return written
 
 
@@ -247,6 +256,24 @@ def older(folder: Path, written: Sequence[str]) -> list[str]:
     return [name for name in known if name not in written and (folder / name).exists()]
 
 
+def thinned(picture: Picture, most: int) -> Picture:
+    """The picture at every k-th instant, the last among them, with the least k that leaves at most so many objects.
+
+    Explanations are those of the instants left out, too: each is valid from the next instant on.
+    """
+    k = -(-len(picture.objects["object"]) // most)
+    if k <= 1:
+        return picture
+    kept = np.arange(len(picture.instants_s))[::-k][::-1]
+    times = picture.instants_s[kept]
+    objects, records = (
+        {name: column[rows] for name, column in columns.items()}
+        for columns, rows in ((c, np.isin(c["time_s"], times)) for c in (picture.objects, picture.records))
+    )
+    texts = {(int(np.searchsorted(kept, at)), number): text for (at, number), text in sorted(picture.texts.items())}
+    return replace(picture, instants_s=times, objects=objects, records=records, texts=texts)
+
+
 def fullest(picture: Picture) -> float:
     """The last of the instants with the largest number of sources."""
     records = picture.records
@@ -254,9 +281,11 @@ def fullest(picture: Picture) -> float:
     return float(picture.instants_s[np.flatnonzero(np.array(sources) == max(sources))[-1]])
 
 
-def _drawn(result: MatchPicture, draft: Path, outputs: PictureOutputs, warn: Callable[[str], object]) -> Iterator[str]:
-    """Writes the map and the image, and yields their file names."""
-    sheet = result.sheet()
+def _drawn(
+    result: MatchPicture, shown: Picture, draft: Path, outputs: PictureOutputs, warn: Callable[[str], object]
+) -> Iterator[str]:
+    """Writes the map and the image of the instants that are shown, and yields their file names."""
+    sheet = result.sheet(shown)
     if outputs.coast is not None and sheet.plane is not None:
         sheet = replace(sheet, ground=outputs.coast.in_plane(sheet.plane))
     if outputs.map:
@@ -269,7 +298,7 @@ def _drawn(result: MatchPicture, draft: Path, outputs: PictureOutputs, warn: Cal
         from sameas.plots.sheet import save
 
         try:
-            save(chart(sheet, fullest(result.picture)), draft / "picture.png")
+            save(chart(sheet, fullest(shown)), draft / "picture.png")
         except MissingPackage as error:  # only the image is omitted
             warn(f"no picture.png: {error}")
         else:
