@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from sameas.picture.rows import PACKED, GatheredRows, gathered
 
@@ -34,7 +35,12 @@ def test_columns_do_not_keep_the_matrices_of_their_instant():
     from sameas.tracks.scene import Scene
     from sameas.tracks.source import Description
 
-    columns = {"time_s": [0.0] * 3, "x_m": [0.0, 900.0, 50.0], "y_m": [0.0] * 3, "mmsi": ["1", "2", "3"]}
+    columns: dict[str, ArrayLike] = {
+        "time_s": [0.0] * 3,
+        "x_m": [0.0, 900.0, 50.0],
+        "y_m": [0.0] * 3,
+        "mmsi": ["1", "2", "3"],
+    }
     scene = Scene.of([(Description("ais", "ais"), Reports.of("ais", "ais", columns))])
     [state] = picture_states(scene, [0.0])
     for name, column in record_columns(state).items():
