@@ -11,6 +11,7 @@ import pytest
 import sameas
 from sameas.errors import InputError
 from sameas.front import picture as front
+from sameas.io import read_table
 
 START = 1_714_560_000.0
 
@@ -51,7 +52,7 @@ def found(toml):
     return sameas.match_picture({"ais": ais, "radar": radar}, sensors=toml, every=15.0)
 
 
-def test_maps_of_many_positions_have_fewer_instants_and_say_so(found, tmp_path, monkeypatch) -> None:
+def test_maps_of_many_positions_have_fewer_instants_and_say_so(found, tmp_path) -> None:
     picture, n = found.picture, len(found.picture.objects["object"])
     assert front.thinned(picture, n) is picture
     third = front.thinned(picture, n // 3 + 1)
@@ -66,13 +67,13 @@ def test_maps_of_many_positions_have_fewer_instants_and_say_so(found, tmp_path, 
         third.instants_s[at] >= picture.instants_s[min(k for k, one in picture.texts if one == number)]
         for at, number in third.texts
     )
-    monkeypatch.setattr(front, "MOST_POSITIONS", n // 3 + 1)
+    outputs = front.PictureOutputs(tmp_path, image=False, most_positions=n // 3 + 1)
     with pytest.warns(UserWarning, match=r"objects.geojson and map.html: \d of the \d instants.*objects.parquet and"):
-        found.write(tmp_path / "out", image=False)
-    features = json.loads((tmp_path / "out" / "objects.geojson").read_text("utf-8"))["features"]
+        front.write(found, tmp_path, outputs)
+    features = json.loads((tmp_path / "objects.geojson").read_text("utf-8"))["features"]
     points = [one["properties"]["time_s"] for one in features if "time_s" in one["properties"]]
     assert points == third.objects["time_s"].tolist()
-    assert len(sameas.io.read_table(tmp_path / "out" / "objects.parquet")) == n
+    assert len(read_table(tmp_path / "objects.parquet")) == n
 
 
 @pytest.mark.slow

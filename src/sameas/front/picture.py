@@ -46,13 +46,14 @@ if TYPE_CHECKING:
 #: Names of all output files; those of the tables without extension.
 TABLES = ("objects", "identities")
 OTHERS = ("objects.geojson", "summary.json", REASONS, "map.html", "picture.png")
-#: Positions of objects in GeoJSON (0.7 kB each) and on the map: of more, those of every second instant or fewer.
-MOST_POSITIONS = 500_000
 
 
 @dataclass(frozen=True)
 class PictureOutputs:
-    """The requested outputs. format : of the tables. coast : drawn on the map. command : as typed."""
+    """The requested outputs. format : of the tables. coast : drawn on the map. command : as typed.
+
+    most_positions : of objects in GeoJSON (0.7 kB each) and on the map; of more, those of fewer instants.
+    """
 
     folder: Path
     format: str = "parquet"
@@ -60,6 +61,7 @@ class PictureOutputs:
     image: bool = True
     command: str = ""
     coast: Coast | None = None
+    most_positions: int = 500_000
 
 
 @dataclass(frozen=True, repr=False)
@@ -231,7 +233,7 @@ def write(
     for name, columns in zip(TABLES, (picture.objects, picture.records), strict=True):
         written.append(f"{name}.{outputs.format}")
         write_table(Table(dict(columns), copy=False), draft / written[-1], provenance=facts, format=outputs.format)
-    drawn = thinned(picture, MOST_POSITIONS)
+    drawn = thinned(picture, outputs.most_positions)
     if len(drawn.instants_s) < len(picture.instants_s) and (picture.plane is not None or outputs.map):
         names = listed(["objects.geojson"] * (picture.plane is not None) + ["map.html"] * outputs.map)
         warn(
