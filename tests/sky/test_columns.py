@@ -625,3 +625,33 @@ def test_the_epoch_is_read_from_times_at_the_sun_and_counted_ones_are_passed_ove
     for name, values, year in (("HJD", [2451545.0] * 2, 2000.0), ("BJD", [7389.0] * 2, None)):
         table = Table({"ra": [10.0, 10.1], "dec": [5.0, 5.1], name: values})
         assert Catalogue.of(table, "seen", options=CatalogueOptions(sigma=0.2)).epoch_jyr == year
+
+
+@pytest.mark.parametrize(
+    ("name", "days"),
+    [
+        ("BJD-2457000", 389.5), ("HJD (2450000+)", 7389.5), ("BTJD", 389.5), ("BJD_TDB - 2454833", 2556.5),
+        ("MJD-50000", 7389.0), ("JD-2400000.5", 57389.0), ("obsmjd", 57389.0), ("epoch_jd", 2457389.5),
+    ],
+)  # fmt: skip
+def test_days_are_counted_from_the_zero_that_their_column_states(name, days):
+    """These columns were passed over."""
+    table = Table({"ra": [10.0, 10.1], "dec": [5.0, 5.1], name: [days] * 2})
+    seen = Catalogue.of(table, "seen", options=CatalogueOptions(sigma=0.2))
+    assert seen.epoch_jyr == pytest.approx(2016.0, abs=2e-3)
+
+
+def test_a_zero_in_a_unit_or_description_counts_only_for_a_time():
+    table = Table({"ra": [10.0, 10.1], "dec": [5.0, 5.1], "HJD": [7389.5] * 2, "T0": [7000.0] * 2})
+    table["HJD"].description = "Heliocentric Julian date (HJD-2450000)"
+    table["T0"].unit = "BJD - 2450000, days"
+    options = CatalogueOptions(sigma=0.2)
+    assert Catalogue.of(table, "seen", options=options).epoch_jyr == pytest.approx(2016.0, abs=2e-3)
+    del table["HJD"]
+    assert Catalogue.of(table, "seen", options=options).epoch_jyr is None
+
+
+def test_a_julian_date_without_its_zero_is_refused_with_the_remedy():
+    table = Table({"ra": [10.0, 10.1], "dec": [5.0, 5.1], "jd": [7389.5] * 2})
+    with pytest.raises(InputError, match="add what was subtracted from the JD, such as 2450000"):
+        Catalogue.of(table, "seen", options=CatalogueOptions(sigma=0.2))

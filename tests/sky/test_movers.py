@@ -438,6 +438,8 @@ def at(table, sigma=0.2, **keywords):
         ({"date": ["2016-01-01"] * 2, "time": ["15:00:00", "15:14:24"]}, "date (dates and time [h], UTC)"),
         ({"mjd": [57388, 57388], "utc": 86400.0 * (MJD % 1.0)}, "mjd (MJD and utc [s], UTC)"),
         ({"jd": MJD + 0.5}, "jd (JD − 2400000, UTC)"),
+        ({"JD-2450000": MJD - 49999.5}, "JD-2450000 (days since JD 2450000, UTC)"),
+        ({"MJD-50000": MJD - 50000.0}, "MJD-50000 (days since JD 2450000.5, UTC)"),
     ],
 )
 def test_a_date_with_a_clock_beside_it_is_a_time(table, words):

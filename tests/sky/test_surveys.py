@@ -44,6 +44,11 @@ def served(names: str, **values: object) -> Catalogue:
             (0.001, 0.0015), 2012.2, "rMeanPSFMag", "objID",
         ),
         (
+            "Pan-STARRS1, stacks", "objID raStack decStack raStackErr decStackErr rPSFMag rPSFMagErr",
+            {"raStack": RA, "decStack": DEC, "raStackErr": 0.001, "decStackErr": 0.0015},
+            (0.001, 0.0015), None, "rPSFMag", "objID",
+        ),
+        (
             "Pan-STARRS1 at VizieR (II/349)",
             "RAJ2000 DEJ2000 objID f_objID Qual e_RAJ2000 e_DEJ2000 Epoch gmag e_gmag rmag e_rmag",
             {"RAJ2000": RA, "DEJ2000": DEC, "e_RAJ2000": 0.001, "e_DEJ2000": 0.0015, "Epoch": 56000},

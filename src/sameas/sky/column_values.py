@@ -23,6 +23,16 @@ _SEXAGESIMAL = re.compile(r"^\s*[+-−]?\s*\d+\s*[:hd°\s]\s*\d+", re.IGNORECASE
 _SEPARATORS = re.compile(r"[:hdms°'\"′″\s]+", re.IGNORECASE)
 #: Texts of missing numbers, in lower case.
 _MISSING = frozenset(("", "nan", "null", "none", "-", "--", "---", "na", "n/a", "#n/a", "<na>", "...", "…", "indef"))
+#: JD of the zeros of counts with a name of their own: TESS (also TBJD in its archive's pages) and Kepler (archive
+#: manual, 2.3.2), both barycentric.
+_NAMED = {"btjd": 2457000.0, "tbjd": 2457000.0, "bkjd": 2454833.0}
+#: A count and the number subtracted from it: JD from 2 300 000 on, or MJD from 40 000 to 60 000 behind an MJD.
+_SUBTRACTED = re.compile(
+    r"(?:(?P<jd>jd)|(?P<mjd>mjd))(?:[ _]?(?:utc|tdb|tt|tai))?[\s()\-−–_+]+"
+    r"(?P<zero>(?(jd)2[34]\d{5}|[456]\d{4})(?:\.\d*)?)(?!\d)"
+)  # fmt: skip
+_JD_OF_MJD = 2400000.5
+_DAYS = re.compile(r"[bhrtk]{0,2}m?jd(?![a-z])")
 
 
 def as_table(data: Any, source: str) -> Table:
@@ -219,14 +229,17 @@ def years(table: Table, name: str, source: str) -> FloatArray:
     values = np.where(values > 0.0, values, np.nan)  # zeros and negative numbers stand for no epoch
     known = values[np.isfinite(values)]
     middle = median(known) if len(known) else 2000.0
+    zero = stated_zero_mjd(column)
+    if zero is not None and 15000 < zero + middle < 100000:
+        return np.asarray(mjd_to_jyr(zero + values))
     if 1700 < middle < 2300:
         return values
     if 15000 < middle < 100000:
         return np.asarray(mjd_to_jyr(values))
     if 2.3e6 < middle < 2.6e6:
-        return np.asarray(mjd_to_jyr(values - 2400000.5))
+        return np.asarray(mjd_to_jyr(values - _JD_OF_MJD))
     raise InputError(
-        f"{source}: column {name!r} (about {middle:g}) is not an epoch",
+        f"{source}: column {name!r} (about {middle:g}) is not an epoch{missing_zero(name, middle)}",
         naming("give a column of Julian years, MJD, JD or dates, or {epoch:YEAR}"),
     )
 
@@ -246,7 +259,7 @@ def year_of(text: str) -> float:
     except ValueError:
         return float(_years_of_dates(np.array([_in_utc(text.strip())], dtype="datetime64[us]"))[0])
     if 2.3e6 < value < 2.6e6:
-        return float(mjd_to_jyr(value - 2400000.5))
+        return float(mjd_to_jyr(value - _JD_OF_MJD))
     return float(mjd_to_jyr(value)) if 15000 < value < 100000 else value
 
 
@@ -313,3 +326,29 @@ def factor(unit: str, target: str) -> float:
             return float(u.Unit(unit).to(u.Unit(target)))
         except OverflowError as error:
             raise ValueError(f"the unit {unit!r} is beyond the range of numbers") from error
+
+
+def stated_zero_mjd(column: Any) -> float | None:
+    """The MJD from which the days of a table's column are counted, stated by its name, unit or description; None if
+    none does."""
+    for text in (column.name, getattr(column, "unit", None), column.info.description):
+        written = str(text or "").lower()
+        if written in _NAMED:
+            return _NAMED[written] - _JD_OF_MJD
+        match = _SUBTRACTED.search(written)
+        if match:
+            zero = float(match["zero"])
+            return zero if match["mjd"] else zero - _JD_OF_MJD
+    return None
+
+
+def counted_days(table: Table) -> list[str]:
+    """The columns named as days since a zero that they state. Others with a zero, such as that of a light curve's
+    minimum, are times of something else."""
+    return [name for name in table.colnames if _DAYS.match(name.lower()) and stated_zero_mjd(table[name]) is not None]
+
+
+def missing_zero(name: str, middle: float) -> str:
+    """The remedy for days of which most are near ``middle``, too few for a date; "" for other columns."""
+    small = "jd" in name.lower() and 0.0 < middle < 15000.0
+    return "; add what was subtracted from the JD, such as 2450000" if small else ""

@@ -309,6 +309,9 @@ def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
         name = search.find(wanted)
         if name and column_values.are_years(table, name):
             return Epoch(column=name, reason=f"column {name}")
+    for name in column_values.counted_days(table):
+        if column_values.are_years(table, name):
+            return Epoch(column=name, reason=f"column {name}")
     year_in_description = _DESCRIBED_EPOCH.search(str(table[ra].info.description or ""))
     if year_in_description:
         return Epoch(jyr=float(year_in_description[1]), reason=f"description of {ra}")

@@ -150,8 +150,8 @@ PLAIN_IDS = (
     "sourceID", "source_name", "component_name", "IAUNAME", "main_id", "MatchID", "obsid",
 )  # fmt: skip
 PLAIN_EPOCHS = (
-    "ref_epoch", "epoch", "epoch_jyr", "mean_epoch", "mean_jd", "mean_mjd", "mjd", "obs_mjd", "jd", "obs_date",
-    "date_obs", "obstime", "Date",
+    "ref_epoch", "epoch", "epoch_jyr", "mean_epoch", "mean_jd", "mean_mjd", "mjd", "obs_mjd", "obsmjd", "mjd_obs", "jd",
+    "obs_jd", "obsjd", "epoch_mjd", "epoch_jd", "obs_date", "date_obs", "obstime", "Date",
 )  # fmt: skip
 #: At the Sun or the barycentre: minutes are nothing to an epoch.
 SOLAR_EPOCHS = ("bjd_tdb", "bjd_utc", "bjd", "hjd_utc", "hjd")

@@ -369,6 +369,13 @@ _PANSTARRS = Convention(
     magnitudes=(("rMeanPSFMag", "rMeanPSFMagErr"), ("iMeanPSFMag", "iMeanPSFMagErr")),
     over=("raStack",),
 )
+_PANSTARRS_STACK = Convention(
+    title="Pan-STARRS1, stacks",
+    position=("raStack", "decStack"),
+    ids=("objID", "objName"),
+    errors=(ErrorNames("axes", ("raStackErr", "decStackErr"), "arcsec"),),
+    magnitudes=(("rPSFMag", "rPSFMagErr"), ("iPSFMag", "iPSFMagErr")),
+)
 
 _ALLWISE = (
     Convention(
@@ -504,7 +511,8 @@ _B1950_POSITIONS = (
 # The order only breaks ties: known surveys first.
 CONVENTIONS: tuple[Convention, ...] = (
     _GAIA, _GAIA_VIZIER, _HIP2, *_HIPPARCOS, _TYCHO2, *_TWOMASS, *_ALLWISE, _CATWISE, _TRACTOR, *_SDSS, *_SPECTRA,
-    _PANSTARRS, _PANSTARRS_VIZIER, _CATWISE_VIZIER, _SKYMAPPER, _NSC, _UCAC4, *_USNO_B1, *_DES, *_LSST, *HIGH_ENERGY,
+    _PANSTARRS, _PANSTARRS_STACK, _PANSTARRS_VIZIER, _CATWISE_VIZIER, _SKYMAPPER, _NSC, _UCAC4, *_USNO_B1, *_DES,
+    *_LSST, *HIGH_ENERGY,
     *RADIO, _GALEX, _REFCAT2, *_TIC, _UCAC5, _SAMEAS_FRAME, *_sextractor("WIN"), *_sextractor("PSF"),
     *_sextractor("PEAK"), *_sextractor(""), *(plain(position) for position in _PLAIN_POSITIONS), _IN_PARTS,
 )  # fmt: skip

@@ -39,7 +39,7 @@ _IN_TAI = ("midpointmjdtai", "expmidptmjd")
 #: Numbers above this are Julian dates, not MJD.
 _JULIAN = 2_000_000.0
 #: Names of times at the Sun or the barycentre: HJD, BJD_TDB, MHJD, BMJD.
-_AT_SUN = re.compile(r"[rm]?([hb])m?jd")
+_AT_SUN = re.compile(r"[rmt]?([hb])[mtk]?jd")
 _AU_LIGHT_DAYS = 499.004784 / 86400.0
 
 
@@ -96,6 +96,9 @@ def _counted(column: Any, keywords: Mapping[str, Any], source: str, name: str) -
     known = days[np.isfinite(days)]
     unit = getattr(column, "unit", None)
     middle = median(known) if len(known) else np.nan
+    counted_from = column_values.stated_zero_mjd(column)
+    if counted_from is not None and len(known) and bool(np.all(possible(counted_from + known))):
+        return counted_from + days, f"days since JD {counted_from + 2400000.5:.10g}"
     zero = reference_mjd(keywords)
     if zero is not None and len(known) and not _JULIAN < middle < _JULIAN + 1e6 and not _are_mjd(known, unit):
         per_day = _per_day(unit if unit is not None else keywords.get("TIMEUNIT", "s"))
@@ -199,11 +202,8 @@ def _refuse_other_times(mjd: FloatArray, middle: float, unit: Any, source: str, 
     if in_days and 2 * np.count_nonzero(possible(mjd)) >= len(mjd):
         return
     about = f"about {middle:g}{'' if in_days else f' {unit}'}"
-    hint = ""
-    if 3e8 < middle < 5e9:
-        hint = "; of seconds since 1970 the MJD is 40587 + seconds / 86400"
-    elif "jd" in name.lower() and 0.0 < middle < _FIRST_MJD:
-        hint = "; add what was subtracted from the JD, such as 2450000"
+    seconds = "; of seconds since 1970 the MJD is 40587 + seconds / 86400"
+    hint = seconds if 3e8 < middle < 5e9 else column_values.missing_zero(name, middle)
     raise InputError(
         f"{source}: column {name!r} ({about}) is no MJD or JD between 1890 and 2150{hint}",
         naming("give {time:NAME} with MJD, JD or dates in UTC"),

@@ -14,6 +14,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.records import SetAside
 from sameas.representation import counted, in_short
+from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.movers.detection_times import TIMES, possible, times_of
 from sameas.sky.movers.rates import EclipticAxes
@@ -293,6 +294,7 @@ def detections_of(
 def _one(catalogue: Catalogue, wanted: DetectionColumns) -> tuple[dict[str, Any], str]:
     table, n = catalogue.table, len(catalogue)
     time = _chosen(catalogue, wanted.time, TIMES, "time")
+    time = time or next(iter(column_values.counted_days(table)), None)
     if time is None:
         raise InputError(
             f"{catalogue.name}: no column of times (known names: {', '.join(TIMES[:6])}, …)", naming("give {time:NAME}")
