@@ -387,7 +387,7 @@ def lines_in(content_bytes: bytes) -> Iterator[str]:
     """:func:`lines_of` with their ends, one after another: as a list those of a day of AIS take more memory than the
     file.
 
-    >>> list(lines_in(b"time,lat\r\n1,2\r3,4"))
+    >>> list(lines_in(b"time,lat\\r\\n1,2\\r3,4"))
     ['time,lat\\n', '1,2\\n', '3,4']
     """
     return io.TextIOWrapper(io.BytesIO(content_bytes), "utf-8-sig", "replace")
