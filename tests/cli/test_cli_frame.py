@@ -239,7 +239,17 @@ def test_two_processes_write_the_same_as_one(files, sameas, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scale", "times"), [(1.0, "twice"), (4.0, "half")])
+@pytest.mark.parametrize(
+    ("scale", "times"),
+    [
+        (1.0, "twice"),
+        (4.0, "half"),
+        (2.0 / 3.0, "three times"),
+        (6.0, "a third"),
+        (0.5, "four times"),
+        (8.0, "a quarter"),
+    ],
+)
 def test_a_scale_without_the_binning_of_the_pixels_is_found_and_doubted(files, sameas, tmp_path, scale, times):
     """It was refused."""
     where = {"SECPIX": scale, "RA": WHERE[0], "DEC": WHERE[1]}

@@ -12,6 +12,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -35,7 +36,16 @@ from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.outputs import listing, summary
 from sameas.sky.frame.place import NoSolution
-from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, sky_index
+from sameas.sky.frame.pointing_hints import (
+    BRIGHTEST_PATTERNS,
+    DEFAULT_POINTING,
+    AllSky,
+    ApproximateWcs,
+    Hint,
+    PointingTuning,
+    SkyIndex,
+    sky_index,
+)
 
 Progress = Callable[[str], None]
 #: Outputs in addition to the table; page and pictures are optional.
@@ -218,10 +228,7 @@ def _found_by_hints(
 ) -> tuple[FrameIdentification, Catalogue]:
     own_hints = hints(request.pointing, frame, whole_sky=request.catalogue.lower() != GAIA)
     solved = partial(_solved, request, frame, measured, progress=progress, given=given)
-    try:
-        match, stars = _first_solved(solved, request, frame, own_hints)
-    except NoSolution as refusal:
-        match, stars = _solved_binned(solved, binned(request.pointing, own_hints), refusal)
+    match, stars = _solved_at_some_scale(solved, request, frame, own_hints)
     header = next((hint.wcs for hint in own_hints if isinstance(hint, ApproximateWcs)), None)
     off = "" if header is None else difference_of_solutions(header, match.plate.to_wcs(), frame.shape)
     if off:
@@ -230,6 +237,37 @@ def _found_by_hints(
 
 
 _Solver = Callable[[Sequence[Hint]], tuple[FrameIdentification, Catalogue]]
+
+
+def _solved_at_some_scale(
+    solved: partial[tuple[FrameIdentification, Catalogue]],
+    request: FrameRequest,
+    frame: Frame,
+    own_hints: Sequence[Hint],
+) -> tuple[FrameIdentification, Catalogue]:
+    """The solution at the scale of the hints, or at one that a header gives without the binning of its pixels, with a
+    doubt.
+
+    All scales are searched with the patterns of the brightest stars, a second each, before the first is searched with
+    all patterns, which takes many seconds where it is wrong.
+    """
+    others = binned(request.pointing, own_hints)
+    if not others:
+        return _first_solved(solved, request, frame, own_hints)
+    likely = {times: others[times] for times in ("twice", "half")}
+    for pointing, aims in ((BRIGHTEST_PATTERNS, others), (DEFAULT_POINTING, likely)):
+        search = partial(solved, pointing=pointing)
+        try:
+            return _first_solved(search, request, frame, own_hints)
+        except NoSolution as error:
+            refusal = error
+        for times, aim in aims.items():
+            with suppress(InputError):  # also too few stars in a smaller field
+                match, stars = search([aim])
+                text = f"doubt: the pixels are {times} as large as the header says: does it leave out their binning?"
+                return replace(match, notes=(*match.notes, text)), stars
+    scales = "twice and half this scale were tried, too, and with the brightest stars 3, 4, 1/3 and 1/4 times"
+    raise NoSolution(Message(refusal.words, f"; {scales}"), source=refusal.source)
 
 
 def _first_solved(
@@ -250,22 +288,6 @@ def _first_solved(
     raise kind(Message(*words), source=refusals[0].source) from refusals[0]
 
 
-def _solved_binned(
-    solved: _Solver, others: Mapping[str, Aim], refusal: NoSolution
-) -> tuple[FrameIdentification, Catalogue]:
-    """The solution at a scale that a header gives without the binning of its pixels, with a doubt; else the refusal."""
-    for times, aim in others.items():
-        try:
-            match, stars = solved([aim])
-        except NoSolution:
-            continue
-        text = f"doubt: the pixels are {times} as large as the header says: does it leave out their binning?"
-        return replace(match, notes=(*match.notes, text)), stars
-    if others:
-        raise NoSolution(Message(refusal.words, "; twice and half this scale were tried, too"), source=refusal.source)
-    raise refusal
-
-
 def _solved(
     request: FrameRequest,
     frame: Frame,
@@ -274,6 +296,7 @@ def _solved(
     *,
     progress: Progress,
     given: Catalogue | None,
+    pointing: PointingTuning = DEFAULT_POINTING,
 ) -> tuple[FrameIdentification, Catalogue]:
     """The frame identified by the hints on one field, and the catalogue of this field."""
     cone = search_cone(near, frame.shape)
@@ -293,6 +316,7 @@ def _solved(
         index=None if all_sky is None or given else _index(_key(request, cone), epoch, frame.shape, all_sky),
         motion=request.motion and not (moves and moment is None),
         faintest=request.faintest,
+        pointing=pointing,
     )
     if moves and moment is None and request.motion:
         text = (

@@ -22,8 +22,10 @@ if TYPE_CHECKING:
 #: Relative tolerance of a scale from focal length and pixels, and of a scale that was given as one number.
 LOOSE, CLOSE = 0.2, 0.05
 #: Factors on the scale of a header by which no solution is found: it may say the size of single pixels of a frame that
-#: is binned 2 × 2, or the reverse.
-BINNINGS = {"twice": 2.0, "half": 0.5}
+#: is binned, or the reverse.
+BINNINGS = {
+    "twice": 2.0, "half": 1 / 2, "three times": 3.0, "a third": 1 / 3, "four times": 4.0, "a quarter": 1 / 4
+}  # fmt: skip
 #: Default error of an aim: the larger of this many degrees and this many half diagonals of the frame.
 OFF_DEG, OFF_FRAMES = 0.5, 1.0
 

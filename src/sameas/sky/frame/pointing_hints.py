@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -237,6 +237,8 @@ class PointingTuning:
 
 
 DEFAULT_POINTING = PointingTuning()
+#: Only the first list around an aim: a second, where all may take half a minute.
+BRIGHTEST_PATTERNS = replace(DEFAULT_POINTING, aim_lists=DEFAULT_POINTING.aim_lists[:1])
 
 
 @in_short
