@@ -258,7 +258,7 @@ UNUSABLE = [
     ("hello\n", "no format of sensors fits; as a table, its line 1 does not name columns"),
     ("Dear sir,\nnothing\n", "no columns of time and a position among"),
     (b"\x93\x00\x01" * 999, "is binary, but neither ASTERIX, pcap nor Parquet"),
-    (b"PAR1" + bytes(90), "cannot be read as CSV, Parquet or JSON lines"),
+    (b"PAR1" + bytes(9), "cannot be read as CSV, Parquet or JSON lines"),
     ("lat,lon,mmsi\n1,2,3\n", "no column of time among: lat, lon, mmsi; give file = { columns = { time_s = "
                               "\"NAME\" } } in its table [sources.NAME] of the --sensors file"),
     ("time,lat,lon\n2024-05-01T12:00:00Z,50,1\n", "what kind of sensor is it? Neither its name nor its columns"),
@@ -281,7 +281,7 @@ def test_unusable_files_are_refused_with_a_remedy(content, words, refused, tmp_p
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("content", "words"), UNUSABLE)
+@pytest.mark.parametrize(("content", "words"), UNUSABLE[::3])
 def test_an_unusable_file_is_set_aside_and_reported_where_others_can_be_used(content, words, sameas, coast, tmp_path):
     other, out = put(tmp_path / "other.csv", content), tmp_path / "picture"
     result = sameas("picture", coast / "ais.csv", other, "-o", out, "--quiet", *QUICK, exit_code=1)
@@ -306,26 +306,26 @@ def test_a_file_that_describes_nothing_is_refused_with_a_remedy(toml, words, ref
 SITE = f"site = {{ lat_deg = {LAT}, lon_deg = {LON} }}"
 
 
+MISDESCRIBED = [
+    (TOML + '[sources.lidar]\nkind = "lidar"\n',
+     "lidar is described, but no file belongs to it; there are ais, radar", ["ais", "radar"]),
+    (TOML.replace("lon_deg", "long_deg"), "radar: 'long_deg' in site is not known; did you mean lon_deg?", ["ais"]),
+    (TOML.replace("= 20", '= "20 m"'), "radar: errors.range_m is '20 m'; give a number", ["ais"]),
+    (TOML.replace("marine", "quantum"), "radar: kind is 'quantum radar'; give one of marine radar", ["ais"]),
+    (TOML + "file = 3\n", "sources.radar.file is 3; give a path, or { path = ", ["ais"]),
+    (TOML + 'file = { columns = "d" }\n', "sources.radar.file.columns is 'd'; give { range_m = \"d\" }", ["ais"]),
+    (TOML + "file = { path = 3 }\n", "sources.radar.file.path is 3; give a text", ["ais"]),
+    (TOML + 'file = { columns = { range_m = "Range" } }\n', "radar: no column 'Range' among: time, tr", ["ais"]),
+    (TOML.replace(SITE, ""), "radar: the sensor's position is not known; give site = {", ["ais"]),
+    (TOML.replace(SITE, "site = { lat_deg = 50.6 }"), "radar: site: give lat_deg and lon_deg, or east_m", ["ais"]),
+    (TOML.replace(SITE, f"site = {{ lat_deg = {LON}, lon_deg = {LAT} }}"), "radar: lies 7", ["ais"]),
+    (TOML.replace("marine radar", "other"), "radar: motion.speed_m_per_s is not known and 'other'", ["ais"]),
+    ("[sources.ais]\nkind = 7\n" + TOML, "ais: kind is '7'; give one of", ["radar"]),
+]  # fmt: skip
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("toml", "words", "used"),
-    [
-        (TOML + '[sources.lidar]\nkind = "lidar"\n',
-         "lidar is described, but no file belongs to it; there are ais, radar", ["ais", "radar"]),
-        (TOML.replace("lon_deg", "long_deg"), "radar: 'long_deg' in site is not known; did you mean lon_deg?", ["ais"]),
-        (TOML.replace("= 20", '= "20 m"'), "radar: errors.range_m is '20 m'; give a number", ["ais"]),
-        (TOML.replace("marine", "quantum"), "radar: kind is 'quantum radar'; give one of marine radar", ["ais"]),
-        (TOML + "file = 3\n", "sources.radar.file is 3; give a path, or { path = ", ["ais"]),
-        (TOML + 'file = { columns = "d" }\n', "sources.radar.file.columns is 'd'; give { range_m = \"d\" }", ["ais"]),
-        (TOML + "file = { path = 3 }\n", "sources.radar.file.path is 3; give a text", ["ais"]),
-        (TOML + 'file = { columns = { range_m = "Range" } }\n', "radar: no column 'Range' among: time, tr", ["ais"]),
-        (TOML.replace(SITE, ""), "radar: the sensor's position is not known; give site = {", ["ais"]),
-        (TOML.replace(SITE, "site = { lat_deg = 50.6 }"), "radar: site: give lat_deg and lon_deg, or east_m", ["ais"]),
-        (TOML.replace(SITE, f"site = {{ lat_deg = {LON}, lon_deg = {LAT} }}"), "radar: lies 7", ["ais"]),
-        (TOML.replace("marine radar", "other"), "radar: motion.speed_m_per_s is not known and 'other'", ["ais"]),
-        ("[sources.ais]\nkind = 7\n" + TOML, "ais: kind is '7'; give one of", ["radar"]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("toml", "words", "used"), MISDESCRIBED)
 def test_a_source_that_is_not_described_rightly_is_set_aside(toml, words, used, sameas, coast, tmp_path):
     toml, out = put(tmp_path / "s.toml", toml), tmp_path / "picture"
     files = coast / "ais.csv", coast / "radar.csv"
@@ -333,6 +333,12 @@ def test_a_source_that_is_not_described_rightly_is_set_aside(toml, words, used, 
     assert "sameas: doubt: set aside: " in result.stderr and words in result.stderr
     summary = json.loads((out / "summary.json").read_text())
     assert [source["name"] for source in summary["sources"]] == used and words in summary["doubts"][0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("toml", "words", "used"), MISDESCRIBED[::5])
+def test_a_watch_goes_on_without_a_source_that_is_not_described_rightly(toml, words, used, sameas, coast, tmp_path):
+    files, toml = (coast / "ais.csv", coast / "radar.csv"), put(tmp_path / "s.toml", toml)
     result = sameas("watch", *files, "-s", toml, "--pace", "1000", "--no-map", exit_code=1)
     assert words in " ".join(result.stdout.split()) and f"  {used[-1]}: " in result.stdout
 

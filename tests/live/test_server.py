@@ -89,7 +89,7 @@ def opened(url):
 @pytest.mark.slow
 def test_an_open_event_stream_ends_with_the_watch(tmp_path):
     # An open page kept the process for a second more, and a traceback of sixty lines came last.
-    rows = "".join(f"{10 * k},235000001,{50.0 + 1e-4 * k},-1.0\n" for k in range(60))
+    rows = "".join(f"{10 * k},235000001,{50.0 + 1e-4 * k},-1.0\n" for k in range(20))
     (tmp_path / "ais.csv").write_text(f"time_s,mmsi,lat_deg,lon_deg\n{rows}")
     command = [sys.executable, "-m", "sameas", "watch", str(tmp_path / "ais.csv"), "--pace", "50", "--port", "0",
                "-o", str(tmp_path / "live")]  # fmt: skip
