@@ -118,6 +118,40 @@ def test_fluxes_are_those_of_the_records():
             find_blends(first, second, 2.0, errors=Errors(), flux=wrong)
 
 
+def test_an_unknown_flux_is_like_none_given():
+    """A blend with an object of unknown flux could not be found at all."""
+    rng = np.random.default_rng(3)
+    fine = rng.uniform(0.0, 100.0, (60, 2))
+    fine[1] = fine[0] + (1.0, 0.0)
+    coarse = np.concatenate([[fine[:2].mean(axis=0)], fine[2:50]]) + 0.1 * rng.standard_normal((49, 2))
+    records, unknown = (Records.of(coarse, sigma=0.1), Records.of(fine, sigma=1e-3)), np.full(60, np.nan)
+    without = find_blends(*records, 2.0, errors=Errors())
+    assert (without.partner[0], without.other[0]) == (0, 1)
+    assert find_blends(*records, 2.0, errors=Errors(), flux=unknown).p_blend == pytest.approx(
+        without.p_blend, abs=1e-12
+    )
+    one = find_blends(*records, 2.0, errors=Errors(), flux=np.where(np.arange(60) == 1, np.nan, 1.0))
+    assert one.p_blend[0] == pytest.approx(without.p_blend[0], abs=1e-4)
+    with pytest.raises(InputError, match="one above 0"):
+        find_blends(*records, 2.0, errors=Errors(), flux=np.where(np.arange(60) == 1, np.inf, 1.0))
+
+
+@pytest.mark.parametrize("max_mergers", [20, 1_000])
+def test_in_crowds_partners_are_as_certain_as_stated(max_mergers):
+    """Where each object is near the next, all records were one group: most of its candidates were dropped, their
+    records certainly without a partner, and odds of hundreds of objects underflowed."""
+    made = blended_field(np.random.default_rng(12), objects=250, per_deg2=200_000.0)
+    blends = find_blends(
+        made.first, made.second, 6.0, errors=Errors(), flux=made.flux, tuning=Tuning(max_mergers=max_mergers)
+    )
+    answer = np.column_stack([blends.partner.filled(-1), blends.other.filled(-1)])
+    right = (np.sort(answer, axis=1) == np.sort(made.parts, axis=1)).all(axis=1)
+    wrong = (1.0 - blends.p_match).sum()
+    assert abs(np.count_nonzero(~right) - wrong) < 4.0 * np.sqrt(wrong) and wrong < 0.05 * len(right)
+    two = (made.parts >= 0).all(axis=1)
+    assert abs(blends.p_blend.sum() - two.sum()) < 6.0 and not blends.exact.all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("with_fluxes", [True, False])
 def test_blend_probabilities_are_calibrated(with_fluxes):

@@ -18,17 +18,17 @@ shares of the error scales are estimated from the result by iteration.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, are_among, places_in
 from sameas.errors import InputError
 from sameas.estimate.coverage import Coverage
 from sameas.evidence import Errors
 from sameas.gate import Radius
 from sameas.gaussian import log_density
+from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
@@ -43,9 +43,10 @@ class BlendTuning:
     gate_sigmas, tail_sigmas : maximum distance of a partner from its expected position, in typical standard
         deviations, and in those of the largest error scale; the latter at most a resolution.
     flux_shares : number of shares w that are averaged over without fluxes.
-    max_mergers : maximum number of sets of merged couples of a cluster; with more, the widest couples never merge.
+    max_mergers : maximum number of sets of merged couples of a cluster; with more, its widest couples are apart: they
+        merge or not whatever the others do.
     min_log_odds : minimum ln odds of a candidate against no partner.
-    max_hypotheses : of a group; with more, its least probable candidates are dropped.
+    max_hypotheses : of a group; with more, the least probable options of its records are dropped.
     max_pairs, min_sigmas, max_sigmas : for the test for blends: maximum number of pairs, and range of the distance of
         their unmatched neighbours: the minimum in standard deviations of the pair, the maximum in those of the typical
         pair (less if more than one chance neighbour is expected).
@@ -82,24 +83,20 @@ class BlendCandidates:
     """The candidates of records of the coarse source, o in number, those of one object first.
 
     i, j, k : (o,) record of source 1, of source 2, and the second one of a blend, ABSENT if none.
-    log_density : (o, s) ln N by every scale of the errors. couple : (o,) index of the couple, ABSENT for one object.
-    couples : (q, 2) objects of source 2 that may be one record. blended : (q,) B of each.
+    log_density : (o, s) ln N by every scale of the errors. couples : (q, 2) objects of source 2 that may be one record.
+    blended : (q,) B of each.
     """
 
     i: IntArray
     j: IntArray
     k: IntArray
     log_density: FloatArray
-    couple: IntArray
     couples: IntArray
     blended: FloatArray
 
     def part(self, kept: BoolArray) -> BlendCandidates:
         """The candidates of a mask (o,)."""
-        return replace(
-            self, i=self.i[kept], j=self.j[kept], k=self.k[kept], log_density=self.log_density[kept],
-            couple=self.couple[kept],
-        )  # fmt: skip
+        return replace(self, i=self.i[kept], j=self.j[kept], k=self.k[kept], log_density=self.log_density[kept])
 
 
 @in_short
@@ -113,7 +110,7 @@ class Blends:
         is two objects, of any couple.
     candidates, p : (o,) candidates and their probabilities.
     share : c, the probability that the coarse source detects an object. shares : of the error scales.
-    exact : (n₁,) whether all candidates of the record's group were summed.
+    exact : (n₁,) whether all candidates and mergers of the record's group were summed.
     """
 
     partner: np.ma.MaskedArray
@@ -160,10 +157,8 @@ def find_blends(
     """
     if not 0.0 < resolution < math.inf:
         raise InputError(f"blends: the resolution is {resolution:g}; give a positive separation")
-    if flux is not None and (np.shape(flux) != (len(second),) or np.any(np.asarray(flux) <= 0.0)):
-        raise InputError(
-            f"blends: fluxes of shape {np.shape(flux)}; give one above 0 for each of {len(second)} records"
-        )
+    if flux is not None and (flux.shape != (len(second),) or np.any(flux <= 0.0) or np.isinf(flux).any()):
+        raise InputError(f"blends: fluxes of shape {flux.shape}; give one above 0 for each of {len(second)} records")
     coverage = Coverage.of(first, second) if coverage is None else coverage
     n1, n2 = (max(int(np.count_nonzero(covered)), 1) for covered in coverage.covered)
     density = coverage.covered_densities[0][0]
@@ -258,22 +253,22 @@ def candidates_of(
     close = separation <= greatest_separation
     e, f, separation = e[close], f[close], separation[close]
     blended = np.exp(-math.log(2.0) * (separation / resolution) ** tuning.steepness)
-    couples, at, which = np.unique(np.column_stack([j[e], j[f]]), axis=0, return_index=True, return_inverse=True)
-    if flux is not None:
-        parts = (np.asarray(flux)[j[e]] / (np.asarray(flux)[j[e]] + np.asarray(flux)[j[f]]))[:, None]
-    else:
-        parts = np.broadcast_to(
-            (np.arange(tuning.flux_shares) + 0.5) / tuning.flux_shares, (len(e), tuning.flux_shares)
-        )
-    density = np.full((len(e), len(errors.scales)), -np.inf)
-    for part in parts.T:
-        between = part[:, None] * residual[e] + (1.0 - part[:, None]) * residual[f]
-        log_n = _log_densities(between, covariance[np.where(part >= 0.5, e, f)], errors)
-        density = np.logaddexp(density, log_n - math.log(parts.shape[1]))
+    couples, at = np.unique(np.column_stack([j[e], j[f]]), axis=0, return_index=True)
+    share = np.full(len(e), np.nan) if flux is None else flux[j[e]] / (flux[j[e]] + flux[j[f]])
+
+    def between(couple: BoolArray, w: FloatArray) -> FloatArray:
+        nearer = covariance[np.where(w >= 0.5, e[couple], f[couple])]
+        w = w[:, None]
+        return _log_densities(w * residual[e[couple]] + (1.0 - w) * residual[f[couple]], nearer, errors)
+
+    density, unknown = np.full((len(e), len(errors.scales)), -np.inf), np.isnan(share)
+    density[~unknown] = between(~unknown, share[~unknown])
+    for w in (np.arange(tuning.flux_shares) + 0.5) / tuning.flux_shares:
+        at_share = between(unknown, np.full(np.count_nonzero(unknown), w)) - math.log(tuning.flux_shares)
+        density[unknown] = np.logaddexp(density[unknown], at_share)
     return BlendCandidates(
         np.concatenate([i, i[e]]), np.concatenate([j, j[e]]), np.concatenate([np.full(len(i), ABSENT), j[f]]),
-        np.concatenate([single, density]), np.concatenate([np.full(len(i), ABSENT), which.reshape(-1)]), couples,
-        blended[at],
+        np.concatenate([single, density]), couples, blended[at],
     )  # fmt: skip
 
 
@@ -293,91 +288,108 @@ def _log_densities(residual: FloatArray, covariance: FloatArray, errors: Errors)
     return np.stack([log_density(residual, scale**2 * covariance) for scale in errors.scales], axis=1)
 
 
-Couple = tuple[int, int]
-
-
 @in_short
 @dataclass(frozen=True)
 class Merging:
     """The possible mergers of objects of the fine source, in couples. :meth:`Merging.of` makes it.
 
-    cluster : (n₂,) of each object: connected by couples. couples : (q, 2). sizes : number of objects in each cluster.
-    mergers : for each cluster of several objects, the probability of every set of merged couples, the couples, and
-    their objects.
+    cluster : (n₂,) of each object: connected by couples that may merge. place : (n₂,) its index within the cluster.
+    mergers : of each cluster of several objects, the probability (s,) of every set of merged couples, and the place
+    (s, size) of the object that each one is merged with, ABSENT for none.
+    apart : the couples that are in no set, because a cluster with them would have too many, and their B.
     """
 
     cluster: IntArray
-    couples: list[Couple]
-    sizes: IntArray
-    mergers: dict[int, list[tuple[float, frozenset[Couple], frozenset[int]]]]
+    place: IntArray
+    mergers: dict[int, tuple[FloatArray, IntArray]]
+    apart: dict[tuple[int, int], float]
 
     @classmethod
     def of(cls, couples: IntArray, blended: FloatArray, n2: int, max_mergers: int) -> Merging:
         """From couples (q, 2) of n₂ objects with merging probabilities (q,)."""
-        cluster = _components(couples[:, 0], couples[:, 1], n2)
-        of_cluster: dict[int, list[tuple[float, Couple]]] = {}
-        pairs = [(int(j), int(k)) for j, k in couples]
-        for at in np.argsort(-blended, kind="stable"):
-            of_cluster.setdefault(int(cluster[pairs[at][0]]), []).append((float(blended[at]), pairs[at]))
-        mergers = {each: _mergers(nearest_first, max_mergers) for each, nearest_first in of_cluster.items()}
-        return cls(cluster, pairs, np.bincount(cluster), mergers)
+        mergers, kept = {}, np.ones(len(couples), np.bool_)
+        pending, least = np.argsort(-blended, kind="stable"), 0.0
+        while len(pending):
+            cluster, undone = (
+                _components(couples[pending, 0], couples[pending, 1], n2)[couples[pending, 0]],
+                [np.empty(0, np.int64)],
+            )
+            least = max(2.0 * least, 1e-3)
+            for rows in _by(pending, cluster):
+                of_cluster = _mergers(couples[rows], blended[rows], max_mergers)
+                if of_cluster is None:
+                    kept[rows] = blended[rows] >= least
+                    undone.append(rows[kept[rows]])
+                else:
+                    mergers[int(rows[0])] = of_cluster
+            pending = np.concatenate(undone)
+        cluster = _components(couples[kept, 0], couples[kept, 1], n2)
+        order = np.argsort(cluster, kind="stable")
+        place = np.empty(n2, np.int64)
+        place[order] = Ragged.of_sorted(cluster[order], int(cluster.max(initial=-1)) + 1).index
+        apart = {(j, k): b for (j, k), b in zip(couples[~kept].tolist(), blended[~kept].tolist(), strict=True)}
+        return cls(cluster, place, {int(cluster[couples[k, 0]]): each for k, each in mergers.items()}, apart)
+
+    def are_apart(self, j: IntArray, k: IntArray) -> BoolArray:
+        """(o,) whether the objects j and k (o,) are a couple that is in no set."""
+        if not self.apart:
+            return np.zeros(len(j), np.bool_)
+        return np.array([couple in self.apart for couple in zip(j.tolist(), k.tolist(), strict=True)], np.bool_)
+
+    def clusters(self, j: IntArray, k: IntArray) -> IntArray:
+        """(2, o) clusters of the objects j (o,) and k (o,) of candidates; that of j twice if k is ABSENT."""
+        return np.asarray(self.cluster[np.stack([j, np.where(k < 0, j, k)])])
 
 
-def _mergers(
-    nearest_first: list[tuple[float, Couple]], max_mergers: int
-) -> list[tuple[float, frozenset[Couple], frozenset[int]]]:
-    """All sets of couples that may merge, with probabilities, from the nearest couple on."""
-    mergers: list[tuple[float, frozenset[Couple], frozenset[int]]] = [(1.0, frozenset(), frozenset())]
-    for b, couple in nearest_first:
-        longer = []
-        for p, merged, objects in mergers:
-            if couple[0] in objects or couple[1] in objects:
-                longer.append((p, merged, objects))
-                continue
-            longer.append((p * (1.0 - b), merged, objects))
-            longer.append((p * b, merged | {couple}, objects | set(couple)))
-        if len(longer) > max_mergers:
-            break
-        mergers = longer
-    return [merger for merger in mergers if merger[0] > 0.0]
+def _by(rows: IntArray, label: IntArray) -> list[IntArray]:
+    """Rows of equal labels, in order."""
+    order = np.argsort(label, kind="stable")
+    return np.split(rows[order], np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def _mergers(couples: IntArray, blended: FloatArray, max_mergers: int) -> tuple[FloatArray, IntArray] | None:
+    """All sets of couples (q, 2) of a cluster that may merge, the nearest couple first; None if they are too many."""
+    objects, places = np.unique(couples, return_inverse=True)
+    p, mates = np.ones(1), np.full((1, len(objects)), ABSENT)
+    for (one, two), b in zip(places.reshape(-1, 2).tolist(), blended.tolist(), strict=True):
+        free = (mates[:, one] < 0) & (mates[:, two] < 0)
+        merged = mates[free]
+        merged[:, one], merged[:, two] = two, one
+        p = np.concatenate([np.where(free, p * (1.0 - b), p), p[free] * b])
+        possible = p > 0.0
+        p, mates = p[possible], np.concatenate([mates, merged])[possible]
+        if len(p) > max_mergers:
+            return None
+    return p, mates
 
 
 class DetectionOdds:
     """Odds that the given objects and couples are detected, and no others, with detection probability c = ``share``."""
 
     def __init__(self, merging: Merging, share: float) -> None:
-        self.merging, self._p_detected, self._p_missed = merging, share, 1.0 - share
-        self._cache: dict[tuple[int, frozenset[Couple], frozenset[int]], float] = {}
+        self.merging, self.share, self._log_odds = merging, share, math.log(share / (1.0 - share))
+        # Relative to no merged couple: each one is a unit less that is not detected.
+        self._weights = {
+            cluster: p * (1.0 - share) ** (-0.5 * np.count_nonzero(mates >= 0, axis=1))
+            for cluster, (p, mates) in merging.mergers.items()
+        }
 
-    def log_ratio(self, cluster: int, couples: frozenset[Couple], single: frozenset[int]) -> float:
-        """ln of the probability that these couples and single objects of a cluster are detected, over that of none."""
-        none = self._probability(cluster, frozenset(), frozenset())
-        ratio = self._probability(cluster, couples, single) / none
-        return math.log(ratio) if ratio > 0.0 else -math.inf
-
-    def _probability(self, cluster: int, couples: frozenset[Couple], single: frozenset[int]) -> float:
-        key = cluster, couples, single
-        if key not in self._cache:
-            size, n_detected = int(self.merging.sizes[cluster]), len(couples) + len(single)
-            mergers = self.merging.mergers.get(cluster, [(1.0, frozenset(), frozenset())])
-            self._cache[key] = sum(
-                p * self._p_detected**n_detected * self._p_missed ** (size - len(merged) - n_detected)
-                for p, merged, objects in mergers
-                if couples <= merged and not (single & objects)
-            )
-        return self._cache[key]
-
-    def of_all(self, sets: list[tuple[list[int], list[Couple]]]) -> list[float]:
-        """:meth:`log_ratio` of several sets of single objects and couples, of any clusters."""
-        out = []
-        for objects, couples in sets:
-            parts: dict[int, tuple[set[Couple], set[int]]] = {}
-            for one in objects:
-                parts.setdefault(int(self.merging.cluster[one]), (set(), set()))[1].add(one)
-            for couple in couples:
-                parts.setdefault(int(self.merging.cluster[couple[0]]), (set(), set()))[0].add(couple)
-            out.append(sum(self.log_ratio(c, frozenset(a), frozenset(b)) for c, (a, b) in parts.items()))
-        return out
+    def log_ratio(self, cluster: int, j: IntArray, k: IntArray) -> float:
+        """ln of the probability that the objects and couples of a cluster that these candidates (u,) have are detected,
+        over that of none. k is ABSENT for one object."""
+        merging = self.merging
+        apart = merging.are_apart(j, k)
+        if apart.any():
+            separate = np.concatenate([j[apart], k[apart]])
+            separate = separate[merging.cluster[separate] == cluster]
+            j, k = np.concatenate([j[~apart], separate]), np.concatenate([k[~apart], np.full(len(separate), ABSENT)])
+        log_detected = len(j) * self._log_odds
+        if cluster not in self._weights:
+            return log_detected
+        mates, weight, place = merging.mergers[cluster][1], self._weights[cluster], merging.place
+        fits = (mates[:, place[j]] == np.where(k < 0, ABSENT, place[k])).all(axis=1)
+        ratio = float(weight @ fits / weight.sum())
+        return log_detected + math.log(ratio) if ratio > 0.0 else -math.inf
 
 
 def log_odds_of(
@@ -385,17 +397,22 @@ def log_odds_of(
 ) -> tuple[FloatArray, FloatArray]:
     """(o,) ln of N / ρ₁ of each candidate, and (o,) ln of its odds against no partner if no other record has one.
 
+    A couple that is in no set of mergers is B / c times as probable as both of its objects detected separately, with
+    the mergers that each of them may be in; N includes the factor.
+
     shares : (s,) of the error scales. rho : (n₁,) density ρ₁ of coarse records without a partner.
     """
     with np.errstate(divide="ignore"):
         log_density = np.logaddexp.reduce(candidates.log_density + np.log(shares), axis=1) - np.log(rho[candidates.i])
-    objects, at = np.unique(candidates.j[candidates.k < 0], return_inverse=True)
-    log_odds = np.empty(len(log_density))
-    log_odds[candidates.k < 0] = np.array(detection.of_all([([j], []) for j in objects.tolist()]))[at]
-    couples = np.array(detection.of_all([([], [couple]) for couple in detection.merging.couples]))
-    if len(couples):
-        log_odds[candidates.k >= 0] = couples[candidates.couple[candidates.k >= 0]]
-    return log_density, log_density + log_odds
+    merging, share = detection.merging, detection.share
+    couples, at = np.unique(np.column_stack([candidates.j, candidates.k]), axis=0, return_inverse=True)
+    (j, k), at = couples.T, at.reshape(-1)
+    blended_over_c = [merging.apart.get((one, two), share) / share for one, two in couples.tolist()]
+    log_density += np.log(blended_over_c)[at]
+    log_ratio = np.zeros(len(couples))
+    for row, clusters in enumerate(merging.clusters(j, k).T.tolist()):
+        log_ratio[row] = sum(detection.log_ratio(one, j[row : row + 1], k[row : row + 1]) for one in set(clusters))
+    return log_density, log_density + log_ratio[at]
 
 
 @in_short
@@ -418,35 +435,43 @@ def hypotheses(
 ) -> Summed:
     """The sum over all hypotheses of every group.
 
-    log_density, log_odds : (o,) of the candidates, from :func:`log_odds_of`.
+    log_density, log_odds : (o,) of the candidates, from :func:`log_odds_of`. A group with more hypotheses than
+    ``tuning.max_hypotheses`` is summed without its least probable options, by their probabilities without the other
+    records: candidates, or that a record has no partner. What then falls apart is summed apart.
     """
     p, chosen, exact = np.zeros(len(log_odds)), np.zeros(len(log_odds), np.bool_), np.ones(n1, np.bool_)
     if not len(log_odds):
         return Summed(p, chosen, exact)
-    group = _groups(candidates, n1, detection.merging.cluster)
-    order = np.lexsort((candidates.i, group))
-    for rows in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
-        i = candidates.i[rows]
-        if i[0] == i[-1]:
-            w = np.exp(np.minimum(log_odds[rows], 700.0))
-            p[rows] = w / (1.0 + w.sum())
-            best = int(np.argmax(w))
-            chosen[rows[best]] = w[best] > 1.0
+    most = np.zeros(n1)
+    np.maximum.at(most, candidates.i, log_odds)
+    log_none = -most - np.log(np.exp(-most) + np.bincount(candidates.i, np.exp(log_odds - most[candidates.i]), n1))
+    log_p, may_be_none = log_odds + log_none[candidates.i], np.ones(n1, np.bool_)
+    exact[candidates.i[detection.merging.are_apart(candidates.j, candidates.k)]] = False
+    clusters, pending = detection.merging.clusters(candidates.j, candidates.k), []
+    for rows in _by(np.arange(len(p)), _groups(candidates.i, clusters)):
+        if (candidates.i[rows] == candidates.i[rows[0]]).all():
+            p[rows], best = np.exp(log_p[rows]), rows[np.argmax(log_p[rows])]
+            chosen[best] = log_p[best] > log_none[candidates.i[best]]
+        else:
+            pending.append(rows)
+    while pending:
+        rows = pending.pop()
+        records, number = np.unique(candidates.i[rows], return_counts=True)
+        if np.log(number + may_be_none[records]).sum() <= math.log(tuning.max_hypotheses):
+            p[rows], chosen[rows] = _enumerate(candidates, rows, log_density[rows], may_be_none, detection)
             continue
-        least = -np.inf
-        while np.prod(np.bincount(np.unique(i, return_inverse=True)[1]) + 1.0) > tuning.max_hypotheses:
-            least = float(np.quantile(log_odds[rows], 0.2))
-            rows = rows[log_odds[rows] > least]
-            i = candidates.i[rows]
-        exact[i] = np.isneginf(least)
-        p[rows], chosen[rows] = _enumerate(candidates, rows, log_density[rows], detection)
+        exact[records] = False
+        rows = _without_improbable(candidates, rows, log_p, log_none, may_be_none)
+        pending += _by(rows, _groups(candidates.i[rows], clusters[:, rows]))
     return Summed(p, chosen, exact)
 
 
-def _groups(candidates: BlendCandidates, n1: int, cluster: IntArray) -> IntArray:
-    """(o,) group of each candidate: of records that compete, or whose objects may merge."""
-    objects = n1 + cluster[candidates.j]
-    return _components(candidates.i, objects, int(objects.max()) + 1)[candidates.i]
+def _groups(i: IntArray, clusters: IntArray) -> IntArray:
+    """(o,) group of each candidate: of records i (o,) that compete, or whose objects, in clusters (2, o), may merge."""
+    records, i = np.unique(i, return_inverse=True)
+    distinct_clusters, of = np.unique(clusters, return_inverse=True)
+    n = len(records) + len(distinct_clusters)
+    return _components(np.tile(i, 2), len(records) + of.reshape(-1), n)[i]
 
 
 def _components(one: IntArray, other: IntArray, n: int) -> IntArray:
@@ -458,40 +483,89 @@ def _components(one: IntArray, other: IntArray, n: int) -> IntArray:
     return np.asarray(connected_components(joined, directed=False)[1], np.int64)
 
 
+def _is_contested(candidates: BlendCandidates, rows: IntArray) -> BoolArray:
+    """(o,) whether another record of the candidates ``rows`` (o,) could have one of a candidate's objects."""
+    i, j, k = candidates.i[rows], candidates.j[rows], candidates.k[rows]
+    both = np.unique(np.column_stack([np.concatenate([j, k]), np.concatenate([i, i])]), axis=0)
+    objects, number = np.unique(both[:, 0], return_counts=True)
+    contested = objects[(number > 1) & (objects >= 0)]
+    return are_among(j, contested) | are_among(k, contested)
+
+
+def _without_improbable(
+    candidates: BlendCandidates, rows: IntArray, log_p: FloatArray, log_none: FloatArray, may_be_none: BoolArray
+) -> IntArray:
+    """The candidates ``rows`` (o,) of a group without a fifth of its options, the least probable; "no partner" is one
+    of them, and changes ``may_be_none`` (n₁,).
+
+    The most probable option of a record remains; "no partner" does if its most probable candidate is contested.
+    """
+    i, contested = candidates.i[rows], _is_contested(candidates, rows)
+    order = np.lexsort((log_p[rows], i))
+    best = order[np.append(np.flatnonzero(np.diff(i[order])), len(order) - 1)]
+    has_partner = ~contested[best] & (log_p[rows[best]] > log_none[i[best]])
+    is_droppable = np.ones(len(rows), np.bool_)
+    is_droppable[best[has_partner]] = False
+    some = np.flatnonzero(is_droppable)
+    none = i[best][has_partner]
+    none = none[may_be_none[none]]
+    options = np.concatenate([log_p[rows[some]], log_none[none]])
+    dropped = np.argsort(options, kind="stable")[: -(-len(options) // 5)]
+    may_be_none[none[dropped[dropped >= len(some)] - len(some)]] = False
+    return np.delete(rows, some[dropped[dropped < len(some)]])
+
+
 def _enumerate(
-    candidates: BlendCandidates, rows: IntArray, log_density: FloatArray, detection: DetectionOdds
+    candidates: BlendCandidates,
+    rows: IntArray,
+    log_density: FloatArray,
+    may_be_none: BoolArray,
+    detection: DetectionOdds,
 ) -> tuple[FloatArray, BoolArray]:
-    """Probabilities of the candidates ``rows`` of one group, and which are in its most probable hypothesis."""
-    options: dict[int, list[int]] = {}
-    for at, row in enumerate(rows):
-        options.setdefault(int(candidates.i[row]), []).append(at)
-    j, k = candidates.j[rows].tolist(), candidates.k[rows].tolist()
+    """Probabilities of the candidates ``rows`` (o,) of a group, and which are in its most probable hypothesis.
 
-    def assignments(level: int, assigned: frozenset[int]) -> Iterator[tuple[int, ...]]:
-        """All assignments of candidates to the records from ``level`` on, without the objects ``taken``."""
-        if level == len(lists):
-            yield ()
-            return
-        yield from assignments(level + 1, assigned)
-        for at in lists[level]:
-            one, two = j[at], k[at]
-            if one in assigned or two in assigned:
-                continue
-            for others in assignments(level + 1, assigned | ({one} if two < 0 else {one, two})):
-                yield (at, *others)
-
-    lists = list(options.values())
-    solutions = list(assignments(0, frozenset()))
-    sets = [([j[at] for at in each if k[at] < 0], [(j[at], k[at]) for at in each if k[at] >= 0]) for each in solutions]
-    weight = np.array(detection.of_all(sets)) + [float(sum(log_density[at] for at in each)) for each in solutions]
-    weight = np.exp(weight - weight.max())
+    may_be_none : (n₁,) whether a record may have no partner.
+    """
+    j, k = candidates.j[rows], candidates.k[rows]
+    options = [
+        np.append(own, ABSENT) if may_be_none[candidates.i[rows[own[0]]]] else own
+        for own in _by(np.arange(len(rows)), candidates.i[rows])
+    ]
+    sizes = np.array([len(each) for each in options])
+    stride = np.cumprod(sizes) // sizes
+    # (h, r) option of each record in every hypothesis, as its index and as a candidate.
+    index = np.arange(int(np.prod(sizes)))[:, None] // stride % sizes
+    choice = np.column_stack([each[at] for each, at in zip(options, index.T, strict=True)])
+    contested = np.flatnonzero(_is_contested(candidates, rows))
+    objects = np.setdiff1d(np.concatenate([j[contested], k[contested]]), [ABSENT])
+    users = np.zeros((len(choice), len(objects) + 1), np.int8)
+    for column in choice.T:
+        for of in (j, k):
+            place = places_in(objects, of)
+            users[np.arange(len(users)), np.where(column < 0, ABSENT, place[column])] += 1
+    possible = (users[:, :-1] <= 1).all(axis=1)
+    index, choice = index[possible], choice[possible]
+    log_weight = np.append(log_density, 0.0)[choice].sum(axis=1)
+    clusters = detection.merging.clusters(j, k)
+    for one in np.unique(clusters).tolist():
+        # Hypotheses with the same options in this cluster have the same odds.
+        is_inside = np.append((clusters == one).any(axis=0), False)
+        code = np.zeros(len(choice), np.int64)
+        for each, at, step in zip(options, index.T, stride.tolist(), strict=True):
+            outside = np.flatnonzero(~is_inside[each])
+            same = np.arange(len(each))
+            same[outside] = outside[:1]
+            code += step * same[at]
+        _, first, state = np.unique(code, return_index=True, return_inverse=True)
+        inside = [hypothesis[is_inside[hypothesis]] for hypothesis in choice[first]]
+        log_weight += np.array([detection.log_ratio(one, j[at], k[at]) for at in inside])[state]
+    weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
-    p = np.zeros(len(rows))
-    for share, assigned_rows in zip(weight, solutions, strict=True):
-        p[list(assigned_rows)] += share
-    chosen = np.zeros(len(rows), np.bool_)
-    chosen[list(solutions[int(np.argmax(weight))])] = True
-    return p, chosen
+    p = np.zeros(len(rows) + 1)
+    np.add.at(p, choice, weight[:, None])
+    chosen = np.zeros(len(rows) + 1, np.bool_)
+    chosen[choice[int(np.argmax(weight))]] = True
+    return p[:-1], chosen[:-1]
 
 
 def _to_blends(candidates: BlendCandidates, solution: Summed, n1: int, share: float, shares: FloatArray) -> Blends:
