@@ -6,13 +6,16 @@ from astropy.table import Table
 from typer.testing import CliRunner
 
 import sameas
-from sameas import InputError
+from sameas import InputError, Records
 from sameas.cli.app import app
 from sameas.estimate.columns import ColumnEvidence
+from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import match
 from sameas.estimate.result import MatchTuning
+from sameas.estimate.sample import Setting
 from sameas.estimate.share_regression import ColumnsTuning
 from sameas.evidence import Column, Errors, OddsTable, Related
+from sameas.gate import Radius
 from sameas.score.pairs import is_true_pair
 from sameas.simulate import counterparts
 from sameas.sky import Catalogue, CatalogueOptions
@@ -93,10 +96,6 @@ def test_the_fit_of_a_category_column_is_the_ratio_of_counts():
         [Column(2, MADE.kind)],
         ColumnsTuning(word_sigma=1e3, tolerance=1e-9, first_steps=50, max_unmatched=10**6),
     )
-    from sameas.estimate.coverage import Coverage
-    from sameas.estimate.sample import Setting
-    from sameas.gate import Radius
-
     setting = Setting.whole(Radius(3.0)(first, second), Coverage.of(first, second))
     p = np.zeros(len(second))
     p[MADE.scene.true_pairs()[1]] = 1.0
@@ -185,6 +184,34 @@ def test_missing_values_are_a_category():
     assert np.abs(estimate.columns.log_ratio[1][gone]).max() < 0.7
     _, wrong, expected, spread = counts(answer)
     assert abs(wrong - expected) < 2.0 * spread
+
+
+def test_a_column_of_words_that_are_all_missing_is_uninformative():
+    """An index error: no word had a basis function."""
+    rng = np.random.default_rng(5)
+    objects = rng.uniform(0.0, 100.0, (100, 2))
+    one, two = (Records.of(objects + 0.1 * rng.standard_normal(objects.shape), sigma=0.1) for _ in range(2))
+    empty = np.full(100, "")
+    for evidence in (Column(2, empty, name="type"), Related(empty, np.arange(100.0), ("type", "MAG"))):
+        _, estimate = match(one, two, evidence=[evidence])
+        assert not any(finding.used for finding in estimate.columns.findings if finding.name == "type")
+
+
+def test_tables_of_related_columns_are_those_of_the_same_columns_among_other_records():
+    """Where a relation had too few pairs for a table, the next one's table was read with its columns."""
+    first, second = MADE.scene.first, MADE.scene.second
+    few = np.full(len(first), np.nan)
+    few[:3] = 1.0
+    sparse, related = Related(few, MADE.noise, ("few", "noise")), Related(MADE.flux, MADE.magnitude, ("flux", "MAG"))
+    columns = ColumnEvidence.of(first, second, [sparse, related])
+    setting = Setting.whole(Radius(3.0)(first, second), Coverage.of(first, second))
+    true = is_true_pair((setting.pairs.i, setting.pairs.j), MADE.scene.true_pairs()).astype(float)
+    none = np.zeros(len(first)), np.zeros(len(second))
+    covered = np.ones(len(first), bool), np.ones(len(second), bool)
+    fitted = columns.in_folds(setting).fitted(setting.pairs, true, none, none, covered)
+    others = fitted.for_setting(setting, columns)
+    assert np.array_equal(others.rule()(setting.pairs).log_ratio, fitted.rule()(setting.pairs).log_ratio)
+    assert fitted.rule()(setting.pairs).log_ratio[true > 0.0].mean() > 0.1
 
 
 def test_given_odds_are_used():

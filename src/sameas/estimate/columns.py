@@ -42,13 +42,13 @@ class ColumnEvidence:
 
     sides : columns of each source. relations : of both. folds : (n₁,), (n₂,) of the records; None before assignment.
     fits : of each source, None without a fit. log_ratio : (n₁,), (n₂,) ln r of all fitted columns; None without a fit.
-    associations : of related columns. findings : of every column.
+    associations : of each relation, None without one. findings : of every column.
     """
 
     sides: tuple[tuple[CodedColumn, ...], tuple[CodedColumn, ...]] = field(repr=False)
     relations: tuple[tuple[CodedColumn, CodedColumn], ...] = field(repr=False, default=())
     fits: tuple[ShareFit | None, ShareFit | None] = field(repr=False, default=(None, None))
-    associations: tuple[Association, ...] = field(repr=False, default=())
+    associations: tuple[Association | None, ...] = field(repr=False, default=())
     folds: tuple[IntArray, IntArray] | None = field(repr=False, default=None)
     log_ratio: Both | None = field(repr=False, default=None)
     findings: tuple[ColumnFinding, ...] = ()
@@ -109,7 +109,7 @@ class ColumnEvidence:
         coded = {(source, c.name): c for source, side in ((1, one), (2, two)) for c in side}
         pairs = [(coded[1, a.name], coded[2, b.name]) for a, b in self.relations]
         related = tuple(
-            replace(_for_columns(association, pair), folds=folds[0])
+            association and replace(_for_columns(association, pair), folds=folds[0])
             for association, pair in zip(self.associations, pairs, strict=False)
         )
         return replace(
@@ -121,7 +121,7 @@ class ColumnEvidence:
         """The fits only, for :meth:`over`."""
         none = np.empty(0, np.int64)
         associations = tuple(
-            replace(one, cells=(none, none), parts=(none.astype(np.float64),) * 2, folds=none)
+            one and replace(one, cells=(none, none), parts=(none.astype(np.float64),) * 2, folds=none)
             for one in self.associations
         )
         return replace(self.part(none, none), associations=associations, log_ratio=None)
@@ -142,9 +142,10 @@ class ColumnEvidence:
                 for side, n in zip(self.sides, sizes, strict=True)
             )
             given = one, two
-        if given is None and self.log_ratio is None and not self.associations:
+        associations = tuple(one for one in self.associations if one is not None)
+        if given is None and self.log_ratio is None and not associations:
             return None
-        return Columns(self.log_ratio, given, self.associations)
+        return Columns(self.log_ratio, given, associations)
 
     def design(self, source: int, rows: IntArray) -> FloatArray:
         """(k, P) basis functions of the source's fit at these records (k,); P is 0 without a fit."""
@@ -193,21 +194,17 @@ class ColumnEvidence:
             )
             fits.append(fit)
             findings += own_findings
-        associations = []
-        for a, b in self.relations:
-            association, finding = _fit_association(a, b, pairs, p_counted, self.folds[0], self.tuning)
-            findings += [finding] if last else []
-            if association is not None and (finding.used or not last):
-                associations.append(association)
-        relations = self.relations
+        fitted = [
+            (pair, *_fit_association(*pair, pairs, p_counted, self.folds[0], self.tuning)) for pair in self.relations
+        ]
         if last:
-            kept = [finding.used for finding in findings if finding.other]
-            relations = tuple(pair for pair, used in zip(self.relations, kept, strict=True) if used)
+            findings += [finding for _, _, finding in fitted]
+            fitted = [each for each in fitted if each[2].used]
         return replace(
             self,
             fits=(fits[0], fits[1]),
-            associations=tuple(associations),
-            relations=relations,
+            associations=tuple(association for _, association, _ in fitted),
+            relations=tuple(pair for pair, _, _ in fitted),
             findings=tuple(findings),
         )._with_log_ratio()
 

@@ -179,6 +179,8 @@ class _Basis:
         return np.where(missing, coefficients[fold, k], curve)
 
     def _code(self, values: FloatArray) -> tuple[IntArray, BoolArray]:
+        if not len(self.knots):
+            return np.zeros(len(values), np.int64), np.zeros(len(values), np.bool_)
         at = np.clip(np.searchsorted(self.knots, np.where(np.isfinite(values), values, -1.0)), 0, len(self.knots) - 1)
         return at, self.knots[at] == values
 
