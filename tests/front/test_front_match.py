@@ -15,7 +15,7 @@ from guises import GUISES
 import sameas
 from sameas import InputError, Records, Sphere
 from sameas.evidence import Column
-from sameas.front.tables import odds_of
+from sameas.front.tables import odds_of, table_of
 from sameas.io import read_provenance, read_table
 from sameas.sky import Catalogue, CatalogueOptions
 
@@ -230,8 +230,16 @@ def test_input_without_positions_is_refused(stars, in_memory):
     with pytest.raises(InputError, match="first has no row 500; it has rows 0 to 119"):
         in_memory.explain(row=500)
     place = GUISES["skycoord"](stars.first)
-    with pytest.raises(InputError, match="2 columns of SkyCoord: 'a', 'b'"):
+    with pytest.raises(InputError, match=r"2 candidates .*: a_ra, a_dec; b_ra, b_dec; give ra1='a_ra' dec1='a_dec'"):
         sameas.match(QTable({"a": place, "b": place}), stars.second)
+
+
+def test_the_corners_of_sources_are_no_positions(stars):
+    """Catalogues of JWST have a SkyCoord for the centroid and for each corner of the box; they were refused."""
+    place = GUISES["skycoord"](stars.first)
+    table = table_of(QTable({"sky_bbox_ll": place, "sky_centroid": place, "sky_bbox_ur": place}), "jwst")
+    assert [name for name in table.colnames if "bbox" not in name][:2] == ["ra", "dec"]
+    assert {"sky_bbox_ll_ra", "sky_bbox_ur_dec"} < set(table.colnames)
 
 
 def test_doubts_name_the_argument_of_their_catalogue():

@@ -446,6 +446,65 @@ def test_errors_with_a_containment_become_standard_deviations(
     assert again.astrometry.variance(0) == pytest.approx(catalogue.astrometry.variance(0))
 
 
+@pytest.mark.parametrize(
+    ("names", "stated", "divisor"),
+    [
+        (("Err90_corrected",), None, 2.1460),
+        (("XRT 90% Error Radius [arcsec]",), None, 2.1460),
+        (("R95_fit",), None, 2.4477),
+        (("cl68_err",), None, 1.5096),
+        (("Error50 [arcmin]",), None, 1.1774 / 60.0),
+        (("POSERR", "SC_POSERR", "SYSERRCC"), "SC_POSERR", math.sqrt(2.0)),  # beside the survey's first choice
+        (("err_ellipse_r0", "err_ellipse_r1", "err_ellipse_ang"), "err_ellipse_r0", 2.4477),
+        (("sigma_1950",), None, 1.0),
+    ],
+)
+def test_the_probability_of_a_radius_given_by_an_option_is_that_of_its_name(names, stated, divisor) -> None:
+    """It was taken for a standard deviation: errors up to 2.4 times too large."""
+    numbers = {"RA": [10.0, 11.0], "DEC": [1.0, 2.0]} | {name: [3.0, 3.0] for name in names}
+    catalogue = Catalogue.of(numbers, "x", options=CatalogueOptions(sigma=stated or names[0]))
+    assert 1e-3 * np.sqrt(catalogue.astrometry.variance(0)) == pytest.approx(3.0 / divisor, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("names", "percent"),
+    [(("error90", "error50"), 0.9), (("positional_error_95_arcsec",), 0.95), (("err68", "err95"), 0.95)],
+)
+def test_one_of_several_radii_is_taken(names, percent) -> None:
+    assert chosen(made("ra", "dec", *names)).error.containment == percent
+
+
+def test_err_behind_a_magnitude_is_its_error() -> None:
+    """It was the position error of lists of photometry; it may be, but not unsaid."""
+    choice = chosen(made("name", "ra", "dec", "mag", "err"))
+    assert (choice.error.kind, choice.magnitude_error) == ("unknown", "err")
+    assert "err is taken for the error of mag, which it follows; if it is the position's, give sigma='err'" in map(
+        str, choice.notes
+    )
+    for names, unit in ((("ra", "dec", "err", "mag"), None), (("ra", "dec", "mag", "err"), "arcsec")):
+        assert chosen(made(*names, units={"err": unit} if unit else {})).error.kind == "circle"
+    assert chosen(made("ra", "dec", "mag", "err"), sigma="err").error.kind == "circle"
+
+
+def test_a_single_pair_named_alike_is_the_position() -> None:
+    choice = chosen(made("oid", "meanra", "meandec", "sigmara", "sigmadec", "pmra", "pmdec", "dra", "ddec"))
+    assert names_of(choice)[:2] == ["meanra", "meandec"]
+    assert any("sigmara, sigmadec not used; if they are" in str(note) for note in choice.notes)
+    words = "2 candidates for right ascension and declination: i_ra, i_dec; r_ra, r_dec; give ra='i_ra' dec='i_dec' or"
+    with pytest.raises(InputError, match=words):
+        chosen(made("i_ra", "i_dec", "r_ra", "r_dec"))
+    assert names_of(chosen(made("i_ra", "i_dec", "r_ra", "r_dec"), ra="r_ra"))[:2] == ["r_ra", "r_dec"]
+
+
+def test_errors_by_their_names_are_listed_with_the_option_and_what_they_must_contain() -> None:
+    notes = chosen(made("RA", "DEC", "RA_ERR_PLUS", "RA_ERR_MINUS", "DEC_ERR_PLUS", "DEC_ERR_MINUS", "magerr")).notes
+    words = "RA_ERR_PLUS, RA_ERR_MINUS, DEC_ERR_PLUS, DEC_ERR_MINUS not used; if they are the position's, give "
+    assert str(notes[0]) == words + (
+        "sigma='RA_ERR_PLUS,DEC_ERR_PLUS' (one standard deviation on each axis: a radius of 90 % divided by 2.146, of "
+        "95 % by 2.448)"
+    )
+
+
 def test_the_axes_of_an_ellipse_without_a_unit_have_the_same_one() -> None:
     table = {"ra": [10.0, 11.0], "dec": [1.0, 2.0], "a": [8.0, 6.0], "b": [2.0, 1.0], "pa": [10.0, 20.0]}
     catalogue = Catalogue.of(table, "x", options=CatalogueOptions(ellipse="a,b,pa"))

@@ -72,6 +72,13 @@ def served(names: str, **values: object) -> Catalogue:
             {"coord_ra": RA, "coord_dec": DEC, "coord_raErr": 1e-5, "coord_decErr": 2e-5, "coord_ra_dec_Cov": 1e-10},
             (0.036, 0.072), None, "r_psfMag", "objectId",
         ),
+        # The epoch of one band, as MJD; without it Gaia's motions of nine years were not used.
+        (
+            "LSST", "objectId coord_ra coord_dec coord_raErr coord_decErr coord_ra_dec_Cov r_epoch g_epoch r_psfMag",
+            {"coord_ra": RA, "coord_dec": DEC, "coord_raErr": 1e-5, "coord_decErr": 2e-5, "coord_ra_dec_Cov": 0.0,
+             "r_epoch": 60600.0, "g_epoch": 60000.0},
+            (0.036, 0.072), 2024.79, "r_psfMag", "objectId",
+        ),
         (
             "LSST", "diaObjectId ra dec raErr decErr ra_dec_Cov radecMjdTai nDiaSources g_psfFluxMean",
             {"ra": RA, "dec": DEC, "raErr": 1e-5, "decErr": 2e-5, "ra_dec_Cov": 1e-10, "radecMjdTai": 60600.0},
@@ -84,7 +91,8 @@ def served(names: str, **values: object) -> Catalogue:
             (0.003, 0.004), 2014.94, "r_psf", "object_id",
         ),
         (
-            "plain names", "sourceID cuEventID ra dec l b mergedClass jAperMag3 jAperMag3Err ksAperMag3 ksAperMag3Err",
+            "UKIDSS and VISTA surveys",
+            "sourceID cuEventID ra dec l b mergedClass jAperMag3 jAperMag3Err ksAperMag3 ksAperMag3Err",
             {"ra": RA, "dec": DEC}, None, None, "ksAperMag3", "sourceID",
         ),
         (
@@ -169,6 +177,46 @@ def served(names: str, **values: object) -> Catalogue:
              "ref_epoch": 0.0},
             (0.1, 0.2), None, None, None,
         ),
+        # Errors in degrees and motions were not used.
+        (
+            "UKIDSS and VISTA surveys",
+            "sourceID ra dec sigRa sigDec epoch muRa muDec sigMuRa sigMuDec chi2 nFrames ksAperMag3 ksAperMag3Err",
+            {"ra": RA, "dec": DEC, "sigRa": 3e-5, "sigDec": 4e-5, "epoch": 2008.2},
+            (0.108, 0.144), 2008.2, "ksAperMag3", "sourceID",
+        ),
+        # All errors and epochs are the archive's default: no row could be matched.
+        (
+            "UKIDSS and VISTA surveys", "sourceID ra dec sigRa sigDec epoch muRa muDec sigMuRa sigMuDec ksAperMag3",
+            {"ra": RA, "dec": DEC, **dict.fromkeys(("sigRa", "sigDec", "epoch", "muRa", "muDec"), -0.9999995e9)},
+            None, None, "ksAperMag3", "sourceID",
+        ),
+        # Right ascension in hours, motions in arcsec a year.
+        (
+            "Kepler Input Catalog", "kic_kepler_id kic_ra kic_dec kic_pmra kic_pmdec kic_gmag kic_kepmag",
+            {"kic_ra": RA / 15.0, "kic_dec": DEC}, None, 2000.0, "kic_kepmag", "kic_kepler_id",
+        ),
+        (
+            "SIMBAD", "main_id ra dec coo_err_maj coo_err_min coo_err_angle coo_wavelength coo_bibcode pmra pmdec V",
+            {"ra": RA, "dec": DEC, "coo_err_maj": 30.0, "coo_err_min": 20.0, "coo_err_angle": 90.0},
+            (0.03, 0.02), 2000.0, None, "main_id",
+        ),
+        (
+            "XMM-Newton, stacked", "SRCID N_OBS N_CONTRIB RA DEC RADEC_ERR EP_FLUX MJD_FIRST MJD_LAST STACK_FLAG",
+            {"RA": RA, "DEC": DEC, "RADEC_ERR": 2**0.5}, (1.0, 1.0), None, None, "SRCID",
+        ),
+        (
+            "Dark Energy Survey", "COADD_OBJECT_ID RA DEC ALPHAWIN_J2000 DELTAWIN_J2000 EXT_MASH BDF_MAG_R "
+            "PSF_MAG_APER_8_R PSF_MAG_ERR_APER_8_R",
+            {"RA": RA, "DEC": DEC}, None, None, "PSF_MAG_APER_8_R", "COADD_OBJECT_ID",
+        ),
+        # Names ignore case: these were of Pan-STARRS1, with its errors of 12 mas.
+        ("a pair named alike", "objectId ramean decmean gmag rmag jdmax ncand", {"ramean": RA, "decmean": DEC},
+            None, None, "gmag", "objectId"),
+        ("a pair named alike", "source_id world_centroid_alpha world_centroid_delta auto_mag auto_mag_err",
+            {"world_centroid_alpha": RA, "world_centroid_delta": DEC}, None, None, "auto_mag", "source_id"),
+        # The error of forced photometry of ATLAS is a code.
+        ("plain names", "MJD m dm uJy duJy F err chi/N RA Dec x y maj min phi apfit mag5sig Sky Obs",
+            {"RA": RA, "Dec": DEC, "MJD": 57000.0, "err": 1}, None, 2014.94, None, None),
         # Any table may have a raErr: degrees are not assumed for it.
         ("plain names", "ra dec raErr decErr", {"ra": RA, "dec": DEC, "raErr": 0.1, "decErr": 0.2},
             (0.1, 0.2), None, None, None),
@@ -200,3 +248,28 @@ def test_the_covariance_of_variances_is_read_in_its_own_unit() -> None:
         correlations.append(records.covariance[:, 1] / np.sqrt(records.covariance[:, 0] * records.covariance[:, 2]))
     np.testing.assert_allclose(correlations[0], [0.5, -0.2])
     np.testing.assert_allclose(correlations[1:], [correlations[0]] * 2)
+
+
+def test_rows_of_lsst_without_an_epoch_in_the_band_are_of_the_median_one() -> None:
+    table = {"coord_ra": [RA, RA, RA], "coord_dec": [1.0, 2.0, 3.0], "r_epoch": [60600.0, np.nan, 60610.0]}
+    source = Catalogue.of(table, "mine")
+    np.testing.assert_allclose(source.astrometry.epoch_jyr, [2024.793, 2024.807, 2024.820], atol=1e-3)
+    assert any("in rows without one its median 2024.81" in line for line in source.interpretation)
+
+
+@pytest.mark.parametrize("missing", [-9999.99, -999.0, 9999.0, 1e20, -0.9999995e9])
+def test_numbers_for_missing_motions_are_no_motions(missing: float) -> None:
+    """Rows were moved by ten arcsec a year, or the table was refused for its negative errors."""
+    table = {"ra": [RA, RA], "dec": [1.0, 2.0], "pmra": [99.9, missing], "pmdec": [2.0, missing],
+             "pmra_error": [0.1, missing], "pmdec_error": [0.1, -1.0], "parallax": [1.0, -abs(missing)],
+             "ref_epoch": [2016.0, 2016.0]}  # fmt: skip
+    source = Catalogue.of(table, "mine")
+    assert source.astrometry.pm_ra_mas_per_yr.tolist() == [99.9, 0.0]
+    assert source.astrometry.parallax_mas.tolist() == [1.0, 0.0]
+    assert np.sqrt(source.astrometry.variance(3)).tolist() == pytest.approx([0.1, 10.0])
+    assert any("1 of 2 rows has no proper motion" in line for line in source.interpretation)
+
+
+def test_motions_of_the_kepler_input_catalog_are_in_arcsec_a_year() -> None:
+    table = {"KIC": [1], "RAJ2000": [RA], "DEJ2000": [DEC], "pmRA": [0.12], "pmDE": [-0.2], "kepmag": [14.0]}
+    assert Catalogue.of(table, "mine").astrometry.pm_dec_mas_per_yr.tolist() == pytest.approx([-200.0])

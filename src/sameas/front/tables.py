@@ -1,7 +1,8 @@
 """Astropy tables of anything that holds positions. Data frames are recognised without importing their libraries.
 
 - a path: a file of :func:`sameas.io.read_table`;
-- astropy ``Table`` and ``QTable``; a ``SkyCoord`` column becomes columns of right ascension, declination and motion;
+- astropy ``Table`` and ``QTable``; a ``SkyCoord`` column becomes columns of right ascension, declination and motion,
+  one of several, and one of a corner, columns ``NAME_ra`` and ``NAME_dec``;
 - astropy ``SkyCoord`` in any frame, with proper motions, distance, radial velocity and ``obstime``;
 - pandas, polars (lazy frames are collected), pyarrow, and any object with Arrow's stream interface;
 - NumPy structured arrays, mappings of names to columns, and lists of mappings (rows).
@@ -10,6 +11,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 _PLACE = ("ra", "dec")
 _MOTION = ("pm_ra_cosdec", "pm_dec")
 _EPOCH = "epoch"
+#: Names of corners of a source's box, as in catalogues of JWST.
+_CORNER = re.compile("bbox|corner|vertex", re.IGNORECASE)
 
 
 def table_of(data: Any, name: str, *, format: str | None = None, hdu: int | str | None = None) -> Table:
@@ -34,7 +38,7 @@ def table_of(data: Any, name: str, *, format: str | None = None, hdu: int | str 
 
     name : of the source, for messages. format, hdu : of a file.
 
-    Raises InputError: not a table; a file that cannot be read; several columns of ``SkyCoord``.
+    Raises InputError: not a table; a file that cannot be read.
     """
     if isinstance(data, str | os.PathLike):
         from sameas.io import read_table
@@ -191,16 +195,18 @@ def _with_plain_places(table: Table, name: str) -> Table:
     places = [column for column, cells in table.columns.items() if type(cells).__name__ == "SkyCoord"]
     if not places:
         return table
-    if len(places) > 1:
-        listed = ", ".join(map(repr, places))
-        raise InputError(f"{name}: {len(places)} columns of SkyCoord: {listed}", "give a table with the one to match")
+    centres = [column for column in places if not _CORNER.search(column)]
+    main = centres[0] if len(centres) == 1 else None
     columns: dict[str, Any] = {}
-    others = {column.lower() for column in table.colnames if column != places[0]}
+    others = {column.lower() for column in table.colnames if column not in places}
     for column, cells in table.columns.items():
-        if column != places[0]:
+        if column not in places:
             columns[column] = cells
             continue
         plain = _columns_of(cells)
+        if column != main:
+            columns |= {f"{column}_{part}": plain[part] for part in _PLACE}
+            continue
         if others & {part.lower() for part in plain}:
             raise InputError(
                 f"{name}: it has a SkyCoord {column!r} and columns {', '.join(sorted(others & set(plain)))}",

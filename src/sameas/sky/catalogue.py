@@ -29,7 +29,7 @@ from sameas.sky.catalogue_doubts import (
 from sameas.sky.column_choice import CatalogueOptions, ColumnChoice, Epoch, PositionError, in_years
 from sameas.sky.columns import choose
 from sameas.sky.motion import Astrometry, Variances, position_at
-from sameas.sky.table_astrometry import epochs_jyr, table_astrometry
+from sameas.sky.table_astrometry import epochs_jyr, motions, table_astrometry
 from sameas.space import Sphere
 
 __all__ = ["Catalogue", "CatalogueOptions"]
@@ -114,9 +114,8 @@ class Catalogue:
         """The catalogue of a table with chosen columns."""
         magnitude = _brightness(rows, choice.magnitude, name)
         astrometry, filled_arcsec = table_astrometry(rows, choice, options, magnitude, name)
-        pm = choice.motion[1]
-        unmoved = [np.isnan(column_values.numbers(rows, c.name, name)) for c in choice.motion[1:3] if c is not None]
-        has_motion = pm is not None and not bool(unmoved[0].all())
+        unmoved = [np.isnan(motion) for motion in motions(rows, choice, name)[1:3] if motion is not None]
+        has_motion = bool(unmoved) and not bool(unmoved[0].all())
         if has_motion:
             choice = replace(choice, notes=(*choice.notes, *missing_motion_note(np.logical_or(*unmoved), options)))
         epoch_doubt = ""

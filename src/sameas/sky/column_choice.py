@@ -233,10 +233,14 @@ class PositionError:
 
 @dataclass(frozen=True)
 class Epoch:
-    """The epoch: a column, one Julian year for all rows, or neither if it is not known."""
+    """The epoch: a column, one Julian year for all rows, or neither if it is not known.
+
+    otherwise_jyr : that of rows in which the column has none.
+    """
 
     column: str | None = None
     jyr: float | None = None
+    otherwise_jyr: float = np.nan
     reason: str = "not known"
 
 

@@ -18,18 +18,27 @@ from sameas.sky.column_choice import GUESSED, OF_RA, SECONDS_OF_RA, CatalogueOpt
 
 _SUFFIXES = {
     "_arcsec": "arcsec", "_mas": "mas", "_deg": "deg", "_hours": "hourangle", "_hrs": "hourangle", "_hr": "hourangle",
-    "_h": "hourangle",
+    "_h": "hourangle", "_arcmin": "arcmin",
 }  # fmt: skip
 #: Error columns without a unit: a median below the first is taken as degrees, above the second as mas (chosen).
 _LEAST_IN_ARCSEC, _LARGEST_IN_ARCSEC = 0.002, 5.0
 #: A unit in brackets at the end of a column name.
 _BRACKETED = re.compile(r"[\s_]*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+#: Words of right ascension and declination in names.
+_COORDINATES = (
+    ("right_?ascension", "declination"), ("ra", "dec"), ("ra", "de"), ("ra", "decl"), ("alpha", "delta"),
+)  # fmt: skip
+#: Parts of names of errors, motions and offsets.
+_NO_POSITION = re.compile(
+    r"err|sig|unc|std|rms|var|cov|cor|prec|pm|off|(?:^|_)(?:e|d|delta|mu|n)_?(?:ra|alpha)|mu_?(?:ra|alpha)|19[05]0|1875",
+    re.IGNORECASE,
+)
 #: Units by the words that people write for them.
 UNIT_WORDS = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "arcsec": "arcsec", "arcseconds": "arcsec",
     "arcsecond": "arcsec", "as": "arcsec", "″": "arcsec", '"': "arcsec", "''": "arcsec", "mas": "mas",
     "arcs": "arcsec", "milliarcsec": "mas", "milliarcsecs": "mas", "milliarcseconds": "mas", "microarcsec": "uas",
-    "microarcseconds": "uas", "hrs": "hourangle",
+    "microarcseconds": "uas", "hrs": "hourangle", "arcmin": "arcmin", "arcminute": "arcmin", "arcminutes": "arcmin",
     "h": "hourangle", "hr": "hourangle", "hour": "hourangle", "hours": "hourangle", "hourangle": "hourangle",
     "rad": "rad", "radian": "rad", "radians": "rad", "mag": "mag", "mas/yr": "mas / yr", "arcsec/yr": "arcsec / yr",
     "yr": "yr", "d": "d", "mjd": "d", "gon": "0.9 deg", "gons": "0.9 deg", "grad": "0.9 deg", "grads": "0.9 deg",
@@ -81,6 +90,10 @@ class ColumnSearch:
         columns = [self.find(name) for name in wanted]
         return None if None in columns else tuple(name for name in columns if name)
 
+    def hold_errors(self, names: tuple[str, ...]) -> bool:
+        """Whether the first of these columns has a positive number; archives write negative ones for none."""
+        return column_values.holds_positive(self.table, names[0])
+
     def first(self, wanted: tuple[str, ...]) -> str | None:
         """The first of these names that is a column."""
         return next((column for name in wanted if (column := self.find(name))), None)
@@ -94,6 +107,27 @@ class ColumnSearch:
         close = [lower[name] for name in difflib.get_close_matches(wanted.strip().lower(), lower, n=3)]
         hint = f"did you mean {' or '.join(map(repr, close))}?" if close else f"it has: {self.listing()}"
         raise InputError(Message(f"{self.source}: no column {wanted.strip()!r} for ", Argument(option), f"; {hint}"))
+
+    def partner_of(self, name: str) -> str | None:
+        """The column of declination whose name is that of a column of right ascension but for the coordinate."""
+        for of_ra, of_dec in _COORDINATES:
+            for match in re.finditer(of_ra, name, re.IGNORECASE):
+                partner = self.find(f"{name[: match.start()]}{of_dec}{name[match.end() :]}")
+                if partner and partner != name and name.lower() != "alpha":
+                    return partner
+        return None
+
+    def positions(self) -> list[tuple[str, str]]:
+        """Pairs of columns that are named alike but for the coordinate: ``meanra, meandec``; no errors or motions."""
+        pairs = [(name, self.partner_of(name)) for name in self.table.colnames if not _NO_POSITION.search(name)]
+        return [(ra, dec) for ra, dec in pairs if dec and all(self._may_be_position(name) for name in (ra, dec))]
+
+    def _may_be_position(self, name: str) -> bool:
+        unit = column_values.unit_of(self.table, name)
+        angle = unit is None or unit.is_equivalent("deg") or unit == u.hour
+        return angle and (
+            column_values.is_sexagesimal(self.table, name) or column_values.holds_numbers(self.table, name)
+        )
 
     def listing(self) -> str:
         names = self.table.colnames

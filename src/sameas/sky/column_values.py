@@ -244,6 +244,15 @@ def years(table: Table, name: str, source: str) -> FloatArray:
     )
 
 
+def holds_positive(table: Table, name: str) -> bool:
+    """Whether any number of the column is positive, as an error or an epoch is; texts count as such."""
+    if is_text(table, name) or not hasattr(table[name], "dtype") or table[name].dtype.kind not in "fiu":
+        return True
+    return any(
+        bool(np.nanmax(numbers(table[rows], name, ""), initial=0.0) > 0.0) for rows in (slice(1000), slice(None))
+    )
+
+
 def are_years(table: Table, name: str) -> bool:
     """Whether the column can be read as Julian years, dates, MJD or JD."""
     try:

@@ -28,6 +28,12 @@ from sameas.sky.frame.cards import date_of, start_mjd
 _DESCRIBED_EPOCH = re.compile(r"\bEp(?:och)?\s*[=:]?\s*J?\s*((?:18|19|20)\d\d(?:\.\d+)?)", re.IGNORECASE)
 #: Parts of the names of columns of errors.
 _ERROR_WORDS = re.compile(r"err|sigma|unc(?![a-z])|ellipse|(?:^|_)(?:rms|std)(?:_|$)", re.IGNORECASE)
+#: Names of errors of a position, whatever their unit: ``error_radius``, ``RA_ERR_PLUS``, ``sigmara``.
+_POSITION_ERROR_WORDS = re.compile(
+    r"err(?:or)?_?(?:rad(?:ius)?|circle|ellipse|ra|dec|pos)(?![a-z])|(?:^|_)(?:ra|dec|de|pos(?:ition)?)_?(?:err|unc|sig|std)"
+    r"|sig(?:ma)?_?(?:ra|dec|pos)(?![a-z])|(?:^|_)e_(?:ra|dec?|pos)|ellipse",
+    re.IGNORECASE,
+)
 
 
 def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice:
@@ -59,10 +65,16 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
     if not_used:
         notes = (*notes, f"not used: {', '.join(not_used)}")
     magnitude, magnitude_error = magnitudes
+    if magnitude and not magnitude_error and _follows(search, error, magnitude):
+        magnitude_error, error = error.columns[0].name, PositionError("unknown")
+        stated = (
+            f"{magnitude_error} is taken for the error of {magnitude}, which it follows; if it is the position's, give "
+        )
+        notes = (*notes, Message(stated, Argument("sigma", repr(magnitude_error))))
     if magnitude is None and options.magnitude is None:
         notes = (*notes, *_unused_bands(search))
     if error.kind == "unknown":
-        used = {getattr(column, "name", column) for column in (*motion_errors, magnitude_error)}
+        used = {getattr(column, "name", column) for column in (*motion_errors, magnitude_error, *position)}
         notes = (*notes, *_unused_errors(search, used))
         survey_errors = survey_of(convention.title, _year(search, epoch), _texts(search))
         error = error if survey_errors is None else PositionError("survey", survey=survey_errors)
@@ -107,7 +119,7 @@ def _convention(search: ColumnSearch) -> tuple[Convention, tuple[str, ...]]:
     candidates = [c for c in surveys.CONVENTIONS if _applies(search, c)]
     if not candidates:
         other_frames = (c for c in surveys.OTHER_FRAMES if _applies(search, c))
-        return _position_by_ucd(search) or next(other_frames, None) or _no_position(search), ()
+        return _position_by_ucd(search) or next(other_frames, None) or _pair_named_alike(search), ()
     superseded = {name.lower() for c in candidates for name in c.over if name != c.position[0]}
     computed = {name.lower() for name in conventions.VIZIER_COMPUTED}
     rules: tuple[Callable[[Convention], bool], ...] = (
@@ -180,6 +192,8 @@ def _position_of_options(search: ColumnSearch) -> Convention:
     ]
     if known:
         return min(known, key=lambda c: own_error(search, c) is None)
+    if other is None and axis == 0:
+        other = search.partner_of(stated)
     if other is None:
         raise InputError(f"{search.source}: {stated!r} has no known partner", naming("give {ra:NAME} and {dec:NAME}"))
     return conventions.plain((stated, other), title="options")
@@ -202,7 +216,18 @@ def _position_by_ucd(search: ColumnSearch) -> Convention | None:
     return None
 
 
-def _no_position(search: ColumnSearch) -> Convention:
+def _pair_named_alike(search: ColumnSearch) -> Convention:
+    """The only pair of columns whose names differ in the coordinate alone; refused without one, and with several."""
+    pairs = search.positions()
+    if len(pairs) == 1:
+        return conventions.plain(pairs[0], title="a pair named alike")
+    if pairs:
+        listed = "; ".join(", ".join(pair) for pair in pairs[:6])
+        (ra, dec), *_ = pairs
+        raise InputError(
+            f"{search.source}: {len(pairs)} candidates for right ascension and declination: {listed}",
+            Message("give ", Argument("ra", repr(ra)), " ", Argument("dec", repr(dec)), " or another pair"),
+        )
     tables = next((note for note in search.table.meta.get("sameas_notes", ()) if "extensions" in note), "")
     other = f" ({tables})" if tables else ""
     raise InputError(
@@ -213,7 +238,8 @@ def _no_position(search: ColumnSearch) -> Convention:
 
 def _direction(search: ColumnSearch, name: str, convention: Convention, axis: int) -> ChosenColumn:
     """The column of right ascension or longitude (axis 0), declination or latitude (axis 1)."""
-    right_ascension, unit = axis == 0 and convention.frame in ("icrs", "B1950"), convention.unit
+    right_ascension = axis == 0 and convention.frame in ("icrs", "B1950")
+    unit = (right_ascension and convention.unit_of_ra) or convention.unit
     if convention.parts:
         parts = tuple(part_name for part in convention.parts[axis] if (part_name := search.find(part)))
         unit_text = f"{'hours' if right_ascension else 'degrees'} in {', '.join(parts)}"
@@ -240,6 +266,7 @@ def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ..
     options = search.options
     names: list[str | None] = [None] * 4
     errors: list[str | None] = [None] * 4
+    unit = next((m.unit for m in convention.motions if search.find(m.names[1])), "mas")
     for motion_names in convention.motions:
         for k, (name, error) in enumerate(zip(motion_names.names, motion_names.errors, strict=True)):
             found = search.find(name)
@@ -266,12 +293,15 @@ def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ..
     if names[1] is None and not options.pm and (plain_names := search.find_all(("pm_ra", "pm_dec"))):
         not_used = f"{', '.join(plain_names)} not used: with or without cos(dec) is not stated; if with, give "
         notes.append(Message(not_used, Argument("pm", repr(",".join(plain_names)))))
-    return (_motion_columns(search, names), _motion_columns(search, errors), tuple(notes))
+    return (_motion_columns(search, names, unit), _motion_columns(search, errors, unit), tuple(notes))
 
 
-def _motion_columns(search: ColumnSearch, names: list[str | None]) -> tuple[ChosenColumn | None, ...]:
-    """The columns of parallax, motion in right ascension and declination, radial velocity, or of their errors."""
-    units = ("mas", "mas / yr", "mas / yr", "km / s")
+def _motion_columns(search: ColumnSearch, names: list[str | None], unit: str) -> tuple[ChosenColumn | None, ...]:
+    """The columns of parallax, motion in right ascension and declination, radial velocity, or of their errors.
+
+    unit : of the parallax, and of the motions in a year, where the table states none.
+    """
+    units = (unit, f"{unit} / yr", f"{unit} / yr", "km / s")
     return tuple(
         search.motion_column(name, unit, of_ra=k == 1) if name else None
         for k, (name, unit) in enumerate(zip(names, units, strict=True))
@@ -299,9 +329,10 @@ def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
         except ValueError:
             column = search.required(str(stated), "epoch")
             return Epoch(column=column, reason=f"column {column}, option")
-    name = search.first(convention.epochs)
-    if name:
-        return Epoch(column=name, reason=f"column {name}")
+    own_columns = (found for wanted in convention.epochs if (found := search.find(wanted)))
+    dated = next((one for one in own_columns if column_values.holds_positive(table, one)), None)
+    if dated:
+        return _with_median(search, Epoch(column=dated, reason=f"column {dated}"), convention)
     if convention.only_epoch:
         named = f"epoch of {convention.title}" if convention.epoch_jyr is not None else "not known"
         return Epoch(jyr=convention.epoch_jyr, reason=named)
@@ -319,6 +350,17 @@ def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
         return Epoch(jyr=convention.epoch_jyr, reason=f"epoch of {convention.title}")
     release_epoch = _released_epoch(search, convention)
     return release_epoch if release_epoch else _header_epoch(table)
+
+
+def _with_median(search: ColumnSearch, epoch: Epoch, convention: Convention) -> Epoch:
+    """The epoch with the median of its column for the rows without one, if the survey's rows are of one campaign."""
+    if not convention.one_campaign or not column_values.are_years(search.table, str(epoch.column)):
+        return epoch
+    years = column_values.years(search.table, str(epoch.column), search.source)
+    if np.isfinite(years).all():
+        return epoch
+    middle = median(years[np.isfinite(years)])
+    return replace(epoch, otherwise_jyr=middle, reason=f"{epoch.reason}; in rows without one its median {middle:.2f}")
 
 
 def _year(search: ColumnSearch, epoch: Epoch) -> float | None:
@@ -434,21 +476,36 @@ def _bands(search: ColumnSearch) -> dict[str, u.UnitBase | None]:
     }
 
 
+def _follows(search: ColumnSearch, error: PositionError, magnitude: str) -> bool:
+    """Whether the position error is a column ``err`` or ``sigma`` without a unit, directly behind the magnitude."""
+    if search.options.sigma is not None or error.kind != "circle" or not error.guessed_unit:
+        return False
+    name, names = error.columns[0].name, search.table.colnames
+    return name.lower() in ("err", "error", "sigma") and names.index(name) == names.index(magnitude) + 1
+
+
 def _unused_errors(search: ColumnSearch, used: Collection[str | None]) -> tuple[Message, ...]:
-    """A note if columns that are named as errors are angles, by their unit, without those used for something else."""
-    names = [
-        name
-        for name in search.table.colnames
-        if name not in used
-        and _ERROR_WORDS.search(name)
-        and (unit := column_values.unit_of(search.table, name)) is not None
-        and unit.is_equivalent(u.deg)
-    ]
+    """A note on columns that are named as errors and are angles by their unit, or without one name an axis, a position
+    or a radius; without those used for something else."""
+    names = [name for name in search.table.colnames if name not in used and _may_be_position_error(search, name)]
     if not names:
         return ()
     one = f"{', '.join(names[:6])} not used; if {'it is' if len(names) == 1 else 'they are'} the position's, give "
-    own = Argument("ellipse", repr(",".join(names))) if len(names) == 3 else Argument("sigma", repr(names[0]))
-    return (Message(one, own),)
+    axes = next(([a, b] for a in names if (b := search.partner_of(a)) and b in names), None)
+    if len(names) == 3 and axes is None:
+        return (Message(one, Argument("ellipse", repr(",".join(names))), _ONE_SIGMA),)
+    return (Message(one, Argument("sigma", repr(",".join(axes or names[:1]))), _ONE_SIGMA),)
+
+
+#: What the columns of an error are to contain.
+_ONE_SIGMA = " (one standard deviation on each axis: a radius of 90 % divided by 2.146, of 95 % by 2.448)"
+
+
+def _may_be_position_error(search: ColumnSearch, name: str) -> bool:
+    unit = column_values.unit_of(search.table, name)
+    if unit is None:
+        return bool(_POSITION_ERROR_WORDS.search(name)) and column_values.holds_numbers(search.table, name)
+    return bool(_ERROR_WORDS.search(name)) and unit.is_equivalent(u.deg)
 
 
 def _unused_bands(search: ColumnSearch) -> tuple[Message, ...]:

@@ -43,10 +43,11 @@ class ErrorNames:
 @dataclass(frozen=True)
 class MotionNames:
     """Columns of parallax, proper motion in right ascension (times cos δ) and declination, radial velocity, and of
-    their errors; mas, mas/yr, km/s. "" for none."""
+    their errors; in ``unit`` (mas), ``unit``/yr, km/s. "" for none."""
 
     names: tuple[str, str, str, str]
     errors: tuple[str, str, str, str]
+    unit: str = "mas"
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,9 @@ class Convention:
     marks : at least one of these columns is required too; () if the position's names are sufficient.
     without : with one of these columns it is another catalogue.
     over : right ascension columns superseded by that of this convention.
+    unit_of_ra : of right ascension, if it is another one.
     epoch_jyr : epoch of the whole catalogue; only_epoch : columns named epoch do not state that of the positions.
+    one_campaign : rows without an epoch are of the median one; they have none in the band of the column.
     releases : (pattern in the table's texts, epoch).
     release_columns : (column of one release only, epoch).
     weights : prefix of the columns of the triangular weight matrix of hip2.
@@ -68,6 +71,7 @@ class Convention:
     title: str
     position: tuple[str, str]
     unit: str = "deg"
+    unit_of_ra: str = ""
     marks: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
     ids: tuple[str, ...] = ()
@@ -77,6 +81,7 @@ class Convention:
     epochs: tuple[str, ...] = ()
     epoch_jyr: float | None = None
     only_epoch: bool = False
+    one_campaign: bool = False
     releases: tuple[tuple[str, float], ...] = ()
     release_columns: tuple[tuple[str, float], ...] = ()
     magnitudes: tuple[tuple[str, str], ...] = ()
@@ -133,6 +138,8 @@ PLAIN_MAGNITUDES = (
     ("MAG_PSF_G", "MAGERR_PSF_G"), ("r_psfMag", "r_psfMagErr"), ("i_psfMag", "i_psfMagErr"),
     ("i_psfflux_mag", "i_psfflux_magerr"), ("magpsf", "sigmapsf"), ("medianmag", ""), ("mag", "magerr"),
     ("mag", "mag_err"), ("mag", "e_mag"), ("magnitude", "magnitude_error"),
+    ("aper_total_abmag", "aper_total_abmag_err"), ("isophotal_abmag", "isophotal_abmag_err"),
+    ("auto_mag", "auto_mag_err"), ("mag_w1_vg", ""), ("kepmag", ""), ("Kpmag", ""),
 )  # fmt: skip
 #: Bands by which columns are named that say their unit to be mag; without it the letters may be anything.
 BANDS = (
@@ -147,7 +154,8 @@ BAND_MAGNITUDE = re.compile(
 )
 PLAIN_IDS = (
     "id", "source_id", "designation", "name", "obj_id", "objid", "objectId", "number", "_2MASS", "HIP", "object_id",
-    "sourceID", "source_name", "component_name", "IAUNAME", "main_id", "MatchID", "obsid",
+    "sourceID", "source_name", "component_name", "IAUNAME", "main_id", "MatchID", "obsid", "KIC", "EPIC", "TIC",
+    "label",
 )  # fmt: skip
 PLAIN_EPOCHS = (
     "ref_epoch", "epoch", "epoch_jyr", "mean_epoch", "mean_jd", "mean_mjd", "mjd", "obs_mjd", "obsmjd", "mjd_obs", "jd",
@@ -164,15 +172,19 @@ PLAIN_CIRCLES = tuple(
 
 #: Containment of the radius √(σ_east² + σ_north²), which emldetect (XMM-Newton, eROSITA) calls the 1σ radial error.
 RADIAL_CONTAINMENT = 1.0 - math.exp(-1.0)
-#: Radii around the position with a given probability, under names that say so.
-CONFIDENCE_RADII = (
-    *(
-        ErrorNames("circle", (f"{stem}{joint}{percent}",), "arcsec", containment=percent / 100.0)
-        for percent in (90, 95, 68)
-        for stem in ("err", "poserr", "pos_err", "error_radius", "err_r", "pos_r")
-        for joint in ("", "_")
-    ),
-    ErrorNames("circle", ("radec_err",), "arcsec", containment=RADIAL_CONTAINMENT),
+#: Names of radii around the position that say what they contain in percent, in lower case: ``err90``, ``pos_err_95``,
+#: ``error_radius_68``, ``error50 [arcmin]``.
+CONFIDENCE_RADIUS = re.compile(
+    r"(?:pos(?:ition(?:al)?)?_?)?err(?:or)?(?:_?r(?:ad(?:ius)?)?)?_?(?P<percent>50|68|90|95|99)"
+    r"(?:_(?:arcsec|arcmin|mas|deg)|[ _]*[\[(][^\])]*[\])])?|pos_?r(?:ad(?:ius)?)?_?(?P<of_pos>50|68|90|95|99)"
+)
+RADEC_ERR = ErrorNames("circle", ("radec_err",), "arcsec", containment=RADIAL_CONTAINMENT)
+#: A percentage in the name of a column that is said to be a position error: ``XRT 90% radius``, ``Conf_95_SemiMajor``.
+NAMED_PERCENTAGE = re.compile(
+    r"(?<![\d.])(?P<percent>50|6[38]|9[059])\s*(?:%|per ?cent)"
+    r"|(?:err(?:or)?|rad(?:ius)?|conf(?:idence)?|unc|ellipse|(?<![a-z])r)[a-z]*[ _]*(?P<behind>50|68|9[059])(?!\d)"
+    r"|(?<!\d)(?P<before>50|68|9[059])_?(?:err|rad|conf|cl(?![a-z]))",
+    re.IGNORECASE,
 )
 
 #: Bare names of such radii; of galaxies r50 and r90 contain light, so these count only without radii of another kind.

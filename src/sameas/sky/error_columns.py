@@ -7,6 +7,7 @@ equally good, the table is refused and they are listed.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 from astropy import units as u
@@ -29,8 +30,10 @@ _CONFIDENCE = re.compile(r"\b(6[38]|9[059]|6[38]\.\d+)\s?(?:%|per ?cent)", re.IG
 
 
 def own_error(search: ColumnSearch, convention: Convention) -> ErrorNames | None:
-    """The first error of the convention whose columns the table has."""
-    return next((e for e in convention.errors if search.find_all(e.names)), None)
+    """The first error of the convention whose columns the table has, with positive numbers."""
+    return next(
+        (e for e in convention.errors if (names := search.find_all(e.names)) and search.hold_errors(names)), None
+    )
 
 
 def position_error(search: ColumnSearch, convention: Convention) -> PositionError:
@@ -40,8 +43,7 @@ def position_error(search: ColumnSearch, convention: Convention) -> PositionErro
         raise InputError(Message(f"{search.source}: ", naming("give {sigma} or {ellipse}, not both")))
     if options.ellipse:
         stated = search.several(options.ellipse, 3, "ellipse")
-        own = next((e for e in convention.errors if search.find_all(e.names) == stated), None)
-        return _error_columns(search, own or ErrorNames("ellipse", stated))
+        return _error_columns(search, _named_by_option(search, stated, convention) or ErrorNames("ellipse", stated))
     if options.sigma is not None:
         return _error_of_option(search, options.sigma, convention)
     own = own_error(search, convention)
@@ -53,8 +55,9 @@ def position_error(search: ColumnSearch, convention: Convention) -> PositionErro
         *_circles_by_ending(search),
     )
     bare = () if search.first(conventions.LIGHT_RADII) else conventions.BARE_RADII
-    for candidates in (deviations, conventions.CONFIDENCE_RADII, bare):
+    for candidates in (deviations, _confidence_radii(search), bare):
         found = {names: e for e in candidates if (names := search.find_all(e.names)) and _may_be_angle(search, names)}
+        found = {names: e for names, e in found.items() if search.hold_errors(names)} or found
         if found:
             break
     if len(found) > 1:
@@ -70,8 +73,11 @@ def position_error(search: ColumnSearch, convention: Convention) -> PositionErro
 
 
 def _may_be_angle(search: ColumnSearch, names: tuple[str, ...]) -> bool:
+    """Whether columns named as errors may be angles: by their units, and not as whole numbers called ``err``, which
+    are codes (forced photometry of ATLAS)."""
     units = [column_values.unit_of(search.table, name) for name in names]
-    return all(unit is None or unit.is_equivalent(u.deg) for unit in units)
+    code = names[0].lower() in ("err", "error") and units[0] is None and search.table[names[0]].dtype.kind in "iub"
+    return not code and all(unit is None or unit.is_equivalent(u.deg) for unit in units)
 
 
 def _error_of_option(search: ColumnSearch, sigma: float | str, convention: Convention) -> PositionError:
@@ -86,13 +92,39 @@ def _error_of_option(search: ColumnSearch, sigma: float | str, convention: Conve
         text = str(sigma)
         count = 1 + text.count(",")
         names = search.several(text, 2 if count > 1 else 1, "sigma")
-        own = own_error(search, convention)
-        if own and search.find_all(own.names) == names:
+        own = _named_by_option(search, names, convention)
+        if own:
             return _error_columns(search, own, convention)
-        known = (*conventions.CONFIDENCE_RADII, *conventions.BARE_RADII)
-        radii = (e for e in known if search.find_all(e.names) == names)
-        return _error_columns(search, next(radii, ErrorNames("axes" if count > 1 else "circle", names)))
+        return _error_columns(search, ErrorNames("axes" if count > 1 else "circle", names))
     return _number_of_option(search, number, search.options.sigma_unit or "arcsec")
+
+
+def _named_by_option(search: ColumnSearch, names: tuple[str, ...], convention: Convention) -> ErrorNames | None:
+    """The error of these columns by the convention or by the usual names of radii; None if they are not known.
+
+    One axis of a known ellipse is a circle of the same probability.
+    """
+    known = (*convention.errors, *_confidence_radii(search, every=True), *conventions.BARE_RADII)
+    named = next((e for e in known if search.find_all(e.names) == names), None)
+    if named is None and len(names) == 1:
+        axis = next(
+            (e for e in known if e.kind == "ellipse" and names[0] in (search.find_all(e.names) or ())[:2]), None
+        )
+        named = axis and replace(axis, kind="circle", names=names)
+    return named
+
+
+def _confidence_radii(search: ColumnSearch, *, every: bool = False) -> tuple[ErrorNames, ...]:
+    """The columns that are radii of a stated probability by their names; unless ``every``, those of one probability."""
+    radii = [
+        ErrorNames("circle", (name,), "arcsec", containment=int(match["percent"] or match["of_pos"]) / 100.0)
+        for name in search.table.colnames
+        if (match := conventions.CONFIDENCE_RADIUS.fullmatch(name.lower()))
+    ]
+    if not every:
+        usual = next((p for p in (0.9, 0.95, 0.68, 0.99, 0.5) if any(e.containment == p for e in radii)), 0.0)
+        radii = [e for e in radii if e.containment == usual]
+    return (*radii, conventions.RADEC_ERR)
 
 
 def _number_of_option(search: ColumnSearch, number: float, unit: str) -> PositionError:
@@ -107,7 +139,7 @@ def _number_of_option(search: ColumnSearch, number: float, unit: str) -> Positio
 def _circles_by_ending(search: ColumnSearch) -> tuple[ErrorNames, ...]:
     """Position errors with a survey prefix: ``xmm_poserr_arcsec``."""
     names = [name for name in search.table.colnames if _POSITION_ERROR.search(name)]
-    radial = conventions.CONFIDENCE_RADII[-1].containment
+    radial = conventions.RADIAL_CONTAINMENT
     return tuple(
         ErrorNames("circle", (name,), containment=radial if "radec_err" in name.lower() else 0.0) for name in names
     )
@@ -159,9 +191,13 @@ def _placeholders(sizes: FloatArray) -> tuple[float, ...]:
 
 
 def _stated_containment(search: ColumnSearch, name: str) -> float:
-    """The probability of a circle or an ellipse by the description of its column, "90% confidence"; 0 if not stated."""
+    """The probability of a circle or an ellipse by the description of its column, "90% confidence", or its name; 0 if
+    neither states one."""
     percent = _CONFIDENCE.search(str(search.table[name].info.description or ""))
-    return float(percent[1]) / 100.0 if percent else 0.0
+    if percent:
+        return float(percent[1]) / 100.0
+    named = conventions.NAMED_PERCENTAGE.search(name)
+    return float(named["percent"] or named["behind"] or named["before"]) / 100.0 if named else 0.0
 
 
 def _errors_by_ucd(search: ColumnSearch) -> ErrorNames | None:

@@ -27,8 +27,13 @@ from sameas.sky.surveys_xray_radio import HIGH_ENERGY, RADIO
 _LSST_MOTION = MotionNames(
     ("parallax", "pmRa", "pmDec", "radialVelocity"), ("parallaxErr", "pmRaErr", "pmDecErr", "radialVelocityErr")
 )
+# Reference catalogues, in radians: pm_ra is "dra/dt * cos(dec)" (meas_algorithms, LoadReferenceObjectsTask).
+_LSST_REFERENCE_MOTION = MotionNames(
+    ("parallax", "pm_ra", "pm_dec", ""), ("parallaxErr", "pm_raErr", "pm_decErr", ""), unit="rad"
+)
 _GAIA_CORRELATIONS = correlations_of("{a}_{b}_corr", ("ra", "dec", "parallax", "pmra", "pmdec"))
 _VIZIER_CORRELATIONS = correlations_of("{a}{b}cor", ("RA", "DE", "Plx", "pmRA", "pmDE"))
+_KIC_MOTION = ("kic_parallax", "kic_pmra", "kic_pmdec", "")
 _HIPPARCOS_NAMES = ("RA", "DE", "Plx", "pmRA", "pmDE")
 _HIPPARCOS_CORRELATIONS = correlations_of("{b}:{a}", _HIPPARCOS_NAMES) + correlations_of("{b}_{a}", _HIPPARCOS_NAMES)
 _GAIA_RELEASES = (
@@ -172,16 +177,21 @@ _LSST = tuple(
             ErrorNames("axes", ("raErr", "decErr"), "deg", ("ra_dec_Cov",)),
             ErrorNames("axes", ("coord_raErr", "coord_decErr"), "deg", ("coord_ra_dec_Cov", "coord_ra_coord_dec_Cov")),
         ),
-        motions=(_LSST_MOTION,),
-        epochs=("midpointMjdTai", "midPointTai", "radecMjdTai", "expMidptMJD"),
+        motions=motions,
+        # Objects have an epoch in each band, as MJD (pipe_tasks, ComputeObjectEpochsTask).
+        epochs=("midpointMjdTai", "midPointTai", "radecMjdTai", "expMidptMJD", *(f"{band}_epoch" for band in "rizgyu")),
+        one_campaign=True,
         magnitudes=(("mag", "magErr"), ("psfMag", "psfMagErr"), ("rPSMag", "rPSMagErr")),
         over=over,
     )
-    for position, marks, over in (
-        (("ra", "dec"), ("ra_dec_Cov", "diaObjectId", "diaSourceId", "midpointMjdTai", "radecMjdTai"), ("coord_ra",)),
-        (("coord_ra", "coord_dec"), (), ()),
+    for position, marks, over, motions in (
+        (
+            ("ra", "dec"), ("ra_dec_Cov", "diaObjectId", "diaSourceId", "midpointMjdTai", "radecMjdTai"),
+            ("coord_ra",), (_LSST_MOTION,),
+        ),
+        (("coord_ra", "coord_dec"), (), (), (_LSST_MOTION, _LSST_REFERENCE_MOTION)),
     )
-)
+)  # fmt: skip
 
 # Our own tables of frames: positions by the plate model, of stars that were not found those of the catalogue.
 _SAMEAS_FRAME = Convention(
@@ -295,7 +305,12 @@ _DES = tuple(
             ErrorNames("ellipse", ("ERRAWIN_WORLD_R", "ERRBWIN_WORLD_R", "ERRTHETAWIN_J2000_R"), "deg"),
             ErrorNames("circle", ("ERRAWIN_WORLD_R",), "deg"),
         ),
-        magnitudes=(("WAVG_MAG_PSF_R", "WAVG_MAGERR_PSF_R"), ("MAG_AUTO_R", "MAGERR_AUTO_R")),
+        magnitudes=(
+            ("WAVG_MAG_PSF_R", "WAVG_MAGERR_PSF_R"),
+            ("MAG_AUTO_R", "MAGERR_AUTO_R"),
+            ("PSF_MAG_APER_8_R", "PSF_MAG_ERR_APER_8_R"),
+            ("BDF_MAG_R", "BDF_MAG_ERR_R"),
+        ),
         over=over,
     )
     for position, over in (
@@ -362,6 +377,8 @@ _PANSTARRS_VIZIER = Convention(
 _PANSTARRS = Convention(
     title="Pan-STARRS1",
     position=("raMean", "decMean"),
+    # Lasair has ramean of ZTF, and names ignore case.
+    marks=("objID", "objName", "raMeanErr", "epochMean", "nDetections", "gMeanPSFMag", "rMeanPSFMag", "iMeanPSFMag"),
     ids=("objID", "objName"),
     # Chambers et al. 2016, table ObjectThin: standard deviations, arcsec; epochMean is an MJD.
     errors=(ErrorNames("axes", ("raMeanErr", "decMeanErr"), "arcsec"),),
@@ -399,6 +416,53 @@ _ALLWISE = (
         epoch_jyr=2010.5,
         magnitudes=(("W1mag", "e_W1mag"),),
     ),
+)
+
+# Archives of WFCAM and VISTA: errors in degrees, motions in mas/yr, epoch in years; −0.9999995e9 for none.
+_WFAU = Convention(
+    title="UKIDSS and VISTA surveys",
+    position=("ra", "dec"),
+    marks=("frameSetID", "cuEventID", "mergedClass", "jAperMag3", "ksAperMag3", "kAperMag3", "yAperMag3"),
+    ids=("sourceID",),
+    errors=(ErrorNames("axes", ("sigRa", "sigDec"), "deg"),),
+    motions=(MotionNames(("", "muRa", "muDec", ""), ("", "sigMuRa", "sigMuDec", "")),),
+    epochs=("epoch",),
+)
+
+_SIMBAD = tuple(
+    Convention(
+        title="SIMBAD",
+        position=("ra", "dec"),
+        marks=(ellipse[0],),
+        ids=("main_id",),
+        # The default display: ICRS, "ep=J2000"; the ellipse in mas is that of the source's catalogue, one σ for Gaia.
+        errors=(ErrorNames("ellipse", ellipse, "mas"),),
+        motions=(GAIA_MOTION, MotionNames(("plx_value", "", "", "rvz_radvel"), ("plx_err", "", "", "rvz_err"))),
+        epoch_jyr=2000.0,
+    )
+    for ellipse in (
+        ("coo_err_maj", "coo_err_min", "coo_err_angle"), ("COO_ERR_MAJA", "COO_ERR_MINA", "COO_ERR_ANGLE"),
+    )
+)  # fmt: skip
+
+# Brown et al. 2011, AJ 142, 112: motions in arcsec/yr; the archive gives right ascension in hours, too.
+_KEPLER = tuple(
+    Convention(
+        title=title,
+        position=position,
+        unit_of_ra=unit_of_ra,
+        marks=("kic_kepmag", "kic_kepler_id", "kepmag"),
+        ids=("kic_kepler_id", "KIC"),
+        motions=tuple(MotionNames(names, ("", "", "", ""), unit="arcsec") for names in motions),
+        epoch_jyr=2000.0,
+        magnitudes=(("kic_kepmag", ""), ("kepmag", "")),
+        over=over,
+    )
+    for title, position, unit_of_ra, motions, over in (
+        ("Kepler Input Catalog", ("kic_degree_ra", "kic_dec"), "", (_KIC_MOTION,), ("kic_ra",)),
+        ("Kepler Input Catalog", ("kic_ra", "kic_dec"), "hourangle", (_KIC_MOTION,), ()),
+        ("Kepler Input Catalog (V/133)", ("RAJ2000", "DEJ2000"), "", (("Plx", "pmRA", "pmDE", ""),), ()),
+    )
 )
 
 _TYCHO2 = Convention(
@@ -511,7 +575,8 @@ _B1950_POSITIONS = (
 # The order only breaks ties: known surveys first.
 CONVENTIONS: tuple[Convention, ...] = (
     _GAIA, _GAIA_VIZIER, _HIP2, *_HIPPARCOS, _TYCHO2, *_TWOMASS, *_ALLWISE, _CATWISE, _TRACTOR, *_SDSS, *_SPECTRA,
-    _PANSTARRS, _PANSTARRS_STACK, _PANSTARRS_VIZIER, _CATWISE_VIZIER, _SKYMAPPER, _NSC, _UCAC4, *_USNO_B1, *_DES,
+    _PANSTARRS, _PANSTARRS_STACK, _PANSTARRS_VIZIER, _CATWISE_VIZIER, _SKYMAPPER, _NSC, _WFAU, *_SIMBAD, *_KEPLER,
+    _UCAC4, *_USNO_B1, *_DES,
     *_LSST, *HIGH_ENERGY,
     *RADIO, _GALEX, _REFCAT2, *_TIC, _UCAC5, _SAMEAS_FRAME, *_sextractor("WIN"), *_sextractor("PSF"),
     *_sextractor("PEAK"), *_sextractor(""), *(plain(position) for position in _PLAIN_POSITIONS), _IN_PARTS,

@@ -21,6 +21,14 @@ _XMM = tuple(
     )
 )
 
+_XMM_STACKED = Convention(
+    title="XMM-Newton, stacked",
+    position=("RA", "DEC"),
+    marks=("N_CONTRIB", "STACK_FLAG"),
+    ids=("SRCID", "IAUNAME"),
+    errors=(ErrorNames("circle", ("RADEC_ERR",), "arcsec", containment=RADIAL_CONTAINMENT),),
+)
+
 _XMM_HEASARC = Convention(
     title="XMM-Newton at HEASARC",
     position=("ra", "dec"),
@@ -64,7 +72,13 @@ _EROSITA = Convention(
     title="eROSITA",
     position=("RA", "DEC"),
     marks=("RADEC_ERR", "DETUID", "ML_FLUX_1", "ID_SRC"),
-    without=("POSERR", "SC_POSERR", "SYSERRCC"),  # 4XMM has a RADEC_ERR without the systematic error
+    without=(
+        "POSERR",
+        "SC_POSERR",
+        "SYSERRCC",
+        "N_CONTRIB",
+        "STACK_FLAG",
+    ),  # 4XMM has a RADEC_ERR without the systematic error
     ids=("DETUID", "IAUNAME"),
     # Merloni et al. 2024, A&A 682, A34, table D.1 and section 6.2: POS_ERR is the σ of a Rayleigh distribution.
     errors=(
@@ -132,7 +146,16 @@ _ASKAP = Convention(
     errors=(ErrorNames("axes", ("ra_err", "dec_err"), "arcsec"),),
 )
 
-HIGH_ENERGY: tuple[Convention, ...] = (*_XMM, _XMM_HEASARC, _EROSITA, _ROSAT, _CHANDRA, *_FERMI, *_X_RAYS_AT_VIZIER)
+HIGH_ENERGY: tuple[Convention, ...] = (
+    *_XMM,
+    _XMM_STACKED,
+    _XMM_HEASARC,
+    _EROSITA,
+    _ROSAT,
+    _CHANDRA,
+    *_FERMI,
+    *_X_RAYS_AT_VIZIER,
+)
 
 RADIO: tuple[Convention, ...] = (
     Convention(

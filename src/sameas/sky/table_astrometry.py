@@ -6,12 +6,13 @@ refused with the first row; missing ones, and placeholders such as 999, are NaN.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from astropy.table import Table
 
-from sameas.arrays import BoolArray, FloatArray, median, within_turn
+from sameas.arrays import BoolArray, FloatArray, IntArray, median, within_turn
 from sameas.errors import InputError, naming
 from sameas.gaussian import correlation_of
 from sameas.representation import counted
@@ -42,7 +43,7 @@ def table_astrometry(
 ) -> tuple[Astrometry, FloatArray]:
     """Positions, motions and errors, and the position errors that were filled in, arcsec."""
     ra, dec, rotation = _icrs_position(table, choice, source)
-    motion = [_motion_numbers(table, c, u, choice, source) for c, u in zip(choice.motion, _MOTION_UNITS, strict=True)]
+    motion = motions(table, choice, source)
     sigma, correlation = _errors(table, choice, options, magnitude, source, rotation)
     filled_arcsec = np.zeros(0)
     if options.fill_errors and choice.error.kind != "unknown":
@@ -183,9 +184,7 @@ def _errors(
             east = east * np.cos(np.radians(_degrees(table, choice.dec, source)))
     if rotation is not None and choice.error.kind not in ("circle", "number", "survey"):
         east, north, rho = rotated_errors(east, north, rho, rotation)
-    motion = [
-        _motion_numbers(table, c, u, choice, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)
-    ]
+    motion = _motion_errors(table, choice, source)
     if choice.error.survey is not None and choice.motion[1] is not None and options.pm_sigma_mas_per_yr is None:
         pm_sigma = choice.error.survey.pm_sigma_mas_per_yr(magnitude, len(table))
         motion[1:3] = [pm_sigma if column is None else column for column in motion[1:3]]
@@ -309,16 +308,63 @@ def _by_covariance(
     return correlation_of(column_values.numbers(table, error.covariance, source) * square, east, north)
 
 
-def _motion_numbers(
-    table: Table, column: ChosenColumn | None, unit: str, choice: ColumnChoice, source: str
-) -> FloatArray | None:
-    if column is None:
-        return None
-    if column.unit.endswith(OF_RA):
-        seconds = column_values.factor(column.unit.removesuffix(OF_RA), "s / yr")
-        cos_dec = np.cos(np.radians(_degrees(table, choice.dec, source)))
-        return np.asarray(column_values.numbers(table, column.name, source) * (15e3 * seconds) * cos_dec)
-    return column_values.numbers(table, column.name, source) * column_values.factor(column.unit, unit)
+#: Numbers beyond it stand for missing ones, as −999 999 500 at the archives of UKIRT and VISTA, or 1e20.
+_LARGEST_MOTION = 1e8
+
+
+def motions(table: Table, choice: ColumnChoice, source: str) -> list[FloatArray | None]:
+    """Parallax, proper motions and radial velocity, each (n,) in mas, mas/yr and km/s; None without a column.
+
+    Missing are nines (−9999.99, 999) in both proper motions of a row, and below zero as a parallax or a velocity.
+    """
+    values = [None if c is None else column_values.numbers(table, c.name, source) for c in choice.motion]
+    missing = [None if v is None else _rows_of_nines(v) for v in values]
+    if missing[1] is not None and missing[2] is not None:
+        missing[1] = missing[2] = np.intersect1d(missing[1], missing[2], assume_unique=True)
+    for k in (0, 3):
+        of_one, rows = values[k], missing[k]
+        missing[k] = None if of_one is None or rows is None else rows[of_one[rows] < 0.0]
+    known = [None if v is None or rows is None else _without(v, rows) for v, rows in zip(values, missing, strict=True)]
+    return _in_motion_units(table, choice.motion, known, choice, source)
+
+
+def _rows_of_nines(values: FloatArray) -> IntArray:
+    rows = np.flatnonzero(np.abs(values) >= 90.0)
+    return rows[column_values.is_placeholder(values[rows])]
+
+
+def _without(values: FloatArray, rows: IntArray) -> FloatArray:
+    """The values with NaN in the rows, and where they are beyond every motion."""
+    known = np.where(np.abs(values) > _LARGEST_MOTION, np.nan, values)
+    known[rows] = np.nan
+    return known
+
+
+def _motion_errors(table: Table, choice: ColumnChoice, source: str) -> list[FloatArray | None]:
+    """The errors of :func:`motions`; negative ones are missing."""
+    values = [None if c is None else column_values.numbers(table, c.name, source) for c in choice.motion_errors]
+    known = [None if v is None else np.where((v >= 0.0) & (v < _LARGEST_MOTION), v, np.nan) for v in values]
+    return _in_motion_units(table, choice.motion_errors, known, choice, source)
+
+
+def _in_motion_units(
+    table: Table,
+    columns: tuple[ChosenColumn | None, ...],
+    values: Sequence[FloatArray | None],
+    choice: ColumnChoice,
+    source: str,
+) -> list[FloatArray | None]:
+    converted: list[FloatArray | None] = []
+    for column, numbers, unit in zip(columns, values, _MOTION_UNITS, strict=True):
+        if column is None or numbers is None:
+            converted.append(None)
+        elif column.unit.endswith(OF_RA):
+            seconds = column_values.factor(column.unit.removesuffix(OF_RA), "s / yr")
+            cos_dec = np.cos(np.radians(_degrees(table, choice.dec, source)))
+            converted.append(np.asarray(numbers * (15e3 * seconds) * cos_dec))
+        else:
+            converted.append(numbers * column_values.factor(column.unit, unit))
+    return converted
 
 
 def _correlations(table: Table, choice: ColumnChoice, sigma: FloatArray, source: str) -> FloatArray:
@@ -335,7 +381,12 @@ def _correlations(table: Table, choice: ColumnChoice, sigma: FloatArray, source:
 def epochs_jyr(table: Table, choice: ColumnChoice, source: str) -> FloatArray:
     """(n,) Julian years, NaN where not known."""
     if choice.epoch.column:
-        return column_values.years(table, choice.epoch.column, source)
+        years = column_values.years(table, choice.epoch.column, source)
+        return (
+            years
+            if np.isnan(choice.epoch.otherwise_jyr)
+            else np.where(np.isnan(years), choice.epoch.otherwise_jyr, years)
+        )
     return np.broadcast_to(np.nan if choice.epoch.jyr is None else choice.epoch.jyr, len(table))
 
 
