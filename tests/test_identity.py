@@ -12,6 +12,7 @@ from sameas.evidence.identity import (
     MODELS,
     Category,
     Code,
+    Frequency,
     Identity,
     Size,
     alarms,
@@ -237,3 +238,14 @@ def test_invalid_identities_are_refused_with_a_clear_message():
         Identity({}, borrowed=0.0)
     with pytest.raises(InputError, match="shares of errors"):
         Code(10.0, slips=0.9, other=0.2)
+
+
+def test_frequencies_of_two_receivers_are_one_within_their_errors():
+    def of(first, second, *pool):
+        return float(Frequency()(np.array([first]), np.array([second]), np.array([first, second, *pool]))[0])
+
+    assert of(156.8e6, 156.801e6) > 4.0  # one channel, which nobody else uses
+    assert of(156.8e6, 156.825e6) == pytest.approx(math.log(0.005))  # the next channel
+    assert of(9.41e9, 9.412e9) > 3.0  # a magnetron drifts
+    # On a channel that all use, it tells little.
+    assert abs(of(156.8e6, 156.8e6, *[156.8e6] * 20)) < 0.1

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
 from sameas.picture import Picture
 from sameas.picture.plot_picture import PlotPicture
@@ -16,37 +17,59 @@ START_M = np.array([[-2000.0, 1500.0], [3000.0, -1000.0], [500.0, 3500.0]])
 VELOCITY_M_PER_S = np.array([[6.0, 2.0], [-4.0, 3.0], [2.0, -6.0]])
 
 
-def direction_finders(n_places: int, n_emitters: int, delay_s: float = 0.2) -> Scene:
+CHANNELS_HZ = np.array([156.800e6, 156.650e6, 156.375e6])
+
+
+def direction_finders(
+    n_places: int,
+    n_emitters: int,
+    delay_s: float = 0.2,
+    frequencies: bool = False,
+    offset_deg: tuple[float, ...] = (0.0,) * len(PLACES_M),
+) -> Scene:
     """Directions ± 0.5° every 5 s, of which three in ten are missing and one in some twenty is false."""
     rng, sources = np.random.default_rng(7), []
     for k, place in enumerate(PLACES_M[:n_places]):
-        times, bearings = [], []
+        times, bearings, emitters = [], [], []
         for t in np.arange(delay_s * k, 300.0, 5.0):
             arm = START_M[:n_emitters] + t * VELOCITY_M_PER_S[:n_emitters] - place
             shown = np.degrees(np.arctan2(*arm.T)) + 0.5 * rng.standard_normal(n_emitters)
-            shown = [*shown[rng.random(n_emitters) < 0.7], *rng.uniform(0.0, 360.0, rng.poisson(0.1))]
-            bearings += [bearing % 360.0 for bearing in shown]
+            seen = np.flatnonzero(rng.random(n_emitters) < 0.7)
+            shown = [*shown[seen], *rng.uniform(0.0, 360.0, rng.poisson(0.1))]
+            bearings += [(bearing + offset_deg[k]) % 360.0 for bearing in shown]
+            emitters += [*seen, *[0] * (len(shown) - len(seen))]
             times += [t] * len(shown)
         columns: dict[str, Any] = {
             "time_s": times,
             "bearing_deg": bearings,
             "sigma_bearing_deg": np.full(len(times), 0.5),
         }
+        if frequencies:
+            columns["frequency_hz"] = CHANNELS_HZ[emitters] + 500.0 * rng.standard_normal(len(times))
         site = Site(east_m=float(place[0]), north_m=float(place[1]))
         sources.append((Description(f"df{k}", "esm", site=site), Reports.of(f"df{k}", "table", columns)))
     return Scene.of(sources)
 
 
-def places_shown(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """The distances of the confirmed objects from the nearest emitter after 250 s, and which emitter that is."""
+def shown_after_250_s(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The vectors of the confirmed objects from the nearest emitter after 250 s, which emitter that is, and their
+    covariances."""
     picture = Picture.of(scene, np.arange(0.0, 251.0, 10.0))
     assert isinstance(picture.watch, PlotPicture)
     objects = picture.objects
     last = (objects["time_s"] == 250.0) & (objects["stage"] != "tentative")
     shown = np.column_stack([objects["x_m"], objects["y_m"]]).astype(float)[last]
-    emitters = START_M + 250.0 * VELOCITY_M_PER_S
-    distance_m = np.hypot(*np.moveaxis(shown[:, None] - emitters, -1, 0))
-    return distance_m.min(axis=1), distance_m.argmin(axis=1)
+    apart_m = shown[:, None] - (START_M + 250.0 * VELOCITY_M_PER_S)
+    emitter = np.hypot(*np.moveaxis(apart_m, -1, 0)).argmin(axis=1)
+    columns = ("var_x_m2", "cov_xy_m2", "cov_xy_m2", "var_y_m2")
+    covariance = np.column_stack([objects[name][last] for name in columns]).astype(float).reshape(-1, 2, 2)
+    return apart_m[np.arange(len(emitter)), emitter], emitter, covariance
+
+
+def places_shown(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """The distances of the confirmed objects from the nearest emitter after 250 s, and which emitter that is."""
+    apart_m, emitter, _ = shown_after_250_s(scene)
+    return np.hypot(*apart_m.T), emitter
 
 
 def test_three_direction_finders_show_each_emitter_once_and_no_ghost():
@@ -58,6 +81,45 @@ def test_two_direction_finders_find_one_emitter_also_if_they_take_turns():
     for delay_s in (0.2, 2.5):
         distance_m, emitter = places_shown(direction_finders(2, 1, delay_s))
         assert emitter.tolist() == [0] and distance_m.max() < 400.0
+
+
+def test_frequencies_leave_no_ghost_to_two_direction_finders():
+    distance_m, emitter = places_shown(direction_finders(2, 3, frequencies=True))
+    assert sorted(emitter.tolist()) == [0, 1, 2] and distance_m.max() < 400.0
+
+
+def nees(apart_m: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    return np.einsum("kv,kvw,kw->k", apart_m, np.linalg.inv(covariance), apart_m) / 2.0
+
+
+def test_offsets_of_direction_finders_show_where_three_of_them_cross():
+    true = (1.5, -2.0, 1.0)
+    scene, biases = direction_finders(3, 3, frequencies=True, offset_deg=true).registered()
+    for k, one in enumerate(biases):
+        azimuth = one.parameters["azimuth_deg"]
+        assert azimuth.standard_error < 1.0 and abs(azimuth.value - true[k]) < 2.5 * azimuth.standard_error
+    apart_m, emitter, covariance = shown_after_250_s(scene)
+    assert sorted(emitter.tolist()) == [0, 1, 2] and nees(apart_m, covariance).max() < 3.0
+
+
+def test_offsets_are_not_estimated_where_several_objects_make_false_crossings():
+    _, biases = direction_finders(3, 3).registered()
+    assert all("without frequencies" in one.notes[0] and not one.parameters for one in biases)
+    _, of_one = direction_finders(3, 1).registered()
+    assert all(abs(one.parameters["azimuth_deg"].value) < 2.0 for one in of_one)
+
+
+def test_errors_at_two_places_allow_for_offsets_that_cannot_be_seen():
+    scene, biases = direction_finders(2, 2, frequencies=True, offset_deg=(2.0, 2.0)).registered()
+    assert all("two places alone" in one.notes[0] and not one.parameters for one in biases)
+    apart_m, emitter, covariance = shown_after_250_s(scene)
+    assert sorted(emitter.tolist()) == [0, 1] and nees(apart_m, covariance).max() < 2.0
+
+
+@pytest.mark.parametrize("frequencies", [False, True])
+def test_two_places_with_frequencies_are_said_to_have_no_false_crossings(frequencies):
+    line = list(scene_lines(direction_finders(2, 2, frequencies=frequencies), PlotPicture()))[-1]
+    assert ("false crossings" in line) is not frequencies
 
 
 def test_the_report_says_from_how_many_places_the_directions_are():

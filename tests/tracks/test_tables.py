@@ -274,6 +274,15 @@ def test_bearings_alone_are_a_source():
     assert made.track_id.tolist() == ["7"]
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("frequency_hz", "156800000"), ("freq_mhz", "156.8"), ("Frequency (GHz)", "0.1568"), ("frequency", "156.8"),
+     ("freq", "156800"), ("rf", "156800000")],
+)  # fmt: skip
+def test_frequencies_of_directions_are_read_in_their_unit(name, value):
+    assert table(f"time,bearing,{name}\n0,10,{value}\n").frequency_hz[0] == pytest.approx(156.8e6)
+
+
 def test_identities_are_read_as_text():
     made = table("time,lat,lon,mmsi,icao24,squawk\n0,1,2,2350070,4CA7A8,17\n1,1,2,2350070.0,,1000.0")
     assert made.mmsi.tolist() == ["002350070"] * 2 and made.icao.tolist() == ["4ca7a8", None]

@@ -10,7 +10,8 @@ with g the probability that a record carries another object's identity altogethe
 the same identity. So ln λ stays between ln g and ln(1/s) for any number of attributes.
 
 - :class:`Identity`: the rule; add it to a rule of positions: ``CloseObjects(a, b) + Identity({...})``.
-- :class:`Code`, :class:`Category`, :class:`Size`: models of attributes; :data:`MODELS` for the usual ones.
+- :class:`Code`, :class:`Category`, :class:`Size`, :class:`Frequency`: models of attributes; :data:`MODELS` for the
+  usual ones.
 - :func:`alarms`: records whose unique identities agree while their positions contradict.
 
 Texts are compared in normalised spelling (:func:`plain`). Texts that differ by one bit or one typing error count as a
@@ -204,6 +205,42 @@ class Size:
         return np.logaddexp(math.log1p(-self.wrong) + same - other, math.log(self.wrong))
 
 
+@dataclass(frozen=True)
+class Frequency:
+    """Carrier frequencies in Hz: those of one emitter differ by the errors of two receivers.
+
+    r = (1 − e) N(Δ; 0, 2σ²) / p + e, with p the density of the frequencies of other emitters at the mean of both: a
+    kernel estimate from the pool without the two records themselves, and one emitter of ``values`` equally probable
+    frequencies.
+
+    Parameters
+    ----------
+    sigma_hz : of a receiver below ``radar_hz``, where channels are 6.25 kHz and more apart. radar_sigma_hz : above it;
+        the magnetron of a radar drifts by some megahertz.
+    other : e, the probability that one emitter is received on two frequencies. values : distinct frequencies in use.
+    """
+
+    sigma_hz: float = 2e3
+    radar_sigma_hz: float = 2e6
+    radar_hz: float = 1e9
+    other: float = 0.005
+    values: float = 100.0
+
+    def __call__(self, first: NDArray[Any], second: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
+        a, b, known = first.astype(np.float64), second.astype(np.float64), pool.astype(np.float64)
+        middle = 0.5 * (a + b)
+        sigma = math.sqrt(2.0) * np.where(middle < self.radar_hz, self.sigma_hz, self.radar_sigma_hz)
+        # In units of the density of two equal frequencies, which cancels.
+        kernel = np.exp(-0.5 * (np.subtract.outer(middle, known) / sigma[:, None]) ** 2).sum(axis=1)
+        own = 2.0 * np.exp(-0.5 * (0.5 * (a - b) / sigma) ** 2)
+        others = np.maximum(kernel - own, 0.0) + 1.0 / self.values
+        log_chance = np.log(others / max(len(known) - 1.0, 1.0))
+        same = -0.5 * ((a - b) / sigma) ** 2 - log_chance
+        return np.asarray(np.logaddexp(math.log1p(-self.other) + same, math.log(self.other)))
+
+
+#: That of the emission which a direction finder has received.
+FREQUENCY = "frequency_hz"
 #: Attributes that only one object should have.
 UNIQUE = ("mmsi", "imo", "icao")
 #: Values of identities that are sent where none is set.
@@ -226,6 +263,7 @@ MODELS: Mapping[str, Model] = {
     ),
     "type": Category(),
     "length_m": Size(),
+    FREQUENCY: Frequency(),
 }  # fmt: skip
 
 

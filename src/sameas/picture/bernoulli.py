@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.evidence.identity import FREQUENCY, MODELS
 from sameas.gate import ChiSquare
 from sameas.gaussian import log_density, mahalanobis_sq
 from sameas.many.observations import records_of
@@ -163,6 +164,7 @@ class BernoulliTable(ObjectTable):
 
     existence, initial : probability of existence, now and with the first scan.
     hits, misses : (m, S) weighted numbers of scans of each source that detected and missed it; older ones count less.
+    frequency_hz : of the emission by which direction finders show it; NaN where unknown.
     separate_log_odds : (m, m) log-odds, by the scans, that two objects are not one.
     """
 
@@ -171,6 +173,7 @@ class BernoulliTable(ObjectTable):
     initial: FloatArray = field(default_factory=lambda: np.empty(0))
     hits: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     misses: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    frequency_hz: FloatArray = field(default_factory=lambda: np.empty(0))
     separate_log_odds: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
@@ -194,12 +197,14 @@ class BernoulliTable(ObjectTable):
         covariance: FloatArray,
         existence: FloatArray,
         hits: FloatArray,
+        frequency_hz: FloatArray | None = None,
         least: float = DEFAULT_TUNING.min_probability,
     ) -> BernoulliTable:
         """New objects."""
         separate_log_odds = np.zeros((len(number), len(number)))
-        bounded = np.clip(existence, least, 1.0 - least)
-        return cls(number, state, covariance, bounded, bounded, hits, np.zeros_like(hits), separate_log_odds)
+        bounded, misses = np.clip(existence, least, 1.0 - least), np.zeros_like(hits)
+        frequency_hz = np.full(len(number), np.nan) if frequency_hz is None else frequency_hz
+        return cls(number, state, covariance, bounded, bounded, hits, misses, frequency_hz, separate_log_odds)
 
     def take(self, which: NDArray[Any]) -> BernoulliTable:
         """Some of the objects: a mask (m,) or places."""
@@ -286,7 +291,19 @@ class BernoulliTable(ObjectTable):
         chi_sq, position_chi_sq = mahalanobis_sq(delta, total), mahalanobis_sq(delta[..., :2], total[..., :2, :2])
         log_n = log_density(delta[..., :2], total[..., :2, :2])
         agree, differ = ChiSquare(tuning.same_quantile).limit(4), ChiSquare(tuning.different_quantile).limit(2)
-        return log_n - math.log(density_per_m2), chi_sq < agree, position_chi_sq > differ
+        # Two emitters on one ship are not one.
+        agree_all = (chi_sq < agree) & ~self._on_two_frequencies
+        return log_n - math.log(density_per_m2), agree_all, position_chi_sq > differ
+
+    @property
+    def _on_two_frequencies(self) -> BoolArray:
+        """(m, m) whether two objects are emitters of different frequencies."""
+        f = self.frequency_hz
+        known = np.repeat(f, len(f)), np.tile(f, len(f))
+        log_ratio = np.zeros(len(f) ** 2)
+        both = np.isfinite(known[0]) & np.isfinite(known[1])
+        log_ratio[both] = MODELS[FREQUENCY](known[0][both], known[1][both], f[np.isfinite(f)])
+        return np.asarray(log_ratio.reshape(len(f), len(f)) < 0.0)
 
     def _joined(self, i: int, j: int) -> BernoulliTable:
         """The table with objects i and j merged into row i."""

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.evidence.identity import FREQUENCY, Identity
 from sameas.many.identify import identify_many
 from sameas.many.objects import Objects
 from sameas.many.observations import Joint, Observations, Region, Source, joint_density, records_of
@@ -196,7 +197,9 @@ class TrackedPlots:
             return cls(now, prior_objects.number, no_members, one, prior_objects.existence, prior_objects, each, rule,
                        usual_q, None, scan_s, gap_s, n_numbers, tuning)  # fmt: skip
         identification = identify_many(
-            [prior_objects.records, *(now.sources[s] for s in with_records)], rule=rule, region=now.region
+            [prior_objects.records, *(now.sources[s] for s in with_records)],
+            rule=rule + _frequencies(prior_objects, now),
+            region=now.region,
         )
         rows = np.ma.filled(identification.members, ABSENT)
         members = np.full((len(rows), len(now.sources)), ABSENT)
@@ -224,8 +227,31 @@ class TrackedPlots:
         for region, which in ((self._wide_region, self.prior_of >= 0), (self.now.region, self.prior_of < 0)):
             joint = self._pooled(which, self.likely_members[which], np.ones(len(self.scan_s)), region)
             state[which], covariance[which] = joint.state, joint.covariance
-        covariance[:, :2, :2] += self.now.shared_error_m**2 * np.eye(2)
+        covariance[:, :2, :2] += self.now.shared_error_m**2 * np.eye(2) + self._by_offsets(state[:, :2])
         return state, covariance
+
+    def _by_offsets(self, places: FloatArray) -> FloatArray:
+        """(n, 2, 2) covariance of crossings at ``places`` (n, 2) by the offsets of the directions, which no number of
+        scans reduces; 0 beside a source of positions."""
+        information, spread = np.zeros((2, len(places), 2, 2))
+        for feed in self.now.feeds:
+            sensor = feed.sensor_at(self.now.instant_s)
+            if not isinstance(feed.reports, Directions):
+                return np.zeros((len(places), 2, 2))
+            if sensor is None or not len(feed.reports):
+                continue
+            arm = places - sensor
+            distance = np.maximum(np.hypot(*arm.T), 1.0)
+            across = np.column_stack([arm[:, 1], -arm[:, 0]]) / distance[:, None] ** 2
+            variance = float(np.median(feed.reports.sigma_deg)) ** 2
+            lasting = float(np.median(feed.reports.lasting_deg)) ** 2
+            outer = across[:, :, None] * across[:, None, :]
+            information += outer / variance
+            spread += outer * (lasting / variance**2)
+        if not spread.any():
+            return spread
+        inverse = np.linalg.pinv(information)
+        return np.asarray(np.radians(1.0) ** 2 * (inverse @ spread @ inverse), np.float64)
 
     @property
     def _wide_region(self) -> Region:
@@ -328,7 +354,22 @@ class TrackedPlots:
         joint = self._pooled(which, sets[which], count, self._wide_region)
         state, covariance = self.prior_objects.state.copy(), self.prior_objects.covariance.copy()
         state[self.prior_of[which]], covariance[self.prior_of[which]] = joint.state, joint.covariance
-        return replace(self.prior_objects, state=state, covariance=covariance)
+        frequency_hz, received = self.prior_objects.frequency_hz.copy(), self._frequency_hz(sets[which])
+        frequency_hz[self.prior_of[which]] = np.where(
+            np.isfinite(received), received, frequency_hz[self.prior_of[which]]
+        )
+        return replace(self.prior_objects, state=state, covariance=covariance, frequency_hz=frequency_hz)
+
+    def _frequency_hz(self, sets: IntArray) -> FloatArray:
+        """(k,) the mean frequency of the records ``sets`` (k, S) that have one; NaN where none has."""
+        columns = [
+            np.append(_frequency_of(feed, source), np.nan)[rows]
+            for feed, source, rows in zip(self.now.feeds, self.now.sources, sets.T, strict=True)
+        ]
+        given = np.column_stack(columns)
+        known = np.isfinite(given)
+        count = known.sum(axis=1)
+        return np.where(count, np.where(known, given, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
 
     def new_objects(self, sets: IntArray) -> tuple[BernoulliTable, FloatArray]:
         """The new objects among the records ``sets`` with positions, and at clear crossings of directions with one of
@@ -373,8 +414,24 @@ class TrackedPlots:
         tables = [self.rule.q[name] for name in self.rule.sources]
         own_q = [[tables[s][row[s]] for s in np.flatnonzero((row >= 0) & located_by)] for row in sets]
         q = np.array([np.mean(each, axis=0) for each in own_q])
-        least = self.tuning.min_probability
-        return BernoulliTable.born(self.number[objects], joint.state, joint.covariance, existence, hits, least), q
+        least, frequency_hz = self.tuning.min_probability, self._frequency_hz(sets)
+        number, state, covariance = self.number[objects], joint.state, joint.covariance
+        return BernoulliTable.born(number, state, covariance, existence, hits, frequency_hz, least), q
+
+
+def _frequency_of(feed: Feed, source: Source) -> FloatArray:
+    """(n,) the frequencies of a source's records; NaN where they have none."""
+    column, rows = feed.attributes.get(FREQUENCY), records_of(source).ids
+    return np.full(len(rows), np.nan) if column is None else np.asarray(column[rows], np.float64)
+
+
+def _frequencies(objects: BernoulliTable, now: Instant) -> Identity:
+    """The rule of the frequencies of known objects and of the records."""
+    columns = {KNOWN: {FREQUENCY: objects.frequency_hz}}
+    for feed, source in zip(now.feeds, now.sources, strict=True):
+        if FREQUENCY in feed.attributes:
+            columns[feed.description.name] = {FREQUENCY: _frequency_of(feed, source)}
+    return Identity(columns)
 
 
 def _unresolved(objects: BernoulliTable, now: Instant) -> FloatArray:

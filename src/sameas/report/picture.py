@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from sameas.arrays import FloatArray
+from sameas.evidence.identity import FREQUENCY
 from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.summary import Summary
 from sameas.picture.watch import Watch
@@ -50,10 +51,10 @@ def _crossing_line(scene: Scene) -> str:
             places.append(at[0])
     if len(places) < 2:
         return "one place: no object gets a position; add a sensor at another place, or a source of positions"
-    if len(places) == 2:
+    if len(places) == 2 and not all(FREQUENCY in feed.attributes for feed in scene.feeds):
         return (
             "two places: positions are their crossings; of several objects, some may be at false crossings, which only "
-            "a third place or names that both sources give can exclude"
+            "a third place, or names or frequencies that both sources give can exclude"
         )
     return f"{len(places)} places: positions are their crossings"
 

@@ -281,9 +281,10 @@ def corrected(
     """
     time_s = reports.time_s - biases[..., TIME]
     if isinstance(reports, Directions):
-        sigma = np.hypot(reports.sigma_deg, np.sqrt(covariance[..., AZIMUTH, AZIMUTH]))
+        lasting = np.sqrt(covariance[..., AZIMUTH, AZIMUTH])
+        sigma, lasting = np.hypot(reports.sigma_deg, lasting), np.hypot(reports.lasting_deg, lasting)
         bearing = (reports.bearing_deg - biases[..., AZIMUTH]) % 360.0
-        return replace(reports, time_s=time_s, bearing_deg=bearing, sigma_deg=sigma)
+        return replace(reports, time_s=time_s, bearing_deg=bearing, sigma_deg=sigma, lasting_deg=lasting)
     usable = reports.usable
     if biases.ndim == 2:
         biases, covariance = biases[usable], covariance[usable]

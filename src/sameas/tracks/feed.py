@@ -14,7 +14,7 @@ from scipy.special import ndtr
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, over_columns, taken
 from sameas.errors import InputError, naming
-from sameas.evidence.identity import MODELS
+from sameas.evidence.identity import FREQUENCY, MODELS
 from sameas.gate import ChiSquare
 from sameas.gaussian import mahalanobis_sq
 from sameas.representation import counted, in_short
@@ -443,8 +443,13 @@ def calibrated(placed: PlacedReports) -> States | Directions:
 
 
 def identity_attributes(reports: Reports) -> dict[str, NDArray[Any]]:
-    """The columns of reports that tell who an object is, by name."""
-    return {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
+    """The columns of reports that tell who an object is, by name; the frequency beside a range is the radar's own."""
+    return {
+        name: column
+        for name in MODELS
+        if (column := getattr(reports, name, None)) is not None
+        and not (name == FREQUENCY and reports.range_m is not None)
+    }
 
 
 def need_filtering(placed: PlacedReports) -> bool:

@@ -46,7 +46,10 @@ def unnamed(names: list[str]) -> list[int]:
 
 @dataclass(frozen=True)
 class Directions:
-    """Bearings without distances: (n,) degrees clockwise from the plane's north, and 1σ; (n, 2) sensor positions."""
+    """Bearings without distances: (n,) degrees clockwise from the plane's north, and 1σ; (n, 2) sensor positions.
+
+    lasting_deg : (n,) the part of the 1σ that is the same in all reports of the source: that of its offset.
+    """
 
     time_s: FloatArray
     bearing_deg: FloatArray
@@ -54,6 +57,7 @@ class Directions:
     sensor_m: FloatArray
     track: NDArray[Any] | None
     rows: IntArray
+    lasting_deg: FloatArray | float = 0.0
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -55,7 +55,7 @@ class MatchedScans:
 
 def matched_scans(feeds: Sequence[Feed], tuning: Tuning) -> Iterator[MatchedScans]:
     """For any two sources, not both of directions, each scan of that with fewer and the nearest one of the other."""
-    scans = [_scans(feed) for feed in feeds]
+    scans = [scans_with_rows(feed) for feed in feeds]
     for s, t in combinations(range(len(feeds)), 2):
         if all(isinstance(feeds[k].reports, Directions) for k in (s, t)):
             continue
@@ -65,7 +65,7 @@ def matched_scans(feeds: Sequence[Feed], tuning: Tuning) -> Iterator[MatchedScan
             continue
         period, period_other = usual_period_s(times), usual_period_s(scans[other][0])
         step = max(len(times) // tuning.fit_scans, 1)
-        nearest = _nearest(scans[other][0], times)
+        nearest = nearest_scans(scans[other][0], times)
         gap = np.abs(scans[other][0][nearest] - times)
         weight = min(step * period / tuning.fit_correlation_s, 1.0)
         for k in range(0, len(times), step):
@@ -134,7 +134,7 @@ def _compared(
     return PlotDifferences(*(x[kept] for x in (s, t, i, j, range_m, along, across, both_positions, box, weight)))
 
 
-def _scans(feed: Feed) -> tuple[FloatArray, list[IntArray]]:
+def scans_with_rows(feed: Feed) -> tuple[FloatArray, list[IntArray]]:
     """The times of the scans, including empty ones, and the rows of the usable reports of each."""
     times, rows = feed.scan_times_s, np.flatnonzero(feed.reports.usable)
     number = np.searchsorted(times, feed.scan_s[rows])
@@ -142,7 +142,7 @@ def _scans(feed: Feed) -> tuple[FloatArray, list[IntArray]]:
     return times, np.split(rows[order], np.cumsum(np.bincount(number, minlength=len(times)))[:-1])
 
 
-def _nearest(times: FloatArray, at: FloatArray) -> IntArray:
+def nearest_scans(times: FloatArray, at: FloatArray) -> IntArray:
     after = np.clip(np.searchsorted(times, at), 1, max(len(times) - 1, 1))
     before = after - 1
     if len(times) < 2:

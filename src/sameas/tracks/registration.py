@@ -11,6 +11,7 @@ against no delay (:func:`delay_evidence`) are decisive. ``bias.time_s = 0`` in t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -24,6 +25,7 @@ from sameas.tracks.alignment import States
 from sameas.tracks.bearing_readings import best_other_reading
 from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import AZIMUTH, BIASES, TIME, AzimuthDrift, corrected
+from sameas.tracks.crossing_offsets import crossing_fit
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
 from sameas.tracks.placement import Directions
 from sameas.tracks.plot_offsets import PlotFits
@@ -164,6 +166,9 @@ def registered(
     Raises InputError: a reference that is not a source of positions.
     """
     fixed, free, directions = _parts(feeds, references)
+    if len(directions) == len(feeds) and len(feeds) > 1:
+        of_crossings = _by_crossings(feeds)
+        return tuple(feed for feed, _ in of_crossings), tuple(biases for _, biases in of_crossings)
     fits = fits or PlotFits()
     done: dict[int, RegisteredFeed] = {}
     for k in fixed:
@@ -201,6 +206,37 @@ def _parts(feeds: Sequence[Feed], references: Sequence[str] | None) -> tuple[lis
     fixed.sort(key=lambda k: (feeds[k].description.kind not in CORRELATED_KINDS, -len(feeds[k].reports)))
     free = sorted((k for k in placed if k not in fixed), key=lambda k: -len(feeds[k].reports))
     return fixed, free, [k for k in range(len(feeds)) if k not in placed]
+
+
+def _by_crossings(feeds: Sequence[Feed]) -> list[RegisteredFeed]:
+    """Sources of directions alone: corrected by where three cross; else their offsets are part of the errors."""
+    fit = crossing_fit(feeds)
+    names = [feed.description.name for feed in feeds]
+    out: list[RegisteredFeed] = []
+    for k, feed in enumerate(feeds):
+        name, width_deg = names[k], float(bias_widths(feed)[AZIMUTH])
+        theta, covariance = np.zeros(len(BIASES)), np.zeros((len(BIASES), len(BIASES)))
+        if not width_deg:
+            out.append((feed, SourceBiases(name, notes=(f"{name}: its description allows no bias to fit",))))
+            continue
+        if fit is not None:
+            theta[AZIMUTH], covariance[AZIMUTH, AZIMUTH] = fit.theta_deg[k], fit.covariance_deg2[k, k]
+            azimuth = Parameter(float(theta[AZIMUTH]), math.sqrt(fit.covariance_deg2[k, k]), "deg")
+            others = tuple(other for other in names if other != name)
+            biases = SourceBiases(
+                name, others, {"azimuth_deg": azimuth}, pairs=fit.triples, instants=fit.instants,
+                log_evidence=fit.log_evidence, theta=theta, covariance=covariance,
+            )  # fmt: skip
+        else:
+            covariance[AZIMUTH, AZIMUTH] = width_deg**2
+            why = "of two places alone do not" if len(feeds) == 2 else "of several objects without frequencies do not"
+            note = (
+                f"{name}: directions {why} show its offset: the errors of positions allow for ± {width_deg:g}°; if it "
+                "has none, give bias azimuth_deg = 0"
+            )
+            biases = SourceBiases(name, notes=(note,), theta=theta, covariance=covariance)
+        out.append((biases.removed(feed), biases))
+    return out
 
 
 def _best_partner(feed: Feed, done: Sequence[RegisteredFeed]) -> list[Feed]:

@@ -144,7 +144,7 @@ class Reports:
     sigma_alt_m, sigma_range_m, sigma_bearing_deg, sigma_elevation_deg : (n,) standard deviations.
     track_id : (n,) the source's number of the object. mmsi, imo, icao, callsign, mode_a, name, type : (n,) texts in
         their usual form (nine digits, six lower hexadecimal digits, four octal digits); None if absent.
-    length_m, width_m : (n,) of the hull.
+    length_m, width_m : (n,) of the hull. frequency_hz : (n,) of the emission that a direction finder has received.
     extra : further columns of the format by name.
     damaged : unusable lines.
     passed_over : number of other lines of the file, by kind.
@@ -193,6 +193,7 @@ class Reports:
     name: TextArray | None = None
     type: TextArray | None = None
     length_m: FloatArray | None = None
+    frequency_hz: FloatArray | None = None
     width_m: FloatArray | None = None
     extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     damaged: Damaged = field(default_factory=Damaged)
@@ -398,7 +399,7 @@ _HEIGHTS, _SPEEDS = ("alt_m", "pressure_alt_m"), ("speed_m_per_s", "length_m", "
 POSSIBLE: Mapping[str, tuple[float, float]] = {
     **dict.fromkeys(DIRECTIONS, (-360.0, 450.0)), "elevation_deg": (-90.0, 90.0), "lon_deg": (-360.0, 360.0),
     "station_lat_deg": (-90.0, 90.0), "station_lon_deg": (-360.0, 360.0),
-    **dict.fromkeys(_HEIGHTS, (-900.0, 90e3)), **dict.fromkeys(_SPEEDS, (0.0, 20e3)),
+    "frequency_hz": (1.0, 1e12), **dict.fromkeys(_HEIGHTS, (-900.0, 90e3)), **dict.fromkeys(_SPEEDS, (0.0, 20e3)),
 }  # fmt: skip
 
 

@@ -159,6 +159,9 @@ class Tuning:
     fit_bin_scans, fit_bins : least weight of a bin of ranges for miss rates, in independent scans, and most bins.
     fit_prior_scans : weight of the described miss rate in each, in scans.
     fit_steps, fit_tolerance : maximum number of EM iterations, and the change of a logarithm at which they end.
+    crossing_scans, crossing_triples : about the maximum number of instants at which directions of three places are
+        compared, and of their triples at one instant; an instant with more is left out. crossing_rivals : offsets are
+        not estimated where a direction is in more triples than this beyond the first, in the mean.
 
     fault_prior, sure_fault : prior probability of a fault of one kind, and the probability at which it is an alarm.
     fault_reports : minimum number of reports of a tested source. clock_jumps : maximum number of jumps of a clock.
@@ -304,6 +307,9 @@ class Tuning:
     fit_bins: int = 5
     fit_prior_scans: float = 2.0
     fit_tolerance: float = 1e-3
+    crossing_scans: int = 300
+    crossing_triples: int = 1000
+    crossing_rivals: float = 0.5
 
     fault_prior: float = 1e-3
     sure_fault: float = 0.95

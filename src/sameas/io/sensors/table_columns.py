@@ -36,6 +36,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "variance": {"m2": 1.0, "km2": 1e6},
     "speed variance": {"m2s2": 1.0, "m2pers2": 1.0},
     "time": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "utc": 0.0},
+    "frequency": {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9},
     "text": {},
 }  # fmt: skip
 
@@ -116,6 +117,8 @@ QUANTITIES = tuple(
         ("nav_status", "text", "navstatus navstat navigationalstatus navigationstatus status"),
         ("length_m", "length", "length loa"),
         ("width_m", "length", "width beam"),
+        ("frequency_hz", "frequency", "frequency freq carrierfrequency centerfrequency centrefrequency rf "
+                                      "rffrequency channelfrequency"),
         *((f"to_{side}_m", "length", f"to{side} {side} dim{letter} dimension{letter} size{letter} {letter}")
           for side, letter in zip(SIDES, "abcd", strict=True)),
     )
@@ -137,6 +140,10 @@ _CONVENTIONS = (
     ("speeds are knots in tables of flightradar24", ("utc callsign direction",), ("speed",), "kn"),
     ("altitudes are feet in tables of flightradar24", ("utc callsign direction",), ("altitude",), "ft"),
 )  # fmt: skip
+
+
+#: Why a unit is assumed.
+NO_UNIT = "its name states no unit"
 
 
 @dataclass(frozen=True)
@@ -275,8 +282,10 @@ def _choice(
     if quantity.column in ("length_m", "width_m", *OF_THE_ANTENNA):
         return Choice(name, quantity, 1.0, "")  # of ships, in metres everywhere
     # Angles without a unit are degrees everywhere.
-    our_unit = {"length": "m", "speed": "m/s", "variance": "m²", "speed variance": "m²/s²"}.get(quantity.kind)
-    return Choice(name, quantity, 1.0, f"{name} is read in {our_unit}: its name states no unit" if our_unit else "")
+    our_unit = {"length": "m", "speed": "m/s", "variance": "m²", "speed variance": "m²/s²", "frequency": "Hz"}.get(
+        quantity.kind
+    )
+    return Choice(name, quantity, 1.0, f"{name} is read in {our_unit}: {NO_UNIT}" if our_unit else "")
 
 
 def _with_own_heading(chosen: dict[str, Choice]) -> dict[str, Choice]:

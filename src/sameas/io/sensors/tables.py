@@ -32,7 +32,7 @@ from sameas.io.sensors.format import (
 )
 from sameas.io.sensors.languages import DATES, HOURS, plain
 from sameas.io.sensors.table_cells import NULLS, PARQUET, TableText, cells_of, distinct_texts, of_each, parts_of
-from sameas.io.sensors.table_columns import Choice, choose, require_columns, stem_of
+from sameas.io.sensors.table_columns import NO_UNIT, Choice, choose, require_columns, stem_of
 from sameas.io.sensors.table_times import milliseconds, times_of
 from sameas.representation import counted
 from sameas.tracks.reports import DIRECTIONS, Damaged, Reports, is_impossible
@@ -71,6 +71,7 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     values = {
         name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
     }
+    chosen = _with_unit_of_frequencies(values, chosen)
     values, chosen = _with_nav_status(values, _without_row_numbers(values, chosen), is_ais)
     marks = _mark_unavailable(values, chosen, is_ais)
     start_s = start_seconds(options.start, source)
@@ -270,6 +271,22 @@ def _with_nav_status(
     if not is_ais:
         return values, {name: choice for name, choice in chosen.items() if name != "nav_status"}
     return values | {"nav_status": np.array(of_each(_nav_status, status.tolist()))}, chosen
+
+
+#: Median of frequencies without a unit, from which on they are read in a unit; the highest first.
+_FREQUENCY_UNITS = ((3e7, 1.0, "Hz"), (1e5, 1e3, "kHz"), (0.0, 1e6, "MHz"))
+
+
+def _with_unit_of_frequencies(values: dict[str, Any], chosen: dict[str, Choice]) -> dict[str, Choice]:
+    """The columns with the unit of frequencies that state none, by their size: 156.8 is in MHz; changes the values."""
+    choice = chosen.get("frequency_hz")
+    if choice is None or not choice.why.endswith(NO_UNIT) or not np.isfinite(values["frequency_hz"]).any():
+        return chosen
+    median = float(np.nanmedian(values["frequency_hz"]))
+    factor, unit = next((factor, unit) for least, factor, unit in _FREQUENCY_UNITS if median >= least)
+    values["frequency_hz"] = values["frequency_hz"] * factor
+    why = f"{choice.name} is read in {unit}, by its size: {NO_UNIT}"
+    return chosen | {"frequency_hz": replace(choice, factor=factor, why=why)}
 
 
 def _nav_status(text: str | None) -> float:
