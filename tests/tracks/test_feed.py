@@ -344,6 +344,9 @@ def test_the_probability_that_two_objects_have_one_echo_is_that_of_drawn_positio
         apart = abs(np.hypot(*a.T) - np.hypot(*b.T)), np.minimum(turn, 360.0 - turn)
         assert found[i, j] == pytest.approx(np.mean((apart[0] < 40.0) & (apart[1] < 2.5)), abs=0.02)
     assert 0.2 < found[0, 0] < 0.98 and found[2].max() == 0.0
+    # Where one of them may be, however far apart.
+    anywhere = np.array([[4e4, 0.0], [0.0, 4e4]]) + sensor, np.tile(1e10 * np.eye(2), (2, 1, 1))
+    assert feed.p_unresolved(3.0, anywhere, (other, np.tile(spread[1], (2, 1, 1)))).min() > 0.0
     camera = Feed.of(
         Description("camera", "camera", site=Site(east_m=0.0, north_m=0.0), resolution=cell),
         Reports.of("camera", "table", {"time_s": [0.0, 3.0], "bearing_deg": [1.0, 2.0]}),

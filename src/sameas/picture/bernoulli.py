@@ -274,36 +274,38 @@ class BernoulliTable(ObjectTable):
         """
         objects = self
         while len(objects) > 1:
-            for_one, agree, differ = objects._compared(density_per_m2, tuning)
-            objects = replace(objects, separate_log_odds=np.where(differ, 0.0, objects.separate_log_odds))
-            odds = np.where(agree, for_one - objects.separate_log_odds, -np.inf)
-            np.fill_diagonal(odds, -np.inf)
-            i, j = sorted(np.unravel_index(int(odds.argmax()), odds.shape))
-            if not odds[i, j] > tuning.merging_log_odds:
+            i, j, for_one, agree = objects._compared(density_per_m2, tuning)
+            separate_log_odds = np.zeros_like(objects.separate_log_odds)
+            for one, other in ((i, j), (j, i)):
+                separate_log_odds[one, other] = objects.separate_log_odds[one, other]
+            objects = replace(objects, separate_log_odds=separate_log_odds)
+            odds = np.where(agree, for_one - separate_log_odds[i, j], -np.inf)
+            best = int(odds.argmax()) if len(odds) else 0
+            if not (len(odds) and odds[best] > tuning.merging_log_odds):
                 break
-            objects = objects._joined(int(i), int(j))
+            objects = objects._joined(int(i[best]), int(j[best]))
         return objects
 
-    def _compared(self, density_per_m2: float, tuning: Tuning) -> tuple[FloatArray, BoolArray, BoolArray]:
-        """(m, m) ln N/ρ of positions, whether states agree, and whether positions differ."""
-        delta = self.state[:, None] - self.state
-        total = self.covariance[:, None] + self.covariance
-        chi_sq, position_chi_sq = mahalanobis_sq(delta, total), mahalanobis_sq(delta[..., :2], total[..., :2, :2])
-        log_n = log_density(delta[..., :2], total[..., :2, :2])
-        agree, differ = ChiSquare(tuning.same_quantile).limit(4), ChiSquare(tuning.different_quantile).limit(2)
-        # Two emitters on one ship are not one.
-        agree_all = (chi_sq < agree) & ~self._on_two_frequencies
-        return log_n - math.log(density_per_m2), agree_all, position_chi_sq > differ
+    def _compared(self, density_per_m2: float, tuning: Tuning) -> tuple[IntArray, IntArray, FloatArray, BoolArray]:
+        """(p,), (p,) every two objects whose positions do not differ, i < j, (p,) ln N/ρ of their positions, and
+        whether their states agree."""
+        positions = Records.of(self.state[:, :2], covariance=self.covariance[:, :2, :2], source=KNOWN)
+        near = ChiSquare(tuning.different_quantile)(positions, positions)
+        once = np.flatnonzero(near.i < near.j)
+        i, j = near.i[once].astype(np.int64), near.j[once].astype(np.int64)
+        order = np.lexsort([j, i])
+        i, j = i[order], j[order]
+        delta, total = self.state[i] - self.state[j], self.covariance[i] + self.covariance[j]
+        agree = mahalanobis_sq(delta, total) < ChiSquare(tuning.same_quantile).limit(4)
+        agree &= ~self._on_two_frequencies(i, j)  # two emitters on one ship are not one
+        return i, j, log_density(delta[:, :2], total[:, :2, :2]) - math.log(density_per_m2), agree
 
-    @property
-    def _on_two_frequencies(self) -> BoolArray:
-        """(m, m) whether two objects are emitters of different frequencies."""
-        f = self.frequency_hz
-        known = np.repeat(f, len(f)), np.tile(f, len(f))
-        log_ratio = np.zeros(len(f) ** 2)
-        both = np.isfinite(known[0]) & np.isfinite(known[1])
-        log_ratio[both] = MODELS[FREQUENCY](known[0][both], known[1][both], f[np.isfinite(f)])
-        return np.asarray(log_ratio.reshape(len(f), len(f)) < 0.0)
+    def _on_two_frequencies(self, i: IntArray, j: IntArray) -> BoolArray:
+        """(p,) whether two objects are emitters of different frequencies."""
+        f, out = self.frequency_hz, np.zeros(len(i), bool)
+        both = np.flatnonzero(np.isfinite(f[i]) & np.isfinite(f[j]))
+        out[both] = MODELS[FREQUENCY](f[i[both]], f[j[both]], f[np.isfinite(f)]) < 0.0
+        return out
 
     def _joined(self, i: int, j: int) -> BernoulliTable:
         """The table with objects i and j merged into row i."""

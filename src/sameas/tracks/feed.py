@@ -34,6 +34,8 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 MIN_P = 1e-12
 #: Smallest range from a sensor, and 1σ of a distance, at which objects are looked at for being resolved, metres.
 MIN_RANGE_M = 1.0
+#: Objects that many standard deviations farther apart than a resolution cell are resolved (a probability of 1e-18).
+RESOLVED_SIGMAS = 9.0
 
 
 def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None, tuning: Tuning = DEFAULT_TUNING) -> float:
@@ -360,16 +362,24 @@ class Feed:
         cell_m, beam_deg = resolution.range_m, resolution.bearing_deg
         if isinstance(self.reports, Directions) or sensor is None or not out.size or not cell_m or not beam_deg:
             return out
-        arm = 0.5 * (one[0][:, None] + other[0]) - sensor
-        distance = np.maximum(np.hypot(*np.moveaxis(arm, -1, 0)), MIN_RANGE_M)
-        along = arm / distance[..., None]
-        axes = np.stack([along, along[..., ::-1] * (-1.0, 1.0)], axis=-2)
-        delta = one[0][:, None] - other[0]
-        apart = np.abs(np.einsum("nmij,nmj->nmi", axes, delta))
-        total = one[1][:, None] + other[1]
-        sigma = np.sqrt(np.maximum(np.einsum("nmij,nmjk,nmik->nmi", axes, total, axes), MIN_RANGE_M**2))
-        cell = np.stack([np.full_like(distance, cell_m), np.radians(beam_deg) * distance], axis=-1)
-        return np.asarray(np.prod(ndtr((cell - apart) / sigma) - ndtr((-cell - apart) / sigma), axis=-1))
+        beam = math.radians(beam_deg)
+        east, north = (one[0][:, None, v] - other[0][:, v] for v in (0, 1))
+        variance, range_m = (
+            [np.trace(places[1], axis1=1, axis2=2) + MIN_RANGE_M**2 for places in (one, other)],
+            [np.hypot(*(places[0] - sensor).T) + MIN_RANGE_M for places in (one, other)],
+        )
+        farthest = cell_m + beam * np.add.outer(*range_m) + RESOLVED_SIGMAS * np.sqrt(2.0 * np.add.outer(*variance))
+        i, j = np.nonzero(np.hypot(east, north) <= farthest)
+        delta, arm = one[0][i] - other[0][j], 0.5 * (one[0][i] + other[0][j]) - sensor
+        distance = np.maximum(np.hypot(*arm.T), MIN_RANGE_M)
+        along = arm / distance[:, None]
+        axes = np.stack([along, along[:, ::-1] * (-1.0, 1.0)], axis=1)
+        apart = np.abs(np.einsum("pij,pj->pi", axes, delta))
+        total = one[1][i] + other[1][j]
+        sigma = np.sqrt(np.maximum(np.einsum("pij,pjk,pik->pi", axes, total, axes), MIN_RANGE_M**2))
+        cell = np.stack([np.full_like(distance, cell_m), beam * distance], axis=1)
+        out[i, j] = np.prod(ndtr((cell - apart) / sigma) - ndtr((-cell - apart) / sigma), axis=1)
+        return out
 
     def mean_q(self, places: FloatArray, instant_s: float) -> float:
         """Mean probability that an object at one of the places (n, 2) is missed, within 1e-6 … 1 − 1e-6."""
