@@ -465,6 +465,43 @@ def test_the_joint_density_of_parts_is_the_marginal_of_the_stacked_observations(
     np.testing.assert_allclose(joint.covariance[0], region.covariance - gain @ h @ region.covariance, rtol=1e-8)
 
 
+@pytest.mark.parametrize("speed", [0.5, 20.0])
+def test_pairs_of_parts_are_all_that_can_be_one_object(speed):
+    """Of plots of 1 000 objects every two were tested, 2 s of the processor a scan; now neighbours are."""
+    from sameas.many.observations import joint_density
+    from sameas.many.pooled import pooled
+
+    rng = np.random.default_rng(43)
+    centre, spread = np.array([5.0, -3.0, 1.0, 2.0]), np.array([200.0, 300.0, speed, speed])
+    region = Region(centre, spread)
+    states = centre + rng.normal(size=(40, 4)) * spread
+    roots = rng.normal(size=(40, 4, 4))
+    known = Records.of(states, covariance=roots @ roots.transpose(0, 2, 1) + np.eye(4), source="known")
+    sources: list[Any] = [known]
+    for name, age_s in (("one", 2.0), ("two", 9.0)):
+        observe = np.hstack([np.eye(2), -age_s * np.eye(2)])
+        places = states @ observe.T + (7.0, 0.0) + 4.0 * rng.normal(size=(40, 2))
+        sources.append(Observations(Records.of(places, sigma=4.0, source=name), LinearPart(observe, (7.0, 0.0))))
+    together = pooled(sources, WIDE, region)
+    every = np.array([pair for pair in itertools.combinations(range(120), 2) if pair[0] // 40 != pair[1] // 40])
+    members = np.full((len(every), 3), -1)
+    np.put_along_axis(members, every // 40, every % 40, axis=1)
+    chi_sq = joint_density(together.observers.sources, members, region).chi_sq
+    wholes = (np.isin(every // 40, together.observers.whole)).sum(axis=1)
+    limit = np.where(wholes == 1, chi_sq_limit(6), chi_sq_limit(4))
+    due = every[chi_sq <= limit]
+    assert np.column_stack([together.i, together.j]).tolist() == due.tolist() and 120 < len(due) < 0.5 * len(every)
+
+
+def chi_sq_limit(dimensions):
+    """χ² of the wide gate's completeness."""
+    from scipy.stats import chi2
+
+    from sameas.gate import DEFAULT_COMPLETENESS
+
+    return chi2.ppf(DEFAULT_COMPLETENESS, dimensions)
+
+
 # ---- refusals ----
 
 

@@ -9,6 +9,7 @@ completeness, for as many degrees of freedom as they have features. A group is a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,11 +20,11 @@ from numpy.typing import NDArray
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ordered_by, over_columns, places_in, taken
 from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
-from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
-from sameas.gaussian import inverse
+from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs, Radius
+from sameas.gaussian import inverse, propagated
 from sameas.kernels.components import label_components
 from sameas.kernels.kalman import joint_in_plane
-from sameas.many.observations import Observations, Observers, Region, Source, records_of
+from sameas.many.observations import LinearPart, Observations, Observers, Region, Source, records_of
 from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.representation import in_short
@@ -217,9 +218,11 @@ def _possible(observers: Observers, s: int, t: int, gate: Gate) -> Pairs:
     completeness = gate.completeness if isinstance(gate, ChiSquare) else DEFAULT_COMPLETENESS
     limit = 2.0 * float(gammainccinv((first.d + second.d) / 2.0, 1.0 - completeness))
     possible = [(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))]
-    total = len(first) * len(second)
+    near = _near(observers, s, t, limit)
+    total = len(first) * len(second) if near is None else len(near)
     for low in range(0, total, CHUNK):
-        a, b = np.divmod(np.arange(low, min(low + CHUNK, total)), len(second))
+        numbers = np.arange(low, min(low + CHUNK, total))
+        a, b = np.divmod(numbers if near is None else near[numbers], len(second))
         sets = np.full((len(a), len(observers.sources)), ABSENT)
         sets[:, s], sets[:, t] = a, b
         chi_sq = observers.joint(sets).chi_sq
@@ -232,6 +235,45 @@ def _possible(observers: Observers, s: int, t: int, gate: Gate) -> Pairs:
         first=first, second=second, place_1=i, place_2=j, i=i, j=j, residual=np.empty((len(i), 0)),
         mahalanobis_sq=chi_sq, determinant=np.full(len(i), np.nan), gate=described,
     )  # fmt: skip
+
+
+def _near(observers: Observers, s: int, t: int, limit: float) -> IntArray | None:
+    """Of two sources that observe linear parts the pairs (p,) whose difference alone has a χ² up to a limit, numbered
+    i · n₂ + j, ascending; None for others.
+
+    The difference z₁ − z₂ of two records of one object of the region is normal with the mean (H₁ − H₂) μ₀ + c₁ − c₂ and
+    the covariance R₁ + R₂ + (H₁ − H₂) P₀ (H₁ − H₂)ᵀ; of a record of the whole state, H₂ z₁ is compared. Its χ² is never
+    above that of both records.
+    """
+    sources, region = [observers.sources[k] for k in (s, t)], observers.region
+    parts = [source.part for source in sources if isinstance(source, Observations)]
+    linear = [part for part in parts if isinstance(part, LinearPart)]
+    flat = all(isinstance(own := records_of(source).space, Plane) and own.periods is None for source in sources)
+    if (
+        region is None
+        or len(linear) < len(parts)
+        or not flat
+        or len({len(np.asarray(one.matrix)) for one in linear}) > 1
+    ):
+        return None
+    compared = []
+    for source, part in zip(sources, (linear[0], linear[-1]), strict=True):
+        records, covariance = records_of(source), records_of(source).full_covariance()
+        if isinstance(source, Records):
+            observed, covariance = part(records.features), propagated(part.jacobian(records.features), covariance)
+        else:
+            observed = records.features
+        compared.append((observed, covariance))
+    change = np.asarray(linear[0].matrix) - np.asarray(linear[-1].matrix)
+    shift = change @ np.asarray(region.centre) + linear[0].offset - linear[-1].offset
+    (one, of_one), (other, of_other) = compared
+    # Errors of rounding are no reason to lose a pair.
+    gate = Radius(math.sqrt(limit) * (1.0 + 1e-9))
+    near = gate(
+        Records.of(one - shift, covariance=of_one + propagated(change, region.covariance), source="first"),
+        Records.of(other, covariance=of_other, source="second"),
+    )
+    return np.sort(near.i.astype(np.int64) * len(other) + near.j)
 
 
 def numbered_groups(i: IntArray, j: IntArray, n: int) -> IntArray:
