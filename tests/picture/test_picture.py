@@ -16,7 +16,7 @@ from sameas.picture import Picture, Watch, instants
 from sameas.picture.picture import object_columns, record_columns
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
-from sameas.tracks.source import Description, MissRate, SensorCoverage, SensorErrors, Site
+from sameas.tracks.source import Description, MissRate, SensorCoverage, SensorErrors, Site, Timing
 
 OBJECTS = """time_s object stage x_m y_m var_x_m2 cov_xy_m2 var_y_m2 vx_m_per_s vy_m_per_s speed_m_per_s course_deg
     n_sources sources members runner_up probability p_runner_up label mmsi icao callsign name mode_a type ambiguous"""
@@ -164,6 +164,46 @@ def test_bearings_are_used_and_are_no_position_alone():
         seen = r["source"] == "camera"
         assert (np.ma.getmaskarray(r["bearing_deg"]) == ~seen).all() and np.ma.getmaskarray(r["x_m"])[seen].all()
         assert len(set(o["object"].tolist())) == 3
+
+
+def eye(name: str, times: np.ndarray, bearing_deg: np.ndarray, track: str) -> tuple[Description, Reports]:
+    """A camera at the origin with the directions of one track."""
+    camera = Description(
+        name, "camera", site=Site(east_m=0.0, north_m=0.0), misses=MissRate(0.2), motion=WALK,
+        coverage=SensorCoverage(range_m=3000.0), errors=SensorErrors(bearing_deg=0.3, extent_m=1.0),
+        timing=Timing(period_s=1.0),
+    )  # fmt: skip
+    columns: dict[str, Any] = {"time_s": times, "bearing_deg": bearing_deg % 360.0, "track_id": [track] * len(times)}
+    return camera, Reports.of(name, "table", columns)
+
+
+def test_an_object_that_only_a_direction_shows_keeps_its_place():
+    times = np.arange(0.0, 40.0, 1.0)
+    x, v = straight([[-300.0, 400.0]], [[8.0, 0.0]], times)
+    rng = np.random.default_rng(2)
+    bearing = np.degrees(np.arctan2(*x[0].T)) + 0.3 * rng.standard_normal(len(times))
+    description, reports = feed(rng, describe("radar", "tracks"), times, x, v, 5.0, ["7"])
+    radar = description, reports.where(reports.time_s < 20.0)
+    picture = Picture.of(Scene.of([radar, eye("camera", times, bearing, "c1")]), times)
+    o = picture.objects
+    last = o["time_s"] == 39.0
+    assert o["stage"][last].tolist() == ["confirmed"] and o["sources"][last].tolist() == ["camera"]
+    apart = np.array([float(o["x_m"][last][0]), float(o["y_m"][last][0])]) - x[0, -1]
+    terms = [float(o[name][last][0]) for name in ("var_x_m2", "cov_xy_m2", "cov_xy_m2", "var_y_m2")]
+    covariance = np.reshape(terms, (2, 2))
+    assert np.hypot(*apart) < 40.0 and apart @ np.linalg.solve(covariance, apart) < 9.0
+    assert set(o["object"].tolist()) == {1}
+
+
+def test_an_object_without_a_place_does_not_coast():
+    times = np.arange(0.0, 40.0, 1.0)
+    x, v = straight([[-300.0, 400.0]], [[8.0, 0.0]], times)
+    radar = feed(np.random.default_rng(2), describe("radar", "tracks"), times, x, v, 5.0, ["7"])
+    beside = eye("camera", times[times < 10.0], np.full(10, 170.0), "c1")
+    o = Picture.of(Scene.of([radar, beside]), times).objects
+    of_camera = o["object"] == o["object"][o["sources"] == "camera"][0]
+    assert np.isin(o["stage"][of_camera], ["tentative", "confirmed", "coasting", "ended"]).all()
+    assert o["time_s"][of_camera].max() < 25.0
 
 
 def test_rows_and_lines_lead_back_to_the_file():

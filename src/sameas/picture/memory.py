@@ -194,8 +194,10 @@ class TrackMemory:
         """(k,) sum of the precisions of both tracks of each pair, |P|^(−½) in m⁻²."""
         if self.tracks.scan is None:
             return np.zeros(len(self.track_pairs))
-        covariance = taken_plane(self.tracks.scan.covariance, self.tracks.place)
-        precision = np.exp(-0.5 * log_determinant(covariance))
+        # Directions have no positions, and count nothing.
+        precision, placed = np.zeros(len(self.tracks.place)), self.tracks.scan.placed[self.tracks.place]
+        covariance = taken_plane(self.tracks.scan.covariance, self.tracks.place[placed])
+        precision[placed] = np.exp(-0.5 * log_determinant(covariance))
         one, other = self._rows
         return np.asarray(precision[one] + precision[other])
 

@@ -106,7 +106,7 @@ class NamedObjects(PictureObjects):
     main_track, main_log_odds, earlier_log_odds : the track with the highest odds of existence, the gain of log-odds by
         its duration, and that by the tracks that it replaced.
     plot_log_odds, plot_log_initial, plot_looked, plot_missed : the fields of :class:`PlotOdds`.
-    n_missing : number of instants without a record while tentative.
+    n_missing : number of instants without a record while tentative, and the last ones without a position.
     split_off : whether the object split off one that continues and has not had its own tracks for most of the time.
     walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of velocities.
     history : the objects that each track was assigned to.
@@ -306,12 +306,14 @@ class NamedObjects(PictureObjects):
         is_real_by_plots = (odds.log_odds >= logit(stages.real)) | ~states.placed[which]
         newly = ((detections.is_certain[which] | is_real) & ~split_off) | (is_real_by_plots & (n_plots >= stages.scans))
         confirmed = (self.stage != TENTATIVE) | (newly & detections.is_believed[which])
+        # A direction alone gives no position, but improves one that is known.
+        placed = states.placed[which] | (self.placed & ~velocity_known & ~aged(covariance, detections.looks.per_m2))
         return replace(
             self, stage=np.where(confirmed, CONFIRMED, TENTATIVE),
-            state=state, covariance=covariance,
-            placed=states.placed[which],
-            moving=velocity_known | (self.placed & states.placed[which] & (n_updates > 1)), detection=which,
+            state=state, covariance=covariance, placed=placed,
+            moving=velocity_known | (self.placed & placed & (n_updates > 1)), detection=which,
             n_updates=n_updates, n_plots=n_plots, split_off=split_off, **_columns_of(odds),
+            n_missing=np.where(confirmed, 0, self.n_missing),
             main_track=detections.existence.track[which], main_log_odds=log_gain, earlier_log_odds=earlier_log_odds,
             walk_m2_per_s3=detections.walk_m2_per_s3[which], speed_m_per_s=detections.speed_m_per_s[which],
         )  # fmt: skip
@@ -361,7 +363,7 @@ class NamedObjects(PictureObjects):
     ) -> NamedObjects:
         """These objects at an instant at which no source detects them."""
         tentative = self.stage == TENTATIVE
-        n_missing = self.n_missing + (tentative & bool(detections.new_report.any()))
+        n_missing = self.n_missing + ((tentative | ~self.placed) & bool(detections.new_report.any()))
         too_uncertain = aged(self.covariance, detections.looks.per_m2)
         # If all tracks of an object now belong to others, it was one of those objects.
         last = self.history.take(np.flatnonzero(self.history.last))
@@ -370,6 +372,8 @@ class NamedObjects(PictureObjects):
         none = NewPlots.none(len(self))
         odds = self.plot_odds.after(self, none, detections.looks, elapsed_s, self.unseen_share)
         missed = tentative & (n_missing > stages.of - stages.scans)
+        # Without a position there is nothing to predict.
+        too_uncertain |= ~self.placed & (n_missing > stages.of)
         ended = too_uncertain | absorbed | np.where(self.by_plots, odds.improbable(~tentative, tuning), missed)
         stage = np.where(ended, ENDED, np.where(tentative, TENTATIVE, COASTING))
         objects = replace(self.undetected(stage), n_missing=n_missing, **_columns_of(odds))
