@@ -21,6 +21,7 @@ from sameas.live.outputs import (
     Sink,
     TargetNumbers,
     asterix,
+    cot,
     geojson,
     metrics,
     nmea,
@@ -158,6 +159,17 @@ def test_bearings_of_targets_are_from_true_north():
     )
     (target,) = [part.decode().split(",") for part in nmea(made) if b"TTM" in part]
     assert abs((float(target[3]) + 180.0) % 360.0 - 180.0) < 0.05 and float(target[2]) == pytest.approx(6.0, abs=0.05)
+
+
+def test_angles_are_below_360():
+    """A bearing of 359.97° was sent as 360.0, which is none."""
+    one = {"object": 1, "stage": "confirmed", "x_m": -0.5, "y_m": 1000.0, "speed_m_per_s": 1.0, "course_deg": 359.98}
+    one |= {"lat_deg": 50.0, "lon_deg": -1.0, "var_x_m2": 1.0, "var_y_m2": 1.0}
+    made: Any = SimpleNamespace(
+        own_ship=OwnShipState(0.0, 0.0), cpa={}, time_s=START_S, plane=None, listed=lambda: [one]
+    )
+    (target,) = [part.decode().split(",") for part in nmea(made) if b"TTM" in part]
+    assert (target[3], target[6]) == ("0.0", "0.0") and b'course="0.0"' in b"".join(cot(made))
 
 
 def test_no_two_targets_have_the_same_number_and_a_target_keeps_its_own():

@@ -67,7 +67,11 @@ def test_tracks_of_directions_and_named_tracks_are_a_picture_without_warnings():
     """Warnings are errors here: the precision of a track without a position was computed."""
     sources, times = ships(n=6, looks=3)
     camera = Description("camera", "camera", site=Site(east_m=0.0, north_m=0.0), misses=MissRate(0.2), motion=WALK)
-    bearings = {"time_s": np.repeat(times, 2), "bearing_deg": [20.0, 200.0] * 3, "track_id": ["a", "b"] * 3}
+    bearings: dict[str, Any] = {
+        "time_s": np.repeat(times, 2),
+        "bearing_deg": [20.0, 200.0] * 3,
+        "track_id": ["a", "b"] * 3,
+    }
     picture = Picture.of(Scene.of([*sources, (camera, Reports.of("camera", "table", bearings))]), times)
     assert {"radar", "ais", "coast", "camera"} == set(picture.records["source"].tolist())
 

@@ -127,13 +127,13 @@ def nmea(situation: Situation, numbers: TargetNumbers | None = None) -> Iterator
         )
         if own is not None and one["x_m"] is not None:
             east, north = one["x_m"] - own.x_m, one["y_m"] - own.y_m
-            bearing = (math.degrees(math.atan2(east, north)) - north_deg) % 360.0
+            bearing = math.degrees(math.atan2(east, north)) - north_deg
             range_nm = math.hypot(east, north) / MILE_M
             cpa, tcpa = situation.cpa.get(one["object"], (math.nan, math.nan))
             speed, course = one["speed_m_per_s"], one["course_deg"]
             fields = [
-                "RATTM", number, f"{range_nm:.3f}", f"{bearing:.1f}", "T",
-                "" if speed is None else f"{speed / KNOT_M_PER_S:.1f}", "" if course is None else f"{course:.1f}", "T",
+                "RATTM", number, f"{range_nm:.3f}", _turn(bearing), "T",
+                "" if speed is None else f"{speed / KNOT_M_PER_S:.1f}", "" if course is None else _turn(course), "T",
                 "" if math.isnan(cpa) else f"{cpa / MILE_M:.3f}",
                 "" if math.isnan(tcpa) else f"{tcpa / 60.0:.2f}", "N",
                 name, "T", "", clock, "A",
@@ -177,7 +177,7 @@ def cot(situation: Situation) -> Iterator[bytes]:
         error = 'le="9999999.0"' if hae is None or sigma is None else f'le="{_LE_90 * sigma:.1f}"'
         track = ""
         if one["speed_m_per_s"] is not None:
-            track = f'<track course="{one["course_deg"]:.1f}" speed="{one["speed_m_per_s"]:.2f}"/>'
+            track = f'<track course="{_turn(one["course_deg"])}" speed="{one["speed_m_per_s"]:.2f}"/>'
         callsign = quoteattr(blanked(one.get("label") or f"object {one['object']}"))
         yield (
             f'<?xml version="1.0" encoding="UTF-8"?><event version="2.0" uid="sameas.{one["object"]}" type="{kind}" '
@@ -335,6 +335,11 @@ def _confirmed(situation: Situation) -> list[dict[str, Any]]:
 
 def _iso(time_s: float) -> str:
     return datetime.fromtimestamp(time_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _turn(degrees: float) -> str:
+    """An angle from 0.0 to 359.9: programs refuse 360.0."""
+    return f"{round(degrees, 1) % 360.0:.1f}"
 
 
 def _plain(text: str) -> str:
