@@ -11,7 +11,8 @@ first time. Decorators:
 - ``borrowing_part``: a part that counts no references to arrays, which takes a third of the time of short loops. So it
   may not allocate arrays (nor compute with whole ones or copy one into another, for which numba allocates), return any,
   or call functions that return some.
-- ``inlined``: inserted at the call, for innermost loops, where passing many arrays takes longer than the work.
+- ``inlined``: inserted at the call, for innermost loops, where passing arrays takes longer than the work: one of 4 × 4
+  numbers took six times as long. Where their sizes are known there, the compiler unrolls the loops over them.
 
 Division by zero gives infinity or not-a-number, so that no loop has to test for it.
 """

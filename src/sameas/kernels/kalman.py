@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.kernels.compiled import part, small, small_by
+from sameas.kernels.compiled import inlined, part, small, small_by
 from sameas.kernels.linear import positive_2, solve_2
 
 
@@ -40,7 +40,7 @@ def states_moved(
                     out[v, w] += late_s * late_s * (x[2 + v] * x[2 + w] + out[2 + v, 2 + w])
 
 
-@part
+@inlined
 def state_moved(state: FloatArray, p: FloatArray, t: float, walk: float, x: FloatArray, out: FloatArray) -> None:
     """Write one state and its covariance after ``t`` seconds of a random walk of its velocity, F x and F P Fᵀ + Q."""
     size = abs(t)
@@ -320,7 +320,7 @@ def weights_of_least_determinant(
         weigh(information[row], steps, optimal, halvings, weights[row])
 
 
-@part
+@inlined
 def weigh(information: FloatArray, steps: int, optimal: float, halvings: int, w: FloatArray) -> None:
     """Write the weights w (k,) of the estimates of one object, from their information (k, d, d)."""
     k, d, _ = information.shape
@@ -376,7 +376,7 @@ def weigh(information: FloatArray, steps: int, optimal: float, halvings: int, w:
             w[one] /= total_weight
 
 
-@part
+@inlined
 def inverse_root(matrix: FloatArray, inverse: FloatArray) -> None:
     """Write L⁻¹ of a matrix L Lᵀ, whose lower triangle is used and overwritten."""
     d = len(matrix)
@@ -424,7 +424,7 @@ def _to_eigenvalues(matrix: FloatArray) -> None:
                     matrix[b, c], matrix[a, c] = cosine * one - sine * other, sine * one + cosine * other
 
 
-@part
+@inlined
 def _slope_at(change: FloatArray, most: float, whole: FloatArray, root: FloatArray) -> float:
     """The slope of ln|1 + δ D| at δ = ``most``: tr(D (1 + δ D)⁻¹), with D = ``change``. whole, root : scratch."""
     for a in range(len(change)):
@@ -530,7 +530,7 @@ def sum_of_records(
                 mean[k, v] += spread[k, v, w] * vector[w]
 
 
-@part
+@inlined
 def _information(covariance: FloatArray, moving: bool, copy: FloatArray, root: FloatArray, out: FloatArray) -> None:
     """Write the information (4, 4) of a record, 0 on a velocity that is not reported. copy, root : scratch."""
     if moving:
@@ -546,7 +546,7 @@ def _information(covariance: FloatArray, moving: bool, copy: FloatArray, root: F
     out[0, 1] = out[1, 0] = -b / determinant
 
 
-@part
+@inlined
 def _inverse(matrix: FloatArray, root: FloatArray, out: FloatArray) -> None:
     """Write the inverse of a positive definite matrix, which is overwritten. root : scratch."""
     inverse_root(matrix, root)

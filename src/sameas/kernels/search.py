@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from sameas.arrays import FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import borrowing_part, part, small
+from sameas.kernels.compiled import borrowing_part, inlined, part, small
 from sameas.kernels.zones import ROOM, Grid, Reach, Side, count_without, first_from, folded, near, sine
 
 #: A number, or in Python an array of them.
@@ -24,7 +24,7 @@ ARCSEC = 206264.80624709636
 CLOSE_DEG = 0.8
 
 
-@part
+@inlined
 def add_spread(packed: FloatArray, k: int, at: int, d: int, out: FloatArray) -> None:
     """Add row k of a packed covariance, which begins in column ``at``, to ``out`` (d, d), lower triangle only."""
     p = packed.shape[1] - at
@@ -205,7 +205,7 @@ def sweep_few(
     return count
 
 
-@part
+@inlined
 def _near(
     content1: FloatArray,
     variance1: FloatArray,

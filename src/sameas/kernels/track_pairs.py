@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.kernels.compiled import part, small, small_by
+from sameas.kernels.compiled import inlined, part, small, small_by
 from sameas.kernels.linear import positive_2, solve_2
 
 #: Components of the errors if both tracks are one object, and if they are in convoy.
@@ -91,7 +91,7 @@ def pairs_stepped(
         now[k] = -0.5 * (chi_sq[k] + math.log(determinant)) - math.log(2.0 * math.pi)
 
 
-@part
+@inlined
 def _unpacked(row: FloatArray, mean_at: int, covariance_at: int, mean: FloatArray, covariance: FloatArray) -> None:
     """Read a mean and a covariance from a row."""
     at = covariance_at
@@ -102,7 +102,7 @@ def _unpacked(row: FloatArray, mean_at: int, covariance_at: int, mean: FloatArra
             at += 1
 
 
-@part
+@inlined
 def _packed(mean: FloatArray, covariance: FloatArray, mean_at: int, covariance_at: int, row: FloatArray) -> None:
     """Write a mean and a covariance to a row."""
     at = covariance_at
@@ -113,7 +113,7 @@ def _packed(mean: FloatArray, covariance: FloatArray, mean_at: int, covariance_a
             at += 1
 
 
-@part
+@inlined
 def _gain_by_drift(drift_a: FloatArray, drift_b: FloatArray, least: float, gain: FloatArray) -> None:
     """Write the gain (2, 2) of the first track's motion from the change of both tracks' separation."""
     p = drift_a[0, 0] + drift_b[0, 0] + least
@@ -124,7 +124,7 @@ def _gain_by_drift(drift_a: FloatArray, drift_b: FloatArray, least: float, gain:
         gain[v, 0], gain[v, 1] = solve_2(p, q, r, determinant, drift_a[v, 0], drift_a[v, 1])
 
 
-@part
+@inlined
 def _grow(drift: FloatArray, gain: FloatArray, x: float, y: float, mean: FloatArray, covariance: FloatArray) -> None:
     """Add to e_a the motion of its track, given the change (x, y) of both tracks' separation."""
     for v in range(2):
@@ -135,7 +135,7 @@ def _grow(drift: FloatArray, gain: FloatArray, x: float, y: float, mean: FloatAr
             covariance[w, v] += half_rest
 
 
-@part
+@inlined
 def _update(
     mean: FloatArray, covariance: FloatArray, begin: int, end: int, slope: FloatArray, noise: FloatArray, least: float,
     east: float, north: float, goes_on: bool, one: FloatArray, other: FloatArray,
