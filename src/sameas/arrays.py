@@ -4,7 +4,7 @@
 - :func:`median`, :func:`weighted_median`, :func:`robust_scale`: of numbers.
 - :func:`taken`: rows; :func:`ordered_by`: rows in the order of their columns; :func:`distinct`: without duplicates.
 - :func:`places_in`: positions of numbers among ascending ones; :func:`spans_in`: among ones with duplicates;
-  :func:`are_among`: whether they are there.
+  :func:`are_among`: whether they are there; :func:`numbers_of`: of names.
 - :func:`finite_rows`: rows without NaN; :func:`entries`: the numbers in a table with gaps.
 - :data:`ABSENT`: the number of no row.
 """
@@ -12,7 +12,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import repeat
 from typing import Any, TypeVar
 
 import numpy as np
@@ -255,6 +256,19 @@ def places_in(ascending: IntArray, numbers: IntArray) -> IntArray:
         return place[_within(numbers, low, high)]
     at = np.minimum(np.searchsorted(ascending, numbers), len(ascending) - 1)
     return np.where(ascending[at] == numbers, at, ABSENT)
+
+
+def numbers_of(names: list[Any], known: Mapping[Any, int]) -> IntArray:
+    """(n,) the number of each name, ABSENT for others. That all are known, as those of tracks nearly always are, is
+    tried first, since it takes half the time.
+
+    >>> numbers_of(["b", "x"], {"a": 4, "b": 7})
+    array([ 7, -1])
+    """
+    try:
+        return np.fromiter(map(known.__getitem__, names), np.int64, len(names))
+    except KeyError:
+        return np.fromiter(map(known.get, names, repeat(ABSENT)), np.int64, len(names))
 
 
 def are_among(numbers: IntArray, others: IntArray) -> BoolArray:

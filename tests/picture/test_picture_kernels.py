@@ -19,6 +19,7 @@ from sameas.kernels.kalman import (
     weights_of_least_determinant,
 )
 from sameas.kernels.nearest import nearest_at_once
+from sameas.kernels.tracks import neighbours, outdated
 from sameas.kernels.zones import merge_rows
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.picture.error_correlation import growth
@@ -185,6 +186,41 @@ def test_two_ordered_lists_of_rows_are_merged(rng, way):
     rows, merged = rng.permutation(40)[:31], np.empty(31, np.int64)
     getattr(merge_rows, way)(ordered(rows[:20]), ordered(rows[20:]), number, time_s, serial, merged)
     assert np.array_equal(merged, ordered(rows))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_reports_are_dropped_that_no_later_instant_needs(rng, way):
+    number, time_s, late_s = rng.integers(0, 9, 40), rng.integers(0, 12, 40).astype(float), rng.normal(size=40)
+    number[0], time_s[0] = 9, 1.0
+    order = np.lexsort([time_s, number])
+    dropped, ended, gaps = *np.empty((2, 40), bool), np.empty((40, 2))
+    n = getattr(outdated, way)(order, number, time_s, late_s, 6.0, 2.0, dropped, ended, gaps)
+    expected = []
+    for k, row in enumerate(order):
+        later = [other for other in order[k + 1 :] if number[other] == number[row]]
+        replaced = bool(later) and time_s[later[0]] <= 6.0
+        assert dropped[k] == (replaced or time_s[row] < 2.0)
+        assert ended[k] == (not later and time_s[row] < 2.0)
+        expected += [(time_s[later[0]] - time_s[row], late_s[later[0]])] if replaced else []
+    assert gaps[:n].tolist() == [list(gap) for gap in expected]
+    assert ended.any() and 0 < n < dropped.sum()
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_neighbours_of_new_reports_are_those_of_their_tracks_from_the_one_before_on(rng, way):
+    number, time_s = rng.integers(0, 9, 40), rng.integers(0, 12, 40).astype(float)
+    order = np.lexsort([time_s, number])
+    new_number, new_time_s, own = (
+        np.array([-1, 1, 1, 3, 6, 20]),
+        np.array([2.0, 9.0, 4.0, -1.0, 99.0, 5.0]),
+        order.copy(),
+    )
+    n = getattr(neighbours, way)(order, number, time_s, new_number, new_time_s, own)
+    expected = []
+    for track in np.unique(new_number):
+        rows, first_s = order[number[order] == track], new_time_s[new_number == track].min()
+        expected += [*rows[time_s[rows] < first_s][-1:], *rows[time_s[rows] >= first_s]]
+    assert own[:n].tolist() == expected and 0 < n < 40
 
 
 @pytest.mark.parametrize("n", [1, 2, 20, 501])

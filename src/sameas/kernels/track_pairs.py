@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.kernels.compiled import inlined, part, small, small_by
+from sameas.kernels.compiled import inlined, small, small_by
 from sameas.kernels.linear import positive_2, solve_2
 
 #: Components of the errors if both tracks are one object, and if they are in convoy.

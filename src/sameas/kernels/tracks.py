@@ -1,5 +1,6 @@
 """Compiled loops over the reports of tracks: their Kalman filter, and the evidence of their motion on a clock
-(:mod:`sameas.tracks.alignment`)."""
+(:mod:`sameas.tracks.alignment`); those that a live feed drops, and those beside new ones
+(:mod:`sameas.tracks.live_feed`)."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ import math
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.kernels.compiled import part, small_by
+from sameas.kernels.compiled import part, small, small_by
 from sameas.kernels.kalman import state_moved
 from sameas.kernels.linear import solve_2
 
@@ -145,3 +146,64 @@ def _log_sum(x: float, y: float) -> float:
     if x > y:
         return x + math.log1p(math.exp(y - x))
     return y if x < y - 50.0 else y + math.log1p(math.exp(x - y))
+
+
+@small
+def outdated(
+    order: IntArray, number: IntArray, time_s: FloatArray, late_s: FloatArray, horizon_s: float, ended_s: float,
+    dropped: BoolArray, ended: BoolArray, gaps: FloatArray,
+) -> int:  # fmt: skip
+    """Write which reports (k,) no instant at or after the horizon needs: those with a later one of their track at or
+    before it, and those before ``ended_s``; and which of them are the last of their tracks. Writes the gaps (k, 2) to
+    the later ones, and how late these were; returns their number.
+
+    order : (k,) rows by track and time. number, time_s, late_s : (n,) of all rows.
+    """
+    n_gaps = 0
+    for k in range(len(order)):
+        row, later = order[k], order[min(k + 1, len(order) - 1)]
+        goes_on = later != row and number[later] == number[row]
+        dropped[k] = time_s[row] < ended_s
+        ended[k] = dropped[k] and not goes_on
+        if goes_on and time_s[later] <= horizon_s:
+            dropped[k] = True
+            gaps[n_gaps, 0], gaps[n_gaps, 1] = time_s[later] - time_s[row], late_s[later]
+            n_gaps += 1
+    return n_gaps
+
+
+@small
+def neighbours(
+    order: IntArray, number: IntArray, time_s: FloatArray, new_number: IntArray, new_time_s: FloatArray, own: IntArray
+) -> int:
+    """Write the rows of the tracks of new reports, in order: of each track the last one before its first new report,
+    and all after that; returns how many.
+
+    order : (k,) rows by track and time. number, time_s : (n,) of all rows. new_number, new_time_s : (m,) of the new
+    reports, numbers ascending. own : (k,).
+    """
+    count = k = at = 0
+    while k < len(order) and at < len(new_number):
+        track = new_number[at]
+        if number[order[k]] < track:
+            k += 1
+            continue
+        earliest_s, last = math.inf, -1
+        while at < len(new_number) and new_number[at] == track:
+            earliest_s = min(earliest_s, new_time_s[at])
+            at += 1
+        while k < len(order) and number[order[k]] == track:
+            row = order[k]
+            if time_s[row] < earliest_s:
+                last = row
+            else:
+                if last >= 0:
+                    own[count], last = last, -1
+                    count += 1
+                own[count] = row
+                count += 1
+            k += 1
+        if last >= 0:
+            own[count] = last
+            count += 1
+    return count

@@ -23,11 +23,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import repeat
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken, taken_plane
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, numbers_of, places_in, taken, taken_plane
 from sameas.gate import ChiSquare
 from sameas.gaussian import log_determinant
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
@@ -148,7 +147,7 @@ class NamedTracks:
         for s, description in enumerate(scan.now.descriptions):
             records, number_of = slice(scan.start[s], scan.start[s + 1]), self.by_name.get(description.name)
             if number_of:
-                out[records] = list(map(number_of.get, scan.track[records].tolist(), repeat(ABSENT)))
+                out[records] = numbers_of(scan.track[records].tolist(), number_of)
         return out
 
     def advance(self, scan: Scan, track_of_record: IntArray | None = None) -> tuple[NamedTracks, Step]:

@@ -101,10 +101,12 @@ def stale_positions(
     return np.asarray(repeats[left])
 
 
-def repeated(track: IntArray, time_s: FloatArray, position: FloatArray) -> tuple[IntArray, FloatArray]:
+def repeated(
+    track: IntArray, time_s: FloatArray, position: FloatArray, order: IntArray | None = None
+) -> tuple[IntArray, FloatArray]:
     """(k,) rows of the reports (n,) that repeat the position (n, 2) of the previous report of their track, and the
-    seconds since the first report of that position."""
-    rows = np.lexsort([time_s, track])
+    seconds since the first report of that position. order : (n,) rows by track and time, where already known."""
+    rows = np.lexsort([time_s, track]) if order is None else order
     track, position = track[rows], taken(position, rows)
     same = np.zeros(len(rows), bool)
     same[1:] = over_columns(np.logical_and, position[1:] == position[:-1]) & (track[1:] == track[:-1])

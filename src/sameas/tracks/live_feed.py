@@ -17,14 +17,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from itertools import repeat
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, are_among, places_in, taken
+from sameas.arrays import BoolArray, FloatArray, IntArray, are_among, numbers_of, ordered_by, places_in, taken
 from sameas.evidence.identity import NAMING
+from sameas.kernels.tracks import neighbours, outdated
 from sameas.kernels.zones import merge_rows
 from sameas.tracks.alignment import NO_TREND, States, Succession, are_unfiltered, follow
 from sameas.tracks.biases import TIME
@@ -315,13 +315,13 @@ class LiveFeed:
     def _numbered(self, names: NDArray[Any]) -> IntArray:
         """(n,) the number of each track; new names get the next numbers."""
         numbers, listed = self._numbers, names.tolist()
-        out = list(map(numbers.get, listed, repeat(ABSENT)))
-        for k in [k for k, number in enumerate(out) if number < 0]:
+        out = numbers_of(listed, numbers)
+        for k in np.flatnonzero(out < 0).tolist():
             if listed[k] not in numbers:
                 numbers[listed[k]] = self._next_number
                 self._next_number += 1
             out[k] = numbers[listed[k]]
-        return np.array(out, np.int64)
+        return out
 
     def _decide_filtering(self, placed: PlacedReports) -> None:
         """Sets ``to_tracks``: by the kind of the reports at once, by their scatter once there are enough."""
@@ -367,24 +367,16 @@ class LiveFeed:
     def _insert(self, places: IntArray) -> None:
         """Merges new rows into ``_order``: by track, then time, then serial number."""
         rows, old = self._rows, self._order
-        new = places[np.lexsort([rows.serial[places], rows.time_s[places], rows.number[places]])]
+        new = places[ordered_by([rows.number[places], rows.time_s[places], rows.serial[places]])]
         self._order = np.empty(len(old) + len(new), np.int64)
         merge_rows(old, new, rows.number, rows.time_s, rows.serial, self._order)
 
     def _neighbours(self, new: ReportTable) -> IntArray:
         """Rows of the tracks of new reports, in order: of each track the last one before these, and all after it."""
-        rows, order = self._rows, self._order
-        number, time_s = rows.number[order], rows.time_s[order]
-        by_track = np.lexsort([new.time_s, new.number])
-        of_track, first = np.unique(new.number[by_track], return_index=True)
-        earliest_s = np.append(new.time_s[by_track][first], math.inf)
-        at = places_in(of_track, number)
-        same_track = at >= 0
-        after = same_track & (time_s >= earliest_s[at])
-        # The last row before the first new report, or the last of the track.
-        before = same_track & ~after
-        before[:-1] &= after[1:] | (number[1:] != number[:-1])
-        return order[after | before]
+        rows, own = self._rows, np.empty(len(self._order), np.int64)
+        by_track = np.argsort(new.number)
+        n = neighbours(self._order, rows.number, rows.time_s, new.number[by_track], new.time_s[by_track], own)
+        return own[:n]
 
     def _in_time(self, new: ReportTable) -> BoolArray:
         """(n,) whether a report is within the lag, or not before the oldest report that is kept of its track."""
@@ -408,14 +400,9 @@ class LiveFeed:
     def _new_positions(self, new: ReportTable, own: IntArray) -> BoolArray:
         """(n,) whether a report has a new position: it does not repeat one that its object has left."""
         rows, out = self._rows, np.ones(len(new), bool)
-        number, time_s, place = (
-            np.concatenate(both)
-            for both in (
-                (rows.number[own], new.number), (rows.time_s[own], new.time_s),
-                (taken(rows.measured, own)[:, :2], new.measured[:, :2]),
-            )
-        )  # fmt: skip
-        repeats = repeated(number, time_s, place)[0] - len(own)
+        place = np.concatenate([taken(rows.measured, own)[:, :2], new.measured[:, :2]])
+        number, time_s, order = self._beside(own, new)
+        repeats = repeated(number, time_s, place, order)[0] - len(own)
         repeats = repeats[repeats >= 0]
         if not len(repeats):
             return out
@@ -464,12 +451,21 @@ class LiveFeed:
                 del self._split[name]
         return True
 
+    def _beside(self, own: IntArray, new: ReportTable) -> tuple[IntArray, FloatArray, IntArray]:
+        """Numbers of tracks and times of ``own`` (k,) rows, which are in order, followed by new reports, and the order
+        of both together: by track, then time, then serial number."""
+        rows, k = self._rows, len(own)
+        number, time_s, serial = (
+            np.concatenate([getattr(rows, name)[own], getattr(new, name)]) for name in ("number", "time_s", "serial")
+        )
+        of_new, order = ordered_by([new.number, new.time_s, new.serial]), np.empty(len(number), np.int64)
+        merge_rows(np.arange(k), k + of_new, number, time_s, serial, order)
+        return number, time_s, order
+
     def _far(self, new: ReportTable, last: IntArray, radius: FloatArray, limit: float) -> BoolArray:
         """(n,) whether any report of the same id lies out of reach of the one before it, in its track or this batch."""
         rows = self._rows
-        number = np.concatenate([rows.number[last], new.number])
-        time_s = np.concatenate([rows.time_s[last], new.time_s])
-        order = np.lexsort([time_s, number])
+        number, time_s, order = self._beside(last, new)
         number, time_s = number[order], time_s[order]
         state = taken(np.concatenate([taken(rows.measured, last), new.measured]), order)
         last_radius = self.tuning.position_sigmas * _sigma_m(taken(rows.measured_covariance, last))
@@ -549,29 +545,26 @@ class LiveFeed:
     def _drop(self, horizon_s: float) -> None:
         """Drops the reports that no instant at or after ``horizon_s`` needs."""
         rows, self._horizon_s = self._rows, horizon_s
-        live, ended = np.flatnonzero(rows.taken), np.empty(0, np.int64)
+        live = np.flatnonzero(rows.taken)
+        names: list[str] = []
         if self._named:
             order = self._ordered(live)
-            number, time_s = rows.number[order], rows.time_s[order]
-            goes_on = np.append(number[1:] == number[:-1], False)[: len(order)]
-            superseded = goes_on & np.append(time_s[1:] <= horizon_s, False)[: len(order)]
+            is_dropped, is_ended, gaps = *np.empty((2, len(order)), bool), np.empty((len(order), 2))
+            n_gaps = outdated(
+                order, rows.number, rows.time_s, rows.late_s, horizon_s, horizon_s - (self._memory_s - self.lag_s),
+                is_dropped, is_ended, gaps,
+            )  # fmt: skip
             # These gaps are final: no late report can change them.
-            later = np.flatnonzero(superseded) + 1
-            gaps = np.column_stack([time_s[later] - time_s[superseded], rows.late_s[order[later]]])
-            self._gaps = np.concatenate([self._gaps, gaps])[-self.live.gaps :]
-            timed_out = time_s < horizon_s - (self._memory_s - self.lag_s)
-            dropped, ended = order[superseded | timed_out], order[timed_out & ~goes_on]
+            self._gaps = np.concatenate([self._gaps, gaps[:n_gaps]])[-self.live.gaps :]
+            dropped, names = order[is_dropped], rows.name[order[is_ended]].tolist()
         else:
             period_s = self.description.timing.period_s or 0.0
             kept_s = max(self.live.plots_s, self.live.plot_periods * period_s)
             dropped = live[rows.time_s[live] < horizon_s - kept_s]
         if not len(dropped):
             return
-        remains = np.zeros(len(rows), bool)
-        remains[live], remains[dropped] = True, False
-        self._order = self._order[remains[self._order]]
-        names = rows.name[ended].tolist()
         rows.clear(dropped)
+        self._order = self._order[rows.taken[self._order]]
         for name in names:
             self._numbers.pop(name, None)
             self._split.pop(name, None)
