@@ -3,7 +3,7 @@
 Also prints the tables of ``unnamed_boats`` and ``unnamed_aircraft`` (without names in clutter), ``memory`` (stated
 probabilities) and of ``autoferry`` (errors of fused positions).
 
-The radar in clutter is modelled (``sameas.simulate.boat_radar``): a small radar on a moving boat, ten plots per
+The radar in clutter is modelled (``benchmarks.boat_radar``): a small radar on a moving boat, ten plots per
 rotation, one or two of them from vessels with AIS, azimuth offset 0.5 to 8° either way, and in rough scenes a compass
 that drifts by 2°, echoes that fade, and ships at berths. An estimate of the mean offset is right within 1°
 and three standard errors (or 0.5°); established and not right is false. In scenes without common objects every
@@ -35,6 +35,7 @@ import numpy as np
 from benchmarks import autoferry, invented, memory, motion, unnamed_aircraft, unnamed_boats
 from benchmarks.autoferry_models import describe_all, models_from_others
 from benchmarks.autoferry_scenes import FOLDER, SCENARIOS, scene_of
+from benchmarks.boat_radar import BoatRadarScene, boat_radar
 from benchmarks.contenders import Pairing, compass, nearest_one, stone_soup
 from benchmarks.memory import instant_evidence
 from benchmarks.picture import World, solent
@@ -45,7 +46,6 @@ from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_tracker import PlotTracker
 from sameas.picture.watch import Watch
 from sameas.records import Records
-from sameas.simulate.boat_radar import BoatRadarScene, boat_radar
 from sameas.simulate.sensors import Bias, Sensor, SensorOutput, TrueMotion
 from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import AZIMUTH

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.boat_radar import boat_radar
 
-from sameas.simulate.boat_radar import boat_radar
 from sameas.simulate.sensors import Bias
 from sameas.tracks import Description, Reports, Site
 from sameas.tracks.bearing_readings import best_other_reading

@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from benchmarks.boat_radar import boat_radar
 from harbour import harbour
 
 from sameas.errors import InputError
-from sameas.simulate.boat_radar import boat_radar
 from sameas.tracks import Description, LocalPlane, MissRate, Reports, Scene, SensorErrors, Site
 
 pytest.importorskip("pymap3d")

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.boat_radar import boat_radar
 
 from sameas.io.sensors.format import unwrapped
-from sameas.simulate.boat_radar import boat_radar
 from sameas.tracks.faults import Fault, source_faults
 from sameas.tracks.scene import Scene
 

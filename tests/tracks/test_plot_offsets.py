@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.boat_radar import boat_radar
 
 from sameas.errors import InputError
 from sameas.picture import Picture, instants
 from sameas.registration.offsets import range_and_azimuth
-from sameas.simulate.boat_radar import boat_radar
 from sameas.simulate.sensors import Bias
 from sameas.tracks import Clutter, Description, MissRate, Reports, SensorErrors, Site, Timing, plot_offsets
 from sameas.tracks.alignment import States
