@@ -13,7 +13,7 @@ from sameas.estimate.match import match
 from sameas.estimate.photometry import Photometry, Sample, density_of, fit_relation
 from sameas.estimate.result import MatchTuning
 from sameas.evidence import Brightness, Chain, Magnitudes, SourceMagnitudes
-from sameas.evidence.detection import DetectionCurve, Hats, ShareCurve, knots_of, logit, share_error
+from sameas.evidence.detection import DetectionCurve, LinearSpline, ShareCurve, knots_of, logit, share_error
 from sameas.score.pairs import is_true_pair
 from sameas.simulate.catalogues import Sky, exposure, misquoted, with_outliers
 
@@ -372,7 +372,7 @@ def test_detection_shares_are_recovered_on_top_of_local_shares():
     shown = (rng.uniform(size=20_000) < true).astype(float)
     curve = ShareCurve.fit(magnitude, position, shown)
     at = np.linspace(14.5, 19.5, 6)
-    fitted = Hats.at(curve.knots, at).curve(curve.values)
+    fitted = LinearSpline.at(curve.knots, at).curve(curve.values)
     assert fitted == pytest.approx(2.0 - (at - 16.0), abs=0.3)
     terms = curve.terms(np.array([16.0, np.nan]), np.array([0.5, 0.5]))
     s = 1.0 / (1.0 + math.exp(-2.0))
@@ -399,11 +399,11 @@ def test_bins_of_the_detection_curve_hold_all_records_and_enough_each():
 def test_the_linear_basis_interpolates_and_its_sums_agree_with_the_matrix():
     rng = np.random.default_rng(14)
     knots, x, weights = np.array([0.0, 1.0, 3.0]), rng.uniform(-1.0, 4.0, 50), rng.uniform(size=50)
-    hats = Hats.at(knots, x)
-    assert hats.curve(np.array([1.0, 2.0, -1.0])) == pytest.approx(np.interp(x, knots, [1.0, 2.0, -1.0]))
-    matrix = np.column_stack([hats.curve(row) for row in np.eye(3)])
-    assert hats.sum(weights) == pytest.approx(matrix.T @ weights)
-    single = Hats.at(np.array([2.0]), x)
+    spline = LinearSpline.at(knots, x)
+    assert spline.curve(np.array([1.0, 2.0, -1.0])) == pytest.approx(np.interp(x, knots, [1.0, 2.0, -1.0]))
+    matrix = np.column_stack([spline.curve(row) for row in np.eye(3)])
+    assert spline.sum(weights) == pytest.approx(matrix.T @ weights)
+    single = LinearSpline.at(np.array([2.0]), x)
     assert single.curve(np.array([5.0])) == pytest.approx(5.0) and single.sum(weights) == pytest.approx(weights.sum())
 
 

@@ -27,7 +27,7 @@ from sameas.estimate.share_regression import (
     quantiles,
 )
 from sameas.evidence.columns import Association, CodedColumn, Column, Columns, Related
-from sameas.evidence.detection import Hats
+from sameas.evidence.detection import LinearSpline
 from sameas.gate import Pairs
 from sameas.records import Records
 from sameas.representation import in_short
@@ -237,8 +237,8 @@ def _cells_and_parts(column: CodedColumn, knots: FloatArray) -> tuple[IntArray, 
     if column.words is not None:
         missing |= column.values >= len(column.words)  # words unknown to the fit
         return np.where(missing, ABSENT, np.nan_to_num(column.values)).astype(np.int64), np.zeros(len(missing))
-    hats = Hats.at(knots, np.where(missing, knots[0], column.values))
-    return np.where(missing, ABSENT, hats.left), np.where(missing, 0.0, hats.part)
+    spline = LinearSpline.at(knots, np.where(missing, knots[0], column.values))
+    return np.where(missing, ABSENT, spline.left), np.where(missing, 0.0, spline.part)
 
 
 def _fit_association(

@@ -179,28 +179,28 @@ def with_trends(
     n_knots = int(min(tuning.max_knots, float(weight.sum()) / tuning.pairs_per_knot))
     score = _score(errors, errors.pairs(some).mahalanobis_sq, pairs.d)
     fitted_before = {(trend.source, trend.quantity) for trend in previous}
-    all_hats = [
-        hats for one in quantities if (hats := _Hats.of(one, some, weight, n_knots, tuning.min_pairs)) is not None
-    ]
+    bases = [_LinearBasis.of(one, some, weight, n_knots, tuning.min_pairs) for one in quantities]
     candidates = [
-        hats for hats in all_hats if hats.key in fitted_before or hats.expected_gain(score, weight) > tuning.min_gain
+        basis
+        for basis in bases
+        if basis is not None and (basis.key in fitted_before or basis.expected_gain(score, weight) > tuning.min_gain)
     ]
     if not candidates:
         return errors, (), 0.0
     present = log_likelihood(errors, some, weight)
     best: tuple[float, Errors, tuple[Trend, ...]] = (present if not previous else -math.inf, errors, ())
-    chosen: list[_Hats] = []
+    chosen: list[_LinearBasis] = []
     while len(chosen) < len(candidates):
         fits = [
-            (hats, *_fit_trends(some, weight, [*chosen, hats], tuning, error_fit))
-            for hats in candidates
-            if hats not in chosen
+            (basis, *_fit_trends(some, weight, [*chosen, basis], tuning, error_fit))
+            for basis in candidates
+            if basis not in chosen
         ]
-        hats, value, model, trends = max(fits, key=lambda fit: fit[1])
+        basis, value, model, trends = max(fits, key=lambda fit: fit[1])
         if value - best[0] < tuning.min_gain + 0.5 * n_knots * math.log(float(weight.sum())):
             break
         best = value, model, trends
-        chosen.append(hats)
+        chosen.append(basis)
     if not chosen:
         return errors, (), 0.0
     competing = _Competing.of(errors, pairs, p_pair, most, tuning)
@@ -212,12 +212,12 @@ def with_trends(
 def _refit(
     competing: _Competing,
     initial: tuple[float, Errors, tuple[Trend, ...]],
-    chosen: Sequence[_Hats],
+    chosen: Sequence[_LinearBasis],
     tuning: TrendTuning,
     error_fit: ErrorFitTuning,
 ) -> tuple[Errors, tuple[Trend, ...], float]:
     """The trends fitted repeatedly with updated probabilities of the candidates, and the gain in ln likelihood."""
-    (_, errors, trends), all_hats = initial, [each.at(competing.pairs) for each in chosen]
+    (_, errors, trends), bases = initial, [each.at(competing.pairs) for each in chosen]
     weight, gain = competing.p, -math.inf
     for _ in range(tuning.max_refits):
         likely = weight > tuning.min_p
@@ -226,8 +226,8 @@ def _refit(
         if new_gain - gain < tuning.min_refit_gain:
             break
         gain, likely = new_gain, weight > tuning.min_p
-        some, hats = competing.pairs.part(np.flatnonzero(likely)), [each.part(likely) for each in all_hats]
-        _, errors, trends = _fit_trends(some, weight[likely], hats, tuning, error_fit)
+        some, of_some = competing.pairs.part(np.flatnonzero(likely)), [each.part(likely) for each in bases]
+        _, errors, trends = _fit_trends(some, weight[likely], of_some, tuning, error_fit)
     return errors, trends, gain
 
 
@@ -264,29 +264,31 @@ class _Competing:
 
 @in_short
 @dataclass(frozen=True, eq=False)
-class _Hats:
-    """Piecewise linear basis of a covariate x: ``hats`` (k, m) of pairs, one for each of the ``knots`` (k,)."""
+class _LinearBasis:
+    """Piecewise linear basis of a covariate x: ``values`` (k, m) of pairs, one for each of the ``knots`` (k,)."""
 
     covariate: Covariate
     knots: FloatArray
-    hats: FloatArray
+    values: FloatArray
 
-    def at(self, pairs: Pairs) -> _Hats:
+    def at(self, pairs: Pairs) -> _LinearBasis:
         """The basis evaluated for other pairs."""
         x = self.covariate.of(pairs)
         x = np.where(np.isfinite(x), x, self.knots[len(self.knots) // 2])
-        return replace(self, hats=np.array([np.interp(x, self.knots, one) for one in np.eye(len(self.knots))]))
+        return replace(self, values=np.array([np.interp(x, self.knots, one) for one in np.eye(len(self.knots))]))
 
-    def part(self, some: BoolArray) -> _Hats:
+    def part(self, some: BoolArray) -> _LinearBasis:
         """The basis for some of the pairs."""
-        return replace(self, hats=self.hats[:, some])
+        return replace(self, values=self.values[:, some])
 
     @property
     def key(self) -> tuple[int, str]:
         return self.covariate.source, self.covariate.quantity
 
     @classmethod
-    def of(cls, covariate: Covariate, pairs: Pairs, weight: FloatArray, n_knots: int, min_pairs: float) -> _Hats | None:
+    def of(
+        cls, covariate: Covariate, pairs: Pairs, weight: FloatArray, n_knots: int, min_pairs: float
+    ) -> _LinearBasis | None:
         """The basis with equal weights of pairs between knots; None if x is mostly unknown or hardly varies."""
         x = covariate.of(pairs)
         finite = np.isfinite(x)
@@ -302,14 +304,14 @@ class _Hats:
 
     def expected_gain(self, score: FloatArray, weight: FloatArray) -> float:
         """Expected gain in ln likelihood from errors that change with x, less that of chance, to second order."""
-        slope = self.hats @ (weight * score)
-        information = (self.hats * (weight * score**2)) @ self.hats.T
+        slope = self.values @ (weight * score)
+        information = (self.values * (weight * score**2)) @ self.values.T
         gain = 0.5 * float(slope @ np.linalg.lstsq(information, slope, rcond=1e-9)[0])
         return gain - 0.5 * len(slope)
 
     def trend(self, added: FloatArray, total_variance: FloatArray, weight: FloatArray) -> Trend:
         """The trend with these (k,) variances at the knots; ``total_variance`` (m,) of pairs."""
-        one, shares = self.covariate, self.hats * weight
+        one, shares = self.covariate, self.values * weight
         sigma = np.sqrt(shares @ total_variance / shares.sum(axis=1))
         return Trend(one.source, one.quantity, one.unit, self.knots, added, sigma)
 
@@ -324,22 +326,22 @@ def _score(errors: Errors, square: FloatArray, d: int) -> FloatArray:
 
 
 def _fit_trends(
-    pairs: Pairs, weight: FloatArray, hats: Sequence[_Hats], tuning: TrendTuning, error_fit: ErrorFitTuning
+    pairs: Pairs, weight: FloatArray, bases: Sequence[_LinearBasis], tuning: TrendTuning, error_fit: ErrorFitTuning
 ) -> tuple[float, Errors, tuple[Trend, ...]]:
     """ln likelihood of pairs with errors that grow with all these quantities, the errors, and their trends."""
     one, two = (unpack(of.covariance[at], pairs.d) for of, at in ((pairs.first, pairs.i), (pairs.second, pairs.j)))
     unit = float(np.median(np.einsum("mvv->m", one + two))) / pairs.d
     floor_covariance = unit * np.eye(pairs.d)
-    parts = np.stack([one, two, *(hat[:, None, None] * floor_covariance for each in hats for hat in each.hats)])
+    parts = np.stack([one, two, *(value[:, None, None] * floor_covariance for each in bases for value in each.values)])
     theta = fit_variances(pairs.residual, weight, parts, error_fit)
     total_variance = np.einsum("k,kmvv->m", theta, parts) / pairs.d
-    ends = np.cumsum([2, *(len(each.hats) for each in hats)])
+    ends = np.cumsum([2, *(len(each.values) for each in bases)])
     trends = tuple(
         each.trend(unit * theta[begin:end], total_variance, weight)
-        for each, begin, end in zip(hats, ends, ends[1:], strict=False)
+        for each, begin, end in zip(bases, ends, ends[1:], strict=False)
     )
     added: list[FloatArray | None] = [None, None]
-    for trend, each in zip(trends, hats, strict=True):
+    for trend, each in zip(trends, bases, strict=True):
         variance, other = trend.variance(each.covariate.values), added[trend.source]
         added[trend.source] = variance if other is None else other + variance
     factors = np.maximum(np.sqrt(theta[:2]), tuning.min_factor).tolist()

@@ -14,7 +14,7 @@ from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.photometry import Photometry
 from sameas.evidence import Errors
-from sameas.evidence.detection import Hats
+from sameas.evidence.detection import LinearSpline
 from sameas.gate.gate import quantile
 from sameas.kernels import threads
 from sameas.result import Identification
@@ -192,10 +192,10 @@ class _Scores:
             return
         magnitude = self.photometry.sides[2 - source].measured.values[other, 0]
         known = np.isfinite(magnitude)
-        hats = Hats.at(curve.knots, np.where(known, magnitude, curve.knots[0]))
+        spline = LinearSpline.at(curve.knots, np.where(known, magnitude, curve.knots[0]))
         for knot in np.eye(len(curve.knots)):
             score = np.zeros(len(known))
-            score[known] = _centred(hats.curve(knot)[known], weight[known])
+            score[known] = _centred(spline.curve(knot)[known], weight[known])
             yield score
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.columns import CodedColumn
-from sameas.evidence.detection import Hats, logit, roughness
+from sameas.evidence.detection import LinearSpline, logit, roughness
 from sameas.representation import in_short
 
 if TYPE_CHECKING:
@@ -160,9 +160,9 @@ class _Basis:
             at, known = self._code(values)
             out[rows[known], at[known]] = 1.0
         else:
-            hats = Hats.at(self.knots, np.where(missing, self.knots[0], values))
-            out[rows, hats.left] = 1.0 - hats.part
-            out[rows, np.minimum(hats.left + 1, k - 1)] += hats.part
+            spline = LinearSpline.at(self.knots, np.where(missing, self.knots[0], values))
+            out[rows, spline.left] = 1.0 - spline.part
+            out[rows, np.minimum(spline.left + 1, k - 1)] += spline.part
             out[missing] = 0.0
         out[missing, k] = 1.0
         return out
@@ -173,9 +173,9 @@ class _Basis:
         if self.words:
             at, known = self._code(x)
             return np.where(missing, coefficients[fold, k], np.where(known, coefficients[fold, at], 0.0))
-        hats = Hats.at(self.knots, np.where(missing, self.knots[0], x))
-        right = np.minimum(hats.left + 1, k - 1)
-        curve = (1.0 - hats.part) * coefficients[fold, hats.left] + hats.part * coefficients[fold, right]
+        spline = LinearSpline.at(self.knots, np.where(missing, self.knots[0], x))
+        right = np.minimum(spline.left + 1, k - 1)
+        curve = (1.0 - spline.part) * coefficients[fold, spline.left] + spline.part * coefficients[fold, right]
         return np.where(missing, coefficients[fold, k], curve)
 
     def _code(self, values: FloatArray) -> tuple[IntArray, BoolArray]:

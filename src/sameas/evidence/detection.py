@@ -75,7 +75,7 @@ def knots_of(
 
 @in_short
 @dataclass(frozen=True)
-class Hats:
+class LinearSpline:
     """The basis of piecewise linear curves, constant outside the knots, at n places.
 
     A curve with values c (k,) at the knots is (1 − part)·c[left] + part·c[left + 1].
@@ -86,7 +86,7 @@ class Hats:
     part: FloatArray
 
     @classmethod
-    def at(cls, knots: FloatArray, x: FloatArray) -> Hats:
+    def at(cls, knots: FloatArray, x: FloatArray) -> LinearSpline:
         """The basis at places ``x`` (n,)."""
         if len(knots) == 1:
             return cls(knots, np.zeros(len(x), np.int64), np.zeros(len(x)))
@@ -225,8 +225,8 @@ class ShareCurve:
     def logit(self, magnitude: FloatArray) -> FloatArray:
         """(n,) the addition to the logit at magnitudes (n,); 0 where NaN."""
         known = np.isfinite(magnitude)
-        hats = Hats.at(self.knots, np.where(known, magnitude, self.knots[0]))
-        return np.where(known, hats.curve(self.values), 0.0)
+        spline = LinearSpline.at(self.knots, np.where(known, magnitude, self.knots[0]))
+        return np.where(known, spline.curve(self.values), 0.0)
 
     def terms(self, magnitude: FloatArray, share: FloatArray, rows: NDArray[np.integer] | None = None) -> FloatArray:
         """(n,) the change of a pair's log-odds when the share s of its record becomes s(m); 0 where m is unknown.

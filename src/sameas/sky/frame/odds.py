@@ -123,7 +123,7 @@ class PlateProblem:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class VerifiedPointing:
     """A verified pointing.
 
     pointing : refined. log_odds : natural, against chance; −inf if fewer than three stars fit.
@@ -147,30 +147,30 @@ def verify(
     volume: SearchVolume,
     tolerance_px: float,
     tuning: OddsTuning = DEFAULT_ODDS_TUNING,
-) -> Verdict:
+) -> VerifiedPointing:
     """The pointing refined by the measurements, with its odds.
 
     Matching and fit alternate; each iteration re-estimates ``tolerance_px`` from the excess of the residuals over the
     quoted errors. The iteration with the best odds is returned.
     """
     no_rows = np.empty(0, np.int64)
-    best = Verdict(pointing, -math.inf, no_rows, no_rows, np.empty((0, 2)), (0, 0), tolerance_px)
+    best = VerifiedPointing(pointing, -math.inf, no_rows, no_rows, np.empty((0, 2)), (0, 0), tolerance_px)
     radius = problem.half_diagonal_px * float(np.sqrt(abs(np.linalg.det(pointing.cd))))
     rows = problem.stars_near(pointing.to_sky(problem.middle_px[None])[0], 1.2 * radius)
     for _ in range(tuning.iterations):
-        verdict = weigh(problem, rows, pointing, volume, tolerance_px, tuning)
-        if len(verdict.measured) < 3:
+        verified = weigh(problem, rows, pointing, volume, tolerance_px, tuning)
+        if len(verified.measured) < 3:
             break
-        if verdict.log_odds > best.log_odds:
-            best = verdict
-        elif verdict.log_odds < tuning.hopeless:
+        if verified.log_odds > best.log_odds:
+            best = verified
+        elif verified.log_odds < tuning.hopeless:
             break
-        step = _step(problem, verdict, tuning.shear)
-        pointing = verdict.pointing.moved(step)
-        if not 0.5 < np.linalg.det(pointing.cd) / np.linalg.det(verdict.pointing.cd) < 2.0:
+        step = _step(problem, verified, tuning.shear)
+        pointing = verified.pointing.moved(step)
+        if not 0.5 < np.linalg.det(pointing.cd) / np.linalg.det(verified.pointing.cd) < 2.0:
             break
-        residual = _predicted_residual(problem, verdict, pointing)
-        tighter = max(_excess(problem, verdict, residual), 0.25 * tolerance_px)
+        residual = _predicted_residual(problem, verified, pointing)
+        tighter = max(_excess(problem, verified, residual), 0.25 * tolerance_px)
         if tighter > 0.95 * tolerance_px and np.abs(step[:2]).max() < 0.01:
             break
         tolerance_px = min(tolerance_px, tighter)
@@ -184,7 +184,7 @@ def weigh(
     volume: SearchVolume,
     tolerance_px: float,
     tuning: OddsTuning = DEFAULT_ODDS_TUNING,
-) -> Verdict:
+) -> VerifiedPointing:
     """The odds of a pointing without refinement. rows : the stars on and around the frame, brightest first."""
     predicted = pointing.to_px(problem.vectors[rows])
     inside = np.flatnonzero(problem.inside(predicted))[: tuning.deepest]
@@ -205,7 +205,7 @@ def weigh(
     log_volume_ratio -= 0.5 * (0.5 * math.log(singular[0] / singular[1]) / tuning.shear) ** 2
     enough = used.sum() >= 3
     log_odds = score + min(log_volume_ratio, 0.0) if enough else -math.inf
-    return Verdict(pointing, log_odds, i[used], rows[j[used]], residual[used], depth, tolerance_px)
+    return VerifiedPointing(pointing, log_odds, i[used], rows[j[used]], residual[used], depth, tolerance_px)
 
 
 def _paired(
@@ -259,30 +259,30 @@ def _total_covariance(
     return np.asarray(problem.covariance[i] + star * np.eye(2))
 
 
-def _step(problem: PlateProblem, verdict: Verdict, shear: float) -> FloatArray:
+def _step(problem: PlateProblem, verified: VerifiedPointing, shear: float) -> FloatArray:
     """(6,) corrections of shift, scale, rotation and shears from a robust fit of the residuals; see ``design``."""
-    columns = design(verdict.pointing.to_px(problem.vectors[verdict.stars]) - verdict.pointing.origin_px)
-    total = _total_covariance(problem, verdict.measured, verdict.stars, verdict.pointing, verdict.tolerance_px)
+    columns = design(verified.pointing.to_px(problem.vectors[verified.stars]) - verified.pointing.origin_px)
+    total = _total_covariance(problem, verified.measured, verified.stars, verified.pointing, verified.tolerance_px)
     precision = inverse(total)
     step = np.zeros(6)
     weight = np.ones(len(total))
     for _ in range(2):
         weighted = np.einsum("nai,nab,n->nib", columns, precision, weight)
         information = np.einsum("nib,nbj->ij", weighted, columns) + np.diag([0, 0, 0, 0, *2 * [shear**-2]])
-        step = np.linalg.solve(information, np.einsum("nib,nb->i", weighted, verdict.residual_px))
-        residual = verdict.residual_px - columns @ step
+        step = np.linalg.solve(information, np.einsum("nib,nb->i", weighted, verified.residual_px))
+        residual = verified.residual_px - columns @ step
         # Weights of Student's t with four degrees of freedom, so that a few wrong pairs have little influence.
         weight = 6.0 / (4.0 + np.einsum("ni,nij,nj->n", residual, precision, residual))
     return np.asarray(step)
 
 
-def _predicted_residual(problem: PlateProblem, verdict: Verdict, pointing: Pointing) -> FloatArray:
-    return np.asarray(problem.px[verdict.measured] - pointing.to_px(problem.vectors[verdict.stars]))
+def _predicted_residual(problem: PlateProblem, verified: VerifiedPointing, pointing: Pointing) -> FloatArray:
+    return np.asarray(problem.px[verified.measured] - pointing.to_px(problem.vectors[verified.stars]))
 
 
-def _excess(problem: PlateProblem, verdict: Verdict, residual: FloatArray) -> float:
+def _excess(problem: PlateProblem, verified: VerifiedPointing, residual: FloatArray) -> float:
     """The error per axis of the typical residual in excess of the quoted errors, px."""
-    quoted = _total_covariance(problem, verdict.measured, verdict.stars, verdict.pointing, 0.0)
+    quoted = _total_covariance(problem, verified.measured, verified.stars, verified.pointing, 0.0)
     # The fit takes about 5 of the 2k degrees of freedom; the median of r² is 2 ln 2 σ² in two dimensions.
     share = max(2 * len(residual) - 5.0, 1.0) / (2 * len(residual))
     square = np.median(np.sum(residual**2, axis=1)) / (2 * math.log(2)) / share
@@ -290,12 +290,14 @@ def _excess(problem: PlateProblem, verdict: Verdict, residual: FloatArray) -> fl
     return math.sqrt(max(square - typical, 0.05**2))
 
 
-def refitted_on(verdict: Verdict, problem: PlateProblem, px: FloatArray, tuning: OddsTuning) -> Verdict:
-    """The pairs of a verdict refitted to other pixels (n, 2) of the same measurements."""
+def refitted_on(
+    verified: VerifiedPointing, problem: PlateProblem, px: FloatArray, tuning: OddsTuning
+) -> VerifiedPointing:
+    """The pairs of a verified pointing refitted to other pixels (n, 2) of the same measurements."""
     on_px = replace(problem, px=px)
-    pointing = verdict.pointing
+    pointing = verified.pointing
     for _ in range(3):
-        fit = replace(verdict, pointing=pointing)
+        fit = replace(verified, pointing=pointing)
         fit = replace(fit, residual_px=_predicted_residual(on_px, fit, pointing))
         pointing = pointing.moved(_step(on_px, fit, tuning.shear))
     return replace(fit, pointing=pointing, residual_px=_predicted_residual(on_px, fit, pointing))

@@ -24,7 +24,7 @@ from sameas.errors import InputError
 from sameas.records import unpack
 from sameas.representation import in_short
 from sameas.sky.frame.field import Stars
-from sameas.sky.frame.odds import PlateProblem, Verdict, refitted_on, verify
+from sameas.sky.frame.odds import PlateProblem, VerifiedPointing, refitted_on, verify
 from sameas.sky.frame.pointing import Pointing, sky_of
 from sameas.sky.frame.pointing_hints import (
     DEFAULT_POINTING,
@@ -157,7 +157,7 @@ def place(
     problem, order_1, order_2 = problem_of(measured, stars)
     refusals = []
     for hint in hints:
-        best, second = _best_verdict(problem, hint, index, math.log(odds), tuning)
+        best, second = _best_pointing(problem, hint, index, math.log(odds), tuning)
         if best is not None and _is_established(best, second, math.log(odds)):
             return _placement(problem, best, second, hint, (order_1, order_2), tuning)
         refusals.append(_refusal(hint, best, second))
@@ -183,24 +183,24 @@ def problem_of(measured: MeasuredStars, stars: Stars) -> tuple[PlateProblem, Int
     return PlateProblem(px[order_1], covariance, shape, vectors, sigma / ARCSEC_PER_RADIAN), order_1, order_2
 
 
-def _best_verdict(
+def _best_pointing(
     problem: PlateProblem, hint: Hint, index: SkyIndex | None, least_log_odds: float, tuning: PointingTuning
-) -> tuple[Verdict | None, float]:
-    """The best verdict under one hint, and the log-odds of the next best, different one."""
+) -> tuple[VerifiedPointing | None, float]:
+    """The best pointing under one hint, and the log-odds of the next best, different one."""
     undistorted = _undistorted(problem, hint)
     volume, tolerance = hint.search_volume(undistorted), 0.01 * undistorted.half_diagonal_px
     best, second = None, -math.inf
     for pointings in candidates(undistorted, hint, index, tuning):
         for pointing in _distinct(pointings, undistorted, tuning.verified):
-            verdict = verify(undistorted, pointing, volume, tolerance, tuning.odds)
-            if not math.isfinite(verdict.log_odds) or not hint.allows(verdict.pointing, undistorted):
+            verified = verify(undistorted, pointing, volume, tolerance, tuning.odds)
+            if not math.isfinite(verified.log_odds) or not hint.allows(verified.pointing, undistorted):
                 continue
-            if best is None or verdict.log_odds > best.log_odds:
-                if best is not None and not _is_same(best.pointing, verdict.pointing, undistorted):
+            if best is None or verified.log_odds > best.log_odds:
+                if best is not None and not _is_same(best.pointing, verified.pointing, undistorted):
                     second = max(second, best.log_odds)
-                best = verdict
-            elif not _is_same(best.pointing, verdict.pointing, undistorted):
-                second = max(second, verdict.log_odds)
+                best = verified
+            elif not _is_same(best.pointing, verified.pointing, undistorted):
+                second = max(second, verified.log_odds)
         if _is_established(best, second, least_log_odds):
             break
     return best, second
@@ -245,13 +245,13 @@ def _is_same(one: Pointing, other: Pointing, problem: PlateProblem) -> bool:
     return bool(np.linalg.norm(difference, axis=1).max() < 0.01 * size)
 
 
-def _is_established(best: Verdict | None, second: float, least_log_odds: float) -> bool:
+def _is_established(best: VerifiedPointing | None, second: float, least_log_odds: float) -> bool:
     return best is not None and best.log_odds - max(second, 0.0) >= least_log_odds
 
 
 def _placement(
     problem: PlateProblem,
-    best: Verdict,
+    best: VerifiedPointing,
     second: float,
     hint: Hint,
     orders: tuple[IntArray, IntArray],
@@ -282,7 +282,7 @@ def odds_in_words(log_odds: float) -> str:
     return f"{number}:1" if log_odds >= 0 else f"1:{number}"
 
 
-def _refusal(hint: Hint, best: Verdict | None, second: float) -> str:
+def _refusal(hint: Hint, best: VerifiedPointing | None, second: float) -> str:
     by = f"{hint.words} {hint.ra_deg:.4f}°, {hint.dec_deg:+.4f}°" if isinstance(hint, Aim) else hint.words
     if best is None:
         return f"no fit by {by}"
