@@ -174,7 +174,7 @@ def test_simulated_and_empty_records_are_ignored():
     }
     assert made.damaged.sentences() == ["1 record damaged: a plot without a time (record 3)"]
     with pytest.raises(
-        InputError, match="site: no target of category 021, 048 or 062; 1 skipped: block of category 034"
+        InputError, match="site: no target of category 010, 020, 021, 048 or 062; 1 skipped: block of category 034"
     ):
         read(block(34, b"\x80\x01\x02"), "site", DATE)
 
@@ -210,3 +210,67 @@ def test_letters_and_codes_follow_the_standard():
     assert letters(packed) == "KLM1023"
     assert letters(bytes(6)) is None
     assert octal(bytes([0x0F, 0x11])) == "7421"
+
+
+def six_bit(text):
+    letters = " ABCDEFGHIJKLMNOPQRSTUVWXYZ" + " " * 21 + "0123456789"
+    number = 0
+    for letter in text.ljust(8):
+        number = number << 6 | letters.index(letter)
+    return number.to_bytes(6, "big")
+
+
+def degrees(lat, lon, bits):
+    return b"".join(round(angle / 180.0 * 2**bits).to_bytes(4, "big", signed=True) for angle in (lat, lon))
+
+
+def multilateration(seconds, lat=50.1, lon=8.6, descriptor=b"\x40"):
+    """A category 020 record: 010, 020, 140, 041, 161, 170; 070, 202, 090, 220, 245; 105, 500."""
+    head = bytes([0xF7, 0xED, 0x88]) + b"\x10\x02" + descriptor + int(seconds * 128).to_bytes(3, "big")
+    track = degrees(lat, lon, 25) + (77).to_bytes(2, "big") + b"\0"
+    velocity = (-320).to_bytes(2, "big", signed=True) + (200).to_bytes(2, "big")
+    identity = (0o4521).to_bytes(2, "big") + velocity + (1400).to_bytes(2, "big") + bytes.fromhex("3c6444")
+    accuracy = b"\x40" + (40).to_bytes(2, "big") + (60).to_bytes(2, "big") + (1).to_bytes(2, "big")
+    return head + track + identity + b"\0" + six_bit("DLH123") + (1600).to_bytes(2, "big") + accuracy
+
+
+def test_multilateration_is_read():
+    [made] = read(block(20, multilateration(38400.5) + multilateration(38401.5, 50.101, -8.6)), "wam", DATE)
+    assert (made.kind, made.position) == ("asterix 020", "geodetic")
+    assert made.time_s.tolist() == [DATE + 38400.5, DATE + 38401.5]
+    assert made.lat_deg == pytest.approx([50.1, 50.101], abs=3e-6) and made.lon_deg == pytest.approx(
+        [8.6, -8.6], abs=3e-6
+    )
+    assert (made.icao[0], made.callsign[0], made.mode_a[0], made.track_id[0]) == ("3c6444", "DLH123", "4521", "77")
+    assert (made.vx_m_per_s[0], made.vy_m_per_s[0]) == (-80.0, 50.0)
+    assert made.pressure_alt_m[0] == pytest.approx(350 * FL) and made.alt_m[0] == pytest.approx(10_000 * 0.3048)
+    assert made.covariance_m2[0].tolist() == [100.0, 0.0, 225.0]
+
+
+@pytest.mark.parametrize("extent", [0x80, 0x04, 0x02])
+def test_field_monitors_and_tests_of_multilateration_are_passed_over(extent):
+    data = multilateration(1.0, descriptor=bytes([0x41, extent])) + multilateration(2.0)
+    [made] = read(block(20, data), "wam", DATE)
+    assert len(made) == 1 and list(made.passed_over) == ["020 of a simulated or test target or a field monitor"]
+
+
+def surface(seconds, items, position, message=1):
+    """A category 010 record: 010, 000, 020, 140, a position, 161, 500."""
+    head = bytes([0xF0 | items, 0x21, 0x01, 0x80]) + b"\0\x05" + bytes([message]) + b"\x60"
+    return head + int(seconds * 128).to_bytes(3, "big") + position + (9).to_bytes(2, "big") + b"\x08\x0c" + b"\xff\xf8"
+
+
+def test_surface_radars_are_read_by_their_degrees_else_by_range_and_bearing():
+    [made] = read(block(10, surface(5.0, 0x09, degrees(50.03, 8.55, 31))), "smr", DATE)
+    assert (made.kind, made.track_id[0]) == ("asterix 010", "9")
+    assert (made.lat_deg[0], made.lon_deg[0]) == pytest.approx((50.03, 8.55), abs=1e-7)
+    assert made.covariance_m2[0].tolist() == [4.0, -2.0, 9.0]
+    # Without item 500.
+    record = surface(5.0, 0x09, degrees(50.03, 8.55, 31))
+    without = record[:1] + bytes([0x21, 0x00]) + record[4:-4]
+    [made] = read(block(10, without), "smr", DATE)
+    assert made.covariance_m2[0].tolist() == [100.0, 0.0, 100.0]
+    both = (1200).to_bytes(2, "big") + (16384).to_bytes(2, "big") + (1200).to_bytes(2, "big") + b"\0\0"
+    [made] = read(block(10, surface(5.0, 0x07, both) + surface(6.0, 0x07, both, message=2)), "smr", DATE)
+    assert (made.position, made.range_m[0], made.bearing_deg[0]) == ("polar", 1200.0, 90.0)
+    assert list(made.passed_over) == ["010 of a status or an update cycle"]

@@ -124,7 +124,7 @@ class Reports:
     Attributes
     ----------
     source : name of the source, used in messages.
-    kind : format: "ais", "arpa", "adsb", "asterix 021", "asterix 048", "asterix 062" or "table".
+    kind : format: "ais", "arpa", "adsb", "asterix 010", "asterix 020", … or "table".
     time_s : (n,) UTC, seconds since 1970: time of the position if the source gives it.
     line : (n,) number of the line (or record) in the file, counted from 1.
     lat_deg, lon_deg : (n,) WGS84, longitude from −180 to 180.

@@ -312,6 +312,98 @@ def _metres_per_degree(lat_deg: Any) -> tuple[Any, Any]:
     )
 
 
+# Category 020: multilateration, editions 1.5 to 1.11, and category 010: radars and multilateration of the surface of an
+# airport, edition 1.1. Their x and y count from a point of the system; they are used where latitudes are not sent.
+
+
+def row_020(items: Mapping[str, Any]) -> dict[str, Any] | str:
+    """The row of a multilateration report, or the reason why the record has none."""
+    descriptor = items.get("020", b"\0")
+    if len(descriptor) > 1 and descriptor[1] & 0x86:
+        return "020 of a simulated or test target or a field monitor"
+    if "041" not in items and "042" not in items:
+        return "020 without a position"
+    if "140" not in items:
+        return "a report without a time"
+    return {
+        **_of_surveillance(items),
+        **_place(items, 180.0 / 2.0**25, 0.5),
+        "mode_a": _mode_a(items.get("070")),
+        "alt_m": signed(items["105"]) * 6.25 * FOOT_M if "105" in items else None,
+        # The unit of the correlation of both is not certain in the specification.
+        **_deviations(items.get("500", {}).get("SDP", b"")[:4], 2),
+    }
+
+
+def row_010(items: Mapping[str, Any]) -> dict[str, Any] | str:
+    """The row of a report of the surface of an airport, or the reason why the record has none."""
+    descriptor = items.get("020", b"\0")
+    if items.get("000", b"\1")[0] != 1:
+        return "010 of a status or an update cycle"
+    if len(descriptor) > 1 and descriptor[1] & 0xE0:
+        return "010 of a simulated or test target or a field monitor"
+    if items.keys().isdisjoint(("041", "042", "040")):
+        return "010 without a position"
+    if "140" not in items:
+        return "a report without a time"
+    values = {
+        **_of_surveillance(items),
+        **_place(items, 180.0 / 2.0**31, 1.0),
+        "mode_a": _mode_a(items.get("060")),
+        **_deviations(items.get("500", b""), 1),
+    }
+    if "041" not in items and "040" in items:
+        values |= {"x_m": None, "y_m": None, "range_m": float(unsigned(items["040"][:2]))}
+        values["bearing_deg"] = unsigned(items["040"][2:]) * 360.0 / 2.0**16
+    if "202" not in items and "200" in items:
+        values |= _velocity_048(items)
+    return values
+
+
+#: 1σ per axis where none is sent: 7.5 m with 95 % (EUROCAE ED-116, ED-117) and the extent of an aircraft.
+_SURFACE_M = 10.0
+
+
+def errors_010(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Covariances from item 500; 10 m where positions in degrees have none. A range has the errors of its radar."""
+    covariance = errors_062(columns)["covariance_m2"]
+    if "range_m" not in columns:
+        covariance = np.where(np.isnan(covariance[:, :1]), _SURFACE_M**2 * np.array([1.0, 0.0, 1.0]), covariance)
+    return {"covariance_m2": covariance}
+
+
+def _of_surveillance(items: Mapping[str, Any]) -> dict[str, Any]:
+    """What categories 010 and 020 have in common: time, identity, flight level, velocity."""
+    return {
+        "day_s": unsigned(items["140"]) / 128.0,
+        "track_id": str(unsigned(items["161"]) & 0xFFF) if "161" in items else None,
+        "icao": f"{unsigned(items['220']):06x}" if "220" in items else None,
+        "callsign": _callsign(items),
+        "pressure_alt_m": _pressure_altitude_048(items.get("090")),
+        "ends": float(bool(items.get("170", b"\0")[0] & 0x40)),
+        **_velocity_062(items.get("202")),
+    }
+
+
+def _place(items: Mapping[str, Any], degrees: float, metres: float) -> dict[str, float]:
+    """Latitude and longitude (041), else x and y (042), of items in these steps."""
+    for name, keys, step in (("041", ("lat_deg", "lon_deg"), degrees), ("042", ("x_m", "y_m"), metres)):
+        if name in items:
+            half = len(items[name]) // 2
+            return {keys[0]: signed(items[name][:half]) * step, keys[1]: signed(items[name][half:]) * step}
+    return {}
+
+
+def _deviations(item: bytes, size: int) -> dict[str, float]:
+    """Standard deviations along x and y of ``size`` bytes each, in steps of 0.25 m, and the covariance, where it is
+    there, in 0.25 m²; none where one is 0: unknown."""
+    if not (any(item[:size]) and any(item[size : 2 * size])):
+        return {}
+    x, y = 0.25 * unsigned(item[:size]), 0.25 * unsigned(item[size : 2 * size])
+    cross = 0.25 * signed(item[2 * size :]) if len(item) > 2 * size else 0.0
+    return {"sigma_x_m": x, "sigma_y_m": y, "covariance_xy_m2": float(np.clip(cross, -0.999 * x * y, 0.999 * x * y))}
+
+
 # Reports of each sensor.
 
 
@@ -323,7 +415,10 @@ class _Decoder(NamedTuple):
     notes: tuple[str, ...]
 
 
+_PLACES = "positions are those in WGS84, else x and y of a plane of the system; accuracies are those of item 500"
 _DECODERS = {
+    10: _Decoder(row_010, errors_010, (_PLACES, f"errors are {_SURFACE_M:g} m where item 500 states none")),
+    20: _Decoder(row_020, errors_062, (_PLACES,)),
     21: _Decoder(row_021, errors_021, (
         "errors are NACp (radius of 95 % over 2.45), NUCp where the transponder is of version 0, else half of the "
         "containment radius of NIC as the radius of 95 %",
@@ -344,7 +439,7 @@ Sensor = tuple[int, int, int]
 #: Kinds of damage that the refusal of a file lists.
 _LISTED = 3
 #: The editions of the specifications that are read; older ones have other items.
-_EDITIONS = "2.1 to 2.7 of category 021, 1.27 to 1.32 of 048 and 1.16 to 1.21 of 062"
+_EDITIONS = "1.1 of category 010, 1.5 to 1.11 of 020, 2.1 to 2.7 of 021, 1.27 to 1.32 of 048 and 1.16 to 1.21 of 062"
 
 
 def read(
@@ -363,7 +458,7 @@ def read(
     received_s, blocks_read : for a stream, the receive time and the earlier blocks (updated); every sensor is then
         named as one of several.
 
-    Raises InputError: nothing of categories 021, 048 or 062; no date.
+    Raises InputError: nothing of categories 010, 020, 021, 048 or 062; no date.
     """
     if content[:4] == PCAPNG:
         raise InputError(f"{source}: is a pcapng capture; convert it: editcap -F pcap FILE FILE.pcap")
@@ -391,7 +486,8 @@ def read(
         problems += [f"{n} skipped: {what}" for what, n in unused.passed_over.items()]
         remedy = f"are its records of another edition? Read are {_EDITIONS}" if read and unused.damaged else ""
         raise unused.refusal(
-            f"{source}: no target of category 021, 048 or 062; {'; '.join(problems) or 'is it ASTERIX?'}", remedy
+            f"{source}: no target of category 010, 020, 021, 048 or 062; {'; '.join(problems) or 'is it ASTERIX?'}",
+            remedy,
         )
     # Damaged and skipped records are counted for the whole file, with its first sensor.
     return [
@@ -458,7 +554,7 @@ def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float 
 
 FORMAT = SensorFormat(
     "asterix",
-    "ASTERIX categories 021, 048 and 062, bare or in a pcap capture",
+    "ASTERIX categories 010, 020, 021, 048 and 062, bare or in a pcap capture",
     lambda file: read(file.content, file.source, file.start_s),
     lambda file: looks_like(file.content),
     magic=(PCAPNG,),

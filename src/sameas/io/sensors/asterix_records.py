@@ -225,7 +225,8 @@ def _udp(frame: bytes, header: int) -> bytes:
 # - ``"len"`` — the first byte is the length of the item, including itself;
 # - a tuple of (name, length) — compound item: a field specification of its own, then its subfields.
 #
-# Sources: EUROCONTROL-SPEC-0149-12 (category 021, editions 2.1 to 2.7), -4 (048, 1.27 to 1.32), -9 (062, 1.16 to 1.21).
+# Sources: EUROCONTROL-SPEC-0149-12 (category 021, editions 2.1 to 2.7), -4 (048, 1.27 to 1.32), -9 (062, 1.16 to 1.21),
+# -14 (020, 1.5 to 1.11), -7 (010, 1.1).
 
 Length = int | str | tuple["Field | None", ...]
 #: Name and length of an item; None where the field specification has a spare bit.
@@ -259,6 +260,18 @@ def _category(number: int, items: str, compounds: Mapping[str, str]) -> AsterixC
 _INTENT = "TIS:1+ TID:n15"
 
 CATEGORIES = {
+    10: _category(
+        10,
+        "010:2 000:1 020:1+ 140:3 041:8 040:4 042:4 200:4 202:4 161:2 170:1+ 060:2 220:3 245:7 250:n8 300:1 090:2 "
+        "091:2 270:1+ 550:1 310:1 500:4 280:n2 131:1 210:2 - SP:len RE:len",
+        {},
+    ),
+    20: _category(
+        20,
+        "010:2 020:1+ 140:3 041:8 042:6 161:2 170:1+ 070:2 202:4 090:2 100:4 220:3 245:7 110:2 105:2 210:2 300:1 310:1 "
+        "500 400:n1 250:n8 230:2 260:7 030:1+ 055:1 050:2 RE:len SP:len",
+        {"500": "DOP:6 SDP:6 SDH:2"},
+    ),
     21: _category(
         21,
         "010:2 040:1+ 161:2 015:1 071:3 130:6 131:8 072:3 150:2 151:2 080:3 073:3 074:4 075:3 076:4 140:2 090:1+ 210:1 "
