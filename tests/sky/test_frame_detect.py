@@ -97,6 +97,15 @@ def test_a_negative_is_refused_by_its_cause():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("step", [1e9, 300.0])
+def test_a_sky_without_noise_is_refused_without_warnings(step):
+    """Steps from box to box were divided by the noise of the boxes."""
+    made = frame_of(np.random.default_rng(6), x_px=[40.0], y_px=[40.0], flux_e=[1e5], camera=Camera(shape=(200, 200)))
+    clipped = replace(made.frame, image=(step * np.round(made.frame.image / step)).astype(np.float32))
+    with pytest.raises(InputError, match="no noise at all; the frame is empty or was clipped"):
+        detect(clipped)
+
+
 def test_hot_pixels_and_cosmic_rays_are_masked_and_stars_are_not():
     rng = np.random.default_rng(7)
     camera = Camera(shape=(640, 640), hot_pixels=150, hot_e=5000.0, cosmics=60, saturation_e=1e9)

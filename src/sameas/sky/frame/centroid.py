@@ -130,8 +130,9 @@ def _meshes(frame: Frame, box_px: int) -> tuple[FloatArray, FloatArray]:
     level, rms = _mesh(frame.name, frame.image, frame.flags != 0, box_px)
     sky = interpolated(level, box_px, frame.shape)
     for _ in range(_MOST_SLOPES):
-        steps = [np.abs(np.diff(level, axis=axis)) / np.delete(rms, 0, axis=axis) for axis in (0, 1)]
-        if not any(bool((step > _STEEP_SIGMAS).any()) for step in steps):
+        # Boxes of a constant image, or of few photons, have no noise.
+        steps = [np.abs(np.diff(level, axis=axis)) - _STEEP_SIGMAS * np.delete(rms, 0, axis=axis) for axis in (0, 1)]
+        if not any(bool((step > 0.0).any()) for step in steps):
             break
         # The scatter in a box of a steep sky is mostly the slope, and its mode is not the sky in the middle.
         level, flat = _mesh(frame.name, frame.image - sky, frame.flags != 0, box_px)
