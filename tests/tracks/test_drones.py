@@ -1,6 +1,10 @@
 """Tables of drones: messages of MAVLink in their own units, and Remote ID, whose speeds are metres a second."""
 
+import base64
 import json
+import struct
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,3 +113,65 @@ def test_positions_of_a_camera_are_those_of_a_lidar(tmp_path):
     [source] = read_sources([path])
     assert source.description.kind == "lidar" and "which a camera does not measure" in str(source.why_kind)
     np.testing.assert_allclose(np.diff(source.reports.time_s), 0.1, atol=1e-6)
+
+
+def basic_id(name):
+    return struct.pack("<BB20s3x", 0x02, 0x12, name.encode())
+
+
+def location(lat=50.7, lon=-1.1, *, course=275.0, speed=70.0, climb=-2.5, alt=62.0, accuracy=11):
+    """A location message: speeds above 63.75 m/s and courses above 180° have flags of their own."""
+    flags = 0x20 | 2 * (course >= 180.0) | (speed > 63.75)
+    speed_byte = round((speed - 63.75) / 0.75) if speed > 63.75 else round(speed / 0.25)
+    heights = [round(2 * (height + 1000.0)) for height in (60.0, alt, 55.0)]
+    place = round(lat * 1e7), round(lon * 1e7)
+    return struct.pack(
+        "<BBBBbiiHHHBBHBx", 0x12, flags, round(course % 180.0), speed_byte, round(2 * climb), *place, *heights,
+        0x40 | accuracy, 0x33, 24_000, 1,
+    )  # fmt: skip
+
+
+AS_TEXT: dict[str, Callable[[bytes], Any]] = {
+    "UASdata": lambda data: base64.b64encode(data).decode(),
+    "raw": bytes.hex,
+    "payload": list,
+}
+
+
+@pytest.mark.parametrize("name", AS_TEXT)
+def test_messages_of_remote_id_in_json_are_read(tmp_path, name):
+    pack = bytes([0xF2, 25, 2]) + basic_id("1581F45T7227Q000A123") + location()
+    data = {"timestamp": 1714560000500, "MAC address": "60:60:1f:aa:bb:cc", "type": "BT5", name: AS_TEXT[name](pack)}
+    (tmp_path / "receiver.jsonl").write_text(json.dumps({"protocol": 1.0, "data": data}) + "\n")
+    [source] = read_sources([tmp_path / "receiver.jsonl"])
+    reports = source.reports
+    assert source.description.kind == "drone" and reports.track_id.tolist() == ["1581F45T7227Q000A123"]
+    assert reports.time_s.tolist() == [1714560000.5] and reports.type is None
+    assert (reports.lat_deg[0], reports.lon_deg[0]) == pytest.approx((50.7, -1.1), abs=1e-7)
+    assert (reports.alt_m[0], reports.pressure_alt_m[0]) == (62.0, 60.0)
+    assert (reports.course_deg[0], reports.climb_m_per_s[0]) == (275.0, -2.5)
+    assert reports.speed_m_per_s[0] == pytest.approx(70.0, abs=0.4)
+    assert reports.covariance_m2[0, 0] == pytest.approx(1.5, abs=0.01)  # 3 m with 95 %
+
+
+def test_single_messages_of_remote_id_belong_to_the_drone_that_the_sender_names(tmp_path):
+    messages = [
+        ("aa", location()), ("aa", basic_id("1581F45T")), ("bb", location(lat=50.8)), ("aa", location(lon=-1.2)),
+        ("bb", location(lat=0.0, lon=0.0)),
+    ]  # fmt: skip
+    lines = [
+        json.dumps({"time": 1714560000 + k, "mac": mac, "raw": message.hex()})
+        for k, (mac, message) in enumerate(messages)
+    ]
+    (tmp_path / "receiver.jsonl").write_text("\n".join(lines) + "\n")
+    [reports] = read_reports(tmp_path / "receiver.jsonl")
+    assert reports.track_id.tolist() == ["1581F45T", "BB", "1581F45T"] and reports.line.tolist() == [1, 3, 4]
+    assert not len(reports.damaged.lines)
+
+
+def test_the_time_of_a_decoded_message_is_that_of_its_receipt(tmp_path):
+    place = {"Latitude": 50.7, "Longitude": -1.1, "Direction": 90.0, "TimeStamp": 24_012}
+    row = {"timestamp": "2024-05-01T10:40:02Z", "BasicID": {"UASID": "1581F45T"}, "Location": place}
+    (tmp_path / "receiver.jsonl").write_text(json.dumps(row) + "\n")
+    [reports] = read_reports(tmp_path / "receiver.jsonl")
+    assert reports.time_s.tolist() == [1714560002.0] and reports.track_id.tolist() == ["1581F45T"]

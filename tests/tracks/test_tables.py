@@ -283,6 +283,55 @@ def test_frequencies_of_directions_are_read_in_their_unit(name, value):
     assert table(f"time,bearing,{name}\n0,10,{value}\n").frequency_hz[0] == pytest.approx(156.8e6)
 
 
+@pytest.mark.parametrize("names", ["lat,lon,lob_deg,freq_hz", "latitude,longitude,DoA,Frequency (MHz)"])
+def test_the_place_in_the_log_of_a_direction_finder_is_its_own(names):
+    made = table(f"time,{names}\n0,50.7,-1.1,45,156.8\n1,50.8,-1.1,46,156.8\n")
+    assert made.position == "bearing" and made.bearing_deg.tolist() == [45.0, 46.0] and made.lat_deg is None
+    assert made.station_lat_deg.tolist() == [50.7, 50.8] and made.station_lon_deg.tolist() == [-1.1, -1.1]
+    assert any("read as the place of the direction finder" in note for note in made.notes)
+    # AIS with the bearing from own ship is not.
+    of_ais = table("time,mmsi,lat,lon,bearing\n0,211000001,50.7,-1.1,45\n")
+    assert of_ais.position == "geodetic"
+
+
+def test_the_log_of_a_german_direction_finder_is_read():
+    made = table("Datum;Uhrzeit;Frequenz MHz;Peilwinkel;Güte\n01.05.2024;10:40:00;156,800;45,5;80\n")
+    assert (made.frequency_hz[0], made.bearing_deg[0]) == pytest.approx((156.8e6, 45.5))
+
+
+def test_points_of_geojson_are_read_with_their_properties(tmp_path):
+    features = [
+        {"type": "Feature", "geometry": {"type": "Point", "coordinates": [10.5 + k, 55.5, 20.0]},
+         "properties": {"mmsi": 219000001, "timestamp": f"2024-05-01T10:40:0{k}Z", "sog": 12.0, "cog": 90.0}}
+        for k in range(3)
+    ]  # fmt: skip
+    (tmp_path / "points.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    [made] = read_reports(tmp_path / "points.geojson")
+    assert made.lat_deg.tolist() == [55.5] * 3 and made.lon_deg.tolist() == [10.5, 11.5, 12.5]
+    assert made.mmsi.tolist() == ["219000001"] * 3 and made.speed_m_per_s[0] == pytest.approx(12.0 * 1852 / 3600)
+
+
+def test_lists_of_virtual_radar_server_are_read(tmp_path):
+    plane = {"Icao": "3C6444", "Lat": 50.0, "Long": 8.0, "Alt": 35000, "Spd": 450.0, "Trak": 45.0, "Call": "DLH123",
+             "Sqk": "4521", "PosTime": 1714560000000, "Vsi": -1200, "Cos": [1.0, 2.0]}  # fmt: skip
+    (tmp_path / "list.json").write_text(json.dumps({"src": 1, "acList": [plane]}))
+    [made] = read_reports(tmp_path / "list.json")
+    assert (made.time_s[0], made.icao[0], made.callsign[0], made.mode_a[0]) == (
+        1714560000.0,
+        "3c6444",
+        "DLH123",
+        "4521",
+    )
+    assert made.pressure_alt_m[0] == pytest.approx(10668.0) and made.climb_m_per_s[0] == pytest.approx(-6.096)
+    assert made.speed_m_per_s[0] == pytest.approx(231.5)
+
+
+def test_xml_that_is_not_read_is_told_from_a_table(tmp_path):
+    (tmp_path / "track.kml").write_text('<?xml version="1.0"?>\n<kml><Document/></kml>\n')
+    with pytest.raises(InputError, match="is XML of no format that is read; give its positions as CSV or GeoJSON"):
+        read_reports(tmp_path / "track.kml")
+
+
 def test_identities_are_read_as_text():
     made = table("time,lat,lon,mmsi,icao24,squawk\n0,1,2,2350070,4CA7A8,17\n1,1,2,2350070.0,,1000.0")
     assert made.mmsi.tolist() == ["002350070"] * 2 and made.icao.tolist() == ["4ca7a8", None]

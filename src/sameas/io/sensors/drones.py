@@ -59,7 +59,7 @@ def recognised(cells: TableText) -> tuple[TableText, str, list[str]]:
         stems = {stem_of(name)[0] for name in cells.columns}
         if stems.isdisjoint(_REMOTE_ID):
             return cells, "table", []
-        return _without_heights_above_ground(cells), "remote id", []
+        return _with_time_of_receipt(_without_heights_above_ground(cells)), "remote id", []
     column = _columns_of(cells, message)
     flags = [_number(cell) for cell in column("flags")]
     out: dict[str, Sequence[Any]] = {"time_s": column("timestamp")}
@@ -95,6 +95,26 @@ def _of_px4(cells: TableText) -> TableText:
         heights = [_number(cell) for cell in cells.columns["alt_ellipsoid"]]
         out["alt_m"] = [None if height is None else height / 1e3 for height in heights]
     return replace(cells, columns=out)
+
+
+#: Tenths of a second of an hour.
+_TENTHS_OF_HOUR = 36_000.0
+
+
+def _with_time_of_receipt(cells: TableText) -> TableText:
+    """A table of Remote ID without the ``TimeStamp`` of its messages, tenths of a second after the hour, beside another
+    time stamp."""
+    names = [name for name in cells.columns if stem_of(name)[0] == "timestamp"]
+    if len(names) < 2:
+        return cells
+    numbers = {name: [_number(cell) for cell in cells.columns[name]] for name in names}
+    of_hour = {
+        name for name, column in numbers.items()
+        if any(column) and all(cell is None or 0.0 <= cell <= _TENTHS_OF_HOUR for cell in column)
+    }  # fmt: skip
+    if len(of_hour) == len(names):
+        return cells
+    return replace(cells, columns={name: cells.columns[name] for name in cells.columns if name not in of_hour})
 
 
 def _without_heights_above_ground(cells: TableText) -> TableText:

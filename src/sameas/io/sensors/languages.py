@@ -45,7 +45,8 @@ NAMES: Mapping[str, str] = {
     "alt_m": "hohe hoehe flughohe flughoehe altitud altura altezza quota hoyde hojde hojd hoogte",
     "range_m": "entfernung distanz abstand distancia distanza avstand afstand",
     "bearing_deg": (
-        "peilung rwpeilung rechtweisendepeilung azimut acimut azimute relevement rilevamento peiling pejling baring"
+        "peilung rwpeilung rechtweisendepeilung peilwinkel peilwert azimut acimut azimute relevement rilevamento "
+        "peiling pejling baring"
     ),
     "relative_bearing_deg": "seitenpeilung gisement marcacionrelativa rilevamentopolare polarepeiling relativpeiling",
     "elevation_deg": "elevationswinkel elevacion elevazione elevacao",
@@ -71,6 +72,7 @@ NAMES: Mapping[str, str] = {
     ),
     "type": "schiffstyp typenavire typedenavire tipobuque tipodebuque tiponave tiponavio skipstype skibstype "
             "fartygstyp scheepstype",
+    "frequency_hz": "frequenz frequence frecuencia frequenza frequencia frekvens frequentie",
     "length_m": "schiffslange schiffslaenge longueur eslora lunghezza comprimento scheepslengte",
     "width_m": "schiffsbreite largeur manga larghezza boca",
 }  # fmt: skip

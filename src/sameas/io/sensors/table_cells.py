@@ -22,6 +22,7 @@ from sameas.bounds import check_columns
 from sameas.errors import InputError
 from sameas.io.sensors.format import SensorFile, json_lines, lines_in, of_json
 from sameas.io.sensors.languages import PLACES
+from sameas.io.sensors.remote_id import with_messages
 from sameas.io.sensors.table_columns import QUANTITIES, rank_of, stem_of
 
 if TYPE_CHECKING:
@@ -164,6 +165,8 @@ def cells_of_csv(lines: Iterable[str], source: str, rows_of_part: int = ROWS_OF_
     ecsv = bool(above) and above[0].startswith(ECSV)
     header = above[number - 1].lstrip("# ")
     delimiter = _delimiter_of(header) or (" " if ecsv else "")
+    if header.startswith("<"):
+        raise InputError(f"{source}: is XML of no format that is read", "give its positions as CSV or GeoJSON")
     if not delimiter:
         raise InputError(f"{source}: no format of sensors fits; as a table, its line {number} does not name columns")
     names = _of_ros([name.strip() for name in next(csv.reader([header], delimiter=delimiter))])
@@ -279,10 +282,13 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
         objects = list(enumerate((state for states in answers for state in states or ()), start=1))
     for number, value in objects:
         if isinstance(value, dict):
-            rows.append(_of_aisstream(value) or _flattened(value))
+            rows.append(_of_aisstream(value) or _of_virtual_radar(value) or _flattened(value))
             line_numbers.append(number)
         else:
             damaged.append((number, "no JSON object"))
+    with_positions = with_messages(rows)
+    line_numbers = [line for line, row in zip(line_numbers, with_positions, strict=True) if row is not None]
+    rows = [_without_structures(row) for row in with_positions if row is not None]
     names = list(dict.fromkeys(name for row in rows for name in row))
     if not names:
         raise InputError(f"{source}: no JSON object with columns")
@@ -361,6 +367,20 @@ def _of_aisstream(value: Mapping[str, Any]) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
+#: The names in a list of aircraft of Virtual Radar Server, and those of tables for them.
+_VIRTUAL_RADAR = {
+    "PosTime": "time", "Icao": "icao", "Lat": "lat", "Long": "lon", "Alt": "pressure_altitude_ft", "Spd": "groundspeed",
+    "Trak": "track", "Vsi": "vertical_rate_fpm", "Call": "callsign", "Sqk": "squawk", "Type": "type",
+}  # fmt: skip
+
+
+def _of_virtual_radar(value: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The cells of an aircraft of Virtual Radar Server, and of the archives of ADS-B Exchange; None for another."""
+    if not {"Icao", "PosTime"} <= set(value):
+        return None
+    return {name: value.get(key) for key, name in _VIRTUAL_RADAR.items()}
+
+
 def _has_position(value: Mapping[str, Any]) -> bool:
     stems = {name: stem_of(name) for name in _flattened(value)}
     places = [quantity for quantity in QUANTITIES if quantity.column in PLACES]
@@ -423,11 +443,25 @@ def _delimiter_of(line: str) -> str:
 
 
 def _flattened(nested: Mapping[str, Any]) -> dict[str, Any]:
+    """The cells of an object and of those in it; of a feature of GeoJSON, with the place of its point."""
     row: dict[str, Any] = {}
     for name, value in nested.items():
         for inner, cell in value.items() if isinstance(value, dict) else [(name, value)]:
-            row[inner if inner not in row else f"{name}_{inner}"] = None if isinstance(cell, dict | list) else cell
+            row[inner if inner not in row else f"{name}_{inner}"] = cell
+    geometry = nested.get("geometry")
+    if nested.get("type") == "Feature" and isinstance(geometry, dict) and geometry.get("type") == "Point":
+        place, names = geometry.get("coordinates"), ("longitude", "latitude", "altitude_m")
+        if isinstance(place, list) and len(place) >= 2:
+            row = {
+                **dict(zip(names, place, strict=False)),
+                **_flattened({"properties": nested.get("properties") or {}}),
+            }
     return row
+
+
+def _without_structures(row: Mapping[str, Any]) -> dict[str, Any]:
+    """The cells of a row; none in place of lists and objects."""
+    return {name: None if isinstance(cell, dict | list) else cell for name, cell in row.items()}
 
 
 PARQUET, ECSV = b"PAR1", "# %ECSV"

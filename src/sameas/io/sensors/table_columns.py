@@ -72,7 +72,7 @@ QUANTITIES = tuple(
         ("z_m", "length", "z up"),
         ("range_m", "length", "range rng rho distance dist slantrange r"),
         ("bearing_deg", "angle", "bearing brg azimuth az theta truebearing truebrg bearingtrue brgtrue bearingt brgt "
-                                 "bearingdegt"),
+                                 "bearingdegt lob lineofbearing doa directionofarrival aoa angleofarrival"),
         ("relative_bearing_deg", "angle", "relativebearing relbearing relbrg bearingrelative bearingrel brgrel "
                                           "relativebrg relativeazimuth azimuthrelative relazimuth relaz azrel "
                                           "bearingr brgr bowbearing bearingfrombow"),
@@ -119,7 +119,8 @@ QUANTITIES = tuple(
         ("width_m", "length", "width beam"),
         ("frequency_hz", "frequency", "frequency freq carrierfrequency centerfrequency centrefrequency rf "
                                       "rffrequency channelfrequency"),
-        *((f"to_{side}_m", "length", f"to{side} {side} dim{letter} dimension{letter} size{letter} {letter}")
+        *((f"to_{side}_m", "length",
+           f"to{side} {side} dim{letter} dimension{letter} size{letter} dimensionto{side} {letter}")
           for side, letter in zip(SIDES, "abcd", strict=True)),
     )
 )  # fmt: skip
@@ -205,7 +206,7 @@ def choose(
             taken.add(equal[0])
     if not (kind == "ais" or "mmsi" in chosen):
         chosen = {column: choice for column, choice in chosen.items() if column not in OF_THE_ANTENNA}
-    return _with_courses(_with_own_heading(chosen), stems)
+    return _with_courses(_with_own_heading(_with_own_place(chosen, kind)), stems)
 
 
 def _quantities(stems: Mapping[str, tuple[str, str]]) -> tuple[SensorQuantity, ...]:
@@ -286,6 +287,25 @@ def _choice(
         quantity.kind
     )
     return Choice(name, quantity, 1.0, f"{name} is read in {our_unit}: {NO_UNIT}" if our_unit else "")
+
+
+def _with_own_place(chosen: dict[str, Choice], kind: str | None) -> dict[str, Choice]:
+    """The columns with the place of the direction finder, where its log calls it latitude and longitude: it knows the
+    direction of an emission, not the place."""
+    lat, lon, bearing = (chosen.get(name) for name in ("lat_deg", "lon_deg", "bearing_deg"))
+    if lat is None or lon is None or bearing is None or not {"range_m", "station_lat_deg"}.isdisjoint(chosen):
+        return chosen
+    if kind != "esm" and "frequency_hz" not in chosen:
+        return chosen
+    why = (
+        f"{lat.name} and {lon.name} are read as the place of the direction finder: {bearing.name} is the direction of "
+    )
+    why += "what it receives; if they are that of the emitter, leave the bearing out"
+    own = {
+        f"station_{name}": replace(choice, quantity=_QUANTITY[f"station_{name}"], why=why if name == "lat_deg" else "")
+        for name, choice in (("lat_deg", lat), ("lon_deg", lon))
+    }
+    return {column: choice for column, choice in chosen.items() if choice not in (lat, lon)} | own
 
 
 def _with_own_heading(chosen: dict[str, Choice]) -> dict[str, Choice]:
