@@ -58,6 +58,15 @@ def test_a_velocity_is_that_of_the_receiver_or_else_fitted_to_the_last_positions
     assert own.at(START_S + 41.0, START_S, None, PLANE).vx_m_per_s == 0.0
 
 
+def test_a_course_is_by_true_north_far_from_the_origin_of_the_plane():
+    """200 km east of it, 2° off: an approach in 20 minutes would have been wrong by 400 m, as others are turned."""
+    wire = receiver(lon_deg=-1.0 + 2.8, speed=10.0, course=0.0)
+    ship = motion(OwnShip(source="bridge"), wire=wire).at(START_S, START_S, None, PLANE)
+    north_deg = PLANE.north_deg((ship.x_m, ship.y_m))
+    assert np.degrees(np.arctan2(ship.vx_m_per_s, ship.vy_m_per_s)) == pytest.approx(north_deg, abs=1e-3)
+    assert ship.x_m == pytest.approx(200e3, rel=0.01) and north_deg == pytest.approx(-2.1, abs=0.1)
+
+
 def test_own_ship_is_the_one_whose_receiver_an_input_has_unless_the_settings_name_her():
     """Replayed, a log was taken so; live, the same sentences were only named in the terminal."""
     wire = receiver(lat_deg=np.nan)
@@ -98,7 +107,7 @@ def test_a_replayed_ship_goes_on_between_the_reports_of_her_log():
     for after_s, x_m in ((0.0, 0.0), (10.0, 50.0), (100.0, 150.0)):
         state = own.at(START_S + after_s, START_S, None, PLANE)
         assert (state.x_m, state.y_m) == pytest.approx((x_m, 0.0), abs=0.05)
-        assert (state.vx_m_per_s, state.vy_m_per_s, state.heading_deg) == pytest.approx((5.0, 0.0, 93.0))
+        assert (state.vx_m_per_s, state.vy_m_per_s, state.heading_deg) == pytest.approx((5.0, 0.0, 93.0), abs=1e-4)
 
 
 def test_a_replayed_log_of_a_bridge_shows_the_ship_that_wrote_it(tmp_path):

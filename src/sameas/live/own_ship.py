@@ -96,7 +96,13 @@ class OwnShipMotion:
         last = self._positions[-1] if self._positions else None
         if last is None or last[1:] != (east, north) or time_s - last[0] >= 1.0:
             self._positions.append((time_s, east, north))
-        return OwnShipState(east, north, *(self._given_velocity() or self._fitted_velocity(time_s)), heading)
+        velocity = self._given_velocity()
+        if velocity is None:
+            vx, vy = self._fitted_velocity(time_s)
+        else:
+            # By true north; away from the plane's origin that is not the plane's.
+            vx, vy = (plane.jacobian([lat], [lon])[0] @ velocity).tolist()
+        return OwnShipState(east, north, vx, vy, heading)
 
     def _find(self) -> None:
         """Takes the first wire with her position, if the settings do not say who she is."""
@@ -138,7 +144,7 @@ class OwnShipMotion:
         return tuple(mmsi for mmsi in (self.mmsi, given) if mmsi)
 
     def _given_velocity(self) -> tuple[float, float] | None:
-        """Her velocity (m/s east, north) as her receiver gives it; None if it does not."""
+        """Her velocity (m/s to true east and north) as her receiver gives it; None if it does not."""
         replayed = self._replayed.speed_m_per_s, self._replayed.course_deg
         speed, course = replayed if self.wire is None else self.wire.stream.own_velocity
         if speed == 0.0 and math.isnan(course):
