@@ -11,6 +11,7 @@ from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import match
 from sameas.estimate.result import MatchTuning
 from sameas.estimate.sample import Sampling, Setting
+from sameas.evidence import Magnitudes
 from sameas.simulate.scenes import Cap, poisson_field, sky_field
 
 #: Small limits, so that the scenes of a test count as large.
@@ -126,3 +127,15 @@ def test_a_sample_of_a_large_source_grows_with_it():
     n1, n2 = whole.sample(few).n_counted
     assert min(n1, n2) >= 0.15 * min(len(made.first), len(made.second)) > 700
     assert few.size(1_000) == 700 and few.size(10**9) == few.most
+
+
+def test_unrelated_magnitudes_are_noted_where_estimates_are_from_a_sample():
+    """The probabilities of the sample's pairs were looked up among all pairs: an unexpected IndexError."""
+    made, rng = field(8), np.random.default_rng(9)
+    one, two = (rng.normal(20.0, 1.0, len(records)) for records in (made.first, made.second))
+    rows_1, rows_2 = (rows[::2] for rows in made.true_pairs())
+    two[rows_2] = one[rows_1] + rng.normal(0.0, 0.05, len(rows_1))
+    magnitudes, tuning = (Magnitudes(one), Magnitudes(two)), MatchTuning(max_unrelated=0.3)
+    answer, found = match(made.first, made.second, sampling=FEW, brightness=magnitudes, tuning=tuning)
+    assert max(found.learned_from) < 0.3 * len(made.first) and len(answer.pairs) > len(made.first)
+    assert any("of the pairs are unrelated, and have hardly any weight" in note for note in found.notes)

@@ -297,7 +297,7 @@ def to_estimate(answer: Identification, coverage: Coverage, result: GateResult, 
     estimate = Estimate(
         common=common, share_1=min(1.0, common / n_1), share_2=min(1.0, common / n_2), errors=estimates.errors,
         gate_sigmas=result.gate_sigmas, coverage=coverage, iterations=result.iterations, converged=result.converged,
-        learned_from=result.learned_from, notes=tuple(remarks) + _notes(result, common), photometry=photometry,
+        learned_from=result.learned_from, notes=tuple(remarks) + _notes(result, answer), photometry=photometry,
         precision=precision, answer=answer,
         errors_estimated=estimates.fits_errors and common >= result.tuning.em.min_pairs, columns=estimates.columns,
         tuning=result.tuning,
@@ -307,9 +307,9 @@ def to_estimate(answer: Identification, coverage: Coverage, result: GateResult, 
     return replace(estimate, gate_sigmas=result.gate_sigmas * estimate.typical_scale / estimates.errors.typical_scale)
 
 
-def _notes(result: GateResult, common: float) -> tuple[str, ...]:
+def _notes(result: GateResult, answer: Identification) -> tuple[str, ...]:
     """Remarks for the user."""
-    notes, estimates = [], result.estimates
+    notes, estimates, common = [], result.estimates, float(answer.p_pair.sum())
     if not result.converged:
         notes.append("the estimates had not converged at the last iteration")
     if common < 0.5:
@@ -326,7 +326,7 @@ def _notes(result: GateResult, common: float) -> tuple[str, ...]:
         notes.append(f"{few} to fit the magnitudes; they are not used")
     relation = None if estimates.photometry is None else estimates.photometry.first_relation
     if estimates.photometry is not None and relation is not None and relation.unrelated > result.tuning.max_unrelated:
-        error, spread_mag = estimates.photometry.quoted_and_spread(estimates.setting.pairs, result.p_counted)
+        error, spread_mag = estimates.photometry.quoted_and_spread(answer.pairs, answer.p_pair)
         notes.append(
             f"the quoted errors of the magnitudes, {error:.2g} mag, are larger than the spread of those of the pairs, "
             f"{spread_mag:.2g} mag: they have hardly any weight"
