@@ -175,13 +175,16 @@ def entries(table: IntArray) -> tuple[IntArray, IntArray]:
 
 def within_turn(degrees: FloatArray) -> FloatArray:
     """Angles (n,) reduced to 0 … 360°: ``np.mod(degrees, 360.0)``, without its division where all are within a turn of
-    that, in a fifth of the time.
+    that, in a fifth of the time; the same array if all are above 0° and below 360°.
 
     >>> within_turn(np.array([-90.0, -0.0, 360.0]))
     array([270.,   0.,   0.])
     """
-    if not len(degrees) or not (degrees.min() >= -360.0 and degrees.max() < 720.0):
+    least, largest = (float(degrees.min()), float(degrees.max())) if len(degrees) else (np.nan, np.nan)
+    if not (least >= -360.0 and largest < 720.0):
         return np.mod(degrees, 360.0)
+    if least > 0.0 and largest < 360.0:
+        return degrees
     reduced = degrees + 0.0  # −0 becomes 0
     np.subtract(reduced, 360.0, out=reduced, where=reduced >= 360.0)
     return np.add(reduced, 360.0, out=reduced, where=reduced < 0.0)

@@ -130,12 +130,12 @@ def laid_out(place_1: PlaceArray, place_2: PlaceArray, i: PlaceArray, j: PlaceAr
 
     m = len(i)
     group, number_2 = np.empty(m, np.int32), np.empty(n_2, np.int32)
-    starts = [np.empty(min(n_1, n_2, m) + 1, np.int64) for _ in range(3)]
+    start, start_1, start_2 = (np.empty(min(n_1, n_2, m) + 1, np.int64) for _ in range(3))
     scratch = np.empty(n_1 + n_2, np.int32), np.empty(n_1, np.int32)
-    count = label_pairs(place_1, place_2, *scratch, number_2, group, *starts)
-    # Allocated for as many groups as records; copied so that unused memory is released.
-    start, start_1, start_2 = (column[: count + 1].copy() for column in starts)
-    del starts
+    count = label_pairs(place_1, place_2, *scratch, number_2, group, start, start_1, start_2)
+    del scratch
+    for column in (start, start_1, start_2):  # allocated for as many groups as records
+        column.resize(count + 1, refcheck=False)
     order, edges_1 = np.empty(m, np.int64), np.empty(start_1[-1] + 1, np.int64)
     local_1, local_2 = np.empty(m, np.int32), np.empty(m, np.int32)
     rows_1, rows_2 = np.empty(start_1[-1], np.int32), np.empty(start_2[-1], np.int32)

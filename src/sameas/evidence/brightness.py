@@ -188,7 +188,8 @@ class Magnitudes:
         names = self.names or tuple(f"band {k + 1}" for k in range(values.shape[1]))
         if len(names) != values.shape[1]:
             raise InputError(f"{len(names)} names for {values.shape[1]} bands of magnitudes; give one for each")
-        object.__setattr__(self, "values", np.where(np.isfinite(values), values, np.nan))
+        infinite = np.isinf(values)
+        object.__setattr__(self, "values", np.where(infinite, np.nan, values) if infinite.any() else values)
         object.__setattr__(self, "sigma", _sigmas(self.sigma, values))
         object.__setattr__(self, "names", tuple(names))
 
@@ -208,7 +209,10 @@ class Magnitudes:
                 f"{records.source}: {len(values)} magnitudes for {records.n_table} rows; "
                 "give one for every row of its table"
             )
-        return MeasuredMagnitudes(values[records.rows], np.asarray(self.sigma)[records.rows] ** 2)
+        sigma, rows = np.asarray(self.sigma), records.rows
+        if len(rows) < len(values) or not (rows[1:] > rows[:-1]).all():
+            values, sigma = values[rows], sigma[rows]
+        return MeasuredMagnitudes(values, sigma**2 if sigma.any() else sigma)
 
 
 def _numbers(values: ArrayLike) -> FloatArray:
@@ -222,7 +226,9 @@ def _numbers(values: ArrayLike) -> FloatArray:
 
 def _sigmas(sigma: ArrayLike | None, values: FloatArray) -> FloatArray:
     """The errors in the shape of the values; 0 where unknown."""
-    given = np.zeros(()) if sigma is None else _numbers(sigma)
+    if sigma is None:
+        return np.broadcast_to(0.0, values.shape)
+    given = _numbers(sigma)
     given = given[:, None] if given.ndim == 1 and len(given) == len(values) else given
     try:
         given = np.broadcast_to(given, values.shape)
@@ -407,13 +413,31 @@ class Brightness(Rule):
     def __call__(self, pairs: Pairs) -> Evidence:
         terms = {"completeness": self.completeness_1[pairs.i] + self.completeness_2[pairs.j]}
         if self.chains is not None:
-            ready = self.comparisons is not None and self.comparisons[0] is pairs
-            forth, back = self.comparisons[1] if ready and self.comparisons else comparisons_of(self.sides, pairs)
-            terms["brightness"] = 0.5 * (self.chains[0].log_ratio(forth) + self.chains[1].log_ratio(back))
+            if self.comparisons is not None and self.comparisons[0] is pairs:
+                terms["brightness"] = self._log_ratio(*self.comparisons[1])
+            else:
+                terms["brightness"] = brightness = np.empty(len(pairs))
+                for first in range(0, len(pairs), COMPARED_AT_ONCE):
+                    some = slice(first, first + COMPARED_AT_ONCE)
+                    brightness[some] = self._log_ratio(*_compared(self.sides, pairs.i[some], pairs.j[some]))
         return Evidence(terms)
+
+    def _log_ratio(self, forth: Comparisons, back: Comparisons) -> FloatArray:
+        assert self.chains is not None
+        return 0.5 * (self.chains[0].log_ratio(forth) + self.chains[1].log_ratio(back))
+
+
+#: Pairs whose comparisons, some 200 bytes each, are in memory at the same time where nothing else needs them.
+COMPARED_AT_ONCE = 1 << 17
 
 
 def comparisons_of(sides: tuple[SourceMagnitudes, SourceMagnitudes], pairs: Pairs) -> tuple[Comparisons, Comparisons]:
     """The comparisons of all pairs: source 1 with source 2, and the reverse."""
+    return _compared(sides, pairs.i, pairs.j)
+
+
+def _compared(
+    sides: tuple[SourceMagnitudes, SourceMagnitudes], i: NDArray[np.integer], j: NDArray[np.integer]
+) -> tuple[Comparisons, Comparisons]:
     one, two = sides
-    return (one.compared(pairs.i, two.measured.take(pairs.j)), two.compared(pairs.j, one.measured.take(pairs.i)))
+    return one.compared(i, two.measured.take(j)), two.compared(j, one.measured.take(i))

@@ -92,14 +92,14 @@ def _texts(table: Table, name: str) -> list[str]:
 
 
 def numbers(table: Table, name: str, source: str) -> FloatArray:
-    """(n,) numbers of the column in its own unit."""
+    """(n,) numbers of the column in its own unit; the table's own memory if it holds float64: not to be changed."""
     column = table[name]
     if getattr(column, "ndim", 1) != 1:
         raise InputError(f"{source}: column {name!r} has {column.ndim} dimensions; give one with a number per row")
     if is_text(table, name):
         return _parsed(_texts(table, name), float, name, source)
     values = np.ma.asarray(column.value if isinstance(column, u.Quantity) else column)
-    return np.asarray(np.ma.filled(values.astype(np.float64), np.nan))
+    return np.asarray(np.ma.filled(values.astype(np.float64, copy=False), np.nan))
 
 
 def _parsed(texts: list[str], reader: Any, name: str, source: str, kind: str = "a number") -> FloatArray:
@@ -170,7 +170,8 @@ def magnitudes(table: Table, name: str, source: str) -> FloatArray:
     if unit is not None and unit.is_equivalent(u.mag):
         values = values * unit.to(u.mag)
     with np.errstate(invalid="ignore"):
-        return np.where(np.abs(values) < 90.0, values, np.nan)
+        missing = np.abs(values) >= 90.0
+    return np.where(missing, np.nan, values) if missing.any() else values
 
 
 def holds_numbers(table: Table, name: str) -> bool:

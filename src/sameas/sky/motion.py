@@ -41,8 +41,12 @@ class Variances:
 
     @classmethod
     def of(cls, sigmas: tuple[FloatArray, ...]) -> Variances:
-        """The squares of standard deviations (n,); a broadcast constant stays broadcast."""
-        return cls(tuple(_squared(sigma) for sigma in sigmas))
+        """The squares of standard deviations (n,); a broadcast constant stays broadcast, equal errors share memory."""
+        columns: list[FloatArray] = []
+        for k, sigma in enumerate(sigmas):
+            same = k > 0 and np.array_equal(sigma, sigmas[k - 1], equal_nan=True)
+            columns.append(columns[-1] if same else _squared(sigma))
+        return cls(tuple(columns))
 
     def __getitem__(self, rows: Any) -> Variances:
         """The variances of some rows."""
