@@ -9,7 +9,9 @@ from tests.live.conftest import START_S
 
 from sameas.cli.watch import settings_of
 from sameas.io.sensors.nmea import checksum
+from sameas.live.keeper import Keeper
 from sameas.live.own_ship import OwnShipMotion
+from sameas.live.server import live_page
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings
 from sameas.tracks import Description
 from sameas.tracks.coordinates import LocalPlane
@@ -118,6 +120,18 @@ def test_a_replayed_log_of_a_bridge_shows_the_ship_that_wrote_it(tmp_path):
     (tmp_path / "named.toml").write_text("[watch]\nown_ship = { mmsi = '235000009' }\n[sources.bridge]\n")
     settings, _ = settings_of([str(tmp_path / "bridge.nmea")], tmp_path / "named.toml", None, 10.0)
     assert settings.watch.own_ship == OwnShip(mmsi="235000009")
+
+
+def test_the_log_of_a_receiver_is_own_ship_and_no_source_of_tracks(tmp_path):
+    body = "GPRMC,130212.00,A,5046.380,N,00105.576,W,10.0,157.8,120116,,,A"
+    (tmp_path / "gps.nmea").write_text(f"${body}*{checksum(body):02X}\n")
+    (tmp_path / "ais.csv").write_text("time,mmsi,lat,lon\n2016-01-12T13:02:12Z,235000001,50.8,-1.1\n")
+    settings, replay = settings_of([str(tmp_path / "gps.nmea"), str(tmp_path / "ais.csv")], None, None, 10.0)
+    keeper = Keeper(settings, replay=replay)
+    assert keeper.own_ship.carrier == "gps"
+    page = live_page(keeper, operator=True)
+    keeper.close()
+    assert '"name":"gps","kind":"own ship"' in page and '"name":"ais","kind":"ais"' in page
 
 
 def test_a_replayed_track_has_its_speed_by_the_times_of_its_reports():

@@ -20,6 +20,7 @@ from sameas.live.inputs import Wire
 from sameas.live.settings import OwnShip, Settings
 from sameas.picture.picture_state import PictureState
 from sameas.tracks.coordinates import LocalPlane, geodesy
+from sameas.tracks.kinds import CARRIER_KIND
 from sameas.tracks.reports import Reports
 
 #: Positions that are kept for a velocity, and seconds over which it is fitted.
@@ -48,6 +49,7 @@ class OwnShipMotion:
         self.settings, self.silent_s, self.replayed = settings.watch.own_ship, settings.watch.silent_s, replayed
         # Of several sources on one cable, AIS is not the one that gives her position.
         sources = sorted(settings.sources.items(), key=lambda one: one[1].description.kind == "ais")
+        self._carriers = {name for name, source in sources if source.description.kind == CARRIER_KIND}
         self._wires = {name: wires[source.url] for name, source in sources if source.url and source.url in wires}
         name = None if self.settings is None else self.settings.source
         # None where her source was set aside.
@@ -131,6 +133,11 @@ class OwnShipMotion:
         if wire is None or math.isnan(wire.stream.own_ship[0]):
             return None
         return self._source if clock_s - wire.state.last_s <= self.silent_s else None
+
+    @property
+    def carrier(self) -> str | None:
+        """The name of a source that gives her position, and no objects."""
+        return self._source if self._source in self._carriers else None
 
     @property
     def mmsi(self) -> str:

@@ -14,7 +14,7 @@ import json
 import math
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +31,7 @@ from sameas.maps.sheet import MapSensor, MapSheet
 from sameas.maps.tiles import Chart
 from sameas.pages.map import map_page
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.platforms import OWN_POSITIONS
 from sameas.tracks.source import Site
 
 if TYPE_CHECKING:
@@ -344,6 +345,8 @@ def live_page(keeper: Keeper, operator: bool) -> str:
                if source.description.site is None or _same_plane(source.description.site, plane)]  # fmt: skip
     sensors += [MapSensor(name, source.description.kind) for name, source in keeper.settings.sources.items()
                 if name not in {sensor.name for sensor in sensors}]  # fmt: skip
+    carrier = keeper.own_ship.carrier
+    sensors = [replace(sensor, kind=OWN_POSITIONS) if sensor.name == carrier else sensor for sensor in sensors]
     instant_s = keeper.now_s() if situation is None else situation.time_s
     charts = [read_chart(path) for path in watch.chart]
     # The first one is the land.

@@ -343,7 +343,11 @@ function showLegend() {
 function showCounts() {
   const counts = data.sensors.map(() => 0);
   for (const r of now.marks) counts[records.source[r]]++;
-  for (const e of document.querySelectorAll("[data-count]")) e.textContent = data.live && now.k < last ? "" : grouped(counts[e.dataset.count]);
+  for (const e of document.querySelectorAll("[data-count]")) {
+    // The log of own ship has no records.
+    const none = data.sensors[e.dataset.count].kind === "own ship";
+    e.textContent = none || (data.live && now.k < last) ? "" : grouped(counts[e.dataset.count]);
+  }
   const all = now.rows.filter(r => objects.stage[r] !== STAGE.ended),
     live = all.filter(r => !isTentative(r)),
     doubtful = live.filter(isAmbiguous).length,

@@ -224,7 +224,8 @@ def _by_crossings(feeds: Sequence[Feed]) -> list[RegisteredFeed]:
             azimuth = Parameter(float(theta[AZIMUTH]), math.sqrt(fit.covariance_deg2[k, k]), "deg")
             others = tuple(other for other in names if other != name)
             biases = SourceBiases(
-                name, others, {"azimuth_deg": azimuth}, pairs=fit.triples, instants=fit.instants,
+                name, others, {"azimuth_deg": azimuth}, pairs=fit.triples,
+                tracks=fit.triples / max(fit.instants * math.comb(len(feeds), 3), 1), instants=fit.instants,
                 log_evidence=fit.log_evidence, theta=theta, covariance=covariance,
             )  # fmt: skip
         else:
