@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sameas.picture import Picture
+from sameas.picture import LivePicture, Picture
 from sameas.picture.plot_picture import PlotPicture
 from sameas.report.picture import scene_lines
 from sameas.tracks import Description, Reports, Scene, Site
@@ -126,3 +126,19 @@ def test_the_report_says_from_how_many_places_the_directions_are():
     for n_places, words in ((1, "no object gets a position"), (2, "false crossings"), (3, "3 places")):
         scene = direction_finders(n_places, 1)
         assert words in list(scene_lines(scene, PlotPicture()))[-1]
+
+
+def test_live_direction_finders_are_registered_and_show_their_emitters():
+    feeds = direction_finders(3, 3, frequencies=True, offset_deg=(1.5, -2.0, 1.0)).feeds
+    picture = LivePicture([feed.description for feed in feeds])
+    for t in np.arange(0.0, 121.0, 10.0):
+        for feed in feeds:
+            reports = feed.raw_reports
+            assert reports is not None
+            picture.add(feed.description.name, reports.where((reports.time_s > t - 10.0) & (reports.time_s <= t)))
+        picture.advance(t)
+        if t == 60.0:
+            assert all(one.parameters["azimuth_deg"].standard_error < 1.5 for one in picture.register())
+    places = np.column_stack([picture.objects["x_m"], picture.objects["y_m"]]).astype(float)
+    apart_m = np.hypot(*np.moveaxis(places[:, None] - (START_M + 120.0 * VELOCITY_M_PER_S), -1, 0))
+    assert sorted(apart_m.argmin(axis=1).tolist()) == [0, 1, 2] and apart_m.min(axis=1).max() < 400.0

@@ -326,6 +326,13 @@ def test_lists_of_virtual_radar_server_are_read(tmp_path):
     assert made.speed_m_per_s[0] == pytest.approx(231.5)
 
 
+def test_a_table_without_names_of_columns_is_told_so():
+    with pytest.raises(InputError, match="line 1 has values, not the names of columns; give the table a first line"):
+        table(
+            "1714560000000,87,25.3,148524000,UCA,43.2,-80.1,0,0\n1714560001000,88,25.3,148524000,UCA,43.2,-80.1,0,0\n"
+        )
+
+
 def test_xml_that_is_not_read_is_told_from_a_table(tmp_path):
     (tmp_path / "track.kml").write_text('<?xml version="1.0"?>\n<kml><Document/></kml>\n')
     with pytest.raises(InputError, match="is XML of no format that is read; give its positions as CSV or GeoJSON"):

@@ -238,13 +238,15 @@ class TrackedPlots:
             sensor = feed.sensor_at(self.now.instant_s)
             if not isinstance(feed.reports, Directions):
                 return np.zeros((len(places), 2, 2))
-            if sensor is None or not len(feed.reports):
+            # The rows of a live feed that hold no report have no error.
+            usable = feed.reports.usable
+            if sensor is None or not usable.any():
                 continue
             arm = places - sensor
             distance = np.maximum(np.hypot(*arm.T), 1.0)
             across = np.column_stack([arm[:, 1], -arm[:, 0]]) / distance[:, None] ** 2
-            variance = float(np.median(feed.reports.sigma_deg)) ** 2
-            lasting = float(np.median(feed.reports.lasting_deg)) ** 2
+            variance = float(np.median(feed.reports.sigma_deg[usable])) ** 2
+            lasting = float(np.median(np.broadcast_to(feed.reports.lasting_deg, len(usable))[usable])) ** 2
             outer = across[:, :, None] * across[:, None, :]
             information += outer / variance
             spread += outer * (lasting / variance**2)

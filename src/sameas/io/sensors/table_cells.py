@@ -171,6 +171,11 @@ def cells_of_csv(lines: Iterable[str], source: str, rows_of_part: int = ROWS_OF_
         raise InputError(f"{source}: no format of sensors fits; as a table, its line {number} does not name columns")
     names = _of_ros([name.strip() for name in next(csv.reader([header], delimiter=delimiter))])
     check_columns(len(names), source)
+    if 2 * sum(_NUMBER.fullmatch(name) is not None for name in names) > len(names):
+        raise InputError(
+            f"{source}: its line {number} has values, not the names of columns",
+            "give the table a first line with names, such as time,lat,lon",
+        )
     counts = Counter(names)
     duplicates = [name for name in names if counts[name] > 1]
     if duplicates:
@@ -181,6 +186,8 @@ def cells_of_csv(lines: Iterable[str], source: str, rows_of_part: int = ROWS_OF_
     return TableText(columns, line_numbers, tuple(damaged))
 
 
+#: A number, which is no name of a column.
+_NUMBER = re.compile(r"[+-]?\d+([.,]\d*)?([eE][+-]?\d+)?")
 #: What Excel wants in the first line of a file.
 _SEPARATOR = re.compile(r"sep=.", re.IGNORECASE)
 #: Fields of messages of ROS, by the ends of their names, and the names of tables for them. Velocities of odometry are
