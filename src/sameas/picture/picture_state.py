@@ -119,12 +119,12 @@ class TrackedObjects:
         """(n, S) records of the scan."""
         if self.tracks.identification is None:
             return np.full((0, len(self.scan.now.sources)), ABSENT)
-        return self._sets[0][self._own]
+        return self._sets[0][self._sets[2]]
 
     @property
     def probability(self) -> FloatArray:
         """(n,) that exactly its records are one object, whether new or tracked."""
-        return np.empty(0) if self.tracks.identification is None else self._sets[1][self._own]
+        return np.empty(0) if self.tracks.identification is None else self._sets[1][self._sets[2]]
 
     @property
     def runner_up(self) -> IntArray:
@@ -143,7 +143,7 @@ class TrackedObjects:
         """(records,) probability that a record has no partner of another source."""
         out = np.ones(len(self.scan))
         if self.tracks.identification is not None:
-            sets, probability = self._sets
+            sets, probability, _ = self._sets
             lone = np.flatnonzero((sets >= 0).sum(axis=1) == 1)
             out[:] = 0.0
             out[sets[lone].max(axis=1)] = probability[lone]
@@ -191,15 +191,15 @@ class TrackedObjects:
         return ObjectStates(state, covariance, placed, placed & has_velocity(covariance, region, scan.tuning))
 
     @cached_property
-    def _sets(self) -> tuple[IntArray, FloatArray]:
-        """(k, S) the possible sets of records of the scan, and (k,) their probabilities, summed over prior objects."""
+    def _sets(self) -> tuple[IntArray, FloatArray, IntArray]:
+        """(k, S) the possible sets of records of the scan, (k,) their probabilities, summed over prior objects, and
+        (n,) the set of each object."""
         identification = self.tracks.identification
         assert identification is not None
-        members = self._possible
-        sets, of = np.unique(members, axis=0, return_inverse=True)
-        return sets, np.clip(
-            np.bincount(of.ravel(), weights=identification.answer.probability, minlength=len(sets)), 0.0, 1.0
-        )
+        sets, of = np.unique(self._possible, axis=0, return_inverse=True)
+        of = of.ravel()
+        p = np.bincount(of, weights=identification.answer.probability, minlength=len(sets))
+        return sets, np.clip(p, 0.0, 1.0), of[identification.set_of_object[self.which]]
 
     @cached_property
     def _possible(self) -> IntArray:
@@ -219,24 +219,16 @@ class TrackedObjects:
         return out
 
     @cached_property
-    def _own(self) -> IntArray:
-        """(n,) the set of each object, by its row in ``_sets``."""
-        identification = self.tracks.identification
-        assert identification is not None
-        _, of = np.unique(self._possible, axis=0, return_inverse=True)
-        return np.asarray(of.ravel()[identification.set_of_object[self.which]])
-
-    @cached_property
     def _second(self) -> IntArray:
         """(n,) the most probable other set with one of the object's records, ABSENT for none."""
         best = np.full(len(self.which), ABSENT)
         if self.tracks.identification is None:
             return best
-        sets, probability = self._sets
+        sets, probability, own = self._sets
         own_row, column = np.nonzero(self.members >= 0)
         of_record = np.zeros(len(self.scan), np.int64)
         of_record[self.members[own_row, column]] = own_row
-        other = np.setdiff1d(np.flatnonzero((probability > 0.0) & (sets >= 0).any(axis=1)), self._own)
+        other = np.setdiff1d(np.flatnonzero((probability > 0.0) & (sets >= 0).any(axis=1)), own)
         # Ascending: the most probable set is written last; of ties the first by content.
         other = other[np.lexsort([-other, probability[other]])]
         at, column = np.nonzero(sets[other] >= 0)
