@@ -1,8 +1,8 @@
 """Saved states: objects of sameas as bytes, read back without executing anything that a file names.
 
-A plain pickle can call any function when it is read. :func:`loads` makes only data: sameas' own classes, NumPy arrays,
-astropy's tables and units, paths, and Python's containers; everything else is refused. A checksum finds damage; a state
-forged together with its checksum can contain wrong numbers or end the process.
+A plain pickle can call any function when it is read. :func:`loads` makes only data: sameas' own classes, arrays of
+NumPy and sparse ones of SciPy, astropy's tables and units, paths, and Python's containers; everything else is refused.
+A checksum finds damage; a state forged together with its checksum can contain wrong numbers or end the process.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ _MADE = {
         "py_buffer",
     },
     "numpy.ma.core": {"MaskedArray", "_mareconstruct"},
+    "scipy.sparse._csr": {"csr_array"},
 }
 
 

@@ -69,6 +69,10 @@ class Linear:
 Shares = Callable[[FloatArray, BoolArray], FloatArray]
 
 
+#: Functions that saved states refer to by name (:mod:`sameas.io.saved`).
+SAVED = ("best_reference", "mean_of_pairs")
+
+
 def best_reference(log_ratio: FloatArray, informative: BoolArray) -> FloatArray:
     """Share 1 for the pairs of the reference, 0 for others: the record of largest Σ ln r that is compared with all.
 
