@@ -142,3 +142,28 @@ def test_live_direction_finders_are_registered_and_show_their_emitters():
     places = np.column_stack([picture.objects["x_m"], picture.objects["y_m"]]).astype(float)
     apart_m = np.hypot(*np.moveaxis(places[:, None] - (START_M + 120.0 * VELOCITY_M_PER_S), -1, 0))
     assert sorted(apart_m.argmin(axis=1).tolist()) == [0, 1, 2] and apart_m.min(axis=1).max() < 400.0
+
+
+def test_two_ships_of_ais_are_those_that_direction_finders_hear():
+    """The region of two positions was a point between them: no direction was of a ship."""
+    rng, heard = np.random.default_rng(3), direction_finders(2, 3)
+    columns: dict[str, list[Any]] = {name: [] for name in ("time_s", "x_m", "y_m", "vx_m_per_s", "vy_m_per_s", "mmsi")}
+    for t in np.arange(0.0, 300.0, 6.0):
+        for ship in (0, 1):
+            place = START_M[ship] + t * VELOCITY_M_PER_S[ship] + 8.0 * rng.standard_normal(2)
+            row = (t, *place, *VELOCITY_M_PER_S[ship], f"23500{ship}111")
+            for name, value in zip(columns, row, strict=True):
+                columns[name].append(value)
+    ais = Description("ais", "ais"), Reports.of("ais", "ais", columns)
+    scene, _ = Scene.of(
+        [*((feed.description, feed.raw_reports) for feed in heard.feeds if feed.raw_reports), ais]
+    ).registered()
+    picture = Picture.of(scene, np.arange(0.0, 251.0, 10.0))
+    objects = picture.objects
+    shown = objects["stage"] == "confirmed"
+    for mmsi in ("235000111", "235001111"):
+        of_ship = shown & (objects["mmsi"] == mmsi)
+        assert len(set(objects["object"][of_ship].tolist())) == 1
+        assert np.mean(["df" in sources for sources in objects["sources"][of_ship].tolist()]) > 0.6
+    last = objects["time_s"] == 250.0
+    assert sum(last & (objects["stage"] != "tentative")) <= 4

@@ -167,12 +167,12 @@ class LivePicture:
     @property
     def biases(self) -> Mapping[str, SourceBiases]:
         """By source, the biases that are subtracted."""
-        return dict(self._biases)
+        return {name: biases for name, biases in self._biases.items() if biases.established}
 
     @property
     def estimates(self) -> Mapping[str, SourceBiases]:
         """By source, the biases that are subtracted, else those last estimated."""
-        return self._estimates | self._biases
+        return self._estimates | dict(self.biases)
 
     @property
     def last_estimates(self) -> Mapping[str, SourceBiases]:
@@ -414,7 +414,9 @@ class LivePicture:
         self._heights = registered.heights or self._heights
         for biases in registered.biases:
             self._estimates[biases.source] = biases
-            if biases.established and biases.theta is not None and biases.source not in self._held:
+            # What is not established replaces nothing; it may allow for an unknown offset.
+            is_first = biases.source not in self._biases
+            if biases.theta is not None and (biases.established or is_first) and biases.source not in self._held:
                 self._biases[biases.source] = biases
 
     def _keep_sightings(self, state: LiveState) -> None:

@@ -186,6 +186,9 @@ def registered(
         second = _against(feeds[k], partner, fits)
         if k not in done or second[1].established:
             done[k] = second
+    for k in directions:
+        if not done[k][1].established and feeds[k].description.kind == "esm":
+            done[k] = _with_unknown_offset(*done[k])
     in_order = [done[k] for k in range(len(feeds))]
     return tuple(feed for feed, _ in in_order), tuple(biases for _, biases in in_order)
 
@@ -206,6 +209,16 @@ def _parts(feeds: Sequence[Feed], references: Sequence[str] | None) -> tuple[lis
     fixed.sort(key=lambda k: (feeds[k].description.kind not in CORRELATED_KINDS, -len(feeds[k].reports)))
     free = sorted((k for k in placed if k not in fixed), key=lambda k: -len(feeds[k].reports))
     return fixed, free, [k for k in range(len(feeds)) if k not in placed]
+
+
+def _with_unknown_offset(feed: Feed, biases: SourceBiases) -> RegisteredFeed:
+    """A direction finder whose offset is not established: what its description allows is part of its errors."""
+    width_deg = float(bias_widths(feed)[AZIMUTH])
+    covariance = np.zeros((len(BIASES), len(BIASES)))
+    covariance[AZIMUTH, AZIMUTH] = width_deg**2
+    note = f"{biases.source}: its errors allow for an offset of ± {width_deg:g}°"
+    biases = replace(biases, notes=(*biases.notes, note), theta=np.zeros(len(BIASES)), covariance=covariance)
+    return biases.removed(feed), biases
 
 
 def _by_crossings(feeds: Sequence[Feed]) -> list[RegisteredFeed]:

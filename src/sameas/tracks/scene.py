@@ -43,7 +43,7 @@ from sameas.tracks.elsewhere import of_other_days, too_far_apart
 from sameas.tracks.error_fit import TrackErrorFit, fit_errors
 from sameas.tracks.feed import Feed, need_filtering, of_their_objects
 from sameas.tracks.heights import HeightModel, HeightReports, heights_of
-from sameas.tracks.placement import PlacedReports
+from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.platforms import on_platform, only_carries
 from sameas.tracks.plot_offsets import PlotFits
 from sameas.tracks.registration import SourceBiases, registered
@@ -317,9 +317,13 @@ class _Surroundings:
         if states:
             places = np.concatenate(states)[:, :2]
             centre, spread = places.mean(axis=0), np.zeros((2, 2))
+            pointing = [one.sensor() for one in snapshots if isinstance(one.feed.reports, Directions)]
             if len(places) > 2:
                 from_centre = places - centre
                 spread = tall_product(from_centre, from_centre) * (1.0 / (len(places) - 1))
+            elif pointing:
+                # Two positions or one do not show how far objects are from what has only their directions.
+                spread = np.eye(2) * np.max(np.sum((np.vstack([places, pointing]) - centre) ** 2, axis=1))
             narrow = max(float(np.trace(spread)) / 20.0, (min(reach, 1000.0) or 1000.0) ** 2 / 16.0)
             spread = spread + narrow * np.eye(2)
         else:
