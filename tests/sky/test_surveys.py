@@ -214,6 +214,9 @@ def served(names: str, **values: object) -> Catalogue:
             None, None, "gmag", "objectId"),
         ("a pair named alike", "source_id world_centroid_alpha world_centroid_delta auto_mag auto_mag_err",
             {"world_centroid_alpha": RA, "world_centroid_delta": DEC}, None, None, "auto_mag", "source_id"),
+        ("plain names", "permID obsTime ra dec rmsRA rmsDec rmsCorr mag rmsMag band astCat",
+            {"ra": RA, "dec": DEC, "rmsRA": 0.3, "rmsDec": 0.4, "obsTime": 57000.0}, (0.3, 0.4), 2014.94, "mag", None),
+        ("plain names", "name ra declination discoverymag", {"ra": RA, "declination": DEC}, None, None, None, "name"),
         # The error of forced photometry of ATLAS is a code.
         ("plain names", "MJD m dm uJy duJy F err chi/N RA Dec x y maj min phi apfit mag5sig Sky Obs",
             {"RA": RA, "Dec": DEC, "MJD": 57000.0, "err": 1}, None, 2014.94, None, None),
@@ -273,3 +276,17 @@ def test_numbers_for_missing_motions_are_no_motions(missing: float) -> None:
 def test_motions_of_the_kepler_input_catalog_are_in_arcsec_a_year() -> None:
     table = {"KIC": [1], "RAJ2000": [RA], "DEJ2000": [DEC], "pmRA": [0.12], "pmDE": [-0.2], "kepmag": [14.0]}
     assert Catalogue.of(table, "mine").astrometry.pm_dec_mas_per_yr.tolist() == pytest.approx([-200.0])
+
+
+def test_motions_of_gaia_without_their_errors_have_those_of_the_release_beside_quoted_errors_of_positions() -> None:
+    """The spread of unmeasured motions, 10 mas/yr, was assumed: 90 mas at the epoch of Rubin."""
+    table = {"source_id": [1], "ra": [RA], "dec": [DEC], "ra_error": [0.1], "dec_error": [0.1], "pmra": [3.0],
+             "pmdec": [2.0], "ref_epoch": [2016.0], "phot_g_mean_mag": [17.0]}  # fmt: skip
+    source = Catalogue.of(table, "mine")
+    assert np.sqrt(source.astrometry.variance(3)).tolist() == pytest.approx([0.07])
+    assert any("pmra has no column of errors: those of Gaia DR3 are assumed" in doubt for doubt in source.doubts)
+
+
+def test_motions_in_degrees_a_year_are_doubted() -> None:
+    table = {"ra": [RA, RA], "dec": [1.0, 2.0], "pmra": [1e-6, 2e-6], "pmdec": [0.0, -1e-6], "epoch": [2000.0] * 2}
+    assert any("half of the proper motions are below 1.6e-06 mas/yr" in one for one in Catalogue.of(table, "a").doubts)

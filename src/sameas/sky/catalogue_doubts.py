@@ -19,6 +19,8 @@ from sameas.sky.motion import Astrometry, MissingMotion
 from sameas.sky.table_astrometry import FULL_TURN, longitudes
 
 _LARGEST_SIGMA_ARCSEC, _LEAST_SIGMA_ARCSEC = 60.0, 1e-6
+#: Typical motions below it are hardly measured in mas/yr, but in degrees a year.
+_SLOWEST_MAS_PER_YR = 0.03
 _FASTEST_MAS_PER_YR = 20_000.0  # Barnard's star moves 10.4 arcsec a year
 
 
@@ -138,6 +140,9 @@ def _motion_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
     if choice.motion[1] is None:
         return ""
     speed = np.hypot(astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr)
+    typical = float(median(speed[speed > 0.0])) if (speed > 0.0).any() else np.inf
+    if typical < _SLOWEST_MAS_PER_YR:
+        return f"half of the proper motions are below {typical:.2g} mas/yr: is {choice.motion[1].name} in mas/yr?"
     with np.errstate(invalid="ignore"):
         fast = np.flatnonzero(speed > _FASTEST_MAS_PER_YR)
     if not len(fast):
@@ -151,7 +156,7 @@ def _motion_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
 def _motion_error_doubt(choice: ColumnChoice, options: CatalogueOptions) -> str:
     if choice.motion[1] is None or choice.motion_errors[1] is not None or options.pm_sigma_mas_per_yr is not None:
         return ""
-    survey = choice.error.survey
+    survey = choice.survey
     if survey is not None and survey.typical_mas_per_yr is not None:
         return Message(
             f"{choice.motion[1].name} has no column of errors: those of {survey.title} are assumed ({survey.source}); ",

@@ -251,7 +251,8 @@ class ColumnChoice:
     motion, motion_errors : parallax, pm ra*, pm dec, radial velocity; None where the table has none.
     correlations : (i, j, column), parameters numbered as in :mod:`sameas.sky.conventions`.
     weights : the 15 columns UW of hip2 followed by F2 and Ntr. notes : further lines for the user.
-    frame : of the position and its errors. measured : a column that is empty in rows without a measurement.
+    frame : of the position and its errors. measured : a column that is empty in rows without a measurement. survey :
+    of the table, for errors of motions that it does not state.
     """
 
     convention: str
@@ -269,6 +270,7 @@ class ColumnChoice:
     notes: tuple[str, ...] = ()
     frame: SkyFrame = "icrs"
     measured: str = ""
+    survey: Survey | None = None
 
     def describe(self, epochs: str = "") -> tuple[str, ...]:
         """Lines to print: the chosen columns with reasons. epochs : text of the epochs read from a column."""

@@ -73,11 +73,12 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
         notes = (*notes, Message(stated, Argument("sigma", repr(magnitude_error))))
     if magnitude is None and options.magnitude is None:
         notes = (*notes, *_unused_bands(search))
+    incomplete = error.kind == "unknown" or (motion[1] is not None and motion_errors[1] is None)
+    survey = survey_of(convention.title, _year(search, epoch), _texts(search)) if incomplete else None
     if error.kind == "unknown":
         used = {getattr(column, "name", column) for column in (*motion_errors, magnitude_error, *position)}
         notes = (*notes, *_unused_errors(search, used))
-        survey_errors = survey_of(convention.title, _year(search, epoch), _texts(search))
-        error = error if survey_errors is None else PositionError("survey", survey=survey_errors)
+        error = error if survey is None else PositionError("survey", survey=survey)
     choice = ColumnChoice(
         convention=convention.title,
         ra=position[0],
@@ -94,6 +95,7 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
         notes=notes,
         frame=convention.frame,
         measured=search.find(convention.measured) or "",
+        survey=survey,
     )
     return choice
 

@@ -100,7 +100,8 @@ def correlations_of(pattern: str, names: tuple[str, ...]) -> Correlations:
 
 def own_axes(ra: str, dec: str) -> tuple[ErrorNames, ...]:
     """The usual names of the errors of the columns ``ra`` and ``dec``."""
-    patterns = ("e_{}", "{}_error", "{}_err", "{}err", "{}Err", "sigma_{}", "{}_sigma", "err_{}", "{}_std", "{}_unc")
+    patterns = ("e_{}", "{}_error", "{}_err", "{}err", "{}Err", "sigma_{}", "{}_sigma", "err_{}", "{}_std", "{}_unc",
+                "rms{}", "sig{}", "sigma{}")  # fmt: skip
     stems = [(pattern.format(ra), pattern.format(dec)) for pattern in patterns]
     suffixed = [(a + s, b + s) for a, b in stems for s in ("_arcsec", "_mas", "_deg")]
     return tuple(ErrorNames("axes", pair) for pair in stems + suffixed)
@@ -216,7 +217,7 @@ def plain(position: tuple[str, str], title: str = "plain names", frame: SkyFrame
         ids=PLAIN_IDS,
         errors=own_axes(ra, dec),
         motions=PLAIN_MOTIONS,
-        correlations=((0, 1, "RADEcor"), (0, 1, f"{ra}_{dec}_corr"), (0, 1, f"{ra}_{dec}_cor")),
+        correlations=((0, 1, "RADEcor"), (0, 1, f"{ra}_{dec}_corr"), (0, 1, f"{ra}_{dec}_cor"), (0, 1, "rmsCorr")),
         epochs=PLAIN_EPOCHS,
         magnitudes=PLAIN_MAGNITUDES,
     )

@@ -54,9 +54,12 @@ def position_error(search: ColumnSearch, convention: Convention) -> PositionErro
         *conventions.PLAIN_CIRCLES,
         *_circles_by_ending(search),
     )
+    # Those of a survey have been passed over: its archive fills columns that it does not compute with a default.
+    of_survey = {search.find_all(e.names) for e in convention.errors} if convention.marks else set()
     bare = () if search.first(conventions.LIGHT_RADII) else conventions.BARE_RADII
     for candidates in (deviations, _confidence_radii(search), bare):
         found = {names: e for e in candidates if (names := search.find_all(e.names)) and _may_be_angle(search, names)}
+        found = {names: e for names, e in found.items() if names not in of_survey}
         found = {names: e for names, e in found.items() if search.hold_errors(names)} or found
         if found:
             break

@@ -557,7 +557,8 @@ _PLAIN_POSITIONS = (
     ("RAICRS", "DEICRS"), ("RAJ2000", "DEJ2000"), ("RAJ2000", "DECJ2000"), ("ra2000", "dec2000"),
     ("ra_j2000", "dec_j2000"), ("RAhms", "DEdms"),
     *((hours, declination) for hours in ("ra_h", "ra_hr", "ra_hrs", "ra_hours") for declination in ("dec_deg", "dec")),
-    ("RightAscension", "Declination"), ("right_ascension", "declination"), ("lon", "lat"), ("MatchRA", "MatchDec"),
+    ("RightAscension", "Declination"), ("right_ascension", "declination"), ("ra", "declination"), ("lon", "lat"),
+    ("MatchRA", "MatchDec"),
     ("_RAJ2000", "_DEJ2000"), ("_RA", "_DE"), ("_RA_icrs", "_DE_icrs"), ("_RA.icrs", "_DE.icrs"),
 )  # fmt: skip
 _GALACTIC_POSITIONS = (

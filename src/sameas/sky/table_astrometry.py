@@ -185,8 +185,8 @@ def _errors(
     if rotation is not None and choice.error.kind not in ("circle", "number", "survey"):
         east, north, rho = rotated_errors(east, north, rho, rotation)
     motion = _motion_errors(table, choice, source)
-    if choice.error.survey is not None and choice.motion[1] is not None and options.pm_sigma_mas_per_yr is None:
-        pm_sigma = choice.error.survey.pm_sigma_mas_per_yr(magnitude, len(table))
+    if choice.survey is not None and choice.motion[1] is not None and options.pm_sigma_mas_per_yr is None:
+        pm_sigma = choice.survey.pm_sigma_mas_per_yr(magnitude, len(table))
         motion[1:3] = [pm_sigma if column is None else column for column in motion[1:3]]
     if options.pm_sigma_mas_per_yr is not None:
         for k in (1, 2):
