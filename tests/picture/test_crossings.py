@@ -144,22 +144,23 @@ def test_live_direction_finders_are_registered_and_show_their_emitters():
     assert sorted(apart_m.argmin(axis=1).tolist()) == [0, 1, 2] and apart_m.min(axis=1).max() < 400.0
 
 
-def test_two_ships_of_ais_are_those_that_direction_finders_hear():
-    """The region of two positions was a point between them: no direction was of a ship."""
-    rng, heard = np.random.default_rng(3), direction_finders(2, 3)
+def beside_ais(heard: Scene, start_m: np.ndarray, velocity_m_per_s: np.ndarray) -> Picture:
+    """The picture of direction finders and of ships with AIS, ± 8 m every 6 s."""
+    rng = np.random.default_rng(3)
     columns: dict[str, list[Any]] = {name: [] for name in ("time_s", "x_m", "y_m", "vx_m_per_s", "vy_m_per_s", "mmsi")}
     for t in np.arange(0.0, 300.0, 6.0):
-        for ship in (0, 1):
-            place = START_M[ship] + t * VELOCITY_M_PER_S[ship] + 8.0 * rng.standard_normal(2)
-            row = (t, *place, *VELOCITY_M_PER_S[ship], f"23500{ship}111")
-            for name, value in zip(columns, row, strict=True):
+        for ship, (start, velocity) in enumerate(zip(start_m, velocity_m_per_s, strict=True)):
+            place = start + t * velocity + 8.0 * rng.standard_normal(2)
+            for name, value in zip(columns, (t, *place, *velocity, f"23500{ship}111"), strict=True):
                 columns[name].append(value)
     ais = Description("ais", "ais"), Reports.of("ais", "ais", columns)
-    scene, _ = Scene.of(
-        [*((feed.description, feed.raw_reports) for feed in heard.feeds if feed.raw_reports), ais]
-    ).registered()
-    picture = Picture.of(scene, np.arange(0.0, 251.0, 10.0))
-    objects = picture.objects
+    finders = [(feed.description, feed.raw_reports) for feed in heard.feeds if feed.raw_reports is not None]
+    return Picture.of(Scene.of([*finders, ais]).registered()[0], np.arange(0.0, 251.0, 10.0))
+
+
+def test_two_ships_of_ais_are_those_that_direction_finders_hear():
+    """The region of two positions was a point between them: no direction was of a ship."""
+    objects = beside_ais(direction_finders(2, 3), START_M[:2], VELOCITY_M_PER_S[:2]).objects
     shown = objects["stage"] == "confirmed"
     for mmsi in ("235000111", "235001111"):
         of_ship = shown & (objects["mmsi"] == mmsi)
@@ -167,3 +168,15 @@ def test_two_ships_of_ais_are_those_that_direction_finders_hear():
         assert np.mean(["df" in sources for sources in objects["sources"][of_ship].tolist()]) > 0.6
     last = objects["time_s"] == 250.0
     assert sum(last & (objects["stage"] != "tentative")) <= 4
+
+
+def test_direction_finders_place_emitters_far_from_all_ships_of_ais():
+    """They were outside the region of the positions, and their directions did not cross."""
+    ships = np.array([[6000.0, 6000.0], [6200.0, 6100.0], [6100.0, 6300.0]])
+    objects = beside_ais(direction_finders(2, 2, frequencies=True), ships, np.zeros((3, 2))).objects
+    x_m, y_m, time_s = (np.ma.filled(objects[name], np.nan) for name in ("x_m", "y_m", "time_s"))
+    crossed = (objects["sources"] == "df0 df1") & np.isfinite(x_m) & (time_s > 60.0)
+    true = START_M[:2] + time_s[crossed][:, None, None] * VELOCITY_M_PER_S[:2]
+    apart_m = np.column_stack([x_m, y_m])[crossed][:, None] - true
+    nearest_m = np.hypot(*np.moveaxis(apart_m, -1, 0)).min(axis=1)
+    assert crossed.sum() > 10 and np.median(nearest_m) < 300.0

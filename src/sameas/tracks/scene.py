@@ -317,13 +317,16 @@ class _Surroundings:
         if states:
             places = np.concatenate(states)[:, :2]
             centre, spread = places.mean(axis=0), np.zeros((2, 2))
-            pointing = [one.sensor() for one in snapshots if isinstance(one.feed.reports, Directions)]
             if len(places) > 2:
                 from_centre = places - centre
                 spread = tall_product(from_centre, from_centre) * (1.0 / (len(places) - 1))
-            elif pointing:
-                # Two positions or one do not show how far objects are from what has only their directions.
-                spread = np.eye(2) * np.max(np.sum((np.vstack([places, pointing]) - centre) ** 2, axis=1))
+            # Two positions or one do not show how far objects are from what has only their directions, and what a
+            # direction finder receives need not be among the positions.
+            far = [one.sensor() for one in snapshots if isinstance(one.feed.reports, Directions)
+                   and (len(places) < 3 or one.feed.description.kind == "esm")]  # fmt: skip
+            if far:
+                farthest = np.max(np.sum((np.vstack([places, far]) - centre) ** 2, axis=1))
+                spread = spread + farthest * np.eye(2)
             narrow = max(float(np.trace(spread)) / 20.0, (min(reach, 1000.0) or 1000.0) ** 2 / 16.0)
             spread = spread + narrow * np.eye(2)
         else:
