@@ -159,6 +159,9 @@ def test_heights_follow_from_elevation_and_vertical_speed() -> None:
     assert measured.height_m[0] == pytest.approx(100.0 + 8682.0 + 190.0, abs=2.0)
     assert measured.sigma_m[0] == pytest.approx(86.0, rel=0.02) and np.isnan(measured.height_m[1])
     later = reported.at(np.array([0]), np.array([6.0]))
+    # A plot may be later than the instant, within the exposure of its scan: a warning, and no vertical speed.
+    sooner = reported.at(np.array([0]), np.array([-6.0]))
+    assert sooner[0, 1:] == pytest.approx(later[0, 1:])
     assert later[0].tolist() == [8060.0, pytest.approx(np.hypot(20.0, 9.0)), 10.0, pytest.approx(np.sqrt(1.5**2 + 6.0))]
 
 

@@ -50,7 +50,8 @@ class HeightReports:
         reported."""
         climb, sigma_climb = self.climb_m_per_s[rows], self.sigma_climb_m_per_s[rows]
         height = self.height_m[rows] + np.nan_to_num(climb) * age_s
-        changed = np.hypot(sigma_climb, np.sqrt(self.climb_noise_m2_per_s3 * age_s))
+        # A plot may be later than the instant, within the exposure of its scan.
+        changed = np.hypot(sigma_climb, np.sqrt(self.climb_noise_m2_per_s3 * np.abs(age_s)))
         sigma_now = np.where(np.isfinite(climb), changed, np.nan)
         return np.column_stack([height, np.hypot(self.sigma_m[rows], sigma_climb * age_s), climb, sigma_now])
 
