@@ -210,9 +210,11 @@ class Magnitudes:
                 "give one for every row of its table"
             )
         sigma, rows = np.asarray(self.sigma), records.rows
+        if not sigma.any():
+            sigma = np.broadcast_to(0.0, values.shape)  # takes no memory
         if len(rows) < len(values) or not (rows[1:] > rows[:-1]).all():
-            values, sigma = values[rows], sigma[rows]
-        return MeasuredMagnitudes(values, sigma**2 if sigma.any() else sigma)
+            values, sigma = values[rows], sigma[rows] if sigma.strides[0] else sigma[: len(rows)]
+        return MeasuredMagnitudes(values, sigma**2 if sigma.strides[0] else sigma)
 
 
 def _numbers(values: ArrayLike) -> FloatArray:
