@@ -496,6 +496,13 @@ def test_a_single_pair_named_alike_is_the_position() -> None:
     assert names_of(chosen(made("i_ra", "i_dec", "r_ra", "r_dec"), ra="r_ra"))[:2] == ["r_ra", "r_dec"]
 
 
+def test_pixels_are_named_where_there_is_no_position() -> None:
+    """The table of a source finder was said to have no right ascension, and nothing of what to do."""
+    words = r"but pixels xcentroid, ycentroid; convert them with the solution of their image \(astropy"
+    with pytest.raises(InputError, match=words):
+        chosen(made("id", "xcentroid", "ycentroid", "flux"))
+
+
 def test_errors_by_their_names_are_listed_with_the_option_and_what_they_must_contain() -> None:
     notes = chosen(made("RA", "DEC", "RA_ERR_PLUS", "RA_ERR_MINUS", "DEC_ERR_PLUS", "DEC_ERR_MINUS", "magerr")).notes
     words = "RA_ERR_PLUS, RA_ERR_MINUS, DEC_ERR_PLUS, DEC_ERR_MINUS not used; if they are the position's, give "

@@ -218,6 +218,13 @@ def _position_by_ucd(search: ColumnSearch) -> Convention | None:
     return None
 
 
+#: Columns of positions on an image: SExtractor, photutils, DAOPHOT, IRAF, plain.
+_PIXELS = (
+    ("XWIN_IMAGE", "YWIN_IMAGE"), ("X_IMAGE", "Y_IMAGE"), ("xcentroid", "ycentroid"), ("x_fit", "y_fit"),
+    ("XCENTER", "YCENTER"), ("x_pix", "y_pix"), ("x", "y"),
+)  # fmt: skip
+
+
 def _pair_named_alike(search: ColumnSearch) -> Convention:
     """The only pair of columns whose names differ in the coordinate alone; refused without one, and with several."""
     pairs = search.positions()
@@ -232,6 +239,12 @@ def _pair_named_alike(search: ColumnSearch) -> Convention:
         )
     tables = next((note for note in search.table.meta.get("sameas_notes", ()) if "extensions" in note), "")
     other = f" ({tables})" if tables else ""
+    pixels = next((names for pair in _PIXELS if (names := search.find_all(pair))), None)
+    if pixels and not tables:
+        raise InputError(
+            f"{search.source}: no columns of right ascension and declination, but pixels {', '.join(pixels)}",
+            naming("convert them with the solution of their image (astropy.wcs), or give {ra:NAME} {dec:NAME}"),
+        )
     raise InputError(
         f"{search.source}: no columns of right ascension and declination found among: {search.listing()}{other}",
         naming("choose another table: give {hdu:NAME}" if tables else "give {ra:NAME} {dec:NAME}"),
