@@ -1,6 +1,7 @@
 """Registration of a scene: biases within their errors, with and without a reference, and no harm without biases."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from sameas.tracks import (
 from sameas.tracks.bias_fit import Pool
 from sameas.tracks.placement import Directions
 from sameas.tracks.snapshot import ComparedSource, common_scans
+from sameas.tracks.source import Targets
 
 NAMES = ("range_m", "azimuth_deg", "time_s")
 
@@ -175,6 +177,23 @@ def speeding_up(seed, every_s, sigma_m):
     place = start[ship] + way[ship] * (2.0 * time_s + 0.025 * time_s**2)[:, None]
     place += sigma_m * rng.standard_normal(place.shape)
     return {"time_s": time_s, "x_m": place[:, 0], "y_m": place[:, 1]}, way[ship] * (2.0 + 0.05 * time_s)[:, None], ship
+
+
+def test_a_record_at_a_direction_finder_itself_has_no_bearing():
+    """Aircraft of which a radar measures less than their assumed height lie at its site: to a nanometre, and then with
+    a bearing as accurate as that, or with a variance of 0, which was refused."""
+    site, time_s = Site(lat_deg=50.0, lon_deg=-1.0), np.repeat(np.arange(8) * 4.0, 2)
+    bearings: dict[str, Any] = {"time_s": time_s, "bearing_deg": [30.0, 200.0] * 8}
+    ranges = {**bearings, "range_m": [2_000.0, 19_000.0] * 8}
+    radar = (
+        Description("radar", "air radar", site=site, targets=Targets(5000.0, 500.0)),
+        Reports.of("radar", "table", ranges),
+    )
+    esm = Description("esm", "esm", site=site), Reports.of("esm", "table", bearings)
+    one, other = Scene.of([radar, esm]).feeds
+    scans = common_scans(ComparedSource(one, None), ComparedSource(other, 0))
+    assert scans and all(len(scan.weighing.first) == 1 for scan in scans)
+    assert min(scan.weighing.first.covariance.min() for scan in scans) > 1e-4
 
 
 @pytest.mark.slow

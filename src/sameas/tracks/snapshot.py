@@ -353,12 +353,15 @@ def _of_directions(
     """Directions compared with the bearings of the other source's records from the sensor."""
     description = directions.feed.description
     arm = positions.state[:, :2] - np.asarray(directions.sensor())
-    range_m = np.maximum(np.hypot(*arm.T), 1.0)
-    across = np.column_stack([arm[:, 1], -arm[:, 0]]) / range_m[:, None]
+    range_m = np.hypot(*arm.T)
+    # A record next to the sensor has no useful bearing, one at it none at all; one beyond its range is not visible.
+    visible = (range_m > 0.0) & (range_m <= (description.coverage.range_m or math.inf))
+    across = np.column_stack([arm[:, 1], -arm[:, 0]])
+    np.divide(across, range_m[:, None], out=across, where=visible[:, None])
     variance = np.einsum("nv,nvw,nw->n", across, positions.covariance[:, :2, :2], across)
-    sigma = np.degrees(np.sqrt(variance + (description.errors.extent_m or 0.0) ** 2) / range_m)
-    # A record next to the sensor has no useful bearing; one beyond its range is not visible.
-    visible = (sigma < 30.0) & (range_m <= (description.coverage.range_m or math.inf))
+    sigma = np.sqrt(variance + (description.errors.extent_m or 0.0) ** 2)
+    sigma = np.degrees(np.divide(sigma, range_m, out=np.full_like(sigma, np.inf), where=visible))
+    visible &= sigma < 30.0
     if not visible.any():
         return None
     bearing, circle = np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) % 360.0, Plane(periods=(360.0,))
