@@ -74,6 +74,8 @@ class UnnumberedObjects:
     beside it. looks : of the sources of plots. is_certain : whether it certainly exists. is_believed : whether a source
     shows it whose reports are read rightly. existence : of its most probable track.
     walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of velocities.
+    lasting_share : of the variance of a position, that is the same at the next instants: of directions that cross, by
+        their offsets; 0 of others.
     forgotten : (f,) numbers of tracks whose ids have timed out.
     """
 
@@ -91,6 +93,7 @@ class UnnumberedObjects:
     existence: ExistenceOdds
     walk_m2_per_s3: FloatArray
     speed_m_per_s: FloatArray
+    lasting_share: FloatArray
     forgotten: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __len__(self) -> int:
@@ -289,6 +292,9 @@ class NamedObjects(PictureObjects):
         if len(at):
             before = Gaussian(taken(self.state, at), taken(self.covariance, at))
             state[at], covariance[at] = _updated(before, state[at], covariance[at], new_report[at])
+        # Offsets of directions do not average out.
+        lasting = detections.lasting_share[which, None, None] * states.covariance[which][:, :2, :2]
+        covariance[:, :2, :2] += np.where((~velocity_known & ~by_fixes)[:, None, None], lasting, 0.0)
         at = np.flatnonzero(by_fixes)
         if len(at):
             state[at], covariance[at] = detections.fixes.updated(

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, IntArray, are_among, over_columns
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, are_among, over_columns
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.many.hysteresis import with_hysteresis
@@ -38,11 +38,12 @@ from sameas.picture.object_ids import NamedObjects, Stages, UnnumberedObjects
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
 from sameas.picture.plot_existence import Looks, NewPlots, gives_plots, looks_between
 from sameas.picture.plot_rates import PlotRates, nearest_object
-from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, Scan, object_states, objects_per_m2
+from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, ObjectStates, Scan, object_states, objects_per_m2
 from sameas.picture.texts import RecordTexts, texts_of
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, LIVE, Tuning
 from sameas.records import Records
 from sameas.representation import in_short
+from sameas.tracks.placement import Directions
 from sameas.tracks.scene import POSITION, Instant, Scene
 
 #: Attributes that are unique to an object.
@@ -350,8 +351,25 @@ class Watch:
             existence=memory.existence.of_objects(track),
             walk_m2_per_s3=walk,
             speed_m_per_s=speed,
+            lasting_share=_lasting_share(scan, members, states),
             forgotten=np.concatenate([self.forgotten, memory.tracks.forgotten]),
         )
+
+
+def _lasting_share(scan: Scan, members: IntArray, states: ObjectStates) -> FloatArray:
+    """(n,) the share of the variance that the offsets of crossing directions have; 0 of objects with a position."""
+    share = np.zeros(len(scan) + 1)  # the last place is that of no record
+    for s, feed in enumerate(scan.now.feeds):
+        if isinstance(feed.reports, Directions):
+            rows = scan.row[scan.start[s] : scan.start[s + 1]]
+            lasting = np.broadcast_to(feed.reports.lasting_deg, len(feed.reports))[rows]
+            share[scan.start[s] : scan.start[s + 1]] = (lasting / feed.reports.sigma_deg[rows]) ** 2
+    if not share.any():
+        return np.zeros(len(members))
+    is_member = members >= 0
+    mean = np.where(is_member, share[members], 0.0).sum(axis=1) / np.maximum(is_member.sum(axis=1), 1)
+    has_position = np.append(scan.placed, False)[members].any(axis=1)
+    return np.where(states.placed & ~has_position, mean, 0.0)
 
 
 def _certain_pairs(members: IntArray, identification: Objects | None, stages: Stages) -> BoolArray:
