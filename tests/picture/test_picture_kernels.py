@@ -1,5 +1,7 @@
 """Kernels of an instant agree with NumPy formulas, interpreted and compiled."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from scipy.sparse import coo_array
@@ -8,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from problems import random_covariances
 from sameas.gate.zones import percentiles
 from sameas.gaussian import inverse
-from sameas.kernels.components import label_components
+from sameas.kernels.components import grown_sets, label_components
 from sameas.kernels.kalman import (
     innovation_model,
     report_factors,
@@ -19,7 +21,7 @@ from sameas.kernels.kalman import (
     weights_of_least_determinant,
 )
 from sameas.kernels.nearest import nearest_at_once
-from sameas.kernels.tracks import neighbours, outdated
+from sameas.kernels.tracks import DURATION_SUMS, add_durations, neighbours, outdated
 from sameas.kernels.zones import merge_rows
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.picture.error_correlation import growth
@@ -221,6 +223,39 @@ def test_neighbours_of_new_reports_are_those_of_their_tracks_from_the_one_before
         rows, first_s = order[number[order] == track], new_time_s[new_number == track].min()
         expected += [*rows[time_s[rows] < first_s][-1:], *rows[time_s[rows] >= first_s]]
     assert own[:n].tolist() == expected and 0 < n < 40
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_durations_are_summed_by_source(rng, way):
+    n = 30
+    source, later, ended, is_real = rng.integers(0, 3, n), *(rng.random((3, n)) < 0.4)
+    duration_s, p, sums = rng.random(n), rng.random(n), np.zeros((3, len(DURATION_SUMS)))
+    getattr(add_durations, way)(source, later, duration_s, ended, is_real, p, sums)
+    weights = [(1.0 - p) * ended, p * ended, (1.0 - p) * duration_s, p * duration_s]
+    weights += [q * ~is_real * began for q in (p, 1.0 - p) for began in (~later, later)]
+    assert np.array_equal(sums, np.stack([np.bincount(source, weight, 3) for weight in weights], axis=1))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_sets_grow_by_records_that_are_pairs_with_all_of_theirs(rng, way):
+    i, j = np.nonzero(np.triu(rng.random((9, 9)) < 0.6, 1))
+    start, pair = np.searchsorted(i, np.arange(10)), {(a, b): k for k, (a, b) in enumerate(zip(i, j, strict=True))}
+    sets = np.array([(a, b, c) for a, b, c in combinations(range(9), 3) if {(a, b), (a, c), (b, c)} <= set(pair)])
+    width = np.where(sets[:, 0] == 1, 0, np.diff(start)[sets[:, 2]])
+    parent, added, pairs = (
+        np.empty(width.sum(), np.int64),
+        np.empty(width.sum(), np.int64),
+        np.empty((width.sum(), 3), int),
+    )
+    n = getattr(grown_sets, way)(sets, width, start, j, parent, added, pairs)
+    expected = [
+        (k, d, [pair[one, d] for one in records])
+        for k, records in enumerate(sets.tolist())
+        for d in range(9)
+        if records[0] != 1 and all((one, d) in pair for one in records)
+    ]
+    assert list(zip(parent[:n].tolist(), added[:n].tolist(), pairs[:n].tolist(), strict=True)) == expected
+    assert 0 < n < width.sum()
 
 
 @pytest.mark.parametrize("n", [1, 2, 20, 501])

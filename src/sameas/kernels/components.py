@@ -157,3 +157,33 @@ def lay_out(
         local2[to] = number2[place2[e]]
         rows2[start2[g] + number2[place2[e]]] = j[e]
     edges1[len(rows1)] = len(place1)
+
+
+@small
+def grown_sets(
+    records: IntArray, width: IntArray, start: IntArray, j: IntArray, parent: IntArray, added: IntArray, pairs: IntArray
+) -> int:
+    """Write the sets of one more record, every two of whose records are a pair, in order; returns their number.
+
+    records : (k, size) sets of ascending records. width : (k,) number of records to try: of the pairs of each set's
+    last record with later ones, or none of them. start : (n + 1,) first pair of each record with a later one, the
+    record ``j``. parent, added : the set that each new one grows from, and the record added. pairs : (…, size) numbers
+    of the added record's pairs with the others.
+    """
+    count, size = 0, records.shape[1]
+    for k in range(len(records)):
+        first = start[records[k, size - 1]]
+        for pair in range(first, first + width[k]):
+            complete = True
+            for column in range(size - 1):
+                at, stop = start[records[k, column]], start[records[k, column] + 1]
+                while at < stop and j[at] < j[pair]:
+                    at += 1
+                complete = complete and at < stop and j[at] == j[pair]
+                if not complete:
+                    break
+                pairs[count, column] = at
+            if complete:
+                parent[count], added[count], pairs[count, size - 1] = k, j[pair], pair
+                count += 1
+    return count

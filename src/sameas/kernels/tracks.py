@@ -1,6 +1,6 @@
 """Compiled loops over the reports of tracks: their Kalman filter, and the evidence of their motion on a clock
 (:mod:`sameas.tracks.alignment`); those that a live feed drops, and those beside new ones
-(:mod:`sameas.tracks.live_feed`)."""
+(:mod:`sameas.tracks.live_feed`); the durations of tracks (:mod:`sameas.picture.track_existence`)."""
 
 from __future__ import annotations
 
@@ -207,3 +207,30 @@ def neighbours(
             own[count] = last
             count += 1
     return count
+
+
+#: Columns of the sums of :func:`add_durations`: ends and total durations of false and of real tracks; how many real and
+#: how many false ones began with the first scan and later, without those known to be real.
+DURATION_SUMS = ("ended false", "ended real", "false", "real", "real first", "real later", "false first", "false later")
+
+
+@small
+def add_durations(
+    source: IntArray, began_later: BoolArray, duration_s: FloatArray, ended: BoolArray, is_real: BoolArray,
+    p_real: FloatArray, sums: FloatArray,
+) -> None:  # fmt: skip
+    """Add to ``sums`` (S, 8) of each source :data:`DURATION_SUMS`, of tracks (n,) that are real with ``p_real``.
+
+    Tracks known to be real (``is_real``) would bias the share of the others.
+    """
+    for k in range(len(source)):
+        p, of_source = p_real[k], sums[source[k]]
+        if ended[k]:
+            of_source[0] += 1.0 - p
+            of_source[1] += p
+        of_source[2] += (1.0 - p) * duration_s[k]
+        of_source[3] += p * duration_s[k]
+        if not is_real[k]:
+            later = 1 if began_later[k] else 0
+            of_source[4 + later] += p
+            of_source[6 + later] += 1.0 - p

@@ -15,11 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries, over_columns, taken
+from sameas.kernels.components import grown_sets
 from sameas.many.near_sets import near_sets
 from sameas.many.pooled import PooledRecords, record_codes
 from sameas.many.rules import Terms
-from sameas.ragged import Ragged, ranges
+from sameas.ragged import Ragged
 from sameas.representation import in_short
 
 
@@ -191,19 +192,13 @@ class _Growth:
         bound = np.bincount(group, width, len(count))
         too_many |= bound > 8 * limit
         width = np.where(too_many[group], 0, width)
-        parent, pair = ranges(self.start[last], width)
-        added = pooled.j[pair]
-        keep = np.ones(len(parent), bool)
-        pairs = []
-        for column in range(level.records.shape[1] - 1):
-            is_pair, at = pooled.pair(level.records[parent, column], added)
-            keep &= is_pair
-            pairs.append(at)
-        parent, added = parent[keep], added[keep]
-        new = [at[keep] for at in (*pairs, pair)]
+        n, size = int(width.sum()), level.records.shape[1]
+        parent, added, new = np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, size), np.int64)
+        n = grown_sets(level.records, width, self.start, pooled.j, parent, added, new)
+        parent, added, new = parent[:n], added[:n], new[:n]
         grown = self._weighed(
-            np.column_stack([taken(level.records, parent), added]),
-            np.column_stack([taken(level.pairs, parent), *new]),
+            np.concatenate([taken(level.records, parent), added[:, None]], axis=1),
+            np.concatenate([taken(level.pairs, parent), new], axis=1),
         )
         group = pooled.group[added]
         keep = self._bound(grown, group) > floor
@@ -226,7 +221,7 @@ class _Growth:
 def _by_source(pooled: PooledRecords, records: IntArray) -> IntArray:
     """(k, size) record numbers as (k, S), ABSENT where a source has none."""
     members = np.full((len(records), len(pooled.sources)), ABSENT)
-    np.put_along_axis(members, pooled.source[records], records, axis=1)
+    members.ravel()[len(pooled.sources) * np.arange(len(records))[:, None] + pooled.source[records]] = records
     return members
 
 
@@ -248,8 +243,8 @@ def _gathered(
     """
     n = len(pooled)
     members = np.concatenate([_by_source(pooled, np.arange(n)[:, None]), members])
-    size = np.count_nonzero(members != ABSENT, axis=1)
-    group = pooled.group[members.max(axis=1)]
+    size = over_columns(np.add, (members != ABSENT).astype(np.int64))
+    group = pooled.group[over_columns(np.maximum, members)]
     order = _ordered([group, size, *(members + 1).T])
     start = Ragged.of_sorted(group[order], len(pooled.sizes)).start
     weight = np.concatenate([np.zeros(n), weight])
@@ -261,11 +256,12 @@ def _gathered(
 
 
 def _ordered(columns: list[IntArray]) -> IntArray:
-    """(k,) rows in lexicographic order of columns of nonnegative integers, the first column most significant."""
+    """(k,) rows in lexicographic order of columns of nonnegative integers, the first column most significant; no two
+    rows are equal."""
     key, bits = np.zeros(len(columns[0]), np.int64), 0
     for column in columns:
         width = int(column.max(initial=0)).bit_length()
         key, bits = (key << width) | column, bits + width
     if bits > 62:
         return np.lexsort(columns[::-1])
-    return np.argsort(key, kind="stable")
+    return np.argsort(key)

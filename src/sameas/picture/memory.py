@@ -107,7 +107,7 @@ class TrackMemory:
         track_pairs, swaps = before.track_pairs.stepped(
             step, self.reassigned, swaps, objects_per_m2(scan.now), scan.tuning, keeps=keeps
         )
-        track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, scan.tuning)
+        track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, scan.tuning, keeps=keeps)
         existence = self.existence.advance(tracks)
         return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence), step
 

@@ -25,6 +25,7 @@ import numpy as np
 from scipy.special import expit
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
+from sameas.kernels.tracks import DURATION_SUMS, add_durations
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.tables import ColumnTable
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
@@ -70,19 +71,12 @@ class DurationMixture(ColumnTable):
         """The model after one EM iteration on tracks (n,); is_real : tracks that another source confirms as real."""
         p_real = np.where(is_real, 1.0, expit(self.log_odds(source, began_later, duration_s, ended)))
 
-        def sums(weight: FloatArray) -> FloatArray:
-            return np.asarray(np.bincount(source, weight, len(self.false_s)), np.float64)
-
-        ended_0, ended_1 = sums((1.0 - p_real) * ended), sums(p_real * ended)
-        prior_weight = tuning.false_weight
-        false_s = (sums((1.0 - p_real) * duration_s) + prior_weight * self.prior_false_s) / (ended_0 + prior_weight)
-        real_s = (sums(p_real * duration_s) + tuning.real_weight * tuning.real_s) / (ended_1 + tuning.real_weight)
-        # Labelled tracks are excluded: they are all real and would bias the share of the others.
-        which = 2 * source + began_later
-        counts = np.array(tuning.prior_tracks)[:, None, :] + [
-            np.bincount(which, weight * ~is_real, 2 * len(self.false_s)).reshape(-1, 2)
-            for weight in (p_real, 1.0 - p_real)
-        ]
+        sums = np.zeros((len(self.false_s), len(DURATION_SUMS)))
+        add_durations(source, began_later, duration_s, ended, is_real, p_real, sums)
+        ended_0, ended_1, duration_0, duration_1 = sums[:, :4].T
+        false_s = (duration_0 + tuning.false_weight * self.prior_false_s) / (ended_0 + tuning.false_weight)
+        real_s = (duration_1 + tuning.real_weight * tuning.real_s) / (ended_1 + tuning.real_weight)
+        counts = np.array(tuning.prior_tracks)[:, None, :] + sums[:, 4:].reshape(-1, 2, 2).transpose(1, 0, 2)
         share = counts[0] / counts.sum(axis=0)
         # Without T₁ ≥ 2 T₀ the two components could exchange their roles.
         return DurationMixture(false_s, np.maximum(real_s, 2.0 * false_s), share, self.prior_false_s)

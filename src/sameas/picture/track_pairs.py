@@ -337,8 +337,12 @@ class TrackPairs(ColumnTable):
         self.n_offsets[restart], self.offset[restart], self.log_offset[restart] = 0, 0.0, 0.0
         return replace(self, log_ratio=np.where(new_report, log_ratio, self.log_ratio))
 
-    def with_offsets(self, step: Step, correlation: ErrorCorrelation, tuning: Tuning = DEFAULT_TUNING) -> TrackPairs:
+    def with_offsets(
+        self, step: Step, correlation: ErrorCorrelation, tuning: Tuning = DEFAULT_TUNING, *, keeps: bool = True
+    ) -> TrackPairs:
         """The pairs with their mean offsets δ̄ updated where due, and the contribution of δ̄ to ln r.
+
+        keeps : False for an instant alone: then offsets of fewer values than contribute are not updated.
 
         Stated or assumed errors are often too large; then any two objects that stay close would pass as one. By the
         stated errors, δ̄ of one object is N(0, V). The other n sure pairs of the two sources give a factor κ on V, with
@@ -349,6 +353,8 @@ class TrackPairs(ColumnTable):
         Source: a normal variance with its conjugate prior (Gelman et al., Bayesian Data Analysis, section 2.6).
         """
         is_due = step.instant_s - self.offset_s >= tuning.lasting_s
+        if not keeps:
+            is_due &= self.n_offsets + 1 >= tuning.min_offsets
         due = np.flatnonzero(is_due & over_columns(np.logical_and, self.offset_new))
         if not len(due):
             return self
