@@ -147,7 +147,8 @@ class ErrorCorrelation:
             np.repeat(np.arange(len(self.names)), len(steps)), np.tile(every_s * steps, len(self.names)), tuning
         ).reshape(len(self.names), len(steps))
         # The mean correlation over all ordered pairs of n reports; 2 (n − k) of the pairs are k steps apart.
-        sums = [np.cumsum(np.pad(part, ((0, 0), (1, 0))), axis=1) for part in (correlation, steps * correlation)]
+        sums = np.zeros((2, len(self.names), len(steps) + 1))
+        np.cumsum([correlation, steps * correlation], axis=2, out=sums[:, :, 1:])
         n = np.maximum(count, 1)
         total, weighted = (part[source, n - 1] for part in sums)
         return np.asarray((n + 2.0 * (n * total - weighted)) / n**2)

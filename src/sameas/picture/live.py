@@ -125,6 +125,8 @@ class LivePicture:
         #: Conversion of the heights of the last instant; None if none was reported.
         self.height_model: HeightModel | None = None
         self._recent: dict[str, deque[Reports]] = {name: deque() for name in names}
+        #: Their numbers, which are counted up and down: to add up 600 lengths takes as long as a batch.
+        self._n_recent = dict.fromkeys(names, 0)
         self._sightings: deque[Columns] = deque()
         self._last_s = -math.inf
         self._state: LiveState | None = None
@@ -132,7 +134,8 @@ class LivePicture:
     def __getstate__(self) -> dict[str, Any]:
         """The state without the reports of the last minutes and the last instant; estimated biases stay."""
         recent: dict[str, deque[Reports]] = {name: deque() for name in self._recent}
-        return self.__dict__ | {"_recent": recent, "_sightings": deque(), "_state": None}
+        forgotten = {"_recent": recent, "_n_recent": dict.fromkeys(recent, 0), "_sightings": deque(), "_state": None}
+        return self.__dict__ | forgotten
 
     @property
     def descriptions(self) -> tuple[Description, ...]:
@@ -270,7 +273,7 @@ class LivePicture:
                 feed.describe(description)
             else:
                 self._feeds[description.name] = LiveFeed(description, self.plane, self.lag_s, tuning=self.tuning)
-                self._recent[description.name] = deque()
+                self._recent[description.name], self._n_recent[description.name] = deque(), 0
             self._biases.pop(description.name, None)
             self._estimates.pop(description.name, None)
             self._held -= {description.name}
@@ -327,11 +330,12 @@ class LivePicture:
             reports = reports if near.all() else reports.where(near)
         if len(reports):
             recent.append(reports)
-        n = sum(map(len, recent))
+        n = self._n_recent[source] + len(reports)
         while len(recent) > 1 and (
             n > self.window.reports or float(recent[0].time_s.max()) < newest_s - self.window.span_s
         ):
             n -= len(recent.popleft())
+        self._n_recent[source] = n
 
     def advance(self, instant_s: float) -> LiveState:
         """The picture at an instant not before the previous one.

@@ -78,7 +78,8 @@ def with_manoeuvres(
     best = np.maximum(np.where(is_swap, rivals.most(log_pair_steady)[k], free[k]), log_apart)
     delta = (taken(scan.state, own) - taken(scan.state, other))[:, :2]
     total = taken_plane(scan.covariance, own) + taken_plane(scan.covariance, other)
-    total += manoeuvre_covariance(scan, own)[:, :2, :2]
+    age_s, change = _velocity_changes(scan, own)
+    total += change * (age_s**2 / 3.0)[:, None, None]
     log_with_d = log_density(delta, total)
     log_pair_with_d = log_odds[own] + log_ratio[k] + log_with_d
     log_pair = np.maximum(log_pair_steady[k], log_pair_with_d)
@@ -128,17 +129,23 @@ def _with_manoeuvres_of(scan: Scan, manoeuvred: BoolArray) -> Scan:
 
 def manoeuvre_covariance(scan: Scan, records: IntArray) -> FloatArray:
     """(k, 4, 4) D of records (k,); 0 where the speed of its objects is unknown."""
-    age = np.maximum(scan.now.instant_s - scan.time_s[records], 0.0)
+    age_s, change = _velocity_changes(scan, records)
+    out = np.zeros((len(records), 4, 4))
+    out[:, :2, :2] = change * (age_s**2 / 3.0)[:, None, None]
+    out[:, :2, 2:] = out[:, 2:, :2] = change * (age_s / 2.0)[:, None, None]
+    out[:, 2:, 2:] = change
+    return out
+
+
+def _velocity_changes(scan: Scan, records: IntArray) -> tuple[FloatArray, FloatArray]:
+    """(k,) t and (k, 2, 2) s² I + v vᵀ of records (k,)."""
+    age_s = np.maximum(scan.now.instant_s - scan.time_s[records], 0.0)
     speed = scan.speed_m_per_s[records]
     speed = np.where(np.isfinite(speed), speed, 0.0)
     v = np.where(scan.moving[records, None], taken(scan.state, records)[:, 2:], 0.0)
     change = v[:, :, None] * v[:, None, :] + speed[:, None, None] ** 2 * np.eye(2)
     change[speed == 0.0] = 0.0
-    out = np.zeros((len(records), 4, 4))
-    out[:, :2, :2] = change * (age**2 / 3.0)[:, None, None]
-    out[:, :2, 2:] = out[:, 2:, :2] = change * (age / 2.0)[:, None, None]
-    out[:, 2:, 2:] = change
-    return out
+    return age_s, change
 
 
 def _places(track_of_record: IntArray, number: IntArray) -> IntArray:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, logit
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, over_columns, places_in, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries, over_columns, places_in, taken
 from sameas.assignment import assign, refuse_crowds
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, symmetric
@@ -245,12 +245,12 @@ class NamedObjects(PictureObjects):
 
     def _common_tracks(self, detections: UnnumberedObjects, tuning: Tuning) -> CommonTracks:
         """The common tracks of these objects and those of the instant."""
-        at, column = np.nonzero(detections.tracks >= 0)
-        track_place, row = self.history.of(detections.tracks[at, column])
+        at, track = entries(detections.tracks)
+        track_place, row = self.history.of(track)
         object_place = places_in(self.number, self.history.number[row])
         is_alive = object_place >= 0
         track_place, row = track_place[is_alive], row[is_alive]
-        unique = detections.unique[at, column][track_place]
+        unique = detections.unique[detections.tracks >= 0][track_place]
         return CommonTracks.of(object_place[is_alive], at[track_place], self.history.share[row], unique, tuning)
 
     def _new_numbers(self, detections: UnnumberedObjects, new: IntArray) -> IntArray:
@@ -387,11 +387,11 @@ class NamedObjects(PictureObjects):
 
     def _with_history(self, before: NamedObjects, detections: UnnumberedObjects, tuning: Tuning) -> NamedObjects:
         """These objects with the history after the instant."""
-        has_track = detections.tracks >= 0
-        number, alive = self.numbers(len(detections))[np.nonzero(has_track)[0]], self.number[self.stage != ENDED]
+        at, track = entries(detections.tracks)
+        number, alive = self.numbers(len(detections))[at], self.number[self.stage != ENDED]
         history = before.history.advance(
-            self.instant_s, detections.tracks[has_track], number, detections.unique[has_track], alive,
-            tuning, detections.forgotten,
+            self.instant_s, track, number, detections.unique[detections.tracks >= 0], alive, tuning,
+            detections.forgotten,
         )  # fmt: skip
         return replace(self, history=history)
 

@@ -467,14 +467,15 @@ class LiveFeed:
         rows = self._rows
         number, time_s, order = self._beside(last, new)
         number, time_s = number[order], time_s[order]
-        state = taken(np.concatenate([taken(rows.measured, last), new.measured]), order)
+        same = np.flatnonzero(number[1:] == number[:-1])
+        state = np.concatenate([taken(rows.measured, last), new.measured])
+        first, second = taken(state, order[same]), taken(state, order[same + 1])
         last_radius = self.tuning.position_sigmas * _sigma_m(taken(rows.measured_covariance, last))
         reach = np.concatenate([last_radius, radius])[order]
-        distance = np.hypot(*(state[1:, :2] - state[:-1, :2]).T)
-        speed = fastest(limit, state[:-1], state[1:], self.tuning)
-        far = distance > reach[:-1] + reach[1:] + speed * np.diff(time_s)
+        distance, elapsed_s = np.hypot(*(second[:, :2] - first[:, :2]).T), time_s[same + 1] - time_s[same]
+        far = distance > reach[same] + reach[same + 1] + fastest(limit, first, second, self.tuning) * elapsed_s
         # All reports of such an id in the batch are then checked one by one.
-        return are_among(new.number, number[1:][far & (number[1:] == number[:-1])])
+        return are_among(new.number, number[same[far]])
 
     def _filter(self, rows: IntArray, is_new: BoolArray) -> None:
         """Filters tracks again, each from the last report before its first new one.
