@@ -10,7 +10,7 @@ from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries, over
 from sameas.kernels.components import label_components
 from sameas.many.marginals import best_sets
 from sameas.many.objects import Objects
-from sameas.many.sets import TUNING, ManyTuning, Sets
+from sameas.many.sets import TUNING, ManyTuning, Sets, packed_order
 
 
 def with_hysteresis(
@@ -91,8 +91,9 @@ def _splits(sets: Sets, component: IntArray, previous_object: IntArray, chosen: 
     members = taken(sets.members, which)
     at, record = entries(members)
     previous, own = previous_object[record], which[at]
-    order = np.lexsort([own, component[own], previous])
-    order = order[previous[order] >= 0]
+    known = np.flatnonzero(previous >= 0)
+    previous, own = previous[known], own[known]
+    order = packed_order([previous, component[own], own])
     one, other = order[:-1], order[1:]
     same_component = component[own[one]] == component[own[other]]
     split = (previous[one] == previous[other]) & same_component & (own[one] != own[other])

@@ -202,7 +202,7 @@ def _pairs(
             compared.append(pairs)
             numbers.append((pairs.i.astype(np.int64) + start[s], pairs.j.astype(np.int64) + start[t]))
     i, j = (np.concatenate(column) for column in zip(*numbers, strict=True))
-    order = np.argsort(i * start[-1] + j, kind="stable")
+    order = np.argsort(i * start[-1] + j)  # no two are equal
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     cuts = np.cumsum([0, *map(len, compared)])

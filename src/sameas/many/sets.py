@@ -245,7 +245,7 @@ def _gathered(
     members = np.concatenate([_by_source(pooled, np.arange(n)[:, None]), members])
     size = over_columns(np.add, (members != ABSENT).astype(np.int64))
     group = pooled.group[over_columns(np.maximum, members)]
-    order = _ordered([group, size, *(members + 1).T])
+    order = packed_order([group, size, *(members + 1).T])
     start = Ragged.of_sorted(group[order], len(pooled.sizes)).start
     weight = np.concatenate([np.zeros(n), weight])
     sets = Sets(taken(members, order), size[order], weight[order], group[order], start, floor)
@@ -255,9 +255,9 @@ def _gathered(
     return replace(sets, partition=np.isin(code[sets.members].sum(axis=1), code[partition].sum(axis=1)))
 
 
-def _ordered(columns: list[IntArray]) -> IntArray:
-    """(k,) rows in lexicographic order of columns of nonnegative integers, the first column most significant; no two
-    rows are equal."""
+def packed_order(columns: list[IntArray]) -> IntArray:
+    """(k,) rows in lexicographic order of columns of nonnegative integers, the first column most significant; equal
+    rows in any order."""
     key, bits = np.zeros(len(columns[0]), np.int64), 0
     for column in columns:
         width = int(column.max(initial=0)).bit_length()

@@ -150,6 +150,6 @@ def _velocity_changes(scan: Scan, records: IntArray) -> tuple[FloatArray, FloatA
 
 def _places(track_of_record: IntArray, number: IntArray) -> IntArray:
     """(…) the record of each track in a scan, ABSENT without one; track_of_record : (n,) of that scan."""
-    order = np.argsort(track_of_record, kind="stable")
+    order = np.argsort(track_of_record)
     at = places_in(track_of_record[order], number)
     return np.where(at >= 0, np.append(order, ABSENT)[at], ABSENT)

@@ -12,7 +12,7 @@ ellipse, or when all its tracks are of another object. An object that returns wi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -200,8 +200,8 @@ class NamedObjects(PictureObjects):
             others.append(NamedObjects._new(detections, new, number, split_off, self.unseen_share, stages))
         n_numbers = int(number.max(initial=self.n_numbers))
         places = detections.states.state[detections.states.placed, :2]
-        objects = replace(
-            found.in_order(*others), instant_s=instant_s, n_numbers=n_numbers,
+        objects = found.in_order(*others).changed(
+            instant_s=instant_s, n_numbers=n_numbers,
             unseen_share=detections.looks.unseen_share(self.unseen_share, places, elapsed_s),
         )  # fmt: skip
         return objects._with_history(self, detections, tuning)
@@ -219,10 +219,8 @@ class NamedObjects(PictureObjects):
             for one, name in ((before, "known"), (after, "seen"))
         )
         plots = detections.plots.besides(detections.hulls, np.zeros(len(detections), np.int64))
-        usual = detections.looks.p_missed(self.state[:, :2])
-        p_shown = 1.0 - self.plot_odds.p_missed(usual, tuning)
         is_new = plots.found & (plots.clutter_per_m2 > 0.0)
-        log_shown = logit(np.clip(p_shown, MIN_SHOWN, 1.0 - MIN_SHOWN)) + np.log(np.maximum(self.p_real, LEAST_WEIGHT))
+        log_shown = self._log_shown(detections.looks, tuning) if is_new.any() else np.zeros(len(self))
         of_plots = PlotContinuity(plots.clutter_per_m2, is_new, log_shown)
         # The stages of `identify` without its last: no probability of a match is used.
         pairs = detections.fixes.observed_in(NearOrSameId(common)(first, second), before.state, before.covariance)
@@ -234,6 +232,12 @@ class NamedObjects(PictureObjects):
         matched = grouped.order[best.chosen]
         out[second.rows[pairs.j[matched]]] = first.rows[pairs.i[matched]]
         return out
+
+    def _log_shown(self, looks: Looks, tuning: Tuning) -> FloatArray:
+        """(k,) log-odds that a look shows each object, if that is real, lowered as far as it may not be."""
+        p_shown = 1.0 - self.plot_odds.p_missed(looks.p_missed(self.state[:, :2]), tuning)
+        log_odds = logit(np.clip(p_shown, MIN_SHOWN, 1.0 - MIN_SHOWN))
+        return np.asarray(log_odds + np.log(np.maximum(self.p_real, LEAST_WEIGHT)))
 
     def _of_hulls(self, hulls: Hulls) -> FloatArray:
         """(k, 4, 4) covariances of where an object may have a plot: on the hull that it owns."""
@@ -307,15 +311,17 @@ class NamedObjects(PictureObjects):
         earlier_log_odds = self.earlier_log_odds + np.where(replaced, self.main_log_odds, 0.0)
         log_initial, log_gain = detections.existence.log_initial[which], detections.existence.log_gain[which]
         is_real = log_initial + earlier_log_odds + log_gain >= logit(stages.real)
-        split_off = self.split_off & (self._own_share(detections.tracks[which]) < tuning.own_share)
+        split_off = self.split_off.copy()
+        at = np.flatnonzero(split_off)
+        if len(at):
+            split_off[at] = self.take(at)._own_share(detections.tracks[which[at]]) < tuning.own_share
         odds = self.plot_odds.after(self, new_plots, detections.looks, elapsed_s, self.unseen_share)
         is_real_by_plots = (odds.log_odds >= logit(stages.real)) | ~states.placed[which]
         newly = ((detections.is_certain[which] | is_real) & ~split_off) | (is_real_by_plots & (n_plots >= stages.scans))
         confirmed = (self.stage != TENTATIVE) | (newly & detections.is_believed[which])
         # A direction alone gives no position, but improves one that is known.
         placed = states.placed[which] | (self.placed & ~velocity_known & ~aged(covariance, detections.looks.per_m2))
-        return replace(
-            self, stage=np.where(confirmed, CONFIRMED, TENTATIVE),
+        return self.changed(stage=np.where(confirmed, CONFIRMED, TENTATIVE),
             state=state, covariance=covariance, placed=placed,
             moving=velocity_known | (self.placed & placed & (n_updates > 1)), detection=which,
             n_updates=n_updates, n_plots=n_plots, split_off=split_off, **_columns_of(odds),
@@ -382,7 +388,7 @@ class NamedObjects(PictureObjects):
         too_uncertain |= ~self.placed & (n_missing > stages.of)
         ended = too_uncertain | absorbed | np.where(self.by_plots, odds.improbable(~tentative, tuning), missed)
         stage = np.where(ended, ENDED, np.where(tentative, TENTATIVE, COASTING))
-        objects = replace(self.undetected(stage), n_missing=n_missing, **_columns_of(odds))
+        objects = self.undetected(stage).changed(n_missing=n_missing, **_columns_of(odds))
         return objects.take(np.flatnonzero(~(ended & tentative & self.by_plots)))
 
     def _with_history(self, before: NamedObjects, detections: UnnumberedObjects, tuning: Tuning) -> NamedObjects:
@@ -393,7 +399,7 @@ class NamedObjects(PictureObjects):
             self.instant_s, track, number, detections.unique[detections.tracks >= 0], alive, tuning,
             detections.forgotten,
         )  # fmt: skip
-        return replace(self, history=history)
+        return self.changed(history=history)
 
 
 def _columns_of(odds: PlotOdds) -> dict[str, Any]:

@@ -142,8 +142,9 @@ class NewPlots(ColumnTable):
     @classmethod
     def none(cls, n: int) -> NewPlots:
         """No new plot of n objects."""
-        return cls(np.zeros(n, bool), np.zeros((n, 2)), np.tile(np.eye(2), (n, 1, 1)), np.zeros(n), np.zeros(n),
-                   np.zeros(n), np.full(n, "", dtype=object), np.zeros((n, 2, 2)))  # fmt: skip
+        covariance = np.broadcast_to(np.eye(2), (n, 2, 2)).copy()
+        return cls(np.zeros(n, bool), np.zeros((n, 2)), covariance, np.zeros(n), np.zeros(n), np.zeros(n),
+                   np.full(n, "", dtype=object), np.zeros((n, 2, 2)))  # fmt: skip
 
     @classmethod
     def of(cls, scan: Scan, members: IntArray, is_new: BoolArray, is_named: BoolArray, looks: Looks) -> NewPlots:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -115,7 +115,7 @@ class TrackHistory(ColumnTable):
         share[row] += more.share[at]
         last[row] |= more.last[at]
         unique[row] |= more.unique[at]
-        merged, is_new = replace(self, share=share, last=last, unique=unique), np.ones(len(more), bool)
+        merged, is_new = self.changed(share=share, last=last, unique=unique), np.ones(len(more), bool)
         is_new[at] = False
         if not is_new.any():
             return merged

@@ -28,7 +28,7 @@ Source: METHOD 3.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import expit
@@ -170,11 +170,11 @@ class TrackPairs(ColumnTable):
         if not len(others):
             return self
         log_ratio, distant = self.distant.without(others.first, others.second)
-        others = replace(others, log_ratio=others.log_ratio + log_ratio)
+        others = others.changed(log_ratio=others.log_ratio + log_ratio)
         new_errors = np.concatenate([self.new_errors, others.errors, others.new_errors])
-        both = self.stacked(replace(others, row=len(self.errors) + len(self.new_errors) + others.row))
+        both = self.stacked(others.changed(row=len(self.errors) + len(self.new_errors) + others.row))
         both = both.take(np.argsort(keys(both.first, both.second), kind="stable"))
-        return replace(both, new_errors=new_errors, distant=distant)
+        return both.changed(new_errors=new_errors, distant=distant)
 
     def with_errors(
         self, rows: IntArray, delta: FloatArray, before: tuple[FloatArray, FloatArray],
@@ -200,7 +200,7 @@ class TrackPairs(ColumnTable):
         errors[rows, slice(*COVARIANCE)] *= scales[:, v] * scales[:, w]
         log_now, chi_sq = log_density_and_distance(delta, covariances[0] + covariances[1])
         changed = {name: getattr(self, name).copy() for name in ("log_reported", "log_now", "chi_sq")}
-        out = replace(self, row=np.arange(len(self)), errors=errors, new_errors=np.empty((0, WIDTH)), **changed)
+        out = self.changed(row=np.arange(len(self)), errors=errors, new_errors=np.empty((0, WIDTH)), **changed)
         out.log_reported[rows] += log_now - self.log_now[rows]
         out.log_now[rows], out.chi_sq[rows] = log_now, chi_sq
         return out
@@ -219,7 +219,7 @@ class TrackPairs(ColumnTable):
             return self
         errors = np.concatenate([self.errors, self.new_errors])[self.row]
         errors[rows] = _without_history(delta, covariances, lasting)
-        return replace(self, row=np.arange(len(self)), errors=errors, new_errors=np.empty((0, WIDTH)))
+        return self.changed(row=np.arange(len(self)), errors=errors, new_errors=np.empty((0, WIDTH)))
 
     def without_evidence(
         self, rows: IntArray, delta: FloatArray, covariances: tuple[FloatArray, FloatArray],
@@ -232,7 +232,7 @@ class TrackPairs(ColumnTable):
         changed = {name: getattr(out, name).copy() for name in ("log_ratio", "log_convoy", "by_model")}
         for column in changed.values():
             column[rows] = 0.0
-        return replace(out, **changed)
+        return out.changed(**changed)
 
     def stepped(
         self, step: Step, reassigned: float, swaps: SwapRates, per_m2: float, tuning: Tuning,
@@ -267,8 +267,8 @@ class TrackPairs(ColumnTable):
             (self.log_ratio[rows], self.log_reported[rows], updated.by_model), updated.log_ratio, updated.log_now,
             swap, rivals, exchanged, math.log(per_m2), tuning,
         )  # fmt: skip
-        updated = replace(
-            updated, log_ratio=log_ratio, by_model=by_model, distant=self.distant.advance(step, newly_distant, tuning)
+        updated = updated.changed(
+            log_ratio=log_ratio, by_model=by_model, distant=self.distant.advance(step, newly_distant, tuning)
         )
         return updated._with_id_changes(step, (a, b), rivals, reassigned, p_swapped, math.log(per_m2), tuning), swaps
 
@@ -335,7 +335,7 @@ class TrackPairs(ColumnTable):
             self.log_convoy[at] *= 1.0 - p_changed[at]
         restart = p_changed > tuning.offset_restart
         self.n_offsets[restart], self.offset[restart], self.log_offset[restart] = 0, 0.0, 0.0
-        return replace(self, log_ratio=np.where(new_report, log_ratio, self.log_ratio))
+        return self.changed(log_ratio=np.where(new_report, log_ratio, self.log_ratio))
 
     def with_offsets(
         self, step: Step, correlation: ErrorCorrelation, tuning: Tuning = DEFAULT_TUNING, *, keeps: bool = True
@@ -358,7 +358,7 @@ class TrackPairs(ColumnTable):
         due = np.flatnonzero(is_due & over_columns(np.logical_and, self.offset_new))
         if not len(due):
             return self
-        out = replace(self, **{name: getattr(self, name).copy() for name in _OFFSETS})
+        out = self.changed(**{name: getattr(self, name).copy() for name in _OFFSETS})
         a, b = step.find(self.first), step.find(self.second)
         out.n_offsets[due] += 1
         tracks = np.stack([a[due], b[due]])
@@ -392,7 +392,7 @@ class TrackPairs(ColumnTable):
         sure : (m,) rows of the pairs that are surely one object at the instant. delta, log_kept : (m, 2) their δ, and
         ``Step.log_kept`` of both tracks. restart : (m,) whether the next comparison is with this δ.
         """
-        out = replace(self, **{name: getattr(self, name).copy() for name in _ANCHORS}, sure=np.zeros(len(self), bool))
+        out = self.changed(**{name: getattr(self, name).copy() for name in _ANCHORS}, sure=np.zeros(len(self), bool))
         at = sure[restart]
         out.n_compared[at] += ~np.isnan(out.anchor_s[at])
         out.anchor_s[at], out.anchor[at], out.anchor_new[at] = instant_s, delta[restart], False
