@@ -98,7 +98,7 @@ class TrackMemory:
         require_order(self.tracks.instant_s, scan.now.instant_s)
         before = self._with_present_factors()._with_present_correlation(scan.tuning)
         correlation = replace(before.tracks.error_correlation, fixed_s=self.correlation_s)
-        tracks, step = replace(before.tracks, error_correlation=correlation).advance(scan, track_of_record)
+        tracks, step = replace(before.tracks, error_correlation=correlation).advance(scan, track_of_record, keeps=keeps)
         kind = {description.name: description.kind for description in scan.now.descriptions}
         known = len(self.swaps.log_probable)
         swaps = self.swaps.of_sources(

@@ -150,10 +150,13 @@ class NamedTracks:
                 out[records] = numbers_of(scan.track[records].tolist(), number_of)
         return out
 
-    def advance(self, scan: Scan, track_of_record: IntArray | None = None) -> tuple[NamedTracks, Step]:
+    def advance(
+        self, scan: Scan, track_of_record: IntArray | None = None, *, keeps: bool = True
+    ) -> tuple[NamedTracks, Step]:
         """The tracks after the next scan, with the error factors of before, and the step to it.
 
-        track_of_record : (n,) :meth:`numbers_on` of the scan, where already known.
+        track_of_record : (n,) :meth:`numbers_on` of the scan, where already known. keeps : False for an instant alone:
+        then the tracks have no errors, and cannot be advanced.
 
         A track that is not in a scan keeps its number for ``id_timeout_s``, that of a source whose objects name
         themselves for ``return_s``, but has no history when it returns.
@@ -173,25 +176,30 @@ class NamedTracks:
         continuing = (places_in(self.number, number) >= 0) & scan.placed[place]
         known = replace(self, error_correlation=correlation, error_factors=factors)
         step, correlation = known._step(scan, number[continuing], place[continuing], source[continuing])
-        lasting = _lasting_root(scan, correlation)
-        at = step.find(number)
-        started = np.flatnonzero(at < 0)
-        error_mean = taken(np.append(step.error_mean, np.zeros((1, 4)), axis=0), at)
-        error_covariance = taken(np.append(step.error_covariance, np.zeros((1, 4, 4)), axis=0), at)
-        if len(started):
-            records = place[started]
-            error_covariance[started] = prior_covariance(scan.covariance[records, :2, :2], lasting[records])
-        log_kept = np.append(step.log_kept, 0.0)[at]
         now_s = scan.now.instant_s
         is_new = number >= self.n_numbers
         by_name, absent, forgotten = self._names_after(scan, place[is_new], number[is_new], number)
         tracks = NamedTracks(
             instant_s=now_s, n_numbers=self.n_numbers + int(np.count_nonzero(is_new)), by_name=by_name, absent=absent,
-            forgotten=forgotten, number=number, place=place, track_of_record=track_of_record, error_mean=error_mean,
-            error_covariance=error_covariance, log_kept=log_kept, lasting=lasting, scan=scan,
+            forgotten=forgotten, number=number, place=place, track_of_record=track_of_record, scan=scan,
             error_correlation=correlation, source=source, error_factors=factors,
         )  # fmt: skip
-        return tracks, step
+        return tracks._with_errors_of(step) if keeps else tracks, step
+
+    def _with_errors_of(self, step: Step) -> NamedTracks:
+        """These tracks of a scan with their errors after the step to it; those that are not in the step have begun."""
+        assert self.scan is not None
+        scan, at, lasting = self.scan, step.find(self.number), _lasting_root(self.scan, self.error_correlation)
+        started = np.flatnonzero(at < 0)
+        error_mean = taken(np.append(step.error_mean, np.zeros((1, 4)), axis=0), at)
+        error_covariance = taken(np.append(step.error_covariance, np.zeros((1, 4, 4)), axis=0), at)
+        if len(started):
+            records = self.place[started]
+            error_covariance[started] = prior_covariance(scan.covariance[records, :2, :2], lasting[records])
+        return replace(
+            self, error_mean=error_mean, error_covariance=error_covariance, log_kept=np.append(step.log_kept, 0.0)[at],
+            lasting=lasting,
+        )  # fmt: skip
 
     def _names_after(
         self, scan: Scan, new_place: IntArray, new_number: IntArray, present: IntArray

@@ -192,8 +192,8 @@ class FirstContact(Rule):
     def _by_target(self, a: IntArray, b: IntArray) -> FloatArray:
         """(k,) ln of :data:`WRONG_TARGET` for a ship and an aircraft, 0 for others."""
         out, target = np.zeros(len(a)), np.array([KINDS[d.kind].target for d in self.scan.now.descriptions])
-        one, two = target[self.scan.source[a]], target[self.scan.source[b]]
-        differ = np.flatnonzero((one != two) & (one != "") & (two != ""))
+        of_sources = (target != target[:, None]) & (target != "") & (target != "")[:, None]
+        differ = np.flatnonzero(of_sources[self.scan.source[a], self.scan.source[b]])
         if len(differ):
             rescue = np.array([name.startswith(RESCUE_AIRCRAFT) for name in self.scan.texts("mmsi").tolist()])
             out[differ] = np.where(rescue[a[differ]] | rescue[b[differ]], 0.0, math.log(WRONG_TARGET))

@@ -293,16 +293,28 @@ class TrackPairs(ColumnTable):
         is_new = np.column_stack([step.new_report[a], step.new_report[b]])
         new_report = over_columns(np.logical_or, is_new)
         log_ratio, log_reported = self.log_ratio[rows], self.log_reported[rows]
+        # Columns that no method changes in place are those of before if all pairs continue, as they mostly do.
+        fixed = (
+            "first",
+            "second",
+            "anchor_s",
+            "anchor",
+            "anchor_kept",
+            "n_compared",
+            "sure",
+            "offset_s",
+            "offset_chi_sq",
+        )
+        column = {name: getattr(self, name) for name in fixed}
+        if k < len(self):
+            column = {name: taken(values, rows) for name, values in column.items()}
         return TrackPairs(
-            first=self.first[rows], second=self.second[rows], row=np.arange(k),
+            **column, row=np.arange(k),
             log_convoy=np.clip(log_convoy + log_in_convoy - log_independent, -bound, bound),
             log_ratio=np.where(new_report, log_ratio + log_reported + gain - log_now, log_ratio),
             log_reported=np.where(new_report, log_now, log_reported), log_now=log_now, chi_sq=chi_sq,
-            anchor_s=self.anchor_s[rows], anchor=taken(self.anchor, rows),
-            anchor_new=taken(self.anchor_new, rows) | is_new, anchor_kept=taken(self.anchor_kept, rows),
-            n_compared=self.n_compared[rows], sure=self.sure[rows], offset=taken(self.offset, rows),
-            n_offsets=self.n_offsets[rows], offset_s=self.offset_s[rows],
-            offset_new=taken(self.offset_new, rows) | is_new, offset_chi_sq=self.offset_chi_sq[rows],
+            anchor_new=taken(self.anchor_new, rows) | is_new, offset=taken(self.offset, rows),
+            n_offsets=self.n_offsets[rows], offset_new=taken(self.offset_new, rows) | is_new,
             log_offset=self.log_offset[rows],
             agreed_s=np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.agreed_s[rows]),
             by_model=taken(self.by_model, rows), errors=errors,
