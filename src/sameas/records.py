@@ -291,7 +291,8 @@ def _refuse_extremes(records: Records) -> None:
     """Raise InputError if the variances are so large or small that |Σ| of a pair overflows or underflows."""
     if not len(records):
         return
-    least, most = float(records.variances.min()), float(records.variances.max())
+    variances = records.variances
+    least, most = float(variances.min()), float(variances.max())
     if records.d * max(math.log(most), -math.log(least)) > _MAX_LOG_PRODUCT:
         raise InputError(
             f"{records.source}: errors of {math.sqrt(least):.3g} to {math.sqrt(most):.3g} in {records.d} features have "

@@ -195,7 +195,7 @@ def test_reports_are_dropped_that_no_later_instant_needs(rng, way):
     number, time_s, late_s = rng.integers(0, 9, 40), rng.integers(0, 12, 40).astype(float), rng.normal(size=40)
     number[0], time_s[0] = 9, 1.0
     order = np.lexsort([time_s, number])
-    dropped, ended, gaps = *np.empty((2, 40), bool), np.empty((40, 2))
+    (dropped, ended), gaps = np.empty((2, 40), bool), np.empty((40, 2))
     n = getattr(outdated, way)(order, number, time_s, late_s, 6.0, 2.0, dropped, ended, gaps)
     expected = []
     for k, row in enumerate(order):
@@ -228,7 +228,7 @@ def test_neighbours_of_new_reports_are_those_of_their_tracks_from_the_one_before
 @pytest.mark.parametrize("way", WAYS)
 def test_durations_are_summed_by_source(rng, way):
     n = 30
-    source, later, ended, is_real = rng.integers(0, 3, n), *(rng.random((3, n)) < 0.4)
+    source, (later, ended, is_real) = rng.integers(0, 3, n), rng.random((3, n)) < 0.4
     duration_s, p, sums = rng.random(n), rng.random(n), np.zeros((3, len(DURATION_SUMS)))
     getattr(add_durations, way)(source, later, duration_s, ended, is_real, p, sums)
     weights = [(1.0 - p) * ended, p * ended, (1.0 - p) * duration_s, p * duration_s]
@@ -239,7 +239,8 @@ def test_durations_are_summed_by_source(rng, way):
 @pytest.mark.parametrize("way", WAYS)
 def test_sets_grow_by_records_that_are_pairs_with_all_of_theirs(rng, way):
     i, j = np.nonzero(np.triu(rng.random((9, 9)) < 0.6, 1))
-    start, pair = np.searchsorted(i, np.arange(10)), {(a, b): k for k, (a, b) in enumerate(zip(i, j, strict=True))}
+    pair = {(a, b): k for k, (a, b) in enumerate(zip(i.tolist(), j.tolist(), strict=True))}
+    start = np.searchsorted(i, np.arange(10))
     sets = np.array([(a, b, c) for a, b, c in combinations(range(9), 3) if {(a, b), (a, c), (b, c)} <= set(pair)])
     width = np.where(sets[:, 0] == 1, 0, np.diff(start)[sets[:, 2]])
     parent, added, pairs = (

@@ -550,7 +550,7 @@ class LiveFeed:
         names: list[str] = []
         if self._named:
             order = self._ordered(live)
-            is_dropped, is_ended, gaps = *np.empty((2, len(order)), bool), np.empty((len(order), 2))
+            (is_dropped, is_ended), gaps = np.empty((2, len(order)), bool), np.empty((len(order), 2))
             n_gaps = outdated(
                 order, rows.number, rows.time_s, rows.late_s, horizon_s, horizon_s - (self._memory_s - self.lag_s),
                 is_dropped, is_ended, gaps,
