@@ -204,15 +204,20 @@ def _within(numbers: IntArray, low: int, high: int) -> IntArray:
 DENSE = 4
 
 
+def is_dense(ascending: IntArray, numbers: IntArray) -> bool:
+    """Whether ascending integers span so little that to look numbers up in a table takes less time than a search."""
+    n = len(ascending)
+    return n > 0 and int(ascending[-1]) - int(ascending[0]) < DENSE * (n + np.size(numbers))
+
+
 def spans_in(ascending: IntArray, numbers: IntArray) -> tuple[IntArray, IntArray]:
     """(k,) first positions of numbers among ascending ones, and how often they occur.
 
     >>> spans_in(np.array([3, 3, 5]), np.array([5, 3, 4]))
     (array([2, 0, 2]), array([1, 2, 0]))
     """
-    low, high = (int(ascending[0]), int(ascending[-1])) if len(ascending) else (0, -1)
-    if high - low < DENSE * (len(ascending) + np.size(numbers)):
-        # As in places_in: dense integers are looked up.
+    if is_dense(ascending, numbers):
+        low, high = int(ascending[0]), int(ascending[-1])
         start = np.zeros(high - low + 4, np.int64)
         np.cumsum(np.bincount(ascending - low, minlength=high - low + 1), out=start[2:-1])
         start[-1] = len(ascending)
@@ -255,9 +260,9 @@ def places_in(ascending: IntArray, numbers: IntArray) -> IntArray:
     """(k,) positions of numbers among ascending ones, ABSENT for others."""
     if not len(ascending):
         return np.full(np.shape(numbers), ABSENT)
-    low, high = int(ascending[0]), int(ascending[-1])
-    if high - low < DENSE * (len(ascending) + np.size(numbers)):
-        # Dense integers are looked up: a search takes four times as long.
+    if is_dense(ascending, numbers):
+        # A search takes four times as long.
+        low, high = int(ascending[0]), int(ascending[-1])
         place = np.full(high - low + 3, ABSENT)
         place[ascending - (low - 1)] = np.arange(len(ascending))
         return place[_within(numbers, low, high)]

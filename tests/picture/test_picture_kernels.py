@@ -8,6 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from problems import random_covariances
+from sameas.arrays import places_in, spans_in
 from sameas.gate.zones import percentiles
 from sameas.gaussian import inverse
 from sameas.kernels.components import grown_sets, label_components
@@ -21,10 +22,19 @@ from sameas.kernels.kalman import (
     weights_of_least_determinant,
 )
 from sameas.kernels.nearest import nearest_at_once
-from sameas.kernels.tracks import DURATION_SUMS, add_durations, neighbours, outdated
+from sameas.kernels.tracks import (
+    DURATION_SUMS,
+    add_durations,
+    find_places,
+    find_rows,
+    list_rows,
+    neighbours,
+    outdated,
+)
 from sameas.kernels.zones import merge_rows
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.picture.error_correlation import growth
+from sameas.ragged import ranges
 from sameas.tracks.alignment import moved, process_noise, transition
 
 WAYS = ("interpreted", "compiled")
@@ -223,6 +233,19 @@ def test_neighbours_of_new_reports_are_those_of_their_tracks_from_the_one_before
         rows, first_s = order[number[order] == track], new_time_s[new_number == track].min()
         expected += [*rows[time_s[rows] < first_s][-1:], *rows[time_s[rows] >= first_s]]
     assert own[:n].tolist() == expected and 0 < n < 40
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_numbers_are_found_in_tables_as_by_arrays(rng, way):
+    ascending, numbers = np.sort(rng.integers(3, 30, 20)), rng.integers(-1, 40, 25)
+    first, size = np.empty((2, 25), np.int64)
+    at, row = np.empty((2, getattr(find_rows, way)(ascending, numbers, first, size)), np.int64)
+    getattr(list_rows, way)(first, size, at, row)
+    assert np.array_equal([at, row], ranges(*spans_in(ascending, numbers))) and len(at) > 0
+    for table, dense in ((np.unique(ascending), True), (1000 * np.unique(ascending), False), (numbers[:0], False)):
+        wanted, place = numbers if dense else 1000 * numbers, np.empty(25, np.int64)
+        getattr(find_places, way)(table, wanted, dense, place)
+        assert np.array_equal(place, places_in(table, wanted))
 
 
 @pytest.mark.parametrize("way", WAYS)

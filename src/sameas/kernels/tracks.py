@@ -1,6 +1,7 @@
 """Compiled loops over the reports of tracks: their Kalman filter, and the evidence of their motion on a clock
 (:mod:`sameas.tracks.alignment`); those that a live feed drops, and those beside new ones
-(:mod:`sameas.tracks.live_feed`); the durations of tracks (:mod:`sameas.picture.track_existence`)."""
+(:mod:`sameas.tracks.live_feed`); the durations of tracks (:mod:`sameas.picture.track_existence`) and their places in
+tables."""
 
 from __future__ import annotations
 
@@ -8,8 +9,8 @@ import math
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.kernels.compiled import part, small, small_by
+from sameas.arrays import BoolArray, FloatArray, IntArray, is_dense, places_in
+from sameas.kernels.compiled import part, runs_compiled, small, small_by
 from sameas.kernels.kalman import state_moved
 from sameas.kernels.linear import solve_2
 
@@ -234,3 +235,69 @@ def add_durations(
             later = 1 if began_later[k] else 0
             of_source[4 + later] += p
             of_source[6 + later] += 1.0 - p
+
+
+@small
+def find_rows(ascending: IntArray, numbers: IntArray, first: IntArray, size: IntArray) -> int:
+    """Write the first row of each number (k,) among ascending ones, and how many rows it has; returns their sum.
+
+    As :func:`sameas.arrays.spans_in`, in a fifth of the time. The ascending ones are not empty, and dense.
+    """
+    total, low = 0, ascending[0]
+    begin = np.zeros(ascending[-1] - low + 2, np.int64)
+    for number in ascending:
+        begin[number - low + 1] += 1
+    for k in range(1, len(begin)):
+        begin[k] += begin[k - 1]
+    for k in range(len(numbers)):
+        place = numbers[k] - low
+        first[k] = size[k] = 0
+        if 0 <= place < len(begin) - 1:
+            first[k], size[k] = begin[place], begin[place + 1] - begin[place]
+        total += size[k]
+    return total
+
+
+@small
+def list_rows(first: IntArray, size: IntArray, at: IntArray, row: IntArray) -> None:
+    """Write the rows first[k] … first[k] + size[k] − 1, and k of each (:func:`sameas.ragged.ranges`)."""
+    n = 0
+    for k in range(len(first)):
+        for place in range(size[k]):
+            at[n], row[n] = k, first[k] + place
+            n += 1
+
+
+def places_of(ascending: IntArray, numbers: IntArray) -> IntArray:
+    """(k,) positions of numbers among ascending ones, ABSENT for others: :func:`sameas.arrays.places_in`, in a third of
+    the time once kernels are compiled."""
+    if not runs_compiled(find_places):
+        return places_in(ascending, numbers)
+    place = np.empty(np.shape(numbers), np.int64)
+    find_places(ascending, np.ascontiguousarray(numbers).ravel(), is_dense(ascending, numbers), place.ravel())
+    return place
+
+
+@small
+def find_places(ascending: IntArray, numbers: IntArray, dense: bool, place: IntArray) -> None:
+    """Write the position of each number (k,) among ascending ones, −1 for others. dense : whether to look them up in a
+    table; else they are searched for."""
+    n = len(ascending)
+    low = ascending[0] if n else 0
+    table = np.full(ascending[-1] - low + 1 if dense else 0, -1)
+    if dense:
+        for k in range(n):
+            table[ascending[k] - low] = k
+    for k in range(len(numbers)):
+        number = numbers[k]
+        if dense:
+            place[k] = table[number - low] if 0 <= number - low < len(table) else -1
+            continue
+        first, last = 0, n
+        while first < last:
+            middle = (first + last) // 2
+            if ascending[middle] < number:
+                first = middle + 1
+            else:
+                last = middle
+        place[k] = first if first < n and ascending[first] == number else -1

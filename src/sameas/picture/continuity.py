@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, distinct, places_in, taken
+from sameas.arrays import BoolArray, FloatArray, IntArray, distinct, taken
 from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq
+from sameas.kernels.tracks import places_of
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
 from sameas.records import Records
 
@@ -51,7 +52,7 @@ class CommonTracks:
         """(m,) weight of each pair and (m,) its number of common unique ids; 0 without a common track."""
         key = (self.object_place << 32) | self.detection_place
         pair_key = (pairs.first.rows[pairs.i].astype(np.int64) << 32) | pairs.second.rows[pairs.j]
-        at = places_in(key, pair_key)
+        at = places_of(key, pair_key)
         return np.append(self.weight, 0.0)[at], np.append(self.unique, 0.0)[at]
 
 

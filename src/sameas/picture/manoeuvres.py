@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken, taken_plane
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken, taken_plane
 from sameas.gaussian import LOG_2PI, log_density
+from sameas.kernels.tracks import places_of
 from sameas.picture.id_swaps import Rivals, group_maximum
 from sameas.picture.tables import Scan, distances
 from sameas.picture.track_pairs import TrackPairs
@@ -151,5 +152,5 @@ def _velocity_changes(scan: Scan, records: IntArray) -> tuple[FloatArray, FloatA
 def _places(track_of_record: IntArray, number: IntArray) -> IntArray:
     """(…) the record of each track in a scan, ABSENT without one; track_of_record : (n,) of that scan."""
     order = np.argsort(track_of_record)
-    at = places_in(track_of_record[order], number)
+    at = places_of(track_of_record[order], number)
     return np.where(at >= 0, np.append(order, ABSENT)[at], ABSENT)

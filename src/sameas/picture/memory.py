@@ -31,9 +31,10 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken, taken_plane
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken, taken_plane
 from sameas.errors import InputError
 from sameas.gaussian import log_determinant
+from sameas.kernels.tracks import places_of
 from sameas.many.pooled import PooledRecords
 from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly, information, pairs_within
 from sameas.picture.id_swaps import MIN_SWAP, Rivals, SwapRates, by_source_order
@@ -204,7 +205,7 @@ class TrackMemory:
     @cached_property
     def _rows(self) -> tuple[IntArray, IntArray]:
         """(k,), (k,) the rows of both tracks of each pair among the tracks, ABSENT for none."""
-        one, other = (places_in(self.tracks.number, k) for k in (self.track_pairs.first, self.track_pairs.second))
+        one, other = (places_of(self.tracks.number, k) for k in (self.track_pairs.first, self.track_pairs.second))
         return one, other
 
     @cached_property
@@ -353,7 +354,7 @@ class TrackMemory:
         places, share = pairs_within(np.where(usable, sure, ABSENT))
         places = np.take_along_axis(places, np.argsort(self.tracks.track_of_record[places], axis=1), axis=1)
         number = self.tracks.track_of_record[places]
-        at = places_in(keys(self.track_pairs.first, self.track_pairs.second), keys(number[:, 0], number[:, 1]))
+        at = places_of(keys(self.track_pairs.first, self.track_pairs.second), keys(number[:, 0], number[:, 1]))
         return at[at >= 0], places[at >= 0], share[at >= 0]
 
 

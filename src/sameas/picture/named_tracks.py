@@ -26,10 +26,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, numbers_of, places_in, taken, taken_plane
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, numbers_of, taken, taken_plane
 from sameas.gate import ChiSquare
 from sameas.gaussian import log_determinant
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
+from sameas.kernels.tracks import places_of
 from sameas.picture.error_correlation import ErrorCorrelation, growth
 from sameas.picture.error_factors import ErrorFactors, error_update, evenly
 from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan
@@ -82,7 +83,7 @@ class Step(ColumnTable):
 
     def find(self, number: IntArray) -> IntArray:
         """(k,) row of each track in the step, ABSENT for tracks that are not in it."""
-        return places_in(self.number, number)
+        return places_of(self.number, number)
 
     def log_elsewhere(self, tracks: tuple[IntArray, IntArray], log_density_anywhere: float) -> FloatArray:
         """(k,) ln of the probability of a pair's new report, of an object anywhere, relative to that by its own track:
@@ -173,7 +174,7 @@ class NamedTracks:
         order = np.argsort(number)
         number, place = number[order], place[order]
         source = correlation.numbers(scan)[scan.source[place]]
-        continuing = (places_in(self.number, number) >= 0) & scan.placed[place]
+        continuing = (places_of(self.number, number) >= 0) & scan.placed[place]
         known = replace(self, error_correlation=correlation, error_factors=factors)
         step, correlation = known._step(scan, number[continuing], place[continuing], source[continuing])
         now_s = scan.now.instant_s
@@ -206,7 +207,7 @@ class NamedTracks:
     ) -> tuple[Mapping[str, Mapping[str, int]], Mapping[int, tuple[str, str, float]], IntArray]:
         """``by_name``, ``absent`` and ``forgotten`` after a scan: with its new tracks, without ids that timed out."""
         now_s, tuning = scan.now.instant_s, scan.tuning
-        gone = places_in(present, np.array(list(self.absent), np.int64)) < 0
+        gone = places_of(present, np.array(list(self.absent), np.int64)) < 0
         absent = {k: kept for (k, kept), is_gone in zip(self.absent.items(), gone.tolist(), strict=True) if is_gone}
         absent |= self._without(present, tuning)
         timed_out = [k for k, (_, _, until_s) in absent.items() if now_s > until_s]
@@ -231,7 +232,7 @@ class NamedTracks:
         if self.scan is None:
             return out
         descriptions = self.scan.now.descriptions
-        for at in np.flatnonzero(places_in(present, self.number) < 0).tolist():
+        for at in np.flatnonzero(places_of(present, self.number) < 0).tolist():
             record = self.place[at]
             source = descriptions[self.scan.source[record]]
             keep_s = tuning.return_s if KINDS[source.kind].self_named else tuning.id_timeout_s
@@ -250,7 +251,7 @@ class NamedTracks:
         number, place, source : (m,) of the tracks: their numbers, ascending, records of the scan, and sources.
         """
         previous = self.scan if self.scan is not None else scan
-        at = places_in(self.number, number)
+        at = places_of(self.number, number)
         last = self.place[at]
         dt, elapsed = scan.now.instant_s - previous.time_s[last], scan.time_s[place] - previous.time_s[last]
         # A report with an earlier time than the track's previous one is not new.

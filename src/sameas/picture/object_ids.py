@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, logit
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries, over_columns, places_in, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries, over_columns, taken
 from sameas.assignment import assign, refuse_crowds
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, symmetric
 from sameas.groups import groups
+from sameas.kernels.tracks import places_of
 from sameas.picture.continuity import CommonTracks, Continuity, Motions, NearOrSameId, PlotContinuity
 from sameas.picture.fixes import Fixes
 from sameas.picture.hull_echoes import Hulls, owners_among
@@ -251,7 +252,7 @@ class NamedObjects(PictureObjects):
         """The common tracks of these objects and those of the instant."""
         at, track = entries(detections.tracks)
         track_place, row = self.history.of(track)
-        object_place = places_in(self.number, self.history.number[row])
+        object_place = places_of(self.number, self.history.number[row])
         is_alive = object_place >= 0
         track_place, row = track_place[is_alive], row[is_alive]
         unique = detections.unique[detections.tracks >= 0][track_place]
@@ -277,7 +278,7 @@ class NamedObjects(PictureObjects):
     def _split_off(self, detections: UnnumberedObjects, new: IntArray) -> BoolArray:
         """(k,) whether a new object split off one of these: it has a track whose last object is one of them."""
         tracks = detections.tracks[new]
-        owner = places_in(self.number, self.history.last_of(tracks.ravel())).reshape(tracks.shape)
+        owner = places_of(self.number, self.history.last_of(tracks.ravel())).reshape(tracks.shape)
         return np.asarray((owner >= 0).any(axis=1))
 
     def _detected(

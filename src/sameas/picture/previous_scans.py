@@ -10,10 +10,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
+from sameas.kernels.tracks import places_of
 from sameas.picture.tables import Scan, distances
 from sameas.picture.track_pairs import keys
 from sameas.representation import in_short
@@ -90,7 +91,7 @@ class PreviousScans(Rule):
                 for side, at in ((pairs.first, pairs.i), (pairs.second, pairs.j))
             )
             pair_key = np.where((one >= 0) & (two >= 0), keys(np.minimum(one, two), np.maximum(one, two)), ABSENT)
-            known = pairs, places_in(self._keys, pair_key)
+            known = pairs, places_of(self._keys, pair_key)
             self._looked_up[id(pairs)] = known
         return known[1]
 

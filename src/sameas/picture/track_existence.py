@@ -24,8 +24,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
-from sameas.kernels.tracks import DURATION_SUMS, add_durations
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.kernels.tracks import DURATION_SUMS, add_durations, places_of
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.tables import ColumnTable
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
@@ -123,7 +123,7 @@ class TrackExistence(ColumnTable):
         assert tracks.scan is not None
         scan, now_s = tracks.scan, tracks.instant_s
         time_s = scan.time_s[tracks.place]
-        at = places_in(self.number, tracks.number)
+        at = places_of(self.number, tracks.number)
         is_old = at >= 0
         first_s, is_real, began_later = time_s.copy(), np.zeros(len(at), bool), tracks.source < len(self.mixture.share)
         first_s[is_old], is_real[is_old], began_later[is_old] = (
@@ -137,7 +137,7 @@ class TrackExistence(ColumnTable):
         current = TrackExistence(
             tracks.number, tracks.source, began_later, first_s, last_s, np.full(n, now_s), np.zeros(n), is_real
         )
-        out, absent = replace(current, mixture=self._mixture(tracks)), places_in(tracks.number, self.number) < 0
+        out, absent = replace(current, mixture=self._mixture(tracks)), places_of(tracks.number, self.number) < 0
         if absent.any():
             out = out.stacked(self._ended(np.flatnonzero(absent), tracks, now_s))
             out = out.take(np.argsort(out.number))
@@ -149,7 +149,7 @@ class TrackExistence(ColumnTable):
 
     def with_real(self, number: IntArray) -> TrackExistence:
         """The same, with tracks that another source confirms as real; number : theirs."""
-        at, is_real = places_in(self.number, number.ravel()), self.is_real.copy()
+        at, is_real = places_of(self.number, number.ravel()), self.is_real.copy()
         is_real[at[at >= 0]] = True
         return replace(self, is_real=is_real)
 
@@ -158,7 +158,7 @@ class TrackExistence(ColumnTable):
 
         number : of tracks, any shape. −∞ and 0 for ABSENT.
         """
-        at, ended = places_in(self.number, number.ravel()).reshape(number.shape), np.zeros(len(self), bool)
+        at, ended = places_of(self.number, number.ravel()).reshape(number.shape), np.zeros(len(self), bool)
         initial = self.mixture.log_odds(self.source, self.began_later, np.zeros(len(self)), ended)
         now = self.mixture.log_odds(self.source, self.began_later, self.last_s - self.first_s, ended)
         return np.append(initial, -math.inf)[at], np.append(now - initial, 0.0)[at]

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, ordered_by, places_in, spans_in
+from sameas.arrays import BoolArray, FloatArray, IntArray, is_dense, ordered_by, spans_in
+from sameas.kernels.compiled import runs_compiled
+from sameas.kernels.tracks import find_rows, list_rows, places_of
 from sameas.picture.tables import ColumnTable
 from sameas.picture.tuning import Tuning
 from sameas.ragged import ranges
@@ -58,7 +60,7 @@ class TrackHistory(ColumnTable):
         at, row = self.of(track)
         in_scan = np.zeros(len(self), bool)
         in_scan[row] = True
-        keep = (places_in(alive, self.number) >= 0) | self.unique
+        keep = (places_of(alive, self.number) >= 0) | self.unique
         if forgotten is not None and len(forgotten):
             keep &= ~np.isin(self.track, forgotten)
         keep &= ~in_scan | (fade * self.share >= tuning.min_share)
@@ -76,7 +78,12 @@ class TrackHistory(ColumnTable):
 
     def of(self, tracks: IntArray) -> tuple[IntArray, IntArray]:
         """(m,) indices in ``tracks`` (k,) and (m,) rows of the history, of all rows of these tracks."""
-        return ranges(*spans_in(self.track, tracks))
+        if not (runs_compiled(find_rows) and is_dense(self.track, tracks)):
+            return ranges(*spans_in(self.track, tracks))
+        first, size = np.empty((2, len(tracks)), np.int64)
+        at, row = np.empty((2, find_rows(self.track, np.ascontiguousarray(tracks), first, size)), np.int64)
+        list_rows(first, size, at, row)
+        return at, row
 
     def last_of(self, tracks: IntArray) -> IntArray:
         """(k,) the object of each track in its last scan, 0 for none."""
@@ -90,7 +97,7 @@ class TrackHistory(ColumnTable):
         radix = int(self.number.max(initial=0)) + 1
         (at, row), (other_at, other_row) = self.of(tracks), self.of(others)
         # Both ascend, as the rows of a track do.
-        common = places_in(at * radix + self.number[row], other_at * radix + self.number[other_row]) >= 0
+        common = places_of(at * radix + self.number[row], other_at * radix + self.number[other_row]) >= 0
         out = np.zeros(len(tracks), bool)
         out[other_at[common]] = True
         return out

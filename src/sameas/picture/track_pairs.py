@@ -33,9 +33,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import expit
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, over_columns, places_in, taken
+from sameas.arrays import BoolArray, FloatArray, IntArray, over_columns, taken
 from sameas.gaussian import log_density_and_distance, mahalanobis_sq
 from sameas.kernels.track_pairs import COVARIANCE, MEAN, WIDTH, mix, new_pair_errors, pairs_stepped
+from sameas.kernels.tracks import places_of
 from sameas.picture.error_correlation import MIN_M2, ErrorCorrelation
 from sameas.picture.id_swaps import Rivals, SwapRates, by_source_order, swap_hypotheses
 from sameas.picture.named_tracks import Step
@@ -75,7 +76,7 @@ class DistantPairs(ColumnTable):
 
     def without(self, first: IntArray, second: IntArray) -> tuple[FloatArray, DistantPairs]:
         """(k,) the ln r of the given pairs, 0 for pairs that are not in the table; and the table without them."""
-        at = places_in(keys(self.first, self.second), keys(first, second))
+        at = places_of(keys(self.first, self.second), keys(first, second))
         remains = np.ones(len(self), bool)
         remains[at[at >= 0]] = False
         return np.append(self.log_ratio, 0.0)[at], self if remains.all() else self.take(np.flatnonzero(remains))
@@ -163,7 +164,7 @@ class TrackPairs(ColumnTable):
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
         """(k,) whether each of the given pairs is in the table."""
-        return np.asarray(places_in(keys(self.first, self.second), keys(first, second)) >= 0)
+        return np.asarray(places_of(keys(self.first, self.second), keys(first, second)) >= 0)
 
     def with_(self, others: TrackPairs) -> TrackPairs:
         """The table with new pairs; pairs that were distant before keep their previous ln r."""
