@@ -290,3 +290,13 @@ def test_motions_of_gaia_without_their_errors_have_those_of_the_release_beside_q
 def test_motions_in_degrees_a_year_are_doubted() -> None:
     table = {"ra": [RA, RA], "dec": [1.0, 2.0], "pmra": [1e-6, 2e-6], "pmdec": [0.0, -1e-6], "epoch": [2000.0] * 2}
     assert any("half of the proper motions are below 1.6e-06 mas/yr" in one for one in Catalogue.of(table, "a").doubts)
+
+
+def test_motions_of_simbad_have_their_errors() -> None:
+    """The spread of unmeasured motions was assumed."""
+    table = {"main_id": ["a"], "ra": [RA], "dec": [DEC], "coo_err_maj": [0.03], "coo_err_min": [0.02],
+             "coo_err_angle": [90], "pmra": [5.0], "pmdec": [4.0], "pm_err_maj": [0.04], "pm_err_min": [0.05],
+             "plx_value": [2.0], "plx_err": [0.1]}  # fmt: skip
+    source = Catalogue.of(table, "mine")
+    sigmas = [float(np.sqrt(source.astrometry.variance(k)[0])) for k in (2, 3, 4)]
+    assert sigmas == pytest.approx([0.1, 0.04, 0.05]) and not any("column of errors" in one for one in source.doubts)

@@ -437,7 +437,12 @@ _SIMBAD = tuple(
         ids=("main_id",),
         # The default display: ICRS, "ep=J2000"; the ellipse in mas is that of the source's catalogue, one σ for Gaia.
         errors=(ErrorNames("ellipse", ellipse, "mas"),),
-        motions=(GAIA_MOTION, MotionNames(("plx_value", "", "", "rvz_radvel"), ("plx_err", "", "", "rvz_err"))),
+        # The ellipse of the motion's error, whose axes are those of right ascension and declination for Gaia.
+        motions=(
+            MotionNames(
+                ("plx_value", "pmra", "pmdec", "rvz_radvel"), ("plx_err", "pm_err_maj", "pm_err_min", "rvz_err")
+            ),
+        ),
         epoch_jyr=2000.0,
     )
     for ellipse in (
