@@ -36,6 +36,10 @@ from sameas.tracks.tuning import Tuning
 APART_M = 20.0
 #: 1σ of an offset that the description says to be none, degrees.
 _NONE_DEG = 1e-3
+#: Starting points of each offset, in 1σ of its prior, by the number of direction finders: of more, one suffices.
+_STARTS = {3: (-1.2, 0.0, 1.2), 4: (-1.0, 1.0)}
+#: Triples of an instant for each direction, beyond which they are not kept.
+_MOST_TRIPLES = 3.0
 #: Directions farther than this from their crossing are not of one object, degrees.
 _REACH_DEG = 30.0
 
@@ -57,10 +61,11 @@ def crossing_fit(feeds: Sequence[Feed]) -> CrossingFit | None:
     """The offsets of direction finders at three places or more; None if no three directions can be compared, or if most
     have several partners of equal name and frequency."""
     triples = _Triples.of(feeds) if len(feeds) > 2 else None
-    if triples is None or triples.rivals > feeds[0].tuning.crossing_rivals:
+    if triples is None:
         return None
     widths = np.array([max(feed.description.bias.azimuth_deg or 0.0, _NONE_DEG) for feed in feeds])
-    steps = [(-1.2, 0.0, 1.2) if width > _NONE_DEG and len(feeds) < 5 else (0.0,) for width in widths]
+    starts = _STARTS.get(len(feeds), (0.0,))
+    steps = [starts if width > _NONE_DEG else (0.0,) for width in widths]
     fits = [_Fit.of(triples, widths, np.array(start) * widths) for start in product(*steps)]
     best, weight, distinct = _distinct(fits)
     theta: FloatArray = weight @ np.array([fit.theta for fit in distinct])
@@ -182,21 +187,21 @@ class _Triples:
         """The number of directions of one place, the mean over the three."""
         return float(np.mean([len(np.unique(group)) for group in self.group]))
 
-    @property
-    def rivals(self) -> float:
-        """The number of triples in which a direction is, beyond the first, in the mean."""
-        return len(self.instant) / self.n_directions - 1.0
-
     @classmethod
     def of(cls, feeds: Sequence[Feed]) -> _Triples | None:
-        """All triples at matched scans; None without any."""
-        tuning = feeds[0].tuning
-        parts = [
-            (np.array(which), index, weight, instant)
-            for which in combinations(range(len(feeds)), 3)
-            for index, weight, instant in _of_scans([feeds[k] for k in which], tuning)
-        ]
-        if not parts:
+        """All triples at matched scans; None without any, or where a direction is in too many."""
+        parts: list[tuple[IntArray, IntArray, float, int]] = []
+        tuning, n_triples, n_directions = feeds[0].tuning, 0, 0.0
+        for which in combinations(range(len(feeds)), 3):
+            own = [feeds[k] for k in which]
+            for every, scan_weight, number in _of_scans(own, tuning):
+                index = every[:, _alike(own, np.arange(3)[:, None].repeat(every.shape[1], axis=1), every)]
+                directions = sum(len(np.unique(rows)) for rows in index) / 3.0
+                n_triples, n_directions = n_triples + index.shape[1], n_directions + directions
+                # Those of an instant at which most are false are not kept: they decide that nothing is estimated.
+                if 0 < index.shape[1] <= _MOST_TRIPLES * directions:
+                    parts.append((np.array(which), index, scan_weight, number))
+        if not parts or n_triples / n_directions - 1.0 > tuning.crossing_rivals:
             return None
         # Of K directions of one object, K − 2 residuals are independent.
         share = (len(feeds) - 2.0) / math.comb(len(feeds), 3)
@@ -204,8 +209,8 @@ class _Triples:
             [np.repeat(which[:, None], index.shape[1], axis=1) for which, index, _, _ in parts], axis=1
         )
         row = np.concatenate([index for _, index, _, _ in parts], axis=1)
-        weight = share * np.concatenate([np.full(index.shape[1], weight) for _, index, weight, _ in parts])
-        instant = np.concatenate([np.full(index.shape[1], instant) for _, index, _, instant in parts])
+        weight = share * np.concatenate([np.full(index.shape[1], one) for _, index, one, _ in parts])
+        instant = np.concatenate([np.full(index.shape[1], number) for _, index, _, number in parts])
         bearing, sigma, time_s = (np.empty(feed.shape) for _ in range(3))
         sensor = np.empty((*feed.shape, 2))
         for k, one in enumerate(feeds):
@@ -218,7 +223,7 @@ class _Triples:
                 reports.time_s[rows],
             )
             sensor[at] = reports.sensor_m[rows]
-        kept = _alike(feeds, feed, row)
+        kept = np.ones(feed.shape[1], bool)
         for a, b in combinations(range(3), 2):
             kept &= np.hypot(*(sensor[a] - sensor[b]).T) > APART_M
         if not kept.any():
