@@ -481,6 +481,8 @@ def test_err_behind_a_magnitude_is_its_error() -> None:
     assert "err is taken for the error of mag, which it follows; if it is the position's, give sigma='err'" in map(
         str, choice.notes
     )
+    of_band = chosen(made("ra", "dec", "g", "g_err", "V", "err"))
+    assert (of_band.error.kind, of_band.magnitude_error) == ("unknown", None)
     for names, unit in ((("ra", "dec", "err", "mag"), None), (("ra", "dec", "mag", "err"), "arcsec")):
         assert chosen(made(*names, units={"err": unit} if unit else {})).error.kind == "circle"
     assert chosen(made("ra", "dec", "mag", "err"), sigma="err").error.kind == "circle"

@@ -65,12 +65,12 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
     if not_used:
         notes = (*notes, f"not used: {', '.join(not_used)}")
     magnitude, magnitude_error = magnitudes
-    if magnitude and not magnitude_error and _follows(search, error, magnitude):
-        magnitude_error, error = error.columns[0].name, PositionError("unknown")
-        stated = (
-            f"{magnitude_error} is taken for the error of {magnitude}, which it follows; if it is the position's, give "
-        )
-        notes = (*notes, Message(stated, Argument("sigma", repr(magnitude_error))))
+    followed = _followed(search, error, magnitude)
+    if followed and not (followed == magnitude and magnitude_error):
+        name, error = error.columns[0].name, PositionError("unknown")
+        magnitude_error = name if followed == magnitude else magnitude_error
+        stated = f"{name} is taken for the error of {followed}, which it follows; if it is the position's, give "
+        notes = (*notes, Message(stated, Argument("sigma", repr(name))))
     if magnitude is None and options.magnitude is None:
         notes = (*notes, *_unused_bands(search))
     incomplete = error.kind == "unknown" or (motion[1] is not None and motion_errors[1] is None)
@@ -491,12 +491,15 @@ def _bands(search: ColumnSearch) -> dict[str, u.UnitBase | None]:
     }
 
 
-def _follows(search: ColumnSearch, error: PositionError, magnitude: str) -> bool:
-    """Whether the position error is a column ``err`` or ``sigma`` without a unit, directly behind the magnitude."""
+def _followed(search: ColumnSearch, error: PositionError, magnitude: str | None) -> str:
+    """The magnitude, or the column named as a band, directly before a position error ``err`` or ``sigma`` without a
+    unit; "" if there is none."""
     if search.options.sigma is not None or error.kind != "circle" or not error.guessed_unit:
-        return False
+        return ""
     name, names = error.columns[0].name, search.table.colnames
-    return name.lower() in ("err", "error", "sigma") and names.index(name) == names.index(magnitude) + 1
+    before = names[max(names.index(name) - 1, 0)]
+    band = before == magnitude or before in conventions.BANDS or conventions.BAND_MAGNITUDE.fullmatch(before)
+    return before if band and name.lower() in ("err", "error", "sigma") else ""
 
 
 def _unused_errors(search: ColumnSearch, used: Collection[str | None]) -> tuple[Message, ...]:
