@@ -111,6 +111,14 @@ def test_the_resolution_must_be_positive(resolution):
         find_blends(first, second, resolution, errors=Errors())
 
 
+def test_a_resolution_far_above_the_spacing_is_refused():
+    """Every two objects of a field were couples of each record: memory and hours without an end."""
+    rng = np.random.default_rng(4)
+    coarse, fine = (Records.of(rng.uniform(0.0, 9.0, (n, 2)), sigma=0.3, source=f"a{n}") for n in (50, 400))
+    with pytest.raises(InputError, match=r"about \d+ records of a400 lie within .* of each one of a50, too many"):
+        find_blends(coarse, fine, 6.0, errors=Errors())
+
+
 def test_fluxes_are_those_of_the_records():
     first, second, flux = small(np.random.default_rng(1))
     for wrong in (flux[:2], -flux):

@@ -42,6 +42,7 @@ class BlendTuning:
     reach : maximum separation of a blend, in resolutions.
     gate_sigmas, tail_sigmas : maximum distance of a partner from its expected position, in typical standard
         deviations, and in those of the largest error scale; the latter at most a resolution.
+    max_couples : maximum mean number of couples near a record; with more, the resolution is refused.
     flux_shares : number of shares w that are averaged over without fluxes.
     max_mergers : maximum number of sets of merged couples of a cluster; with more, its widest couples are apart: they
         merge or not whatever the others do.
@@ -60,6 +61,7 @@ class BlendTuning:
     reach: float = 1.75
     gate_sigmas: float = 6.4
     tail_sigmas: float = 3.0
+    max_couples: float = 1_000.0
     flux_shares: int = 9
     max_mergers: int = 1_000
     min_log_odds: float = math.log(1e-6)
@@ -143,7 +145,8 @@ def find_blends(
     flux : (n₂,) of the fine source's records in the coarse source's band; NaN where unknown.
     coverage : of both; estimated if None.
 
-    Raises InputError: a resolution that is not positive, fluxes that are not one above 0 per record.
+    Raises InputError: a resolution that is not positive, or so large that crowds lie within it; fluxes that are not one
+    above 0 per record.
 
     The model is that of the module.
 
@@ -247,6 +250,13 @@ def candidates_of(
     order = np.lexsort((near.j, near.i))
     i, j, residual = near.i[order].astype(np.int64), near.j[order].astype(np.int64), near.residual[order]
     covariance = near.covariance[order]
+    number = np.bincount(i, minlength=len(first))
+    if float((number * (number - 1)).mean()) > 2.0 * tuning.max_couples:
+        raise InputError(
+            f"blends: about {number.mean():.0f} records of {second.source} lie within "
+            f"{greatest_separation + max_offset:.3g} of each one of {first.source}, too many for blends of two",
+            "give a smaller resolution",
+        )
     single = _log_densities(residual, covariance, errors)
     e, f = _pairs_of_equal(i)
     separation = np.sqrt(((residual[e] - residual[f]) ** 2).sum(axis=1))
