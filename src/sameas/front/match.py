@@ -116,7 +116,8 @@ class Match(Result):
 
         Raises
         ------
-        InputError : a resolution that is not positive; a flux array of the wrong length.
+        InputError : a resolution that is not positive, or far above the spacing of the objects; a flux array of the
+            wrong length.
         """
         import numpy as np
 
