@@ -76,11 +76,22 @@ def test_times_in_seconds_are_refused_with_the_option_of_the_time(table, tmp_pat
 
 def test_doubts_about_the_columns_of_a_table_are_said(table, tmp_path):
     night = read_table(table)
-    night["err"], night["ra"][3] = 0.2, night["ra"][3] + 360.0
+    night.add_column(0.2, name="err", index=0)
+    night["ra"][3] += 360.0
     night.write(tmp_path / "night2.csv")
     words = " ".join(run(tmp_path / "night2.csv", "-o", tmp_path / "movers.csv").output.split())
     assert "doubt night2: the unit of err is not stated; by its size arcsec: give --sigma-unit UNIT" in words
     assert "values of ra is beyond 360° or below −180° and was reduced to one turn (first: row 3" in words
+
+
+def test_an_error_behind_a_magnitude_is_offered_where_positions_have_none(table, tmp_path):
+    night = read_table(table)
+    night["mag"], night["err"] = 17.0, 0.2
+    night.write(tmp_path / "night2.csv")
+    result = run(tmp_path / "night2.csv", "-o", tmp_path / "movers.csv")
+    words = " ".join(result.output.split())
+    assert result.exit_code == 1 and "no column of position errors" in words
+    assert "err is taken for the error of mag, which it follows; if it is the position's, give --sigma err" in words
 
 
 WHO = (

@@ -182,8 +182,12 @@ class Catalogue:
         InputError : an epoch is given but the catalogue's epoch is not known; no position errors are known.
         """
         if self.error_is_unknown:
+            others = [note for note in self.choice.notes if isinstance(note, Message) and _is_of_errors(note)]
             raise InputError(
-                f"{self.name}: no column of position errors ({self.choice.convention})",
+                Message(
+                    f"{self.name}: no column of position errors ({self.choice.convention})",
+                    *(part for note in others for part in ("; ", note)),
+                ),
                 naming("give {sigma:ARCSEC}, {sigma:COLUMN} or {ellipse:'A,B,ANGLE'}"),
                 source=self.name,
             )
@@ -218,6 +222,11 @@ class Catalogue:
             table=self.table,
             invalid="set aside",
         )
+
+
+def _is_of_errors(note: Message) -> bool:
+    """Whether a note names the argument for columns of position errors."""
+    return any(argument.name in ("sigma", "ellipse") for argument in note.arguments)
 
 
 def _position_errors(astrometry: Astrometry) -> FloatArray:
