@@ -243,7 +243,8 @@ def _by_crossings(feeds: Sequence[Feed]) -> list[RegisteredFeed]:
             )  # fmt: skip
         else:
             covariance[AZIMUTH, AZIMUTH] = width_deg**2
-            why = "of two places alone do not" if len(feeds) == 2 else "of several objects without frequencies do not"
+            several = "of several objects without frequencies, or of equal ones, do not"
+            why = "of two places alone do not" if len(feeds) == 2 else several
             note = (
                 f"{name}: directions {why} show its offset: the errors of positions allow for ± {width_deg:g}°; if it "
                 "has none, give bias azimuth_deg = 0"
