@@ -320,11 +320,8 @@ class Merging:
         mergers, kept = {}, np.ones(len(couples), np.bool_)
         pending, least = np.argsort(-blended, kind="stable"), 0.0
         while len(pending):
-            cluster, undone = (
-                _components(couples[pending, 0], couples[pending, 1], n2)[couples[pending, 0]],
-                [np.empty(0, np.int64)],
-            )
-            least = max(2.0 * least, 1e-3)
+            cluster = _components(couples[pending, 0], couples[pending, 1], n2)[couples[pending, 0]]
+            undone, least = [np.empty(0, np.int64)], max(2.0 * least, 1e-3)
             for rows in _by(pending, cluster):
                 of_cluster = _mergers(couples[rows], blended[rows], max_mergers)
                 if of_cluster is None:
