@@ -29,7 +29,7 @@ from sameas.sky.catalogue_doubts import (
 from sameas.sky.column_choice import CatalogueOptions, ColumnChoice, Epoch, PositionError, in_years
 from sameas.sky.columns import choose
 from sameas.sky.motion import Astrometry, Variances, position_at
-from sameas.sky.table_astrometry import epochs_jyr, motions, table_astrometry
+from sameas.sky.table_astrometry import epochs_jyr, table_astrometry
 from sameas.space import Sphere
 
 __all__ = ["Catalogue", "CatalogueOptions"]
@@ -113,8 +113,7 @@ class Catalogue:
     def _of_choice(cls, rows: Table, choice: ColumnChoice, options: CatalogueOptions, name: str) -> Catalogue:
         """The catalogue of a table with chosen columns."""
         magnitude = _brightness(rows, choice.magnitude, name)
-        astrometry, filled_arcsec = table_astrometry(rows, choice, options, magnitude, name)
-        unmoved = [np.isnan(motion) for motion in motions(rows, choice, name)[1:3] if motion is not None]
+        astrometry, filled_arcsec, unmoved = table_astrometry(rows, choice, options, magnitude, name)
         has_motion = bool(unmoved) and not bool(unmoved[0].all())
         if has_motion:
             choice = replace(choice, notes=(*choice.notes, *missing_motion_note(np.logical_or(*unmoved), options)))
@@ -150,7 +149,7 @@ class Catalogue:
         """Other rows of the same source with the same columns and options, without doubts; may be empty."""
         rows = column_values.as_table(table, self.name)
         magnitude = _brightness(rows, self.choice.magnitude, self.name)
-        astrometry, _ = table_astrometry(rows, self.choice, self.options, magnitude, self.name)
+        astrometry, *_ = table_astrometry(rows, self.choice, self.options, magnitude, self.name)
         ids, _ = _ids(rows, self.choice, self.options, self.name)
         return replace(
             self, table=rows, ids=ids, astrometry=astrometry, doubts=(), magnitude=magnitude,

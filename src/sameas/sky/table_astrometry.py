@@ -40,10 +40,12 @@ def ellipse_covariance(
 
 def table_astrometry(
     table: Table, choice: ColumnChoice, options: CatalogueOptions, magnitude: FloatArray | None, source: str
-) -> tuple[Astrometry, FloatArray]:
-    """Positions, motions and errors, and the position errors that were filled in, arcsec."""
+) -> tuple[Astrometry, FloatArray, list[BoolArray]]:
+    """Positions, motions and errors; the position errors that were filled in, arcsec; and which rows (n,) have no
+    proper motion in right ascension, and which none in declination: an empty list without columns of motions."""
     ra, dec, rotation = _icrs_position(table, choice, source)
-    motion = motions(table, choice, source)
+    motion = _motions(table, choice, source)
+    unmoved = [np.isnan(one) for one in motion[1:3] if one is not None]
     sigma, correlation = _errors(table, choice, options, magnitude, source, rotation)
     filled_arcsec = np.zeros(0)
     if options.fill_errors and choice.error.kind != "unknown":
@@ -69,7 +71,9 @@ def table_astrometry(
         source=source,
     )
     # Astrometry.of requires an epoch: 2000 was a placeholder for an unknown one.
-    return (replace(astrometry, epoch_jyr=epoch) if np.isnan(epoch).any() else astrometry), filled_arcsec
+    if np.isnan(epoch).any():
+        astrometry = replace(astrometry, epoch_jyr=epoch)
+    return astrometry, filled_arcsec, unmoved
 
 
 def _possible_declinations(ra: FloatArray, dec: FloatArray, source: str) -> FloatArray:
@@ -312,7 +316,7 @@ def _by_covariance(
 _LARGEST_MOTION = 1e8
 
 
-def motions(table: Table, choice: ColumnChoice, source: str) -> list[FloatArray | None]:
+def _motions(table: Table, choice: ColumnChoice, source: str) -> list[FloatArray | None]:
     """Parallax, proper motions and radial velocity, each (n,) in mas, mas/yr and km/s; None without a column.
 
     Missing are nines (−9999.99, 999) in both proper motions of a row, and below zero as a parallax or a velocity.
@@ -341,7 +345,7 @@ def _without(values: FloatArray, rows: IntArray) -> FloatArray:
 
 
 def _motion_errors(table: Table, choice: ColumnChoice, source: str) -> list[FloatArray | None]:
-    """The errors of :func:`motions`; negative ones are missing."""
+    """The errors of :func:`_motions`; negative ones are missing."""
     values = [None if c is None else column_values.numbers(table, c.name, source) for c in choice.motion_errors]
     known = [None if v is None else np.where((v >= 0.0) & (v < _LARGEST_MOTION), v, np.nan) for v in values]
     return _in_motion_units(table, choice.motion_errors, known, choice, source)
