@@ -366,10 +366,8 @@ class Feed:
             return out
         beam = math.radians(beam_deg)
         east, north = (one[0][:, None, v] - other[0][:, v] for v in (0, 1))
-        variance, range_m = (
-            [np.trace(places[1], axis1=1, axis2=2) + MIN_RANGE_M**2 for places in (one, other)],
-            [np.hypot(*(places[0] - sensor).T) + MIN_RANGE_M for places in (one, other)],
-        )
+        variance = [np.trace(places[1], axis1=1, axis2=2) + MIN_RANGE_M**2 for places in (one, other)]
+        range_m = [np.hypot(*(places[0] - sensor).T) + MIN_RANGE_M for places in (one, other)]
         farthest = cell_m + beam * np.add.outer(*range_m) + RESOLVED_SIGMAS * np.sqrt(2.0 * np.add.outer(*variance))
         i, j = np.nonzero(np.hypot(east, north) <= farthest)
         delta, arm = one[0][i] - other[0][j], 0.5 * (one[0][i] + other[0][j]) - sensor
