@@ -1,15 +1,17 @@
 """A sensor aboard a vessel is where another source says that the vessel is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sameas.errors import InputError
 from sameas.io.sensors import ReadOptions, read_reports
-from sameas.io.sensors.sentences import clock, heading, position
+from sameas.io.sensors.sentences import AisWriter, clock, heading, position
 from sameas.picture.live import LivePicture
 from sameas.tracks import Description, Platform, Reports, Scene, SensorErrors
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.source import read_descriptions
+from sameas.tracks.source import Site, read_descriptions
 
 PLANE, START_S = LocalPlane(50.7, -1.2), 1_714_560_000.0
 TIMES = START_S + np.arange(0.0, 120.0, 2.5)
@@ -252,3 +254,44 @@ def test_a_live_radar_turns_with_the_heading_last_received():
     at = np.hypot(picture.objects["x_m"] - BUOY[0], picture.objects["y_m"] - BUOY[1])
     assert at.max() < 40.0 and picture.counts["radar"].unplaced == 0
     assert picture.counts["gps"].taken == len(compass().where(compass().time_s <= TIMES[19] - 1.0)) - 2
+
+
+def log_of_her_receivers(tmp_path, own_as):
+    """A ship's log of others' AIS every 20 s, with her own heading and position every second."""
+    writer, lines = AisWriter(), []
+    for t in np.arange(START_S - 2.0, START_S + 122.0):
+        lat, lon = (float(one[0]) for one in PLANE.to_geodetic(boat([t])))
+        lines += [clock(t), heading(float(headings([t])[0]))]
+        own = {"type": 1, "mmsi": 235000111, "lat": lat, "lon": lon, "heading": 511, "second": int(t % 60)}
+        lines += position(lat, lon) if own_as == "GLL" else writer(own, own=True)
+        if t % 20 == 0:
+            lines += writer(own | {"mmsi": 235000222, "lat": 50.72})
+    (tmp_path / "boat.nmea").write_text("\n".join(lines) + "\n")
+    [log] = read_reports(tmp_path / "boat.nmea", ReadOptions("boat"))
+    return log
+
+
+@pytest.mark.parametrize(("own_as", "platform"), [("GLL", {"source": "boat"}), ("VDO", {"mmsi": "235000111"}),
+                                                  ("VDO", None)])  # fmt: skip
+def test_a_ships_log_of_ais_places_and_turns_the_radar_aboard(own_as, platform, tmp_path):
+    """Her own reports were passed over: nobody had a position of her MMSI, or the log had several tracks."""
+    log = log_of_her_receivers(tmp_path, own_as)
+    assert set(log.mmsi) == {"235000222"}
+    radar = replace(described(source="boat"), platform=Platform(**platform) if platform else None)
+    feed = scene(radar, log, reports=bow_plots()).feeds[0]
+    # A VDO has no clock of its own finer than that of the log.
+    assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 12.0
+    assert any("taken to be aboard the vessel of source boat" in note for note in feed.notes) == (platform is None)
+
+
+def test_a_radar_without_a_place_is_aboard_the_only_ship_with_positions_of_her_own():
+    radar = Description("radar", "marine radar", errors=SensorErrors(range_m=5.0))
+    own = replace(gps(), kind="own ship")
+    feed = scene(radar, own).feeds[0]
+    assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 0.1
+    assert any("taken to be aboard the vessel of source gps" in note for note in feed.notes)
+    # A radar with a site is there, and of two ships nobody knows which.
+    fixed = replace(radar, site=Site(50.7, -1.2))
+    assert np.ptp(scene(fixed, own, ais("235000111")).feeds[0].reports.state[:, 0]) > 100.0
+    with pytest.raises(InputError, match="site"):
+        scene(radar, own, replace(own, source="plotter"), ais("235000111"))

@@ -264,3 +264,19 @@ def test_the_track_of_a_vessel_that_carries_a_sensor_needs_no_kind(tmp_path):
     assert gps.description.kind == "tracks" and gps.why_kind == "it has the positions of a vessel with a sensor"
     with pytest.raises(InputError, match="gps: what kind of sensor is it"):
         read_sources(files)
+
+
+def test_a_table_of_one_path_without_names_is_own_ships(tmp_path):
+    """It was asked what kind of sensor she is."""
+    rows = [f"{t},{50.0 + 5.0 * t / 111_200.0:.6f},-1.0,5" for t in range(40)]
+    (tmp_path / "voyage.csv").write_text("time_s,lat,lon,heading\n" + "\n".join(rows) + "\n")
+    [own] = read_sources([tmp_path / "voyage.csv"])
+    assert own.reports.kind == "own ship" and own.lines()[0] == (
+        "voyage (voyage.csv): 40 reports (own ship, geodetic positions): its positions have no names and are on one "
+        "path: own ship; if not, give its kind"
+    )
+    # Plots without names jump.
+    jumping = [row.replace("50.0", "50.1") if k % 3 else row for k, row in enumerate(rows)]
+    (tmp_path / "voyage.csv").write_text("time_s,lat,lon,heading\n" + "\n".join(jumping) + "\n")
+    with pytest.raises(InputError, match="voyage: what kind of sensor is it"):
+        read_sources([tmp_path / "voyage.csv"])

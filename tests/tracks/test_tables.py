@@ -840,3 +840,51 @@ def test_the_navigational_status_of_ais_is_read_as_number_or_text_and_that_of_ot
     plots = "time,range_m,bearing_deg,status\n2024-05-01T12:00:00Z,500,20,5\n2024-05-01T12:00:03Z,510,20,1\n"
     radar = table(plots)
     assert "nav_status" not in radar.extra and "columns not used: status" in " ".join(radar.notes)
+
+
+def plots_of_a_boat(names, *, own=True):
+    """Ten scans of three buoys from a boat that goes north at 5 m/s; places of the boat, or of the buoys."""
+    buoys, rows = np.array([[900.0, 400.0], [-1500.0, 2000.0], [300.0, -2500.0]]), []
+    for k in range(10):
+        for x, y in buoys - [0.0, 12.5 * k]:
+            north, east = (12.5 * k, 0.0) if own else (y + 12.5 * k, x)
+            rows.append(
+                f"{2.5 * k},{np.hypot(x, y):.1f},{np.degrees(np.arctan2(x, y)) - 5.0:.1f},"
+                f"{50.0 + north / 111200.0:.6f},{-1.0 + east / 71480.0:.6f},5,9.7,{10 + k % 2}"
+            )
+    return table("\n".join([names, *rows]), start_s="2024-05-01T10:00:00Z")
+
+
+@pytest.mark.parametrize("bearing", ["RelBearing_deg", "bearing_deg"])
+def test_places_beside_plots_that_jump_are_those_of_the_boat(bearing):
+    """They were those of the plots: all stood at the boat, and the ranges were not used."""
+    found = plots_of_a_boat(f"time,range_m,{bearing},lat,lon,heading,SOG,COG")
+    assert found.position == "polar" and np.ptp(found.station_lat_deg) > 0.001 and found.speed_m_per_s is None
+    assert found.station_heading_deg.tolist() == [5.0] * 30 and found.heading_deg is None
+    expected = np.degrees(np.arctan2(900.0, 400.0)) - (5.0 if bearing == "bearing_deg" else 0.0)
+    assert found.bearing_deg[0] == pytest.approx(expected, abs=0.06)
+    assert "radar.csv: lat, lon, heading, SOG, COG: read as those of the vessel with the sensor" in found.notes
+
+
+def test_places_beside_plots_that_jump_with_them_are_those_of_the_plots():
+    found = plots_of_a_boat("time,range_m,RelBearing_deg,lat,lon,heading,SOG,COG", own=False)
+    assert found.position == "geodetic" and found.station_lat_deg is None and found.relative_bearing_deg is None
+    assert found.speed_m_per_s[0] == pytest.approx(9.7 * KNOT) and found.heading_deg[0] == 5.0
+
+
+def test_speeds_that_stay_while_plots_jump_are_the_boats():
+    found = plots_of_a_boat("time,range_m,bearing_deg,own_lat,own_lon,own_heading,SOG,COG")
+    assert found.station_heading_deg[0] == 5.0 and found.speed_m_per_s is None and found.course_deg is None
+
+
+def test_static_data_of_ships_in_rows_of_their_own_are_read_and_are_no_damage():
+    found = table("""
+time,mmsi,lat,lon,shipname,to_bow,to_stern,to_port,to_starboard
+2024-05-01T10:00:00Z,235000111,50.0,-1.0,,,,,
+2024-05-01T10:00:01Z,235000111,,,FERRY,40,60,8,8
+2024-05-01T10:00:02Z,235000222,50.1,-1.0,,,,,
+2024-05-01T10:00:03Z,235000222,,,,,,,
+""")
+    assert found.passed_over == {"static data of ships, without a position": 1}
+    assert found.damaged.counts() == {"no position": 1}
+    assert found.name.tolist() == ["FERRY", None] and found.covariance_m2[0, 0] > 100.0

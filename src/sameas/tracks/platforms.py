@@ -39,6 +39,14 @@ def on_platform(
     if not len(reports):
         return reports, ()
     platform = description.platform
+    notes: list[str] = []
+    if platform is None and needs_place(description, reports):
+        platform = _only_ship(description.name, others)
+        if platform is not None:
+            notes.append(
+                f"{description.name}: taken to be aboard the {platform}, the only one whose own positions are known; "
+                "if it is not, give its site"
+            )
     if platform is None:
         if reports.relative_bearing_deg is not None:
             raise InputError(
@@ -55,7 +63,6 @@ def on_platform(
     if reports.relative_bearing_deg is not None:
         steps.append(_turned)
     vessel = _reports_of(platform, description.name, others) if steps else []
-    notes: list[str] = []
     for step in steps:
         if len(reports):
             reports, of_step = step(description.name, platform, vessel, reports, tuning)
@@ -65,6 +72,24 @@ def on_platform(
 
 #: The kind of reports of the positions of a ship by her own receivers.
 OWN_POSITIONS = "own ship"
+
+
+def needs_place(description: Description, reports: Reports) -> bool:
+    """Whether reports are measured from a sensor whose place neither they nor the description state."""
+    measured = reports.position in ("polar", "bearing")
+    stated = reports.station_lat_deg is not None or reports.station_x_m is not None or description.site is not None
+    return measured and (reports.relative_bearing_deg is not None or not stated)
+
+
+def _only_ship(sensor: str, others: Mapping[str, Sequence[Reports]]) -> Platform | None:
+    """The ship of the only source with own ship's positions; None if there is none, or several."""
+    found = [name for name, parts in others.items() if name != sensor and any(map(_has_own_ship, parts))]
+    return Platform(source=found[0]) if len(found) == 1 else None
+
+
+def _has_own_ship(part: Reports) -> bool:
+    return part.kind == OWN_POSITIONS or part.own_ship is not None
+
 
 Step = tuple[Reports, list[str]]
 
@@ -167,7 +192,9 @@ def _reports_of(platform: Platform, sensor: str, others: Mapping[str, Sequence[R
     for source, parts in others.items():
         if source == sensor or platform.source not in (None, source):
             continue
-        own = [part.where(_is_of(platform, part)) for part in parts]
+        tracks = [part.own_ship for part in parts if part.own_ship is not None]
+        own = [track for track in tracks if platform.mmsi is None or _is_of(platform, track).any()]
+        own = own or [part.where(_is_of(platform, part)) for part in parts]
         own = [part for part in own if len(part) and (part.lat_deg is not None or part.x_m is not None)]
         if own:
             found[source] = own

@@ -150,6 +150,7 @@ class Reports:
     passed_over : number of other lines of the file, by kind.
     notes : assumptions, one printable sentence each.
     counted_clock : whether times are counted from the seconds in messages, so that whole minutes may be missing.
+    own_ship : the positions and headings of the ship whose receivers wrote the log, where it has them.
     """
 
     source: str
@@ -200,6 +201,7 @@ class Reports:
     passed_over: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     counted_clock: bool = False
+    own_ship: Reports | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -388,7 +390,7 @@ def without_stray_times(reports: Reports) -> Reports:
 
 
 _TEXTS = ("track_id", "mmsi", "imo", "icao", "callsign", "mode_a", "name", "type")
-_NO_COLUMNS = ("source", "kind", "extra", "damaged", "passed_over", "notes", "counted_clock")
+_NO_COLUMNS = ("source", "kind", "extra", "damaged", "passed_over", "notes", "counted_clock", "own_ship")
 _COLUMNS = tuple(f.name for f in fields(Reports) if f.name not in _NO_COLUMNS)
 _PLACES = ("lat_deg", "lon_deg", "x_m", "y_m", "range_m", "bearing_deg", "relative_bearing_deg")
 #: Directions, from 0° to 360°.

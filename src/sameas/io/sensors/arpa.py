@@ -406,10 +406,11 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
     """AIS and radar targets of a log; two sources where it has both."""
     kinds = {sentence.kind for sentence in log.sentences}
     has_ais, has_arpa = "VDM" in kinds, bool(kinds & set(SENTENCES))
-    own = own_ship_of(log, ArpaState())
+    ship = ArpaState()
+    own = own_ship_of(log, ship)
     if not (has_ais or has_arpa):
         if positions := own_positions(log, source, start_s, own):
-            return with_own_ship([positions], log, own)
+            return with_own_ship([positions], log, own, start_s)
         listed = ", ".join(sorted(kinds)) or "none"
         raise InputError(f"{source}: no AIS (VDM) and no radar targets (TTM, TLL) among its sentences: {listed}")
     both = has_ais and has_arpa
@@ -418,7 +419,7 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
         # Damaged lines are counted once, with the first source.
         rest = replace(log, damaged=()) if both else log
         sources.append(read(rest, f"{source}:arpa" if both else source, start_s, own=own))
-    return with_own_ship(sources, log, own)
+    return with_own_ship(sources, log, own, start_s, ship.mmsi)
 
 
 #: Sentences of positions, and the field of their time of day.
@@ -426,11 +427,13 @@ _POSITIONS = {"RMC": 1, "GGA": 1, "GNS": 1, "GLL": 5}
 
 
 def own_positions(log: Log, source: str, start_s: float | None, own: Mapping[str, FloatArray]) -> Reports | None:
-    """The positions of own ship, as of :func:`own_ship_of`, the last of each time; None if the log has none.
+    """The positions of own ship, as of :func:`own_ship_of`, the last of each time; None if the log has none. Those of
+    her AIS count where no receiver gives any.
 
     Raises InputError: no time.
     """
     of_position = [k for k, s in enumerate(log.sentences) if s.kind in _POSITIONS]
+    of_position = of_position or [k for k, s in enumerate(log.sentences) if s.kind == "VDO"]
     indices = np.array([k for k in of_position if np.isfinite(own["lat"][k] + own["lon"][k])], np.int64)
     if not len(indices):
         return None
@@ -450,21 +453,32 @@ def _day_s(sentence: Sentence) -> float:
     """The time of day of a sentence of a position; NaN where it has none."""
     try:
         return time_of_day(sentence.field(_POSITIONS[sentence.kind]))
-    except ValueError:
+    except (KeyError, ValueError):
         return np.nan
 
 
-def with_own_ship(sources: Sequence[Reports], log: Log, own: Mapping[str, FloatArray]) -> list[Reports]:
-    """The reports of a log with own ship at each of them, as :data:`~sameas.io.sensors.format.OWN_SHIP`, where her
-    position is known. own : as of :func:`own_ship_of`."""
+def with_own_ship(
+    sources: Sequence[Reports], log: Log, own: Mapping[str, FloatArray], start_s: float | None = None, mmsi: str = ""
+) -> list[Reports]:
+    """The reports of a log with own ship at each of them, as :data:`~sameas.io.sensors.format.OWN_SHIP`, and her track,
+    where her position is known.
+
+    own : as of :func:`own_ship_of`. mmsi : hers, where it is known.
+    """
     if not np.isfinite(own["lat"] + own["lon"]).any():
         return list(sources)
+    try:
+        track = own_positions(log, "own ship", start_s, own)
+    except InputError:
+        track = None  # its sentences have no times
+    if track is not None and mmsi:
+        track = replace(track, mmsi=np.full(len(track), mmsi, object))
     lines = np.array([sentence.line for sentence in log.sentences])
     out = []
     for reports in sources:
         index = np.searchsorted(lines, reports.line, side="right") - 1
         columns = {column: own[name][index] for name, column in OWN_SHIP.items()}
-        out.append(replace(reports, extra={**reports.extra, **columns}))
+        out.append(replace(reports, extra={**reports.extra, **columns}, own_ship=track))
     return out
 
 

@@ -28,7 +28,7 @@ from sameas.errors import Argument, InputError, Message, reading
 from sameas.io.sensors import aircraft, arpa, asterix, cot, gpsd, gpx, mode_s, n2k, recording, sbs, signalk, tables
 from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat, kind_by_name, kind_of
 from sameas.tracks.kinds import CARRIER_KIND, KINDS
-from sameas.tracks.platforms import only_carries
+from sameas.tracks.platforms import OWN_POSITIONS, only_carries
 from sameas.tracks.reports import NoReports, Reports, without_stray_times
 from sameas.tracks.source import Description, source_tables
 
@@ -147,6 +147,8 @@ class SensorSource:
         first = first.replace(self.reports.source, f"{self.reports.source} ({self.path.name})", 1)
         if self.why_kind is None:
             return [f"{first}, {self.description.kind}", *rest]
+        if self.reports.kind == OWN_POSITIONS:
+            return [f"{first}: {self.why_kind}", *rest]
         return [f"{first}, read as {self.description.kind}: {self.why_kind}", *rest]
 
 
@@ -293,10 +295,39 @@ def source_of(name: str, reports: Reports, described: Mapping[str, SourceOptions
         return SensorSource(options.description, reports, path, None)
     if only_carries(name, reports, (one.description for one in described.values())):
         kind, why = CARRIER_KIND, "it has the positions of a vessel with a sensor"
+        reports = replace(reports, kind=OWN_POSITIONS)
+    elif _is_of_one_ship(reports):
+        kind, why = (
+            CARRIER_KIND,
+            "its positions have no names and are on one path: own ship; if it is a sensor, give its kind",
+        )
+        reports = replace(reports, kind=OWN_POSITIONS)
     else:
         kind, why = _kind(reports)
     description = Description(reports.source) if options is None else options.description
     return SensorSource(replace(description, kind=kind), reports, path, why)
+
+
+#: Positions that are a path; speed that no ship exceeds between two, m/s, and the share that may seem to; metres by
+#: which the height of a ship may vary.
+PATH_POSITIONS, SHIP_M_PER_S, SHIP_SHARE, SHIP_HEIGHT_M = 20, 40.0, 0.01, 50.0
+
+
+def _is_of_one_ship(reports: Reports) -> bool:
+    """Whether a table that shows no kind of sensor is the track of one ship: her positions follow each other."""
+    if reports.kind != "table" or reports.object_ids is not None or reports.covariance_m2 is not None:
+        return False
+    if kind_by_name(reports.source) or any(getattr(reports, column) is not None for column in _COLUMNS):
+        return False
+    track = reports.in_time_order()
+    if track.lat_deg is None or track.lon_deg is None or len(track) < PATH_POSITIONS:
+        return False
+    if track.alt_m is not None and np.nanmax(track.alt_m) - np.nanmin(track.alt_m) > SHIP_HEIGHT_M:
+        return False
+    east_deg = track.lon_deg * np.cos(np.radians(track.lat_deg))
+    way = tables.DEGREE_M * np.hypot(np.diff(track.lat_deg), np.diff(east_deg))
+    # Stamps may be rounded to seconds.
+    return bool(np.mean(way > SHIP_M_PER_S * np.maximum(np.diff(track.time_s), 1.0)) <= SHIP_SHARE)
 
 
 def _kind(reports: Reports) -> tuple[str, str]:

@@ -11,6 +11,9 @@ import re
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
 
 from sameas.errors import Argument, InputError, Message
 from sameas.io.sensors.ais import SIDES
@@ -308,11 +311,78 @@ def _with_own_place(chosen: dict[str, Choice], kind: str | None) -> dict[str, Ch
     return {column: choice for column, choice in chosen.items() if choice not in (lat, lon)} | own
 
 
+#: Change of the arm from one report to the next above which they are of different objects, m; the part of it that the
+#: place of the sensor changes at most; and the change of her velocity between them, m/s (chosen).
+_OTHER_M, _STEADY_PART, _STEADY_M_PER_S = 100.0, 0.2, 0.5
+
+
+def with_sensors_motion(
+    values: Mapping[str, Any], chosen: Mapping[str, Choice]
+) -> tuple[dict[str, Any], dict[str, Choice]]:
+    """The values with the place, heading and velocity of the vessel with the sensor as hers, where the columns name
+    nobody's: beside ranges and bearings that jump from object to object, they follow each other.
+
+    >>> choices = choose(["time", "range", "relbearing", "lat", "lon", "heading", "sog"], "radar")
+    >>> values = {"range_m": 1000.0 * np.arange(1, 5), "relative_bearing_deg": np.arange(4) % 2 * 90.0}
+    >>> values |= {name: np.full(4, 50.0) for name in ("lat_deg", "lon_deg", "heading_deg", "speed_m_per_s")}
+    >>> values, choices = with_sensors_motion(values, choices)
+    >>> sorted(values)
+    ['range_m', 'relative_bearing_deg', 'station_heading_deg', 'station_lat_deg', 'station_lon_deg']
+    """
+    out, choices = dict(values), dict(chosen)
+    bearing = next((name for name in ("bearing_deg", "relative_bearing_deg") if name in out), None)
+    if "range_m" not in out or bearing is None:
+        return out, choices
+    is_hers = _follows(out, bearing, ("lat_deg", "lon_deg")) if "station_lat_deg" not in out else False
+    if "lat_deg" in out and not is_hers:
+        # Nothing is made of bearings from the bow beside the positions of the targets.
+        out.pop("relative_bearing_deg", None), choices.pop("relative_bearing_deg", None)
+        return out, choices
+    if not is_hers and "track_id" in out:
+        return out, choices
+    unused = [name for name in ("speed_m_per_s", "course_deg") if name in out]
+    if not is_hers and not (unused and _follows(out, bearing, ("speed_m_per_s", "course_deg"))):
+        return out, choices
+    moved = [name for name in ("lat_deg", "lon_deg", "heading_deg") if name in out]
+    moved = [name for name in moved if f"station_{name}" not in out]
+    why = f"{', '.join(choices[name].name for name in (*moved, *unused))}: read as those of the vessel with the sensor"
+    for one in unused:
+        del out[one], choices[one]
+    for name in moved:
+        out[f"station_{name}"] = out.pop(name)
+        choices[f"station_{name}"] = replace(choices.pop(name), quantity=_QUANTITY[f"station_{name}"])
+    first = bearing if bearing in choices else "range_m"
+    choices[first] = replace(choices[first], why="; ".join(filter(None, (choices[first].why, why))))
+    return out, choices
+
+
+def _follows(values: Mapping[str, Any], bearing: str, names: tuple[str, str]) -> bool:
+    """Whether places (latitude, longitude) or velocities (speed, course) hardly change between reports of different
+    objects."""
+    if not set(names) <= set(values):
+        return False
+    first, second = (values[name] for name in names)
+    if names[0] == "lat_deg":
+        state = 60.0 * MILE_M * np.column_stack([first, second * np.cos(np.radians(first))])
+    else:
+        state = first[:, None] * np.column_stack([np.cos(np.radians(second)), np.sin(np.radians(second))])
+    angle = np.radians(values[bearing])
+    arm = values["range_m"][:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    change, way = (np.hypot(*np.diff(one, axis=0).T) for one in (state, arm))
+    others = (way > _OTHER_M) & np.isfinite(change)
+    if 2 * others.sum() < len(way) or not len(way):
+        return False
+    most = _STEADY_PART * np.median(way[others]) if names[0] == "lat_deg" else _STEADY_M_PER_S
+    return bool(np.median(change[others]) < most)
+
+
 def _with_own_heading(chosen: dict[str, Choice]) -> dict[str, Choice]:
     """The columns of bearings from the bow with the heading that they need; without them beside other positions."""
     relative = chosen.get("relative_bearing_deg")
     if relative is None:
         return chosen
+    if "range_m" in chosen and "lat_deg" in chosen and not {"bearing_deg", "station_lat_deg"} & set(chosen):
+        return chosen  # The values show whose position it is.
     if {"lat_deg", "x_m", "bearing_deg"} & set(chosen):
         return {column: choice for column, choice in chosen.items() if choice is not relative}
     # A radar does not know where the bows of its targets are: the heading beside a bearing from the bow is her own.

@@ -32,7 +32,7 @@ from sameas.io.sensors.format import (
 )
 from sameas.io.sensors.languages import DATES, HOURS, plain
 from sameas.io.sensors.table_cells import NULLS, PARQUET, TableText, cells_of, distinct_texts, of_each, parts_of
-from sameas.io.sensors.table_columns import NO_UNIT, Choice, choose, require_columns, stem_of
+from sameas.io.sensors.table_columns import NO_UNIT, Choice, choose, require_columns, stem_of, with_sensors_motion
 from sameas.io.sensors.table_times import milliseconds, times_of
 from sameas.representation import counted
 from sameas.tracks.reports import DIRECTIONS, Damaged, Reports, is_impossible
@@ -72,6 +72,7 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
         name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
     }
     chosen = _with_unit_of_frequencies(values, chosen)
+    values, chosen = with_sensors_motion(values, chosen)
     values, chosen = _with_nav_status(values, _without_row_numbers(values, chosen), is_ais)
     marks = _mark_unavailable(values, chosen, is_ais)
     start_s = start_seconds(options.start, source)
@@ -79,8 +80,9 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     if _is_in_milliseconds(values, chosen, options):
         values["time_s"], note = values["time_s"] / 1000.0, f"{note}; they are milliseconds, by their steps"
     _mark(np.isnan(values["time_s"]), cells.lines, damaged, "no time")
-    _mark_unusable(values, cells.lines, damaged)
-    good = ~np.isin(cells.lines, list(damaged))
+    values, static = _with_statics(values)
+    _mark_unusable(values, cells.lines, damaged, static)
+    good = ~np.isin(cells.lines, list(damaged)) & ~static
     if not good.any():
         raise InputError(
             f"{source}: no row can be used: {'; '.join(Damaged.of(damaged.items(), cells.unit).sentences())}"
@@ -88,7 +90,10 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     values = {name: column[good] for name, column in values.items()} | {"line": cells.lines[good]}
     values, stations = _without_stations(values)
     values, repeated = _without_repeats(_with_track_id(values))
-    counts = {"base station or aid to navigation": stations, "position repeated": repeated}
+    counts = {
+        "static data of ships, without a position": int(static.sum()),
+        "base station or aid to navigation": stations, "position repeated": repeated,
+    }  # fmt: skip
     passed_over = {what: count for what, count in counts.items() if count}
     truncated = ["its last line has no line end: it may be incomplete"] * cells.unended
     values, hulls = _at_hulls(_with_covariances(values), is_ais)
@@ -356,11 +361,44 @@ def _nines(column: FloatArray) -> FloatArray:
 _POSITIONS_IN = (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",), ("relative_bearing_deg",))
 
 
-def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int, str]) -> None:
-    """Marks rows without a position, or with an impossible one, as damaged."""
+#: What a ship's static data say of her, in messages of their own.
+_STATICS = ("imo", "callsign", "name", "type", "length_m", "width_m", *(f"to_{side}_m" for side in SIDES))
+
+
+def _with_statics(values: dict[str, Any]) -> tuple[dict[str, Any], BoolArray]:
+    """The values with the static data of each ship at her positions, and (n,) whether a row has only these: receivers
+    write the messages of AIS one below the other."""
+    missing = _without_position(values)
+    given = [name for name in _STATICS if name in values]
+    if not missing.any() or "mmsi" not in values or not given:
+        return values, np.zeros(len(missing), bool)
+    has = {name: _is_given(values[name]) for name in given}
+    static = missing & np.logical_or.reduce(list(has.values())) & _is_given(values["mmsi"])
+    if not static.any():
+        return values, static
+    out, ships = dict(values), values["mmsi"]
+    for name in given:
+        known = dict(zip(ships[static & has[name]], values[name][static & has[name]], strict=True))
+        empty = None if values[name].dtype == object else math.nan
+        rows = np.flatnonzero(~has[name] & ~static)
+        column = values[name].copy()
+        column[rows] = [known.get(ship, empty) for ship in ships[rows]]
+        out[name] = column
+    return out, static
+
+
+def _is_given(column: NDArray[Any]) -> BoolArray:
+    return np.asarray(column != None if column.dtype == object else np.isfinite(column), bool)  # noqa: E711
+
+
+def _without_position(values: Mapping[str, Any]) -> BoolArray:
     pairs = [pair for pair in _POSITIONS_IN if pair[0] in values]
-    missing = np.logical_and.reduce([np.isnan(sum(values[name] for name in pair)) for pair in pairs])
-    _mark(missing, lines, damaged, "no position")
+    return np.logical_and.reduce([np.isnan(sum(values[name] for name in pair)) for pair in pairs])
+
+
+def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int, str], static: BoolArray) -> None:
+    """Marks rows without a position, or with an impossible one, as damaged; not the static data of ships."""
+    _mark(_without_position(values) & ~static, lines, damaged, "no position")
     if "range_m" in values:
         _mark(values["range_m"] < 0.0, lines, damaged, "a distance below 0")
     heading_deg = values.get("station_heading_deg") if "relative_bearing_deg" in values else None
