@@ -299,7 +299,7 @@ def source_of(name: str, reports: Reports, described: Mapping[str, SourceOptions
     elif _is_of_one_ship(reports):
         kind, why = (
             CARRIER_KIND,
-            "its positions have no names and are on one path: own ship; if it is a sensor, give its kind",
+            "its positions have no names and are on one path: own ship; if not, give its kind",
         )
         reports = replace(reports, kind=OWN_POSITIONS)
     else:
