@@ -17,6 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from benchmarks import few_real
+from benchmarks.misstated import formal_field
 from benchmarks.tables import Table, report
 from sameas import PoissonField, identify
 from sameas.estimate.match import match
@@ -25,7 +26,6 @@ from sameas.gate import Radius
 from sameas.kernels.compiled import prefer_compiled
 from sameas.result import Identification
 from sameas.score.pairs import is_true_pair
-from sameas.simulate.catalogues import formal_field
 from sameas.simulate.scenes import SimulatedScene
 
 #: Quoted errors of a record on each axis, log-uniform, and their mean square over a pair.

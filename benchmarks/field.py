@@ -18,6 +18,7 @@ import numpy as np
 
 from benchmarks import peers, withheld, workload
 from benchmarks.frames import Tally
+from benchmarks.misstated import couples_field, formal_field, growing_field
 from benchmarks.recovered import true_rule
 from benchmarks.tables import Table, report
 from sameas import Identification, Sphere, identify
@@ -33,10 +34,7 @@ from sameas.simulate.catalogues import (
     FrameAndCatalogue,
     Sky,
     counterparts,
-    couples_field,
     exposure,
-    formal_field,
-    growing_field,
 )
 from sameas.simulate.scenes import SimulatedScene
 from sameas.sky.sky_match import nearest

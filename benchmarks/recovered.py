@@ -8,13 +8,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from benchmarks.misstated import misquoted, with_outliers
 from benchmarks.tables import Table
 from sameas import PoissonField
 from sameas.estimate.match import match
 from sameas.estimate.quantity import Quantity
 from sameas.estimate.result import Estimate
 from sameas.evidence import Magnitudes
-from sameas.simulate.catalogues import FrameAndCatalogue, Sky, exposure, misquoted, with_outliers
+from sameas.simulate.catalogues import FrameAndCatalogue, Sky, exposure
 from sameas.space import displaced
 
 Change = Callable[[np.random.Generator, FrameAndCatalogue], FrameAndCatalogue]

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.misstated import couples_field
 from scipy import special
 
-from sameas import ChiSquare, Identification, InputError, Records
+from sameas import ChiSquare, Identification, Records
 from sameas.estimate.clustering import CompanionsTuning, close_neighbours, clustering, ring, scaled_i0, share_within
 from sameas.estimate.companions import Companions
 from sameas.estimate.coverage import Coverage
@@ -16,7 +17,6 @@ from sameas.estimate.match import match
 from sameas.estimate.result import DEFAULT_MATCH
 from sameas.estimate.sample import Setting
 from sameas.score.pairs import is_true_pair
-from sameas.simulate.catalogues import couples_field
 from sameas.simulate.scenes import SimulatedScene
 
 WITHOUT = replace(DEFAULT_MATCH, em=replace(DEFAULT_MATCH.em, companions=None))
@@ -182,11 +182,6 @@ def test_records_within_their_errors_of_each_other_are_counted() -> None:
     # All couples of a record and its copy; chance couples exceed those expected from densities without copies.
     assert two.n_pairs - len(again) - one.n_pairs > -4.0 * one.n_pairs**0.5
     assert two.n_pairs - two.by_chance > 0.6 * len(again)
-
-
-def test_numbers_out_of_range_are_refused() -> None:
-    with pytest.raises(InputError, match=r"couples_field: 400 objects, a share of 1\.5"):
-        couples_field(np.random.default_rng(1), 400, share=1.5)
 
 
 def test_the_scaled_bessel_function_agrees_with_scipy():

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.misstated import growing_field
 
 from sameas import Identification, Records
 from sameas.arrays import FloatArray
@@ -14,7 +15,6 @@ from sameas.estimate.match import match
 from sameas.estimate.result import Estimate, MatchTuning
 from sameas.evidence import Errors, Magnitudes
 from sameas.score.pairs import is_true_pair
-from sameas.simulate.catalogues import growing_field
 from sameas.simulate.scenes import SimulatedScene
 
 Field = tuple[SimulatedScene, tuple[FloatArray, FloatArray], FloatArray]

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.misstated import with_outliers
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -12,7 +13,7 @@ from scipy.stats import chi2, kstest, spearmanr
 
 import naive
 from sameas.errors import InputError
-from sameas.simulate import blended_field, counterparts, growing_field, with_outliers
+from sameas.simulate import blended_field, counterparts
 from sameas.simulate.scenes import (
     Cap,
     LonLatBox,
@@ -293,17 +294,6 @@ def test_the_options_of_a_blended_field():
         off = vectors(field.second.features[blend[:, 0]]) - vectors(field.second.features[blend[:, 1]])
         apart = np.linalg.norm(off, axis=1) * ARCSEC_PER_RADIAN / field.resolution_arcsec
         assert bool(apart.max() > 1.1) is beyond
-
-
-def test_the_options_of_a_field_whose_errors_grow():
-    def made(**options):
-        return growing_field(np.random.default_rng(1), 2_000, lambda m, r: 0.1 + 0.0 * m, **options)[0]
-
-    usual, missed, crowded, wide = made(), made(missing=0.5), made(chance=4.0), made(quoted_arcsec=0.4)
-    assert len(missed.first) == pytest.approx(1_000, rel=0.1) and len(usual.first) == pytest.approx(1_700, rel=0.05)
-    assert span_deg(usual.first) == pytest.approx(2.0 * span_deg(crowded.first), rel=0.02)
-    assert span_deg(wide.first) == pytest.approx(4.0 * span_deg(usual.first), rel=0.02)
-    np.testing.assert_allclose(sigma_arcsec(wide.second), 0.4)
 
 
 def test_the_options_of_counterparts_and_outliers():

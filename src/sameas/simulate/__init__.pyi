@@ -6,12 +6,7 @@ from .catalogues import Counterparts as Counterparts
 from .catalogues import FrameAndCatalogue as FrameAndCatalogue
 from .catalogues import Sky as Sky
 from .catalogues import counterparts as counterparts
-from .catalogues import couples_field as couples_field
 from .catalogues import exposure as exposure
-from .catalogues import formal_field as formal_field
-from .catalogues import growing_field as growing_field
-from .catalogues import misquoted as misquoted
-from .catalogues import with_outliers as with_outliers
 from .frames import Camera as Camera
 from .frames import GaussianProfile as GaussianProfile
 from .frames import Lens as Lens
