@@ -240,6 +240,16 @@ def test_invalid_identities_are_refused_with_a_clear_message():
         Code(10.0, slips=0.9, other=0.2)
 
 
+def test_pairs_are_compared_with_all_frequencies_some_at_a_time(monkeypatch):
+    # All at once, 10⁴ emitters of two receivers took 8 GB.
+    rng = np.random.default_rng(3)
+    first, second, pool = (150e6 + 25e3 * rng.integers(0, 40, n) + 2e3 * rng.standard_normal(n) for n in (50, 50, 90))
+    at_once = Frequency()(first, second, pool)
+    monkeypatch.setattr("sameas.evidence.identity.KERNEL_CELLS", 200)
+    assert np.array_equal(Frequency()(first, second, pool), at_once)
+    assert len(Frequency()(first[:0], second[:0], pool)) == 0
+
+
 def test_frequencies_of_two_receivers_are_one_within_their_errors():
     def of(first, second, *pool):
         return float(Frequency()(np.array([first]), np.array([second]), np.array([first, second, *pool]))[0])

@@ -205,6 +205,10 @@ class Size:
         return np.logaddexp(math.log1p(-self.wrong) + same - other, math.log(self.wrong))
 
 
+#: Differences of frequencies that are in memory at once.
+KERNEL_CELLS = 1 << 20
+
+
 @dataclass(frozen=True)
 class Frequency:
     """Carrier frequencies in Hz: those of one emitter differ by the errors of two receivers.
@@ -230,8 +234,10 @@ class Frequency:
         a, b, known = first.astype(np.float64), second.astype(np.float64), pool.astype(np.float64)
         middle = 0.5 * (a + b)
         sigma = math.sqrt(2.0) * np.where(middle < self.radar_hz, self.sigma_hz, self.radar_sigma_hz)
-        # In units of the density of two equal frequencies, which cancels.
-        kernel = np.exp(-0.5 * (np.subtract.outer(middle, known) / sigma[:, None]) ** 2).sum(axis=1)
+        # In units of the density of two equal frequencies, which cancels. Some pairs at a time.
+        kernel, rows = np.empty(len(middle)), max(KERNEL_CELLS // max(len(known), 1), 1)
+        for at in (slice(start, start + rows) for start in range(0, len(middle), rows)):
+            kernel[at] = np.exp(-0.5 * (np.subtract.outer(middle[at], known) / sigma[at, None]) ** 2).sum(axis=1)
         own = 2.0 * np.exp(-0.5 * (0.5 * (a - b) / sigma) ** 2)
         others = np.maximum(kernel - own, 0.0) + 1.0 / self.values
         log_chance = np.log(others / max(len(known) - 1.0, 1.0))
