@@ -15,13 +15,13 @@ from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.tracks.scene import Scene
 
 
-def learned(tau_s, kind="tracks", seed=1, looks=25, every_s=10.0, given=None):
+def learned(tau_s, kind="tracks", seed=1, looks=25, every_s=10.0):
     """The correlation of errors at the looks' interval, as learned of 40 tracks whose errors last for tau_s."""
     rng = np.random.default_rng(seed)
     times = np.arange(looks) * every_s
     x, v = straight(rng.uniform(-9e3, 9e3, (40, 2)), 4.0 * rng.standard_normal((40, 2)), times)
     scene = Scene.of([feed(rng, describe("one", kind), times, x, v, tau_s, [str(k) for k in range(40)])])
-    memory = TrackMemory(correlation_s=given or {})
+    memory = TrackMemory()
     for time_s in times:
         memory = memory.advance(Scan.of(scene.at(time_s)))
     return float(memory.tracks.error_correlation.correlation(np.zeros(1, np.int64), np.array([every_s]))[0])
@@ -33,12 +33,6 @@ def learned(tau_s, kind="tracks", seed=1, looks=25, every_s=10.0, given=None):
 def test_the_correlation_is_learned_for_any_assumed_kind(kind, tau_s):
     true = np.exp(-10.0 / tau_s) if tau_s else 0.0
     assert abs(learned(tau_s, kind) - true) < 0.12
-
-
-@pytest.mark.slow
-def test_a_given_correlation_is_not_estimated():
-    assert learned(180.0, given={"one": 0.0}) == 0.0
-    assert learned(0.0, given={"one": 30.0}) == pytest.approx(np.exp(-1.0 / 3.0))
 
 
 def test_before_any_scan_the_default_of_the_kind_is_used():

@@ -242,7 +242,7 @@ def test_errors_that_persist_and_grow_with_range_do_not_split_ships():
     right = sum(int(mmsi) - 235_000_000 == int(track) for track, mmsi in names.tolist())
     assert right >= 290
     assert isinstance(state.watch, Watch)
-    by_range = state.watch.memory.error_factors.by_range[0]
+    by_range = state.watch.memory.tracks.error_factors.by_range[0]
     assert by_range[1] > 1.1 * by_range[3]
 
 
@@ -251,7 +251,7 @@ def test_a_new_estimate_of_a_factor_is_no_evidence_against_pairs():
     *_, state = picture_states(scene, np.arange(16.0, 73.0, 8.0), Watch())
     assert isinstance(state.watch, Watch)
     memory = state.watch.memory
-    halved = replace(memory.error_factors, by_range=0.5 * memory.error_factors.by_range)
+    halved = replace(memory.tracks.error_factors, by_range=0.5 * memory.tracks.error_factors.by_range)
     smaller = replace(state.watch, memory=replace(memory, tracks=replace(memory.tracks, error_factors=halved)))
     now = scene.at(80.0)
     log_ratio = []

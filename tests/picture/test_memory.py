@@ -42,9 +42,11 @@ def couples_apart(seed, tau_s, n=300, box_m=600.0, looks=30):
     one, two = describe("one", "tracks", 30.0), describe("two", "ais")
     sources = [feed(rng, one, times, x, v, tau_s[0], names), feed(rng, two, times[::3], (x + apart[:, None])[:, ::3],
                v[:, ::3], tau_s[1], names)]  # fmt: skip
-    scene, memory = Scene.of(sources), TrackMemory(correlation_s=dict(zip(("one", "two"), tau_s, strict=True)))
-    # Pairs far apart are also compared until the end.
-    tuning = Tuning(distant_chi_sq=np.inf)
+    # The correlation times are known, and no error lasts. Pairs far apart are also compared until the end.
+    tuning = Tuning(distant_chi_sq=np.inf, correlation_s=tau_s, lasting_shares=(0.0,))
+    known, unknown = np.where(np.eye(2, dtype=bool), 0.0, -1e9)[:, None], np.full(2, np.nan)
+    correlation = ErrorCorrelation(("one", "two"), known, known, unknown, unknown)
+    scene, memory = Scene.of(sources), TrackMemory(tracks=NamedTracks(error_correlation=correlation))
     for time_s in times:
         scan = Scan.of(scene.at(time_s), tuning)
         memory = memory.advance(scan)
@@ -86,7 +88,7 @@ def half_constant(seed, factors, n=60, every_s=10.0, instants=30):
         tracks=NamedTracks(error_correlation=ErrorCorrelation(("one", "two"), known, known, unknown, unknown))
     )
     for k, time_s in enumerate(times):
-        memory = memory.advance(memory.error_factors.applied(Scan.of(scene.at(time_s), tuning)))
+        memory = memory.advance(memory.tracks.error_factors.applied(Scan.of(scene.at(time_s), tuning)))
         scan, number = memory.tracks.scan, memory.tracks.track_of_record
         if k == 0:
             a = np.repeat(np.arange(n), 2)
@@ -95,8 +97,8 @@ def half_constant(seed, factors, n=60, every_s=10.0, instants=30):
             lasting = memory.tracks.lasting
             pairs = TrackPairs.of(number[a], number[b], delta, (spread[a], spread[b]), (lasting[a], lasting[b]), 0.0)
             memory = replace(memory, track_pairs=TrackPairs().with_(pairs))
-        of_range = np.full_like(memory.error_factors.by_range, factors[k % len(factors)])
-        estimate = replace(memory.error_factors, by_range=of_range)
+        of_range = np.full_like(memory.tracks.error_factors.by_range, factors[k % len(factors)])
+        estimate = replace(memory.tracks.error_factors, by_range=of_range)
         memory = replace(memory, tracks=replace(memory.tracks, error_factors=estimate))
     pairs = memory.track_pairs
     log_ratio = pairs.log_ratio + pairs.log_reported
@@ -136,7 +138,7 @@ def test_memory_is_calibrated_for_any_correlation_time(tau_s):
 @pytest.mark.slow
 def test_memory_is_bounded_by_the_reliability_of_track_ids():
     scene, times = two_meet(0, 200.0)
-    memory, tuning = TrackMemory(reassigned=0.01), Tuning(distant_chi_sq=np.inf)
+    memory, tuning = TrackMemory(), Tuning(distant_chi_sq=np.inf, report_reassigned=0.01)
     for time_s in times:
         now = scene.at(time_s)
         memory = memory.advance(Scan.of(now, tuning))
@@ -216,8 +218,6 @@ def test_invalid_memory_settings_are_refused():
         PreviousScans({}, [2], [1], [0.5])
     with pytest.raises(InputError, match="once, in ascending order"):
         PreviousScans({}, [1, 1], [2, 2], [0.5, 0.5])
-    with pytest.raises(InputError, match="reassigned is 0"):
-        TrackMemory(reassigned=0.0)
     scene, _ = two_meet(1, 200.0)
     with pytest.raises(InputError, match="instants in the order of time"):
         TrackMemory().advance(Scan.of(scene.at(20.0))).advance(Scan.of(scene.at(10.0)))
@@ -271,8 +271,8 @@ def test_the_evidence_of_a_pair_is_the_joint_density_of_all_its_reports(seed, ta
         described = Description(name, "tracks", motion=still, errors=error, timing=Timing(10.0, 0.0, 0.0))
         sources.append((described, Reports.of(name, "table", columns | {"track_id": ["7"] * len(times)})))
     # Half of the error is correlated, with τ = tau_s; convoys are certain and swaps impossible.
-    tuning = Tuning(lasting_shares=(0.5,), correlation_s=(tau_s,), convoy_log_odds=1e9)
-    scene, memory = Scene.of(sources), TrackMemory(reassigned=1e-300)
+    tuning = Tuning(lasting_shares=(0.5,), correlation_s=(tau_s,), convoy_log_odds=1e9, report_reassigned=1e-300)
+    scene, memory = Scene.of(sources), TrackMemory()
     for time_s in times:
         scan = Scan.of(scene.at(time_s), tuning)
         memory = memory.advance(scan)

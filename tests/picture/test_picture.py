@@ -15,7 +15,7 @@ from sameas.many.observations import records_of
 from sameas.picture import Picture, Watch, instants
 from sameas.picture.picture import object_columns, record_columns
 from sameas.tracks.reports import Reports
-from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
+from sameas.tracks.scene import Scene
 from sameas.tracks.source import Description, MissRate, SensorCoverage, SensorErrors, Site, Timing
 
 OBJECTS = """time_s object stage x_m y_m var_x_m2 cov_xy_m2 var_y_m2 vx_m_per_s vy_m_per_s speed_m_per_s course_deg
@@ -164,19 +164,16 @@ def test_bearings_are_used_and_are_no_position_alone():
     rng = np.random.default_rng(7)
     x, v = straight([[700.0, 700.0], [0.0, 1000.0]], [[0.0, 0.0]] * 2, np.array([0.0, 10.0]))
     radar = feed(rng, describe("radar", "tracks"), np.array([0.0, 10.0]), x, v, 60.0, ["1", "2"])
-    for features in (2, POSITION_AND_VELOCITY):
-        picture = Picture.of(
-            Scene.of([radar, (camera, Reports.of("camera", "table", bearings))]), [0.0, 10.0], features=features
-        )
-        o, r = picture.objects, picture.records
-        both, alone = o["n_sources"] == 2, o["sources"] == "camera"
-        assert both.sum() == 4 and alone.sum() == 2
-        assert np.ma.getmaskarray(o["x_m"])[alone].all() and not np.ma.getmaskarray(o["x_m"])[both].any()
-        # The camera reduces the radar's error across the line of sight.
-        assert np.all(o["var_x_m2"][both] + o["var_y_m2"][both] < 2 * 20.0**2)
-        seen = r["source"] == "camera"
-        assert (np.ma.getmaskarray(r["bearing_deg"]) == ~seen).all() and np.ma.getmaskarray(r["x_m"])[seen].all()
-        assert len(set(o["object"].tolist())) == 3
+    picture = Picture.of(Scene.of([radar, (camera, Reports.of("camera", "table", bearings))]), [0.0, 10.0])
+    o, r = picture.objects, picture.records
+    both, alone = o["n_sources"] == 2, o["sources"] == "camera"
+    assert both.sum() == 4 and alone.sum() == 2
+    assert np.ma.getmaskarray(o["x_m"])[alone].all() and not np.ma.getmaskarray(o["x_m"])[both].any()
+    # The camera reduces the radar's error across the line of sight.
+    assert np.all(o["var_x_m2"][both] + o["var_y_m2"][both] < 2 * 20.0**2)
+    seen = r["source"] == "camera"
+    assert (np.ma.getmaskarray(r["bearing_deg"]) == ~seen).all() and np.ma.getmaskarray(r["x_m"])[seen].all()
+    assert len(set(o["object"].tolist())) == 3
 
 
 def eye(name: str, times: np.ndarray, bearing_deg: np.ndarray, track: str) -> tuple[Description, Reports]:

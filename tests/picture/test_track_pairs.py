@@ -264,7 +264,7 @@ def after_reports(rng, chi_sq, swap_probability, count, swaps=None):
             rivals, (np.ones(4, int), np.zeros(4, int)), -9.0, tuning,
         )  # fmt: skip
         assert ((p_swapped >= 0.0) & (p_swapped <= 1.0)).all()
-        log_ratio, log_reported = rivals.bounded(log_ratio, np.ones(4, bool), 1e-4), log_now
+        log_ratio, log_reported = rivals.bounded(log_ratio, np.ones(4, bool), DEFAULT_TUNING), log_now
     return log_ratio + log_reported, swaps
 
 

@@ -121,10 +121,8 @@ def nmea(situation: Situation, numbers: TargetNumbers | None = None) -> Iterator
     for one in _confirmed(situation):
         if one["object"] not in numbers.by_object:
             continue
-        number, name = (
-            f"{numbers.by_object[one['object']]:02d}",
-            _plain(one.get("name") or one.get("mmsi") or one.get("label") or ""),
-        )
+        number = f"{numbers.by_object[one['object']]:02d}"
+        name = _plain(one.get("name") or one.get("mmsi") or one.get("label") or "")
         if own is not None and one["x_m"] is not None:
             east, north = one["x_m"] - own.x_m, one["y_m"] - own.y_m
             bearing = math.degrees(math.atan2(east, north)) - north_deg

@@ -28,7 +28,7 @@ Source: autocorrelated errors of tracks as in Bar-Shalom, Li and Kirubarajan 200
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -54,8 +54,7 @@ class ErrorCorrelation:
     names : of the sources. log_probable : (S, s, τ) ln of the probability of each lasting share and each τ, up to a
     constant; log_prior : (S, s, τ) before any evidence. factor : (S,) the error factors by which the evidence was
     judged, NaN before any. used : (S,) the lowest lasting share by which the evidence of pairs was weighed since it was
-    last dropped, NaN before any (:meth:`weighing`). fixed_s : τ by source where the user gives it; these are not
-    estimated, and have no lasting share.
+    last dropped, NaN before any (:meth:`weighing`).
     """
 
     names: tuple[str, ...] = ()
@@ -63,7 +62,6 @@ class ErrorCorrelation:
     log_prior: FloatArray = field(default_factory=lambda: np.empty((0, 0, 0)))
     factor: FloatArray = field(default_factory=lambda: np.empty(0))
     used: FloatArray = field(default_factory=lambda: np.empty(0))
-    fixed_s: Mapping[str, float] = field(default_factory=dict)
 
     def of_sources(self, scan: Scan) -> ErrorCorrelation:
         """The estimate with the new sources of a scan at their prior."""
@@ -118,8 +116,7 @@ class ErrorCorrelation:
 
     def lasting(self, source: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
         """(n,) mean s of the sources."""
-        mean = np.einsum("nst,s->n", self._weights, np.array(tuning.lasting_shares))
-        return np.where(np.isfinite(self._fixed_s), 0.0, mean)[source]
+        return np.asarray(np.einsum("nst,s->n", self._weights, np.array(tuning.lasting_shares))[source])
 
     def correlation(
         self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING, kept: float | FloatArray = 1.0
@@ -133,12 +130,7 @@ class ErrorCorrelation:
         of_tau = np.einsum("nst,s->nt", self._weights, 1.0 - np.array(tuning.lasting_shares))
         # Sources have few distinct Δt.
         elapsed_s, at = np.unique(elapsed_s, return_inverse=True)
-        mean = np.einsum("st,nt->ns", of_tau, _rho(elapsed_s, np.array(tuning.correlation_s)))[at, source]
-        fixed_s = self._fixed_s
-        if not np.isfinite(fixed_s).any():
-            return np.asarray(mean)
-        given = _rho(elapsed_s, np.nan_to_num(fixed_s))[at, source]
-        return np.where(np.isfinite(fixed_s)[source], given, mean)
+        return np.asarray(np.einsum("st,nt->ns", of_tau, _rho(elapsed_s, np.array(tuning.correlation_s)))[at, source])
 
     def of_mean(self, source: IntArray, every_s: float, count: IntArray, tuning: Tuning) -> FloatArray:
         """(…) variance of the mean of ``count`` reports of sources, ``every_s`` apart, relative to that of a report."""
@@ -159,11 +151,6 @@ class ErrorCorrelation:
         weight = np.exp(self.log_probable - self.log_probable.max(axis=(1, 2), initial=-np.inf, keepdims=True))
         return np.asarray(weight / weight.sum(axis=(1, 2), keepdims=True))
 
-    @cached_property
-    def _fixed_s(self) -> FloatArray:
-        """(S,) τ where the user gives it, else NaN."""
-        return np.array([self.fixed_s.get(name, np.nan) for name in self.names], np.float64)
-
     def updated(
         self,
         source: IntArray,
@@ -179,12 +166,8 @@ class ErrorCorrelation:
         errors : R + R′ and L L′ᵀ, (n, 2, 2) each. motion : D, and what is in it from the errors of measured velocities.
         """
         steady = mahalanobis_sq(shift, errors[0] + motion[0]) <= tuning.manoeuvre_chi_sq
-        source, elapsed_s, shift, motion = (
-            source[steady],
-            elapsed_s[steady],
-            shift[steady],
-            (motion[0][steady], motion[1][steady]),
-        )
+        source, elapsed_s, shift = source[steady], elapsed_s[steady], shift[steady]
+        motion = motion[0][steady], motion[1][steady]
         total, common = errors[0][steady], (errors[1] + errors[1].transpose(0, 2, 1))[steady]
         log_p = np.logaddexp(*log_residuals(shift, (total, common), motion, CORRELATIONS, tuning))
         return self._with_evidence(source, elapsed_s, log_p, np.ones(len(log_p)), tuning)

@@ -105,10 +105,8 @@ class ErrorFactors:
         log_likely = np.zeros((n, n, k, k))
         log_likely[:known, :known] = self.log_likely.reshape(known, known, k, k)
         log_shifts, reports = np.zeros((n, k, 2 * len(FACTOR_CORRELATIONS))), np.zeros(n)
-        log_shifts[:known], reports[:known] = (
-            self.log_shifts.reshape(known, k, 2 * len(FACTOR_CORRELATIONS)),
-            self.reports,
-        )
+        log_shifts[:known] = self.log_shifts.reshape(known, k, 2 * len(FACTOR_CORRELATIONS))
+        reports[:known] = self.reports
         extended = replace(self, names=names, log_likely=log_likely, log_shifts=log_shifts, reports=reports)
         return extended._with_posterior(tuning)
 
@@ -173,11 +171,8 @@ class ErrorFactors:
         swap = parts[0] > parts[1]
         first, second = np.minimum(*parts), np.maximum(*parts)
         one, other = (np.where(swap[:, None, None], *both) for both in (stated[::-1], stated))
-        log_p, log_likely = (
-            weight[:, None, None] * log_of_differences(delta, one, other, motion, tuning),
-            self.log_likely.copy(),
-        )
-        np.add.at(log_likely, (first, second), log_p)
+        log_p, log_likely = log_of_differences(delta, one, other, motion, tuning), self.log_likely.copy()
+        np.add.at(log_likely, (first, second), weight[:, None, None] * log_p)
         return replace(self, log_likely=log_likely)._with_posterior(tuning)
 
     def of_records(self, scan: Scan) -> FloatArray:

@@ -132,14 +132,14 @@ class Rivals:
             out[at] += np.log(np.einsum("nr,nr->n", probability, joint) / np.einsum("nr,nr->n", probability, alone))
         return out
 
-    def bounded(self, log_ratio: FloatArray, agrees: BoolArray, reassigned: float) -> FloatArray:
+    def bounded(self, log_ratio: FloatArray, agrees: BoolArray, tuning: Tuning) -> FloatArray:
         """(k,) ln r within −2b … b, b = ln((1−ε)/ε); the excess of the best rival over b is subtracted, which keeps
         differences between rivals.
 
         agrees : (k,) whether the positions of the instant agree. Where they do not, ln r of the history is large only
             because it leaves them out; such pairs do not lower their rivals.
         """
-        bound = math.log((1.0 - reassigned) / reassigned)
+        bound = math.log((1.0 - tuning.report_reassigned) / tuning.report_reassigned)
         excess = np.maximum(self.most(np.where(agrees, log_ratio, -np.inf)) - bound, 0.0)
         return np.clip(log_ratio - excess, -2.0 * bound, bound)
 

@@ -39,7 +39,7 @@ from sameas.tracks.live_feed import LiveFeed, ReportCounts, unbiased_now
 from sameas.tracks.platforms import on_platform, only_carries
 from sameas.tracks.registration import SourceBiases, with_delay_prior
 from sameas.tracks.reports import Reports, joined
-from sameas.tracks.scene import POSITION, Scene
+from sameas.tracks.scene import Scene
 from sameas.tracks.source import Description
 from sameas.tracks.tuning import DEFAULT_TUNING as DEFAULT_TRACKS
 from sameas.tracks.tuning import Tuning as TracksTuning
@@ -73,7 +73,6 @@ class LivePicture:
     watch : the initial state: evidence, memory and stages. None: a :class:`PlotPicture` while no source has ids, else a
         :class:`Watch`.
     lag_s : reports late by at most this are inserted by their time.
-    features : as of ``Scene.at``.
     window : for :meth:`register` and :meth:`faults`.
 
     Example
@@ -99,7 +98,6 @@ class LivePicture:
         plane: LocalPlane | None = None,
         watch: Watch | PlotPicture | None = None,
         lag_s: float = 10.0,
-        features: int = POSITION,
         window: Window | None = None,
         tuning: TracksTuning = DEFAULT_TRACKS,
     ) -> None:
@@ -109,7 +107,7 @@ class LivePicture:
         self.plane = plane or next(
             (_plane_of(description) for description in descriptions if _on_earth(description)), None
         )
-        self.lag_s, self.features, self.tuning = _lag(lag_s), features, tuning
+        self.lag_s, self.tuning = _lag(lag_s), tuning
         self.window = window or Window()
         self._feeds = {d.name: LiveFeed(d, self.plane, lag_s, tuning=tuning) for d in descriptions}
         self._carried: Watch | PlotPicture | None = watch
@@ -353,16 +351,12 @@ class LivePicture:
         self.height_model = self._heights or HeightModel.as_given(feeds)
         scene = Scene(feeds, self.plane, self.tuning, self.height_model)
         carried = self._start() if self._carried is None else self._named(self._carried)
-        state: LiveState
         misread = self._given_misread | self._misread
         if isinstance(carried, Watch) and carried.misread != misread and self._state is not None:
             carried = carried.doubting(misread, self._state.members)
-        if isinstance(carried, PlotPicture):
-            state = carried.at(scene, instant_s)
-        else:
-            if self.return_s not in (None, carried.tuning.return_s):
-                carried = replace(carried, tuning=replace(carried.tuning, return_s=self.return_s))
-            state = carried.at(scene, instant_s, features=self.features)
+        if isinstance(carried, Watch) and self.return_s not in (None, carried.tuning.return_s):
+            carried = replace(carried, tuning=replace(carried.tuning, return_s=self.return_s))
+        state: LiveState = carried.at(scene, instant_s)
         self._carried, self._last_s, self._state = state.watch, instant_s, state
         for feed in self._feeds.values():
             feed.release()

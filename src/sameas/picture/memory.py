@@ -11,9 +11,9 @@ rotation. :class:`TrackMemory` is updated from instant to instant; :meth:`TrackM
 Its log-likelihood ratio is that of all reports (:mod:`sameas.picture.track_pairs`) minus that of the two positions of
 the instant, so the sum counts each report once. It is bounded by −2b and b = ln((1−ε)/ε), with ε the probability that a
 report is of another object than that of its id (ids are reused, and swapped where two targets cross), so that a wrong
-picture corrects itself. The stated lasting errors are checked against the mean offsets of pairs that are surely one
-object (:meth:`sameas.picture.track_pairs.TrackPairs.with_offsets`). Records without an id have no memory; that of a
-track ends with its reports.
+picture corrects itself (``report_reassigned``). The stated lasting errors are checked against the mean offsets of pairs
+that are surely one object (:meth:`sameas.picture.track_pairs.TrackPairs.with_offsets`). Records without an id have no
+memory; that of a track ends with its reports.
 
 A pair that passes the gate for the first time has no history; :meth:`TrackMemory.first_contact` is the rule for pairs
 that were never sure, by the velocities of both records and the kinds of their targets. Both rules are in
@@ -25,7 +25,7 @@ The probability that a track is of a real object is in the memory, too (:mod:`sa
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -36,15 +36,15 @@ from sameas.errors import InputError
 from sameas.gaussian import log_determinant
 from sameas.kernels.tracks import places_of
 from sameas.many.pooled import PooledRecords
-from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly, information, pairs_within
+from sameas.picture.error_factors import MAX_PAIRS, evenly, information, pairs_within
 from sameas.picture.id_swaps import MIN_SWAP, Rivals, SwapRates, by_source_order
 from sameas.picture.manoeuvres import with_manoeuvres
-from sameas.picture.named_tracks import NamedTracks, Step
-from sameas.picture.previous_scans import REASSIGNED, FirstContact, PreviousScans
+from sameas.picture.named_tracks import NamedTracks
+from sameas.picture.previous_scans import FirstContact, PreviousScans
 from sameas.picture.tables import RANGE_BANDS, Scan, distances, objects_per_m2
 from sameas.picture.track_existence import TrackExistence
 from sameas.picture.track_pairs import TrackPairs, keys
-from sameas.picture.tuning import Tuning
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.representation import in_short
 
 
@@ -55,26 +55,13 @@ class TrackMemory:
 
     Parameters
     ----------
-    reassigned : ε of the module. correlation_s : by source name, the correlation time of its errors where it is given
-        rather than estimated (:mod:`sameas.picture.error_correlation`); 0 for independent errors.
     tracks, existence, track_pairs, swaps : the state, updated from instant to instant.
     """
 
-    reassigned: float = REASSIGNED
-    correlation_s: Mapping[str, float] = field(default_factory=dict)
     tracks: NamedTracks = field(default_factory=NamedTracks)
     existence: TrackExistence = field(default_factory=TrackExistence)
     track_pairs: TrackPairs = field(default_factory=TrackPairs)
     swaps: SwapRates = field(default_factory=SwapRates)
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.reassigned < 0.5:
-            raise InputError(f"memory: reassigned is {self.reassigned}; give a probability between 0 and 0.5")
-
-    @property
-    def error_factors(self) -> ErrorFactors:
-        """The estimated factors on the errors that sources state."""
-        return self.tracks.error_factors
 
     def advance(self, scan: Scan, track_of_record: IntArray | None = None) -> TrackMemory:
         """The memory after the scan of a later instant.
@@ -85,32 +72,37 @@ class TrackMemory:
         ------
         InputError : the scan is of an instant before the previous one.
         """
-        after, step = self._stepped(scan, track_of_record, keeps=True)
+        before = self._judged_anew(scan)
+        tracks, step = before.tracks.advance(scan, track_of_record)
+        swaps, per_m2 = self._swaps_of(tracks, scan), objects_per_m2(scan.now)
+        track_pairs, swaps = before.track_pairs.stepped(step, swaps, per_m2, scan.tuning)
+        track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, scan.tuning)
+        existence = self.existence.advance(tracks)
         # The new reports count from the next instant on.
-        factors = step.reports.factors_after(after.error_factors)
-        return replace(after, tracks=replace(after.tracks, error_factors=factors))
+        tracks = replace(tracks, error_factors=step.reports.factors_after(tracks.error_factors))
+        return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
 
     def looked_ahead(self, scan: Scan, track_of_record: IntArray | None = None) -> TrackMemory:
         """The memory at the scan of a later instant, for the rules of that instant alone: it cannot be advanced."""
-        return self._stepped(scan, track_of_record, keeps=False)[0]
-
-    def _stepped(self, scan: Scan, track_of_record: IntArray | None, *, keeps: bool) -> tuple[TrackMemory, Step]:
-        """The memory at the scan of a later instant, with the error factors of before, and the step of the tracks."""
-        require_order(self.tracks.instant_s, scan.now.instant_s)
-        before = self._with_present_factors()._with_present_correlation(scan.tuning)
-        correlation = replace(before.tracks.error_correlation, fixed_s=self.correlation_s)
-        tracks, step = replace(before.tracks, error_correlation=correlation).advance(scan, track_of_record, keeps=keeps)
-        kind = {description.name: description.kind for description in scan.now.descriptions}
-        known = len(self.swaps.log_probable)
-        swaps = self.swaps.of_sources(
-            ["" if k < known else kind[name] for k, name in enumerate(tracks.error_correlation.names)], scan.tuning
-        )
-        track_pairs, swaps = before.track_pairs.stepped(
-            step, self.reassigned, swaps, objects_per_m2(scan.now), scan.tuning, keeps=keeps
-        )
-        track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, scan.tuning, keeps=keeps)
+        before = self._judged_anew(scan)
+        tracks, step = before.tracks.looked_ahead(scan, track_of_record)
+        swaps, per_m2, tuning = self._swaps_of(tracks, scan), objects_per_m2(scan.now), scan.tuning
+        track_pairs, swaps = before.track_pairs.looked_ahead(step, swaps, per_m2, tuning)
+        # Offsets of fewer values than contribute would be thrown away.
+        track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, tuning, least=tuning.min_offsets)
         existence = self.existence.advance(tracks)
-        return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence), step
+        return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
+
+    def _judged_anew(self, scan: Scan) -> TrackMemory:
+        """The memory of the previous instant by the present estimates of errors; refused as by :meth:`advance`."""
+        require_order(self.tracks.instant_s, scan.now.instant_s)
+        return self._with_present_factors()._with_present_correlation(scan.tuning)
+
+    def _swaps_of(self, tracks: NamedTracks, scan: Scan) -> SwapRates:
+        """The swap rates with the new sources of a scan."""
+        kind, known = {d.name: d.kind for d in scan.now.descriptions}, len(self.swaps.log_probable)
+        kinds = ["" if k < known else kind[name] for k, name in enumerate(tracks.error_correlation.names)]
+        return self.swaps.of_sources(kinds, scan.tuning)
 
     def with_numbers_of(self, later: TrackMemory, tuning: Tuning) -> TrackMemory:
         """The memory with the numbers that were given to the ids of tracks until a later instant, and their existence
@@ -127,11 +119,8 @@ class TrackMemory:
         if tracks is self.tracks or tracks.scan is None or self.tracks.scan is None:
             return self
         rows, a, b = self._pairs_with(changed)
-        scan, before, covariance = (
-            tracks.scan,
-            self.tracks.scan.covariance[:, :2, :2],
-            tracks.scan.covariance[:, :2, :2],
-        )
+        scan = tracks.scan
+        before, covariance = self.tracks.scan.covariance[:, :2, :2], scan.covariance[:, :2, :2]
         change = scan.error_factor / self.tracks.scan.error_factor
         delta, after = scan.state[a, :2] - scan.state[b, :2], (covariance[a], covariance[b])
         track_pairs = self.track_pairs.with_errors(rows, delta, (before[a], before[b]), after, (change[a], change[b]))
@@ -154,13 +143,9 @@ class TrackMemory:
         if not outgrown.any() or scan is None:
             return out
         rows, a, b = out._pairs_with(outgrown[correlation.numbers(scan)[scan.source]])
-        delta, covariance, lasting = (
-            scan.state[a, :2] - scan.state[b, :2],
-            scan.covariance[:, :2, :2],
-            self.tracks.lasting,
-        )
+        delta, covariance = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
         track_pairs = self.track_pairs.without_evidence(
-            rows, delta, (covariance[a], covariance[b]), (lasting[a], lasting[b])
+            rows, delta, (covariance[a], covariance[b]), (self.tracks.lasting[a], self.tracks.lasting[b])
         )
         return replace(out, track_pairs=track_pairs)
 
@@ -189,7 +174,7 @@ class TrackMemory:
             return None
         records = scan.by_table(np.arange(len(scan)))
         sure = ~np.isnan(self.track_pairs.anchor_s)
-        return FirstContact(scan, records, history, sure, self.reassigned)
+        return FirstContact(scan, records, history, sure)
 
     def _precision(self) -> FloatArray:
         """(k,) sum of the precisions of both tracks of each pair, |P|^(−½) in m⁻²."""
@@ -215,8 +200,8 @@ class TrackMemory:
         first, second = self._rows
         rivals = Rivals.of(first, second, tracks.source[first], tracks.source[second])
         log_ratio = track_pairs.log_ratio + track_pairs.log_reported - track_pairs.log_now
-        chi_sq = math.inf if tracks.scan is None else tracks.scan.tuning.manoeuvre_chi_sq
-        agrees = track_pairs.chi_sq <= chi_sq
+        tuning = DEFAULT_TUNING if tracks.scan is None else tracks.scan.tuning
+        agrees = track_pairs.chi_sq <= tuning.manoeuvre_chi_sq
         # With an agreeing rival, ids may have been swapped: the mean offset may mix several objects.
         alone = rivals.max_other(np.where(agrees, 0.0, -np.inf)) < 0.0
         log_ratio += np.where(alone, track_pairs.log_offset, 0.0)
@@ -228,7 +213,7 @@ class TrackMemory:
                 log_ratio, track_pairs.by_model[:, models], np.where(agrees, log_odds, -np.inf),
                 partial(self._swaps_since, tracks.scan, numbers, models),
             )  # fmt: skip
-        log_ratio = rivals.bounded(log_ratio, agrees, self.reassigned)
+        log_ratio = rivals.bounded(log_ratio, agrees, tuning)
         return log_ratio, rivals.level(log_ratio, agrees)
 
     def _swaps_since(
@@ -337,7 +322,7 @@ class TrackMemory:
             for shares in (correlated, lasting)
         )
         part = source * RANGE_BANDS + scan.range_band
-        factors = self.error_factors.with_sure_pairs(
+        factors = tracks.error_factors.with_sure_pairs(
             (part[a], part[b]), delta, tuple(own[k] / scan.error_factor[k, None, None] ** 2 for k in (a, b)),
             total - reported[0] - reported[1],
             share[due] * information(pairs.n_compared[at], rho, lasting_rho), scan.tuning,

@@ -151,13 +151,16 @@ class NamedTracks:
                 out[records] = numbers_of(scan.track[records].tolist(), number_of)
         return out
 
-    def advance(
-        self, scan: Scan, track_of_record: IntArray | None = None, *, keeps: bool = True
-    ) -> tuple[NamedTracks, Step]:
-        """The tracks after the next scan, with the error factors of before, and the step to it.
+    def advance(self, scan: Scan, track_of_record: IntArray | None = None) -> tuple[NamedTracks, Step]:
+        """The tracks after the next scan, with the error factors of before, and the step to it; argument as of
+        :meth:`looked_ahead`."""
+        tracks, step = self.looked_ahead(scan, track_of_record)
+        return tracks._with_errors_of(step), step
 
-        track_of_record : (n,) :meth:`numbers_on` of the scan, where already known. keeps : False for an instant alone:
-        then the tracks have no errors, and cannot be advanced.
+    def looked_ahead(self, scan: Scan, track_of_record: IntArray | None = None) -> tuple[NamedTracks, Step]:
+        """The tracks at the next scan without their errors, so that they cannot be advanced, and the step to it.
+
+        track_of_record : (n,) :meth:`numbers_on` of the scan, where already known.
 
         A track that is not in a scan keeps its number for ``id_timeout_s``, that of a source whose objects name
         themselves for ``return_s``, but has no history when it returns.
@@ -185,7 +188,7 @@ class NamedTracks:
             forgotten=forgotten, number=number, place=place, track_of_record=track_of_record, scan=scan,
             error_correlation=correlation, source=source, error_factors=factors,
         )  # fmt: skip
-        return tracks._with_errors_of(step) if keeps else tracks, step
+        return tracks, step
 
     def _with_errors_of(self, step: Step) -> NamedTracks:
         """These tracks of a scan with their errors after the step to it; those that are not in the step have begun."""

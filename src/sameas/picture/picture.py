@@ -31,7 +31,7 @@ from sameas.picture.watch import Watch
 from sameas.representation import in_short
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.placement import Directions
-from sameas.tracks.scene import POSITION, Scene
+from sameas.tracks.scene import Scene
 
 #: More instants are refused: the unit of the step is most likely wrong.
 MAX_INSTANTS = 1_000_000
@@ -64,19 +64,12 @@ def watch_of(scene: Scene) -> Watch | PlotPicture:
 
 
 def picture_states(
-    scene: Scene, instants_s: Iterable[float], watch: Watch | PlotPicture | None = None, *, features: int = POSITION
+    scene: Scene, instants_s: Iterable[float], watch: Watch | PlotPicture | None = None
 ) -> Iterator[PictureState[Watch] | PictureState[PlotPicture]]:
-    """The states of the picture of a scene at successive instants; watch : the initial state.
-
-    features : as of ``Scene.at``; a :class:`PlotPicture` always tracks velocities.
-    """
+    """The states of the picture of a scene at successive instants; watch : the initial state."""
     carried = watch_of(scene) if watch is None else watch
     for instant_s in map(float, instants_s):
-        state: PictureState[Watch] | PictureState[PlotPicture]
-        if isinstance(carried, PlotPicture):
-            state = carried.at(scene, instant_s)
-        else:
-            state = carried.at(scene, instant_s, features=features)
+        state: PictureState[Watch] | PictureState[PlotPicture] = carried.at(scene, instant_s)
         carried = state.watch
         yield state
 
@@ -112,7 +105,6 @@ class Picture:
         instants_s: Sequence[float] | FloatArray,
         *,
         watch: Watch | PlotPicture | None = None,
-        features: int = POSITION,
         biases: Sequence[str] = (),
         progress: Callable[[str], object] | None = None,
     ) -> Picture:
@@ -123,7 +115,6 @@ class Picture:
         instants_s : ascending; see :func:`instants`.
         watch : evidence, memory and stages, or the final state of an earlier picture; by default that of
             :func:`watch_of`.
-        features : POSITION, or POSITION_AND_VELOCITY, which a :class:`PlotPicture` always tracks.
         biases : printable lines on the sensors' offsets, for the summary.
         progress : called with a text at each instant.
 
@@ -151,7 +142,7 @@ class Picture:
         texts: dict[tuple[int, int], str] = {}
         explained: dict[int, tuple[str, str, float]] = {}
         state = None
-        for k, state in enumerate(picture_states(scene, times, watch, features=features)):
+        for k, state in enumerate(picture_states(scene, times, watch)):
             if progress is not None:
                 progress(f"instant {k + 1} of {len(times)}")
             objects.add(object_columns(state))
@@ -180,7 +171,7 @@ def error_lines(watch: Watch | PlotPicture) -> list[str]:
     if not isinstance(watch, Watch):
         return []
     descriptions = () if watch.shown is None else watch.shown.now.descriptions
-    return watch.memory.error_factors.lines() + watch.plot_rates.lines(descriptions, watch.tuning)
+    return watch.memory.tracks.error_factors.lines() + watch.plot_rates.lines(descriptions, watch.tuning)
 
 
 def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, str, float]]) -> list[int]:

@@ -20,9 +20,6 @@ from sameas.picture.track_pairs import keys
 from sameas.representation import in_short
 from sameas.tracks.kinds import KINDS
 
-#: Default ε: one report in ten thousand, for a radar of 20 rotations a minute once in eight hours (chosen).
-REASSIGNED = 1e-4
-
 
 @in_short
 @dataclass(frozen=True)
@@ -147,21 +144,20 @@ class FirstContact(Rule):
 
         r = [0.99 N(Δ; 0, V) + 0.01 N(Δ; 0, 100 V)] / N(Δ; 0, S) + ε²,   V = V_a + V_b,   S = s_a² + s_b²,
 
-    s the usual speeds of both sources' targets. It counts at most as 1: equal velocities do not join two records, since
-    most ships in a harbour have the velocity 0. The history of a pair contains its velocities, as displacements: the
-    lower of both counts. Where one source names ships and the other aircraft, the ratio is :data:`WRONG_TARGET` times
-    that.
+    s the usual speeds of both sources' targets and ε ``report_reassigned``. It counts at most as 1: equal velocities do
+    not join two records, since most ships in a harbour have the velocity 0. The history of a pair contains its
+    velocities, as displacements: the lower of both counts. Where one source names ships and the other aircraft, the
+    ratio is :data:`WRONG_TARGET` times that.
 
     scan : of the instant. records : by source name, the record of the scan of each row of the source's table, or
         ABSENT.
-    history : of the pairs of tracks. sure : (k,) which of them were sure before. reassigned : ε.
+    history : of the pairs of tracks. sure : (k,) which of them were sure before.
     """
 
     scan: Scan = field(repr=False)
     records: Mapping[str, IntArray] = field(repr=False)
     history: PreviousScans
     sure: BoolArray = field(repr=False)
-    reassigned: float = REASSIGNED
 
     def __call__(self, pairs: Pairs) -> Evidence:
         out = np.zeros(len(pairs))
@@ -186,7 +182,7 @@ class FirstContact(Rule):
         right, wide = np.log(VELOCITY_SHARES)
         log_same = np.logaddexp(right - 0.5 * chi_sq, wide - math.log(100.0) - 0.005 * chi_sq)
         log_same -= 0.5 * np.log(determinant)
-        log_ratio = np.logaddexp(log_same - log_other, 2.0 * math.log(self.reassigned))
+        log_ratio = np.logaddexp(log_same - log_other, 2.0 * math.log(scan.tuning.report_reassigned))
         out[at] = np.where(np.isfinite(variance), np.minimum(log_ratio, 0.0), 0.0)
         return out
 

@@ -126,11 +126,8 @@ class TrackExistence(ColumnTable):
         at = places_of(self.number, tracks.number)
         is_old = at >= 0
         first_s, is_real, began_later = time_s.copy(), np.zeros(len(at), bool), tracks.source < len(self.mixture.share)
-        first_s[is_old], is_real[is_old], began_later[is_old] = (
-            self.first_s[at[is_old]],
-            self.is_real[at[is_old]],
-            self.began_later[at[is_old]],
-        )
+        first_s[is_old], is_real[is_old] = self.first_s[at[is_old]], self.is_real[at[is_old]]
+        began_later[is_old] = self.began_later[at[is_old]]
         last_s = time_s.copy()
         last_s[is_old] = np.maximum(last_s[is_old], self.last_s[at[is_old]])
         n = len(at)

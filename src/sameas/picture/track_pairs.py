@@ -235,27 +235,38 @@ class TrackPairs(ColumnTable):
             column[rows] = 0.0
         return out.changed(**changed)
 
-    def stepped(
-        self, step: Step, reassigned: float, swaps: SwapRates, per_m2: float, tuning: Tuning,
-        *, keeps: bool = True,
-    ) -> tuple[TrackPairs, SwapRates]:  # fmt: skip
+    def stepped(self, step: Step, swaps: SwapRates, per_m2: float, tuning: Tuning) -> tuple[TrackPairs, SwapRates]:
         """The pairs after a step, if both tracks are in it, and the updated swap rates.
 
-        keeps : False for an instant alone: then the pairs have no ``errors`` and cannot be stepped again.
-
         ln r excludes the present positions (``log_now`` is subtracted), so that the evidence of the instant can be
-        added. With probability ε = ``reassigned`` a report is of another object than that of its id:
+        added. With probability ε = ``report_reassigned`` a report is of another object than that of its id:
         x ← ln[(1−ε) eˣ + ε e^(best)]. best is the larger of two: ln r of the best rival, and the case that the id went
         to any other object, ln of the probability of the report of an object anywhere (``per_m2``) relative to that by
         the track's own reports. The second case cannot join two tracks that stay apart.
         """
+        compared = self._compared(step, tuning)
+        return self._stepped(step, compared, np.empty((len(compared[0]), WIDTH)), swaps, per_m2, tuning)
+
+    def looked_ahead(self, step: Step, swaps: SwapRates, per_m2: float, tuning: Tuning) -> tuple[TrackPairs, SwapRates]:
+        """As :meth:`stepped`, for an instant alone: the pairs have no ``errors``, and cannot be stepped again."""
+        return self._stepped(step, self._compared(step, tuning), np.empty((0, WIDTH)), swaps, per_m2, tuning)
+
+    def _compared(self, step: Step, tuning: Tuning) -> tuple[IntArray, IntArray, IntArray, BoolArray]:
+        """The rows of the pairs that are compared at a step, those of their tracks, and (n,) which are too distant."""
         a, b = step.find(self.first), step.find(self.second)
         disagree_s = step.instant_s - self.agreed_s
         recent, distant = disagree_s <= tuning.pair_timeout_s, self.chi_sq > tuning.distant_chi_sq
         distant &= disagree_s > tuning.distant_s
         rows = np.flatnonzero((a >= 0) & (b >= 0) & recent & ~distant)
-        a, b = a[rows], b[rows]
-        updated, log_two = self._updated(step, rows, a, b, np.empty((len(rows) if keeps else 0, WIDTH)), tuning)
+        return rows, a[rows], b[rows], distant
+
+    def _stepped(
+        self, step: Step, compared: tuple[IntArray, IntArray, IntArray, BoolArray], errors: FloatArray,
+        swaps: SwapRates, per_m2: float, tuning: Tuning,
+    ) -> tuple[TrackPairs, SwapRates]:  # fmt: skip
+        """As :meth:`stepped`. errors : (k, WIDTH) is written and kept; (0, WIDTH) for none."""
+        rows, a, b, distant = compared
+        updated, log_two = self._updated(step, rows, a, b, errors, tuning)
         newly_distant = DistantPairs(
             self.first[distant], self.second[distant], self.log_ratio[distant], self.agreed_s[distant]
         )
@@ -271,7 +282,7 @@ class TrackPairs(ColumnTable):
         updated = updated.changed(
             log_ratio=log_ratio, by_model=by_model, distant=self.distant.advance(step, newly_distant, tuning)
         )
-        return updated._with_id_changes(step, (a, b), rivals, reassigned, p_swapped, math.log(per_m2), tuning), swaps
+        return updated._with_id_changes(step, (a, b), rivals, p_swapped, math.log(per_m2), tuning), swaps
 
     def _updated(
         self, step: Step, rows: IntArray, a: IntArray, b: IntArray, errors: FloatArray, tuning: Tuning
@@ -294,19 +305,8 @@ class TrackPairs(ColumnTable):
         is_new = np.column_stack([step.new_report[a], step.new_report[b]])
         new_report = over_columns(np.logical_or, is_new)
         log_ratio, log_reported = self.log_ratio[rows], self.log_reported[rows]
-        # Columns that no method changes in place are those of before if all pairs continue, as they mostly do.
-        fixed = (
-            "first",
-            "second",
-            "anchor_s",
-            "anchor",
-            "anchor_kept",
-            "n_compared",
-            "sure",
-            "offset_s",
-            "offset_chi_sq",
-        )
-        column = {name: getattr(self, name) for name in fixed}
+        # These are those of before if all pairs continue, as they mostly do.
+        column = {name: getattr(self, name) for name in _FIXED}
         if k < len(self):
             column = {name: taken(values, rows) for name, values in column.items()}
         return TrackPairs(
@@ -322,7 +322,7 @@ class TrackPairs(ColumnTable):
         ), log_two  # fmt: skip
 
     def _with_id_changes(
-        self, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals, reassigned: float,
+        self, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals,
         p_swapped: FloatArray, log_density_anywhere: float, tuning: Tuning,
     ) -> TrackPairs:  # fmt: skip
         """The pairs, allowing that new reports are of other objects than those of their ids.
@@ -333,8 +333,9 @@ class TrackPairs(ColumnTable):
         agrees = self.chi_sq <= tuning.manoeuvre_chi_sq
         best_rival = rivals.max_other(np.where(agrees, self.log_ratio, -np.inf))
         best = np.maximum(best_rival, step.log_elsewhere(tracks, log_density_anywhere))
-        log_same, log_reassigned = np.log1p(-reassigned) + self.log_ratio, math.log(reassigned) + best
-        log_ratio = rivals.bounded(np.logaddexp(log_same, log_reassigned), agrees, reassigned)
+        log_same = np.log1p(-tuning.report_reassigned) + self.log_ratio
+        log_reassigned = math.log(tuning.report_reassigned) + best
+        log_ratio = rivals.bounded(np.logaddexp(log_same, log_reassigned), agrees, tuning)
         p_same = (1.0 - p_swapped) * expit(log_same - log_reassigned)
         p_changed = np.where(new_report, 1.0 - p_same, 0.0)
         if len(self.errors):
@@ -351,11 +352,11 @@ class TrackPairs(ColumnTable):
         return self.changed(log_ratio=np.where(new_report, log_ratio, self.log_ratio))
 
     def with_offsets(
-        self, step: Step, correlation: ErrorCorrelation, tuning: Tuning = DEFAULT_TUNING, *, keeps: bool = True
+        self, step: Step, correlation: ErrorCorrelation, tuning: Tuning = DEFAULT_TUNING, *, least: int = 1
     ) -> TrackPairs:
         """The pairs with their mean offsets δ̄ updated where due, and the contribution of δ̄ to ln r.
 
-        keeps : False for an instant alone: then offsets of fewer values than contribute are not updated.
+        least : offsets that would be of fewer values are not updated.
 
         Stated or assumed errors are often too large; then any two objects that stay close would pass as one. By the
         stated errors, δ̄ of one object is N(0, V). The other n sure pairs of the two sources give a factor κ on V, with
@@ -366,8 +367,7 @@ class TrackPairs(ColumnTable):
         Source: a normal variance with its conjugate prior (Gelman et al., Bayesian Data Analysis, section 2.6).
         """
         is_due = step.instant_s - self.offset_s >= tuning.lasting_s
-        if not keeps:
-            is_due &= self.n_offsets + 1 >= tuning.min_offsets
+        is_due &= self.n_offsets + 1 >= least
         due = np.flatnonzero(is_due & over_columns(np.logical_and, self.offset_new))
         if not len(due):
             return self
@@ -413,6 +413,10 @@ class TrackPairs(ColumnTable):
         return out
 
 
+#: Columns that no method changes in place, but for those that copy them.
+_FIXED = (
+    "first", "second", "anchor_s", "anchor", "anchor_kept", "n_compared", "sure", "offset_s", "offset_chi_sq",
+)  # fmt: skip
 #: Columns that :meth:`TrackPairs.anchored` changes.
 _ANCHORS = ("anchor_s", "anchor", "anchor_new", "anchor_kept", "n_compared")
 #: Columns that :meth:`TrackPairs.with_offsets` changes.

@@ -74,6 +74,8 @@ class Tuning:
     partner_odds : two tracks may be partners unless their positions make chance this many times more probable.
     search_s : time limit of the search for the best partition of one group, in seconds.
 
+    report_reassigned : probability ε that a report is of another object than that of its id; for a radar of 20
+        rotations a minute once in eight hours.
     id_reassigned : probability that a report of a track is of another object, when objects are matched over time.
     unique_id_odds : factor on the odds of a match whose tracks share a unique id.
     new_share : share of the objects of an instant that may be new.
@@ -193,6 +195,7 @@ class Tuning:
     partner_odds: float = 20.0
     search_s: float = 10.0
 
+    report_reassigned: float = 1e-4
     id_reassigned: float = 1e-3
     unique_id_odds: float = 1e7
     new_share: float = 0.05

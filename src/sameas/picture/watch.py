@@ -44,7 +44,7 @@ from sameas.picture.tuning import DEFAULT_TUNING, GATE, LIVE, Tuning
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.placement import Directions
-from sameas.tracks.scene import POSITION, Instant, Scene
+from sameas.tracks.scene import Instant, Scene
 
 #: Attributes that are unique to an object.
 UNIQUE_IDS = ("mmsi", "icao", "callsign")
@@ -83,7 +83,7 @@ class Watch:
     ----------
     evidence : makes the rule of an instant. ``lambda now, memory: now.rule() + memory.rule()`` ignores identities,
         ``lambda now, memory: now.rule() + now.height() + now.identity()`` identifies each instant without memory.
-    memory : the memory of tracks; give one to set the correlation times of their errors.
+    memory : the memory of tracks, updated from instant to instant.
     bound : odds at which records change their object (:mod:`sameas.many.hysteresis`; chosen); 1 for the most
         probable answer of each instant.
     stages : when objects are confirmed. gate : of ``identify_many``. tuning : other chosen numbers.
@@ -113,33 +113,31 @@ class Watch:
         if not 1.0 <= self.bound < math.inf:
             raise InputError(f"Watch: bound is {self.bound}; give odds of 1 or more")
 
-    def at(self, scene: Scene, instant_s: float, *, features: int = POSITION) -> PictureState[Watch]:
+    def at(self, scene: Scene, instant_s: float) -> PictureState[Watch]:
         """The picture at an instant not before the previous one, from all steps of the memory and all scans of plots
         without names since.
-
-        features : as of ``Scene.at``.
 
         Raises
         ------
         InputError : as of :meth:`advance`.
         """
         if self.shown is None:
-            return self._to(scene, instant_s, features)
+            return self._to(scene, instant_s)
         carried = self
         looks_s = looks_between(scene.feeds, self.shown.now.instant_s, instant_s, self.tuning)
         for look_s in looks_s:
-            carried = carried._to(scene, look_s, features).watch
-        state = carried._to(scene, instant_s, features)
+            carried = carried._to(scene, look_s).watch
+        state = carried._to(scene, instant_s)
         return replace(state, watch=state.watch._with_ends(self)) if looks_s else state
 
-    def _to(self, scene: Scene, instant_s: float, features: int) -> PictureState[Watch]:
+    def _to(self, scene: Scene, instant_s: float) -> PictureState[Watch]:
         """The picture at an instant from all steps of the memory since the last."""
         carried, since_s = self, instant_s - self.memory.tracks.instant_s
         if math.isfinite(since_s):
             n = min(int(since_s / self.tuning.memory_every_s + 1e-9), self.tuning.memory_steps)
             for k in range(1, n):
-                carried = carried.passed(scene.at(instant_s - since_s * (1.0 - k / n), features=features))
-        return carried.advance(scene.at(instant_s, features=features))
+                carried = carried.passed(scene.at(instant_s - since_s * (1.0 - k / n)))
+        return carried.advance(scene.at(instant_s))
 
     def _with_ends(self, before: Watch) -> Watch:
         """The watch with the objects of an earlier instant that have ended between that and this one."""
@@ -176,7 +174,7 @@ class Watch:
 
     def _scan(self, now: Instant, hulls: Hulls) -> tuple[Scan, IntArray]:
         """The scan of an instant, and (n,) the numbers of its records' tracks, ABSENT for new ones."""
-        scan = self.memory.error_factors.applied(Scan.of(now.with_records(), self.tuning))
+        scan = self.memory.tracks.error_factors.applied(Scan.of(now.with_records(), self.tuning))
         if hulls.echoes:
             scan = self._with_hulls(scan, hulls)
         track_of_record = self.memory.tracks.numbers_on(scan)
@@ -292,7 +290,7 @@ class Watch:
             return None
         if len(now.sources) == 1:
             # identify_many needs two sources; with an empty one each record is an object.
-            empty = Records.of(np.empty((0, now.features)), sigma=1.0, source="")
+            empty = Records.of(np.empty((0, 2)), sigma=1.0, source="")
             rule = PoissonObjects(now.density, 0.5)
             return identify_many((*now.sources, empty), rule=rule, region=now.region)
         return identify_many(

@@ -253,10 +253,8 @@ def counterparts(
     common = round(share * sources)
     objects = sources + records - common
     place = Cap(150.0, 2.0, radius_deg).draw(rng, objects)
-    one, two = (
-        rng.permutation(sources),
-        rng.permutation(np.concatenate([np.arange(common), np.arange(sources, objects)])),
-    )
+    one = rng.permutation(sources)
+    two = rng.permutation(np.concatenate([np.arange(common), np.arange(sources, objects)]))
     sigma = np.exp(rng.uniform(math.log(low), math.log(high), sources))
     xray = _measured_as(rng, place[one], "xray", sigma)
     optical = _measured_as(rng, place[two], "optical", np.full(records, CATALOGUE_SIGMA_ARCSEC))

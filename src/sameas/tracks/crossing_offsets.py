@@ -217,11 +217,8 @@ class _Triples:
             reports, at = one.reports, feed == k
             assert isinstance(reports, Directions)
             rows = row[at]
-            bearing[at], sigma[at], time_s[at] = (
-                reports.bearing_deg[rows],
-                reports.sigma_deg[rows],
-                reports.time_s[rows],
-            )
+            bearing[at], sigma[at] = reports.bearing_deg[rows], reports.sigma_deg[rows]
+            time_s[at] = reports.time_s[rows]
             sensor[at] = reports.sensor_m[rows]
         kept = np.ones(feed.shape[1], bool)
         for a, b in combinations(range(3), 2):

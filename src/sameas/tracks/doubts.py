@@ -278,10 +278,7 @@ def _nothing_in_common(feed: Feed, others: Sequence[Feed], best: Shared | None) 
             f"{name}: matches the others no better than by chance: {best.pairs:.0f} of {best.records:.0f} "
             f"records of an instant match {best.other}; {remedy}"
         )
-    own, theirs = (
-        span_of(feed.reports.time_s),
-        span_of(np.concatenate([other.reports.time_s for other in others])),
-    )
+    own, theirs = span_of(feed.reports.time_s), span_of(np.concatenate([other.reports.time_s for other in others]))
     return (
         f"{name}: has no reports while others do: its reports are of {own[0]} to {own[1]}, theirs of "
         f"{theirs[0]} to {theirs[1]}; check its clock and its date, or leave it out"
