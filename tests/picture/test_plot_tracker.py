@@ -383,9 +383,9 @@ def looked(before, seen, q=0.3, split=0.02):
     """BernoulliTable objects after scans of two sources."""
     seen = np.asarray(seen, float)
     same = np.full(seen.shape, q)
-    return before.after(Sighting(seen, np.ones(2), same)).with_separate_odds(
-        seen, same, np.full(2, split), np.zeros((2, len(seen), len(seen))), Tuning()
-    )
+    after = before.after(Sighting(seen, np.ones(2), same))
+    pairs = after.pairs_near()
+    return after.with_separate_odds(pairs, seen, same, np.full(2, split), np.zeros((2, len(pairs[0]))), Tuning())
 
 
 def test_existence_follows_bayes_and_misses_are_remembered():
@@ -413,9 +413,17 @@ def test_unresolved_objects_at_one_position_are_merged_and_resolved_ones_kept():
     assert len(hull.merged(1e-4)) < len(both)
 
 
+def all_odds(table):
+    """(m, m) log-odds that two objects are separate, 0 for those that were not near."""
+    i, j = np.triu_indices(len(table), 1)
+    out = np.zeros((len(table), len(table)))
+    out[i, j] = out[j, i] = table.separate(i, j)
+    return out
+
+
 def merged_by_all_pairs(table, density_per_m2, tuning):
     """The numbers and odds of a table by comparing every two of its objects."""
-    kept, odds_apart = list(range(len(table))), table.separate_log_odds.copy()
+    kept, odds_apart = list(range(len(table))), all_odds(table)
     state, covariance, number = table.state.copy(), table.covariance.copy(), table.number.copy()
     seen = table.existence * table.hits.sum(axis=1)
     while True:
@@ -443,22 +451,26 @@ def test_objects_are_merged_as_by_comparing_every_two():
     place = rng.uniform(0.0, 2_000.0, (30, 2))
     place = np.concatenate([place, place[:10] + rng.uniform(-4.0, 4.0, (10, 2))])
     table = objects(place, hits=rng.uniform(1.0, 5.0, (40, 2)))
-    apart = np.triu(rng.uniform(-8.0, 8.0, (40, 40)), 1)
-    table = replace(table, separate_log_odds=apart + apart.T)
+    near = np.column_stack(np.triu_indices(40, 1))
+    table = replace(table, near=near, separate_log_odds=rng.uniform(-8.0, 8.0, len(near)))
     number, odds = merged_by_all_pairs(table, 1e-5, tuning)
     merged = table.merged(1e-5, tuning)
     assert merged.number.tolist() == number and 30 < len(number) < 40
-    np.testing.assert_array_equal(merged.separate_log_odds, odds)
+    np.testing.assert_array_equal(all_odds(merged), odds)
 
 
 def test_object_tables_can_be_split_and_joined():
     whole = objects(np.arange(10.0).reshape(5, 2))
-    apart = replace(whole, separate_log_odds=np.arange(25.0).reshape(5, 5))
-    for a, b in combinations(range(5), 2):
-        pair = apart.take(np.array([a, b]))
-        assert pair.separate_log_odds[0, 1] == apart.separate_log_odds[a, b] and pair.number.tolist() == [a + 1, b + 1]
-    rejoined = apart.take(np.arange(2)).with_(apart.take(np.arange(2, 5)))
-    assert rejoined.number.tolist() == whole.number.tolist() and rejoined.separate_log_odds[0, 4] == 0.0
+    near = np.column_stack(np.triu_indices(5, 1))
+    apart = replace(whole, near=near, separate_log_odds=np.arange(10.0))
+    for a, b in near:
+        pair = apart.take(np.array([b, a]))
+        assert pair.near.tolist() == [[0, 1]] and pair.separate(np.array([0]), np.array([1])) == all_odds(apart)[a, b]
+        assert pair.number.tolist() == [b + 1, a + 1]
+    rejoined = apart.take(np.arange(5) < 2).with_(apart.take(np.arange(2, 5)))
+    odds = all_odds(rejoined)
+    assert rejoined.number.tolist() == whole.number.tolist() and not odds[:2, 2:].any()
+    np.testing.assert_array_equal(odds[2:, 2:], all_odds(apart)[2:, 2:])
 
 
 @pytest.mark.slow_after(1)

@@ -337,23 +337,35 @@ def test_the_probability_that_two_objects_have_one_echo_is_that_of_drawn_positio
     one = np.array([[1500.0, 700.0], [1520.0, 760.0], [-900.0, 100.0]]) + sensor
     other = np.array([[1490.0, 730.0], [1600.0, 900.0]]) + sensor
     spread = [np.array([[400.0, 150.0], [150.0, 300.0]]), 20.0 * np.eye(2)]
-    found = feed.p_unresolved(3.0, (one, np.tile(spread[0], (3, 1, 1))), (other, np.tile(spread[1], (2, 1, 1))))
-    for i, j in np.ndindex(3, 2):
+    every = list(np.ndindex(3, 2))
+    i, j = np.array(every).T
+    places = [(place, np.tile(p, (len(place), 1, 1))) for place, p in zip((one, other), spread, strict=True)]
+    p = feed.p_unresolved(
+        3.0, *((place[k], covariance[k]) for (place, covariance), k in zip(places, (i, j), strict=True))
+    )
+    found = p.reshape(3, 2)
+    for i, j in every:
         a, b = (rng.multivariate_normal(x, p, 40_000) - sensor for x, p in zip((one[i], other[j]), spread, strict=True))
         turn = np.degrees(np.arctan2(*a.T) - np.arctan2(*b.T)) % 360.0
         apart = abs(np.hypot(*a.T) - np.hypot(*b.T)), np.minimum(turn, 360.0 - turn)
         assert found[i, j] == pytest.approx(np.mean((apart[0] < 40.0) & (apart[1] < 2.5)), abs=0.02)
     assert 0.2 < found[0, 0] < 0.98 and found[2].max() == 0.0
+    # Objects beyond each other's reach are resolved.
+    reach = [feed.resolution_reach_m(3.0, each) for each in places]
+    beyond = np.hypot(*(one[:, None] - other).transpose(2, 0, 1)) > np.add.outer(*reach)
+    assert beyond[2].all() and not beyond[:2].any()
     # Where one of them may be, however far apart.
     anywhere = np.array([[4e4, 0.0], [0.0, 4e4]]) + sensor, np.tile(1e10 * np.eye(2), (2, 1, 1))
-    assert feed.p_unresolved(3.0, anywhere, (other, np.tile(spread[1], (2, 1, 1)))).min() > 0.0
+    assert feed.p_unresolved(3.0, anywhere, places[1]).min() > 0.0
+    assert feed.resolution_reach_m(3.0, anywhere).min() > 8e4
     camera = Feed.of(
         Description("camera", "camera", site=Site(east_m=0.0, north_m=0.0), resolution=cell),
         Reports.of("camera", "table", {"time_s": [0.0, 3.0], "bearing_deg": [1.0, 2.0]}),
     )
     without = replace(feed, description=replace(radar, resolution=Resolution(0.0, 0.0)))
-    places = one, np.tile(spread[0], (3, 1, 1))
-    assert not any(each.p_unresolved(3.0, places, places).any() for each in (without, camera))
+    for each in (without, camera):
+        assert not each.p_unresolved(3.0, places[0], places[0]).any()
+        assert not each.resolution_reach_m(3.0, places[0]).any()
 
 
 def test_a_feed_does_not_keep_itself_in_memory():

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, places_in
 from sameas.evidence.identity import FREQUENCY, MODELS
 from sameas.gate import ChiSquare
 from sameas.gaussian import log_density, mahalanobis_sq
@@ -165,16 +165,18 @@ class BernoulliTable(ObjectTable):
     existence, initial : probability of existence, now and with the first scan.
     hits, misses : (m, S) weighted numbers of scans of each source that detected and missed it; older ones count less.
     frequency_hz : of the emission by which direction finders show it; NaN where unknown.
-    separate_log_odds : (m, m) log-odds, by the scans, that two objects are not one.
+    near : (p, 2) rows i < j of every two objects whose positions did not differ at the last completed scan.
+    separate_log_odds : (p,) log-odds, by the scans, that they are not one.
     """
 
-    WHOLE = frozenset({"separate_log_odds"})
+    WHOLE = frozenset({"near", "separate_log_odds"})
     existence: FloatArray = field(default_factory=lambda: np.empty(0))
     initial: FloatArray = field(default_factory=lambda: np.empty(0))
     hits: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     misses: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     frequency_hz: FloatArray = field(default_factory=lambda: np.empty(0))
-    separate_log_odds: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    near: IntArray = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    separate_log_odds: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @property
     def records(self) -> Records:
@@ -201,23 +203,23 @@ class BernoulliTable(ObjectTable):
         least: float = DEFAULT_TUNING.min_probability,
     ) -> BernoulliTable:
         """New objects."""
-        separate_log_odds = np.zeros((len(number), len(number)))
         bounded, misses = np.clip(existence, least, 1.0 - least), np.zeros_like(hits)
         frequency_hz = np.full(len(number), np.nan) if frequency_hz is None else frequency_hz
-        return cls(number, state, covariance, bounded, bounded, hits, misses, frequency_hz, separate_log_odds)
+        return cls(number, state, covariance, bounded, bounded, hits, misses, frequency_hz)
 
     def take(self, which: NDArray[Any]) -> BernoulliTable:
         """Some of the objects: a mask (m,) or places."""
-        return replace(super().take(which), separate_log_odds=self.separate_log_odds[which][:, which])
+        row = np.full(len(self), ABSENT)
+        row[which] = np.arange(np.count_nonzero(which) if which.dtype == bool else len(which))
+        near = np.sort(row[self.near], axis=1)
+        both = near[:, 0] != ABSENT
+        return replace(super().take(which), near=near[both], separate_log_odds=self.separate_log_odds[both])
 
     def with_(self, more: BernoulliTable) -> BernoulliTable:
         """The table with more objects."""
-        separate_log_odds = np.zeros((len(self) + len(more),) * 2)
-        separate_log_odds[: len(self), : len(self)], separate_log_odds[len(self) :, len(self) :] = (
-            self.separate_log_odds,
-            more.separate_log_odds,
-        )
-        return replace(self.stacked(more), separate_log_odds=separate_log_odds)
+        near = np.concatenate([self.near, more.near + len(self)])
+        separate_log_odds = np.concatenate([self.separate_log_odds, more.separate_log_odds])
+        return replace(self.stacked(more), near=near, separate_log_odds=separate_log_odds)
 
     def aged(self, dt_s: float, lifetime_s: float, memory_s: float) -> BernoulliTable:
         """The objects after ``dt_s``: existence decays with their lifetime, hits and misses with ``memory_s``."""
@@ -241,29 +243,45 @@ class BernoulliTable(ObjectTable):
             misses=self.misses + np.maximum(sighting.scans - p_detected, 0.0),
         )  # fmt: skip
 
+    def pairs_near(self, tuning: Tuning = DEFAULT_TUNING) -> tuple[IntArray, IntArray]:
+        """(p,), (p,) rows of every two objects whose positions do not differ, i < j, in their order."""
+        positions = Records.of(self.state[:, :2], covariance=self.covariance[:, :2, :2], source=KNOWN)
+        pairs = ChiSquare(tuning.different_quantile)(positions, positions)
+        once = np.flatnonzero(pairs.i < pairs.j)
+        i, j = pairs.i[once].astype(np.int64), pairs.j[once].astype(np.int64)
+        order = np.lexsort([j, i])
+        return i[order], j[order]
+
+    def separate(self, i: IntArray, j: IntArray) -> FloatArray:
+        """(p,) log-odds, by the scans, that objects i and j (p,), i < j, are not one; 0 where they were not near."""
+        known = self.near @ (len(self), 1)
+        order = np.argsort(known)
+        at = places_in(known[order], i * len(self) + j)
+        return np.append(self.separate_log_odds[order], 0.0)[at]
+
     def with_separate_odds(
-        self, p_detected: FloatArray, usual_q: FloatArray, split: FloatArray, unresolved: FloatArray, tuning: Tuning
-    ) -> BernoulliTable:
+        self, pairs: tuple[IntArray, IntArray], p_detected: FloatArray, usual_q: FloatArray, split: FloatArray,
+        unresolved: FloatArray, tuning: Tuning,
+    ) -> BernoulliTable:  # fmt: skip
         """The objects with the odds, after completed scans, that two of them are separate objects.
 
         A scan that detects both has the probability (1 − q)² (1 − u) if they are separate, and (1 − q) times that of a
         split if they are one; a scan that detects one of them (1 − q) (q + (1 − q) u) and 1 − q, with u the probability
         that they are not resolved. An unresolved pair may be split like one object.
 
-        p_detected : (m, S) as of :class:`Sighting`. usual_q : (m, S) described miss probability at their places.
-        split : (S,) probability that a scan of the source shows one object as two. unresolved : (S, m, m) u.
+        pairs : :meth:`pairs_near`. p_detected : (m, S) as of :class:`Sighting`. usual_q : (m, S) described miss
+        probability at their places. split : (S,) probability that a scan of the source shows one object as two.
+        unresolved : (S, p) u of the pairs.
         """
-        separate_log_odds = self.separate_log_odds.copy()
+        i, j = pairs
+        separate_log_odds = self.separate(i, j)
         for s, u in enumerate(unresolved):
-            q, p = usual_q[:, s], p_detected[:, s]
-            log_detected = np.log1p(-q)
-            log_both = 0.5 * (log_detected[:, None] + log_detected) + np.log((1.0 - u) / split[s] + u)
-            log_one = 0.5 * (np.log(q[:, None] + (1.0 - q[:, None]) * u) + np.log(q + (1.0 - q) * u))
-            both, one = np.outer(p, p), np.outer(p, 1.0 - p)
-            separate_log_odds += both * log_both + (one + one.T) * log_one
-        return replace(
-            self, separate_log_odds=np.clip(separate_log_odds, -tuning.separate_log_odds, tuning.separate_log_odds)
-        )
+            (q_i, q_j), (p_i, p_j) = ((of[i, s], of[j, s]) for of in (usual_q, p_detected))
+            log_both = 0.5 * (np.log1p(-q_i) + np.log1p(-q_j)) + np.log((1.0 - u) / split[s] + u)
+            log_one = 0.5 * (np.log(q_i + (1.0 - q_i) * u) + np.log(q_j + (1.0 - q_j) * u))
+            separate_log_odds += p_i * p_j * log_both + (p_i * (1.0 - p_j) + p_j * (1.0 - p_i)) * log_one
+        bound = tuning.separate_log_odds
+        return replace(self, near=np.column_stack(pairs), separate_log_odds=np.clip(separate_log_odds, -bound, bound))
 
     def merged(self, density_per_m2: float, tuning: Tuning = DEFAULT_TUNING) -> BernoulliTable:
         """The objects without duplicates; the lower number of two stays.
@@ -272,33 +290,33 @@ class BernoulliTable(ObjectTable):
         they are separate by ``merging_log_odds``. The state of the one detected more often stays: the other may be the
         end of its hull.
         """
-        objects = self
-        while len(objects) > 1:
-            i, j, for_one, agree = objects._compared(density_per_m2, tuning)
-            separate_log_odds = np.zeros_like(objects.separate_log_odds)
-            for one, other in ((i, j), (j, i)):
-                separate_log_odds[one, other] = objects.separate_log_odds[one, other]
-            objects = replace(objects, separate_log_odds=separate_log_odds)
-            odds = np.where(agree, for_one - separate_log_odds[i, j], -np.inf)
+        objects = replace(self, **{each.name: getattr(self, each.name).copy() for each in fields(self)})
+        i, j = self.pairs_near(tuning)
+        for_one, agree = self._compared(i, j, density_per_m2, tuning)
+        # The object with the state of each row, ABSENT for none: every two states are compared once.
+        holder = np.arange(len(self))
+        while True:
+            one, other = np.sort([holder[i], holder[j]], axis=0)
+            both, separate_log_odds = one != ABSENT, self.separate(one, other)
+            # Two emitters on one ship are not one.
+            may_be_one = both & agree & ~objects._on_two_frequencies(one, other)
+            odds = np.where(may_be_one, for_one - separate_log_odds, -np.inf)
             best = int(odds.argmax()) if len(odds) else 0
             if not (len(odds) and odds[best] > tuning.merging_log_odds):
-                break
-            objects = objects._joined(int(i[best]), int(j[best]))
-        return objects
+                near = np.column_stack([one, other])[both]
+                objects = replace(objects, near=near, separate_log_odds=separate_log_odds[both])
+                return objects.take(np.isin(np.arange(len(self)), holder))
+            stays = objects._join(int(one[best]), int(other[best]))
+            rows = (i[best], j[best]) if holder[i[best]] == stays else (j[best], i[best])
+            holder[list(rows)] = one[best], ABSENT
 
-    def _compared(self, density_per_m2: float, tuning: Tuning) -> tuple[IntArray, IntArray, FloatArray, BoolArray]:
-        """(p,), (p,) every two objects whose positions do not differ, i < j, (p,) ln N/ρ of their positions, and
-        whether their states agree."""
-        positions = Records.of(self.state[:, :2], covariance=self.covariance[:, :2, :2], source=KNOWN)
-        near = ChiSquare(tuning.different_quantile)(positions, positions)
-        once = np.flatnonzero(near.i < near.j)
-        i, j = near.i[once].astype(np.int64), near.j[once].astype(np.int64)
-        order = np.lexsort([j, i])
-        i, j = i[order], j[order]
+    def _compared(
+        self, i: IntArray, j: IntArray, density_per_m2: float, tuning: Tuning
+    ) -> tuple[FloatArray, BoolArray]:
+        """(p,) ln N/ρ of the positions of every two objects, and whether their states agree."""
         delta, total = self.state[i] - self.state[j], self.covariance[i] + self.covariance[j]
         agree = mahalanobis_sq(delta, total) < ChiSquare(tuning.same_quantile).limit(4)
-        agree &= ~self._on_two_frequencies(i, j)  # two emitters on one ship are not one
-        return i, j, log_density(delta[:, :2], total[:, :2, :2]) - math.log(density_per_m2), agree
+        return log_density(delta[:, :2], total[:, :2, :2]) - math.log(density_per_m2), agree
 
     def _on_two_frequencies(self, i: IntArray, j: IntArray) -> BoolArray:
         """(p,) whether two objects are emitters of different frequencies."""
@@ -307,14 +325,13 @@ class BernoulliTable(ObjectTable):
         out[both] = MODELS[FREQUENCY](f[i[both]], f[j[both]], f[np.isfinite(f)]) < 0.0
         return out
 
-    def _joined(self, i: int, j: int) -> BernoulliTable:
-        """The table with objects i and j merged into row i."""
-        columns = {f.name: getattr(self, f.name).copy() for f in fields(self)}
-        kept_place = max(i, j, key=lambda k: (self.existence[k] * self.hits[k].sum(), *self.state[k]))
-        columns["state"][i], columns["covariance"][i] = self.state[kept_place], self.covariance[kept_place]
-        columns["number"][i] = min(self.number[i], self.number[j])
-        columns["existence"][i] = 1.0 - (1.0 - self.existence[i]) * (1.0 - self.existence[j])
-        columns["initial"][i] = np.maximum(self.initial[i], self.initial[j])
-        columns["hits"][i] = self.hits[i] + self.hits[j]
-        columns["misses"][i] = np.minimum(self.misses[i], self.misses[j])
-        return BernoulliTable(**columns).take(np.arange(len(self)) != j)
+    def _join(self, i: int, j: int) -> int:
+        """Merges object j into row i, in place; which of the two has the state that stays."""
+        stays = max(i, j, key=lambda k: (self.existence[k] * self.hits[k].sum(), *self.state[k]))
+        self.state[i], self.covariance[i] = self.state[stays], self.covariance[stays]
+        self.number[i] = min(self.number[i], self.number[j])
+        self.existence[i] = 1.0 - (1.0 - self.existence[i]) * (1.0 - self.existence[j])
+        self.initial[i] = max(self.initial[i], self.initial[j])
+        self.hits[i] += self.hits[j]
+        self.misses[i] = np.minimum(self.misses[i], self.misses[j])
+        return stays

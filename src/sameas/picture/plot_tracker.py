@@ -88,8 +88,8 @@ class PlotTracker:
         places = np.concatenate([prior_objects.state[:, :2], *(places_of(source) for source in now.sources)])
         usual_q = np.column_stack([self._usual_q(feed, prior_objects.state[:, :2], now) for feed in now.feeds])
         # Of objects that the source does not resolve one has the record.
-        n_shared = 1.0 + np.einsum("smk,k->ms", _unresolved(prior_objects, now), prior_objects.existence)
-        q = 1.0 - (1.0 - prior_objects.expected_q(usual_q, self.sighting_scans, self.min_q)) / n_shared
+        n_shared = [_sharing(feed, prior_objects, now.instant_s) for feed in now.feeds]
+        q = 1.0 - (1.0 - prior_objects.expected_q(usual_q, self.sighting_scans, self.min_q)) / np.column_stack(n_shared)
         q_of, false = {}, {}
         for feed, source in zip(now.feeds, now.sources, strict=True):
             q_of[feed.description.name] = self._q_of(feed, source, places, now)
@@ -108,9 +108,11 @@ class PlotTracker:
         )
         split = np.array([d.resolution.split or self.tuning.split for d in now.descriptions])
         objects = objects.with_(new)
+        pairs = objects.pairs_near(self.tuning)
+        unresolved = [_p_unresolved(feed, objects, pairs, before.now.instant_s) for feed in before.now.feeds]
         objects = objects.with_separate_odds(
-            np.vstack([p_detected, new.hits]), np.vstack([before.usual_q, new_q]), split,
-            _unresolved(objects, before.now), self.tuning,
+            pairs, np.vstack([p_detected, new.hits]), np.vstack([before.usual_q, new_q]), split, np.array(unresolved),
+            self.tuning,
         )  # fmt: skip
         density = objects_per_m2(now)
         objects = objects.merged(density, self.tuning)
@@ -436,11 +438,28 @@ def _frequencies(objects: BernoulliTable, now: Instant) -> Identity:
     return Identity(columns)
 
 
-def _unresolved(objects: BernoulliTable, now: Instant) -> FloatArray:
-    """(S, m, m) probability that a source shows two of the objects as one record; 0 of an object with itself."""
-    places = objects.state[:, :2], objects.covariance[:, :2, :2]
-    out = np.array([feed.p_unresolved(now.instant_s, places, places) for feed in now.feeds])
-    out[:, np.arange(len(objects)), np.arange(len(objects))] = 0.0
+def _p_unresolved(
+    feed: Feed, objects: BernoulliTable, pairs: tuple[IntArray, IntArray], instant_s: float
+) -> FloatArray:
+    """(p,) probability that a source shows two of the objects as one record."""
+    one, other = ((objects.state[k, :2], objects.covariance[k, :2, :2]) for k in pairs)
+    return feed.p_unresolved(instant_s, one, other)
+
+
+def _sharing(feed: Feed, objects: BernoulliTable, instant_s: float) -> FloatArray:
+    """(m,) the expected number of objects, itself one of them, that a source shows as one record with each object."""
+    from scipy.spatial import cKDTree
+
+    out, places = np.ones(len(objects)), objects.state[:, :2]
+    reach_m = feed.resolution_reach_m(instant_s, (places, objects.covariance[:, :2, :2]))
+    if not reach_m.any():
+        return out
+    i, j = cKDTree(places).query_pairs(2.0 * float(reach_m.max()), output_type="ndarray").T
+    near = np.hypot(*(places[i] - places[j]).T) <= reach_m[i] + reach_m[j]
+    i, j = i[near], j[near]
+    p = _p_unresolved(feed, objects, (i, j), instant_s)
+    for one, other in ((i, j), (j, i)):
+        out += np.bincount(one, p * objects.existence[other], len(out))
     return out
 
 

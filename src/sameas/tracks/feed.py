@@ -352,34 +352,44 @@ class Feed:
     def p_unresolved(
         self, instant_s: float, one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]
     ) -> FloatArray:
-        """(n, m) probability that the sensor shows an object of ``one`` and one of ``other`` as one record.
+        """(p,) probability that the sensor shows two objects as one record: they are nearer to each other than its
+        resolution in range and in bearing. 0 where :meth:`resolution_reach_m` is.
 
-        They are nearer to each other than its resolution in range and in bearing. 0 for a sensor without a known
-        position or resolution, and for directions: detectors draw a box about each of two ships that overlap.
-
-        one, other : (n, 2) positions with (n, 2, 2) covariances, m², and (m, 2) with (m, 2, 2).
+        one, other : (p, 2) positions with (p, 2, 2) covariances, m².
         """
-        out = np.zeros((len(one[0]), len(other[0])))
         sensor, resolution = self.sensor_at(instant_s), self.description.resolution
-        cell_m, beam_deg = resolution.range_m, resolution.bearing_deg
-        if isinstance(self.reports, Directions) or sensor is None or not out.size or not cell_m or not beam_deg:
-            return out
-        beam = math.radians(beam_deg)
-        east, north = (one[0][:, None, v] - other[0][:, v] for v in (0, 1))
-        variance = [np.trace(places[1], axis1=1, axis2=2) + MIN_RANGE_M**2 for places in (one, other)]
-        range_m = [np.hypot(*(places[0] - sensor).T) + MIN_RANGE_M for places in (one, other)]
-        farthest = cell_m + beam * np.add.outer(*range_m) + RESOLVED_SIGMAS * np.sqrt(2.0 * np.add.outer(*variance))
-        i, j = np.nonzero(np.hypot(east, north) <= farthest)
-        delta, arm = one[0][i] - other[0][j], 0.5 * (one[0][i] + other[0][j]) - sensor
+        if sensor is None or not self._merges:
+            return np.zeros(len(one[0]))
+        delta, arm = one[0] - other[0], 0.5 * (one[0] + other[0]) - sensor
         distance = np.maximum(np.hypot(*arm.T), MIN_RANGE_M)
         along = arm / distance[:, None]
         axes = np.stack([along, along[:, ::-1] * (-1.0, 1.0)], axis=1)
         apart = np.abs(np.einsum("pij,pj->pi", axes, delta))
-        total = one[1][i] + other[1][j]
-        sigma = np.sqrt(np.maximum(np.einsum("pij,pjk,pik->pi", axes, total, axes), MIN_RANGE_M**2))
-        cell = np.stack([np.full_like(distance, cell_m), beam * distance], axis=1)
-        out[i, j] = np.prod(ndtr((cell - apart) / sigma) - ndtr((-cell - apart) / sigma), axis=1)
-        return out
+        sigma = np.sqrt(np.maximum(np.einsum("pij,pjk,pik->pi", axes, one[1] + other[1], axes), MIN_RANGE_M**2))
+        cell = np.stack(
+            [np.full_like(distance, resolution.range_m), math.radians(resolution.bearing_deg or 0.0) * distance], axis=1
+        )
+        return np.asarray(np.prod(ndtr((cell - apart) / sigma) - ndtr((-cell - apart) / sigma), axis=1))
+
+    def resolution_reach_m(self, instant_s: float, places: tuple[FloatArray, FloatArray]) -> FloatArray:
+        """(n,) a distance about objects: two that are farther apart than the sum of theirs are resolved.
+
+        0 for a sensor without a known position or resolution, and for directions: detectors draw a box about each of
+        two ships that overlap. places : (n, 2) positions with (n, 2, 2) covariances, m².
+        """
+        sensor, resolution = self.sensor_at(instant_s), self.description.resolution
+        if sensor is None or not self._merges:
+            return np.zeros(len(places[0]))
+        variance = np.trace(places[1], axis1=1, axis2=2) + MIN_RANGE_M**2
+        range_m = np.hypot(*(places[0] - sensor).T) + MIN_RANGE_M
+        cell_m, beam = resolution.range_m or 0.0, math.radians(resolution.bearing_deg or 0.0)
+        return np.asarray(0.5 * cell_m + beam * range_m + RESOLVED_SIGMAS * np.sqrt(2.0 * variance))
+
+    @property
+    def _merges(self) -> bool:
+        """Whether the sensor may show two objects as one record."""
+        resolution = self.description.resolution
+        return not isinstance(self.reports, Directions) and bool(resolution.range_m and resolution.bearing_deg)
 
     def mean_q(self, places: FloatArray, instant_s: float) -> float:
         """Mean probability that an object at one of the places (n, 2) is missed, within 1e-6 … 1 − 1e-6."""
