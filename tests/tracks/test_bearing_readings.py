@@ -105,3 +105,22 @@ def test_the_reading_is_named():
     scene, azimuth_deg = on_shore(10001, lambda bearing, t: bearing, True)
     one = best_other_reading(scene.feeds[0], [scene.feeds[1]], azimuth_deg)
     assert one is not None and one.log_odds < -10.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("factor", "words"), [(1852.0, "nautical miles"), (1e5, "are they")])
+def test_ranges_in_another_unit_are_named_and_not_the_other_source(factor, words):
+    """The AIS was said to have no reports at the times of the radar."""
+    (radar, plots), ais = boat_radar(np.random.default_rng(3), common=6, moored=0, minutes=3.0).sources
+    wrong = replace(plots, range_m=plots.range_m / factor)
+    [sentence] = Scene.of([ais, (radar, wrong)]).doubts()
+    assert sentence.startswith("radar: its ranges ") and words in sentence, sentence
+
+
+@pytest.mark.slow
+def test_a_radar_that_is_misread_is_named_in_any_order_of_the_sources():
+    """Of two that match nothing the first was named, as if it did not observe the same vessels."""
+    scene, _ = on_shore(2, READ["mirrored"], ids=False)
+    given = [(feed.description, feed.raw_reports) for feed in scene.feeds]
+    [sentence] = Scene.of(given[::-1]).doubts()
+    assert sentence.startswith("radar: its bearings look "), sentence

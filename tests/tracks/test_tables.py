@@ -888,3 +888,41 @@ time,mmsi,lat,lon,shipname,to_bow,to_stern,to_port,to_starboard
     assert found.passed_over == {"static data of ships, without a position": 1}
     assert found.damaged.counts() == {"no position": 1}
     assert found.name.tolist() == ["FERRY", None] and found.covariance_m2[0, 0] > 100.0
+
+
+def scans(scans, **more):
+    """Rows of JSON lines, of scans with a list of plots each."""
+    return [json.dumps({"t": 1714557600.0 + 2.5 * k, "own_lat": 50.0, "own_lon": -1.0, "plots": plots} | more)
+            for k, plots in enumerate(scans)]  # fmt: skip
+
+
+def test_plots_in_a_list_of_each_scan_are_reports_of_its_time():
+    """Such a file had no columns of a position."""
+    plots = [{"range": 900.0, "azimuth": 12.5}, {"range": 400.0, "azimuth": 300.0}]
+    found = read(cells_of_json(scans([plots, [], plots[:1]]), "radar"), "radar")
+    assert found.range_m.tolist() == [900.0, 400.0, 900.0] and found.bearing_deg.tolist() == [12.5, 300.0, 12.5]
+    assert (found.time_s - found.time_s[0]).tolist() == [0.0, 0.0, 5.0] and found.line.tolist() == [1, 1, 3]
+    assert found.station_lat_deg.tolist() == [50.0] * 3 and not found.damaged.counts()
+    # The list beside a report's own position is not of other reports.
+    found = read(cells_of_json(scans([plots], lat=51.0, lon=-1.0), "radar"), "radar", ReadOptions(kind="ais"))
+    assert len(found) == 1 and found.lat_deg.tolist() == [51.0]
+
+
+def test_a_radars_topic_of_ros_in_radians_is_read():
+    rng = np.random.default_rng(1)
+    angle = rng.uniform(0.0, 2.0 * np.pi, 60)
+    rows = [f"{1714557600000000000 + k},{k},radar,{900.0 + k},{one:.5f}" for k, one in enumerate(angle)]
+    found = table("\n".join(["%time,field.header.seq,field.header.frame_id,field.range,field.azimuth", *rows]))
+    assert np.allclose(found.bearing_deg, np.degrees(angle), atol=1e-3) and found.range_m[1] == 901.0
+    assert "radar.csv: azimuth is read in rad, by its size: its name states no unit" in found.notes
+
+
+@pytest.mark.parametrize(
+    ("name", "angle"),
+    [("azimuth_deg", np.arange(60) * 2.5 % 6.28), ("azimuth", np.linspace(0.0, 6.2, 60)),
+     ("azimuth", np.linspace(0.0, 3.0, 60)), ("azimuth", np.linspace(0.0, 359.0, 60))],
+)  # fmt: skip
+def test_degrees_are_no_radians(name, angle):
+    """By their name; since they follow each other, as of one object; over half a turn; beyond one."""
+    rows = [f"2024-05-01T10:{k:02d}:00Z,900,{one}" for k, one in enumerate(angle)]
+    assert np.allclose(table("\n".join([f"time,range_m,{name}", *rows])).bearing_deg, angle)

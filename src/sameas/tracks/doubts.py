@@ -27,7 +27,7 @@ from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_track
 from sameas.tracks.registration import unbiased
 from sameas.tracks.snapshot import ComparedSource, bias_widths, common_scans
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
-from sameas.tracks.unit_guesses import clock_guesses, unit_guesses
+from sameas.tracks.unit_guesses import UnitGuess, clock_guesses, range_guesses, unit_guesses
 
 
 @dataclass(frozen=True)
@@ -79,13 +79,19 @@ def doubts(
     guesses = {one.name: one.guess for one in examined if one.guess is not None}
     named = {guess.other for guess in guesses.values()}
     misread = {name: guess.either for name, guess in guesses.items()}
-    for one in examined:
-        accused = all(other.description.name in sentences for other in one.partners)
-        if one.is_matched or one.name in sentences or one.name in named or accused:
-            continue
-        if sentence := _reading_sentence(one, tuning):
+
+    def unexplained() -> Iterator[_Examined]:
+        for one in examined:
+            accused = all(other.description.name in sentences for other in one.partners)
+            if not (one.is_matched or one.name in sentences or one.name in named or accused):
+                yield one
+
+    # A source that is read wrongly explains why another matches nothing.
+    for one in unexplained():
+        if sentence := _range_sentence(one, fits, plane, tuning) or _reading_sentence(one, tuning):
             sentences[one.name], misread[one.name] = sentence, frozenset({one.name})
-        elif not one.has_common(tuning):
+    for one in unexplained():
+        if not one.has_common(tuning):
             sentences[one.name] = one.unmatched(tuning)
     names = (one.name for one in examined if one.name in sentences)
     return tuple(Doubt(sentences[name], misread.get(name, frozenset())) for name in names)
@@ -166,6 +172,34 @@ def _reading_sentence(one: _Examined, tuning: Tuning) -> str:
     return (
         f"{one.name}: its {misread.suspicion}: {misread.changed}, its plots are on the tracks of {others} "
         f"(log evidence {misread.log_evidence:.0f}); {misread.remedy}"
+    )
+
+
+def _range_sentence(one: _Examined, fits: PlotFits, plane: LocalPlane | None, tuning: Tuning) -> str:
+    """The sentence on the unit of ranges of a radar's plots that all are a tiny part of its reach; "" for others."""
+    reports, reach_m = one.feed.raw_reports, one.feed.description.coverage.range_m
+    if reports is None or reports.range_m is None or reach_m is None or not shows_bare_plots(one.feed):
+        return ""
+    far = float(np.quantile(reports.range_m, 0.99))
+    if far > tuning.tiny_range * reach_m:
+        return ""
+    named = [other for other in one.partners if shows_tracks(other)]
+    best: tuple[float, UnitGuess] | None = None
+    for guess in range_guesses(at_least_m=1.0):
+        source = guess.read(one.feed.description, reports)
+        fit = None if source is None or not named else fits(Feed.of(*source, plane, tuning=tuning), named)
+        if fit is not None and fit.established and (best is None or fit.log_evidence > best[0]):
+            best = fit.log_evidence, guess
+    if best is None:
+        return (
+            f"{one.name}: its ranges reach {far:.3g} m, which is little for the kind {one.feed.description.kind}; are "
+            "they kilometres or nautical miles? Give their unit"
+        )
+    evidence, guess = best
+    others = " and ".join(other.description.name for other in named)
+    return (
+        f"{one.name}: its {guess.suspicion}: with {guess.changed}, its plots are on the tracks of {others} "
+        f"(log evidence {evidence:.0f}); {guess.remedy}"
     )
 
 
@@ -278,7 +312,11 @@ def _nothing_in_common(feed: Feed, others: Sequence[Feed], best: Shared | None) 
             f"{name}: matches the others no better than by chance: {best.pairs:.0f} of {best.records:.0f} "
             f"records of an instant match {best.other}; {remedy}"
         )
-    own, theirs = span_of(feed.reports.time_s), span_of(np.concatenate([other.reports.time_s for other in others]))
+    time_s = np.concatenate([other.reports.time_s for other in others])
+    own, theirs = span_of(feed.reports.time_s), span_of(time_s)
+    first_s, last_s = float(time_s.min()), float(time_s.max())
+    if np.mean((feed.reports.time_s >= first_s) & (feed.reports.time_s <= last_s)) > 0.5:
+        return f"{name}: has nothing near the others at any instant; check positions, units and errors, or leave it out"
     return (
         f"{name}: has no reports while others do: its reports are of {own[0]} to {own[1]}, theirs of "
         f"{theirs[0]} to {theirs[1]}; check its clock and its date, or leave it out"

@@ -505,5 +505,7 @@ def _notes(feed: Feed, which: IntArray, own: IntArray, fit: BiasFit, against: tu
     far = np.abs(fit.theta[own]) > 3.0 * np.where(bias_widths(feed) > 0.0, bias_widths(feed), np.inf)[which]
     wide = [BIASES[k] for k in which[far]]
     if wide:
-        notes.append(f"{name}: {' and '.join(wide)} came out more than three times as large as its description allows")
+        assumed = all(feed.description.is_assumed(f"bias.{one}") for one in wide)
+        limit = f"is assumed for the kind {feed.description.kind}" if assumed else "its description allows"
+        notes.append(f"{name}: {' and '.join(wide)} came out more than three times as large as {limit}")
     return tuple(notes)

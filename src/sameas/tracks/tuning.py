@@ -180,6 +180,7 @@ class Tuning:
     unrelated_share, guess_share : a source whose share of records with a partner is not above the first has nothing in
         common with another; a guess must reach the second.
     guess_gain : minimum gain of the log likelihood per instant by a guess, among some thirty guesses.
+    tiny_range : ranges of a radar's plots up to this part of its reach are hardly metres.
     apart_m : sources farther apart than this, and than either is wide, are not of one area.
     near_extents, near_m : a guess of positions must bring a source to within this many extents of another, or metres.
     """
@@ -338,6 +339,7 @@ class Tuning:
     unrelated_share: float = 0.1
     guess_share: float = 0.5
     guess_gain: float = 8.0
+    tiny_range: float = 0.002
     apart_m: float = 900e3
     near_extents: float = 3.0
     near_m: float = 50e3

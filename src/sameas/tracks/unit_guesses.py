@@ -69,7 +69,7 @@ def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
                       lambda about, reports: (about, replace(reports, x_m=reports.y_m, y_m=reports.x_m)))  # fmt: skip
         yield from (_in_length("coordinates", unit, _scaled(m, "x_m", "y_m")) for unit, m in LENGTHS)
     if reports.position == "polar":
-        yield from (_in_length("ranges", unit, _scaled(m, "range_m")) for unit, m in LENGTHS)
+        yield from range_guesses()
     if reports.bearing_deg is not None:
         yield UnitGuess("bearings look like radians", "them read so", "give their unit as rad",
                       _with_bearings(lambda bearing: bearing * DEGREE, 2.0 * math.pi + 0.01))  # fmt: skip
@@ -79,6 +79,11 @@ def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
         mirrored = _with_bearings(lambda angle: -angle, 360.0)
         yield UnitGuess(MIRRORED[0], "their sign turned", MIRRORED[2], mirrored)
         yield from bow_guesses(reports)
+
+
+def range_guesses(at_least_m: float = 0.0) -> Iterator[UnitGuess]:
+    """Other units of the ranges, of this length or longer."""
+    yield from (_in_length("ranges", unit, _scaled(m, "range_m")) for unit, m in LENGTHS if m >= at_least_m)
 
 
 def bow_guesses(reports: Reports) -> Iterator[UnitGuess]:

@@ -197,6 +197,14 @@ _ROS = {
     "longitude": "longitude", "altitude": "altitude", "position_covariance0": "cov_xx",
     "position_covariance1": "cov_xy", "position_covariance4": "cov_yy", "id": "id",
 }  # fmt: skip
+#: Names of what a radar or a receiver measures, as the end of a field of a message of ROS.
+_ROS_PLOTS = tuple(
+    name
+    for quantity in QUANTITIES
+    if quantity.column in ("range_m", "bearing_deg", "relative_bearing_deg", "mmsi", "station_heading_deg")
+    for name in quantity.names
+    if len(name) > 1
+)
 
 
 def _of_ros(names: Sequence[str]) -> list[str]:
@@ -208,6 +216,7 @@ def _of_ros(names: Sequence[str]) -> list[str]:
     for k, name in enumerate(names):
         words = re.split(r"[./]", name)
         known = next((_ROS[".".join(words[-n:])] for n in (2, 1) if ".".join(words[-n:]) in _ROS), None)
+        known = words[-1] if known is None and stem_of(words[-1])[0] in _ROS_PLOTS else known
         if known is not None and known not in out:
             out[k] = known
     return out
@@ -287,7 +296,7 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
     if any(answers):
         unit = "state"
         objects = list(enumerate((state for states in answers for state in states or ()), start=1))
-    for number, value in objects:
+    for number, value in _of_scans(objects):
         if isinstance(value, dict):
             rows.append(_of_aisstream(value) or _of_virtual_radar(value) or _flattened(value))
             line_numbers.append(number)
@@ -320,6 +329,25 @@ def _records(document: Any) -> list[Any]:
     if len(inner) == 1:
         return list(inner[0])
     return document if isinstance(document, list) else [document]
+
+
+def _of_scans(objects: Sequence[tuple[int, Any]]) -> Iterator[tuple[int, Any]]:
+    """The objects, or, of scans, which have no position and one list of objects, such as plots, each of these with what
+    its scan states of all. An empty scan has none."""
+    dicts = [value for _, value in objects if isinstance(value, dict)]
+    first = next((value for value in dicts if any(map(_is_records, value.values()))), {})
+    lists = [name for name, value in first.items() if _is_records(value)]
+    if len(lists) != 1 or _has_position({name: cell for name, cell in first.items() if name != lists[0]}):
+        yield from objects
+        return
+    [plots] = lists
+    for number, value in objects:
+        inner = value.get(plots) if isinstance(value, dict) else None
+        if not isinstance(inner, list) or not all(isinstance(item, dict) for item in inner):
+            yield number, value
+            continue
+        scan = _flattened({name: cell for name, cell in value.items() if name != plots})
+        yield from ((number, scan | _flattened(item)) for item in inner)
 
 
 def _columns(document: Mapping[str, Any]) -> dict[str, list[Any]]:

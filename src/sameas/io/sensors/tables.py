@@ -72,6 +72,7 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
         name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
     }
     chosen = _with_unit_of_frequencies(values, chosen)
+    chosen = _with_unit_of_bearings(values, chosen, options.units or {})
     values, chosen = with_sensors_motion(values, chosen)
     values, chosen = _with_nav_status(values, _without_row_numbers(values, chosen), is_ais)
     marks = _mark_unavailable(values, chosen, is_ais)
@@ -292,6 +293,44 @@ def _with_unit_of_frequencies(values: dict[str, Any], chosen: dict[str, Choice])
     values["frequency_hz"] = values["frequency_hz"] * factor
     why = f"{choice.name} is read in {unit}, by its size: {NO_UNIT}"
     return chosen | {"frequency_hz": replace(choice, factor=factor, why=why)}
+
+
+#: Bearings without a unit are radians if there are so many, all within a turn of radians and over most of it, and half
+#: of them as far from the one before (in their unit): the antenna turns from object to object.
+_RADIANS, _RADIANS_SPAN, _RADIANS_APART = 50, 5.5, 0.3
+
+
+def _with_unit_of_bearings(
+    values: dict[str, Any], chosen: dict[str, Choice], units: Mapping[str, str]
+) -> dict[str, Choice]:
+    """The columns with bearings in radians, if they state no unit and look so, and the headings beside them; changes
+    the values."""
+    out = dict(chosen)
+    for name in ("bearing_deg", "relative_bearing_deg"):
+        if name not in values or not _states_no_unit(chosen[name], units):
+            continue
+        angle = values[name][np.isfinite(values[name])]
+        if len(angle) < _RADIANS or not _is_in_radians(angle):
+            continue
+        apart = np.abs(np.mod(np.diff(angle) + math.pi, 2.0 * math.pi) - math.pi)
+        if np.ptp(angle) < _RADIANS_SPAN or np.median(apart) < _RADIANS_APART:
+            continue
+        read = [name, *(one for one in ("station_heading_deg", "heading_deg", "course_deg") if one in values)]
+        read = [one for one in read if _states_no_unit(chosen[one], units) and _is_in_radians(values[one])]
+        for one in read:
+            values[one] = np.degrees(values[one])
+            why = f"{chosen[one].name} is read in rad, by its size: {NO_UNIT}"
+            out[one] = replace(chosen[one], factor=math.degrees(1.0), why=why)
+    return out
+
+
+def _states_no_unit(choice: Choice, units: Mapping[str, str]) -> bool:
+    return choice.name not in units and not stem_of(choice.name)[1]
+
+
+def _is_in_radians(angle: FloatArray) -> bool:
+    """Whether no angle is beyond a turn of radians, from 0 or to either side."""
+    return bool(np.nanmin(angle) >= -math.pi - 0.01 and np.nanmax(angle) <= 2.0 * math.pi + 0.01)
 
 
 def _nav_status(text: str | None) -> float:
