@@ -84,6 +84,23 @@ def test_pixels_in_the_users_mask_and_nan_pixels_are_excluded(tmp_path):
     assert np.isfinite(frame.image).all()
 
 
+def test_three_planes_of_colours_are_one_image(tmp_path):
+    planes = np.stack([0.5 * SKY, SKY, 0.6 * SKY])
+    planes[1, 10:16, 10:20] = 65_535
+    header = fits.Header({"GAIN": 1.5, "EXPTIME": 10.0})
+    fits.writeto(tmp_path / "rgb.fits", planes.astype(np.uint16), header)
+    frame = read(tmp_path / "rgb.fits")
+    assert frame.shape == SKY.shape
+    assert frame.image == pytest.approx(planes.astype(np.uint16).mean(axis=0), rel=1e-6)
+    assert ((frame.flags & Flag.SATURATED) != 0).sum() == 60
+    assert "image: the mean of three planes of colours" in frame.facts.lines
+    assert np.isnan(frame.facts.gain_e_per_adu)
+    assert read(tmp_path / "rgb.fits", given=Given(gain_e_per_adu=2.0)).facts.gain_e_per_adu == 2.0
+    fits.writeto(tmp_path / "cube.fits", np.stack([SKY] * 5))
+    with pytest.raises(InputError, match=r"shape \(5, .* three planes of colours"):
+        read(tmp_path / "cube.fits")
+
+
 def test_saturation_is_estimated_from_the_pixels_if_not_given():
     image = SKY.copy()
     image[10:16, 10:20] = 30_000.0

@@ -98,7 +98,8 @@ def _image(hdus: HDUList, shape: tuple[int, int]) -> int | None:
 
 def _shape(hdu: Any) -> tuple[int, ...]:
     shape = tuple(int(size) for size in hdu.shape)
-    return shape[-2:] if len(shape) >= 2 and int(np.prod(shape[:-2])) == 1 else ()
+    # One plane, or three of colours.
+    return shape[-2:] if len(shape) >= 2 and int(np.prod(shape[:-2])) in (1, 3) else ()
 
 
 def _replace(header: Header, cards: Header) -> None:

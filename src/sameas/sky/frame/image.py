@@ -1,7 +1,7 @@
 """Images: a frame from a FITS file with its facts and pixel flags, and its calibration.
 
 :func:`read` accepts plain and compressed files (``.gz``, tile-compressed ``.fz``), several extensions, integers (scaled
-and unsigned) and floats, error and data-quality planes, and a user's mask. ``frame.facts`` has a line for every
+and unsigned) and floats, three planes of colours (their mean), error and data-quality planes, and a user's mask. ``frame.facts`` has a line for every
 assumption.
 
 Bias, dark and flat are applied, and bad pixels of darks and flats are flagged:
@@ -44,6 +44,8 @@ PixelFlags = NDArray[np.uint16]
 _QUALITY = ("DQ", "MASK", "BPM", "FLAGS", "QUALITY")
 _ERROR = ("ERR", "ERROR", "SIGMA", "UNCERT", "RMS")
 _VARIANCE = ("VAR", "VARIANCE")
+#: Planes of an image in colours.
+_COLOURS = 3
 #: Flags of the bits in masks of the Rubin pipelines, by their keywords; other bits mark detections.
 _PLANES = {"MP_BAD": Flag.MASKED, "MP_NO_DATA": Flag.MASKED, "MP_SAT": Flag.SATURATED, "MP_CR": Flag.COSMIC}
 
@@ -111,7 +113,8 @@ class Frame:
             values = values.reshape(values.shape[-2:])
         if values.ndim != 2 or min(values.shape, default=0) < 8:
             raise InputError(
-                f"{name}: the image has shape {values.shape}; give one of two dimensions, 8 pixels or more"
+                f"{name}: the image has shape {values.shape}; give one of two dimensions (or three planes of colours in "
+                "a file), 8 pixels or more"
             )
         pixel_flags = np.zeros(values.shape, np.uint16) if flags is None else flags & np.uint16(PIXEL_FLAGS)
         if mask is not None:
@@ -150,9 +153,26 @@ def read(
     with reading(name, "its header cannot be read"):
         facts = Facts.of(header, given or Given(), name=name, notes=notes)
     bad = None if mask is None else _load(Path(mask), None)[0]["image"]
-    return Frame.of(
-        planes["image"], facts=facts, mask=bad, flags=planes["quality"], sigma=planes["sigma"], header=header, name=name
-    )
+    image, flags = planes["image"], planes["quality"]
+    if image.ndim == 3 and len(image) == _COLOURS:
+        image, flags, facts = _without_colours(image, flags, facts, given or Given())
+    return Frame.of(image, facts=facts, mask=bad, flags=flags, sigma=planes["sigma"], header=header, name=name)
+
+
+def _without_colours(
+    planes: NDArray[Any], flags: PixelFlags | None, facts: Facts, given: Given
+) -> tuple[NDArray[Any], PixelFlags, Facts]:
+    """The mean of three planes of colours, its flags and facts; a pixel is saturated if it is in any plane."""
+    flags = np.zeros(planes.shape[1:], np.uint16) if flags is None else flags
+    for plane in planes:
+        level = facts.with_saturation(plane[np.isfinite(plane)], planes.dtype).saturation_adu
+        flags = flags | np.where(plane >= level, Flag.SATURATED, 0).astype(np.uint16)
+    lines = (*facts.lines, "image: the mean of three planes of colours")
+    if math.isfinite(facts.gain_e_per_adu) and given.gain_e_per_adu is None:
+        # Planes of a colour matrix share pixels, so that the noise of their mean does not follow from the gain.
+        facts = replace(facts, gain_e_per_adu=math.nan)
+        lines += ("assumed: the gain is that of one plane; gain not known, the noise is taken from the image",)
+    return planes.mean(axis=0, dtype=np.float64), flags, replace(facts, lines=lines)
 
 
 def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tuple[str, ...]]:
