@@ -242,23 +242,34 @@ def test_two_processes_write_the_same_as_one(files, sameas, tmp_path):
 @pytest.mark.parametrize(
     ("scale", "times"),
     [
-        (1.0, "twice"),
-        (4.0, "half"),
-        (2.0 / 3.0, "three times"),
-        (6.0, "a third"),
-        (0.5, "four times"),
-        (8.0, "a quarter"),
+        (1.0, "2"),
+        (4.0, "0.5"),
+        (2.0 / 3.0, "3"),
+        (6.0, "0.33"),
+        (0.5, "4"),
+        (8.0, "0.25"),
+        (2.0 * 0.63, "1.6"),
+        (2.0 * 1.5, "0.67"),
     ],
 )
 def test_a_scale_without_the_binning_of_the_pixels_is_found_and_doubted(files, sameas, tmp_path, scale, times):
-    """It was refused."""
+    """Binned pixels and reducers of the focal length were refused."""
     where = {"SECPIX": scale, "RA": WHERE[0], "DEC": WHERE[1]}
     frame = picture(tmp_path / "binned.fits", read_table(files.stars), solved=False, **where)
     out = tmp_path / "out"
     shown = sameas("frame", frame, "--catalog", files.stars, "-o", out, "--no-page", "--no-picture")
     summary = json.loads((out / "binned.json").read_text())
     assert summary["place"]["scale_arcsec_per_px"] == pytest.approx(2.0, rel=0.01)
-    assert f"the pixels are {times} as large as the header says" in " ".join(shown.stdout.split())
+    assert f"the pixels are {times} times as large as the header says" in " ".join(shown.stdout.split())
+
+
+def test_a_catalogue_of_a_small_field_is_the_aim_of_a_frame_without_one(files, sameas, tmp_path):
+    """A search of the whole sky was refused for want of stars."""
+    bare = picture(tmp_path / "bare.fits", sky(), solved=False)
+    more = ["-c", files.stars, "-o", tmp_path / "out", "--no-page", "--no-picture"]
+    text = " ".join(sameas("frame", bare, *more, "--scale", "1.6,2.4").stdout.split())
+    assert "by the aim, odds 10^" in text
+    assert "assumed the aim is the middle of the catalogue" in text
 
 
 def test_an_aim_and_a_scale_place_a_frame_without_a_solution(files, sameas, tmp_path):
@@ -359,9 +370,9 @@ def test_a_solution_of_another_field_does_not_widen_the_cone_around_the_aim(same
     assert "identified" in printed and "the plate solution of the header is off by" in " ".join(printed.split())
 
 
-def test_a_refusal_names_the_aims_of_the_header_that_cannot_be(files, refusal, tmp_path):
+def test_a_refusal_names_the_aims_of_the_header_that_cannot_be(refusal, tmp_path):
     frame = picture(tmp_path / "zero.fits", sky(), solved=False, RA=0.0, DEC=0.0, PIXSCALE=2.0)
-    said = refusal("frame", frame, "-c", files.stars, "-o", tmp_path / "out")
+    said = refusal("frame", frame, "-c", "gaia", "-o", tmp_path / "out")
     assert "header: RA and DEC are 0, as of a mount that was not set; not used" in said
 
 

@@ -292,6 +292,9 @@ def test_too_few_stars_or_hints_are_refused() -> None:
         place(three, stars, AllSky((1.0, 2.0)))
     with pytest.raises(InputError, match=r"the catalogue has 0 stars within 0\.\d+° of the aim"):
         place(seen, stars, Aim(300.0, 35.0, 0.1, (1.0, 1.4)))
+    for hint in (Aim(120.0, 35.0, 1.0, (600.0, 700.0)), AllSky((600.0, 700.0))):  # of an all-sky camera: it was a fault
+        with pytest.raises(InputError, match="is not flat; cut a part of less than 60° out of the frame"):
+            place(seen, sky(rng, 3000, 180.0), hint)
 
 
 @pytest.mark.parametrize(

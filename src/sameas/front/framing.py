@@ -20,7 +20,14 @@ from typing import Any, Literal
 
 import sameas
 from sameas.errors import Argument, InputError, Message, naming
-from sameas.front.pointing import PointingOptions, binned, difference_of_solutions, header_elsewhere, hints
+from sameas.front.pointing import (
+    PointingOptions,
+    aim_of_catalogue,
+    at_other_scales,
+    difference_of_solutions,
+    header_elsewhere,
+    hints,
+)
 from sameas.front.provenance import program
 from sameas.io import checksum, write_table
 from sameas.io.atomic import filling
@@ -39,6 +46,7 @@ from sameas.sky.frame.place import NoSolution
 from sameas.sky.frame.pointing_hints import (
     BRIGHTEST_PATTERNS,
     DEFAULT_POINTING,
+    Aim,
     AllSky,
     ApproximateWcs,
     Hint,
@@ -228,7 +236,13 @@ def _found_by_hints(
 ) -> tuple[FrameIdentification, Catalogue]:
     own_hints = hints(request.pointing, frame, whole_sky=request.catalogue.lower() != GAIA)
     solved = partial(_solved, request, frame, measured, progress=progress, given=given)
+    sky = next((hint for hint in own_hints if isinstance(hint, AllSky)), None)
+    if sky is not None and request.catalogue.lower() != BRIGHT and not Path(request.catalogue).is_dir():
+        aim = aim_of_catalogue(sky, _cached_catalogue(_key(request, None), progress) if given is None else given)
+        own_hints = [sky if aim is None else aim]
     match, stars = _solved_at_some_scale(solved, request, frame, own_hints)
+    if sky is not None and isinstance(own_hints[0], Aim):
+        match = replace(match, notes=(*match.notes, "assumed: the aim is the middle of the catalogue"))
     header = next((hint.wcs for hint in own_hints if isinstance(hint, ApproximateWcs)), None)
     off = "" if header is None else difference_of_solutions(header, match.plate.to_wcs(), frame.shape)
     if off:
@@ -245,28 +259,33 @@ def _solved_at_some_scale(
     frame: Frame,
     own_hints: Sequence[Hint],
 ) -> tuple[FrameIdentification, Catalogue]:
-    """The solution at the scale of the hints, or at one that a header gives without the binning of its pixels, with a
-    doubt.
+    """The solution at the scale of the hints, or, if that is the header's, at one up to four times as large or small,
+    with a doubt.
 
     All scales are searched with the patterns of the brightest stars, a second each, before the first is searched with
     all patterns, which takes many seconds where it is wrong.
     """
-    others = binned(request.pointing, own_hints)
+    scale, others = at_other_scales(request.pointing, own_hints)
     if not others:
         return _first_solved(solved, request, frame, own_hints)
-    likely = {times: others[times] for times in ("twice", "half")}
-    for pointing, aims in ((BRIGHTEST_PATTERNS, others), (DEFAULT_POINTING, likely)):
+    for pointing, aims in ((BRIGHTEST_PATTERNS, others), (DEFAULT_POINTING, others[:2])):
         search = partial(solved, pointing=pointing)
         try:
             return _first_solved(search, request, frame, own_hints)
         except NoSolution as error:
             refusal = error
-        for times, aim in aims.items():
+        for aim in aims:
             with suppress(InputError):  # also too few stars in a smaller field
                 match, stars = search([aim])
-                text = f"doubt: the pixels are {times} as large as the header says: does it leave out their binning?"
+                times = match.placement.scale_arcsec / scale
+                text = (
+                    f"doubt: the pixels are {times:.2g} times as large as the header says: does it leave out their "
+                    "binning, or a lens?"
+                )
                 return replace(match, notes=(*match.notes, text)), stars
-    scales = "twice and half this scale were tried, too, and with the brightest stars 3, 4, 1/3 and 1/4 times"
+    scales = (
+        "a quarter to 4 times this scale were tried, too, with the brightest stars, and with more near twice and half"
+    )
     raise NoSolution(Message(refusal.words, f"; {scales}"), source=refusal.source)
 
 

@@ -14,18 +14,20 @@ from sameas.errors import InputError, naming
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.pointing import Pointing, sky_of
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint
-from sameas.space import ARCSEC_PER_RADIAN, chord_angle_deg, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, chord_angle_deg, directions_deg, mean_direction, unit_vectors
 
 if TYPE_CHECKING:
     from astropy.wcs import WCS
 
+    from sameas.sky.catalogue import Catalogue
+
 #: Relative tolerance of a scale from focal length and pixels, and of a scale that was given as one number.
 LOOSE, CLOSE = 0.2, 0.05
-#: Factors on the scale of a header by which no solution is found: it may say the size of single pixels of a frame that
-#: is binned, or the reverse.
-BINNINGS = {
-    "twice": 2.0, "half": 1 / 2, "three times": 3.0, "a third": 1 / 3, "four times": 4.0, "a quarter": 1 / 4
-}  # fmt: skip
+#: Ranges of scales, times that of a header, at whose own no solution is found: it may leave out the binning of the
+#: pixels, or a lens that changes the focal length. Each is as wide as the range around the header's; 2 and ½ first.
+OTHER_SCALES = ((1.8, 2.7), (0.36, 0.54), (1.2, 1.8), (0.54, 0.8), (2.7, 4.05), (0.24, 0.36))
+#: A catalogue within this angle from its middle gives the aim of a frame without one, degrees.
+_SMALL_DEG = 10.0
 #: Default error of an aim: the larger of this many degrees and this many half diagonals of the frame.
 OFF_DEG, OFF_FRAMES = 0.5, 1.0
 
@@ -76,13 +78,27 @@ def hints(pointing: PointingOptions, frame: Frame, *, whole_sky: bool = True) ->
     return candidates
 
 
-def binned(pointing: PointingOptions, own_hints: Sequence[Hint]) -> dict[str, Aim]:
-    """The first aim at the scale times each of :data:`BINNINGS`; none if the scale was given."""
+def aim_of_catalogue(sky: AllSky, stars: Catalogue) -> Aim | None:
+    """The middle of a catalogue of a small field, with its radius; None if the catalogue is larger."""
+    usable = np.isfinite(stars.astrometry.ra_deg) & np.isfinite(stars.astrometry.dec_deg)
+    vectors = unit_vectors(stars.astrometry.ra_deg[usable], stars.astrometry.dec_deg[usable])
+    if not len(vectors):
+        return None
+    middle = mean_direction(vectors)
+    radius_deg = chord_angle_deg(float(np.linalg.norm(vectors - middle, axis=1).max()))
+    if radius_deg > _SMALL_DEG:
+        return None
+    ra_deg, dec_deg = (float(value) for value in directions_deg(middle))
+    return Aim(ra_deg, dec_deg, max(radius_deg, 1e-3), sky.scale_arcsec)
+
+
+def at_other_scales(pointing: PointingOptions, own_hints: Sequence[Hint]) -> tuple[float, list[Aim]]:
+    """The scale of the header, and the first aim at each of :data:`OTHER_SCALES`; none if the scale was given."""
     aim = next((hint for hint in own_hints if isinstance(hint, Aim)), None)
     if aim is None or pointing.scale_arcsec is not None:
-        return {}
-    low, high = aim.scale_arcsec
-    return {times: replace(aim, scale_arcsec=(factor * low, factor * high)) for times, factor in BINNINGS.items()}
+        return math.nan, []
+    scale = sum(aim.scale_arcsec) / 2.0
+    return scale, [replace(aim, scale_arcsec=(low * scale, high * scale)) for low, high in OTHER_SCALES]
 
 
 def header_elsewhere(pointing: PointingOptions, own_hints: Sequence[Hint], frame: Frame) -> str:

@@ -1,8 +1,8 @@
 """Images: a frame from a FITS file with its facts and pixel flags, and its calibration.
 
 :func:`read` accepts plain and compressed files (``.gz``, tile-compressed ``.fz``), several extensions, integers (scaled
-and unsigned) and floats, three planes of colours (their mean), error and data-quality planes, and a user's mask. ``frame.facts`` has a line for every
-assumption.
+and unsigned) and floats, three planes of colours (their mean), error and data-quality planes, and a user's mask.
+``frame.facts`` has a line for every assumption.
 
 Bias, dark and flat are applied, and bad pixels of darks and flats are flagged:
 
@@ -113,8 +113,8 @@ class Frame:
             values = values.reshape(values.shape[-2:])
         if values.ndim != 2 or min(values.shape, default=0) < 8:
             raise InputError(
-                f"{name}: the image has shape {values.shape}; give one of two dimensions (or three planes of colours in "
-                "a file), 8 pixels or more"
+                f"{name}: the image has shape {values.shape}; give one of two dimensions (or three planes of colours "
+                "in a file), 8 pixels or more"
             )
         pixel_flags = np.zeros(values.shape, np.uint16) if flags is None else flags & np.uint16(PIXEL_FLAGS)
         if mask is not None:

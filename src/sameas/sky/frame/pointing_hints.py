@@ -388,12 +388,18 @@ def _index_of(vectors: FloatArray, shape: tuple[int, int], hint: AllSky, tuning:
             f"a field of {math.degrees(least):.2g}° holds {per_field:.2g} stars of the catalogue; a search of the "
             "whole sky needs a deeper catalogue or a wider field; give an aim"
         )
-    if least > math.radians(60):
-        raise InputError(f"a field of {math.degrees(least):.0f}° is not flat; give an aim and a part of the frame")
+    _refuse_round(least)
     steps = max(1, math.ceil(math.log(most / least) / math.log(math.sqrt(2.0)) - 0.3))
     fields = least * math.sqrt(2.0) ** np.arange(steps)
     number, sides = tuning.stars_per_field, tuning.sides_all_sky
     return SkyIndex(tuple(_level(vectors, float(side), number, 4, sides) for side in fields))
+
+
+def _refuse_round(side_rad: float) -> None:
+    if side_rad > math.radians(60):
+        raise InputError(
+            f"a field of {math.degrees(side_rad):.0f}° is not flat; cut a part of less than 60° out of the frame"
+        )
 
 
 def _level(vectors: FloatArray, side_rad: float, per_field: int, k: int, sides: tuple[float, float]) -> PatternIndex:
@@ -423,6 +429,7 @@ def candidates(
 def _about_aim(
     problem: PlateProblem, aim: Aim, scale: tuple[float, float], tuning: PointingTuning
 ) -> Iterator[Iterator[Pointing]]:
+    _refuse_round(scale[0] * math.sqrt(problem.shape[0] * problem.shape[1]))
     reach = math.radians(aim.radius_deg) + problem.half_diagonal_px * scale[1]
     cone = problem.vectors[problem.stars_near(aim.direction, reach)]
     if len(cone) < 3:
