@@ -184,3 +184,9 @@ def test_bearings_of_a_boats_radar_in_clutter_are_told_from_those_from_its_bow(s
     assert words in sentence and "its plots are on the tracks of ais" in sentence, sentence
     right = plots.columns() | {"station_heading_deg": heading_deg}
     assert not Scene.of([(radar, Reports.of("radar", "table", right)), ais]).doubts()
+
+
+def test_local_times_are_named_where_no_times_are_common():
+    (radar, plots), ais = boat_radar(np.random.default_rng(1), common=2, minutes=1.0).sources
+    [sentence] = Scene.of([ais, (radar, replace(plots, time_s=plots.time_s + 7200.0))]).doubts()
+    assert "it is 2 h behind them, as with local times: give their time_zone" in sentence, sentence

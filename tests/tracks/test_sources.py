@@ -66,7 +66,9 @@ def test_names_may_be_given_with_the_file(folder):
     assert west.description.name == "west" and not any(a.source != "west" for a in west.description.assumed)
     with pytest.raises(InputError, match="west is described, but no file belongs to it; there are plots: give"):
         read_sources([folder / "plots.csv"], read_source_options(toml))
-    with pytest.raises(InputError, match="two sources are called west; name them"):
+    with pytest.raises(InputError, match="two sources are called plots; name them, as in plots2=FILE, or plots=FILE"):
+        read_sources([folder / "plots.csv", folder / "plots.csv"])
+    with pytest.raises(InputError, match="west: its files are of several kinds: table, polar positions; "):
         read_sources([f"west={folder / 'plots.csv'}", f"west={folder / 'coast.csv'}"])
     with pytest.raises(InputError, match="no files"):
         read_sources([])
@@ -280,3 +282,14 @@ def test_a_table_of_one_path_without_names_is_own_ships(tmp_path):
     (tmp_path / "voyage.csv").write_text("time_s,lat,lon,heading\n" + "\n".join(jumping) + "\n")
     with pytest.raises(InputError, match="voyage: what kind of sensor is it"):
         read_sources([tmp_path / "voyage.csv"])
+
+
+def test_files_of_one_name_are_parts_of_one_source(tmp_path):
+    """They were two radars, of which one ended and the other began."""
+    (tmp_path / "b.csv").write_text("time,range_m,bearing\n2024-05-01T11:00:00Z,900,10\nlate,900,10\n")
+    (tmp_path / "a.csv").write_text("time,range_m,bearing,track_id\n2024-05-01T10:00:00Z,800,12,7\n")
+    [radar] = read_sources([f"radar={tmp_path / name}" for name in ("b.csv", "a.csv")])
+    assert radar.reports.range_m.tolist() == [800.0, 900.0] and radar.reports.track_id.tolist() == ["7", None]
+    first, damage, *_ = radar.lines()
+    assert first.startswith("radar (a.csv, b.csv): 2 reports") and damage.startswith("1 line damaged: ")
+    assert damage.endswith("(b.csv) (line 3)")

@@ -926,3 +926,12 @@ def test_degrees_are_no_radians(name, angle):
     """By their name; since they follow each other, as of one object; over half a turn; beyond one."""
     rows = [f"2024-05-01T10:{k:02d}:00Z,900,{one}" for k, one in enumerate(angle)]
     assert np.allclose(table("\n".join([f"time,range_m,{name}", *rows])).bearing_deg, angle)
+
+
+def test_steps_of_an_antenna_are_refused_without_their_number_and_read_with_it():
+    """Those above 450 were missing bearings, and the others were degrees."""
+    rows = "\n".join(["time,range_m,azimuth", *(f"2024-05-01T10:00:{k % 60:02d}Z,900,{k * 64}" for k in range(64))])
+    with pytest.raises(InputError, match="azimuth goes to 4032, which no bearing in degrees does; give units="):
+        table(rows)
+    found = table(rows, units={"azimuth": "4096 per turn"})
+    assert found.bearing_deg.tolist() == [k * 64 * 360.0 / 4096.0 for k in range(64)]

@@ -93,7 +93,7 @@ _OF_PICTURE = {
 def sensor_option(argument: Argument) -> str:
     """The option of ``sameas picture`` for an argument; most arguments are keys of the ``--sensors`` file."""
     option = _OF_PICTURE.get(argument.name)
-    if argument.name == "columns":
+    if argument.name in ("columns", "units"):
         return f"file = {{ {argument.table} }} in its table [sources.NAME] of the --sensors file"
     return str(argument) if option is None else f"{option} {argument.value}".rstrip()
 

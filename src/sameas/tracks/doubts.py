@@ -27,7 +27,7 @@ from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_track
 from sameas.tracks.registration import unbiased
 from sameas.tracks.snapshot import ComparedSource, bias_widths, common_scans
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
-from sameas.tracks.unit_guesses import UnitGuess, clock_guesses, range_guesses, unit_guesses
+from sameas.tracks.unit_guesses import HOURS, UnitGuess, clock_guesses, range_guesses, unit_guesses
 
 
 @dataclass(frozen=True)
@@ -317,7 +317,14 @@ def _nothing_in_common(feed: Feed, others: Sequence[Feed], best: Shared | None) 
     first_s, last_s = float(time_s.min()), float(time_s.max())
     if np.mean((feed.reports.time_s >= first_s) & (feed.reports.time_s <= last_s)) > 0.5:
         return f"{name}: has nothing near the others at any instant; check positions, units and errors, or leave it out"
+    remedy = "check its clock and its date, or leave it out"
+    hours, apart_s = round((feed.reports.time_s.min() - first_s) / 3600.0), feed.reports.time_s.min() - first_s
+    if 1 <= abs(hours) <= max(HOURS) and abs(apart_s - 3600.0 * hours) < 0.5 * min(
+        np.ptp(feed.reports.time_s), last_s - first_s
+    ):
+        ahead = "ahead of" if hours > 0 else "behind"
+        remedy = f"it is {abs(hours)} h {ahead} them, as with local times: give their time_zone, or {remedy}"
     return (
         f"{name}: has no reports while others do: its reports are of {own[0]} to {own[1]}, theirs of "
-        f"{theirs[0]} to {theirs[1]}; check its clock and its date, or leave it out"
+        f"{theirs[0]} to {theirs[1]}; {remedy}"
     )

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -29,7 +30,7 @@ from sameas.io.sensors import aircraft, arpa, asterix, cot, gpsd, gpx, mode_s, n
 from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat, kind_by_name, kind_of
 from sameas.tracks.kinds import CARRIER_KIND, KINDS
 from sameas.tracks.platforms import OWN_POSITIONS, only_carries
-from sameas.tracks.reports import NoReports, Reports, without_stray_times
+from sameas.tracks.reports import Damaged, NoReports, Reports, joined, without_stray_times
 from sameas.tracks.source import Description, source_tables
 
 # Reading: the reports in a file, whose format is detected from its content.
@@ -214,7 +215,7 @@ def read_sources(
     """All sources of the given files, and of files named in the descriptions, with their descriptions.
 
     files : paths, or NAME=PATH, or a folder of recordings, which say the names of their sources. A file that holds
-        several sensors (a log of AIS and radar) gives NAME:ais, NAME:arpa.
+        several sensors (a log of AIS and radar) gives NAME:ais, NAME:arpa. Files with one NAME are parts of one source.
     options : by name, from :func:`read_source_options`.
     start : UTC of the first line of files with the time of day only.
     set_aside : the errors of sources that cannot be used, by name. Those in it are not read, and it receives those that
@@ -246,8 +247,12 @@ def read_sources(
                         sources.append(source_of(read.source, read, described, path))
     names = [source.description.name for source in sources]
     duplicate = next((name for name in names if names.count(name) > 1), None)
-    if duplicate is not None:
-        raise InputError(f"two sources are called {duplicate}; name them, as in {duplicate}2=FILE")
+    if duplicate is not None and not any(f"{duplicate.partition(':')[0]}=" in str(file) for file in files):
+        raise InputError(
+            f"two sources are called {duplicate}; name them, as in {duplicate}2=FILE, or {duplicate}=FILE for each if "
+            "they are parts of one"
+        )
+    sources = [_of_parts([one for one in sources if one.description.name == name]) for name in dict.fromkeys(names)]
     if set_aside and not sources:
         raise next(iter(set_aside.values()))
     # A source may have been silent while its input was recorded.
@@ -256,6 +261,36 @@ def read_sources(
             with setting_aside(name, set_aside):
                 _check_used(name, names, set_aside or {})
     return sources
+
+
+def _of_parts(parts: list[SensorSource]) -> SensorSource:
+    """The source of one or more files, in order of time.
+
+    Raises InputError: their positions are of several kinds.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    parts.sort(key=lambda part: float(part.reports.time_s[0]))
+    name, reports = parts[0].description.name, [part.reports for part in parts]
+    kinds = list(dict.fromkeys(f"{one.kind}, {one.position} positions" for one in reports))
+    if len(kinds) > 1:
+        raise InputError(
+            f"{name}: its files are of several kinds: {'; '.join(kinds)}; give each kind a name of its own"
+        )
+    files = ", ".join(part.path.name for part in parts)
+    damaged = [
+        (line, f"{reason} ({part.path.name})")
+        for part in parts
+        for line, reason in zip(part.reports.damaged.lines.tolist(), part.reports.damaged.reasons.tolist(), strict=True)
+    ]
+    passed_over = sum((Counter(one.passed_over) for one in reports), Counter())
+    notes = tuple(dict.fromkeys(note for one in reports for note in one.notes))
+    tracks = [one.own_ship for one in reports if one.own_ship is not None]
+    whole = replace(
+        joined(reports), notes=notes, damaged=Damaged.of(damaged, reports[0].damaged.unit), passed_over=passed_over,
+        own_ship=joined(tracks) if tracks else None,
+    )  # fmt: skip
+    return replace(parts[0], reports=whole, path=Path(files))
 
 
 def _recorded(folder: Path) -> list[Reports]:

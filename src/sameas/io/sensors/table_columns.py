@@ -271,6 +271,9 @@ def _choice(
     factors = UNITS[quantity.kind]
     if name in units:
         unit = re.sub(r"[^a-z0-9]", "", units[name].lower())
+        steps = re.fullmatch(r"([1-9]\d{1,5})(perturn|turn)", unit)
+        if steps and quantity.kind == "angle":
+            return Choice(name, quantity, 360.0 / int(steps[1]), f"{name} has {steps[1]} steps a turn, as said")
         if unit not in factors:
             raise InputError(f"{source}: column {name!r}: unit {units[name]!r} is none of {', '.join(factors)}")
         return Choice(name, quantity, factors[unit], f"{name} is in {units[name]}, as said")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ordered_by
-from sameas.errors import InputError
+from sameas.errors import Argument, InputError, Message
 from sameas.io.sensors import drones
 from sameas.io.sensors.ais import SIDES, STATUSES_AT_REST, at_hull_centres
 from sameas.io.sensors.format import (
@@ -75,6 +75,7 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     chosen = _with_unit_of_bearings(values, chosen, options.units or {})
     values, chosen = with_sensors_motion(values, chosen)
     values, chosen = _with_nav_status(values, _without_row_numbers(values, chosen), is_ais)
+    _refuse_steps(values, chosen, source)
     marks = _mark_unavailable(values, chosen, is_ais)
     start_s = start_seconds(options.start, source)
     values["time_s"], note = times_of(cells, chosen, source, start_s, options.time_zone)
@@ -293,6 +294,27 @@ def _with_unit_of_frequencies(values: dict[str, Any], chosen: dict[str, Choice])
     values["frequency_hz"] = values["frequency_hz"] * factor
     why = f"{choice.name} is read in {unit}, by its size: {NO_UNIT}"
     return chosen | {"frequency_hz": replace(choice, factor=factor, why=why)}
+
+
+#: Different values beyond a turn that no mark of a missing bearing explains, and their share.
+_STEPS, _STEPS_SHARE = 20, 0.2
+
+
+def _refuse_steps(values: Mapping[str, Any], chosen: Mapping[str, Choice], source: str) -> None:
+    """Refuses bearings of which many are beyond a turn: steps of an antenna, or another unit.
+
+    Raises InputError: so many.
+    """
+    for name in sorted({"bearing_deg", "relative_bearing_deg"} & set(values)):
+        beyond = values[name][is_impossible(name, values[name])]
+        if len(beyond) > _STEPS_SHARE * len(values[name]) and len(np.unique(beyond)) > _STEPS:
+            column = chosen[name].name
+            raise InputError(
+                f"{source}: {column} goes to {np.max(beyond):g}, which no bearing in degrees does",
+                Message(
+                    "give ", Argument("units", "UNIT", (column,)), ', such as "4096 per turn" for steps of an antenna',
+                ),
+            )  # fmt: skip
 
 
 #: Bearings without a unit are radians if there are so many, all within a turn of radians and over most of it, and half
