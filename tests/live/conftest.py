@@ -2,7 +2,10 @@
 
 import asyncio
 import contextlib
+import shutil
 import socket
+import ssl
+import subprocess
 import threading
 import time
 from typing import Any
@@ -63,6 +66,23 @@ def settings(**watch):
 
 def replay(pace=20.0, **made):
     return Replay(list(harbour(**made).items()), pace)
+
+
+@pytest.fixture(scope="session")
+def certificate(tmp_path_factory):
+    """Certificate and key of a server that calls itself boat.local."""
+    folder = tmp_path_factory.mktemp("tls")
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("needs openssl")
+    subprocess.run(
+        [openssl, "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2",
+         "-subj", "/CN=boat.local", "-addext", "subjectAltName=DNS:boat.local", "-keyout", folder / "key.pem",
+         "-out", folder / "boat.pem"], check=True, capture_output=True,
+    )  # fmt: skip
+    tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    tls.load_cert_chain(folder / "boat.pem", folder / "key.pem")
+    return folder / "boat.pem", tls
 
 
 @contextlib.contextmanager

@@ -1,10 +1,12 @@
 """The HTTP server: event streams, tokens, and endpoints for other programs."""
 
+import contextlib
 import json
 import pickle
 import re
 import signal
 import socket
+import ssl
 import subprocess
 import sys
 import time
@@ -18,9 +20,10 @@ import pytest
 from tests.live.conftest import EVIL, START_S, descriptions, replay, served
 
 from sameas.cli.watch import map_addresses, source_lines
+from sameas.errors import InputError
 from sameas.live.keeper import Keeper
 from sameas.live.outputs import metrics
-from sameas.live.server import Access, sse_event
+from sameas.live.server import Access, Certificate, sse_event
 from sameas.live.settings import LiveSource, Settings, WatchSettings
 from sameas.live.situation import Delta
 from sameas.picture.live import Registered
@@ -100,6 +103,57 @@ def test_an_open_event_stream_ends_with_the_watch(tmp_path):
             assert stream.readline() and stream.read()
         _, errors = process.communicate(timeout=30.0)
     assert process.returncode == 0 and "Traceback" not in errors and "ERROR" not in errors
+
+
+@pytest.mark.slow
+def test_with_a_certificate_the_map_is_served_over_https(tmp_path, certificate):
+    file, _ = certificate
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        sensor = f"udp://127.0.0.1:{free.getsockname()[1]}"
+    (tmp_path / "sensors.toml").write_text(f'[sources.coast]\nkind = "ais"\ninput = "{sensor}"\n')
+    command = [sys.executable, "-m", "sameas", "watch", "-s", "sensors.toml", "--host", "127.0.0.1", "--port", "0",
+               "--token", "helm", "--certificate", str(file), "--key", str(file.with_name("key.pem"))]  # fmt: skip
+    trusted = ssl.create_default_context(cafile=file)
+    trusted.check_hostname = False
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            url = next(line for line in process.stdout if line.startswith("Map: ")).split()[1]
+            page = urllib.request.Request(url, headers={"Cookie": "sameas_token=helm"})
+            assert url.startswith("https://")
+            answer, end = None, time.monotonic() + 60.0
+            while answer is None and time.monotonic() < end:
+                with contextlib.suppress(urllib.error.URLError):
+                    answer = urllib.request.urlopen(page, timeout=10.0, context=trusted)
+            assert answer is not None and answer.status == 200
+            with pytest.raises(urllib.error.URLError, match="CERTIFICATE_VERIFY_FAILED"):
+                urllib.request.urlopen(page, timeout=10.0)
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=30.0)
+
+
+def test_certificates_that_cannot_be_used_are_refused(tmp_path, certificate):
+    file, _ = certificate
+    key = file.with_name("key.pem")
+    assert Certificate.of(file, key) == Certificate(file, key)
+    both, locked, other = tmp_path / "both.pem", tmp_path / "locked.pem", tmp_path / "other.pem"
+    both.write_text(file.read_text() + key.read_text())
+    assert Certificate.of(both).key == both
+    subprocess.run(["openssl", "pkey", "-in", key, "-aes128", "-passout", "pass:helm", "-out", locked], check=True)
+    subprocess.run(
+        ["openssl", "genpkey", "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-out", other],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"locked\.pem: the private key has a password; give a key without one"):
+        Certificate.of(file, locked)
+    for given in ((file, None), (file, other)):
+        with pytest.raises(InputError, match=r"boat\.pem.*: no certificate with its private key, in PEM"):
+            Certificate.of(*given)
+    for given in ((tmp_path / "none.pem", key), (file, tmp_path / "none.pem")):
+        with pytest.raises(InputError, match=r"none\.pem: No such file or directory"):
+            Certificate.of(*given)
 
 
 @pytest.mark.slow
@@ -358,8 +412,10 @@ def test_the_evidence_of_an_object_is_served_as_text(keeper):
 
 
 def test_the_addresses_that_are_printed_can_be_given_to_others():
-    assert map_addresses("127.0.0.1", 8642, Access.of("127.0.0.1")) == ["Map: http://127.0.0.1:8642/"]
-    assert map_addresses("::1", 1, Access.of("::1")) == ["Map: http://[::1]:1/"]
-    lines = map_addresses("0.0.0.0", 8642, Access("0.0.0.0", "op", "view"))
+    assert map_addresses(Access.of("127.0.0.1"), 8642) == ["Map: http://127.0.0.1:8642/"]
+    assert map_addresses(Access.of("::1"), 1) == ["Map: http://[::1]:1/"]
+    *lines, secret = map_addresses(Access("0.0.0.0", "op", "view"), 8642)
     name = socket.gethostname()
     assert lines == [f"Map: http://{name}:8642/?token=op", f"  to look only: http://{name}:8642/?token=view"]
+    assert secret.startswith("  not encrypted: the token can be read on the network")
+    assert map_addresses(Access("10.0.0.1", "op"), 1, "https") == ["Map: https://10.0.0.1:1/?token=op"]

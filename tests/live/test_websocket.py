@@ -4,10 +4,7 @@ import asyncio
 import base64
 import hashlib
 import json
-import shutil
-import ssl
 import struct
-import subprocess
 
 import pytest
 from tests.live.test_inputs import free_port, until
@@ -317,23 +314,6 @@ def test_a_server_without_access_requests_and_a_foreign_file_are_named(tmp_path)
     file.write_text("[1]")
     wire = watched(Without(None), lambda wire: wire.state.error, login=Login(access_file=file))
     assert wire.state.error.startswith(f"{file}: keeps no access request")
-
-
-@pytest.fixture(scope="session")
-def certificate(tmp_path_factory):
-    """Certificate and key of a server that calls itself boat.local."""
-    folder = tmp_path_factory.mktemp("tls")
-    openssl = shutil.which("openssl")
-    if openssl is None:
-        pytest.skip("needs openssl")
-    subprocess.run(
-        [openssl, "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2",
-         "-subj", "/CN=boat.local", "-addext", "subjectAltName=DNS:boat.local", "-keyout", folder / "key.pem",
-         "-out", folder / "boat.pem"], check=True, capture_output=True,
-    )  # fmt: skip
-    tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    tls.load_cert_chain(folder / "boat.pem", folder / "key.pem")
-    return folder / "boat.pem", tls
 
 
 @pytest.mark.slow

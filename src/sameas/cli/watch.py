@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from sameas.live.inputs import Wire
     from sameas.live.keeper import Keeper
     from sameas.live.replay import Playback, Replay
-    from sameas.live.server import Access
+    from sameas.live.server import Access, Certificate
     from sameas.live.settings import Settings
 
 LOG = logging.getLogger("sameas.live")
@@ -113,6 +113,19 @@ def watch(
     viewer_token: Annotated[
         str | None, option("--viewer-token", panel=_MAP, metavar="TEXT", help="Token that may only view.")
     ] = None,
+    certificate: Annotated[
+        Path | None,
+        option(
+            "--certificate",
+            panel=_MAP,
+            metavar="PEM",
+            help="Serve https, with this certificate and its private key; without it the map is not encrypted.",
+        ),
+    ] = None,
+    key: Annotated[
+        Path | None,
+        option("--key", panel=_MAP, metavar="PEM", help="The private key, if it is in a file of its own."),
+    ] = None,
     chart: Annotated[
         list[Path] | None,
         option(
@@ -142,7 +155,12 @@ def watch(
         raise typer.BadParameter("give --sensors with a TOML file that has inputs, or files to replay")
     with answering(debug, sensor_option):
         from sameas.live.keeper import Keeper
+        from sameas.live.server import Access, Certificate
 
+        access = Access.of(host, token, viewer_token)
+        if key is not None and certificate is None:
+            raise InputError(f"{key}: the key of which certificate?", "give --certificate, too")
+        secured = None if certificate is None else Certificate.of(certificate, key)
         every_s, replay, playback = duration_s(every), None, None
         if as_received:
             settings, playback = recorded_inputs(files or [], sensors, pace)
@@ -164,7 +182,7 @@ def watch(
         say(f"{DOUBT}{line}" for line in (replay.apart() if replay else ()))
         if keeper.restored:
             say([_resumption(keeper)])
-        server = None if no_map else _server(keeper, host, port, token, viewer_token, say)
+        server = None if no_map else _server(keeper, access, port, secured, say)
         # What is imported stays. Each collection of the rest stops the picture, so there are many short ones.
         gc.freeze()
         gc.set_threshold(100_000, 50, 100)
@@ -276,42 +294,54 @@ def _with_charts(settings: Settings, charts: Sequence[Path]) -> Settings:
 
 
 def _server(
-    keeper: Keeper, host: str, port: int, token: str | None, viewer: str | None, say: Printer
+    keeper: Keeper, access: Access, port: int, certificate: Certificate | None, say: Printer
 ) -> tuple[uvicorn.Server, socket]:
     """The server and its socket; prints the address of the map."""
     from socket import AF_INET, AF_INET6, SO_REUSEADDR, SOL_SOCKET, socket
 
     with optional("the live map needs Starlette and uvicorn", "live", "or give --no-map"):
         import uvicorn
-    from sameas.live.server import Access, application
+    from sameas.live.server import application
 
-    access = Access.of(host, token, viewer)
-    listener = socket(AF_INET6 if ":" in host else AF_INET)
+    listener = socket(AF_INET6 if ":" in access.host else AF_INET)
     listener.setsockopt(SOL_SOCKET, SO_REUSEADDR, 1)
     try:
-        listener.bind((host, port))
+        listener.bind((access.host, port))
     except OSError as error:
         listener.close()
-        raise InputError(f"{host}:{port} cannot be served on ({error.strerror})", "give another --port") from error
+        raise InputError(
+            f"{access.host}:{port} cannot be served on ({error.strerror})", "give another --port"
+        ) from error
     # The map has server-sent events; looking for WebSockets would import a package that other versions warn about.
     config = uvicorn.Config(
-        application(keeper, access), log_level="warning", access_log=False, timeout_graceful_shutdown=1, ws="none"
+        application(keeper, access),
+        log_level="warning",
+        access_log=False,
+        timeout_graceful_shutdown=1,
+        ws="none",
+        ssl_certfile=None if certificate is None else certificate.file,
+        ssl_keyfile=None if certificate is None else certificate.key,
     )
-    say(map_addresses(host, listener.getsockname()[1], access))
+    say(map_addresses(access, listener.getsockname()[1], "http" if certificate is None else "https"))
     return uvicorn.Server(config), listener
 
 
-def map_addresses(host: str, port: int, access: Access) -> list[str]:
+def map_addresses(access: Access, port: int, scheme: str = "http") -> list[str]:
     """Printable: the addresses of the map for those who may acknowledge, and for those who may look only."""
     from socket import gethostname
 
     # An address that stands for all of this machine cannot be given to others.
+    host = access.host
     name = gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-    map_at = f"http://{name}:{port}/"
+    map_at = f"{scheme}://{name}:{port}/"
     if access.operator is None:
         return [f"Map: {map_at}"]
     lines = [f"Map: {map_at}?token={access.operator}"]
-    return lines if access.viewer is None else [*lines, f"  to look only: {map_at}?token={access.viewer}"]
+    if access.viewer is not None:
+        lines.append(f"  to look only: {map_at}?token={access.viewer}")
+    if scheme == "http":
+        lines.append("  not encrypted: the token can be read on the network; --certificate serves https")
+    return lines
 
 
 class News:

@@ -13,6 +13,7 @@ import hmac
 import json
 import math
 import secrets
+import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sameas.errors import InputError, optional
+from sameas.errors import InputError, first_line, optional
 from sameas.live.keeper import Keeper
 from sameas.live.offsets import OFFSETS, read_offset
 from sameas.live.outputs import geojson, metrics
@@ -82,6 +83,46 @@ class Access:
             or host_header.rpartition(":")[0].strip("[]") in LOOPBACK
             or (host_header.strip("[]") in LOOPBACK)
         )
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What the server proves its name with, for https. file : certificate and its chain, PEM. key : its private key."""
+
+    file: Path
+    key: Path
+
+    @classmethod
+    def of(cls, file: Path, key: Path | None = None) -> Certificate:
+        """The certificate of a file; key : the file of its private key, if that is another one.
+
+        Raises InputError: a file is missing, is no PEM, has a password, or the key is not that of the certificate.
+        """
+        key, has_password = key or file, False
+
+        def password() -> str:
+            nonlocal has_password
+            has_password = True
+            return ""
+
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        try:
+            # Without a function OpenSSL asks for the password on the terminal.
+            context.load_cert_chain(file, key, password)
+        except FileNotFoundError as error:
+            missing = key if file.exists() else file
+            raise InputError(
+                f"{missing}: No such file or directory", "give a certificate, and --key for its key"
+            ) from error
+        except (OSError, ssl.SSLError) as error:
+            if has_password:
+                raise InputError(f"{key}: the private key has a password", "give a key without one") from error
+            files = f"{file}" if key == file else f"{file} and {key}"
+            raise InputError(
+                f"{files}: no certificate with its private key, in PEM ({first_line(error)})",
+                "give --certificate, and --key if the key is in a file of its own",
+            ) from error
+        return cls(file, key)
 
 
 @dataclass
