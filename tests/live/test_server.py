@@ -23,7 +23,7 @@ from sameas.cli.watch import map_addresses, source_lines
 from sameas.errors import InputError
 from sameas.live.keeper import Keeper
 from sameas.live.outputs import metrics
-from sameas.live.server import Access, Certificate, sse_event
+from sameas.live.server import Access, TlsCertificate, sse_event
 from sameas.live.settings import LiveSource, Settings, WatchSettings
 from sameas.live.situation import Delta
 from sameas.picture.live import Registered
@@ -137,23 +137,23 @@ def test_with_a_certificate_the_map_is_served_over_https(tmp_path, certificate):
 def test_certificates_that_cannot_be_used_are_refused(tmp_path, certificate):
     file, _ = certificate
     key = file.with_name("key.pem")
-    assert Certificate.of(file, key) == Certificate(file, key)
+    assert TlsCertificate.of(file, key) == TlsCertificate(file, key)
     both, locked, other = tmp_path / "both.pem", tmp_path / "locked.pem", tmp_path / "other.pem"
     both.write_text(file.read_text() + key.read_text())
-    assert Certificate.of(both).key == both
+    assert TlsCertificate.of(both).key == both
     subprocess.run(["openssl", "pkey", "-in", key, "-aes128", "-passout", "pass:helm", "-out", locked], check=True)
     subprocess.run(
         ["openssl", "genpkey", "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-out", other],
         check=True, capture_output=True,
     )  # fmt: skip
     with pytest.raises(InputError, match=r"locked\.pem: the private key has a password; give a key without one"):
-        Certificate.of(file, locked)
+        TlsCertificate.of(file, locked)
     for given in ((file, None), (file, other)):
         with pytest.raises(InputError, match=r"boat\.pem.*: no certificate with its private key, in PEM"):
-            Certificate.of(*given)
+            TlsCertificate.of(*given)
     for given in ((tmp_path / "none.pem", key), (file, tmp_path / "none.pem")):
         with pytest.raises(InputError, match=r"none\.pem: No such file or directory"):
-            Certificate.of(*given)
+            TlsCertificate.of(*given)
 
 
 @pytest.mark.slow

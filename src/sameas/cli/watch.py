@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from sameas.live.inputs import Wire
     from sameas.live.keeper import Keeper
     from sameas.live.replay import Playback, Replay
-    from sameas.live.server import Access, Certificate
+    from sameas.live.server import Access, TlsCertificate
     from sameas.live.settings import Settings
 
 LOG = logging.getLogger("sameas.live")
@@ -155,12 +155,12 @@ def watch(
         raise typer.BadParameter("give --sensors with a TOML file that has inputs, or files to replay")
     with answering(debug, sensor_option):
         from sameas.live.keeper import Keeper
-        from sameas.live.server import Access, Certificate
+        from sameas.live.server import Access, TlsCertificate
 
         access = Access.of(host, token, viewer_token)
         if key is not None and certificate is None:
             raise InputError(f"{key}: the key of which certificate?", "give --certificate, too")
-        secured = None if certificate is None else Certificate.of(certificate, key)
+        secured = None if certificate is None else TlsCertificate.of(certificate, key)
         every_s, replay, playback = duration_s(every), None, None
         if as_received:
             settings, playback = recorded_inputs(files or [], sensors, pace)
@@ -294,7 +294,7 @@ def _with_charts(settings: Settings, charts: Sequence[Path]) -> Settings:
 
 
 def _server(
-    keeper: Keeper, access: Access, port: int, certificate: Certificate | None, say: Printer
+    keeper: Keeper, access: Access, port: int, certificate: TlsCertificate | None, say: Printer
 ) -> tuple[uvicorn.Server, socket]:
     """The server and its socket; prints the address of the map."""
     from socket import AF_INET, AF_INET6, SO_REUSEADDR, SOL_SOCKET, socket

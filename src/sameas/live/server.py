@@ -86,14 +86,14 @@ class Access:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class TlsCertificate:
     """What the server proves its name with, for https. file : certificate and its chain, PEM. key : its private key."""
 
     file: Path
     key: Path
 
     @classmethod
-    def of(cls, file: Path, key: Path | None = None) -> Certificate:
+    def of(cls, file: Path, key: Path | None = None) -> TlsCertificate:
         """The certificate of a file; key : the file of its private key, if that is another one.
 
         Raises InputError: a file is missing, is no PEM, has a password, or the key is not that of the certificate.
