@@ -145,3 +145,22 @@ def test_a_replayed_track_has_its_speed_by_the_times_of_its_reports():
         state = own.at(START_S + 30.0 * (k + 1), START_S, None, PLANE)
         assert (state.vx_m_per_s, state.vy_m_per_s) == pytest.approx((3.0, 4.0), abs=1e-3)
         assert (state.x_m, state.y_m) == pytest.approx((90.0 * (k + 1), 120.0 * (k + 1)), abs=0.5)
+
+
+def test_a_table_of_her_path_is_own_ship_of_a_replay_and_comes_before_the_radar_aboard(tmp_path):
+    """Five in six plots of a replay at many times real time had no place, since hers came after them."""
+    rows = [f"{START_S + k},{50.0 + 5e-5 * k:.6f},-1.0,0,9.7" for k in range(60)]
+    (tmp_path / "voyage.csv").write_text("time,lat,lon,heading,sog\n" + "\n".join(rows) + "\n")
+    plots = [f"{START_S + k},900,{k}" for k in range(1, 60)]
+    (tmp_path / "radar.csv").write_text("time,range_m,relative_bearing\n" + "\n".join(plots) + "\n")
+    (tmp_path / "ais.csv").write_text(f"time,mmsi,lat,lon\n{START_S},235000001,50.01,-1.0\n")
+    files = [str(tmp_path / f"{name}.csv") for name in ("radar", "ais", "voyage")]
+    settings, replay = settings_of(files, None, None, 10.0)
+    assert settings.watch.own_ship == OwnShip(source="voyage")
+    keeper = Keeper(settings, replay=replay)
+    replay.begin(0.0)
+    keeper.reception.take(replay.last_s)
+    counts = keeper.picture.counts["radar"]
+    state = keeper.reception.sources["radar"]
+    assert keeper.own_ship.carrier == "voyage" and (counts.taken, counts.unplaced) == (59, 0), state
+    keeper.close()

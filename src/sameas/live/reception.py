@@ -23,6 +23,7 @@ from sameas.live.replay import Playback, Replay, in_words
 from sameas.live.settings import Settings
 from sameas.live.situation import Alarm
 from sameas.representation import listed
+from sameas.tracks.platforms import gives_own_ship
 from sameas.tracks.reports import Reports
 
 #: A source that never gave a report raises an alarm when its data have been unusable for this many seconds.
@@ -116,9 +117,14 @@ class Reception:
 
     def _add_all(self, received: list[tuple[str, Reports, float]]) -> None:
         """Takes reports with their receive times, those of a sensor after those of the vessel that carries it."""
-        for name, reports, received_s in sorted(
-            received, key=lambda one: self.settings.sources[one[0]].description.platform is not None
-        ):
+
+        def order(one: tuple[str, Reports, float]) -> int:
+            name, reports, _ = one
+            if gives_own_ship(reports):
+                return 0
+            return 1 if self.settings.sources[name].description.platform is None else 2
+
+        for name, reports, received_s in sorted(received, key=order):
             self.add(name, reports, received_s)
 
     def add(self, name: str, reports: Reports, received_s: float) -> None:

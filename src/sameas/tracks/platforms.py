@@ -83,11 +83,12 @@ def needs_place(description: Description, reports: Reports) -> bool:
 
 def _only_ship(sensor: str, others: Mapping[str, Sequence[Reports]]) -> Platform | None:
     """The ship of the only source with own ship's positions; None if there is none, or several."""
-    found = [name for name, parts in others.items() if name != sensor and any(map(_has_own_ship, parts))]
+    found = [name for name, parts in others.items() if name != sensor and any(map(gives_own_ship, parts))]
     return Platform(source=found[0]) if len(found) == 1 else None
 
 
-def _has_own_ship(part: Reports) -> bool:
+def gives_own_ship(part: Reports) -> bool:
+    """Whether reports have the positions of own ship: they are hers, or her log's."""
     return part.kind == OWN_POSITIONS or part.own_ship is not None
 
 

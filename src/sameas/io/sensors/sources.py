@@ -27,7 +27,7 @@ import numpy as np
 
 from sameas.errors import Argument, InputError, Message, reading
 from sameas.io.sensors import aircraft, arpa, asterix, cot, gpsd, gpx, mode_s, n2k, recording, sbs, signalk, tables
-from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat, kind_by_name, kind_of
+from sameas.io.sensors.format import OWN_SHIP, ReadOptions, SensorFile, SensorFormat, kind_by_name, kind_of
 from sameas.tracks.kinds import CARRIER_KIND, KINDS
 from sameas.tracks.platforms import OWN_POSITIONS, only_carries
 from sameas.tracks.reports import Damaged, NoReports, Reports, joined, without_stray_times
@@ -330,17 +330,29 @@ def source_of(name: str, reports: Reports, described: Mapping[str, SourceOptions
         return SensorSource(options.description, reports, path, None)
     if only_carries(name, reports, (one.description for one in described.values())):
         kind, why = CARRIER_KIND, "it has the positions of a vessel with a sensor"
-        reports = replace(reports, kind=OWN_POSITIONS)
+        reports = _as_own_ship(reports)
     elif _is_of_one_ship(reports):
         kind, why = (
             CARRIER_KIND,
             "its positions have no names and are on one path: own ship; if not, give its kind",
         )
-        reports = replace(reports, kind=OWN_POSITIONS)
+        reports = _as_own_ship(reports)
     else:
         kind, why = _kind(reports)
     description = Description(reports.source) if options is None else options.description
     return SensorSource(replace(description, kind=kind), reports, path, why)
+
+
+def _as_own_ship(reports: Reports) -> Reports:
+    """The positions of a vessel that carries a sensor, as own ship's."""
+    columns = {"lat": "lat_deg", "lon": "lon_deg", "heading": "heading_deg", "speed": "speed_m_per_s",
+               "course": "course_deg"}  # fmt: skip
+    absent = np.full(len(reports), np.nan)
+    own = {
+        OWN_SHIP[name]: absent if getattr(reports, column) is None else getattr(reports, column)
+        for name, column in columns.items()
+    }
+    return replace(reports, kind=OWN_POSITIONS, extra={**reports.extra, **own})
 
 
 #: Positions that are a path; speed that no ship exceeds between two, m/s, and the share that may seem to; metres by
