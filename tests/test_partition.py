@@ -229,15 +229,20 @@ def test_bit_states_and_hash_table_states_give_the_same_sum():
     mask = np.bitwise_or.reduce(mask, axis=1)
     first = np.array([int(one & -one).bit_length() - 1 for one in mask.tolist()])
     order = np.argsort(first, kind="stable")
-    sums = []
-    for counted in (False, True):
-        share, chosen, solved = np.zeros(len(order)), np.zeros(len(order), bool), np.zeros(1, bool)
-        partitions.eliminate(
-            np.array([0]), np.array([0, len(order)]), first[order], mask[order], sets.log_weight[order],
-            sets.size[order] - 1, np.array([0, n + 1]), np.zeros(n + 1), counted, 1_000_000, share, chosen, solved,
-        )  # fmt: skip
-        assert solved[0]
-        sums.append((share, chosen))
+    share, chosen, cut = np.zeros(len(order)), np.zeros(len(order), bool), np.zeros(1)
+    one = np.array([0]), np.array([0, len(order)])
+    partitions.sum_pruned(
+        *one, sets.members[order], sets.log_weight[order], n, np.array([30.0]), n, 1_000_000, np.zeros(n), share,
+        chosen, cut,
+    )  # fmt: skip
+    sums, solved = [(share, chosen)], np.zeros(1, bool)
+    share, chosen = np.zeros(len(order)), np.zeros(len(order), bool)
+    partitions.eliminate(
+        *one, np.array([n]), first[order], mask[order], sets.log_weight[order], sets.size[order] - 1,
+        np.array([0, n + 1]), np.zeros(n + 1), 1_000_000, share, chosen, solved,
+    )  # fmt: skip
+    sums.append((share, chosen))
+    assert solved[0] and cut[0] == 30.0
     assert (sums[0][1] == sums[1][1]).all()
     assert sums[0][0] == pytest.approx(sums[1][0], abs=1e-12)
     records = np.bitwise_and.outer(mask[order], np.uint64(1) << np.arange(n, dtype=np.uint64)) > 0

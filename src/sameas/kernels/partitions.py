@@ -45,13 +45,13 @@ FEW_RECORDS, FEW_SETS, CLEAR_NATS = 3, 7, 1e-9
 def eliminate(
     groups: IntArray,
     start: IntArray,
+    size: IntArray,
     first: IntArray,
     mask: NDArray[np.uint64],
     weight: FloatArray,
     merges: IntArray,
     table_start: IntArray,
     table: FloatArray,
-    counted: bool,
     cap: int,
     share: FloatArray,
     chosen: BoolArray,
@@ -60,20 +60,15 @@ def eliminate(
     """Write every set's probability to ``share``, the best partition to ``chosen``, the solved groups to ``solved``.
 
     groups : numbers of the groups to sum. start : (g+1,) sets of each group, ascending in ``first``, the number of the
-    set's first record within the group. mask : records of each set as bits. table[table_start[g] + m] : ln P of m
-    merges. Groups that need more than ``cap`` steps between states are not solved.
+    set's first record within the group, of ``size`` (g,) records. mask : records of each set as bits.
+    table[table_start[g] + m] : ln P of m merges. Groups that need more than ``cap`` steps between states are not
+    solved.
     """
     for g in groups:
         a, b = start[g], start[g + 1]
-        n = first[b - 1] + 1 if b > a else 0
-        for k in range(a, b):
-            top = 63
-            while top > 0 and (mask[k] >> np.uint64(top)) & np.uint64(1) == np.uint64(0):
-                top -= 1
-            n = max(n, top + 1)
         log_p = table[table_start[g] : table_start[g + 1]]
         solved[g] = _sum_group(
-            n, first[a:b], mask[a:b], weight[a:b], merges[a:b], log_p, counted, cap, share[a:b], chosen[a:b]
+            size[g], first[a:b], mask[a:b], weight[a:b], merges[a:b], log_p, True, cap, share[a:b], chosen[a:b]
         )
 
 

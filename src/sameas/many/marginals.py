@@ -9,14 +9,13 @@ others by branch and bound with one binary variable for every number of merges.
 records that are taken and, with a count prior, the number of merges. Sets of large reduced cost are excluded first: by
 the duals of the best partition, a partition with a set of reduced cost c is at least eᶜ times less probable than the
 best. Without the sets of c > 30 the sum counts as exact. Groups for which it is too long are summed without the sets of
-c > 20, 14, …, until it is short enough; where c would have to be below 2, samples of partitions replace the sum
-(:mod:`sameas.kernels.partition_samples`). The result states which.
+c > 20, 14, …, until it is short enough; where c would have to be below 2, or no c is low enough, samples of partitions
+replace the sum (:mod:`sameas.kernels.partition_samples`). The result states which.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,7 +226,7 @@ def answer(
     """The best partition of every group and the probabilities of all sets; counts : the count prior, or None."""
     if counts is None:
         return additive_answer(sets, pooled.sizes, time_limit_s=time_limit_s, tuning=tuning)
-    sums = _Sums.counted(sets, pooled, counts, tuning)
+    sums = _Sums.of(sets, pooled, counts, tuning)
     no_cost = np.zeros(len(sets))
     share, chosen, solved = sums.below(no_cost, EXACT, np.ones(len(pooled.sizes), bool))
     cut = np.where(solved, np.inf, -1.0)
@@ -251,26 +250,19 @@ def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning:
     n = int(sizes.sum())
     share, chosen, cut = sum_pruned_groups(sets, n, np.ones(len(sizes), bool), tuning)
     gap = np.where(sets.floor > 0, np.inf, 0.0)
+    sampled = cut < 0
+    unsolved = sampled.copy()
     if sets.partition is not None:
-        near = (cut < 0) & (gap > 0.0)
-        groups, chosen = np.flatnonzero(near), np.where(near[sets.group], sets.partition, chosen)
+        near = sampled & (gap > 0.0)
+        chosen = np.where(near[sets.group], sets.partition, chosen)
         # The weights may have changed since the partition was found.
-        pack(groups, sets.start, sets.members, sets.log_weight, n, chosen)
-        set_samples(groups, sets.start, sets.members, sets.log_weight, chosen, n, share)
-        cut[near] = 0.0
-    unsolved = cut < 0
-    if not unsolved.any():
-        return Answer(chosen, share, gap, cut)
-    best = best_partition(sets, n, unsolved, time_limit_s=time_limit_s)
-    cost = _reduced_cost(sets, best.dual, best.slack, sets.log_weight)
-    part, _, cut = _Sums.additive(sets, n, tuning).all(cost, best.chosen, cut, sets.log_weight)
-    of_unsolved = unsolved[sets.group]
-    return Answer(
-        np.where(of_unsolved, best.chosen, chosen),
-        np.where(of_unsolved, part, share),
-        np.where(unsolved, best.gap, gap),
-        cut,
-    )
+        pack(np.flatnonzero(near), sets.start, sets.members, sets.log_weight, n, chosen)
+        unsolved &= ~near
+    if unsolved.any():
+        best = best_partition(sets, n, unsolved, time_limit_s=time_limit_s)
+        chosen, gap = np.where(unsolved[sets.group], best.chosen, chosen), np.where(unsolved, best.gap, gap)
+    set_samples(np.flatnonzero(sampled), sets.start, sets.members, sets.log_weight, chosen, n, share)
+    return Answer(chosen, share, gap, np.where(sampled, 0.0, cut))
 
 
 def best_sets(
@@ -349,25 +341,19 @@ def _solve_counted(
 @in_short
 @dataclass(frozen=True)
 class _Sums:
-    """Sums over partitions. table : ln P of 0, 1, … merges of group g, from table_start[g] on. counts : whether there
-    is a count prior."""
+    """Sums over partitions with a count prior. table : ln P of 0, 1, … merges of group g, from table_start[g] on."""
 
     sets: Sets
     n_records: int
     table_start: IntArray
     table: FloatArray
-    counts: bool
     tuning: ManyTuning
 
     @classmethod
-    def additive(cls, sets: Sets, n_records: int, tuning: ManyTuning) -> _Sums:
-        return cls(sets, n_records, np.zeros(len(sets.start), np.int64), np.zeros(1), False, tuning)
-
-    @classmethod
-    def counted(cls, sets: Sets, pooled: PooledRecords, counts: MissedObjects, tuning: ManyTuning) -> _Sums:
+    def of(cls, sets: Sets, pooled: PooledRecords, counts: MissedObjects, tuning: ManyTuning) -> _Sums:
         tables = {int(n): counts.table(pooled, int(n)) for n in np.unique(pooled.sizes)}
         table = np.concatenate([tables[int(n)] for n in pooled.sizes] or [np.zeros(1)])
-        return cls(sets, len(pooled), Ragged.of_sizes(pooled.sizes).start, table, True, tuning)
+        return cls(sets, len(pooled), Ragged.of_sizes(pooled.sizes).start, table, tuning)
 
     def all(
         self, cost: FloatArray, chosen: BoolArray, cut: FloatArray, weight: FloatArray
@@ -375,8 +361,8 @@ class _Sums:
         """Probabilities (k,) and cuts (g,): for each group the first of ``tuning.cuts`` with which its sum is short
         enough. Groups with a ``cut`` of 0 or more are skipped.
 
-        cost : (k,) reduced costs. chosen : (k,) sets of the best partition, never excluded. weight : (k,) ln w, with a
-        count prior tilted by its slope at the best partition; used by the samples.
+        cost : (k,) reduced costs. chosen : (k,) sets of the best partition, never excluded. weight : (k,) ln w, tilted
+        by the prior's slope at the best partition; used by the samples.
         """
         from sameas.kernels.partitions import MIN_CUT, set_samples
 
@@ -401,9 +387,8 @@ class _Sums:
         from sameas.kernels.partitions import eliminate
 
         sets = self.sets
-        groups = groups & ~self._too_wide(np.flatnonzero((cost <= cut) & groups[sets.group]))
         kept = np.flatnonzero((cost <= cut) & groups[sets.group])
-        blocks = _Blocks.of(sets, kept, self.n_records, self.counts)
+        blocks = _Blocks.of(sets, kept, self.n_records)
         share, chosen = np.zeros(len(sets)), np.zeros(len(sets), bool)
         share[kept[blocks.certain]], chosen[kept[blocks.certain]] = 1.0, True
         part, best = np.zeros(len(blocks.at)), np.zeros(len(blocks.at), bool)
@@ -411,39 +396,16 @@ class _Sums:
         at = kept[blocks.at]
         start, table = self._remaining_table(blocks, kept[blocks.certain])
         eliminate(
-            np.flatnonzero(blocks.size <= MAX_RECORDS), blocks.start, blocks.first, blocks.mask, sets.log_weight[at],
-            sets.size[at] - 1, start, table, self.counts, self.tuning.max_steps, part, best, solved,
+            np.flatnonzero(blocks.size <= MAX_RECORDS), blocks.start, blocks.size, blocks.first, blocks.mask,
+            sets.log_weight[at], sets.size[at] - 1, start, table, self.tuning.max_steps, part, best, solved,
         )  # fmt: skip
-        done = groups
+        done = groups.copy()
         done[blocks.group[~solved]] = False
         share[at], chosen[at] = part, best
         return np.where(done[sets.group], share, 0.0), chosen & done[sets.group], done
 
-    def _too_wide(self, kept: IntArray) -> BoolArray:
-        """(g,) groups in which the kept sets connect more records than a state has bits; they are not tried."""
-        sets, wide = self.sets, np.zeros(len(self.sets.start) - 1, bool)
-        kept = kept[(self._sizes > MAX_RECORDS)[sets.group[kept]] & (sets.size[kept] > 1)]
-        if self.counts or not len(kept):
-            return wide
-        at, record = entries(sets.members[kept])
-        edges = (record, self.n_records + at)
-        size = self.n_records + len(kept)
-        _, part = connected_components(
-            csr_array((np.ones(len(at), np.int8), edges), shape=(size, size)), directed=False
-        )
-        records = np.bincount(part[: self.n_records])
-        wide[sets.group[kept[records[part[self.n_records :]] > MAX_RECORDS]]] = True
-        return wide
-
-    @cached_property
-    def _sizes(self) -> IntArray:
-        """(g,) records of each group."""
-        return np.bincount(self.sets.group[self.sets.size == 1], minlength=len(self.sets.start) - 1)
-
     def _remaining_table(self, blocks: _Blocks, certain: IntArray) -> tuple[IntArray, FloatArray]:
         """Starts and ln P of the numbers of merges that remain for each block after those of the certain sets."""
-        if not self.counts:
-            return np.zeros(len(blocks.group) + 1, np.int64), np.zeros(1)
         certain_merges = np.bincount(
             self.sets.group[certain], self.sets.size[certain] - 1, len(self.table_start)
         ).astype(np.int64)
@@ -455,7 +417,7 @@ class _Sums:
 @in_short
 @dataclass(frozen=True)
 class _Blocks:
-    """Blocks of records that the kept sets connect, laid out for elimination.
+    """The groups' records that the kept sets connect, laid out for elimination.
 
     certain : positions among the kept sets of those that share no record with another. at : positions of the others,
     by block and first record. start : (b+1,) of the blocks. first, mask : of each set, the number of its first record
@@ -471,7 +433,7 @@ class _Blocks:
     group: IntArray
 
     @classmethod
-    def of(cls, sets: Sets, kept: IntArray, n_records: int, whole_groups: bool) -> _Blocks:
+    def of(cls, sets: Sets, kept: IntArray, n_records: int) -> _Blocks:
         members = sets.members[kept]
         at, record = entries(members)
         incidence = csr_array((np.ones(len(at), np.int32), (record, at)), shape=(n_records, len(kept)))
@@ -480,8 +442,8 @@ class _Blocks:
         of_set = part[members.max(axis=1)]
         isolated = np.bincount(of_set, minlength=part.max(initial=-1) + 1)[of_set] == 1
         certain, uncertain = np.flatnonzero(isolated), np.flatnonzero(~isolated)
-        connected = sets.group[kept] if whole_groups else of_set
-        labels, block = np.unique(connected[uncertain], return_inverse=True)
+        # Their number of merges joins all blocks of a group.
+        labels, block = np.unique(sets.group[kept[uncertain]], return_inverse=True)
         # Records that share sets get consecutive numbers, so that states have few records.
         rank = np.empty(n_records, np.int64)
         if n_records:
