@@ -485,7 +485,7 @@ def test_an_interruption_in_one_frame_ends_the_series(monkeypatch):
     monkeypatch.setattr(frames, "fulfil", interrupted)
     request = object.__new__(FrameRequest)
     with pytest.raises(KeyboardInterrupt):
-        frames.run_all([request], processes=1, again=True, shown=False, tell=print)
+        frames.run_all([request], processes=1, again=True, quiet=True, tell=print)
 
 
 def test_a_full_temporary_disk_is_no_internal_error(capsys):

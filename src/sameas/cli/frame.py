@@ -183,7 +183,7 @@ def _run(requests: list[FrameRequest], processes: int, again: bool, quiet: bool,
             printer(frame_lines(outcome.summary))
             printer(["", *_written(outcome)])
 
-    outcomes = run_all(requests, processes=processes, again=again, shown=not quiet, tell=tell)
+    outcomes = run_all(requests, processes=processes, again=again, quiet=quiet, tell=tell)
     if many:
         failed, skipped = sum(o.summary is None for o in outcomes), sum(o.skipped for o in outcomes)
         printer([totals(len(outcomes) - failed - skipped, skipped, failed)])

@@ -1,12 +1,10 @@
-"""Many frames in several processes, with a progress row each. A frame that fails does not stop the others."""
+"""Many frames in several processes. A frame that fails does not stop the others."""
 
 from __future__ import annotations
 
 import math
 import multiprocessing
 import signal
-import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -19,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from sameas.cli.options import frame_option, in_options
 from sameas.cli.outcome import end_cleanly_on_sigterm, fault, interruption
 from sameas.cli.outputs import keep_freed_memory
-from sameas.cli.terminal import Printer, notice
+from sameas.cli.terminal import Pace, Printer, notice
 from sameas.errors import InputError
 from sameas.front.framing import FrameRequest, fulfil
 from sameas.front.pointing import CLOSE
@@ -73,10 +71,6 @@ def scale_of(text: str | None) -> tuple[float, float] | None:
     if not 0 < low <= high < math.inf:
         raise InputError(f"--scale {text}: give LO,HI in arcsec per pixel, both above zero, the smaller one first")
     return low, high
-
-
-#: Rows of progress that a terminal shows at once.
-ROWS = 14
 
 
 @dataclass(frozen=True)
@@ -154,66 +148,59 @@ def _stem(path: str) -> str:
 
 
 def run_all(
-    requests: Sequence[FrameRequest], *, processes: int, again: bool, shown: bool, tell: Callable[[Outcome], None]
+    requests: Sequence[FrameRequest], *, processes: int, again: bool, quiet: bool, tell: Callable[[Outcome], None]
 ) -> list[Outcome]:
     """The outcomes of all frames, in the order of the frames.
 
-    processes : number of worker processes. again : repeat frames that have outputs. shown : show progress rows on a
-    terminal. tell : called with each outcome, in that order, when it and all before it are complete.
+    processes : number of worker processes. again : repeat frames that have outputs. quiet : show no progress. tell :
+    called with each outcome, in that order, when it and all before it are complete.
     """
-    if len(requests) == 1 or processes == 1:
-        outcomes = []
-        with _rows(requests, shown) as row:
-            for number, request in enumerate(requests):
-                outcome = _one(request, again, lambda stage, number=number: row(number, stage))  # type: ignore[misc]
-                row(number, _state(outcome))
-                tell(outcome)
-                outcomes.append(outcome)
-        return outcomes
-    return _in_processes(requests, processes, again, shown, tell)
+    outcomes: list[Outcome] = []
+    with Pace(quiet) as pace:
+
+        def add(outcome: Outcome) -> None:
+            pace.pause()
+            tell(outcome)
+            outcomes.append(outcome)
+
+        if len(requests) == 1 or processes == 1:
+            for request in requests:
+                add(_one(request, again, lambda stage, one=request: pace(f"{one.name}: {stage}")))  # type: ignore[misc]
+        else:
+            _in_processes(requests, processes, again, pace, add)
+    return outcomes
 
 
 def _in_processes(
-    requests: Sequence[FrameRequest], processes: int, again: bool, shown: bool, tell: Callable[[Outcome], None]
-) -> list[Outcome]:
+    requests: Sequence[FrameRequest], processes: int, again: bool, pace: Pace, tell: Callable[[Outcome], None]
+) -> None:
     # A forked process inherits locks held by threads that do not exist in it.
     context = multiprocessing.get_context("spawn")
-    stages = context.SimpleQueue()
     outcomes: dict[int, Outcome] = {}
-    with (
-        _rows(requests, shown) as row,
-        ProcessPoolExecutor(
-            min(processes, len(requests)), mp_context=context, initializer=_begin, initargs=(stages,)
-        ) as pool,
-    ):
-        listener = threading.Thread(target=_listen, args=(stages, row), daemon=True)
-        listener.start()
+    with ProcessPoolExecutor(min(processes, len(requests)), mp_context=context, initializer=_begin) as pool:
         futures: dict[Future[Outcome], int] = {}
         told = 0
         try:
             with _without_interrupts():
                 for number, request in enumerate(requests):
-                    futures[pool.submit(_worked, number, request, again)] = number
+                    futures[pool.submit(_one, request, again)] = number
+            pace(f"{len(requests)} frames")
             for future in as_completed(futures):
                 number = futures[future]
                 try:
                     outcome = future.result()
                 except Exception as error:  # the process itself has died
                     outcome = Outcome(requests[number], None, f"{requests[number].path}: the process ended ({error})")
-                row(number, _state(outcome))
                 outcomes[number] = outcome
                 while told in outcomes:
                     tell(outcomes[told])
                     told += 1
+                pace(f"{len(outcomes)} of {len(requests)} frames done")
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
             for process in multiprocessing.active_children():
                 process.terminate()
             raise
-        finally:
-            stages.put(None)
-        listener.join(1.0)
-    return [outcomes[number] for number in range(len(requests))]
 
 
 @contextmanager
@@ -229,30 +216,16 @@ def _without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, previous)
 
 
-_stages: Any = None
-
-
-def _begin(stages: Any) -> None:
+def _begin() -> None:
     """Initialise a worker process."""
     import warnings
 
-    global _stages
-    _stages = stages
     end_with_parent()
     end_cleanly_on_sigterm(worker=True)
     warnings.simplefilter("ignore")
 
 
-def _worked(number: int, request: FrameRequest, again: bool) -> Outcome:
-    return _one(request, again, lambda stage: _stages.put((number, stage)))
-
-
-def _listen(stages: Any, row: Callable[[int, str], None]) -> None:
-    while (message := stages.get()) is not None:
-        row(*message)
-
-
-def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) -> Outcome:
+def _one(request: FrameRequest, again: bool, progress: Callable[[str], None] = lambda stage: None) -> Outcome:
     began = time.perf_counter()
     keep_freed_memory(FRAME_BYTES)
     try:
@@ -270,34 +243,3 @@ def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) ->
         if interrupt is not None:
             raise interrupt from error
         return Outcome(request, None, f"{request.path}: {fault(error)}", seconds=time.perf_counter() - began)
-
-
-def _state(outcome: Outcome) -> str:
-    if outcome.summary is None:
-        return "failed"
-    return "done before" if outcome.skipped else f"done in {outcome.seconds:.1f} s"
-
-
-@contextmanager
-def _rows(requests: Sequence[FrameRequest], shown: bool) -> Iterator[Callable[[int, str], None]]:
-    """A function (number of the frame, stage) that updates the frame's progress row; finished rows are removed."""
-    if not (shown and sys.stderr.isatty()):
-        yield lambda number, stage: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = SpinnerColumn(), TextColumn("{task.fields[frame]}"), TextColumn("{task.description}"), TimeElapsedColumn()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        tasks: dict[int, Any] = {}
-
-        def row(number: int, stage: str) -> None:
-            if number not in tasks:
-                tasks[number] = progress.add_task(stage, total=1, frame=requests[number].name)
-            ended = stage.startswith(("done", "failed"))
-            progress.update(tasks[number], description=stage, completed=int(ended))
-            over = [k for k, task in tasks.items() if progress.tasks[progress.task_ids.index(task)].finished]
-            for k in over[: max(0, len(tasks) - ROWS)]:
-                progress.remove_task(tasks.pop(k))
-
-        yield row

@@ -237,7 +237,7 @@ def run_series(
     frames = expanded(paths, (*template.darks, *template.flats, *template.biases))
     requests = [replace(template, path=path, name=name) for path, name in zip(frames, names_of(frames), strict=True)]
     tell = partial(print_outcome, printer=printer)
-    done, failed = identified(run_all(requests, processes=processes, again=False, shown=not quiet, tell=tell))
+    done, failed = identified(run_all(requests, processes=processes, again=False, quiet=quiet, tell=tell))
     printer(frames_lines([one.summary for one in done]))
     movers = series_movers(done, options, failed=failed, below_limit=below_limit, say=printer)
     written = movers.write(Path(template.folder), _title(paths), template.catalogue)
