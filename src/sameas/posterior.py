@@ -361,7 +361,7 @@ def _exact(
         threads.over(lambda a, b: exact(a, b, *linear), bounds)
     else:
         counts = prior.start, prior.table, best.multiplier
-        counted = layout, best.weight, *duals, *counts, most, share, method
+        counted = layout, best.weight, best.chosen, *duals, *counts, most, share, method
         threads.over(lambda a, b: exact_counted(a, b, *counted), bounds)
 
 

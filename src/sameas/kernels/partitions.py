@@ -85,37 +85,7 @@ def _sum_group(
     share: FloatArray,
     chosen: BoolArray,
 ) -> bool:
-    bit = np.uint64(1) << np.arange(n).astype(np.uint64)
-    later, width = np.empty(len(mask), np.uint64), 64 if counted else _width(first, mask)
-    for k in range(len(mask)):
-        later[k] = mask[k] & ~bit[first[k]]
-    factor = _factors(n, mask, weight)
-    return sum_partitions(bit, first, later, weight, factor, merges, log_p, counted, width, cap, share, chosen)
-
-
-@part
-def sum_partitions(
-    bit: NDArray[np.uint64],
-    first: IntArray,
-    later: NDArray[np.uint64],
-    weight: FloatArray,
-    factor: FloatArray,
-    merges: IntArray,
-    log_p: FloatArray,
-    counted: bool,
-    width: int,
-    cap: int,
-    share: FloatArray,
-    chosen: BoolArray,
-) -> bool:
-    """Sum one group of :func:`eliminate`; returns whether it is solved.
-
-    bit : (n,) of each record in a state, 0 if no earlier record shares a set with it; records that are never in one
-    state may have the same. later : (k,) bits of the sets' records after the first. factor : (k,) exp of the weights,
-    but for a factor that is the same for all partitions, at most 1.
-    """
-    n = len(bit)
-    key, n_merges, layer, origin, target, used = _steps(bit, first, later, merges, counted, width, cap)
+    key, n_merges, layer, origin, target, used = _steps(n, first, mask, merges, counted, cap)
     if len(layer) == 0:
         return False
     best, step = _best_paths(len(key), origin, target, used, weight)
@@ -129,7 +99,7 @@ def sum_partitions(
     ends = np.ones(stop - last)
     for t in range(last, stop):
         ends[t - last] = math.exp(log_p[n_merges[t]] - highest) if counted else 1.0
-    if not _add_path_shares(layer[: n + 2], origin, target, used, factor, ends, share):
+    if not _add_path_shares(layer[: n + 2], origin, target, used, _factors(n, mask, weight), ends, share):
         return False
     while step[finish] >= 0:
         e = step[finish]
@@ -222,26 +192,20 @@ def _normalize(values: FloatArray) -> bool:
 
 @part
 def _steps(
-    bit: NDArray[np.uint64],
-    first: IntArray,
-    later: NDArray[np.uint64],
-    merges: IntArray,
-    counted: bool,
-    width: int,
-    cap: int,
+    n: int, first: IntArray, mask: NDArray[np.uint64], merges: IntArray, counted: bool, cap: int
 ) -> tuple[Int32Array | IntArray | NDArray[np.uint64], ...]:
     """States (records taken, number of merges), the layers' starts, and the steps between states (origin, target, set
     used); empty arrays if there are more than about ``cap`` steps."""
-    n = len(bit)
     limit, layer = FIRST_CAPACITY, np.zeros(n + 2, np.int64)
     while limit < cap:
         limit *= 2
+    width = 64 if counted else _width(first, mask)
     capacity = FIRST_CAPACITY
     # Growing arrays within the loops would cost more than the loops: if they are too small, the loops start again.
     while True:
         key, n_merges = np.empty(capacity + 1, np.uint64), np.empty(capacity + 1, np.int64)
         origin, target, used = np.empty(capacity, np.int32), np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-        steps = _fill_steps(bit, first, later, merges, counted, width, key, n_merges, layer, origin, target, used)
+        steps = _fill_steps(n, first, mask, merges, counted, width, key, n_merges, layer, origin, target, used)
         if steps >= 0:
             return key[: layer[n + 1]], n_merges[: layer[n + 1]], layer, origin[:steps], target[:steps], used[:steps]
         if capacity == limit:
@@ -251,9 +215,9 @@ def _steps(
 
 @part
 def _fill_steps(
-    bit: NDArray[np.uint64],
+    n: int,
     first: IntArray,
-    later: NDArray[np.uint64],
+    mask: NDArray[np.uint64],
     merges: IntArray,
     counted: bool,
     width: int,
@@ -268,32 +232,32 @@ def _fill_steps(
 
     width : of :func:`_width`. If small, the bits of a state's records after r are its slot; else slots are hashed.
     """
-    capacity = len(origin)
+    one, capacity = np.uint64(1), len(origin)
     direct = width < 63 and (1 << width) <= 4 * capacity
     slots, slot_of = np.full(1 << width if direct else 2 * capacity, NONE, np.int32), np.empty(capacity + 1, np.int64)
     options = np.empty(len(first) + 1, np.int64)
     key[0], n_merges[0], layer[0], layer[1] = 0, 0, 0, 1
     size, steps, low = 1, 0, 0
-    for r in range(len(bit)):
+    for r in range(n):
         high = low
         while high < len(first) and first[high] == r:
             high += 1
-        own, after = bit[r], np.uint64(r + 1)
+        bit, after = one << np.uint64(r), np.uint64(r + 1)
         for s in range(layer[r], layer[r + 1]):
             state, n_options = key[s], 0
-            taken = (state & own) != np.uint64(0)
+            taken = (state & bit) != np.uint64(0)
             if taken:
                 options[0], n_options = NONE, 1
             else:
                 # Without a branch, which would be mispredicted most of the time.
                 for k in range(low, high):
                     options[n_options] = k
-                    n_options += np.int64((later[k] & state) == np.uint64(0))
+                    n_options += np.int64((mask[k] & state) == np.uint64(0))
             if steps + n_options > capacity:
                 return -1
             for at in range(n_options):
                 k = options[at]
-                new = state & ~own if taken else state | later[k]
+                new = state & ~bit if taken else (state | mask[k]) & ~bit
                 count = n_merges[s] if taken or not counted else n_merges[s] + merges[k]
                 slot = np.int64(new >> after) if direct else _slot(slots, key, n_merges, new, count)
                 if slots[slot] == NONE:

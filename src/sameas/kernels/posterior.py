@@ -4,8 +4,8 @@ Weights are reduced by the duals of the best hypothesis, w − u − v ≤ 0. Th
 one at most 1: nothing overflows, and what underflows is negligible.
 
 Without a prior of the count, a group is summed in closed form where one record has all pairs, by folding leaves where
-it is a tree, and by eliminating the records of its core one by one elsewhere. With a prior of the count, records are
-eliminated in the same order by :mod:`sameas.kernels.partitions`.
+it is a tree, and by eliminating the records of its core one by one elsewhere. With a prior of the count, rows are
+eliminated by :mod:`sameas.kernels.eliminate`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray, Int32Array, IntArray
+from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import borrowing_part, inlined, part, small_by
 from sameas.kernels.components import GroupLayout, sizes
-from sameas.kernels.partitions import sum_partitions
+from sameas.kernels.eliminate import CountedProblem, eliminate, scratch
 
 # Exact sums by eliminating records one by one.
 #
@@ -375,32 +375,25 @@ def forest(records: int) -> Forest:
 
 
 @borrowing_part
-def unfolded(n1: int, n2: int, first: Int32Array, second: Int32Array, work: Forest) -> None:
-    """Write the workspace of n₁ + n₂ records before any leaf is folded, but for ``odds_alone``."""
-    degree, pair_xor = work.degree, work.pair_xor
-    work.log_scale[0] = 0.0
-    for x in range(n1 + n2):
-        degree[x] = 0
-        pair_xor[x] = 0
-        work.scale[x] = 1.0
-        work.p_taken[x] = 0.0
-        work.p_alone[x] = 1.0
-    for e in range(len(first)):
-        x, y = np.int64(first[e]), n1 + second[e]
-        degree[x] += 1
-        degree[y] += 1
-        pair_xor[x] ^= e
-        pair_xor[y] ^= e
-
-
-@borrowing_part
 def fold(n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, work: Forest) -> int:
     """Fold the leaves of n₁ + n₂ records, whose ``odds_alone`` must be set; returns the number of leaves.
 
     first, second : (m,) each pair's records, numbered in their sources. Records of the core keep a ``degree`` > 0.
     """
-    unfolded(n1, n2, first, second, work)
     degree, pair_xor, odds_alone, scale = work.degree, work.pair_xor, work.odds_alone, work.scale
+    work.log_scale[0] = 0.0
+    for x in range(n1 + n2):
+        degree[x] = 0
+        pair_xor[x] = 0
+        scale[x] = 1.0
+        work.p_taken[x] = 0.0
+        work.p_alone[x] = 1.0
+    for e in range(len(odds)):
+        x, y = np.int64(first[e]), n1 + second[e]
+        degree[x] += 1
+        degree[y] += 1
+        pair_xor[x] ^= e
+        pair_xor[y] ^= e
     leaves = 0
     for x in range(n1 + n2):
         leaf = x
@@ -485,16 +478,64 @@ def core_of(
 
 #: How a group was solved: in closed form, exactly by folding and elimination, or not here.
 CLOSED, ELIMINATED, LOCAL = 0, 1, 2
-#: Reduced log weights are at least −MAX_DEPTH.
-MAX_DEPTH = 600.0
-#: Maximum number of steps between states of one group with a prior of the count.
-MAX_STEPS = 1 << 21
+#: Reduced log weights are at least −MAX_DEPTH; counts with a log factor of MAX_LOG_PRIOR or more are excluded.
+MAX_DEPTH, MAX_LOG_PRIOR = 600.0, 300.0
 
 
 @borrowing_part
 def bounded_exp(x: float) -> float:
     """exp(x) for x ≤ 0, at least exp(−MAX_DEPTH), so never 0."""
     return math.exp(max(x, -MAX_DEPTH))
+
+
+@borrowing_part
+def by_row(
+    n1: int,
+    n2: int,
+    low: int,
+    high: int,
+    local1: Int32Array,
+    local2: Int32Array,
+    weight: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
+    flipped: bool,
+    start: IntArray,
+    column: Int32Array,
+    pair: IntArray,
+    odds: FloatArray,
+    row_alone: FloatArray,
+    column_alone: FloatArray,
+) -> tuple[int, int]:
+    """Write the reduced problem of one group as CSR by row, rows being source 1 or, if ``flipped``, source 2.
+
+    low, high : its pairs. start, column, pair, odds : the CSR. row_alone, column_alone : odds of having no partner.
+    Returns the numbers of rows and columns.
+    """
+    n = n2 if flipped else n1
+    nc = n1 if flipped else n2
+    row_of = local2 if flipped else local1
+    column_of = local1 if flipped else local2
+    start[: n + 1] = 0
+    for e in range(low, high):
+        start[row_of[e] + 1] += 1
+    for r in range(n):
+        start[r + 1] += start[r]
+    for e in range(low, high):
+        r = row_of[e]
+        at = start[r]
+        column[at] = column_of[e]
+        pair[at] = e
+        odds[at] = math.exp(max(weight[e] - u[local1[e]] - v[local2[e]], -700.0))
+        start[r] += 1
+    for r in range(n, 0, -1):
+        start[r] = start[r - 1]
+    start[0] = 0
+    for r in range(n1):
+        (column_alone if flipped else row_alone)[r] = bounded_exp(-u[r])
+    for c in range(n2):
+        (row_alone if flipped else column_alone)[c] = bounded_exp(-v[c])
+    return n, nc
 
 
 @borrowing_part
@@ -529,6 +570,18 @@ def star(low: int, high: int, weight: FloatArray, share: FloatArray) -> None:
         total += share[e]
     for e in range(low, high):
         share[e] /= total
+
+
+@part
+def count_factors(prior: FloatArray, slope: float, size: int) -> FloatArray:
+    """exp(ln P(k) − ln P(k₀) − μ (k − k₀)), k₀ = ``size`` the number of pairs of the best hypothesis; 0 where the
+    logarithm is MAX_LOG_PRIOR or more."""
+    factors = np.zeros(len(prior))
+    for k in range(len(prior)):
+        x = prior[k] - prior[size] - slope * (k - size)
+        if x < MAX_LOG_PRIOR:
+            factors[k] = math.exp(max(x, -700.0))
+    return factors
 
 
 def _sums(first: int, last: int, layout: GroupLayout, *rest: Any) -> float:
@@ -712,6 +765,7 @@ def exact_counted(
     last: int,
     layout: GroupLayout,
     weight: FloatArray,
+    chosen: BoolArray,
     u: FloatArray,
     v: FloatArray,
     table_start: IntArray,
@@ -723,21 +777,22 @@ def exact_counted(
 ) -> None:
     """:func:`exact` under any prior of the count: ``weight`` excludes it (see ``assign_counted``).
 
-    table[table_start[g] + k] : ln P of k pairs. slope : (g,) its multiplier μ at the best hypothesis. A group is summed
-    over the partitions of its records into pairs and single records, in the order of the elimination.
+    table[table_start[g] + k] : ln P of k pairs. slope : (g,) its multiplier μ at the best hypothesis.
     """
     start, start1, start2, _, local1, local2 = layout
-    records, pairs = np.int64(2), np.int64(1)
+    max_rows, max_pairs, max_columns = np.int64(1), np.int64(1), np.int64(1)
     for g in range(first, last):
         n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
         if 1 < min(n1, n2) <= most:
-            records = max(records, n1 + n2)
-            pairs = max(pairs, start[g + 1] - start[g])
-    tree, graph, odds = forest(records), elimination(records, pairs), np.empty(pairs)
-    record, core_odds = np.empty(records, np.int64), np.empty(pairs)
-    sets = records + pairs
-    begin, mask, merges = np.empty(sets, np.int64), np.empty(sets, np.uint64), np.empty(sets, np.int64)
-    log_factor, factor, pair = np.empty(sets), np.empty(sets), np.empty(sets, np.int64)
+            max_rows = max(max_rows, n1, n2)
+            max_pairs = max(max_pairs, start[g + 1] - start[g])
+            max_columns = max(max_columns, min(n1, n2))
+    work = scratch(max_pairs, max_rows, max_columns)
+    row_start = np.empty(max_rows + 2, np.int64)
+    column, pair = np.empty(max_pairs, np.int32), np.empty(max_pairs, np.int64)
+    odds, p_pair = np.empty(max_pairs), np.empty(max_pairs)
+    row_alone, column_alone, p_alone = np.empty(max_rows), np.empty(max_rows), np.empty(max_rows)
+    stamp = np.int64(0)  # int64, not a literal: numba would compile a second version for the literal
     for g in range(first, last):
         low, high = start[g], start[g + 1]
         n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
@@ -751,32 +806,20 @@ def exact_counted(
         method[g] = LOCAL
         if min(n1, n2) > most:
             continue
+        size = np.int64(0)
         for e in range(low, high):
+            size += chosen[e]
             share[e] = weight[e] + slope[g]
-        reduced(g, layout, share, u, v, tree.odds_alone, odds)
-        one, two, n = local1[low:high], local2[low:high], n1 + n2
-        unfolded(n1, n2, one, two, tree)
-        core_of(n1, n2, one, two, odds, tree, record, graph, core_odds)
-        if not plan_elimination(n, np.int64(len(graph.sum)), graph):
+        ug, vg = u[start1[g] : start1[g + 1]], v[start2[g] : start2[g + 1]]
+        n, nc = by_row(n1, n2, low, high, local1, local2, share, ug, vg, n2 > n1, row_start, column, pair, odds,
+                       row_alone, column_alone)  # fmt: skip
+        prior = count_factors(log_p, slope[g], size)
+        problem = CountedProblem(n, nc, row_start[: n + 1], column, odds, row_alone, column_alone, prior)
+        after = eliminate(problem, p_pair, p_alone, stamp, work)
+        if after < 0:
+            stamp += n + 1
             continue
-        k = np.int64(0)
-        for t in range(n):
-            begin[k], mask[k], merges[k], pair[k] = t, 0, 0, -1
-            factor[k] = tree.odds_alone[graph.order[t]]
-            k += 1
-            for c in range(graph.choice_start[t], graph.choice_start[t + 1]):
-                e = graph.choice_pair[c]
-                begin[k], mask[k], merges[k], pair[k] = t, graph.choice_bit[c], 1, low + e
-                factor[k] = odds[e]
-                k += 1
-        for s in range(k):
-            log_factor[s] = math.log(factor[s])
-        bit = graph.own_bit[:n].astype(np.uint64)
-        prior = log_p - slope[g] * np.arange(len(log_p))
-        p, chosen = np.zeros(k), np.zeros(k, np.bool_)
-        if sum_partitions(bit, begin[:k], mask[:k], log_factor[:k], factor[:k], merges[:k], prior, True,
-                          64, MAX_STEPS, p, chosen):  # fmt: skip
-            method[g] = ELIMINATED
-            for s in range(k):
-                if pair[s] >= 0:
-                    share[pair[s]] = p[s]
+        stamp = after
+        method[g] = ELIMINATED
+        for t in range(high - low):
+            share[pair[t]] = p_pair[t]
