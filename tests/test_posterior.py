@@ -9,7 +9,7 @@ from scipy.special import logsumexp
 
 import naive
 from problems import DRAWS, components_of, laid_out, many_blocks, random_ratios, solved
-from sameas import CommonObjects, PerPair, Radius, Records
+from sameas import CloseObjects, CommonObjects, PerPair, Radius, Records, identify
 from sameas.assignment import assign
 from sameas.groups import groups
 from sameas.kernels.messages import bounds
@@ -485,3 +485,19 @@ def test_no_sum_is_read_before_it_is_written(monkeypatch):
         monkeypatch.setattr(kernels, "elimination", poisoned)
         with np.errstate(invalid="ignore"):
             np.testing.assert_array_equal(shares(), clean)
+
+
+def test_wide_groups_under_a_prior_of_the_count_are_exact():
+    """A sum over states and counts, instead of over states with the polynomial of their counts, gave up on these."""
+    methods = []
+    for seed in (3, 4, 8):
+        rng = np.random.default_rng(seed)
+        place = rng.uniform(0.0, 600.0, (200, 2))
+        first, second = (
+            Records.of(seen[rng.random(200) < p], sigma=5.0, source=name)
+            for name, p in (("first", 0.9), ("second", 0.8))
+            for seen in [place + rng.normal(0.0, 5.0, place.shape)]
+        )
+        found = identify(first, second, rule=CloseObjects(a=30.0, b=300.0), prior=CommonObjects(0.1, 0.2))
+        methods += [METHODS[k] for k in found.posterior.method]
+    assert set(methods) == {"closed form", "exact elimination"}
