@@ -23,13 +23,12 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import Plane
 
-#: Most iterations of the weights.
+#: Most steps of the weights.
 STEPS = 5000
 #: Relative error of the optimality condition at which the weights have converged.
 OPTIMAL = 1e-7
 #: Bisections of a step of vertex exchange: to 2⁻⁴⁵ of it.
 BISECTIONS = 45
-CRITERIA = ("determinant", "trace")
 
 
 @in_short
@@ -79,50 +78,27 @@ def bar_shalom_campo(
     return Fused(state, symmetric(covariance))
 
 
-def covariance_intersection(states: ArrayLike, covariances: ArrayLike, *, criterion: str = "determinant") -> Fused:
+def covariance_intersection(states: ArrayLike, covariances: ArrayLike) -> Fused:
     """A consistent estimate from k estimates whose errors may be correlated in any way.
 
     P⁻¹ = Σ wᵢ Pᵢ⁻¹, x = P Σ wᵢ Pᵢ⁻¹ xᵢ, wᵢ ≥ 0, Σ wᵢ = 1 (Julier and Uhlmann 1997). The weights jointly minimise the
-    ``criterion`` of P, "determinant" or "trace"; both are convex problems of optimal design. For the determinant,
-    weight is moved from the estimate of smallest gradient to that of largest, by the best amount (vertex exchange,
-    Böhning 1986: one step for two estimates). For the trace, all weights are multiplied by the roots of their gradients
-    (Silvey, Titterington and Torsney 1978). Both stop when the equivalence theorem of Kiefer and Wolfowitz holds.
+    determinant of P, a convex problem of optimal design: weight is moved from the estimate of smallest gradient to that
+    of largest, by the best amount (vertex exchange, Böhning 1986: one step for two estimates), until the equivalence
+    theorem of Kiefer and Wolfowitz holds.
 
     states : (k, L), or (n, k, L) for n objects at once. covariances : (k, L, L) or (n, k, L, L).
     """
-    if criterion not in CRITERIA:
-        raise InputError(f'fusion: criterion is {criterion!r}; give "determinant" or "trace"')
     x, p = _estimates(states, covariances)
-    weights = intersection_weights(inverse(p), criterion=criterion)
+    weights = intersection_weights(inverse(p))
     fused = Gaussian(x, p).product(weights)
     return Fused(fused.mean, fused.covariance, weights)
 
 
-def intersection_weights(information: FloatArray, *, criterion: str = "determinant") -> FloatArray:
+def intersection_weights(information: FloatArray) -> FloatArray:
     """(n, k) the weights of :func:`covariance_intersection` for n objects of k estimates, from their information
     matrices Pᵢ⁻¹ (n, k, L, L)."""
-    if criterion == "determinant":
-        weights = np.empty(information.shape[:2])
-        weights_of_least_determinant(np.ascontiguousarray(information), STEPS, OPTIMAL, BISECTIONS, weights)
-        return weights
-    return _weights_of_least_trace(information)
-
-
-def _weights_of_least_trace(information: FloatArray) -> FloatArray:
-    """(n, k) the weights of least trace: each iteration multiplies them by the roots of their relative gradients."""
-    n, k, _, _ = information.shape
-    weights, active = np.full((n, k), 1.0 / k), np.arange(n)
-    for _ in range(STEPS):
-        part, w = information[active], weights[active]
-        covariance = inverse(np.einsum("nk,nkvw->nvw", w, part))
-        gradient = np.einsum("nuv,nkvw,nwu->nk", covariance, part, covariance)
-        gradient /= np.einsum("nvv->n", covariance)[:, None]
-        not_converged = gradient.max(axis=1, initial=0.0) > 1.0 + OPTIMAL
-        if not not_converged.any():
-            break
-        active, w, gradient = active[not_converged], w[not_converged], gradient[not_converged]
-        scaled = w * np.sqrt(gradient)
-        weights[active] = scaled / scaled.sum(axis=1, keepdims=True)
+    weights = np.empty(information.shape[:2])
+    weights_of_least_determinant(np.ascontiguousarray(information), STEPS, OPTIMAL, BISECTIONS, weights)
     return weights
 
 

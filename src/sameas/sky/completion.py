@@ -34,8 +34,8 @@ class CommonErrorTuning:
     copied_arcsec : the catalogues are copies if the median nearest-neighbour distance is at most this.
     max_records : maximum number of records used, evenly sampled.
     max_rows, strips : larger catalogues are reduced to about ``max_rows`` rows, in this many strips of declination.
-    max_products : all distances are computed if they are at most this many; else only those to records close along one
-        axis, ``window`` of them at first (importing a k-d tree would take 0.15 to 0.5 s).
+    max_products : all distances are computed if they are at most this many, which takes less time than to import a k-d
+        tree.
     """
 
     usual_arcsec: float = 0.3
@@ -50,7 +50,6 @@ class CommonErrorTuning:
     max_rows: int = 40_000
     strips: int = 2
     max_products: int = 4_000_000
-    window: int = 128
 
 
 COMMON_ERROR = CommonErrorTuning()
@@ -239,52 +238,23 @@ def _neighbours(
     sampled = np.arange(0, len(one), max(1, len(one) // tuning.max_records))
     directions = one[sampled]
     count = min(tuning.neighbours, len(two))
-    chord, rows = nearest_chords(directions, two, count, tuning)
+    chord, rows = nearest_chords(directions, two, count, tuning.max_products)
     separation = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) * ARCSEC_PER_RADIAN
     # The nearest may be the partner, so it is excluded from the density (unless it is the only one).
     density = max(count - 1, 1) / (np.pi * np.maximum(separation[:, -1], 1e-3) ** 2)
     return np.maximum(separation[:, 0], tuning.copied_arcsec), density, rows[:, 0], sampled
 
 
-def nearest_chords(
-    one: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTuning
-) -> tuple[FloatArray, IntArray]:
+def nearest_chords(one: FloatArray, two: FloatArray, count: int, max_products: int) -> tuple[FloatArray, IntArray]:
     """(k, count) chords to the nearest directions in ``two``, ascending, and their rows."""
-    if len(one) * len(two) > tuning.max_products:
-        return _nearest_along(one, two, count, tuning)
-    rows = np.argpartition(one @ -two.T, count - 1, axis=1)[:, :count]
-    # The scalar product finds the nearest; the chord is computed from differences, without cancellation.
+    if len(one) * len(two) > max_products:
+        from scipy.spatial import cKDTree
+
+        rows = cKDTree(two).query(one, k=np.arange(1, count + 1))[1]
+    else:
+        rows = np.argpartition(one @ -two.T, count - 1, axis=1)[:, :count]
+    # Products of directions lose digits, so the chords are computed from differences.
     return _by_chord(one, two, rows)
-
-
-def _nearest_along(
-    one: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTuning
-) -> tuple[FloatArray, IntArray]:
-    """The same as :func:`nearest_chords`, searched in windows along the axis of largest extent.
-
-    Windows are doubled until every direction outside must be farther away than the ``count`` found.
-    """
-    axis, n = int(np.argmax(np.ptp(two, axis=0))), len(two)
-    order = np.argsort(two[:, axis], kind="stable")
-    along = np.concatenate([[-np.inf], two[order, axis], [np.inf]])
-    chord, rows = np.empty((len(one), count)), np.empty((len(one), count), np.intp)
-    pending, width = np.arange(len(one)), min(max(tuning.window, count), n)
-    while len(pending):
-        complete = np.zeros(len(pending), np.bool_)
-        chunk_size = max(tuning.max_products // width, 1)
-        for chunk in (slice(low, low + chunk_size) for low in range(0, len(pending), chunk_size)):
-            part = one[pending[chunk]]
-            low = np.clip(np.searchsorted(along[1:-1], part[:, axis]) - width // 2, 0, n - width)
-            window_rows = order[low[:, None] + np.arange(width)]
-            chord_sq = np.square(part[:, None] - two[window_rows]).sum(axis=2)
-            nearest = np.argpartition(chord_sq, count - 1, axis=1)[:, :count]
-            chord[pending[chunk]], rows[pending[chunk]] = _by_chord(
-                part, two, np.take_along_axis(window_rows, nearest, axis=1)
-            )
-            reach = np.minimum(part[:, axis] - along[low], along[low + width + 1] - part[:, axis])
-            complete[chunk] = chord[pending[chunk], -1] <= reach
-        pending, width = pending[~complete], min(2 * width, n)
-    return chord, rows
 
 
 def _by_chord(one: FloatArray, two: FloatArray, rows: IntArray) -> tuple[FloatArray, IntArray]:
