@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, folded, unit_vectors
 
 if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
     from sameas.kernels.coverage import Buckets
 
 
@@ -51,6 +53,8 @@ class HolesTuning:
 DEFAULT_HOLES = HolesTuning()
 #: Most cells along an axis; farther ones share a number.
 MAX_CELLS = 2.0**40
+#: Discs whose points are listed at a time, which limits the memory.
+CENTRES_AT_ONCE = 10_000
 
 Floats = TypeVar("Floats", float, FloatArray)
 
@@ -93,6 +97,12 @@ class Points:
         points = np.zeros((len(rows), 3))
         points[:, : self.points.shape[1]] = self.points[rows]
         return points
+
+    def tree(self, rows: IntArray) -> cKDTree:
+        """A k-d tree of some of the points."""
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.points[rows], boxsize=np.where(np.isfinite(self.period), self.period, 0.0))
 
     def isolated(
         self, wanted: BoolArray, density: FloatArray, limits: tuple[float, float], volume: float, other: Points
@@ -205,28 +215,27 @@ def _inside(
     tuning: HolesTuning,
 ) -> IntArray:
     """Rows of the points inside empty discs around ``rows`` that contain enough points."""
-    from sameas.kernels.coverage import clear, empty_discs
-
-    side, centres, empty = float(radius.min()) / math.sqrt(own.d), own.at(rows), np.empty(len(rows), np.bool_)
-    empty_discs(centres, radius, *_sorted(other, other.in_discs(centres, radius, side), side), empty)
-    centres, radius, beyond = centres[empty], radius[empty], beyond[empty]
-    if len(centres) and least > tuning.many:
-        chosen = _one_per_cell(centres, tuning.min_spacing * float(radius.min()))
-        centres, radius, beyond = centres[chosen], radius[chosen], beyond[chosen]
-    if not len(centres):
-        return np.empty(0, np.int64)
-    rows = own.in_discs(centres, radius, side)
-    outside = np.ones(len(rows), np.bool_)
-    clear(centres, radius, radius - beyond, least, *_sorted(own, rows, side), outside)
-    return rows[~outside]
-
-
-def _sorted(source: Points, rows: IntArray, side: float) -> tuple[FloatArray, Buckets, Int32Array, Int32Array]:
-    """Some points (n, 3), their buckets, and the rows of each bucket."""
-    from sameas.kernels.coverage import into_buckets
-
-    points, buckets = source.at(rows), _buckets(source, side, max(len(rows), 1))
-    return points, buckets, *into_buckets(points, buckets)
+    side = float(radius.min()) / math.sqrt(own.d)
+    near = other.in_discs(own.at(rows), radius, side)
+    distance = other.tree(near).query(own.points[rows], distance_upper_bound=float(radius.max()))[0]
+    empty = distance >= radius
+    rows, radius, beyond = rows[empty], radius[empty], beyond[empty]
+    if len(rows) and least > tuning.many:
+        chosen = _one_per_cell(own.at(rows), tuning.min_spacing * float(radius.min()))
+        rows, radius, beyond = rows[chosen], radius[chosen], beyond[chosen]
+    if not len(rows):
+        return rows
+    near = own.in_discs(own.at(rows), radius, side)
+    tree, centres, inner = own.tree(near), own.points[rows], np.nextafter(radius - beyond, 0.0)
+    if least > 1.0:
+        number = tree.query_ball_point(centres, np.nextafter(radius, 0.0), return_length=True)
+        centres, inner = centres[number >= least], inner[number >= least]
+    inside = np.zeros(len(near), np.bool_)
+    for begin in range(0, len(centres), CENTRES_AT_ONCE):
+        some = slice(begin, begin + CENTRES_AT_ONCE)
+        for rows_of_disc in tree.query_ball_point(centres[some], inner[some]):
+            inside[rows_of_disc] = True
+    return near[inside]
 
 
 def _one_per_cell(points: FloatArray, side: float) -> IntArray:

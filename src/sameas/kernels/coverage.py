@@ -1,4 +1,4 @@
-"""Compiled cells, nested cells, densities and discs, for the coverage of sources and their local densities."""
+"""Compiled cells, nested cells and densities, for the coverage of sources and their local densities."""
 
 from __future__ import annotations
 
@@ -415,7 +415,7 @@ def refine_share_nested(
             share[k] = (parts[at] + pseudo * share[k]) / (weights[at] + pseudo)
 
 
-# Discs (intervals, balls) over points: which are empty, and the points in them.
+# Discs (intervals, balls) over points: which may be empty, and the points that may be in them.
 #
 # Points are (n, axes), reduced to the period of periodic axes; cells have three axes, unused ones 0. Points are sorted
 # into a hash table of buckets: a cell's number modulo the size of the table, so that memory depends on the points only.
@@ -593,147 +593,3 @@ def rows_in_reach(
             out[count] = p
             count += 1
     return count
-
-
-@small
-def into_buckets(points: FloatArray, buckets: Buckets) -> tuple[Int32Array, Int32Array]:
-    """(start, rows): the points of bucket b are ``rows[start[b]:start[b + 1]]``, ascending."""
-    bucket, mask = np.empty(len(points), np.int32), buckets.mask
-    start, rows = np.zeros(mask + 2, np.int32), np.empty(len(points), np.int32)
-    for p in range(len(points)):
-        i, j, k = cell_of_point(points, p, buckets)
-        bucket[p] = bucket_of(i, j, k, buckets)
-        start[bucket[p] + 1] += 1
-    for b in range(mask + 1):
-        start[b + 1] += start[b]
-    for p in range(len(points)):
-        rows[start[bucket[p]]] = p
-        start[bucket[p]] += 1
-    for b in range(mask + 1, 0, -1):
-        start[b] = start[b - 1]
-    start[0] = 0
-    return start, rows
-
-
-@part
-def is_empty(
-    centres: FloatArray,
-    c: int,
-    radius: float,
-    points: FloatArray,
-    buckets: Buckets,
-    start: Int32Array,
-    rows: Int32Array,
-) -> bool:
-    """Whether no point is closer to the centre than the radius."""
-    i, j, k = cell_of_point(centres, c, buckets)
-    own = bucket_of(i, j, k, buckets)
-    for at in range(start[own], start[own + 1]):  # most centres have a point in their own cell
-        if distance_sq(points, rows[at], centres, c, buckets.period) < radius * radius:
-            return False
-    (west, east), (south, north), (below, above) = cell_ranges(centres, c, radius, buckets)
-    for i in range(west, east + 1):
-        for j in range(south, north + 1):
-            for k in range(below, above + 1):
-                at_i, at_j, at_k = wrapped_cell(i, j, k, buckets)
-                b = bucket_of(at_i, at_j, at_k, buckets)
-                for at in range(start[b], start[b + 1]):
-                    if distance_sq(points, rows[at], centres, c, buckets.period) < radius * radius:
-                        return False
-    return True
-
-
-@small
-def empty_discs(
-    centres: FloatArray,
-    radius: FloatArray,
-    points: FloatArray,
-    buckets: Buckets,
-    start: Int32Array,
-    rows: Int32Array,
-    empty: BoolArray,
-) -> None:
-    """Write to ``empty`` (n,) whether no point is closer to centre k than ``radius[k]``."""
-    for c in range(len(centres)):
-        empty[c] = is_empty(centres, c, radius[c], points, buckets, start, rows)
-
-
-@part
-def is_within(
-    p: int,
-    i: int,
-    j: int,
-    k: int,
-    limit: float,
-    points: FloatArray,
-    centres: FloatArray,
-    c: int,
-    buckets: Buckets,
-) -> bool:
-    """Whether a point is in a cell and closer to a centre than the limit."""
-    if distance_sq(points, p, centres, c, buckets.period) >= limit * limit:
-        return False
-    own_i, own_j, own_k = cell_of_point(points, p, buckets)
-    return own_i == i and own_j == j and own_k == k
-
-
-@part
-def has_enough(
-    centres: FloatArray,
-    c: int,
-    radius: float,
-    least: float,
-    points: FloatArray,
-    buckets: Buckets,
-    start: Int32Array,
-    rows: Int32Array,
-) -> bool:
-    """Whether at least ``least`` points, including the centre, are closer to a centre than the radius."""
-    if least <= 1.0:
-        return True
-    count = 0
-    (west, east), (south, north), (below, above) = cell_ranges(centres, c, radius, buckets)
-    for i in range(west, east + 1):
-        for j in range(south, north + 1):
-            for k in range(below, above + 1):
-                at_i, at_j, at_k = wrapped_cell(i, j, k, buckets)
-                b = bucket_of(at_i, at_j, at_k, buckets)
-                for at in range(start[b], start[b + 1]):
-                    p = rows[at]
-                    if is_within(p, at_i, at_j, at_k, radius, points, centres, c, buckets):
-                        count += 1
-                        if count >= least:
-                            return True
-    return False
-
-
-@small
-def clear(
-    centres: FloatArray,
-    radius: FloatArray,
-    inner: FloatArray,
-    least: float,
-    points: FloatArray,
-    buckets: Buckets,
-    start: Int32Array,
-    rows: Int32Array,
-    outside: BoolArray,
-) -> None:
-    """Clear ``outside`` (n,) for points within ``inner[c]`` of a centre that has ``least`` points within its radius."""
-    left = start[1:] - start[:-1]  # points of each bucket that are still outside
-    for c in range(len(centres)):
-        if not has_enough(centres, c, radius[c], least, points, buckets, start, rows):
-            continue
-        (west, east), (south, north), (below, above) = cell_ranges(centres, c, inner[c], buckets)
-        for i in range(west, east + 1):
-            for j in range(south, north + 1):
-                for k in range(below, above + 1):
-                    at_i, at_j, at_k = wrapped_cell(i, j, k, buckets)
-                    b = bucket_of(at_i, at_j, at_k, buckets)
-                    if not left[b]:
-                        continue
-                    for at in range(start[b], start[b + 1]):
-                        p = rows[at]
-                        if outside[p] and distance_sq(points, p, centres, c, buckets.period) < inner[c] * inner[c]:
-                            outside[p] = False
-                            left[b] -= 1
