@@ -20,7 +20,15 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray, inner, median
 from sameas.estimate.cells import DEFAULT_CELLS, CellsTuning, GridLevel, levels_of
 from sameas.estimate.discs import Discs
-from sameas.estimate.holes import DEFAULT_HOLES, HolesTuning, Points, geometric_mean, within_holes
+from sameas.estimate.holes import (
+    DEFAULT_HOLES,
+    PLACE_OF_AXES,
+    HolesTuning,
+    Points,
+    geometric_mean,
+    places_of_cells,
+    within_holes,
+)
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
@@ -139,6 +147,16 @@ def _sampled(records: Records, some: int) -> IntArray:
         return np.arange(n)
     bits = np.ascontiguousarray(records.features[:, 0]).view(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     return np.flatnonzero(bits < np.uint64(int(some / n * 2.0**64)))
+
+
+def _near_some(points: FloatArray, some: IntArray, distance: float) -> BoolArray:
+    """(n,) mask of all points (n, d) within a distance of some of them, and of further ones: of the cells around."""
+    place, last = places_of_cells(points, distance)
+    d = points.shape[1]
+    around = np.stack(np.meshgrid(*d * [[-1, 0, 1]]), axis=-1).reshape(-1, d) @ PLACE_OF_AXES[:d]
+    marked = np.zeros(last + 1, np.bool_)
+    marked[(place[some][:, None] + around) & last] = True
+    return np.asarray(marked[place])
 
 
 @dataclass(frozen=True)
@@ -298,10 +316,7 @@ class Coverage:
         shells = per_volume * ball_volume(d) * (radii**d - tuning.near**d)
         near_sample, weight = counted, counted[sample].astype(np.float64)
         if len(points) > tuning.sparse * len(sample):
-            reach = radius * mean
-            rows = one.in_discs(one.at(sample), np.full(len(sample), reach), reach)
-            near_sample = np.zeros(len(points), np.bool_)
-            near_sample[rows] = counted[rows]
+            near_sample = counted & _near_some(points, sample, radius)
         balls = _Balls.around(points[near_sample], tuning.pairs_at_once)
         if balls.number(points[sample], radius) > tuning.most_neighbours * len(sample):
             return

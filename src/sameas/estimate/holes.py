@@ -9,19 +9,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, folded, unit_vectors
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
-
-    from sameas.kernels.coverage import Buckets
 
 
 @dataclass(frozen=True)
@@ -51,8 +50,6 @@ class HolesTuning:
 
 
 DEFAULT_HOLES = HolesTuning()
-#: Most cells along an axis; farther ones share a number.
-MAX_CELLS = 2.0**40
 #: Discs whose points are listed at a time, which limits the memory.
 CENTRES_AT_ONCE = 10_000
 
@@ -92,39 +89,12 @@ class Points:
         outside = ((self.points < low) | (self.points > high)) & np.isinf(self.period)
         return np.asarray(~outside.any(axis=1))
 
-    def at(self, rows: IntArray) -> FloatArray:
-        """(r, 3) points of some rows, unused axes 0."""
-        points = np.zeros((len(rows), 3))
-        points[:, : self.points.shape[1]] = self.points[rows]
-        return points
-
-    def tree(self, rows: IntArray) -> cKDTree:
-        """A k-d tree of some of the points."""
+    @cached_property
+    def tree(self) -> cKDTree:
+        """The k-d tree of the points."""
         from scipy.spatial import cKDTree
 
-        return cKDTree(self.points[rows], boxsize=np.where(np.isfinite(self.period), self.period, 0.0))
-
-    def isolated(
-        self, wanted: BoolArray, density: FloatArray, limits: tuple[float, float], volume: float, other: Points
-    ) -> IntArray:
-        """Rows of ``wanted`` points with a density within limits, and no point of ``other`` near their discs' centres.
-
-        volume : of the discs, times the density.
-        """
-        from sameas.kernels.coverage import isolated
-
-        rows = np.empty(len(self.points), np.int32)
-        buckets = _buckets(other, (volume / limits[1]) ** (1.0 / self.d) / math.sqrt(self.d), len(other.points))
-        number = isolated(self.points, wanted, density, *limits, volume, self.d, other.points, buckets, rows)
-        return rows[:number].astype(np.int64)
-
-    def in_discs(self, centres: FloatArray, radius: FloatArray, side: float) -> IntArray:
-        """Rows of all points inside discs around these centres, and some more around them."""
-        from sameas.kernels.coverage import rows_in_reach
-
-        rows = np.empty(len(self.points), np.int32)
-        number = rows_in_reach(self.points, _buckets(self, side, len(self.points)), centres, radius, rows)
-        return rows[:number].astype(np.int64)
+        return cKDTree(self.points, boxsize=np.where(np.isfinite(self.period), self.period, 0.0))
 
 
 def geometric_mean(values: FloatArray) -> float:
@@ -132,20 +102,16 @@ def geometric_mean(values: FloatArray) -> float:
     return float(values[0] * np.prod(values / values[0]) ** (1.0 / len(values)))
 
 
-def _buckets(source: Points, side: float, n: int) -> Buckets:
-    """Cells of about this side over the points of a source, in a table for n points."""
-    from sameas.kernels.coverage import Buckets
+#: By how many places the next cell along each axis is farther in a table.
+PLACE_OF_AXES = np.array([73_856_093, 19_349_663, 83_492_791])
 
-    low, number, period = np.zeros(3), np.ones(3, np.int64), np.full(3, np.inf)
-    sides = np.where(np.arange(3) < len(source.period), side, np.inf)  # an unused axis is one cell
-    for v, wraps in enumerate(source.period):
-        if math.isfinite(wraps):
-            number[v], period[v] = math.ceil(wraps / side), wraps
-            sides[v] = wraps / number[v]
-        else:
-            low[v] = float(source.points[:, v].min())
-            number[v] = int(min((float(source.points[:, v].max()) - low[v]) / side, MAX_CELLS)) + 1 | 1
-    return Buckets(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
+
+def places_of_cells(points: FloatArray, side: float, *, rows: int | None = None) -> tuple[IntArray, int]:
+    """(n,) place of each point's cell of this side in a table for some number of ``rows``, by default of points, and
+    the last place. Cells may share a place."""
+    last = (1 << max(len(points) if rows is None else rows, 1).bit_length()) - 1
+    place = np.floor(points / side).astype(np.int64) @ PLACE_OF_AXES[: points.shape[1]]
+    return np.asarray(place & last), last
 
 
 def within_holes(
@@ -195,13 +161,11 @@ def in_empty_discs(
     remaining = density[wanted]
     while len(remaining):
         high = float(remaining.max())
-        low = high / 2.0**own.d  # discs up to twice as large use the same cells
+        low = high / 2.0**own.d  # discs up to twice as large are searched together
         remaining = remaining[remaining <= low]
-        rows = own.isolated(wanted, density, (low, high), expected / ball_volume(own.d), other)
-        if len(rows):
-            radius = _radius(expected, density[rows], own.d)
-            inside = _inside(own, other, rows, radius, beyond * density[rows] ** (-1.0 / own.d), least, tuning)
-            in_disc[inside] = True
+        rows = np.flatnonzero(wanted & (density > low) & (density <= high))
+        radius = _radius(expected, density[rows], own.d)
+        in_disc |= _inside(own, other, rows, radius, beyond * density[rows] ** (-1.0 / own.d), least, tuning)
     return in_disc
 
 
@@ -213,29 +177,41 @@ def _inside(
     beyond: FloatArray,
     least: float,
     tuning: HolesTuning,
-) -> IntArray:
-    """Rows of the points inside empty discs around ``rows`` that contain enough points."""
-    side = float(radius.min()) / math.sqrt(own.d)
-    near = other.in_discs(own.at(rows), radius, side)
-    distance = other.tree(near).query(own.points[rows], distance_upper_bound=float(radius.max()))[0]
+) -> BoolArray:
+    """(n,) mask of the points inside empty discs around ``rows`` that contain enough points."""
+    isolated = ~_near_sampled(own, rows, radius, other)
+    rows, radius, beyond = rows[isolated], radius[isolated], beyond[isolated]
+    distance = other.tree.query(own.points[rows], distance_upper_bound=float(radius.max(initial=0.0)))[0]
     empty = distance >= radius
     rows, radius, beyond = rows[empty], radius[empty], beyond[empty]
     if len(rows) and least > tuning.many:
-        chosen = _one_per_cell(own.at(rows), tuning.min_spacing * float(radius.min()))
+        chosen = _one_per_cell(own.points[rows], tuning.min_spacing * float(radius.min()))
         rows, radius, beyond = rows[chosen], radius[chosen], beyond[chosen]
+    inside = np.zeros(len(own.points), np.bool_)
     if not len(rows):
-        return rows
-    near = own.in_discs(own.at(rows), radius, side)
-    tree, centres, inner = own.tree(near), own.points[rows], np.nextafter(radius - beyond, 0.0)
+        return inside
+    centres, inner = own.points[rows], np.nextafter(radius - beyond, 0.0)
     if least > 1.0:
-        number = tree.query_ball_point(centres, np.nextafter(radius, 0.0), return_length=True)
+        number = own.tree.query_ball_point(centres, np.nextafter(radius, 0.0), return_length=True)
         centres, inner = centres[number >= least], inner[number >= least]
-    inside = np.zeros(len(near), np.bool_)
     for begin in range(0, len(centres), CENTRES_AT_ONCE):
         some = slice(begin, begin + CENTRES_AT_ONCE)
-        for rows_of_disc in tree.query_ball_point(centres[some], inner[some]):
+        for rows_of_disc in own.tree.query_ball_point(centres[some], inner[some]):
             inside[rows_of_disc] = True
-    return near[inside]
+    return inside
+
+
+def _near_sampled(own: Points, rows: IntArray, radius: FloatArray, other: Points) -> BoolArray:
+    """(r,) mask of some points that have a point of ``other``, of one for each cell, nearer than ``radius``.
+
+    Most have, and in a fraction of the time of a search. Across a period distances are not reduced: too large.
+    """
+    side, points = float(radius.min()) / math.sqrt(own.d), own.points[rows]
+    place, last = places_of_cells(other.points, side)
+    sample = np.full(last + 1, ABSENT)
+    sample[place] = np.arange(len(place))
+    nearby = sample[places_of_cells(points, side, rows=len(place))[0]]
+    return np.asarray((nearby >= 0) & (np.square(points - other.points[nearby]).sum(axis=1) < radius**2))
 
 
 def _one_per_cell(points: FloatArray, side: float) -> IntArray:
