@@ -171,6 +171,25 @@ def test_a_moving_object_among_round_stars_is_flagged_as_trailed():
     assert ((found.flags & Flag.TRAILED) != 0).sum() <= 2
 
 
+def test_a_faint_trail_beside_a_bright_one_is_detected():
+    """The filter of trails, twice as long as they, covered the saddle between two that do not touch."""
+    rng = np.random.default_rng(6)
+    x, y = (axis.ravel() + 40.0 for axis in np.meshgrid(64.0 * np.arange(5), 64.0 * np.arange(5)))
+    bright, faint = np.full(25, 3e5), np.full(25, 4e3)
+    seen = frame_of(
+        rng,
+        x_px=np.concatenate([x, x + 22.0]),
+        y_px=np.concatenate([y, y + 4.0]),
+        flux_e=np.concatenate([bright, faint]),
+        camera=Camera(shape=(350, 350)),
+        psf=GaussianProfile(3.2),
+        trail=Trail(13.0, 0.0),
+    )
+    measured = detect(seen.frame)
+    assert len(paired(seen, measured)[0]) >= 48  # 25 without a second filter
+    assert len(measured) <= 50
+
+
 @pytest.mark.slow
 def test_saturated_stars_and_edges_are_flagged():
     rng = np.random.default_rng(11)

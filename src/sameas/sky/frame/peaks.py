@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,8 @@ class PeakTuning:
     saddle_share : minimum depth of the saddle as a share of the lower peak.
     saddle_widths : peaks farther apart than this many FWHM are always two stars; longer trails are split.
     ridge_px : offset of the three parallel lines on which the saddle is measured; a ridge may miss the pixel centres.
+    trailed : stars are trailed if longer than wide by this factor (chosen). trail_sigmas : a peak that is closer to a
+        higher one in standard deviations of the PSF lies on its trail, whose ends are at 1.7.
     """
 
     min_usable: float = 0.3
@@ -29,6 +31,8 @@ class PeakTuning:
     saddle_share: float = 0.02
     saddle_widths: float = 8.0
     ridge_px: float = 0.6
+    trailed: float = 2.0
+    trail_sigmas: float = 2.5
 
 
 DEFAULT_PEAKS = PeakTuning()
@@ -55,8 +59,12 @@ def peaks(
     x, y = x.astype(float), y.astype(float)
     order = np.lexsort((x, y, -value))
     xy, value = np.column_stack([x, y])[order], value[order]
-    keep = _separated(snr, noise, xy, value, psf, tuning)
-    return xy[keep], value[keep]
+    separate = _separated(snr, noise, xy, value, psf, tuning)
+    minor, major = np.linalg.eigvalsh(psf.matrix)
+    if major > tuning.trailed**2 * minor:
+        sharp = _significance(light, background, replace(psf, matrix=minor * np.eye(2)), tuning.min_usable)
+        separate |= _separated_trails(sharp, noise, xy, psf, tuning)
+    return xy[separate], value[separate]
 
 
 def _significance(light: FloatArray, background: Background, psf: PSF, min_usable: float) -> FloatArray:
@@ -110,20 +118,55 @@ def _from_edges(length: int, half: int) -> IntArray:
 
 def _separated(
     snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, psf: PSF, tuning: PeakTuning
-) -> IntArray:
-    """Rows of the peaks with a saddle between them and every higher peak within reach."""
+) -> BoolArray:
+    """(n,) mask of the peaks with a saddle between them and every higher peak within reach."""
+    reach_px = tuning.saddle_widths * psf.fwhm_px
+    separate = np.ones(len(xy), bool)
+    separate[_without_saddle(snr, noise, xy, value, _pairs(xy, reach_px), reach_px, tuning)] = False
+    return separate
+
+
+def _separated_trails(snr: FloatArray, noise: FloatArray, xy: FloatArray, psf: PSF, tuning: PeakTuning) -> BoolArray:
+    """(n,) mask of the peaks with a saddle in a filter as wide as the trails, and that lie on no trail of a higher one.
+
+    The filter of trails doubles their length, so that bright ones cover the saddles around them.
+    """
+    reach_px = tuning.saddle_widths * psf.fwhm_px
+    pairs = _pairs(xy, reach_px)
+    offset = xy[pairs[:, 0]] - xy[pairs[:, 1]]
+    on_trail = np.einsum("ni,ij,nj->n", offset, np.linalg.inv(psf.matrix), offset) < tuning.trail_sigmas**2
+    separate = np.ones(len(xy), bool)
+    separate[pairs[on_trail, 1]] = False
+    value = snr[xy[:, 1].astype(int), xy[:, 0].astype(int)].astype(float)
+    separate[_without_saddle(snr, noise, xy, value, pairs[~on_trail], reach_px, tuning)] = False
+    return separate
+
+
+def _pairs(xy: FloatArray, reach_px: float) -> IntArray:
+    """(p, 2) rows of the peaks within reach of each other, the higher first."""
     from scipy.spatial import cKDTree
 
+    return np.sort(cKDTree(xy).query_pairs(reach_px, output_type="ndarray"), axis=1)
+
+
+def _without_saddle(
+    snr: FloatArray,
+    noise: FloatArray,
+    xy: FloatArray,
+    value: FloatArray,
+    pairs: IntArray,
+    reach_px: float,
+    tuning: PeakTuning,
+) -> IntArray:
+    """Rows of the lower peaks of pairs within reach without a saddle. value : (n,) of ``snr`` at the peaks."""
     from sameas.kernels.frames import saddles
 
-    reach_px = tuning.saddle_widths * psf.fwhm_px
-    pairs = cKDTree(xy).query_pairs(reach_px, output_type="ndarray")
     if not len(pairs):
-        return np.arange(len(xy))
-    higher, lower = pairs.min(axis=1), pairs.max(axis=1)
+        return np.empty(0, np.int64)
+    higher, lower = pairs.T
     # A ridge may pass half a pixel from the centres of its end pixels.
     saddle = saddles(snr, xy[higher], xy[lower], int(np.ceil(reach_px)), tuning.ridge_px)
     x, y = xy[lower].astype(int).T
     random_depth = np.sqrt(tuning.saddle_sigmas**2 + tuning.saddle_photons**2 * (noise[y, x] ** 2 - 1))
     depth = np.maximum(random_depth, tuning.saddle_share * value[lower])
-    return np.setdiff1d(np.arange(len(xy)), lower[value[lower] - saddle < depth])
+    return np.asarray(lower[value[lower] - saddle < depth])
