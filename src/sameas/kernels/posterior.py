@@ -4,8 +4,8 @@ Weights are reduced by the duals of the best hypothesis, w − u − v ≤ 0. Th
 one at most 1: nothing overflows, and what underflows is negligible.
 
 Without a prior of the count, a group is summed in closed form where one record has all pairs, by folding leaves where
-it is a tree, and by eliminating the records of its core one by one elsewhere. With a prior of the count, rows are
-eliminated by :mod:`sameas.kernels.eliminate`.
+it is a tree, and by eliminating the records of its core one by one elsewhere. With a prior of the count, all records
+are eliminated, and every partial sum is a polynomial: one number for each number of pairs.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import borrowing_part, inlined, part, small_by
 from sameas.kernels.components import GroupLayout, sizes
-from sameas.kernels.eliminate import CountedProblem, eliminate, scratch
 
 # Exact sums by eliminating records one by one.
 #
@@ -375,25 +374,32 @@ def forest(records: int) -> Forest:
 
 
 @borrowing_part
-def fold(n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, work: Forest) -> int:
-    """Fold the leaves of n₁ + n₂ records, whose ``odds_alone`` must be set; returns the number of leaves.
-
-    first, second : (m,) each pair's records, numbered in their sources. Records of the core keep a ``degree`` > 0.
-    """
-    degree, pair_xor, odds_alone, scale = work.degree, work.pair_xor, work.odds_alone, work.scale
+def unfolded(n1: int, n2: int, first: Int32Array, second: Int32Array, work: Forest) -> None:
+    """Write the workspace of n₁ + n₂ records before any leaf is folded, but for ``odds_alone``."""
+    degree, pair_xor = work.degree, work.pair_xor
     work.log_scale[0] = 0.0
     for x in range(n1 + n2):
         degree[x] = 0
         pair_xor[x] = 0
-        scale[x] = 1.0
+        work.scale[x] = 1.0
         work.p_taken[x] = 0.0
         work.p_alone[x] = 1.0
-    for e in range(len(odds)):
+    for e in range(len(first)):
         x, y = np.int64(first[e]), n1 + second[e]
         degree[x] += 1
         degree[y] += 1
         pair_xor[x] ^= e
         pair_xor[y] ^= e
+
+
+@borrowing_part
+def fold(n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, work: Forest) -> int:
+    """Fold the leaves of n₁ + n₂ records, whose ``odds_alone`` must be set; returns the number of leaves.
+
+    first, second : (m,) each pair's records, numbered in their sources. Records of the core keep a ``degree`` > 0.
+    """
+    unfolded(n1, n2, first, second, work)
+    degree, pair_xor, odds_alone, scale = work.degree, work.pair_xor, work.odds_alone, work.scale
     leaves = 0
     for x in range(n1 + n2):
         leaf = x
@@ -486,56 +492,6 @@ MAX_DEPTH, MAX_LOG_PRIOR = 600.0, 300.0
 def bounded_exp(x: float) -> float:
     """exp(x) for x ≤ 0, at least exp(−MAX_DEPTH), so never 0."""
     return math.exp(max(x, -MAX_DEPTH))
-
-
-@borrowing_part
-def by_row(
-    n1: int,
-    n2: int,
-    low: int,
-    high: int,
-    local1: Int32Array,
-    local2: Int32Array,
-    weight: FloatArray,
-    u: FloatArray,
-    v: FloatArray,
-    flipped: bool,
-    start: IntArray,
-    column: Int32Array,
-    pair: IntArray,
-    odds: FloatArray,
-    row_alone: FloatArray,
-    column_alone: FloatArray,
-) -> tuple[int, int]:
-    """Write the reduced problem of one group as CSR by row, rows being source 1 or, if ``flipped``, source 2.
-
-    low, high : its pairs. start, column, pair, odds : the CSR. row_alone, column_alone : odds of having no partner.
-    Returns the numbers of rows and columns.
-    """
-    n = n2 if flipped else n1
-    nc = n1 if flipped else n2
-    row_of = local2 if flipped else local1
-    column_of = local1 if flipped else local2
-    start[: n + 1] = 0
-    for e in range(low, high):
-        start[row_of[e] + 1] += 1
-    for r in range(n):
-        start[r + 1] += start[r]
-    for e in range(low, high):
-        r = row_of[e]
-        at = start[r]
-        column[at] = column_of[e]
-        pair[at] = e
-        odds[at] = math.exp(max(weight[e] - u[local1[e]] - v[local2[e]], -700.0))
-        start[r] += 1
-    for r in range(n, 0, -1):
-        start[r] = start[r - 1]
-    start[0] = 0
-    for r in range(n1):
-        (column_alone if flipped else row_alone)[r] = bounded_exp(-u[r])
-    for c in range(n2):
-        (row_alone if flipped else column_alone)[c] = bounded_exp(-v[c])
-    return n, nc
 
 
 @borrowing_part
@@ -759,6 +715,137 @@ def log_sums(
         out[g] = total + log_sum_core(n, core_odds, core_alone, graph)
 
 
+#: Maximum number of values of the polynomials of one group; terms are negligible relative to the whole sum below this.
+MAX_VALUES, NEGLIGIBLE = 1 << 22, 1e-14
+
+#: By step: ``start`` of its polynomials, the least number of pairs ``low`` and how many numbers, ``width``, they have.
+CountSteps = namedtuple("CountSteps", "start low width")
+
+
+@borrowing_part
+def _forward_counted(
+    n: int,
+    odds: FloatArray,
+    odds_alone: FloatArray,
+    prior: FloatArray,
+    work: Elimination,
+    counts: CountSteps,
+    value: FloatArray,
+) -> bool:
+    """:func:`_forward` of polynomials, without the terms that are negligible; False if they are more than ``value``
+    has room for. prior : factor of each number of pairs."""
+    start, low, width, sum_size, bit = counts.start, counts.low, counts.width, work.sum_size, work.choice_bit
+    choice_start, choice_odds = work.choice_start, work.choice_odds
+    for k in range(choice_start[n]):
+        choice_odds[k] = odds[work.choice_pair[k]]
+    start[0], low[0], width[0], value[0], log_scale = 0, 0, 1, 1.0, 0.0
+    for t in range(n):
+        own, others, w = work.own_bit[t], work.open_bits[t] & ~work.own_bit[t], width[t]
+        now, then, wider = start[t], start[t] + sum_size[t] * w, min(w + 1, len(prior) - low[t])
+        if then + sum_size[t + 1] * wider > len(value):
+            return False
+        value[then : then + sum_size[t + 1] * wider] = 0.0
+        for k in range(choice_start[t], choice_start[t + 1]):
+            s = np.int64(0)
+            while s >= 0:
+                a, b = now + s * w, then + (s | bit[k]) * wider + 1
+                for j in range(min(w, wider - 1)):
+                    value[b + j] += value[a + j] * choice_odds[k]
+                s = next_state(s, others & ~bit[k])
+        factor = odds_alone[work.order[t]]
+        s = np.int64(0)
+        while s >= 0:
+            for j in range(w):
+                value[then + s * wider + j] += value[now + s * w + j] * factor
+                if own:
+                    value[then + s * wider + j] += value[now + (s | own) * w + j]
+            s = next_state(s, others)
+        start[t + 1] = then
+        log_scale = _trimmed(t + 1, wider, prior, work, counts, log_scale, value)
+    return True
+
+
+@borrowing_part
+def _trimmed(
+    t: int, wide: int, prior: FloatArray, work: Elimination, counts: CountSteps, log_scale: float, value: FloatArray
+) -> float:
+    """Scale the polynomials of a step, of ``wide`` terms each, to at most 1 and leave out the numbers of pairs that are
+    negligible; returns ``log_scale`` with the new scale.
+
+    A small value may be followed by a large prior: it is negligible if, before all scaling and times the largest prior
+    from its number on, it is so relative to 1, the weight of the hypothesis by which the problem is reduced.
+    """
+    begin, states, least = counts.start[t], work.sum_size[t], counts.low[t - 1]
+    largest, low, high, ahead = 0.0, np.int64(wide), np.int64(0), 0.0
+    for k in range(len(prior) - 1, least + wide - 1, -1):
+        ahead = max(ahead, prior[k])
+    for j in range(wide - 1, -1, -1):
+        ahead, greatest = max(ahead, prior[least + j]), 0.0
+        for s in range(states):
+            greatest = max(greatest, value[begin + s * wide + j])
+        largest = max(largest, greatest)
+        if greatest * ahead > NEGLIGIBLE * math.exp(-log_scale):
+            low, high = np.int64(j), max(high, j + 1)
+    counts.low[t], counts.width[t] = least + low, high - low
+    for s in range(states):
+        for j in range(high - low):
+            value[begin + s * (high - low) + j] = value[begin + s * wide + low + j] / largest
+    return log_scale + math.log(largest)
+
+
+@borrowing_part
+def _backward_counted(
+    n: int,
+    odds_alone: FloatArray,
+    prior: FloatArray,
+    work: Elimination,
+    counts: CountSteps,
+    value: FloatArray,
+    suffix: FloatArray,
+    p_pair: FloatArray,
+) -> None:
+    """:func:`_backward` of polynomials; the last ones are the prior."""
+    start, low, width, sum_size, bit = counts.start, counts.low, counts.width, work.sum_size, work.choice_bit
+    choice_start, choice_pair = work.choice_start, work.choice_pair
+    for j in range(width[n]):
+        value[start[n] + j] = prior[low[n] + j]
+    for t in range(n - 1, -1, -1):
+        own, others, w = work.own_bit[t], work.open_bits[t] & ~work.own_bit[t], width[t]
+        now, then, after, ahead = start[t], start[t + 1], width[t + 1], low[t] - low[t + 1]
+        suffix[: sum_size[t] * w] = 0.0
+        total, factor = 0.0, odds_alone[work.order[t]]
+        s = np.int64(0)
+        while s >= 0:
+            for j in range(max(-ahead, 0), min(w, after - ahead)):
+                later = value[then + s * after + j + ahead]
+                suffix[s * w + j] = factor * later
+                total += value[now + s * w + j] * factor * later
+                if own:
+                    suffix[(s | own) * w + j] = later
+                    total += value[now + (s | own) * w + j] * later
+            s = next_state(s, others)
+        for k in range(choice_start[t], choice_start[t + 1]):
+            factor, p = work.choice_odds[k], 0.0
+            s = np.int64(0)
+            while s >= 0:
+                for j in range(max(-ahead - 1, 0), min(w, after - ahead - 1)):
+                    later = factor * value[then + (s | bit[k]) * after + j + ahead + 1]
+                    p += value[now + s * w + j] * later
+                    suffix[s * w + j] += later
+                s = next_state(s, others & ~bit[k])
+            p_pair[choice_pair[k]] = p
+            total += p
+        for k in range(choice_start[t], choice_start[t + 1]):
+            p_pair[choice_pair[k]] /= total
+        largest = 0.0
+        for at in range(sum_size[t] * w):
+            # What cannot be reached does not count in the scale.
+            suffix[at] = suffix[at] if value[now + at] != 0.0 else 0.0
+            largest = max(largest, suffix[at])
+        for at in range(sum_size[t] * w):
+            value[now + at] = suffix[at] / largest
+
+
 @small_by(_sums)
 def exact_counted(
     first: int,
@@ -780,19 +867,18 @@ def exact_counted(
     table[table_start[g] + k] : ln P of k pairs. slope : (g,) its multiplier μ at the best hypothesis.
     """
     start, start1, start2, _, local1, local2 = layout
-    max_rows, max_pairs, max_columns = np.int64(1), np.int64(1), np.int64(1)
+    records, pairs = np.int64(2), np.int64(1)
     for g in range(first, last):
         n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
         if 1 < min(n1, n2) <= most:
-            max_rows = max(max_rows, n1, n2)
-            max_pairs = max(max_pairs, start[g + 1] - start[g])
-            max_columns = max(max_columns, min(n1, n2))
-    work = scratch(max_pairs, max_rows, max_columns)
-    row_start = np.empty(max_rows + 2, np.int64)
-    column, pair = np.empty(max_pairs, np.int32), np.empty(max_pairs, np.int64)
-    odds, p_pair = np.empty(max_pairs), np.empty(max_pairs)
-    row_alone, column_alone, p_alone = np.empty(max_rows), np.empty(max_rows), np.empty(max_rows)
-    stamp = np.int64(0)  # int64, not a literal: numba would compile a second version for the literal
+            records = max(records, n1 + n2)
+            pairs = max(pairs, start[g + 1] - start[g])
+    tree, graph, odds = forest(records), elimination(records, pairs), np.empty(pairs)
+    record, core_odds, p_pair = np.empty(records, np.int64), np.empty(pairs), np.empty(pairs)
+    counts = CountSteps(np.empty(records + 1, np.int64), np.empty(records + 1, np.int64),
+                        np.empty(records + 1, np.int64))  # fmt: skip
+    value = np.empty(min(MAX_VALUES, (records + 2) * records << records) if records < 22 else MAX_VALUES)
+    suffix = np.empty(len(value))
     for g in range(first, last):
         low, high = start[g], start[g + 1]
         n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
@@ -810,16 +896,16 @@ def exact_counted(
         for e in range(low, high):
             size += chosen[e]
             share[e] = weight[e] + slope[g]
-        ug, vg = u[start1[g] : start1[g + 1]], v[start2[g] : start2[g + 1]]
-        n, nc = by_row(n1, n2, low, high, local1, local2, share, ug, vg, n2 > n1, row_start, column, pair, odds,
-                       row_alone, column_alone)  # fmt: skip
+        reduced(g, layout, share, u, v, tree.odds_alone, odds)
+        one, two, n = local1[low:high], local2[low:high], n1 + n2
+        unfolded(n1, n2, one, two, tree)
+        core_of(n1, n2, one, two, odds, tree, record, graph, core_odds)
         prior = count_factors(log_p, slope[g], size)
-        problem = CountedProblem(n, nc, row_start[: n + 1], column, odds, row_alone, column_alone, prior)
-        after = eliminate(problem, p_pair, p_alone, stamp, work)
-        if after < 0:
-            stamp += n + 1
+        if not plan_elimination(n, np.int64(len(graph.sum)), graph):
             continue
-        stamp = after
+        if not _forward_counted(n, core_odds, tree.odds_alone, prior, graph, counts, value):
+            continue
+        _backward_counted(n, tree.odds_alone, prior, graph, counts, value, suffix, p_pair)
         method[g] = ELIMINATED
-        for t in range(high - low):
-            share[pair[t]] = p_pair[t]
+        for e in range(low, high):
+            share[e] = p_pair[e - low]
