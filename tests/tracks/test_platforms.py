@@ -295,3 +295,19 @@ def test_a_radar_without_a_place_is_aboard_the_only_ship_with_positions_of_her_o
     assert np.ptp(scene(fixed, own, ais("235000111")).feeds[0].reports.state[:, 0]) > 100.0
     with pytest.raises(InputError, match="site"):
         scene(radar, own, replace(own, source="plotter"), ais("235000111"))
+
+
+@pytest.mark.parametrize("places", ["degrees", "metres about her"])
+def test_plots_that_a_radar_aboard_gives_as_places_are_measured_from_her(places):
+    """Their azimuth was not seen to be wrong, or they were refused as of a plane of their own."""
+    arm = BUOY - boat(TIMES)
+    lat, lon = PLANE.to_geodetic(BUOY + 0.0 * arm)
+    given = {"lat_deg": lat, "lon_deg": lon} if places == "degrees" else {"x_m": arm[:, 0], "y_m": arm[:, 1]}
+    found = Reports.of("radar", "table", {"time_s": TIMES} | given)
+    radar = Description("radar", "marine radar", errors=SensorErrors(range_m=5.0))
+    feed = scene(radar, replace(gps(), kind="own ship"), reports=found).feeds[0]
+    assert np.abs(feed.sensor_m - boat(TIMES)).max() < 0.1 and np.abs(feed.reports.state[:, :2] - BUOY).max() < 0.5
+    # Those of a tracker, with ids, may be of another radar.
+    named = replace(found, track_id=np.full(len(found), "1", object))
+    if places == "degrees":
+        assert scene(radar, replace(gps(), kind="own ship"), reports=named).feeds[0].sensor_m is None

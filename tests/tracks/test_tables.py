@@ -935,3 +935,39 @@ def test_steps_of_an_antenna_are_refused_without_their_number_and_read_with_it()
         table(rows)
     found = table(rows, units={"azimuth": "4096 per turn"})
     assert found.bearing_deg.tolist() == [k * 64 * 360.0 / 4096.0 for k in range(64)]
+
+
+@pytest.mark.parametrize(
+    ("names", "columns"),
+    [
+        (("Date", "Time", "Range_m", "Azimuth_deg_true", "OwnLatitude", "OwnLongitude", "Ship Heading"),
+         {"bearing_deg": "Azimuth_deg_true", "station_lat_deg": "OwnLatitude", "station_lon_deg": "OwnLongitude",
+          "station_heading_deg": "Ship Heading"}),
+        (("ts", "rng", "brg_rel", "vessel_lat", "vessel_lng"),
+         {"time_s": "ts", "relative_bearing_deg": "brg_rel", "station_lat_deg": "vessel_lat"}),
+        (("epoch", "range_meters", "angle_deg", "ship_latitude", "ship_longitude"),
+         {"range_m": "range_meters", "bearing_deg": "angle_deg", "station_lat_deg": "ship_latitude"}),
+    ],
+)  # fmt: skip
+def test_columns_of_radars_on_boats(names, columns):
+    assert columns.items() <= understood(*names).items()
+
+
+def test_comments_above_the_names_are_no_names():
+    """A comment with a comma was."""
+    found = table("""
+# RV Callista, radar plots
+# radar: DRS4D, range 4 nm, gain 60, sea 20
+time,range_m,azimuth
+2024-05-01T10:00:00Z,900,10
+""")
+    assert found.bearing_deg.tolist() == [10.0]
+    commented = "# made by a logger, version 3\n# time,range_m,azimuth\n2024-05-01T10:00:00Z,900,10"
+    assert table(commented).bearing_deg.tolist() == [10.0]
+
+
+def test_seconds_from_zero_count_from_the_start_that_is_given():
+    """It was not used, and without a word."""
+    found = table("t_s,range_m,azimuth\n0.0,900,10\n2.5,900,12", start_s="2024-05-01T10:00:00Z")
+    assert (found.time_s - 1714557600.0).tolist() == [0.0, 2.5]
+    assert found.notes[0] == "radar.csv: times are read as seconds since the start"

@@ -19,7 +19,7 @@ from sameas.tracks.bearing_readings import best_other_reading
 from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.elsewhere import span_of
+from sameas.tracks.elsewhere import COUNTED_S, span_of
 from sameas.tracks.feed import Feed
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.plot_offsets import PlotFits
@@ -318,6 +318,8 @@ def _nothing_in_common(feed: Feed, others: Sequence[Feed], best: Shared | None) 
     if np.mean((feed.reports.time_s >= first_s) & (feed.reports.time_s <= last_s)) > 0.5:
         return f"{name}: has nothing near the others at any instant; check positions, units and errors, or leave it out"
     remedy = "check its clock and its date, or leave it out"
+    if (float(time_s.max()) < COUNTED_S) != (float(feed.reports.time_s.max()) < COUNTED_S):
+        remedy = "some count from a start of their own: give start, the UTC of their 0"
     hours, apart_s = round((feed.reports.time_s.min() - first_s) / 3600.0), feed.reports.time_s.min() - first_s
     if 1 <= abs(hours) <= max(HOURS) and abs(apart_s - 3600.0 * hours) < 0.5 * min(
         np.ptp(feed.reports.time_s), last_s - first_s

@@ -15,8 +15,8 @@ from sameas.tracks.source import Description
 from sameas.tracks.tuning import Tuning
 from sameas.tracks.unit_guesses import Source, place_guesses
 
-#: Seconds of a day.
-DAY_S = 86400.0
+#: Seconds of a day; below it, seconds count from an arbitrary start.
+DAY_S, COUNTED_S = 86400.0, 1e8
 
 
 def too_far_apart(sources: Sequence[Source], tuning: Tuning) -> dict[str, str]:
@@ -122,9 +122,9 @@ def _apart_m(first: LocalPlane, second: LocalPlane) -> float:
 
 
 def span_of(time_s: FloatArray) -> tuple[str, str]:
-    """The first and the last time: in UTC, or in seconds if below 1e8, which count from an arbitrary start."""
+    """The first and the last time: in UTC, or in seconds if below COUNTED_S, which count from an arbitrary start."""
     first, last = float(np.min(time_s)), float(np.max(time_s))
-    if abs(last) < 1e8:
+    if abs(last) < COUNTED_S:
         return f"{first:.0f} s", f"{last:.0f} s"
     dates = [datetime.fromtimestamp(t, UTC).strftime("%Y-%m-%d %H:%M:%S") for t in (first, last)]
     return dates[0], dates[1]

@@ -16,6 +16,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError, naming
 from sameas.representation import listed
+from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Platform
 from sameas.tracks.tuning import Tuning
@@ -63,6 +64,9 @@ def on_platform(
     if reports.relative_bearing_deg is not None:
         steps.append(_turned)
     vessel = _reports_of(platform, description.name, others) if steps else []
+    if reports.position == "local" and steps and vessel[0].lat_deg is not None:
+        reports = _from_ship(reports)
+        notes.append(f"{description.name}: x and y are read as metres east and north of the {platform}")
     for step in steps:
         if len(reports):
             reports, of_step = step(description.name, platform, vessel, reports, tuning)
@@ -75,10 +79,22 @@ OWN_POSITIONS = "own ship"
 
 
 def needs_place(description: Description, reports: Reports) -> bool:
-    """Whether reports are measured from a sensor whose place neither they nor the description state."""
-    measured = reports.position in ("polar", "bearing")
-    stated = reports.station_lat_deg is not None or reports.station_x_m is not None or description.site is not None
-    return measured and (reports.relative_bearing_deg is not None or not stated)
+    """Whether reports are measured from a sensor whose place neither they nor the description state: ranges, bearings,
+    or positions of plots that a radar must have computed from these."""
+    if reports.relative_bearing_deg is not None:
+        return True
+    if reports.station_lat_deg is not None or reports.station_x_m is not None or description.site is not None:
+        return False
+    is_radar = {"errors.range_m", "resolution.range_m"} <= KINDS[description.kind].defaults.keys()
+    plots = is_radar and reports.object_ids is None and reports.covariance_m2 is None
+    return reports.position in ("polar", "bearing") or plots
+
+
+def _from_ship(reports: Reports) -> Reports:
+    """Positions in metres east and north of the ship as ranges and bearings."""
+    east, north = np.asarray(reports.x_m), np.asarray(reports.y_m)
+    bearing_deg = np.mod(np.degrees(np.arctan2(east, north)), 360.0)
+    return replace(reports, x_m=None, y_m=None, range_m=np.hypot(east, north), bearing_deg=bearing_deg)
 
 
 def _only_ship(sensor: str, others: Mapping[str, Sequence[Reports]]) -> Platform | None:

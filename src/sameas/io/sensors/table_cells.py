@@ -152,17 +152,14 @@ def cells_of_csv(lines: Iterable[str], source: str, rows_of_part: int = ROWS_OF_
     # A comment with the delimiter of the rows may be the line of names, as in Danish AIS.
     for line in lines:
         above.append(line)
-        ecsv = above[0].startswith(ECSV)
-        if (
-            line.strip()
-            and not _SEPARATOR.fullmatch(line.strip())
-            and (line[0] != "#" or (_delimiter_of(line) and not ecsv))
-        ):
+        if line.strip() and not _SEPARATOR.fullmatch(line.strip()) and line[0] != "#":
             number = len(above)
             break
     else:
         number = 1
     ecsv = bool(above) and above[0].startswith(ECSV)
+    if not ecsv and (named := _commented_names(above)):
+        number = named
     header = above[number - 1].lstrip("# ")
     delimiter = _delimiter_of(header) or (" " if ecsv else "")
     if header.startswith("<"):
@@ -184,6 +181,19 @@ def cells_of_csv(lines: Iterable[str], source: str, rows_of_part: int = ROWS_OF_
     if delimiter != ",":
         columns = _with_points(columns)
     return TableText(columns, line_numbers, tuple(damaged))
+
+
+def _commented_names(above: Sequence[str]) -> int:
+    """The number of the comment that names the columns of the first row, the last line: as many as its cells, or any
+    if these are values; 0 if there is none."""
+    *comments, row = above or [""]
+    delimiter = _delimiter_of(row)
+    if not delimiter:
+        return 0
+    cells = [cell.strip() for cell in row.split(delimiter)]
+    is_values = any(_NUMBER.fullmatch(cell) for cell in cells)
+    counts = [line.count(delimiter) + 1 for line in comments]
+    return max((k for k, n in enumerate(counts, 1) if n == len(cells) or (is_values and n > 1)), default=0)
 
 
 #: A number, which is no name of a column.

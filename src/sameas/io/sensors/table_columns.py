@@ -57,11 +57,17 @@ class SensorQuantity:
     translations: tuple[str, ...] = ()
 
 
+def _hers(*words: str) -> str:
+    """The names of a quantity of the vessel or the site with the sensor."""
+    owners = "station", "sensor", "own", "ownship", "platform", "ship", "vessel", "boat", "radar", "antenna"
+    return " ".join(owner + word for word in words for owner in owners)
+
+
 QUANTITIES = tuple(
     SensorQuantity(column, kind, tuple(names.split()))
     for column, kind, names in (
         ("time_s", "time", "lastposupdate time timestamp datetime basedatetime t utc timeutc utctime dt epoch "
-                           "unixtime unix date msgtime dtpos clock"),
+                           "unixtime unix date msgtime dtpos clock ts epochtime"),
         ("day_s", "time", "timeofday tod"),
         ("lat_deg", "angle", "lat latitude latitudewgs84"),
         ("lon_deg", "angle", "lon long longitude lng longitudewgs84"),
@@ -75,17 +81,17 @@ QUANTITIES = tuple(
         ("z_m", "length", "z up"),
         ("range_m", "length", "range rng rho distance dist slantrange r"),
         ("bearing_deg", "angle", "bearing brg azimuth az theta truebearing truebrg bearingtrue brgtrue bearingt brgt "
-                                 "bearingdegt lob lineofbearing doa directionofarrival aoa angleofarrival"),
+                                 "lob lineofbearing doa directionofarrival aoa angleofarrival azimuthtrue trueazimuth "
+                                 "azimutht azt angle"),
         ("relative_bearing_deg", "angle", "relativebearing relbearing relbrg bearingrelative bearingrel brgrel "
                                           "relativebrg relativeazimuth azimuthrelative relazimuth relaz azrel "
                                           "bearingr brgr bowbearing bearingfrombow"),
         ("elevation_deg", "angle", "elevation el elev"),
-        ("station_lat_deg", "angle", "stationlat sensorlat ownlat ownshiplat"),
-        ("station_lon_deg", "angle", "stationlon sensorlon ownlon ownshiplon"),
+        ("station_lat_deg", "angle", _hers("lat", "latitude")),
+        ("station_lon_deg", "angle", _hers("lon", "longitude", "long", "lng")),
         ("station_x_m", "length", "stationx sensorx ownx ownshipx"),
         ("station_y_m", "length", "stationy sensory owny ownshipy"),
-        ("station_heading_deg", "angle", "stationheading sensorheading ownheading ownshipheading platformheading "
-                                         "ownhdg ownshiphdg"),
+        ("station_heading_deg", "angle", _hers("heading", "hdg")),
         ("speed_m_per_s", "speed", "sog speed groundspeed gs velocity speedoverground speedhorizontal horizontalspeed"),
         ("course_deg", "angle", "cog course courseoverground track trackangle direction"),
         ("heading_deg", "angle", "heading hdg trueheading"),
@@ -235,10 +241,16 @@ def _check_named(names: Sequence[str], source: str, named: Mapping[str, str], un
             raise InputError(f"{source}: no column {name!r} among: {', '.join(names)}")
 
 
+#: From where a direction counts, which may stand behind its unit.
+_REFERENCES = ("t", "true", "r", "rel", "relative")
+
+
 def stem_of(name: str) -> tuple[str, str]:
     """The name without signs and unit, and the unit at its end, or ""."""
     words = re.findall(r"[a-z0-9]+", plain(re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).replace("²", "2")))
     known_units = {unit for kinds in UNITS.values() for unit in kinds}
+    if len(words) > 2 and words[-1] in _REFERENCES and words[-2] in known_units:
+        words[-2:] = [words[-1], words[-2]]  # "Azimuth_deg_true"
     for count in (4, 3, 2, 1):
         unit = "".join(words[-count:])
         if len(words) > count and unit in known_units:

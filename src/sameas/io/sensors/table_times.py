@@ -18,6 +18,8 @@ from sameas.io.sensors.languages import DATES, HOURS, plain
 from sameas.io.sensors.table_cells import TableText, of_each
 from sameas.io.sensors.table_columns import Choice, stem_of
 
+#: Numbers below it, in seconds, are times from an origin of their own, not since 1970.
+FIRST_S = 1e8
 #: Columns of tables whose dates like 01/05/2024 have the day first: Danish AIS.
 _DAY_FIRST_TABLES = ("typeofmobile",)
 _DAY_FIRST = re.compile(r"(\d{1,2})[/.-](\d{1,2})[/.-](\d{4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
@@ -51,8 +53,7 @@ def times_of(
         day_first = day_first or any(one.translated for one in chosen.values())
         times = _instants(column, choice, source, start_s, day_first)
         if np.isfinite(times).any():
-            low = float(np.nanmax(np.abs(times))) < 1e8
-            if low:
+            if float(np.nanmax(np.abs(times))) < FIRST_S:
                 note = "seconds from an origin of its own: all sources must use the same origin"
                 return times, f"{source}: {choice.name} is read as {note}"
             offset, local = _zones(column)

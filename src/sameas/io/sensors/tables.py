@@ -33,7 +33,7 @@ from sameas.io.sensors.format import (
 from sameas.io.sensors.languages import DATES, HOURS, plain
 from sameas.io.sensors.table_cells import NULLS, PARQUET, TableText, cells_of, distinct_texts, of_each, parts_of
 from sameas.io.sensors.table_columns import NO_UNIT, Choice, choose, require_columns, stem_of, with_sensors_motion
-from sameas.io.sensors.table_times import milliseconds, times_of
+from sameas.io.sensors.table_times import FIRST_S, milliseconds, times_of
 from sameas.representation import counted
 from sameas.tracks.reports import DIRECTIONS, Damaged, Reports, is_impossible
 
@@ -81,6 +81,8 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     values["time_s"], note = times_of(cells, chosen, source, start_s, options.time_zone)
     if _is_in_milliseconds(values, chosen, options):
         values["time_s"], note = values["time_s"] / 1000.0, f"{note}; they are milliseconds, by their steps"
+    if start_s is not None and float(np.nanmax(np.abs(values["time_s"]), initial=0.0)) < FIRST_S:
+        values["time_s"], note = values["time_s"] + start_s, f"{source}: times are read as seconds since the start"
     _mark(np.isnan(values["time_s"]), cells.lines, damaged, "no time")
     values, static = _with_statics(values)
     _mark_unusable(values, cells.lines, damaged, static)
@@ -111,7 +113,7 @@ def _is_in_milliseconds(values: Mapping[str, Any], chosen: Mapping[str, Choice],
     time = chosen.get("time_s")
     if time is None or time.name in (options.units or {}) or stem_of(time.name)[1] or {"mmsi", "icao"} & set(values):
         return False
-    if np.nanmax(np.abs(values["time_s"]), initial=0.0) >= 1e8:
+    if np.nanmax(np.abs(values["time_s"]), initial=0.0) >= FIRST_S:
         return False
     n = len(values["time_s"])
     place = np.full((n, 2), np.nan)
