@@ -36,8 +36,8 @@ class HolesTuning:
         spacing. The accepted part of the disc is that much smaller, times 1 − share, because discs are centred on
         records, and with fewer records a disc with this overreach is less frequent.
     max_dimensions : maximum dimension for discs; in more dimensions records have too many neighbours.
-    min_spacing, many : where a disc must contain more records than ``many``, centres nearer than this fraction of
-        the radius count as one.
+    min_spacing, many, crowded : where a disc must contain more records than ``many``, or in a crowd of more centres
+        than ``crowded`` for each of the others, centres nearer than this fraction of the radius count as one.
     """
 
     disc: float = 12.0
@@ -47,11 +47,12 @@ class HolesTuning:
     max_dimensions: int = 3
     min_spacing: float = 0.125
     many: float = 64.0
+    crowded: float = 4.0
 
 
 DEFAULT_HOLES = HolesTuning()
-#: Discs whose points are listed at a time, which limits the memory.
-CENTRES_AT_ONCE = 10_000
+#: Points of discs that are listed at a time, which limits the memory.
+POINTS_AT_ONCE = 1_000_000
 
 Floats = TypeVar("Floats", float, FloatArray)
 
@@ -102,6 +103,8 @@ def geometric_mean(values: FloatArray) -> float:
     return float(values[0] * np.prod(values / values[0]) ** (1.0 / len(values)))
 
 
+#: Most cells along an axis; farther ones share a number.
+MOST_CELLS = 2.0**32
 #: By how many places the next cell along each axis is farther in a table.
 PLACE_OF_AXES = np.array([73_856_093, 19_349_663, 83_492_791])
 
@@ -110,7 +113,7 @@ def places_of_cells(points: FloatArray, side: float, *, rows: int | None = None)
     """(n,) place of each point's cell of this side in a table for some number of ``rows``, by default of points, and
     the last place. Cells may share a place."""
     last = (1 << max(len(points) if rows is None else rows, 1).bit_length()) - 1
-    place = np.floor(points / side).astype(np.int64) @ PLACE_OF_AXES[: points.shape[1]]
+    place = np.fmod(np.floor(points / side), MOST_CELLS).astype(np.int64) @ PLACE_OF_AXES[: points.shape[1]]
     return np.asarray(place & last), last
 
 
@@ -184,18 +187,17 @@ def _inside(
     distance = other.tree.query(own.points[rows], distance_upper_bound=float(radius.max(initial=0.0)))[0]
     empty = distance >= radius
     rows, radius, beyond = rows[empty], radius[empty], beyond[empty]
-    if len(rows) and least > tuning.many:
-        chosen = _one_per_cell(own.points[rows], tuning.min_spacing * float(radius.min()))
-        rows, radius, beyond = rows[chosen], radius[chosen], beyond[chosen]
     inside = np.zeros(len(own.points), np.bool_)
     if not len(rows):
         return inside
-    centres, inner = own.points[rows], np.nextafter(radius - beyond, 0.0)
-    if least > 1.0:
-        number = own.tree.query_ball_point(centres, np.nextafter(radius, 0.0), return_length=True)
-        centres, inner = centres[number >= least], inner[number >= least]
-    for begin in range(0, len(centres), CENTRES_AT_ONCE):
-        some = slice(begin, begin + CENTRES_AT_ONCE)
+    chosen = _one_per_cell(own.points[rows], tuning.min_spacing * float(radius.min()))
+    if least > tuning.many or len(rows) > tuning.crowded * len(chosen):
+        rows, radius, beyond = rows[chosen], radius[chosen], beyond[chosen]
+    number = own.tree.query_ball_point(own.points[rows], np.nextafter(radius, 0.0), return_length=True)
+    enough = number >= least
+    centres, inner = own.points[rows[enough]], np.nextafter(radius - beyond, 0.0)[enough]
+    ends = np.flatnonzero(np.diff(np.cumsum(number[enough]) // POINTS_AT_ONCE)) + 1
+    for some in np.split(np.arange(len(centres)), ends):
         for rows_of_disc in own.tree.query_ball_point(centres[some], inner[some]):
             inside[rows_of_disc] = True
     return inside
