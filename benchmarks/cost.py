@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import workload
+from benchmarks.exposures import Sky, exposure
 from benchmarks.frames import one_band
 from benchmarks.recovered import true_rule
 from benchmarks.registration import draw_scene, with_positions
@@ -22,7 +23,6 @@ from sameas.estimate.result import Estimate
 from sameas.evidence import Magnitudes, Rule
 from sameas.kernels import compiled
 from sameas.registration import Shift, register
-from sameas.simulate.catalogues import Sky, exposure
 
 #: Target: largest ratio of the times.
 MAX_RATIO = 5.0

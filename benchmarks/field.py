@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import peers, withheld, workload
+from benchmarks.exposures import FrameAndCatalogue, Sky, exposure
 from benchmarks.frames import Tally
 from benchmarks.misstated import couples_field, formal_field, growing_field
 from benchmarks.recovered import true_rule
@@ -29,13 +30,7 @@ from sameas.evidence import Column, Magnitudes, Related
 from sameas.records import Records
 from sameas.score.pairs import is_true_pair, reliability
 from sameas.simulate.blends import BlendedField, blended_field
-from sameas.simulate.catalogues import (
-    Counterparts,
-    FrameAndCatalogue,
-    Sky,
-    counterparts,
-    exposure,
-)
+from sameas.simulate.catalogues import Counterparts, counterparts
 from sameas.simulate.scenes import SimulatedScene
 from sameas.sky.sky_match import nearest
 from sameas.space import displaced

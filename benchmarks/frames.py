@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import accuracy, peers, workload
+from benchmarks.exposures import FrameAndCatalogue, Sky, exposure
 from benchmarks.misstated import misquoted, with_outliers
 from benchmarks.recovered import recovered, true_rule
 from benchmarks.tables import Table, report
@@ -22,7 +23,6 @@ from sameas.estimate.match import match
 from sameas.estimate.result import Estimate
 from sameas.evidence import Magnitudes
 from sameas.score.pairs import is_true_pair, score_probabilities
-from sameas.simulate.catalogues import FrameAndCatalogue, Sky, exposure
 from sameas.simulate.scenes import SimulatedScene
 
 Pairs = tuple[np.ndarray, np.ndarray]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from benchmarks.exposures import FrameAndCatalogue, Sky, exposure
 from benchmarks.misstated import misquoted, with_outliers
 from benchmarks.tables import Table
 from sameas import PoissonField
@@ -15,7 +16,6 @@ from sameas.estimate.match import match
 from sameas.estimate.quantity import Quantity
 from sameas.estimate.result import Estimate
 from sameas.evidence import Magnitudes
-from sameas.simulate.catalogues import FrameAndCatalogue, Sky, exposure
 from sameas.space import displaced
 
 Change = Callable[[np.random.Generator, FrameAndCatalogue], FrameAndCatalogue]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.exposures import Sky, exposure
 from benchmarks.misstated import misquoted, with_outliers
 
 from problems import calibration, counterparts_of_ellipses
@@ -16,7 +17,6 @@ from sameas.estimate.result import MatchTuning
 from sameas.evidence import Brightness, Chain, Magnitudes, SourceMagnitudes
 from sameas.evidence.detection import DetectionCurve, LinearSpline, ShareCurve, knots_of, logit, share_error
 from sameas.score.pairs import is_true_pair
-from sameas.simulate.catalogues import Sky, exposure
 
 
 def wrong(answer, scene):

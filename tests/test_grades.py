@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from benchmarks.exposures import Sky, exposure
 
 from sameas import Records
 from sameas.estimate.grades import DEFAULT_GRADES, Grades, Scale
 from sameas.estimate.match import match
 from sameas.evidence import Errors, Magnitudes
 from sameas.score.pairs import is_true_pair, score_probabilities
-from sameas.simulate.catalogues import Sky, exposure
 
 FLAT = Sky(
     catalogue_sigma_arcsec=(0.15, 0.15), motion_sigma_mas_per_yr=(5.0, 5.0), unknown_motion=0.0,

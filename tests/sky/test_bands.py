@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from benchmarks.exposures import Sky, exposure
 
 from sameas import InputError, plots
 from sameas.report import match as report
 from sameas.score.pairs import is_true_pair
-from sameas.simulate.catalogues import Sky, exposure
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, match
 from sameas.sky.evidence_columns import magnitudes_of

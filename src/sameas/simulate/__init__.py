@@ -3,7 +3,7 @@
 What to use when:
 
 - records of two sources: :func:`poisson_field`, :func:`line`, :func:`grid`, :func:`sky_field`, :func:`crowded_sky`;
-- catalogues with magnitudes, as repeated exposures of one field: :func:`exposure` of a :class:`Sky`;
+- few sources with large errors in a deep catalogue, with magnitudes and colours: :func:`counterparts`;
 - a CCD frame, pixel by pixel: :func:`frame_of_sky` of a :class:`Camera`;
 - radars and transponders that observe moving targets: :class:`Sensor`, :class:`Tracker` on :class:`TrueMotion`.
 """

@@ -3,10 +3,7 @@
 from .blends import BlendedField as BlendedField
 from .blends import blended_field as blended_field
 from .catalogues import Counterparts as Counterparts
-from .catalogues import FrameAndCatalogue as FrameAndCatalogue
-from .catalogues import Sky as Sky
 from .catalogues import counterparts as counterparts
-from .catalogues import exposure as exposure
 from .frames import Camera as Camera
 from .frames import GaussianProfile as GaussianProfile
 from .frames import Lens as Lens
