@@ -81,6 +81,11 @@ def test_parts_outside_the_map_are_clipped(tmp_path):
         ({"type": "FeatureCollection", "features": []}, "no polygon and no line"),
         ({"type": "LineString", "coordinates": [[1, "x"], [2, 3]]}, "feature 0: coordinates that are not pairs"),
         ({"type": "LineString", "coordinates": [[1, 200], [2, 300]]}, "feature 0: .* longitudes and latitudes"),
+        ({"type": "Polygon", "coordinates": None}, "feature 0: coordinates that are not lists of places"),
+        ({"type": "MultiPolygon", "coordinates": [None]}, "feature 0: coordinates that are not lists of places"),
+        ({"type": "MultiLineString", "coordinates": 5}, "feature 0: coordinates that are not lists of places"),
+        ({"type": "LineString", "coordinates": None}, "feature 0: coordinates that are not pairs"),
+        ({"type": "GeometryCollection", "geometries": None}, "no polygon and no line"),
     ],
 )
 def test_invalid_coast_files_are_refused_by_name(tmp_path, value, words):

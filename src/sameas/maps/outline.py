@@ -238,7 +238,7 @@ def read_coast(path: str | os.PathLike[str]) -> Coast:
     lines: list[FloatArray] = []
     roles: list[str] = []
     for number, geometry in _geometries(whole, path):
-        for points, role in _lines(geometry):
+        for points, role in _lines(geometry, f"{path}: feature {number}"):
             lines.append(_places(points, f"{path}: feature {number}"))
             roles.append(role)
     if not lines:
@@ -265,21 +265,23 @@ def _geometries(value: Any, path: str | os.PathLike[str]) -> Iterator[tuple[int,
         while parts:
             part = parts.pop()
             if part.get("type") == "GeometryCollection":
-                parts += [inner for inner in part.get("geometries", []) if isinstance(inner, dict)]
+                inner = part.get("geometries")
+                parts += [one for one in (inner if isinstance(inner, list) else []) if isinstance(one, dict)]
             else:
                 yield number, part
 
 
-def _lines(geometry: dict[str, Any]) -> Iterator[tuple[Any, str]]:
+def _lines(geometry: dict[str, Any], where: str) -> Iterator[tuple[Any, str]]:
     """The coordinates and the role (land, water or shore) of each line of a geometry."""
-    kind, places = geometry.get("type"), geometry.get("coordinates", [])
-    if kind in ("Polygon", "MultiPolygon"):
-        for polygon in [places] if kind == "Polygon" else places:
-            for k, ring in enumerate(polygon):
-                yield ring, "water" if k else "land"
-    elif kind in ("LineString", "MultiLineString"):
-        for line in [places] if kind == "LineString" else places:
-            yield line, "shore"
+    kind, places = str(geometry.get("type")), geometry.get("coordinates", [])
+    several = places if kind.startswith("Multi") else [places]
+    is_list = isinstance(several, list)
+    if kind.endswith("Polygon") and is_list and all(isinstance(polygon, list) for polygon in several):
+        yield from ((ring, "water" if k else "land") for polygon in several for k, ring in enumerate(polygon))
+    elif kind.endswith("LineString") and is_list:
+        yield from ((line, "shore") for line in several)
+    elif kind.endswith(("Polygon", "LineString")):
+        raise InputError(f"{where}: coordinates that are not lists of places")
 
 
 def _places(points: Any, where: str) -> FloatArray:
