@@ -392,12 +392,7 @@ def require_readable(url: str) -> None:
         ipaddress.IPv4Address(interface)
     except ValueError:
         raise InputError(f"input {url!r}: interface is {interface!r}", "give its address, such as 10.0.0.2") from None
-    if parts.scheme == "serial":
-        _require_serial()
-
-
-def _require_serial() -> None:
-    if importlib.util.find_spec("serial") is None:
+    if parts.scheme == "serial" and importlib.util.find_spec("serial") is None:
         raise InputError("a serial line needs pyserial: pip install pyserial")
 
 

@@ -31,9 +31,7 @@ from sameas.maps.outline import Coast
 from sameas.maps.sheet import MapSensor, MapSheet
 from sameas.maps.tiles import Chart
 from sameas.pages.map import map_page
-from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.platforms import OWN_POSITIONS
-from sameas.tracks.source import Site
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -382,8 +380,9 @@ def live_page(keeper: Keeper, operator: bool) -> str:
         situation = keeper.situation
     empty: Mapping[str, Any] = {}
     objects, records = (empty, empty) if situation is None else (situation.objects, situation.records)
+    # A site in degrees has no place in metres of one's own, nor the reverse.
     sensors = [MapSensor.of(source.description, plane) for source in keeper.settings.sources.values()
-               if source.description.site is None or _same_plane(source.description.site, plane)]  # fmt: skip
+               if (site := source.description.site) is None or (site.lat_deg is None) == (plane is None)]  # fmt: skip
     sensors += [MapSensor(name, source.description.kind) for name, source in keeper.settings.sources.items()
                 if name not in {sensor.name for sensor in sensors}]  # fmt: skip
     carrier = keeper.own_ship.carrier
@@ -419,10 +418,6 @@ def _charts(paths: Sequence[str], charts: Sequence[Coast | Chart]) -> list[dict[
             out.append(name | {"overlay": n_lines - 1 if n_lines else None})
             n_lines += 1
     return out
-
-
-def _same_plane(site: Site, plane: LocalPlane | None) -> bool:
-    return (site.lat_deg is not None) == (plane is not None)
 
 
 def _filled(objects: Mapping[str, Any]) -> dict[str, Any]:

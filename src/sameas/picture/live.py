@@ -104,9 +104,9 @@ class LivePicture:
         names = [description.name for description in descriptions]
         if not names or len(set(names)) < len(names):
             raise InputError("live picture: give one description or more, each with its own name")
-        self.plane = plane or next(
-            (_plane_of(description) for description in descriptions if _on_earth(description)), None
-        )
+        sites = [site for d in descriptions if (site := d.site) is not None]
+        places = [(s.lat_deg, s.lon_deg) for s in sites if s.lat_deg is not None and s.lon_deg is not None]
+        self.plane = plane or (LocalPlane(*places[0]) if places else None)
         self.lag_s, self.tuning = _lag(lag_s), tuning
         self.window = window or Window()
         self._feeds = {d.name: LiveFeed(d, self.plane, lag_s, tuning=tuning) for d in descriptions}
@@ -496,13 +496,3 @@ def _lag(lag_s: float) -> float:
     if not 0.0 <= lag_s < math.inf:
         raise InputError(f"live picture: lag_s is {lag_s}; give seconds, 0 where no report is late")
     return lag_s
-
-
-def _on_earth(description: Description) -> bool:
-    return description.site is not None and description.site.lat_deg is not None
-
-
-def _plane_of(description: Description) -> LocalPlane:
-    site = description.site
-    assert site is not None and site.lat_deg is not None and site.lon_deg is not None
-    return LocalPlane(site.lat_deg, site.lon_deg)

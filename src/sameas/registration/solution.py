@@ -114,7 +114,11 @@ class Trials:
 def refine(scene: PlacedSources, votes: Votes, max_steps: int) -> list[Solution]:
     """Solutions from the votes, most probable first; at most ``max_steps`` iterations each after the search."""
     prior = OffsetPrior.of(scene)
-    sample = scene.of_patch(_sampled(len(scene.second), _searched_records(scene, votes)))
+    n, size = len(scene.second), scene.tuning.sample
+    if not scene.model.turns():
+        # The search has fewer records where the votes of few decided.
+        size = min(size, scene.tuning.sample_ratio * len(votes.patches[0]))
+    sample = scene.of_patch(np.linspace(0, n - 1, min(n, size)).astype(np.int64))
     trials, search_steps = _searched(scene, sample, prior, votes)
     solutions = []
     for k in range(len(trials.gain)):
@@ -125,17 +129,6 @@ def refine(scene: PlacedSources, votes: Votes, max_steps: int) -> list[Solution]
         solutions.append(_finished(scene, sample, prior, one, max_steps, steps))
     solutions.sort(key=lambda solution: -solution.log_evidence)
     return _without_repetitions(scene, solutions)
-
-
-def _sampled(n: int, size: int) -> IntArray:
-    """Rows of ``size`` of n records, evenly spaced."""
-    return np.linspace(0, n - 1, min(n, size)).astype(np.int64)
-
-
-def _searched_records(scene: PlacedSources, votes: Votes) -> int:
-    """Number of records in the search; smaller if the votes of few records decided."""
-    tuning = scene.tuning
-    return tuning.sample if scene.model.turns() else min(tuning.sample, tuning.sample_ratio * len(votes.patches[0]))
 
 
 def _searched(scene: PlacedSources, sample: PlacedSources, prior: OffsetPrior, votes: Votes) -> tuple[Trials, int]:

@@ -118,7 +118,9 @@ def _documents(lines: Sequence[str], damaged: list[tuple[int, str]]) -> tuple[li
         document = of_json("\n".join(lines))
     except ValueError:
         return json_lines(lines, damaged), "line"
-    return (list(_of_trace(document)), "record") if _is_trace(document) else ([(1, document)], "line")
+    if isinstance(document, dict) and isinstance(document.get("trace"), list) and "icao" in document:
+        return list(_of_trace(document)), "record"
+    return [(1, document)], "line"
 
 
 def _snapshots(
@@ -139,10 +141,6 @@ def _snapshots(
                 yield number, snapshot | {"now": now}
             else:
                 damaged.append((number, "no time"))
-
-
-def _is_trace(document: Any) -> bool:
-    return isinstance(document, dict) and isinstance(document.get("trace"), list) and "icao" in document
 
 
 #: Fields by their place in a position of a trace; the ninth is an object with further ones.

@@ -24,7 +24,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import InputError, naming
 from sameas.io.sensors import ais
-from sameas.io.sensors.format import KNOT_M_PER_S, OWN_SHIP, SensorFile, SensorFormat, forward_filled
+from sameas.io.sensors.format import KNOT_M_PER_S, OWN_SHIP, SensorFormat, forward_filled
 from sameas.io.sensors.nmea import Log, Sentence, latitude, log_of, longitude, time_of_day, with_date
 from sameas.space import unit_vectors
 from sameas.tracks.coordinates import MILE_M, geodesy
@@ -482,13 +482,9 @@ def with_own_ship(
     return out
 
 
-def _recognises(file: SensorFile) -> bool:
-    return any(re.search(r"[!$][A-Z]{4,9}[A-Z0-9]?,", line) for line in file.head_lines)
-
-
 FORMAT = SensorFormat(
     "nmea",
     "NMEA 0183: AIS (VDM) and tracked radar targets (TTM, TLL)",
     lambda file: of_log(log_of(file.lines, file.unended, start_s=file.start_s), file.source, file.start_s),
-    _recognises,
+    lambda file: any(re.search(r"[!$][A-Z]{4,9}[A-Z0-9]?,", line) for line in file.head_lines),
 )

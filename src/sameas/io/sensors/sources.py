@@ -195,14 +195,13 @@ def _options(name: str, table: Mapping[str, Any], toml: Path) -> SourceOptions:
             raise InputError(f"{where}.{key} is {value!r}; give {example}")
     described = Description.from_mapping(name, description)
     kind = described.kind if "kind" in table else None
-    options = ReadOptions(name, kind=kind, **{key: _as_text(value) for key, value in file.items() if key != "path"})
+    # Dates and times of TOML as text.
+    given: dict[str, Any] = {
+        key: value.isoformat() if isinstance(value, date) else value for key, value in file.items()
+    }
+    options = ReadOptions(name, kind=kind, **{key: value for key, value in given.items() if key != "path"})
     path = toml.parent / file["path"] if "path" in file else None
     return SourceOptions(described, options, path, "kind" in table)
-
-
-def _as_text(value: Any) -> Any:
-    """Dates and times of TOML as text."""
-    return value.isoformat() if isinstance(value, date) else value
 
 
 def read_sources(

@@ -314,7 +314,11 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
             damaged.append((number, "no JSON object"))
     with_positions = with_messages(rows)
     line_numbers = [line for line, row in zip(line_numbers, with_positions, strict=True) if row is not None]
-    rows = [_without_structures(row) for row in with_positions if row is not None]
+    # Lists and objects are no cells.
+    rows = [
+        {name: None if isinstance(cell, dict | list) else cell for name, cell in row.items()}
+        for row in with_positions if row is not None
+    ]  # fmt: skip
     names = list(dict.fromkeys(name for row in rows for name in row))
     if not names:
         raise InputError(f"{source}: no JSON object with columns")
@@ -502,11 +506,6 @@ def _flattened(nested: Mapping[str, Any]) -> dict[str, Any]:
                 **_flattened({"properties": nested.get("properties") or {}}),
             }
     return row
-
-
-def _without_structures(row: Mapping[str, Any]) -> dict[str, Any]:
-    """The cells of a row; none in place of lists and objects."""
-    return {name: None if isinstance(cell, dict | list) else cell for name, cell in row.items()}
 
 
 PARQUET, ECSV = b"PAR1", "# %ECSV"
