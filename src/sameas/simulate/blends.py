@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from sameas.arrays import ABSENT, FloatArray, IntArray
 from sameas.errors import InputError
@@ -31,27 +32,18 @@ class BlendedField:
 
 
 def blended_field(
-    rng: np.random.Generator,
-    *,
-    objects: int = 4_000,
-    per_deg2: float = 20_000.0,
-    share: float = 0.7,
-    only_coarse: float = 0.1,
-    resolution_arcsec: float = 6.0,
-    sigma_arcsec: tuple[float, float] = (0.1, 0.4),
-    steepness: float = 4.0,
+    rng: np.random.Generator, *, objects: int = 4_000, per_deg2: float = 20_000.0, resolution_arcsec: float = 6.0
 ) -> BlendedField:
     """A field like WISE's on Gaia's: two objects at separation s are blended with probability 2^−(s/ℓ)⁴.
+
+    The coarse source has 70 % of the objects and blends, and records of its own, one for ten objects of the fine
+    source. Their errors on each axis are log-uniform from 0.1″ to 0.4″, those of the fine source 0.001″.
 
     Parameters
     ----------
     rng : source of all random numbers.
-    objects, per_deg2 : number and density of objects of the fine source. share : of them, or of blends, that the coarse
-        source has.
-    only_coarse : records of the coarse source only, per object of the fine source.
-    resolution_arcsec, steepness : ℓ, and the exponent (4). Closer couples are blended first; an object is in one blend
-        at most.
-    sigma_arcsec : (low, high) error of a coarse record on each axis, log-uniform; the fine source's errors are 0.001.
+    objects, per_deg2 : number and density of objects of the fine source.
+    resolution_arcsec : ℓ. Closer couples are blended first; an object is in one blend at most.
 
     Raises
     ------
@@ -61,10 +53,10 @@ def blended_field(
     >>> made.parts.shape[1], bool((made.parts[:, 1] >= 0).any())
     (2, True)
     """
-    if objects < 2 or not per_deg2 > 0.0 or not 0.0 < share < 1.0 or not resolution_arcsec > 0.0:
+    if objects < 2 or not per_deg2 > 0.0 or not resolution_arcsec > 0.0:
         raise InputError(
-            f"blended_field: {objects} objects, {per_deg2:g} per square degree, share {share:g}, resolution "
-            f"{resolution_arcsec:g}; give two objects or more, and positive numbers, the share below 1"
+            f"blended_field: {objects} objects, {per_deg2:g} per square degree, resolution {resolution_arcsec:g}; give "
+            "two objects or more, and positive numbers"
         )
     area = objects / per_deg2
     field = Cap(150.0, 2.0, math.degrees(math.acos(1.0 - area * (math.pi / 180.0) ** 2 / (2.0 * math.pi))))
@@ -73,37 +65,28 @@ def blended_field(
     flat = np.column_stack([(place[:, 0] - 150.0) * np.cos(np.radians(place[:, 1])), place[:, 1]]) * 3600.0
     taken = np.zeros(objects, np.bool_)
     units: list[tuple[int, int]] = []
-    for s, j, k in _couples(flat, 1.75 * resolution_arcsec):
-        if not taken[j] and not taken[k] and rng.uniform() < 2.0 ** -((s / resolution_arcsec) ** steepness):
+    couples = cKDTree(flat).query_pairs(1.75 * resolution_arcsec, output_type="ndarray")
+    couples = np.take_along_axis(couples, np.argsort(flat[couples, 1], axis=1, kind="stable"), axis=1)
+    apart = np.hypot(*(flat[couples[:, 1]] - flat[couples[:, 0]]).T)
+    for at in np.argsort(apart, kind="stable"):
+        (j, k), s = couples[at].tolist(), float(apart[at])
+        if not taken[j] and not taken[k] and rng.uniform() < 2.0 ** -((s / resolution_arcsec) ** 4.0):
             taken[[j, k]] = True
             units.append((j, k))
     units += [(int(j), -1) for j in np.flatnonzero(~taken)]
-    detected = np.array(units)[rng.uniform(size=len(units)) < share]
+    detected = np.array(units)[rng.uniform(size=len(units)) < 0.7]
     one, two = detected[:, 0], np.where(detected[:, 1] < 0, detected[:, 0], detected[:, 1])
     w = (flux[one] / (flux[one] + flux[two]))[:, None]
     offset = np.column_stack(
         [(place[two, 0] - place[one, 0]) * np.cos(np.radians(place[one, 1])), place[two, 1] - place[one, 1]]
     )
-    more = round(only_coarse * objects)
-    at = np.concatenate([displaced(place[one], 3600.0 * (1.0 - w) * offset), field.draw(rng, more)])
+    more = round(0.1 * objects)
+    places = np.concatenate([displaced(place[one], 3600.0 * (1.0 - w) * offset), field.draw(rng, more)])
     parts = np.concatenate([detected, np.full((more, 2), ABSENT)])
-    low, high = sigma_arcsec
-    sigma = np.exp(rng.uniform(math.log(low), math.log(high), len(at)))
-    order = rng.permutation(len(at))
-    measured = displaced(at, sigma[:, None] * rng.standard_normal(at.shape))
+    sigma = np.exp(rng.uniform(math.log(0.1), math.log(0.4), len(places)))
+    order = rng.permutation(len(places))
+    measured = displaced(places, sigma[:, None] * rng.standard_normal(places.shape))
     first = Records.of(measured[order], sigma=sigma[order], space=Sphere(), source="coarse")
     fine = displaced(place, 1e-3 * rng.standard_normal(place.shape))
     second = Records.of(fine, sigma=1e-3, space=Sphere(), source="fine")
     return BlendedField(first, second, parts[order], flux, resolution_arcsec)
-
-
-def _couples(flat: FloatArray, reach: float) -> list[tuple[float, int, int]]:
-    """(separation, j, k) of all pairs of points closer than ``reach``, the closest first."""
-    order = np.argsort(flat[:, 1], kind="stable")
-    y, out = flat[order, 1], []
-    last = np.searchsorted(y, y + reach, side="right")
-    for a in range(len(order)):
-        near = order[a + 1 : last[a]]
-        apart = np.hypot(*(flat[near] - flat[order[a]]).T)
-        out += [(float(s), int(order[a]), int(k)) for s, k in zip(apart, near, strict=True) if s < reach]
-    return sorted(out)

@@ -14,8 +14,8 @@ from sameas.representation import in_short
 from sameas.simulate.scenes import Cap, SimulatedScene
 from sameas.space import Sphere, displaced
 
-#: Error of the positions of the catalogue of :func:`counterparts` on each axis, arcsec.
-CATALOGUE_SIGMA_ARCSEC = 0.1
+#: Least and largest error of the sources of :func:`counterparts` on each axis, and that of their catalogue, arcsec.
+SIGMA_ARCSEC, CATALOGUE_SIGMA_ARCSEC = (1.0, 2.0), 0.1
 
 
 @in_short
@@ -42,19 +42,17 @@ def counterparts(
     *,
     sources: int = 1_500,
     records: int = 241_000,
-    share: float = 0.9,
     chance: float = 0.3,
-    sigma_arcsec: tuple[float, float] = (1.0, 2.0),
 ) -> Counterparts:
-    """Sources some of which have a counterpart, brighter and bluer than the catalogue's other records.
+    """Sources of which 90 % have a counterpart, brighter and bluer than the catalogue's other records.
+
+    The error of a source on each axis is log-uniform from 1″ to 2″, that of the catalogue 0.1″.
 
     Parameters
     ----------
     rng : source of all random numbers.
     sources, records : numbers of records of the first and of the second source.
-    share : of the sources with a counterpart.
     chance : mean number of unrelated records within 3σ of a source.
-    sigma_arcsec : (low, high) error of a source on each axis, log-uniform; the catalogue's errors are 0.1″.
 
     Raises
     ------
@@ -67,16 +65,16 @@ def counterparts(
     >>> len(made.scene.true_pairs()[0])
     54
     """
-    if sources < 1 or records < sources or not 0.0 <= share <= 1.0 or not chance > 0.0:
+    if sources < 1 or records < sources or not chance > 0.0:
         raise InputError(
-            f"counterparts: {sources} sources, {records} records, share {share:g}, {chance:g} chance candidates; give "
-            "positive numbers, and more records than sources"
+            f"counterparts: {sources} sources, {records} records, {chance:g} chance candidates; give positive numbers, "
+            "and more records than sources"
         )
-    low, high = sigma_arcsec
-    square = 0.5 * (high**2 - low**2) / math.log(high / low) if high > low else low**2
+    low, high = SIGMA_ARCSEC
+    square = 0.5 * (high**2 - low**2) / math.log(high / low)
     area = records * math.pi * 9.0 * square / chance
     radius_deg = math.degrees(2.0 * math.asin(math.sqrt(area / 3600.0**2 * (math.pi / 180.0) ** 2 / (4.0 * math.pi))))
-    common = round(share * sources)
+    common = round(0.9 * sources)
     objects = sources + records - common
     place = Cap(150.0, 2.0, radius_deg).draw(rng, objects)
     one = rng.permutation(sources)
