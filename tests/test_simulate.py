@@ -290,13 +290,7 @@ def test_the_options_of_counterparts_and_outliers():
     made = counterparts(np.random.default_rng(1), sources=60, records=2_000)
     assert len(made.scene.true_pairs()[0]) == 54
     assert sigma_arcsec(made.scene.first).min() >= 1.0 and sigma_arcsec(made.scene.first).max() <= 2.0
-    scene = crowded_sky(np.random.default_rng(1), 200, 0.1, sigma_arcsec=0.2, names=("one", "two"))
-    assert (scene.first.source, scene.second.source) == ("one", "two")
-    np.testing.assert_allclose(sigma_arcsec(scene.first), 0.2)
+    scene = crowded_sky(np.random.default_rng(1), 200, 0.1)
     far = with_outliers(np.random.default_rng(2), scene, 1.0, sigmas=50.0)
     moved = np.linalg.norm(vectors(far.first.features) - vectors(scene.first.features), axis=1) * ARCSEC_PER_RADIAN
-    np.testing.assert_allclose(moved, 10.0, rtol=1e-6)
-    area = chance_area_steradians(100, 0.5, 0.2)
-    assert chance_area_steradians(100, 0.5, 0.2, gate_sigmas=6.0) == pytest.approx(4.0 * area)
-    named = line(np.random.default_rng(1), n=5, spacing_sigmas=10.0, q1=0.0, q2=0.0, names=("radar", "ais"))
-    assert (named.first.source, named.second.source) == ("radar", "ais")
+    np.testing.assert_allclose(moved, 50.0 * sigma_arcsec(scene.first), rtol=1e-6)

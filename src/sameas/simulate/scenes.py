@@ -18,6 +18,11 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Plane, Sphere, displaced, half_convergence, rotations
 
+#: The names of the two sources.
+NAMES = ("first", "second")
+#: Least and largest error of a record of the benchmarks on each axis, arcsec.
+SIGMA_ARCSEC = (0.05, 0.5)
+
 
 @dataclass(frozen=True)
 class WholeSky:
@@ -131,7 +136,6 @@ def poisson_field(
     false_2: float = 0.0,
     correlated: bool = False,
     space: Plane | None = None,
-    names: tuple[str, str] = ("first", "second"),
 ) -> SimulatedScene:
     """Objects scattered at random in a box, each missed by the sources with probabilities q1 and q2.
 
@@ -147,7 +151,6 @@ def poisson_field(
     correlated : give each record a full covariance: the axes of its error are rotated at random and stretched by
         independent log-uniform factors in ½ … 2.
     space : a Plane; records are wrapped into its periods. Periods equal to ``extent`` leave no edge.
-    names : of the two sources.
 
     Source: METHOD 4.3 (objects a Poisson field).
 
@@ -168,7 +171,7 @@ def poisson_field(
     detected_1, detected_2 = _detected(rng, count, q1, q2)
     numbers = np.split(np.arange(len(positions)), [count, count + n_false[0]])
     objects = (np.concatenate([detected_1, numbers[1]]), np.concatenate([detected_2, numbers[2]]))
-    return _plane_scene(rng, positions, objects, count, (sigma_1, sigma_2), correlated, space or Plane(), names)
+    return _plane_scene(rng, positions, objects, count, (sigma_1, sigma_2), correlated, space or Plane())
 
 
 def line(
@@ -181,7 +184,6 @@ def line(
     sigma_1: float = 1.0,
     sigma_2: float = 1.0,
     d: int = 2,
-    names: tuple[str, str] = ("first", "second"),
 ) -> SimulatedScene:
     """The papers' n targets in a line: neighbours differ by ``spacing_sigmas`` · σ in the first feature.
 
@@ -195,7 +197,6 @@ def line(
         q2=q2,
         sigma_1=sigma_1,
         sigma_2=sigma_2,
-        names=names,
     )
 
 
@@ -208,7 +209,6 @@ def grid(
     q2: float,
     sigma_1: float = 1.0,
     sigma_2: float = 1.0,
-    names: tuple[str, str] = ("first", "second"),
 ) -> SimulatedScene:
     """The papers' targets on a lattice: two neighbours differ by ``spacing_sigmas`` · σ in one feature only.
 
@@ -228,7 +228,7 @@ def grid(
     steps = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
     positions = steps.reshape(-1, len(shape)).astype(np.float64) * (spacing_sigmas * math.hypot(sigma_1, sigma_2))
     detected = _detected(rng, len(positions), q1, q2)
-    return _plane_scene(rng, positions, detected, len(positions), (sigma_1, sigma_2), False, Plane(), names)
+    return _plane_scene(rng, positions, detected, len(positions), (sigma_1, sigma_2), False, Plane())
 
 
 def _plane_scene(
@@ -239,14 +239,13 @@ def _plane_scene(
     sigmas: tuple[Sigma, Sigma],
     correlated: bool,
     space: Plane,
-    names: tuple[str, str],
 ) -> SimulatedScene:
     """The scene of sources that detected ``objects`` (numbers) at ``positions`` (n, d), false from n_real on."""
     d = positions.shape[1]
     period = np.array(space.period_list(d))
     wraps = np.isfinite(period)
     sources, truths = [], []
-    for numbers, sigma, name in zip(objects, sigmas, names, strict=True):
+    for numbers, sigma, name in zip(objects, sigmas, NAMES, strict=True):
         truth = rng.permutation(numbers)
         spread = _log_uniform(rng, sigma, len(truth), name)
         axes = _random_axes(rng, spread, d) if correlated else spread[:, None, None] * np.eye(d)
@@ -277,10 +276,9 @@ def sky_field(
     n_common: int,
     n_only_1: int,
     n_only_2: int,
-    sigma_arcsec: Sigma = (0.05, 0.5),
+    sigma_arcsec: Sigma = SIGMA_ARCSEC,
     area: WholeSky | Cap | LonLatBox | None = None,
     elliptical: bool = False,
-    names: tuple[str, str] = ("first", "second"),
 ) -> SimulatedScene:
     """Directions uniformly scattered over an area of the sky, some in both sources and some in one of them.
 
@@ -292,7 +290,6 @@ def sky_field(
     area : of the objects; by default the whole sky.
     elliptical : give each record a full covariance of mean variance σ²: variances σ²(1 ± e) along two axes at
         a random position angle, e uniform in 0 … 0.8.
-    names : of the two sources.
 
     Source: the workload of the benchmarks (``benchmarks/README.md``).
     """
@@ -303,7 +300,7 @@ def sky_field(
     numbers = np.arange(sum(counts))
     detected = (numbers[: n_common + n_only_1], np.concatenate([numbers[:n_common], numbers[n_common + n_only_1 :]]))
     sources, truths = [], []
-    for objects, name in zip(detected, names, strict=True):
+    for objects, name in zip(detected, NAMES, strict=True):
         truth = rng.permutation(objects)
         spread = _log_uniform(rng, sigma_arcsec, len(truth), name)
         draw = _elliptical_sky if elliptical else _circular_sky
@@ -319,9 +316,7 @@ def crowded_sky(
     lam: float,
     *,
     elliptical: bool = False,
-    sigma_arcsec: Sigma = (0.05, 0.5),
     centre_deg: tuple[float, float] = (150.0, 40.0),
-    names: tuple[str, str] = ("first", "second"),
 ) -> SimulatedScene:
     """The workload of the benchmarks: a cap in which a record has ``lam`` chance candidates on average.
 
@@ -335,11 +330,11 @@ def crowded_sky(
     lam : mean number of chance candidates of a record (the benchmarks take 0.05, 0.5, 2, 8).
     centre_deg : longitude and latitude of the cap's centre; with latitude ±90 it contains a pole.
     """
-    steradians = chance_area_steradians(n, lam, sigma_arcsec)
+    steradians = chance_area_steradians(n, lam, SIGMA_ARCSEC)
     if steradians > 4 * math.pi:
         raise InputError(
             f"crowded_sky: {n} rows with {lam} chance candidates each would fill "
-            f"{steradians / (4 * math.pi):.3g} skies; give fewer rows, a larger lam or smaller sigmas"
+            f"{steradians / (4 * math.pi):.3g} skies; give fewer rows or a larger lam"
         )
     radius_deg = math.degrees(2 * math.asin(math.sqrt(steradians / (4 * math.pi))))
     n_common = round(n * 8 / 9)
@@ -348,23 +343,21 @@ def crowded_sky(
         n_common=n_common,
         n_only_1=n - n_common,
         n_only_2=n - n_common,
-        sigma_arcsec=sigma_arcsec,
         area=Cap(*centre_deg, radius_deg),
         elliptical=elliptical,
-        names=names,
     )
 
 
-def chance_area_steradians(n: int, lam: float, sigma_arcsec: Sigma, gate_sigmas: float = 3.0) -> float:
+def chance_area_steradians(n: int, lam: float, sigma_arcsec: Sigma) -> float:
     """The area over which ``n`` rows of the other source give a record ``lam`` chance candidates on average.
 
-    λ = n π g² E[σ₁² + σ₂²] / area; for σ log-uniform in (l, h), E σ² = (h² − l²) / (2 ln(h/l)).
+    λ = n π 3² E[σ₁² + σ₂²] / area; for σ log-uniform in (l, h), E σ² = (h² − l²) / (2 ln(h/l)).
     """
     if not (n > 0 and lam > 0):
         raise InputError(f"{n} rows, {lam} chance candidates; give positive numbers")
     low, high = _bounds(sigma_arcsec, "sigma_arcsec")
     mean_square = low**2 if low == high else (high**2 - low**2) / (2 * math.log(high / low))
-    return n * math.pi * gate_sigmas**2 * 2 * mean_square / lam / ARCSEC_PER_RADIAN**2
+    return n * math.pi * 9.0 * 2 * mean_square / lam / ARCSEC_PER_RADIAN**2
 
 
 def _circular_sky(rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str) -> Records:
