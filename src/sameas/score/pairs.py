@@ -162,21 +162,20 @@ def is_true_pair(pairs: Pairs, true: Pairs) -> BoolArray:
     return right
 
 
-def score_probabilities(p: ArrayLike, happened: ArrayLike, *, bins: int = 10) -> ProbabilityScore:
-    """Brier score, log score and calibration error of stated probabilities.
+def score_probabilities(p: ArrayLike, happened: ArrayLike) -> ProbabilityScore:
+    """Brier score, log score and calibration error (in ten bins of equal width) of stated probabilities.
 
     Parameters
     ----------
     p : (m,) stated probabilities.
     happened : (m,) whether the event happened, e.g. :func:`is_true_pair`.
-    bins : number of equal-width bins of the calibration error.
     """
     stated, event = _events(p, happened)
     if not len(stated):
         return ProbabilityScore(0, math.nan, math.nan, math.nan)
     with np.errstate(divide="ignore"):
         log_score = float(np.mean(np.log(np.where(event, stated, 1 - stated))))
-    error = reliability(stated, event, bins=bins).expected_calibration_error
+    error = reliability(stated, event).expected_calibration_error
     return ProbabilityScore(len(stated), float(np.mean((stated - event) ** 2)), log_score, error)
 
 

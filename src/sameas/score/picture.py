@@ -423,9 +423,7 @@ def nees(found: ArrayLike, covariance: ArrayLike, true: ArrayLike) -> Nees:
     return Nees(float(square.mean()), float(np.median(square)), expected_median, low, high, n, d)
 
 
-def mean_gospa(
-    pictures: Iterable[tuple[ArrayLike, ArrayLike]], *, cutoff: float, order: float = 2.0
-) -> tuple[float, list[Gospa]]:
+def mean_gospa(pictures: Iterable[tuple[ArrayLike, ArrayLike]], *, cutoff: float) -> tuple[float, list[Gospa]]:
     """The mean over instants of :func:`gospa`'s distance, and the metric at every instant.
 
     pictures : for each instant the positions found (n, d) and the true ones (m, d).
@@ -434,5 +432,5 @@ def mean_gospa(
     >>> round(mean, 6)
     4.0
     """
-    parts = [gospa(found, true, cutoff=cutoff, order=order) for found, true in pictures]
+    parts = [gospa(found, true, cutoff=cutoff) for found, true in pictures]
     return (float(np.mean([part.distance for part in parts])) if parts else math.nan), parts

@@ -81,17 +81,13 @@ def compass(magnetic_deg: float | None, deviation_deg: float | None, variation_d
 
 def target(
     number: object, range_m: float, bearing_deg: float, speed_m_per_s: float | None, course_deg: float | None, *,
-    name: str = "", status: str = "T",
+    status: str = "T",
 ) -> str:  # fmt: skip
     """The sentence of a radar target; bearing and course from true north. status : L, Q or T, as in TTM."""
     return sentence(
         "RATTM", number, _rounded(range_m, MILE_M), _rounded(bearing_deg), "T", _rounded(speed_m_per_s, KNOT_M_PER_S),
-        _rounded(course_deg), "T", None, None, "N", name.translate(_RESERVED), status, None, None, "A",
+        _rounded(course_deg), "T", None, None, "N", "", status, None, None, "A",
     )  # fmt: skip
-
-
-#: Characters that end a field or a sentence.
-_RESERVED = {ord(sign): " " for sign in ",*\r\n$!\\"}
 
 
 def _rounded(value: float | None, unit: float = 1.0) -> str | None:
