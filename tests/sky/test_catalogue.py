@@ -614,3 +614,16 @@ def test_single_precision_positions_with_smaller_errors_raise_a_doubt(sigma: flo
     assert (message in source.doubts) == doubted, source.doubts
     double = catalogue({name: values.astype(np.float64) for name, values in place.items()}, sigma=0.1)
     assert not any("precision" in doubt for doubt in double.doubts)
+
+
+@pytest.mark.parametrize(("name", "unit", "is_flux"), [
+    ("flux_r", None, True), ("S", "mJy", True), ("n", "ct / s", True), ("flux", "nmgy", True),
+    ("flux_mag", None, False), ("flux", "mag", False), ("brightness", None, False),
+])  # fmt: skip
+def test_fluxes_are_turned_into_magnitudes(name: str, unit: str | None, is_flux: bool) -> None:
+    """They were ignored, or read as magnitudes."""
+    table = Table({"ra": [1.0, 2.0, 3.0], "dec": [4.0, 5.0, 6.0], "sigma": [0.1] * 3, name: [10.0, 1.0, -0.5]})
+    table[name].unit = unit
+    catalogue = Catalogue.of(table, "fluxes", options=CatalogueOptions(magnitude=name))
+    assert catalogue.magnitude == pytest.approx([-2.5, 0.0, np.nan] if is_flux else [10.0, 1.0, -0.5], nan_ok=True)
+    assert any("is a flux" in line for line in catalogue.interpretation) == is_flux

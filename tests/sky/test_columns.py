@@ -336,6 +336,10 @@ def test_single_letter_bands_are_magnitudes_if_unit_or_ucd_says_so(names, units,
     (("mag_F606W", "F814W_mag"), ("mag_F606W", None)),
     (("gmag", "gmagerr"), ("gmag", "gmagerr")),  # was without an error
     (("mag_g", "magerr_g", "mag_r"), ("mag_g", "magerr_g")),
+    (("F475W_RATE", "F475W_VEGA", "F475W_ERR"), ("F475W_VEGA", None)),
+    (("FLUXERR_AUTO", "FLUX_AUTO", "FLUX_APER"), ("FLUX_AUTO", None)),
+    (("flux_r", "rmag"), ("rmag", None)),
+    (("Total_flux", "flux", "flux_ratio"), (None, None)),
     (("e_mag", "n_mag", "magnification", "mag_type"), (None, None)),
 ])  # fmt: skip
 def test_names_of_band_and_mag_are_magnitudes_without_a_unit(names, expected) -> None:

@@ -161,12 +161,12 @@ def served(names: str, **values: object) -> Catalogue:
         (
             "plain names", "OBJECT_ID RIGHT_ASCENSION DECLINATION RIGHT_ASCENSION_PSF_FITTING DECLINATION_PSF_FITTING "
             "FLUX_VIS_PSF FLUXERR_VIS_PSF POINT_LIKE_PROB",
-            {"RIGHT_ASCENSION": RA, "DECLINATION": DEC}, None, None, None, "OBJECT_ID",
+            {"RIGHT_ASCENSION": RA, "DECLINATION": DEC}, None, None, "FLUX_VIS_PSF", "OBJECT_ID",
         ),
         (
             "DESI", "TARGETID SURVEY Z ZERR ZWARN TARGET_RA TARGET_DEC PMRA PMDEC REF_EPOCH FLUX_G MEAN_FIBER_RA "
             "STD_FIBER_RA MEAN_FIBER_DEC MEAN_MJD",
-            {"TARGET_RA": RA, "TARGET_DEC": DEC, "REF_EPOCH": 2015.5}, None, 2015.5, None, "TARGETID",
+            {"TARGET_RA": RA, "TARGET_DEC": DEC, "REF_EPOCH": 2015.5}, None, 2015.5, "FLUX_G", "TARGETID",
         ),
         # Gaia's epoch is 0 for all that is not of Gaia, and was refused.
         (
@@ -175,7 +175,7 @@ def served(names: str, **values: object) -> Catalogue:
             {"ra": RA, "dec": DEC, "ra_ivar": (0.1 / 3600 / np.cos(np.radians(DEC))) ** -2.0,
              "dec_ivar": (0.2 / 3600) ** -2.0,
              "ref_epoch": 0.0},
-            (0.1, 0.2), None, None, None,
+            (0.1, 0.2), None, "flux_r", None,
         ),
         # Errors in degrees and motions were not used.
         (

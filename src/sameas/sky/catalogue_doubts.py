@@ -282,7 +282,9 @@ def _turns_doubt(table: Table, choice: ColumnChoice, source: str) -> str:
 
 
 def unmeasured_magnitude_note(table: Table, choice: ColumnChoice, source: str) -> tuple[str, ...]:
-    """A note if cells of the magnitude contain text."""
+    """A note if the magnitude is that of a flux, or if its cells contain text."""
+    if choice.magnitude and column_values.is_flux(table, choice.magnitude):
+        return (f"{choice.magnitude} is a flux: −2.5 lg of it is the magnitude; 0 and less count as not measured",)
     _, words = column_values.measured(table, choice.magnitude, source) if choice.magnitude else (None, None)
     if words is None:
         return ()

@@ -163,15 +163,33 @@ def measured(table: Table, name: str, source: str) -> tuple[FloatArray, tuple[in
     return values, (words[0], texts[words[0]])
 
 
+def is_flux(table: Table, name: str) -> bool:
+    """Whether the column is a flux or counts, by its unit; without one by its name."""
+    unit = unit_of(table, name)
+    if unit is None:
+        return bool(_FLUX.search(name))
+    return isinstance(unit, u.UnitBase) and any(unit.is_equivalent(flux) for flux in _FLUXES)
+
+
 def magnitudes(table: Table, name: str, source: str) -> FloatArray:
-    """(n,) magnitudes in mag of a column of any multiple of it, NaN for texts and placeholders (99, −99.99)."""
+    """(n,) magnitudes in mag of a column of any multiple of it, NaN for texts and placeholders (99, −99.99).
+
+    Of fluxes −2.5 lg of the number, NaN if it is not above 0.
+    """
     values, _ = measured(table, name, source)
+    if is_flux(table, name):
+        return np.asarray(-2.5 * np.log10(np.where(values > 0.0, values, np.nan)))
     unit = unit_of(table, name)
     if unit is not None and unit.is_equivalent(u.mag):
         values = values * unit.to(u.mag)
     with np.errstate(invalid="ignore"):
         missing = np.abs(values) >= 90.0
     return np.where(missing, np.nan, values) if missing.any() else values
+
+
+#: A column without a unit that is a flux by its name, and the units of fluxes; a maggy has the zero point in its name.
+_FLUX = re.compile(r"^(?!.*mag).*flux|^aperture_sum", re.IGNORECASE)
+_FLUXES = (u.Jy, u.Unit("mgy"), u.ct, u.adu, u.electron, u.ct / u.s, u.adu / u.s, u.electron / u.s, u.photon)
 
 
 def holds_numbers(table: Table, name: str) -> bool:

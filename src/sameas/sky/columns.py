@@ -462,7 +462,7 @@ def _magnitude(search: ColumnSearch, convention: Convention) -> tuple[str | None
     stated = search.options.magnitude
     if stated:
         name = None if stated.lower() == "none" else search.required(stated, "magnitude")
-        return name, _error_of(search, name)
+        return name, None if name and column_values.is_flux(search.table, name) else _error_of(search, name)
     for wanted, error in convention.magnitudes + conventions.PLAIN_MAGNITUDES:
         name = search.find(wanted)
         if name and _holds_magnitudes(search.table, name):
@@ -476,6 +476,9 @@ def _magnitude(search: ColumnSearch, convention: Convention) -> tuple[str | None
     if band is None:
         named = filter(conventions.BAND_MAGNITUDE.fullmatch, search.table.colnames)
         band = next((name for name in named if _holds_magnitudes(search.table, name)), None)
+    if band is None:
+        fluxes = (name for flux in conventions.PLAIN_FLUXES if (name := search.find(flux)))
+        return next((name for name in fluxes if _holds_magnitudes(search.table, name)), None), None
     return band, _error_of(search, band)
 
 

@@ -146,13 +146,19 @@ PLAIN_MAGNITUDES = (
 BANDS = (
     "G", "V", "VT", "Hp", "R", "Rc", "r", "I", "Ic", "i", "g", "B", "BT", "z", "y", "u", "U", "J", "H", "K", "Ks", "W1",
 )  # fmt: skip
-#: Names of a magnitude by its band or filter: ``MAG_I``, ``i_mag``, ``zmag``, ``F606W_mag``.
+#: Names of a magnitude by its band or filter: ``MAG_I``, ``i_mag``, ``zmag``, ``F606W_mag``, ``F475W_VEGA``.
 BAND_MAGNITUDE = re.compile(
-    r"(?:mag(?:nitude)?[_ ]?{band}|{band}[_ ]?mag(?:nitude)?)".format(
+    r"(?:mag(?:nitude)?[_ ]?{band}|{band}[_ ]?mag(?:nitude)?|F\d{{3,4}}[WMN]_(?:VEGA|AB|ST)(?:MAG)?)".format(
         band=rf"(?:{'|'.join(BANDS)}|L|BP|RP|W[2-4]|[NF]UV|F\d{{3,4}}[WMN])"
     ),
     re.IGNORECASE,
 )
+#: Fluxes of stars and galaxies in visible light, of which tables without magnitudes get them.
+PLAIN_FLUXES = (
+    "flux_r", "flux_i", "flux_g", "flux_z", "r_psfFlux", "i_psfFlux", "g_psfFlux", "psfFlux", "FLUX_AUTO", "FLUX_PSF",
+    "FLUX_ISO", "FLUX_APER", "kron_flux", "segment_flux", "flux_fit", "aperture_sum", "aperture_sum_bkgsub",
+    "FLUX_VIS_PSF", "FLUX_DETECTION_TOTAL",
+)  # fmt: skip
 PLAIN_IDS = (
     "id", "source_id", "designation", "name", "obj_id", "objid", "objectId", "number", "_2MASS", "HIP", "object_id",
     "sourceID", "source_name", "component_name", "IAUNAME", "main_id", "MatchID", "obsid", "KIC", "EPIC", "TIC",
