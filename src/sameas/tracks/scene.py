@@ -46,8 +46,10 @@ from sameas.tracks.heights import HeightModel, HeightReports, heights_of
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.platforms import on_platform, only_carries
 from sameas.tracks.plot_offsets import PlotFits
+from sameas.tracks.plot_pairs import moves
 from sameas.tracks.registration import SourceBiases, registered
 from sameas.tracks.reports import Reports
+from sameas.tracks.running_fixes import running_fixes
 from sameas.tracks.snapshot import POSITION, POSITION_AND_VELOCITY, Snapshot
 from sameas.tracks.source import Assumption, Description
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
@@ -121,6 +123,8 @@ class Scene:
                 feeds.append(replace(feed, notes=(*feed.notes, *notes.get(description.name, ()))))
         if set_aside and not feeds:
             raise next(iter(set_aside.values()))
+        if len(feeds) == 1:
+            feeds = [_by_running_fixes(feeds[0], plane, tuning)]
         return cls(tuple(feeds), plane, tuning)
 
     @property
@@ -342,6 +346,19 @@ class _Surroundings:
         whole = np.diag(np.full(4, speed**2))
         whole[:2, :2] = spread
         return cls(Region(np.concatenate([centre, [0.0, 0.0]]), whole), density / (2.0 * math.pi * speed**2), density)
+
+
+def _by_running_fixes(feed: Feed, plane: LocalPlane | None, tuning: Tuning) -> Feed:
+    """The feed; of a moving direction finder, that of the places of its emitters."""
+    raw, reports = feed.raw_reports, feed.reports
+    if raw is None or not isinstance(reports, Directions) or feed.description.kind != "esm":
+        return feed
+    if not len(reports) or not moves(reports.sensor_m, tuning):
+        return feed
+    fixes, notes = running_fixes(feed.description, reports, raw, plane, tuning)
+    if fixes is not None:
+        feed = Feed.of_placed(PlacedReports(*fixes, plane, tuning), to_tracks=False)
+    return replace(feed, notes=(*feed.notes, *notes))
 
 
 def _with_platforms(

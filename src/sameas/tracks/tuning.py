@@ -180,6 +180,9 @@ class Tuning:
     unrelated_share, guess_share : a source whose share of records with a partner is not above the first has nothing in
         common with another; a guess must reach the second.
     guess_gain : minimum gain of the log likelihood per instant by a guess, among some thirty guesses.
+    fix_directions, fix_instants : least number of directions that place an emitter, and most instants at which it is.
+    fix_share, fix_spread : 1σ of its place by the range, and scatter of the directions by their errors, at most.
+    fix_correlation_s : errors of directions nearer in time count as one.
     tiny_range : ranges of a radar's plots up to this part of its reach are hardly metres.
     apart_m : sources farther apart than this, and than either is wide, are not of one area.
     near_extents, near_m : a guess of positions must bring a source to within this many extents of another, or metres.
@@ -339,6 +342,11 @@ class Tuning:
     unrelated_share: float = 0.1
     guess_share: float = 0.5
     guess_gain: float = 8.0
+    fix_directions: int = 10
+    fix_instants: int = 40
+    fix_share: float = 0.1
+    fix_spread: float = 2.0
+    fix_correlation_s: float = 10.0
     tiny_range: float = 0.002
     apart_m: float = 900e3
     near_extents: float = 3.0
