@@ -27,6 +27,7 @@ from sameas.assignment import Hypothesis
 from sameas.groups import Groups, laid_out
 from sameas.kernels import threads
 from sameas.prior import LogPrior
+from sameas.ragged import Ragged
 from sameas.representation import in_short
 
 #: Names of the methods, by the number in :attr:`Posterior.method`.
@@ -489,16 +490,21 @@ class Thinned:
 
     def by_neighbourhoods(self, claims: FloatArray, tuning: Tuning) -> FloatArray:
         """Probability of every pair from the neighbourhood of its record, with these messages (``claims``)."""
-        from sameas.kernels.messages import Graph, balls, by_columns, rank_rivals
+        from sameas.kernels.messages import Graph, balls, rank_rivals
         from sameas.kernels.posterior import MAX_DEPTH
 
         g, best = self.groups, self.best
         column, claim = g.places[1].astype(np.int32), claims[g.order]
         reduced = np.maximum(best.weight - best.dual_1[g.places[0]] - best.dual_2[column], -700.0)
         none, free = (np.exp(np.maximum(-dual, -MAX_DEPTH)) for dual in (best.dual_1, best.dual_2))
-        odds = np.exp(reduced)
-        start, rival, rival_claim, rival_odds = by_columns(len(free), g.edges_1, column, claim, odds)
-        graph = Graph(g.edges_1, column, odds, claim, start, rival, rival_claim, rival_odds, none, free)
+        odds, by_column = np.exp(reduced), np.argsort(column, kind="stable")
+        start, rival = (
+            Ragged.of_sorted(g.places[1][by_column], len(free)).start,
+            g.places[0][by_column].astype(np.int32),
+        )
+        graph = Graph(
+            g.edges_1, column, odds, claim, start, rival, claim[by_column], odds[by_column], none, free
+        )  # fmt: skip
         rivals = np.empty((len(none), tuning.neighbourhood_rows), np.int32)
         strength, share = np.empty(rivals.shape), np.zeros(len(g.order))
         ranges = threads.even(len(none), least=256)

@@ -14,6 +14,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small_by
 from sameas.kernels.components import GroupLayout, sizes
+from sameas.kernels.messages import by_column
 
 
 def _steps(first: int, last: int, layout: GroupLayout, *rest: Any) -> float:
@@ -193,7 +194,7 @@ def assign_counted(
     matching of every size k in turn, of weight W_k; the k of largest ln P(k) + W_k is kept. slope (g,) receives the
     multiplier μ for which u + v ≥ w + μ certifies the kept matching.
     """
-    start1, start2, edges1, local2 = layout.start1, layout.start2, layout.edges1, layout.local2
+    start1, start2, edges1 = layout.start1, layout.start2, layout.edges1
     for g in range(first, last):
         base = start1[g]
         n1 = start1[g + 1] - base
@@ -201,37 +202,20 @@ def assign_counted(
         prior = table[table_start[g] : table_start[g + 1]]
         edges = edges1[base : base + n1 + 1]
         slope[g] = every_size(
-            n1, n2, edges, local2, weight, prior, chosen, u[base : base + n1], v[start2[g] : start2[g] + n2]
-        )
-
-
-@part
-def by_column(n2: int, edges: IntArray, local2: Int32Array) -> tuple[IntArray, IntArray]:
-    """The pairs of a group by column, as CSR: starts (n2+1,) and pairs."""
-    low = edges[0]
-    high = edges[-1]
-    starts = np.zeros(n2 + 1, np.int64)
-    for e in range(low, high):
-        starts[local2[e] + 1] += 1
-    for c in range(n2):
-        starts[c + 1] += starts[c]
-    fill = starts[:-1].copy()
-    pairs = np.empty(high - low, np.int64)
-    for e in range(low, high):
-        pairs[fill[local2[e]]] = e
-        fill[local2[e]] += 1
-    return starts, pairs
+            n1, n2, edges, layout.local1, layout.local2, weight, prior, chosen, u[base : base + n1],
+            v[start2[g] : start2[g] + n2],
+        )  # fmt: skip
 
 
 @part
 def heaviest_free(
-    pairs: IntArray, start: int, stop: int, row_of: Int32Array, low: int, mate1: IntArray, weight: FloatArray
+    pairs: Int32Array, start: int, stop: int, low: int, local1: Int32Array, mate1: IntArray, weight: FloatArray
 ) -> int:
-    """The pair of largest weight of a column with a free row, −1 for none."""
+    """The pair of largest weight of a column with a free row, −1 for none. pairs : of all columns, from ``low`` on."""
     head = -1
     for t in range(start, stop):
-        e = pairs[t]
-        if mate1[row_of[e - low]] < 0 and (head < 0 or weight[e] > weight[head]):
+        e = low + pairs[t]
+        if mate1[local1[e]] < 0 and (head < 0 or weight[e] > weight[head]):
             head = e
     return head
 
@@ -241,6 +225,7 @@ def every_size(
     n1: int,
     n2: int,
     edges: IntArray,
+    local1: Int32Array,
     local2: Int32Array,
     weight: FloatArray,
     prior: FloatArray,
@@ -250,12 +235,9 @@ def every_size(
 ) -> float:
     """One group of :func:`assign_counted`: writes chosen, u, v and returns μ."""
     low = edges[0]
-    row_of = np.empty(edges[-1] - low, np.int32)
-    for r in range(n1):
-        for e in range(edges[r], edges[r + 1]):
-            row_of[e - low] = r
-            chosen[e] = False
-    starts, pairs = by_column(n2, edges, local2)
+    chosen[low : edges[-1]] = False
+    places, pairs = np.empty(edges[-1] - low, np.int32), np.empty(edges[-1] - low, np.int32)
+    starts = by_column(n2, local2[low : edges[-1]], places, pairs)
     heads = np.empty(n2, np.int64)
     mate1 = np.full(n1, -1, np.int64)
     mate2 = np.full(n2, -1, np.int64)
@@ -278,8 +260,8 @@ def every_size(
     for k in range(1, len(prior)):
         # All free rows have the potential ``top``; the head of a column is its best pair with a free row.
         for c in range(n2):
-            if k == 1 or (heads[c] >= 0 and mate1[row_of[heads[c] - low]] >= 0):
-                heads[c] = heaviest_free(pairs, starts[c], starts[c + 1], row_of, low, mate1, weight)
+            if k == 1 or (heads[c] >= 0 and mate1[local1[heads[c]]] >= 0):
+                heads[c] = heaviest_free(pairs, starts[c], starts[c + 1], low, local1, mate1, weight)
             nearest[c] = np.inf
             if heads[c] >= 0:
                 nearest[c] = max(0.0, top + price[c] - weight[heads[c]])
@@ -304,7 +286,7 @@ def every_size(
             distance[c], nearest[c] = -np.inf, np.inf
             scanned[count], reached[count] = c, least
             count += 1
-            row = row_of[mate2[c] - low]
+            row = local1[mate2[c]]
             own, begin = potential[row], edges[row]
             own_weight, columns = weight[begin : edges[row + 1]], local2[begin : edges[row + 1]]
             for at in range(len(columns)):
@@ -318,13 +300,13 @@ def every_size(
         for t in range(count):
             c = scanned[t]
             price[c] += least - reached[t]
-            potential[row_of[mate2[c] - low]] -= least - reached[t]
+            potential[local1[mate2[c]]] -= least - reached[t]
         total += top - least
         top -= least
         c = end
         while True:
             e = through[c]
-            row = row_of[e - low]
+            row = local1[e]
             follow = mate1[row]
             mate1[row] = e
             mate2[c] = e

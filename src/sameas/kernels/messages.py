@@ -322,26 +322,6 @@ Ball = namedtuple(
 
 
 @kernel
-def by_columns(
-    columns: int, start: IntArray, column: Int32Array, claim: FloatArray, odds: FloatArray
-) -> tuple[IntArray, Int32Array, FloatArray, FloatArray]:
-    """The pairs of a graph by column and, within it, by row: CSR starts, rows (m,), claims (m,), reduced odds (m,)."""
-    starts = np.zeros(columns + 1, np.int64)
-    for e in range(len(column)):
-        starts[column[e] + 1] += 1
-    for c in range(columns):
-        starts[c + 1] += starts[c]
-    fill = starts[:-1].copy()
-    rival, rival_claim, rival_odds = np.empty(len(column), np.int32), np.empty(len(column)), np.empty(len(column))
-    for r in range(len(start) - 1):
-        for e in range(start[r], start[r + 1]):
-            at = fill[column[e]]
-            fill[column[e]] += 1
-            rival[at], rival_claim[at], rival_odds[at] = r, claim[e], odds[e]
-    return starts, rival, rival_claim, rival_odds
-
-
-@kernel
 def rank_rivals(first: int, last: int, graph: Graph, rivals: Int32Array, strength: FloatArray) -> None:
     """Write to ``rivals`` (n1, k) the k rows that compete most with each of some rows, NONE if there are fewer.
 
