@@ -343,6 +343,7 @@ OWN_SHIP: Mapping[str, str] = {
 _KIND_OF_FORMAT: Mapping[str, str] = {
     "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b", "asterix 048": "air radar",
     "asterix 062": "tracks", "asterix 020": "mlat", "asterix 010": "tracks", "mavlink": "drone", "remote id": "drone",
+    "ogn": "ads-b",
 }  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from sameas.errors import Argument, InputError, Message, reading
-from sameas.io.sensors import aircraft, arpa, asterix, cot, gpsd, gpx, mode_s, n2k, recording, sbs, signalk, tables
+from sameas.io.sensors import aircraft, arpa, asterix, cot, gpsd, gpx, mode_s, n2k, ogn, recording, sbs, signalk, tables
 from sameas.io.sensors.format import OWN_SHIP, ReadOptions, SensorFile, SensorFormat, kind_by_name, kind_of
 from sameas.tracks.kinds import CARRIER_KIND, KINDS
 from sameas.tracks.platforms import OWN_POSITIONS, only_carries
@@ -38,7 +38,7 @@ from sameas.tracks.source import Description, source_tables
 #: The formats, in the order in which they are tried.
 SENSOR_FORMATS: tuple[SensorFormat, ...] = (
     recording.FORMAT, asterix.FORMAT, gpx.FORMAT, cot.FORMAT, gpsd.FORMAT, n2k.FORMAT, arpa.FORMAT, aircraft.FORMAT,
-    signalk.FORMAT, sbs.FORMAT, mode_s.FORMAT, tables.FORMAT,
+    signalk.FORMAT, sbs.FORMAT, ogn.FORMAT, mode_s.FORMAT, tables.FORMAT,
 )  # fmt: skip
 #: Their descriptions, by name.
 REPORT_FORMATS: Mapping[str, str] = {
