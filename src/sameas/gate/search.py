@@ -193,8 +193,6 @@ def _wide_pairs(one: Layout, two: Layout, geometry: Geometry, allowed: _Allowed)
 
     The search runs over the wider of two classes.
     """
-    from sameas.kernels.zones import transposed
-
     parts = [np.empty(0, np.int64)]
     for a, b in product(range(len(one.grids)), range(len(two.grids))):
         if a == b == 0:
@@ -203,8 +201,7 @@ def _wide_pairs(one: Layout, two: Layout, geometry: Geometry, allowed: _Allowed)
             parts.append(_visits(one, a, two, b, geometry, allowed))
         else:
             back = _visits(two, b, one, a, geometry, allowed)
-            parts.append(np.empty_like(back))
-            transposed(back, np.zeros(len(one.side.rows) + 1, np.int32), parts[-1])
+            parts.append(np.sort(back << 32 | back >> 32))
     # Each part is sorted already, which a stable sort exploits.
     return np.sort(np.concatenate(parts), kind="stable") if len(parts) > 1 else parts[0]
 

@@ -606,19 +606,6 @@ def visit(
         count += found
 
 
-@small
-def transposed(pairs: IntArray, starts: IntArray, out: IntArray) -> None:
-    """Write sorted pairs k << 32 | q to ``out`` as q << 32 | k, sorted. starts : zeros, one more than there are q."""
-    for e in range(len(pairs)):
-        starts[(pairs[e] & 0xFFFFFFFF) + 1] += 1
-    for q in range(len(starts) - 1):
-        starts[q + 1] += starts[q]
-    for e in range(len(pairs)):
-        q = pairs[e] & 0xFFFFFFFF
-        out[starts[q]] = (q << 32) | (pairs[e] >> 32)
-        starts[q] += 1
-
-
 @borrowing_part
 def count_without(place1: Int32Array, count: int, k: int) -> int:
     """The number of candidates without those of record k, which are the last."""
