@@ -127,6 +127,22 @@ def test_an_afternoon_is_not_taken_for_a_morning():
     assert facts(DATE_OBS="2018-10-17", TIME_OBS="12:01:53 a.m.", EXPTIME=0.0).time().isot == "2018-10-17T00:01:53.000"
 
 
+@pytest.mark.parametrize(
+    ("cards", "middle", "doubt"),
+    [
+        ({"LIVETIME": 1200.0, "STACKCNT": 20}, "20:10:00", "a stack of 1200 s (LIVETIME) without the time of its end"),
+        ({"NCOMBINE": 20}, "20:00:30", "a stack of 20 frames (NCOMBINE) without the time of its end: its middle may"),
+        ({"LIVETIME": 1200.0, "DATE-END": "2024-02-24T20:30:00"}, "20:15:00", None),
+        ({"LIVETIME": 59.0, "NCOMBINE": 1}, "20:00:30", None),
+    ],
+)
+def test_the_middle_of_a_stack_is_that_of_all_its_frames(cards, middle, doubt):
+    """It was the middle of the first frame, without a word."""
+    found = facts(**{"DATE-OBS": "2024-02-24T20:00:00", "EXPTIME": 60.0}, **cards)
+    assert found.mid_time.isot.startswith(f"2024-02-24T{middle}")
+    assert [doubt in line for line in found.lines if "stack" in line and "doubt" in line] == ([True] if doubt else [])
+
+
 def test_the_end_of_an_exposure_is_recognised_by_its_comment():
     read = facts(comments={"DATE-OBS": "UTC at end of exposure"}, DATE_OBS="2018-10-18T03:05:53.784", EXPTIME=240.0)
     assert abs((read.time() - Time(MIDDLE)).sec) < 1e-3

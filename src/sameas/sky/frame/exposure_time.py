@@ -40,6 +40,9 @@ _AT_SUN = ("HJD", "HJD-OBS", "HJD_UTC", "HJD-MID", "BJD", "BJD-OBS", "BJD_TDB", 
 #: Those that are universal time by their name.
 _UNIVERSAL = ("UT", "UTC", "UTC-OBS", "UT-OBS", "UT-START", "UTSTART", "UTIME")
 _COUNTED = ("MJD-OBS", "MJD_OBS", "MJD-BEG", "EXPSTART", "MJD", "MJD-STR", "JD", "JD-OBS", "JULDAT", "JULIAN", "JD_UTC")
+#: Total exposure and number of frames of a stack, which often keeps the exposure of one frame.
+_TOTAL = ("LIVETIME", "TOTALEXP", "TOTEXP", "TOTEXPT")
+_STACKED = ("STACKCNT", "NCOMBINE", "NCOMB", "NSTACK")
 #: Keywords of digitised photographic plates: only these may be older than the first detectors.
 _PLATE = ("PLTLABEL", "PLATEID", "PLTSCALE", "PLTRAH", "PLATE", "PLATENUM", "EMULSION")
 #: Times at which clocks start that were never set.
@@ -81,7 +84,25 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
         return _time_of(
             day, scale, f"start ({card.name})", (*lines, "assumed: exposure unknown, its start is used as its middle")
         )
-    return _time_of(day + exposure_s / 2 / S_PER_DAY, scale, f"start ({card.name}) and half the exposure", lines)
+    open_s, stacked = _stacked(cards, exposure_s)
+    how = f"start ({card.name}) and half the exposure" + (" of the stack" if open_s != exposure_s else "")
+    return _time_of(day + open_s / 2 / S_PER_DAY, scale, how, lines + stacked)
+
+
+def _stacked(cards: Cards, exposure_s: float) -> tuple[float, tuple[str, ...]]:
+    """The seconds between start and end if these are not stated: longer than an exposure for a stack, with a doubt."""
+    total, count = cards.number(_TOTAL), cards.number(_STACKED)
+    if total is not None and total.number() > 1.05 * exposure_s:
+        return total.number(), (
+            f"doubt: a stack of {total.number():g} s ({total.name}) without the time of its end: pauses between its "
+            "frames are not counted",
+        )
+    if count is not None and count.number() > 1:
+        return exposure_s, (
+            f"doubt: a stack of {count.number():g} frames ({count.name}) without the time of its end: its middle may "
+            "be later",
+        )
+    return exposure_s, ()
 
 
 def _elsewhere(cards: Cards, scale: str) -> tuple[Time | None, tuple[str, ...]]:
