@@ -38,6 +38,7 @@ class HolesTuning:
     max_dimensions : maximum dimension for discs; in more dimensions records have too many neighbours.
     min_spacing, many, crowded : where a disc must contain more records than ``many``, or in a crowd of more centres
         than ``crowded`` for each of the others, centres nearer than this fraction of the radius count as one.
+    at_once : points of discs that are listed at a time, which limits the memory.
     """
 
     disc: float = 12.0
@@ -48,11 +49,10 @@ class HolesTuning:
     min_spacing: float = 0.125
     many: float = 64.0
     crowded: float = 4.0
+    at_once: int = 1_000_000
 
 
 DEFAULT_HOLES = HolesTuning()
-#: Points of discs that are listed at a time, which limits the memory.
-POINTS_AT_ONCE = 1_000_000
 
 Floats = TypeVar("Floats", float, FloatArray)
 
@@ -196,7 +196,7 @@ def _inside(
     number = own.tree.query_ball_point(own.points[rows], np.nextafter(radius, 0.0), return_length=True)
     enough = number >= least
     centres, inner = own.points[rows[enough]], np.nextafter(radius - beyond, 0.0)[enough]
-    ends = np.flatnonzero(np.diff(np.cumsum(number[enough]) // POINTS_AT_ONCE)) + 1
+    ends = np.flatnonzero(np.diff(np.cumsum(number[enough]) // tuning.at_once)) + 1
     for some in np.split(np.arange(len(centres)), ends):
         for rows_of_disc in own.tree.query_ball_point(centres[some], inner[some]):
             inside[rows_of_disc] = True
