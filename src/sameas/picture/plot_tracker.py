@@ -42,7 +42,7 @@ from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import aged
 from sameas.tracks.feed import Feed, mean_walk_of
 from sameas.tracks.placement import Directions
-from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, places_of
+from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, record_positions
 from sameas.tracks.snapshot import pointed_at
 
 
@@ -85,7 +85,7 @@ class PlotTracker:
         """
         _require_plots(now, before)
         prior_objects = BernoulliTable.none(len(now.feeds)) if before is None else self._carried(before, now)
-        places = np.concatenate([prior_objects.state[:, :2], *(places_of(source) for source in now.sources)])
+        places = np.concatenate([prior_objects.state[:, :2], *(record_positions(source) for source in now.sources)])
         usual_q = np.column_stack([self._usual_q(feed, prior_objects.state[:, :2], now) for feed in now.feeds])
         # Of objects that the source does not resolve one has the record.
         n_shared = [_sharing(feed, prior_objects, now.instant_s) for feed in now.feeds]

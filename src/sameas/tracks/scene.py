@@ -296,7 +296,7 @@ class Instant:
         The miss probability of a source is the mean over the positions of all records, so it is high for a source that
         covers few of them.
         """
-        places = np.concatenate([np.empty((0, 2)), *(places_of(source) for source in self.sources)])
+        places = np.concatenate([np.empty((0, 2)), *(record_positions(source) for source in self.sources)])
         q = tuple(feed.mean_q(places, self.instant_s) for feed in self.feeds)
         records = [records_of(source) for source in self.sources]
         clutter = [feed.clutter_at(np.asarray(one.ids), one.d) for feed, one in zip(self.feeds, records, strict=True)]
@@ -405,7 +405,7 @@ def _objects(snapshots: Sequence[Snapshot], area_m2: float) -> float:
     return most
 
 
-def places_of(source: Source) -> FloatArray:
+def record_positions(source: Source) -> FloatArray:
     """(n, 2) the positions of a source's records; none for directions."""
     records = records_of(source)
     return records.features[:, :2] if records.d > 1 else np.empty((0, 2))
