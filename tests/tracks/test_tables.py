@@ -884,9 +884,10 @@ time,mmsi,lat,lon,shipname,to_bow,to_stern,to_port,to_starboard
 2024-05-01T10:00:01Z,235000111,,,FERRY,40,60,8,8
 2024-05-01T10:00:02Z,235000222,50.1,-1.0,,,,,
 2024-05-01T10:00:03Z,235000222,,,,,,,
+2024-05-01T10:00:04Z,235000222,,-1.0,PILOT,,,,
 """)
     assert found.passed_over == {"static data of ships, without a position": 1}
-    assert found.damaged.counts() == {"no position": 1}
+    assert found.damaged.counts() == {"no position": 2}
     assert found.name.tolist() == ["FERRY", None] and found.covariance_m2[0, 0] > 100.0
 
 

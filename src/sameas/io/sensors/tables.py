@@ -431,7 +431,8 @@ _STATICS = ("imo", "callsign", "name", "type", "length_m", "width_m", *(f"to_{si
 def _with_statics(values: dict[str, Any]) -> tuple[dict[str, Any], BoolArray]:
     """The values with the static data of each ship at her positions, and (n,) whether a row has only these: receivers
     write the messages of AIS one below the other."""
-    missing = _without_position(values)
+    coordinates = [name for pair in _POSITIONS_IN for name in pair if name in values]
+    missing = np.logical_and.reduce([np.isnan(values[name]) for name in coordinates])
     given = [name for name in _STATICS if name in values]
     if not missing.any() or "mmsi" not in values or not given:
         return values, np.zeros(len(missing), bool)
