@@ -6,7 +6,7 @@ offset has its prior width. Directions of one emitter have one frequency, or one
 be of one. Errors of directions nearer in time than ``fix_correlation_s`` count as one. Where the directions scatter
 far more than they should about the solution, the emitter moves, or there are several: then it has no place.
 
-Source: bearings-only localization of a stationary target, by iterated (Gauss-Newton) least squares.
+Source: bearings-only localization of a stationary target, by nonlinear least squares.
 """
 
 from __future__ import annotations
@@ -133,44 +133,36 @@ class _Fix:
     @classmethod
     def of(cls, directions: Directions, which: IntArray, offset_deg: float, tuning: Tuning) -> _Fix | None:
         """The fix by some directions, with an offset of 0 ± ``offset_deg``; None where they are parallel."""
+        from scipy.optimize import least_squares
+
         sensor, bearing = directions.sensor_m[which], directions.bearing_deg[which]
         lasting = np.broadcast_to(directions.lasting_deg, directions.sigma_deg.shape)[which]
         of_each = directions.sigma_deg[which] ** 2
         sigma = np.sqrt(np.maximum(of_each - lasting**2, 0.05 * of_each))
         interval_s = float(np.ptp(directions.time_s[which])) / max(len(which) - 1, 1)
         share = min(1.0, interval_s / tuning.fix_correlation_s)
-        offset_precision = 1.0 / max(offset_deg, 0.01) ** 2
+        offset_sigma = max(offset_deg, 0.01)
         ranges = np.geomspace(50.0, 0.5 * _FARTHEST_M, 40)
         middle = np.radians(bearing[: max(len(which) // 4, 1)])
         ahead = np.array([np.sin(middle).mean(), np.cos(middle).mean()])
 
-        def cost(state: FloatArray) -> float:
-            if not np.hypot(*(state[:2] - sensor[0])) < _FARTHEST_M:
-                return np.inf
+        def misfit(state: FloatArray) -> FloatArray:
             off, _ = _off(bearing - state[2], sensor, state[:2])
-            return float(np.sum((off / sigma) ** 2) + offset_precision * state[2] ** 2)
+            return np.append(off / sigma, state[2] / offset_sigma)
+
+        def slopes(state: FloatArray) -> FloatArray:
+            _, slope = _off(bearing - state[2], sensor, state[:2])
+            of_each = -np.column_stack([slope, np.ones(len(which))]) / sigma[:, None]
+            return np.vstack([of_each, [0.0, 0.0, 1.0 / offset_sigma]])
 
         starts = sensor[0] + ranges[:, None] * ahead / max(float(np.hypot(*ahead)), 1e-9)
-        state = min((np.append(one, 0.0) for one in starts), key=cost)
-        best, damping = cost(state), 1e-3
-        prior = np.diag([0.0, 0.0, offset_precision])
-        for _ in range(_ITERATIONS):
-            off, slope = _off(bearing - state[2], sensor, state[:2])
-            jacobian = np.column_stack([slope, np.ones(len(off))]) / sigma[:, None]
-            information = jacobian.T @ jacobian
-            gradient = jacobian.T @ (off / sigma) - prior @ state
-            damped = information + prior
-            damped += damping * np.diag(np.diag(damped))
-            trial = state + np.linalg.solve(damped, gradient)
-            now = cost(trial)
-            if now <= best:
-                converged = best - now < 1e-6 * best
-                state, best, damping = trial, now, damping / 5.0
-                if converged:
-                    break
-            else:
-                damping = min(10.0 * damping, 1e6)
-        spread_sq = (best + _PRIOR_COUNT) / (len(which) + _PRIOR_COUNT)
+        start = min((np.append(one, 0.0) for one in starts), key=lambda state: float(np.sum(misfit(state) ** 2)))
+        fit = least_squares(misfit, start, slopes, method="lm", x_scale="jac")
+        state = fit.x
+        if not np.hypot(*(state[:2] - sensor[0])) < _FARTHEST_M:
+            return None
+        information, prior = fit.jac[:-1].T @ fit.jac[:-1], np.diag([0.0, 0.0, offset_sigma**-2.0])
+        spread_sq = (2.0 * fit.cost + _PRIOR_COUNT) / (len(which) + _PRIOR_COUNT)
         # The scatter is that of the directions; the offset's prior is its own.
         covariance = np.linalg.inv(share * information / spread_sq + prior)[:2, :2]
         covariance = 0.5 * (covariance + covariance.T)
@@ -182,8 +174,8 @@ class _Fix:
 
 #: No emitter is heard from farther away, m.
 _FARTHEST_M = 500e3
-#: Gauss-Newton steps; directions by which the scatter is as stated before any is seen (chosen).
-_ITERATIONS, _PRIOR_COUNT = 30, 5.0
+#: Directions by which the scatter is as stated before any is seen (chosen).
+_PRIOR_COUNT = 5.0
 
 
 def _off(bearing_deg: FloatArray, sensor: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
