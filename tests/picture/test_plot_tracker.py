@@ -451,7 +451,7 @@ def test_objects_are_merged_as_by_comparing_every_two():
     place = rng.uniform(0.0, 2_000.0, (30, 2))
     place = np.concatenate([place, place[:10] + rng.uniform(-4.0, 4.0, (10, 2))])
     table = objects(place, hits=rng.uniform(1.0, 5.0, (40, 2)))
-    near = np.column_stack(np.triu_indices(40, 1))
+    near = np.column_stack(table.pairs_near(tuning))
     table = replace(table, near=near, separate_log_odds=rng.uniform(-8.0, 8.0, len(near)))
     number, odds = merged_by_all_pairs(table, 1e-5, tuning)
     merged = table.merged(1e-5, tuning)

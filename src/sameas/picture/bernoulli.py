@@ -284,14 +284,14 @@ class BernoulliTable(ObjectTable):
         return replace(self, near=np.column_stack(pairs), separate_log_odds=np.clip(separate_log_odds, -bound, bound))
 
     def merged(self, density_per_m2: float, tuning: Tuning = DEFAULT_TUNING) -> BernoulliTable:
-        """The objects without duplicates; the lower number of two stays.
+        """The objects without duplicates, of those near each other at the last scan; the lower number of two stays.
 
         Two are merged if the evidence of their positions, ln N(Δ; 0, P + P′)/ρ, exceeds the log-odds of the scans that
         they are separate by ``merging_log_odds``. The state of the one detected more often stays: the other may be the
         end of its hull.
         """
         objects = replace(self, **{each.name: getattr(self, each.name).copy() for each in fields(self)})
-        i, j = self.pairs_near(tuning)
+        i, j = self.near.T
         for_one, agree = self._compared(i, j, density_per_m2, tuning)
         # The object with the state of each row, ABSENT for none: every two states are compared once.
         holder = np.arange(len(self))

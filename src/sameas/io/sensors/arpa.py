@@ -465,7 +465,7 @@ def with_own_ship(
 
     own : as of :func:`own_ship_of`. mmsi : hers, where it is known.
     """
-    if not np.isfinite(own["lat"] + own["lon"]).any():
+    if not sources or not np.isfinite(own["lat"] + own["lon"]).any():
         return list(sources)
     try:
         track = own_positions(log, "own ship", start_s, own)

@@ -59,11 +59,14 @@ def peaks(
     x, y = x.astype(float), y.astype(float)
     order = np.lexsort((x, y, -value))
     xy, value = np.column_stack([x, y])[order], value[order]
-    separate = _separated(snr, noise, xy, value, psf, tuning)
+    reach_px = tuning.saddle_widths * psf.fwhm_px
+    pairs = _pairs(xy, reach_px)
+    separate = np.ones(len(xy), bool)
+    separate[_without_saddle(snr, noise, xy, value, pairs, reach_px, tuning)] = False
     minor, major = np.linalg.eigvalsh(psf.matrix)
     if major > tuning.trailed**2 * minor:
         sharp = _significance(light, background, replace(psf, matrix=minor * np.eye(2)), tuning.min_usable)
-        separate |= _separated_trails(sharp, noise, xy, psf, tuning)
+        separate |= _separated_trails(sharp, noise, xy, pairs, psf, tuning)
     return xy[separate], value[separate]
 
 
@@ -116,23 +119,14 @@ def _from_edges(length: int, half: int) -> IntArray:
     return np.minimum(index, 2 * half) + np.maximum(index - (length - 1 - 2 * half), 0)
 
 
-def _separated(
-    snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, psf: PSF, tuning: PeakTuning
+def _separated_trails(
+    snr: FloatArray, noise: FloatArray, xy: FloatArray, pairs: IntArray, psf: PSF, tuning: PeakTuning
 ) -> BoolArray:
-    """(n,) mask of the peaks with a saddle between them and every higher peak within reach."""
-    reach_px = tuning.saddle_widths * psf.fwhm_px
-    separate = np.ones(len(xy), bool)
-    separate[_without_saddle(snr, noise, xy, value, _pairs(xy, reach_px), reach_px, tuning)] = False
-    return separate
-
-
-def _separated_trails(snr: FloatArray, noise: FloatArray, xy: FloatArray, psf: PSF, tuning: PeakTuning) -> BoolArray:
     """(n,) mask of the peaks with a saddle in a filter as wide as the trails, and that lie on no trail of a higher one.
 
-    The filter of trails doubles their length, so that bright ones cover the saddles around them.
+    The filter of trails doubles their length, so that bright ones cover the saddles around them. pairs : of peaks.
     """
     reach_px = tuning.saddle_widths * psf.fwhm_px
-    pairs = _pairs(xy, reach_px)
     offset = xy[pairs[:, 0]] - xy[pairs[:, 1]]
     on_trail = np.einsum("ni,ij,nj->n", offset, np.linalg.inv(psf.matrix), offset) < tuning.trail_sigmas**2
     separate = np.ones(len(xy), bool)
