@@ -127,3 +127,36 @@ def test_a_receiver_of_gnss_alone_carries_the_radar_of_another_wire_and_is_none(
 def test_a_source_without_a_wire_is_refused():
     with pytest.raises(InputError, match="west: has no input"):
         Reception(Settings({"west": LiveSource(Description("west", "tracks"))}), float, use=print)
+
+
+def words_of(receiver, moments, stamp):
+    """The texts of the alarms of a source's clock, at moments of which each has a report stamped ``stamp(moment)``."""
+    texts = []
+    for moment in moments:
+        receiver.now_s = START_S + moment
+        receiver.reception.taken_s = receiver.now_s
+        receiver.reception.add("west", at(START_S + stamp(moment)), receiver.now_s)
+        found = [alarm.text for alarm in receiver.reception.alarms() if alarm.key == "clock west"]
+        texts += [text for text in found if text not in texts]
+    return texts
+
+
+def test_a_source_that_repeats_its_last_reports_is_frozen_and_not_late():
+    texts = words_of(Receiver(), range(70), lambda t: min(t, 5.0))
+    assert texts[0] == "west: repeats its last reports, whose time stamps are 31 s old: it is frozen, or its clock is"
+    assert not any("receipt" in text for text in texts)
+
+
+def test_a_source_that_sends_after_a_pause_what_it_kept_has_no_late_clock():
+    # Silent for a minute; what it had kept comes in ten seconds, then all is as before.
+    moments = [*range(10), *range(70, 100)]
+    texts = words_of(Receiver(silent_s=600.0), moments, lambda t: t if t < 10 else min(10.0 + 7.0 * (t - 70.0), t))
+    assert texts[0] == "west: sends, after a pause of 1.0 min, what it had kept; its last reports are 1.0 min old"
+    assert len(texts) == 5 and all("what it had kept" in text for text in texts)
+
+
+@pytest.mark.parametrize(("moments", "seconds"), [(range(70), -45.0), (range(70), 45.0), ([0, *range(70, 150)], -45.0)])
+def test_a_clock_that_is_wrong_by_a_constant_time_is_called_so_also_after_a_pause(moments, seconds):
+    texts = words_of(Receiver(silent_s=600.0), moments, lambda t: t + (seconds if t > 9 else 0.0))
+    sense = "behind" if seconds < 0.0 else "ahead of"
+    assert texts[-1] == f"west: its time stamps are 45 s {sense} the times of receipt"

@@ -43,6 +43,43 @@ def test_a_clock_jump_is_reported_with_size_and_time(seconds):
     assert abs(fault.first_s - ais.time_s[len(ais) // 2]) < 60.0
 
 
+def off_for_a_while(reports, seconds, begin_s=300.0, end_s=325.0):
+    """Reports whose clock is off by so much between two times."""
+    since = reports.time_s - reports.time_s.min()
+    wrong = (since >= begin_s) & (since < end_s)
+    return replace(reports, time_s=np.where(wrong, reports.time_s + seconds, reports.time_s)), wrong
+
+
+@pytest.mark.parametrize("seconds", [3600.0, -3600.0, 7200.0, -86400.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_clock_that_is_hours_off_for_half_a_minute_is_reported_and_its_reports_set_aside(seconds, seed):
+    radar, (described, ais) = sources(seed)
+    stamped, wrong = off_for_a_while(ais, seconds)
+    scene = Scene.of([radar, (described, stamped)])
+    (fault,) = source_faults(scene.feeds)
+    assert fault.kind == "clock" and fault.source == "ais" and fault.probability > 0.95
+    sense = "ahead" if seconds > 0.0 else "behind"
+    assert f" s {sense} for " in str(fault) and f"the {wrong.sum()} reports of it are set aside" in str(fault)
+    assert abs(float(str(fault).split()[4]) - abs(seconds)) < 15.0
+    assert abs(fault.first_s - ais.time_s[wrong].min()) < 15.0
+    feed = scene.feeds[1].reports
+    assert not feed.usable[wrong].any() and np.allclose(feed.time_s, ais.time_s, atol=15.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_hour_without_reception_and_an_hour_of_late_reports_are_no_wrong_clock(seed):
+    radar, (described, ais) = sources(seed)
+    since = ais.time_s - ais.time_s.min()
+    # A file of another hour; a receiver that was switched off; reports that come an hour late, as from a satellite.
+    velocity = ais.velocity_m_per_s()
+    later = np.where(since > 300.0, 3600.0, 0.0)
+    moved = ais.lat_deg + later * velocity[:, 1] / 111e3
+    paused = replace(ais, time_s=ais.time_s + later, lat_deg=moved)
+    assert Scene.of([radar, (described, paused)]).feeds[1].leaps == ()
+    late = ais.where(np.concatenate([np.flatnonzero(since > 325.0), np.flatnonzero(since <= 325.0)]))
+    assert Scene.of([radar, (described, late)]).feeds[1].leaps == ()
+
+
 def test_one_leaping_ship_is_no_clock_jump():
     radar, (described, ais) = sources()
     mine = (ais.mmsi == ais.mmsi[0]) & (np.arange(len(ais)) > len(ais) // 2)

@@ -117,7 +117,7 @@ def search_jumps(
     """Write for each jump (s,) of a clock by ``seconds`` the most probable ``row`` of the file from which on it stands,
     the first of several, and ``total``, the log-ratio there: the sum over the pairs of reports on both sides of it.
 
-    late_s, sigma_s : (m,) as of :class:`sameas.tracks.alignment.Steps`. log_width : (m,) ln(σ √(2π)). log_no_jump :
+    late_s, sigma_s : (m,) as of :class:`sameas.tracks.clocks.Steps`. log_width : (m,) ln(σ √(2π)). log_no_jump :
     (m,) ln of the density of the stamps without a jump. begins, ends : (m,) the rows, from the first to before the
     second, from which on a jump lies between the reports of a pair. log_outlier : ln of the density of a stamp that no
     motion explains. most : limit of the log-ratio of a pair, and of its negative.

@@ -32,6 +32,8 @@ MISFIT_S = 5.0
 MISFIT_LINES = 20
 #: Reports whose stamps are later than this many seconds from now are refused: kept until then, they would fill memory.
 AHEAD_S = 600.0
+#: A source that gave nothing for this many seconds has paused; one whose stamps stand for as long repeats its reports.
+RESUMED_S = 10.0
 #: Largest number of sensors of a wire that are named where no source takes their reports.
 MOST_SENSORS = 20
 
@@ -40,7 +42,8 @@ MOST_SENSORS = 20
 class SourceState:
     """State of a source. refused : reports not used. error : the last reason, and error_s : since when there is one.
 
-    last_s : last receive time. delay_s : receive time minus time stamp, median of the last reports.
+    last_s : last receive time. delay_s : receive time minus time stamp, median of the last reports: stamp_s is theirs,
+    and moved_s when the first with it were received. pause_s, resumed_s : last pause of the source, and its end.
     """
 
     refused: int = 0
@@ -48,6 +51,28 @@ class SourceState:
     error_s: float = math.inf
     last_s: float = -math.inf
     delay_s: float = math.nan
+    stamp_s: float = math.nan
+    moved_s: float = math.nan
+    pause_s: float = 0.0
+    resumed_s: float = -math.inf
+
+    def set_delay(self, stamp_s: float, received_s: float) -> None:
+        """Takes the time stamp of the last reports, received at this time."""
+        if stamp_s != self.stamp_s:
+            self.stamp_s, self.moved_s = stamp_s, received_s
+        self.delay_s = received_s - stamp_s
+        if RESUMED_S < received_s - self.last_s < math.inf:
+            self.pause_s, self.resumed_s = received_s - self.last_s, received_s
+
+    def clock_words(self, now_s: float) -> str:
+        """What makes the time stamps differ from the times of receipt: their source repeats its last reports, sends
+        after a pause what it had kept, or has a wrong clock."""
+        by = in_words(abs(self.delay_s))
+        if self.delay_s > 0.0 and min(self.delay_s, now_s - self.moved_s) > RESUMED_S:
+            return f"repeats its last reports, whose time stamps are {by} old: it is frozen, or its clock is"
+        if 0.0 < self.delay_s <= self.pause_s and now_s - self.resumed_s < self.pause_s:
+            return f"sends, after a pause of {in_words(self.pause_s)}, what it had kept; its last reports are {by} old"
+        return f"its time stamps are {by} {'behind' if self.delay_s > 0.0 else 'ahead of'} the times of receipt"
 
     def set_error(self, error: str, time_s: float) -> None:
         """Sets the reason why reports were not used, at this time."""
@@ -132,7 +157,7 @@ class Reception:
         state = self.sources[name]
         if self.replay is None:
             # Older ones may have waited in the queue.
-            state.delay_s = received_s - float(np.median(np.sort(reports.time_s)[-5:]))
+            state.set_delay(float(np.median(np.sort(reports.time_s)[-5:])), received_s)
             ahead = reports.time_s > self.taken_s + AHEAD_S
             if ahead.any():
                 state.refused += int(ahead.sum())
@@ -172,11 +197,9 @@ class Reception:
                 text = f"{name} has sent no report {self._since(state.last_s)}: {self._silence(name)}"
                 out.append(Alarm(f"silent {name}", "source", text))
             elif abs(state.delay_s) > watch.clock_s:
-                sense = "behind" if state.delay_s > 0.0 else "ahead of"
-                zone = self._zone_hint(name) if is_time_zone(state.delay_s) else ""
-                by = in_words(abs(state.delay_s))
-                text = f"{name}: its time stamps are {by} {sense} the times of receipt{zone}"
-                out.append(Alarm(f"clock {name}", "source", text))
+                words = state.clock_words(clock_s)
+                zone = self._zone_hint(name) if words.startswith("its") and is_time_zone(state.delay_s) else ""
+                out.append(Alarm(f"clock {name}", "source", f"{name}: {words}{zone}"))
         for url, wire in self.wires.items():
             if wire.queue.dropped > self._dropped.get(url, 0):
                 text = f"{url} sends more than can be processed; the oldest data are dropped"

@@ -1,4 +1,4 @@
-"""Time alignment: states moved to one instant, clocks checked by the motion of tracks, and the Kalman filter.
+"""Time alignment: states moved to one instant, and the Kalman filter of tracks.
 
 A state is (east, north, velocity east, velocity north) in a plane, metres and seconds. Its velocity is a random walk of
 known power density q (m²/s³), the standard model of nearly constant velocity. Moved by dt a state becomes F x, with
@@ -7,12 +7,6 @@ covariance F P Fᵀ + Q(|dt|). A record later than the instant is moved back; it
 - :class:`States`: the reports of one source as states, with or without velocities.
 - :func:`moved`: states at other times. :class:`Succession`: the current report of each track at an instant.
 - :func:`aged`: whether states are too uncertain to distinguish objects. There is no age limit.
-
-A clock is checked by motion: the distance between two reports of one track, divided by its speed, is a time. A clock
-jump shifts all tracks at once by the same time; a manoeuvre or an outlier affects one track only.
-
-- :class:`Steps`: successive reports of moving tracks. :func:`jump_of`: the most probable clock jump.
-- :func:`with_minutes`: a clock that is counted from the seconds in messages, with missing minutes inserted.
 
 :func:`follow` filters the plots of a source's tracks by a Kalman filter of nearly constant velocity, all tracks at
 once: for sources with track ids that report positions only, or positions more precise than their velocities (AIS,
@@ -42,7 +36,7 @@ from sameas.gate import ChiSquare
 from sameas.gaussian import determinant, symmetric
 from sameas.kernels.compiled import runs_compiled
 from sameas.kernels.kalman import states_moved
-from sameas.kernels.tracks import filter_tracks, search_jumps
+from sameas.kernels.tracks import filter_tracks
 from sameas.many.observations import StatePart
 from sameas.representation import counted
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
@@ -282,107 +276,6 @@ def aged(covariance: FloatArray, density_per_m2: float) -> BoolArray:
     area = math.pi * np.sqrt(np.maximum(squared, 0.0))
     is_singular = ~(squared > SINGULAR * covariance[:, 0, 0] * covariance[:, 1, 1])
     return np.asarray((area * density_per_m2 > 1.0) | is_singular)
-
-
-@dataclass(frozen=True)
-class Steps:
-    """Pairs of successive reports of moving tracks in the order of the file, (m,) each.
-
-    first, second : rows. late_s, sigma_s : seconds by which the second stamp is later than the motion predicts, and 1σ.
-    track : number of the track.
-    """
-
-    first: IntArray
-    second: IntArray
-    late_s: FloatArray
-    sigma_s: FloatArray
-    track: IntArray
-
-    @classmethod
-    def of(cls, reports: States, walk: FloatArray, tuning: Tuning, later: States | None = None) -> Steps:
-        """Of reports with velocities, in the order of the file.
-
-        later : the states that the later report of each pair is taken from, for reports that are filtered: they are to
-            be filtered backwards (:func:`followed_back`), since a filter follows a track where its clock jumps.
-        """
-        assert reports.track is not None
-        ends = reports if later is None else later
-        rows = np.flatnonzero(reports.usable)
-        rows = rows[np.argsort(reports.rows[rows], kind="stable")]
-        number = track_numbers(reports.track[rows])
-        order = np.argsort(number, kind="stable")
-        rows, number = rows[order], number[order]
-        same = number[1:] == number[:-1]
-        a, b, track = rows[:-1][same], rows[1:][same], number[1:][same]
-        velocity = 0.5 * (reports.state[a, 2:] + ends.state[b, 2:])
-        speed = np.maximum(np.hypot(*velocity.T), 1e-9)
-        step, dt = ends.state[b, :2] - reports.state[a, :2], reports.time_s[b] - reports.time_s[a]
-        residual = step - velocity * dt[:, None]
-        along = np.einsum("nv,nv->n", residual, velocity) / speed
-        across = np.abs(residual[:, 0] * velocity[:, 1] - residual[:, 1] * velocity[:, 0]) / speed
-        total = reports.covariance[a] + ends.covariance[b]
-        # An upper limit of the true time between the reports, whether or not the stamps are wrong.
-        elapsed = np.hypot(*step.T) / speed + np.abs(dt)
-        variance = 0.5 * np.einsum("nvv->n", total[:, :2, :2]) + walk[a] * elapsed**3 / 6.0
-        variance = variance + elapsed**2 * np.einsum("nvv->n", total[:, 2:, 2:]) / 8.0
-        known = total[:, 2, 2] < 0.1 * speed**2 + 1.0
-        turned = np.hypot(*(reports.state[a, 2:] - ends.state[b, 2:]).T) > 0.3 * speed
-        kept = known & ~turned & (speed > tuning.clock_speed_m_per_s) & (across < 4.0 * np.sqrt(variance))
-        kept &= elapsed < tuning.clock_gap_s
-        sigma = np.sqrt(variance) / speed
-        return cls(a[kept], b[kept], -(along / speed)[kept], np.hypot(sigma, tuning.stamp_s)[kept], track[kept])
-
-
-def jump_of(
-    steps: Steps, at: IntArray, seconds: FloatArray, prior: float, tuning: Tuning
-) -> tuple[float, int, float, int] | None:
-    """The most probable clock jump: log-odds, first row of the file after it, seconds, number of supporting tracks.
-
-    at : (n,) row of the file of each report. seconds : the jumps to try. prior : probability of a jump.
-    """
-    if len(steps.first) < 2:
-        return None
-    log_outlier = math.log(tuning.clock_outlier / (2.0 * tuning.clock_search_s[1]))
-    log_width = np.log(steps.sigma_s * math.sqrt(2.0 * math.pi))
-
-    def log_density(late_s: FloatArray) -> FloatArray:
-        return np.asarray(np.logaddexp(-0.5 * (late_s / steps.sigma_s) ** 2 - log_width, log_outlier))
-
-    log_no_jump = log_density(steps.late_s)
-    before, after = at[steps.first], at[steps.second]
-    total, row = np.empty(len(seconds)), np.empty(len(seconds), np.int64)
-    search_jumps(
-        seconds, steps.late_s, steps.sigma_s, log_width, log_no_jump, before + 1, after + 1, log_outlier,
-        tuning.clock_vote, total, row,
-    )  # fmt: skip
-    # All lines between the same two reports of a track are one place for a jump.
-    places = len(steps.first) / len(np.unique(steps.track))
-    log_odds = total + math.log(prior / (len(seconds) * places))
-    best = int(np.argmax(log_odds))
-    across = (before < row[best]) & (row[best] <= after)
-    supports = across & (log_density(steps.late_s - seconds[best]) > log_no_jump)
-    votes = len(np.unique(steps.track[supports]))
-    return float(log_odds[best]), int(row[best]), float(seconds[best]), votes
-
-
-def with_minutes(reports: States, walk: FloatArray, tuning: Tuning) -> tuple[States, int]:
-    """The reports with missing minutes inserted, and how many; for stamps counted from the seconds in messages.
-
-    A pause of more than half a minute loses whole minutes. They are inserted where the motion of the tracks shows them.
-    """
-    if reports.track is None:
-        return reports, 0
-    at, count = np.asarray(reports.rows), 0
-    seconds = -60.0 * np.arange(1.0, tuning.max_minutes + 1.0)
-    for _ in range(tuning.max_pauses):
-        steps = Steps.of(reports, walk, tuning)
-        jump = jump_of(steps, at, seconds, tuning.pause_prior, tuning)
-        if jump is None or jump[0] <= 0.0:
-            break
-        _, row, jump_s, _ = jump
-        reports = replace(reports, time_s=np.where(at >= row, reports.time_s - jump_s, reports.time_s))
-        count -= round(jump_s / 60.0)
-    return reports, count
 
 
 def followed_back(measured: States, *, acceleration_m2_per_s3: float, speed_m_per_s: float, tuning: Tuning) -> States:

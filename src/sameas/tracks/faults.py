@@ -16,7 +16,8 @@ import numpy as np
 from scipy.special import expit
 
 from sameas.arrays import FloatArray
-from sameas.tracks.alignment import States, Steps, follow, followed_back, jump_of, track_numbers
+from sameas.tracks.alignment import States, follow, followed_back, track_numbers
+from sameas.tracks.clocks import Steps, jump_of
 from sameas.tracks.feed import CORRELATED_KINDS, Feed, walk_of
 from sameas.tracks.reports import Reports
 
@@ -57,6 +58,9 @@ def source_faults(feeds: Sequence[Feed]) -> tuple[Fault, ...]:
 def _faults(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:
     if feed.raw_reports is None or len(feed.raw_reports) < feed.tuning.fault_reports:
         return
+    name = feed.description.name
+    for leap in feed.leaps:
+        yield Fault("clock", name, leap.first_s, leap.last_s, leap.log_odds, f"{name}: {leap}")
     yield from clock_jumps(feed)
     yield from _ended(feed, feeds)
     yield from _frozen(feed)
@@ -201,8 +205,7 @@ def _frozen(feed: Feed) -> Iterator[Fault]:
 
 def _floods(feed: Feed) -> Iterator[Fault]:
     """Intervals in which a source gives many times its usual number of reports."""
-    assert feed.raw_reports is not None
-    tuning, time_s = feed.tuning, feed.raw_reports.time_s
+    tuning, time_s = feed.tuning, feed.reports.time_s
     width = max(tuning.flood_s, 5.0 * (feed.description.timing.period_s or 0.0))
     bins = ((time_s - time_s.min()) // width).astype(np.int64)
     if not 5 <= bins.max(initial=0) < 10**6:

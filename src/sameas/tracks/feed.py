@@ -18,8 +18,9 @@ from sameas.evidence.identity import FREQUENCY, MODELS
 from sameas.gate import ChiSquare
 from sameas.gaussian import mahalanobis_sq
 from sameas.representation import counted, in_short
-from sameas.tracks.alignment import States, Succession, are_unfiltered, follow, track_numbers, with_minutes
+from sameas.tracks.alignment import States, Succession, are_unfiltered, follow, track_numbers
 from sameas.tracks.biases import corrected
+from sameas.tracks.clocks import Leap, leaps_of, with_minutes, without_leaps
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.duplicate_ids import split_duplicate_ids
 from sameas.tracks.kinds import KINDS
@@ -143,6 +144,7 @@ class Feed:
         no heights; in other feeds they are in ``raw_reports``.
     clutter_per_m2 : (n,) density of other plots about each, per scan, for a source of plots where it is estimated; None
         if the described one holds everywhere.
+    leaps : jumps of its clock that the stamps themselves show, line by line.
     """
 
     description: Description
@@ -159,6 +161,7 @@ class Feed:
     tuning: Tuning = DEFAULT_TUNING
     heights: FloatArray | None = None
     clutter_per_m2: FloatArray | None = None
+    leaps: tuple[Leap, ...] = ()
 
     @classmethod
     def of(
@@ -192,7 +195,11 @@ class Feed:
         if isinstance(in_plane, States) and reports.counted_clock:
             in_plane, minutes = with_minutes(in_plane, np.full(len(in_plane), walk_of(description)), placed.tuning)
             notes += (_counted_note(description.name, minutes),)
+        leaps: tuple[Leap, ...] = ()
         if isinstance(in_plane, States):
+            if not reports.counted_clock:
+                leaps = leaps_of(in_plane, np.full(len(in_plane), walk_of(description)), placed.tuning)
+                in_plane = without_leaps(in_plane, leaps)
             in_plane, repetitions = position_updates(in_plane, placed.tuning)
             in_plane, duplicates = split_duplicate_ids(
                 in_plane, description.motion.speed_m_per_s or math.inf, placed.tuning,
@@ -217,7 +224,7 @@ class Feed:
         return cls(
             description=description, reports=in_plane, scan_times_s=np.unique(scan_times), scan_s=scans.scan_s,
             sensor_m=sensor_m, attributes=identity_attributes(reports), raw_reports=reports, notes=notes,
-            measured=measured, rotation=scans.rotation, p_slow=p_slow, tuning=placed.tuning,
+            measured=measured, rotation=scans.rotation, p_slow=p_slow, tuning=placed.tuning, leaps=leaps,
         )  # fmt: skip
 
     @property

@@ -168,6 +168,7 @@ class Tuning:
     clock_speed_m_per_s, clock_gap_s, stamp_s : minimum speed of the tracks used, maximum time between their reports,
         and 1σ of a correct time stamp. clock_search_s : trial jumps: from, to, step. clock_outlier, clock_vote : share
         of outliers among the steps of tracks, and maximum evidence of one step.
+    leap_gap_s : most seconds that pass in truth from one line of a file to the next where its stamps leap.
     max_minutes, max_pauses, pause_prior : of a clock counted from the seconds in messages: maximum number of whole
         minutes lost in one pause, maximum number of corrected pauses, and probability that there is another one.
     ended_s, ended_share : a source has ended if it is silent for this time and this share of the whole time.
@@ -325,6 +326,7 @@ class Tuning:
     clock_search_s: tuple[float, float, float] = (6.0, 181.0, 2.0)
     clock_outlier: float = 0.05
     clock_vote: float = 8.0
+    leap_gap_s: float = 60.0
     max_minutes: int = 10
     max_pauses: int = 100
     pause_prior: float = 0.3
