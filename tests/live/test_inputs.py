@@ -9,6 +9,7 @@ import socket
 
 import pytest
 
+import sameas
 from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
 from sameas.live import inputs
@@ -161,6 +162,44 @@ def test_a_signal_k_server_is_asked_for_its_deltas_and_a_refusal_is_named():
     refused, asked = asyncio.run(run())
     assert refused == "Connection refused"
     assert asked["context"] == "*" and asked["subscribe"][0]["path"] == "*"
+
+
+@pytest.mark.slow
+def test_a_server_of_aprs_is_asked_for_its_filter_kept_awake_and_connected_again():
+    """A server of the Open Glider Network: it greets, wants a login, sends comments, and ends silent connections."""
+    now = 1_716_364_000.0  # 07:46:40 UTC
+    glider = (
+        "FLRDDE626>OGFLR,qAS,EGHL:/0746{:02d}h5111.32N/00102.04W'086/007/A=000607 !W83! id06DDE626 -019fpm gps2x3\r\n"
+    )
+
+    async def run():
+        port, told, connections = free_port(), [], []
+
+        async def serve(reader, writer):
+            connections.append(writer)
+            writer.write(b"# aprsc 2.1.19-g730c5c0\r\n")
+            told.append((await reader.readline()).decode())
+            writer.write(b"# logresp N0CALL unverified, server GLIDERN4\r\n" + glider.format(37 + len(told)).encode())
+            for _ in range(3):
+                await asyncio.sleep(0.1)
+                writer.write(b"# aprsc 2.1.19-g730c5c0 22 May 2024 07:46:40 GMT GLIDERN4 10.0.0.1:14580\r\n")
+            told.append((await reader.readline()).decode())
+            writer.close()
+
+        async with await asyncio.start_server(serve, "127.0.0.1", port):
+            url = f"tcp://127.0.0.1:{port}?filter=r/51.18/-1.03/100+t/o"
+            wire = Wire(url, ReportStream("gliders"), clock=lambda: now, told_s=0.05)
+            task = asyncio.create_task(wire.run())
+            await until(lambda: len(told) == 4)
+            task.cancel()
+        return told, wire
+
+    told, wire = asyncio.run(run())
+    asked = f"user N0CALL pass -1 vers sameas {sameas.__version__} filter r/51.18/-1.03/100 t/o\r\n"
+    assert told == [asked, "#keepalive\r\n"] * 2 and wire.stream.format in (None, "ogn")
+    [reports] = wire.take()
+    assert reports.track_id.tolist() == ["dde626"] * 2 and reports.time_s.tolist() == [now - 2.0, now]
+    assert not +wire.stream.damaged and not +wire.stream.passed_over
 
 
 def test_a_unicast_port_that_another_program_receives_is_an_error():

@@ -5,7 +5,9 @@ import pytest
 from scipy.stats import chi2
 
 from sameas.errors import InputError
+from sameas.io.sensors.format import kind_of
 from sameas.kernels.tracks import filter_tracks
+from sameas.tracks import Description, Reports, Scene
 from sameas.tracks.alignment import States, aged, follow, moved
 
 Q = 0.2
@@ -215,3 +217,17 @@ def test_the_filter_gives_the_same_result_interpreted_as_compiled(monkeypatch):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     np.testing.assert_array_equal(one.states.state, other.states.state)
     np.testing.assert_array_equal(one.states.covariance, other.states.covariance)
+
+
+def test_multilateration_of_a_surveillance_system_follows_an_airliner_in_a_turn():
+    """With the errors of amateur receivers its track lagged by 250 m, and was taken for a forged address."""
+    rng, speed, rate = np.random.default_rng(3), 217.0, np.radians(1.2)  # m/s, a bank of 25°
+    t = np.cumsum(rng.uniform(1.0, 2.0, 90))
+    heading = rate * np.clip(t - 60.0, 0.0, 60.0)
+    place = speed * np.cumsum(np.column_stack([np.sin(heading), np.cos(heading)]) * np.diff(t, prepend=0.0)[:, None], 0)
+    x_m, y_m = (place + 25.0 * rng.normal(size=place.shape)).T
+    columns = {"time_s": t, "x_m": x_m, "y_m": y_m, "icao": ["3c6528"] * len(t)}
+    kind = kind_of("asterix 020")
+    assert kind is not None
+    [feed] = Scene.of([(Description("towers", kind), Reports.of("towers", "asterix 020", columns))]).feeds
+    assert feed.filtered and np.hypot(*(feed.reports.state[:, :2] - place).T).max() < 130.0

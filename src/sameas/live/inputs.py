@@ -31,7 +31,9 @@ from dataclasses import dataclass, field
 from http.client import HTTPException
 from urllib.parse import parse_qs, urlsplit
 
+import sameas
 from sameas.errors import InputError
+from sameas.io.sensors import ogn
 from sameas.io.sensors.gpsd import WATCH
 from sameas.io.sensors.recording import Piece, Recorder
 from sameas.io.sensors.stream import ReportStream, format_of
@@ -55,8 +57,10 @@ MOST_SENDERS = 1000
 _SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "ws", "wss", "file", "serial", "stdin")
 #: A Signal K server sends deltas over TCP only to a client that subscribes (Signal K 1.7, "Subscription protocol").
 _SUBSCRIPTION = '{"context":"*","subscribe":[{"path":"*","policy":"instant"}]}'
-#: What servers on TCP want to be asked, by the format of their greeting.
+#: What servers on TCP want to be asked, by the format of their greeting; those of APRS, see :func:`_request`.
 _REQUESTS = {"signalk": _SUBSCRIPTION, "gpsd": WATCH}
+#: Seconds after which a server of APRS is told that its client is there: it ends silent connections.
+TOLD_S = 240.0
 
 
 @dataclass
@@ -113,7 +117,8 @@ class Wire:
     """One wire, its queue and its stream of reports.
 
     url : see the module. stream : decodes the bytes. max_bytes : size of the queue. clock : UTC in seconds.
-    recorder : writes the bytes to disk before they are decoded. login : for a server that wants one.
+    recorder : writes the bytes to disk before they are decoded. login : for a server that wants one. told_s : seconds
+    after which a server of APRS is told that its client is there.
     """
 
     def __init__(
@@ -125,8 +130,9 @@ class Wire:
         clock: Callable[[], float] = time.time,
         recorder: Recorder | None = None,
         login: Login | None = None,
+        told_s: float = TOLD_S,
     ) -> None:
-        self.url, self.stream, self.clock, self.recorder = url, stream, clock, recorder
+        self.url, self.stream, self.clock, self.recorder, self.told_s = url, stream, clock, recorder, told_s
         self.login = login or Login()
         self.queue, self.state = BoundedQueue(max_bytes), WireState()
         # Number of dropped pieces that the recording says.
@@ -241,7 +247,7 @@ class Wire:
             raise TimeoutError(f"no answer for {ANSWER_S:.0f} s") from None
         keep_alive(writer)
         connection = self._set_connected()
-        subscribed = False
+        told_s = math.inf
         try:
             while True:
                 async with asyncio.timeout(SILENT_S):
@@ -249,11 +255,14 @@ class Wire:
                 if not data:
                     return
                 self.receive(data, connection)
-                request = _REQUESTS.get(self.stream.format or format_of(data) or "")
-                if request is not None and not subscribed:
+                spoken = self.stream.format or format_of(data) or ""
+                if math.isinf(told_s) and (request := _request(spoken, parts.query)):
                     # The first message is a greeting.
                     writer.write(request.encode() + b"\r\n")
-                    subscribed = True
+                    told_s = time.monotonic()
+                elif spoken == "ogn" and time.monotonic() - told_s > self.told_s:
+                    writer.write(ogn.KEEP_ALIVE.encode())
+                    told_s = time.monotonic()
         except TimeoutError:
             raise TimeoutError(f"no data for {SILENT_S:.0f} s") from None
         finally:
@@ -363,6 +372,14 @@ class Wire:
         while data := await pieces.get():
             self.receive(data)
         self._ended(0)
+
+
+def _request(spoken: str, query: str) -> str | None:
+    """What a server that speaks this format wants to be asked; query : of its address."""
+    if spoken != "ogn":
+        return _REQUESTS.get(spoken)
+    given = {name: " ".join(values).split() for name, values in parse_qs(query).items()}
+    return ogn.login("".join(given.get("user", ["N0CALL"])), sameas.__version__, " ".join(given.get("filter", [])))
 
 
 def keep_alive(writer: asyncio.StreamWriter) -> None:

@@ -48,7 +48,7 @@ from sameas.tracks.source import Description, source_tables
 _FORMATS = {
     "ais": "nmea", "arpa": "nmea", "ttm": "nmea", "nmea0183": "nmea", "nmea 0183": "nmea", "basestation": "sbs",
     "nmea2000": "n2k", "nmea 2000": "n2k", "candump": "n2k", "canboat": "n2k", "actisense": "n2k",
-    "ais-catcher": "gpsd",
+    "ais-catcher": "gpsd", "aprs": "ogn", "flarm": "ogn",
     "aircraft.json": "aircraft", "readsb": "aircraft", "json": "table", "jsonl": "table", "csv": "table",
 }  # fmt: skip
 

@@ -161,6 +161,25 @@ KINDS: Mapping[str, Kind] = {
         self_named=True,
         target="aircraft",
     ),
+    "wam": Kind(
+        "aircraft located by the multilateration of a surveillance system, wide area or airport (ASTERIX 020)",
+        {
+            "misses.q": (0.2, "replies collide; four receivers must hear one"),
+            "clutter.per_km2": (1e-5, "wrong solutions"),
+            "errors.position_m": (50.0, "between airports, ED-117: 20 m, and ED-142: 150 m over wide areas"),
+            "errors.height_m": (60.0, "pressure height"),
+            "timing.period_s": (1.0, "usual"),
+            "timing.latency_s": (0.0, "item 140: time stamp of the measurement"),
+            "timing.latency_sigma_s": (0.1, "ASTERIX stamps 1/128 s; clocks differ"),
+            "errors.speed_m_per_s": (5.0, "tracked"),
+            "errors.course_deg": (3.0, "tracked"),
+            "bias.time_s": (0.5, "clocks and queues"),
+            **AIRCRAFT_MOTION,
+        },
+        correlation_s=30.0,  # the same receivers for a while
+        self_named=True,
+        target="aircraft",
+    ),
     "drone": Kind(
         "drones' self-reported positions (Remote ID, MAVLink)",
         {

@@ -255,7 +255,7 @@ class ReadOptions:
 _WORDS = {
     "droneradar": "drone radar", "cuas": "drone radar", "counteruas": "drone radar", "counterdrone": "drone radar",
     "drone": "drone", "remoteid": "drone", "mavlink": "drone", "airradar": "air radar", "radar": "marine radar",
-    "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "mlat": "mlat", "esm": "esm", "camera": "camera",
+    "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "mlat": "mlat", "wam": "wam", "esm": "esm", "camera": "camera",
     "tracks": "tracks",
 }  # fmt: skip
 
@@ -342,7 +342,7 @@ OWN_SHIP: Mapping[str, str] = {
 #: The kind of source of a format.
 _KIND_OF_FORMAT: Mapping[str, str] = {
     "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b", "asterix 048": "air radar",
-    "asterix 062": "tracks", "asterix 020": "mlat", "asterix 010": "tracks", "mavlink": "drone", "remote id": "drone",
+    "asterix 062": "tracks", "asterix 020": "wam", "asterix 010": "tracks", "mavlink": "drone", "remote id": "drone",
     "ogn": "ads-b",
 }  # fmt: skip
 

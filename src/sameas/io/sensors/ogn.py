@@ -4,7 +4,8 @@
 
 Positions are of GNSS, to 0.01′, or 0.001′ with the digits of ``!W83!``. Times are UTC without a date, which servers
 send in comments. Lines without an ``id`` are of receivers and other stations. Addresses are ICAO's if the id says so.
-Source: the OGN wiki, "aprs".
+A server greets with a comment, wants a login (:func:`login`), and sends what its filter passes. Source: the OGN wiki,
+"aprs"; aprs-is.net, "Connecting to APRS-IS".
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ _LINE = re.compile(
     r"(?P<lat>\d{2})(?P<lat_minutes>\d{2}\.\d{2})(?P<north>[NS]).(?P<lon>\d{3})(?P<lon_minutes>\d{2}\.\d{2})(?P<east>[EW])."
     r"(?:(?P<course>\d{3})/(?P<speed>\d{3}))?(?:/A=(?P<feet>-?\d{5,6}))?(?P<rest>.*)"
 )
+#: How the comments of servers begin: aprsc, javAPRSSrvr.
+_COMMENT = re.compile(r"# ?(?:aprsc|javAPRS|logresp)")
 _ID = re.compile(r"\bid([0-9A-F]{2})([0-9A-F]{6})\b")
 _DATE = re.compile(r"(\d{1,2} [A-Z][a-z]{2} \d{4} \d{2}:\d{2}:\d{2}) GMT")
 _DIGITS = re.compile(r"!W(\d)(\d)!")
@@ -42,6 +45,24 @@ _GPS = re.compile(r"\bgps(\d+)x(\d+)")
 _ICAO = 1
 #: 1σ of GNSS, m, where no accuracy is stated (chosen), and that of a position to 0.01′.
 _GNSS_M, _STEP_M = 10.0, 0.01 * MILE_M / 12.0**0.5
+
+
+#: What tells a server that its client is there.
+KEEP_ALIVE = "#keepalive\r\n"
+
+
+def login(user: str, version: str, chosen: str) -> str:
+    """The line with which a server is asked for what a filter chooses, as one that only reads (pass code −1).
+
+    >>> login("N0CALL", "0.1.0", "r/51.2/-1.0/100")
+    'user N0CALL pass -1 vers sameas 0.1.0 filter r/51.2/-1.0/100'
+    """
+    return f"user {user} pass -1 vers sameas {version}{f' filter {chosen}' if chosen else ''}"
+
+
+def looks_like(lines: Sequence[str]) -> bool:
+    """Whether any of these lines is of APRS: a position, or the comment of a server."""
+    return any(_LINE.match(line) or _COMMENT.match(line) for line in lines)
 
 
 def read(lines: Sequence[str], source: str, start_s: float | None) -> Reports:
@@ -114,5 +135,5 @@ FORMAT = SensorFormat(
     "ogn",
     "APRS of the Open Glider Network",
     lambda file: [read(file.lines, file.source, file.start_s)],
-    lambda file: any(_LINE.search(line) for line in file.head_lines),
+    lambda file: looks_like(file.head_lines),
 )

@@ -47,7 +47,7 @@ class RecordedSource:
         if self.sensor is not None:
             return reports.source.endswith(f":{self.sensor}") or reports.source == self.sensor
         kind = kind_of(reports.kind)
-        return kind is None or kind == self.kind or self.kind in ("tracks", "other", "mlat")
+        return kind is None or kind == self.kind or self.kind in ("tracks", "other", "mlat", "wam")
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from sameas.io.sensors import (
     mode_s,
     n2k,
     nmea,
+    ogn,
     sbs,
     sentences,
     signalk,
@@ -42,7 +43,7 @@ LONGEST_LINE = 4 << 20
 MOST_REMEMBERED = 20_000
 _CHECKSUM = re.compile(rb"\*[0-9A-Fa-f]{2}")
 _MODE_S = re.compile(rb"[*@](?:[0-9A-Fa-f]{14}){1,2}(?:[0-9A-Fa-f]{12})?;|" + mode_s.IN_JSON.encode())
-STREAM_FORMATS = ("nmea", "n2k", "gpsd", "sbs", "aircraft", "mode-s", "asterix", "table", "signalk")
+STREAM_FORMATS = ("nmea", "n2k", "gpsd", "sbs", "aircraft", "mode-s", "ogn", "asterix", "table", "signalk")
 
 
 def format_of(data: bytes) -> str | None:
@@ -59,8 +60,11 @@ def format_of(data: bytes) -> str | None:
     if gpsd.looks_like(text):
         return "gpsd"
     # The first bytes may be the end of a line.
-    if n2k.looks_like(text.decode("ascii", errors="replace").splitlines()[:8]):
+    lines = text.decode("ascii", errors="replace").splitlines()[:8]
+    if n2k.looks_like(lines):
         return "n2k"
+    if ogn.looks_like(lines):
+        return "ogn"
     if text[:1] == b"{":
         # The hello message of a server has roles, or its version and own ship.
         greets = b'"roles"' in text or (b'"version"' in text and b'"self"' in text)
@@ -256,6 +260,8 @@ class ReportStream:
                 self._latest.clear()
             zone = self.options.time_zone
             return self._read(lambda: [sbs.read(texts, self.source, latest_fields=self._latest, time_zone=zone)])
+        if self.format == "ogn":
+            return self._read(lambda: [ogn.read(texts, self.source, received[0])])
         if self.format == "aircraft":
             if len(self._aircraft) > MOST_REMEMBERED:
                 self._aircraft.clear()
