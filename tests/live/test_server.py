@@ -60,7 +60,7 @@ def events(url, count, **headers):
         while len(out) < count:
             line = stream.readline().decode().rstrip("\n")
             if not line and block.get("data"):
-                out.append((block["event"], int(block["id"]), json.loads(block["data"])))
+                out.append((block["event"], block["id"], json.loads(block["data"])))
                 block = {}
             name, _, value = line.partition(": ")
             block[name] = value
@@ -71,12 +71,14 @@ def events(url, count, **headers):
 def test_event_streams_begin_with_a_full_frame_and_resume_from_the_last_id(keeper):
     with served(keeper) as url:
         first, second, third = events(url, 3)
-        assert (first[0], second[0]) == ("whole", "delta") and first[1] + 1 == second[1]
+        (run, tick), (same_run, next_tick) = first[1].split("-"), second[1].split("-")
+        assert (first[0], second[0]) == ("whole", "delta") and (run, int(tick) + 1) == (same_run, int(next_tick))
         assert len(first[2]["objects"]) >= 4 and first[2]["own"]["x"] == 0.0 and "cpa" in first[2]
-        [again] = events(url, 1, Last_Event_ID=str(second[1]))
+        [again] = events(url, 1, Last_Event_ID=second[1])
         assert again[:2] == ("delta", third[1]) and again[2]["objects"] == third[2]["objects"]
-        # Ids that are too old or of another run cannot be resumed.
-        assert events(url, 1, Last_Event_ID="123456789")[0][0] == "whole"
+        # Ids that are too old or of another run, whose ticks since its last state come again, cannot be resumed.
+        for other in ("123456789", f"{run}-123456789", f"0123abcd-{next_tick}", next_tick):
+            assert events(url, 1, Last_Event_ID=other)[0][0] == "whole"
 
 
 def opened(url):

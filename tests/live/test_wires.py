@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 
@@ -145,3 +146,78 @@ def test_a_watch_whose_stdin_is_silent_ends_on_a_signal(tmp_path):
         finally:
             run.kill()
         assert b"a: 0 reports" in run.stdout.read() and run.returncode == 0
+
+
+def health_of(address):
+    try:
+        with urllib.request.urlopen(f"{address}/health", timeout=5.0) as answer:
+            return json.loads(answer.read())
+    except OSError:
+        return {}
+
+
+def objects_of(address):
+    """The number of each object with an MMSI."""
+    with urllib.request.urlopen(f"{address}/objects", timeout=5.0) as answer:
+        return {one["mmsi"]: one["object"] for one in json.loads(answer.read())["objects"] if one.get("mmsi")}
+
+
+@pytest.mark.slow
+def test_a_watch_in_standby_takes_over_with_the_same_numbers_when_the_first_is_killed(tmp_path):
+    ports = {"udp": free_port(socket.SOCK_DGRAM), "tcp": free_port()}
+    (tmp_path / "sensors.toml").write_text(
+        TOML.format(**ports).replace("every_s = 0.2", "every_s = 0.5\nsave_every_s = 1")
+    )
+    address, made = f"http://127.0.0.1:{free_port()}", harbour(until_s=300.0)
+    command = [sys.executable, "-m", "sameas", "watch", "--sensors", "sensors.toml", "-o", "state", "--port",
+               address.rpartition(":")[2]]  # fmt: skip
+    over, out = threading.Event(), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def send():
+        k = 0
+        while not over.wait(0.5):
+            for line in lines(at(made["ais"], k % 100), time.time()):
+                out.sendto(line, ("127.0.0.1", ports["udp"]))
+            k += 1
+
+    def until_true(true):
+        end = time.monotonic() + 60.0
+        while not (value := true()):
+            assert time.monotonic() < end
+            time.sleep(0.2)
+        return value
+
+    sender = threading.Thread(target=send)
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as first:
+        sender.start()
+        until_true(lambda: health_of(address).get("objects", 0) >= 5)
+        with subprocess.Popen([*command, "--standby"], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as second:
+            try:
+                assert second.stdout.readline().startswith("Standby: state: another run writes there; this watch takes")
+                time.sleep(2.0)
+                before = objects_of(address)
+                first.kill()
+                assert second.stdout.readline().startswith("Taken over at ")
+                resumed = second.stdout.readline()
+                until_true(lambda: health_of(address).get("objects", 0) >= 5)
+                after = objects_of(address)
+            finally:
+                over.set()
+                sender.join()
+                first.kill()
+                second.send_signal(signal.SIGTERM)
+                second.communicate(timeout=60.0)
+    out.close()
+    assert len(before) >= 4 and before == after
+    assert resumed.startswith("Resumed: state of ") and second.returncode == 0
+
+
+@pytest.mark.parametrize("given", [["--sensors", "sensors.toml"], ["ais.csv", "-o", "state"]])
+def test_a_standby_needs_a_folder_and_inputs(given, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sensors.toml").write_text(TOML.format(udp=60004, tcp=60005))
+    (tmp_path / "ais.csv").write_text("time,x,y,mmsi\n1714560000,0,0,1\n1714560001,1,0,1\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "sameas", "watch", *given, "--standby"], capture_output=True, text=True
+    )
+    assert done.returncode == 1 and "takes over from a watch of inputs; give its folder with -o" in done.stderr

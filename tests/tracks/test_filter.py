@@ -230,4 +230,5 @@ def test_multilateration_of_a_surveillance_system_follows_an_airliner_in_a_turn(
     kind = kind_of("asterix 020")
     assert kind is not None
     [feed] = Scene.of([(Description("towers", kind), Reports.of("towers", "asterix 020", columns))]).feeds
-    assert feed.filtered and np.hypot(*(feed.reports.state[:, :2] - place).T).max() < 130.0
+    assert feed.filtered and isinstance(feed.reports, States)
+    assert np.hypot(*(feed.reports.state[:, :2] - place).T).max() < 130.0

@@ -14,6 +14,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,6 +25,7 @@ from sameas.cli.outcome import INPUT_ERROR, answering
 from sameas.cli.picture import duration_s
 from sameas.cli.terminal import Printer, share_compilation
 from sameas.errors import InputError, optional
+from sameas.io.atomic import FolderHeld
 from sameas.report.prose import ALARM, DOUBT
 from sameas.representation import count, counted
 
@@ -42,6 +44,8 @@ if TYPE_CHECKING:
 LOG = logging.getLogger("sameas.live")
 #: Alarms of one condition that have a line of their own, and the seconds for which those after them are counted.
 FEW, CROWD_S = 5, 60.0
+#: Seconds after which a watch in standby asks again whether it is its turn.
+STANDBY_S = 0.5
 _INPUTS, _MAP = "What is read", "The map"
 
 
@@ -144,6 +148,10 @@ def watch(
         ),
     ] = None,
     no_map: Annotated[bool, option("--no-map", panel=_MAP, help="Serve no map.")] = False,
+    standby: Annotated[
+        bool,
+        option("--standby", help="While another watch uses the folder of -o: wait, and take over when it has ended."),
+    ] = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -173,10 +181,12 @@ def watch(
         if record is not None and (replay or playback) is not None:
             raise InputError("--record: files are replayed, and nothing is received", "leave it out")
         settings = settings if record is None else replace(settings, watch=replace(settings.watch, record=str(record)))
+        if standby and (output is None or (replay or playback) is not None):
+            raise InputError("--standby: takes over from a watch of inputs", "give its folder with -o, and no files")
         share_compilation(quiet, "picture")
-        keeper = Keeper(settings, output, replay=replay, playback=playback)
-        to_stdout = any(sink.url.startswith("stdout:") for sink in keeper.sinks)
+        to_stdout = any(str(sink.get("url", "")).startswith("stdout:") for sink in settings.watch.outputs)
         say = Printer(quiet, sys.stderr if to_stdout else None)
+        keeper = _in_turn(partial(Keeper, settings, output, replay=replay, playback=playback), standby, say)
         until_s = None if duration is None else time.monotonic() + (duration_s(duration) or 0.0)
         say(f"{DOUBT}set aside: {words}" for words in settings.set_aside.values())
         say(f"{DOUBT}{line}" for line in (replay.apart() if replay else ()))
@@ -195,6 +205,25 @@ def watch(
             say(source_lines(name, one))
     if settings.set_aside:
         raise typer.Exit(INPUT_ERROR)
+
+
+def _in_turn(begin: Callable[[], Keeper], waits: bool, say: Printer) -> Keeper:
+    """The keeper, if it waits as soon as no other process uses its folder."""
+    waiting = False
+    while True:
+        try:
+            keeper = begin()
+        except FolderHeld as error:
+            if not waits:
+                raise
+            if not waiting:
+                say([f"Standby: {error.message}; this watch takes over when that one has ended"])
+            waiting = True
+            time.sleep(STANDBY_S)
+        else:
+            if waiting:
+                say([f"Taken over at {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"])
+            return keeper
 
 
 def _resumption(keeper: Keeper) -> str:

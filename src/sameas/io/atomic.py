@@ -185,12 +185,16 @@ def _draft_of(target: Path) -> Path:
     return target.with_name(_draft_name() + "".join(target.suffixes[-2:]))
 
 
+class FolderHeld(InputError):
+    """A folder that another process has locked."""
+
+
 def held(folder: Path) -> sqlite3.Connection:
     """Locks a folder for this process, until the returned connection is closed or the process ends.
 
     SQLite uses the file locks of the operating system; only ``lock.sqlite`` is locked.
 
-    Raises InputError: another process holds it. sqlite3.Error : it cannot be written.
+    Raises FolderHeld: another process holds it. sqlite3.Error : it cannot be written.
     """
     import sqlite3
 
@@ -201,7 +205,7 @@ def held(folder: Path) -> sqlite3.Connection:
         lock.close()
         if "locked" not in str(error):
             raise
-        raise InputError(f"{folder}: another run writes there", "give another folder, or end that one") from None
+        raise FolderHeld(f"{folder}: another run writes there", "give another folder, or end that one") from None
     return lock
 
 

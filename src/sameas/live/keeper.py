@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import logging
 import math
+import secrets
 import threading
 import time
 from collections import deque
@@ -82,6 +83,8 @@ class Keeper:
             # A recording is not recorded again.
             settings = replace(settings, watch=replace(settings.watch, record=None))
         self.settings, self.folder = settings, folder
+        #: Whose ticks these are: after a kill, the numbers since the last state was saved come again.
+        self.run_id = secrets.token_hex(4)
         self.clock = WatchClock(clock or SteadyClock(), replay=replay, playback=playback)
         self.reception = Reception(settings, self.clock, replay=replay, playback=playback, use=self._use)
         self.wires = self.reception.wires

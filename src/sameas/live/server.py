@@ -236,8 +236,9 @@ class _Handlers:
 
         if self.clients.now >= self.clients.limit:
             return _json({"error": "too many connections"}, 503, **{"Retry-After": "10"})
-        since = request.headers.get("last-event-id", "")
-        stream = _events(self.keeper, self.clients, int(since) if since.isdecimal() else None)
+        run, _, since = request.headers.get("last-event-id", "").partition("-")
+        known = run == self.keeper.run_id and since.isdecimal()
+        stream = _events(self.keeper, self.clients, int(since) if known else None)
         return StreamingResponse(stream, media_type="text/event-stream", headers=_HEADERS | {"X-Accel-Buffering": "no"})
 
     async def tile(self, request: Request, role: str) -> Response:
@@ -370,7 +371,8 @@ def sse_event(kind: str, keeper: Keeper, situation: Situation, delta: Delta) -> 
             "alarms": keeper.alarm_list(most_ended=100), "zones": keeper.zones.outlines,
             "alignment": keeper.offsets.in_words(), "errors": [*keeper.picture.doubts, *keeper.picture.errors],
         }  # fmt: skip
-    return f"id: {delta.tick}\nevent: {kind}\ndata: {json.dumps(content, allow_nan=False, separators=(',', ':'))}\n\n"
+    data = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    return f"id: {keeper.run_id}-{delta.tick}\nevent: {kind}\ndata: {data}\n\n"
 
 
 def live_page(keeper: Keeper, operator: bool) -> str:
