@@ -184,7 +184,7 @@ def errors_compared(found: SkyMatch) -> list[str]:
         "for every candidate. Share of pairs within the radius that should contain",
         f"    {'':22}" + "".join(f"{share:>9.1%}" for share in SHARES),
     ]
-    for words, errors in (("by the quoted errors", Errors()), ("by the estimated ones", estimate.errors)):
+    for words, errors in (("by the quoted errors", Errors()), ("by the estimated ones", estimate.spread)):
         inside = [np.mean(distance < containment(errors, share)) for share in SHARES]
         lines.append(f"    {words:22}" + "".join(f"{share:>9.1%}" for share in inside))
     return lines
