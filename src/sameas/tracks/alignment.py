@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, finite_rows, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, finite_rows, taken
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.gaussian import determinant, symmetric
@@ -260,6 +260,18 @@ class Succession:
         past = self.time_s <= instant_s
         superseded = np.append(past[1:], False) & ~self.final
         return np.sort(self.rows[past & ~superseded])
+
+    @cached_property
+    def following(self) -> IntArray:
+        """(m,) of each row up to the highest one, the next report of its track; ABSENT for none.
+
+        >>> Succession.of(np.array([5.0, 0.0, 9.0]), np.array(["a", "a", "b"])).following.tolist()
+        [-1, 0, -1]
+        """
+        out = np.full(int(self.rows.max(initial=-1)) + 1, ABSENT)
+        has_next = np.flatnonzero(~self.final)
+        out[self.rows[has_next]] = self.rows[has_next + 1]
+        return out
 
 
 #: Determinant of a covariance (2, 2), relative to the product of its variances, below which it is singular.

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, taken
+from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken
+from sameas.gaussian import inverse, symmetric
 from sameas.many.observations import LinearPart, Observations, Source
 from sameas.records import Records
 from sameas.registration.weights import PlacedSources as Weighing
@@ -115,6 +116,32 @@ class Snapshot:
         state, covariance = moved(state, covariance, instant_s - time_s, feed.walk_m2_per_s3[rows], late)
         return cls(feed, rows, time_s, state, covariance, none)
 
+    def between_reports(self, instant_s: float) -> Snapshot:
+        """The snapshot with states between the last and the next report of each track, for recordings.
+
+        Ships slow down and turn: where the velocity lasts, as for states moved ahead, they are found behind, and a
+        source with older reports is ahead of the others. The state before and the next one moved back are averaged by
+        their covariances without the errors of the positions, which are taken to be common to both.
+        """
+        reports = self.feed.reports
+        if isinstance(reports, Directions) or reports.track is None or not self.feed.has_velocities:
+            return self
+        following = self.feed.succession.following[self.rows]
+        has_next = np.flatnonzero(following != ABSENT)
+        before, after = self.rows[has_next], following[has_next]
+        walk = self.feed.walk_m2_per_s3
+        (ahead, of_ahead), (back, of_back) = (
+            moved(
+                taken(reports.state, rows), _of_velocities(reports, rows), instant_s - reports.time_s[rows], walk[rows]
+            )
+            for rows in (before, after)
+        )
+        gain = of_ahead @ inverse(of_ahead + of_back)
+        state, covariance = self.state.copy(), self.covariance.copy()
+        state[has_next] += np.einsum("nvw,nw->nv", gain, back - ahead)
+        covariance[has_next] = symmetric(covariance[has_next] - gain @ of_ahead)
+        return replace(self, state=state, covariance=covariance)
+
     def without_aged(self, density: float) -> Snapshot:
         """The snapshot without reports too uncertain to distinguish objects; density : objects per m²."""
         if isinstance(self.feed.reports, Directions) or not len(self.rows):
@@ -189,6 +216,14 @@ class Snapshot:
             return 0.0, 0.0
         last = at[self.rows[np.argmax(self.time_s)] if len(self.rows) else 0]
         return float(last[0]), float(last[1])
+
+
+def _of_velocities(reports: States, rows: IntArray) -> FloatArray:
+    """(n, 4, 4) covariances of reports whose positions are exact, to a millimetre."""
+    out = np.zeros((len(rows), 4, 4))
+    out[:, 2:, 2:] = reports.covariance[rows, 2:, 2:]
+    out[:, :2, :2] = 1e-6 * np.eye(2)
+    return out
 
 
 NO_WIDTHS = np.zeros(6)
@@ -299,7 +334,7 @@ def _typical_count(feed: Feed) -> float:
 
 
 def _common_scan(first: ComparedSource, second: ComparedSource, instant_s: float) -> CommonScan | None:
-    snapshots = [Snapshot.of(side.feed.as_measured, instant_s) for side in (first, second)]
+    snapshots = [Snapshot.of(side.feed.as_measured, instant_s).between_reports(instant_s) for side in (first, second)]
     density = _density(snapshots)
     snapshots = [each.without_aged(density) for each in snapshots]
     if not all(len(each.rows) for each in snapshots):
