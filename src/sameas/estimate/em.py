@@ -22,12 +22,14 @@ from sameas.estimate.companions import Companions
 from sameas.estimate.coverage import local_share
 from sameas.estimate.error_average import Average, Averaged, HypothesisSums, without_positions
 from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
-from sameas.estimate.grades import DEFAULT_GRADES, Grades, GradesTuning
+from sameas.estimate.grades import DEFAULT_GRADES, Grades, GradesTuning, first_magnitudes
 from sameas.estimate.photometry import LearningPairs, Photometry
 from sameas.estimate.quantity import MAX_MISSING
 from sameas.estimate.sample import Setting
+from sameas.estimate.unresolved import BlendResolution, Unresolved, UnresolvedTuning, best_resolution
 from sameas.evidence import Brightness, Errors, PoissonField, Rule
 from sameas.evidence.detection import logit
+from sameas.evidence.rule import AS_QUOTED
 from sameas.groups import Groups
 from sameas.kernels import threads
 from sameas.posterior import APPROXIMATE, Posterior, by_messages, posterior
@@ -106,6 +108,7 @@ class EMState:
     average : errors over which probabilities are averaged because pairs are too few; None if ``errors`` are used.
     columns : evidence of other columns, or None.
     companions : excess of close neighbours within a source; None without an excess.
+    unresolved : neighbours that one source does not resolve; None without any.
     """
 
     setting: Setting
@@ -125,6 +128,7 @@ class EMState:
     average: Average | None = None
     columns: ColumnEvidence | None = None
     companions: Companions | None = None
+    unresolved: Unresolved | None = None
     tuning: EMTuning = DEFAULT_EM
 
     @classmethod
@@ -164,7 +168,9 @@ class EMState:
         grades = self.grades and self.grades.for_setting(setting, photometry)
         if columns is not None and self.columns is not None:
             columns = self.columns.for_setting(setting, columns)
-        estimates = replace(self, setting=setting, photometry=photometry, change=0.0, grades=grades, columns=columns)
+        estimates = replace(
+            self, setting=setting, photometry=photometry, change=0.0, grades=grades, columns=columns, unresolved=None
+        )
         return estimates._with_partners((partner[0], partner[1]), (counted[0], counted[1])).with_companions(self)
 
     def with_companions(self, previous: EMState | None = None) -> EMState:
@@ -180,6 +186,49 @@ class EMState:
         else:
             excess = clustering(self.setting, tuning)
         return replace(self, companions=None if excess is None else Companions.of(excess, self.setting, tuning))
+
+    def with_unresolved(self, resolution: BlendResolution | None, tuning: UnresolvedTuning) -> EMState:
+        """The same estimates with the neighbours that are not resolved among these candidates."""
+        if resolution is None:
+            return self
+        magnitude = first_magnitudes(self.photometry)[1 - resolution.coarse]
+        unresolved = Unresolved.of(resolution, self.setting, self.errors, magnitude, tuning)
+        estimates = replace(self, unresolved=unresolved)
+        return estimates._with_unresolved_by(estimates.expectation()[1])
+
+    def _with_unresolved_by(self, p_pair: FloatArray) -> EMState:
+        if self.unresolved is None:
+            return self
+        evidence = self.unresolved.with_probabilities(self.setting, self.errors, p_pair, self.shares())
+        return replace(self, unresolved=evidence)
+
+    def best_resolution(self, p_counted: FloatArray, tuning: UnresolvedTuning) -> BlendResolution | None:
+        """The resolution that the positions show, given the probabilities (m,) of the pairs.
+
+        None if there is none, the pairs are too few to know, or companions explain the neighbours: between two records
+        of one object, too, lies that of the other source.
+        """
+        pairs, probable = self.setting.pairs, np.flatnonzero(p_counted > 0.5)
+        paired = self.companions is not None and self.companions.clustering.level is None
+        if paired or float(p_counted.sum()) < tuning.min_pairs or not len(probable):
+            return None
+        # Probabilities without this evidence, as far as they are known.
+        p_single = self.p_single(p_counted)
+        unit = float(np.median(np.linalg.det(self.errors.typical_covariance(pairs, probable)))) ** (0.5 / pairs.d)
+        # The pairs by the model S once, for all resolutions.
+        setting, errors = replace(self.setting, pairs=self.errors.pairs(pairs)), AS_QUOTED.with_mixture(self.errors)
+
+        def gain(resolution: BlendResolution) -> float:
+            magnitude = first_magnitudes(self.photometry)[1 - resolution.coarse]
+            every = -(-len(self.p_partner[resolution.coarse]) // tuning.max_records)
+            unresolved = Unresolved.of(resolution, setting, errors, magnitude, tuning, every)
+            return -math.inf if unresolved is None else unresolved.gain(setting, errors, p_single, self.shares())
+
+        return best_resolution(gain, unit, tuning)
+
+    def p_single(self, p_pair: FloatArray) -> FloatArray:
+        """(m,) probabilities that the pairs are one object, and no blend with a neighbour."""
+        return p_pair if self.unresolved is None else p_pair * self.unresolved.single
 
     def _change(self, partner: Both) -> float:
         """Sum of the changes of the counted records' probabilities of a partner, in the source with the smaller sum.
@@ -221,7 +270,9 @@ class EMState:
         rule: Rule = self._positions()
         graded = None if self.grades is None else self.grades.rule
         companions = None if self.companions is None else self.companions.rule
-        for term in (self.brightness(), graded, None if self.columns is None else self.columns.rule(), companions):
+        columns = None if self.columns is None else self.columns.rule()
+        unresolved = None if self.unresolved is None else self.unresolved.rule
+        for term in (self.brightness(), graded, columns, companions, unresolved):
             rule = rule if term is None else rule + term
         return rule
 
@@ -356,7 +407,7 @@ class EMState:
         if companions is not None and estimates.mean_shares[0] < least * companions.share:
             estimates = replace(estimates, companions=None)
         if n_common < self.tuning.min_pairs:
-            return estimates
+            return estimates._with_unresolved_by(p_pair)
         grades = self.grades
         if grades is None and self._uses_error_sizes():
             # Records are graded within ranges of magnitude only if the magnitudes of a pair are related. Otherwise the
@@ -382,7 +433,7 @@ class EMState:
                 tuning=self.tuning.scales,
             )  # fmt: skip
             estimates = replace(estimates, errors=self.errors.with_mixture(fit.errors), tail_gain=fit.tail_gain)
-        return estimates
+        return estimates._with_unresolved_by(p_pair)
 
     def _partner_ratios(self) -> Both | None:
         """(n₁,), (n₂,) likelihood of each record's columns and magnitude if it has a partner, over that if it has none;
@@ -411,6 +462,9 @@ class EMState:
         from sameas.kernels.mixture import log_odds
 
         pairs = self.setting.pairs
+        if self.unresolved is not None:
+            p_pair = self.p_single(p_pair)
+            log_ratio = log_ratio + np.log(np.maximum(self.unresolved.single, 1e-300))
         out = self.errors.log_profile(square, pairs.d)
         log_odds(
             pairs.i,
@@ -431,7 +485,9 @@ class EMState:
         if (photometry is None and columns is None) or self.n_common < self.tuning.min_pairs:
             return self
         if photometry is not None:
-            evidence: LearningPairs = (self.setting.pairs, p_counted, self.p_partner, self.shares(), self.covered)
+            # The magnitude of a blend is not that of its brighter object.
+            p_single = self.p_single(p_counted)
+            evidence: LearningPairs = (self.setting.pairs, p_single, self.p_partner, self.shares(), self.covered)
             photometry = photometry.fitted(*evidence, last=last)
         if columns is not None:
             columns = columns.fitted(

@@ -21,6 +21,7 @@ from sameas.estimate.error_trends import Trend
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.result import DEFAULT_MATCH, Estimate, MatchTuning
 from sameas.estimate.sample import Sampling, Setting
+from sameas.estimate.unresolved import BlendResolution
 from sameas.evidence import Errors
 from sameas.evidence.rule import AS_QUOTED
 from sameas.gate import ChiSquare, Pairs, Radius
@@ -69,7 +70,8 @@ class GateResult:
         if not estimates.fits_errors or estimates.n_common < self.tuning.em.min_pairs:
             return estimates.errors, 0.0
         pairs, tuning = estimates.setting.pairs, self.tuning
-        return better_model(estimates.errors, pairs, self.p_counted, tuning.n_model_pairs, tuning.error_fit)
+        p_single = estimates.p_single(self.p_counted)
+        return better_model(estimates.errors, pairs, p_single, tuning.n_model_pairs, tuning.error_fit)
 
     def must_widen(self) -> bool:
         """Whether the outer part of the gate still contains true pairs, and a wider gate is affordable."""
@@ -138,7 +140,8 @@ class GateSearch:
     """EM iterations with a gate that is doubled until it is wide enough.
 
     gate_errors : errors of the gate's distances and of the residuals' model. seed_errors, min_sigmas : errors and gate
-    radius of the first iteration, where a tail is tested.
+    radius of the first iteration, where a tail is tested. resolution : of a source that blends neighbours; None if both
+    resolve all.
     """
 
     coverage: Coverage
@@ -154,6 +157,7 @@ class GateSearch:
     trends: tuple[Trend, ...] = ()
     seed_errors: Errors | None = None
     min_sigmas: float = 0.0
+    resolution: BlendResolution | None = None
 
     def run(self, errors: Errors | None, max_iterations: int) -> GateResult:
         """The result after at most ``max_iterations``; ``errors`` are estimated if not given."""
@@ -184,6 +188,7 @@ class GateSearch:
                 estimates = replace(estimates, errors=initial_errors)
             else:
                 estimates = estimates.for_setting(part, photometry, columns)
+            estimates = estimates.with_unresolved(self.resolution, self.tuning.unresolved)
             result = self._run_gate(estimates, whole, limit, max_iterations - iterations)
             result = replace(result, iterations=iterations + result.iterations)
             estimates, p_counted, iterations = result.estimates, result.p_counted, result.iterations
@@ -259,6 +264,7 @@ class GateSearch:
         estimates = result.estimates
         if result.sampled:
             estimates = estimates.for_setting(result.whole, self.photometry, self.columns)
+            estimates = estimates.with_unresolved(self.resolution, self.tuning.unresolved)
         answer = self._identify(estimates)
         if not result.sampled or _agrees_with_sample(
             float(answer.p_pair.sum()), estimates.expected_common(), float(result.p_counted.sum()), self.tuning

@@ -150,7 +150,7 @@ class Grades:
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
         if number < 2 or all(volume.max() < tuning.min_volume_ratio * volume.min() for volume in volumes):
             return None
-        magnitudes = _magnitudes(photometry)
+        magnitudes = first_magnitudes(photometry)
         one, two = (Scale.of(*side, number, tuning) for side in zip(volumes, magnitudes, strict=True))
         if one.apart or two.apart:
             # Grades of their own for records without a magnitude must not make the table of pairs sparse.
@@ -238,7 +238,7 @@ def _volume(records: Records) -> FloatArray:
     return np.asarray(records.variances.prod(axis=1))
 
 
-def _magnitudes(photometry: Photometry | None) -> tuple[FloatArray | None, FloatArray | None]:
+def first_magnitudes(photometry: Photometry | None) -> tuple[FloatArray | None, FloatArray | None]:
     """(n₁,), (n₂,) magnitudes in the first band of each source."""
     if photometry is None:
         return None, None
@@ -257,7 +257,7 @@ def _grades_and_cells(
     most = min(setting.n_counted) / tuning.records_per_sky_cell
     one, two = (
         scale.grades(volume, magnitude)
-        for scale, volume, magnitude in zip(scales, volumes, _magnitudes(photometry), strict=True)
+        for scale, volume, magnitude in zip(scales, volumes, first_magnitudes(photometry), strict=True)
     )
     level = next((level for level in setting.levels[::-1] if len(level.volume) <= most), setting.levels[0])
     return (one, two), (level.of_first, level.of_second)

@@ -89,7 +89,8 @@ def match(
     search, result, remarks = _fit(search, scan, errors)
     result = search.without_message_errors(result)
     answer, result = search.identify_all(result)
-    return answer, replace(to_estimate(answer, search.coverage, result, remarks), trends=search.trends)
+    estimate = to_estimate(answer, search.coverage, result, remarks)
+    return answer, replace(estimate, trends=search.trends, resolution=search.resolution)
 
 
 def _expected_work(coverage: Coverage, density: tuple[float, float] | None) -> float:
@@ -144,7 +145,7 @@ def match_sample(
     photometry = _photometry(coverage.first, coverage.second, brightness, tuning)
     all_records, density = Sampling(enough=2**62), assumed.density
     # Trends would apply to the records of the sample only; companions need all records.
-    tuning = replace(tuning, fits_trends=False, em=replace(tuning.em, companions=None))
+    tuning = replace(tuning, fits_trends=False, fits_resolution=False, em=replace(tuning.em, companions=None))
     search = GateSearch(
         coverage, photometry, assumed.precision, density, assumed.gate, all_records, progress, tuning=tuning,
         columns=columns,
@@ -180,12 +181,21 @@ def _fit(search: GateSearch, scan: ErrorScan | None, errors: Errors | None) -> t
         search, result = _fit_tail(search, result)
     if tuning.fits_trends and errors is None and result.converged:
         search, result = _fit_trends(search, result)
+    if tuning.fits_resolution:
+        search, result = _fit_resolution(search, result, errors)
     if result.has_learned and not has_excess(search.gate_errors.pairs(result.whole.pairs), result.gate_sigmas, tuning):
         more = search.photometry is not None or search.columns is not None
         assumed = "positions and quoted errors alone" if more else "the quoted errors"
         given = search.columns and search.columns.given_only
         search = replace(
-            search, photometry=None, precision=False, columns=given, trends=(), seed_errors=None, min_sigmas=0.0
+            search,
+            photometry=None,
+            precision=False,
+            columns=given,
+            trends=(),
+            seed_errors=None,
+            min_sigmas=0.0,
+            resolution=None,
         )
         result = _rerun(search, result, errors or Errors())
         remarks.append(f"close candidates do not exceed what chance gives; {assumed} are used")
@@ -241,13 +251,28 @@ def _fit_trends(search: GateSearch, result: GateResult) -> tuple[GateSearch, Gat
         if result.iterations >= tuning.max_iterations or not estimates.fits_errors or few:
             break
         model, trends, gain = with_trends(
-            estimates.errors, estimates.setting.pairs, result.p_counted, quantities, tuning.n_model_pairs,
-            search.trends, tuning.trends, tuning.error_fit,
+            estimates.errors, estimates.setting.pairs, estimates.p_single(result.p_counted), quantities,
+            tuning.n_model_pairs, search.trends, tuning.trends, tuning.error_fit,
         )  # fmt: skip
         if gain < (tuning.min_trend_gain if search.trends else tuning.min_gain):
             break
         changed = replace(search, gate_errors=model, trends=trends)
         again = _rerun(changed, result, None)
+        if again.is_worse_than(result):
+            break
+        search, result = changed, again
+    return search, result
+
+
+def _fit_resolution(search: GateSearch, result: GateResult, errors: Errors | None) -> tuple[GateSearch, GateResult]:
+    """The search and result with the resolution of a source that blends neighbours of the other, if one does."""
+    tuning = search.tuning
+    for _ in range(tuning.max_resolution_fits):
+        found = result.estimates.best_resolution(result.p_counted, tuning.unresolved)
+        if found is None or found.is_near(search.resolution):
+            break
+        changed = replace(search, resolution=found)
+        again = _rerun(changed, result, errors)
         if again.is_worse_than(result):
             break
         search, result = changed, again

@@ -25,6 +25,7 @@ from sameas.estimate.error_trends import DEFAULT_TRENDS, Trend, TrendTuning
 from sameas.estimate.photometry import DEFAULT_RELATIONS, Photometry, RelationTuning
 from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
 from sameas.estimate.share_regression import DEFAULT_COLUMNS, ColumnsTuning
+from sameas.estimate.unresolved import DEFAULT_UNRESOLVED, BlendResolution, UnresolvedTuning
 from sameas.evidence import Errors, Precision
 from sameas.evidence.detection import DetectionCurve
 from sameas.representation import in_short
@@ -63,12 +64,14 @@ class MatchTuning:
         this share and the statistical error.
     fits_trends : whether growth of the errors is fitted, at most ``max_trend_fits`` times, while a further fit gains
         ``min_trend_gain`` in ln likelihood.
+    fits_resolution : whether the resolution of a source that blends neighbours is fitted, at most
+        ``max_resolution_fits`` times.
     max_unrelated : from this share of pairs with unrelated magnitudes on, a note is given.
     max_interpreted : records plus twice the expected chance candidates above which interpreting the kernels takes
         longer than reading the compiled ones from the cache (measured with 200 to 2 000 records).
     em : tuning of EM iterations. relations : of magnitudes. columns : of other columns. trends : of growing errors.
     grid : of the scan of error models before any iteration. coverage : of cells, densities and holes. error_fit : of
-        factors, floors and tails.
+        factors, floors and tails. unresolved : of the resolution.
     """
 
     max_iterations: int = 30
@@ -91,6 +94,8 @@ class MatchTuning:
     fits_trends: bool = True
     max_trend_fits: int = 3
     min_trend_gain: float = 2.0
+    fits_resolution: bool = True
+    max_resolution_fits: int = 2
     max_unrelated: float = 0.5
     max_interpreted: float = 2_300.0
     em: EMTuning = DEFAULT_EM
@@ -100,6 +105,7 @@ class MatchTuning:
     grid: GridTuning = DEFAULT_GRID
     coverage: CoverageTuning = DEFAULT_COVERAGE
     error_fit: ErrorFitTuning = DEFAULT_ERROR_FIT
+    unresolved: UnresolvedTuning = DEFAULT_UNRESOLVED
 
 
 DEFAULT_MATCH = MatchTuning()
@@ -122,8 +128,9 @@ class Estimate:
     photometry : relations of the magnitudes of both sources; None if not given or not informative.
     precision : evidence of the sizes of the quoted errors; None if not used or not informative.
     columns : evidence of other columns; None if not given.
-    trends : growth of the errors in addition to the quoted ones; included in ``errors``. tuning : as of
-        :func:`sameas.estimate.match.match`.
+    trends : growth of the errors in addition to the quoted ones; included in ``errors``.
+    resolution : of the source that blends neighbours of the other, as the evidence allows for; None without.
+    tuning : as of :func:`sameas.estimate.match.match`.
     answer : the identification. errors_estimated : whether the distribution of the errors was estimated from its pairs.
     error_ranges : ranges of the errors over which probabilities are averaged with few pairs; None with many.
 
@@ -147,6 +154,7 @@ class Estimate:
     error_ranges: ErrorRanges | None = None
     columns: ColumnEvidence | None = None
     trends: tuple[Trend, ...] = ()
+    resolution: BlendResolution | None = None
     tuning: MatchTuning = field(default=DEFAULT_MATCH, repr=False)
 
     @cached_property

@@ -114,6 +114,7 @@ def _estimates(estimate: Estimate) -> dict[str, Any]:
         "evidence_error_factor_1": estimate.errors.factor_1,
         "evidence_error_factor_2": estimate.errors.factor_2,
         **({"evidence_error_trends": trends} if (trends := _trends(estimate)) else {}),
+        **({"evidence_resolution": f"source {r.coarse + 1}: {r.separation:.4g}"} if (r := estimate.resolution) else {}),
     }
 
 

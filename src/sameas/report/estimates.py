@@ -33,6 +33,7 @@ def finding_lines(match: SkyMatch) -> list[str]:
         *entry("errors", _errors_in_words(match)),
         *(entry("  by catalogue", words) if (words := by_source(match)) else ()),
         *(entry("  in the evidence", words) if (words := _evidence_errors(match)) else ()),
+        *_resolution(match),
         *_brightness(match),
         *_columns(match),
         *entry("gate", f"{e.gate_sigmas:.1f} quoted σ"),
@@ -64,6 +65,17 @@ def _unmatched(match: SkyMatch) -> list[str]:
     ]
     words = f"{per_deg2[0]} of {match.first.name} and {per_deg2[1]} of {match.second.name} per square degree"
     return entry("only in one catalogue", words)
+
+
+def _resolution(match: SkyMatch) -> list[str]:
+    """The resolution of a catalogue that blends neighbours of the other; nothing if both resolve all."""
+    resolution = match.estimate.resolution
+    if resolution is None:
+        return []
+    names = match.first.name, match.second.name
+    coarse, fine = names[resolution.coarse], names[1 - resolution.coarse]
+    words = f"half of two objects of {fine} {resolution.separation:.2g} arcsec apart are one record of {coarse}"
+    return entry("resolution", f"{words}, between them; it is taken for the brighter one")
 
 
 def by_source(match: SkyMatch) -> str:

@@ -1,0 +1,255 @@
+"""Unresolved neighbours: a coarse source shows two near objects of the fine one as one record between them.
+
+One to one, such a record is the brighter of the two objects, but lies off it towards the other. Without this, every
+record between two objects looks surely like the nearer one. Two objects at a separation s are one record of the coarse
+source with the probability B(s) = 2^−(s/ℓ)⁴, ℓ its resolution, as in :mod:`~sameas.estimate.blends`. With w the
+share of the brighter one in the flux, the density of the residual of a pair (i, j) is multiplied by
+
+    1 − Σ β_k + Σ β_k ∫ p(w) N(x_j − w x_i − (1 − w) x_k; S) dw / N(x_j − x_i; S)
+
+over the neighbours k of i in the fine source, the integral over w > ½. β_k is the probability that i and k are one
+record, if they are j's partner: B u / (B + (1 − B)(1 − c)), where u is the probability that k has no partner
+but j, and c the share of the records there that have a partner. Without magnitudes w is uniform; with them
+β_k is multiplied by the probability that i is the brighter one, and the sum is divided by its mean over all positions.
+
+ℓ is that of a grid with the greatest likelihood, given the probabilities of the pairs.
+:func:`sameas.estimate.blends.find_blends` gives the two objects of each record instead, for a resolution that is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.estimate.sample import Setting
+from sameas.evidence import Errors, Evidence, Rule
+from sameas.gate import Pairs
+from sameas.gaussian import inverse
+from sameas.representation import in_short
+
+
+@dataclass(frozen=True)
+class UnresolvedTuning:
+    """Parameters of the search for a resolution; all chosen.
+
+    reach : maximum separation of two objects that are one record, in resolutions.
+    tried : resolutions, in typical errors of a pair.
+    shares : w of the brighter object, equally probable.
+    colour_mag : scatter of the objects' colours, by which the shares by the fine source's magnitudes are uncertain.
+    max_couples : maximum mean number of neighbours per candidate; denser fields are left as they are.
+    min_pairs : expected number of pairs from which a resolution is sought.
+    max_records : of the coarse source, from which the resolution is found.
+    min_gain : gain in ln likelihood over full resolution.
+    """
+
+    reach: float = 1.5
+    tried: tuple[float, ...] = (1.5, 1.9, 2.3, 2.9, 3.6, 4.5, 5.6, 7.0)
+    shares: tuple[float, ...] = (0.55, 0.65, 0.75, 0.85, 0.95)
+    colour_mag: float = 0.3
+    max_couples: float = 20.0
+    min_pairs: float = 200.0
+    max_records: int = 20_000
+    min_gain: float = 12.0
+
+
+DEFAULT_UNRESOLVED = UnresolvedTuning()
+#: Limit of ln of the ratio of two densities, so that sums do not overflow.
+MAX_LOG_RATIO = 50.0
+
+Both = tuple[FloatArray, FloatArray]
+
+
+@dataclass(frozen=True)
+class BlendResolution:
+    """The separation at which half of the couples of objects are one record of source ``coarse`` (0 or 1), in the unit
+    of the residuals."""
+
+    coarse: int
+    separation: float
+
+    def is_near(self, other: BlendResolution | None) -> bool:
+        """Whether the other is of the same source and within a tenth."""
+        return other is not None and other.coarse == self.coarse and abs(self.separation / other.separation - 1.0) < 0.1
+
+
+@in_short
+@dataclass(frozen=True)
+class UnresolvedRule(Rule):
+    """The rule whose evidence for all pairs is ``term`` (m,)."""
+
+    term: FloatArray
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        return Evidence({"unresolved neighbours": self.term})
+
+
+@in_short
+@dataclass(frozen=True)
+class Unresolved:
+    """The neighbours of the candidates of one setting.
+
+    pair, neighbour : (q,) two candidates of one coarse record. separation : (q,) of their fine records.
+    square, mirrored : (q, w) squared normalised distance of the coarse record from the point between them, by the share
+        w; and from the point as far on the other side.
+    weight : (q, w) probability of the share, if the fine record of ``pair`` is the brighter one. brighter : (q,)
+        probability of that by magnitudes; 1 where they are unknown.
+    term : (m,) evidence of the pairs. single : (m,) probability that the pair is no blend, if it is one object.
+    """
+
+    resolution: BlendResolution
+    pair: IntArray
+    neighbour: IntArray
+    separation: FloatArray
+    square: FloatArray = field(repr=False)
+    mirrored: FloatArray = field(repr=False)
+    weight: FloatArray = field(repr=False)
+    brighter: FloatArray = field(repr=False)
+    term: FloatArray = field(repr=False)
+    single: FloatArray = field(repr=False)
+
+    @classmethod
+    def of(
+        cls, resolution: BlendResolution, setting: Setting, errors: Errors, magnitude: FloatArray | None,
+        tuning: UnresolvedTuning = DEFAULT_UNRESOLVED, every: int = 1,
+    ) -> Unresolved | None:  # fmt: skip
+        """The neighbours before any probabilities are known; None if there are too many.
+
+        errors : whose model S measures distances. magnitude : (n,) of the fine source's records, NaN where unknown.
+        every : 1 for all records of the coarse source, or every second, third, …
+        """
+        pairs = errors.pairs(setting.pairs)
+        fine, coarse = _sides(resolution, pairs)
+        some = np.arange(len(pairs)) if every == 1 else np.flatnonzero(coarse % every == 0)
+        reach = tuning.reach * resolution.separation
+        parts = [(some[a], some[b]) for a, b in _couples(pairs.residual[some], coarse[some], reach)]
+        if sum(len(one) for one, _ in parts) > tuning.max_couples * len(some):
+            return None
+        pair, neighbour = (np.concatenate([part[k] for part in parts] or [np.empty(0, np.int64)]) for k in (0, 1))
+        apart = pairs.residual[neighbour] - pairs.residual[pair]
+        precision, shares = inverse(pairs.covariance_of(pair)), np.array(tuning.shares)
+        along = np.einsum("qv,qvw,qw->q", pairs.residual[pair], precision, apart)[:, None]
+        between = np.einsum("qv,qvw,qw->q", apart, precision, apart)[:, None]
+        even, odd = pairs.mahalanobis_sq[pair, None] + (1.0 - shares) ** 2 * between, 2.0 * (1.0 - shares) * along
+        weight, brighter = np.full(even.shape, 1.0 / len(shares)), np.ones(len(pair))
+        if magnitude is not None:
+            fainter = magnitude[fine[neighbour]] - magnitude[fine[pair]]
+            known = np.isfinite(fainter)
+            by_share = _share_weights(fainter[known], shares, tuning.colour_mag)
+            brighter[known] = by_share.sum(axis=1)
+            weight[known] = by_share / np.maximum(brighter[known], 1e-9)[:, None]
+        none, all_single = np.zeros(len(pairs)), np.ones(len(pairs))
+        separation = np.sqrt((apart**2).sum(axis=1))
+        return cls(
+            resolution, pair, neighbour, separation, even + odd, even - odd, weight, brighter, none, all_single
+        )  # fmt: skip
+
+    @property
+    def rule(self) -> UnresolvedRule:
+        """The evidence."""
+        return UnresolvedRule(self.term)
+
+    def with_probabilities(self, setting: Setting, errors: Errors, p_pair: FloatArray, share: Both) -> Unresolved:
+        """The evidence by the probabilities (m,) of the pairs, and the local shares (n₁,), (n₂,) with a partner."""
+        blended = self._blended(setting, p_pair, share)
+        single = np.maximum(1.0 - self._by_pair(blended, setting), 0.0)
+        brighter = blended * self.brighter
+        toward = single + self._by_pair(brighter * self._ratio(self.square, setting, errors), setting)
+        term = np.log(np.maximum(toward, 1e-9)) - np.log(np.maximum(single + self._by_pair(brighter, setting), 1e-9))
+        return replace(self, term=term, single=single / np.maximum(toward, 1e-9))
+
+    def gain(self, setting: Setting, errors: Errors, p_pair: FloatArray, share: Both) -> float:
+        """Gain in ln likelihood of the positions, given the probabilities (m,) of the pairs without this evidence.
+
+        It is that beyond the mirrored points, which tails of the errors reach as well as the points between.
+        """
+        _, coarse = _sides(self.resolution, setting.pairs)
+        blended = np.where(self.brighter > 0.5, self._blended(setting, p_pair, share), 0.0)
+        gains = []
+        for square in (self.square, self.mirrored):
+            change = p_pair * self._by_pair(blended * (self._ratio(square, setting, errors) - 1.0), setting)
+            of_record = np.bincount(coarse, change, len(share[self.resolution.coarse]))
+            gains.append(float(np.log1p(np.maximum(of_record, -1.0 + 1e-9)).sum()))
+        return gains[0] - max(gains[1], 0.0)
+
+    def _blended(self, setting: Setting, p_pair: FloatArray, share: Both) -> FloatArray:
+        """(q,) probability β that both records are one of the coarse source; at most 1 for all neighbours of a pair."""
+        fine, _ = _sides(self.resolution, setting.pairs)
+        missing = 1.0 - share[1 - self.resolution.coarse]
+        k, own = fine[self.neighbour], p_pair[self.neighbour]
+        others = np.bincount(fine, p_pair, len(missing))[k] - own
+        free = np.clip(1.0 - others / np.maximum(1.0 - own, 1e-9), 0.0, 1.0)
+        merged = np.exp2(-((self.separation / self.resolution.separation) ** 4))
+        blended = free * merged / (merged + (1.0 - merged) * np.maximum(missing[k], 1e-3))
+        return np.asarray(blended / np.maximum(self._by_pair(blended, setting), 1.0)[self.pair])
+
+    def _ratio(self, square: FloatArray, setting: Setting, errors: Errors) -> FloatArray:
+        """(q,) density at these squared distances (q, w), averaged over the shares, over that of the pair."""
+        d = setting.pairs.d
+        at_pair = errors.log_profile(errors.pairs(setting.pairs).mahalanobis_sq, d)[self.pair, None]
+        log_ratio = errors.log_profile(square.ravel(), d).reshape(square.shape) - at_pair
+        return np.asarray((self.weight * np.exp(np.minimum(log_ratio, MAX_LOG_RATIO))).sum(axis=1))
+
+    def _by_pair(self, values: FloatArray, setting: Setting) -> FloatArray:
+        """(m,) sums of values (q,) over the neighbours of each pair."""
+        return np.bincount(self.pair, values, len(setting.pairs)).astype(np.float64)
+
+
+def _sides(resolution: BlendResolution, pairs: Pairs) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """(m,) records of the fine and of the coarse source."""
+    return (pairs.j, pairs.i) if resolution.coarse == 0 else (pairs.i, pairs.j)
+
+
+def _share_weights(fainter: FloatArray, shares: FloatArray, scatter_mag: float) -> FloatArray:
+    """(q, w) probabilities of the shares w of objects whose neighbours are fainter by (q,) magnitudes, with a scatter;
+    they sum to less than 1 where the neighbour may be the brighter one."""
+    from scipy.special import ndtr
+
+    half = 0.5 / len(shares)
+    edges = np.append(shares - half, 1.0 - 1e-9)
+    magnitude = 2.5 * np.log10(edges / (1.0 - edges))
+    below = ndtr((magnitude - fainter[:, None]) / scatter_mag)
+    below[:, -1] = 1.0
+    return np.asarray(np.diff(below, axis=1))
+
+
+def _couples(residual: FloatArray, coarse: NDArray[np.int32], most: float) -> Iterator[tuple[IntArray, IntArray]]:
+    """Couples of pairs of one coarse record whose fine records are at most so far apart, both ways."""
+    order = np.lexsort((residual[:, 0], coarse))
+    record, place = coarse[order], residual[order]
+    first, step = np.arange(len(order)), 0
+    while len(first):
+        step += 1
+        first = first[: np.searchsorted(first, len(order) - step)]
+        second = first + step
+        # Those that are too far along the first axis are also too far from all later ones.
+        possible = (record[first] == record[second]) & (place[second, 0] - place[first, 0] <= most)
+        first, second = first[possible], second[possible]
+        near = ((place[second] - place[first]) ** 2).sum(axis=1) <= most**2
+        one, two = order[first[near]], order[second[near]]
+        yield one, two
+        yield two, one
+
+
+def best_resolution(
+    gain: Callable[[BlendResolution], float], unit: float, tuning: UnresolvedTuning
+) -> BlendResolution | None:
+    """The resolution of greatest gain in ln likelihood; None if both sources resolve all their neighbours.
+
+    gain : of a resolution. unit : typical error of a pair.
+    """
+    best, most = None, tuning.min_gain
+    for coarse in (0, 1):
+        gains: list[float] = []
+        for multiple in tuning.tried:
+            gains.append(gain(BlendResolution(coarse, multiple * unit)))
+            if gains[-1] < max(gains) - 2.0 * tuning.min_gain:
+                break
+        at = int(np.argmax(gains))
+        # A gain that grows up to the largest resolution is one of a tail of the errors.
+        if at < len(gains) - 1 and gains[at] > most:
+            best, most = BlendResolution(coarse, tuning.tried[at] * unit), gains[at]
+    return best
