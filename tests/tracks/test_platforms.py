@@ -9,7 +9,7 @@ from sameas.errors import InputError
 from sameas.io.sensors import ReadOptions, read_reports
 from sameas.io.sensors.sentences import AisWriter, clock, heading, position
 from sameas.picture.live import LivePicture
-from sameas.tracks import Description, Platform, Reports, Scene, SensorErrors
+from sameas.tracks import Description, Platform, Reports, Scene, SensorErrors, Timing
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.source import Site, read_descriptions
 
@@ -64,6 +64,17 @@ def test_plots_are_placed_from_where_the_vessel_is(platform, other):
     # A turn between two positions ten seconds apart is cut by ten metres.
     assert np.abs(feed.sensor_m - boat(TIMES)).max() < (0.1 if other.source == "gps" else 10.1)
     assert np.abs(feed.reports.state[:, :2] - BUOY).max() < (0.1 if other.source == "gps" else 10.1)
+
+
+@pytest.mark.parametrize("bow", [False, True])
+def test_a_radar_with_late_stamps_is_where_the_vessel_was_when_it_measured(bow):
+    """She was taken to be where she was at the time of the stamps: a known latency put every target elsewhere."""
+    made, turned = bow_plots() if bow else plots(), Timing(latency_s=20.0, latency_sigma_s=0.1)
+    late = replace(made, time_s=made.time_s + 20.0)
+    radar = replace(described(source="gps"), timing=turned)
+    places = scene(radar, compass() if bow else gps(), reports=late).feeds[0].reports
+    assert len(places) == len(TIMES) and np.abs(places.state[:, :2] - BUOY).max() < 1.0
+    assert places.time_s == pytest.approx(TIMES)
 
 
 def test_plots_at_times_without_a_position_are_set_aside_and_counted():
@@ -311,3 +322,31 @@ def test_plots_that_a_radar_aboard_gives_as_places_are_measured_from_her(places)
     named = replace(found, track_id=np.full(len(found), "1", object))
     if places == "degrees":
         assert scene(radar, replace(gps(), kind="own ship"), reports=named).feeds[0].sensor_m is None
+
+
+@pytest.mark.parametrize("bow", [False, True])
+def test_a_radar_aboard_whose_stamps_are_a_minute_late_is_doubted_as_such(bow):
+    """She was placed where she was a minute later: her radar was said to match nothing, or to be read wrongly."""
+    rng, times = np.random.default_rng(2), START_S + np.arange(0.0, 300.0, 3.0)
+    start, velocity = rng.uniform(-4e3, 4e3, (7, 2)), rng.normal(0.0, 5.0, (7, 2))
+    seen, told = [], []
+    for t in times:
+        for k, place in enumerate(start + velocity * (t - START_S)):
+            arm = place - boat(t)[0]
+            bearing = np.degrees(np.arctan2(*arm)) - (headings(np.array([t]))[0] if bow else 0.0)
+            seen.append((t + 60.0, f"{k}", np.hypot(*arm) + 5.0 * rng.normal(), (bearing + 0.3 * rng.normal()) % 360.0))
+            if t % 9.0 == 0.0:
+                told.append((t, f"21130000{k}", *PLANE.to_geodetic(place[None] + 5.0 * rng.normal(size=2))))
+    time_s, track, range_m, bearing_deg = map(list, zip(*seen, strict=True))
+    columns = {"time_s": time_s, "track_id": track, "range_m": range_m}
+    radar = Reports.of("radar", "table", columns | {"relative_bearing_deg" if bow else "bearing_deg": bearing_deg})
+    time_s, mmsi, lat, lon = zip(*told, strict=True)
+    heard = {"time_s": np.array(time_s), "lat_deg": np.concatenate(lat), "lon_deg": np.concatenate(lon)}
+    ais_reports = Reports.of("ais", "ais", heard | {"mmsi": np.array(mmsi)})
+    long = np.arange(START_S - 5.0, START_S + 370.0, 1.0)
+    lat, lon = PLANE.to_geodetic(boat(long))
+    more = {"heading_deg": headings(long)} if bow else {}
+    own = Reports.of("gps", "table", {"time_s": long, "lat_deg": lat, "lon_deg": lon} | more)
+    [doubt] = scene(described(source="gps"), own, ais_reports, reports=radar).doubts()
+    assert "radar: its stamps look about 60 s late: with that removed" in str(doubt), doubt
+    assert "give latency_s = 60 in its timing" in str(doubt)

@@ -693,6 +693,26 @@ def test_a_table_of_a_german_excel_is_read(tmp_path):
     assert any("Breite as lat_deg, Länge as lon_deg" in note for note in made.notes)
 
 
+def test_breite_and_laenge_beside_ranges_are_a_place_where_they_cannot_be_sizes(tmp_path):
+    """They were taken for the width and the length of the targets, of 52 m and 4 m."""
+    rows = [
+        f"2024-06-01T10:00:{3 * k:02d}Z;51,98{k:02d};4,00{k:02d};{2000 + 800 * (k % 3)};{45 + 90 * (k % 4)}"
+        for k in range(9)
+    ]
+    (tmp_path / "radar.csv").write_text(
+        "Zeit;Breite;Länge;Entfernung;Peilung\n" + "\n".join(rows) + "\n", encoding="utf-8"
+    )
+    [made] = read_reports(tmp_path / "radar.csv")
+    assert made.width_m is None and made.lat_deg is None and made.station_lat_deg[:2].tolist() == [51.98, 51.9801]
+    assert made.station_lon_deg[:2].tolist() == [4.0, 4.0001]
+    sizes = [row.replace("51,98", "2").replace(";4,00", ";12") for row in rows]
+    (tmp_path / "radar.csv").write_text(
+        "Zeit;Breite;Länge;Entfernung;Peilung\n" + "\n".join(sizes) + "\n", encoding="utf-8"
+    )
+    [made] = read_reports(tmp_path / "radar.csv")
+    assert made.station_lat_deg is None and made.width_m[0] == 200.0 and made.length_m[0] == 1200.0
+
+
 def test_dates_of_other_languages_have_the_day_first():
     made = table("Fecha;Hora;Latitud;Longitud;MMSI\n01/05/2024;12:00:10;54,5;10,25;211000001\n")
     assert made.time_s[0] == datetime(2024, 5, 1, 12, 0, 10, tzinfo=UTC).timestamp()

@@ -7,7 +7,7 @@ of sources at another place or of other days, are in :mod:`sameas.tracks.elsewhe
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +27,7 @@ from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_track
 from sameas.tracks.registration import unbiased
 from sameas.tracks.snapshot import ComparedSource, bias_widths, common_scans
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
-from sameas.tracks.unit_guesses import HOURS, UnitGuess, clock_guesses, range_guesses, unit_guesses
+from sameas.tracks.unit_guesses import HOURS, UnitGuess, clock_guesses, delay_guesses, range_guesses, unit_guesses
 
 
 @dataclass(frozen=True)
@@ -284,7 +284,9 @@ def _best_guess(
 def _guessed_feeds(feed: Feed, plane: LocalPlane | None) -> Iterator[tuple[str, str, str, Feed]]:
     """Suspicion, change, remedy, and the resulting feed, for each guess."""
     if feed.raw_reports is not None:
-        for guess in unit_guesses(feed.raw_reports):
+        # Delays of plots without numbers would take a quarter of a minute.
+        delays: Iterable[UnitGuess] = delay_guesses(feed.raw_reports) if shows_tracks(feed) else ()
+        for guess in (*unit_guesses(feed.raw_reports), *delays):
             source = guess.read(feed.description, feed.raw_reports)
             if source is None:
                 continue

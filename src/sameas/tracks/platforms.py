@@ -67,11 +67,14 @@ def on_platform(
     if reports.position == "local" and steps and vessel[0].lat_deg is not None:
         reports = _from_ship(reports)
         notes.append(f"{description.name}: x and y are read as metres east and north of the {platform}")
+    # She was there when they were measured, not when they were stamped.
+    late_s = description.timing.latency_s or 0.0
+    reports = replace(reports, time_s=reports.time_s - late_s)
     for step in steps:
         if len(reports):
             reports, of_step = step(description.name, platform, vessel, reports, tuning)
             notes += of_step
-    return reports, tuple(notes)
+    return replace(reports, time_s=reports.time_s + late_s), tuple(notes)
 
 
 #: The kind of reports of the positions of a ship by her own receivers.

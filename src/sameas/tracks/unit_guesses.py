@@ -22,6 +22,8 @@ from sameas.tracks.source import Description, Site
 LENGTHS = (("kilometres", 1000.0), ("nautical miles", MILE_M), ("feet", FOOT_M), ("millimetres", 0.001))
 #: Hours between time zones, and seconds by which GPS time is ahead of UTC since 2017.
 HOURS, LEAP_S = (*range(-12, 0), *range(1, 15)), 18.0
+#: Delays of stamps that are tried, and of clocks that are early, in seconds: a queue, a recorder, a clock set by hand.
+DELAYS = (*range(15, 195, 15), *range(-60, 0, 15))
 DEGREE = 180.0 / math.pi
 
 Source = tuple[Description, Reports]
@@ -103,6 +105,47 @@ def clock_guesses() -> Iterator[tuple[str, str, float]]:
         ahead = "ahead" if hours > 0 else "behind"
         yield (f"clock looks {abs(hours)} h {ahead}, as in another time zone", "give its times in UTC", 3600.0 * hours)
     yield "clock looks 18 s ahead, as that of satellites", "take the leap seconds off its times", LEAP_S
+    for delay_s in DELAYS:
+        yield *_delay_words(delay_s), float(delay_s)
+
+
+def delay_guesses(reports: Reports) -> Iterator[UnitGuess]:
+    """Delays of the stamps of a sensor that moves: its vessel was elsewhere when it measured, and headed elsewhere.
+
+    Its bearings may be from the bow, turned by the heading at the time of the stamps, or from north.
+    """
+    if reports.station_lat_deg is None or reports.bearing_deg is None:
+        return
+    for delay_s in DELAYS:
+        suspicion, remedy = _delay_words(delay_s)
+        for turned in (False, True) if reports.station_heading_deg is not None else (False,):
+            yield UnitGuess(suspicion, "that removed", remedy, _with_delay(delay_s, turned=turned))
+
+
+def _delay_words(delay_s: float) -> tuple[str, str]:
+    late = "late" if delay_s > 0 else "early"
+    return f"stamps look about {abs(delay_s)} s {late}", f"give latency_s = {delay_s} in its timing, or correct them"
+
+
+def _with_delay(delay_s: float, *, turned: bool) -> Read:
+    def read(about: Description, reports: Reports) -> Source | None:
+        order = np.argsort(reports.time_s, kind="stable")
+        time_s = reports.time_s[order]
+
+        def before(values: FloatArray) -> FloatArray:
+            return np.interp(reports.time_s - delay_s, time_s, np.asarray(values)[order])
+
+        known = (reports.time_s - delay_s >= time_s[0]) & (reports.time_s - delay_s <= time_s[-1])
+        new: dict[str, Any] = {"time_s": reports.time_s - delay_s}
+        new |= {name: before(getattr(reports, name)) for name in ("station_lat_deg", "station_lon_deg")}
+        if turned:
+            heading_deg = np.asarray(reports.station_heading_deg)
+            whole = heading_deg.copy()
+            whole[order] = np.unwrap(heading_deg[order], period=360.0)
+            new["bearing_deg"] = np.mod(np.asarray(reports.bearing_deg) + before(whole) - heading_deg, 360.0)
+        return (about, replace(reports, **new).where(known)) if known.any() else None
+
+    return read
 
 
 def _scaled(factor: float, *columns: str) -> Read:

@@ -80,6 +80,8 @@ NAMES: Mapping[str, str] = {
 _BREADTHS = (
     ("breite", "lange laenge"), ("bredde", "lengde laengde langde"), ("bredd", "langd"), ("breedte", "lengte"),
 )  # fmt: skip
+#: Those for latitude and width.
+BREADTHS = frozenset(breadth for breadth, _ in _BREADTHS)
 #: Words that are something else in English tables: column, word, and names of which one must be there too.
 _IN_COMPANY = (
     ("time_s", "datum", "zeit uhrzeit breite breitengrad kurs geschwindigkeit peilung tijd koers snelheid tid fart"),

@@ -18,7 +18,7 @@ import numpy as np
 from sameas.errors import Argument, InputError, Message
 from sameas.io.sensors.ais import SIDES
 from sameas.io.sensors.format import FEET_PER_MINUTE_M_PER_S, KNOT_M_PER_S
-from sameas.io.sensors.languages import PLACES, names_in, plain
+from sameas.io.sensors.languages import BREADTHS, PLACES, names_in, plain
 from sameas.tracks.coordinates import FOOT_M, MILE_M
 
 #: Units by kind of quantity: as written at the end of a name, and their factor to our unit.
@@ -324,6 +324,32 @@ def _with_own_place(chosen: dict[str, Choice], kind: str | None) -> dict[str, Ch
         for name, choice in (("lat_deg", lat), ("lon_deg", lon))
     }
     return {column: choice for column, choice in chosen.items() if choice not in (lat, lon)} | own
+
+
+def with_breadths_as_places(
+    values: Mapping[str, Any], chosen: Mapping[str, Choice]
+) -> tuple[dict[str, Any], dict[str, Choice]]:
+    """The values with a width and a length as latitude and longitude, where one word is both and they cannot be sizes:
+    those of ships are in metres with two decimals at most, and a ship is not wider than she is long.
+
+    >>> choices = choose(["Zeit", "Breite", "Länge", "Entfernung", "Peilung"], "radar")
+    >>> values = {"range_m": np.ones(2), "width_m": np.array([51.98, 51.981]), "length_m": np.array([4.0, 4.001])}
+    >>> sorted(with_breadths_as_places(values, choices)[0])
+    ['lat_deg', 'lon_deg', 'range_m']
+    """
+    out, choices = dict(values), dict(chosen)
+    if not {"width_m", "length_m", "range_m"} <= set(out) or "lat_deg" in out:
+        return out, choices
+    if stem_of(choices["width_m"].name)[0] not in BREADTHS:
+        return out, choices
+    width, length = out["width_m"], out["length_m"]
+    finer = np.abs(100.0 * width - np.round(100.0 * width)) > 1e-6
+    if np.mean(finer | (width > length)) < 0.5 or np.nanmax(np.abs(width)) > 90.0 or np.nanmax(np.abs(length)) > 180.0:
+        return out, choices
+    for size, place in (("width_m", "lat_deg"), ("length_m", "lon_deg")):
+        out[place] = out.pop(size)
+        choices[place] = replace(choices.pop(size), quantity=_QUANTITY[place])
+    return out, choices
 
 
 #: Change of the arm from one report to the next above which they are of different objects, m; the part of it that the

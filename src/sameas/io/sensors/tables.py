@@ -32,7 +32,15 @@ from sameas.io.sensors.format import (
 )
 from sameas.io.sensors.languages import DATES, HOURS, plain
 from sameas.io.sensors.table_cells import NULLS, PARQUET, TableText, cells_of, distinct_texts, of_each, parts_of
-from sameas.io.sensors.table_columns import NO_UNIT, Choice, choose, require_columns, stem_of, with_sensors_motion
+from sameas.io.sensors.table_columns import (
+    NO_UNIT,
+    Choice,
+    choose,
+    require_columns,
+    stem_of,
+    with_breadths_as_places,
+    with_sensors_motion,
+)
 from sameas.io.sensors.table_times import FIRST_S, milliseconds, times_of
 from sameas.representation import counted
 from sameas.tracks.reports import DIRECTIONS, Damaged, Reports, is_impossible
@@ -73,7 +81,7 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     }
     chosen = _with_unit_of_frequencies(values, chosen)
     chosen = _with_unit_of_bearings(values, chosen, options.units or {})
-    values, chosen = with_sensors_motion(values, chosen)
+    values, chosen = with_sensors_motion(*with_breadths_as_places(values, chosen))
     values, chosen = _with_nav_status(values, _without_row_numbers(values, chosen), is_ais)
     _refuse_steps(values, chosen, source)
     marks = _mark_unavailable(values, chosen, is_ais)
