@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.maps.outline import read_coast
+from sameas.maps.geojson import read_coast
 from sameas.tracks.coordinates import LocalPlane
 
 PLANE = LocalPlane(50.8, -1.3)

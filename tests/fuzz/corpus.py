@@ -194,7 +194,7 @@ def report_toml(path: Path) -> object:
 
 
 def coast(path: Path) -> object:
-    from sameas.maps.outline import read_coast
+    from sameas.maps.geojson import read_coast
 
     return read_coast(path)
 

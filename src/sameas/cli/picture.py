@@ -20,7 +20,7 @@ from sameas.front.picture_options import Area, Instants, Method
 from sameas.io.atomic import filling
 from sameas.io.sensors.format import duration
 from sameas.io.sensors.sources import read_source_options, read_sources
-from sameas.maps.outline import read_coast
+from sameas.maps.geojson import read_coast
 from sameas.report.picture import read_lines
 
 _TIMES, _AREA, _METHOD, _FILES = "The instants", "The area", "The method", "Outputs"

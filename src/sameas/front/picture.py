@@ -26,7 +26,7 @@ from sameas.io.sensors.recording import paths_in
 from sameas.io.sensors.sources import SensorSource, SourceOptions, read_source_options, read_sources, source_of
 from sameas.io.sensors.table_cells import TableText
 from sameas.io.sensors.tables import read as read_cells
-from sameas.maps.outline import Coast, read_coast
+from sameas.maps.geojson import Coast, read_coast
 from sameas.maps.sheet import MapAlarm, MapSensor, MapSheet
 from sameas.picture.picture import Picture
 from sameas.picture.plot_picture import nameless

@@ -38,7 +38,7 @@ from sameas.io.sensors.format import KNOT_M_PER_S
 from sameas.live.own_ship import OwnShipState
 from sameas.live.settings import WatchSettings, read_chart
 from sameas.live.situation import Alarm, Situation
-from sameas.maps.outline import Coast
+from sameas.maps.geojson import Coast
 from sameas.picture.live import LiveState
 from sameas.picture.rows import Columns
 from sameas.tracks.coordinates import LocalPlane

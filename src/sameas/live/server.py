@@ -27,7 +27,7 @@ from sameas.live.offsets import OFFSETS, read_offset
 from sameas.live.outputs import geojson, metrics
 from sameas.live.settings import read_chart
 from sameas.live.situation import OBJECT, RECORD, Delta, Situation
-from sameas.maps.outline import Coast
+from sameas.maps.geojson import Coast
 from sameas.maps.sheet import MapSensor, MapSheet
 from sameas.maps.tiles import Chart
 from sameas.pages.map import map_page

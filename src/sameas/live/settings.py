@@ -37,7 +37,7 @@ from sameas.io.sensors.stream import STREAM_FORMATS
 from sameas.live.inputs import require_readable
 from sameas.live.websocket import Login
 from sameas.live.zones import Zone, read_zones, require_names, zone_of
-from sameas.maps.outline import Coast, read_coast
+from sameas.maps.geojson import Coast, read_coast
 from sameas.maps.tiles import Chart, is_tiles, open_chart
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.kinds import CARRIER_KIND, KINDS

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from sameas.errors import InputError
+from sameas.maps import geojson
 
 #: Keys of the table of a circle or sector, and those that are numbers.
 _KEYS = ("name", "lat_deg", "lon_deg", "radius_m", "nearest_m", "sector_deg", "to_bow")
@@ -93,12 +93,7 @@ def read_zones(path: str | Path) -> tuple[Zone, ...]:
 
     Raises InputError: the file cannot be read, is not GeoJSON, or has a feature that is no zone.
     """
-    try:
-        whole = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not GeoJSON: {error}") from error
+    whole = geojson.read(path)
     features = (
         whole.get("features") if isinstance(whole, dict) and whole.get("type") == "FeatureCollection" else [whole]
     )
@@ -146,14 +141,9 @@ def _rings(polygons: list[Any], where: str) -> Iterator[tuple[tuple[float, float
 
 def _ring(points: Any, where: str, *, least: int) -> tuple[tuple[float, float], ...]:
     """(longitude, latitude) of the corners, without the repeated last one."""
-    try:
-        places = np.array([point[:2] for point in points], dtype=np.float64).reshape(-1, 2)
-    except (TypeError, ValueError, IndexError) as error:
-        raise InputError(f"{where}: coordinates that are not pairs of numbers") from error
+    places = geojson.places(points, where, least=least)
     if len(places) > 1 and np.array_equal(places[0], places[-1]):
         places = places[:-1]
-    if len(places) < least or not np.isfinite(places).all() or np.abs(places[:, 1]).max() > 90.0:
-        raise InputError(
-            f"{where}: coordinates that are not longitudes and latitudes in degrees of {least} places or more"
-        )
+    if len(places) < least:
+        raise InputError(f"{where}: {len(places)} corners", f"give {least} or more")
     return tuple((float(lon), float(lat)) for lon, lat in places)
