@@ -64,8 +64,8 @@ def test_ends_and_errors_of_a_trail_are_right():
         at, light = line(middle - half, middle + half, 15000.0)
         made = frame_of(rng, x_px=at[:, 0], y_px=at[:, 1], flux_e=light, psf=GaussianProfile(FWHM),
                         camera=Camera(shape=(100, 100), sky_e=300.0, read_noise_e=5.0)).frame  # fmt: skip
-        pixels = TrailPixels.of(made, np.empty((0, 2)), np.empty(0), FWHM)
-        ((_, ends),) = pixels.candidates((middle + 0.2 * half)[None])
+        pixels = TrailPixels.of(made, np.empty((0, 2)), np.empty(0), np.empty(0), FWHM)
+        ((_, ends),) = pixels.candidates((middle + 0.2 * half)[None], np.full(1, 10.0))
         trail = pixels.fitted(middle + 0.2 * half, ends)
         turn = np.sign(trail.half @ half)
         off.append(np.concatenate([trail.middle - middle, turn * trail.half - half]))
@@ -80,9 +80,11 @@ def test_stars_are_no_trails():
     made, exposures, _ = frames(3, count=2)
     one = exposures[0]
     at = np.column_stack([one.x_px, one.y_px])
-    pixels = TrailPixels.of(made[0], np.empty((0, 2)), np.empty(0), one.psf_fwhm_px)
+    pixels = TrailPixels.of(made[0], np.empty((0, 2)), np.empty(0), np.empty(0), one.psf_fwhm_px)
     alone = np.sort(np.hypot(*(at[:, None] - at[None]).transpose(2, 0, 1)), axis=1)[:, 1] > 15.0
-    found = [pixels.fitted(at[alone][k], ends) for k, ends in pixels.candidates(at[alone])]
+    found = [
+        pixels.fitted(at[alone][k], ends) for k, ends in pixels.candidates(at[alone], np.full(int(alone.sum()), 10.0))
+    ]
     assert alone.sum() > 20 and not any(trail is not None for trail in found)
 
 
@@ -100,6 +102,21 @@ def test_a_mover_that_trails_is_found_by_its_trails(rate):
                    for k, r in zip(series.frame[rows], series.row[rows], strict=True)])  # fmt: skip
     np.testing.assert_allclose(at, middle[series.frame[rows]], atol=0.5)
     assert found.scatter_arcsec[0] < 0.4
+
+
+def test_a_mover_whose_trails_touch_brighter_stars_is_found():
+    rate = np.array([2.5, -1.8])
+    middles = np.array([60.0, 250.0]) + np.arange(6)[:, None] * EVERY_MIN * rate
+    beside = middles + 5.0 * np.array([1.8, 2.5]) / np.hypot(*rate)
+
+    made, exposures, middle = frames(5, rate=tuple(rate), flux=1.5e4, extra=lambda k, rng: (beside, np.full(6, 8e4)))
+    series = with_trails(tie(exposures), made)
+    found, series = search(series)
+    assert len(found) == 1 and found.size[0] >= 5 and found.p_tracklet[0] > 0.99
+    rows = found.detections.rows[found.members[0][found.members[0] >= 0]]
+    at = np.column_stack([series.measured(name, rows) for name in ("x_px", "y_px")])
+    np.testing.assert_allclose(at, middle[series.frame[rows]], atol=0.7)
+    assert series.trails.added >= 3 and (series.measured("snr", rows) > 8.0).all()
 
 
 def test_links_against_the_direction_of_a_trail_are_less_probable():

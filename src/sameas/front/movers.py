@@ -265,9 +265,15 @@ class SeriesMovers:
         return written
 
     def _detections(self) -> Table:
-        """One row per detection of a tracklet; ``measurement`` is its number in the table of its frame."""
+        """One row per detection of a tracklet; ``measurement`` is its number in the table of its frame, none of a trail
+        beside a star or too faint for one."""
         table = self.found.detection_table()
         table.rename_column("id", "measurement")
+        trails = self.field.series.trails
+        added = 0 if trails is None else trails.added
+        table["measurement"] = np.ma.array(
+            table["measurement"], mask=table["row"] >= len(self.field.series.row) - added
+        )
         table.remove_column("row")
         return table
 

@@ -234,8 +234,7 @@ def observations(
         covariance, magnitude, snr = detections.covariance, detections.magnitude, POGSON / error
     else:
         covariance, magnitude, snr = (
-            np.concatenate([getattr(exposure, name) for exposure in series.exposures])[detections.rows]
-            for name in ("covariance", "magnitude", "snr")
+            series.measured(name, detections.rows) for name in ("covariance", "magnitude", "snr")
         )
     for k in which.tolist():
         for row in movers.members[k][movers.members[k] >= 0].tolist():

@@ -15,7 +15,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -137,6 +137,15 @@ class Exposure:
             psf_fwhm_px=psf_fwhm_px,
         )  # fmt: skip
 
+    def with_row(self, ra_deg: float, dec_deg: float, magnitude: float) -> Exposure:
+        """With one more row, of unit flux and the typical error, for a source that is measured otherwise."""
+        new = {"ra_deg": ra_deg, "dec_deg": dec_deg, "magnitude": magnitude, "flux": 1.0, "flux_err": 0.0, "snr": 0.0,
+               "flags": 0, "p_star": 0.0, "x_px": 0.0, "y_px": 0.0}  # fmt: skip
+        rows: dict[str, Any] = {name: np.append(getattr(self, name), value) for name, value in new.items()}
+        for name in ("covariance_px", "covariance"):
+            rows[name] = np.vstack([getattr(self, name), np.median(getattr(self, name), axis=0)])
+        return replace(self, star=None if self.star is None else np.append(self.star, ""), **rows)
+
     @property
     def names(self) -> NDArray[Any]:
         """(n,) identifiers of the stars of the catalogue, "" for none."""
@@ -148,12 +157,14 @@ class Trails:
     """Trails of sources that moved during the exposure.
 
     arcsec : (n, 2) from one end to the other, east and north, of either sign; NaN without a trail. sigma_arcsec : (n,)
-    its error per axis. min_widths : minimum length of a visible trail, in FWHM of a star.
+    its error per axis. min_widths : minimum length of a visible trail, in FWHM of a star. added : number of trails,
+    the last rows, that are no measurements of their frames.
     """
 
     arcsec: FloatArray
     sigma_arcsec: FloatArray
     min_widths: float
+    added: int = 0
 
 
 @dataclass(frozen=True)
@@ -198,6 +209,12 @@ class Series:
     def unexplained(self) -> BoolArray:
         """(n,) mask of the measurements without another explanation: candidates for movers."""
         return ~(self.star | self.stationary | self.fixed | self.unreliable)
+
+    def measured(self, name: str, rows: IntArray) -> NDArray[Any]:
+        """(k,) a column of the exposures, such as ``"snr"``, at rows (k,) of the series."""
+        start = np.cumsum([0, *(len(one) for one in self.exposures)])[:-1]
+        column = np.concatenate([getattr(one, name) for one in self.exposures])
+        return np.asarray(column[start[self.frame[rows]] + self.row[rows]])
 
     def sky(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(k,) ra_deg, dec_deg of places (k, 2) on the tangent plane."""

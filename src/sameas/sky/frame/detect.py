@@ -99,6 +99,9 @@ class Detection:
         return peaks(light, background, psf, self.threshold_sigmas, self.tuning.peaks)
 
 
+DEFAULT_DETECTION = Detection()
+
+
 def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
     """The stars of a frame, measured, brightest first.
 
@@ -224,18 +227,47 @@ def _mean_psf(frame: Frame, background: Background, detection: Detection) -> PSF
         xy = _single(frame, xy, snr, 4 * psf.fwhm_px)[: tuning.psf_stars]
         if len(xy) < 3:
             return psf
-        start = np.broadcast_to(psf.matrix, (len(xy), 2, 2))
-        stars, windows = adaptive(light, background, xy, start, tuning.centroids)
-        good = stars.converged & ~stars.at_edge & (stars.usable > 0.9) & (stars.weight > 0)
-        if good.sum() < 3:
+        measured = _psf_of(light, background, xy, psf, tuning)
+        if measured is None:
             return psf
-        half = int(np.ceil(2.2 * psf.fwhm_px))
-        stamps = cut_stamps(light, background, np.rint(stars.xy[good]).astype(int), half)
-        dx, dy = stamps.x - stars.xy[good, 0, None, None], stamps.y - stars.xy[good, 1, None, None]
-        fraction = stamps.light / (2 * stars.weight[good])[:, None, None]
-        pixels = [tuple(np.broadcast_arrays(*each)) for each in zip(dx, dy, fraction, strict=True)]
-        psf = PSF.from_stars(windows[good], pixels)  # type: ignore[arg-type]
+        psf = measured
     return psf
+
+
+def _psf_of(
+    light: FloatArray, background: Background, xy: FloatArray, start: PSF, tuning: DetectionTuning
+) -> PSF | None:
+    """The PSF of stars at some pixels (n, 2), measured from a first one; None if fewer than three are usable."""
+    if len(xy) < 3:
+        return None
+    stars, windows = adaptive(light, background, xy, np.broadcast_to(start.matrix, (len(xy), 2, 2)), tuning.centroids)
+    good = stars.converged & ~stars.at_edge & (stars.usable > 0.9) & (stars.weight > 0)
+    if good.sum() < 3:
+        return None
+    stamps = cut_stamps(light, background, np.rint(stars.xy[good]).astype(int), int(np.ceil(2.2 * start.fwhm_px)))
+    dx, dy = stamps.x - stars.xy[good, 0, None, None], stamps.y - stars.xy[good, 1, None, None]
+    fraction = stamps.light / (2 * stars.weight[good])[:, None, None]
+    pixels = [tuple(np.broadcast_arrays(*each)) for each in zip(dx, dy, fraction, strict=True)]
+    return PSF.from_stars(windows[good], pixels)  # type: ignore[arg-type]
+
+
+def without_stars(
+    frame: Frame, background: Background, xy: FloatArray, flux: FloatArray, fwhm_px: float,
+    tuning: DetectionTuning = DEFAULT_DETECTION.tuning,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """The light above the sky without that of measured stars, and the light of these; (rows, columns) each.
+
+    xy, flux : (n, 2) pixels and (n,) light of the stars. fwhm_px : of the stars; their profile is measured.
+    """
+    light = _above_sky(frame, background)
+    if not len(xy):
+        return light, np.zeros(light.shape)
+    psf = PSF((fwhm_px / FWHM_PER_SIGMA) ** 2 * np.eye(2))
+    brightest = xy[np.argsort(-flux, kind="stable")]
+    single = _single(frame, brightest, np.sort(flux)[::-1], 4 * fwhm_px)[: tuning.psf_stars]
+    psf = _psf_of(light, background, single, psf, tuning) or psf
+    rest = _without(light, Subtracted(xy, np.maximum(flux, 0.0), psf), tuning.centroids.pixels_at_once)
+    return rest, light - rest
 
 
 def _single(frame: Frame, xy: FloatArray, snr: FloatArray, reach_px: float) -> FloatArray:

@@ -286,8 +286,9 @@ def _planes(
 
 def _signal_to_noise(movers: Movers, series: Series) -> FloatArray:
     """(k,) largest signal to noise among the detections of each tracklet."""
-    snr = np.concatenate([e.snr for e in series.exposures])
-    return np.array([float(snr[movers.detections.rows[one[one >= 0]]].max()) for one in movers.members])
+    return np.array([
+        float(series.measured("snr", movers.detections.rows[one[one >= 0]]).max()) for one in movers.members
+    ])  # fmt: skip
 
 
 def _filtered(

@@ -487,7 +487,7 @@ def unexplained_detections(series: Series) -> Detections:
     at = np.flatnonzero(series.unexplained)
     ra, dec = series.sky(series.place[at])
     mjd = np.array([e.mjd_utc for e in series.exposures])[series.frame[at]]
-    error = np.concatenate([POGSON * e.flux_err / np.maximum(e.flux, 1e-9) for e in series.exposures])[at]
+    error = POGSON * series.measured("flux_err", at) / np.maximum(series.measured("flux", at), 1e-9)
     seen = Detections.of(
         ra, dec, mjd, sigma_arcsec=series.sigma_arcsec[at], frame=np.array([f"{k:05d}" for k in series.frame[at]]),
         magnitude=series.magnitude[at], magnitude_error=np.where(np.isfinite(series.magnitude[at]), error, np.nan),

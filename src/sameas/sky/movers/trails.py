@@ -1,8 +1,9 @@
 """Trails of sources that move during an exposure, measured in the pixels.
 
-Windows as wide as a star detect parts of a trail, or do not converge (:func:`with_trails`). Unexplained and unconverged
-measurements are tested as trails: first by sums of the matched filter along lines through them, then by a fit of a
-Gaussian star moving uniformly along a straight line,
+Windows as wide as a star detect parts of a trail, or do not converge, and beside a brighter star they detect nothing
+(:func:`with_trails`). Unexplained measurements, and the maxima that remain without the known stars, are tested as
+trails: first by sums of the matched filter along lines through them, then by a fit of a Gaussian star moving uniformly
+along a straight line,
 
     I(a, c) = F/L · exp(−c²/2σ²)/(√2π σ) · ½ [erf((a + L/2)/√2σ) − erf((a − L/2)/√2σ)],
 
@@ -20,17 +21,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial import cKDTree
 
-from sameas.arrays import BoolArray, FloatArray, robust_scale
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import inverse
-from sameas.sky.frame.centroid import FWHM_PER_SIGMA
+from sameas.kernels.frames import local_maxima
+from sameas.sky.frame.centroid import FWHM_PER_SIGMA, Background
+from sameas.sky.frame.detect import without_stars
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
+from sameas.sky.movers.below_limit import normalise
 from sameas.sky.movers.stack import ChipMap
 from sameas.sky.series import Exposure, Series, Trails
 
 #: Flags of measurements that are not light of the sky, or incomplete.
 _NO_LIGHT = int(Flag.HOT | Flag.COSMIC | Flag.EDGE)
+#: Share of a star's light that has to be on usable pixels (chosen).
+_LEAST_SHARE = 0.3
+#: Number of pixels whose lines are summed at once, which bounds the memory (50 MB).
+_AT_ONCE = 500
 
 
 @dataclass(frozen=True)
@@ -43,6 +52,11 @@ class TrailTuning:
     gain : minimum decrease of χ² by a trail against a star.
     min_sigmas : minimum significance of the length.
     hidden_widths : radius of excluded pixels around other sources, FWHM; larger for bright ones.
+    star_share : minimum error of the light of a subtracted star, as a share of it.
+    least_step : no mover's trails are closer in two frames than this share of their length.
+    seed_sigmas : trails are also sought through the maxima of what is left, above this many standard deviations.
+    tried, tried_unmeasured : minimum gain, as a share of ``gain``, of a line through a measurement or such a maximum
+        before a trail is fitted.
     gap : a trail ends where the light falls below this share of the maximum near the middle.
     max_fits : maximum number of fits per frame, the most significant candidates first.
     """
@@ -53,6 +67,11 @@ class TrailTuning:
     gain: float = 30.0
     min_sigmas: float = 5.0
     hidden_widths: float = 1.2
+    star_share: float = 0.05
+    least_step: float = 0.8
+    seed_sigmas: float = 2.5
+    tried: float = 0.35
+    tried_unmeasured: float = 0.8
     gap: float = 0.3
     max_fits: int = 100
 
@@ -101,17 +120,18 @@ class _Trail:
             exposure, x_px=put(exposure.x_px, self.middle[0]), y_px=put(exposure.y_px, self.middle[1]),
             covariance_px=put(exposure.covariance_px, spread[[0, 0, 1], [0, 1, 1]]),
             covariance=put(exposure.covariance, sky), flux=put(exposure.flux, self.flux),
-            flux_err=put(exposure.flux_err, self.flux_err),
+            flux_err=put(exposure.flux_err, self.flux_err), snr=put(exposure.snr, self.flux / self.flux_err),
             flags=put(exposure.flags, (exposure.flags[row] | int(Flag.TRAILED)) & ~int(Flag.POOR)),
             magnitude=put(exposure.magnitude, exposure.magnitude[row] + self.fainter_than(exposure.flux[row])),
         )  # fmt: skip
 
 
 def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = TRAIL_TUNING) -> Series:
-    """The series with unexplained measurements remeasured as trails where these fit better.
+    """The series with unexplained measurements remeasured as trails where these fit better, and with further trails.
 
     frames : calibrated, in the order of ``series.exposures``, used one at a time. Other measurements of parts of a
-    trail are marked as unreliable, and so are all along lines of trails longer than ``max_px`` allows.
+    trail are marked as unreliable, and so are all along lines of trails longer than ``max_px`` allows. Trails without a
+    measurement, beside a star or too faint for a window as wide as one, are added after all rows of the series.
     """
     columns, exposures, long = _Columns.of(series), list(series.exposures), 0
     for n, frame in enumerate(frames):
@@ -119,16 +139,17 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
         long += lines
     note = f"{long} trails longer than {2 * tuning.max_px:.0f} px, as of satellites, are removed"
     return replace(
-        series, place=columns.place, sigma_arcsec=columns.sigma_arcsec, unreliable=columns.unreliable,
-        magnitude=columns.magnitude, exposures=tuple(exposures),
-        trails=Trails(columns.vector, columns.error, tuning.min_widths),
+        columns.into(series, tuning.min_widths, tuning.least_step), exposures=tuple(exposures),
         notes=(*series.notes, *([note] if long else [])),
     )  # fmt: skip
 
 
 @dataclass
 class _Columns:
-    """Columns of a series, (n,) each, which change in place; vector, error : of ``Trails``, NaN where there is none."""
+    """Columns of a series, (n,) each, which change in place; vector, error : of ``Trails``, NaN where there is none.
+
+    added : frame and row in its exposure of every row after those of the series.
+    """
 
     place: FloatArray
     sigma_arcsec: FloatArray
@@ -136,6 +157,7 @@ class _Columns:
     magnitude: FloatArray
     vector: FloatArray
     error: FloatArray
+    added: list[tuple[int, int]]
 
     @classmethod
     def of(cls, series: Series) -> _Columns:
@@ -143,44 +165,71 @@ class _Columns:
         vector = np.full(series.place.shape, np.nan)
         return cls(
             series.place.copy(), series.sigma_arcsec.copy(), series.unreliable.copy(), series.magnitude.copy(), vector,
-            vector[:, 0].copy(),
+            vector[:, 0].copy(), [],
+        )  # fmt: skip
+
+    def into(self, series: Series, min_widths: float, least_step: float) -> Series:
+        """The series with these columns and rows; trails that do not move as their length requires are unreliable."""
+        frame, row = np.array(self.added, np.int64).reshape(-1, 2).T
+        other = np.zeros(len(frame), bool)
+        self.unreliable |= _resting(self.place, np.append(series.frame, frame), self.vector, least_step)
+        return replace(
+            series, place=self.place, sigma_arcsec=self.sigma_arcsec, unreliable=self.unreliable,
+            magnitude=self.magnitude, frame=np.append(series.frame, frame), row=np.append(series.row, row),
+            star=np.append(series.star, other), stationary=np.append(series.stationary, other),
+            fixed=np.append(series.fixed, other),
+            trails=Trails(self.vector, self.error, min_widths, len(other)),
         )  # fmt: skip
 
     def remeasured(self, series: Series, n: int, frame: Frame, tuning: TrailTuning) -> tuple[Exposure, int]:
         """Exposure n with the trails of its frame, and the number of lines that are too long for a mover's."""
         one, rows = series.exposures[n], np.flatnonzero(series.frame == n)
         at = np.column_stack([one.x_px, one.y_px])[series.row[rows]]
-        flags = np.asarray(one.flags)[series.row[rows]]
         free = ~(series.star | series.stationary | series.fixed)[rows]
-        candidates = np.flatnonzero(free & ((flags & _NO_LIGHT) == 0))
-        if not len(candidates) or len(rows) < 6:
+        if len(rows) < 6:
             return one, 0
-        width = max(one.psf_fwhm_px, 1.5)
-        pixels = TrailPixels.of(frame, at[~free], one.snr[series.row[rows]][~free], width, tuning)
-        to_sky = ChipMap(at, series.place[rows])
-        done, measured, known = np.zeros(len(rows), bool), np.zeros(len(rows), bool), list[_Trail]()
-        for k, start in pixels.candidates(at[candidates]):
-            mine = int(candidates[k])
-            trail = None if done[mine] else pixels.fitted(at[mine], start)
-            if trail is None:
+        width, to_sky = max(one.psf_fwhm_px, 1.5), ChipMap(at, series.place[rows])
+        snr, flux = (values[series.row[rows]] for values in (one.snr, one.flux))
+        pixels = TrailPixels.of(frame, at[~free], snr[~free], flux[~free], width, tuning)
+        light = free & ((np.asarray(one.flags)[series.row[rows]] & _NO_LIGHT) == 0)
+        trails = _trails(pixels, at[light])
+        # What remains of bright stars is not measured, and lies in line by chance.
+        measured = [k for k, trail in enumerate(trails) if (free & trail.covers(at, width)).any()]
+        lines = [
+            [measured[k] for k in line]
+            for line in _long_lines([trails[k] for k in measured], width, 1.8 * tuning.max_px)
+        ]
+        satellites = {k for line in lines for k in line}
+        for k, trail in enumerate(trails):
+            parts = np.flatnonzero(free & trail.covers(at, width))
+            self.unreliable[rows[parts]] = True
+            if k in satellites:
                 continue
-            parts = free & trail.covers(at, width)
-            parts[mine] = True
-            done |= parts
-            self.unreliable[rows[parts & ~measured]] = True
-            if any(other.covers(trail.middle[None], width)[0] for other in known):
-                continue
-            measured[mine] = True
-            known.append(trail)
-            own = int(series.row[rows[mine]])
-            self._put(rows[mine], trail, one, own, series.floor_arcsec[n], at[mine], to_sky)
+            if len(parts):
+                nearest = parts[np.argmin(np.hypot(*(at[parts] - trail.middle).T))]
+                row, was_at = int(rows[nearest]), at[nearest]
+                own = int(series.row[row])
+            else:
+                row, own, was_at = len(self.place), len(one), trail.middle
+                one = self._add(series, n, one, to_sky(trail.middle[None])[0])
+            self._put(row, trail, one, own, series.floor_arcsec[n], was_at, to_sky)
             one = trail.measured_on(one, own)
-        lines = _long_lines(known, width, 1.8 * tuning.max_px)
-        now_at = np.column_stack([one.x_px, one.y_px])[series.row[rows]]
         for line in lines:
-            parts = free & (known[line[0]].covers(at, width, math.inf) | known[line[0]].covers(now_at, width, math.inf))
-            self.unreliable[rows[parts]], self.vector[rows[parts]], self.error[rows[parts]] = True, np.nan, np.nan
+            self.unreliable[rows[free & trails[line[0]].covers(at, width, math.inf)]] = True
         return one, len(lines)
+
+    def _add(self, series: Series, n: int, one: Exposure, place: FloatArray) -> Exposure:
+        """Adds a row for a trail at a place (2,) of the series; returns its exposure with that row, of unit flux."""
+        self.added.append((n, len(one)))
+        self.place, self.vector = np.vstack([self.place, place]), np.vstack([self.vector, np.full(2, np.nan)])
+        self.error, self.sigma_arcsec = np.append(self.error, np.nan), np.append(self.sigma_arcsec, np.nan)
+        self.unreliable = np.append(self.unreliable, False)
+        self.magnitude = np.append(self.magnitude, series.stars.magnitudes(np.ones(1), np.array([n])))
+        ra, dec = series.sky(place[None])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            zero = one.magnitude + 2.5 * np.log10(one.flux)
+        zero = zero[np.isfinite(zero)]
+        return one.with_row(float(ra[0]), float(dec[0]), float(np.median(zero)) if len(zero) else math.nan)
 
     def _put(
         self, row: int, trail: _Trail, one: Exposure, own: int, floor_arcsec: float, at: FloatArray, to_sky: ChipMap
@@ -194,6 +243,40 @@ class _Columns:
         self.error[row] = 2.0 * scale * math.sqrt(0.5 * (variance[2] + variance[3]))
         self.sigma_arcsec[row] = math.hypot(scale * math.sqrt(0.5 * (variance[0] + variance[1])), floor_arcsec)
         self.magnitude[row] += trail.fainter_than(one.flux[own])
+
+
+def _resting(place: FloatArray, frame: IntArray, vector: FloatArray, least_step: float) -> BoolArray:
+    """(n,) mask of the trails with one of another frame closer than this share of their length.
+
+    Exposures do not overlap, so a mover steps by its trail at least; what remains of stars stays.
+    """
+    rows, out = np.flatnonzero(np.isfinite(vector[:, 0])), np.zeros(len(frame), bool)
+    if len(rows) > 1:
+        length = np.hypot(*vector[rows].T)
+        pairs = cKDTree(place[rows]).query_pairs(least_step * float(length.max()), output_type="ndarray")
+        i, j = pairs.T
+        apart = np.hypot(*(place[rows[i]] - place[rows[j]]).T)
+        near = (apart < least_step * np.minimum(length[i], length[j])) & (frame[rows[i]] != frame[rows[j]])
+        out[rows[i[near]]] = out[rows[j[near]]] = True
+    return out
+
+
+def _trails(pixels: TrailPixels, measured: FloatArray) -> list[_Trail]:
+    """The trails through measured pixels (n, 2), and those of what is left of the frame; no two at one place."""
+    points, tuning = np.concatenate([measured, pixels.seeds()]), pixels.tuning
+    least = np.where(np.arange(len(points)) < len(measured), tuning.tried, tuning.tried_unmeasured) * tuning.gain
+    trails: list[_Trail] = []
+    fits = 0
+    for k, start in pixels.candidates(points, least):
+        if any(other.covers(points[k][None], pixels.width)[0] for other in trails):
+            continue
+        fits += 1
+        trail = pixels.fitted(points[k], start)
+        if trail is not None and not any(other.covers(trail.middle[None], pixels.width)[0] for other in trails):
+            trails.append(trail)
+        if fits == tuning.max_fits:
+            break
+    return trails
 
 
 def _long_lines(trails: list[_Trail], width: float, longest: float) -> list[list[int]]:
@@ -221,87 +304,104 @@ def _long_lines(trails: list[_Trail], width: float, longest: float) -> list[list
 class TrailPixels:
     """The pixels of a frame that is searched for trails.
 
-    image : with excluded pixels at the sky level. good : (rows, columns) mask of usable pixels without known sources.
-    smooth : the image after the matched filter of a star. noise : of a pixel. inverse_gain : photon variance over
-    light. width : FWHM of a star, px.
+    light : (rows, columns) above the sky, without the known sources. good : mask of usable pixels, not close to known
+    sources. sigma : standard deviation of a pixel. smooth : signal to noise ratio of a star at each pixel, by the
+    usable ones. share : of a star's light there that is on usable pixels. inverse_gain : photon variance over light.
+    width : FWHM of a star, px.
     """
 
-    image: FloatArray
+    light: FloatArray
     good: BoolArray
+    sigma: FloatArray
     smooth: FloatArray
-    noise: float
+    share: FloatArray
     inverse_gain: float
     width: float
     tuning: TrailTuning
 
     @classmethod
     def of(
-        cls, frame: Frame, sources: FloatArray, snr: FloatArray, width: float, tuning: TrailTuning = TRAIL_TUNING
-    ) -> TrailPixels:
-        """The pixels of a frame. sources : (n, 2) pixels of known sources, excluded. snr : (n,)."""
-        image = np.asarray(frame.image, np.float64).copy()
-        good = ((frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) == 0) & np.isfinite(image)
-        level = float(np.median(image[good][::7]))
-        steps = np.diff(image[::3], axis=1)[good[::3, 1:] & good[::3, :-1]]
-        noise = max(robust_scale(steps) / math.sqrt(2.0), 1e-9)
-        radius = width * (tuning.hidden_widths + 0.6 * np.log10(np.maximum(snr / 10.0, 1.0)))
-        for (x, y), r in zip(sources, radius, strict=True):
-            a, b = max(int(y - r), 0), max(int(x - r), 0)
-            v, u = np.mgrid[a : int(y + r) + 2, b : int(x + r) + 2]
-            box = good[a : int(y + r) + 2, b : int(x + r) + 2]
-            box &= ((u - x) ** 2 + (v - y) ** 2 > r * r)[: box.shape[0], : box.shape[1]]
-        image[~good] = level
-        sigma = width / FWHM_PER_SIGMA
-        smooth = gaussian_filter(image.astype(np.float32), sigma, mode="nearest") - np.float32(level)
-        gain = frame.facts.gain_e_per_adu
-        return cls(
-            image,
-            good,
-            smooth * (2 * math.sqrt(math.pi) * sigma / noise),
-            noise,
-            1.0 / gain if gain > 0 else 0.0,
-            width,
-            tuning,
-        )
+        cls, frame: Frame, sources: FloatArray, snr: FloatArray, flux: FloatArray, width: float,
+        tuning: TrailTuning = TRAIL_TUNING,
+    ) -> TrailPixels:  # fmt: skip
+        """The pixels of a frame. sources : (n, 2) pixels of known sources, subtracted. snr, flux : (n,)."""
+        background = Background.of(frame)
+        light, stars = without_stars(frame, background, sources, flux, width)
+        good = ((frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) == 0) & np.isfinite(background.variance)
+        variance = np.where(good, background.variance, 1.0)
+        variance = variance + background.inverse_gain * np.maximum(stars, 0.0)
+        _hide(good, sources, width * (tuning.hidden_widths + 0.6 * np.log10(np.maximum(snr / 10.0, 1.0))))
+        variance = variance + (max(tuning.star_share, _misfit(light, stars, variance, good)) * stars) ** 2
+        weight = np.where(good, 1.0 / variance, 0.0).astype(np.float32)
+        psf = width / FWHM_PER_SIGMA
+        # k² of a Gaussian is a Gaussian narrower by √2.
+        signal = gaussian_filter(light.astype(np.float32) * weight, psf, mode="constant")
+        norm = gaussian_filter(weight, psf / math.sqrt(2.0), mode="constant") / (4.0 * math.pi * psf**2)
+        share = gaussian_filter(good.astype(np.float32), psf, mode="constant")
+        norm[share <= _LEAST_SHARE] = 0.0
+        normalise(signal, norm)
+        smooth = np.where(norm > 0, signal / np.sqrt(np.where(norm > 0, norm, 1.0)), 0.0)
+        return cls(light, good, np.sqrt(variance), smooth, share, background.inverse_gain, width, tuning)
 
-    def candidates(self, at: FloatArray) -> list[tuple[int, FloatArray]]:
+    def seeds(self) -> FloatArray:
+        """(n, 2) maxima of what is left of the frame, not at its edge, the most significant first."""
+        y, x = local_maxima(self.smooth.astype(np.float32), self.tuning.seed_sigmas, max(1, round(0.5 * self.width)))
+        rows, columns = self.smooth.shape
+        inside = np.minimum(np.minimum(x, columns - 1 - x), np.minimum(y, rows - 1 - y)) > 2.0 * self.width
+        y, x = y[inside], x[inside]
+        order = np.argsort(-self.smooth[y, x], kind="stable")
+        return np.column_stack([x, y])[order].astype(float)
+
+    def candidates(self, at: FloatArray, least: FloatArray) -> list[tuple[int, FloatArray]]:
         """The pixels (n, 2) that may be on a trail, as indices, the most significant first, with its ends (2, 2).
 
-        The sum of the star's filter along a line, S = Σ s/√count, is used: a trail is tried if S² exceeds that of the
-        star alone by half of the gain required of a fit.
+        The sum of the star's filter along a line, S = Σ s/√(3n/2 − 1/2), is used: a trail is tried if S² exceeds that
+        of the star alone by ``least`` (n,).
         """
+        score, gain, ends = (
+            np.concatenate(each)
+            for each in zip(
+                *(self._best_lines(part) for part in np.array_split(at, 1 + len(at) // _AT_ONCE)), strict=True
+            )
+        )
+        return [(int(k), ends[k]) for k in np.argsort(-score) if score[k] > 0 and gain[k] > least[k]]
+
+    def _best_lines(self, at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The best line through each pixel (n, 2): S (n,), the excess of S² over a star's, and its ends (n, 2, 2)."""
         steps = np.arange(1, max(int(self.tuning.max_px / self.width), 2) + 1) * self.width
         angle = np.arange(self.tuning.angles) * math.pi / self.tuning.angles
         direction = np.column_stack([np.cos(angle), np.sin(angle)])
         offsets = np.concatenate([-steps[::-1], [0.0], steps])
         points = at[:, None, None] + direction[None, :, None] * offsets[None, None, :, None]  # (n, angles, steps, 2)
-        s = map_coordinates(self.smooth, [points[..., 1], points[..., 0]], order=1, mode="constant")
+        where = [points[..., 1], points[..., 0]]
+        s = map_coordinates(self.smooth, where, order=1, mode="constant")
+        seen = map_coordinates(self.share, where, order=1, mode="constant") > _LEAST_SHARE
         # The local sky is the median along all lines.
-        s = s - np.median(s, axis=(1, 2))[:, None, None]
+        s = np.where(seen, s - np.median(s, axis=(1, 2))[:, None, None], 0.0)
         m = len(steps)
         # A trail has uniform brightness: it ends at a gap, and much brighter parts are other sources.
         top = np.max(s[..., max(m - 1, 0) : m + 2], axis=(1, 2))[:, None, None]
         s = np.minimum(s, 1.3 * np.maximum(top, 1.0))
-        gap = s < np.maximum(self.tuning.gap * top, 0.5)
+        gap = seen & (s < np.maximum(self.tuning.gap * top, 0.5))
         gap = np.concatenate(
             [np.logical_or.accumulate(gap[..., :m][..., ::-1], axis=-1)[..., ::-1], np.zeros((*s.shape[:2], 1), bool),
              np.logical_or.accumulate(gap[..., m + 1 :], axis=-1)], axis=-1,
         )  # fmt: skip
         s = np.where(gap, -np.maximum(top, 1.0), s)
-        left = np.concatenate([np.zeros((*s.shape[:2], 1)), np.cumsum(s[..., :m][..., ::-1], axis=-1)], axis=-1)
-        right = np.concatenate([np.zeros((*s.shape[:2], 1)), np.cumsum(s[..., m + 1 :], axis=-1)], axis=-1)
-        count = 1.0 + np.arange(m + 1)[:, None] + np.arange(m + 1)
-        total = (left[..., :, None] + right[..., None, :] + s[..., m, None, None]) / np.sqrt(count)
+        # A hidden part adds neither light nor noise.
+        total, count = (
+            _outwards(one, m, True)[..., :, None] + _outwards(one, m, False)[..., None, :] + one[..., m, None, None]
+            for one in (s, seen.astype(float))
+        )
+        # Neighbours on the line, one FWHM apart, share a quarter of their noise.
+        total = total / np.sqrt(np.maximum(1.5 * count - 0.5, 1.0))
         flat = total.reshape(len(at), -1)
         best = np.argmax(flat, axis=1)
         score = flat[np.arange(len(at)), best]
         best_angle, a, b = np.unravel_index(best, total.shape[1:])
         alone = np.maximum(s[:, 0, m], 0.0)
-        order = np.argsort(-score)
-        chosen = [k for k in order if score[k] > 0 and score[k] ** 2 - alone[k] ** 2 > 0.5 * self.tuning.gain]
-        best = direction[best_angle]
-        ends = [np.stack([at[k] - a[k] * self.width * best[k], at[k] + b[k] * self.width * best[k]]) for k in chosen]
-        return list(zip(map(int, chosen), ends, strict=True))[: self.tuning.max_fits]
+        along = self.width * direction[best_angle]
+        return score, score**2 - alone**2, np.stack([at - a[:, None] * along, at + b[:, None] * along], axis=1)
 
     def fitted(self, at: FloatArray, ends: FloatArray) -> _Trail | None:
         """The trail fitted from initial ends (2, 2); None if a star fits as well, or the fit fails."""
@@ -313,29 +413,35 @@ class TrailPixels:
         reach = length + 2.5 * self.width
         a, b = (max(math.floor(v - reach), 0) for v in middle[::-1])
         c, d = (math.ceil(v + reach) + 1 for v in middle[::-1])
-        v, u = np.mgrid[a : min(c, self.image.shape[0]), b : min(d, self.image.shape[1])]
+        v, u = np.mgrid[a : min(c, self.light.shape[0]), b : min(d, self.light.shape[1])]
         along = (u - middle[0]) * direction[0] + (v - middle[1]) * direction[1]
         across = (v - middle[1]) * direction[0] - (u - middle[0]) * direction[1]
         inside = self.good[v, u] & (np.abs(along) < reach) & (np.abs(across) < 2.5 * self.width)
         if inside.sum() < 30:
             return None
         u, v = u[inside].astype(float), v[inside].astype(float)
-        light = self.image[v.astype(int), u.astype(int)]
-        level = float(np.percentile(light, 30.0))
-        flux = max(float((light - level).sum()), self.noise)
-        error = np.sqrt(self.noise**2 + self.inverse_gain * np.maximum(light - level, 0.0))
-        start = np.array([*middle, *(np.maximum(length, 0.5 * self.width) * direction), 1.0, 0.0])
+        light, sigma = (one[v.astype(int), u.astype(int)] for one in (self.light, self.sigma))
+        level, noise = float(np.percentile(light, 30.0)), float(np.median(sigma))
+        flux = max(float((light - level).sum()), noise)
+        error = np.sqrt(sigma**2 + self.inverse_gain * np.maximum(light - level, 0.0))
+        initial = np.array([*middle, *(np.maximum(length, 0.5 * self.width) * direction), 1.0, 0.0])
 
         def misfit(values: FloatArray) -> FloatArray:
             model = _line(u, v, values[:2], values[2:4], self.width / FWHM_PER_SIGMA)
-            return np.asarray((light - level - values[5] * self.noise - values[4] * flux * model) / error)
+            return np.asarray((light - level - values[5] * noise - values[4] * flux * model) / error)
 
         def star(values: FloatArray) -> FloatArray:
             return misfit(np.array([values[0], values[1], 1e-3, 0.0, values[2], values[3]]))
 
         try:
-            fit = least_squares(misfit, start, method="lm", max_nfev=150, ftol=1e-5, xtol=1e-4)
-            point = least_squares(star, [*at, 1.0, 0.0], method="lm", max_nfev=60, ftol=1e-5, xtol=1e-4)
+            fit = least_squares(misfit, initial, method="lm", max_nfev=150, ftol=1e-5, xtol=1e-4)
+            # A line through noise may end on a star, which is then the alternative.
+            brightest = np.argmax(self.smooth[v.astype(int), u.astype(int)])
+            starts = [at, np.array([u[brightest], v[brightest]])]
+            points = [
+                least_squares(star, [*start, 1.0, 0.0], method="lm", max_nfev=60, ftol=1e-5, xtol=1e-4)
+                for start in starts[: 1 + bool(np.hypot(*(starts[1] - at)) > 1.0)]
+            ]
             covariance = inverse(fit.jac.T @ fit.jac)
         except (ValueError, np.linalg.LinAlgError):
             return None
@@ -349,7 +455,7 @@ class TrailPixels:
             return None
         unit = half / max(size, 1e-9)
         spread = math.sqrt(max(float(unit @ covariance[2:4, 2:4] @ unit), 1e-12))
-        gain = 2.0 * (point.cost - fit.cost) / chi
+        gain = 2.0 * (min(point.cost for point in points) - fit.cost) / chi
         long = 2.0 * size > self.tuning.min_widths * self.width and size > self.tuning.min_sigmas * spread
         if gain < self.tuning.gain or not long:
             return None
@@ -357,6 +463,29 @@ class TrailPixels:
                        float(flux * math.sqrt(covariance[4, 4])))  # fmt: skip
         # The fit may have moved to another source.
         return trail if trail.covers(at[None], self.width)[0] else None
+
+
+def _outwards(values: FloatArray, middle: int, back: bool) -> FloatArray:
+    """(n, angles, middle + 1) sums of values along lines (n, angles, steps) from the middle to one end."""
+    side = values[..., :middle][..., ::-1] if back else values[..., middle + 1 :]
+    return np.concatenate([np.zeros((*values.shape[:2], 1)), np.cumsum(side, axis=-1)], axis=-1)
+
+
+def _misfit(light: FloatArray, stars: FloatArray, variance: FloatArray, good: BoolArray) -> float:
+    """What subtracted stars leave of their light, as a share of it (95th percentile): profiles are not the model's."""
+    bright = good & (stars > 2.0 * np.sqrt(variance))
+    if bright.sum() < 100:
+        return 0.0
+    return float(np.percentile(np.abs(light[bright]) / stars[bright], 95.0))
+
+
+def _hide(good: BoolArray, at: FloatArray, radius: FloatArray) -> None:
+    """Unsets the mask within radii (n,) of pixels (n, 2), in place."""
+    for (x, y), r in zip(at, radius, strict=True):
+        a, b = max(int(y - r), 0), max(int(x - r), 0)
+        v, u = np.mgrid[a : int(y + r) + 2, b : int(x + r) + 2]
+        box = good[a : int(y + r) + 2, b : int(x + r) + 2]
+        box &= ((u - x) ** 2 + (v - y) ** 2 > r * r)[: box.shape[0], : box.shape[1]]
 
 
 def _line(u: FloatArray, v: FloatArray, middle: FloatArray, half: FloatArray, sigma: float) -> FloatArray:
