@@ -237,7 +237,7 @@ def _resumption(keeper: Keeper) -> str:
 def source_lines(name: str, health: dict[str, Any]) -> list[str]:
     """Printable: the counters of a source, and its biases; health : of the source, from ``Keeper.health``."""
     aside = [f"{count(health[word])} {word}" for word in ("late", "repeated", "refused") if health[word]]
-    aside += [counted(health["jumps"], "jump")] if health["jumps"] else []
+    aside += [f"{count(health['jumps'])} where its object cannot be"] if health["jumps"] else []
     aside += [f"{count(health['unplaced'])} without a position"] if health["unplaced"] else []
     words = "".join(f", {each}" for each in aside)
     error = f"; {health['error']}" if health["error"] else ""
