@@ -12,6 +12,7 @@ import sameas
 from sameas.errors import InputError
 from sameas.front import picture as front
 from sameas.io import read_table
+from sameas.pages.map import map_page
 
 START = 1_714_560_000.0
 
@@ -50,6 +51,35 @@ def toml(tmp_path_factory):
 def found(toml):
     ais, radar = harbour()
     return sameas.match_picture({"ais": ais, "radar": radar}, sensors=toml, every=15.0)
+
+
+def test_a_radar_aboard_is_on_the_map_where_its_vessel_is_at_each_instant() -> None:
+    """It had no place on the map of a yacht's files, and no range rings about it."""
+    rng = np.random.default_rng(2)
+    place, speed, ahead = rng.uniform(-3e3, 3e3, (5, 2)), rng.normal(0.0, 4.0, (5, 2)), np.array([4.0, 2.0])
+    ais, radar = [], []
+    for t in np.arange(0.0, 120.0, 3.0):
+        own, there = ahead * t, place + speed * t
+        arm = there - own + 10.0 * rng.normal(size=(5, 2))
+        for k in range(5):
+            radar.append((START + t, k + 1, np.hypot(*arm[k]), np.degrees(np.arctan2(*arm[k])) % 360.0, *own))
+            ais.append((START + t, 235_000_111 + k, *there[k]))
+    scale = np.array([1.0 / 70_870.0, 1.0 / 111_240.0])
+    names = "time", "track_id", "range_m", "bearing_deg", "own_lon", "own_lat"
+    radar = dict(zip(names, map(np.array, zip(*radar, strict=True)), strict=True))
+    ais = dict(zip(("time", "mmsi", "lon", "lat"), map(np.array, zip(*ais, strict=True)), strict=True))
+    for table, prefix in ((radar, "own_"), (ais, "")):
+        table[f"{prefix}lon"] = -0.95 + table[f"{prefix}lon"] * scale[0]
+        table[f"{prefix}lat"] = 50.55 + table[f"{prefix}lat"] * scale[1]
+    found = sameas.match_picture({"ais": ais, "radar": radar}, every=30.0)
+    sheet = found.sheet()
+    sites = {one.name: one.sites_m for one in sheet.sensors}
+    assert sites["ais"] is None and len(sites["radar"]) == len(sheet.instants_s)
+    lat, lon = sheet.plane.to_geodetic(sites["radar"])
+    age = sheet.instants_s - START
+    assert np.abs(lat - 50.55 - 2.0 * age * scale[1]).max() < 20.0 * scale[1]
+    assert np.abs(lon + 0.95 - 4.0 * age * scale[0]).max() < 20.0 * scale[0]
+    assert '"sites": [[' in map_page(sheet) or '"sites":[[' in map_page(sheet)
 
 
 def test_maps_of_many_positions_have_fewer_instants_and_say_so(found, tmp_path) -> None:

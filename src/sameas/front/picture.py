@@ -211,7 +211,9 @@ class MatchPicture(Result):
     def sheet(self, shown: Picture | None = None) -> MapSheet:
         """The content of the map. shown : the picture at some of the instants; None: at all."""
         picture, plane = self.picture if shown is None else shown, self.picture.plane
+        feeds = {feed.description.name: feed for feed in self.scene.feeds}
         sensors = [MapSensor.of(source.description, plane, source.path.name) for source in self.sources]
+        sensors = [one.aboard(feeds[one.name], picture.instants_s) if one.name in feeds else one for one in sensors]
         title = "Picture of " + listed([source.description.name for source in self.sources])
         return MapSheet.of(
             title, picture.objects, picture.records, instants_s=picture.instants_s, sensors=sensors, plane=plane,

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from sameas.picture.tables import STAGES
 from sameas.report.prose import UTC_FROM_S
 from sameas.representation import in_short
 from sameas.tracks.coordinates import LocalPlane, bearing_in_plane
+from sameas.tracks.feed import Feed
 from sameas.tracks.source import Description
 
 Columns = Mapping[str, NDArray[Any]]
@@ -52,7 +53,8 @@ class MapSensor:
     """A source on the map, and its coverage.
 
     x_m, y_m : its site in the plane; None where it has none. visible_deg : visible bearings in the plane (from, to),
-    clockwise; a whole turn is (0, 360). file : of its reports.
+    clockwise; a whole turn is (0, 360). file : of its reports. sites_m : (t, 2) its site at every instant, of a sensor
+    that moves; NaN where it is unknown.
     """
 
     name: str
@@ -63,6 +65,7 @@ class MapSensor:
     range_m: float | None = None
     nearest_m: float = 0.0
     visible_deg: tuple[tuple[float, float], ...] = ((0.0, 360.0),)
+    sites_m: FloatArray | None = field(default=None, repr=False, compare=False)
 
     @classmethod
     def of(cls, description: Description, plane: LocalPlane | None, file: str = "") -> MapSensor:
@@ -79,6 +82,13 @@ class MapSensor:
             visible = tuple((start + turn, stop + turn) for start, stop in visible)
         x, y = site.in_plane(plane)
         return cls(description.name, description.kind, file, x, y, coverage.range_m, coverage.nearest_m, visible)
+
+    def aboard(self, feed: Feed, instants_s: FloatArray) -> MapSensor:
+        """The sensor with its sites at instants (t,), if its feed's description has no site but its reports have."""
+        sites = [feed.sensor_at(float(instant_s)) for instant_s in instants_s]
+        if feed.description.site is not None or not sites or sites[0] is None:
+            return self
+        return replace(self, sites_m=np.array(sites, np.float64))
 
 
 def _visible(
@@ -216,8 +226,9 @@ class MapSheet:
         return _bounds(np.concatenate([places, self._sites()]))
 
     def _sites(self) -> FloatArray:
-        sites = [(s.x_m, s.y_m) for s in self.sensors if s.x_m is not None and s.y_m is not None]
-        return np.array(sites, np.float64).reshape(-1, 2)
+        fixed = [(s.x_m, s.y_m) for s in self.sensors if s.x_m is not None and s.y_m is not None]
+        moving = [s.sites_m[np.isfinite(s.sites_m[:, 0])] for s in self.sensors if s.sites_m is not None]
+        return np.concatenate([np.array(fixed, np.float64).reshape(-1, 2), *moving])
 
 
 def ellipse_axes(columns: Columns) -> tuple[FloatArray, FloatArray, FloatArray]:

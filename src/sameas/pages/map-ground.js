@@ -111,10 +111,14 @@ const metreWords = (v, step) =>
     ? `${fix((Math.round(v / step) * step) / 1000, 0)} km`
     : `${fix(Math.round(v / step) * step, step < 1 ? 1 : 0)} m`;
 
+// Where a sensor is at the instant shown; one aboard a vessel moves. Null where that is not known.
+const siteOf = sensor => (sensor.sites ? sensor.sites[now.k] : sensor.site);
+
 function coverage(c) {
   data.sensors.forEach((sensor, k) => {
-    if (!sensor.site || !sensor.range || !shown.source[k]) return;
-    const [u, v] = toScreen(...sensor.site),
+    const site = siteOf(sensor);
+    if (!site || !sensor.range || !shown.source[k]) return;
+    const [u, v] = toScreen(...site),
       far = sensor.range * view.scale,
       near = sensor.nearest * view.scale;
     if (far > 40000) return;
@@ -142,8 +146,9 @@ function coverage(c) {
 }
 function sites(c) {
   data.sensors.forEach((sensor, k) => {
-    if (!sensor.site || !shown.source[k]) return;
-    const [u, v] = toScreen(...sensor.site);
+    const site = siteOf(sensor);
+    if (!site || !shown.source[k]) return;
+    const [u, v] = toScreen(...site);
     c.setLineDash([]);
     c.strokeStyle = colour.halo;
     c.lineWidth = 5;
@@ -173,7 +178,7 @@ function ringCentre() {
       ? [objects.x[row], objects.y[row]]
       : null;
   }
-  return chosen === "" ? null : data.sensors[+chosen].site;
+  return chosen === "" ? null : siteOf(data.sensors[+chosen]);
 }
 const RINGS = [0.1, 0.25, 0.5, 1, 2, 3, 6, 12, 24, 48, 96];
 function rings(c, w, h) {

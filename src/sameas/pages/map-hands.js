@@ -180,7 +180,7 @@ function choices() {
   const named = periods => [[0, "none"], ...periods.map(s => [s, s < 1e12 ? duration(s) : "all"])];
   options(el("vector"), named(ahead), nearestPeriod(usualAhead(), ahead));
   options(el("trail"), named(back), nearestPeriod(Math.max(span / 4, 1), back));
-  const sited = data.sensors.flatMap((s, k) => (s.site ? [[k, `about ${s.name}`]] : []));
+  const sited = data.sensors.flatMap((s, k) => (s.site || s.sites ? [[k, `about ${s.name}`]] : []));
   options(el("ring"), [["", "none"], ["object", "about the selected object"], ...sited], sited.length ? sited[0][0] : "");
   options(
     el("pace"),

@@ -53,8 +53,9 @@ function takeFurniture(room) {
   take([w - 20 - Math.min(150, w / 3.4), h - 64, w, h - 20]); // the scale bars
   if (el("credit").offsetWidth) take([w - el("credit").offsetWidth - 8, h - 22, w, h]);
   data.sensors.forEach((sensor, k) => {
-    if (!sensor.site || !shown.source[k]) return;
-    const [u, v] = toScreen(...sensor.site),
+    const site = siteOf(sensor);
+    if (!site || !shown.source[k]) return;
+    const [u, v] = toScreen(...site),
       half = 3.2 * sensor.name.length;
     room.take([u - half, v - 8, u + half, v + 22]);
   });

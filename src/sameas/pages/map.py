@@ -126,8 +126,9 @@ def _settings(sheet: MapSheet) -> dict[str, Any]:
         "sensors": [
             {
                 "name": s.name, "kind": s.kind, "file": s.file,
-                "site": None if s.x_m is None or s.y_m is None else [round(s.x_m, 2), round(s.y_m, 2)],
+                "site": _place(s.x_m, s.y_m),
                 "range": s.range_m, "nearest": s.nearest_m, "visible": [list(part) for part in s.visible_deg],
+                "sites": None if s.sites_m is None else [_place(*site) for site in s.sites_m],
             }
             for s in sheet.sensors
         ],
@@ -136,6 +137,12 @@ def _settings(sheet: MapSheet) -> dict[str, Any]:
         "alarms": [{"text": a.text, "time": a.time_s, "objects": list(a.objects)} for a in sheet.alarms],
         **_ground(sheet),
     }  # fmt: skip
+
+
+def _place(x_m: float | None, y_m: float | None) -> list[float] | None:
+    """[x, y] to a centimetre; None for unknown ones."""
+    known = x_m is not None and y_m is not None and np.isfinite(x_m)
+    return [round(float(x_m), 2), round(float(y_m), 2)] if known else None  # type: ignore[arg-type]
 
 
 def _ground(sheet: MapSheet) -> dict[str, Any]:
