@@ -204,7 +204,7 @@ class ErrorFactors:
     def lines(self) -> list[str]:
         """Printable lines on the sources whose errors differ from the stated ones by 3σ and by 25 % or more."""
         return [
-            f"{name}: positions err by {factor:.2g} times what is stated or assumed (ln ± {sigma:.2g}); counted so"
+            f"{name}: positions err by {_in_words(factor, sigma)} what is stated or assumed; counted so"
             for name, factor, sigma in zip(self.names, self.factor.tolist(), self.sigma.tolist(), strict=True)
             if abs(np.log(factor)) > max(3.0 * sigma, np.log(1.25))
         ]
@@ -251,6 +251,18 @@ class ErrorFactors:
         return np.where(
             several[:, None], np.sqrt(of_bands @ np.exp(2.0 * logs)).reshape(n, RANGE_BANDS), factor[:, None]
         )
+
+
+def _in_words(factor: float, sigma: float, tuning: Tuning = DEFAULT_TUNING) -> str:
+    """Printable: a factor with its 1σ range; at an end of the grid, what is at least or at most.
+
+    >>> _in_words(0.5, 0.1), _in_words(0.25, 1e-6)
+    ('0.5 times (0.45 to 0.55)', 'at most 0.25 times')
+    """
+    low, high = tuning.error_factors[0], tuning.error_factors[-1]
+    if not 1.02 * low < factor < high / 1.02:
+        return f"at {'most' if factor < 1.0 else 'least'} {factor:.2g} times"
+    return f"{factor:.2g} times ({factor * np.exp(-sigma):.2g} to {factor * np.exp(sigma):.2g})"
 
 
 def information(n_previous: IntArray, rho: FloatArray, lasting_rho: FloatArray) -> FloatArray:
