@@ -68,6 +68,13 @@ def test_the_partition_of_twenty_sources_is_at_least_as_probable_as_the_true_one
     assert value(found) >= true_value(found, objects) - 1e-6
 
 
+def test_objects_that_sit_in_fewer_clusters_are_divided():
+    """Merging and assigning alone end with the twelve objects in eleven clusters, e³⁷ times less probable."""
+    sources, objects, _ = scene(np.random.default_rng(0), 20, 12, 0.4, MISSED)
+    found = identify_many(sources, rule=PoissonObjects(12.0, 0.2), tuning=ManyTuning(max_sets=2_000))
+    assert len(found) == 12 and value(found) >= true_value(found, objects)
+
+
 def test_a_source_without_records_in_a_group_of_too_many_sets():
     sources, _, _ = scene(np.random.default_rng(2), 4, 12, 0.05, MISSED)
     far = Records.of([[50.0, 50.0]], sigma=0.01, source="far")

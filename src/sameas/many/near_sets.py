@@ -6,12 +6,14 @@ are reached from a good partition instead, one record at a time:
 1. *Partition.* Source after source is assigned to the clusters of those before it, by the best assignment as a whole;
    then every source anew to the clusters of all others, and clusters merge whose union outweighs them, until that
    gains no more. Three starts, the first source, the last, and all records alone, are packed into one partition.
-2. *Cost.* A set A taken out of the clusters C that it has records of leaves C∖A. Its cost is
+2. *Division.* Three objects that sit in two clusters stay there. So some clusters at a time are divided in two, their
+   parts and the clusters near them are assigned and merged once more, and these sets are packed with all before.
+3. *Cost.* A set A taken out of the clusters C that it has records of leaves C∖A. Its cost is
    Σ ln w(C) − ln w(A) − Σ ln w(C∖A): so much less probable, in ln, is the partition with this one change.
-3. *Search.* From the single records and the clusters, a record is added (in place of one of the same source) or
+4. *Search.* From the single records and the clusters, a record is added (in place of one of the same source) or
    removed. Sets of a cost up to ``ManyTuning.near_cost`` are changed further, the cheapest first, in a group at most
    ``ManyTuning.near_breadth`` for each record.
-4. *Packing.* All sets found, and what they leave, are packed anew (:func:`sameas.kernels.partitions.pack`), and the
+5. *Packing.* All sets found, and what they leave, are packed anew (:func:`sameas.kernels.partitions.pack`), and the
    search begins again from the better partition, if there is one.
 
 All sets found are candidates: any partition made of them counts, not only those of one change. A set that is excluded
@@ -36,6 +38,9 @@ from sameas.ragged import Ragged, ranges
 ROUNDS = 8
 #: Increase of ln w of a partition below which it is not better, against rounding.
 LEAST_GAIN = 1e-6
+#: Of how many clusters one is divided at a time: neighbours divided at once take each other's records (chosen: of 5, 10
+#: and 20, the last gives the most probable partitions). Clusters of fewer records are not divided.
+SPACING, MIN_DIVIDED = 20, 4
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,7 @@ def near_sets(pooled: PooledRecords, terms: Terms, groups: BoolArray, most_cost:
     single = search.single(np.flatnonzero(groups[pooled.group]))
     starts = [search.settled(c) for c in (search.in_sequence(single, 1), search.in_sequence(single, -1), single)]
     found = search.known.unique(np.concatenate([single, *starts]))
-    partition = search.packed(starts[0], found)
+    partition, found = search.divided(search.packed(starts[0], found), found)
     improving = groups
     for _ in range(ROUNDS):
         searched = improving[search.group_of(partition)]
@@ -154,14 +159,68 @@ class _Search:
         """(c, S) clusters with every source assigned anew and unions merged, until that gains no more."""
         value = -np.inf
         while (now := float(self.known(clusters).sum())) > value + LEAST_GAIN:
-            value = now
-            for s in range(len(self.pooled.sources)):
-                records = np.sort(clusters[clusters[:, s] != ABSENT, s])
-                others = clusters.copy()
-                others[:, s] = ABSENT
-                clusters = self._assigned(others[(others != ABSENT).any(axis=1)], records, s)
-            clusters = self._merged(clusters)
+            value, clusters = now, self._reassigned(clusters)
         return clusters
+
+    def _reassigned(self, clusters: IntArray) -> IntArray:
+        """(c, S) clusters with every source assigned anew, once, and then unions merged."""
+        for s in range(len(self.pooled.sources)):
+            records = np.sort(clusters[clusters[:, s] != ABSENT, s])
+            others = clusters.copy()
+            others[:, s] = ABSENT
+            clusters = self._assigned(others[(others != ABSENT).any(axis=1)], records, s)
+        return self._merged(clusters)
+
+    def divided(self, clusters: IntArray, found: IntArray) -> tuple[IntArray, IntArray]:
+        """A partition (c, S) no worse than the clusters, packed from the sets found and those to which divided clusters
+        lead, until that gains no more; and all these sets (k, S)."""
+        for turn in range(ROUNDS):
+            value = self.known(clusters).sum()
+            for first in range(SPACING):
+                large = np.count_nonzero(clusters != ABSENT, axis=1) >= MIN_DIVIDED
+                divided = large & (np.arange(len(clusters)) % SPACING == first)
+                if not divided.any():
+                    continue
+                near = self._near(clusters, divided) & ~divided
+                tried = self._reassigned(np.concatenate([clusters[near], *self._parts(clusters[divided], turn)]))
+                found = self.known.unique(np.concatenate([found, tried]))
+                clusters = self.packed(clusters, found)
+            if self.known(clusters).sum() <= value + LEAST_GAIN:
+                break
+        return clusters, found
+
+    def _near(self, clusters: IntArray, some: BoolArray) -> BoolArray:
+        """(c,) the clusters with a record that is a pair with one of ``some`` (c,) clusters."""
+        records = clusters[some]
+        records = records[records != ABSENT]
+        _, place = ranges(self.start[records], self.start[records + 1] - self.start[records])
+        number = self._numbers(clusters)[self.neighbour[place]]
+        near = np.zeros(len(clusters), bool)
+        near[number[number != ABSENT]] = True
+        return near
+
+    def _parts(self, clusters: IntArray, turn: int) -> tuple[IntArray, IntArray]:
+        """Two parts (c, S) of each cluster, about two of its records: with which a record weighs more, as a pair.
+        One is that which fits worst, or second worst in ``turn`` 1, and so on; the other weighs least with it."""
+        at, source = np.nonzero(clusters != ABSENT)
+        record, first = clusters[at, source], Ragged.of_sorted(at, len(clusters)).start[:-1]
+        less = clusters[at]
+        less[np.arange(len(at)), source] = ABSENT
+        worst = np.lexsort([-self.known(less), at])
+        one = record[worst[first + turn % np.bincount(at)]]
+        with_one = self._as_pairs(record, one[at])
+        other = record[np.lexsort([with_one, at])[first]]
+        moved = self._as_pairs(record, other[at]) > with_one
+        parts = clusters.copy(), np.full_like(clusters, ABSENT)
+        parts[0][at[moved], source[moved]] = ABSENT
+        parts[1][at[moved], source[moved]] = record[moved]
+        return parts
+
+    def _as_pairs(self, records: IntArray, others: IntArray) -> FloatArray:
+        """(k,) ln w of pairs of one set; infinite of a record with itself."""
+        pairs = self.single(records)
+        pairs[np.arange(len(others)), self.pooled.source[others]] = others
+        return np.where(records == others, np.inf, self.known(pairs))
 
     def _assigned(self, clusters: IntArray, records: IntArray, s: int) -> IntArray:
         """The clusters (c, S) with the records (n,) of source s, of which they have none, assigned by the largest gain
