@@ -52,7 +52,7 @@ class UnresolvedTuning:
     colour_mag: float = 0.3
     max_couples: float = 20.0
     min_pairs: float = 200.0
-    max_records: int = 20_000
+    max_records: int = 6_000
     min_gain: float = 12.0
 
 
