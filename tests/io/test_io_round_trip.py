@@ -15,7 +15,7 @@ from astropy.table import Column, MaskedColumn, QTable, Table
 from astropy.table.meta import get_header_from_yaml, get_yaml_from_table
 from astropy.time import Time
 from astropy.utils import minversion
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from sameas.errors import InputError
@@ -186,6 +186,8 @@ def tables(draw):
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(table=tables())
 def test_any_table_survives(ending, tmp_path, table):
+    # In ECSV this text is no value: the Gaia archive writes it.
+    assume(ending != ".ecsv" or "null" not in table["text"].data.data)
     again = through(table, ending, tmp_path)
     if ending == ".fits":
         for name in ("real", "single"):

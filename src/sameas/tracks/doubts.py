@@ -8,7 +8,7 @@ of sources at another place or of other days, are in :mod:`sameas.tracks.elsewhe
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,8 +16,8 @@ from sameas.errors import InputError
 from sameas.registration.weights import weigh
 from sameas.tracks.alignment import States
 from sameas.tracks.bearing_readings import best_other_reading
-from sameas.tracks.bias_fit import BiasFit
-from sameas.tracks.biases import TIME
+from sameas.tracks.bias_fit import BiasFit, fit_biases
+from sameas.tracks.biases import BIASES, TIME
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.elsewhere import COUNTED_S, span_of
 from sameas.tracks.feed import Feed
@@ -27,7 +27,15 @@ from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_track
 from sameas.tracks.registration import unbiased
 from sameas.tracks.snapshot import ComparedSource, bias_widths, common_scans
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
-from sameas.tracks.unit_guesses import HOURS, UnitGuess, clock_guesses, delay_guesses, range_guesses, unit_guesses
+from sameas.tracks.unit_guesses import (
+    DELAYED,
+    HOURS,
+    UnitGuess,
+    clock_guesses,
+    delay_guesses,
+    range_guesses,
+    unit_guesses,
+)
 
 
 @dataclass(frozen=True)
@@ -71,6 +79,7 @@ def doubts(
         _Examined.of(feed, own, tolerant, fit, feed.description.name in matched, plane, tuning)
         for feed, own, fit in zip(feeds, tolerant, by_plots, strict=True)
     ]
+    examined = [replace(one, guess=None) if _is_offset(one, feeds, tuning) else one for one in examined]
     sentences: dict[str, str] = {}
     for one in examined:
         # Of two that contradict each other one sentence is enough.
@@ -145,6 +154,22 @@ class _Examined:
         if self.by_plots is not None and self.by_plots[0].log_evidence > -tuning.registration.decisive:
             return _undecided(*self.by_plots)
         return _nothing_in_common(self.feed, self.partners, self.in_common)
+
+
+def _is_offset(one: _Examined, feeds: Sequence[Feed], tuning: Tuning) -> bool:
+    """Whether a source that looks late matches the other no worse as it is, with offsets of the sensors.
+
+    A radar that is turned by some degrees shows ships where they were or will be within the minute.
+    """
+    if one.guess is None or not one.guess.delay_share:
+        return False
+    [other] = [feed for feed in feeds if feed.description.name == one.guess.other][:1]
+    scans = common_scans(ComparedSource(other, 0), ComparedSource(one.feed, len(BIASES)))
+    if not any(len(scan.biases) for scan in scans):
+        return False
+    fit = fit_biases(scans, tuning)
+    records = sum(min(len(scan.weighing.first), len(scan.weighing.second)) for scan in scans)
+    return fit.established and fit.pairs >= one.guess.delay_share * records
 
 
 def _by_plots(feed: Feed, feeds: Sequence[Feed], fits: PlotFits) -> tuple[BiasFit, tuple[str, ...]] | None:
@@ -250,12 +275,16 @@ def _shared(feed: Feed, other: Feed, tuning: Tuning) -> Shared | None:
 @dataclass(frozen=True)
 class BestGuess:
     """The guess by which a source matches another best: the sentence, the other source, the log-likelihood ratio, and
-    the source, with the other where it may be that which is wrong."""
+    the source, with the other where it may be that which is wrong.
+
+    delay_share : share of the records that match, for stamps that are late by up to three minutes; 0 for other guesses.
+    """
 
     sentence: str
     other: str
     gain: float
     either: frozenset[str]
+    delay_share: float = 0.0
 
 
 def _best_guess(
@@ -277,7 +306,8 @@ def _best_guess(
                 f"{remedy}{either}"
             )
             wrong = frozenset({name, shared.other} if is_mutual else {name})
-            best = BestGuess(sentence, shared.other, shared.gain, wrong)
+            delay_share = shared.share if suspicion.startswith(DELAYED) else 0.0
+            best = BestGuess(sentence, shared.other, shared.gain, wrong, delay_share)
     return best
 
 
