@@ -85,10 +85,10 @@ class MapSensor:
 
     def aboard(self, feed: Feed, instants_s: FloatArray) -> MapSensor:
         """The sensor with its sites at instants (t,), if its feed's description has no site but its reports have."""
-        sites = [feed.sensor_at(float(instant_s)) for instant_s in instants_s]
-        if feed.description.site is not None or not sites or sites[0] is None:
+        if feed.description.site is not None:
             return self
-        return replace(self, sites_m=np.array(sites, np.float64))
+        sites = [feed.sensor_at(float(instant_s)) for instant_s in instants_s]
+        return self if not sites or sites[0] is None else replace(self, sites_m=np.array(sites, np.float64))
 
 
 def _visible(

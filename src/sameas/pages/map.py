@@ -141,8 +141,9 @@ def _settings(sheet: MapSheet) -> dict[str, Any]:
 
 def _place(x_m: float | None, y_m: float | None) -> list[float] | None:
     """[x, y] to a centimetre; None for unknown ones."""
-    known = x_m is not None and y_m is not None and np.isfinite(x_m)
-    return [round(float(x_m), 2), round(float(y_m), 2)] if known else None  # type: ignore[arg-type]
+    if x_m is None or y_m is None or not np.isfinite(x_m):
+        return None
+    return [round(float(x_m), 2), round(float(y_m), 2)]
 
 
 def _ground(sheet: MapSheet) -> dict[str, Any]:

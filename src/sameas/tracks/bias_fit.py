@@ -155,8 +155,7 @@ class Pool:
 
     def initial_common(self, count: int) -> list[FloatArray]:
         """Per scan, (count,) initial numbers of common objects."""
-        sizes = [min(len(e.weighing.first), len(e.weighing.second)) for e in self.scans]
-        return [np.full(count, 0.5 * size) for size in sizes]
+        return [np.full(count, 0.5 * scan.most_pairs) for scan in self.scans]
 
 
 def fit_biases(scans: Sequence[CommonScan], tuning: Tuning) -> BiasFit:
@@ -177,8 +176,7 @@ def fit_biases(scans: Sequence[CommonScan], tuning: Tuning) -> BiasFit:
 
 def _by_size(pool: Pool) -> list[int]:
     """The scans that show a bias, in descending order of the number of records of their smaller source."""
-    sizes = [min(len(e.weighing.first), len(e.weighing.second)) for e in pool.scans]
-    return sorted((k for k in range(len(sizes)) if len(pool.columns[k])), key=lambda k: -sizes[k])
+    return sorted((k for k in range(len(pool.scans)) if len(pool.columns[k])), key=lambda k: -pool.scans[k].most_pairs)
 
 
 def _starting_points(pool: Pool) -> FloatArray:

@@ -7,7 +7,7 @@ of sources at another place or of other days, are in :mod:`sameas.tracks.elsewhe
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,11 +24,11 @@ from sameas.tracks.feed import Feed
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.plot_offsets import PlotFits
 from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_tracks
-from sameas.tracks.registration import unbiased
+from sameas.tracks.registration import observable, unbiased
 from sameas.tracks.snapshot import ComparedSource, bias_widths, common_scans
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.unit_guesses import (
-    DELAYED,
+    DELAYS,
     HOURS,
     UnitGuess,
     clock_guesses,
@@ -163,12 +163,12 @@ def _is_offset(one: _Examined, feeds: Sequence[Feed], tuning: Tuning) -> bool:
     """
     if one.guess is None or not one.guess.delay_share:
         return False
-    [other] = [feed for feed in feeds if feed.description.name == one.guess.other][:1]
+    other = next(feed for feed in feeds if feed.description.name == one.guess.other)
     scans = common_scans(ComparedSource(other, 0), ComparedSource(one.feed, len(BIASES)))
-    if not any(len(scan.biases) for scan in scans):
+    if not observable(scans):
         return False
     fit = fit_biases(scans, tuning)
-    records = sum(min(len(scan.weighing.first), len(scan.weighing.second)) for scan in scans)
+    records = sum(scan.most_pairs for scan in scans)
     return fit.established and fit.pairs >= one.guess.delay_share * records
 
 
@@ -262,12 +262,12 @@ def _shared(feed: Feed, other: Feed, tuning: Tuning) -> Shared | None:
     for scan in scans:
         weighing = scan.weighing
         none = np.zeros((1, len(scan.biases)))
-        common = np.array([0.5 * min(len(weighing.first), len(weighing.second))])
+        common = np.array([0.5 * scan.most_pairs])
         for _ in range(tuning.doubt_steps):
             weights = weigh(weighing, none, common, 1.0)
             common = weights.common
         pairs, gain = pairs + float(common[0]), gain + float(weights.gain[0])
-        records += min(len(weighing.first), len(weighing.second))
+        records += scan.most_pairs
     count = len(scans)
     return Shared(other.description.name, pairs / count, records / count, gain / count)
 
@@ -293,7 +293,7 @@ def _best_guess(
     """The guess by which the source matches best; None if none matches well."""
     unchanged = as_is or Shared("", 0.0, 0.0, 0.0)
     best: BestGuess | None = None
-    for suspicion, changed, remedy, guessed in _guessed_feeds(feed, plane):
+    for suspicion, changed, remedy, is_delay, guessed in _guessed_feeds(feed, plane):
         shared = _best(guessed, others, tuning)
         if shared is None or shared.share < max(tuning.guess_share, 2.0 * unchanged.share):
             continue
@@ -306,17 +306,19 @@ def _best_guess(
                 f"{remedy}{either}"
             )
             wrong = frozenset({name, shared.other} if is_mutual else {name})
-            delay_share = shared.share if suspicion.startswith(DELAYED) else 0.0
+            delay_share = shared.share if is_delay else 0.0
             best = BestGuess(sentence, shared.other, shared.gain, wrong, delay_share)
     return best
 
 
-def _guessed_feeds(feed: Feed, plane: LocalPlane | None) -> Iterator[tuple[str, str, str, Feed]]:
-    """Suspicion, change, remedy, and the resulting feed, for each guess."""
+def _guessed_feeds(feed: Feed, plane: LocalPlane | None) -> Iterator[tuple[str, str, str, bool, Feed]]:
+    """Suspicion, change, remedy, whether it is one of ``DELAYS``, and the resulting feed, for each guess."""
     if feed.raw_reports is not None:
         # Delays of plots without numbers would take a quarter of a minute.
-        delays: Iterable[UnitGuess] = delay_guesses(feed.raw_reports) if shows_tracks(feed) else ()
-        for guess in (*unit_guesses(feed.raw_reports), *delays):
+        guesses = [(guess, False) for guess in unit_guesses(feed.raw_reports)]
+        if shows_tracks(feed):
+            guesses += [(guess, True) for guess in delay_guesses(feed.raw_reports)]
+        for guess, is_delay in guesses:
             source = guess.read(feed.description, feed.raw_reports)
             if source is None:
                 continue
@@ -324,12 +326,12 @@ def _guessed_feeds(feed: Feed, plane: LocalPlane | None) -> Iterator[tuple[str, 
                 changed = Feed.of(*source, plane, tuning=feed.tuning)
             except InputError:
                 continue
-            yield guess.suspicion, guess.changed, guess.remedy, _tolerant(changed)
+            yield guess.suspicion, guess.changed, guess.remedy, is_delay, _tolerant(changed)
     tolerant = _tolerant(feed)
     for suspicion, remedy, ahead_s in clock_guesses():
         biases = np.zeros(6)
         biases[TIME] = ahead_s
-        yield suspicion, "that removed", remedy, unbiased(tolerant, biases, np.zeros((6, 6)))
+        yield suspicion, "that removed", remedy, ahead_s in DELAYS, unbiased(tolerant, biases, np.zeros((6, 6)))
 
 
 def _nothing_in_common(feed: Feed, others: Sequence[Feed], best: Shared | None) -> str:

@@ -294,7 +294,7 @@ def _fit(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> BiasFit | None
     if by_plots is not None:
         return by_plots
     scans = _common_scans(feed, partners)
-    if not _observable(scans):
+    if not observable(scans):
         return None
     fit = fit_biases(scans, feed.tuning)
     if not fit.established or not named or not has_bearings(feed) or _is_plain(fit, scans):
@@ -305,7 +305,7 @@ def _fit(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> BiasFit | None
 
 def _is_plain(fit: BiasFit, scans: Sequence[CommonScan]) -> bool:
     """Whether so many records are in pairs that they cannot be read in another way."""
-    records = sum(min(len(scan.weighing.first), len(scan.weighing.second)) for scan in scans)
+    records = sum(scan.most_pairs for scan in scans)
     return fit.tracks > fit.tuning.reading_tracks and fit.pairs > fit.tuning.reading_share * records
 
 
@@ -361,7 +361,7 @@ def _mutual(one: Feed, other: Feed) -> tuple[RegisteredFeed, RegisteredFeed]:
     fit = _mutual_delay_fit(one, other)
     if fit is None:
         scans = common_scans(ComparedSource(one, 0), ComparedSource(other, 6))
-        if not _observable(scans):
+        if not observable(scans):
             note = _not_observable if scans else _no_common_time
             first, second = (
                 (feed, SourceBiases(feed.description.name, established=bool(scans),
@@ -392,13 +392,13 @@ def _mutual_delay_fit(one: Feed, other: Feed) -> BiasFit | None:
     if late_other is None and late_one is None:
         return None
     scans = common_scans(ComparedSource(late_one or one, 0), ComparedSource(late_other or other, 6))
-    if not _observable(scans):
+    if not observable(scans):
         return None
     fit = fit_biases(scans, one.tuning)
     return fit if _delay_established(fit, [one, other]) else None
 
 
-def _observable(scans: Sequence[CommonScan]) -> bool:
+def observable(scans: Sequence[CommonScan]) -> bool:
     """Whether any bias is observable in these scans."""
     return any(scan.weighing.model.names for scan in scans)
 

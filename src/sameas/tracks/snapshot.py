@@ -250,6 +250,11 @@ class CommonScan:
     lasting_m2: float = 0.0
 
     @property
+    def most_pairs(self) -> int:
+        """Number of records of the smaller source."""
+        return min(len(self.weighing.first), len(self.weighing.second))
+
+    @property
     def sources(self) -> tuple[str, str]:
         """Names of both."""
         return self.weighing.first.source, self.weighing.second.source

@@ -24,8 +24,6 @@ LENGTHS = (("kilometres", 1000.0), ("nautical miles", MILE_M), ("feet", FOOT_M),
 HOURS, LEAP_S = (*range(-12, 0), *range(1, 15)), 18.0
 #: Delays of stamps that are tried, and of clocks that are early, in seconds: a queue, a recorder, a clock set by hand.
 DELAYS = (*range(15, 195, 15), *range(-60, 0, 15))
-#: Beginning of the suspicion of such a delay.
-DELAYED = "stamps look"
 DEGREE = 180.0 / math.pi
 
 Source = tuple[Description, Reports]
@@ -126,7 +124,7 @@ def delay_guesses(reports: Reports) -> Iterator[UnitGuess]:
 
 def _delay_words(delay_s: float) -> tuple[str, str]:
     late = "late" if delay_s > 0 else "early"
-    return f"{DELAYED} about {abs(delay_s)} s {late}", f"give latency_s = {delay_s} in its timing, or correct them"
+    return f"stamps look about {abs(delay_s)} s {late}", f"give latency_s = {delay_s} in its timing, or correct them"
 
 
 def _with_delay(delay_s: float, *, turned: bool) -> Read:

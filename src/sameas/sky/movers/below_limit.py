@@ -286,9 +286,8 @@ def _planes(
 
 def _signal_to_noise(movers: Movers, series: Series) -> FloatArray:
     """(k,) largest signal to noise among the detections of each tracklet."""
-    return np.array([
-        float(series.measured("snr", movers.detections.rows[one[one >= 0]]).max()) for one in movers.members
-    ])  # fmt: skip
+    snr = series.measured("snr", movers.detections.rows)
+    return np.array([float(snr[one[one >= 0]].max()) for one in movers.members])
 
 
 def _filtered(
