@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.io.sensors import ReadOptions, read_reports
+from sameas.io.sensors import ReadOptions, read_reports, read_sources
 from sameas.io.sensors.sentences import AisWriter, clock, heading, position
 from sameas.picture.live import LivePicture
 from sameas.tracks import Description, Platform, Reports, Scene, SensorErrors, Timing
@@ -185,6 +185,46 @@ def test_bearings_from_the_bow_are_turned_by_the_heading_of_the_vessel(every_s):
     assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 0.1
     [feed] = scene(described(source="gps"), compass(), reports=bow_plots()).feeds
     assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 0.1
+
+
+def gyro(tmp_path, name="gyro", head="time,heading"):
+    """A log of her compass alone, read from its file."""
+    times = gps().time_s + 0.3
+    rows = [f"{t:.2f},{deg:.3f}" for t, deg in zip(times, headings(times), strict=True)]
+    (tmp_path / f"{name}.csv").write_text("\n".join([head, *rows]) + "\n")
+    [reports] = read_reports(tmp_path / f"{name}.csv", ReadOptions(source=name))
+    return reports
+
+
+@pytest.mark.parametrize("head", ["time,heading", "timestamp,gyro", "t,own_heading"])
+def test_a_compass_may_have_a_file_of_its_own(tmp_path, head):
+    [feed] = scene(described(source="gps"), gps(), gyro(tmp_path, head=head), reports=bow_plots()).feeds
+    assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 0.5
+    by_ais = scene(described(mmsi="235000111"), ais("235000111", 1.0), gyro(tmp_path, head=head), reports=bow_plots())
+    assert np.abs(by_ais.feeds[0].reports.state[:, :2] - BUOY).max() < 0.5
+    assert [feed.description.name for feed in by_ais.feeds] == ["radar", "ais"]
+
+
+def test_files_of_a_radar_a_receiver_and_a_compass_need_no_description(tmp_path):
+    for reports, names in (
+        (bow_plots(), {"time_s": "time", "range_m": "range", "relative_bearing_deg": "relative_bearing"}),
+        (gps(), {"time_s": "time", "lat_deg": "lat", "lon_deg": "lon"}),
+    ):
+        columns = [getattr(reports, column).tolist() for column in names]
+        rows = [",".join(f"{cell:.8f}" for cell in row) for row in zip(*columns, strict=True)]
+        (tmp_path / f"{reports.source}.csv").write_text("\n".join([",".join(names.values()), *rows]) + "\n")
+    gyro(tmp_path)
+    sources = read_sources([tmp_path / f"{name}.csv" for name in ("radar", "gps", "gyro")])
+    assert "the compass of own ship" in sources[2].lines()[0]
+    [feed] = Scene.of([(one.description, one.reports) for one in sources], PLANE).feeds
+    assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 0.5
+    with pytest.raises(InputError, match="gyro has the heading, and no source the positions of the vessel"):
+        Scene.of([(one.description, one.reports) for one in sources[::2]], PLANE)
+
+
+def test_which_of_two_compasses_is_hers_is_asked(tmp_path):
+    with pytest.raises(InputError, match="the heading of the vessel of source gps is in gyro and fluxgate"):
+        scene(described(source="gps"), gps(), gyro(tmp_path), gyro(tmp_path, "fluxgate"), reports=bow_plots())
 
 
 def test_a_heading_of_the_reports_themselves_needs_no_other():

@@ -17,7 +17,7 @@ from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError, naming
 from sameas.representation import listed
 from sameas.tracks.kinds import KINDS
-from sameas.tracks.reports import Reports
+from sameas.tracks.reports import OWN_HEADING, Reports
 from sameas.tracks.source import Description, Platform
 from sameas.tracks.tuning import Tuning
 
@@ -50,6 +50,13 @@ def on_platform(
             )
     if platform is None:
         if reports.relative_bearing_deg is not None:
+            compasses = [name for name, parts in others.items() if any(part.kind == OWN_HEADING for part in parts)]
+            if compasses:
+                raise InputError(
+                    f"{description.name}: its bearings are relative to the bow; {listed(tuple(compasses))} has the "
+                    "heading, and no source the positions of the vessel",
+                    naming("give the file of her GNSS receiver, or platform = {{ mmsi = … }} in its {description}"),
+                )
             raise InputError(
                 f"{description.name}: its bearings are relative to the bow, and no source gives the heading",
                 naming(
@@ -64,6 +71,7 @@ def on_platform(
     if reports.relative_bearing_deg is not None:
         steps.append(_turned)
     vessel = _reports_of(platform, description.name, others) if steps else []
+    compass = _compass(platform, others) if steps else []
     if reports.position == "local" and steps and vessel[0].lat_deg is not None:
         reports = _from_ship(reports)
         notes.append(f"{description.name}: x and y are read as metres east and north of the {platform}")
@@ -72,7 +80,7 @@ def on_platform(
     reports = replace(reports, time_s=reports.time_s - late_s)
     for step in steps:
         if len(reports):
-            reports, of_step = step(description.name, platform, vessel, reports, tuning)
+            reports, of_step = step(description.name, platform, vessel, compass or vessel, reports, tuning)
             notes += of_step
     return replace(reports, time_s=reports.time_s + late_s), tuple(notes)
 
@@ -114,7 +122,9 @@ def gives_own_ship(part: Reports) -> bool:
 Step = tuple[Reports, list[str]]
 
 
-def _placed(sensor: str, platform: Platform, vessel: list[Reports], reports: Reports, tuning: Tuning) -> Step:
+def _placed(
+    sensor: str, platform: Platform, vessel: list[Reports], compass: list[Reports], reports: Reports, tuning: Tuning
+) -> Step:
     """The reports with the position of the vessel, where it is known, and notes."""
     names = ("lat_deg", "lon_deg") if vessel[0].lat_deg is not None else ("x_m", "y_m")
     time_s, place = _series(vessel, names)
@@ -129,15 +139,17 @@ def _placed(sensor: str, platform: Platform, vessel: list[Reports], reports: Rep
     out = replace(reports, **{latitude_or_x: at[:, 0], longitude_or_y: at[:, 1]})  # type: ignore[arg-type]
     if out.station_heading_deg is None and out.relative_bearing_deg is None:
         # Bearings that look to be from the bow are doubted.
-        _, _, heading_deg = _headings(vessel, reports.time_s, tuning)
+        _, _, heading_deg = _headings(compass, reports.time_s, tuning)
         out = replace(out, station_heading_deg=heading_deg if np.isfinite(heading_deg).any() else None)
     return _where(known, out, sensor, f"where the {platform} was at their times is not known")
 
 
-def _turned(sensor: str, platform: Platform, vessel: list[Reports], reports: Reports, tuning: Tuning) -> Step:
+def _turned(
+    sensor: str, platform: Platform, vessel: list[Reports], compass: list[Reports], reports: Reports, tuning: Tuning
+) -> Step:
     """The reports with bearings from north, where the heading of the vessel is known, and notes."""
     notes: list[str] = []
-    column, count, heading_deg = _headings(vessel, reports.time_s, tuning)
+    column, count, heading_deg = _headings(compass, reports.time_s, tuning)
     known = np.isfinite(heading_deg)
     if not known.any():
         raise InputError(
@@ -188,9 +200,12 @@ def _under_way(reports: Reports, tuning: Tuning) -> Reports:
 
 
 def only_carries(source: str, reports: Reports, descriptions: Iterable[Description]) -> bool:
-    """Whether a source gives the position of a vessel that carries sensors, and names no object: it is no sensor."""
+    """Whether a source gives the position or the heading of a vessel that carries sensors, and names no object: it is
+    no sensor."""
     platforms = (description.platform for description in descriptions)
-    carries = reports.kind == OWN_POSITIONS or any(one is not None and one.source == source for one in platforms)
+    carries = reports.kind in (OWN_POSITIONS, OWN_HEADING) or any(
+        one is not None and one.source == source for one in platforms
+    )
     return reports.object_ids is None and carries
 
 
@@ -238,6 +253,19 @@ def _reports_of(platform: Platform, sensor: str, others: Mapping[str, Sequence[R
             naming("give the MMSI of the one: platform = {{ source = …, mmsi = … }} in its {description}"),
         )
     return own
+
+
+def _compass(platform: Platform, others: Mapping[str, Sequence[Reports]]) -> list[Reports]:
+    """The reports of the vessel's compass, if it has a source of its own.
+
+    Raises InputError: there are several.
+    """
+    found = {name: list(parts) for name, parts in others.items() if any(part.kind == OWN_HEADING for part in parts)}
+    if len(found) > 1:
+        raise InputError(
+            f"the heading of the {platform} is in {listed(tuple(found))}", "give the file of one compass only"
+        )
+    return next(iter(found.values()), [])
 
 
 def _is_of(platform: Platform, reports: Reports) -> BoolArray:

@@ -23,6 +23,8 @@ from sameas.representation import counted, in_short
 TextArray = NDArray[np.object_]
 #: Seconds from 1970 to the end of the year 9999; larger absolute values are not accepted as times.
 LAST_S = 253402300800.0
+#: The kind of reports of the heading of a ship by her own compass, which have no positions.
+OWN_HEADING = "own heading"
 #: The 1σ error of a speed of AIS (``errors.speed_m_per_s`` of its kind): up to this a speed does not differ from 0.
 AT_REST_M_PER_S = 0.3
 
@@ -255,7 +257,9 @@ class Reports:
 
     @property
     def position(self) -> str:
-        """Kind of the positions: "geodetic", "local", "polar", or "bearing" without a distance."""
+        """Kind of the positions: "geodetic", "local", "polar", "bearing" without a distance, or "no" of a compass."""
+        if self.kind == OWN_HEADING:
+            return "no"
         if self.lat_deg is not None and self.lon_deg is not None:
             return "geodetic"
         if self.x_m is not None and self.y_m is not None:

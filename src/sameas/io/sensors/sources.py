@@ -30,7 +30,7 @@ from sameas.io.sensors import aircraft, arpa, asterix, cot, gpsd, gpx, mode_s, n
 from sameas.io.sensors.format import OWN_SHIP, ReadOptions, SensorFile, SensorFormat, kind_by_name, kind_of
 from sameas.tracks.kinds import CARRIER_KIND, KINDS
 from sameas.tracks.platforms import OWN_POSITIONS, only_carries
-from sameas.tracks.reports import Damaged, NoReports, Reports, joined, without_stray_times
+from sameas.tracks.reports import OWN_HEADING, Damaged, NoReports, Reports, joined, without_stray_times
 from sameas.tracks.source import Description, source_tables
 
 # Reading: the reports in a file, whose format is detected from its content.
@@ -148,7 +148,7 @@ class SensorSource:
         first = first.replace(self.reports.source, f"{self.reports.source} ({self.path.name})", 1)
         if self.why_kind is None:
             return [f"{first}, {self.description.kind}", *rest]
-        if self.reports.kind == OWN_POSITIONS:
+        if self.reports.kind in (OWN_POSITIONS, OWN_HEADING):
             return [f"{first}: {self.why_kind}", *rest]
         return [f"{first}, read as {self.description.kind}: {self.why_kind}", *rest]
 
@@ -327,9 +327,11 @@ def source_of(name: str, reports: Reports, described: Mapping[str, SourceOptions
     options = described.get(name)
     if options is not None and options.has_kind:
         return SensorSource(options.description, reports, path, None)
-    if only_carries(name, reports, (one.description for one in described.values())):
+    if reports.kind != OWN_HEADING and only_carries(name, reports, (one.description for one in described.values())):
         kind, why = CARRIER_KIND, "it has the positions of a vessel with a sensor"
         reports = _as_own_ship(reports)
+    elif reports.kind == OWN_HEADING:
+        kind, why = CARRIER_KIND, "it has headings and no positions: the compass of own ship"
     elif _is_of_one_ship(reports):
         kind, why = (
             CARRIER_KIND,

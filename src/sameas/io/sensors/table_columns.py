@@ -94,7 +94,7 @@ QUANTITIES = tuple(
         ("station_heading_deg", "angle", _hers("heading", "hdg")),
         ("speed_m_per_s", "speed", "sog speed groundspeed gs velocity speedoverground speedhorizontal horizontalspeed"),
         ("course_deg", "angle", "cog course courseoverground track trackangle direction"),
-        ("heading_deg", "angle", "heading hdg trueheading"),
+        ("heading_deg", "angle", "heading hdg trueheading headingtrue hdt gyro gyroheading"),
         ("vx_m_per_s", "speed", "vx ve veast velx velocityx xvel vele xspeed xdot"),
         ("vy_m_per_s", "speed", "vy vn vnorth vely velocityy yvel veln yspeed ydot"),
         ("climb_m_per_s", "speed", "climb verticalrate vertrate rocd vrate vz speedvertical verticalspeed"),
@@ -466,8 +466,18 @@ def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]
     return chosen
 
 
+#: Columns of a table of own ship's heading.
+HEADINGS = ("station_heading_deg", "heading_deg")
+
+
+def is_compass(chosen: Mapping[str, Choice]) -> bool:
+    """Whether a table has the headings of one vessel, which it does not name, and no positions."""
+    others = chosen.keys() - {"time_s", "day_s", *HEADINGS, "speed_m_per_s", "course_deg"}
+    return not others and sum(name in chosen for name in HEADINGS) == 1
+
+
 def require_columns(chosen: Mapping[str, Choice], names: Sequence[str], source: str) -> None:
-    """Refuses a table without times or positions; the message names all that is missing at once."""
+    """Refuses a table without times, or without positions or headings; the message names all that is missing."""
     listed = ", ".join(names)
     if any(re.fullmatch(r"I\d{3}", name) for name in names) or {"data_blocks", "data_items"} & set(names):
         raise InputError(
@@ -481,7 +491,7 @@ def require_columns(chosen: Mapping[str, Choice], names: Sequence[str], source: 
             raise InputError(
                 f"{source}: no column of {words}{missing} among: {listed}", naming_columns(*times, missing)
             )
-    is_placed = not chosen.keys().isdisjoint(PLACES - {"range_m"})
+    is_placed = not chosen.keys().isdisjoint(PLACES - {"range_m"}) or is_compass(chosen)
     if "range_m" in chosen and not is_placed:
         raise InputError(
             f"{source}: ranges ({chosen['range_m'].name}), but no column of {words}bearings among: {listed}",

@@ -33,9 +33,11 @@ from sameas.io.sensors.format import (
 from sameas.io.sensors.languages import DATES, HOURS, plain
 from sameas.io.sensors.table_cells import NULLS, PARQUET, TableText, cells_of, distinct_texts, of_each, parts_of
 from sameas.io.sensors.table_columns import (
+    HEADINGS,
     NO_UNIT,
     Choice,
     choose,
+    is_compass,
     require_columns,
     stem_of,
     with_breadths_as_places,
@@ -43,7 +45,7 @@ from sameas.io.sensors.table_columns import (
 )
 from sameas.io.sensors.table_times import FIRST_S, milliseconds, times_of
 from sameas.representation import counted
-from sameas.tracks.reports import DIRECTIONS, Damaged, Reports, is_impossible
+from sameas.tracks.reports import DIRECTIONS, OWN_HEADING, Damaged, Reports, is_impossible
 
 #: Columns with latitude and longitude in one cell.
 _POSITIONS = ("position", "latlon", "latlong", "latlng", "coordinates")
@@ -72,6 +74,9 @@ def read(cells: TableText, source: str, options: ReadOptions | None = None) -> R
     if not len(cells.lines):
         reasons = "; ".join(Damaged.of(cells.damaged, cells.unit).sentences())
         raise InputError(f"{source}: names columns, but has no row that can be used{': ' * bool(reasons)}{reasons}")
+    if is_compass(chosen):
+        format_name = OWN_HEADING
+        chosen = {"heading_deg" if name in HEADINGS else name: choice for name, choice in chosen.items()}
     damaged = dict(cells.damaged)
     is_ais = "mmsi" in chosen or kind == "ais"
     if is_ais:
@@ -439,7 +444,7 @@ _STATICS = ("imo", "callsign", "name", "type", "length_m", "width_m", *(f"to_{si
 def _with_statics(values: dict[str, Any]) -> tuple[dict[str, Any], BoolArray]:
     """The values with the static data of each ship at her positions, and (n,) whether a row has only these: receivers
     write the messages of AIS one below the other."""
-    coordinates = [name for pair in _POSITIONS_IN for name in pair if name in values]
+    coordinates = [name for pair in _positions_in(values) for name in pair]
     missing = np.logical_and.reduce([np.isnan(values[name]) for name in coordinates])
     given = [name for name in _STATICS if name in values]
     if not missing.any() or "mmsi" not in values or not given:
@@ -464,13 +469,18 @@ def _is_given(column: NDArray[Any]) -> BoolArray:
 
 
 def _without_position(values: Mapping[str, Any]) -> BoolArray:
-    pairs = [pair for pair in _POSITIONS_IN if pair[0] in values]
-    return np.logical_and.reduce([np.isnan(sum(values[name] for name in pair)) for pair in pairs])
+    return np.logical_and.reduce([np.isnan(sum(values[name] for name in pair)) for pair in _positions_in(values)])
+
+
+def _positions_in(values: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """The columns that are positions in a table; those of headings in that of a compass."""
+    return [pair for pair in _POSITIONS_IN if pair[0] in values] or [("heading_deg",)]
 
 
 def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int, str], static: BoolArray) -> None:
     """Marks rows without a position, or with an impossible one, as damaged; not the static data of ships."""
-    _mark(_without_position(values) & ~static, lines, damaged, "no position")
+    reason = "no heading" if _positions_in(values) == [("heading_deg",)] else "no position"
+    _mark(_without_position(values) & ~static, lines, damaged, reason)
     if "range_m" in values:
         _mark(values["range_m"] < 0.0, lines, damaged, "a distance below 0")
     heading_deg = values.get("station_heading_deg") if "relative_bearing_deg" in values else None
