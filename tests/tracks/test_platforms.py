@@ -1,6 +1,7 @@
 """A sensor aboard a vessel is where another source says that the vessel is."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -216,8 +217,8 @@ def test_files_of_a_radar_a_receiver_and_a_compass_need_no_description(tmp_path)
     gyro(tmp_path)
     sources = read_sources([tmp_path / f"{name}.csv" for name in ("radar", "gps", "gyro")])
     assert "the compass of own ship" in sources[2].lines()[0]
-    [feed] = Scene.of([(one.description, one.reports) for one in sources], PLANE).feeds
-    assert np.abs(feed.reports.state[:, :2] - BUOY).max() < 0.5
+    states: Any = Scene.of([(one.description, one.reports) for one in sources], PLANE).feeds[0].reports
+    assert np.abs(states.state[:, :2] - BUOY).max() < 0.5
     with pytest.raises(InputError, match="gyro has the heading, and no source the positions of the vessel"):
         Scene.of([(one.description, one.reports) for one in sources[::2]], PLANE)
 

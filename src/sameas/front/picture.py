@@ -92,7 +92,7 @@ class MatchPicture(Result):
         """One sentence for each problem: alarms first, then doubts."""
         summary = self.picture.summary
         return (
-            *(f"ALARM {alarm}" for alarm in (*summary.alarms, *summary.faults)),
+            *(f"ALARM {alarm}" for alarm in summary.urgent),
             *self.source_doubts,
             *summary.notes,
         )
@@ -200,7 +200,7 @@ class MatchPicture(Result):
             "unconfirmed_objects": summary.unconfirmed,
             "objects_per_instant": summary.detected, "expected_wrong_per_instant": summary.expected_wrong,
             "ambiguous_groups_per_instant": summary.ambiguous_groups, "places": asdict(summary.places),
-            "alarms": [str(alarm) for alarm in (*summary.alarms, *summary.faults)],
+            "alarms": [str(alarm) for alarm in summary.urgent],
             "doubts": [*self.source_doubts, *summary.notes],
             "offsets": [_offset(biases) for biases in self.biases],
             "misses": [asdict(misses) for misses in summary.misses],
@@ -310,8 +310,11 @@ def _drawn(
 
 
 def _map_alarms(picture: Picture) -> Iterator[MapAlarm]:
-    """The alarms and faults, each with the objects of its records."""
-    records = picture.records
+    """The calls for help, alarms and faults, each with the objects of its records."""
+    records, objects = picture.records, picture.objects
+    for call in picture.summary.calls:
+        numbers = np.unique(objects["object"][objects["mmsi"] == call.mmsi])
+        yield MapAlarm(str(call), call.first_s, tuple(numbers.tolist()))
     for alarmed in picture.summary.alarms:
         concerned = np.zeros(len(records["row"]), bool)
         for source, row in (alarmed.alarm.first, alarmed.alarm.second):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,9 @@ from sameas.live.journal import Journal, Store
 from sameas.live.replay import in_words
 from sameas.live.situation import Alarm, Situation
 from sameas.picture.picture_state import PictureState
+from sameas.tracks.distress import DistressCall, calls_in
 from sameas.tracks.faults import Fault
+from sameas.tracks.reports import Reports
 
 #: An alarm ends when its condition has been absent for this many seconds of picture time.
 ALARM_ENDS_S = 10.0
@@ -28,6 +30,9 @@ ALARM_ENDS_S = 10.0
 MOST_UNSAVED = 500
 #: Largest number of alarms that wait for a terminal that takes none: it may be stopped.
 MOST_BEGUN = 100_000
+#: A call lasts until this many seconds after its last report (chosen). A device sends eight times within a minute, and
+#: again after a minute; waves hide it for longer.
+CALL_S = 600.0
 #: The picture stands still if the clock is this many seconds before its last instant.
 STANDS_S = 5.0
 #: An alarm is raised if half of the last SLOW_TICKS ticks take longer than their interval by the factor SLOWER.
@@ -113,6 +118,31 @@ class AlarmLog:
             who, when_s = before["acknowledged_by"], before["acknowledged_s"]
             self._store.attempt(lambda journal: journal.acknowledge(saved, who, when_s))
         return saved
+
+
+class DistressCalls:
+    """The calls received so far, by MMSI."""
+
+    def __init__(self) -> None:
+        self._calls: dict[str, DistressCall] = {}
+
+    def take(self, reports: Reports) -> None:
+        """Takes the calls among new reports of a source."""
+        for call in calls_in(reports):
+            before = self._calls.get(call.mmsi)
+            self._calls[call.mmsi] = call if before is None else replace(call, first_s=before.first_s)
+
+    def alarms(self, situation: Situation) -> list[Alarm]:
+        """An alarm of each call, with the objects that have its MMSI."""
+        self._calls = {mmsi: call for mmsi, call in self._calls.items() if situation.time_s - call.last_s <= CALL_S}
+        objects = situation.objects
+        numbers: dict[str, list[int]] = {}
+        for number, mmsi in zip(objects["object"].tolist(), objects["mmsi"].tolist(), strict=True):
+            numbers.setdefault(mmsi, []).append(number)
+        return [
+            Alarm(f"distress {mmsi}", "distress", str(call), tuple(numbers.get(mmsi, ())))
+            for mmsi, call in self._calls.items()
+        ]
 
 
 def identity_alarms(state: PictureState[Any]) -> list[Alarm]:

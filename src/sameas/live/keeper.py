@@ -26,6 +26,7 @@ from sameas.live.alarms import (
     MOST_UNSAVED,
     AlarmLog,
     ConfirmedFaults,
+    DistressCalls,
     clock_alarms,
     disk_alarms,
     fault_alarms,
@@ -106,6 +107,7 @@ class Keeper:
         # Whether no tick will follow.
         self.ended = False
         self.approaches = Approaches(settings.watch)
+        self.distress = DistressCalls()
         self.zones = GuardZones(settings.watch.zones)
         self.own_ship = OwnShipMotion(settings, self.wires, replayed=replay is not None)
         self._saved_s = -math.inf
@@ -179,7 +181,8 @@ class Keeper:
             clock_s, plane = self.reception.taken_s, self.picture.plane
             own_ship = self.own_ship.at(instant_s, clock_s, state, plane)
             situation = Situation.of(self._tick, state, plane, (), own_ship, self.picture.height_model)
-            alarms = [*identity_alarms(state), *self.reception.alarms(excused={self.own_ship.source(clock_s)}),
+            alarms = [*self.distress.alarms(situation), *identity_alarms(state),
+                      *self.reception.alarms(excused={self.own_ship.source(clock_s)}),
                       *fault_alarms(self.background.faults.confirmed, situation), *self._own_ship_alarms(situation),
                       *self.approaches.alarms(situation, state, self.alarms, self.own_ship.mmsi),
                       *self.zones.alarms(situation, self.alarms, self.own_ship.mmsis),
@@ -212,6 +215,7 @@ class Keeper:
         """Takes the reports of a source into the picture; they are refused as of :meth:`LivePicture.add`."""
         self.picture.add(name, reports)
         self.approaches.take(reports)
+        self.distress.take(reports)
         self.own_ship.take(name, reports)
 
     def _keep_history(self, situation: Situation) -> None:

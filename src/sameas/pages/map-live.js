@@ -52,10 +52,11 @@ function renewByStages() {
 // ---- alarms; operators may acknowledge them ----
 let alarmWords = "";
 function applyAlarms(alarms) {
-  // Active ones first, of these those that nobody acknowledged; then approaches, the most urgent first, and the newest.
+  // Active ones first, of these those that nobody acknowledged; then calls for help, approaches, the most urgent first,
+  // and the newest.
   const approaches = a => a.kind === "cpa" && !!a.active;
   const urgency = a => (approaches(a) ? (present.cpa[a.objects[0]]?.[1] ?? 0) : -a.first_s);
-  const order = a => [!a.active, a.acknowledged_s !== null, !approaches(a), urgency(a), -a.id];
+  const order = a => [!a.active, a.acknowledged_s !== null, a.kind !== "distress", !approaches(a), urgency(a), -a.id];
   alarms.sort((a, b) => {
     const [p, q] = [order(a), order(b)],
       k = p.findIndex((v, i) => v !== q[i]);
@@ -89,9 +90,9 @@ function applyAlarms(alarms) {
         button.addEventListener("click", () => acknowledge([a.id], button));
         return [button];
       },
-      // Every approach is looked at before it is acknowledged (IMO MSC.302(87), alerts of category A).
+      // Every approach and call is looked at before it is acknowledged (IMO MSC.302(87), alerts of category A).
       besideAll: crowd => {
-        if (!crowd[0].fresh || crowd[0].approaching !== null || !data.live.operator) return [];
+        if (!crowd[0].fresh || crowd[0].approaching !== null || crowd[0].condition === "distress" || !data.live.operator) return [];
         const button = text("button", `acknowledge all ${crowd.length}`, "acknowledge");
         button.addEventListener("click", () => acknowledge(crowd.map(one => one.id), button));
         return [button];

@@ -30,6 +30,7 @@ from sameas.picture.texts import TEXTS
 from sameas.picture.watch import Watch
 from sameas.representation import in_short
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.distress import distress_calls
 from sameas.tracks.placement import Directions
 from sameas.tracks.scene import Scene
 
@@ -152,10 +153,12 @@ class Picture:
         assert state is not None
         table, records_table = (with_degrees(rows.taken(), scene.plane) for rows in (objects, records))
         faults = faults_and_deceptions(scene.feeds, records_table, state.scan.tuning)
+        calls = distress_calls([feed.raw_reports for feed in scene.feeds if feed.raw_reports is not None])
+        calls = tuple(one for one in calls if one.last_s >= times[0] and one.first_s <= times[-1])
         return cls(
             times, table, records_table,
-            Summary.of(scene, table, tallies, biases, state.scan.tuning, faults, error_lines(state.watch)), texts,
-            scene.plane, state.watch,
+            Summary.of(scene, table, tallies, biases, state.scan.tuning, faults, error_lines(state.watch), calls),
+            texts, scene.plane, state.watch,
         )  # fmt: skip
 
     def reasons(self) -> dict[int, list[tuple[float, str]]]:

@@ -17,6 +17,7 @@ from sameas.picture.plot_picture import PlotObjects
 from sameas.picture.tables import CONFIRMED
 from sameas.picture.texts import TEXTS
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.tracks.distress import DistressCall
 from sameas.tracks.faults import Fault
 from sameas.tracks.feed import Feed, fastest_vessel_m_per_s
 from sameas.tracks.kinds import KINDS
@@ -200,7 +201,7 @@ class Summary:
     unconfirmed : number of objects that were never confirmed.
     detected, expected_wrong, ambiguous_groups : means per instant of the number of detected objects, of the expected
         number of these with wrong records, and of the number of groups with an ambiguous object.
-    faults : alarms on sources and tracks: clocks, ends, floods, deception, each with its probability.
+    calls : for help. faults : alarms on sources and tracks: clocks, ends, floods, deception, each with its probability.
     places : uncertainty of positions. misses : per source. biases : printable lines, as given. alarms : on identities.
     assumed : printable lines on all assumed numbers. notes : other doubts. errors : printable lines on sources whose
         errors are not as stated.
@@ -222,6 +223,7 @@ class Summary:
     notes: tuple[str, ...]
     faults: tuple[Fault, ...] = ()
     errors: tuple[str, ...] = ()
+    calls: tuple[DistressCall, ...] = ()
 
     @classmethod
     def of(
@@ -233,10 +235,11 @@ class Summary:
         tuning: Tuning = DEFAULT_TUNING,
         faults: Sequence[Fault] = (),
         errors: Sequence[str] = (),
+        calls: Sequence[DistressCall] = (),
     ) -> Summary:
         """From the columns of a picture's objects and the tallies of its instants.
 
-        biases, errors : printable lines. faults : of sources and tracks.
+        biases, errors : printable lines. faults : of sources and tracks. calls : for help.
         """
         by_sources, unconfirmed = _by_sources(objects, len(scene.feeds))
         assumed = tuple(str(line) for feed in scene.feeds for line in feed.description.assumed)
@@ -248,7 +251,13 @@ class Summary:
             places=PositionErrors.of(objects, len(tallies)), misses=tuple(_misses(scene.feeds, tallies, tuning)),
             biases=tuple(biases), alarms=tuple(_alarms(scene.feeds, tallies)), assumed=assumed,
             notes=tuple(_notes(scene.feeds, tallies)), faults=tuple(faults), errors=tuple(errors),
+            calls=tuple(calls),
         )  # fmt: skip
+
+    @property
+    def urgent(self) -> tuple[DistressCall | Alarmed | Fault, ...]:
+        """All alarms, calls for help first."""
+        return (*self.calls, *self.alarms, *self.faults)
 
     def entries(self) -> list[tuple[str, str]]:
         """Labels and printable words, the most important first; without alarms and assumed numbers."""
@@ -264,7 +273,7 @@ class Summary:
 
     def lines(self) -> list[str]:
         """Printable lines, the most important first, assumed numbers at the end."""
-        entries = [("alarm", str(alarm)) for alarm in (*self.alarms, *self.faults)] + self.entries()
+        entries = [("alarm", str(alarm)) for alarm in self.urgent] + self.entries()
         return [*(f"{label}: {words}" for label, words in entries), *self.assumed]
 
     def _objects(self) -> str:

@@ -75,8 +75,7 @@ def found_lines(summary: Summary) -> Iterator[str]:
     yield ""
     times = f"{counted(summary.instants, 'instant')}, " if summary.instants > 1 else ""
     yield f"Picture: {times}{span(summary.first_s, summary.last_s)}"
-    yield from (f"{ALARM}{alarm}, from {moment(alarm.first_s)}" for alarm in summary.alarms)
-    yield from (f"{ALARM}{fault}, from {moment(fault.first_s)}" for fault in summary.faults)
+    yield from (f"{ALARM}{alarm}, from {moment(alarm.first_s)}" for alarm in summary.urgent)
     for label, words in summary.entries():
         yield from [f"{DOUBT}{words}"] if label == "doubt" else entry(label, words)
 

@@ -30,6 +30,7 @@ from sameas.io.sensors.format import (
 )
 from sameas.io.sensors.nmea import Log, Sentence
 from sameas.tracks.coordinates import MILE_M, along_and_across, geodesy
+from sameas.tracks.distress import device_of
 from sameas.tracks.reports import Damaged, Reports, Unused, of_rows
 
 
@@ -418,6 +419,7 @@ def _rows(positions: Sequence[AisMessage], statics: Mapping[str, list[Static]]) 
         speed = _available(decoded.speed, {27: 63.0, 9: 1023.0}.get(message.type, 102.25))
         second = getattr(decoded, "second", None)
         mmsi = f"{int(decoded.mmsi):09d}"
+        device = device_of(mmsi)
         rows.append(
             {
                 "line": message.line,
@@ -430,10 +432,12 @@ def _rows(positions: Sequence[AisMessage], statics: Mapping[str, list[Static]]) 
                 "course_deg": _available(decoded.course, 360.0),
                 "heading_deg": _available(getattr(decoded, "heading", None), 360),
                 "message_type": message.type,
-                "nav_status": _available(getattr(decoded, "status", None), 15),
+                # 15 is a test of a locating device, and no status of others.
+                "nav_status": _available(getattr(decoded, "status", None), 15 if device is None else 16),
                 "accuracy_flag": float(bool(decoded.accuracy)),
                 "raim_flag": float(bool(decoded.raim)),
                 "reckoned": float(second in (61, 62)),
+                **({} if device is None else {"type": device}),
                 **_static_at(statics.get(mmsi, []), message.line),
             }
         )

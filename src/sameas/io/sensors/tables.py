@@ -45,6 +45,7 @@ from sameas.io.sensors.table_columns import (
 )
 from sameas.io.sensors.table_times import FIRST_S, milliseconds, times_of
 from sameas.representation import counted
+from sameas.tracks.distress import TESTED, device_of
 from sameas.tracks.reports import DIRECTIONS, OWN_HEADING, Damaged, Reports, is_impossible
 
 #: Columns with latitude and longitude in one cell.
@@ -292,7 +293,12 @@ def _with_nav_status(
         return values, chosen
     if not is_ais:
         return values, {name: choice for name, choice in chosen.items() if name != "nav_status"}
-    return values | {"nav_status": np.array(of_each(_nav_status, status.tolist()))}, chosen
+    number = np.array(of_each(_nav_status, status.tolist()))
+    # Of a locating device it is a test, of a ship none.
+    undefined = np.flatnonzero(number == TESTED)
+    senders = values["mmsi"][undefined].tolist() if "mmsi" in values else [None] * len(undefined)
+    number[undefined] = [math.nan if device_of(mmsi) is None else TESTED for mmsi in senders]
+    return values | {"nav_status": number}, chosen
 
 
 #: Median of frequencies without a unit, from which on they are read in a unit; the highest first.
@@ -373,7 +379,7 @@ def _is_in_radians(angle: FloatArray) -> bool:
 def _nav_status(text: str | None) -> float:
     text = "" if text is None else str(text).strip().lower()
     number = float(text) if re.fullmatch(r"1?\d(\.0*)?", text) else STATUSES_AT_REST.get(text, math.nan)
-    return math.nan if number >= 15.0 else number
+    return math.nan if number > TESTED else number
 
 
 def _mark(rows: BoolArray, lines: IntArray, damaged: dict[int, str], reason: str) -> None:

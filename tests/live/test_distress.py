@@ -1,0 +1,71 @@
+"""Locating devices in distress are alarms, in a file and live; those in a test are none."""
+
+import numpy as np
+import pytest
+from tests.live.conftest import START_S, replay
+
+from sameas.io.sensors import ReadOptions, read_reports
+from sameas.io.sensors.sentences import AisWriter, clock
+from sameas.live.alarms import CALL_S
+from sameas.live.keeper import Keeper
+from sameas.live.settings import LiveSource, Settings, WatchSettings
+from sameas.picture import Picture
+from sameas.tracks import Description, Reports, Scene
+from sameas.tracks.distress import distress_calls
+
+SART, TESTED, SHIP = "970012345", "970054321", "211700001"
+
+
+def log(tmp_path, calls=((SART, 14), ("972098765", 14), ("974011223", 14), (TESTED, 15))):
+    """The log of a receiver with a ship and devices by MMSI and status."""
+    write, lines = AisWriter(), []
+    for t in np.arange(0.0, 120.0, 10.0):
+        lines.append(clock(START_S + t))
+        for k, (mmsi, status) in enumerate(((SHIP, 0), *calls)):
+            place = {"lat": 54.6 + 0.01 * k, "lon": 12.3, "speed": 0.4, "course": 90.0}
+            lines += write({"type": 1, "mmsi": mmsi, "status": status, **place, "second": int(START_S + t) % 60})
+    (tmp_path / "log.nmea").write_text("\n".join(lines) + "\n")
+    [reports] = read_reports(tmp_path / "log.nmea", ReadOptions(source="log"))
+    return reports
+
+
+def test_devices_that_are_not_tested_call_for_help(tmp_path):
+    reports = log(tmp_path)
+    picture = Picture.of(Scene.of([(Description("log", "ais"), reports)]), [START_S + 60.0, START_S + 110.0])
+    words = [str(call) for call in picture.summary.calls]
+    assert [text.partition(" calls")[0] for text in words] == [
+        f"AIS-SART {SART}",
+        "MOB device 972098765",
+        "EPIRB 974011223",
+    ]
+    assert "at 54°36.60' N 012°18.00' E, received by log" in words[0]
+    assert picture.summary.lines()[0].startswith(f"alarm: AIS-SART {SART} calls for help")
+    at = np.flatnonzero(picture.objects["mmsi"] == SART)
+    assert set(picture.objects["type"][at]) == {"AIS-SART"}
+
+
+@pytest.mark.parametrize(
+    ("status", "calls"), [(None, 1), (["14"] * 3, 1), (["ais-sart is active"] * 3, 1), (["15"] * 3, 0)]
+)
+def test_a_table_may_have_no_status_or_words(tmp_path, status, calls):
+    rows = [f"{START_S + 10 * k:.0f},{SART},54.6,12.3" + ("" if status is None else f",{status[k]}") for k in range(3)]
+    head = "time,mmsi,lat,lon" + ("" if status is None else ",navstatus")
+    (tmp_path / "ais.csv").write_text("\n".join([head, *rows]) + "\n")
+    assert len(distress_calls(read_reports(tmp_path / "ais.csv"))) == calls
+
+
+def test_a_live_call_is_an_alarm_at_once_and_for_as_long_as_it_is_repeated():
+    def received(t):
+        columns = {"time_s": [t], "lat_deg": [54.6], "lon_deg": [12.3], "speed_m_per_s": [0.2], "course_deg": [90.0]}
+        return Reports.of("ais", "ais", columns | {"mmsi": [SART], "track_id": [SART], "nav_status": [14.0]})
+
+    keeper = Keeper(Settings({"ais": LiveSource(Description("ais", "ais"))}, WatchSettings()), replay=replay())
+    keeper.clock.replay.sources, keeper.clock.replay._next = [], []
+    active = {}
+    for t in (0.0, 1.0, 60.0, 200.0, 60.0 + CALL_S, 62.0 + CALL_S):
+        if t in (0.0, 60.0):
+            keeper._use("ais", received(START_S + t))
+        active[t] = [one for one in keeper.tick(START_S + t).alarms if one.kind == "distress"]
+    keeper.close()
+    assert [len(one) for one in active.values()] == [1, 1, 1, 1, 1, 0]
+    assert active[0.0][0].key == f"distress {SART}" and len(active[0.0][0].objects) == 1
