@@ -40,6 +40,10 @@ def test_directories_empty_files_and_unknown_names(tmp_path):
     assert "is a directory" in refusal(tmp_path / "d.fits")
     assert "is empty" in refusal(tmp_path / "e.csv", b"")
     assert "'.xlsx' is not known; known are .fits" in refusal(tmp_path / "t.xlsx", b"x")
+    assert "spreadsheet (.xlsx, .ods), not a table; unpack it, or save it as CSV" in refusal(
+        tmp_path / "t.ods", b"PK\x03\x04"
+    )
+    assert "an HDF5 file, not a table; open it in Python" in refusal(tmp_path / "t.h5", b"\x89HDF\r\n")
     assert "no extension" in refusal(tmp_path / "table", b"x")
     assert "unknown format 'dbase'" in refusal(tmp_path / "t.csv", b"x", format="dbase")
     assert "only FITS" in refusal(tmp_path / "t.csv", b"a,b\n1,2\n", hdu=1)

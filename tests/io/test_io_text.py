@@ -7,6 +7,7 @@ import pytest
 from astropy.io import ascii as text_tables
 from astropy.io import fits
 from astropy.table import Table
+from astropy.units import UnrecognizedUnit
 
 from sameas.errors import InputError
 from sameas.io import known_formats, read_table, write_table, written_formats
@@ -189,7 +190,7 @@ def test_fits_ldac_gives_its_objects_and_the_time_of_its_image(ending, tmp_path)
 
 
 def test_read_only_formats_are_not_written(tmp_path):
-    assert set(known_formats()) - set(written_formats()) == {"sextractor", "ipac", "mrt", "vizier", "ascii"}
+    assert set(known_formats()) - set(written_formats()) == {"daophot", "sextractor", "ipac", "mrt", "vizier", "ascii"}
     with pytest.raises(InputError, match=r"the extension '.tbl' is not known; known are .fits"):
         write_table(Table({"x": [1]}), tmp_path / "t.tbl", provenance={})
     with pytest.raises(InputError, match=r"IPAC table is read, not written; give one of fits, votable"):
@@ -256,3 +257,29 @@ def test_commas_that_may_separate_thousands_are_kept(content, tmp_path):
     (tmp_path / "t.csv").write_text(content)
     table = read_table(tmp_path / "t.csv")
     assert table["n"].dtype.kind == "U" and "sameas_notes" not in table.meta
+
+
+def test_one_row_of_whole_columns_is_a_table(tmp_path):
+    """As STILTS' colfits and structures of IDL are."""
+    columns = [fits.Column("ID", "3J", array=[[1, 2, 3]]), fits.Column("RA", "3D", unit="deg", array=[[1.5, 2.5, 3.5]])]
+    fits.BinTableHDU.from_columns(columns).writeto(tmp_path / "col.fits")
+    table = read_table(tmp_path / "col.fits")
+    assert table["ID"].tolist() == [1, 2, 3] and table["RA"].tolist() == [1.5, 2.5, 3.5] and table["RA"].unit == "deg"
+    columns = [fits.Column("ID", "J", array=[1]), fits.Column("MAG", "3D", array=[[1.5, 2.5, 3.5]])]
+    fits.BinTableHDU.from_columns(columns).writeto(tmp_path / "one.fits")
+    assert read_table(tmp_path / "one.fits")["MAG"].shape == (1, 3)
+
+
+@pytest.mark.parametrize(
+    ("written", "unit"), [("degrees", None), ("Deg", None), ("deg", "deg"), ("mas.yr**-1", "mas / yr")]
+)
+def test_words_in_votable_are_no_units_of_their_own(written, unit, tmp_path):
+    """Astropy makes a unit of any word there, which is an angle by its spelling only."""
+    path = tmp_path / "t.vot"
+    Table({"ra": [1.0]}).write(path, format="votable")
+    path.write_text(path.read_text().replace('name="ra"', f'name="ra" unit="{written}"'))
+    column = read_table(path)["ra"]
+    if unit is None:
+        assert isinstance(column.unit, UnrecognizedUnit) and str(column.unit) == written
+    else:
+        assert column.unit == unit

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 from astropy import units as u
-from astropy.table import MaskedColumn, Table
+from astropy.table import MaskedColumn, QTable, Table
+from astropy.time import Time
 
 from sameas.errors import InputError
 from sameas.sky import Catalogue
@@ -727,3 +728,22 @@ def test_a_julian_date_without_its_zero_is_refused_with_the_remedy():
     table = Table({"ra": [10.0, 10.1], "dec": [5.0, 5.1], "jd": [7389.5] * 2})
     with pytest.raises(InputError, match="add what was subtracted from the JD, such as 2450000"):
         Catalogue.of(table, "seen", options=CatalogueOptions(sigma=0.2))
+
+
+def test_a_column_of_times_is_the_epoch_beside_angles():
+    table = QTable({"ra": [1.0] * u.deg, "dec": [2.0] * u.deg, "obstime": Time([58849.0], format="mjd")})
+    catalogue = Catalogue.of(table, "a", options=CatalogueOptions(sigma=0.2))
+    assert catalogue.astrometry.epoch_jyr == pytest.approx([2020.0], abs=0.01)
+
+
+def test_the_ellipses_of_2mass_at_the_x_match_service_are_its_errors():
+    names = ("RAJ2000", "DEJ2000", "errHalfMaj", "errHalfMin", "errPosAng", "2MASS", "Jmag")
+    error = chosen(made(*names)).error
+    assert error.kind == "ellipse" and [c.name for c in error.columns] == list(names[2:5])
+
+
+def test_positions_in_the_notation_of_astropy_are_read():
+    table = {"ra": ["05ʰ32ᵐ47.461ˢ"], "dec": ["-00°06′30.5″"]}
+    catalogue = Catalogue.of(table, "a", options=CatalogueOptions(sigma=0.2))
+    assert catalogue.astrometry.ra_deg == pytest.approx([83.1977542], abs=1e-6)
+    assert catalogue.astrometry.dec_deg == pytest.approx([-0.1084722], abs=1e-6)

@@ -54,7 +54,7 @@ def words(line: bytes) -> list[bytes]:
     return _WORD.findall(line) if b'"' in line else line.split()
 
 
-def rows_of(text: pa.Buffer, names: list[str], first_row: int, path: Path) -> Table:
+def rows_of(text: pa.Buffer | bytes, names: list[str], first_row: int, path: Path) -> Table:
     """The table of rows separated by blanks, from line ``first_row`` on, counted from 0; comments are skipped."""
     import pyarrow as pa
 

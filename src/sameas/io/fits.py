@@ -81,7 +81,7 @@ def _of_hdu(hdus: HDUList, number: int, path: Path) -> Table:
     # Another program's serialized columns (times, sky coordinates) are astropy's own business.
     if "--BEGIN-ASTROPY-SERIALIZED-COLUMNS--" in list(chosen.header.get("COMMENT", [])):
         return _astropys_table(chosen)
-    table = _table(chosen)
+    table = _unfolded(_table(chosen))
     if chosen.name == ldac.OBJECTS:
         header = ldac.image_header(hdus, number)
         facts = {} if header is None else {key: header[key] for key in header if not _STRUCTURE.match(key)}
@@ -269,6 +269,19 @@ def _column(hdu: Any, data: Any, number: int, field: Any) -> Column:
     if hdu.header.get(f"TCOMM{number}"):
         column.description = hdu.header[f"TCOMM{number}"]
     return column
+
+
+def _unfolded(table: Table) -> Table:
+    """The table of a single row whose cells are whole columns, as colfits of STILTS and structures of IDL have it."""
+    from astropy.table import Table
+
+    columns = list(table.columns.values())
+    if len(table) != 1 or {column.shape[1:] for column in columns} not in ({(n,)} for n in columns[0].shape[1:2]):
+        return table
+    unfolded = [
+        type(c)(c[0], name=c.name, unit=c.unit, description=c.description, meta=c.meta, copy=False) for c in columns
+    ]
+    return Table(unfolded, meta=table.meta, copy=False)
 
 
 def _made(name: str, values: NDArray[Any], mask: BoolArray | None) -> Column:

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from astropy.units import UnitBase
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
-_PLAIN = (".csv", ".tsv", ".txt", ".dat", ".asc", ".ascii", ".cat", ".tbl", ".ipac", ".mrt")
+_PLAIN = (".csv", ".tsv", ".tab", ".txt", ".lst", ".dat", ".asc", ".ascii", ".cat", ".tbl", ".ipac", ".mrt",
+          ".als", ".coo", ".mag", ".ap", ".nst")  # fmt: skip
 #: Extensions of text files, which do not determine the format.
 TEXT_EXTENSIONS: tuple[str, ...] = (*_PLAIN, *(f"{extension}.gz" for extension in _PLAIN))
 #: The first bytes of texts in UTF-16.

@@ -105,7 +105,7 @@ def with_directions(table: Table, header: Header | None) -> Table:
     if header is None or any(name in table.colnames for name in _directions()):
         return table
     flavour = next((one for one in _FLAVOURS if f"X{one}_IMAGE" in table.colnames), None)
-    wcs = None if flavour is None else _solution(header)
+    wcs = None if flavour is None else solution_of(header)
     if wcs is None:
         return table
     x, y = (np.asarray(table[f"{axis}{flavour}_IMAGE"], float) for axis in "XY")
@@ -129,7 +129,7 @@ def _directions() -> list[str]:
     return [f"{stem}_{frame}" for stem in stems for frame in ("J2000", "SKY", "WORLD", "B1950")]
 
 
-def _solution(header: Header) -> Any:
+def solution_of(header: Header) -> Any:
     """The header's solution of the sky; None if it has none."""
     from astropy.wcs import WCS
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from sameas.bounds import check_facts
 from sameas.errors import Argument, InputError, Message, first_line, printable, reading
 from sameas.io import ascii as text
-from sameas.io import csv, ecsv, fits, parquet, votable
+from sameas.io import csv, daophot, ecsv, fits, parquet, votable
 from sameas.io.atomic import replacing
 from sameas.io.format import TEXT_EXTENSIONS, Format, LazyTable, in_utf_8, plain, utf_16_of
 
@@ -23,24 +23,31 @@ if TYPE_CHECKING:
     from astropy.table import Table
 
 #: The formats, in the order of messages and of the recognition of texts.
-FORMATS: tuple[Format, ...] = (fits.FORMAT, votable.FORMAT, ecsv.FORMAT, parquet.FORMAT, *text.TEXT_FORMATS, csv.FORMAT)
+FORMATS: tuple[Format, ...] = (
+    fits.FORMAT, votable.FORMAT, ecsv.FORMAT, parquet.FORMAT, daophot.FORMAT, *text.TEXT_FORMATS, csv.FORMAT,
+)  # fmt: skip
 #: Number of bytes for the recognition of a format; VizieR's comments are long.
 _HEAD_BYTES = 1 << 16
 
 _UTF_16 = "UTF-16 text"
-#: Signatures of files that are not readable tables, and their descriptions.
+_AS_CSV, _AS_FITS = "save it as CSV", "open it in Python and give the table, or write it as FITS"
+#: Signatures of files that are not readable tables, their descriptions, and what to do.
 _OTHER_SIGNATURES = (
-    (b"\x89PNG", "a PNG picture"),
-    (b"\xff\xd8\xff", "a JPEG picture"),
-    (b"GIF8", "a GIF picture"),
-    (b"%PDF", "a PDF document"),
-    (b"PK\x03\x04", "a ZIP archive or a spreadsheet (.xlsx)"),
-    (b"\xd0\xcf\x11\xe0", "an old spreadsheet (.xls)"),
-    (b"\x89HDF", "an HDF5 file"),
-    (b"BZh", "a bzip2 file"),
-    (b"\xfd7zXZ", "an xz file"),
-    (b"\x28\xb5\x2f\xfd", "a zstd file"),
-    (b"\x1f\x8b", "a gzip file"),
+    (b"\x89PNG", "a PNG picture", ""),
+    (b"\xff\xd8\xff", "a JPEG picture", ""),
+    (b"GIF8", "a GIF picture", ""),
+    (b"%PDF", "a PDF document", ""),
+    (b"PK\x03\x04", "a ZIP archive or a spreadsheet (.xlsx, .ods)", f"unpack it, or {_AS_CSV}"),
+    (b"\xd0\xcf\x11\xe0", "an old spreadsheet (.xls)", _AS_CSV),
+    (b"\x89HDF", "an HDF5 file", _AS_FITS),
+    (b"\x93NUMPY", "an array of NumPy", _AS_FITS),
+    (b"\x80\x04\x95", "a pickle of Python", _AS_FITS),
+    (b"\x80\x05\x95", "a pickle of Python", _AS_FITS),
+    (b"ARROW1", "a Feather file", "write it as Parquet"),
+    (b"BZh", "a bzip2 file", "unpack it"),
+    (b"\xfd7zXZ", "an xz file", "unpack it"),
+    (b"(\xb5/\xfd", "a zstd file", "unpack it"),
+    (b"\x1f\x8b", "a gzip file", ""),
 )
 
 
@@ -77,8 +84,8 @@ def kind_of(first: bytes) -> str | None:
 
     With it a wrong file is refused in plain words before a library fails on it.
     """
-    labels = ((signature, known.label) for known in FORMATS for signature in known.signatures)
-    for signature, kind in (*labels, *_OTHER_SIGNATURES):
+    labels = [(signature, known.label) for known in FORMATS for signature in known.signatures]
+    for signature, kind in (*labels, *((signature, kind) for signature, kind, _ in _OTHER_SIGNATURES)):
         if first.startswith(signature):
             return kind
     text = first.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
@@ -251,9 +258,10 @@ def _format_in(path: Path, name: str | None) -> Format:
     text_of_head = in_utf_8(first)
     known = _recognised(path, text_of_head) if name is None else _named(name, path)
     if known is None:
+        _check_kind(path, csv.FORMAT, kind_of(first[:4096]), "a table")
         raise _unknown_extension(path, known_formats())
     # The readers of text take UTF-16, too; ECSV is UTF-8 by its standard.
-    of_text = known in (*text.TEXT_FORMATS, csv.FORMAT)
+    of_text = known in (daophot.FORMAT, *text.TEXT_FORMATS, csv.FORMAT)
     _check_kind(path, known, kind_of((text_of_head if of_text else first)[:4096]))
     return known
 
@@ -281,11 +289,11 @@ def _unknown_extension(path: Path, formats: Mapping[str, tuple[str, ...]]) -> In
     return InputError(f"{path}: {suffix}", Message(f"known are {every}, or give ", Argument("format", "NAME")))
 
 
-def _check_kind(path: Path, known: Format, kind: str | None) -> None:
-    """Refuses a file of another format, in plain words, before a library reads it."""
+def _check_kind(path: Path, known: Format, kind: str | None, wanted: str = "") -> None:
+    """Refuses a file of another format, in plain words, before a library reads it. wanted : the format in words."""
     if kind == known.label or (kind is None and known.unmarked):
         return
-    remedy: str = ""
+    remedy = next((remedy for _, other, remedy in _OTHER_SIGNATURES if other == kind), "")
     if kind in {other.label for other in FORMATS}:
         remedy = Message("rename it, or give ", Argument("format", repr(str(kind).lower())))
         kind = f"a {kind} file"
@@ -293,7 +301,7 @@ def _check_kind(path: Path, known: Format, kind: str | None) -> None:
         remedy = "the download probably failed"
     elif kind == _UTF_16:
         remedy = "save it as UTF-8"
-    reason = f"is {kind}, not {known.label}" if kind else f"is not a {known.label} file"
+    reason = f"is {kind}, not {wanted or known.label}" if kind else f"is not a {known.label} file"
     raise InputError(f"{path}: {reason}", remedy)
 
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray
 from sameas.bounds import TEXT_UNPACKING, Unpacking, check_columns, unpacked
 from sameas.errors import InputError, printable
-from sameas.io.format import Format, ascii_of, from_text, has_huge_power, to_text, unicode_of
+from sameas.io.format import Format, ascii_of, from_text, has_huge_power, to_text, unicode_of, unit_of
 
 if TYPE_CHECKING:
     from astropy.table import Column, Table
@@ -245,6 +245,9 @@ def _parsed(content: bytes, path: Path, size: int) -> tuple[Any, Any]:
 
 def _with_meta(table: Table, document: Any, element: Any, path: Path) -> Table:
     """The table with the metadata of the file: parameters and coordinate system."""
+    for column in table.columns.values():
+        if column.unit is not None:  # astropy makes a unit of its own of any word here: no angle, if it is "degrees"
+            column.unit = unit_of(str(column.unit))
     for param in [*(p for resource in document.resources for p in resource.params), *element.params]:
         value = param.value.item() if isinstance(param.value, np.generic) else param.value
         if isinstance(value, str | int | float | bool):

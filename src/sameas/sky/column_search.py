@@ -37,8 +37,9 @@ _NO_POSITION = re.compile(
 UNIT_WORDS = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "arcsec": "arcsec", "arcseconds": "arcsec",
     "arcsecond": "arcsec", "as": "arcsec", "″": "arcsec", '"': "arcsec", "''": "arcsec", "mas": "mas",
-    "arcs": "arcsec", "milliarcsec": "mas", "milliarcsecs": "mas", "milliarcseconds": "mas", "microarcsec": "uas",
-    "microarcseconds": "uas", "hrs": "hourangle", "arcmin": "arcmin", "arcminute": "arcmin", "arcminutes": "arcmin",
+    "arcs": "arcsec", "arcsecs": "arcsec", "milliarcsec": "mas", "milliarcsecs": "mas", "milliarcseconds": "mas",
+    "microarcsec": "uas", "microarcseconds": "uas", "hrs": "hourangle", "arcmin": "arcmin", "arcminute": "arcmin",
+    "arcminutes": "arcmin",
     "h": "hourangle", "hr": "hourangle", "hour": "hourangle", "hours": "hourangle", "hourangle": "hourangle",
     "rad": "rad", "radian": "rad", "radians": "rad", "mag": "mag", "mas/yr": "mas / yr", "arcsec/yr": "arcsec / yr",
     "yr": "yr", "d": "d", "mjd": "d", "gon": "0.9 deg", "gons": "0.9 deg", "grad": "0.9 deg", "grads": "0.9 deg",

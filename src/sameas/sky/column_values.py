@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, median
 from sameas.errors import InputError, naming
 
-_SEXAGESIMAL = re.compile(r"^\s*[+-−]?\s*\d+\s*[:hd°\s]\s*\d+", re.IGNORECASE)
-_SEPARATORS = re.compile(r"[:hdms°'\"′″\s]+", re.IGNORECASE)
+_SEXAGESIMAL = re.compile(r"^\s*[+-−]?\s*\d+\s*[:hdʰ°\s]\s*\d+", re.IGNORECASE)
+_SEPARATORS = re.compile(r"[:hdmsʰᵐˢ°'\"′″\s]+", re.IGNORECASE)
 #: Texts of missing numbers, in lower case.
 _MISSING = frozenset(("", "nan", "null", "none", "-", "--", "---", "na", "n/a", "#n/a", "<na>", "...", "…", "indef"))
 #: JD of the zeros of counts with a name of their own: TESS (also TBJD in its archive's pages) and Kepler (archive
@@ -72,7 +72,8 @@ def unit_of(table: Table, name: str) -> u.UnitBase | None:
 
 def is_text(table: Table, name: str) -> bool:
     """Whether the column contains text."""
-    return table[name].dtype.kind in "USO"
+    kind = getattr(table[name], "dtype", None)  # columns of times and coordinates have none
+    return kind is not None and kind.kind in "USO"
 
 
 def is_sexagesimal(table: Table, name: str) -> bool:
@@ -318,7 +319,7 @@ _MOTION_YEARS = {
     "cycle": 100.0,
 }  # fmt: skip
 _MOTION = re.compile(
-    r"(?P<angle>[a-z]+)\s*(?:/\s*(?P<of>[a-z]+)|[\s.*]\s*(?P<per>[a-z]+)\s*(?:\*\*|\^)?\s*\(?-1(?:\.0)?\)?)",
+    r"(?P<angle>[a-z]+)\s*(?:(?:/|\bper\b)\s*(?P<of>[a-z]+)|[\s.*]\s*(?P<per>[a-z]+)\s*(?:\*\*|\^)?\s*\(?-1(?:\.0)?\)?)",
     re.IGNORECASE,
 )
 
@@ -326,10 +327,10 @@ _MOTION = re.compile(
 def motion_unit(text: str) -> str:
     """The unit of a motion as astropy writes it, or the text itself if it is not an angle or seconds over years.
 
-    >>> motion_unit("s/ha"), motion_unit("milliarcsec/year"), motion_unit("mas.yr-1"), motion_unit("0.1 mas / yr")
+    >>> motion_unit("s/ha"), motion_unit("milliarcsec per year"), motion_unit("'mas.yr-1'"), motion_unit("0.1 mas / yr")
     ('0.01 s / yr', 'mas / yr', 'mas / yr', '0.1 mas / yr')
     """
-    parts = _MOTION.fullmatch(text.strip())
+    parts = _MOTION.fullmatch(text.strip(" '\""))
     years = None if parts is None else _MOTION_YEARS.get((parts["of"] or parts["per"]).lower())
     if parts is None or years is None:
         return text

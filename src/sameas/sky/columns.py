@@ -221,7 +221,7 @@ def _position_by_ucd(search: ColumnSearch) -> Convention | None:
 #: Columns of positions on an image: SExtractor, photutils, DAOPHOT, IRAF, plain.
 _PIXELS = (
     ("XWIN_IMAGE", "YWIN_IMAGE"), ("X_IMAGE", "Y_IMAGE"), ("xcentroid", "ycentroid"), ("x_fit", "y_fit"),
-    ("XCENTER", "YCENTER"), ("x_pix", "y_pix"), ("x", "y"),
+    ("XCENTER", "YCENTER"), ("x_pix", "y_pix"), ("x_centroid", "y_centroid"), ("x", "y"),
 )  # fmt: skip
 
 
@@ -241,9 +241,11 @@ def _pair_named_alike(search: ColumnSearch) -> Convention:
     other = f" ({tables})" if tables else ""
     pixels = next((names for pair in _PIXELS if (names := search.find_all(pair))), None)
     if pixels and not tables:
+        wanted = next((note for note in search.table.meta.get("sameas_notes", ()) if "pixels" in note), "")
+        convert = "convert them with the solution of their image (astropy.wcs), or give {ra:NAME} {dec:NAME}"
         raise InputError(
             f"{search.source}: no columns of right ascension and declination, but pixels {', '.join(pixels)}",
-            naming("convert them with the solution of their image (astropy.wcs), or give {ra:NAME} {dec:NAME}"),
+            wanted or naming(convert),
         )
     raise InputError(
         f"{search.source}: no columns of right ascension and declination found among: {search.listing()}{other}",

@@ -138,7 +138,7 @@ PLAIN_MAGNITUDES = (
     ("Jap3", "e_Jap3"), ("r_psf", "e_r_psf"), ("g_psf", "e_g_psf"), ("MAG_PSF_R", "MAGERR_PSF_R"),
     ("MAG_PSF_G", "MAGERR_PSF_G"), ("r_psfMag", "r_psfMagErr"), ("i_psfMag", "i_psfMagErr"),
     ("i_psfflux_mag", "i_psfflux_magerr"), ("magpsf", "sigmapsf"), ("medianmag", ""), ("mag", "magerr"),
-    ("mag", "mag_err"), ("mag", "e_mag"), ("magnitude", "magnitude_error"),
+    ("mag", "mag_err"), ("mag", "merr"), ("mag1", "merr1"), ("mag", "e_mag"), ("magnitude", "magnitude_error"),
     ("aper_total_abmag", "aper_total_abmag_err"), ("isophotal_abmag", "isophotal_abmag_err"),
     ("auto_mag", "auto_mag_err"), ("mag_w1_vg", ""), ("kepmag", ""), ("Kpmag", ""),
 )  # fmt: skip

@@ -160,7 +160,10 @@ _TWOMASS = (
         position=("RAJ2000", "DEJ2000"),
         marks=("_2MASS", "2MASS", "errMaj"),
         ids=("_2MASS", "2MASS"),
-        errors=(ErrorNames("ellipse", ("errMaj", "errMin", "errPA"), "arcsec"),),
+        errors=(
+            ErrorNames("ellipse", ("errMaj", "errMin", "errPA"), "arcsec"),
+            ErrorNames("ellipse", ("errHalfMaj", "errHalfMin", "errPosAng"), "arcsec"),  # at the X-match service of CDS
+        ),
         epochs=("Date", "_date", "JD"),
         magnitudes=TWOMASS_MAGNITUDES,
     ),
