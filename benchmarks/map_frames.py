@@ -65,12 +65,11 @@ class Traced(Browser):
         self.has_ended = False
         super().__init__(*args, **options)
 
-    def _answer(self) -> dict[str, Any]:
-        message = super()._answer()
-        if message.get("method") == "Tracing.dataCollected":
-            self.trace += message["params"]["value"]
-        self.has_ended |= message.get("method") == "Tracing.tracingComplete"
-        return message
+    def note(self, event: dict[str, Any]) -> None:
+        super().note(event)
+        if event["method"] == "Tracing.dataCollected":
+            self.trace += event["params"]["value"]
+        self.has_ended |= event["method"] == "Tracing.tracingComplete"
 
     def panned(self, seconds: float) -> list[dict[str, Any]]:
         """The trace of a drag there and back."""
@@ -85,7 +84,7 @@ class Traced(Browser):
         self.do("Input.dispatchMouseEvent", type="mouseReleased", x=500, y=500, button="left", clickCount=1)
         self.do("Tracing.end")
         while not self.has_ended:
-            self._answer()
+            self.note(self.chromium.message())
         return self.trace
 
 
@@ -119,20 +118,19 @@ def table(ships: int, seconds: float, seed: int) -> Iterator[Table]:
         ]
         with (folder / "said.txt").open("w+") as said:
             watch = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT)
-            page = Traced(folder / "profile", _address(watch, folder / "said.txt"), (1400, 1000))
             try:
-                page.until(f"mapPage.live && mapPage.now && mapPage.now.marks.length >= {int(0.95 * ships)}", 120.0)
-                scale = page.js("mapPage.view.scale")
-                for zoom in ZOOMS:
-                    page.js(f"mapPage.view.scale = {scale * zoom}; mapPage.paint()")
-                    page.settle()
-                    trace = page.panned(seconds)
-                    (per_s, scripts), task_ms = frames(trace), tasks(trace)
-                    rows.append([zoom, page.js("mapPage.now.rows.length"), per_s, float(np.median(scripts)),
-                                 float(np.quantile(scripts, 0.99)), float(task_ms.max()),
-                                 int((task_ms > FRAME_MS).sum())])  # fmt: skip
+                with Traced(_address(watch, folder / "said.txt")) as page:
+                    page.until(f"mapPage.live && mapPage.now && mapPage.now.marks.length >= {int(0.95 * ships)}", 120.0)
+                    scale = page.js("mapPage.view.scale")
+                    for zoom in ZOOMS:
+                        page.js(f"mapPage.view.scale = {scale * zoom}; mapPage.paint()")
+                        page.settle()
+                        trace = page.panned(seconds)
+                        (per_s, scripts), task_ms = frames(trace), tasks(trace)
+                        rows.append([zoom, page.js("mapPage.now.rows.length"), per_s, float(np.median(scripts)),
+                                     float(np.quantile(scripts, 0.99)), float(task_ms.max()),
+                                     int((task_ms > FRAME_MS).sum())])  # fmt: skip
             finally:
-                page.close()
                 watch.terminate()
                 watch.wait(20)
     yield Table(

@@ -235,9 +235,8 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Browser, M
     folder = tmp_path_factory.mktemp("map")
     sheet = charted(names={1: HOSTILE})
     write_map_page(sheet, folder / "map.html")
-    browser = Browser(folder / "profile", folder / "map.html", (1400, 900))
-    yield browser, sheet
-    browser.close()
+    with Browser(folder / "map.html", (1400, 900)) as browser:
+        yield browser, sheet
 
 
 def key(browser: Browser, name: str, code: str = "", text: str = "") -> None:
@@ -444,8 +443,7 @@ def test_thousands_of_ships_are_thinned_and_complete_after_zooming_in(tmp_path: 
     sheet = charted(2000, 2, reach_m=20_000.0)
     sheet.objects["stage"][:] = "confirmed"
     write_map_page(sheet, tmp_path / "map.html")
-    browser = Browser(tmp_path / "profile", tmp_path / "map.html", (1400, 900))
-    try:
+    with Browser(tmp_path / "map.html", (1400, 900)) as browser:
         marks = "(mapPage.paint(), mapPage.hits.filter(hit => hit.record).length)"
         ambiguous = "[...mapPage.now.rows].filter(r => mapPage.objects.ambiguous[r]).map(r => mapPage.objects.n[r])"
         few, whole = browser.js(marks), browser.js("mapPage.now.marks.length")
@@ -472,8 +470,6 @@ def test_thousands_of_ships_are_thinned_and_complete_after_zooming_in(tmp_path: 
         browser.click(*centre_of(browser, "#rows tr[data-number='4']"))
         assert place_of(browser, 4) == pytest.approx(centre_of(browser, "#chart"), abs=2.0)
         assert not browser.errors
-    finally:
-        browser.close()
 
 
 @pytest.mark.slow
@@ -483,10 +479,9 @@ def test_tentative_objects_are_not_shown_as_equals(tmp_path: Path) -> None:
     sheet.objects["stage"][np.isin(sheet.objects["object"], [4, 5])] = "tentative"
     sheet.objects["ambiguous"][sheet.objects["object"] == 4] = True
     write_map_page(sheet, tmp_path / "map.html")
-    browser = Browser(tmp_path / "profile", tmp_path / "map.html", (1400, 900))
-    numbers = "[...document.querySelectorAll('#rows tr[data-number]')].map(tr => +tr.dataset.number)"
-    drawn = "(mapPage.paint(), [...new Set(mapPage.hits.filter(hit => !hit.record).map(hit => hit.n))].sort())"
-    try:
+    with Browser(tmp_path / "map.html", (1400, 900)) as browser:
+        numbers = "[...document.querySelectorAll('#rows tr[data-number]')].map(tr => +tr.dataset.number)"
+        drawn = "(mapPage.paint(), [...new Set(mapPage.hits.filter(hit => !hit.record).map(hit => hit.n))].sort())"
         browser.js("mapPage.show(3)")
         assert "4 objects" in words(browser, "counts") and "2 tentative" in words(browser, "counts")
         # Many at sea are clutter: they are last, whatever the order, and are not said to be ambiguous.
@@ -501,8 +496,6 @@ def test_tentative_objects_are_not_shown_as_equals(tmp_path: Path) -> None:
         browser.js("mapPage.pick(5)")
         assert browser.js(drawn) == [1, 2, 3, 5, 6] and 5 in browser.js(numbers)
         assert not browser.errors
-    finally:
-        browser.close()
 
 
 @pytest.mark.slow
@@ -515,8 +508,7 @@ def test_improbable_objects_do_not_count_as_seen_by_several(tmp_path: Path) -> N
     sheet.objects["probability"][first] = 0.00005
     sheet.objects["probability"][sheet.instant_of(sheet.objects) == 4] = 0.3
     write_map_page(sheet, tmp_path / "map.html")
-    browser = Browser(tmp_path / "profile", tmp_path / "map.html", (1400, 900))
-    try:
+    with Browser(tmp_path / "map.html", (1400, 900)) as browser:
         browser.js(f"mapPage.show(3); mapPage.pick({number})")
         browser.until("document.getElementById('object').innerText.includes('These records may be one object')")
         details = words(browser, "object")
@@ -533,16 +525,13 @@ def test_improbable_objects_do_not_count_as_seen_by_several(tmp_path: Path) -> N
         browser.js("mapPage.show(4)")
         assert browser.js("document.querySelectorAll('#rows .unsure').length") > 1 and browser.js(cut) == 0
         assert not browser.errors
-    finally:
-        browser.close()
 
 
 @pytest.mark.slow
 @in_a_browser
 def test_local_metres_make_a_map_on_a_phone(tmp_path: Path) -> None:
     write_map_page(charted(plane=None), tmp_path / "map.html")
-    browser = Browser(tmp_path / "profile", tmp_path / "map.html", (1000, 700))
-    try:
+    with Browser(tmp_path / "map.html", (1000, 700)) as browser:
         browser.do("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=2, mobile=True)
         browser.js("mapPage.show(20); mapPage.pick(9)")
         assert words(browser, "time") == "200 s" and words(browser, "zone") == ""
@@ -551,8 +540,6 @@ def test_local_metres_make_a_map_on_a_phone(tmp_path: Path) -> None:
         browser.until("document.getElementById('chart').clientWidth <= 390")
         assert browser.js("document.documentElement.scrollWidth") <= 390
         assert not browser.errors
-    finally:
-        browser.close()
 
 
 # ---- the picture ----

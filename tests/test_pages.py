@@ -64,12 +64,9 @@ def test_an_injected_script_is_not_run(tmp_path):
     broken = page.replace("<body>", "<body>" + HOSTILE.replace("</script><script>", "<script>", 1), 1)
     assert broken != page and np.char.count(broken, "document.title=1") > 0
     (tmp_path / "map.html").write_text(broken, encoding="utf-8")
-    browser = Browser(tmp_path / "profile", tmp_path / "map.html")
-    try:
+    with Browser(tmp_path / "map.html") as browser:
         assert browser.js("document.title").endswith("map")  # and the page's own script has made it ready
         assert not [url for url in browser.requests if not url.startswith(("file:", "data:"))]
-    finally:
-        browser.close()
 
 
 #: A laptop's window and a phone's.
@@ -137,21 +134,17 @@ def test_names_of_files_and_in_headers_are_never_executed(tmp_path):
     made = {path.relative_to(tmp_path).parts[0] for path in set(tmp_path.rglob("*")) - before}
     assert made == {folder.name}
     for kind, page in pages.items():
-        browser = Browser(tmp_path / f"profile {kind}", page)
-        try:
+        with Browser(page) as browser:
             assert browser.js("document.title") not in ("1", "2", "3")
             assert browser.js("document.querySelectorAll('[onerror]').length") == 0, kind
             assert browser.errors == [] and browser.complaints == [], kind
             assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))], kind
-        finally:
-            browser.close()
 
 
 @pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
-def test_on_a_phone_the_record_is_below_the_frame_and_numbers_are_not_cut(every_page, tmp_path):
-    browser = Browser(tmp_path / "profile", every_page["frame"], SIZES[1])
-    try:
+def test_on_a_phone_the_record_is_below_the_frame_and_numbers_are_not_cut(every_page):
+    with Browser(every_page["frame"], SIZES[1]) as browser:
         browser.do("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)
         browser.until("innerWidth === 390")
         browser.js("framePage.pick({ kind: 'measured', row: 3 })")
@@ -163,8 +156,6 @@ def test_on_a_phone_the_record_is_below_the_frame_and_numbers_are_not_cut(every_
             "const r = document.createRange(); r.selectNodeContents(td); return r.getClientRects().length; })"
         )
         assert set(browser.js(lines)) == {1}
-    finally:
-        browser.close()
 
 
 @pytest.mark.long
@@ -175,8 +166,7 @@ def test_measurements_fainter_than_the_catalogue_are_counted_separately(every_pa
     alone = [row for row, star in enumerate(stars) if star == "null"]
     assert alone and '"beyond":[]' in page
     (tmp_path / "page.html").write_text(page.replace('"beyond":[]', f'"beyond":[{alone[0]}]'), "utf-8")
-    browser = Browser(tmp_path / "profile", tmp_path / "page.html")
-    try:
+    with Browser(tmp_path / "page.html") as browser:
         counts = [browser.js(f"document.getElementById('{name}').textContent") for name in ("n-alone", "n-beyond")]
         assert counts == [str(len(alone) - 1), "1"]
         assert browser.js("document.getElementById('beyond').offsetHeight") > 0
@@ -184,17 +174,14 @@ def test_measurements_fainter_than_the_catalogue_are_counted_separately(every_pa
         assert not browser.js("document.getElementById('show-beyond').checked")
         browser.js(f"framePage.pick({{ kind: 'measured', row: {alone[0]} }})")
         assert "fainter than the catalogue reaches" in browser.js("document.getElementById('record').innerText")
-    finally:
-        browser.close()
 
 
 @pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
 @pytest.mark.parametrize("size", SIZES, ids=["window", "phone"])
 @pytest.mark.parametrize("kind", ["frame", "series", "movers", "map"])
-def test_no_page_is_wider_than_its_window_in_either_colour_scheme(every_page, kind, size, tmp_path):
-    browser = Browser(tmp_path / "profile", every_page[kind], size)
-    try:
+def test_no_page_is_wider_than_its_window_in_either_colour_scheme(every_page, kind, size):
+    with Browser(every_page[kind], size) as browser:
         browser.do(
             "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1,
             mobile=size[0] < 500,
@@ -210,8 +197,6 @@ def test_no_page_is_wider_than_its_window_in_either_colour_scheme(every_page, ki
         assert len(set(grounds)) == 2
         assert browser.errors == [] and browser.complaints == []
         assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))]
-    finally:
-        browser.close()
 
 
 # Marks are told apart by everyone.

@@ -241,16 +241,7 @@ def test_two_processes_write_the_same_as_one(files, sameas, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("scale", "times"),
-    [
-        (1.0, "2"),
-        (4.0, "0.5"),
-        (2.0 / 3.0, "3"),
-        (6.0, "0.33"),
-        (0.5, "4"),
-        (8.0, "0.25"),
-        (2.0 * 0.63, "1.6"),
-        (2.0 * 1.5, "0.67"),
-    ],
+    [(1.0, "2"), (8.0, "0.25"), (2.0 * 0.63, "1.6")],
 )
 def test_a_scale_without_the_binning_of_the_pixels_is_found_and_doubted(files, sameas, tmp_path, scale, times):
     """Binned pixels and reducers of the focal length were refused."""
@@ -488,12 +479,11 @@ def test_rounded_cones_contain_the_requested_ones():
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
 @pytest.mark.filterwarnings("ignore:The WCS transformation has more axes")
-def test_the_page_shows_zooms_and_describes_a_star_in_a_browser(done, tmp_path):
+def test_the_page_shows_zooms_and_describes_a_star_in_a_browser(done):
     out, _ = done
     rows = read_table(out / "night.stars.fits")
     third = int(np.flatnonzero(rows["fate"] == "identified")[2])
-    browser = Browser(tmp_path / "profile", out / "night.html")
-    try:
+    with Browser(out / "night.html") as browser:
         assert browser.js("document.title").startswith("night.fits")
         assert int(browser.js("document.getElementById('n-found').textContent").replace(" ", "")) == np.sum(
             rows["fate"] == "identified"
@@ -538,8 +528,6 @@ def test_the_page_shows_zooms_and_describes_a_star_in_a_browser(done, tmp_path):
             browser.until(f"{drawn} !== {was}")
         assert not browser.errors
         assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))]
-    finally:
-        browser.close()
 
 
 @pytest.mark.slow
@@ -571,13 +559,10 @@ def test_a_folder_of_frames_is_one_product(files, sameas, tmp_path):
     page = (out / "index.html").read_text()
     assert '"page":"n0.html"' in page and "bad" in page and "red.fits: the only frame" in page
     if CHROMIUM is not None:
-        browser = Browser(tmp_path / "profile", out / "index.html")
-        try:
+        with Browser(out / "index.html") as browser:
             assert browser.js("document.querySelectorAll('#frames tr').length") == 5
             assert browser.js("document.querySelector('#star h2').textContent.length") > 3
             assert browser.errors == []
-        finally:
-            browser.close()
 
 
 def add_bias(path: Path, bias: Path) -> Path:

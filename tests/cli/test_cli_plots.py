@@ -140,14 +140,11 @@ def test_tracking_and_its_assumptions_are_reported(made, sameas, quay, tmp_path)
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_the_map_opens_and_explains(made, tmp_path):
+def test_the_map_opens_and_explains(made):
     _, out = made
-    browser = Browser(tmp_path / "profile", out / "map.html")
-    try:
+    with Browser(out / "map.html") as browser:
         assert not browser.errors and not [url for url in browser.requests if not url.startswith("file:")]
         assert browser.js("document.title").startswith("Picture of lidar and radar")
-    finally:
-        browser.close()
 
 
 PIXELS = "[...document.getElementById('chart').getContext('2d').getImageData(0, 0, 900, 700).data]"
@@ -155,11 +152,10 @@ PIXELS = "[...document.getElementById('chart').getContext('2d').getImageData(0, 
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_a_map_shows_the_same_while_it_is_dragged_as_when_it_is_let_go(made, tmp_path):
+def test_a_map_shows_the_same_while_it_is_dragged_as_when_it_is_let_go(made):
     """While it is dragged, the objects are copied from a wider canvas, painted anew when that ends."""
     _, out = made
-    browser = Browser(tmp_path / "profile", out / "map.html")
-    try:
+    with Browser(out / "map.html") as browser:
         mouse = {"button": "left", "clickCount": 1, "buttons": 1}
         browser.js("mapPage.view.scale *= 4; mapPage.paint()")
         browser.settle()
@@ -179,5 +175,3 @@ def test_a_map_shows_the_same_while_it_is_dragged_as_when_it_is_let_go(made, tmp
         browser.click(left + hit["u"], top + hit["v"])
         browser.settle()
         assert browser.js("mapPage.picked") is not None and not browser.errors
-    finally:
-        browser.close()

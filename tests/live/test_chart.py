@@ -143,76 +143,64 @@ def matches(page, zoom):
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_tiles_lie_at_their_places_at_every_zoom_and_their_credit_is_shown(charted, tmp_path):
-    with served(charted) as url:
-        page = Browser(tmp_path / "profile", url)
-        try:
-            page.until("mapPage.live && mapPage.live.tick > 3")
-            page.js(ONLY_THE_CHART)
-            for zoom in (9, 10, 12, 14, 16):
-                # Pixels per metre at which this zoom is drawn, off by a factor: tiles are scaled, too.
-                scale = 256 * 2.0**zoom / (40_075_017 * np.cos(np.radians(SITE[0]))) * 1.21
-                page.js(f"mapPage.view.scale = {scale}; mapPage.view.x = 3000; mapPage.view.y = -2000; mapPage.paint()")
-                page.until("mapPage.chartIsDrawn()")
-                scale = page.js("mapPage.view.scale")
-                drawn = round(np.log2(scale * 40_075_017 * np.cos(np.radians(SITE[0])) / 256))
-                assert matches(page, drawn) == 1.0, zoom
-            assert page.js("document.getElementById('credit').textContent").startswith("chart: © Harbour office")
-            # At night the chart is dim.
-            by_day = np.array(page.js(READ))[:, 2:].mean()
-            page.js("document.getElementById('theme').click()")
+def test_tiles_lie_at_their_places_at_every_zoom_and_their_credit_is_shown(charted):
+    with served(charted) as url, Browser(url) as page:
+        page.until("mapPage.live && mapPage.live.tick > 3")
+        page.js(ONLY_THE_CHART)
+        for zoom in (9, 10, 12, 14, 16):
+            # Pixels per metre at which this zoom is drawn, off by a factor: tiles are scaled, too.
+            scale = 256 * 2.0**zoom / (40_075_017 * np.cos(np.radians(SITE[0]))) * 1.21
+            page.js(f"mapPage.view.scale = {scale}; mapPage.view.x = 3000; mapPage.view.y = -2000; mapPage.paint()")
             page.until("mapPage.chartIsDrawn()")
-            assert np.array(page.js(READ))[:, 2:].mean() < 0.4 * by_day
-            page.js("document.querySelector('[data-layer=chart]').click()")
-            page.settle()
-            assert page.errors == [] and page.complaints == []
-            assert all(one.startswith(url) for one in page.requests if "about:" not in one)
-        finally:
-            page.close()
+            scale = page.js("mapPage.view.scale")
+            drawn = round(np.log2(scale * 40_075_017 * np.cos(np.radians(SITE[0])) / 256))
+            assert matches(page, drawn) == 1.0, zoom
+        assert page.js("document.getElementById('credit').textContent").startswith("chart: © Harbour office")
+        # At night the chart is dim.
+        by_day = np.array(page.js(READ))[:, 2:].mean()
+        page.js("document.getElementById('theme').click()")
+        page.until("mapPage.chartIsDrawn()")
+        assert np.array(page.js(READ))[:, 2:].mean() < 0.4 * by_day
+        page.js("document.querySelector('[data-layer=chart]').click()")
+        page.settle()
+        assert page.errors == [] and page.complaints == []
+        assert all(one.startswith(url) for one in page.requests if "about:" not in one)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_panning_over_a_chart_copies_its_tiles_and_asks_for_each_once(charted, tmp_path):
-    with served(charted) as url:
-        page = Browser(tmp_path / "profile", url)
-        try:
-            page.until("mapPage.live && mapPage.live.tick > 3 && mapPage.chartIsDrawn()")
-            page.js("""window.made = 0;
-              const own = document.createElement.bind(document);
-              document.createElement = (...a) => (a[0] === 'canvas' && window.made++, own(...a));""")
-            steps = page.do("Runtime.evaluate", awaitPromise=True, returnByValue=True, expression="""(async () => {
-              for (let k = 0; k < 60; k++) {
-                mapPage.view.x += 3 / mapPage.view.scale;
-                mapPage.paint();
-                await new Promise(requestAnimationFrame);
-              }
-              return window.made;
-            })()""")["result"]["value"]  # fmt: skip
-            # 180 pixels: a row or a column of new tiles, while sixty frames were drawn.
-            assert steps < 30
-            asked = [one for one in page.requests if "/chart/" in one]
-            assert 4 <= len(asked) == len(set(asked))
-        finally:
-            page.close()
+def test_panning_over_a_chart_copies_its_tiles_and_asks_for_each_once(charted):
+    with served(charted) as url, Browser(url) as page:
+        page.until("mapPage.live && mapPage.live.tick > 3 && mapPage.chartIsDrawn()")
+        page.js("""window.made = 0;
+          const own = document.createElement.bind(document);
+          document.createElement = (...a) => (a[0] === 'canvas' && window.made++, own(...a));""")
+        steps = page.do("Runtime.evaluate", awaitPromise=True, returnByValue=True, expression="""(async () => {
+          for (let k = 0; k < 60; k++) {
+            mapPage.view.x += 3 / mapPage.view.scale;
+            mapPage.paint();
+            await new Promise(requestAnimationFrame);
+          }
+          return window.made;
+        })()""")["result"]["value"]  # fmt: skip
+        # 180 pixels: a row or a column of new tiles, while sixty frames were drawn.
+        assert steps < 30
+        asked = [one for one in page.requests if "/chart/" in one]
+        assert 4 <= len(asked) == len(set(asked))
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_a_chart_with_tiles_that_failed_is_not_said_to_be_drawn(charted, tmp_path):
-    with served(charted) as url:
-        page = Browser(tmp_path / "profile", url)
-        try:
-            page.until("mapPage.live && mapPage.live.tick > 3 && mapPage.chartIsDrawn()")
-            page.js("""window.failed = 0; const own = window.fetch;
-              window.fetch = (at, ...a) =>
-                String(at).startsWith('chart/') ? (window.failed++, Promise.reject()) : own(at, ...a);
-              mapPage.view.scale /= 4; mapPage.paint()""")
-            page.until("window.failed > 0")
-            page.settle()
-            assert not page.js("mapPage.paint(); mapPage.chartIsDrawn()")
-        finally:
-            page.close()
+def test_a_chart_with_tiles_that_failed_is_not_said_to_be_drawn(charted):
+    with served(charted) as url, Browser(url) as page:
+        page.until("mapPage.live && mapPage.live.tick > 3 && mapPage.chartIsDrawn()")
+        page.js("""window.failed = 0; const own = window.fetch;
+          window.fetch = (at, ...a) =>
+            String(at).startsWith('chart/') ? (window.failed++, Promise.reject()) : own(at, ...a);
+          mapPage.view.scale /= 4; mapPage.paint()""")
+        page.until("window.failed > 0")
+        page.settle()
+        assert not page.js("mapPage.paint(); mapPage.chartIsDrawn()")
 
 
 BOX = [[-1.6, 50.3], [-0.3, 50.3], [-0.3, 50.8], [-1.6, 50.8], [-1.6, 50.3]]
@@ -230,52 +218,46 @@ def test_charts_lie_on_each_other_and_each_can_be_switched_off(chart, tmp_path):
     tile_file(files[1], above, {"format": "png", "attribution": "Pilots"})
     order = tuple(map(str, (files[0], chart, files[1], files[2])))
     keeper = Keeper(settings(chart=order), replay=replay(until_s=2400.0))
-    with served(keeper) as url:
-        page = Browser(tmp_path / "profile", url)
-        try:
-            page.until("mapPage.live && mapPage.live.tick > 3")
-            names = page.js(
-                "[...document.querySelectorAll('[data-layer^=chart]')].map(e => e.parentNode.textContent.trim())"
-            )
-            assert names == ["fairway", "above", "harbour", "land"]
-            page.js(ONLY_THE_CHART.replace("!== 'chart'", ".slice(0, 5) !== 'chart'"))
-            scale = 256 * 2.0**12 / (40_075_017 * np.cos(np.radians(SITE[0])))
-            # Beside own ship, in the one tile of the upper chart; and where the fairway is.
-            page.js(f"mapPage.view.scale = {scale}; mapPage.view.x = 0; mapPage.view.y = 0; mapPage.paint()")
+    with served(keeper) as url, Browser(url) as page:
+        page.until("mapPage.live && mapPage.live.tick > 3")
+        names = page.js(
+            "[...document.querySelectorAll('[data-layer^=chart]')].map(e => e.parentNode.textContent.trim())"
+        )
+        assert names == ["fairway", "above", "harbour", "land"]
+        page.js(ONLY_THE_CHART.replace("!== 'chart'", ".slice(0, 5) !== 'chart'"))
+        scale = 256 * 2.0**12 / (40_075_017 * np.cos(np.radians(SITE[0])))
+        # Beside own ship, in the one tile of the upper chart; and where the fairway is.
+        page.js(f"mapPage.view.scale = {scale}; mapPage.view.x = 0; mapPage.view.y = 0; mapPage.paint()")
+        page.until("mapPage.chartIsDrawn()")
+
+        def colour(number=None):
+            """The most frequent one at the places, over some of which ships pass, after a click on a tick."""
+            if number is not None:
+                page.js(f"document.querySelector('[data-layer=\"chart {number}\"]').click()")
             page.until("mapPage.chartIsDrawn()")
+            page.js("mapPage.paint()")
+            read = page.js("""(() => { const c = document.getElementById('chart'), r = devicePixelRatio;
+              return PLACES.map(p => mapPage.toScreen(...p)).map(([u, v]) =>
+                [...c.getContext('2d').getImageData(Math.round(u * r), Math.round(v * r), 1, 1).data]); })()
+              """.replace("PLACES", json.dumps(at)))  # fmt: skip
+            return max(read, key=read.count)
 
-            def colour(number=None):
-                """The most frequent one at the places, over some of which ships pass, after a click on a tick."""
-                if number is not None:
-                    page.js(f"document.querySelector('[data-layer=\"chart {number}\"]').click()")
-                page.until("mapPage.chartIsDrawn()")
-                page.js("mapPage.paint()")
-                read = page.js("""(() => { const c = document.getElementById('chart'), r = devicePixelRatio;
-                  return PLACES.map(p => mapPage.toScreen(...p)).map(([u, v]) =>
-                    [...c.getContext('2d').getImageData(Math.round(u * r), Math.round(v * r), 1, 1).data]); })()
-                  """.replace("PLACES", json.dumps(at)))  # fmt: skip
-                return max(read, key=read.count)
-
-            west, north = (int(v) for v in places(*SITE, 12))
-            lon, lat = (west + 0.3) / 2**12 * 360.0 - 180.0, None
-            y = (north + 0.3) / 2**12
-            lat = np.degrees(np.arctan(np.sinh(np.pi * (1.0 - 2.0 * y))))
-            plane = LocalPlane(*page.js("mapPage.earth.toEarth(0, 0)"))
-            middle = plane.of_geodetic([lat], [lon])[0]
-            at = [(middle + 300.0 * np.array([i, j])).tolist() for i in range(-2, 3) for j in range(-2, 3)]
-            assert colour() == [255, 255, 255, 255]
-            shade = grey(12, west, north)
-            assert np.abs(np.array(colour(3)[:3]) - shade).max() <= 3
-            land = colour(2)
-            assert np.ptp(land[:3]) > 0 or abs(land[0] - shade) > 3
-            assert colour(1) != land
-            # The fairway: its line is there with its tick alone.
-            at = plane.of_geodetic([50.5] * 9, np.linspace(-0.955, -0.925, 9)).tolist()
-            on = colour()
-            assert colour(4) != on and colour(4) == on
-            assert page.js("document.getElementById('credit').textContent").startswith(
-                "chart: © Harbour office, Pilots"
-            )
-            assert page.errors == [] and page.complaints == []
-        finally:
-            page.close()
+        west, north = (int(v) for v in places(*SITE, 12))
+        lon, lat = (west + 0.3) / 2**12 * 360.0 - 180.0, None
+        y = (north + 0.3) / 2**12
+        lat = np.degrees(np.arctan(np.sinh(np.pi * (1.0 - 2.0 * y))))
+        plane = LocalPlane(*page.js("mapPage.earth.toEarth(0, 0)"))
+        middle = plane.of_geodetic([lat], [lon])[0]
+        at = [(middle + 300.0 * np.array([i, j])).tolist() for i in range(-2, 3) for j in range(-2, 3)]
+        assert colour() == [255, 255, 255, 255]
+        shade = grey(12, west, north)
+        assert np.abs(np.array(colour(3)[:3]) - shade).max() <= 3
+        land = colour(2)
+        assert np.ptp(land[:3]) > 0 or abs(land[0] - shade) > 3
+        assert colour(1) != land
+        # The fairway: its line is there with its tick alone.
+        at = plane.of_geodetic([50.5] * 9, np.linspace(-0.955, -0.925, 9)).tolist()
+        on = colour()
+        assert colour(4) != on and colour(4) == on
+        assert page.js("document.getElementById('credit').textContent").startswith("chart: © Harbour office, Pilots")
+        assert page.errors == [] and page.complaints == []

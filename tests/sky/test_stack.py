@@ -166,8 +166,7 @@ def test_the_page_blinks_steps_and_explains(tmp_path):
     assert "night &lt;1&gt;" in text and "2 frames do not show it" in text and "by chance " in text
     if CHROMIUM is None:
         pytest.skip("no Chromium here")
-    browser = Browser(tmp_path / "profile", path)
-    try:
+    with Browser(path) as browser:
         assert browser.js("document.getElementById('name').textContent") == "sa00001"
         assert browser.js("document.querySelectorAll('#rows tr').length") == 5
         browser.js("document.getElementById('play').click()")
@@ -178,8 +177,6 @@ def test_the_page_blinks_steps_and_explains(tmp_path):
         lit += "for (let i = 0; i < d.length; i += 4) m = Math.max(m, d[i]); return m; })"
         assert browser.js(f"{lit}(document.getElementById('stack'))") > 150
         assert browser.errors == []
-    finally:
-        browser.close()
 
 
 def test_the_picture_shows_a_row_of_dots_and_the_stack():

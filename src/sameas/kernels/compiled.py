@@ -270,7 +270,7 @@ def _import_compiler_without_scipy_linalg() -> None:
             from numba.np import arraymath
         finally:
             linalg.ensure_blas = ensure_blas
-        arraymath.ensure_blas = ensure_blas  # type: ignore[attr-defined]
+        arraymath.ensure_blas = ensure_blas
     except (ImportError, AttributeError):  # a numba version with another layout
         pass
 
