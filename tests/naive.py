@@ -15,6 +15,9 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import gammaln, log_ndtr, logsumexp, xlogy
 from scipy.stats import chi2, norm
 
+from sameas.estimate.cells import FINEST_CELLS
+from sameas.estimate.coverage import COVERAGE_PSEUDO_COUNT, IN_CELL, LEFT_OUT, LOG_PRIOR_STEP
+from sameas.estimate.places import PARTLY
 from sameas.records import Records, unpack
 from sameas.space import ARCSEC_PER_RADIAN, Sphere
 
@@ -627,8 +630,7 @@ def nested_densities(
     cells: np.ndarray, numbers: np.ndarray, levels: tuple[int, ...], volume: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(u, 2) whether the other source covers each cell, and (u, 2, 2) its density there, from coarse to fine levels."""
-    from sameas.estimate import cells as sizes
-    from sameas.estimate import coverage, places
+    from sameas.estimate import coverage
 
     def level(steps: int, n: np.ndarray) -> list[tuple[np.ndarray, float]]:
         """For each cell: records of both sources in its parent ``steps`` levels up, and the parent's covered volume."""
@@ -639,7 +641,7 @@ def nested_densities(
             covered = []
             for k in range(2):
                 due = total[k] ** 2 / most
-                partly = sharing[k] > due + places.DEFAULT_PLACES.partly * math.sqrt(2.0 * due) + 1.0
+                partly = sharing[k] > due + PARTLY * math.sqrt(2.0 * due) + 1.0
                 covered.append(max(total[k] ** 2 / max(sharing[k], 1.0), 1.0) if partly else most)
             richer = int(total[1] > total[0])
             out.append((total, volume * (np.mean(covered) if total[0] == total[1] else covered[richer])))
@@ -658,13 +660,13 @@ def nested_densities(
                 expected = max(density[k, s], 0.5 * highest[k, s]) * size
                 if (
                     n[1 - s] == 0
-                    and n[s] >= coverage.DEFAULT_COVERAGE.in_cell * total[s] / total[1 - s]
+                    and n[s] >= IN_CELL * total[s] / total[1 - s]
                     and expected >= coverage.DEFAULT_COVERAGE.hole
                 ):
                     seen[k, s] = False
                 highest[k, s] = max(highest[k, s], density[k, s])
-                drawn = coverage.DEFAULT_COVERAGE.pseudo_count / density[k, s]
-                density[k, s] = (n[1 - s] + coverage.DEFAULT_COVERAGE.pseudo_count) / (size + drawn)
+                drawn = COVERAGE_PSEUDO_COUNT / density[k, s]
+                density[k, s] = (n[1 - s] + COVERAGE_PSEUDO_COUNT) / (size + drawn)
     numbers = numbers * seen
     total = numbers.sum(axis=0)
     at = np.repeat(((total + 0.5) / all_of(numbers))[None, :, None], len(cells), axis=0).repeat(2, axis=2)
@@ -673,10 +675,10 @@ def nested_densities(
         known = level(steps, numbers)
         of_cells = {cell >> 2 * steps: n for cell, (n, _) in zip(cells, known, strict=True)}
         for s in range(2):
-            finest = sum(n[s] ** 2 for n in of_cells.values()) <= sizes.DEFAULT_CELLS.finest * total[s] or steps == 0
+            finest = sum(n[s] ** 2 for n in of_cells.values()) <= FINEST_CELLS * total[s] or steps == 0
             scores = []
             for rank, smooth in enumerate(coverage.DEFAULT_COVERAGE.smooths):
-                score = -coverage.DEFAULT_COVERAGE.log_prior_step * rank
+                score = -LOG_PRIOR_STEP * rank
                 for k, (n, size) in enumerate(known):
                     if numbers[k, s]:
                         due = (max(n[s] - 1.0, 0.0) + smooth) / (size + smooth / at[k, s, 0])
@@ -685,7 +687,7 @@ def nested_densities(
             smooth = coverage.DEFAULT_COVERAGE.smooths[int(np.argmax(scores))]
             if not ended[s]:
                 for k, (n, size) in enumerate(known):
-                    left = max(n[s] - (coverage.DEFAULT_COVERAGE.left_out if finest else 1.0), 0.0)
+                    left = max(n[s] - (LEFT_OUT if finest else 1.0), 0.0)
                     at[k, s, 0] = (left + smooth) / (size + smooth / at[k, s, 0])
                     at[k, s, 1] = (n[s] + smooth) / (size + smooth / at[k, s, 1])
             ended[s] = ended[s] or finest

@@ -81,7 +81,7 @@ def test_probabilities_are_the_sums_over_all_hypotheses(seed):
     rng = np.random.default_rng([11, seed])
     first, second, flux = small(rng)
     tuning = Tuning(min_log_odds=-np.inf, max_hypotheses=1e9)
-    found = candidates_of(first, second, RESOLUTION, Errors(), flux, tuning)
+    found = candidates_of(first, second, RESOLUTION, Errors(), flux)
     shown = DetectionOdds(Merging.of(found.couples, found.blended, 4, tuning.max_mergers), SHARE)
     log_density, log_odds = log_odds_of(found, shown, np.ones(1), np.full(3, ALONE))
     summed = hypotheses(found, log_density, log_odds, shown, 3, tuning)

@@ -7,7 +7,7 @@ import pytest
 
 import sameas
 from sameas import Plane, Records, Sphere
-from sameas.estimate.coverage import DEFAULT_COVERAGE, Coverage, local_share
+from sameas.estimate.coverage import DEFAULT_COVERAGE, SHARED_PSEUDO_COUNT, Coverage, local_share
 from sameas.simulate.scenes import Cap, LonLatBox, WholeSky
 from sameas.space import ARCSEC_PER_RADIAN, displaced, unit_vectors
 
@@ -276,7 +276,7 @@ def test_shares_of_a_uniform_field_do_not_follow_count_noise(share):
     first, second = uniform(rng, 500), uniform(rng, 60_000)
     partner = (rng.uniform(size=60_000) < share).astype(float)
     cover = Coverage.of(first, second)
-    drawn = cover.tuning.shared_pseudo_count
+    drawn = SHARED_PSEUDO_COUNT
     for at in local_share(cover.levels[1:-1], 2, partner, np.ones(60_000), pseudo_count=drawn):
         logit = np.log(at / (1.0 - at))
         assert np.mean(logit) == pytest.approx(np.log(share / (1.0 - share)), abs=0.1)

@@ -10,7 +10,7 @@ from problems import shuffled
 from sameas import InputError, Records, Sphere
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.error_average import Average, ErrorAverage
-from sameas.estimate.error_grid import DEFAULT_GRID, GridTuning, scan_errors
+from sameas.estimate.error_grid import DEFAULT_GRID, MIN_POINTS, GridTuning, scan_errors
 from sameas.estimate.match import match
 from sameas.evidence import Errors
 from sameas.gate import Radius
@@ -170,7 +170,7 @@ def test_the_grid_is_finer_where_the_records_are_more_informative():
     scenes = [formal_field(np.random.default_rng(14), n, floor_arcsec=0.15) for n in (20, 200)]
     coarse, fine = (scan_errors(Coverage.of(s.first, s.second)) for s in scenes)
     for scan in (coarse, fine):
-        assert DEFAULT_GRID.min_points <= len(scan.errors) <= DEFAULT_GRID.max_points
+        assert MIN_POINTS <= len(scan.errors) <= DEFAULT_GRID.max_points
         assert scan.weight.sum() == pytest.approx(1.0) and scan.gain > 0.0
     spread = [np.std(np.log([e.factor_1 for e in scan.errors])) for scan in (coarse, fine)]
     assert spread[1] < spread[0]

@@ -5,7 +5,7 @@ import pytest
 from benchmarks.exposures import Sky, exposure
 
 from sameas import Records
-from sameas.estimate.grades import DEFAULT_GRADES, Grades, Scale
+from sameas.estimate.grades import PSEUDO_COUNT, Grades, Scale
 from sameas.estimate.match import match
 from sameas.evidence import Errors, Magnitudes
 from sameas.score.pairs import is_true_pair, score_probabilities
@@ -208,12 +208,10 @@ def test_what_is_learned_is_the_ratio_of_the_counts(found):
         for grade, p in zip(grades[source], partner[source], strict=True):
             alone[source][grade] += 1.0 - p
     chance = np.outer(alone[0] / alone[0].sum(), alone[1] / alone[1].sum())
-    assert np.exp(rule.log_ratio) == pytest.approx(
-        common / common.sum() / chance, rel=0.05, abs=9 * DEFAULT_GRADES.pseudo_count
-    )
+    assert np.exp(rule.log_ratio) == pytest.approx(common / common.sum() / chance, rel=0.05, abs=9 * PSEUDO_COUNT)
     apart = common.sum(axis=1)[:, None] * common.sum(axis=0) * chance
     apart /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
-    pseudo = 9 * DEFAULT_GRADES.pseudo_count * apart / apart.sum()
+    pseudo = 9 * PSEUDO_COUNT * apart / apart.sum()
     at = grades[0][pairs.i], grades[1][pairs.j]
     remaining = np.maximum(1.0 - answer.p_pair / (squares + pseudo)[at], (pseudo / (common + pseudo))[at])
     assert rule(pairs).terms["precision"] == pytest.approx(rule.log_ratio[at] + np.log(remaining), rel=0.05, abs=0.05)

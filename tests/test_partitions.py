@@ -29,7 +29,7 @@ from sameas.io import read_table
 from sameas.io.atomic import held
 from sameas.partitions import healpix, run
 from sameas.partitions.hats import CELL, Cell, HatsCatalogue, is_hats, partition_file, write_hats
-from sameas.partitions.part import DEFAULT_PART, Halo, PartTuning, Patch
+from sameas.partitions.part import FINER, Halo, PartTuning, Patch
 from sameas.records import Records
 
 EVERYTHING = np.array([[0, 12 << 58]], np.int64)
@@ -212,7 +212,7 @@ def ids_of(one, two, result):
 def test_a_halo_holds_all_rows_within_its_width_and_few_others(order, number, width):
     """At corners where three cells meet, on the equator, and where the halo is wider than the cell."""
     patch, rng = Patch(order, np.array([number])), np.random.default_rng(number)
-    halo = Halo.around(patch, width, DEFAULT_PART.finer)
+    halo = Halo.around(patch, width, FINER)
     assert width <= halo.width_arcsec <= 1.34 * width
     shift = 2 * (healpix.FINEST - order)
     inside = (number << shift) + rng.integers(0, 1 << shift, 2_000)

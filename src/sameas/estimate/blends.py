@@ -33,17 +33,23 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
 
+STEEPNESS = 4.0  # B(s) = exp(−ln 2 · (s/resolution)^steepness)
+REACH = 1.75  # maximum separation of a blend, in resolutions
+#: Maximum distance of a partner from its expected position, in typical standard deviations, and in those of the largest
+#: error scale; the latter at most a resolution.
+GATE_SIGMAS, TAIL_SIGMAS = 6.4, 3.0
+MAX_COUPLES = 1_000.0  # maximum mean number of couples near a record; with more, the resolution is refused
+FLUX_SHARES = 9  # number of shares w that are averaged over without fluxes
+#: Minimum number of such neighbours, and minimum offset of residuals towards them, in standard errors.
+MIN_NEIGHBOURS, MIN_SIGNIFICANCE = 20, 6.0
+MAX_ITERATIONS, TOLERANCE = 10, 1e-3  # of the estimation, and the change of c at convergence
+MIN_SHARE = 1e-3  # lower limit of c, and of 1 − c
+
 
 @dataclass(frozen=True)
 class BlendTuning:
     """Parameters of the search for blends; chosen with ``scripts/bench field --only blends``.
 
-    steepness : B(s) = exp(−ln 2 · (s/resolution)^steepness).
-    reach : maximum separation of a blend, in resolutions.
-    gate_sigmas, tail_sigmas : maximum distance of a partner from its expected position, in typical standard
-        deviations, and in those of the largest error scale; the latter at most a resolution.
-    max_couples : maximum mean number of couples near a record; with more, the resolution is refused.
-    flux_shares : number of shares w that are averaged over without fluxes.
     max_mergers : maximum number of sets of merged couples of a cluster; with more, its widest couples are apart: they
         merge or not whatever the others do.
     min_log_odds : minimum ln odds of a candidate against no partner.
@@ -51,29 +57,14 @@ class BlendTuning:
     max_pairs, min_sigmas, max_sigmas : for the test for blends: maximum number of pairs, and range of the distance of
         their unmatched neighbours: the minimum in standard deviations of the pair, the maximum in those of the typical
         pair (less if more than one chance neighbour is expected).
-    min_neighbours, min_significance : minimum number of such neighbours, and minimum offset of residuals towards them,
-        in standard errors.
-    max_iterations, tolerance : of the estimation, and the change of c at convergence.
-    min_share : lower limit of c, and of 1 − c.
     """
 
-    steepness: float = 4.0
-    reach: float = 1.75
-    gate_sigmas: float = 6.4
-    tail_sigmas: float = 3.0
-    max_couples: float = 1_000.0
-    flux_shares: int = 9
     max_mergers: int = 1_000
     min_log_odds: float = math.log(1e-6)
     max_hypotheses: float = 1e4
     max_pairs: int = 5_000
     min_sigmas: float = 4.0
     max_sigmas: float = 60.0
-    min_neighbours: int = 20
-    min_significance: float = 6.0
-    max_iterations: int = 10
-    tolerance: float = 1e-3
-    min_share: float = 1e-3
 
 
 DEFAULT_BLENDS = BlendTuning()
@@ -165,10 +156,10 @@ def find_blends(
     coverage = Coverage.of(first, second) if coverage is None else coverage
     n1, n2 = (max(int(np.count_nonzero(covered)), 1) for covered in coverage.covered)
     density = coverage.covered_densities[0][0]
-    all_candidates = candidates_of(first, second, resolution, errors, flux, tuning)
+    all_candidates = candidates_of(first, second, resolution, errors, flux)
     merging = Merging.of(all_candidates.couples, all_candidates.blended, len(second), tuning.max_mergers)
     share, share_unmatched, shares = 0.5, 0.5, np.asarray(errors.shares)
-    for _ in range(tuning.max_iterations):
+    for _ in range(MAX_ITERATIONS):
         detection = DetectionOdds(merging, share)
         log_density, log_odds = log_odds_of(all_candidates, detection, shares, density * share_unmatched)
         kept = log_odds > tuning.min_log_odds
@@ -178,12 +169,12 @@ def find_blends(
         previous = share
         # A share c of the merged couples is detected; each merged couple reduces the number of units by one.
         units = max(n2 - two / share, 1.0)
-        share = float(np.clip((n_detected + 0.5) / (units + 1.0), tuning.min_share, 1.0 - tuning.min_share))
-        share_unmatched = min(max(1.0 - n_detected / n1, tuning.min_share), 1.0)
+        share = float(np.clip((n_detected + 0.5) / (units + 1.0), MIN_SHARE, 1.0 - MIN_SHARE))
+        share_unmatched = min(max(1.0 - n_detected / n1, MIN_SHARE), 1.0)
         log_n = candidates.log_density
         part = shares * np.exp(log_n - log_n.max(axis=1, keepdims=True, initial=-np.inf))
         shares = (solution.p @ (part / part.sum(axis=1, keepdims=True)) + shares) / (n_detected + 1.0)
-        if abs(share - previous) < tuning.tolerance:
+        if abs(share - previous) < TOLERANCE:
             break
     return _to_blends(candidates, solution, len(first), share, shares)
 
@@ -200,7 +191,7 @@ def suspected_blends(
     fine = (answer.second, answer.first)[coarse]
     chosen = np.flatnonzero(answer.chosen)
     chosen = chosen[:: max(1, len(chosen) // tuning.max_pairs)]
-    if len(chosen) < tuning.min_neighbours:
+    if len(chosen) < MIN_NEIGHBOURS:
         return None
     rows = np.compress(answer.chosen, (answer.pairs.j, answer.pairs.i)[coarse])
     is_unmatched = np.ones(len(fine), np.bool_)
@@ -208,7 +199,7 @@ def suspected_blends(
     sampled_pairs = errors.pairs(answer.pairs.part(chosen))
     own = (sampled_pairs.j, sampled_pairs.i)[coarse]
     unmatched_rows = np.flatnonzero(is_unmatched)
-    if len(unmatched_rows) < tuning.min_neighbours:
+    if len(unmatched_rows) < MIN_NEIGHBOURS:
         return None
     # Towards the coarse record, on the axes of the pair.
     toward = sampled_pairs.residual if coarse == 0 else -sampled_pairs.residual
@@ -223,35 +214,35 @@ def suspected_blends(
     nearest = order[np.unique(near.i[order], return_index=True)[1]]
     nearest = nearest[separation[nearest] > tuning.min_sigmas * sigma[near.i[nearest]]]
     nearest = nearest[np.argsort(separation[nearest], kind="stable")]
-    if len(nearest) < tuning.min_neighbours:
+    if len(nearest) < MIN_NEIGHBOURS:
         return None
     at = near.i[nearest]
     along = -(toward[at] * near.residual[nearest]).sum(axis=1) / (separation[nearest] * sigma[at])
     number = np.arange(1, len(along) + 1)
     significance = np.cumsum(np.clip(along, -3.0, 3.0)) / np.sqrt(number)
-    significance[: tuning.min_neighbours - 1] = 0.0
+    significance[: MIN_NEIGHBOURS - 1] = 0.0
     best = int(np.argmax(significance))
-    if significance[best] < tuning.min_significance:
+    if significance[best] < MIN_SIGNIFICANCE:
         return None
     return best + 1, float(separation[nearest[best]]), float(significance[best])
 
 
 def candidates_of(
-    first: Records, second: Records, resolution: float, errors: Errors, flux: FloatArray | None, tuning: BlendTuning
+    first: Records, second: Records, resolution: float, errors: Errors, flux: FloatArray | None
 ) -> BlendCandidates:
     """All candidates of records of the coarse source, one object or two."""
     by_model = errors.records(first, second)
     sigma = math.sqrt(sum(float(np.einsum("ndd->nd", one.full_covariance()).max()) for one in by_model))
-    tail_reach = min(sigma * tuning.tail_sigmas * max(errors.scales), resolution)
-    max_offset = max(sigma * tuning.gate_sigmas * errors.typical_scale, tail_reach)
-    greatest_separation = tuning.reach * resolution
+    tail_reach = min(sigma * TAIL_SIGMAS * max(errors.scales), resolution)
+    max_offset = max(sigma * GATE_SIGMAS * errors.typical_scale, tail_reach)
+    greatest_separation = REACH * resolution
     alike = [records.with_errors(0.0, 0.5) for records in (first, second)]
     near = Radius(greatest_separation + max_offset)(*alike).of(*by_model)
     order = np.lexsort((near.j, near.i))
     i, j, residual = near.i[order].astype(np.int64), near.j[order].astype(np.int64), near.residual[order]
     covariance = near.covariance[order]
     number = np.bincount(i, minlength=len(first))
-    if float((number * (number - 1)).mean()) > 2.0 * tuning.max_couples:
+    if float((number * (number - 1)).mean()) > 2.0 * MAX_COUPLES:
         raise InputError(
             f"blends: about {number.mean():.0f} records of {second.source} lie within "
             f"{greatest_separation + max_offset:.3g} of each one of {first.source}, too many for blends of two",
@@ -262,7 +253,7 @@ def candidates_of(
     separation = np.sqrt(((residual[e] - residual[f]) ** 2).sum(axis=1))
     close = separation <= greatest_separation
     e, f, separation = e[close], f[close], separation[close]
-    blended = np.exp(-math.log(2.0) * (separation / resolution) ** tuning.steepness)
+    blended = np.exp(-math.log(2.0) * (separation / resolution) ** STEEPNESS)
     couples, at = np.unique(np.column_stack([j[e], j[f]]), axis=0, return_index=True)
     share = np.full(len(e), np.nan) if flux is None else flux[j[e]] / (flux[j[e]] + flux[j[f]])
 
@@ -273,8 +264,8 @@ def candidates_of(
 
     density, unknown = np.full((len(e), len(errors.scales)), -np.inf), np.isnan(share)
     density[~unknown] = between(~unknown, share[~unknown])
-    for w in (np.arange(tuning.flux_shares) + 0.5) / tuning.flux_shares:
-        at_share = between(unknown, np.full(np.count_nonzero(unknown), w)) - math.log(tuning.flux_shares)
+    for w in (np.arange(FLUX_SHARES) + 0.5) / FLUX_SHARES:
+        at_share = between(unknown, np.full(np.count_nonzero(unknown), w)) - math.log(FLUX_SHARES)
         density[unknown] = np.logaddexp(density[unknown], at_share)
     return BlendCandidates(
         np.concatenate([i, i[e]]), np.concatenate([j, j[e]]), np.concatenate([np.full(len(i), ABSENT), j[f]]),

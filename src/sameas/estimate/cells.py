@@ -19,48 +19,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, inner, within_turn
-from sameas.estimate.discs import DEFAULT_DISCS, Discs, DiscsTuning
+from sameas.estimate.discs import Discs
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere
 
-
-@dataclass(frozen=True)
-class CellsTuning:
-    """Parameters of cells and outlines, all chosen.
-
-    fewest : least number of points for an outline.
-    corners, most : a field is a rectangle if its corners hold more than this fraction of the points expected for an
-        even distribution, or if its outline fills more than the second fraction of the rectangle.
-    corner : depth of a corner, as a fraction of the side.
-    directions : number of directions in which the outermost points are taken first.
-    some : about this many points are used to check the corners, and to exclude points too far inside to be
-        vertices.
-    across : positions across a cell at which the part inside the outline is measured.
-    least : least fraction of the volume of a cell with a record.
-    refinement, finest : ratio of the volumes of successive levels; they are refined until the mean number of
-        records of the richer source in the cell of a record is at most ``finest``.
-    cells_per_record : they are refined to at most this number of cells per record, because records at the same
-        position are never separated.
-    discs : of the search for discs.
-    """
-
-    fewest: int = 100
-    corners: float = 0.5
-    most: float = 0.95
-    corner: float = 0.1
-    directions: int = 64
-    some: int = 50_000
-    across: int = 32
-    least: float = 1e-3
-    refinement: float = 8.0
-    finest: float = 4.0
-    cells_per_record: float = 4096.0
-    discs: DiscsTuning = DEFAULT_DISCS
-
-
-DEFAULT_CELLS = CellsTuning()
+# Parameters of cells and outlines, all chosen.
+FEWEST = 100  # least number of points for an outline
+#: A field is a rectangle if its corners hold more than this fraction of the points expected for an even distribution,
+#: or if its outline fills more than the second fraction of the rectangle.
+CORNERS, MOST = 0.5, 0.95
+CORNER = 0.1  # depth of a corner, as a fraction of the side
+DIRECTIONS = 64  # number of directions in which the outermost points are taken first
+#: About this many points are used to check the corners, and to exclude points too far inside to be vertices.
+SOME = 50_000
+ACROSS = 32  # positions across a cell at which the part inside the outline is measured
+LEAST = 1e-3  # least fraction of the volume of a cell with a record
+#: Ratio of the volumes of successive levels; they are refined until the mean number of records of the richer source in
+#: the cell of a record is at most FINEST_CELLS.
+REFINEMENT, FINEST_CELLS = 8.0, 4.0
+#: They are refined to at most this number of cells per record, because records at the same position are never
+#: separated.
+CELLS_PER_RECORD = 4096.0
 
 
 @dataclass(frozen=True)
@@ -74,12 +55,9 @@ class ConvexRegion:
     lower: FloatArray
     upper: FloatArray
     area: float
-    tuning: CellsTuning = DEFAULT_CELLS
 
     @classmethod
-    def of(
-        cls, points: FloatArray, low: FloatArray, high: FloatArray, records: int, tuning: CellsTuning = DEFAULT_CELLS
-    ) -> ConvexRegion | None:
+    def of(cls, points: FloatArray, low: FloatArray, high: FloatArray, records: int) -> ConvexRegion | None:
         """The outline of points (n, 2) in a rectangle; None if that is the rectangle itself, or with too few points.
 
         records : least number of objects that the points represent.
@@ -88,22 +66,22 @@ class ConvexRegion:
         the mean number of its vertices, so it is scaled about its centre by as much (Efron 1965, Biometrika 52, 331).
         """
         extent = high - low
-        if records < tuning.fewest or not (extent > 0.0).all():
+        if records < FEWEST or not (extent > 0.0).all():
             return None
-        some = (_some_of(points, tuning) - low) / extent
-        in_corners = np.count_nonzero((np.abs(some - 0.5) > 0.5 - tuning.corner).all(axis=1))
-        if in_corners > tuning.corners * (2.0 * tuning.corner) ** 2 * len(some):
+        some = (_some_of(points) - low) / extent
+        in_corners = np.count_nonzero((np.abs(some - 0.5) > 0.5 - CORNER).all(axis=1))
+        if in_corners > CORNERS * (2.0 * CORNER) ** 2 * len(some):
             return None
         place = np.empty_like(points)
         threads.over(lambda a, b: np.divide(points[a:b] - low, extent, out=place[a:b]), threads.even(len(points)))
-        hull = _hull(_outermost(place, tuning))
+        hull = _hull(_outermost(place))
         if len(hull) < 3 or 2 * len(hull) > records:
             return None
         after = np.roll(hull, -1, axis=0)
         cross = hull[:, 0] * after[:, 1] - after[:, 0] * hull[:, 1]
         area = 0.5 * float(cross.sum())
         larger = 1.0 / (1.0 - len(hull) / records)
-        if area * larger > tuning.most:
+        if area * larger > MOST:
             return None
         centre = (cross @ (hull + after)) / (6.0 * area)
         hull = low + extent * (centre + math.sqrt(larger) * (hull - centre))
@@ -112,7 +90,7 @@ class ConvexRegion:
         hull, east = np.roll(hull, -west, axis=0), (east - west) % len(hull)
         below, above = hull[: east + 1], np.concatenate([hull[east:], hull[:1]])[::-1]
         x = np.unique(hull[:, 0])
-        return cls(x, np.interp(x, *below.T), np.interp(x, *above.T), area, tuning)
+        return cls(x, np.interp(x, *below.T), np.interp(x, *above.T), area)
 
     def part(self, low: FloatArray, high: FloatArray) -> FloatArray:
         """(c,) the fraction of rectangles from ``low`` to ``high``, (c, 2) each, inside; at least ``least``."""
@@ -124,19 +102,19 @@ class ConvexRegion:
         part = np.ones(len(low))
         cut = np.flatnonzero(~inside.all(axis=0))
         (west, south), (east, north) = low[cut].T, high[cut].T
-        across = self.tuning.across
+        across = ACROSS
         at = west + (east - west) * ((np.arange(across) + 0.5) / across)[:, None]
         height = np.minimum(np.interp(at, self.x, self.upper), north) - np.maximum(
             np.interp(at, self.x, self.lower), south
         )
         height[(at < self.x[0]) | (at > self.x[-1])] = 0.0
         part[cut] = np.clip(height, 0.0, None).mean(axis=0) / (north - south)
-        return np.maximum(part, self.tuning.least)
+        return np.maximum(part, LEAST)
 
 
-def _outermost(points: FloatArray, tuning: CellsTuning) -> FloatArray:
+def _outermost(points: FloatArray) -> FloatArray:
     """The polygon of the outermost points in some directions, and the points outside it."""
-    corners = _farthest(_some_of(points, tuning), tuning.directions)
+    corners = _farthest(_some_of(points), DIRECTIONS)
     # Points within the inscribed circle of that polygon are no vertices; this excludes most of them.
     centre = corners.mean(axis=0)
     from_centre = corners - centre, np.roll(corners, -1, axis=0) - centre
@@ -150,7 +128,7 @@ def _outermost(points: FloatArray, tuning: CellsTuning) -> FloatArray:
         return np.compress(x * x + y * y >= least_sq, points[first:last], axis=0)
 
     points = np.concatenate(threads.over(beyond, threads.even(len(points))))
-    corners = _farthest(points, tuning.directions)
+    corners = _farthest(points, DIRECTIONS)
     outside = np.zeros(len(points), np.bool_)
     for one, two in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = two - one
@@ -158,9 +136,9 @@ def _outermost(points: FloatArray, tuning: CellsTuning) -> FloatArray:
     return np.concatenate([points[outside], corners])
 
 
-def _some_of(points: FloatArray, tuning: CellsTuning) -> FloatArray:
+def _some_of(points: FloatArray) -> FloatArray:
     """At most about ``some`` of the points, at equal steps of the row."""
-    return np.ascontiguousarray(points[:: max(1, len(points) // tuning.some)])
+    return np.ascontiguousarray(points[:: max(1, len(points) // SOME)])
 
 
 def _farthest(points: FloatArray, directions: int) -> FloatArray:
@@ -236,24 +214,22 @@ def finest(levels: Sequence[GridLevel], max_cells: float) -> GridLevel:
     return next((level for level in levels[::-1] if len(level.volume) <= max_cells), levels[0])
 
 
-def levels_of(
-    first: Records, second: Records, tuning: CellsTuning
-) -> tuple[float, tuple[GridLevel, ...], Discs | None]:
+def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, ...], Discs | None]:
     """Volume of the region of both sources, which must have records, its levels of cells, and its discs."""
     kind = _SphereCells if isinstance(first.space, Sphere) else _BoxCells
-    space = kind.over(first, second, tuning)
+    space = kind.over(first, second)
     volume = space.volume if space.outline is None else space.volume * space.outline.area / space.area
     levels = [GridLevel(np.zeros(len(first), np.int32), np.zeros(len(second), np.int32), np.array([volume]))]
     richer, size = max(len(first), len(second)), space.volume
-    while size * tuning.cells_per_record * richer > space.volume:
+    while size * CELLS_PER_RECORD * richer > space.volume:
         count = levels[-1].count(1 if len(first) >= len(second) else 2)
-        if inner(count, count) <= tuning.finest * richer:
+        if inner(count, count) <= FINEST_CELLS * richer:
             break
-        size /= tuning.refinement
+        size /= REFINEMENT
         levels.append(_level(*space.cells(first.features, second.features, size)))
     discs = None
     if isinstance(first.space, Sphere) and len(levels) > 1:
-        discs = Discs.of((first.features, second.features), volume, _clumped(levels[-1], volume), tuning.discs)
+        discs = Discs.of((first.features, second.features), volume, _clumped(levels[-1], volume))
     if discs is not None:
         volume, levels = float(discs.area.sum()), [_of_discs(level, discs) for level in levels]
     return volume, tuple(levels), discs
@@ -311,7 +287,7 @@ class _SphereCells:
     outline: ConvexRegion | None = None
 
     @classmethod
-    def over(cls, first: Records, second: Records, tuning: CellsTuning) -> _SphereCells:
+    def over(cls, first: Records, second: Records) -> _SphereCells:
         sides = first.features, second.features
         low, high = _extremes([features[:, 1] for features in sides])
         margin = _margin(np.array([high - low]), first, second)[0]
@@ -335,7 +311,7 @@ class _SphereCells:
             np.array([x, math.sin(math.radians(latitude))]) for x, latitude in ((0.0, low), (arc, high))
         )
         records = max(len(first), len(second))
-        return cls(low, high, west, arc, ConvexRegion.of(points, south_west, north_east, records, tuning))
+        return cls(low, high, west, arc, ConvexRegion.of(points, south_west, north_east, records))
 
     @property
     def area(self) -> float:
@@ -384,13 +360,13 @@ class _BoxCells:
     outline: ConvexRegion | None = None
 
     @classmethod
-    def over(cls, first: Records, second: Records, tuning: CellsTuning) -> _BoxCells:
+    def over(cls, first: Records, second: Records) -> _BoxCells:
         both = np.concatenate([first.features, second.features])
         low, high = both.min(axis=0), both.max(axis=0)
         margin = _margin(high - low, first, second)
         low, high = low - margin, high + margin
         records = max(len(first), len(second))
-        outline = ConvexRegion.of(both, low, high, records, tuning) if len(low) == 2 else None
+        outline = ConvexRegion.of(both, low, high, records) if len(low) == 2 else None
         return cls(low, high - low, outline)
 
     @property

@@ -32,48 +32,35 @@ from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, unit_vectors
 _EXPANSION, _LARGE = [math.prod((2 * j - 1) ** 2 / (8 * j) for j in range(1, k + 1)) for k in range(16)], 30.0
 
 
+RADII = (0.0, 0.5, 1.0, 1.5, 2.0, 2.75, 3.5, 4.5, 5.5)  # of the rings, in typical standard deviations of a residual
+COMPANIONS_REACH = 7.0  # greatest distance of neighbours, same unit
+N_RECORDS = 8_000  # approximate number of records used, of each source
+N_NEIGHBOURS = 30_000  # of their neighbour pairs
+ITERATIONS = 100  # of the fits
+MAX_RECORDS = 200_000  # of both sources; with more, companions are ignored
+MAX_DIMENSIONS = 3  # of the space
+MIN_EXCESS_SIGMAS = 2.5  # excess of neighbours at some distance over a Poisson field, in standard deviations, for a fit
+MIN_GAIN = 8.0  # gain in ln likelihood of the neighbour pairs to accept the fit
+#: Share of chance pairs among apparent companions; above it the field is crowded, and companions are ignored.
+MAX_CHANCE_SHARE = 0.7
+#: Per record; above it the field has clumps, which the local densities describe, and companions are ignored.
+MAX_COMPANIONS = 1.2
+MIN_MULTIPLE_SIGMAS = 2.5  # significance, in standard deviations, of records with several companions
+MIN_VOID = 0.02  # lower limit of the probability that no companion of an object is shown
+COMPETING_SQ = 25.0  # squared normalised distance within which records compete for a pair of companions
+SAME_OBJECT_RADIUS = 2.0  # records of one source nearer than this, in the unit of RADII, may be one object
+CELL, SEED = 1_000, 20_063  # mean number of records of both sources in a sampled cell, and the seed of the sample
+
+
 @dataclass(frozen=True)
 class CompanionsTuning:
     """Sample sizes and limits for companions.
 
-    radii : of the rings, in typical standard deviations of a residual. reach : greatest distance of neighbours, same
-        unit.
-    n_records : approximate number of records used, of each source. n_neighbours : of their neighbour pairs.
-    iterations : of the fits.
-    max_records : of both sources; with more, companions are ignored. max_dimensions : of the space.
-    min_excess_sigmas : excess of neighbours at some distance over a Poisson field, in standard deviations, for a fit.
-    min_gain : gain in ln likelihood of the neighbour pairs to accept the fit.
-    max_chance_share : share of chance pairs among apparent companions; above it the field is crowded, and companions
-        are ignored.
-    max_companions : per record; above it the field has clumps, which the local densities describe, and companions are
-        ignored.
-    min_multiple_sigmas : significance, in standard deviations, of records with several companions.
-    min_void : lower limit of the probability that no companion of an object is shown.
-    competing_sq : squared normalised distance within which records compete for a pair of companions.
-    same_object_radius : records of one source nearer than this, in the unit of ``radii``, may be one object.
     max_in_strips : up to this many pairs in strips along one axis, all distances are computed; with more, the gate
         finds the near ones.
-    cell, seed : mean number of records of both sources in a sampled cell, and the seed of the sample.
     """
 
-    radii: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.75, 3.5, 4.5, 5.5)
-    reach: float = 7.0
-    n_records: int = 8_000
-    n_neighbours: int = 30_000
-    iterations: int = 100
-    max_records: int = 200_000
-    max_dimensions: int = 3
-    min_excess_sigmas: float = 2.5
-    min_gain: float = 8.0
-    max_chance_share: float = 0.7
-    max_companions: float = 1.2
-    min_multiple_sigmas: float = 2.5
-    min_void: float = 0.02
-    competing_sq: float = 25.0
-    same_object_radius: float = 2.0
     max_in_strips: int = 1_000_000
-    cell: int = 1_000
-    seed: int = 20_063
 
 
 DEFAULT_COMPANIONS = CompanionsTuning()
@@ -237,13 +224,13 @@ def scaled_sources(setting: Setting, unit: FloatArray, tuning: CompanionsTuning)
     return one, two
 
 
-def _sampled_rows(levels: Sequence[GridLevel], tuning: CompanionsTuning) -> tuple[IntArray, IntArray]:
+def _sampled_rows(levels: Sequence[GridLevel]) -> tuple[IntArray, IntArray]:
     """Rows of both sources in sampled cells with enough records of both; all rows if a sample were hardly smaller."""
     n1, n2 = len(levels[0].of_first), len(levels[0].of_second)
-    if min(n1, n2) <= 2 * tuning.n_records:
+    if min(n1, n2) <= 2 * N_RECORDS:
         return np.arange(n1), np.arange(n2)
-    level = finest(levels, (n1 + n2) / tuning.cell)
-    sampled = level.drawn((level.count(1), level.count(2)), tuning.n_records, tuning.seed)
+    level = finest(levels, (n1 + n2) / CELL)
+    sampled = level.drawn((level.count(1), level.count(2)), N_RECORDS, SEED)
     return np.flatnonzero(sampled[level.of_first]), np.flatnonzero(sampled[level.of_second])
 
 
@@ -251,9 +238,9 @@ def _sampled_sources(
     setting: Setting, tuning: CompanionsTuning
 ) -> tuple[FloatArray, ScaledSource, ScaledSource] | None:
     """The typical error of a residual by axis, and both sources, sampled; None with too many records or dimensions."""
-    if setting.pairs.d > tuning.max_dimensions or not 0 < sum(setting.n_counted) <= tuning.max_records:
+    if setting.pairs.d > MAX_DIMENSIONS or not 0 < sum(setting.n_counted) <= MAX_RECORDS:
         return None
-    rows = _sampled_rows(setting.levels, tuning)
+    rows = _sampled_rows(setting.levels)
     unit = typical_error(setting.pairs.first, setting.pairs.second)
     one, two = (s.part(some) for s, some in zip(scaled_sources(setting, unit, tuning), rows, strict=True))
     return unit, one, two
@@ -294,18 +281,18 @@ class _Neighbours:
     density: float
 
     @classmethod
-    def of(cls, source: ScaledSource, d: int, tuning: CompanionsTuning) -> _Neighbours | None:
+    def of(cls, source: ScaledSource, d: int) -> _Neighbours | None:
         """The neighbour pairs of sampled records; None without any."""
-        reach, centres = tuning.reach, _sampled_centres(source, tuning.reach, d, tuning.n_neighbours)
+        reach, centres = COMPANIONS_REACH, _sampled_centres(source, COMPANIONS_REACH, d, N_NEIGHBOURS)
         if len(centres) < 2:
             return None
         i, k, distance = source.neighbours(reach, centres)
         if not len(i):
             return None
         density, variance = float(source.density[centres].mean()), source.variance[i] + source.variance[k]
-        ring_density = density * np.array([ring(distance, radius, variance, d) for radius in tuning.radii])
+        ring_density = density * np.array([ring(distance, radius, variance, d) for radius in RADII])
         typical = 2.0 * np.quantile(source.variance[centres], VARIANCES)
-        share = [float(share_within(reach, radius, typical, d).mean()) for radius in tuning.radii]
+        share = [float(share_within(reach, radius, typical, d).mean()) for radius in RADII]
         # In a box of side L, pairs at distance r are 1 − c r/L of those without edges.
         edge = _edge_loss(source, d)
         background = 0.5 * (source.density[i] + source.density[k]) * np.maximum(1.0 - edge * distance, 0.1)
@@ -331,30 +318,30 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
     if sampled is None:
         return None
     d, (unit, one, two) = setting.pairs.d, sampled
-    of_1, of_2 = _Neighbours.of(one, d, tuning), _Neighbours.of(two, d, tuning)
+    of_1, of_2 = _Neighbours.of(one, d), _Neighbours.of(two, d)
     if of_1 is None or of_2 is None:
         return None
-    volume, levels, gain = _fit_rings((of_1, of_2), tuning)
-    if not gain > tuning.min_gain:
+    volume, levels, gain = _fit_rings((of_1, of_2))
+    if not gain > MIN_GAIN:
         return None
     densities = of_1.density, of_2.density
-    clumps = Clustering(unit, np.array(tuning.radii), volume, 0.0, densities, level=math.sqrt(levels[0] * levels[1]))
-    if float(volume.sum()) * max(densities) > tuning.max_companions:
+    clumps = Clustering(unit, np.array(RADII), volume, 0.0, densities, level=math.sqrt(levels[0] * levels[1]))
+    if float(volume.sum()) * max(densities) > MAX_COMPANIONS:
         return clumps
     multiple, squared_mean, noise = 0.0, 0.0, 1.0
     for neighbours, level in zip((of_1, of_2), levels, strict=True):
         p = neighbours.companions(volume, level)
         several = float((np.bincount(neighbours.first, p, neighbours.n_records) ** 2).sum() - (p**2).sum())
         true, chance = float((p * p).sum()), float((p * (1.0 - p)).sum())
-        if chance > tuning.max_chance_share * (chance + true):
+        if chance > MAX_CHANCE_SHARE * (chance + true):
             return clumps
         # A chance neighbour may itself be one of two companions.
         multiple += several - (chance**2 + 3.0 * chance * true) / neighbours.n_centres
         squared_mean += true**2 / neighbours.n_centres
         noise += 2.0 * several
-    multiplicity = multiple / squared_mean if multiple > tuning.min_multiple_sigmas * math.sqrt(noise) else 0.0
+    multiplicity = multiple / squared_mean if multiple > MIN_MULTIPLE_SIGMAS * math.sqrt(noise) else 0.0
     excess = replace(clumps, multiplicity=multiplicity, level=None)
-    return replace(excess, shares=_fit_shares(excess, (one, two), tuning))
+    return replace(excess, shares=_fit_shares(excess, (one, two)))
 
 
 @in_short
@@ -378,7 +365,7 @@ def close_neighbours(
     sampled = _sampled_sources(setting, tuning)
     if sampled is None:
         return None
-    one, two = (_close_neighbours(source, tuning.same_object_radius, setting.pairs.d) for source in sampled[1:])
+    one, two = (_close_neighbours(source, SAME_OBJECT_RADIUS, setting.pairs.d) for source in sampled[1:])
     return one, two
 
 
@@ -388,9 +375,7 @@ def _close_neighbours(source: ScaledSource, reach: float, d: int) -> CloseNeighb
     return CloseNeighbours(len(source.points), len(first) // 2, by_chance)
 
 
-def _fit_rings(
-    sources: tuple[_Neighbours, _Neighbours], tuning: CompanionsTuning
-) -> tuple[FloatArray, tuple[float, float], float]:
+def _fit_rings(sources: tuple[_Neighbours, _Neighbours]) -> tuple[FloatArray, tuple[float, float], float]:
     """(r,) ∫ w of each ring, factors on the background of both sources, and the gain in ln likelihood, by EM.
 
     All zero, 1 and 0 if no ring has significantly more pairs than the background.
@@ -400,12 +385,12 @@ def _fit_rings(
     ratios = [source.ring_density / (level * source.background) for source, level in zip(sources, levels, strict=True)]
     excess = ratios[0].sum(axis=1) + ratios[1].sum(axis=1) - expected
     sigma = np.sqrt((ratios[0] ** 2).sum(axis=1) + (ratios[1] ** 2).sum(axis=1))
-    if not (excess > tuning.min_excess_sigmas * sigma).any():
+    if not (excess > MIN_EXCESS_SIGMAS * sigma).any():
         return np.zeros(len(expected)), (1.0, 1.0), 0.0
     without = sum(x.log_likelihood(np.zeros(len(expected)), level) for x, level in zip(sources, levels, strict=True))
     n_pairs = sum(len(source.background) for source in sources)
     volume = np.full(len(expected), 0.1 * n_pairs / expected.sum() / len(expected))
-    for _ in range(tuning.iterations):
+    for _ in range(ITERATIONS):
         slope = np.zeros(len(expected))
         for s, source in enumerate(sources):
             density = levels[s] * source.background + volume @ source.ring_density
@@ -416,13 +401,11 @@ def _fit_rings(
     return volume, (levels[0], levels[1]), fitted - without
 
 
-def _fit_shares(
-    clustering: Clustering, sources: tuple[ScaledSource, ScaledSource], tuning: CompanionsTuning
-) -> tuple[float, float]:
+def _fit_shares(clustering: Clustering, sources: tuple[ScaledSource, ScaledSource]) -> tuple[float, float]:
     """Shares of the records of both sources that have a partner, from the number of close records of the other source
     in addition to companions; too low if the errors are larger than quoted."""
     one, two = sources
-    i, k, distance = one.near(two, tuning.reach)
+    i, k, distance = one.near(two, COMPANIONS_REACH)
     n1, n2 = (int(np.count_nonzero(source.counted)) for source in sources)
     if not len(i):
         return 0.0, 0.0
@@ -432,9 +415,9 @@ def _fit_shares(
     inside = np.maximum(1.0 - 0.5 * (_edge_loss(one, d) + _edge_loss(two, d)) * distance, 0.1)
     background = scale * inside * np.sqrt(one.density[i] * two.density[k] / (mean_1 * mean_2))
     companions, same = scale * clustering.excess_at(distance, variance), ring(distance, 0.0, variance, d)
-    expected, most = scale * ball_volume(d) * tuning.reach**d, float(min(n1, n2))
+    expected, most = scale * ball_volume(d) * COMPANIONS_REACH**d, float(min(n1, n2))
     common, level = 0.5 * most, 1.0
-    for _ in range(tuning.iterations):
+    for _ in range(ITERATIONS):
         total = common * same + companions + level * background
         common = min(common * float((same / total).sum()), most)
         level *= float((background / total).sum()) / expected

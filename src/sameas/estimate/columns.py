@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.estimate.sample import Setting
 from sameas.estimate.share_regression import (
+    COLUMN_FOLDS,
+    COLUMNS_PSEUDO_COUNT,
     DEFAULT_COLUMNS,
+    MAX_RELATED,
+    MIN_P_COLUMNS,
+    ROWS_PER_CELL,
+    ROWS_PER_RELATED_CELL,
     ColumnFinding,
     ColumnsTuning,
     ShareFit,
@@ -89,9 +95,9 @@ class ColumnEvidence:
         """With folds assigned to the records, by cells of the sky."""
         if self.folds is not None:
             return self
-        most = min(len(setting.pairs.first), len(setting.pairs.second)) / self.tuning.per_cell
+        most = min(len(setting.pairs.first), len(setting.pairs.second)) / ROWS_PER_CELL
         level = next((level for level in setting.levels[::-1] if len(level.volume) <= most), setting.levels[0])
-        one, two = (cell.astype(np.int64) % self.tuning.folds for cell in (level.of_first, level.of_second))
+        one, two = (cell.astype(np.int64) % COLUMN_FOLDS for cell in (level.of_first, level.of_second))
         return replace(self, folds=(one, two))
 
     def for_setting(self, setting: Setting, columns: ColumnEvidence) -> ColumnEvidence:
@@ -245,23 +251,23 @@ def _fit_association(
     a: CodedColumn, b: CodedColumn, pairs: Pairs, p_counted: FloatArray, folds: IntArray, tuning: ColumnsTuning
 ) -> tuple[Association | None, ColumnFinding]:
     """The association of two columns in pairs of these probabilities, and its finding."""
-    known = np.isfinite(a.values[pairs.i]) & np.isfinite(b.values[pairs.j]) & (p_counted > tuning.min_p)
+    known = np.isfinite(a.values[pairs.i]) & np.isfinite(b.values[pairs.j]) & (p_counted > MIN_P_COLUMNS)
     i, j, p = pairs.i[known], pairs.j[known], p_counted[known]
-    number = int(min(math.sqrt(float(p.sum()) / tuning.per_related_cell), tuning.max_related))
+    number = int(min(math.sqrt(float(p.sum()) / ROWS_PER_RELATED_CELL), MAX_RELATED))
     without = ColumnFinding(0, a.name, 0.0, False, other=b.name)
     if number < 2:
         return None, without
     knots = _knots(a, p, i, number), _knots(b, p, j, number)
     sizes = tuple(map(len, knots))
     cells, parts = zip(*(_cells_and_parts(column, at) for column, at in zip((a, b), knots, strict=True)), strict=True)
-    counts = np.zeros((tuning.folds, *sizes))
+    counts = np.zeros((COLUMN_FOLDS, *sizes))
     for left, weight_1 in ((cells[0][i], 1.0 - parts[0][i]), (np.minimum(cells[0][i] + 1, sizes[0] - 1), parts[0][i])):
         for right, weight_2 in (
             (cells[1][j], 1.0 - parts[1][j]),
             (np.minimum(cells[1][j] + 1, sizes[1] - 1), parts[1][j]),
         ):
             np.add.at(counts, (folds[i], left, right), p * weight_1 * weight_2)
-    table = np.array([_log_association(counts.sum(axis=0) - own, tuning.pseudo_count) for own in counts])
+    table = np.array([_log_association(counts.sum(axis=0) - own, COLUMNS_PSEUDO_COUNT) for own in counts])
     association = _KnottedAssociation(cells, parts, folds, table, knots)
     values = association(pairs)[known]
     # As for single columns, with cross-fitted tables and by the odds without the relation.

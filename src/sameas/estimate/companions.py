@@ -17,7 +17,16 @@ from functools import cached_property
 import numpy as np
 
 from sameas.arrays import ABSENT, FloatArray, IntArray, places_in
-from sameas.estimate.clustering import DEFAULT_COMPANIONS, Clustering, CompanionsTuning, ScaledSource, scaled_sources
+from sameas.estimate.clustering import (
+    COMPANIONS_REACH,
+    COMPETING_SQ,
+    DEFAULT_COMPANIONS,
+    MIN_VOID,
+    Clustering,
+    CompanionsTuning,
+    ScaledSource,
+    scaled_sources,
+)
 from sameas.estimate.sample import Setting
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
@@ -71,12 +80,12 @@ class Companions:
             return cls(clustering, index, excess[index], np.zeros((2, len(index))), -denser[index], tuning)
         odds, companion = [], []
         for source, relative in zip((one, two), local, strict=True):
-            i, k, distance = source.neighbours(tuning.reach)
+            i, k, distance = source.neighbours(COMPANIONS_REACH)
             variance = source.variance[i] + source.variance[k]
             w = clustering.excess_at(distance, variance) * np.sqrt(relative[i] * relative[k])
             odds.append(np.bincount(i, w, len(source.points)))
             companion.append(_mutual_companions(i, k, w / (1.0 + w), len(source.points)))
-        log_swap = _log_swaps(clustering, setting, (one, two), residual, companion, tuning.competing_sq)
+        log_swap = _log_swaps(clustering, setting, (one, two), residual, companion, COMPETING_SQ)
         index = np.flatnonzero((excess > 1e-3) | (log_swap != 0.0))
         companion_odds = np.array([odds[0][pairs.i[index]], odds[1][pairs.j[index]]], np.float64)
         return cls(clustering, index, excess[index], companion_odds, log_swap[index], tuning)
@@ -97,7 +106,7 @@ class Companions:
 
         share_1, share_2 : of the records of each source that have a partner.
         """
-        clustering, least = self.clustering, self.tuning.min_void
+        clustering, least = self.clustering, MIN_VOID
         (mean_1, mean_2), (known_1, known_2) = clustering.mean_densities, clustering.shares
         # At least the shares from close pairs: the shares of early EM iterations are too low, which would make
         # companions seem numerous, and that would keep the shares low.

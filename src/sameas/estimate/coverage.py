@@ -18,10 +18,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, inner, median
-from sameas.estimate.cells import DEFAULT_CELLS, CellsTuning, GridLevel, levels_of
+from sameas.estimate.cells import FINEST_CELLS, GridLevel, levels_of
 from sameas.estimate.discs import Discs
 from sameas.estimate.holes import (
     DEFAULT_HOLES,
+    MAX_HOLE_DIMENSIONS,
     PLACE_OF_AXES,
     HolesTuning,
     Points,
@@ -38,65 +39,57 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
+COVERAGE_PSEUDO_COUNT = 2.0  # pseudo-count of the densities by which holes in cells are found
+#: Decrease of ln prior from one of these to the next, so that chance concentrations of few records make no cluster.
+LOG_PRIOR_STEP = 0.7
+SOME = 10_000  # about this many records are used for the choice
+#: Fraction of itself that a record excludes from the density at its own position in the finest cells. The weight of
+#: chance pairs is 1/√(ρ₁ρ₂), and for a count N with mean μ, (N + ¾)^−½ has the mean μ^−½: excluding the whole record
+#: would underestimate chance, because a record shows that there are objects.
+LEFT_OUT = 0.25
+#: Neighbours nearer than this many typical errors of a residual are not counted in local densities: they may be
+#: companions, or another record of the same object.
+NEAR = 7.0
+#: Ratio of the volumes of successive balls in which neighbours are counted; the first has this many times the volume of
+#: a finest cell.
+SHELL = 2.0
+#: Least gain in ln likelihood of the sampled records by neighbours in one ball; every couple of neighbours counts twice
+#: in it. Even fields gain at most 3 in a ball, clumps smaller than cells hundreds.
+MIN_GAIN = 16.0
+#: Most neighbours of a record in the largest ball, on average; a ball of twice a cell holds 8 in an even field. Pairs
+#: of a record and a neighbour that are held at once: 100 MB.
+MOST_NEIGHBOURS, PAIRS_AT_ONCE = 300, 4_000_000
+#: With more records than this for each sampled one, only those near the sample are searched until it decides.
+SPARSE = 20
+#: Pseudo-count of local shares of one half; for other shares, the count with the same information on the logit.
+SHARED_PSEUDO_COUNT = 200.0
+RICHER = 2.0  # a source this many times richer than the other determines the part of a cell where both observe
+#: Records expected in it from the number of records of the querying source in it, at least (see
+#: ``HolesTuning.min_expected``).
+IN_CELL = 3.5
+#: The search for holes is repeated with the densities outside those found, at most this often, while a source is denser
+#: there by this factor.
+ROUNDS, DENSER = 2, 1.05
+MIN_VOLUME = 1e-3  # least fraction of the region that is common to both sources
+
+
 @dataclass(frozen=True)
 class CoverageTuning:
     """Parameters of the coverage, its holes and the densities; chosen where no source is given.
 
-    pseudo_count : pseudo-count of the densities by which holes in cells are found.
-    smooths : pseudo-counts of local densities, one of which is chosen per level by the likelihood of the records;
-        with few records the strongest one.
-    log_prior_step : decrease of ln prior from one of these to the next, so that chance concentrations of few
-        records make no cluster.
-    some : about this many records are used for the choice.
-    left_out : fraction of itself that a record excludes from the density at its own position in the finest cells.
-        The weight of chance pairs is 1/√(ρ₁ρ₂), and for a count N with mean μ, (N + ¾)^−½ has the mean μ^−½:
-        excluding the whole record would underestimate chance, because a record shows that there are objects.
-    near : neighbours nearer than this many typical errors of a residual are not counted in local densities: they
-        may be companions, or another record of the same object.
-    shell : ratio of the volumes of successive balls in which neighbours are counted; the first has this many times
-        the volume of a finest cell.
-    min_gain : least gain in ln likelihood of the sampled records by neighbours in one ball; every couple of
-        neighbours counts twice in it. Even fields gain at most 3 in a ball, clumps smaller than cells hundreds.
-    most_neighbours, pairs_at_once : most neighbours of a record in the largest ball, on average; a ball of twice a
-        cell holds 8 in an even field. Pairs of a record and a neighbour that are held at once: 100 MB.
-    sparse : with more records than this for each sampled one, only those near the sample are searched until it
-        decides.
-    shared_pseudo_count : pseudo-count of local shares of one half; for other shares, the count with the same
-        information on the logit.
-    richer : a source this many times richer than the other determines the part of a cell where both observe.
+    smooths : pseudo-counts of local densities, one of which is chosen per level by the likelihood of the records; with
+        few records the strongest one.
     hole : records expected in an empty cell that is taken for a hole: the probability of an empty cell by chance is
         e⁻⁷.
-    in_cell : records expected in it from the number of records of the querying source in it, at least (see
-        ``HolesTuning.min_expected``).
-    rounds, denser : the search for holes is repeated with the densities outside those found, at most this often,
-        while a source is denser there by this factor.
-    uneven : holes smaller than cells are searched for if the records in empty cells exceed chance by this many
-        standard deviations, which an even field does not.
-    min_volume : least fraction of the region that is common to both sources.
-    holes, cells : of empty discs, and of the cells, outlines and discs of the field.
+    uneven : holes smaller than cells are searched for if the records in empty cells exceed chance by this many standard
+        deviations, which an even field does not.
+    holes : of empty discs.
     """
 
-    pseudo_count: float = 2.0
     smooths: tuple[float, ...] = (500.0, 200.0, 80.0, 30.0, 12.0, 5.0, 2.0)
-    log_prior_step: float = 0.7
-    some: int = 10_000
-    left_out: float = 0.25
-    near: float = 7.0
-    shell: float = 2.0
-    min_gain: float = 16.0
-    most_neighbours: int = 300
-    pairs_at_once: int = 4_000_000
-    sparse: int = 20
-    shared_pseudo_count: float = 200.0
-    richer: float = 2.0
     hole: float = 7.0
-    in_cell: float = 3.5
-    rounds: int = 2
-    denser: float = 1.05
     uneven: float = 2.0
-    min_volume: float = 1e-3
     holes: HolesTuning = DEFAULT_HOLES
-    cells: CellsTuning = DEFAULT_CELLS
 
     @property
     def shell_smooths(self) -> tuple[float, ...]:
@@ -208,7 +201,7 @@ class Coverage:
     @cached_property
     def levels(self) -> tuple[GridLevel, ...]:
         """Cells, coarse to fine."""
-        return levels_of(self.first, self.second, self.tuning.cells)[1] if self.of_part is None else self.of_part
+        return levels_of(self.first, self.second)[1] if self.of_part is None else self.of_part
 
     @property
     def counted(self) -> tuple[BoolArray, BoolArray]:
@@ -218,7 +211,7 @@ class Coverage:
     @classmethod
     def of(cls, first: Records, second: Records, *, tuning: CoverageTuning = DEFAULT_COVERAGE) -> Coverage:
         """Cells over the region of both sources, which must have records."""
-        volume, levels, discs = levels_of(first, second, tuning.cells)
+        volume, levels, discs = levels_of(first, second)
         coverage = cls(first, second, volume, discs=discs, tuning=tuning)
         coverage.__dict__["levels"] = levels
         return coverage
@@ -244,7 +237,7 @@ class Coverage:
         """Local density of the records of ``source`` (1 or 2) counted with ``weights``, at the records of both.
 
         Unit 1 / (residual unit)^d. The number of records limits the fineness of cells. At its own position, a record
-        counts only in the finest cells, and there 1 − ``left_out``.
+        counts only in the finest cells, and there 1 − LEFT_OUT.
 
         volumes : per level, of the cells where the source observes; all cells if not given.
         """
@@ -255,20 +248,20 @@ class Coverage:
         start = (float(weights.sum()) + 0.5) / float(volumes[0].sum())
         at_first, at_second = np.full(len(self.first), start), np.full(len(self.second), start)
         at = (at_first, at_second) if source == 1 else (at_second, at_first)
-        sample = _sampled(self.first if source == 1 else self.second, tuning.some)
+        sample = _sampled(self.first if source == 1 else self.second, SOME)
         unweighted = bool((weights == 1.0).all())
         for level, volume in zip(self.levels, volumes, strict=True):
             cell, _ = level.facing(source)
             count = (
                 level.count(source) if unweighted else np.asarray(np.bincount(cell, weights, len(volume)), np.float64)
             )
-            finest = level is self.levels[-1] or inner(count, count) <= tuning.cells.finest * weights.sum()
+            finest = level is self.levels[-1] or inner(count, count) <= FINEST_CELLS * weights.sum()
             others = np.maximum(count[cell[sample]] - weights[sample], 0.0)
             smooth, _ = smoothing(
-                others, volume[cell[sample]], at[0][sample], weights[sample], tuning.smooths, tuning.log_prior_step
+                others, volume[cell[sample]], at[0][sample], weights[sample], tuning.smooths, LOG_PRIOR_STEP
             )
             without = (others + smooth) / (volume[cell[sample]] + smooth / at[0][sample])
-            refine(*level.facing(source), tuning.left_out * weights if finest else weights, volume, count, smooth, *at)
+            refine(*level.facing(source), LEFT_OUT * weights if finest else weights, volume, count, smooth, *at)
             if finest:
                 break
         if (
@@ -298,42 +291,37 @@ class Coverage:
         """
         d, unit, tuning = self.first.d, self.typical_error, self.tuning
         one, two = self._points if source == 1 else self._points[::-1]
-        if (
-            d > tuning.holes.max_dimensions
-            or np.isfinite(one.period).any()
-            or not (unit > 0.0).all()
-            or not counted.any()
-        ):
+        if d > MAX_HOLE_DIMENSIONS or np.isfinite(one.period).any() or not (unit > 0.0).all() or not counted.any():
             return
         mean = geometric_mean(unit)
         points, others = one.points / mean, two.points / mean
         per_volume = float(np.prod(unit))
-        radius = (tuning.shell * volume / per_volume / ball_volume(d)) ** (1.0 / d)
-        n_balls = math.ceil(d * math.log(radius / tuning.near) / math.log(tuning.shell)) - 1
+        radius = (SHELL * volume / per_volume / ball_volume(d)) ** (1.0 / d)
+        n_balls = math.ceil(d * math.log(radius / NEAR) / math.log(SHELL)) - 1
         if n_balls < 1:
             return
-        radii = radius * tuning.shell ** (-np.arange(n_balls) / d)
-        shells = per_volume * ball_volume(d) * (radii**d - tuning.near**d)
+        radii = radius * SHELL ** (-np.arange(n_balls) / d)
+        shells = per_volume * ball_volume(d) * (radii**d - NEAR**d)
         near_sample, weight = counted, counted[sample].astype(np.float64)
-        if len(points) > tuning.sparse * len(sample):
+        if len(points) > SPARSE * len(sample):
             near_sample = counted & _near_some(points, sample, radius)
-        balls = _Balls.around(points[near_sample], tuning.pairs_at_once)
-        if balls.number(points[sample], radius) > tuning.most_neighbours * len(sample):
+        balls = _Balls.around(points[near_sample], PAIRS_AT_ONCE)
+        if balls.number(points[sample], radius) > MOST_NEIGHBOURS * len(sample):
             return
         accepted: list[tuple[int, float]] = []
-        for ball, number in enumerate(balls.neighbours(points[sample], radii, tuning.near)):
+        for ball, number in enumerate(balls.neighbours(points[sample], radii, NEAR)):
             shell = np.full(len(sample), shells[ball])
-            smooth, score = smoothing(number, shell, without, weight, tuning.shell_smooths, tuning.log_prior_step)
-            if score - inner(weight, np.log(without)) > tuning.min_gain:
+            smooth, score = smoothing(number, shell, without, weight, tuning.shell_smooths, LOG_PRIOR_STEP)
+            if score - inner(weight, np.log(without)) > MIN_GAIN:
                 without = (number + smooth) / (shell + smooth / without)
                 accepted.append((ball, smooth))
             elif accepted:
                 break
         if not accepted:
             return
-        balls = balls if near_sample is counted else _Balls.around(points[counted], tuning.pairs_at_once)
+        balls = balls if near_sample is counted else _Balls.around(points[counted], PAIRS_AT_ONCE)
         for density, there in zip(at, (points, others), strict=True):
-            numbers = balls.neighbours(there, radii[[ball for ball, _ in accepted]], tuning.near)
+            numbers = balls.neighbours(there, radii[[ball for ball, _ in accepted]], NEAR)
             for (ball, smooth), number in zip(accepted, numbers, strict=True):
                 density[:] = (number + smooth) / (shells[ball] + smooth / density)
 
@@ -343,7 +331,7 @@ class Coverage:
         weights = [covered.astype(np.float64) for covered in self.covered]
         one, two = (float(covered.sum()) for covered in weights)
         volumes = self._common_volumes()
-        if max(one, two) <= self.tuning.richer * min(one, two):
+        if max(one, two) <= RICHER * min(one, two):
             at_1, at_2 = threads.each(
                 [partial(self.density, k + 1, weights[k], volumes) for k in (0, 1)], len(weights[0])
             )
@@ -398,16 +386,16 @@ class Coverage:
             max(int(np.count_nonzero(own_in_empty == 0.0)), 1) for own_in_empty in (own_in_empty_1, own_in_empty_2)
         ]
         # Requires enough records of its own source, too, so that a region poor in objects is not taken for a hole.
-        in_cell = self.tuning.in_cell
+        in_cell = IN_CELL
         least = in_cell * n_observed[0] / n_observed[1], in_cell * n_observed[1] / n_observed[0]
         covered = own_in_empty_1 < max(least[0], 1.0), own_in_empty_2 < max(least[1], 1.0)
         if all(each.all() for each in covered) and max(excess_1, excess_2) < self.tuning.uneven:
             return covered
         mean = self._mean_densities(*covered)
-        for _ in range(self.tuning.rounds):
+        for _ in range(ROUNDS):
             covered = self._outside_holes(covered, (highest_1, highest_2), mean)
             previous, mean = mean, self._mean_densities(*covered)
-            if max(mean[0] / previous[0], mean[1] / previous[1]) < self.tuning.denser:
+            if max(mean[0] / previous[0], mean[1] / previous[1]) < DENSER:
                 break
         return covered
 
@@ -419,7 +407,7 @@ class Coverage:
 
     def _mean_densities(self, covered_1: BoolArray, covered_2: BoolArray) -> tuple[float, float]:
         """Mean densities of both sources where both observe, for these covered records."""
-        volume = max(self._volume(covered_1, covered_2), self.tuning.min_volume * self.volume)
+        volume = max(self._volume(covered_1, covered_2), MIN_VOLUME * self.volume)
         number_1, number_2 = (max(int(np.count_nonzero(covered)), 1) for covered in (covered_1, covered_2))
         return number_1 / volume, number_2 / volume
 
@@ -458,7 +446,7 @@ class Coverage:
             cells, _ = level.facing(query)
             counts = level.count(source), level.count(query)
             more = check_cells(
-                cells, level.volume, *counts, tuning.pseudo_count, tuning.hole, own_in_empty, density, highest
+                cells, level.volume, *counts, COVERAGE_PSEUDO_COUNT, tuning.hole, own_in_empty, density, highest
             )
             excess = max(excess, more)
         return own_in_empty, highest, excess
@@ -499,7 +487,7 @@ def local_share(
     """Local share Σ part / Σ weights of the records of ``source`` (1 or 2), at the records of both; without
     ``elsewhere`` at its own only, and the other source's array is empty.
 
-    Drawn towards that of the coarser cell by ``pseudo_count`` records; many, so that the estimated share does not
+    Drawn towards that of the coarser cell by COVERAGE_PSEUDO_COUNT records; many, so that the estimated share does not
     concentrate at chance pairs.
     """
     from sameas.kernels.coverage import refine_share

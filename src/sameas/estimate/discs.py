@@ -17,64 +17,43 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
-
-@dataclass(frozen=True)
-class DiscsTuning:
-    """Parameters of the search for discs; chosen where no source is given.
-
-    first_records, most_centres : records whose nearest centres are found first, since few fields are discs; and the
-        number of centres above which none are looked for.
-    full : discs must fill at most this fraction of the region of all records.
-    outer, flat : least number of records in the outer half of the discs, and in the outer half per record in the
-        quarter of the area next to it: in discs 2, around partners alone (residuals of any distribution that falls
-        outwards) less than 1.
-    repeated : least number of records that have the same nearest centre as another, per record in the outer half.
-        Two catalogues of the same objects with a shift or a rotation between them fill discs as well, but with one
-        record each.
-    few_pairs : most pairs of a centre and a record for finding the nearest centres without a tree, whose import
-        takes longer; twice ``first_records`` records, which are the most that are looked at first, stay below it.
-    points : points per disc at which the number of discs that overlap is counted.
-    clumped, neighbours, most_pairs : around targets that no source lists: pairs of one source's records in the
-        cells, as a multiple of those of an even field, from which discs are looked for; least mean number of
-        neighbours in a disc; most pairs of neighbours.
-    step, growth : steps of the distance within which neighbours are counted, and most growth of their number over
-        two steps where the discs end, in which an even field has 2.4 times as many.
-    nine_tenths, around_targets : the distance within which 90 % of the pairs of records in a disc lie, in radii: of
-        records that fill it evenly, and where one of 1 + k is the target at its centre, by 1/k (simulated).
-    half : most pairs within half of that distance, as a fraction of all: 0.39 in evenly filled discs, less around
-        targets, 0.44 in Gaussian clusters; two standard deviations more are allowed.
-    unequal : most neighbours per record, as a multiple of the other records per disc: 1 to 2 in discs; more where
-        few clusters lie among many single records.
-    several : least fraction of the pairs that must be of discs with three records of a source or more: with half a
-        neighbour per target it is a half; couples of companions have none.
-    within, reach, most_divisions : least fraction of the records that must lie within ``reach`` radii of the middle
-        of their disc where no discs overlap, and most divisions of those that do.
-    """
-
-    first_records: int = 16
-    most_centres: int = 200_000
-    full: float = 0.25
-    outer: int = 8
-    flat: float = 1.2
-    repeated: float = 0.5
-    few_pairs: int = 8_000_000
-    points: int = 64
-    clumped: float = 1.5
-    neighbours: float = 0.5
-    most_pairs: int = 20_000_000
-    step: float = 1.25
-    growth: float = 1.08
-    nine_tenths: float = 1.49
-    around_targets: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0, 0.2, 0.5, 1.0), (1.49, 1.39, 1.15, 0.95))
-    half: float = 0.42
-    unequal: float = 2.5
-    several: float = 0.33
-    within: float = 0.95
-    reach: float = 1.25
-    most_divisions: int = 6
-
-
-DEFAULT_DISCS = DiscsTuning()
+# Parameters of the search for discs; chosen where no source is given.
+#: Records whose nearest centres are found first, since few fields are discs; and the number of centres above which none
+#: are looked for.
+FIRST_RECORDS, MOST_CENTRES = 16, 200_000
+FULL = 0.25  # discs must fill at most this fraction of the region of all records
+#: Least number of records in the outer half of the discs, and in the outer half per record in the quarter of the area
+#: next to it: in discs 2, around partners alone (residuals of any distribution that falls outwards) less than 1.
+OUTER, FLAT = 8, 1.2
+#: Least number of records that have the same nearest centre as another, per record in the outer half. Two catalogues of
+#: the same objects with a shift or a rotation between them fill discs as well, but with one record each.
+REPEATED = 0.5
+#: Most pairs of a centre and a record for finding the nearest centres without a tree, whose import takes longer; twice
+#: FIRST_RECORDS records, which are the most that are looked at first, stay below it.
+FEW_PAIRS = 8_000_000
+POINTS = 64  # points per disc at which the number of discs that overlap is counted
+#: Around targets that no source lists: pairs of one source's records in the cells, as a multiple of those of an even
+#: field, from which discs are looked for; least mean number of neighbours in a disc; most pairs of neighbours.
+CLUMPED, NEIGHBOURS, MOST_PAIRS = 1.5, 0.5, 20_000_000
+#: Steps of the distance within which neighbours are counted, and most growth of their number over two steps where the
+#: discs end, in which an even field has 2.4 times as many.
+STEP, GROWTH = 1.25, 1.08
+#: The distance within which 90 % of the pairs of records in a disc lie, in radii: of records that fill it evenly, and
+#: where one of 1 + k is the target at its centre, by 1/k (simulated).
+NINE_TENTHS = 1.49
+AROUND_TARGETS = ((0.0, 0.2, 0.5, 1.0), (1.49, 1.39, 1.15, 0.95))
+#: Most pairs within half of that distance, as a fraction of all: 0.39 in evenly filled discs, less around targets, 0.44
+#: in Gaussian clusters; two standard deviations more are allowed.
+HALF = 0.42
+#: Most neighbours per record, as a multiple of the other records per disc: 1 to 2 in discs; more where few clusters lie
+#: among many single records.
+UNEQUAL = 2.5
+#: Least fraction of the pairs that must be of discs with three records of a source or more: with half a neighbour per
+#: target it is a half; couples of companions have none.
+SEVERAL = 0.33
+#: Least fraction of the records that must lie within REACH radii of the middle of their disc where no discs overlap,
+#: and most divisions of those that do.
+WITHIN, REACH, MOST_DIVISIONS = 0.95, 1.25, 6
 
 
 @in_short
@@ -93,53 +72,41 @@ class Discs:
     area: FloatArray
 
     @classmethod
-    def of(
-        cls,
-        positions: tuple[FloatArray, FloatArray],
-        region: float,
-        clumped: float = 0.0,
-        tuning: DiscsTuning = DEFAULT_DISCS,
-    ) -> Discs | None:
+    def of(cls, positions: tuple[FloatArray, FloatArray], region: float, clumped: float = 0.0) -> Discs | None:
         """The discs of two sources on the sphere, or None if their fields are something else.
 
         positions : (n₁, 2), (n₂, 2) longitude and latitude in degrees. region : area of the region of all records.
         clumped : pairs of one source's records in cells, as a multiple of those of an even field; of both, the smaller.
         """
         for centres, others in ((0, 1), (1, 0)):
-            found = _around(positions[centres], positions[others], tuning.full * region, tuning)
+            found = _around(positions[centres], positions[others], FULL * region)
             if found is not None:
                 return cls(centres + 1, *found)
-        if clumped >= tuning.clumped:
-            found = _around_neither(positions, region, tuning)
+        if clumped >= CLUMPED:
+            found = _around_neither(positions, region)
             if found is not None:
                 return cls(0, *found)
         return None
 
 
-def _around(
-    centres: FloatArray, others: FloatArray, most: float, tuning: DiscsTuning
-) -> tuple[float, IntArray, FloatArray] | None:
+def _around(centres: FloatArray, others: FloatArray, most: float) -> tuple[float, IntArray, FloatArray] | None:
     """Radius, nearest centres and areas of discs of at most this total area; None if ``others`` fill no discs."""
-    if len(centres) > tuning.most_centres or len(others) < tuning.outer:
+    if len(centres) > MOST_CENTRES or len(others) < OUTER:
         return None
     ground = unit_vectors(*centres.T)
-    some = unit_vectors(*others[:: max(1, len(others) // tuning.first_records)].T)
-    least = float(_nearest(ground, some, tuning.few_pairs)[0].max()) * ARCSEC_PER_RADIAN
+    some = unit_vectors(*others[:: max(1, len(others) // FIRST_RECORDS)].T)
+    least = float(_nearest(ground, some, FEW_PAIRS)[0].max()) * ARCSEC_PER_RADIAN
     # Discs that overlap at most by half.
     if 0.5 * len(centres) * math.pi * least**2 > most:
         return None
-    chord, of = _nearest(ground, unit_vectors(*others.T), tuning.few_pairs)
+    chord, of = _nearest(ground, unit_vectors(*others.T), FEW_PAIRS)
     # The outermost of n records lies at about 1 − 1/2n of the radius.
     reach = float(chord.max()) * (1.0 + 0.5 / len(others))
     outer = int(np.count_nonzero(chord > reach * math.sqrt(0.5)))
     next_to_it = int(np.count_nonzero(chord > 0.5 * reach)) - outer
-    if (
-        outer < tuning.outer
-        or outer < tuning.flat * next_to_it
-        or len(of) - len(np.unique(of)) < tuning.repeated * outer
-    ):
+    if outer < OUTER or outer < FLAT * next_to_it or len(of) - len(np.unique(of)) < REPEATED * outer:
         return None
-    radius, area = reach * ARCSEC_PER_RADIAN, _areas(ground, reach, tuning.points)
+    radius, area = reach * ARCSEC_PER_RADIAN, _areas(ground, reach, POINTS)
     return None if area.sum() > most else (radius, np.asarray(of, np.int64), area)
 
 
@@ -165,7 +132,7 @@ def _areas(ground: FloatArray, reach: float, points: int) -> FloatArray:
 
 
 def _around_neither(
-    positions: tuple[FloatArray, FloatArray], region: float, tuning: DiscsTuning
+    positions: tuple[FloatArray, FloatArray], region: float
 ) -> tuple[float, IntArray, FloatArray] | None:
     """Radius, disc of each record and areas of discs around targets that no source lists; None without such discs.
 
@@ -173,7 +140,7 @@ def _around_neither(
     those of an even field grows with the distance up to the diameter of the discs, and no more from there on.
     """
     n = np.array([len(positions[0]), len(positions[1])])
-    if min(n) < 2 * tuning.outer or n.sum() > tuning.most_centres:
+    if min(n) < 2 * OUTER or n.sum() > MOST_CENTRES:
         return None
     from scipy.spatial import cKDTree
 
@@ -181,45 +148,45 @@ def _around_neither(
     trees = [cKDTree(side) for side in units]
     # From a fiftieth of the mean spacing of the records to twenty times that, if it is within the region.
     spacing = math.sqrt(region / n.max()) / ARCSEC_PER_RADIAN
-    steps = np.arange(math.ceil(math.log(1000.0) / math.log(tuning.step)))
-    reach = 0.02 * spacing * tuning.step**steps
+    steps = np.arange(math.ceil(math.log(1000.0) / math.log(STEP)))
+    reach = 0.02 * spacing * STEP**steps
     reach = reach[reach < 0.2 * math.sqrt(region) / ARCSEC_PER_RADIAN]
     share = [len(side) ** 2 * math.pi * (reach * ARCSEC_PER_RADIAN) ** 2 / region for side in units]
     counts = [tree.count_neighbors(tree, reach) - len(side) for tree, side in zip(trees, units, strict=True)]
     excess = np.sum(counts, axis=0) - np.sum(share, axis=0)
-    enough = excess >= max(tuning.neighbours * n.sum(), 4.0 * tuning.outer)
-    ends = np.flatnonzero(enough[:-2] & (excess[2:] <= tuning.growth * excess[:-2]))
-    if not len(ends) or excess[ends[0]] > tuning.most_pairs:
+    enough = excess >= max(NEIGHBOURS * n.sum(), 4.0 * OUTER)
+    ends = np.flatnonzero(enough[:-2] & (excess[2:] <= GROWTH * excess[:-2]))
+    if not len(ends) or excess[ends[0]] > MOST_PAIRS:
         return None
     most = float(excess[ends[0]])
     nine_tenths = float(np.interp(0.9 * most, excess[: ends[0] + 1], reach[: ends[0] + 1]))
-    rough = nine_tenths / tuning.nine_tenths
-    if np.interp(0.5 * nine_tenths, reach, excess) > tuning.half * most + 2.0 * math.sqrt(most):
+    rough = nine_tenths / NINE_TENTHS
+    if np.interp(0.5 * nine_tenths, reach, excess) > HALF * most + 2.0 * math.sqrt(most):
         return None
     points = np.concatenate(units)
-    disc = _gathered(points, 1.2 * rough, tuning.most_pairs)
+    disc = _gathered(points, 1.2 * rough, MOST_PAIRS)
     if disc is None:
         return None
     numbers_of_each = [np.bincount(of) for of in np.split(disc, [n[0]])]
     numbers = np.concatenate(numbers_of_each)
     pairs = numbers * (numbers - 1)
-    if pairs[numbers > 2].sum() < tuning.several * pairs.sum():
+    if pairs[numbers > 2].sum() < SEVERAL * pairs.sum():
         return None
     discs_of_each = [np.count_nonzero(numbers) for numbers in numbers_of_each]
-    if most > tuning.unequal * sum(a**2 / b - a for a, b in zip(n.tolist(), discs_of_each, strict=True)):
+    if most > UNEQUAL * sum(a**2 / b - a for a, b in zip(n.tolist(), discs_of_each, strict=True)):
         return None
-    limit = tuning.reach * nine_tenths / float(np.interp(n.sum() / most, *tuning.around_targets))
+    limit = REACH * nine_tenths / float(np.interp(n.sum() / most, *AROUND_TARGETS))
     inside = float(np.mean(np.linalg.norm(points - _middles(points, disc)[disc], axis=1) <= limit))
-    if inside < tuning.within - tuning.full:
+    if inside < WITHIN - FULL:
         return None
-    disc = _divided(points, disc, limit, tuning.most_divisions)
+    disc = _divided(points, disc, limit, MOST_DIVISIONS)
     middle = _middles(points, disc)
     # Of discs that overlap by chance, those whose middles are about half a radius apart stay together.
     together = 0.25 * len(middle) * math.pi * (rough * ARCSEC_PER_RADIAN) ** 2 / region
     radius = _half_extent(points, disc, 2.6 * rough, 0.98 - min(together, 0.1))
-    area = _areas(middle / np.linalg.norm(middle, axis=1)[:, None], radius, tuning.points)
+    area = _areas(middle / np.linalg.norm(middle, axis=1)[:, None], radius, POINTS)
     # Discs overlap by chance as often as they fill the region.
-    if inside < tuning.within - area.sum() / region or area.sum() > tuning.full * region:
+    if inside < WITHIN - area.sum() / region or area.sum() > FULL * region:
         return None
     return radius * ARCSEC_PER_RADIAN, disc, area
 

@@ -22,11 +22,17 @@ from sameas.estimate.companions import Companions
 from sameas.estimate.coverage import local_share
 from sameas.estimate.error_average import Average, Averaged, HypothesisSums, without_positions
 from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
-from sameas.estimate.grades import DEFAULT_GRADES, Grades, GradesTuning, first_magnitudes
+from sameas.estimate.grades import Grades, first_magnitudes
 from sameas.estimate.photometry import LearningPairs, Photometry
 from sameas.estimate.quantity import MAX_MISSING
 from sameas.estimate.sample import Setting
-from sameas.estimate.unresolved import BlendResolution, Unresolved, UnresolvedTuning, best_resolution
+from sameas.estimate.unresolved import (
+    MAX_UNRESOLVED_RECORDS,
+    MIN_RESOLVED_PAIRS,
+    BlendResolution,
+    Unresolved,
+    best_resolution,
+)
 from sameas.evidence import Brightness, Errors, PoissonField, Rule
 from sameas.evidence.detection import logit
 from sameas.evidence.rule import AS_QUOTED
@@ -35,54 +41,43 @@ from sameas.kernels import threads
 from sameas.posterior import APPROXIMATE, Posterior, by_messages, posterior
 from sameas.representation import in_short
 
+#: Where errors are fitted, a pair of a lower probability gets its odds from its likelihood ratio and its records'
+#: probabilities of having no other partner; higher probabilities are clipped.
+MIN_P_PAIR, MAX_P_PAIR = 1e-3, 1.0 - 1e-12
+#: Pairs of smaller ln odds, before one-to-one, are less probable than 1e-5; sums ignore them.
+MIN_LOG_ODDS = math.log(1e-5)
+MIN_INITIAL_SHARE, MAX_INITIAL_SHARE = 0.1, 0.95  # limits of the initial share of common objects in the poorer source
+MIN_LARGEST_SCALE = 3.4  # the mixture of error scales reaches at least to this scale
+#: Twice the number of chance candidates within √2 of its scale that an error component may have.
+MAX_CHANCE_CANDIDATES = 0.15
+MIN_PAIRS_TO_LEARN = 50.0  # errors, magnitudes and columns are fitted from this expected number of pairs on
+#: The sizes of quoted errors are not used where magnitudes are informative and at most this share of the records has
+#: none.
+MAX_SHARE_MISSING = 0.05
+MIN_EVIDENCE_FITS = 1  # fits of magnitudes and columns before the iterations may end
+#: Converged when the expected remaining change of the number of common objects is at most this share of its standard
+#: error, or when its last change was at most this number.
+TOLERANCE, TOLERANCE_NUMBER = 0.2, 0.01
+TOLERANCE_WEIGHT = 0.01  # greatest change of the weights of averaged errors at convergence
+MIN_BY_MESSAGE = 0.02  # messages are corrected by exact sums if they give at least this share of the common objects
+MIN_RATE = 0.25  # lower limit of the ratio of one change to the previous one, for the expected remaining change
+#: Companions are ignored when they bring the share of common objects below this fraction of the share from close pairs
+#: and companions.
+MIN_COMPANION_SHARE = 0.5
+
 
 @dataclass(frozen=True)
 class EMTuning:
     """When an EM iteration learns what, and when the iterations end.
 
-    min_p_pair, max_p_pair : where errors are fitted, a pair of a lower probability gets its odds from its likelihood
-        ratio and its records' probabilities of having no other partner; higher probabilities are clipped.
-    min_log_odds : pairs of smaller ln odds, before one-to-one, are less probable than 1e-5; sums ignore them.
-    min_initial_share, max_initial_share : limits of the initial share of common objects in the poorer source.
-    min_largest_scale : the mixture of error scales reaches at least to this scale.
     min_share : lower limit of the share of records without a partner.
-    max_chance_candidates : twice the number of chance candidates within √2 of its scale that an error component may
-        have.
-    min_pairs : errors, magnitudes and columns are fitted from this expected number of pairs on.
-    max_share_missing : the sizes of quoted errors are not used where magnitudes are informative and at most this share
-        of the records has none.
-    min_evidence_fits : fits of magnitudes and columns before the iterations may end.
-    tolerance, tolerance_number : converged when the expected remaining change of the number of common objects is at
-        most this share of its standard error, or when its last change was at most this number.
-    tolerance_weight : greatest change of the weights of averaged errors at convergence.
-    min_by_message : messages are corrected by exact sums if they give at least this share of the common objects.
-    min_rate : lower limit of the ratio of one change to the previous one, for the expected remaining change.
-    scales, grades : tuning of the mixture of error scales, and of the sizes of quoted errors. companions : tuning of
-        companions; None ignores companions.
-    min_companion_share : companions are ignored when they bring the share of common objects below this fraction of the
-        share from close pairs and companions.
+    scales : tuning of the mixture of error scales.
+    companions : tuning of companions; None ignores companions.
     """
 
-    min_p_pair: float = 1e-3
-    max_p_pair: float = 1.0 - 1e-12
-    min_log_odds: float = math.log(1e-5)
-    min_initial_share: float = 0.1
-    max_initial_share: float = 0.95
-    min_largest_scale: float = 3.4
     min_share: float = 1e-6
-    max_chance_candidates: float = 0.15
-    min_pairs: float = 50.0
-    max_share_missing: float = 0.05
-    min_evidence_fits: int = 1
-    tolerance: float = 0.2
-    tolerance_number: float = 0.01
-    tolerance_weight: float = 0.01
-    min_by_message: float = 0.02
-    min_rate: float = 0.25
     scales: ScalesTuning = DEFAULT_SCALES
-    grades: GradesTuning = DEFAULT_GRADES
     companions: CompanionsTuning | None = DEFAULT_COMPANIONS
-    min_companion_share: float = 0.5
 
 
 DEFAULT_EM = EMTuning()
@@ -145,7 +140,7 @@ class EMState:
     ) -> EMState:
         """The estimates before the first iteration, with this ``share`` of the poorer source in common."""
         n1, n2 = (len(rows) for rows in setting.rows)
-        guess = min(max(share, tuning.min_initial_share), tuning.max_initial_share) * min(n1, n2)
+        guess = min(max(share, MIN_INITIAL_SHARE), MAX_INITIAL_SHARE) * min(n1, n2)
         partner = np.full(n1, guess / n1), np.full(n2, guess / n2)
         estimates = cls(
             setting, partner, setting.counted, partner, errors or Errors(), errors is None, photometry, density,
@@ -187,12 +182,12 @@ class EMState:
             excess = clustering(self.setting, tuning)
         return replace(self, companions=None if excess is None else Companions.of(excess, self.setting, tuning))
 
-    def with_unresolved(self, resolution: BlendResolution | None, tuning: UnresolvedTuning) -> EMState:
+    def with_unresolved(self, resolution: BlendResolution | None) -> EMState:
         """The same estimates with the neighbours that are not resolved among these candidates."""
         if resolution is None:
             return self
         magnitude = first_magnitudes(self.photometry)[1 - resolution.coarse]
-        unresolved = Unresolved.of(resolution, self.setting, self.errors, magnitude, tuning)
+        unresolved = Unresolved.of(resolution, self.setting, self.errors, magnitude)
         estimates = replace(self, unresolved=unresolved)
         return estimates._with_unresolved_by(estimates.expectation()[1])
 
@@ -202,7 +197,7 @@ class EMState:
         evidence = self.unresolved.with_probabilities(self.setting, self.errors, p_pair, self.shares())
         return replace(self, unresolved=evidence)
 
-    def best_resolution(self, p_counted: FloatArray, tuning: UnresolvedTuning) -> BlendResolution | None:
+    def best_resolution(self, p_counted: FloatArray) -> BlendResolution | None:
         """The resolution that the positions show, given the probabilities (m,) of the pairs.
 
         None if there is none, the pairs are too few to know, or companions explain the neighbours: between two records
@@ -210,7 +205,7 @@ class EMState:
         """
         pairs, probable = self.setting.pairs, np.flatnonzero(p_counted > 0.5)
         paired = self.companions is not None and self.companions.clustering.level is None
-        if paired or float(p_counted.sum()) < tuning.min_pairs or not len(probable):
+        if paired or float(p_counted.sum()) < MIN_RESOLVED_PAIRS or not len(probable):
             return None
         # Probabilities without this evidence, as far as they are known.
         p_single = self.p_single(p_counted)
@@ -220,11 +215,11 @@ class EMState:
 
         def gain(resolution: BlendResolution) -> float:
             magnitude = first_magnitudes(self.photometry)[1 - resolution.coarse]
-            every = -(-len(self.p_partner[resolution.coarse]) // tuning.max_records)
-            unresolved = Unresolved.of(resolution, setting, errors, magnitude, tuning, every)
+            every = -(-len(self.p_partner[resolution.coarse]) // MAX_UNRESOLVED_RECORDS)
+            unresolved = Unresolved.of(resolution, setting, errors, magnitude, every)
             return -math.inf if unresolved is None else unresolved.gain(setting, errors, p_single, self.shares())
 
-        return best_resolution(gain, unit, tuning)
+        return best_resolution(gain, unit)
 
     def p_single(self, p_pair: FloatArray) -> FloatArray:
         """(m,) probabilities that the pairs are one object, and no blend with a neighbour."""
@@ -310,16 +305,16 @@ class EMState:
             rough = by_messages(groups, best)
             approximate = rough.method[groups.group] == APPROXIMATE
             by_message = float(rough.p_pair[groups.order][approximate].sum())
-            if by_message < self.tuning.min_by_message * self.n_common:
+            if by_message < MIN_BY_MESSAGE * self.n_common:
                 return rough
             exact = posterior(groups, best)
             return replace(exact, p_pair=exact.p_pair - rough.p_pair)
 
         pairs, log_ratio = self.setting.pairs, self.rule()(self.setting.pairs).log_ratio
         sums = HypothesisSums.of(
-            pairs, log_ratio, difference, self.companion_log_odds(), self.tuning.min_log_odds
+            pairs, log_ratio, difference, self.companion_log_odds(), MIN_LOG_ODDS
         )  # fmt: skip
-        return None if by_message < self.tuning.min_by_message * self.n_common else sums.p_pair
+        return None if by_message < MIN_BY_MESSAGE * self.n_common else sums.p_pair
 
     def expectation(self) -> tuple[EMState, FloatArray, FloatArray]:
         """The E-step.
@@ -331,9 +326,7 @@ class EMState:
         evidence = self.rule()(pairs)
         if self.average is None:
             log_ratio = evidence.log_ratio
-            p_pair = HypothesisSums.of(
-                pairs, log_ratio, by_messages, companion_log_odds, self.tuning.min_log_odds
-            ).p_pair
+            p_pair = HypothesisSums.of(pairs, log_ratio, by_messages, companion_log_odds, MIN_LOG_ODDS).p_pair
             if companion_log_odds is not None:
                 log_ratio = Averaged.one(pairs, p_pair, log_ratio).log_ratio
             return self, p_pair, log_ratio
@@ -364,7 +357,7 @@ class EMState:
             return False
         if self.average is not None and previous.average is not None:
             weight_change = np.abs(self.average.weight - previous.average.weight).max()
-            if weight_change > self.tuning.tolerance_weight or np.isnan(weight_change):
+            if weight_change > TOLERANCE_WEIGHT or np.isnan(weight_change):
                 return False
         ratio = abs(self.change / previous.change) if previous.change else 0.0
         small = []
@@ -372,17 +365,17 @@ class EMState:
             p = p_partner[counted]
             variance, mean = float((p * (1.0 - p)).sum()), float(p.mean())
             missing = min(variance / max(len(p) * mean * (1.0 - mean), 1e-300), MAX_MISSING)
-            r = min(max(missing, ratio, self.tuning.min_rate), MAX_MISSING)
+            r = min(max(missing, ratio, MIN_RATE), MAX_MISSING)
             error = math.sqrt(variance / (1.0 - missing))
-            small.append(abs(self.change) * r**2 / (1.0 - r) <= self.tuning.tolerance * error)
-        return all(small) or abs(self.change) <= self.tuning.tolerance_number
+            small.append(abs(self.change) * r**2 / (1.0 - r) <= TOLERANCE * error)
+        return all(small) or abs(self.change) <= TOLERANCE_NUMBER
 
     def evidence_converged(self, previous: EMState) -> bool:
         """Whether magnitudes, columns and grades were fitted often enough, and used in the last iteration."""
         fitted = (
             (self.photometry is None and self.columns is None)
-            or self.n_common < self.tuning.min_pairs
-            or self.n_evidence_fits >= self.tuning.min_evidence_fits
+            or self.n_common < MIN_PAIRS_TO_LEARN
+            or self.n_evidence_fits >= MIN_EVIDENCE_FITS
         )
         graded = None if previous.grades is None else previous.grades.rule
         ungraded = self.grades is None or self.grades.rule is None
@@ -403,17 +396,17 @@ class EMState:
         change = 0.0 if math.isnan(self.change) else self._change(partner)
         estimates = replace(self, n_common=n_common, change=change)
         estimates = estimates._with_partners(partner, self.setting.counted)
-        companions, least = self.companions, self.tuning.min_companion_share
+        companions, least = self.companions, MIN_COMPANION_SHARE
         if companions is not None and estimates.mean_shares[0] < least * companions.share:
             estimates = replace(estimates, companions=None)
-        if n_common < self.tuning.min_pairs:
+        if n_common < MIN_PAIRS_TO_LEARN:
             return estimates._with_unresolved_by(p_pair)
         grades = self.grades
         if grades is None and self._uses_error_sizes():
             # Records are graded within ranges of magnitude only if the magnitudes of a pair are related. Otherwise the
             # part of an error that predicts magnitude, and with it completeness, would be lost.
             unrelated = self.photometry is None or (self.n_evidence_fits > 0 and not self.photometry.is_informative)
-            grades = Grades.of(self.setting, None if unrelated else self.photometry, self.tuning.grades)
+            grades = Grades.of(self.setting, None if unrelated else self.photometry)
         if grades is not None:
             estimates = replace(
                 estimates,
@@ -426,10 +419,10 @@ class EMState:
             square = self.errors.pairs(pairs).mahalanobis_sq
             radius = math.sqrt(float(square.max(initial=1.0)))
             by_chance = max(self.setting.by_chance(p_counted), 1e-12)
-            widest = radius * (self.tuning.max_chance_candidates / by_chance) ** (1.0 / pairs.d)
+            widest = radius * (MAX_CHANCE_CANDIDATES / by_chance) ** (1.0 / pairs.d)
             log_odds = estimates.log_odds_without_errors(square, p_pair, log_ratio)
             fit = fit_errors(
-                square, log_odds, pairs.d, self.errors, widest=max(widest, self.tuning.min_largest_scale),
+                square, log_odds, pairs.d, self.errors, widest=max(widest, MIN_LARGEST_SCALE),
                 tuning=self.tuning.scales,
             )  # fmt: skip
             estimates = replace(estimates, errors=self.errors.with_mixture(fit.errors), tail_gain=fit.tail_gain)
@@ -450,7 +443,7 @@ class EMState:
     def _uses_error_sizes(self) -> bool:
         """Whether the sizes of quoted errors may hold information that magnitudes do not: faint objects have larger."""
         magnitudes = self.photometry
-        if not self.uses_precision or magnitudes is None or magnitudes.share_missing > self.tuning.max_share_missing:
+        if not self.uses_precision or magnitudes is None or magnitudes.share_missing > MAX_SHARE_MISSING:
             return self.uses_precision
         return self.n_evidence_fits > 0 and not magnitudes.is_informative
 
@@ -473,8 +466,8 @@ class EMState:
             log_ratio,
             *self.p_partner,
             self.setting.counted[0],
-            self.tuning.min_p_pair,
-            self.tuning.max_p_pair,
+            MIN_P_PAIR,
+            MAX_P_PAIR,
             out,
         )
         return out
@@ -482,7 +475,7 @@ class EMState:
     def with_evidence(self, p_counted: FloatArray, *, last: bool = False) -> EMState:
         """The M-step of magnitudes and columns, with these (m,) probabilities of the pairs."""
         photometry, columns = self.photometry, self.columns
-        if (photometry is None and columns is None) or self.n_common < self.tuning.min_pairs:
+        if (photometry is None and columns is None) or self.n_common < MIN_PAIRS_TO_LEARN:
             return self
         if photometry is not None:
             # The magnitude of a blend is not that of its brighter object.

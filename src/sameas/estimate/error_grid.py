@@ -31,55 +31,40 @@ from sameas.evidence import Errors
 from sameas.gate import ChiSquare, Pairs, Radius
 from sameas.space import ball_volume
 
+CHANCE_CANDIDATES = 3.0  # of a record of the poorer source, within the widest radius
+#: The same where that radius is shorter than the gate by the quoted errors: the radius is then extended as far as this,
+#: if neither source has more than twice ENOUGH_PAIRS records.
+CROWDED_CANDIDATES = 40.0
+REACH = 5.0  # the widest radius, in standard deviations of the largest floor
+#: A gate of averaged errors has at most this many chance candidates, or this radius in standard deviations.
+GATE_CANDIDATES, MIN_GATE = 20.0, 3.5
+#: With more records than this in both sources, cells with this many records of the poorer source are sampled until they
+#: hold enough.
+ENOUGH_PAIRS, CELL = 600, 150
+SEED = 20_041  # of the generator that draws them
+LOG_FACTOR = (math.log(1.2), 0.6)  # mean and standard deviation of ln a: formal errors are usually too small (chosen)
+LOG_FLOOR = (0.0, 1.5)  # the same of ln f, with f relative to the typical quoted error of a pair (chosen)
+NO_FLOOR = 0.3  # prior probability of no floor (chosen)
+FACTORS = (math.exp(-5 * 0.36), 32.0)  # least and greatest a; 1 is one of the steps between
+FACTOR_STEP, FLOOR_STEP = 0.36, 0.5  # of ln a and ln f
+TAIL_SCALES = (3.0, 6.0)  # errors of the pairs in a tail, relative to those of the others; equal shares of it have each
+TAIL_SHARES = (0.0, 0.03, 0.1, 0.25)  # of the pairs in the tail
+LOG_TAIL_PRIOR = tuple(map(math.log, (0.35, 0.25, 0.25, 0.15)))  # ln of their prior probabilities (chosen)
+SHARES = (0.02, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97)  # of the poorer source in common, equally probable
+MIN_WEIGHT = 1e-3  # points of a smaller weight are dropped
+MIN_POINTS = 16  # the steps are halved, at most HALVINGS times, until this many points are left
+HALVINGS = 4
+MAX_AVERAGED = 300.0  # number of common objects from which the best errors are used instead of the average
+
 
 @dataclass(frozen=True)
 class GridTuning:
     """The grid of error scales and floors, and their prior.
 
-    chance_candidates : of a record of the poorer source, within the widest radius.
-    crowded_candidates : the same where that radius is shorter than the gate by the quoted errors: the radius is then
-        extended as far as this, if neither source has more than twice ``enough`` records.
-    reach : the widest radius, in standard deviations of the largest floor.
-    gate_candidates, min_gate : a gate of averaged errors has at most this many chance candidates, or this radius in
-        standard deviations.
-    enough, cell : with more records than this in both sources, cells with this many records of the poorer source are
-        sampled until they hold enough.
-    seed : of the generator that draws them.
-    log_factor : mean and standard deviation of ln a: formal errors are usually too small (chosen).
-    log_floor : the same of ln f, with f relative to the typical quoted error of a pair (chosen).
-    no_floor : prior probability of no floor (chosen).
-    factors : least and greatest a; 1 is one of the steps between. factor_step, floor_step : of ln a and ln f.
-    tail_scales : errors of the pairs in a tail, relative to those of the others; equal shares of it have each.
-    tail_shares : of the pairs in the tail. log_tail_prior : ln of their prior probabilities (chosen).
-    shares : of the poorer source in common, equally probable.
-    min_weight : points of a smaller weight are dropped.
-    min_points : the steps are halved, at most ``halvings`` times, until this many points are left. max_points : kept.
-    max_averaged : number of common objects from which the best errors are used instead of the average.
+    max_points : kept.
     """
 
-    chance_candidates: float = 3.0
-    crowded_candidates: float = 40.0
-    reach: float = 5.0
-    gate_candidates: float = 20.0
-    min_gate: float = 3.5
-    enough: int = 600
-    cell: int = 150
-    seed: int = 20_041
-    log_factor: tuple[float, float] = (math.log(1.2), 0.6)
-    log_floor: tuple[float, float] = (0.0, 1.5)
-    no_floor: float = 0.3
-    factors: tuple[float, float] = (math.exp(-5 * 0.36), 32.0)
-    factor_step: float = 0.36
-    floor_step: float = 0.5
-    tail_scales: tuple[float, ...] = (3.0, 6.0)
-    tail_shares: tuple[float, ...] = (0.0, 0.03, 0.1, 0.25)
-    log_tail_prior: tuple[float, ...] = tuple(map(math.log, (0.35, 0.25, 0.25, 0.15)))
-    shares: tuple[float, ...] = (0.02, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97)
-    min_weight: float = 1e-3
-    min_points: int = 16
-    halvings: int = 4
     max_points: int = 64
-    max_averaged: float = 300.0
 
 
 DEFAULT_GRID = GridTuning()
@@ -114,13 +99,13 @@ class ErrorScan:
             weight[key] = weight.get(key, 0.0) + of_point
         return plain[keys.index(max(weight, key=lambda key: weight[key]))]
 
-    def average(self, d: int, tuning: GridTuning = DEFAULT_GRID) -> ErrorAverage:
+    def average(self, d: int) -> ErrorAverage:
         """All points, each with a gate for its tail as far as chance candidates allow."""
         # Half the usual gate in units of the tail's error: few pairs of the small tail lie beyond.
         reach = np.array([max(0.5 * max(errors.scales), 1.0) for errors in self.errors])
-        affordable = (tuning.gate_candidates / self.chance) ** (2.0 / d)
+        affordable = (GATE_CANDIDATES / self.chance) ** (2.0 / d)
         usual = ChiSquare().limit(d)
-        limits = np.minimum(usual * reach**2, np.maximum(affordable, min(tuning.min_gate**2, usual)))
+        limits = np.minimum(usual * reach**2, np.maximum(affordable, min(MIN_GATE**2, usual)))
         return ErrorAverage(self.errors, self.log_prior, limits)
 
 
@@ -137,7 +122,7 @@ def scan_errors(
     if not all(covered.any() for covered in coverage.covered):
         return None
     unit = coverage.typical_error
-    rows = _sampled_rows(coverage, tuning)
+    rows = _sampled_rows(coverage)
     if rows is None:
         return None
     rows_1, rows_2 = rows
@@ -148,13 +133,13 @@ def scan_errors(
     richer = max(mean_densities(coverage, density))
     # In units of the typical error; a floor is the same along every axis.
     within_one = ball_volume(d) * richer * float(np.prod(unit))
-    widest = (tuning.chance_candidates / within_one) ** (1.0 / d)
+    widest = (CHANCE_CANDIDATES / within_one) ** (1.0 / d)
     if widest < math.sqrt(ChiSquare().limit(d)):
-        widest = (tuning.crowded_candidates / within_one) ** (1.0 / d)
-        if widest < math.sqrt(ChiSquare().limit(d)) or max(len(first), len(second)) > 2 * tuning.enough:
+        widest = (CROWDED_CANDIDATES / within_one) ** (1.0 / d)
+        if widest < math.sqrt(ChiSquare().limit(d)) or max(len(first), len(second)) > 2 * ENOUGH_PAIRS:
             return None
-    wide = Errors(factor_1=1e-6, factor_2=1e-6, floor=floor_of_axes(widest / tuning.reach * unit))
-    pairs = Radius(tuning.reach)(*wide.records(first, second)).of(first, second)
+    wide = Errors(factor_1=1e-6, factor_2=1e-6, floor=floor_of_axes(widest / REACH * unit))
+    pairs = Radius(REACH)(*wide.records(first, second)).of(first, second)
     return _scan(pairs, coverage, (rows_1, rows_2), (unit, within_one), widest, density, tuning)
 
 
@@ -188,22 +173,22 @@ def _scan(
     while True:
         sums = residuals.sums(lattice, at, len(covered))
         # Points of the lattice, shares of the tail, shares in common.
-        log_likelihood = np.array([[_log_likelihood(tail[covered], tuning) for tail in each] for each in sums])
+        log_likelihood = np.array([[_log_likelihood(tail[covered]) for tail in each] for each in sums])
         if not lattice.n_halvings:
             gain = float(log_likelihood.max() - log_likelihood[lattice.as_quoted].max())
             contrast = float(log_likelihood.max())
-        log_prior = lattice.log_prior[:, None] + np.array(tuning.log_tail_prior)
+        log_prior = lattice.log_prior[:, None] + np.array(LOG_TAIL_PRIOR)
         log_weight = log_prior + np.logaddexp.reduce(log_likelihood, axis=2)
         weight = np.exp(log_weight - log_weight.max())
-        kept = weight > tuning.min_weight * weight.sum()
+        kept = weight > MIN_WEIGHT * weight.sum()
         kept &= weight >= np.sort(weight, axis=None)[-min(tuning.max_points, weight.size)]
         points, tails = (np.asarray(each, np.int64) for each in np.nonzero(kept))
         share = np.exp(log_likelihood - log_likelihood.max(axis=2, keepdims=True))[kept]
         weight = weight[kept] / weight[kept].sum()
-        common = total * float(weight @ (share @ np.array(tuning.shares) / share.sum(axis=1)))
+        common = total * float(weight @ (share @ np.array(SHARES) / share.sum(axis=1)))
         of_kept = lattice.part(np.unique(points))
-        enough = len(of_kept.factor_index) >= tuning.min_points or common > tuning.max_averaged
-        if enough or lattice.n_halvings >= tuning.halvings:
+        enough = len(of_kept.factor_index) >= MIN_POINTS or common > MAX_AVERAGED
+        if enough or lattice.n_halvings >= HALVINGS:
             errors = lattice.part(points).errors(unit, tails)
             at_points = lattice.part(points)
             chance = within_one * (at_points.factor**2 + at_points.floor**2) ** (0.5 * len(unit))
@@ -211,12 +196,12 @@ def _scan(
         lattice = of_kept.refined()
 
 
-def _log_likelihood(sums: FloatArray, tuning: GridTuning) -> FloatArray:
+def _log_likelihood(sums: FloatArray) -> FloatArray:
     """(c,) ln of the likelihood of the records with these Σ N/ρ (n,), by share in common."""
     # Logarithms of products of eight take an eighth of the time; with the limit they neither overflow nor underflow.
     padded = np.ones(-(-len(sums) // 8) * 8)
     padded[: len(sums)] = np.minimum(sums, 1e36)
-    factors = 1.0 + np.multiply.outer(tuning.shares, padded - 1.0)
+    factors = 1.0 + np.multiply.outer(SHARES, padded - 1.0)
     return np.asarray(np.log(factors.reshape(len(factors), -1, 8).prod(axis=2)).sum(axis=1))
 
 
@@ -228,16 +213,16 @@ def mean_densities(coverage: Coverage, density: tuple[float, float] | None) -> t
     return float(one[1].mean()), float(two[0].mean())
 
 
-def _sampled_rows(coverage: Coverage, tuning: GridTuning) -> tuple[IntArray, IntArray] | None:
+def _sampled_rows(coverage: Coverage) -> tuple[IntArray, IntArray] | None:
     """Rows of both sources that are used: all, or those in sampled cells."""
     n1, n2 = len(coverage.first), len(coverage.second)
-    if min(n1, n2) <= 2 * tuning.enough:
+    if min(n1, n2) <= 2 * ENOUGH_PAIRS:
         return np.arange(n1), np.arange(n2)
     poorer = 0 if n1 <= n2 else 1
-    level = finest(coverage.levels, min(n1, n2) / tuning.cell)
+    level = finest(coverage.levels, min(n1, n2) / CELL)
     of = (level.of_first, level.of_second)
     count = np.bincount(of[poorer][coverage.covered[poorer]], minlength=len(level.volume))
-    drawn = level.drawn((count,), tuning.enough, tuning.seed)
+    drawn = level.drawn((count,), ENOUGH_PAIRS, SEED)
     rows_1, rows_2 = (np.flatnonzero(drawn[cell]) for cell in of)
     return (rows_1, rows_2) if len(rows_1) and len(rows_2) else None
 
@@ -268,8 +253,8 @@ class _Residuals:
     def sums(self, lattice: _Lattice, at: IntArray | Int32Array, n: int) -> list[FloatArray]:
         """(t, n) Σ N/ρ over the candidates of every record by share of the tail, for each point of the lattice."""
         out: list[FloatArray] = []
-        scales, d = np.array(lattice.tuning.tail_scales), len(self.square)
-        shares = np.array(lattice.tuning.tail_shares)
+        scales, d = np.array(TAIL_SCALES), len(self.square)
+        shares = np.array(TAIL_SHARES)
         for factor, floor in zip(lattice.factor, lattice.floor, strict=True):
             variance = factor**2 * self.variance + floor**2
             half, peak = -0.5 * (self.square / variance).sum(axis=0), self.log_unit - 0.5 * np.log(variance).sum(axis=0)
@@ -299,30 +284,30 @@ class _Lattice:
     @classmethod
     def over(cls, residuals: _Residuals, widest: float, tuning: GridTuning) -> _Lattice:
         """All factors, and floors from 0.3 of the smallest quoted errors to a third of the widest radius."""
-        low, high = (math.log(value) for value in tuning.factors)
+        low, high = (math.log(value) for value in FACTORS)
         min_floor = 0.3 * math.sqrt(float(np.quantile(residuals.variance, 0.05))) if residuals.variance.size else 0.3
-        most = max(int(math.log(widest / 3.0 / min_floor) / tuning.floor_step), 1)
-        grids = np.meshgrid(np.arange(int((high - low) / tuning.factor_step) + 1), np.arange(-1, most + 1))
+        most = max(int(math.log(widest / 3.0 / min_floor) / FLOOR_STEP), 1)
+        grids = np.meshgrid(np.arange(int((high - low) / FACTOR_STEP) + 1), np.arange(-1, most + 1))
         factor_index, floor_index = (np.asarray(grid.ravel(), np.int64) for grid in grids)
         return cls(factor_index, np.maximum(floor_index, 0), floor_index < 0, min_floor, most, 0, tuning)
 
     @property
     def factor(self) -> FloatArray:
         """(k,) a."""
-        tuning, halving = self.tuning, 2**self.n_halvings
-        return np.asarray(tuning.factors[0] * np.exp(self.factor_index * tuning.factor_step / halving))
+        halving = 2**self.n_halvings
+        return np.asarray(FACTORS[0] * np.exp(self.factor_index * FACTOR_STEP / halving))
 
     @property
     def floor(self) -> FloatArray:
         """(k,) f, in units of the typical error."""
-        log_step = self.floor_index * self.tuning.floor_step / 2**self.n_halvings
+        log_step = self.floor_index * FLOOR_STEP / 2**self.n_halvings
         return np.where(self.no_floor, 0.0, self.min_floor * np.exp(log_step))
 
     @property
     def as_quoted(self) -> BoolArray:
         """(k,) points with about the quoted errors: the two factors next to 1, without a floor."""
         distance = np.abs(np.log(self.factor))
-        return self.no_floor & (distance < self.tuning.factor_step)
+        return self.no_floor & (distance < FACTOR_STEP)
 
     def part(self, kept: IntArray) -> _Lattice:
         """The lattice with some of its points."""
@@ -345,20 +330,19 @@ class _Lattice:
     @property
     def log_prior(self) -> FloatArray:
         """(k,) ln prior probability of the cell around every point, up to a constant."""
-        tuning = self.tuning
-        mean, sigma = tuning.log_factor
+        mean, sigma = LOG_FACTOR
         of_factor = -0.5 * ((np.log(self.factor) - mean) / sigma) ** 2
-        mean, sigma = tuning.log_floor
-        cell = tuning.floor_step / 2**self.n_halvings / (sigma * math.sqrt(2.0 * math.pi))
-        log_floor = math.log(self.min_floor) + self.floor_index * tuning.floor_step / 2**self.n_halvings
+        mean, sigma = LOG_FLOOR
+        cell = FLOOR_STEP / 2**self.n_halvings / (sigma * math.sqrt(2.0 * math.pi))
+        log_floor = math.log(self.min_floor) + self.floor_index * FLOOR_STEP / 2**self.n_halvings
         density = -0.5 * ((log_floor - mean) / sigma) ** 2
-        with_floor = math.log((1.0 - tuning.no_floor) * cell) + density
-        return np.asarray(of_factor + np.where(self.no_floor, math.log(tuning.no_floor), with_floor))
+        with_floor = math.log((1.0 - NO_FLOOR) * cell) + density
+        return np.asarray(of_factor + np.where(self.no_floor, math.log(NO_FLOOR), with_floor))
 
     def errors(self, unit: FloatArray, tails: IntArray) -> tuple[Errors, ...]:
         """The points as errors, in the unit of the residuals, each with one of the tails (k,)."""
-        scales, mixtures = self.tuning.tail_scales, []
-        for share in self.tuning.tail_shares:
+        scales, mixtures = TAIL_SCALES, []
+        for share in TAIL_SHARES:
             of_each = (share / len(scales),) * len(scales)
             mixtures.append(Errors((1.0, *scales), (1.0 - share, *of_each)) if share > 0.0 else Errors())
         return tuple(

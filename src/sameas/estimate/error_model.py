@@ -31,44 +31,33 @@ from sameas.records import unpack
 from sameas.representation import in_short
 from sameas.result import Identification
 
+MIN_P = 0.05  # pairs less probable than this are not used
+MIN_TAIL_PAIRS = 0.5  # normals of the tail with fewer pairs than this are excluded from the information matrix
+MAX_RELATIVE_ERROR = 0.25  # a factor is determined if its standard error is below this share of it (or of 1, if larger)
+MIN_EIGENVALUE_RATIO = 1e-10  # lower limit of the eigenvalues of the information matrix, relative to the largest
+MIN_INFORMATION = 1e-200  # lower limit of the information on a term, so that its inverse is finite
+#: The factors are degenerate with each other, not one with the floor, from this ratio of their changes on.
+EXCHANGE_RATIO = 0.5
+#: Gain in ln likelihood by which a floor must be better or worse than a common factor (three standard errors).
+MIN_GAIN = 4.5
+MAX_MIXTURE_LOG_FACTOR = 0.3  # a common factor within this of 1, in ln, is left to the mixture of scales
+TAIL_FACTOR = 2.5  # components this many times wider than the typical error belong to the tail
+#: Pairs less probable than the first are not used for a tail; a smaller share than the second is none.
+MIN_TAIL_P, MIN_TAIL_SHARE = 1e-3, 1e-4
+
 
 @dataclass(frozen=True)
 class ErrorFitTuning:
     """Parameters of the fits of error factors, floors and tails; chosen where no source is given.
 
     min_pairs, max_pairs : pairs needed for a fit (expected number), and pairs used at most.
-    min_p : pairs less probable than this are not used.
-    min_tail_pairs : normals of the tail with fewer pairs than this are excluded from the information matrix.
     max_steps, tolerance : most steps of the fit, and the change at which it ends.
-    max_relative_error : a factor is determined if its standard error is below this share of it (or of 1, if
-        larger).
-    min_eigenvalue_ratio : lower limit of the eigenvalues of the information matrix, relative to the largest.
-    min_information : lower limit of the information on a term, so that its inverse is finite.
-    exchange_ratio : the factors are degenerate with each other, not one with the floor, from this ratio of their
-        changes on.
-    min_gain : gain in ln likelihood by which a floor must be better or worse than a common factor (three standard
-        errors).
-    max_mixture_log_factor : a common factor within this of 1, in ln, is left to the mixture of scales.
-    tail_factor : components this many times wider than the typical error belong to the tail.
-    min_tail_p, min_tail_share : pairs less probable than the first are not used for a tail; a smaller share than the
-        second is none.
     """
 
     min_pairs: float = 200.0
     max_pairs: int = 5_000
-    min_p: float = 0.05
-    min_tail_pairs: float = 0.5
     max_steps: int = 300
     tolerance: float = 1e-5
-    max_relative_error: float = 0.25
-    min_eigenvalue_ratio: float = 1e-10
-    min_information: float = 1e-200
-    exchange_ratio: float = 0.5
-    min_gain: float = 4.5
-    max_mixture_log_factor: float = 0.3
-    tail_factor: float = 2.5
-    min_tail_p: float = 1e-3
-    min_tail_share: float = 1e-4
 
 
 DEFAULT_ERROR_FIT = ErrorFitTuning()
@@ -146,7 +135,7 @@ def error_model(answer: Identification, tuning: ErrorFitTuning = DEFAULT_ERROR_F
 
 def fit_error_model(pairs: Pairs, p_pair: FloatArray, most: int, tuning: ErrorFitTuning) -> ErrorModel:
     """The error model of pairs with these (m,) probabilities, fitted to at most ``most`` of them."""
-    probable = _sample(p_pair, most, tuning)
+    probable = _sample(p_pair, most)
     weight = p_pair[probable]
     if weight.sum() < tuning.min_pairs:
         return ErrorModel(note=f"fewer than {tuning.min_pairs:.0f} pairs: too few to judge the sources' errors apart")
@@ -156,12 +145,12 @@ def fit_error_model(pairs: Pairs, p_pair: FloatArray, most: int, tuning: ErrorFi
     return _PairErrors(pairs.residual[probable], weight, one, two, names, tuning).model()
 
 
-def _sample(p_pair: FloatArray, most: int, tuning: ErrorFitTuning) -> IntArray:
+def _sample(p_pair: FloatArray, most: int) -> IntArray:
     """Indices of probable pairs; every second, third, … if there are more than ``most``.
 
     Pairs below 0.5 are included: where large errors have many candidates, only the smallest residuals exceed 0.5.
     """
-    probable = np.flatnonzero(p_pair > tuning.min_p)
+    probable = np.flatnonzero(p_pair > MIN_P)
     return probable[:: max(1, -(-len(probable) // most))]
 
 
@@ -172,7 +161,7 @@ def better_model(
 
     Both get the maximum-likelihood mixture of error scales. The gain is infinite where one factor replaces ``errors``.
     """
-    probable = _sample(p_pair, most, tuning)
+    probable = _sample(p_pair, most)
     model = fit_error_model(pairs, p_pair, most, tuning)
     if not model.is_estimated:
         return errors, 0.0
@@ -180,9 +169,9 @@ def better_model(
     old, new = (log_likelihood(each, some, weight) for each in (errors, model.errors))
     if np.any(errors.floor) or errors.factor_1 != errors.factor_2:
         factor = factor_on_quoted(errors, pairs, p_pair, tuning) * errors.typical_scale
-        factor = factor if abs(math.log(factor)) > tuning.max_mixture_log_factor else 1.0
+        factor = factor if abs(math.log(factor)) > MAX_MIXTURE_LOG_FACTOR else 1.0
         plain = Errors(factor_1=factor, factor_2=factor)
-        if log_likelihood(plain, some, weight) > max(old, new) - tuning.min_gain:
+        if log_likelihood(plain, some, weight) > max(old, new) - MIN_GAIN:
             return plain, math.inf
     return model.errors, new - old
 
@@ -217,7 +206,7 @@ def factor_on_quoted(errors: Errors, pairs: Pairs, p_pair: FloatArray, tuning: E
     """Median over the probable pairs of modelled over quoted error, without the mixture."""
     if not errors.as_modelled or not len(pairs):
         return 1.0
-    probable = _sample(p_pair, tuning.max_pairs, tuning)
+    probable = _sample(p_pair, tuning.max_pairs)
     some = pairs.part(probable) if len(probable) else pairs
     ratio = errors.pairs(some).determinant / some.determinant
     return float(np.median(ratio) ** (0.5 / pairs.d))
@@ -225,7 +214,7 @@ def factor_on_quoted(errors: Errors, pairs: Pairs, p_pair: FloatArray, tuning: E
 
 def fit_spread(pairs: Pairs, p_pair: FloatArray, tuning: ErrorFitTuning) -> Errors:
     """Distribution of the residuals of pairs (m,) relative to their quoted covariances: a mixture of scales."""
-    probable = _sample(p_pair, tuning.max_pairs, tuning)
+    probable = _sample(p_pair, tuning.max_pairs)
     if not len(probable):
         return Errors()
     square = pairs.mahalanobis_sq[probable]
@@ -274,7 +263,7 @@ class _PairErrors:
             return ErrorModel(fit.root(0), fit.root(1), floor=self._floor(fit, 2))
         change = np.abs(fit.weakest)
         more = int(change[1] > change[0])
-        if change[1 - more] > max(self.tuning.exchange_ratio * change[more], change[2]):
+        if change[1 - more] > max(EXCHANGE_RATIO * change[more], change[2]):
             return self._with_common_factor()
         return self._with_one_as_quoted(more)
 
@@ -286,7 +275,7 @@ class _PairErrors:
             return self._with_one_term()
         name, no_floor = self.names[source], self._fit((self.quoted_1, self.quoted_2))
         gain = no_floor.log_likelihood - fit.log_likelihood
-        if gain > self.tuning.min_gain and all(no_floor.is_determined(k) for k in (0, 1)):
+        if gain > MIN_GAIN and all(no_floor.is_determined(k) for k in (0, 1)):
             note = f"a floor cannot be distinguished from the errors of {name}"
             return ErrorModel(no_floor.root(0), no_floor.root(1), note=note)
         note = f"those of {name} taken as quoted: too small or too uniform to be distinguished from a floor"
@@ -308,9 +297,9 @@ class _PairErrors:
         floor = self._fit((self.floor_covariance,), self.quoted_1 + self.quoted_2)
         gain = floor.log_likelihood - factor.log_likelihood
         alike = "the quoted errors vary too little from pair to pair to determine"
-        if gain > self.tuning.min_gain:
+        if gain > MIN_GAIN:
             return ErrorModel(floor=self._floor(floor, 0), note=f"{alike} whether their own sizes are right too")
-        if gain < -self.tuning.min_gain:
+        if gain < -MIN_GAIN:
             note = f"{alike} which source's are wrong, or whether there is a floor"
             return ErrorModel(both=factor.root(0), note=note)
         note = f"{alike} a factor from a floor, or which source's errors are wrong"
@@ -351,7 +340,7 @@ class _VarianceFit:
     def is_determined(self, k: int) -> bool:
         """Whether a factor is known well enough to be reported."""
         root = self.root(k)
-        return root.standard_error < self.tuning.max_relative_error * max(root.value, 1.0)
+        return root.standard_error < MAX_RELATIVE_ERROR * max(root.value, 1.0)
 
 
 def _fit(
@@ -429,24 +418,24 @@ def _with_covariance(
     Terms at zero are excluded from the covariance of the others.
     """
     core = state.p_component[0]
-    tail = np.flatnonzero(shares[1:] * weight.sum() > tuning.min_tail_pairs) + 1
+    tail = np.flatnonzero(shares[1:] * weight.sum() > MIN_TAIL_PAIRS) + 1
     scores = np.vstack([state.score * core, state.p_component[tail] / shares[tail, None] - core / shares[0]])
     information = np.einsum("m,am,bm->ab", weight, scores, scores)
     k = len(theta)
     free = np.concatenate([theta > 1e-6, np.ones(len(tail), np.bool_)])
-    covariance = np.diag(np.diag(_bounded_inverse(information, tuning)))[:k, :k]
-    of_free = _bounded_inverse(information[np.ix_(free, free)], tuning)
+    covariance = np.diag(np.diag(_bounded_inverse(information)))[:k, :k]
+    of_free = _bounded_inverse(information[np.ix_(free, free)])
     index = np.flatnonzero(free[:k])
     covariance[np.ix_(index, index)] = of_free[: len(index), : len(index)]
-    weakest = np.linalg.eigh(_bounded_inverse(information, tuning)[:k, :k])[1][:, -1]
+    weakest = np.linalg.eigh(_bounded_inverse(information)[:k, :k])[1][:, -1]
     return _VarianceFit(theta, covariance, weakest, float(weight @ state.log_density), tuning)
 
 
-def _bounded_inverse(information: FloatArray, tuning: ErrorFitTuning) -> FloatArray:
+def _bounded_inverse(information: FloatArray) -> FloatArray:
     """The inverse, with a very large variance where there is no information."""
-    size = np.sqrt(np.maximum(np.diag(information), tuning.min_information))
+    size = np.sqrt(np.maximum(np.diag(information), MIN_INFORMATION))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    scaled = (vectors / np.maximum(values, tuning.min_eigenvalue_ratio * values.max(initial=0.0))) @ vectors.T
+    scaled = (vectors / np.maximum(values, MIN_EIGENVALUE_RATIO * values.max(initial=0.0))) @ vectors.T
     return np.asarray(scaled / np.outer(size, size))
 
 
@@ -474,12 +463,12 @@ def tail(answer: Identification, errors: Errors, tuning: ErrorFitTuning = DEFAUL
     Quantity(value=0.021, standard_error=0.0018, unit='')
     """
     scales, shares = np.asarray(errors.scales), np.asarray(errors.shares)
-    far = scales > tuning.tail_factor * errors.typical_scale
+    far = scales > TAIL_FACTOR * errors.typical_scale
     share = float(shares[far].sum())
-    if not tuning.min_tail_share < share < 1.0:
+    if not MIN_TAIL_SHARE < share < 1.0:
         return None
     d, weight = answer.pairs.d, answer.p_pair
-    probable = weight > tuning.min_tail_p
+    probable = weight > MIN_TAIL_P
     # Densities without the factor that all components share.
     square = errors.pairs(answer.pairs.part(probable)).mahalanobis_sq[:, None]
     density = shares * np.exp(-0.5 * square / scales**2) / scales**d

@@ -13,43 +13,34 @@ import numpy as np
 from sameas.arrays import FloatArray, IntArray
 from sameas.evidence import Errors
 
+#: Step of the ladder of scales, as a factor, fine enough for any smooth distribution; and its lowest rung, in steps
+#: from 1.
+RUNG, LOWEST = 1.5, -5.0
+#: If the typical scale differs from 1 by more than this, in ln, ladders shifted by these fractions of a rung are tried
+#: too.
+MAX_LOG_SCALE = 0.1
+SHIFTS = (1.0 / 3.0, 2.0 / 3.0)
+BINS, MIN_DISTANCE = 160, 1e-2  # pairs are binned by distance, from this distance on, in standard deviations
+#: Pairs below these log odds are ignored; larger odds are clipped; number of bins.
+MIN_LOG_ODDS, MAX_LOG_ODDS, LOG_ODDS_BINS = -12.0, 30.0, 43
+TOLERANCE, MAX_STEPS = 1e-2, 40  # the fit ends when ln likelihood grows by less than this, or after this many steps
+INITIAL_SHARE = 1e-3  # added to every share at the beginning, since EM never changes a share of zero
+#: Smallest fraction of a step; and the addition to the curvature, relative to its trace, because neighbouring normals
+#: are nearly degenerate.
+MIN_STEP, RIDGE = 1e-3, 1e-10
+
 
 @dataclass(frozen=True)
 class ScalesTuning:
     """How the mixture of error scales is fitted.
 
-    rung, lowest : step of the ladder of scales, as a factor, fine enough for any smooth distribution; and its lowest
-        rung, in steps from 1.
-    max_log_scale, shifts : if the typical scale differs from 1 by more than this, in ln, ladders shifted by these
-        fractions of a rung are tried too.
-    bins, min_distance : pairs are binned by distance, from this distance on, in standard deviations.
-    min_log_odds, max_log_odds, log_odds_bins : pairs below these log odds are ignored; larger odds are clipped; number
-        of bins.
-    tolerance, max_steps : the fit ends when ln likelihood grows by less than this, or after this many steps.
     tail_scale, significant_tail_gain : errors larger than this scale are a tail, and it must gain this in ln likelihood
         (four standard errors). A tail with chance pairs in it would grow from step to step, as it makes more of them
         probable.
-    initial_share : added to every share at the beginning, since EM never changes a share of zero.
-    min_step, ridge : smallest fraction of a step; and the addition to the curvature, relative to its trace, because
-        neighbouring normals are nearly degenerate.
     """
 
-    rung: float = 1.5
-    lowest: float = -5.0
-    max_log_scale: float = 0.1
-    shifts: tuple[float, ...] = (1.0 / 3.0, 2.0 / 3.0)
-    bins: int = 160
-    min_distance: float = 1e-2
-    min_log_odds: float = -12.0
-    max_log_odds: float = 30.0
-    log_odds_bins: int = 43
-    tolerance: float = 1e-2
-    max_steps: int = 40
     tail_scale: float = 2.0
     significant_tail_gain: float = 8.0
-    initial_share: float = 1e-3
-    min_step: float = 1e-3
-    ridge: float = 1e-10
 
 
 DEFAULT_SCALES = ScalesTuning()
@@ -90,11 +81,11 @@ def fit_errors(
     mahalanobis_sq, log_odds : (m,) squared normalised distances m² in d features, and ln of the odds.
     start : initial mixture.
     """
-    reach, cells = _binned(mahalanobis_sq, log_odds, tuning)
+    reach, cells = _binned(mahalanobis_sq, log_odds)
     fit = _on_ladder(reach, cells, d, start, widest, 0.0, tuning)
-    if abs(math.log(fit.errors.typical_scale)) < tuning.max_log_scale:
+    if abs(math.log(fit.errors.typical_scale)) < MAX_LOG_SCALE:
         return fit
-    others = [_on_ladder(reach, cells, d, fit.errors, widest, shift, tuning) for shift in tuning.shifts]
+    others = [_on_ladder(reach, cells, d, fit.errors, widest, shift, tuning) for shift in SHIFTS]
     return max(fit, *others, key=lambda fit: fit.log_likelihood)
 
 
@@ -104,34 +95,34 @@ def _on_ladder(
     """The maximum-likelihood mixture of the grid of scales ``shift`` of a step above 1, 1.5, …"""
     from sameas.kernels.mixture import fit
 
-    rungs = max(4, math.ceil(math.log(reach / 2.0) / math.log(tuning.rung)) + 1)
-    steps = np.arange(tuning.lowest, rungs) + shift
-    scales = tuning.rung**steps
-    scales = scales[scales <= max(widest, tuning.rung**shift)]
-    nearest = np.round(np.log(np.asarray(start.scales)) / math.log(tuning.rung) - steps[0])
+    rungs = max(4, math.ceil(math.log(reach / 2.0) / math.log(RUNG)) + 1)
+    steps = np.arange(LOWEST, rungs) + shift
+    scales = RUNG**steps
+    scales = scales[scales <= max(widest, RUNG**shift)]
+    nearest = np.round(np.log(np.asarray(start.scales)) / math.log(RUNG) - steps[0])
     at = nearest.clip(0, len(scales) - 1).astype(np.int64)
     shares = np.asarray(np.bincount(at, start.shares, len(scales)), np.float64)
     core, pseudo = int(np.searchsorted(scales, tuning.tail_scale, side="right")), np.zeros(len(scales))
     pseudo[np.argmin(np.abs(np.log(scales)))] = 2.0
-    search = tuning.initial_share, tuning.max_steps, tuning.tolerance, tuning.min_step, tuning.ridge
+    search = INITIAL_SHARE, MAX_STEPS, TOLERANCE, MIN_STEP, RIDGE
     shares, tail, likelihood = fit(*cells, d, scales, core, pseudo, shares, tuning.significant_tail_gain, search)
     kept = shares > 1e-6
     errors = Errors(tuple(scales[kept].tolist()), tuple((shares[kept] / shares[kept].sum()).tolist()))
     return ErrorFit(errors, tail, likelihood)
 
 
-def _binned(z2: FloatArray, log_odds: FloatArray, tuning: ScalesTuning) -> tuple[float, BinnedPairs]:
+def _binned(z2: FloatArray, log_odds: FloatArray) -> tuple[float, BinnedPairs]:
     """The largest normalised distance of pairs (m,) with sufficient odds, and pairs binned by distance and odds."""
     from sameas.kernels.mixture import cells
 
-    farthest = float(z2.max(initial=1.0, where=log_odds > tuning.min_log_odds))
+    farthest = float(z2.max(initial=1.0, where=log_odds > MIN_LOG_ODDS))
     reach = max(math.sqrt(farthest), 2.0)
     return reach, cells(
         z2,
         log_odds,
-        tuning.min_log_odds,
-        tuning.max_log_odds,
-        tuning.min_distance,
+        MIN_LOG_ODDS,
+        MAX_LOG_ODDS,
+        MIN_DISTANCE,
         reach,
-        (tuning.bins, tuning.log_odds_bins),
+        (BINS, LOG_ODDS_BINS),
     )

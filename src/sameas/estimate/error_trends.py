@@ -35,33 +35,15 @@ from sameas.records import Records, unpack
 from sameas.representation import in_short
 from sameas.space import Plane, unit_vectors
 
-
-@dataclass(frozen=True)
-class TrendTuning:
-    """Limits for trends of errors; all chosen.
-
-    min_p, min_p_other : pairs less probable than this are not used; below the second, not by other errors either.
-    min_pairs : pairs needed for a trend (expected number).
-    max_knots, pairs_per_knot : number of knots of a trend, limited by the number of pairs.
-    min_gain : gain in ln likelihood, beyond chance, for the score test and for a trend.
-    max_refits, min_refit_gain : number of fits with updated probabilities; they end when one gains less.
-    min_factor : lower limit of the factors on quoted errors.
-    max_radius_deg : a field of a larger radius has no centre.
-    """
-
-    min_p: float = 0.05
-    min_p_other: float = 1e-4
-    min_pairs: float = DEFAULT_ERROR_FIT.min_pairs
-    max_knots: int = 7
-    pairs_per_knot: float = 60.0
-    min_gain: float = 6.0
-    max_refits: int = 12
-    min_refit_gain: float = 0.5
-    min_factor: float = 1e-3
-    max_radius_deg: float = 20.0
-
-
-DEFAULT_TRENDS = TrendTuning()
+# Limits for trends of errors; all chosen.
+#: Pairs less probable than this are not used; below the second, not by other errors either.
+MIN_P, MIN_P_OTHER = 0.05, 1e-4
+MIN_PAIRS = DEFAULT_ERROR_FIT.min_pairs  # pairs needed for a trend (expected number)
+MAX_KNOTS, PAIRS_PER_KNOT = 7, 60.0  # number of knots of a trend, limited by the number of pairs
+MIN_GAIN = 6.0  # gain in ln likelihood, beyond chance, for the score test and for a trend
+MAX_REFITS, MIN_REFIT_GAIN = 12, 0.5  # number of fits with updated probabilities; they end when one gains less
+MIN_FACTOR = 1e-3  # lower limit of the factors on quoted errors
+MAX_RADIUS_DEG = 20.0  # a field of a larger radius has no centre
 
 
 @dataclass(frozen=True)
@@ -114,7 +96,7 @@ class Covariate:
         return self.values[records.rows[at]]
 
 
-def covariates(coverage: Coverage, photometry: Photometry | None, tuning: TrendTuning) -> list[Covariate]:
+def covariates(coverage: Coverage, photometry: Photometry | None) -> list[Covariate]:
     """The quantities that the errors of these records may depend on."""
     quantities, sides = [], (coverage.first, coverage.second)
     if photometry is not None:
@@ -123,7 +105,7 @@ def covariates(coverage: Coverage, photometry: Photometry | None, tuning: TrendT
             band = int(np.argmax(measured.sum(axis=0)))
             values = _by_row(records, side.measured.values[:, band])
             quantities.append(Covariate(source, "magnitude", "", values))
-    distance = _distance_from_centre(coverage.first, tuning.max_radius_deg)
+    distance = _distance_from_centre(coverage.first, MAX_RADIUS_DEG)
     if distance is not None:
         quantities.append(Covariate(0, "distance from the centre", "°", _by_row(coverage.first, distance)))
     return quantities
@@ -161,7 +143,6 @@ def with_trends(
     quantities: Sequence[Covariate],
     most: int,
     previous: Sequence[Trend],
-    tuning: TrendTuning,
     error_fit: ErrorFitTuning,
 ) -> tuple[Errors, tuple[Trend, ...], float]:
     """The errors with trends that these pairs support, the trends, and the gain in ln likelihood.
@@ -171,19 +152,19 @@ def with_trends(
 
     Source: METHOD 6, "Errors that grow".
     """
-    likely = np.flatnonzero(p_pair > tuning.min_p)
+    likely = np.flatnonzero(p_pair > MIN_P)
     likely = likely[:: max(1, -(-len(likely) // most))]
     some, weight = pairs.part(likely), p_pair[likely]
-    if float(weight.sum()) < tuning.min_pairs:
+    if float(weight.sum()) < MIN_PAIRS:
         return errors, (), 0.0
-    n_knots = int(min(tuning.max_knots, float(weight.sum()) / tuning.pairs_per_knot))
+    n_knots = int(min(MAX_KNOTS, float(weight.sum()) / PAIRS_PER_KNOT))
     score = _score(errors, errors.pairs(some).mahalanobis_sq, pairs.d)
     fitted_before = {(trend.source, trend.quantity) for trend in previous}
-    bases = [_LinearBasis.of(one, some, weight, n_knots, tuning.min_pairs) for one in quantities]
+    bases = [_LinearBasis.of(one, some, weight, n_knots, MIN_PAIRS) for one in quantities]
     candidates = [
         basis
         for basis in bases
-        if basis is not None and (basis.key in fitted_before or basis.expected_gain(score, weight) > tuning.min_gain)
+        if basis is not None and (basis.key in fitted_before or basis.expected_gain(score, weight) > MIN_GAIN)
     ]
     if not candidates:
         return errors, (), 0.0
@@ -192,20 +173,20 @@ def with_trends(
     chosen: list[_LinearBasis] = []
     while len(chosen) < len(candidates):
         fits = [
-            (basis, *_fit_trends(some, weight, [*chosen, basis], tuning, error_fit))
+            (basis, *_fit_trends(some, weight, [*chosen, basis], error_fit))
             for basis in candidates
             if basis not in chosen
         ]
         basis, value, model, trends = max(fits, key=lambda fit: fit[1])
-        if value - best[0] < tuning.min_gain + 0.5 * n_knots * math.log(float(weight.sum())):
+        if value - best[0] < MIN_GAIN + 0.5 * n_knots * math.log(float(weight.sum())):
             break
         best = value, model, trends
         chosen.append(basis)
     if not chosen:
         return errors, (), 0.0
-    competing = _Competing.of(errors, pairs, p_pair, most, tuning)
+    competing = _Competing.of(errors, pairs, p_pair, most)
     without = competing.reweighted(with_fitted_mixture(errors, some, weight))[1]
-    model, trends, fitted = _refit(competing, best, chosen, tuning, error_fit)
+    model, trends, fitted = _refit(competing, best, chosen, error_fit)
     return model, trends, fitted - without
 
 
@@ -213,21 +194,20 @@ def _refit(
     competing: _Competing,
     initial: tuple[float, Errors, tuple[Trend, ...]],
     chosen: Sequence[_LinearBasis],
-    tuning: TrendTuning,
     error_fit: ErrorFitTuning,
 ) -> tuple[Errors, tuple[Trend, ...], float]:
     """The trends fitted repeatedly with updated probabilities of the candidates, and the gain in ln likelihood."""
     (_, errors, trends), bases = initial, [each.at(competing.pairs) for each in chosen]
     weight, gain = competing.p, -math.inf
-    for _ in range(tuning.max_refits):
-        likely = weight > tuning.min_p
+    for _ in range(MAX_REFITS):
+        likely = weight > MIN_P
         some = competing.pairs.part(np.flatnonzero(likely))
         weight, new_gain = competing.reweighted(with_fitted_mixture(errors, some, weight[likely]))
-        if new_gain - gain < tuning.min_refit_gain:
+        if new_gain - gain < MIN_REFIT_GAIN:
             break
-        gain, likely = new_gain, weight > tuning.min_p
+        gain, likely = new_gain, weight > MIN_P
         some, of_some = competing.pairs.part(np.flatnonzero(likely)), [each.part(likely) for each in bases]
-        _, errors, trends = _fit_trends(some, weight[likely], of_some, tuning, error_fit)
+        _, errors, trends = _fit_trends(some, weight[likely], of_some, error_fit)
     return errors, trends, gain
 
 
@@ -244,12 +224,12 @@ class _Competing:
     log_density: FloatArray
 
     @classmethod
-    def of(cls, errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int, tuning: TrendTuning) -> _Competing:
+    def of(cls, errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> _Competing:
         """The candidates of at most ``most`` records with a possible partner."""
         some = np.zeros(len(pairs.first), np.bool_)
-        has = np.flatnonzero(np.bincount(pairs.i, p_pair, len(some)) > tuning.min_p)
+        has = np.flatnonzero(np.bincount(pairs.i, p_pair, len(some)) > MIN_P)
         some[has[:: max(1, -(-len(has) // most))]] = True
-        kept = np.flatnonzero(some[pairs.i] & (p_pair > tuning.min_p_other))
+        kept = np.flatnonzero(some[pairs.i] & (p_pair > MIN_P_OTHER))
         part = pairs.part(kept)
         return cls(part, p_pair[kept], errors.log_density(part))
 
@@ -326,7 +306,7 @@ def _score(errors: Errors, square: FloatArray, d: int) -> FloatArray:
 
 
 def _fit_trends(
-    pairs: Pairs, weight: FloatArray, bases: Sequence[_LinearBasis], tuning: TrendTuning, error_fit: ErrorFitTuning
+    pairs: Pairs, weight: FloatArray, bases: Sequence[_LinearBasis], error_fit: ErrorFitTuning
 ) -> tuple[float, Errors, tuple[Trend, ...]]:
     """ln likelihood of pairs with errors that grow with all these quantities, the errors, and their trends."""
     one, two = (unpack(of.covariance[at], pairs.d) for of, at in ((pairs.first, pairs.i), (pairs.second, pairs.j)))
@@ -344,6 +324,6 @@ def _fit_trends(
     for trend, each in zip(trends, bases, strict=True):
         variance, other = trend.variance(each.covariate.values), added[trend.source]
         added[trend.source] = variance if other is None else other + variance
-    factors = np.maximum(np.sqrt(theta[:2]), tuning.min_factor).tolist()
+    factors = np.maximum(np.sqrt(theta[:2]), MIN_FACTOR).tolist()
     errors = Errors(factor_1=factors[0], factor_2=factors[1], added=(added[0], added[1]))
     return log_likelihood(errors, pairs, weight), errors, trends

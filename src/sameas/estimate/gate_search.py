@@ -13,13 +13,29 @@ from sameas.arrays import FloatArray
 from sameas.assignment import refuse_crowds
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.em import EMState, iterate
+from sameas.estimate.em import MIN_PAIRS_TO_LEARN, EMState, iterate
 from sameas.estimate.error_average import Average, identify_averaged
 from sameas.estimate.error_grid import ErrorScan
 from sameas.estimate.error_model import better_model
 from sameas.estimate.error_trends import Trend
 from sameas.estimate.photometry import Photometry
-from sameas.estimate.result import DEFAULT_MATCH, Estimate, MatchTuning
+from sameas.estimate.result import (
+    DEFAULT_MATCH,
+    GATE_STEP,
+    MAX_CHANCE_SCALE,
+    MAX_CHANCE_SUSPECTED,
+    MAX_CHANCE_TAIL,
+    MAX_GATE_SIGMAS,
+    MAX_NEGLIGIBLE_CHANCE,
+    MAX_SCALE_EXCESS,
+    MIN_OUTER_SHARE,
+    MIN_SIGNIFICANCE,
+    N_MODEL_PAIRS,
+    SUSPECT_TAIL_GAIN,
+    SUSPECT_WIDE_SHARE,
+    Estimate,
+    MatchTuning,
+)
 from sameas.estimate.sample import Sampling, Setting
 from sameas.estimate.unresolved import BlendResolution
 from sameas.evidence import Errors
@@ -67,58 +83,51 @@ class GateResult:
     def better_model(self) -> tuple[Errors, float]:
         """The error model that the pairs support, and its gain in ln likelihood."""
         estimates = self.estimates
-        if not estimates.fits_errors or estimates.n_common < self.tuning.em.min_pairs:
+        if not estimates.fits_errors or estimates.n_common < MIN_PAIRS_TO_LEARN:
             return estimates.errors, 0.0
         pairs, tuning = estimates.setting.pairs, self.tuning
         p_single = estimates.p_single(self.p_counted)
-        return better_model(estimates.errors, pairs, p_single, tuning.n_model_pairs, tuning.error_fit)
+        return better_model(estimates.errors, pairs, p_single, N_MODEL_PAIRS, tuning.error_fit)
 
     def must_widen(self) -> bool:
         """Whether the outer part of the gate still contains true pairs, and a wider gate is affordable."""
-        limit, tuning, significant_tail_gain = (
-            self.gate_sigmas,
-            self.tuning,
-            self.tuning.em.scales.significant_tail_gain,
-        )
-        if limit >= tuning.max_gate_sigmas or not self.estimates.fits_errors:
+        limit, significant_tail_gain = self.gate_sigmas, self.tuning.em.scales.significant_tail_gain
+        if limit >= MAX_GATE_SIGMAS or not self.estimates.fits_errors:
             return False
-        if _is_narrow(self.estimates, self.p_counted, limit, tuning):
+        if _is_narrow(self.estimates, self.p_counted, limit):
             return True
         chance = _chance_candidates(self.estimates, self.p_counted, 2.0)
-        if (
-            tuning.suspect_tail_gain < self.estimates.tail_gain < significant_tail_gain
-            and chance < tuning.max_chance_suspected
-        ):
+        if SUSPECT_TAIL_GAIN < self.estimates.tail_gain < significant_tail_gain and chance < MAX_CHANCE_SUSPECTED:
             return True  # pairs farther out decide whether the tail is real
         significant = self.estimates.tail_gain >= significant_tail_gain
-        if chance > (tuning.max_chance_suspected if significant else tuning.max_chance_tail):
+        if chance > (MAX_CHANCE_SUSPECTED if significant else MAX_CHANCE_TAIL):
             return False
         return self._extends_to_edge()
 
     def suspects_tail(self) -> bool:
         """Whether errors may have a tail beyond the gate, and a slightly wider gate is affordable."""
-        estimates, tuning = self.estimates, self.tuning
-        wider = tuning.gate_step * self.gate_sigmas
-        if not estimates.fits_errors or estimates.n_common < tuning.em.min_pairs or wider > tuning.max_gate_sigmas:
+        estimates = self.estimates
+        wider = GATE_STEP * self.gate_sigmas
+        if not estimates.fits_errors or estimates.n_common < MIN_PAIRS_TO_LEARN or wider > MAX_GATE_SIGMAS:
             return False
-        if _chance_candidates(estimates, self.p_counted, tuning.gate_step) > tuning.max_chance_scale:
+        if _chance_candidates(estimates, self.p_counted, GATE_STEP) > MAX_CHANCE_SCALE:
             return False
-        if estimates.tail_gain >= tuning.em.scales.significant_tail_gain:
+        if estimates.tail_gain >= self.tuning.em.scales.significant_tail_gain:
             return self._extends_to_edge()
         errors = estimates.errors
         typical = 1.4 * errors.typical_scale
         wide = sum(x for scale, x in zip(errors.scales, errors.shares, strict=True) if scale > typical)
-        return estimates.tail_gain > tuning.suspect_tail_gain or wide > tuning.suspect_wide_share
+        return estimates.tail_gain > SUSPECT_TAIL_GAIN or wide > SUSPECT_WIDE_SHARE
 
     def _extends_to_edge(self) -> bool:
         """Whether true pairs lie in the outer part of the gate."""
         square = self.estimates.errors.pairs(self.estimates.setting.pairs).mahalanobis_sq
         beyond = float(self.p_counted[square > (0.7 * self.gate_sigmas) ** 2].sum())
-        estimates, tuning = self.estimates, self.tuning
+        estimates = self.estimates
         of_tail = self.gate_sigmas > 1.5 * estimates.errors.typical_scale * _radius(None, estimates.setting.pairs.d)
-        if of_tail and _chance_candidates(estimates, self.p_counted, 2.0) < tuning.max_negligible_chance:
+        if of_tail and _chance_candidates(estimates, self.p_counted, 2.0) < MAX_NEGLIGIBLE_CHANCE:
             return beyond > 0.5
-        return beyond > 1.0 + tuning.min_outer_share * float(self.p_counted.sum())
+        return beyond > 1.0 + MIN_OUTER_SHARE * float(self.p_counted.sum())
 
 
 def _chance_candidates(estimates: EMState, p_counted: FloatArray, wider: float) -> float:
@@ -126,13 +135,13 @@ def _chance_candidates(estimates: EMState, p_counted: FloatArray, wider: float) 
     return estimates.setting.by_chance(p_counted) * wider**estimates.setting.pairs.d
 
 
-def _is_narrow(estimates: EMState, p_counted: FloatArray, limit: float, tuning: MatchTuning) -> bool:
+def _is_narrow(estimates: EMState, p_counted: FloatArray, limit: float) -> bool:
     """Whether a gate of ``limit`` sigmas is too narrow for the typical errors, and a wider gate is affordable."""
-    if limit >= tuning.max_gate_sigmas or not estimates.fits_errors:
+    if limit >= MAX_GATE_SIGMAS or not estimates.fits_errors:
         return False
     needed = _radius(None, estimates.setting.pairs.d) * estimates.errors.typical_scale
     chance = _chance_candidates(estimates, p_counted, 2.0)
-    return tuning.max_scale_excess * limit < needed and chance < tuning.max_chance_scale
+    return MAX_SCALE_EXCESS * limit < needed and chance < MAX_CHANCE_SCALE
 
 
 @dataclass(frozen=True)
@@ -188,7 +197,7 @@ class GateSearch:
                 estimates = replace(estimates, errors=initial_errors)
             else:
                 estimates = estimates.for_setting(part, photometry, columns)
-            estimates = estimates.with_unresolved(self.resolution, self.tuning.unresolved)
+            estimates = estimates.with_unresolved(self.resolution)
             result = self._run_gate(estimates, whole, limit, max_iterations - iterations)
             result = replace(result, iterations=iterations + result.iterations)
             estimates, p_counted, iterations = result.estimates, result.p_counted, result.iterations
@@ -198,13 +207,13 @@ class GateSearch:
                 converged = result.converged and not too_narrow
                 return replace(result, estimates=estimates, converged=converged, too_narrow=too_narrow)
             estimates = estimates.with_evidence(p_counted)
-            limit = min(2.0 * limit, self.tuning.max_gate_sigmas)
+            limit = min(2.0 * limit, MAX_GATE_SIGMAS)
 
     def _run_gate(self, estimates: EMState, whole: Setting, limit: float, max_iterations: int) -> GateResult:
         """The result with one gate; after one iteration if that shows the gate to be too narrow."""
 
         def narrow(estimates: EMState, p_counted: FloatArray) -> bool:
-            return self.gate is None and _is_narrow(estimates, p_counted, limit, self.tuning)
+            return self.gate is None and _is_narrow(estimates, p_counted, limit)
 
         estimates, p_counted, n, converged = iterate(estimates, max_iterations, self.progress, narrow)
         return GateResult(whole, estimates, p_counted, limit, n, converged, estimates.setting.n_counted, self.tuning)
@@ -236,7 +245,7 @@ class GateSearch:
         """All records identified, averaged over the errors that few pairs do not rule out."""
         first, second = self.coverage.first, self.coverage.second
         self.progress("gate")
-        error_average = scan.average(first.d, self.tuning.grid)
+        error_average = scan.average(first.d)
         pairs = error_average.candidates(first, second)
         refuse_crowds(pairs)
         whole = Setting.whole(pairs, self.coverage)
@@ -264,7 +273,7 @@ class GateSearch:
         estimates = result.estimates
         if result.sampled:
             estimates = estimates.for_setting(result.whole, self.photometry, self.columns)
-            estimates = estimates.with_unresolved(self.resolution, self.tuning.unresolved)
+            estimates = estimates.with_unresolved(self.resolution)
         answer = self._identify(estimates)
         if not result.sampled or _agrees_with_sample(
             float(answer.p_pair.sum()), estimates.expected_common(), float(result.p_counted.sum()), self.tuning
@@ -290,7 +299,7 @@ class GateSearch:
 
 def _agrees_with_sample(common: float, expected: float, sampled: float, tuning: MatchTuning) -> bool:
     """Whether the number of common objects is the one expected from a sample with ``sampled`` common objects."""
-    error = tuning.max_sample_error + tuning.min_significance / math.sqrt(max(sampled, 1.0))
+    error = tuning.max_sample_error + MIN_SIGNIFICANCE / math.sqrt(max(sampled, 1.0))
     return abs(common - expected) <= error * expected
 
 
@@ -305,7 +314,7 @@ def to_estimate(answer: Identification, coverage: Coverage, result: GateResult, 
         gate_sigmas=result.gate_sigmas, coverage=coverage, iterations=result.iterations, converged=result.converged,
         learned_from=result.learned_from, notes=tuple(remarks) + _notes(result, answer), photometry=photometry,
         precision=precision, answer=answer,
-        errors_estimated=estimates.fits_errors and common >= result.tuning.em.min_pairs, columns=estimates.columns,
+        errors_estimated=estimates.fits_errors and common >= MIN_PAIRS_TO_LEARN, columns=estimates.columns,
         tuning=result.tuning,
     )  # fmt: skip
     if not estimates.errors.as_modelled:
@@ -320,7 +329,7 @@ def _notes(result: GateResult, answer: Identification) -> tuple[str, ...]:
         notes.append("the estimates had not converged at the last iteration")
     if common < 0.5:
         notes.append("no common object is expected: the sources seem to have no object in common")
-    if estimates.fits_errors and common < result.tuning.em.min_pairs:
+    if estimates.fits_errors and common < MIN_PAIRS_TO_LEARN:
         consequence = (
             "probabilities are averaged over what they leave open"
             if estimates.average
@@ -354,7 +363,7 @@ def _inner_counts(pairs: Pairs, limit: float) -> tuple[float, float]:
     return float(inner), (len(pairs) - inner) / (2.0**pairs.d - 1.0)
 
 
-def has_excess(pairs: Pairs, limit: float, tuning: MatchTuning) -> bool:
+def has_excess(pairs: Pairs, limit: float) -> bool:
     """Whether the inner half of the gate has significantly more candidates than the outer part's density predicts."""
     inner, by_chance = _inner_counts(pairs, limit)
-    return inner - by_chance > tuning.min_significance * math.sqrt(inner + by_chance / (2.0**pairs.d - 1.0))
+    return inner - by_chance > MIN_SIGNIFICANCE * math.sqrt(inner + by_chance / (2.0**pairs.d - 1.0))

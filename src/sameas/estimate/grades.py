@@ -26,42 +26,23 @@ from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.representation import in_short
 
-
-@dataclass(frozen=True)
-class GradesTuning:
-    """Parameters of the grades of precision; chosen where no source is given.
-
-    records_per_cell, max_grades : records of the poorer source per cell of the table of two grades, and greatest
-        number of grades.
-    pseudo_count : pseudo-pairs per cell of the table, distributed as for unrelated grades.
-    max_fitted_gain : limit of what a cell's pairs gain because its count is fitted to them, in ln likelihood per pair.
-    min_gain : the evidence is used if twice its gain in ln likelihood exceeds this per cell of the table.
-        Uninformative grades stay below 4, even in crowded fields with uncertain pairs; for stars it reaches 30 and
-        more.
-    shared_pseudo_count : pseudo-count that draws the grades in a cell of the sky to those of all records.
-    records_per_sky_cell : mean number of records of the poorer source in the cells of the sky whose grades are
-        counted separately.
-    scale_records, records_per_grade : records from which a scale is made (more give no noticeable gain), and
-        records per grade in a range of magnitudes.
-    min_unmeasured : number of records without a magnitude, among those of the scale, from which they get grades of
-        their own.
-    min_volume_ratio : errors that differ by less than this factor in volume are equal.
-    """
-
-    records_per_cell: float = 20.0
-    max_grades: int = 16
-    pseudo_count: float = 0.1
-    max_fitted_gain: float = 1.0
-    min_gain: float = 6.0
-    shared_pseudo_count: float = 2.0
-    records_per_sky_cell: float = 25.0
-    scale_records: int = 1_000
-    records_per_grade: int = 8
-    min_unmeasured: int = 100
-    min_volume_ratio: float = 1.0 + 1e-9
-
-
-DEFAULT_GRADES = GradesTuning()
+# Parameters of the grades of precision; chosen where no source is given.
+#: Records of the poorer source per cell of the table of two grades, and greatest number of grades.
+RECORDS_PER_CELL, MAX_GRADES = 20.0, 16
+PSEUDO_COUNT = 0.1  # pseudo-pairs per cell of the table, distributed as for unrelated grades
+#: Limit of what a cell's pairs gain because its count is fitted to them, in ln likelihood per pair.
+MAX_FITTED_GAIN = 1.0
+#: The evidence is used if twice its gain in ln likelihood exceeds this per cell of the table. Uninformative grades stay
+#: below 4, even in crowded fields with uncertain pairs; for stars it reaches 30 and more.
+MIN_GAIN = 6.0
+SHARED_PSEUDO_COUNT = 2.0  # pseudo-count that draws the grades in a cell of the sky to those of all records
+#: Mean number of records of the poorer source in the cells of the sky whose grades are counted separately.
+RECORDS_PER_SKY_CELL = 25.0
+#: Records from which a scale is made (more give no noticeable gain), and records per grade in a range of magnitudes.
+SCALE_RECORDS, RECORDS_PER_GRADE = 1_000, 8
+#: Number of records without a magnitude, among those of the scale, from which they get grades of their own.
+MIN_UNMEASURED = 100
+MIN_VOLUME_RATIO = 1.0 + 1e-9  # errors that differ by less than this factor in volume are equal
 
 
 Both = tuple[FloatArray, FloatArray]
@@ -84,16 +65,14 @@ class Scale:
     apart: bool
 
     @classmethod
-    def of(
-        cls, volume: FloatArray, magnitude: FloatArray | None, number: int, tuning: GradesTuning = DEFAULT_GRADES
-    ) -> Scale:
+    def of(cls, volume: FloatArray, magnitude: FloatArray | None, number: int) -> Scale:
         """From records with errors of these volumes (n,), and magnitudes (n,), NaN where missing."""
-        every, parts = max(1, len(volume) // tuning.scale_records), np.arange(1, number)
+        every, parts = max(1, len(volume) // SCALE_RECORDS), np.arange(1, number)
         some, some_magnitude = volume[::every], None if magnitude is None else magnitude[::every]
         measured = np.empty(0) if some_magnitude is None else some_magnitude[np.isfinite(some_magnitude)]
-        ranges = max(1, len(measured) // (tuning.records_per_grade * number))
+        ranges = max(1, len(measured) // (RECORDS_PER_GRADE * number))
         edges = np.quantile(measured, np.linspace(0.0, 1.0, ranges + 1)[1:-1]) if ranges > 1 else np.empty(0)
-        apart = len(measured) > 0 and len(some) - len(measured) >= tuning.min_unmeasured
+        apart = len(measured) > 0 and len(some) - len(measured) >= MIN_UNMEASURED
         scale = cls(number, edges, np.empty(0), apart)
         within = scale._range(some_magnitude, len(some))
         line = np.sort(some) if some_magnitude is None else some[np.lexsort((some, within))]
@@ -138,32 +117,29 @@ class Grades:
     cells: BothGrades = field(repr=False)
     rule: Precision | None = None
     by_magnitude: bool = False
-    tuning: GradesTuning = DEFAULT_GRADES
 
     @classmethod
-    def of(
-        cls, setting: Setting, photometry: Photometry | None, tuning: GradesTuning = DEFAULT_GRADES
-    ) -> Grades | None:
+    def of(cls, setting: Setting, photometry: Photometry | None) -> Grades | None:
         """Before any fit; None with too few records, or with equal errors in both sources."""
-        cells = min(setting.n_counted) / tuning.records_per_cell
-        number = min(int(math.sqrt(cells)), tuning.max_grades)
+        cells = min(setting.n_counted) / RECORDS_PER_CELL
+        number = min(int(math.sqrt(cells)), MAX_GRADES)
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
-        if number < 2 or all(volume.max() < tuning.min_volume_ratio * volume.min() for volume in volumes):
+        if number < 2 or all(volume.max() < MIN_VOLUME_RATIO * volume.min() for volume in volumes):
             return None
         magnitudes = first_magnitudes(photometry)
-        one, two = (Scale.of(*side, number, tuning) for side in zip(volumes, magnitudes, strict=True))
+        one, two = (Scale.of(*side, number) for side in zip(volumes, magnitudes, strict=True))
         if one.apart or two.apart:
             # Grades of their own for records without a magnitude must not make the table of pairs sparse.
-            number = max(min(int(math.sqrt(cells / (1 + one.apart) / (1 + two.apart))), tuning.max_grades), 1)
-            one, two = (Scale.of(*side, number, tuning) for side in zip(volumes, magnitudes, strict=True))
-        placed = _grades_and_cells((one, two), volumes, setting, photometry, tuning)
-        return cls((one, two), *placed, by_magnitude=photometry is not None, tuning=tuning)
+            number = max(min(int(math.sqrt(cells / (1 + one.apart) / (1 + two.apart))), MAX_GRADES), 1)
+            one, two = (Scale.of(*side, number) for side in zip(volumes, magnitudes, strict=True))
+        placed = _grades_and_cells((one, two), volumes, setting, photometry)
+        return cls((one, two), *placed, by_magnitude=photometry is not None)
 
     def for_setting(self, setting: Setting, photometry: Photometry | None) -> Grades:
         """The same evidence for other records, with their magnitudes."""
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
         magnitudes = photometry if self.by_magnitude else None
-        grades, cells = _grades_and_cells(self.scales, volumes, setting, magnitudes, self.tuning)
+        grades, cells = _grades_and_cells(self.scales, volumes, setting, magnitudes)
         return replace(
             self, grades=grades, cells=cells, rule=self.rule and replace(self.rule, grades=grades, training=None)
         )
@@ -189,7 +165,7 @@ class Grades:
         at = count_pairs(pairs.i, pairs.j, *self.grades, p_counted, common)
         unrelated = _margin(common, 1)[:, None] * _margin(common, 0) * chance
         unrelated /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
-        pseudo = self.tuning.pseudo_count * k1 * k2 * unrelated / unrelated.sum()
+        pseudo = PSEUDO_COUNT * k1 * k2 * unrelated / unrelated.sum()
         counted = common + pseudo
         # The information about ln of a count: Σ p² (of certain pairs their number).
         information = np.zeros((k1, k2))
@@ -201,9 +177,9 @@ class Grades:
         remaining = np.maximum(1.0 - p_counted / information.ravel()[at], (pseudo / counted).ravel()[at])
         own = -np.log(remaining)
         # The logarithm of a cell's count is uncertain by 1/√information: fitted to its own pairs, it gains half a pair.
-        fitted = np.minimum(0.5 / information, self.tuning.max_fitted_gain)
+        fitted = np.minimum(0.5 / information, MAX_FITTED_GAIN)
         twice_gain = 2.0 * float(p_counted @ ((log_ratio - fitted).ravel()[at] - own))
-        significant = twice_gain > self.tuning.min_gain * (k1 * k2 - 1)
+        significant = twice_gain > MIN_GAIN * (k1 * k2 - 1)
         rule = Precision(self.grades, log_ratio, TrainingPairs(pairs, at, own)) if significant else None
         return replace(self, rule=rule)
 
@@ -221,7 +197,7 @@ class Grades:
             if likelihood_ratio is not None:
                 alone = 1.0 - (1.0 - alone) * likelihood_ratio[source]
             count_alone(self.cells[source], self.grades[source], alone, covered[source], count)
-            count += self.tuning.shared_pseudo_count * _margin(count, 0)
+            count += SHARED_PSEUDO_COUNT * _margin(count, 0)
             parts.append(count / count.sum(axis=1, keepdims=True))
         weight = np.bincount(self.cells[0], np.where(covered[0], partner[0], 0.0), number)
         return np.asarray((parts[0] * weight[:, None]).T @ parts[1] / max(float(weight.sum()), 1e-300))
@@ -247,14 +223,10 @@ def first_magnitudes(photometry: Photometry | None) -> tuple[FloatArray | None, 
 
 
 def _grades_and_cells(
-    scales: tuple[Scale, Scale],
-    volumes: Sequence[FloatArray],
-    setting: Setting,
-    photometry: Photometry | None,
-    tuning: GradesTuning,
+    scales: tuple[Scale, Scale], volumes: Sequence[FloatArray], setting: Setting, photometry: Photometry | None
 ) -> tuple[BothGrades, BothGrades]:
     """The grades of both sources' records, with errors of these volumes, and their cells."""
-    most = min(setting.n_counted) / tuning.records_per_sky_cell
+    most = min(setting.n_counted) / RECORDS_PER_SKY_CELL
     one, two = (
         scale.grades(volume, magnitude)
         for scale, volume, magnitude in zip(scales, volumes, first_magnitudes(photometry), strict=True)

@@ -23,32 +23,30 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
+#: Records expected in an empty disc, by the density where its source observes. More than in a cell: cells are few and
+#: fixed, but a disc is tried around every record.
+DISC = 12.0
+#: Minimum number of records expected in it from the number of records of its own source in it (including its centre),
+#: so that a region with few objects is not mistaken for a hole.
+MIN_EXPECTED = 7.0
+STEP = 5.0  # records expected in a smaller empty disc that extends a hole to its border
+#: An empty disc at a border reaches beyond it to the first records, by about this fraction of their spacing. The
+#: accepted part of the disc is that much smaller, times 1 − share, because discs are centred on records, and with fewer
+#: records a disc with this overreach is less frequent.
+OVERREACH = 0.6
+MAX_HOLE_DIMENSIONS = 3  # maximum dimension for discs; in more dimensions records have too many neighbours
+#: Where a disc must contain more records than MANY, or in a crowd of more centres than CROWDED for each of the others,
+#: centres nearer than this fraction of the radius count as one.
+MIN_SPACING, MANY, CROWDED = 0.125, 64.0, 4.0
+
+
 @dataclass(frozen=True)
 class HolesTuning:
     """Parameters of the search for holes by empty discs; chosen.
 
-    disc : records expected in an empty disc, by the density where its source observes. More than in a cell: cells
-        are few and fixed, but a disc is tried around every record.
-    min_expected : minimum number of records expected in it from the number of records of its own source in it
-        (including its centre), so that a region with few objects is not mistaken for a hole.
-    step : records expected in a smaller empty disc that extends a hole to its border.
-    overreach : an empty disc at a border reaches beyond it to the first records, by about this fraction of their
-        spacing. The accepted part of the disc is that much smaller, times 1 − share, because discs are centred on
-        records, and with fewer records a disc with this overreach is less frequent.
-    max_dimensions : maximum dimension for discs; in more dimensions records have too many neighbours.
-    min_spacing, many, crowded : where a disc must contain more records than ``many``, or in a crowd of more centres
-        than ``crowded`` for each of the others, centres nearer than this fraction of the radius count as one.
     at_once : points of discs that are listed at a time, which limits the memory.
     """
 
-    disc: float = 12.0
-    min_expected: float = 7.0
-    step: float = 5.0
-    overreach: float = 0.6
-    max_dimensions: int = 3
-    min_spacing: float = 0.125
-    many: float = 64.0
-    crowded: float = 4.0
     at_once: int = 1_000_000
 
 
@@ -130,16 +128,16 @@ def within_holes(
     these are then extended to their borders by smaller discs around the records in them.
     """
     in_hole = ~covered
-    if own.d > tuning.max_dimensions or len(other.points) < tuning.min_expected or not covered.any():
+    if own.d > MAX_HOLE_DIMENSIONS or len(other.points) < MIN_EXPECTED or not covered.any():
         return in_hole
-    wanted, beyond = covered, tuning.overreach * max(0.0, 1.0 - share)
+    wanted, beyond = covered, OVERREACH * max(0.0, 1.0 - share)
     if not covered.all():
-        widest = _radius(tuning.disc, float(density[covered].min()), own.d)
+        widest = _radius(DISC, float(density[covered].min()), own.d)
         wanted = covered | own.near(other, 2.0 * widest)
-    least = max(2.0, tuning.min_expected / share)
-    in_disc = in_empty_discs(own, other, wanted, density, tuning.disc, beyond, least, tuning)
+    least = max(2.0, MIN_EXPECTED / share)
+    in_disc = in_empty_discs(own, other, wanted, density, DISC, beyond, least, tuning)
     if in_disc.any():
-        in_disc |= in_empty_discs(own, other, wanted & in_disc, density, tuning.step, beyond, 1.0, tuning)
+        in_disc |= in_empty_discs(own, other, wanted & in_disc, density, STEP, beyond, 1.0, tuning)
     return in_hole | in_disc
 
 
@@ -190,8 +188,8 @@ def _inside(
     inside = np.zeros(len(own.points), np.bool_)
     if not len(rows):
         return inside
-    chosen = _one_per_cell(own.points[rows], tuning.min_spacing * float(radius.min()))
-    if least > tuning.many or len(rows) > tuning.crowded * len(chosen):
+    chosen = _one_per_cell(own.points[rows], MIN_SPACING * float(radius.min()))
+    if least > MANY or len(rows) > CROWDED * len(chosen):
         rows, radius, beyond = rows[chosen], radius[chosen], beyond[chosen]
     number = own.tree.query_ball_point(own.points[rows], np.nextafter(radius, 0.0), return_length=True)
     enough = number >= least

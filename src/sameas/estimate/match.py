@@ -21,12 +21,26 @@ import numpy as np
 from sameas.errors import InputError
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.em import EMState
-from sameas.estimate.error_grid import ErrorScan, mean_densities, scan_errors
+from sameas.estimate.em import MIN_PAIRS_TO_LEARN, EMState
+from sameas.estimate.error_grid import ENOUGH_PAIRS, MAX_AVERAGED, ErrorScan, mean_densities, scan_errors
 from sameas.estimate.error_trends import covariates, with_trends
 from sameas.estimate.gate_search import GateResult, GateSearch, has_excess, to_estimate
 from sameas.estimate.photometry import Photometry
-from sameas.estimate.result import DEFAULT_MATCH, Estimate, MatchTuning
+from sameas.estimate.result import (
+    DEFAULT_MATCH,
+    GATE_STEP,
+    MAX_INTERPRETED,
+    MAX_RESOLUTION_FITS,
+    MAX_TREND_FITS,
+    MIN_GAIN_OF_GATE,
+    MIN_TAIL_GAIN,
+    MIN_TREND_GAIN,
+    N_MODEL_PAIRS,
+    SUSPECT_TAIL_GAIN,
+    TAIL_SEED,
+    Estimate,
+    MatchTuning,
+)
 from sameas.estimate.sample import Sampling
 from sameas.evidence import Column, Errors, Magnitudes, Related
 from sameas.gate import ChiSquare, Radius
@@ -73,18 +87,18 @@ def match(
         if not len(records):
             raise InputError(f"{records.source} has no usable records; nothing can be identified")
     progress("densities")
-    photometry = _photometry(first, second, brightness, tuning)
+    photometry = _photometry(first, second, brightness)
     coverage = Coverage.of(first, second, tuning=tuning.coverage)
     columns = ColumnEvidence.of(first, second, evidence, tuning.columns)
-    if _expected_work(coverage, density) > tuning.max_interpreted:
+    if _expected_work(coverage, density) > MAX_INTERPRETED:
         prefer_compiled()
     search = GateSearch(
         coverage, photometry, precision, density, gate, sampling, progress, tuning=tuning, columns=columns
     )
     scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
     # With few records, errors by which they have nothing in common are averaged over too.
-    few = min(len(first), len(second)) <= 2 * tuning.grid.enough
-    if scan is not None and scan.common < tuning.grid.max_averaged and (few or scan.contrast > tuning.min_gain):
+    few = min(len(first), len(second)) <= 2 * ENOUGH_PAIRS
+    if scan is not None and scan.common < MAX_AVERAGED and (few or scan.contrast > MIN_GAIN_OF_GATE):
         return search.match_averaged(scan)
     search, result, remarks = _fit(search, scan, errors)
     result = search.without_message_errors(result)
@@ -142,7 +156,7 @@ def match_sample(
     coverage : of the sample, with its counted records. columns : of its records, as evidence. Other arguments as of
     :func:`match`. The errors of maximum likelihood are used, however few the pairs are.
     """
-    photometry = _photometry(coverage.first, coverage.second, brightness, tuning)
+    photometry = _photometry(coverage.first, coverage.second, brightness)
     all_records, density = Sampling(enough=2**62), assumed.density
     # Trends would apply to the records of the sample only; companions need all records.
     tuning = replace(tuning, fits_trends=False, fits_resolution=False, em=replace(tuning.em, companions=None))
@@ -165,12 +179,12 @@ def match_sample(
 def _fit(search: GateSearch, scan: ErrorScan | None, errors: Errors | None) -> tuple[GateSearch, GateResult, list[str]]:
     """The search with the fitted error model, its result, and remarks for the user."""
     tuning = search.tuning
-    if scan is not None and scan.contrast > tuning.min_gain and scan.gain > tuning.min_gain:
+    if scan is not None and scan.contrast > MIN_GAIN_OF_GATE and scan.gain > MIN_GAIN_OF_GATE:
         search = replace(search, gate_errors=scan.best)
     result, remarks = search.run(errors, tuning.max_iterations), []
     while errors is None and result.iterations < tuning.max_iterations:
         model, gain = result.better_model()
-        if gain < tuning.min_gain:
+        if gain < MIN_GAIN_OF_GATE:
             break
         changed = replace(search, gate_errors=model)
         again = _rerun(changed, result, None)
@@ -183,7 +197,7 @@ def _fit(search: GateSearch, scan: ErrorScan | None, errors: Errors | None) -> t
         search, result = _fit_trends(search, result)
     if tuning.fits_resolution:
         search, result = _fit_resolution(search, result, errors)
-    if result.has_learned and not has_excess(search.gate_errors.pairs(result.whole.pairs), result.gate_sigmas, tuning):
+    if result.has_learned and not has_excess(search.gate_errors.pairs(result.whole.pairs), result.gate_sigmas):
         more = search.photometry is not None or search.columns is not None
         assumed = "positions and quoted errors alone" if more else "the quoted errors"
         given = search.columns and search.columns.given_only
@@ -219,23 +233,21 @@ def _fit_tail(search: GateSearch, result: GateResult) -> tuple[GateSearch, GateR
     """
     tuning, scales = search.tuning, search.tuning.em.scales
     # Accepted after the last iteration, not in each: the gain of a tail grows with the number of common objects.
-    late = replace(
-        tuning, em=replace(tuning.em, scales=replace(scales, significant_tail_gain=tuning.suspect_tail_gain))
-    )
+    late = replace(tuning, em=replace(tuning.em, scales=replace(scales, significant_tail_gain=SUSPECT_TAIL_GAIN)))
     while search.gate is None and result.suspects_tail() and result.iterations < tuning.max_iterations:
-        min_sigmas = tuning.gate_step * result.gate_sigmas
-        seed_errors = _with_tail_seed(result.estimates.errors, tuning)
+        min_sigmas = GATE_STEP * result.gate_sigmas
+        seed_errors = _with_tail_seed(result.estimates.errors)
         wider = replace(search, min_sigmas=min_sigmas, seed_errors=seed_errors, tuning=late)
         wider_result = _rerun(wider, result, None)
-        if wider_result.estimates.tail_gain < tuning.min_tail_gain:
+        if wider_result.estimates.tail_gain < MIN_TAIL_GAIN:
             break
         search, result = wider, wider_result
     return search, result
 
 
-def _with_tail_seed(errors: Errors, tuning: MatchTuning) -> Errors:
+def _with_tail_seed(errors: Errors) -> Errors:
     """The errors with a tail added, unless they have one."""
-    scale, share = tuning.tail_seed
+    scale, share = TAIL_SEED
     wide = scale * errors.typical_scale
     if max(errors.scales) >= wide:
         return errors
@@ -244,17 +256,17 @@ def _with_tail_seed(errors: Errors, tuning: MatchTuning) -> Errors:
 
 def _fit_trends(search: GateSearch, result: GateResult) -> tuple[GateSearch, GateResult]:
     """The search and result with errors that grow with magnitude or position, if the pairs show such growth."""
-    tuning, quantities = search.tuning, covariates(search.coverage, search.photometry, search.tuning.trends)
-    for _ in range(tuning.max_trend_fits):
+    tuning, quantities = search.tuning, covariates(search.coverage, search.photometry)
+    for _ in range(MAX_TREND_FITS):
         estimates = result.estimates
-        few = estimates.n_common < tuning.em.min_pairs
+        few = estimates.n_common < MIN_PAIRS_TO_LEARN
         if result.iterations >= tuning.max_iterations or not estimates.fits_errors or few:
             break
         model, trends, gain = with_trends(
             estimates.errors, estimates.setting.pairs, estimates.p_single(result.p_counted), quantities,
-            tuning.n_model_pairs, search.trends, tuning.trends, tuning.error_fit,
+            N_MODEL_PAIRS, search.trends, tuning.error_fit,
         )  # fmt: skip
-        if gain < (tuning.min_trend_gain if search.trends else tuning.min_gain):
+        if gain < (MIN_TREND_GAIN if search.trends else MIN_GAIN_OF_GATE):
             break
         changed = replace(search, gate_errors=model, trends=trends)
         again = _rerun(changed, result, None)
@@ -266,9 +278,8 @@ def _fit_trends(search: GateSearch, result: GateResult) -> tuple[GateSearch, Gat
 
 def _fit_resolution(search: GateSearch, result: GateResult, errors: Errors | None) -> tuple[GateSearch, GateResult]:
     """The search and result with the resolution of a source that blends neighbours of the other, if one does."""
-    tuning = search.tuning
-    for _ in range(tuning.max_resolution_fits):
-        found = result.estimates.best_resolution(result.p_counted, tuning.unresolved)
+    for _ in range(MAX_RESOLUTION_FITS):
+        found = result.estimates.best_resolution(result.p_counted)
         if found is None or found.is_near(search.resolution):
             break
         changed = replace(search, resolution=found)
@@ -279,10 +290,8 @@ def _fit_resolution(search: GateSearch, result: GateResult, errors: Errors | Non
     return search, result
 
 
-def _photometry(
-    first: Records, second: Records, brightness: tuple[Magnitudes, Magnitudes] | None, tuning: MatchTuning
-) -> Photometry | None:
+def _photometry(first: Records, second: Records, brightness: tuple[Magnitudes, Magnitudes] | None) -> Photometry | None:
     if brightness is None:
         return None
     one, two = brightness
-    return Photometry.of((one.of(first), two.of(second)), (one.names, two.names), tuning.relations)
+    return Photometry.of((one.of(first), two.of(second)), (one.names, two.names))

@@ -34,55 +34,30 @@ from sameas.evidence import (
     SourceMagnitudes,
     comparisons_of,
 )
-from sameas.evidence.detection import DEFAULT_SHARES, DetectionCurve, ShareCurve, ShareTuning, knots_of, roughness
+from sameas.evidence.detection import DetectionCurve, ShareCurve, knots_of, roughness
 from sameas.gate import Pairs
 from sameas.representation import in_short
 from sameas.result import Identification
 
-
-@dataclass(frozen=True)
-class RelationTuning:
-    """Parameters of the fits of magnitudes; chosen where no source is given.
-
-    pseudo_unrelated : pairs that are always counted as unrelated.
-    per_knot, max_knots, bend_sigma, slope_sigma : pairs per knot and greatest number of knots of a curve; prior
-        standard deviations of its second differences, mag, and of slopes of colours.
-    pseudo_pairs, min_scatter : pseudo-pairs that draw the scatter at a knot to the mean scatter; least scatter, mag.
-    first_steps, steps, last_steps : EM steps of the first fit, of later ones, and of the last one.
-    tolerance, first_tolerance : EM ends when no estimate changes by more than this share of its standard error; the
-        first fit, whose pairs have probabilities without magnitudes, may end earlier.
-    min_pairs : expected pairs with a pattern of measured bands, or records of a source, for any fit.
-    max_pairs, max_pairs_in_em : greatest number of pairs for a relation, in the last fit and in EM iterations. A tenth
-        of them suffices for the relation, but the unrelated share decides between a wrong pair and an unrelated one.
-    curve_records, curve_records_in_em, own_band_records : records for a curve of the shares, in the last fit and in
-        EM iterations, and for relations between bands of a source. shares : of the curves of the shares.
-    max_curve_factor : the records for a curve are those of a share of one half; with other shares more have the same
-        information, up to this factor.
-    """
-
-    pseudo_unrelated: float = 0.5
-    per_knot: float = 150.0
-    max_knots: int = 12
-    bend_sigma: float = 0.3
-    slope_sigma: float = 1.0
-    pseudo_pairs: float = 20.0
-    min_scatter: float = 0.003
-    first_steps: int = 8
-    steps: int = 2
-    last_steps: int = 20
-    tolerance: float = 0.05
-    first_tolerance: float = 1.0
-    min_pairs: float = 50.0
-    max_pairs: int = 100_000
-    max_pairs_in_em: int = 10_000
-    curve_records: int = 2_000
-    curve_records_in_em: int = 1_000
-    own_band_records: int = 1_000
-    max_curve_factor: float = 50.0
-    shares: ShareTuning = DEFAULT_SHARES
-
-
-DEFAULT_RELATIONS = RelationTuning()
+PSEUDO_UNRELATED = 0.5  # pairs that are always counted as unrelated
+#: Pairs per knot and greatest number of knots of a curve; prior standard deviations of its second differences, mag, and
+#: of slopes of colours.
+PER_KNOT, MAX_KNOTS, BEND_SIGMA, SLOPE_SIGMA = 150.0, 12, 0.3, 1.0
+#: Pseudo-pairs that draw the scatter at a knot to the mean scatter; least scatter, mag.
+PSEUDO_PAIRS, MIN_SCATTER = 20.0, 0.003
+FIRST_STEPS, STEPS, LAST_STEPS = 8, 2, 20  # EM steps of the first fit, of later ones, and of the last one
+#: EM ends when no estimate changes by more than this share of its standard error; the first fit, whose pairs have
+#: probabilities without magnitudes, may end earlier.
+TOLERANCE, FIRST_TOLERANCE = 0.05, 1.0
+MIN_PAIRS = 50.0  # expected pairs with a pattern of measured bands, or records of a source, for any fit
+#: Greatest number of pairs for a relation, in the last fit and in EM iterations. A tenth of them suffices for the
+#: relation, but the unrelated share decides between a wrong pair and an unrelated one.
+MAX_PAIRS, MAX_PAIRS_IN_EM = 100_000, 10_000
+#: Records for a curve of the shares, in the last fit and in EM iterations, and for relations between bands of a source.
+CURVE_RECORDS, CURVE_RECORDS_IN_EM, OWN_BAND_RECORDS = 2_000, 1_000, 1_000
+#: The records for a curve are those of a share of one half; with other shares more have the same information, up to
+#: this factor.
+MAX_CURVE_FACTOR = 50.0
 
 
 #: Scales of the mixture, in units of error and scatter; the kernels rely on their ratio.
@@ -161,37 +136,36 @@ def fit_relation(
     start: Relation | None = None,
     *,
     last: bool = False,
-    tuning: RelationTuning = DEFAULT_RELATIONS,
 ) -> Relation:
     """The relation of greatest likelihood; a few steps from ``start`` if given, many if ``last``."""
     if start is None:
-        first = _initial_relation(sample, background, tuning)
-        return _after_em(sample, first, tuning.first_steps, tuning.first_tolerance, tuning)
-    steps = tuning.last_steps if last else tuning.steps
-    return _after_em(sample, replace(start, background=background), steps, tuning.tolerance, tuning)
+        first = _initial_relation(sample, background)
+        return _after_em(sample, first, FIRST_STEPS, FIRST_TOLERANCE)
+    steps = LAST_STEPS if last else STEPS
+    return _after_em(sample, replace(start, background=background), steps, TOLERANCE)
 
 
-def _initial_relation(sample: Sample, background: MagnitudeDensity, tuning: RelationTuning) -> Relation:
+def _initial_relation(sample: Sample, background: MagnitudeDensity) -> Relation:
     """Medians and interquartile ranges at every knot, without slopes: robust against outliers and chance pairs."""
     from sameas.kernels.relation import quartiles
 
     difference, x, c = sample.pairs[:, 0], sample.pairs[:, 4], sample.colours.shape[1] // 2
-    knots = knots_of(x, sample.weight, tuning.per_knot, tuning.max_knots)
+    knots = knots_of(x, sample.weight, PER_KNOT, MAX_KNOTS)
     centres = sample.weight @ sample.colours[:, :c] / sample.weight.sum()
     nearest = np.searchsorted(0.5 * (knots[1:] + knots[:-1]), x)
     k = len(knots)
     by_knot = np.empty((3, k + 1))
     quartiles(np.argsort(difference, kind="stable"), difference, sample.weight, nearest, by_knot)
-    enough = np.bincount(nearest, sample.weight, k) > tuning.pseudo_pairs
+    enough = np.bincount(nearest, sample.weight, k) > PSEUDO_PAIRS
     lower, offset, upper = np.where(enough, by_knot[:, :k], by_knot[:, k:])
-    scatter = np.maximum((upper - lower) / QUARTILE_RANGE, tuning.min_scatter)
+    scatter = np.maximum((upper - lower) / QUARTILE_RANGE, MIN_SCATTER)
     no_fit = np.zeros((k + c, k + c)), np.zeros(k + c), math.inf, float(sample.weight.sum())
     return Relation(
         knots, offset, scatter, np.zeros(c), centres, SCALES, INITIAL_SHARES, INITIAL_UNRELATED, background, *no_fit
     )
 
 
-def _after_em(sample: Sample, relation: Relation, steps: int, tolerance: float, tuning: RelationTuning) -> Relation:
+def _after_em(sample: Sample, relation: Relation, steps: int, tolerance: float) -> Relation:
     """After at most ``steps`` of EM, or when no estimate changes by more than ``tolerance`` of its standard error."""
     from sameas.kernels.relation import learn
 
@@ -201,8 +175,8 @@ def _after_em(sample: Sample, relation: Relation, steps: int, tolerance: float, 
     shares, error = np.append(relation.shares, relation.unrelated), np.array([relation.scatter_error])
     covariance, mean = relation.covariance.copy(), relation.mean_basis.copy()
     learned = offset, scatter, slopes, relation.scales, shares, covariance, mean, error
-    priors = np.array([*TAIL_ALLOWANCE, tuning.pseudo_unrelated, tuning.pseudo_pairs, tuning.min_scatter, tolerance])
-    learn(sample.pairs, colours, relation.knots, learned, _penalty(len(offset), len(slopes), tuning), priors, steps)
+    priors = np.array([*TAIL_ALLOWANCE, PSEUDO_UNRELATED, PSEUDO_PAIRS, MIN_SCATTER, tolerance])
+    learn(sample.pairs, colours, relation.knots, learned, _penalty(len(offset), len(slopes)), priors, steps)
     return replace(
         relation, offset=offset, slopes=slopes, covariance=covariance, mean_basis=mean, scatter=scatter,
         scatter_error=float(error[0]), shares=shares[:-1], unrelated=float(shares[-1]),
@@ -211,11 +185,11 @@ def _after_em(sample: Sample, relation: Relation, steps: int, tolerance: float, 
 
 
 @cache
-def _penalty(k: int, slopes: int, tuning: RelationTuning) -> FloatArray:
+def _penalty(k: int, slopes: int) -> FloatArray:
     """(k + c, k + c) penalty that draws curves to straight lines and slopes to zero."""
     penalty = np.zeros((k + slopes, k + slopes))
-    penalty[:k, :k] = roughness(k, tuning.bend_sigma) + 1e-6 * np.eye(k)
-    penalty[k:, k:] = np.eye(slopes) / tuning.slope_sigma**2
+    penalty[:k, :k] = roughness(k, BEND_SIGMA) + 1e-6 * np.eye(k)
+    penalty[k:, k:] = np.eye(slopes) / SLOPE_SIGMA**2
     return penalty
 
 
@@ -244,18 +218,16 @@ class Photometry:
     chains: tuple[Chain, Chain] | None = None
     curves: tuple[ShareCurve | None, ShareCurve | None] = (None, None)
     compared: tuple[Pairs, tuple[Comparisons, Comparisons]] | None = field(repr=False, default=None)
-    tuning: RelationTuning = field(repr=False, default=DEFAULT_RELATIONS)
 
     @classmethod
     def of(
         cls,
         measured: tuple[MeasuredMagnitudes, MeasuredMagnitudes],
         names: tuple[tuple[str, ...], tuple[str, ...]],
-        tuning: RelationTuning = DEFAULT_RELATIONS,
     ) -> Photometry:
         """Before any fit."""
-        one, two = (_source_magnitudes(each, tuning) for each in measured)
-        return cls((one, two), names, tuning=tuning)
+        one, two = (_source_magnitudes(each) for each in measured)
+        return cls((one, two), names)
 
     def part(self, rows_1: IntArray, rows_2: IntArray) -> Photometry:
         """The magnitudes of some records."""
@@ -285,11 +257,10 @@ class Photometry:
         In EM iterations few steps are made, with a sample of the pairs; the ``last`` fit, with standard errors, uses
         more.
         """
-        tuning = self.tuning
-        one, two = map(partial(_fit_curve, tuning, last), self.sides, p_partner, shares, covered, self.curves)
+        one, two = map(partial(_fit_curve, last), self.sides, p_partner, shares, covered, self.curves)
         curves = one, two
         used = np.zeros(len(p_pair), np.bool_)
-        used[_sampled(np.flatnonzero(p_pair > 1e-3), tuning.max_pairs if last else tuning.max_pairs_in_em)] = True
+        used[_sampled(np.flatnonzero(p_pair > 1e-3), MAX_PAIRS if last else MAX_PAIRS_IN_EM)] = True
         cached = self.compared is not None and self.compared[0] is pairs
         sides = self.compared[1] if cached and self.compared else comparisons_of(self.sides, pairs)
         previous = self.chains or (None, None)
@@ -298,7 +269,7 @@ class Photometry:
             for curve, side, p, is_covered in zip(curves, self.sides, p_partner, covered, strict=True)
         ]
         forth, back = (
-            _fit_chain(side, compared.tilted(tilt), np.where(used, p_pair, 0.0), start, tilt, tuning, last=last)
+            _fit_chain(side, compared.tilted(tilt), np.where(used, p_pair, 0.0), start, tilt, last=last)
             for side, compared, start, tilt in zip(self.sides, sides, previous, tilts, strict=True)
         )
         return replace(self, chains=(forth, back), curves=curves)
@@ -374,8 +345,8 @@ class Photometry:
             magnitude = side.measured.values[:, 0]
             partner = np.minimum(np.bincount(rows, answer.p_pair, len(magnitude)), 1.0)
             used = np.isfinite(magnitude) & covered
-            enough = np.count_nonzero(used) >= self.tuning.min_pairs
-            of_band = names[0], magnitude[used], partner[used], volume, self.tuning.shares
+            enough = np.count_nonzero(used) >= MIN_PAIRS
+            of_band = names[0], magnitude[used], partner[used], volume
             curves.append(DetectionCurve.of(*of_band) if enough else None)
         return curves[0], curves[1]
 
@@ -395,7 +366,6 @@ def _fit_chain(
     weight: FloatArray,
     previous: Chain | None,
     tilt: PartnerTilt | None,
-    tuning: RelationTuning,
     *,
     last: bool,
 ) -> Chain:
@@ -405,33 +375,31 @@ def _fit_chain(
     for band, (density, comparisons) in enumerate(zip(side.densities, compared.bands, strict=True)):
         start = previous.related[band] if previous else {}
         relations = {
-            x.regressors.pattern: _fit_relation(x, weight, density, start.get(x.regressors.pattern), tuning, last=last)
+            x.regressors.pattern: _fit_relation(x, weight, density, start.get(x.regressors.pattern), last=last)
             for x in comparisons
         }
         related.append({pattern: relation for pattern, relation in relations.items() if relation is not None})
     return Chain(tuple(related), tilt)
 
 
-def _source_magnitudes(measured: MeasuredMagnitudes, tuning: RelationTuning) -> SourceMagnitudes:
+def _source_magnitudes(measured: MeasuredMagnitudes) -> SourceMagnitudes:
     """The densities of a source's bands, and the relations between them."""
-    densities = tuple(_band_density(column, tuning) for column in measured.values.T)
-    sample = measured.take(
-        np.arange(0, len(measured.values), max(1, -(-len(measured.values) // tuning.own_band_records)))
-    )
+    densities = tuple(_band_density(column) for column in measured.values.T)
+    sample = measured.take(np.arange(0, len(measured.values), max(1, -(-len(measured.values) // OWN_BAND_RECORDS))))
     alone: list[Mapping[Pattern, Relation]] = []
     for band, density in enumerate(densities):
         regressors = Regressors.split(band, sample, None) if band and density is not None else ()
         weight = np.ones(len(sample.values))
         comparisons = [Comparison(x, np.exp(density(x.y)), np.empty(0)) for x in regressors if density is not None]
-        fits = {x.regressors.pattern: _fit_relation(x, weight, density, None, tuning) for x in comparisons}
+        fits = {x.regressors.pattern: _fit_relation(x, weight, density, None) for x in comparisons}
         alone.append({pattern: relation for pattern, relation in fits.items() if relation is not None})
     return SourceMagnitudes(measured, densities, tuple(alone))
 
 
-def _band_density(magnitude: FloatArray, tuning: RelationTuning) -> MagnitudeDensity | None:
+def _band_density(magnitude: FloatArray) -> MagnitudeDensity | None:
     """The density of the measured magnitudes; None if they are too few."""
     known = magnitude[np.isfinite(magnitude)]
-    return density_of(known) if len(known) >= tuning.min_pairs else None
+    return density_of(known) if len(known) >= MIN_PAIRS else None
 
 
 def _fit_relation(
@@ -439,7 +407,6 @@ def _fit_relation(
     weight: FloatArray,
     density: MagnitudeDensity | None,
     start: Relation | None,
-    tuning: RelationTuning,
     *,
     last: bool = False,
 ) -> Relation | None:
@@ -447,16 +414,15 @@ def _fit_relation(
     with too few pairs."""
     x = compared.regressors
     weight = weight[x.rows]
-    if density is None or weight.sum() < tuning.min_pairs:
+    if density is None or weight.sum() < MIN_PAIRS:
         return None
     background = compared.background
     assumed = background if start is None else np.exp(x.log_density(start, background))
     sample = Sample.of(x.y, x.others, x.variance, x.other_variance, background, weight, assumed)
-    return fit_relation(sample, density, start, last=last, tuning=tuning)
+    return fit_relation(sample, density, start, last=last)
 
 
 def _fit_curve(
-    tuning: RelationTuning,
     last: bool,
     side: SourceMagnitudes,
     p_partner: FloatArray,
@@ -465,12 +431,12 @@ def _fit_curve(
     previous: ShareCurve | None,
 ) -> ShareCurve | None:
     """The curve of the shares by magnitude, in the last fit from more records; None with too few."""
-    n_records = tuning.curve_records if last else tuning.curve_records_in_em
+    n_records = CURVE_RECORDS if last else CURVE_RECORDS_IN_EM
     magnitude = side.measured.values[:, 0]
     rows = np.flatnonzero(np.isfinite(magnitude) & covered)
-    if len(rows) < tuning.min_pairs:
+    if len(rows) < MIN_PAIRS:
         return None
     mean = float(p_partner[rows].mean())
-    n_records = int(n_records * min(0.25 / max(mean * (1.0 - mean), 1e-9), tuning.max_curve_factor))
+    n_records = int(n_records * min(0.25 / max(mean * (1.0 - mean), 1e-9), MAX_CURVE_FACTOR))
     rows = rows[:: max(1, -(-len(rows) // n_records))]
-    return ShareCurve.fit(magnitude[rows], share[rows], p_partner[rows], previous, tuning.shares)
+    return ShareCurve.fit(magnitude[rows], share[rows], p_partner[rows], previous)

@@ -22,15 +22,25 @@ import numpy as np
 
 from sameas.arrays import AnyIntArray, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.estimate.cells import GridLevel
+from sameas.estimate.cells import FINEST_CELLS, GridLevel
 from sameas.estimate.columns import ColumnEvidence
-from sameas.estimate.coverage import DEFAULT_COVERAGE, Coverage, CoverageTuning
+from sameas.estimate.coverage import (
+    COVERAGE_PSEUDO_COUNT,
+    DEFAULT_COVERAGE,
+    IN_CELL,
+    LEFT_OUT,
+    LOG_PRIOR_STEP,
+    SHARED_PSEUDO_COUNT,
+    Coverage,
+    CoverageTuning,
+)
 from sameas.estimate.em import EMState, EMTuning
 from sameas.estimate.grades import Grades
 from sameas.estimate.match import Assumed, match_sample
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.result import DEFAULT_MATCH, Estimate, MatchTuning
 from sameas.estimate.sample import Sampling, Setting
+from sameas.estimate.share_regression import COLUMN_FOLDS
 from sameas.evidence import Column, Errors, Magnitudes, MeasuredMagnitudes, Related, Rule
 from sameas.gate import Pairs, Radius
 from sameas.kernels.coverage import check_cells_nested, covered_cells, refine_nested, refine_share_nested, score_nested
@@ -40,20 +50,21 @@ from sameas.representation import in_short
 _EMPTY = np.empty(0)
 
 
+COARSEST = 100_000.0  # records in the coarsest cells on average; larger cells give no more than the overall mean
+#: A cell lies entirely within the field unless pairs of its records that share one of its finest cells exceed chance by
+#: this many standard deviations.
+PARTLY = 2.0
+
+
 @dataclass(frozen=True)
 class PlacesTuning:
     """Parameters of densities, coverage and shares from counts in cells; chosen.
 
-    coarsest : records in the coarsest cells on average; larger cells give no more than the overall mean.
-    partly : a cell lies entirely within the field unless pairs of its records that share one of its finest cells exceed
-        chance by this many standard deviations.
     smoothing_cells : about this many cells choose the smoothing of densities; those at borders, which matter most, are
         few.
     coverage : of the densities and holes, as for a match in one piece.
     """
 
-    coarsest: float = 100_000.0
-    partly: float = 2.0
     smoothing_cells: int = 300_000
     coverage: CoverageTuning = DEFAULT_COVERAGE
 
@@ -137,9 +148,9 @@ class Places:
         richer, level, last, finest = int(np.argmax(totals)), counts, 0, 0
         while True:
             number = level.numbers[:, richer].astype(np.float64)
-            if number @ number <= tuning.coverage.cells.finest * totals[richer]:
+            if number @ number <= FINEST_CELLS * totals[richer]:
                 finest = last
-            if len(level.cells) * tuning.coarsest <= totals.sum() or len(level.cells) == 1 or last == 24:
+            if len(level.cells) * COARSEST <= totals.sum() or len(level.cells) == 1 or last == 24:
                 break
             level, last = level.coarser(1), last + 1
         counts, levels = counts.coarser(finest), tuple(range(last - finest, -1, -1))
@@ -158,7 +169,7 @@ class Places:
             return len(cells) * self.volume / 4.0 ** (self.steps - steps)
         counts = counts.coarser(self.steps)
         own, covered = np.empty(len(counts.cells), np.int64), np.empty(len(counts.cells))
-        number = covered_cells(counts.cells, counts.numbers, 2 * (steps - self.steps), self.tuning.partly, own, covered)
+        number = covered_cells(counts.cells, counts.numbers, 2 * (steps - self.steps), PARTLY, own, covered)
         return float(covered[:number][np.isin(own[:number], cells)].sum()) * self.volume
 
     def folds(self, counted: Sequence[IntArray], number: int) -> tuple[IntArray, IntArray]:
@@ -192,7 +203,7 @@ class Places:
                 parts.astype(np.float64),
                 weights.astype(np.float64),
                 2 * steps,
-                self.tuning.coverage.shared_pseudo_count,
+                SHARED_PSEUDO_COUNT,
                 share,
             )
         return share
@@ -222,12 +233,12 @@ def _covered_cells(
 ) -> BoolArray:
     """(u, 2) whether the other source observes there, as by ``kernels.coverage.check_cells``. volume : of a cell."""
     total = numbers.sum(axis=0).astype(np.float64)
-    density = np.tile(total[::-1] / _field_volume(cells, numbers, levels[0], volume, tuning.partly), (len(cells), 1))
+    density = np.tile(total[::-1] / _field_volume(cells, numbers, levels[0], volume, PARTLY), (len(cells), 1))
     highest, covered = np.zeros(numbers.shape), np.ones(numbers.shape, np.bool_)
     for steps in levels:
         check_cells_nested(
-            cells, numbers, 2 * steps, tuning.partly, volume, tuning.coverage.in_cell * total / total[::-1],
-            tuning.coverage.hole, tuning.coverage.pseudo_count, density, highest, covered,
+            cells, numbers, 2 * steps, PARTLY, volume, IN_CELL * total / total[::-1],
+            tuning.coverage.hole, COVERAGE_PSEUDO_COUNT, density, highest, covered,
         )  # fmt: skip
     return covered
 
@@ -239,16 +250,16 @@ def _density(
     by ``Coverage.density``. volume : of a cell."""
     total, density = numbers.sum(axis=0).astype(np.float64), np.empty((len(cells), 2, 2))
     own, others = density[:, :, 0], density[:, :, 1]
-    own[:] = others[:] = (total + 0.5) / _field_volume(cells, numbers, levels[0], volume, tuning.partly)
-    partly, coverage, open_ = tuning.partly, tuning.coverage, total > 0.0
+    own[:] = others[:] = (total + 0.5) / _field_volume(cells, numbers, levels[0], volume, PARTLY)
+    partly, coverage, open_ = PARTLY, tuning.coverage, total > 0.0
     smooths, sampled = np.array(coverage.smooths), min(tuning.smoothing_cells / len(cells), 1.0)
-    log_prior = -coverage.log_prior_step * np.arange(len(smooths))
+    log_prior = -LOG_PRIOR_STEP * np.arange(len(smooths))
     for steps in levels:
         score = np.zeros((2, len(smooths) + 1))
         score_nested(cells, numbers, 2 * steps, partly, volume, sampled, smooths, own, score)
-        finest = (score[:, -1] <= coverage.cells.finest * total) | (steps == 0)
+        finest = (score[:, -1] <= FINEST_CELLS * total) | (steps == 0)
         smooth = smooths[np.argmax(score[:, :-1] + log_prior, axis=1)]
-        left_out = np.where(finest, coverage.left_out, 1.0)
+        left_out = np.where(finest, LEFT_OUT, 1.0)
         refine_nested(cells, numbers, 2 * steps, partly, volume, smooth, left_out, open_, own, others)
         open_ &= ~finest
     return density
@@ -350,7 +361,7 @@ class Learned:
         ((d_1, _), (_, d_2)), share = self.places.densities(at_1, at_2), self.places.share
         setting = Setting(
             pairs, (np.arange(n1), np.arange(n2)), (level,), counted, counted, (d_1, d_2),
-            self.places.tuning.coverage.shared_pseudo_count,
+            SHARED_PSEUDO_COUNT,
         )  # fmt: skip
         photometry = self._photometry(measured)
         estimates = EMState(
@@ -361,7 +372,7 @@ class Learned:
         if self.grades is not None:
             estimates = replace(estimates, grades=self.grades.for_setting(setting, photometry))
         if self.columns is not None and columns is not None:
-            folds = self.places.folds(cells, self.columns.tuning.folds)
+            folds = self.places.folds(cells, COLUMN_FOLDS)
             estimates = replace(estimates, columns=self.columns.over(columns, folds))
         return estimates.rule()
 
@@ -418,7 +429,7 @@ def learn(
         first, second, sample.volume, sample.counted, covered, places.densities(*at), of_part=levels
     )
     columns = ColumnEvidence.of(first, second, evidence, tuning.columns)
-    columns = columns and replace(columns, folds=places.folds(cells, columns.tuning.folds))
+    columns = columns and replace(columns, folds=places.folds(cells, COLUMN_FOLDS))
     matched = match_sample(coverage, assumed, brightness=brightness, columns=columns, tuning=tuning, progress=progress)
     estimates = matched.estimates
     weights = [(s & c).astype(np.float64) for s, c in zip(covered, estimates.counted, strict=True)]

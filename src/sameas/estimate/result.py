@@ -21,11 +21,11 @@ from sameas.estimate.error_model import (
     fit_spread,
     tail,
 )
-from sameas.estimate.error_trends import DEFAULT_TRENDS, Trend, TrendTuning
-from sameas.estimate.photometry import DEFAULT_RELATIONS, Photometry, RelationTuning
+from sameas.estimate.error_trends import Trend
+from sameas.estimate.photometry import Photometry
 from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
 from sameas.estimate.share_regression import DEFAULT_COLUMNS, ColumnsTuning
-from sameas.estimate.unresolved import DEFAULT_UNRESOLVED, BlendResolution, UnresolvedTuning
+from sameas.estimate.unresolved import BlendResolution
 from sameas.evidence import Errors, Precision
 from sameas.evidence.detection import DetectionCurve
 from sameas.representation import in_short
@@ -35,6 +35,42 @@ BRIGHTNESS_TERMS, PRECISION_TERMS = ("completeness", "brightness"), ("precision"
 COLUMN_TERMS = ("columns", "prior odds", "relations")
 
 
+#: The gate is widened when this share of the expected true pairs lies beyond 0.7 of its radius (4e-5 where errors are
+#: as quoted), and one pair more.
+MIN_OUTER_SHARE = 6e-5
+#: Where a record would have fewer chance candidates, half a pair of a tail suffices: its last pairs are otherwise
+#: certain to have no partner.
+MAX_NEGLIGIBLE_CHANCE = 0.1
+MAX_GATE_SIGMAS = 400.0  # greatest radius of the gate
+#: The gate is widened when the typical errors exceed those it was made for by this factor; up to there it loses only
+#: 2e-6 of the pairs.
+MAX_SCALE_EXCESS = 1.25
+#: The gate is not widened for a tail, or for underestimated errors, when a record would have on average more chance
+#: candidates than this.
+MAX_CHANCE_TAIL, MAX_CHANCE_SCALE = 0.5, 8.0
+#: A tail with this gain in ln likelihood that is not yet significant is looked for in a wider gate. Then, and with a
+#: significant tail, a record may have this many chance candidates.
+SUSPECT_TAIL_GAIN, MAX_CHANCE_SUSPECTED = 1.0, 2.0
+#: The gate is widened by this factor to test for a tail that begins at its edge: after SUSPECT_TAIL_GAIN, or where
+#: SUSPECT_WIDE_SHARE of the pairs has errors above 1.4 typical ones.
+GATE_STEP = 1.5
+SUSPECT_WIDE_SHARE = 0.1
+TAIL_SEED = (3.375, 0.1)  # scale (in typical errors) and share of the tail that this test starts from
+#: Gain in ln likelihood for the test to accept the tail (fields without a tail, but with clusters, ghosts or blends: at
+#: most 0.4).
+MIN_TAIL_GAIN = 4.0
+N_MODEL_PAIRS = 3_000  # pairs from which the error model of the evidence is fitted
+#: Gain in ln likelihood for another error model, over the quoted errors, or of common objects over chance.
+MIN_GAIN_OF_GATE = 8.0
+MIN_SIGNIFICANCE = 4.0  # excess of close candidates over chance, in standard deviations, from which errors are fitted
+MAX_TREND_FITS = 3
+MIN_TREND_GAIN = 2.0
+MAX_RESOLUTION_FITS = 2
+#: Records plus twice the expected chance candidates above which interpreting the kernels takes longer than reading the
+#: compiled ones from the cache (measured with 200 to 2 000 records).
+MAX_INTERPRETED = 2_300.0
+
+
 @in_short
 @dataclass(frozen=True)
 class MatchTuning:
@@ -42,70 +78,30 @@ class MatchTuning:
 
     max_iterations : EM iterations after which no further error model is tried; its iterations are at most two thirds of
         these more.
-    min_outer_share : the gate is widened when this share of the expected true pairs lies beyond 0.7 of its radius
-        (4e-5 where errors are as quoted), and one pair more. max_negligible_chance : where a record would have fewer
-        chance candidates, half a pair of a tail suffices: its last pairs are otherwise certain to have no partner.
-    max_gate_sigmas : greatest radius of the gate.
-    max_scale_excess : the gate is widened when the typical errors exceed those it was made for by this factor; up to
-        there it loses only 2e-6 of the pairs.
-    max_chance_tail, max_chance_scale : the gate is not widened for a tail, or for underestimated errors, when a record
-        would have on average more chance candidates than this.
-    suspect_tail_gain, max_chance_suspected : a tail with this gain in ln likelihood that is not yet significant is
-        looked for in a wider gate. Then, and with a significant tail, a record may have this many chance candidates.
-    gate_step : the gate is widened by this factor to test for a tail that begins at its edge: after
-        ``suspect_tail_gain``, or where ``suspect_wide_share`` of the pairs has errors above 1.4 typical ones.
-    tail_seed : scale (in typical errors) and share of the tail that this test starts from.
-    min_tail_gain : gain in ln likelihood for the test to accept the tail (fields without a tail, but with clusters,
-        ghosts or blends: at most 0.4).
-    n_model_pairs : pairs from which the error model of the evidence is fitted.
-    min_gain : gain in ln likelihood for another error model, over the quoted errors, or of common objects over chance.
-    min_significance : excess of close candidates over chance, in standard deviations, from which errors are fitted.
     max_sample_error : a sample is rejected when the number of common objects differs from its prediction by more than
         this share and the statistical error.
-    fits_trends : whether growth of the errors is fitted, at most ``max_trend_fits`` times, while a further fit gains
-        ``min_trend_gain`` in ln likelihood.
+    fits_trends : whether growth of the errors is fitted, at most MAX_TREND_FITS times, while a further fit gains
+        MIN_TREND_GAIN in ln likelihood.
     fits_resolution : whether the resolution of a source that blends neighbours is fitted, at most
-        ``max_resolution_fits`` times.
+        MAX_RESOLUTION_FITS times.
     max_unrelated : from this share of pairs with unrelated magnitudes on, a note is given.
-    max_interpreted : records plus twice the expected chance candidates above which interpreting the kernels takes
-        longer than reading the compiled ones from the cache (measured with 200 to 2 000 records).
-    em : tuning of EM iterations. relations : of magnitudes. columns : of other columns. trends : of growing errors.
-    grid : of the scan of error models before any iteration. coverage : of cells, densities and holes. error_fit : of
-        factors, floors and tails. unresolved : of the resolution.
+    em : tuning of EM iterations.
+    columns : of other columns.
+    grid : of the scan of error models before any iteration.
+    coverage : of cells, densities and holes.
+    error_fit : of factors, floors and tails.
     """
 
     max_iterations: int = 30
-    min_outer_share: float = 6e-5
-    max_negligible_chance: float = 0.1
-    max_gate_sigmas: float = 400.0
-    max_scale_excess: float = 1.25
-    max_chance_tail: float = 0.5
-    max_chance_scale: float = 8.0
-    suspect_tail_gain: float = 1.0
-    max_chance_suspected: float = 2.0
-    gate_step: float = 1.5
-    suspect_wide_share: float = 0.1
-    tail_seed: tuple[float, float] = (3.375, 0.1)
-    min_tail_gain: float = 4.0
-    n_model_pairs: int = 3_000
-    min_gain: float = 8.0
-    min_significance: float = 4.0
     max_sample_error: float = 0.02
     fits_trends: bool = True
-    max_trend_fits: int = 3
-    min_trend_gain: float = 2.0
     fits_resolution: bool = True
-    max_resolution_fits: int = 2
     max_unrelated: float = 0.5
-    max_interpreted: float = 2_300.0
     em: EMTuning = DEFAULT_EM
-    relations: RelationTuning = DEFAULT_RELATIONS
     columns: ColumnsTuning = DEFAULT_COLUMNS
-    trends: TrendTuning = DEFAULT_TRENDS
     grid: GridTuning = DEFAULT_GRID
     coverage: CoverageTuning = DEFAULT_COVERAGE
     error_fit: ErrorFitTuning = DEFAULT_ERROR_FIT
-    unresolved: UnresolvedTuning = DEFAULT_UNRESOLVED
 
 
 DEFAULT_MATCH = MatchTuning()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, taken
 from sameas.estimate.cells import GridLevel, finest
-from sameas.estimate.coverage import Coverage
+from sameas.estimate.coverage import SHARED_PSEUDO_COUNT, Coverage
 from sameas.gate import Pairs
 from sameas.representation import in_short
 
@@ -73,7 +73,7 @@ class Setting:
         rows = np.arange(n1), np.arange(n2)
         return cls(
             pairs, rows, coverage.levels, coverage.covered, coverage.counted, (density_1, density_2),
-            coverage.tuning.shared_pseudo_count,
+            SHARED_PSEUDO_COUNT,
         )  # fmt: skip
 
     @property

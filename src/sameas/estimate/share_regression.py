@@ -27,61 +27,47 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
+COLUMN_FOLDS = 4  # number of folds for cross-fitting
+ROWS_PER_CELL = 5.0  # mean number of records of the poorer source in the cells that are assigned to folds, at least
+PER_KNOT, MAX_KNOTS = 40.0, 16  # expected partners per knot of a curve, and their greatest number, without KNOTS_OF_ALL
+KNOTS_OF_ALL = 6  # knots at quantiles of all records
+EXTREME = 0.003  # share of the partners beyond the outermost of their knots
+#: Prior scale of a curve's second differences, and prior standard deviation of its value.
+BEND_SIGMA, VALUE_SIGMA = 0.7, 6.0
+#: Degrees of freedom of Student's t, the prior of the second differences: a curve may break at a knot, such as at the
+#: limit of a catalogue.
+FREEDOM = 2.0
+JOINT_SIGMA = 0.5  # for cells of two columns
+MAX_WORDS = 24  # number of categories of a column, the most frequent ones
+CELLS = 4  # coarse cells of a column in a joint table
+PER_JOINT_CELL = 20.0  # expected partners per cell of such a table; with fewer it is not used
+MIN_P_COLUMNS = 1e-3  # records with this probability of a partner are sampled separately
+MAX_LIKELY = 6_000  # size of that sample
+MAX_LOG_RATIO = 12.0  # ln r is clipped to ± this
+MIN_PARTNERS = 30.0  # expected partners for any fit
+#: Pairs per cell of a table of related columns, and its greatest size per axis.
+ROWS_PER_RELATED_CELL, MAX_RELATED = 6.0, 16
+COLUMNS_PSEUDO_COUNT = 2.0  # pairs added to each cell, as if unrelated
+
+
 @dataclass(frozen=True)
 class ColumnsTuning:
     """Parameters of the fit; tuned on simulated counterparts of X-ray sources (``simulate.counterparts``).
 
-    folds : number of folds for cross-fitting.
-    per_cell : mean number of records of the poorer source in the cells that are assigned to folds, at least.
-    per_knot, max_knots : expected partners per knot of a curve, and their greatest number, without ``knots_of_all``.
-    knots_of_all : knots at quantiles of all records.
-    extreme : share of the partners beyond the outermost of their knots.
-    bend_sigma, value_sigma : prior scale of a curve's second differences, and prior standard deviation of its value.
-    freedom : degrees of freedom of Student's t, the prior of the second differences: a curve may break at a knot, such
-        as at the limit of a catalogue.
-    word_sigma : prior standard deviation of the value for a word or a missing value. joint_sigma : for cells of two
-        columns.
-    max_words : number of categories of a column, the most frequent ones.
-    cells : coarse cells of a column in a joint table. per_joint_cell : expected partners per cell of such a table; with
-        fewer it is not used.
-    max_unmatched : size of the sample of records without a partner. min_p : records with this probability of a partner
-        are sampled separately; max_likely : size of that sample.
+    word_sigma : prior standard deviation of the value for a word or a missing value.
+    max_unmatched : size of the sample of records without a partner.
     steps, first_steps, max_step, tolerance : Newton steps of later fits and the first one, greatest step, and the step
         at convergence.
-    max_log_ratio : ln r is clipped to ± this.
     min_gain : gain in ln likelihood, for records not fitted to, to use a column.
-    min_partners : expected partners for any fit.
-    per_related_cell, max_related : pairs per cell of a table of related columns, and its greatest size per axis.
-        pseudo_count : pairs added to each cell, as if unrelated.
     """
 
-    folds: int = 4
-    per_cell: float = 5.0
-    per_knot: float = 40.0
-    max_knots: int = 16
-    knots_of_all: int = 6
-    extreme: float = 0.003
-    bend_sigma: float = 0.7
-    freedom: float = 2.0
-    value_sigma: float = 6.0
     word_sigma: float = 2.0
-    joint_sigma: float = 0.5
-    max_words: int = 24
-    cells: int = 4
-    per_joint_cell: float = 20.0
     max_unmatched: int = 6_000
-    min_p: float = 1e-3
-    max_likely: int = 6_000
     steps: int = 4
     first_steps: int = 12
     max_step: float = 2.0
     tolerance: float = 0.02
-    max_log_ratio: float = 12.0
     min_gain: float = 3.0
-    min_partners: float = 30.0
-    per_related_cell: float = 6.0
-    max_related: int = 16
-    pseudo_count: float = 2.0
 
 
 DEFAULT_COLUMNS = ColumnsTuning()
@@ -117,24 +103,24 @@ class _Basis:
     edges: FloatArray
 
     @classmethod
-    def of(cls, column: CodedColumn, weight: FloatArray, partners: float, tuning: ColumnsTuning) -> _Basis:
+    def of(cls, column: CodedColumn, weight: FloatArray, partners: float) -> _Basis:
         """For a column, at records with these weights (n,) of having a partner."""
         known = np.isfinite(column.values)
         if column.words is not None:
             codes, count = np.unique(column.values[known], return_counts=True)
-            codes = np.sort(codes[np.argsort(-count, kind="stable")[: tuning.max_words]])
+            codes = np.sort(codes[np.argsort(-count, kind="stable")[:MAX_WORDS]])
             return cls(codes, True, codes)
         x, w = column.values[known], weight[known]
         if not len(x):
             return cls(np.zeros(1), False, np.empty(0))
-        number = int(np.clip(partners / tuning.per_knot, 2, tuning.max_knots))
-        levels = np.linspace(tuning.extreme, 1.0 - tuning.extreme, number)
+        number = int(np.clip(partners / PER_KNOT, 2, MAX_KNOTS))
+        levels = np.linspace(EXTREME, 1.0 - EXTREME, number)
         of_partners = quantiles(x, w, levels) if w.sum() > 0.0 else np.empty(0)
-        of_all = np.quantile(x, np.linspace(0.002, 0.998, tuning.knots_of_all))
+        of_all = np.quantile(x, np.linspace(0.002, 0.998, KNOTS_OF_ALL))
         knots = np.unique(np.concatenate([of_partners, of_all]))
         min_distance = 1e-3 * max(float(knots[-1] - knots[0]), 1e-12)
         knots = knots[np.append(True, np.diff(knots) > min_distance)]
-        inner = np.linspace(0.0, 1.0, tuning.cells + 1)[1:-1]
+        inner = np.linspace(0.0, 1.0, CELLS + 1)[1:-1]
         edges = np.unique(quantiles(x, w, inner)) if w.sum() > 0.0 else np.empty(0)
         return cls(knots, False, edges)
 
@@ -147,9 +133,9 @@ class _Basis:
         """(size, size) at coefficients (size,): the weight of a second difference falls with its size (Student's t)."""
         out, k = np.eye(self.size) / tuning.word_sigma**2, len(self.knots)
         if not self.words:
-            bends = np.diff(values[:k], n=2) / tuning.bend_sigma
-            weight = (tuning.freedom + 1.0) / (tuning.freedom + bends**2)
-            out[:k, :k] = roughness(k, tuning.bend_sigma, weight) + np.eye(k) / tuning.value_sigma**2
+            bends = np.diff(values[:k], n=2) / BEND_SIGMA
+            weight = (FREEDOM + 1.0) / (FREEDOM + bends**2)
+            out[:k, :k] = roughness(k, BEND_SIGMA, weight) + np.eye(k) / VALUE_SIGMA**2
         return out
 
     def design(self, values: FloatArray) -> FloatArray:
@@ -217,12 +203,12 @@ class _Bases:
     two: tuple[tuple[int, int], ...]
 
     @classmethod
-    def of(cls, columns: Sequence[CodedColumn], weight: FloatArray, partners: float, tuning: ColumnsTuning) -> _Bases:
-        single = tuple(_Basis.of(column, weight, partners, tuning) for column in columns)
+    def of(cls, columns: Sequence[CodedColumn], weight: FloatArray, partners: float) -> _Bases:
+        single = tuple(_Basis.of(column, weight, partners) for column in columns)
         two = [
             (a, b)
             for a, b in combinations(range(len(columns)), 2)
-            if single[a].cells * single[b].cells * tuning.per_joint_cell <= partners
+            if single[a].cells * single[b].cells * PER_JOINT_CELL <= partners
         ]
         return cls(single, (True,) * len(columns), tuple(two))
 
@@ -266,7 +252,7 @@ class _Bases:
             if used:
                 begin = sum(map(len, parts))
                 parts.append(basis.penalty(tuning, values[begin : begin + basis.size]))
-        parts += [np.eye(self.cells(a, b)) / tuning.joint_sigma**2 for a, b in self.two]
+        parts += [np.eye(self.cells(a, b)) / JOINT_SIGMA**2 for a, b in self.two]
         out, at = np.zeros((sum(map(len, parts)),) * 2), 0
         for part in parts:
             out[at : at + len(part), at : at + len(part)] = part
@@ -320,13 +306,13 @@ class ShareRegression:
         columns: Sequence[CodedColumn], tuning: ColumnsTuning,
     ) -> ShareRegression | None:  # fmt: skip
         """The regression; None with too few partners."""
-        likely = np.flatnonzero(covered & (partner >= tuning.min_p))
-        alone = np.flatnonzero(covered & (partner < tuning.min_p))
+        likely = np.flatnonzero(covered & (partner >= MIN_P_COLUMNS))
+        alone = np.flatnonzero(covered & (partner < MIN_P_COLUMNS))
         partners = float(partner[likely].sum())
-        if partners < tuning.min_partners:
+        if partners < MIN_PARTNERS:
             return None
         parts = []
-        for rows, enough in ((likely, tuning.max_likely), (alone, tuning.max_unmatched)):
+        for rows, enough in ((likely, MAX_LIKELY), (alone, tuning.max_unmatched)):
             step = max(1, -(-len(rows) // enough))
             kept = rows[::step]
             parts.append((kept, np.full(len(kept), len(rows) / max(len(kept), 1))))
@@ -334,7 +320,7 @@ class ShareRegression:
         some = tuple(column.take(rows) for column in columns)
         p = partner[rows]
         # The basis stays the same, so that a fit can start from the previous one.
-        bases = _Bases.of(some, p * weight, partners, tuning) if previous is None else previous.bases
+        bases = _Bases.of(some, p * weight, partners) if previous is None else previous.bases
         return cls(some, p, offset[rows], fold[rows], weight, bases, previous, tuning)
 
     def fit(self, bases: _Bases) -> ShareFit:
@@ -342,7 +328,7 @@ class ShareRegression:
         design = _sparse(bases.design(self.columns))
         resumed = self.previous is not None and self.previous.bases is bases
         values = self.previous.whole.copy() if resumed and self.previous else np.zeros(design.shape[1])
-        folds = [np.flatnonzero(self.fold == fold) for fold in range(self.tuning.folds)]
+        folds = [np.flatnonzero(self.fold == fold) for fold in range(COLUMN_FOLDS)]
         for _ in range(self.tuning.steps if resumed else self.tuning.first_steps):
             penalty = bases.penalty(self.tuning, values)
             slope, curvature = self._derivatives(design, values, slice(None))
@@ -363,7 +349,7 @@ class ShareRegression:
             values + np.linalg.solve(curvature - own + penalty, slope - own_slope - penalty @ values)
             for own_slope, own in parts
         ]
-        return ShareFit(bases, np.array(without), values, self.tuning.max_log_ratio)
+        return ShareFit(bases, np.array(without), values, MAX_LOG_RATIO)
 
     def _derivatives(
         self, design: csr_array, values: FloatArray, rows: IntArray | slice, *, certain: bool = False
@@ -386,7 +372,7 @@ class ShareRegression:
     def informative(self, source: int) -> tuple[ShareFit | None, list[ColumnFinding]]:
         """The fit with the informative columns, and the findings for all."""
         weight, findings = self.p * self.weight, []
-        bases = _Bases.of(self.columns, weight, float(weight.sum()), self.tuning)
+        bases = _Bases.of(self.columns, weight, float(weight.sum()))
         best = self.fit(bases)
         best_gain = self.gain(best)
         for pair in bases.two:
@@ -405,7 +391,7 @@ class ShareRegression:
 
     def _span(self, column: CodedColumn) -> tuple[float, float]:
         """The 1 % and 99 % quantiles of ln r by this column alone."""
-        bases = _Bases.of([column], self.p * self.weight, float((self.p * self.weight).sum()), self.tuning)
+        bases = _Bases.of([column], self.p * self.weight, float((self.p * self.weight).sum()))
         alone = replace(self, columns=(column,), bases=bases, previous=None)
         low, high = np.quantile(alone.fit(bases).log_ratio([column], self.fold), (0.01, 0.99))
         return float(low), float(high)
@@ -419,7 +405,7 @@ class ShareRegression:
         if fit.coefficients.shape[1] == 0:
             return 0.0
         r = np.expm1(fit.log_ratio(self.columns, self.fold))
-        q = np.where(self.p < self.tuning.min_p * 1e-3, 0.0, _probability(self.log_odds_without))
+        q = np.where(self.p < MIN_P_COLUMNS * 1e-3, 0.0, _probability(self.log_odds_without))
         return float((self.weight * (np.log1p(q * r) - np.log1p(_probability(self.offset) * r))).sum())
 
 

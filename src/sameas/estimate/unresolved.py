@@ -31,32 +31,17 @@ from sameas.gate import Pairs
 from sameas.gaussian import inverse
 from sameas.representation import in_short
 
-
-@dataclass(frozen=True)
-class UnresolvedTuning:
-    """Parameters of the search for a resolution; all chosen.
-
-    reach : maximum separation of two objects that are one record, in resolutions.
-    tried : resolutions, in typical errors of a pair.
-    shares : w of the brighter object, equally probable.
-    colour_mag : scatter of the objects' colours, by which the shares by the fine source's magnitudes are uncertain.
-    max_couples : maximum mean number of neighbours per candidate; denser fields are left as they are.
-    min_pairs : expected number of pairs from which a resolution is sought.
-    max_records : of the coarse source, from which the resolution is found.
-    min_gain : gain in ln likelihood over full resolution.
-    """
-
-    reach: float = 1.5
-    tried: tuple[float, ...] = (1.5, 1.9, 2.3, 2.9, 3.6, 4.5, 5.6, 7.0)
-    shares: tuple[float, ...] = (0.55, 0.65, 0.75, 0.85, 0.95)
-    colour_mag: float = 0.3
-    max_couples: float = 20.0
-    min_pairs: float = 200.0
-    max_records: int = 6_000
-    min_gain: float = 12.0
+# Parameters of the search for a resolution; all chosen.
+REACH = 1.5  # maximum separation of two objects that are one record, in resolutions
+TRIED = (1.5, 1.9, 2.3, 2.9, 3.6, 4.5, 5.6, 7.0)  # resolutions, in typical errors of a pair
+SHARES = (0.55, 0.65, 0.75, 0.85, 0.95)  # w of the brighter object, equally probable
+COLOUR_MAG = 0.3  # scatter of the objects' colours, by which the shares by the fine source's magnitudes are uncertain
+MAX_COUPLES = 20.0  # maximum mean number of neighbours per candidate; denser fields are left as they are
+MIN_RESOLVED_PAIRS = 200.0  # expected number of pairs from which a resolution is sought
+MAX_UNRESOLVED_RECORDS = 6_000  # of the coarse source, from which the resolution is found
+MIN_GAIN = 12.0  # gain in ln likelihood over full resolution
 
 
-DEFAULT_UNRESOLVED = UnresolvedTuning()
 #: Limit of ln of the ratio of two densities, so that sums do not overflow.
 MAX_LOG_RATIO = 50.0
 
@@ -113,9 +98,8 @@ class Unresolved:
 
     @classmethod
     def of(
-        cls, resolution: BlendResolution, setting: Setting, errors: Errors, magnitude: FloatArray | None,
-        tuning: UnresolvedTuning = DEFAULT_UNRESOLVED, every: int = 1,
-    ) -> Unresolved | None:  # fmt: skip
+        cls, resolution: BlendResolution, setting: Setting, errors: Errors, magnitude: FloatArray | None, every: int = 1
+    ) -> Unresolved | None:
         """The neighbours before any probabilities are known; None if there are too many.
 
         errors : whose model S measures distances. magnitude : (n,) of the fine source's records, NaN where unknown.
@@ -124,13 +108,13 @@ class Unresolved:
         pairs = errors.pairs(setting.pairs)
         fine, coarse = _sides(resolution, pairs)
         some = np.arange(len(pairs)) if every == 1 else np.flatnonzero(coarse % every == 0)
-        reach = tuning.reach * resolution.separation
+        reach = REACH * resolution.separation
         parts = [(some[a], some[b]) for a, b in _couples(pairs.residual[some], coarse[some], reach)]
-        if sum(len(one) for one, _ in parts) > tuning.max_couples * len(some):
+        if sum(len(one) for one, _ in parts) > MAX_COUPLES * len(some):
             return None
         pair, neighbour = (np.concatenate([part[k] for part in parts] or [np.empty(0, np.int64)]) for k in (0, 1))
         apart = pairs.residual[neighbour] - pairs.residual[pair]
-        precision, shares = inverse(pairs.covariance_of(pair)), np.array(tuning.shares)
+        precision, shares = inverse(pairs.covariance_of(pair)), np.array(SHARES)
         along = np.einsum("qv,qvw,qw->q", pairs.residual[pair], precision, apart)[:, None]
         between = np.einsum("qv,qvw,qw->q", apart, precision, apart)[:, None]
         even, odd = pairs.mahalanobis_sq[pair, None] + (1.0 - shares) ** 2 * between, 2.0 * (1.0 - shares) * along
@@ -138,7 +122,7 @@ class Unresolved:
         if magnitude is not None:
             fainter = magnitude[fine[neighbour]] - magnitude[fine[pair]]
             known = np.isfinite(fainter)
-            by_share = _share_weights(fainter[known], shares, tuning.colour_mag)
+            by_share = _share_weights(fainter[known], shares, COLOUR_MAG)
             brighter[known] = by_share.sum(axis=1)
             weight[known] = by_share / np.maximum(brighter[known], 1e-9)[:, None]
         none, all_single = np.zeros(len(pairs)), np.ones(len(pairs))
@@ -234,22 +218,20 @@ def _couples(residual: FloatArray, coarse: NDArray[np.int32], most: float) -> It
         yield two, one
 
 
-def best_resolution(
-    gain: Callable[[BlendResolution], float], unit: float, tuning: UnresolvedTuning
-) -> BlendResolution | None:
+def best_resolution(gain: Callable[[BlendResolution], float], unit: float) -> BlendResolution | None:
     """The resolution of greatest gain in ln likelihood; None if both sources resolve all their neighbours.
 
     gain : of a resolution. unit : typical error of a pair.
     """
-    best, most = None, tuning.min_gain
+    best, most = None, MIN_GAIN
     for coarse in (0, 1):
         gains: list[float] = []
-        for multiple in tuning.tried:
+        for multiple in TRIED:
             gains.append(gain(BlendResolution(coarse, multiple * unit)))
-            if gains[-1] < max(gains) - 2.0 * tuning.min_gain:
+            if gains[-1] < max(gains) - 2.0 * MIN_GAIN:
                 break
         at = int(np.argmax(gains))
         # A gain that grows up to the largest resolution is one of a tail of the errors.
         if at < len(gains) - 1 and gains[at] > most:
-            best, most = BlendResolution(coarse, tuning.tried[at] * unit), gains[at]
+            best, most = BlendResolution(coarse, TRIED[at] * unit), gains[at]
     return best

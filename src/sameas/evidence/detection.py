@@ -7,7 +7,7 @@ P_d(m) of METHOD 3.4, and the share of source 1 without a partner gives β(m).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -16,45 +16,25 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.representation import in_short
 
-
-@dataclass(frozen=True)
-class ShareTuning:
-    """Parameters of the fitted and of the reported share by magnitude, all chosen.
-
-    sorted_values : quantiles are taken from about this many values of a longer list: sufficient for knots.
-    per_knot, max_knots : records per knot of the curve, and greatest number of knots.
-    bend, sigma : prior standard deviations of the curve's logit: of its second differences between knots, and of its
-        value.
-    first_steps, steps : number of Newton steps in the first fit, and in later ones. max_step, tolerance : their
-        greatest length in logit, and the length at convergence.
-    min_share : shares are clipped to this … 1 − this.
-    min_in_bin, widths_mag, max_bins : of the reported curve: least number of records in a bin, widths of bins, and
-        greatest number of bins.
-    """
-
-    sorted_values: int = 500
-    per_knot: float = 100.0
-    max_knots: int = 24
-    bend: float = 1.0
-    sigma: float = 6.0
-    first_steps: int = 8
-    steps: int = 2
-    max_step: float = 2.0
-    tolerance: float = 0.05
-    min_share: float = 1e-6
-    min_in_bin: int = 30
-    widths_mag: tuple[float, ...] = (0.1, 0.2, 0.25, 0.5, 1.0, 2.0)
-    max_bins: int = 24
-
-
-DEFAULT_SHARES = ShareTuning()
+# Parameters of the fitted and of the reported share by magnitude, all chosen.
+SORTED_VALUES = 500  # quantiles are taken from about this many values of a longer list: sufficient for knots
+PER_KNOT, MAX_KNOTS = 100.0, 24  # records per knot of the curve, and greatest number of knots
+#: Prior standard deviations of the curve's logit: of its second differences between knots, and of its value.
+BEND, SIGMA = 1.0, 6.0
+FIRST_STEPS, STEPS = 8, 2  # number of Newton steps in the first fit, and in later ones
+MAX_STEP, TOLERANCE = 2.0, 0.05  # their greatest length in logit, and the length at convergence
+MIN_SHARE = 1e-6  # shares are clipped to this … 1 − this
+#: Of the reported curve: least number of records in a bin, widths of bins, and greatest number of bins.
+MIN_IN_BIN = 30
+WIDTHS_MAG = (0.1, 0.2, 0.25, 0.5, 1.0, 2.0)
+MAX_BINS = 24
 
 
 # Piecewise linear curves of a magnitude: their basis, and the sums for fitting them.
 
 
 def knots_of(
-    x: FloatArray, weights: FloatArray, per_knot: float, most: int, sorted_values: int = DEFAULT_SHARES.sorted_values
+    x: FloatArray, weights: FloatArray, per_knot: float, most: int, sorted_values: int = SORTED_VALUES
 ) -> FloatArray:
     """(k,) increasing knots at quantiles of ``x``: one per about ``per_knot`` of the weight, at most ``most``.
 
@@ -132,16 +112,9 @@ class DetectionCurve:
     density_error: FloatArray
 
     @classmethod
-    def of(
-        cls,
-        band: str,
-        magnitude: FloatArray,
-        p_partner: FloatArray,
-        volume: float,
-        tuning: ShareTuning = DEFAULT_SHARES,
-    ) -> DetectionCurve:
+    def of(cls, band: str, magnitude: FloatArray, p_partner: FloatArray, volume: float) -> DetectionCurve:
         """From finite magnitudes (n,) with the probabilities of a partner, in a volume of feature space."""
-        edges = _edges(magnitude, tuning)
+        edges = _edges(magnitude)
         bins = len(edges) - 1
         at = np.clip(np.searchsorted(edges, magnitude, side="right") - 1, 0, bins - 1)
         number = np.bincount(at, minlength=bins).astype(np.float64)
@@ -173,15 +146,15 @@ def share_error(number: FloatArray, matched: FloatArray, variance: FloatArray) -
     return np.sqrt(binomial / (1.0 - missing))
 
 
-def _edges(magnitude: FloatArray, tuning: ShareTuning) -> FloatArray:
+def _edges(magnitude: FloatArray) -> FloatArray:
     """Edges of equal bins of a round width; sparse bins at both ends are merged."""
     low, high = float(magnitude.min()), float(magnitude.max())
-    width = next((w for w in tuning.widths_mag if (high - low) / w <= tuning.max_bins), (high - low) / tuning.max_bins)
+    width = next((w for w in WIDTHS_MAG if (high - low) / w <= MAX_BINS), (high - low) / MAX_BINS)
     edges = width * np.arange(np.floor(low / width), np.floor(high / width) + 2)
     count = np.bincount(((magnitude - edges[0]) / width).astype(np.int64), minlength=len(edges) - 1)[: len(edges) - 1]
     below, above = np.cumsum(count), np.cumsum(count[::-1])
-    begin = int(np.searchsorted(below, tuning.min_in_bin))
-    end = len(count) - int(np.searchsorted(above, tuning.min_in_bin))
+    begin = int(np.searchsorted(below, MIN_IN_BIN))
+    end = len(count) - int(np.searchsorted(above, MIN_IN_BIN))
     return edges[[0, -1]] if end <= begin + 1 else np.concatenate([edges[:1], edges[begin + 1 : end], edges[-1:]])
 
 
@@ -192,7 +165,6 @@ class ShareCurve:
 
     knots: FloatArray
     values: FloatArray
-    tuning: ShareTuning = field(default=DEFAULT_SHARES, repr=False)
 
     @classmethod
     def fit(
@@ -201,26 +173,25 @@ class ShareCurve:
         share: FloatArray,
         p_partner: FloatArray,
         start: ShareCurve | None = None,
-        tuning: ShareTuning = DEFAULT_SHARES,
     ) -> ShareCurve:
         """The curve of greatest penalised likelihood, from magnitudes (n,), shares at the records' positions, and the
         probabilities of a partner; a few steps from ``start`` if given."""
         if start is None:
             # Records with and without a partner in equal parts; with a share of one half, every record counts as one.
-            mean = min(max(float(p_partner.mean()), tuning.min_share), 1.0 - tuning.min_share)
+            mean = min(max(float(p_partner.mean()), MIN_SHARE), 1.0 - MIN_SHARE)
             weights = 2.0 * ((1.0 - mean) * p_partner + mean * (1.0 - p_partner))
-            knots = knots_of(magnitude, weights, tuning.per_knot, tuning.max_knots, len(magnitude))
-            start = cls(knots, np.zeros(len(knots)), tuning)
+            knots = knots_of(magnitude, weights, PER_KNOT, MAX_KNOTS, len(magnitude))
+            start = cls(knots, np.zeros(len(knots)))
         from sameas.kernels.relation import climb
 
         values, k = start.values.copy(), len(start.knots)
-        steps = tuning.steps if values.any() else tuning.first_steps
+        steps = STEPS if values.any() else FIRST_STEPS
         climb(
-            magnitude, logit(share, tuning.min_share), p_partner, start.knots,
-            _penalty(k, tuning.bend, tuning.sigma), values,
-            steps, tuning.max_step, tuning.tolerance,
+            magnitude, logit(share, MIN_SHARE), p_partner, start.knots,
+            _penalty(k, BEND, SIGMA), values,
+            steps, MAX_STEP, TOLERANCE,
         )  # fmt: skip
-        return cls(start.knots, values, tuning)
+        return cls(start.knots, values)
 
     def logit(self, magnitude: FloatArray) -> FloatArray:
         """(n,) the addition to the logit at magnitudes (n,); 0 where NaN."""
@@ -238,7 +209,7 @@ class ShareCurve:
 
         terms = np.zeros(len(magnitude))
         rows = np.arange(len(magnitude)) if rows is None else rows
-        weigh(magnitude, share, rows, self.tuning.min_share, self.knots, self.values, terms)
+        weigh(magnitude, share, rows, MIN_SHARE, self.knots, self.values, terms)
         return terms
 
 
@@ -248,7 +219,7 @@ def _penalty(k: int, bend: float, sigma: float) -> FloatArray:
     return np.asarray(roughness(k, bend) + np.eye(k) / sigma**2)
 
 
-def logit(share: FloatArray, min_share: float = DEFAULT_SHARES.min_share) -> FloatArray:
-    """ln s / (1 − s), for shares clipped to ``min_share`` … 1 − ``min_share``."""
+def logit(share: FloatArray, min_share: float = MIN_SHARE) -> FloatArray:
+    """ln s / (1 − s), for shares clipped to MIN_SHARE … 1 − MIN_SHARE."""
     share = np.clip(share, min_share, 1.0 - min_share)
     return np.log(share) - np.log1p(-share)

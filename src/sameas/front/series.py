@@ -20,7 +20,7 @@ from sameas.front.provenance import program
 from sameas.io import read_table, write_table
 from sameas.io.atomic import filling
 from sameas.sky.frame.image import Frame
-from sameas.sky.series import DEFAULT_SERIES, Exposure, Series, SeriesTuning, tie
+from sameas.sky.series import DEFAULT_SERIES, MIN_OVERLAP, Exposure, Series, SeriesTuning, tie
 
 #: Extensions of frames in a folder, without that of a compression.
 ENDINGS = (".fits", ".fit", ".fts")
@@ -129,7 +129,7 @@ def series_of(
         except InputError as error:
             reasons.append(str(error))
     found = []
-    for group in _fields(kept, by_filter, tuning.overlap):
+    for group in _fields(kept, by_filter, MIN_OVERLAP):
         if len(group) < 2:
             reasons.append(f"{group[0][1].name}: the only frame of its field and filter; no series")
             continue

@@ -18,7 +18,17 @@ from sameas.estimate.sample import Sampling
 from sameas.evidence import Related
 from sameas.partitions import healpix
 from sameas.partitions.hats import OWN, Cell, HatsCatalogue
-from sameas.partitions.part import DEFAULT_PART, Counted, PartTuning, Side, Work, brightness, table_of, without_rows
+from sameas.partitions.part import (
+    COMPETING,
+    DEFAULT_PART,
+    Counted,
+    PartTuning,
+    Side,
+    Work,
+    brightness,
+    table_of,
+    without_rows,
+)
 from sameas.partitions.workers import Workers, store, stored_work
 from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
@@ -33,38 +43,33 @@ if TYPE_CHECKING:
 Progress = Callable[[str], None]
 
 
+COLUMN_ROWS, COLUMN_PARTITIONS = 20_000, 3  # rows of each partition, and partitions, from which columns are recognised
+#: A record is *far* if its motion or error reach exceeds the larger of FAR_ARCSEC and FAR_SIGMAS median errors; far
+#: records are read for every part.
+FAR_ARCSEC, FAR_SIGMAS = 10.0, 40.0
+#: Number and size of runs of rows consecutive on the sky, from which a catalogue's density and median error are
+#: measured. Their choice does not depend on the partitions.
+CHUNKS, CHUNK_ROWS = 16, 4_000
+#: In the finest cells of the counts, the mean number of records in a record's cell, in the densest chunk.
+RECORDS_PER_CELL = 8.0
+MARGIN_GATES = 8.0  # margin of the sample, in gates of the width expected from the quoted errors
+#: The first halo of a part, and one that is wide enough for nearly all parts, span the groups that hold this share of
+#: the sample's pairs.
+HALO_SHARE, MARGIN_SHARE = 0.8, 0.9999
+MIN_HALO_ARCSEC = 1.0  # lower limit of both
+#: Catalogues of at most this many rows are counted without workers, each of which takes a CPU second to start.
+MAX_ROWS_IN_PROCESS = 3_000_000
+#: Size of the sample. Noqa: RUF009.
+SAMPLING = Sampling()
+
+
 @dataclass(frozen=True)
 class RunTuning:
     """Numbers of a run, all chosen.
 
-    column_rows, column_partitions : rows of each partition, and partitions, from which columns are recognised.
-    far_arcsec, far_sigmas : a record is *far* if its motion or error reach exceeds the larger of far_arcsec and
-        far_sigmas median errors; far records are read for every part.
-    chunks, chunk_rows : number and size of runs of rows consecutive on the sky, from which a catalogue's density and
-        median error are measured. Their choice does not depend on the partitions.
-    records_per_cell : in the finest cells of the counts, the mean number of records in a record's cell, in the densest
-        chunk.
-    margin_gates : margin of the sample, in gates of the width expected from the quoted errors.
-    halo_share, margin_share : the first halo of a part, and one that is wide enough for nearly all parts, span the
-        groups that hold this share of the sample's pairs. min_halo_arcsec : lower limit of both.
-    max_rows_in_process : catalogues of at most this many rows are counted without workers, each of which takes a CPU
-        second to start.
-    sampling : size of the sample. part : of every part.
+    part : of every part.
     """
 
-    column_rows: int = 20_000
-    column_partitions: int = 3
-    far_arcsec: float = 10.0
-    far_sigmas: float = 40.0
-    chunks: int = 16
-    chunk_rows: int = 4_000
-    records_per_cell: float = 8.0
-    margin_gates: float = 8.0
-    halo_share: float = 0.8
-    margin_share: float = 0.9999
-    min_halo_arcsec: float = 1.0
-    max_rows_in_process: int = 3_000_000
-    sampling: Sampling = Sampling()  # noqa: RUF009
     part: PartTuning = DEFAULT_PART
 
 
@@ -129,7 +134,7 @@ def estimate(
     """
     _refuse_unsupported(options, columns)
     progress("columns")
-    samples = tuple(_first_rows(one, chosen, tuning) for one, chosen in zip(stored, columns, strict=True))
+    samples = tuple(_first_rows(one, chosen) for one, chosen in zip(stored, columns, strict=True))
     columns_of(samples[0], samples[1], options.evidence)  # refuses columns that do not exist
     # Unknown errors are completed later, from the sample where both overlap.
     epochs, assumed_epochs = with_known_epochs(samples, options.epoch_jyr)
@@ -138,22 +143,22 @@ def estimate(
     work = Work(
         (bare[0], bare[1]), options.magnitudes, tuple(options.evidence), join, nway_columns, np.inf, tuning=tuning.part
     )
-    chunks = [_Chunks.of(side, work.columns(k), tuning) for k, side in enumerate(bare, 1)]
+    chunks = [_Chunks.of(side, work.columns(k)) for k, side in enumerate(bare, 1)]
     order = max(one.order for one in chunks)
-    far = max(tuning.far_arcsec, tuning.far_sigmas * max(one.sigma_arcsec for one in chunks))
+    far = max(FAR_ARCSEC, FAR_SIGMAS * max(one.sigma_arcsec for one in chunks))
     sigma = math.hypot(*(one.sigma_arcsec for one in chunks)) or 1.0
     work = replace(work, sides=tuple(replace(side, cell_order=order) for side in bare), far_arcsec=far)  # type: ignore[arg-type]
-    counted = _count_all(work, scratch, workers, tuning, progress)
+    counted = _count_all(work, scratch, workers, progress)
     work = replace(work, sides=tuple(_with_far(s, counted[k]) for k, s in enumerate(work.sides)))  # type: ignore[arg-type]
     rows = tuple(sum(one.rows for one in side) for side in counted)
     progress("sample")
     counts = CellCounts.sum([one.counts for side in counted for one in side])
     del counted
     places = Places.of(counts, healpix.area_arcsec2(order))
-    sampled, learned, assumed = _learn_from_sample(work, sigma, places, counts, options, tuning, progress)
+    sampled, learned, assumed = _learn_from_sample(work, sigma, places, counts, options, progress)
     final = tuple(replace(s, catalogue=without_rows(c)) for s, c in zip(work.sides, sampled, strict=True))
     work = replace(work, sides=(final[0], final[1]), learned=learned)
-    halo, margin = _halos(work, tuning)
+    halo, margin = _halos(work)
     work = replace(work, halo_arcsec=halo, margin_arcsec=margin)
     assert learned.estimate is not None
     doubts = *assumed_epochs, *left_behind_doubt(epochs[0], epochs[1], options.epoch_jyr)
@@ -174,19 +179,19 @@ def _refuse_unsupported(options: MatchOptions, columns: tuple[CatalogueOptions, 
         raise InputError(typical, "give every row an error")
 
 
-def _first_rows(stored: HatsCatalogue, options: CatalogueOptions, tuning: RunTuning) -> Catalogue:
+def _first_rows(stored: HatsCatalogue, options: CatalogueOptions) -> Catalogue:
     """The first rows of some partitions, with columns recognised."""
     import pyarrow as pa
     from astropy.table import Table, vstack
     from pyarrow import parquet
 
     tables = []
-    for k in sorted({int(k) for k in np.linspace(0, len(stored.cells) - 1, tuning.column_partitions)}):
+    for k in sorted({int(k) for k in np.linspace(0, len(stored.cells) - 1, COLUMN_PARTITIONS)}):
         cell = stored.cells[k]
         for file in stored._files(cell)[:1]:
             try:
                 with parquet.ParquetFile(file) as opened:
-                    batch = next(opened.iter_batches(batch_size=tuning.column_rows, use_threads=False), None)
+                    batch = next(opened.iter_batches(batch_size=COLUMN_ROWS, use_threads=False), None)
             except MemoryError:
                 raise
             except Exception as error:  # Arrow raises many types on damaged files
@@ -215,9 +220,9 @@ class _Chunks:
     sigma_arcsec: float
 
     @classmethod
-    def of(cls, side: Side, columns: list[str], tuning: RunTuning) -> _Chunks:
-        chunks = [side.rows(table) for table in side.stored.chunks(tuning.chunks, tuning.chunk_rows, columns)]
-        order = max(_order_of(np.sort(chunk.stored), tuning.records_per_cell) for chunk in chunks)
+    def of(cls, side: Side, columns: list[str]) -> _Chunks:
+        chunks = [side.rows(table) for table in side.stored.chunks(CHUNKS, CHUNK_ROWS, columns)]
+        order = max(_order_of(np.sort(chunk.stored), RECORDS_PER_CELL) for chunk in chunks)
         if side.catalogue.error_is_unknown:
             return cls(order, 0.0)
         sigma = np.concatenate([chunk.sigma_arcsec for chunk in chunks])
@@ -235,15 +240,13 @@ def _order_of(stored: IntArray, records_per_cell: float) -> int:
     return 24
 
 
-def _count_all(
-    work: Work, scratch: Path, workers: Workers, tuning: RunTuning, progress: Progress
-) -> tuple[list[Counted], list[Counted]]:
+def _count_all(work: Work, scratch: Path, workers: Workers, progress: Progress) -> tuple[list[Counted], list[Counted]]:
     """The counts of every partition of both catalogues, in parallel."""
     store(work, scratch)
     tasks = [(side, cell) for side in (1, 2) for cell in work.sides[side - 1].stored.cells]
     by_task: dict[tuple[int, Cell], Counted] = {}
     rows = sum(int(side.stored.partition_rows.sum()) for side in work.sides)
-    few = workers.executor is None and rows <= tuning.max_rows_in_process
+    few = workers.executor is None and rows <= MAX_ROWS_IN_PROCESS
     with workers.alone() if few else workers as pool:
         for n, (task, counted) in enumerate(pool.each(count_partition, str(scratch), tasks), 1):
             by_task[task] = counted
@@ -268,21 +271,15 @@ def _with_far(side: Side, counted: Sequence[Counted]) -> Side:
 
 
 def _learn_from_sample(
-    work: Work,
-    sigma: float,
-    places: Places,
-    counts: CellCounts,
-    options: MatchOptions,
-    tuning: RunTuning,
-    progress: Progress,
+    work: Work, sigma: float, places: Places, counts: CellCounts, options: MatchOptions, progress: Progress
 ) -> tuple[list[Catalogue], Learned, tuple[str, ...]]:
     """The sample's catalogues with errors and epochs completed, the estimates, and doubts on what was assumed.
 
     sigma : median error of a residual, arcsec.
     """
-    steps, cells = drawn(counts, tuning.sampling)
+    steps, cells = drawn(counts, SAMPLING)
     order = work.sides[0].cell_order - steps
-    margin = tuning.margin_gates * 6.4 * sigma + 2.0 * _motion(work)
+    margin = MARGIN_GATES * 6.4 * sigma + 2.0 * _motion(work)
     fine = max(min(healpix.order_of_width(margin), 24), order)
     around = healpix.ring(cells, order, fine) if healpix.width_arcsec(fine) >= margin or fine > order else cells
     stretch = healpix.joined(np.concatenate([healpix.stretches(cells, order), healpix.stretches(around, fine)]))
@@ -313,7 +310,7 @@ def _motion(work: Work) -> float:
     )
 
 
-def _halos(work: Work, tuning: RunTuning) -> tuple[float, float]:
+def _halos(work: Work) -> tuple[float, float]:
     """Width, arcsec, of the first halo of a part, and of one that is wide enough for nearly all parts: the extent of
     the sample's groups, a gate on either side, and the motion of records."""
     from sameas.groups import laid_out
@@ -321,7 +318,7 @@ def _halos(work: Work, tuning: RunTuning) -> tuple[float, float]:
     assert work.learned is not None and work.learned.estimate is not None
     answer, learned = work.learned.estimate.answer, work.learned
     pairs = answer.pairs
-    kept = np.flatnonzero(answer.evidence.log_ratio > work.tuning.competing)
+    kept = np.flatnonzero(answer.evidence.log_ratio > COMPETING)
     sigma = [np.sqrt(r.variances.max(axis=1)) for r in learned.start.records(pairs.first, pairs.second)]
     reach = learned.gate_sigmas * math.hypot(*(float(np.quantile(s, 0.999)) for s in sigma))
     extents = np.zeros(1)
@@ -334,9 +331,9 @@ def _halos(work: Work, tuning: RunTuning) -> tuple[float, float]:
 
     def width(share: float) -> float:
         extent = float(np.quantile(extents, share))
-        return max(min(extent, 32.0 * reach) + 2.0 * reach, tuning.min_halo_arcsec) + _motion(work)
+        return max(min(extent, 32.0 * reach) + 2.0 * reach, MIN_HALO_ARCSEC) + _motion(work)
 
-    return width(tuning.halo_share), width(tuning.margin_share)
+    return width(HALO_SHARE), width(MARGIN_SHARE)
 
 
 def _group_extents(group: IntArray, n: int, lon: FloatArray, lat: FloatArray) -> FloatArray:

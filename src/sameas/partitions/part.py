@@ -43,31 +43,29 @@ if TYPE_CHECKING:
     from astropy.table import Table
 
 
+#: Only pairs of larger log odds extend a group, since others are never chosen. The effect of the others on
+#: probabilities falls off within one or two gates: halos of 32″ and of 129″ gave the same to 1e-11 at λ 2.
+COMPETING = 0.0
+CERTAIN_ARCSEC = 1000.0  # the widest halo
+#: Probabilities of records are summed over their groups and the groups of their candidates, of the candidates'
+#: candidates, and so on, this many times; twice as many where the method of summing may depend on records farther out.
+#: With 2, 3 and 6 steps they differ from those of a whole field by 6e-8, 7e-10 and 7e-10 at λ 2.
+STEPS = 3
+#: Approximate candidates of the records whose probabilities are summed at once; 250 bytes for each of them and of those
+#: around them.
+AT_ONCE = 450_000
+MAX_SHARE = 0.8  # if a sum needs more than this share of all records, it takes all of them
+FINER = 3  # orders by which the cells along the halo's edge are finer than cells of the halo's width
+
+
 @dataclass(frozen=True)
 class PartTuning:
     """Numbers of the halo of a part and of the sums over its groups.
 
-    competing : only pairs of larger log odds extend a group, since others are never chosen. The effect
-        of the others on probabilities falls off within one or two gates: halos of 32″ and of 129″ gave the same to
-        1e-11 at λ 2.
-    certain_arcsec : the widest halo.
-    steps : probabilities of records are summed over their groups and the groups of their candidates, of the candidates'
-        candidates, and so on, this many times; twice as many where the method of summing may depend on records farther
-        out. With 2, 3 and 6 steps they differ from those of a whole field by 6e-8, 7e-10 and 7e-10 at λ 2.
-    at_once : approximate candidates of the records whose probabilities are summed at once; 250 bytes for each of them
-        and of those around them.
     counted_at_once : rows of a partition that are counted at once; about 200 bytes each.
-    max_share : if a sum needs more than this share of all records, it takes all of them.
-    finer : orders by which the cells along the halo's edge are finer than cells of the halo's width.
     """
 
-    competing: float = 0.0
-    certain_arcsec: float = 1000.0
-    steps: int = 3
-    at_once: int = 450_000
     counted_at_once: int = 200_000
-    max_share: float = 0.8
-    finer: int = 3
 
 
 DEFAULT_PART = PartTuning()
@@ -253,7 +251,7 @@ class Work:
         patch = Patch(cells[0].order, np.array([cell.number for cell in cells]))
         parts = [self.decide_patch(patch, self.halo_arcsec)]
         order = max(patch.order, self.sides[0].cell_order)
-        while parts[-1].n_doubtful and parts[-1].halo_arcsec < self.tuning.certain_arcsec:
+        while parts[-1].n_doubtful and parts[-1].halo_arcsec < CERTAIN_ARCSEC:
             previous = parts.pop()
             doubtful_patch = Patch(order, previous.doubtful_cells(order))
             parts += [previous.without(doubtful_patch), self.decide_patch(doubtful_patch, 2.0 * previous.halo_arcsec)]
@@ -261,7 +259,7 @@ class Work:
 
     def decide_patch(self, patch: Patch, halo_arcsec: float) -> DecidedPart:
         """The cells of a patch decided with a halo of at least this width."""
-        halo = Halo.around(patch, halo_arcsec, self.tuning.finer)
+        halo = Halo.around(patch, halo_arcsec, FINER)
         disc = halo.disc()
         one, two = (self.read(side, halo.stretch, disc) for side in (1, 2))
         pairs, rule = self._evidence(one, two)
@@ -269,7 +267,7 @@ class Work:
         log_ratio = evidence.log_ratio
         stored = (healpix.within(patch.stretch, one.stored), healpix.within(patch.stretch, two.stored))
         own = stored[0][one.records.rows], stored[1][two.records.rows]
-        competing = Competing.of(pairs, log_ratio, self.tuning.competing)
+        competing = Competing.of(pairs, log_ratio, COMPETING)
         edge = self._edge(one, two, halo)
         grouped = groups(pairs)
         best = assign(grouped, log_ratio, EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
@@ -305,7 +303,7 @@ class Work:
     def _blocks(self, pairs: Pairs, own: Both, one: Rows, two: Rows) -> Iterator[Both]:
         """The part's own records in stretches of the sky with about ``at_once`` candidates each."""
         stored = [rows.stored[rows.records.rows] for rows in (one, two)]
-        number = math.ceil(np.count_nonzero(own[0][pairs.i]) / self.tuning.at_once)
+        number = math.ceil(np.count_nonzero(own[0][pairs.i]) / AT_ONCE)
         if number <= 1:
             yield own
             return
@@ -324,10 +322,10 @@ class Work:
         change a probability by less than rounding, except that whether a component is summed exactly depends on all of
         it: where a component continues outside the records taken, more are taken around it.
         """
-        steps, n_records = self.tuning.steps, len(wanted[0]) + len(wanted[1])
+        steps, n_records = STEPS, len(wanted[0]) + len(wanted[1])
         while True:
             near = competing.extended(wanted, steps)
-            if sum(map(np.count_nonzero, near)) > self.tuning.max_share * n_records:
+            if sum(map(np.count_nonzero, near)) > MAX_SHARE * n_records:
                 near = np.ones_like(near[0]), np.ones_like(near[1])
             of_1, of_2 = near[0][pairs.i], near[1][pairs.j]
             kept, severed = np.flatnonzero(of_1 & of_2), np.flatnonzero(of_1 != of_2)
@@ -352,7 +350,7 @@ class Work:
     def _edge(self, one: Rows, two: Rows, halo: Halo) -> Both:
         """Whether records outside the halo may be candidates of a record."""
         assert self.learned is not None
-        tuning, learned = self.tuning, self.learned
+        learned = self.learned
         sigmas = [np.sqrt(records.variances.max(axis=1))
                   for records in learned.start.records(one.records, two.records)]  # fmt: skip
         max_sigma = [float(np.quantile(sigma, 0.999)) if len(sigma) else 0.0 for sigma in sigmas]
@@ -360,7 +358,7 @@ class Work:
 
         def at_edge(rows: Rows, sigma_arcsec: FloatArray, other: float) -> BoolArray:
             inside = healpix.within(halo.own, rows.stored[rows.records.rows])
-            reach = np.minimum(learned.gate_sigmas * np.hypot(sigma_arcsec, other), tuning.certain_arcsec)
+            reach = np.minimum(learned.gate_sigmas * np.hypot(sigma_arcsec, other), CERTAIN_ARCSEC)
             near = np.zeros(len(reach), np.bool_)
             # A record of the patch that has hardly moved is farther from the edge than the halo's width.
             tested = np.flatnonzero(~inside | (reach + moved + rows.moved_arcsec > halo.width_arcsec))

@@ -23,33 +23,25 @@ from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import GUESSED, ChosenColumn, PositionError
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
+USUAL_ARCSEC, SPREAD_LOG = 0.3, 2.0  # median of the prior of s, and standard deviation of its natural logarithm
+MIN_ARCSEC, LARGEST_ARCSEC = 1e-3, 60.0  # range of the grid of s
+STEPS, SHARE_STEPS = 80, 16  # grid points of s and of f
+NEIGHBOURS = 6  # the local density is taken from the distance to the neighbour of this rank
+COPIED_ARCSEC = 1e-6  # the catalogues are copies if the median nearest-neighbour distance is at most this
+MAX_RECORDS = 4000  # maximum number of records used, evenly sampled
+#: All distances are computed if they are at most this many, which takes less time than to import a k-d tree.
+MAX_PRODUCTS = 4_000_000
+
 
 @dataclass(frozen=True)
 class CommonErrorTuning:
     """How a common position error is estimated; all chosen.
 
-    usual_arcsec, spread_log : median of the prior of s, and standard deviation of its natural logarithm.
-    min_arcsec, largest_arcsec : range of the grid of s. steps, share_steps : grid points of s and of f.
-    neighbours : the local density is taken from the distance to the neighbour of this rank.
-    copied_arcsec : the catalogues are copies if the median nearest-neighbour distance is at most this.
-    max_records : maximum number of records used, evenly sampled.
     max_rows, strips : larger catalogues are reduced to about ``max_rows`` rows, in this many strips of declination.
-    max_products : all distances are computed if they are at most this many, which takes less time than to import a k-d
-        tree.
     """
 
-    usual_arcsec: float = 0.3
-    spread_log: float = 2.0
-    min_arcsec: float = 1e-3
-    largest_arcsec: float = 60.0
-    steps: int = 80
-    share_steps: int = 16
-    neighbours: int = 6
-    copied_arcsec: float = 1e-6
-    max_records: int = 4000
     max_rows: int = 40_000
     strips: int = 2
-    max_products: int = 4_000_000
 
 
 COMMON_ERROR = CommonErrorTuning()
@@ -166,21 +158,21 @@ def common_error(
     """
     position, variances = _positions(*in_strips(catalogue, other, tuning), shared)
     if not len(position[0]) or not len(position[1]):
-        return tuning.usual_arcsec, 0.0
+        return USUAL_ARCSEC, 0.0
     # Start from the smaller catalogue: hardly any records of a deep one have a partner in a sparse one.
     if len(position[1]) < len(position[0]):
-        distance, density, row, partner_row = _neighbours(position[1], position[0], tuning)
+        distance, density, row, partner_row = _neighbours(position[1], position[0])
     else:
-        distance, density, partner_row, row = _neighbours(*position, tuning)
-    if np.median(distance) <= tuning.copied_arcsec:
-        return tuning.usual_arcsec, 0.0
+        distance, density, partner_row, row = _neighbours(*position)
+    if np.median(distance) <= COPIED_ARCSEC:
+        return USUAL_ARCSEC, 0.0
     quoted_variance = variances[0][row] + variances[1][partner_row]
-    s = np.geomspace(tuning.min_arcsec, tuning.largest_arcsec, tuning.steps)[:, None]
+    s = np.geomspace(MIN_ARCSEC, LARGEST_ARCSEC, STEPS)[:, None]
     variance = s**2 * (2.0 if shared else 1.0) + quoted_variance
     chance = 2.0 * np.pi * density * distance
     near = np.exp(-0.5 * distance**2 / variance) * (distance / variance + chance)
-    prior = -0.5 * (np.log(s[:, 0] / tuning.usual_arcsec) / tuning.spread_log) ** 2
-    shares = np.linspace(0.0, 1.0, tuning.share_steps + 1)[:-1]
+    prior = -0.5 * (np.log(s[:, 0] / USUAL_ARCSEC) / SPREAD_LOG) ** 2
+    shares = np.linspace(0.0, 1.0, SHARE_STEPS + 1)[:-1]
     log_chance = np.log(np.maximum(chance, 1e-300))
     log_posterior = [
         (np.log(np.maximum(f * near + (1.0 - f) * chance, 1e-300)) - log_chance).sum(axis=1) + prior for f in shares
@@ -231,18 +223,16 @@ def _positions(
     return (unit_vectors(*one.features.T), unit_vectors(*two.features.T)), (variances[0], variances[1])
 
 
-def _neighbours(
-    one: FloatArray, two: FloatArray, tuning: CommonErrorTuning
-) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
+def _neighbours(one: FloatArray, two: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
     """(k,) distances to the nearest, arcsec, local densities per arcsec², its row in ``two``, the row in ``one``."""
-    sampled = np.arange(0, len(one), max(1, len(one) // tuning.max_records))
+    sampled = np.arange(0, len(one), max(1, len(one) // MAX_RECORDS))
     directions = one[sampled]
-    count = min(tuning.neighbours, len(two))
-    chord, rows = nearest_chords(directions, two, count, tuning.max_products)
+    count = min(NEIGHBOURS, len(two))
+    chord, rows = nearest_chords(directions, two, count, MAX_PRODUCTS)
     separation = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) * ARCSEC_PER_RADIAN
     # The nearest may be the partner, so it is excluded from the density (unless it is the only one).
     density = max(count - 1, 1) / (np.pi * np.maximum(separation[:, -1], 1e-3) ** 2)
-    return np.maximum(separation[:, 0], tuning.copied_arcsec), density, rows[:, 0], sampled
+    return np.maximum(separation[:, 0], COPIED_ARCSEC), density, rows[:, 0], sampled
 
 
 def nearest_chords(one: FloatArray, two: FloatArray, count: int, max_products: int) -> tuple[FloatArray, IntArray]:

@@ -27,38 +27,34 @@ from sameas.sky.completion import completed
 from sameas.sky.disjoint import disjoint_doubt
 from sameas.sky.evidence_columns import AUTO, columns_of, magnitudes_of
 from sameas.sky.match_doubts import (
-    DEFAULT_MATCH_DOUBTS,
-    MatchDoubtsTuning,
     density_doubts,
     hardly_any_common,
     match_doubts,
 )
 from sameas.sky.sky_match import ARCSEC2_PER_DEG2, SkyMatch
-from sameas.sky.systematics import DEFAULT_WARP, Warp, WarpTuning, find_rotation, find_warp
+from sameas.sky.systematics import WARP_PASSES, Warp, find_rotation, find_warp
+
+#: More records per typical error, in both catalogues, are refused: positions cannot separate them, and the unit of the
+#: errors is probably wrong.
+MAX_RECORDS_PER_ERROR = 20.0
+#: Tables longer than SAMPLED_FROM_ROWS are checked for this on one declination ring of cells in SAMPLED_RINGS.
+SAMPLED_FROM_ROWS, SAMPLED_RINGS = 100_000, 16.0
 
 
 @dataclass(frozen=True)
 class CrossmatchTuning:
     """Thresholds for refusing input, and for doubting a result; all chosen.
 
-    max_records_per_error : more records per typical error, in both catalogues, are refused: positions cannot separate
-        them, and the unit of the errors is probably wrong.
-    sampled_from_rows, sampled_rings : tables longer than ``sampled_from_rows`` are checked for this on one declination
-        ring of cells in ``sampled_rings``.
     same_epoch_years : a catalogue without motions whose epoch differs by more from a given common epoch raises a doubt.
     sort_by_position : whether records are sorted by position. Samples of every k-th record then do not depend on the
         order of the table's rows, and neighbours on the sky are neighbours in memory (a million rows in table order
         take a third longer).
-    doubts : thresholds for doubting a result. warp : of the smooth warp that is searched with a shift and rotation.
+    doubts : thresholds for doubting a result.
+    warp : of the smooth warp that is searched with a shift and rotation.
     """
 
-    max_records_per_error: float = 20.0
-    sampled_from_rows: int = 100_000
-    sampled_rings: float = 16.0
     same_epoch_years: float = 0.5
     sort_by_position: bool = True
-    doubts: MatchDoubtsTuning = DEFAULT_MATCH_DOUBTS
-    warp: WarpTuning = DEFAULT_WARP
 
 
 TUNING = CrossmatchTuning()
@@ -147,7 +143,7 @@ def match(
     epoch, epoch_note, one, two = at_common_epoch(first, second, options.epoch_jyr, tuning)
     if tuning.sort_by_position:
         one, two = threads.each([partial(by_position, records) for records in (one, two)], len(one) + len(two))
-    _refuse_large_errors(one, two, tuning)
+    _refuse_large_errors(one, two)
     search = find_rotation(one, two, progress) if options.offset == "find" else None
     rotation = None if search is None or search.by_chance else search
     if rotation is not None:
@@ -159,18 +155,18 @@ def match(
     )  # fmt: skip
     result, estimate = run_match(one, two)
     warp: Warp | None = None
-    for _ in range(tuning.warp.passes if search is not None else 0):
+    for _ in range(WARP_PASSES if search is not None else 0):
         progress("warp")
-        next_warp = find_warp(result, warp, tuning.warp)
+        next_warp = find_warp(result, warp)
         if next_warp is None:
             break
         warp = next_warp
         result, estimate = run_match(one, warp.of(two))
     matched = SkyMatch(first, second, epoch, epoch_note, result, estimate, (), rotation, warp)
-    disjoint = disjoint_doubt(first, second, one, two) if hardly_any_common(result, estimate, tuning.doubts) else ()
+    disjoint = disjoint_doubt(first, second, one, two) if hardly_any_common(result, estimate) else ()
     left_behind = left_behind_doubt(first, second, options.epoch_jyr, tuning)
-    doubts = assumed + left_behind + density_doubts(estimate.coverage, options.density_per_deg2, tuning.doubts)
-    doubts += match_doubts(matched, search, disjoint, left_behind, tuning.doubts)
+    doubts = assumed + left_behind + density_doubts(estimate.coverage, options.density_per_deg2)
+    doubts += match_doubts(matched, search, disjoint, left_behind)
     return replace(matched, doubts=doubts)
 
 
@@ -216,14 +212,14 @@ def by_position(records: Records) -> Records:
     return records.part((key & np.uint64(2**row_bits - 1)).astype(np.intp))
 
 
-def _refuse_large_errors(one: Records, two: Records, tuning: CrossmatchTuning) -> None:
+def _refuse_large_errors(one: Records, two: Records) -> None:
     """Refuses errors so large that every record is a candidate for every other: their unit is wrong."""
     n = len(one) + len(two)
     sigmas = threads.each([partial(_typical_sigma, records) for records in (one, two)], n)
     sigma = math.hypot(*sigmas)
-    calls = [partial(_records_per_cell, records.features, sigma, tuning) for records in (one, two)]
+    calls = [partial(_records_per_cell, records.features, sigma) for records in (one, two)]
     crowding = min(threads.each(calls, n))
-    if crowding > tuning.max_records_per_error:
+    if crowding > MAX_RECORDS_PER_ERROR:
         worst = (one, two)[int(sigmas[1] > sigmas[0])].source
         raise InputError(
             f"{worst}: its typical error, {max(sigmas):.3g} arcsec, is so large that about {crowding:.0f} records lie "
@@ -238,13 +234,13 @@ def _typical_sigma(records: Records) -> float:
     return math.sqrt(median(0.5 * (records.covariance[:, 0] + records.covariance[:, -1])))
 
 
-def _records_per_cell(position_deg: FloatArray, side_arcsec: float, tuning: CrossmatchTuning) -> float:
+def _records_per_cell(position_deg: FloatArray, side_arcsec: float) -> float:
     """Mean number of records per occupied cell of this side."""
     lon, lat = position_deg.T
     side = side_arcsec / 3600.0
     ring = np.floor(lat / side)
-    if len(ring) > tuning.sampled_from_rows:
-        turns = (ring - ring[np.argmin(lat)]) / tuning.sampled_rings
+    if len(ring) > SAMPLED_FROM_ROWS:
+        turns = (ring - ring[np.argmin(lat)]) / SAMPLED_RINGS
         sampled = np.flatnonzero(np.floor(turns) == turns)
         lon, ring = lon[sampled], ring[sampled]
     along = np.floor(lon * np.cos(np.radians(ring * side)) / side)

@@ -51,6 +51,8 @@ from sameas.sky.crossmatch import match as match_two
 from sameas.sky.disjoint import WHETHER_SAME_SKY
 from sameas.sky.evidence_columns import AUTO, OFF
 from sameas.sky.population import (
+    CONVERGED_SHARE,
+    POPULATION_ITERATIONS,
     TUNING,
     AstrometricRecords,
     Coverages,
@@ -482,13 +484,13 @@ def _estimate_population(
     log_weight = _LogWeight.of(members, observers)
     previous = np.full(1 << len(observers.sources), -1.0)
     population = observers.population
-    for iteration in range(1, tuning.iterations + 1):
+    for iteration in range(1, POPULATION_ITERATIONS + 1):
         progress(f"estimation of all, round {iteration}")
         weighted_sets = replace(sets, log_weight=log_weight(population))
         best = answer(weighted_sets, pooled_records, None, time_limit_s=options.time_limit_s)
         expected = np.bincount(log_weight.patterns, best.probability, len(previous)).astype(np.float64)
-        converged = bool(np.abs(expected - previous).max() <= tuning.converged_share * expected.sum() + 0.01)
-        if converged or iteration == tuning.iterations:
+        converged = bool(np.abs(expected - previous).max() <= CONVERGED_SHARE * expected.sum() + 0.01)
+        if converged or iteration == POPULATION_ITERATIONS:
             break
         previous = expected
         population = population.m_step(members, log_weight.chi_sq, best.probability, coverages, tuning)

@@ -7,7 +7,7 @@ Doubts about one table are in :mod:`sameas.sky.catalogue_doubts`, those about fi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -28,45 +28,25 @@ from sameas.sky.residual_epoch import epoch_doubt
 from sameas.sky.sky_match import ARCSEC2_PER_DEG2, SkyMatch, area_and_densities, nearest
 from sameas.sky.systematics import Rotation, Warp, residual_rotation
 
-
-@dataclass(frozen=True)
-class MatchDoubtsTuning:
-    """Thresholds for doubting a result; all chosen.
-
-    min_common_share, min_common_sigmas : two catalogues have hardly any objects in common if the expected number
-        is at most this share of the smaller catalogue and at most this many of its standard errors.
-    max_spacing_share : with hardly any common objects the errors are doubted if the lower quartile of the
-        nearest-neighbour distances is below this share of its value for chance alone.
-    usual_scale : (least, largest) ratio of residuals to quoted errors that raises no doubt.
-    usual_density : (least, largest) ratio of the given density to the observed one that raises no doubt.
-    duplicate_sigmas, duplicate_share : close pairs within one catalogue are doubted if they exceed the number expected
-        by chance by this many standard deviations and by this share of the records.
-    b1950_records, b1950_arcsec, b1950_share : with hardly any common objects the equinox of a catalogue may be B1950 if
-        this share of about ``b1950_records`` of its records then lies within ``b1950_arcsec`` of a record of the other,
-        and far more than else.
-    """
-
-    min_common_share: float = 0.05
-    min_common_sigmas: float = 3.0
-    max_spacing_share: float = 0.2
-    usual_scale: tuple[float, float] = (0.3, 5.0)
-    usual_density: tuple[float, float] = (0.01, 100.0)
-    duplicate_sigmas: float = 5.0
-    duplicate_share: float = 0.03
-    b1950_records: int = 2_000
-    b1950_arcsec: float = 2.0
-    b1950_share: float = 0.2
-
-
-DEFAULT_MATCH_DOUBTS = MatchDoubtsTuning()
+# Thresholds for doubting a result; all chosen.
+#: Two catalogues have hardly any objects in common if the expected number is at most this share of the smaller
+#: catalogue and at most this many of its standard errors.
+MIN_COMMON_SHARE, MIN_COMMON_SIGMAS = 0.05, 3.0
+#: With hardly any common objects the errors are doubted if the lower quartile of the nearest-neighbour distances is
+#: below this share of its value for chance alone.
+MAX_SPACING_SHARE = 0.2
+USUAL_SCALE = (0.3, 5.0)  # (least, largest) ratio of residuals to quoted errors that raises no doubt
+USUAL_DENSITY = (0.01, 100.0)  # (least, largest) ratio of the given density to the observed one that raises no doubt
+#: Close pairs within one catalogue are doubted if they exceed the number expected by chance by this many standard
+#: deviations and by this share of the records.
+DUPLICATE_SIGMAS, DUPLICATE_SHARE = 5.0, 0.03
+#: With hardly any common objects the equinox of a catalogue may be B1950 if this share of about B1950_RECORDS of its
+#: records then lies within B1950_ARCSEC of a record of the other, and far more than else.
+B1950_RECORDS, B1950_ARCSEC, B1950_SHARE = 2_000, 2.0, 0.2
 
 
 def match_doubts(
-    match: SkyMatch,
-    search: Rotation | None,
-    disjoint: tuple[str, ...],
-    left_behind: tuple[str, ...],
-    tuning: MatchDoubtsTuning,
+    match: SkyMatch, search: Rotation | None, disjoint: tuple[str, ...], left_behind: tuple[str, ...]
 ) -> tuple[str, ...]:
     """What looks wrong with a match.
 
@@ -76,7 +56,7 @@ def match_doubts(
     result, estimate = match.result, match.estimate
     # That nothing is common follows from fields that lie apart.
     notes = () if disjoint else estimate.notes
-    doubts = (*notes, *_error_doubts(match, tuning), *_near_miss_doubts(result, estimate, tuning))
+    doubts = (*notes, *_error_doubts(match), *_near_miss_doubts(result, estimate))
     epoch_line, offset_explained = "", False
     if not left_behind:
         epoch_line, offset_explained = epoch_doubt(match.first, match.second, match.epoch_jyr, result, estimate.errors)
@@ -84,18 +64,16 @@ def match_doubts(
     if search is not None:
         doubts += _search_doubts(search, match.warp)
     elif not disjoint and not offset_explained:
-        doubts += _offset_doubts(result, estimate, tuning)
-    return doubts + _blend_doubts(result, estimate) + _duplicate_doubts(result, estimate, tuning)
+        doubts += _offset_doubts(result, estimate)
+    return doubts + _blend_doubts(result, estimate) + _duplicate_doubts(result, estimate)
 
 
-def density_doubts(
-    coverage: Coverage, given_per_deg2: tuple[float, float] | None, tuning: MatchDoubtsTuning = DEFAULT_MATCH_DOUBTS
-) -> tuple[str, ...]:
+def density_doubts(coverage: Coverage, given_per_deg2: tuple[float, float] | None) -> tuple[str, ...]:
     """Doubts about given densities that the data contradict."""
     if given_per_deg2 is None:
         return ()
     _, *observed = area_and_densities(coverage)
-    least, largest = tuning.usual_density
+    least, largest = USUAL_DENSITY
     lines = []
     for records, per_deg2, given in zip((coverage.first, coverage.second), observed, given_per_deg2, strict=True):
         if per_deg2 and not least < given / per_deg2 < largest:
@@ -106,7 +84,7 @@ def density_doubts(
     return tuple(lines)
 
 
-def _error_doubts(match: SkyMatch, tuning: MatchDoubtsTuning) -> tuple[str, ...]:
+def _error_doubts(match: SkyMatch) -> tuple[str, ...]:
     """Doubts about the unit of the errors and large groups."""
     result, estimate, doubts = match.result, match.estimate, []
     calls = [partial(median, records.covariance[:, 0]) for records in (result.first, result.second)]
@@ -120,7 +98,7 @@ def _error_doubts(match: SkyMatch, tuning: MatchDoubtsTuning) -> tuple[str, ...]
             f"{spacing:.3g} arcsec: are the errors in the assumed unit?"
         )
     scale = estimate.typical_scale
-    least, largest = tuning.usual_scale
+    least, largest = USUAL_SCALE
     if scale > largest or scale < least:
         # Averaged over few pairs, the scale ends where the tried ones do.
         seen = estimate.quantities.get("error_scale") if estimate.error_ranges is not None else None
@@ -164,13 +142,13 @@ def _blend_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]
     return tuple(doubts)
 
 
-def _duplicate_doubts(result: Identification, estimate: Estimate, tuning: MatchDoubtsTuning) -> tuple[str, ...]:
+def _duplicate_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     """A doubt about records of one catalogue that seem to be the same object."""
     found, doubts = close_neighbours(Setting.whole(result.pairs, estimate.coverage)), []
     for records, close in zip((result.first, result.second), found or (), strict=False):
         excess = close.n_pairs - close.by_chance
-        significant = tuning.duplicate_sigmas * math.sqrt(close.by_chance + tuning.duplicate_sigmas)
-        if excess > max(significant, tuning.duplicate_share * close.n_records):
+        significant = DUPLICATE_SIGMAS * math.sqrt(close.by_chance + DUPLICATE_SIGMAS)
+        if excess > max(significant, DUPLICATE_SHARE * close.n_records):
             doubts.append(
                 f"in {records.source} {close.n_pairs} couples of records lie within their errors of each other, where "
                 f"chance makes {close.by_chance:.0f}: if they are one object given twice (two exposures, a deblender), "
@@ -179,16 +157,14 @@ def _duplicate_doubts(result: Identification, estimate: Estimate, tuning: MatchD
     return tuple(doubts)
 
 
-def _fits_as_b1950(old: Records, new: Records, tuning: MatchDoubtsTuning) -> bool:
+def _fits_as_b1950(old: Records, new: Records) -> bool:
     """Whether far more records of ``old`` than by chance have a neighbour in ``new`` if their equinox is B1950."""
-    some = old.part(np.arange(0, len(old), max(1, len(old) // tuning.b1950_records)))
+    some = old.part(np.arange(0, len(old), max(1, len(old) // B1950_RECORDS)))
     near = [
-        np.count_nonzero(
-            nearest(replace(some, features=at), new).separation_arcsec.filled(np.inf) < tuning.b1950_arcsec
-        )
+        np.count_nonzero(nearest(replace(some, features=at), new).separation_arcsec.filled(np.inf) < B1950_ARCSEC)
         for at in (some.features, in_icrs("B1950", some.features))
     ]
-    return bool(near[1] > near[0] + 5.0 * math.sqrt(near[0] + 5.0) and near[1] > tuning.b1950_share * len(some))
+    return bool(near[1] > near[0] + 5.0 * math.sqrt(near[0] + 5.0) and near[1] > B1950_SHARE * len(some))
 
 
 def _search_doubts(search: Rotation, warp: Warp | None) -> tuple[str, ...]:
@@ -198,16 +174,16 @@ def _search_doubts(search: Rotation, warp: Warp | None) -> tuple[str, ...]:
     return (*search.notes, "no offset was removed" if warp is None else "no shift or rotation was removed")
 
 
-def _offset_doubts(result: Identification, estimate: Estimate, tuning: MatchDoubtsTuning) -> tuple[str, ...]:
+def _offset_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     """A doubt about the frames if the pairs have a mean offset, or there are hardly any pairs."""
-    if hardly_any_common(result, estimate, tuning):
+    if hardly_any_common(result, estimate):
         few = (
             f"{result.first.source} and {result.second.source} have hardly any objects in common "
             f"({estimate.quantities['common']} objects); "
         )
         sides = (result.first, result.second), (result.second, result.first)
         for old, new in sides:
-            if _fits_as_b1950(old, new, tuning):
+            if _fits_as_b1950(old, new):
                 fit = f"of the equinox B1950 the positions of {old.source} would be those of {new.source}: "
                 return (f"{few}{fit}call its columns ra1950 and dec1950",)
         few += "one may be offset from the other by more than their errors: "
@@ -222,22 +198,22 @@ def _offset_doubts(result: Identification, estimate: Estimate, tuning: MatchDoub
     return (Message(off, naming("give {offset:'find'} to remove it")),)
 
 
-def hardly_any_common(result: Identification, estimate: Estimate, tuning: MatchDoubtsTuning) -> bool:
+def hardly_any_common(result: Identification, estimate: Estimate) -> bool:
     """Whether the number of common objects is small and consistent with zero by its standard error."""
-    if estimate.common > tuning.min_common_share * min(len(result.first), len(result.second)):
+    if estimate.common > MIN_COMMON_SHARE * min(len(result.first), len(result.second)):
         return False
-    return estimate.common <= max(0.5, tuning.min_common_sigmas * estimate.quantities["common"].standard_error)
+    return estimate.common <= max(0.5, MIN_COMMON_SIGMAS * estimate.quantities["common"].standard_error)
 
 
-def _near_miss_doubts(result: Identification, estimate: Estimate, tuning: MatchDoubtsTuning) -> tuple[str, ...]:
+def _near_miss_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
     """A doubt about the errors if records lie close to each other, but not within their errors."""
     first, second = result.first, result.second
     _, _, density_2 = area_and_densities(estimate.coverage)
-    if estimate.common > tuning.min_common_share * min(len(first), len(second)) or not density_2:
+    if estimate.common > MIN_COMMON_SHARE * min(len(first), len(second)) or not density_2:
         return ()
     near = float(np.quantile(nearest(first, second).separation_arcsec.filled(np.inf), 0.25))
     by_chance = math.sqrt(math.log(4.0 / 3.0) * ARCSEC2_PER_DEG2 / (math.pi * density_2))
-    if near > tuning.max_spacing_share * by_chance:
+    if near > MAX_SPACING_SHARE * by_chance:
         return ()
     missed = (
         f"a quarter of {first.source} lies within {near:.2g} arcsec of a record of {second.source}, by chance it would "

@@ -35,8 +35,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
-from sameas.estimate.coverage import Coverage, local_share
-from sameas.estimate.em import DEFAULT_EM, EMTuning
+from sameas.estimate.coverage import SHARED_PSEUDO_COUNT, Coverage, local_share
+from sameas.estimate.em import DEFAULT_EM, MIN_LARGEST_SCALE, MIN_PAIRS_TO_LEARN, EMTuning
 from sameas.estimate.error_scales import fit_errors
 from sameas.evidence import Errors
 from sameas.gaussian import LOG_2PI, InformationSum, inverse, log_density, propagated
@@ -214,21 +214,20 @@ def moving_rows(catalogue: Catalogue) -> BoolArray:
 Coverages = Mapping[tuple[int, int], Coverage]
 
 
+POPULATION_ITERATIONS = 8  # maximum number
+#: Maximum change of the expected number of objects of a pattern at convergence, as a share of all.
+CONVERGED_SHARE = 3e-4
+MIN_P_SET = 1e-3  # minimum probability of a set used for the errors
+LARGEST_P_SET = 1.0 - 1e-9  # maximum probability of a set, to keep its odds finite
+
+
 @dataclass(frozen=True)
 class PopulationTuning:
     """Parameters of the estimate of the population (EM), all chosen.
 
-    iterations : maximum number.
-    converged_share : maximum change of the expected number of objects of a pattern at convergence, as a share of all.
-    min_p_set : minimum probability of a set used for the errors.
-    largest_p_set : maximum probability of a set, to keep its odds finite.
     em : of the matches of two; its limits hold for sets too.
     """
 
-    iterations: int = 8
-    converged_share: float = 3e-4
-    min_p_set: float = 1e-3
-    largest_p_set: float = 1.0 - 1e-9
     em: EMTuning = DEFAULT_EM
 
 
@@ -303,24 +302,20 @@ class Population:
 
         errors = self.errors
         if self.estimates_errors:
-            errors = self._fitted_errors(patterns, chi_sq, probability, tuning)
+            errors = self._fitted_errors(patterns, chi_sq, probability)
         return replace(self, log_density=log_densities(coverages, shares, tuning.em.min_share), errors=errors)
 
-    def _fitted_errors(
-        self, patterns: IntArray, chi_sq: FloatArray, probability: FloatArray, tuning: PopulationTuning
-    ) -> dict[int, Errors]:
+    def _fitted_errors(self, patterns: IntArray, chi_sq: FloatArray, probability: FloatArray) -> dict[int, Errors]:
         fitted_errors = dict(self.errors)
         for pattern, errors in self.errors.items():
-            rows = np.flatnonzero((patterns == pattern) & (probability > tuning.min_p_set))
-            if probability[rows].sum() < tuning.em.min_pairs:
+            rows = np.flatnonzero((patterns == pattern) & (probability > MIN_P_SET))
+            if probability[rows].sum() < MIN_PAIRS_TO_LEARN:
                 continue
             # The odds of these sets without their residuals.
-            p, d = np.minimum(probability[rows], tuning.largest_p_set), degrees_of_freedom(pattern)
+            p, d = np.minimum(probability[rows], LARGEST_P_SET), degrees_of_freedom(pattern)
             log_odds = np.log(p / (1.0 - p)) - errors.log_profile(chi_sq[rows], d)
             # Not wider than in the pairwise matches: beyond, chance pairs prevail.
-            widest = max(
-                tuning.em.min_largest_scale, *(max(self.errors[pair].scales) for pair in pairs_within(pattern))
-            )
+            widest = max(MIN_LARGEST_SCALE, *(max(self.errors[pair].scales) for pair in pairs_within(pattern)))
             fitted_errors[pattern] = fit_errors(chi_sq[rows], log_odds, d, errors, widest=widest).errors
         return _with_common_errors(fitted_errors)
 
@@ -420,7 +415,7 @@ def share_of_source(
     field = (float(part.sum()) + 0.5) / (float(weights.sum()) + 1.0)
     if not weights.any() or max(field, float(part.max(initial=0.0))) <= min_share:
         return np.array(field), np.array(field)
-    return local_share(coverage.levels, side, part, weights, pseudo_count=coverage.tuning.shared_pseudo_count)
+    return local_share(coverage.levels, side, part, weights, pseudo_count=SHARED_PSEUDO_COUNT)
 
 
 def patterns_of(sets: IntArray) -> IntArray:

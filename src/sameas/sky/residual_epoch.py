@@ -22,31 +22,15 @@ from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import in_years
 
-
-@dataclass(frozen=True)
-class EpochTuning:
-    """Thresholds for doubting an epoch; all chosen.
-
-    min_p_pair, largest_sigmas : pairs with a lower probability or a larger residual are not used.
-    fewest, max_pairs : with fewer pairs no doubt is reported; more are sampled regularly.
-    significant_sigmas : minimum significance of δ, and of an offset in addition. significant_years : minimum of |δ|.
-    significant_share : the fastest 5 % of the objects must move by at least this fraction of their errors in δ years.
-    largest_axis_ratio, epochs_jyr : an epoch does not explain δ that differ by more than this share between east and
-        north, nor one outside this range.
-    """
-
-    min_p_pair: float = 0.9
-    largest_sigmas: float = 6.0
-    fewest: int = 20
-    max_pairs: int = 30_000
-    significant_sigmas: float = 5.0
-    significant_years: float = 0.3
-    significant_share: float = 0.3
-    largest_axis_ratio: float = 0.3
-    epochs_jyr: tuple[float, float] = (1800.0, 2100.0)
-
-
-EPOCH = EpochTuning()
+# Thresholds for doubting an epoch; all chosen.
+MIN_P_PAIR, LARGEST_SIGMAS = 0.9, 6.0  # pairs with a lower probability or a larger residual are not used
+FEWEST, MAX_PAIRS = 20, 30_000  # with fewer pairs no doubt is reported; more are sampled regularly
+SIGNIFICANT_SIGMAS = 5.0  # minimum significance of δ, and of an offset in addition
+SIGNIFICANT_YEARS = 0.3  # minimum of |δ|
+SIGNIFICANT_SHARE = 0.3  # the fastest 5 % of the objects must move by at least this fraction of their errors in δ years
+#: An epoch does not explain δ that differ by more than this share between east and north, nor one outside this range.
+LARGEST_AXIS_RATIO = 0.3
+EPOCHS_JYR = (1800.0, 2100.0)
 
 
 def epoch_doubt(
@@ -87,8 +71,8 @@ class Questioned:
 def _moved_pairs(moved: Catalogue, side: int, epoch_jyr: float, answer: Identification, errors: Errors) -> MovedPairs:
     """Some sure pairs with a known proper motion. side : of the moved catalogue, 1 or 2."""
     records, index = (answer.first, answer.pairs.i) if side == 1 else (answer.second, answer.pairs.j)
-    use = np.flatnonzero(answer.p_pair > EPOCH.min_p_pair)
-    use = use[:: -(-len(use) // EPOCH.max_pairs) or 1]
+    use = np.flatnonzero(answer.p_pair > MIN_P_PAIR)
+    use = use[:: -(-len(use) // MAX_PAIRS) or 1]
     astrometry = moved.astrometry[records.rows[index[use]]]
     motion = astrometry.motion_arcsec_per_yr
     return MovedPairs(
@@ -123,7 +107,7 @@ class MovedPairs:
 
     def _sure(self) -> MovedPairs:
         """Those with known motions and without large residuals."""
-        near = np.einsum("mv,mvw,mw->m", self.residual, self.precision, self.residual) < EPOCH.largest_sigmas**2
+        near = np.einsum("mv,mvw,mw->m", self.residual, self.precision, self.residual) < LARGEST_SIGMAS**2
         some = near & np.isfinite(self.motion).all(axis=1)
         parts = (self.motion, self.displaced, self.residual, self.precision, self.cos_dec)
         return MovedPairs(*(part[some] for part in parts))
@@ -132,7 +116,7 @@ class MovedPairs:
         """A doubt about an epoch or the convention of the motions (empty if none), and whether the epoch also explains
         a common offset. side : of the moved catalogue, for the names of options.
         """
-        if len(self.motion) < EPOCH.fewest:
+        if len(self.motion) < FEWEST:
             return "", False
         # A catalogue moved from a later epoch than assumed was moved too far; one moved to an earlier epoch than it
         # should, not far enough.
@@ -140,14 +124,14 @@ class MovedPairs:
         design = np.concatenate([motion[:, :, None], np.broadcast_to(np.eye(2), (len(motion), 2, 2))], axis=2)
         solution, covariance, gain = _least_squares(design, self.residual, self.precision)
         years, error = float(solution[0]), math.sqrt(float(covariance[0, 0]))
-        significant_gain = EPOCH.significant_sigmas**2
+        significant_gain = SIGNIFICANT_SIGMAS**2
         motion_sigmas = np.sqrt(np.einsum("mv,mvw,mw->m", motion, self.precision, motion))
-        if abs(years) < max(EPOCH.significant_years, EPOCH.significant_sigmas * error):
+        if abs(years) < max(SIGNIFICANT_YEARS, SIGNIFICANT_SIGMAS * error):
             return "", False
-        if np.quantile(motion_sigmas, 0.95) * abs(years) < EPOCH.significant_share:
+        if np.quantile(motion_sigmas, 0.95) * abs(years) < SIGNIFICANT_SHARE:
             return "", False
         text = f"residuals follow the proper motions of {moved.name}, "
-        possible = EPOCH.epochs_jyr[0] <= questioned.epoch_jyr + years <= EPOCH.epochs_jyr[1]
+        possible = EPOCHS_JYR[0] <= questioned.epoch_jyr + years <= EPOCHS_JYR[1]
         misread = self.misreading(gain + (significant_gain if possible else -significant_gain))
         if misread is not None:
             return Message(text, *misread.words(moved, side)), False
@@ -190,8 +174,8 @@ class MovedPairs:
         solution, covariance, _ = _least_squares(design, self.residual, self.precision)
         east, north = 1.0 - solution[:2]
         error = math.sqrt(float(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]))
-        least = EPOCH.largest_axis_ratio * max(abs(solution[0]), abs(solution[1]))
-        if abs(east - north) < max(EPOCH.significant_sigmas * error, least):
+        least = LARGEST_AXIS_RATIO * max(abs(solution[0]), abs(solution[1]))
+        if abs(east - north) < max(SIGNIFICANT_SIGMAS * error, least):
             return ""
         return f"which fit best multiplied by {east:.2f} east and {north:.2f} north"
 
@@ -264,4 +248,4 @@ def _least_squares(
     return solution, inverse(information), float(solution @ projection)
 
 
-__all__ = ["EpochTuning", "MovedPairs", "Questioned", "epoch_doubt"]
+__all__ = ["MovedPairs", "Questioned", "epoch_doubt"]

@@ -42,31 +42,24 @@ _SPOILT = Flag.HOT | Flag.COSMIC | Flag.POOR | Flag.EDGE
 _PARTIAL = PIXEL_FLAGS | Flag.EDGE | Flag.POOR
 
 
+REACH_PX = 1.2  # maximum separation of measurements of one source in two frames, or 3σ if larger
+TIE_ARCSEC = 4.0  # maximum separation of sources that tie frames, by their plates
+TIE_SNR = 15.0  # minimum signal to noise
+MIN_TIES = 8  # minimum number of sources to tie a frame; with fewer its own plate is used
+DRIFT_SIGMAS, DRIFT_PX = 4.0, 0.6  # a source drifts if its drift over the series exceeds both
+OFTEN = 0.5  # minimum share of the other frames that show a stationary source without a drift
+MIN_P_STAR = 0.5  # minimum probability of a catalogue star
+COMPARED = 24  # number of frames, evenly over the series, with which each measurement is compared
+MIN_OVERLAP = 0.7  # maximum offset of a frame from the middle of the field, as a share of its diagonal
+
+
 @dataclass(frozen=True)
 class SeriesTuning:
     """Parameters for tying a series together.
 
-    reach_px : maximum separation of measurements of one source in two frames, or 3σ if larger.
-    tie_arcsec : maximum separation of sources that tie frames, by their plates. tie_snr : minimum signal to noise.
-    min_ties : minimum number of sources to tie a frame; with fewer its own plate is used.
-    drift_sigmas, drift_px : a source drifts if its drift over the series exceeds both.
-    often : minimum share of the other frames that show a stationary source without a drift.
-    min_p_star : minimum probability of a catalogue star.
-    compared : number of frames, evenly over the series, with which each measurement is compared.
-    overlap : maximum offset of a frame from the middle of the field, as a share of its diagonal.
     stars : of the stars and their zero points.
     """
 
-    reach_px: float = 1.2
-    tie_arcsec: float = 4.0
-    tie_snr: float = 15.0
-    min_ties: int = 8
-    drift_sigmas: float = 4.0
-    drift_px: float = 0.6
-    often: float = 0.5
-    min_p_star: float = 0.5
-    compared: int = 24
-    overlap: float = 0.7
     stars: StarTuning = STAR_TUNING
 
 
@@ -293,7 +286,7 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_SERIES) ->
     Raises InputError: fewer than two frames; frames of different fields; frames of the same time.
     """
     ordered = tuple(sorted(exposures, key=lambda e: e.mjd_utc))
-    middle = _checked(ordered, tuning.overlap)
+    middle = _checked(ordered, MIN_OVERLAP)
     frame = np.concatenate([np.full(len(e), k) for k, e in enumerate(ordered)])
     row = np.concatenate([np.arange(len(e)) for e in ordered])
     everything = {
@@ -304,22 +297,22 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_SERIES) ->
     ra, dec = (np.concatenate(angles) for angles in zip(*((e.ra_deg, e.dec_deg) for e in ordered), strict=True))
     place = ARCSEC_PER_RADIAN * to_plane(unit_vectors(ra, dec), unit_vectors(*middle))
     variance = 0.5 * (everything["covariance_px"][:, 0] + everything["covariance_px"][:, 2]) * scale[frame] ** 2
-    good = (everything["snr"] >= tuning.tie_snr) & ((everything["flags"] & ~int(Flag.BLENDED)) == 0)
-    tied, ties = _tied(place, frame, variance, good, len(ordered), tuning)
-    floor = _floors(tied, frame, variance, good, len(ordered), tuning)
+    good = (everything["snr"] >= TIE_SNR) & ((everything["flags"] & ~int(Flag.BLENDED)) == 0)
+    tied, ties = _tied(place, frame, variance, good, len(ordered))
+    floor = _floors(tied, frame, variance, good, len(ordered))
     sigma = np.sqrt(variance + floor[frame] ** 2)
-    reach = tuning.reach_px * float(np.median(scale))
+    reach = REACH_PX * float(np.median(scale))
     minutes = np.array([e.mjd_utc for e in ordered])[frame] * 1440.0
-    drift = tuning.drift_px * float(np.median(scale))
-    stationary = _stationary(tied, frame, minutes, sigma, reach, drift, len(ordered), tuning)
+    drift = DRIFT_PX * float(np.median(scale))
+    stationary = _stationary(tied, frame, minutes, sigma, reach, drift, len(ordered))
     chip = np.column_stack([everything["x_px"], everything["y_px"]])
     dithered_px = _dither_px(tied, chip, frame, stationary, len(ordered))
     fixed = np.zeros(len(frame), bool)
-    if dithered_px > 2.0 * tuning.reach_px:
+    if dithered_px > 2.0 * REACH_PX:
         # Only for dithered frames: otherwise chip defects are stationary on the sky too.
-        fixed = _stationary(chip, frame, minutes, sigma / scale[frame], 0.5, 0.5, len(ordered), tuning)
+        fixed = _stationary(chip, frame, minutes, sigma / scale[frame], 0.5, 0.5, len(ordered))
     names = np.concatenate([e.names for e in ordered])
-    names = np.where(everything["p_star"] >= tuning.min_p_star, names, "")
+    names = np.where(everything["p_star"] >= MIN_P_STAR, names, "")
     measured = SeriesMeasurements(
         tied, frame, sigma, names, everything["flux"], everything["flux_err"],
         (everything["flags"] & int(_PARTIAL)) == 0, everything["magnitude"], len(ordered),
@@ -330,9 +323,9 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_SERIES) ->
     shift = np.array([np.median(off, axis=0) if len(off) else [0.0, 0.0] for off in each])
     return Series(
         exposures=ordered, middle_deg=middle, frame=frame, row=row, place=tied, sigma_arcsec=sigma,
-        star=everything["p_star"] >= tuning.min_p_star, stationary=stationary, fixed=fixed & ~stationary,
+        star=everything["p_star"] >= MIN_P_STAR, stationary=stationary, fixed=fixed & ~stationary,
         unreliable=(everything["flags"] & int(_SPOILT)) != 0, magnitude=magnitude, floor_arcsec=floor,
-        shift_arcsec=shift, ties=ties, stars=stars, notes=_notes(ordered, ties, tuning.min_ties),
+        shift_arcsec=shift, ties=ties, stars=stars, notes=_notes(ordered, ties, MIN_TIES),
     )  # fmt: skip
 
 
@@ -359,16 +352,16 @@ def _checked(exposures: tuple[Exposure, ...], overlap: float) -> tuple[float, fl
 
 
 def _tied(
-    place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int, tuning: SeriesTuning
+    place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int
 ) -> tuple[FloatArray, IntArray]:
     """Positions in the common system, and the number of sources that tie each frame to it."""
     tied, ties = place.copy(), np.zeros(frames, np.int64)
     reference = int(np.argmax(np.bincount(frame[good], minlength=frames)))
     known = place[good & (frame == reference)]
     for iteration in range(3):
-        if len(known) < tuning.min_ties:
+        if len(known) < MIN_TIES:
             return place, ties
-        reach = tuning.tie_arcsec / (1.0 if iteration == 0 else 2.0)
+        reach = TIE_ARCSEC / (1.0 if iteration == 0 else 2.0)
         tree = cKDTree(known)
         sums, counts = np.zeros_like(known), np.zeros(len(known))
         for k in range(frames):
@@ -379,7 +372,7 @@ def _tied(
             nearest_back = cKDTree(tied[rows]).query(known, distance_upper_bound=reach)[1]
             mutual = np.isfinite(distance)
             mutual[mutual] = nearest_back[at[mutual]] == np.flatnonzero(mutual)
-            if mutual.sum() < tuning.min_ties:
+            if mutual.sum() < MIN_TIES:
                 continue
             solution, used = _affine(place[rows[mutual]], known[at[mutual]], variance[rows[mutual]])
             ties[k] = used
@@ -408,19 +401,17 @@ def _affine(source: FloatArray, target: FloatArray, variance: FloatArray) -> tup
     return solution, int(keep.sum())
 
 
-def _floors(
-    place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int, tuning: SeriesTuning
-) -> FloatArray:
+def _floors(place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int) -> FloatArray:
     """(f,) robust scatter of bright sources about their median positions in excess of their errors, arcsec per axis."""
     floor = np.full(frames, 0.05)
     first = np.flatnonzero(good & (frame == int(np.argmax(np.bincount(frame[good], minlength=frames)))))
-    if len(first) < tuning.min_ties:
+    if len(first) < MIN_TIES:
         return floor
     tree = cKDTree(place[first])
     offsets, variances = [], []
     for k in range(frames):
         rows = np.flatnonzero(good & (frame == k))
-        distance, at = tree.query(place[rows], distance_upper_bound=0.5 * tuning.tie_arcsec)
+        distance, at = tree.query(place[rows], distance_upper_bound=0.5 * TIE_ARCSEC)
         matched = np.isfinite(distance)
         residual = np.full((len(first), 2), np.nan)
         residual[at[matched]] = place[rows[matched]]
@@ -449,14 +440,13 @@ def _stationary(
     reach: float,
     least_drift: float,
     frames: int,
-    tuning: SeriesTuning,
 ) -> BoolArray:
     """(n,) mask of the measurements with counterparts at the same position in other frames, without a drift.
 
     The other frames are at most ``compared``, evenly over the series, so that the cost per frame is constant.
     """
     n = len(frame)
-    others = np.unique(np.linspace(0, frames - 1, min(frames, tuning.compared)).astype(np.int64))
+    others = np.unique(np.linspace(0, frames - 1, min(frames, COMPARED)).astype(np.int64))
     # Sums for a line fitted to the neighbours and the measurement itself.
     weight = 1.0 / sigma**2
     s0, s1, s2, hits = weight.copy(), np.zeros(n), np.zeros(n), np.zeros(n)
@@ -488,9 +478,9 @@ def _stationary(
         error = np.sqrt(s0 / determinant)
         speed = np.hypot(*drift.T)
     drifting = np.nan_to_num(speed, nan=0.0) * span > least_drift
-    significant = np.nan_to_num(speed / error, nan=0.0) > tuning.drift_sigmas
+    significant = np.nan_to_num(speed / error, nan=0.0) > DRIFT_SIGMAS
     compared = len(others) - np.isin(frame, others)
-    often = hits >= np.maximum(2.0, tuning.often * compared)
+    often = hits >= np.maximum(2.0, OFTEN * compared)
     few = hits >= (2.0 if frames > 3 else 1.0)
     return (often & ~(drifting & significant)) | (few & ~significant)
 

@@ -24,21 +24,20 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.sky.frame.measurements import POGSON
 
+ODDS = 2.0  # prior odds that a star of the series is measured on a frame
+OFTEN = 0.5  # minimum share of frames of such a star
+ITERATIONS = 40  # of the fit
+HUBER = 2.0  # residuals beyond this many errors get a lower weight
+
 
 @dataclass(frozen=True)
 class StarTuning:
     """Parameters for the stars of a series and their zero points; all chosen.
 
-    odds : prior odds that a star of the series is measured on a frame.
-    min_ensemble : minimum number of stars for a zero point. often : minimum share of frames of such a star.
-    iterations : of the fit. huber : residuals beyond this many errors get a lower weight.
+    min_ensemble : minimum number of stars for a zero point.
     """
 
-    odds: float = 2.0
     min_ensemble: int = 3
-    often: float = 0.5
-    iterations: int = 40
-    huber: float = 2.0
 
 
 STAR_TUNING = StarTuning()
@@ -115,7 +114,7 @@ def gather(
     """
     place, sigma, flux, whole, frames = measured.place, measured.sigma, measured.flux, measured.whole, measured.frames
     rows, names = _rows(
-        place, measured.frame, np.hypot(sigma, blur_arcsec), measured.name, stationary, frames, math.log(tuning.odds)
+        place, measured.frame, np.hypot(sigma, blur_arcsec), measured.name, stationary, frames, math.log(ODDS)
     )
     at, has_row = np.maximum(rows, 0), rows >= 0
     weight = np.where(has_row, 1.0 / sigma[at] ** 2, 0.0)
@@ -126,7 +125,7 @@ def gather(
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.where(has_row & (flux[at] > 0), POGSON * measured.flux_err[at] / flux[at], np.nan)
     usable = np.isfinite(raw) & np.isfinite(error) & whole[at]
-    often = usable.sum(axis=1) >= max(2.0, tuning.often * frames)
+    often = usable.sum(axis=1) >= max(2.0, OFTEN * frames)
     zero, zero_error, ensemble, floor = _ensemble(raw, error, usable & often[:, None], tuning)
     zero_offset, scale = _catalogue_scale(measured.magnitude, _instrumental(flux) + zero[measured.frame])
     zero = zero + zero_offset
@@ -210,7 +209,7 @@ def _ensemble(
     zero, floor = np.zeros(frames), 0.02
     values, variance = np.where(usable, raw, 0.0), np.where(usable, error, 1.0) ** 2
     robust = np.ones_like(values)
-    for _ in range(tuning.iterations):
+    for _ in range(ITERATIONS):
         weight = np.where(usable, robust / (variance + floor**2), 0.0)
         mean = (weight * (values + zero)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-30)
         step = (weight * (mean[:, None] - values)).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-30) - zero
@@ -222,7 +221,7 @@ def _ensemble(
         share = 1.0 - 1.0 / max(float(usable.sum(axis=1)[usable.any(axis=1)].mean()), 2.0)
         floor = math.sqrt(max(spread**2 / share - float(np.median(variance[precise])), 1e-6))
         sigmas = np.abs(residual) / np.sqrt(variance + floor**2)
-        robust = np.minimum(1.0, tuning.huber / np.maximum(sigmas, 1e-9))
+        robust = np.minimum(1.0, HUBER / np.maximum(sigmas, 1e-9))
         if np.abs(step - step[good].mean())[good].max() < 1e-6:
             break
     weight = np.where(usable, robust / (variance + floor**2), 0.0).sum(axis=0)

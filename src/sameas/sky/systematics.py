@@ -51,30 +51,17 @@ if TYPE_CHECKING:
     from sameas.registration import Registration
 
 
-@dataclass(frozen=True)
-class RotationTuning:
-    """Parameters of the search for a rotation, all chosen.
-
-    patch_records : approximate number of records of either source in the searched patch.
-    patch_deg : maximum radius of the patch, degrees. patch_places : number of centres that are tried.
-    iterations : maximum number. converged_share : maximum step at convergence, as a fraction of a record's error.
-    min_p_pair : minimum probability of a pair that is used. max_pairs : more pairs are sampled regularly.
-    significant_sigmas, significant_share : a residual rotation is reported if it exceeds this many of its standard
-        errors and moves a pair by more than this fraction of its error.
-    """
-
-    patch_records: int = 800
-    patch_deg: float = 3.0
-    patch_places: int = 48
-    iterations: int = 8
-    converged_share: float = 0.05
-    min_p_pair: float = 0.01
-    max_pairs: int = 30_000
-    significant_sigmas: float = 5.0
-    significant_share: float = 0.3
-
-
-DEFAULT_ROTATION = RotationTuning()
+# Parameters of the search for a rotation, all chosen.
+PATCH_RECORDS = 800  # approximate number of records of either source in the searched patch
+PATCH_DEG = 3.0  # maximum radius of the patch, degrees
+PATCH_PLACES = 48  # number of centres that are tried
+ITERATIONS = 8  # maximum number
+CONVERGED_SHARE = 0.05  # maximum step at convergence, as a fraction of a record's error
+MIN_P_PAIR = 0.01  # minimum probability of a pair that is used
+MAX_PAIRS = 30_000  # more pairs are sampled regularly
+#: A residual rotation is reported if it exceeds this many of its standard errors and moves a pair by more than this
+#: fraction of its error.
+SIGNIFICANT_SIGMAS, SIGNIFICANT_SHARE = 5.0, 0.3
 
 
 @dataclass(frozen=True)
@@ -144,15 +131,13 @@ class Rotation:
         moves = [np.cross(omega, at) for omega in (axes[1], -axes[0], axes[2])]
         return np.stack([np.stack([np.einsum("nv,nv->n", m, a) for m in moves], axis=1) for a in local], axis=1)
 
-    def refined(
-        self, answer: Identification, errors: Errors, tuning: RotationTuning = DEFAULT_ROTATION
-    ) -> tuple[Rotation, float]:
+    def refined(self, answer: Identification, errors: Errors) -> tuple[Rotation, float]:
         """The rotation after one more step from the pairs of ``answer``, and the largest move in units of the error.
 
         errors : estimated ones.
         """
-        use = np.flatnonzero(answer.p_pair > tuning.min_p_pair)
-        use = use[:: -(-len(use) // tuning.max_pairs) or 1]
+        use = np.flatnonzero(answer.p_pair > MIN_P_PAIR)
+        use = use[:: -(-len(use) // MAX_PAIRS) or 1]
         pairs, p = answer.pairs, answer.p_pair[use]
         slope = self._slope(answer.second.features[pairs.j[use]])
         covariance = errors.typical_covariance(pairs, use)
@@ -167,12 +152,7 @@ class Rotation:
         return replace(self, vector=vector, covariance=covariance, iterations=self.iterations + 1), share
 
 
-def find_rotation(
-    first: Records,
-    second: Records,
-    progress: Callable[[str], None] = lambda stage: None,
-    tuning: RotationTuning = DEFAULT_ROTATION,
-) -> Rotation:
+def find_rotation(first: Records, second: Records, progress: Callable[[str], None] = lambda stage: None) -> Rotation:
     """The rotation from the records of the second catalogue to those of the first.
 
     first, second : records on the sphere, at one epoch. progress : called with the name of the current stage.
@@ -182,28 +162,26 @@ def find_rotation(
     from sameas.registration import Shift, register
 
     progress("search for the offset")
-    centre, patch_1, patch_2 = _patch(first, second, tuning)
+    centre, patch_1, patch_2 = _patch(first, second)
     if not (len(patch_1) and len(patch_2)):
         note = (
-            f"{first.source} and {second.source} lie more than {tuning.patch_deg:g}° apart; "
+            f"{first.source} and {second.source} lie more than {PATCH_DEG:g}° apart; "
             "offsets are searched for in small fields only"
         )
         return Rotation(centre, np.zeros(3), np.zeros((3, 3)), False, 0, (note,), True)
     rotation = _initial(centre, register(patch_1, patch_2, Shift()))
     previous_share = math.inf
-    while rotation.iterations < tuning.iterations and not rotation.by_chance:
+    while rotation.iterations < ITERATIONS and not rotation.by_chance:
         progress("offset")
         answer, estimate = match(first, rotation.of(second))
-        rotation, share = rotation.refined(answer, estimate.errors, tuning)
-        if share < tuning.converged_share or share > 0.9 * previous_share:
+        rotation, share = rotation.refined(answer, estimate.errors)
+        if share < CONVERGED_SHARE or share > 0.9 * previous_share:
             break
         previous_share = share
     return rotation
 
 
-def residual_rotation(
-    answer: Identification, errors: Errors, tuning: RotationTuning = DEFAULT_ROTATION
-) -> tuple[Rotation, float] | None:
+def residual_rotation(answer: Identification, errors: Errors) -> tuple[Rotation, float] | None:
     """A significant residual rotation of the pairs, and its largest shift in units of a pair's error; else None.
 
     With a rotation of many errors most true pairs are missed, and only part of it is seen here; :func:`find_rotation`
@@ -211,12 +189,12 @@ def residual_rotation(
     """
     if not len(answer.p_pair):
         return None
-    at = answer.second.features[:: -(-len(answer.second) // tuning.max_pairs)]
+    at = answer.second.features[:: -(-len(answer.second) // MAX_PAIRS)]
     lon, lat = directions_deg(mean_direction(unit_vectors(*at.T)))
     centre = float(lon), float(lat)
-    rotation, share = Rotation(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, errors, tuning)
+    rotation, share = Rotation(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, errors)
     sigmas = float(np.sqrt(mahalanobis_sq(rotation.vector, rotation.covariance)))
-    return (rotation, share) if share > tuning.significant_share and sigmas > tuning.significant_sigmas else None
+    return (rotation, share) if share > SIGNIFICANT_SHARE and sigmas > SIGNIFICANT_SIGMAS else None
 
 
 def _initial(centre: tuple[float, float], registration: Registration) -> Rotation:
@@ -230,23 +208,21 @@ def _initial(centre: tuple[float, float], registration: Registration) -> Rotatio
     return Rotation(centre, vector, covariance, registration.established, 0, registration.notes, by_chance)
 
 
-def _patch(first: Records, second: Records, tuning: RotationTuning) -> tuple[tuple[float, float], Records, Records]:
+def _patch(first: Records, second: Records) -> tuple[tuple[float, float], Records, Records]:
     """A patch where both catalogues have enough records for the search: its centre, and the records there."""
     smaller = min(first, second, key=len)
     order = np.lexsort(smaller.features.T)
-    centres = smaller.features[
-        order[np.linspace(0, len(order) - 1, min(tuning.patch_places, len(order))).astype(np.int64)]
-    ]
+    centres = smaller.features[order[np.linspace(0, len(order) - 1, min(PATCH_PLACES, len(order))).astype(np.int64)]]
     trees = [_tree(records) for records in (first, second)]
     best: tuple[int, float, FloatArray] | None = None
-    for radius_deg in tuning.patch_deg / 2.0 ** np.arange(9.0, -1.0, -1.0):
+    for radius_deg in PATCH_DEG / 2.0 ** np.arange(9.0, -1.0, -1.0):
         chord = 2.0 * math.sin(math.radians(radius_deg) / 2.0)
         counts = [tree.query_ball_point(unit_vectors(*centres.T), chord, return_length=True) for tree in trees]
         least_count = np.minimum(*counts)
         at = int(np.argmax(least_count))
         if best is None or least_count[at] > best[0]:
             best = int(least_count[at]), float(radius_deg), centres[at]
-        if least_count[at] >= tuning.patch_records or max(c[at] for c in counts) > 8 * tuning.patch_records:
+        if least_count[at] >= PATCH_RECORDS or max(c[at] for c in counts) > 8 * PATCH_RECORDS:
             break
     assert best is not None
     _, radius_deg, centre = best
@@ -280,28 +256,15 @@ def _axes(centre_deg: tuple[float, float]) -> FloatArray:
     return np.stack([east[0], north[0], unit_vectors(*at.T)[0]])
 
 
-@dataclass(frozen=True)
-class WarpTuning:
-    """Parameters of the fit of a warp, all chosen.
-
-    highest : maximum order. pairs_per_term : minimum number of pairs per term of an order.
-    max_pairs : more pairs are sampled regularly. max_radius_deg : maximum radius of a field.
-    iterations : number of reweighted fits. tail_sigmas : larger residuals get a lower weight.
-    min_gain : a higher order must lower the leave-one-out −2 ln L by more than this.
-    passes : number of passes of crossmatch and fit.
-    """
-
-    highest: int = 6
-    pairs_per_term: float = 5.0
-    max_pairs: int = 20_000
-    max_radius_deg: float = 40.0
-    iterations: int = 6
-    tail_sigmas: float = 3.5
-    min_gain: float = 10.0
-    passes: int = 3
-
-
-DEFAULT_WARP = WarpTuning()
+# Parameters of the fit of a warp, all chosen.
+HIGHEST = 6  # maximum order
+PAIRS_PER_TERM = 5.0  # minimum number of pairs per term of an order
+WARP_MAX_PAIRS = 20_000  # more pairs are sampled regularly
+MAX_RADIUS_DEG = 40.0  # maximum radius of a field
+WARP_ITERATIONS = 6  # number of reweighted fits
+TAIL_SIGMAS = 3.5  # larger residuals get a lower weight
+MIN_GAIN = 10.0  # a higher order must lower the leave-one-out −2 ln L by more than this
+WARP_PASSES = 3  # number of passes of crossmatch and fit
 
 
 @in_short
@@ -359,33 +322,33 @@ def _basis(position: FloatArray, order: int) -> FloatArray:
     return np.stack([u**a * v**b for a, b in terms(order)], axis=1)
 
 
-def find_warp(result: Identification, before: Warp | None, tuning: WarpTuning) -> Warp | None:
+def find_warp(result: Identification, before: Warp | None) -> Warp | None:
     """The warp of the second source from the matched pairs; None if a shift explains them as well.
 
     before : warp already applied to the second source; the total warp is returned.
     """
     pairs, used = result.pairs, np.flatnonzero(result.chosen)
-    rows = used[:: max(1, -(-len(used) // tuning.max_pairs))]
+    rows = used[:: max(1, -(-len(used) // WARP_MAX_PAIRS))]
     p, residual = result.p_pair[rows], pairs.residual[rows]
-    if len(rows) < 3.0 * tuning.pairs_per_term:
+    if len(rows) < 3.0 * PAIRS_PER_TERM:
         return None
     position = pairs.second.features[pairs.j[rows]]
     if before is not None:
         residual = residual + before.displacement(position)
     vectors = unit_vectors(*position.T)
     centre = mean_direction(vectors)
-    if float((vectors @ centre).min()) < math.cos(math.radians(tuning.max_radius_deg)):
+    if float((vectors @ centre).min()) < math.cos(math.radians(MAX_RADIUS_DEG)):
         return None
     plane = to_plane(vectors, centre) * ARCSEC_PER_RADIAN
     radius = float(np.hypot(*plane.T).max())
     variance = np.sqrt(np.maximum(pairs.determinant[rows], 0.0))
     fits = {
-        order: _fitted(_basis(plane / radius, order), residual, variance, p, tuning)
-        for order in range(tuning.highest + 1)
-        if len(rows) >= tuning.pairs_per_term * (order + 1) * (order + 2) / 2
+        order: _fitted(_basis(plane / radius, order), residual, variance, p)
+        for order in range(HIGHEST + 1)
+        if len(rows) >= PAIRS_PER_TERM * (order + 1) * (order + 2) / 2
     }
     least = min(leave_one_out for _, leave_one_out in fits.values())
-    order = min(order for order, (_, leave_one_out) in fits.items() if leave_one_out <= least + tuning.min_gain)
+    order = min(order for order, (_, leave_one_out) in fits.items() if leave_one_out <= least + MIN_GAIN)
     if order == 0:
         return None
     coefficients, leave_one_out = fits[order]
@@ -394,15 +357,13 @@ def find_warp(result: Identification, before: Warp | None, tuning: WarpTuning) -
     return Warp(centre, radius, order, coefficients, rms, largest, fits[0][1] - leave_one_out, len(rows))
 
 
-def _fitted(
-    basis: FloatArray, residual: FloatArray, variance: FloatArray, p: FloatArray, tuning: WarpTuning
-) -> tuple[FloatArray, float]:
+def _fitted(basis: FloatArray, residual: FloatArray, variance: FloatArray, p: FloatArray) -> tuple[FloatArray, float]:
     """(q, 2) coefficients, and the leave-one-out −2 ln L of the residuals (n, 2).
 
     variance : (n,) of each pair's residual per axis by its errors; a common extra scatter is estimated.
     """
     extra_variance, tail_weight = 0.0, np.ones(len(p))
-    for _ in range(tuning.iterations):
+    for _ in range(WARP_ITERATIONS):
         weight = p * tail_weight / (variance + extra_variance)
         normal = (basis * weight[:, None]).T @ basis
         inverse = np.linalg.pinv(normal)
@@ -413,14 +374,12 @@ def _fitted(
         extra_variance = max(
             float((p * tail_weight * residual_sq).sum()) / freedom - float((p * variance).sum() / p.sum()), 0.0
         )
-        tail_weight = np.minimum(
-            1.0, tuning.tail_sigmas**2 * (variance + extra_variance) / np.maximum(residual_sq, 1e-300)
-        )
+        tail_weight = np.minimum(1.0, TAIL_SIGMAS**2 * (variance + extra_variance) / np.maximum(residual_sq, 1e-300))
     leverage = weight * np.einsum("nq,qr,nr->n", basis, inverse, basis)
     predicted_sq = residual_sq / np.maximum(1.0 - leverage, 1e-6) ** 2
     # Normal likelihood; beyond the tail limit the loss grows logarithmically.
     total = variance + extra_variance
     ratio = predicted_sq / total
-    tail = tuning.tail_sigmas**2
+    tail = TAIL_SIGMAS**2
     loss = np.where(ratio > tail, tail * (1.0 + np.log(np.maximum(ratio, tail) / tail)), ratio)
     return coefficients, float((p * (2.0 * np.log(total) + loss)).sum())

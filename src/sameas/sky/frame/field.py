@@ -16,7 +16,7 @@ from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import PositionError
 from sameas.sky.column_values import numbers
-from sameas.sky.completion import COMMON_ERROR
+from sameas.sky.completion import USUAL_ARCSEC
 from sameas.space import chord_angle_deg, sphere_offset, unit_vectors
 
 
@@ -134,7 +134,7 @@ class StarField:
             rows_used = _near(catalogue, near, epoch_jyr)
             catalogue = _part(catalogue, rows_used)
         if catalogue.error_is_unknown:
-            typical = PositionError("number", sigma_arcsec=COMMON_ERROR.usual_arcsec, reason="assumed")
+            typical = PositionError("number", sigma_arcsec=USUAL_ARCSEC, reason="assumed")
             catalogue = catalogue.with_error(typical)
         records = catalogue.records(epoch_jyr if known and motion and len(catalogue) else None)
         if not len(records) and near is None:

@@ -43,7 +43,7 @@ from sameas.sky.frame.pointing_hints import (
     PointingTuning,
     SkyIndex,
 )
-from sameas.sky.residual_epoch import EPOCH, MovedPairs, Questioned
+from sameas.sky.residual_epoch import LARGEST_SIGMAS, MovedPairs, Questioned
 from sameas.space import chord_angle_deg, directions_deg, sphere_offset
 
 
@@ -494,7 +494,7 @@ def _epoch_doubt(match: FrameIdentification, catalogue: Catalogue) -> str:
     astrometry = catalogue.astrometry[stars.rows[match.pairs[1][some]]]
     motion = astrometry.motion_arcsec_per_yr
     residual = -match.residual_arcsec[some]
-    known = np.isfinite(motion).all(axis=1) & ((residual**2).sum(axis=1) < EPOCH.largest_sigmas**2 * variance / 2.0)
+    known = np.isfinite(motion).all(axis=1) & ((residual**2).sum(axis=1) < LARGEST_SIGMAS**2 * variance / 2.0)
     weight = np.sqrt(2.0 / variance[known])[:, None]
     xy = match.predicted_px[match.pairs[1][some[known]]] / max(match.measured.shape)
     basis = weight * np.stack([xy[:, 0] ** a * xy[:, 1] ** b for a, b in terms(match.plate.order)], axis=1)
