@@ -123,11 +123,24 @@ def run_console(page: Path, block: Block) -> None:
         command, _, shown = part.replace("\\\n", " ").partition("\n")
         program, *arguments = shlex.split(command)
         assert program in ("sameas", "stilts"), f"{page.name}:{block.line}: say why `{command}` is not run"
-        found = str(Path(sys.executable).with_name("sameas")) if program == "sameas" else program
-        done = subprocess.run([found, *arguments], capture_output=True, text=True, check=False)
-        printed = done.stdout + done.stderr
-        assert done.returncode == int(block.says.get("exit", 0)), f"{page.name}:{block.line}: {printed}"
+        code, printed = run_sameas(arguments) if program == "sameas" else run_other(program, arguments)
+        assert code == int(block.says.get("exit", 0)), f"{page.name}:{block.line}: {printed}"
         compare(block, shown, printed, f"{page.name}:{block.line}: {command}")
+
+
+def run_sameas(arguments: list[str]) -> tuple[int, str]:
+    """The exit code of the command and what it prints, in this process: a new one imports for a second first."""
+    from typer.testing import CliRunner
+
+    from sameas.cli.app import app
+
+    result = CliRunner().invoke(app, arguments, prog_name="sameas")
+    return result.exit_code, result.stdout + result.stderr
+
+
+def run_other(program: str, arguments: list[str]) -> tuple[int, str]:
+    done = subprocess.run([program, *arguments], capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
 
 
 def compare(block: Block, shown: str, printed: str, where: str) -> None:

@@ -40,7 +40,7 @@ def answer(seed, *, factors=(1.0, 1.0), floor=0.0, alike=(False, False), size_2=
 @pytest.mark.slow
 @pytest.mark.parametrize("factors, floor", [((1.0, 1.0), 0.0), ((1.7, 1.0), 0.0), ((1.0, 1.5), 0.1), ((0.7, 2.0), 0.0)])
 def test_factors_and_floor_are_recovered_within_their_errors(factors, floor):
-    found = [error_model(answer([1, k], factors=factors, floor=floor)) for k in range(12)]
+    found = [error_model(answer([1, k], factors=factors, floor=floor)) for k in range(8)]
     for name, true in (("factor_1", factors[0]), ("factor_2", factors[1])):
         deviation = np.array([(getattr(m, name).value - true) / getattr(m, name).standard_error for m in found])
         assert np.abs(deviation.mean()) < 1.0 and np.mean(np.abs(deviation) < 2.0) >= 0.75, (name, deviation)
@@ -55,14 +55,14 @@ def test_factors_and_floor_are_recovered_within_their_errors(factors, floor):
 
 @pytest.mark.slow
 def test_without_a_floor_the_fitted_floor_is_within_its_error_of_zero():
-    floors = [error_model(answer([6, k])).floor for k in range(40)]
+    floors = [error_model(answer([6, k])).floor for k in range(20)]
     beyond = np.mean([floor.value > 1.96 * floor.standard_error for floor in floors])
     assert beyond <= 0.15 and all(floor.standard_error > 0.0 for floor in floors)
 
 
 @pytest.mark.slow
 def test_displaced_records_do_not_bias_floor_and_factor():
-    found = [error_model(answer([2, k], factors=(1.7, 1.0), displaced=0.02)) for k in range(12)]
+    found = [error_model(answer([2, k], factors=(1.7, 1.0), displaced=0.02)) for k in range(8)]
     for name, true in (("factor_1", 1.7), ("factor_2", 1.0)):
         deviation = [(getattr(m, name).value - true) / getattr(m, name).standard_error for m in found]
         assert abs(np.mean(deviation)) < 1.0, name
@@ -247,7 +247,7 @@ def test_errors_all_wrong_by_one_factor_have_no_tail(quoted):
 
 @pytest.mark.slow
 def test_the_share_of_the_tail_is_found_within_its_standard_error():
-    tails = [estimated_tail(seed, share=0.04, times=6.0) for seed in range(40)]
+    tails = [estimated_tail(seed, share=0.04, times=6.0) for seed in range(20)]
     pull = np.array([(one.share.value - 0.04) / one.share.standard_error for one in tails])
     assert abs(pull.mean()) < 0.8 and 0.75 < np.std(pull) < 1.3
     assert 5.0 < np.mean([one.factor for one in tails]) < 7.5

@@ -105,7 +105,7 @@ def test_a_signal_at_any_time_leaves_the_old_or_the_new_output(ending, tmp_path,
     began = time.monotonic()
     run("match", *field_files, "-o", out)
     whole, longest = out.read_bytes()[:2880], time.monotonic() - began
-    for moment in np.linspace(0.2, 1.1, 12) * longest:
+    for moment in np.linspace(0.2, 1.1, 7) * longest:
         out.write_bytes(b"old")
         process = subprocess.Popen([*COMMAND, "match", *map(str, field_files), "-o", str(out), "-q"],
                                    stderr=subprocess.PIPE, text=True)  # fmt: skip
@@ -500,12 +500,19 @@ def test_a_full_temporary_disk_is_no_internal_error(capsys):
     assert "fault of sameas" in capsys.readouterr().err
 
 
+@pytest.fixture(scope="module")
+def answer_here(field_files, tmp_path_factory):
+    """The columns of the result of a process in the usual circumstances."""
+    path = tmp_path_factory.mktemp("here") / "here.parquet"
+    run("match", *field_files, "-o", path)
+    return _answer(path)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "circumstance", ["python -O", "no home", "a home that is read-only", "no home, no place for compiled kernels"]
 )
-def test_the_result_does_not_depend_on_the_home_folder(circumstance, tmp_path, field_files):
-    run("match", *field_files, "-o", tmp_path / "here.parquet")
+def test_the_result_does_not_depend_on_the_home_folder(circumstance, tmp_path, field_files, answer_here):
     switches = ["-O"] if circumstance == "python -O" else []
     environment = dict(os.environ)
     if "no home" in circumstance:
@@ -520,14 +527,13 @@ def test_the_result_does_not_depend_on_the_home_folder(circumstance, tmp_path, f
     done = subprocess.run([sys.executable, *switches, "-m", "sameas", *arguments], capture_output=True, text=True,
                           env=environment, timeout=120)  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
-    assert _answer(tmp_path / "there.parquet") == _answer(tmp_path / "here.parquet")
+    assert _answer(tmp_path / "there.parquet") == answer_here
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may become another user")
-def test_a_read_only_installation_works_for_another_user(tmp_path, field_files):
+def test_a_read_only_installation_works_for_another_user(tmp_path, field_files, answer_here):
     """Nobody has no home, and may write into his own folder only: neither kernels beside the source, nor caches."""
-    run("match", *field_files, "-o", tmp_path / "here.parquet")
     for folder in {above for path in (tmp_path / "x", *map(Path, field_files)) for above in path.parents[:-2]}:
         folder.chmod(folder.stat().st_mode | 0o055)
     theirs = tmp_path / "theirs"
@@ -543,7 +549,7 @@ def test_a_read_only_installation_works_for_another_user(tmp_path, field_files):
     except PermissionError:
         pytest.skip("another user may not run this Python")
     assert (done.returncode, done.stderr.replace(_COMPILING, "")) == (0, "")
-    assert _answer(theirs / "o.parquet") == _answer(tmp_path / "here.parquet")
+    assert _answer(theirs / "o.parquet") == answer_here
     closed = tmp_path / "closed"
     closed.mkdir(mode=0o700)
     command[4] = str(closed / "a.fits")

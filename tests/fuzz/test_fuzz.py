@@ -10,7 +10,7 @@ from corpus import TARGETS
 from fuzzing import Fuzzer
 
 #: Inputs of each format; those that start processes of their own, or draw curves of dates, take longer.
-INPUTS = 200
+INPUTS = 100
 FEWER = {"frame hcompress": 4}
 
 

@@ -265,7 +265,7 @@ def test_access_is_requested_once_and_the_token_kept_for_its_owner(tmp_path, gra
         errors.append(wire.state.error)
         return len(wire.queue)
 
-    watched(server, done, login=login)
+    watched(server, done, login=login, longest_wait_s=0.25)
     [device] = server.devices
     assert device["permissions"] == "readonly" and device["description"].startswith("sameas on ")
     assert any(device["clientId"] in error and error.startswith("waits for access") for error in errors)
@@ -281,7 +281,7 @@ def test_access_is_requested_once_and_the_token_kept_for_its_owner(tmp_path, gra
     kept = json.loads(file.read_text())
     file.write_text(json.dumps(kept | {"token": "old"}))
     third = Guarded([("200 OK", granted)])
-    watched(third, lambda wire: len(wire.queue), login=login)
+    watched(third, lambda wire: len(wire.queue), login=login, longest_wait_s=0.25)
     assert third.devices[0]["clientId"] == device["clientId"] and json.loads(file.read_text()) == kept
 
 

@@ -287,18 +287,18 @@ def moored(seed, drift_m_per_s=0.0):
 def test_errors_found_to_be_smaller_are_not_taken_for_persistent_ones():
     # While they were thought three times as large, the changes of new errors seemed small.
     alone = []
-    for seed in range(16):
+    for seed in range(5):
         for state in picture_states(moored(seed), np.arange(10.0, 600.0, 10.0)):
             alone += state.p_alone[state.scan.source == 0].tolist()
     assert np.mean(np.array(alone) > 0.5) < 0.005
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drift_m_per_s", [0.2, 0.3, 0.4])
+@pytest.mark.parametrize("drift_m_per_s", [0.2, 0.4])
 def test_ships_adrift_are_not_split_from_their_own_radar_tracks(drift_m_per_s):
     # Each report of 0.3 ± 0.3 m/s would allow a ship at rest: they were alone in 7 to 10 % of the instants.
     alone = []
-    for seed in range(6):
+    for seed in range(3):
         for state in picture_states(moored(seed, drift_m_per_s), np.arange(10.0, 600.0, 10.0)):
             alone += state.p_alone[state.scan.source == 0].tolist()
     assert np.mean(np.array(alone) > 0.5) < 0.01

@@ -258,13 +258,13 @@ DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "asteroid_2713"
 
 @pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason="the frames of asteroid 2713 are not on this machine")
-def test_the_asteroid_of_ten_real_frames_comes_first(tmp_path):
+def test_the_asteroid_of_five_real_frames_comes_first(tmp_path):
     from typer.testing import CliRunner
 
     from sameas.cli.app import app
     from sameas.io import read_table
 
-    lights, darks = sorted(DATA.glob("*Light*.fit")), sorted(DATA.glob("*Dark*.fit"))
+    lights, darks = sorted(DATA.glob("*Light*.fit"))[::2], sorted(DATA.glob("*Dark*.fit"))
     arguments = ["movers", *map(str, lights), "-c", str(DATA / "tycho2_field_r0.3deg.csv"), "--sigma", "0.1",
                  "--epoch", "2000", "-o", str(tmp_path)]  # fmt: skip
     for dark in darks:
@@ -273,10 +273,10 @@ def test_the_asteroid_of_ten_real_frames_comes_first(tmp_path):
     assert result.exit_code == 0, result.output
     tracklets = read_table(tmp_path / "tracklets.fits")
     first = tracklets[0]
-    assert first["n_detections"] == 10 and first["p_tracklet"] > 0.999
+    assert first["n_detections"] == 5 and first["p_tracklet"] > 0.999
     assert first["scatter_arcsec"] < 0.1 * 1.176 and abs(first["rate_arcsec_per_min"] - 0.257) < 0.003
     # Nothing else comes near its odds.
-    assert (tracklets["log_odds"][1:] < first["log_odds"] - 50).all()
+    assert (tracklets["log_odds"][1:] < first["log_odds"] - 30).all()
 
 
 def test_two_frames_alone_give_few_candidates():

@@ -118,7 +118,7 @@ class Wire:
 
     url : see the module. stream : decodes the bytes. max_bytes : size of the queue. clock : UTC in seconds.
     recorder : writes the bytes to disk before they are decoded. login : for a server that wants one. told_s : seconds
-    after which a server of APRS is told that its client is there.
+    after which a server of APRS is told that its client is there. longest_wait_s : before it connects again.
     """
 
     def __init__(
@@ -131,8 +131,10 @@ class Wire:
         recorder: Recorder | None = None,
         login: Login | None = None,
         told_s: float = TOLD_S,
+        longest_wait_s: float = LONGEST_WAIT_S,
     ) -> None:
-        self.url, self.stream, self.clock, self.recorder, self.told_s = url, stream, clock, recorder, told_s
+        self.url, self.stream, self.clock, self.recorder = url, stream, clock, recorder
+        self.told_s, self.longest_wait_s = told_s, longest_wait_s
         self.login = login or Login()
         self.queue, self.state = BoundedQueue(max_bytes), WireState()
         # Number of dropped pieces that the recording says.
@@ -143,7 +145,7 @@ class Wire:
             self.state.open_word = "listening"
 
     async def run(self) -> None:
-        """Reads until cancelled; a broken wire is reconnected, after waits that double up to ``LONGEST_WAIT_S``."""
+        """Reads until cancelled; a broken wire is reconnected, after waits that double up to the longest."""
         wait_s = FIRST_WAIT_S
         scheme = urlsplit(self.url).scheme
         reader: Callable[[], Awaitable[None]] = {
@@ -165,7 +167,7 @@ class Wire:
             self.state.connected = False
             if scheme == "stdin":
                 return
-            wait_s = FIRST_WAIT_S if self.state.received > before else min(2.0 * wait_s, LONGEST_WAIT_S)
+            wait_s = FIRST_WAIT_S if self.state.received > before else min(2.0 * wait_s, self.longest_wait_s)
             await asyncio.sleep(wait_s)
 
     def take(self, max_bytes: int = 2 << 20) -> list[Reports]:
