@@ -15,10 +15,19 @@ from astropy.wcs import WCS, Sip
 from sameas.errors import InputError
 from sameas.sky.frame.field import Stars
 from sameas.sky.frame.odds import PlateProblem, SearchVolume, verify
-from sameas.sky.frame.place import Placement, odds_in_words, place
+from sameas.sky.frame.place import NoSolution, Placement, odds_in_words, place
 from sameas.sky.frame.plate import MatchedStars, fit_plate
 from sameas.sky.frame.pointing import Pointing
-from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, sky_index
+from sameas.sky.frame.pointing_hints import (
+    BRIGHTEST_PATTERNS,
+    DEFAULT_POINTING,
+    FURTHER_PATTERNS,
+    Aim,
+    AllSky,
+    ApproximateWcs,
+    PatternIndex,
+    sky_index,
+)
 from sameas.space import ARCSEC_PER_RADIAN, directions_deg, from_plane, to_plane, unit_vectors
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
@@ -168,6 +177,26 @@ def test_another_field_is_refused_with_the_odds(n: int, brightest: int) -> None:
 
 
 @pytest.mark.slow
+def test_a_search_in_two_steps_has_every_list_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor are the patterns of the same stars made twice: they take most of the time of a frame that is refused."""
+    assert BRIGHTEST_PATTERNS.aim_lists + FURTHER_PATTERNS.aim_lists == DEFAULT_POINTING.aim_lists
+    (k, per_field, n), (next_k, next_per_field, next_n) = DEFAULT_POINTING.aim_lists[:2]
+    assert (k, per_field) == (next_k, next_per_field) and n < next_n, "the second step has the patterns of the first"
+    made: list[tuple[int, int]] = []
+
+    def counted(vectors: np.ndarray, rows: np.ndarray, *, k: int, **reach: float) -> PatternIndex:
+        made.append((k, len(rows)))
+        return of(vectors, rows, k=k, **reach)
+
+    of = PatternIndex.of
+    monkeypatch.setattr(PatternIndex, "of", counted)
+    rng = np.random.default_rng(12)
+    seen, _ = picture(rng, sky(rng, 300, 0.5, ra_deg=200.0), pointing(200.0, 35.0, 1.0, 20.0), brightest=60)
+    with pytest.raises(NoSolution):
+        place(seen, sky(rng, 300, 0.5), Aim(120.0, 35.0, 0.05, (0.9, 1.1)))
+    assert len(made) == len(set(made)) >= 2
+
+
 def test_odds_against_chance_are_calibrated() -> None:
     # In random frames, odds of 1:1 or better may occur in at most one half, of 20:1 in one of 20.
     volume = SearchVolume((0.2 / 57.3) ** 2, 2 * math.pi, 0.4, 2)

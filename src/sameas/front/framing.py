@@ -46,6 +46,7 @@ from sameas.sky.frame.place import NoSolution
 from sameas.sky.frame.pointing_hints import (
     BRIGHTEST_PATTERNS,
     DEFAULT_POINTING,
+    FURTHER_PATTERNS,
     Aim,
     AllSky,
     ApproximateWcs,
@@ -263,12 +264,12 @@ def _solved_at_some_scale(
     with a doubt.
 
     All scales are searched with the patterns of the brightest stars, a second each, before the first is searched with
-    all patterns, which takes many seconds where it is wrong.
+    the others, which takes many seconds where it is wrong.
     """
     scale, others = at_other_scales(request.pointing, own_hints)
     if not others:
         return _first_solved(solved, request, frame, own_hints)
-    for pointing, aims in ((BRIGHTEST_PATTERNS, others), (DEFAULT_POINTING, others[:2])):
+    for pointing, aims in ((BRIGHTEST_PATTERNS, others), (FURTHER_PATTERNS, others[:2])):
         search = partial(solved, pointing=pointing)
         try:
             return _first_solved(search, request, frame, own_hints)

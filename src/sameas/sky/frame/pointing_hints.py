@@ -237,8 +237,10 @@ class PointingTuning:
 
 
 DEFAULT_POINTING = PointingTuning()
-#: Only the first list around an aim: a second, where all may take half a minute.
+#: Only the first list around an aim: a second, where all may take half a minute; and those after it, of which the next
+#: has all its patterns, so that a search in two steps misses none.
 BRIGHTEST_PATTERNS = replace(DEFAULT_POINTING, aim_lists=DEFAULT_POINTING.aim_lists[:1])
+FURTHER_PATTERNS = replace(DEFAULT_POINTING, aim_lists=DEFAULT_POINTING.aim_lists[1:])
 
 
 @in_short
@@ -439,10 +441,13 @@ def _about_aim(
     side = math.sqrt(problem.shape[0] * problem.shape[1] * scale[0] * scale[1])
     many = len(cone) * side**2 / (4 * math.pi * math.sin(reach / 2) ** 2) > tuning.many_stars
     done: set[tuple[int, int, int]] = set()
+    levels: dict[tuple[int, int], PatternIndex] = {}  # the costly part of a list
     for k, per_field, n in tuning.aim_lists:
         if many and k == 3 and per_field > tuning.aim_lists[0][1]:
             continue
-        level = _level(cone, side, per_field, k, tuning.sides_many if many else tuning.sides_few)
+        if (k, per_field) not in levels:
+            levels[k, per_field] = _level(cone, side, per_field, k, tuning.sides_many if many else tuning.sides_few)
+        level = levels[k, per_field]
         # With few stars or measurements later lists are the same as earlier ones.
         key = (k, len(level.vectors), min(n, len(problem.px)))
         if key not in done and len(level.patterns):
