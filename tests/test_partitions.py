@@ -70,6 +70,10 @@ def axes(ra, dec):
 
 
 def stored(folder, tables, most):
+    """Paths of both as catalogues of at most so many rows a partition.
+
+    One partition of all rows is a cell of order 0, whose halo takes seconds.
+    """
     for name, table, rows in zip("ab", tables, most, strict=True):
         write_hats(table, folder / name, max_rows=rows)
     return folder / "a", folder / "b"
@@ -457,7 +461,7 @@ def test_a_killed_worker_is_replaced_and_a_killed_client_resumes_with_the_same_b
 
 @pytest.mark.slow
 def test_a_folder_is_locked_by_one_run_and_unlocked_after_a_kill(tmp_path):
-    found, _ = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=12), (300, 300)), out="one/out")
+    found, _ = matched(tmp_path, stored(tmp_path, sky((40.0, 10.0), 300, 0.1, seed=12), (200, 200)), out="one/out")
     out = tmp_path / "two" / "out"
     (out / ".sameas-run").mkdir(parents=True)
     with closing(held(out / ".sameas-run")), pytest.raises(InputError, match="another run writes there; give another"):
@@ -474,7 +478,7 @@ def test_a_folder_is_locked_by_one_run_and_unlocked_after_a_kill(tmp_path):
 @pytest.mark.slow
 def test_no_folder_name_adds_a_property(tmp_path):
     name = "out\nhats_col_ra=x<script>"
-    found, _ = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=12), (300, 300)), out="plain")
+    found, _ = matched(tmp_path, stored(tmp_path, sky((40.0, 10.0), 300, 0.1, seed=12), (200, 200)), out="plain")
     found.write(tmp_path / name, workers=1)
     properties = (tmp_path / name / "collection.properties").read_text(encoding="utf-8")
     assert "obs_collection=out\\u000ahats_col_ra=x<script>\n" in properties
@@ -485,7 +489,7 @@ def test_no_folder_name_adds_a_property(tmp_path):
 @pytest.mark.parametrize("what", ["files no larger than 2 kB", "a folder that disappears"])
 def test_a_disk_error_is_one_line_and_no_internal_error(what, tmp_path, monkeypatch):
     resource = pytest.importorskip("resource")
-    found, _ = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=12), (300, 300)), out="one/out")
+    found, _ = matched(tmp_path, stored(tmp_path, sky((40.0, 10.0), 300, 0.1, seed=12), (200, 200)), out="one/out")
     limits, out = resource.getrlimit(resource.RLIMIT_FSIZE), tmp_path / "two" / "out"
     work = run.decide_partition
 
@@ -569,14 +573,14 @@ def test_neighbouring_cells_contain_all_points_within_the_width():
 
 
 def test_a_hats_catalogue_and_a_table_are_refused_together(tmp_path):
-    a, _ = stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=14), (300, 300))
+    a, _ = stored(tmp_path, sky((40.0, 10.0), 300, 0.1, seed=14), (200, 200))
     with pytest.raises(InputError, match="a HATS catalogue is matched with another one"):
         sameas.match(a, {"ra": [1.0], "dec": [1.0]})
 
 
 def test_a_catalogue_with_wrong_or_missing_properties_is_named(tmp_path):
     """A column that is not there was an unexpected KeyError; without properties the other catalogue was blamed."""
-    a, b = stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=14), (300, 300))
+    a, b = stored(tmp_path, sky((40.0, 10.0), 300, 0.1, seed=14), (200, 200))
     properties = next(path for path in a.iterdir() if path.name.endswith("properties"))
     text = properties.read_text()
     properties.write_text(text.replace("hats_col_ra=ra", "hats_col_ra=RA_ICRS"))
@@ -590,7 +594,7 @@ def test_a_catalogue_with_wrong_or_missing_properties_is_named(tmp_path):
 
 @pytest.mark.slow
 def test_an_output_is_a_folder_whose_records_are_not_explained(tmp_path):
-    paths = stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=14), (300, 300))
+    paths = stored(tmp_path, sky((40.0, 10.0), 300, 0.1, seed=14), (200, 200))
     found = sameas.match(*paths, sigma="pos_err")
     for ending in (".fits", ".parquet"):
         with pytest.raises(InputError, match="is a folder of partitions, not one file"):
@@ -610,7 +614,7 @@ def test_options_that_would_depend_on_the_partition_are_refused(tmp_path):
 
 def test_the_command_speaks_of_partitions_as_of_tables_and_refuses_before_it_reads(tmp_path):
     """A finished output was refused after the estimation, and options had no dashes."""
-    sides = sky((0.0, 0.0), 600, 0.1, seed=17)
+    sides = sky((40.0, 10.0), 600, 0.1, seed=17)
     a, b = stored(tmp_path, sides, (300, 300))
     out = tmp_path / "out"
 
@@ -683,7 +687,7 @@ def test_an_interruption_in_the_last_step_leaves_no_scratch(tmp_path, monkeypatc
     monkeypatch.setattr("sameas.partitions.run.write_collection", interrupted)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background ignore it
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
-    paths = stored(tmp_path, sky((0.0, 0.0), 100, 0.1, seed=12), (300, 300))
+    paths = stored(tmp_path, sky((40.0, 10.0), 300, 0.1, seed=12), (200, 200))
     with pytest.raises(KeyboardInterrupt):
         matched(tmp_path, paths)
     assert (tmp_path / "out" / "collection.properties").exists() and not (tmp_path / "out" / ".sameas-run").exists()
