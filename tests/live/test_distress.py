@@ -42,6 +42,7 @@ def test_devices_that_are_not_tested_call_for_help(tmp_path):
     assert picture.summary.lines()[0].startswith(f"alarm: AIS-SART {SART} calls for help")
     at = np.flatnonzero(picture.objects["mmsi"] == SART)
     assert set(picture.objects["type"][at]) == {"AIS-SART"}
+    assert set(picture.objects["label"][at]) == {f"AIS-SART {SART}"}
 
 
 @pytest.mark.parametrize(

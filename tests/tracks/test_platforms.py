@@ -391,3 +391,54 @@ def test_a_radar_aboard_whose_stamps_are_a_minute_late_is_doubted_as_such(bow):
     [doubt] = scene(described(source="gps"), own, ais_reports, reports=radar).doubts()
     assert "radar: its stamps look about 60 s late: with that removed" in str(doubt), doubt
     assert "give latency_s = 60 in its timing" in str(doubt)
+
+
+@pytest.mark.parametrize(("late_s", "azimuth_deg"), [(0.0, 1.5), (4.0, -2.0)])
+def test_late_stamps_aboard_a_turning_vessel_are_told_from_an_error_of_the_azimuth(late_s, azimuth_deg):
+    """Stamps of 4 s later are a degree and a half of heading, now to one side and now to the other."""
+    rng, times = np.random.default_rng(8), np.arange(0.0, 600.0)
+    heading_deg = 40.0 + 60.0 * np.sin(times / 120.0)
+    course = np.radians(heading_deg)
+    own = np.cumsum(6.0 * np.column_stack([np.sin(course), np.cos(course)]), axis=0)
+    start, velocity = rng.uniform(-6e3, 6e3, (9, 2)), 5.0 * rng.standard_normal((9, 2))
+    messages, targets = [], []
+    for t in times.astype(int).tolist():
+        place = start + velocity * t
+        for ship in range(9):
+            if (t + 3 * ship) % 10 == 0:
+                messages.append((START_S + t, *(place[ship] + 8.0 * rng.standard_normal(2)), *velocity[ship], ship))
+            if t % 3 == 0 and rng.random() < 0.9:
+                east, north = place[ship] - own[t]
+                bow_deg = np.degrees(np.arctan2(east, north)) - heading_deg[t] + azimuth_deg
+                range_m, bow_deg = (
+                    np.hypot(east, north) + 25.0 * rng.standard_normal(),
+                    bow_deg + 0.5 * rng.standard_normal(),
+                )
+                targets.append((START_S + t + late_s, range_m, bow_deg % 360.0, ship))
+    time_s, x, y, vx, vy, ship = np.transpose(messages)
+    lat, lon = PLANE.to_geodetic(np.column_stack([x, y]))
+    mmsi = [f"23500{int(one)}111" for one in ship]
+    columns = {"time_s": time_s, "lat_deg": lat, "lon_deg": lon, "vx_m_per_s": vx, "vy_m_per_s": vy, "mmsi": mmsi}
+    others = Reports.of("ais", "ais", columns)
+    time_s, range_m, bow_deg, ship = np.transpose(targets)
+    columns = {
+        "time_s": time_s,
+        "range_m": range_m,
+        "relative_bearing_deg": bow_deg,
+        "track_id": ship.astype(int).astype(str),
+    }
+    plots = Reports.of("radar", "table", columns)
+    lat, lon = PLANE.to_geodetic(own)
+    carrier = Reports.of(
+        "gps", "own ship", {"time_s": START_S + times, "lat_deg": lat, "lon_deg": lon, "heading_deg": heading_deg}
+    )
+    given = [
+        (Description("ais", "ais"), others),
+        (Description("radar", "marine radar"), plots),
+        (Description("gps", "ais"), carrier),
+    ]
+    scene, biases = Scene.of(given, PLANE).registered()
+    [radar] = [one for one in biases if one.source == "radar"]
+    assert radar.parameters["azimuth_deg"].value == pytest.approx(azimuth_deg, abs=0.2)
+    assert radar.parameters["time_s"].value == pytest.approx(late_s, abs=1.0)
+    assert len(scene.feeds) == 2

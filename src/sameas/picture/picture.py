@@ -30,7 +30,7 @@ from sameas.picture.texts import TEXTS
 from sameas.picture.watch import Watch
 from sameas.representation import in_short
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.distress import distress_calls
+from sameas.tracks.distress import device_of, distress_calls
 from sameas.tracks.placement import Directions
 from sameas.tracks.scene import Scene
 
@@ -360,6 +360,8 @@ def _texts(state: PictureState[Carried]) -> Columns:
     label = np.full(len(rows), "", dtype=object)
     for name in ("icao", "mmsi", "callsign", "name"):
         label = np.where(columns[name] != "", columns[name], label)
+    devices = [device_of(mmsi) for mmsi in columns["mmsi"].tolist()]
+    label = np.array([f"{one} {text}" if one else text for one, text in zip(devices, label, strict=True)], object)
     return {"label": label.astype(np.str_), **columns}
 
 

@@ -105,6 +105,14 @@ class SourceBiases:
             covariance[AZIMUTH, AZIMUTH] -= self.drift.spread_deg**2
         return unbiased(feed, self.theta, covariance, self.drift)
 
+    def later(self, late_s: float) -> SourceBiases:
+        """The biases with stamps that are later by ``late_s``, which is subtracted already."""
+        if not late_s:
+            return self
+        late = self.parameters["time_s"]
+        parameters = {**self.parameters, "time_s": replace(late, value=late.value + late_s)}
+        return replace(self, parameters=parameters)
+
     @property
     def values(self) -> str:
         """Printable: each bias with its standard error; "" for a source that is not corrected."""

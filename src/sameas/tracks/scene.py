@@ -19,8 +19,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -56,6 +56,9 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 #: Seconds without a report of any source that separate two sessions (chosen): a source that is slow reports more often.
 PAUSE_S = 1800.0
+#: A sensor aboard is placed anew at most so often, if its stamps are late by more than SURE standard errors, and the
+#: log evidence of the biases grows by EVIDENCE (chosen).
+PLACINGS, SURE, EVIDENCE = 3, 2.0, 3.0
 
 __all__ = ["POSITION", "POSITION_AND_VELOCITY", "Feed", "Instant", "Scene"]
 
@@ -68,6 +71,7 @@ class Scene:
     height_model : conversion of all heights to one kind; estimated from the reports if None.
     shared_error_m : 1σ per axis of the error common to all sources, such as the near side of a hull.
     estimated : printable sentences on estimated errors.
+    given : the sources of which it was made, before sensors aboard vessels were placed.
     """
 
     feeds: tuple[Feed, ...]
@@ -76,6 +80,7 @@ class Scene:
     height_model: HeightModel | None = None
     shared_error_m: float = 0.0
     estimated: tuple[str, ...] = ()
+    given: tuple[tuple[Description, Reports], ...] = field(default=(), repr=False)
 
     @classmethod
     def of(
@@ -98,6 +103,7 @@ class Scene:
         if len(set(names)) < len(names):
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
         notes: dict[str, tuple[str, ...]] = {}
+        given = tuple(sources)
         sources = _with_platforms(sources, tuning, set_aside, notes)
         far = too_far_apart(sources, tuning)
         if set_aside is None and far:
@@ -125,7 +131,7 @@ class Scene:
             raise next(iter(set_aside.values()))
         if len(feeds) == 1:
             feeds = [_by_running_fixes(feeds[0], plane, tuning)]
-        return cls(tuple(feeds), plane, tuning)
+        return cls(tuple(feeds), plane, tuning, given=given)
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -152,11 +158,47 @@ class Scene:
         is added to the covariances. ``bias`` in the descriptions is the prior of biases; the known ones,
         ``calibration``, are already removed.
 
+        A sensor aboard a vessel whose stamps are late measured from where she was and headed before: it is placed anew,
+        and registered again, as long as that explains the records better.
+
         references : names of the sources assumed to have no bias, if not given by their descriptions.
         """
+        scene, late_s = self, dict.fromkeys((feed.description.name for feed in self.feeds), 0.0)
         feeds, biases = registered(self.feeds, references, self._plot_fits)
+        for _ in range(PLACINGS):
+            more_s = {one.source: one.parameters["time_s"].value for one in biases if scene._is_placed_late(one)}
+            if not more_s:
+                break
+            placed = scene._placed_earlier(more_s)
+            found = registered(placed.feeds, references, placed._plot_fits)
+            if sum(one.log_evidence for one in found[1]) < sum(one.log_evidence for one in biases) + EVIDENCE:
+                break
+            scene, (feeds, biases) = placed, found
+            late_s |= {name: late_s[name] + value for name, value in more_s.items()}
         of_plots = tuple(feed.plot_statistics for feed in feeds if feed.clutter_per_m2 is not None)
-        return replace(self, feeds=feeds, estimated=(*self.estimated, *of_plots)), biases
+        scene = replace(scene, feeds=feeds, estimated=(*self.estimated, *of_plots))
+        return scene, tuple(one.later(late_s[one.source]) for one in biases)
+
+    def _is_placed_late(self, biases: SourceBiases) -> bool:
+        """Whether a sensor was placed by the positions of its vessel, and has stamps that are surely late or early."""
+        late = biases.parameters.get("time_s")
+        if not biases.established or late is None or abs(late.value) < SURE * late.standard_error:
+            return False
+        [raw] = [feed.raw_reports for feed in self.feeds if feed.description.name == biases.source]
+        given = [reports for description, reports in self.given if description.name == biases.source]
+        is_placed = raw is not None and raw.station_lat_deg is not None
+        return is_placed and any(one.station_lat_deg is None or one.relative_bearing_deg is not None for one in given)
+
+    def _placed_earlier(self, late_s: Mapping[str, float]) -> Scene:
+        """The scene with the stamps of some sources known to be later than given, by these seconds."""
+        sources = []
+        for description, reports in self.given:
+            latency_s = (description.timing.latency_s or 0.0) + late_s.get(description.name, 0.0)
+            timing = replace(description.timing, latency_s=latency_s)
+            sources.append(
+                (replace(description, timing=timing) if description.name in late_s else description, reports)
+            )
+        return Scene.of(sources, self.plane, self.tuning, set_aside={})
 
     def with_fitted_errors(self) -> tuple[Scene, TrackErrorFit]:
         """The scene with errors, clutter and latencies estimated from its bare plots, and the fit.
@@ -164,7 +206,8 @@ class Scene:
         Values given by the user are kept; see :mod:`sameas.tracks.error_fit`. To be called before :meth:`registered`.
         """
         fit = fit_errors(self.feeds, self.plane, self.tuning)
-        return replace(self, feeds=fit.feeds, shared_error_m=fit.shared_m, estimated=tuple(fit.lines())), fit
+        lines = tuple(fit.lines())
+        return replace(self, feeds=fit.feeds, shared_error_m=fit.shared_m, estimated=lines, given=()), fit
 
     def doubts(self) -> tuple[str, ...]:
         """Suspected errors of whole sources, one sentence each with its remedy; empty if there are none.
