@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import map_coordinates, maximum_filter, zoom
 
 from sameas.kernels import frames
-from sameas.sky.frame.centroid import PSF, Background, CentroidTuning, Subtracted, centroids, interpolated
+from sameas.sky.frame.centroid import PSF, Background, Subtracted, centroids, interpolated
 from sameas.sky.frame.peaks import usable_share
 
 
@@ -111,7 +111,7 @@ def test_centroids_are_the_zeros_of_the_first_moment(taken_out, elongation):
     subtracted = Subtracted(xy, np.full(3, 4e4), psf) if taken_out else None
     light = (sky if taken_out else sky + sum(stars)).astype(np.float32)
     windows = np.broadcast_to(psf.window(), (3, 2, 2))
-    found = centroids(light, background, np.rint(xy), windows, CentroidTuning(), subtracted)
+    found = centroids(light, background, np.rint(xy), windows, subtracted)
     for k in range(3):
         own = None if subtracted is None else Subtracted(xy[[k]], subtracted.flux[[k]], psf)
         position, weight, moments, first, total = in_numpy(light, background, np.rint(xy[k]), windows[k], own)

@@ -9,7 +9,7 @@ import pytest
 from browser import CHROMIUM, Browser
 from sameas.simulate.frames import Camera, GaussianProfile, frame_of
 from sameas.sky.movers.search import search
-from sameas.sky.movers.stack import DEFAULT_STACK, confirmed, stack, stacked_evidence
+from sameas.sky.movers.stack import UNLISTED, confirmed, stack, stacked_evidence
 from sameas.sky.series import Exposure, tie
 
 SIDE, SCALE, RA, DEC = 256, 1.0, 150.0, 20.0
@@ -104,10 +104,10 @@ def test_light_of_an_unlisted_star_on_other_frames_makes_nothing_certain():
     found = replace(found.only(np.zeros(1, int)), log_missed=np.array([-2.0]))
     detected = np.array([[True] * 3 + [False] * 6])
     seen = np.zeros((1, 9), bool), detected
-    bright = stacked_evidence(found, np.full((1, 9), 100.0), np.full((1, 9), 10.0), *seen, DEFAULT_STACK)[0] - 2.0
-    assert 3.8 < bright <= np.log(1 / DEFAULT_STACK.unlisted)
+    bright = stacked_evidence(found, np.full((1, 9), 100.0), np.full((1, 9), 10.0), *seen)[0] - 2.0
+    assert 3.8 < bright <= np.log(1 / UNLISTED)
     # Frames without light refute as before.
-    dark = stacked_evidence(found, np.where(detected, 100.0, 0.0), np.full((1, 9), 10.0), *seen, DEFAULT_STACK)[0] - 2.0
+    dark = stacked_evidence(found, np.where(detected, 100.0, 0.0), np.full((1, 9), 10.0), *seen)[0] - 2.0
     assert -14.0 < dark < -10.0
 
 

@@ -20,7 +20,7 @@ from sameas.pages import asset, column, page_of, png, rounded, script_safe
 from sameas.plots.frame import binned, binning, stretched
 from sameas.report.frame import doubts_of, doubts_of_frames
 from sameas.report.movers import reasons
-from sameas.sky.frame.identified import FrameIdentification
+from sameas.sky.frame.identified import P_EXPECTED, FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
 from sameas.sky.frame.outputs import why_missing
@@ -73,7 +73,7 @@ def _data(match: FrameIdentification, facts: Mapping[str, Any], factor: int, bri
         "bin": factor,
         "width_px": rounded(match.measured.psf_fwhm_px, 2),
         "brightest": brightest,
-        "expected": match.tuning.p_expected,
+        "expected": P_EXPECTED,
         "odd": match.pairs[0][match.odd_brightness].tolist(),
         "summary": facts,
         "measured": _measured(match, number),

@@ -13,7 +13,7 @@ from sameas.estimate.quantity import Quantity
 from sameas.report.estimates import error_model_in_words, quoted_errors
 from sameas.report.prose import DOUBT, entry, labelled
 from sameas.representation import count, counted
-from sameas.sky.frame.identified import DEFAULT_REFINEMENT
+from sameas.sky.frame.identified import FEW_PAIRS
 from sameas.sky.frame.outputs import ERROR_TERM_NAMES
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def _unmatched(found: Mapping[str, Any]) -> str:
 
 def _scatter(summary: Mapping[str, Any]) -> str:
     # The median is unreliable for few residuals.
-    few = summary["found"]["identified"] < DEFAULT_REFINEMENT.few_pairs
+    few = summary["found"]["identified"] < FEW_PAIRS
     east, north = summary["residuals"]["rms_arcsec" if few else "scatter_arcsec"]
     return "not known" if east is None else f"{east:.2g}″ × {north:.2g}″{' rms' if few else ''}"
 

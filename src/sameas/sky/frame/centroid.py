@@ -34,36 +34,18 @@ from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
 from sameas.errors import InputError, optional
 from sameas.sky.frame.image import Frame, Image
 
-
-@dataclass(frozen=True)
-class CentroidTuning:
-    """Parameters of the noise and of centroids, tuned on simulated frames (``scripts/bench centroids``).
-
-    noise_side_px : the noise correlation is measured in a square of this side in the middle of the frame.
-    noise_reach_px : maximum offset along an axis for the noise correlation.
-    star_sigmas : 3 × 3 means farther than this from the sky are stars, and excluded from the noise measurement.
-    min_noise_pixels : with fewer pixels the noise is assumed independent.
-    min_correlation : smaller correlations are set to zero, as noise of the estimate.
-    steps : maximum number of iterations. converged_px : step length for convergence.
-    stamp_sigmas : half-width of a stamp in standard deviations of its window. max_width_px : maximum half-width.
-    pixels_at_once : pixels per batch of stamps, which bounds the memory.
-    shape_steps : iterations that adapt a window to the shape of its star.
-    """
-
-    noise_side_px: int = 600
-    noise_reach_px: int = 4
-    star_sigmas: float = 3.5
-    min_noise_pixels: int = 1000
-    min_correlation: float = 0.02
-    steps: int = 25
-    converged_px: float = 2e-4
-    stamp_sigmas: float = 3.5
-    max_width_px: int = 48
-    pixels_at_once: int = 4_000_000
-    shape_steps: int = 8
-
-
-DEFAULT_CENTROIDS = CentroidTuning()
+# Parameters of the noise and of centroids, tuned on simulated frames (``scripts/bench centroids``).
+NOISE_SIDE_PX = 600  # the noise correlation is measured in a square of this side in the middle of the frame
+NOISE_REACH_PX = 4  # maximum offset along an axis for the noise correlation
+STAR_SIGMAS = 3.5  # 3 × 3 means farther than this from the sky are stars, and excluded from the noise measurement
+MIN_NOISE_PIXELS = 1000  # with fewer pixels the noise is assumed independent
+MIN_CORRELATION = 0.02  # smaller correlations are set to zero, as noise of the estimate
+STEPS = 25  # maximum number of iterations
+CONVERGED_PX = 2e-4  # step length for convergence
+STAMP_SIGMAS = 3.5  # half-width of a stamp in standard deviations of its window
+MAX_WIDTH_PX = 48  # maximum half-width
+PIXELS_AT_ONCE = 4_000_000  # pixels per batch of stamps, which bounds the memory
+SHAPE_STEPS = 8  # iterations that adapt a window to the shape of its star
 
 
 @dataclass(frozen=True)
@@ -83,7 +65,7 @@ class Background:
     correlation: FloatArray
 
     @classmethod
-    def of(cls, frame: Frame, *, box_px: int = 64, tuning: CentroidTuning = DEFAULT_CENTROIDS) -> Background:
+    def of(cls, frame: Frame, *, box_px: int = 64) -> Background:
         """The background of a frame; ``box_px`` should be about ten times the width of a star.
 
         Raises InputError: photutils is missing; hardly a pixel is usable.
@@ -95,13 +77,13 @@ class Background:
         usable = ~frame.masked & (variance > 0) & np.isfinite(variance)
         if not usable.any():
             raise InputError(f"{frame.name}: the sky has no noise at all; the frame is empty or was clipped")
-        middle = _middle(frame.shape, tuning)
+        middle = _middle(frame.shape)
         normal = (frame.image[middle] - level[middle]) / np.sqrt(np.where(usable[middle], variance[middle], 1))
         return cls(
             level.astype(np.float32),
             np.where(usable, variance, np.inf).astype(np.float32),
             1 / gain if known else 0.0,
-            noise_correlation(np.where(usable[middle], normal, np.nan), tuning),
+            noise_correlation(np.where(usable[middle], normal, np.nan)),
         )
 
     def factor(self, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -177,18 +159,18 @@ def interpolated(mesh: FloatArray, box_px: int, shape: tuple[int, int]) -> Float
     return np.asarray(np.clip(rows @ mesh @ columns.T, mesh.min(), mesh.max()))
 
 
-def _middle(shape: tuple[int, ...], tuning: CentroidTuning) -> tuple[slice, ...]:
+def _middle(shape: tuple[int, ...]) -> tuple[slice, ...]:
     """The middle of the frame, in which the noise correlation is measured."""
-    half = tuning.noise_side_px // 2
+    half = NOISE_SIDE_PX // 2
     return tuple(slice(max(0, size // 2 - half), size // 2 + half) for size in shape)
 
 
-def noise_correlation(normal: FloatArray, tuning: CentroidTuning) -> FloatArray:
+def noise_correlation(normal: FloatArray) -> FloatArray:
     """The noise correlation at small offsets, from normalised pixels without stars."""
-    reach = tuning.noise_reach_px
+    reach = NOISE_REACH_PX
     independent = np.zeros((2 * reach + 1, 2 * reach + 1))
     independent[reach, reach] = 1
-    part = normal[_middle(normal.shape, tuning)]
+    part = normal[_middle(normal.shape)]
     from scipy.ndimage import maximum_filter, uniform_filter
 
     usable = np.isfinite(part)
@@ -196,10 +178,10 @@ def noise_correlation(normal: FloatArray, tuning: CentroidTuning) -> FloatArray:
         return independent
     smooth = uniform_filter(np.nan_to_num(part), 3)
     # Masked pixels have no noise and are excluded from the scatter; stars are excluded with their surroundings.
-    limit = tuning.star_sigmas * robust_scale(smooth[usable])
+    limit = STAR_SIGMAS * robust_scale(smooth[usable])
     bright = maximum_filter(np.abs(smooth) > limit, 9)
     sky = usable & ~bright
-    if sky.sum() < tuning.min_noise_pixels:
+    if sky.sum() < MIN_NOISE_PIXELS:
         return independent
     values = np.where(sky, part - np.median(part[sky]), 0.0)
     size = [2 * n for n in part.shape]
@@ -209,7 +191,7 @@ def noise_correlation(normal: FloatArray, tuning: CentroidTuning) -> FloatArray:
     index = np.arange(-reach, reach + 1)
     covariance = product[np.ix_(index, index)] / np.maximum(count[np.ix_(index, index)], 1)
     rho = covariance / covariance[reach, reach]
-    return np.where(np.abs(rho) < tuning.min_correlation, 0.0, rho)
+    return np.where(np.abs(rho) < MIN_CORRELATION, 0.0, rho)
 
 
 FWHM_PER_SIGMA = math.sqrt(8 * math.log(2))
@@ -403,7 +385,6 @@ def centroids(
     background: Background,
     xy: FloatArray,
     windows: FloatArray,
-    tuning: CentroidTuning,
     subtracted: Subtracted | None = None,
 ) -> Centroids:
     """Windowed centroids near ``xy`` (n, 2) in windows (n, 2, 2).
@@ -412,9 +393,9 @@ def centroids(
     """
     n = len(xy)
     largest = np.sqrt(np.linalg.eigvalsh(windows)[:, 1]) if n else np.empty(0)
-    half = np.clip(np.ceil(tuning.stamp_sigmas * largest).astype(int) + 1, 4, tuning.max_width_px)
+    half = np.clip(np.ceil(STAMP_SIGMAS * largest).astype(int) + 1, 4, MAX_WIDTH_PX)
     # Half-widths are rounded up to a geometric series, so that stamps have few sizes.
-    half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), tuning.max_width_px)
+    half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), MAX_WIDTH_PX)
     from sameas.kernels.frames import windowed
 
     inverse = np.asarray(np.linalg.inv(windows), float).reshape(n, 4)[:, [0, 1, 3]]
@@ -422,7 +403,7 @@ def centroids(
     sums = windowed(
         light, background.variance, np.asarray(xy, float), inverse, half, limit,
         *((np.zeros((n, 3)), np.zeros(6)) if subtracted is None else subtracted.own_light()),
-        background.inverse_gain, tuning.steps, tuning.converged_px,
+        background.inverse_gain, STEPS, CONVERGED_PX,
     )  # fmt: skip
     return _of_sums(sums, windows, inverse, background)
 
@@ -483,7 +464,6 @@ def adaptive(
     background: Background,
     xy: FloatArray,
     start: FloatArray,
-    tuning: CentroidTuning,
     subtracted: Subtracted | None = None,
 ) -> tuple[Centroids, FloatArray]:
     """Centroids in windows adapted to the shape of each star, and the window matrices (n, 2, 2).
@@ -492,8 +472,8 @@ def adaptive(
     (Bernstein & Jarvis 2002, AJ 123, 583, sect. 3.1).
     """
     windows = start.copy()
-    measured = centroids(light, background, xy, windows, tuning, subtracted)
-    for _ in range(tuning.shape_steps):
+    measured = centroids(light, background, xy, windows, subtracted)
+    for _ in range(SHAPE_STEPS):
         with np.errstate(all="ignore"):
             values, vectors = np.linalg.eigh(np.nan_to_num(measured.moments, posinf=1.0, neginf=1.0))
         values = np.clip(values, 0.05, None)
@@ -502,7 +482,7 @@ def adaptive(
         values, vectors = np.linalg.eigh(inverse)
         old = np.linalg.eigvalsh(windows)
         low, high = 1 / (2.5 * old[:, 1:]), 1 / (0.4 * old[:, :1])
-        values = np.clip(values, np.maximum(low, 1 / (tuning.max_width_px / 3) ** 2), np.minimum(high, 1 / 0.2))
+        values = np.clip(values, np.maximum(low, 1 / (MAX_WIDTH_PX / 3) ** 2), np.minimum(high, 1 / 0.2))
         windows = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
-        measured = centroids(light, background, measured.xy, windows, tuning, subtracted)
+        measured = centroids(light, background, measured.xy, windows, subtracted)
     return measured, windows

@@ -10,7 +10,7 @@ is by far the fastest, but LGPL; photutils' deblending takes longer than everyth
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,57 +20,44 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import Argument, InputError, Message
 from sameas.gaussian import symmetric
 from sameas.sky.frame.centroid import (
-    DEFAULT_CENTROIDS,
     FWHM_PER_SIGMA,
+    PIXELS_AT_ONCE,
     PSF,
     Background,
     Centroids,
-    CentroidTuning,
     Subtracted,
     adaptive,
     centroids,
     cut_stamps,
     noise_correlation,
 )
-from sameas.sky.frame.defects import DEFAULT_DEFECTS, DefectTuning, without_defects
+from sameas.sky.frame.defects import without_defects
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag, Measurements
-from sameas.sky.frame.peaks import DEFAULT_PEAKS, PeakTuning, peaks
-from sameas.sky.frame.photon_noise import DEFAULT_GAIN, GainTuning, InverseGain, measured_inverse_gain
+from sameas.sky.frame.peaks import peaks
+from sameas.sky.frame.photon_noise import (
+    GAIN_REACH_SIGMAS,
+    GAIN_SNR,
+    GAIN_STARS,
+    LARGEST_CONTRADICTION,
+    LEAST_CONTRADICTION,
+    MAX_NOISE_CORRELATION,
+    InverseGain,
+    measured_inverse_gain,
+)
 
-
-@dataclass(frozen=True)
-class DetectionTuning:
-    """Parameters of star detection, tuned on simulated frames (``scripts/bench centroids`` and ``crowded``).
-
-    first_sigma_px : standard deviation of the initial PSF.
-    sharpest_sigma_px : standard deviation of the sharpest possible star before the PSF is measured (FWHM 1.3 px).
-    psf_stars : maximum number of stars for the PSF.
-    max_stars_of_negative, min_dark_ratio : an image is a negative if it has fewer stars than the first, and more dark
-        spots than this ratio to them.
-    shape_snr : stars below this signal to noise ratio get no individual shape.
-    wider : a star wider than the PSF by this factor gets its own window. longer : trailed if longer by this factor.
-    neighbour_passes : number of passes that subtract all neighbours and remeasure every star.
-    shift_share : share of the shift by neighbours that remains after their subtraction.
-    pair_share : position variance of an unresolved pair, as a share of its excess second moment.
-    defects, peaks, centroids, gain : of the defects, the peaks, the centroids, and the measurement of the gain.
-    """
-
-    first_sigma_px: float = 1.3
-    sharpest_sigma_px: float = 0.55
-    psf_stars: int = 200
-    max_stars_of_negative: int = 20
-    min_dark_ratio: float = 10.0
-    shape_snr: float = 15.0
-    wider: float = 1.3
-    longer: float = 2.0
-    neighbour_passes: int = 3
-    shift_share: float = 0.25
-    pair_share: float = 0.1
-    defects: DefectTuning = DEFAULT_DEFECTS
-    peaks: PeakTuning = DEFAULT_PEAKS
-    centroids: CentroidTuning = DEFAULT_CENTROIDS
-    gain: GainTuning = DEFAULT_GAIN
+# Parameters of star detection, tuned on simulated frames (``scripts/bench centroids`` and ``crowded``).
+FIRST_SIGMA_PX = 1.3  # standard deviation of the initial PSF
+SHARPEST_SIGMA_PX = 0.55  # standard deviation of the sharpest possible star before the PSF is measured (FWHM 1.3 px)
+PSF_STARS = 200  # maximum number of stars for the PSF
+#: An image is a negative if it has fewer stars than the first, and more dark spots than this ratio to them.
+MAX_STARS_OF_NEGATIVE, MIN_DARK_RATIO = 20, 10.0
+SHAPE_SNR = 15.0  # stars below this signal to noise ratio get no individual shape
+WIDER = 1.3  # a star wider than the PSF by this factor gets its own window
+LONGER = 2.0  # trailed if longer by this factor
+NEIGHBOUR_PASSES = 3  # number of passes that subtract all neighbours and remeasure every star
+SHIFT_SHARE = 0.25  # share of the shift by neighbours that remains after their subtraction
+PAIR_SHARE = 0.1  # position variance of an unresolved pair, as a share of its excess second moment
 
 
 @dataclass(frozen=True)
@@ -79,14 +66,12 @@ class Detection:
 
     threshold_sigmas : minimum significance in the matched filter. box_px : mesh of the background. defects : whether to
     detect hot pixels, cosmic rays and bad columns on the frame. floor_px : minimum error of a centroid.
-    tuning : of the detection.
     """
 
     threshold_sigmas: float = 4.0
     box_px: int = 64
     defects: bool = True
     floor_px: float = 0.002
-    tuning: DetectionTuning = field(default=DetectionTuning(), repr=False)
 
     def __post_init__(self) -> None:
         least = {"threshold_sigmas": "above 0", "box_px": "of 8 or more", "floor_px": "of 0 or more"}
@@ -96,7 +81,7 @@ class Detection:
 
     def peaks(self, light: FloatArray, background: Background, psf: PSF) -> tuple[FloatArray, FloatArray]:
         """(n, 2) pixels (x, y) of the stars, the most significant first, and their significance (n,)."""
-        return peaks(light, background, psf, self.threshold_sigmas, self.tuning.peaks)
+        return peaks(light, background, psf, self.threshold_sigmas)
 
 
 DEFAULT_DETECTION = Detection()
@@ -117,10 +102,10 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
     [51.0, 20.0, 44.0]
     """
     detection = detection or Detection()
-    background = Background.of(frame, box_px=detection.box_px, tuning=detection.tuning.centroids)
+    background = Background.of(frame, box_px=detection.box_px)
     if detection.defects:
-        sharpest = PSF(detection.tuning.sharpest_sigma_px**2 * np.eye(2))
-        frame, background = without_defects(frame, background, sharpest, detection.tuning.defects)
+        sharpest = PSF(SHARPEST_SIGMA_PX**2 * np.eye(2))
+        frame, background = without_defects(frame, background, sharpest)
     psf = _mean_psf(frame, background, detection)
     measured_gain = None
     if not background.inverse_gain and frame.sigma is None:
@@ -128,14 +113,14 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
         if measured_gain is not None:
             background = replace(background, inverse_gain=measured_gain.value)
     if detection.defects:
-        frame, background = without_defects(frame, background, psf, detection.tuning.defects)
+        frame, background = without_defects(frame, background, psf)
     light = _above_sky(frame, background)
     xy, snr = detection.peaks(light, background, psf)
     _refuse_negative(frame, light, background, psf, len(xy), detection)
     if not len(xy):
         raise InputError(f"{frame.name}: no star above {detection.threshold_sigmas:g}σ; lower threshold_sigmas")
-    stars = _deblended(light, background, psf, xy, snr, detection, detection.tuning.neighbour_passes)
-    note = _gain_note(frame, background, stars, measured_gain, detection.tuning.gain)
+    stars = _deblended(light, background, psf, xy, snr, detection, NEIGHBOUR_PASSES)
+    note = _gain_note(frame, background, stars, measured_gain)
     return _measurements(frame, background, psf, stars, detection, note)
 
 
@@ -145,29 +130,29 @@ def _inverse_gain(frame: Frame, background: Background, psf: PSF, detection: Det
     None, too, where neighbouring pixels share their noise: on a scanned plate the scatter of pixels does not tell that
     of centroids. Unresolved stars of a crowded sky are no noise: the correlation is that without the stars.
     """
-    light, tuning = _above_sky(frame, background), detection.tuning
+    light = _above_sky(frame, background)
     xy, snr = detection.peaks(light, background, psf)
-    if len(xy) < tuning.gain.stars:
+    if len(xy) < GAIN_STARS:
         return None
     stars = _deblended(light, background, psf, xy, snr, detection, passes=1)
     deviation = np.sqrt(background.variance, dtype=float)
     normal = np.where(np.isfinite(deviation), stars.residual / np.where(np.isfinite(deviation), deviation, 1.0), np.nan)
-    without_stars = replace(background, correlation=noise_correlation(normal, tuning.centroids))
-    if float(without_stars.factor(np.array([psf.sigma_px]))[1][0]) > tuning.gain.correlation:
+    without_stars = replace(background, correlation=noise_correlation(normal))
+    if float(without_stars.factor(np.array([psf.sigma_px]))[1][0]) > MAX_NOISE_CORRELATION:
         return None
-    return _gain_of(frame, background, stars, tuning.gain)
+    return _gain_of(frame, background, stars)
 
 
-def _gain_of(frame: Frame, background: Background, stars: _Deblended, tuning: GainTuning) -> InverseGain | None:
+def _gain_of(frame: Frame, background: Background, stars: _Deblended) -> InverseGain | None:
     common, psf = stars.centroids, stars.subtracted.psf
-    usable = common.converged & ~common.at_edge & (common.usable > 0.95) & (stars.snr > tuning.snr)
-    reach_px = tuning.reach_sigmas * math.sqrt(float(np.linalg.eigvalsh(psf.matrix)[1]))
+    usable = common.converged & ~common.at_edge & (common.usable > 0.95) & (stars.snr > GAIN_SNR)
+    reach_px = GAIN_REACH_SIGMAS * math.sqrt(float(np.linalg.eigvalsh(psf.matrix)[1]))
     usable &= (_flags_near(frame, common.xy, reach_px) == 0) & (stars.flux > 0)
-    return measured_inverse_gain(stars.residual, background, stars.subtracted, usable, tuning)
+    return measured_inverse_gain(stars.residual, background, stars.subtracted, usable)
 
 
 def _gain_note(
-    frame: Frame, background: Background, stars: _Deblended, measured_gain: InverseGain | None, tuning: GainTuning
+    frame: Frame, background: Background, stars: _Deblended, measured_gain: InverseGain | None
 ) -> tuple[str, ...]:
     """What is assumed about the photon noise, or doubted about the given gain."""
     if frame.sigma is not None:
@@ -182,12 +167,12 @@ def _gain_note(
         return (f"gain not known: {gain} e⁻/ADU by the scatter of the light of {measured_gain.stars} stars",)
     if not background.inverse_gain:
         return ("assumed: no photon noise of the stars (gain not known); bright stars' errors are too small",)
-    found = _gain_of(frame, background, stars, tuning)
+    found = _gain_of(frame, background, stars)
     if found is None:
         return ()
     factor = max(found.value, 1e-9) / background.inverse_gain
     certain = abs(found.value - background.inverse_gain) > 5 * found.error
-    if not certain or 1 / tuning.least_contradiction < factor < tuning.largest_contradiction:
+    if not certain or 1 / LEAST_CONTRADICTION < factor < LARGEST_CONTRADICTION:
         return ()
     return (
         f"doubt: the light of {found.stars} stars has {factor:.2g} times the photon variance of the gain "
@@ -201,10 +186,10 @@ def _refuse_negative(
     frame: Frame, light: FloatArray, background: Background, psf: PSF, n_stars: int, detection: Detection
 ) -> None:
     """Refuses an image with hardly any stars and many dark spots, as of a scanned photographic negative."""
-    if n_stars >= detection.tuning.max_stars_of_negative:
+    if n_stars >= MAX_STARS_OF_NEGATIVE:
         return
     dark = len(detection.peaks(-light, background, psf)[0])
-    if dark > detection.tuning.min_dark_ratio * max(n_stars, 1):
+    if dark > MIN_DARK_RATIO * max(n_stars, 1):
         raise InputError(
             f"{frame.name}: {n_stars} bright and {dark} dark spots above {detection.threshold_sigmas:g}σ: it seems to "
             "be a negative, with dark stars on a bright sky",
@@ -219,28 +204,26 @@ def _above_sky(frame: Frame, background: Background) -> FloatArray:
 
 def _mean_psf(frame: Frame, background: Background, detection: Detection) -> PSF:
     """The PSF of bright, single, unsaturated stars, measured twice: from a first guess, then from the result."""
-    light, tuning = _above_sky(frame, background), detection.tuning
+    light = _above_sky(frame, background)
     bright = replace(detection, threshold_sigmas=max(detection.threshold_sigmas, 8.0))
-    psf = PSF(tuning.first_sigma_px**2 * np.eye(2))
+    psf = PSF(FIRST_SIGMA_PX**2 * np.eye(2))
     for _ in range(2):
         xy, snr = bright.peaks(light, background, psf)
-        xy = _single(frame, xy, snr, 4 * psf.fwhm_px)[: tuning.psf_stars]
+        xy = _single(frame, xy, snr, 4 * psf.fwhm_px)[:PSF_STARS]
         if len(xy) < 3:
             return psf
-        measured = _psf_of(light, background, xy, psf, tuning)
+        measured = _psf_of(light, background, xy, psf)
         if measured is None:
             return psf
         psf = measured
     return psf
 
 
-def _psf_of(
-    light: FloatArray, background: Background, xy: FloatArray, start: PSF, tuning: DetectionTuning
-) -> PSF | None:
+def _psf_of(light: FloatArray, background: Background, xy: FloatArray, start: PSF) -> PSF | None:
     """The PSF of stars at some pixels (n, 2), measured from a first one; None if fewer than three are usable."""
     if len(xy) < 3:
         return None
-    stars, windows = adaptive(light, background, xy, np.broadcast_to(start.matrix, (len(xy), 2, 2)), tuning.centroids)
+    stars, windows = adaptive(light, background, xy, np.broadcast_to(start.matrix, (len(xy), 2, 2)))
     good = stars.converged & ~stars.at_edge & (stars.usable > 0.9) & (stars.weight > 0)
     if good.sum() < 3:
         return None
@@ -253,7 +236,6 @@ def _psf_of(
 
 def without_stars(
     frame: Frame, background: Background, xy: FloatArray, flux: FloatArray, fwhm_px: float,
-    tuning: DetectionTuning = DEFAULT_DETECTION.tuning,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """The light above the sky without that of measured stars, and the light of these; (rows, columns) each.
 
@@ -264,9 +246,9 @@ def without_stars(
         return light, np.zeros(light.shape)
     psf = PSF((fwhm_px / FWHM_PER_SIGMA) ** 2 * np.eye(2))
     brightest = xy[np.argsort(-flux, kind="stable")]
-    single = _single(frame, brightest, np.sort(flux)[::-1], 4 * fwhm_px)[: tuning.psf_stars]
-    psf = _psf_of(light, background, single, psf, tuning) or psf
-    rest = _without(light, Subtracted(xy, np.maximum(flux, 0.0), psf), tuning.centroids.pixels_at_once)
+    single = _single(frame, brightest, np.sort(flux)[::-1], 4 * fwhm_px)[:PSF_STARS]
+    psf = _psf_of(light, background, single, psf) or psf
+    rest = _without(light, Subtracted(xy, np.maximum(flux, 0.0), psf), PIXELS_AT_ONCE)
     return rest, light - rest
 
 
@@ -312,21 +294,21 @@ def _deblended(
     passes: int,
 ) -> _Deblended:
     """The stars measured in passes: subtract all stars, add each one back alone, measure it again."""
-    window_fraction, tuning = psf.window_fraction(), detection.tuning.centroids
+    window_fraction = psf.window_fraction()
     windows = np.broadcast_to(psf.window(), (len(xy), 2, 2))
-    stars = centroids(light, background, xy, windows, tuning)
+    stars = centroids(light, background, xy, windows)
     blended_xy = stars.xy
     for _ in range(passes):
         subtracted = Subtracted(stars.xy, np.maximum(stars.weight, 0) / window_fraction, psf)
-        residual = _without(light, subtracted, tuning.pixels_at_once)
-        stars = centroids(residual, background, xy, windows[: len(xy)], tuning, subtracted)
+        residual = _without(light, subtracted, PIXELS_AT_ONCE)
+        stars = centroids(residual, background, xy, windows[: len(xy)], subtracted)
         is_star = _is_star(stars, snr, detection.threshold_sigmas, psf)
         if not is_star.all():
             stars = Centroids(**{name: value[is_star] for name, value in vars(stars).items()})
             snr, blended_xy, xy = snr[is_star], blended_xy[is_star], xy[is_star]
     flux = np.maximum(stars.weight, 0) / window_fraction
     subtracted = Subtracted(stars.xy, flux, psf)
-    return _Deblended(stars, flux, snr, blended_xy, _without(light, subtracted, tuning.pixels_at_once), subtracted)
+    return _Deblended(stars, flux, snr, blended_xy, _without(light, subtracted, PIXELS_AT_ONCE), subtracted)
 
 
 def _is_star(stars: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> BoolArray:
@@ -368,15 +350,13 @@ class _Shapes:
     centroids: Centroids
 
     @classmethod
-    def of(cls, background: Background, psf: PSF, stars: _Deblended, tuning: DetectionTuning) -> _Shapes:
+    def of(cls, background: Background, psf: PSF, stars: _Deblended) -> _Shapes:
         common = stars.centroids
         snr = np.minimum(common.weight / np.sqrt(common.weight_variance), stars.snr)
-        rows = np.flatnonzero(snr > tuning.shape_snr)
+        rows = np.flatnonzero(snr > SHAPE_SNR)
         subtracted = Subtracted(stars.subtracted.xy[rows], stars.subtracted.flux[rows], psf)
         start = np.broadcast_to(psf.matrix, (len(rows), 2, 2))
-        own_centroids, matrices = adaptive(
-            stars.residual, background, common.xy[rows], start, tuning.centroids, subtracted
-        )
+        own_centroids, matrices = adaptive(stars.residual, background, common.xy[rows], start, subtracted)
         return cls(rows, matrices, own_centroids)
 
     def wider(self, psf: PSF, snr: FloatArray, factor: float) -> BoolArray:
@@ -406,7 +386,7 @@ def _measurements(
     gain_note: tuple[str, ...] = (),
 ) -> Measurements:
     """Positions and errors in the common window, or in the star's own window if its shape differs."""
-    common, tuning = stars.centroids, detection.tuning
+    common = stars.centroids
     bright = (common.weight > 30 * np.sqrt(common.weight_variance)) & common.converged
     jacobian = np.median(common.jacobian[bright], axis=0) if bright.sum() >= 5 else _gaussian_jacobian(psf)
     xy, covariance = (
@@ -416,13 +396,11 @@ def _measurements(
     flux, flux_err = stars.flux.copy(), np.sqrt(common.weight_variance) / psf.window_fraction()
     flags = _flags_near(frame, xy, psf.fwhm_px)
     matrices = np.full((len(xy), 2, 2), np.nan)
-    shapes = _Shapes.of(background, psf, stars, tuning)
+    shapes = _Shapes.of(background, psf, stars)
     if len(shapes.rows):
         matrices[shapes.rows] = shapes.matrices
-        wider, trailed = shapes.wider(psf, stars.snr, tuning.wider), shapes.trailed(psf, tuning.longer)
-        own_shape = wider & (
-            trailed | shapes.extended(psf, tuning.wider) | ((flags[shapes.rows] & Flag.SATURATED) != 0)
-        )
+        wider, trailed = shapes.wider(psf, stars.snr, WIDER), shapes.trailed(psf, LONGER)
+        own_shape = wider & (trailed | shapes.extended(psf, WIDER) | ((flags[shapes.rows] & Flag.SATURATED) != 0))
         rows = shapes.rows[own_shape]
         own = shapes.centroids
         xy[rows] = own.xy[own_shape]
@@ -435,13 +413,13 @@ def _measurements(
         # Longer, but not a trail: an unresolved pair, whose stars may both be off the centroid.
         unresolved = shapes.rows[wider & ~own_shape]
         flags[unresolved] |= np.uint16(Flag.BLENDED)
-        covariance[unresolved] += tuning.pair_share * (shapes.matrices[wider & ~own_shape] - psf.matrix)
+        covariance[unresolved] += PAIR_SHARE * (shapes.matrices[wider & ~own_shape] - psf.matrix)
     covariance = _with_systematic_errors(covariance, stars, psf, flags, detection)  # also sets flags
     columns: dict[str, NDArray[Any]] = {
         "x_px": xy[:, 0], "y_px": xy[:, 1], "covariance": covariance[:, [0, 0, 1], [0, 1, 1]], "flux": flux,
         "flux_err": flux_err, "snr": stars.snr, "flags": flags, **_ellipses(matrices),
     }  # fmt: skip
-    return _table(frame, background, psf, columns, (*_notes(frame, background, psf, tuning.longer), *gain_note))
+    return _table(frame, background, psf, columns, (*_notes(frame, background, psf, LONGER), *gain_note))
 
 
 def _with_systematic_errors(
@@ -454,7 +432,7 @@ def _with_systematic_errors(
     flags[np.hypot(*shift.T) > 0.3 * sigma + 0.01] |= np.uint16(Flag.BLENDED)
     flags[common.at_edge] |= np.uint16(Flag.EDGE)
     flags[~common.converged] |= np.uint16(Flag.POOR)
-    covariance = covariance + detection.tuning.shift_share**2 * shift[:, :, None] * shift[:, None, :]
+    covariance = covariance + SHIFT_SHARE**2 * shift[:, :, None] * shift[:, None, :]
     floor = detection.floor_px**2 + psf.phase_error_px() ** 2
     saturated = (flags & Flag.SATURATED) != 0
     covariance = covariance + (floor + np.where(saturated, (0.03 * psf.fwhm_px) ** 2, 0.0))[:, None, None] * np.eye(2)

@@ -46,57 +46,38 @@ from sameas.sky.frame.pointing_hints import (
 from sameas.sky.residual_epoch import LARGEST_SIGMAS, MovedPairs, Questioned
 from sameas.space import chord_angle_deg, directions_deg, sphere_offset
 
+MARGIN_PX = 2.0  # stars predicted up to this distance outside the frame are candidates
+MIN_P_PAIR = 0.02  # minimum probability of a pair used for the plate
+SATURATED_MAG = 0.5  # standard error of the magnitude of a saturated star, which loses part of its light
+PAIRS_BEYOND_LINEAR = 30  # with more pairs than this the first plate may have an order above 1
+MIN_P_DETECT = 0.01  # minimum detection probability of a candidate star
+CALIBRATORS = 60.0  # unblended, or else unsaturated, stars for a zero point from these alone
+FEW_PAIRS = 20  # with fewer pairs the root mean square is used instead of the robust scatter
+#: Quantile of the identified magnitudes taken as the limit of the catalogue, and the minimum share of all measurements
+#: that are fainter and unidentified in a shallow catalogue.
+LIMIT_QUANTILE, SHALLOW_SHARE = 0.98, 0.2
+FAINTEST_QUANTILE = 0.8  # quantile of magnitude above which the stars of a catalogue are its faintest
+P_EXPECTED = 0.5  # minimum detection probability of a star that is reported as missing if not identified
+#: Minimum deviation from the catalogued magnitude that is reported, in robust standard deviations of the pairs and in
+#: magnitudes: a variable, a wrong identification, light of another star.
+ODD_SIGMAS, ODD_MAG = 5.0, 0.5
+ROOM = 1.1  # radius of the star field over that of the frame, to allow for a change of rotation and scale
+LEAST_COMMON_PX, LARGEST_COMMON_PX, COMMON_STEPS = 1e-3, 10.0, 200  # grid of the common error of stars
+P_SURE = 0.9  # minimum probability of the pairs used for it
+TAIL_SHARE, TAIL_FACTOR = 0.05, 5.0  # share of outliers (doubles, blends) among them, and the factor on their errors
+MERGED_WIDTHS = 1.5  # two stars closer than this, in FWHM, are measured as one
+#: A saturated star hides others within this radius, in FWHM, that are fainter than it by at least this many magnitudes.
+HIDDEN_WIDTHS, BRIGHTER_MAG = 4.0, 0.5
+
 
 @dataclass(frozen=True)
 class RefinementTuning:
     """Parameters of the refinement, all chosen.
 
-    margin_px : stars predicted up to this distance outside the frame are candidates.
-    min_p_pair : minimum probability of a pair used for the plate.
-    pairs_beyond_linear : with more pairs than this the first plate may have an order above 1.
-    saturated_mag : standard error of the magnitude of a saturated star, which loses part of its light.
-    min_p_detect : minimum detection probability of a candidate star.
-    calibrators : unblended, or else unsaturated, stars for a zero point from these alone.
-    few_pairs : with fewer pairs the root mean square is used instead of the robust scatter.
-    limit_quantile, shallow_share : quantile of the identified magnitudes taken as the limit of the catalogue, and the
-        minimum share of all measurements that are fainter and unidentified in a shallow catalogue.
-    faintest_quantile : quantile of magnitude above which the stars of a catalogue are its faintest.
-    p_expected : minimum detection probability of a star that is reported as missing if not identified.
-    odd_sigmas, odd_mag : minimum deviation from the catalogued magnitude that is reported, in robust standard
-        deviations of the pairs and in magnitudes: a variable, a wrong identification, light of another star.
-    room : radius of the star field over that of the frame, to allow for a change of rotation and scale.
-    least_common_px, largest_common_px, common_steps : grid of the common error of stars.
-    p_sure : minimum probability of the pairs used for it. tail_share, tail_factor : share of outliers (doubles, blends)
-        among them, and the factor on their errors.
-    merged_widths : two stars closer than this, in FWHM, are measured as one.
-    hidden_widths, brighter_mag : a saturated star hides others within this radius, in FWHM, that are fainter than it by
-        at least this many magnitudes.
-    plate : of the fits of plates. photometry : of zero point and completeness.
+    plate : of the fits of plates.
+    photometry : of zero point and completeness.
     """
 
-    margin_px: float = 2.0
-    min_p_pair: float = 0.02
-    saturated_mag: float = 0.5
-    pairs_beyond_linear: int = 30
-    min_p_detect: float = 0.01
-    calibrators: float = 60.0
-    few_pairs: int = 20
-    limit_quantile: float = 0.98
-    shallow_share: float = 0.2
-    faintest_quantile: float = 0.8
-    p_expected: float = 0.5
-    odd_sigmas: float = 5.0
-    odd_mag: float = 0.5
-    room: float = 1.1
-    least_common_px: float = 1e-3
-    largest_common_px: float = 10.0
-    common_steps: int = 200
-    p_sure: float = 0.9
-    tail_share: float = 0.05
-    tail_factor: float = 5.0
-    merged_widths: float = 1.5
-    hidden_widths: float = 4.0
-    brighter_mag: float = 0.5
     plate: PlateTuning = DEFAULT_PLATE
     photometry: PhotometryTuning = DEFAULT_PHOTOMETRY
 
@@ -182,7 +163,7 @@ class FrameIdentification:
         """Rows of the stars that should be detected but are not identified."""
         identified = np.zeros(len(self.stars), np.bool_)
         identified[self.pairs[1]] = True
-        return np.flatnonzero(self.inside & ~identified & (self.p_detect >= self.tuning.p_expected))
+        return np.flatnonzero(self.inside & ~identified & (self.p_detect >= P_EXPECTED))
 
     @cached_property
     def residual_px(self) -> FloatArray:
@@ -204,18 +185,18 @@ class FrameIdentification:
         These are fainter than nearly all identified ones. Empty unless there are many of them and the frame shows the
         faintest stars of the catalogue.
         """
-        magnitude, tuning = instrumental(self.measured.flux), self.tuning
+        magnitude = instrumental(self.measured.flux)
         unidentified, identified_mag = self.result.leftovers_1, magnitude[self.pairs[0]]
         identified_mag = identified_mag[np.isfinite(identified_mag)]
         identified = np.zeros(len(self.stars), np.bool_)
         identified[self.pairs[1]] = True
         identified, star_mag = identified[self.inside], self.stars.magnitude[self.inside]
         if np.isfinite(star_mag).any():
-            identified = identified[star_mag > np.nanquantile(star_mag, tuning.faintest_quantile)]
-        if len(identified_mag) < tuning.few_pairs or not len(identified) or identified.mean() < tuning.p_expected:
+            identified = identified[star_mag > np.nanquantile(star_mag, FAINTEST_QUANTILE)]
+        if len(identified_mag) < FEW_PAIRS or not len(identified) or identified.mean() < P_EXPECTED:
             return np.empty(0, np.int64)
-        fainter = unidentified[magnitude[unidentified] > np.quantile(identified_mag, tuning.limit_quantile)]
-        return fainter if len(fainter) > tuning.shallow_share * len(magnitude) else fainter[:0]
+        fainter = unidentified[magnitude[unidentified] > np.quantile(identified_mag, LIMIT_QUANTILE)]
+        return fainter if len(fainter) > SHALLOW_SHARE * len(magnitude) else fainter[:0]
 
     @cached_property
     def excess_mag(self) -> FloatArray:
@@ -230,7 +211,7 @@ class FrameIdentification:
         """Indices of the identified pairs much brighter or fainter than catalogued, largest deviation first."""
         deviation = np.abs(np.nan_to_num(self.excess_mag))
         scatter = 0.0 if self.zero_point is None else self.zero_point.scatter
-        odd = np.flatnonzero(deviation > max(self.tuning.odd_sigmas * scatter, self.tuning.odd_mag))
+        odd = np.flatnonzero(deviation > max(ODD_SIGMAS * scatter, ODD_MAG))
         return odd[np.argsort(-deviation[odd], kind="stable")]
 
     @property
@@ -239,7 +220,7 @@ class FrameIdentification:
         residual = self.residual_arcsec
         if not len(residual):
             return np.full(2, np.nan)
-        if len(residual) < self.tuning.few_pairs:
+        if len(residual) < FEW_PAIRS:
             return np.asarray(np.sqrt(np.mean(residual**2, axis=0)))
         return np.array([robust_scale(axis - median(axis)) for axis in residual.T])
 
@@ -265,14 +246,14 @@ def identify_frame(
     plate = _first_plate(measured, stars, placement, tuning)
     px, covariance = _predicted(plate, stars)
     for iteration in range(1, refinement.iterations + 1):
-        candidate = _candidates(px, stars, measured, faintest, tuning.margin_px)
+        candidate = _candidates(px, stars, measured, faintest, MARGIN_PX)
         # With the first plate magnitudes would support wrong pairs as well as right ones.
-        magnitudes = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars, tuning)
+        magnitudes = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars)
         result, estimate = match(records, _records(px, covariance, candidate, stars), brightness=magnitudes)
-        completeness = _completeness(px, stars, result, measured, tuning)
+        completeness = _completeness(px, stars, result, measured)
         if completeness is not None:
-            faintest = completeness.faintest(tuning.min_p_detect)
-        pairs = _matched(measured, stars, result, tuning.min_p_pair)
+            faintest = completeness.faintest(MIN_P_DETECT)
+        pairs = _matched(measured, stars, result, MIN_P_PAIR)
         plate = fit_plate(pairs, placement.pointing, measured.shape, order=refinement.order, tuning=tuning.plate)
         previous_px, inside = px, _within(px, measured.shape, 0.0)
         px, covariance = _predicted(plate, stars)
@@ -301,7 +282,7 @@ def _zero_point(
     known = np.isfinite(stars.magnitude[j])
     for bits in (Flag.SATURATED | Flag.BLENDED, Flag.SATURATED):
         used = np.where((measured.flags[i] & np.uint16(bits)) == 0, p, 0.0)
-        zero = ZeroPoint.of(*calibration, used, tuning.photometry) if used[known].sum() >= tuning.calibrators else None
+        zero = ZeroPoint.of(*calibration, used, tuning.photometry) if used[known].sum() >= CALIBRATORS else None
         if zero is not None and not zero.bend:
             return zero
     return ZeroPoint.of(*calibration, p, tuning.photometry)
@@ -313,7 +294,7 @@ def _first_plate(
     """The plate fitted to the pairs of the placement; linear if they are few."""
     i, j = placement.rows_measured, placement.rows_stars
     pairs = _pairs(measured, stars, i, j, np.ones(len(i)))
-    order = None if len(i) > tuning.pairs_beyond_linear else 1
+    order = None if len(i) > PAIRS_BEYOND_LINEAR else 1
     return fit_plate(pairs, placement.pointing, measured.shape, order=order, tuning=tuning.plate)
 
 
@@ -377,9 +358,7 @@ def _records(px: FloatArray, covariance: FloatArray, candidate: BoolArray, stars
     return Records(px[rows], covariance[rows], rows, stars.ids, source=stars.name)
 
 
-def _brightness(
-    measured: Measurements, stars: StarField, tuning: RefinementTuning
-) -> tuple[Magnitudes, Magnitudes] | None:
+def _brightness(measured: Measurements, stars: StarField) -> tuple[Magnitudes, Magnitudes] | None:
     """Instrumental and catalogue magnitudes; None if the catalogue has none.
 
     Measurements at the edge, or without the shape of a star, get no magnitude. Saturated ones keep theirs with a large
@@ -389,7 +368,7 @@ def _brightness(
         return None
     usable = measured.clean(Flag.BLENDED | Flag.SATURATED) & (measured.flux > 0.0)
     flux = np.where(usable, measured.flux, np.nan)
-    saturation_error = np.where((measured.flags & Flag.SATURATED) != 0, tuning.saturated_mag, 0.0)
+    saturation_error = np.where((measured.flags & Flag.SATURATED) != 0, SATURATED_MAG, 0.0)
     error = np.hypot(POGSON * measured.flux_err / flux, saturation_error)
     return Magnitudes(-2.5 * np.log10(flux), error, ("instrumental",)), Magnitudes(
         stars.magnitude, names=("catalogue",)
@@ -397,15 +376,15 @@ def _brightness(
 
 
 def _completeness(
-    px: FloatArray, stars: StarField, result: Identification, measured: Measurements, tuning: RefinementTuning
+    px: FloatArray, stars: StarField, result: Identification, measured: Measurements
 ) -> Completeness | None:
     """The identified share of the stars on the frame, by magnitude, without those within the margin of its edge."""
     p_identified = np.zeros(len(stars))
     np.add.at(p_identified, result.rows_2, result.p_pair)
-    inside = _measurable(px, measured, -tuning.margin_px)
+    inside = _measurable(px, measured, -MARGIN_PX)
     if not inside.any():
         return None
-    return Completeness.of(stars.magnitude[inside], p_identified[inside], tuning.photometry)
+    return Completeness.of(stars.magnitude[inside], p_identified[inside])
 
 
 def _notes(result: Identification, estimate: Estimate, plate: PlateModel, converged: bool) -> tuple[str, ...]:
@@ -454,7 +433,7 @@ def solve(
     >>> found.plate.to_wcs()  # doctest: +SKIP
     """
     hints = [hints] if isinstance(hints, ApproximateWcs | Aim | AllSky) else list(hints)
-    room = refinement.tuning.room
+    room = ROOM
     near = search_cone(hints, measured.shape, room)
     stars = StarField.of(catalogue, epoch_jyr, motion=motion, near=near)
     if faintest is not None:
@@ -487,7 +466,7 @@ def _epoch_doubt(match: FrameIdentification, catalogue: Catalogue) -> str:
     if epoch_jyr is None or not catalogue.has_motion:
         return ""
     scale = match.placement.pointing.scale_arcsec
-    some = np.flatnonzero(match.pairs[2] >= match.tuning.p_sure)
+    some = np.flatnonzero(match.pairs[2] >= P_SURE)
     variance = scale**2 * np.einsum(
         "mvv->m", match.estimate.errors.typical_covariance(result.pairs, result.matches.pair[some])
     )
@@ -526,23 +505,22 @@ def common_star_error(match: FrameIdentification) -> float:
     scaled for the degrees of freedom of the plate model.
     """
     i, _, p = match.pairs
-    tuning = match.tuning
-    sure = p >= tuning.p_sure
+    sure = p >= P_SURE
     scale = match.placement.pointing.scale_arcsec
     residual = match.residual_arcsec[sure]
     parameters = (match.plate.order + 1) * (match.plate.order + 2) // 2
     residual_sq = residual**2 * len(residual) / max(len(residual) - parameters, 1)
     sigma2 = scale**2 * match.measured.covariance[i[sure]][:, [0, 2]].mean(axis=1, keepdims=True)
-    s2 = (scale * np.geomspace(tuning.least_common_px, tuning.largest_common_px, tuning.common_steps)) ** 2
-    log_likelihood = [_log_tailed(residual_sq, sigma2 + variance, tuning).sum() for variance in s2]
+    s2 = (scale * np.geomspace(LEAST_COMMON_PX, LARGEST_COMMON_PX, COMMON_STEPS)) ** 2
+    log_likelihood = [_log_tailed(residual_sq, sigma2 + variance).sum() for variance in s2]
     return float(np.sqrt(s2[int(np.argmax(log_likelihood))]))
 
 
-def _log_tailed(residual_sq: FloatArray, variance: FloatArray, tuning: RefinementTuning) -> FloatArray:
+def _log_tailed(residual_sq: FloatArray, variance: FloatArray) -> FloatArray:
     """Log density of a normal distribution with outliers at squared residuals (up to a constant)."""
     core = np.exp(-0.5 * residual_sq / variance) / np.sqrt(variance)
-    tail = np.exp(-0.5 * residual_sq / (tuning.tail_factor**2 * variance)) / (tuning.tail_factor * np.sqrt(variance))
-    return np.asarray(np.log((1.0 - tuning.tail_share) * core + tuning.tail_share * tail + 1e-300))
+    tail = np.exp(-0.5 * residual_sq / (TAIL_FACTOR**2 * variance)) / (TAIL_FACTOR * np.sqrt(variance))
+    return np.asarray(np.log((1.0 - TAIL_SHARE) * core + TAIL_SHARE * tail + 1e-300))
 
 
 def _with_common_error(match: FrameIdentification, refinement: Refinement) -> FrameIdentification:
@@ -556,7 +534,7 @@ def _with_common_error(match: FrameIdentification, refinement: Refinement) -> Fr
     return replace(repeated, notes=(*repeated.notes, Message(text, naming("give {sigma:ARCSEC} or {sigma:COLUMN}"))))
 
 
-def footprint(pointing: Pointing, shape: tuple[int, int], room: float = DEFAULT_REFINEMENT.room) -> Cone:
+def footprint(pointing: Pointing, shape: tuple[int, int], room: float = ROOM) -> Cone:
     """The cone around a frame, with a radius larger by the factor ``room``."""
     rows, columns = shape
     corners = np.array([[0.0, 0.0], [columns - 1.0, 0.0], [0.0, rows - 1.0], [columns - 1.0, rows - 1.0]])
@@ -581,7 +559,7 @@ def hints_by_field(hints: Sequence[Hint], shape: tuple[int, int]) -> list[list[H
     return lists
 
 
-def search_cone(hints: Sequence[Hint], shape: tuple[int, int], room: float = DEFAULT_REFINEMENT.room) -> Cone | None:
+def search_cone(hints: Sequence[Hint], shape: tuple[int, int], room: float = ROOM) -> Cone | None:
     """A cone around all directions allowed by the hints; None for the whole sky."""
     cones = []
     for hint in hints:

@@ -20,7 +20,7 @@ import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -375,23 +375,11 @@ def _refuse_flat(values: NDArray[Any], facts: Facts, name: str) -> None:
         )
 
 
-@dataclass(frozen=True)
-class CalibrationTuning:
-    """Parameters of the calibration of frames, all chosen.
-
-    hot_sigmas : a pixel of the dark is hot above this many robust standard deviations from its surroundings.
-    unsteady : variation of hot pixels from frame to frame, as a share of their excess.
-    darkest_flat : pixels of a flat below this sensitivity, relative to the median, are dead.
-    same_exposure : relative difference within which exposures are equal.
-    """
-
-    hot_sigmas: float = 8.0
-    unsteady: float = 0.05
-    darkest_flat: float = 0.2
-    same_exposure: float = 0.02
-
-
-DEFAULT_CALIBRATION = CalibrationTuning()
+# Parameters of the calibration of frames, all chosen.
+HOT_SIGMAS = 8.0  # a pixel of the dark is hot above this many robust standard deviations from its surroundings
+UNSTEADY = 0.05  # variation of hot pixels from frame to frame, as a share of their excess
+DARKEST_FLAT = 0.2  # pixels of a flat below this sensitivity, relative to the median, are dead
+SAME_EXPOSURE = 0.02  # relative difference within which exposures are equal
 
 
 @dataclass(frozen=True)
@@ -403,7 +391,6 @@ class MasterFrames:
     flat : (rows, columns) sensitivity around 1, or None.
     excess : (rows, columns) ADU of hot pixels above their surroundings in the dark, 0 for others, or None.
     dead : (rows, columns) mask of the dead pixels of the flats, or None.
-    tuning : of the calibration.
     """
 
     bias: FloatArray | None = None
@@ -412,7 +399,6 @@ class MasterFrames:
     flat: FloatArray | None = None
     excess: FloatArray | None = None
     dead: BoolArray | None = None
-    tuning: CalibrationTuning = field(default=DEFAULT_CALIBRATION, repr=False)
 
     @classmethod
     def of(
@@ -421,7 +407,6 @@ class MasterFrames:
         biases: Sequence[Frame] = (),
         darks: Sequence[Frame] = (),
         flats: Sequence[Frame] = (),
-        tuning: CalibrationTuning = DEFAULT_CALIBRATION,
     ) -> MasterFrames:
         """Masters from frames of each kind; any may be missing.
 
@@ -429,16 +414,16 @@ class MasterFrames:
         light.
         """
         bias = _median(biases) if biases else None
-        dark, exposure_s = (None, math.nan) if not darks else _dark(darks, bias, tuning.same_exposure)
-        flat = None if not flats else _flat(flats, cls(bias=bias, dark=dark, dark_exposure_s=exposure_s, tuning=tuning))
-        excess = None if dark is None else _excess(dark, tuning.hot_sigmas)
-        dead = None if flat is None else flat < tuning.darkest_flat
+        dark, exposure_s = (None, math.nan) if not darks else _dark(darks, bias, SAME_EXPOSURE)
+        flat = None if not flats else _flat(flats, cls(bias=bias, dark=dark, dark_exposure_s=exposure_s))
+        excess = None if dark is None else _excess(dark, HOT_SIGMAS)
+        dead = None if flat is None else flat < DARKEST_FLAT
         shapes = {plane.shape for plane in (bias, dark, flat) if plane is not None}
         if len(shapes) > 1:
             raise InputError(
                 f"calibration: bias, dark and flat have different shapes {sorted(shapes)}; use one binning"
             )
-        return cls(bias, dark, exposure_s, flat, excess, dead, tuning)
+        return cls(bias, dark, exposure_s, flat, excess, dead)
 
     def __call__(self, frame: Frame) -> Frame:
         """The calibrated frame, with bad pixels flagged and a line in its facts for each step.
@@ -453,16 +438,16 @@ class MasterFrames:
         offset, lines = self._offset(frame)
         image = frame.image.astype(float) - offset
         if self.flat is not None:
-            image, lines = image / np.maximum(self.flat, self.tuning.darkest_flat), (*lines, "divided by the flat")
+            image, lines = image / np.maximum(self.flat, DARKEST_FLAT), (*lines, "divided by the flat")
         sigma = frame.sigma
         if sigma is not None and self.flat is not None:
-            sigma = (sigma / np.maximum(self.flat, self.tuning.darkest_flat)).astype(np.float32)
+            sigma = (sigma / np.maximum(self.flat, DARKEST_FLAT)).astype(np.float32)
         # Saturated pixels are flagged already; the level is reduced by what is subtracted.
         level = frame.facts.saturation_adu - float(np.median(offset))
         facts = replace(frame.facts, saturation_adu=level, pedestal_adu=0.0, lines=(*frame.facts.lines, *lines))
         result = replace(frame, image=image.astype(np.float32), sigma=sigma, facts=facts)
         if self.excess is not None:
-            result = result.marked(_harmful(self.excess, result, self.tuning.unsteady), Flag.HOT)
+            result = result.marked(_harmful(self.excess, result, UNSTEADY), Flag.HOT)
         return result if self.dead is None else result.marked(self.dead, Flag.MASKED)
 
     def _offset(self, frame: Frame) -> tuple[FloatArray, tuple[str, ...]]:
@@ -480,7 +465,7 @@ class MasterFrames:
             done = (*lines, f"dark of {self.dark_exposure_s:g} s times {ratio:.3g} subtracted")
             return offset + self.dark * ratio, done
         lines += (f"dark of {self.dark_exposure_s:g} s subtracted",)
-        if not abs(ratio - 1) < self.tuning.same_exposure:
+        if not abs(ratio - 1) < SAME_EXPOSURE:
             lines += (f"doubt: the frame has {frame.facts.exposure_s:g} s; without a bias its dark is not scaled",)
         return offset + self.dark, lines
 

@@ -35,26 +35,14 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
-@dataclass(frozen=True)
-class OddsTuning:
-    """Parameters of the odds of a pointing, all chosen.
-
-    shear : 1σ of the difference in scale of a frame's axes, and of their angle from 90°, by refraction, tilt or
-        non-square pixels.
-    deepest : maximum number of brightest measurements and stars that are compared.
-    iterations : maximum number of iterations of matching and fit.
-    depths : number of depths of each list at which the odds are computed.
-    hopeless : a pointing is dropped if its log-odds are below this and did not rise in the last iteration.
-    """
-
-    shear: float = 0.01
-    deepest: int = 2000
-    iterations: int = 7
-    depths: int = 7
-    hopeless: float = -15.0
-
-
-DEFAULT_ODDS_TUNING = OddsTuning()
+# Parameters of the odds of a pointing, all chosen.
+#: 1σ of the difference in scale of a frame's axes, and of their angle from 90°, by refraction, tilt or non-square
+#: pixels.
+SHEAR = 0.01
+DEEPEST = 2000  # maximum number of brightest measurements and stars that are compared
+ITERATIONS = 7  # maximum number of iterations of matching and fit
+DEPTHS = 7  # number of depths of each list at which the odds are computed
+HOPELESS = -15.0  # a pointing is dropped if its log-odds are below this and did not rise in the last iteration
 
 
 @dataclass(frozen=True)
@@ -146,7 +134,6 @@ def verify(
     pointing: Pointing,
     volume: SearchVolume,
     tolerance_px: float,
-    tuning: OddsTuning = DEFAULT_ODDS_TUNING,
 ) -> VerifiedPointing:
     """The pointing refined by the measurements, with its odds.
 
@@ -157,15 +144,15 @@ def verify(
     best = VerifiedPointing(pointing, -math.inf, no_rows, no_rows, np.empty((0, 2)), (0, 0), tolerance_px)
     radius = problem.half_diagonal_px * float(np.sqrt(abs(np.linalg.det(pointing.cd))))
     rows = problem.stars_near(pointing.to_sky(problem.middle_px[None])[0], 1.2 * radius)
-    for _ in range(tuning.iterations):
-        verified = weigh(problem, rows, pointing, volume, tolerance_px, tuning)
+    for _ in range(ITERATIONS):
+        verified = weigh(problem, rows, pointing, volume, tolerance_px)
         if len(verified.measured) < 3:
             break
         if verified.log_odds > best.log_odds:
             best = verified
-        elif verified.log_odds < tuning.hopeless:
+        elif verified.log_odds < HOPELESS:
             break
-        step = _step(problem, verified, tuning.shear)
+        step = _step(problem, verified, SHEAR)
         pointing = verified.pointing.moved(step)
         if not 0.5 < np.linalg.det(pointing.cd) / np.linalg.det(verified.pointing.cd) < 2.0:
             break
@@ -178,31 +165,26 @@ def verify(
 
 
 def weigh(
-    problem: PlateProblem,
-    rows: IntArray,
-    pointing: Pointing,
-    volume: SearchVolume,
-    tolerance_px: float,
-    tuning: OddsTuning = DEFAULT_ODDS_TUNING,
+    problem: PlateProblem, rows: IntArray, pointing: Pointing, volume: SearchVolume, tolerance_px: float
 ) -> VerifiedPointing:
     """The odds of a pointing without refinement. rows : the stars on and around the frame, brightest first."""
     predicted = pointing.to_px(problem.vectors[rows])
-    inside = np.flatnonzero(problem.inside(predicted))[: tuning.deepest]
+    inside = np.flatnonzero(problem.inside(predicted))[:DEEPEST]
     rows, predicted = rows[inside], predicted[inside]
-    n = min(len(problem.px), tuning.deepest)
+    n = min(len(problem.px), DEEPEST)
     i, j = _paired(problem, n, rows, predicted, pointing, tolerance_px)
     residual = problem.px[i] - predicted[j]
     total = _total_covariance(problem, i, rows[j], pointing, tolerance_px)
     gain = math.log(problem.area_px) + log_density(residual, total)
-    score, depth = _best_depth(gain, i, j, (n, len(rows)), tuning.depths)
+    score, depth = _best_depth(gain, i, j, (n, len(rows)), DEPTHS)
     used = (i < depth[0]) & (j < depth[1])
     columns = design(predicted[j[used]] - pointing.origin_px)
     information = np.einsum("nai,nab,nbj->ij", columns, inverse(total[used]), columns)
-    information[4:, 4:] += np.eye(2) / tuning.shear**2
+    information[4:, 4:] += np.eye(2) / SHEAR**2
     log_volume_ratio = -0.5 * float(log_determinant(information)) + 3.0 * LOG_2PI
-    log_volume_ratio -= volume.log_volume(math.sqrt(abs(np.linalg.det(pointing.cd))), tuning.shear)
+    log_volume_ratio -= volume.log_volume(math.sqrt(abs(np.linalg.det(pointing.cd))), SHEAR)
     singular = np.linalg.svd(pointing.cd, compute_uv=False)
-    log_volume_ratio -= 0.5 * (0.5 * math.log(singular[0] / singular[1]) / tuning.shear) ** 2
+    log_volume_ratio -= 0.5 * (0.5 * math.log(singular[0] / singular[1]) / SHEAR) ** 2
     enough = used.sum() >= 3
     log_odds = score + min(log_volume_ratio, 0.0) if enough else -math.inf
     return VerifiedPointing(pointing, log_odds, i[used], rows[j[used]], residual[used], depth, tolerance_px)
@@ -290,14 +272,12 @@ def _excess(problem: PlateProblem, verified: VerifiedPointing, residual: FloatAr
     return math.sqrt(max(square - typical, 0.05**2))
 
 
-def refitted_on(
-    verified: VerifiedPointing, problem: PlateProblem, px: FloatArray, tuning: OddsTuning
-) -> VerifiedPointing:
+def refitted_on(verified: VerifiedPointing, problem: PlateProblem, px: FloatArray) -> VerifiedPointing:
     """The pairs of a verified pointing refitted to other pixels (n, 2) of the same measurements."""
     on_px = replace(problem, px=px)
     pointing = verified.pointing
     for _ in range(3):
         fit = replace(verified, pointing=pointing)
         fit = replace(fit, residual_px=_predicted_residual(on_px, fit, pointing))
-        pointing = pointing.moved(_step(on_px, fit, tuning.shear))
+        pointing = pointing.moved(_step(on_px, fit, SHEAR))
     return replace(fit, pointing=pointing, residual_px=_predicted_residual(on_px, fit, pointing))

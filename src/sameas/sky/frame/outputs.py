@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.result import AMBIGUOUS
-from sameas.sky.frame.identified import FrameIdentification
+from sameas.sky.frame.identified import BRIGHTER_MAG, HIDDEN_WIDTHS, MERGED_WIDTHS, P_EXPECTED, FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import POGSON, Flag
 from sameas.sky.frame.place import odds_in_words
@@ -74,7 +74,7 @@ def _identity_columns(identification: FrameIdentification, unidentified: IntArra
     partner = identification.result.answers_1.partner
     fate = np.where(np.ma.getmaskarray(partner), "unidentified", "identified")
     ids = _selected(stars.ids, partner)
-    expected = identification.p_detect[unidentified] >= identification.tuning.p_expected
+    expected = identification.p_detect[unidentified] >= P_EXPECTED
     words = [Flag.words(bits) for bits in identification.measured.flags]
     for k in identification.odd_brightness:
         row = int(identification.pairs[0][k])
@@ -211,11 +211,11 @@ def why_missing(identification: FrameIdentification, rows: IntArray) -> list[str
     """Texts on why stars, rows (k,), were not identified: what was measured at the position of each."""
     from scipy.spatial import cKDTree
 
-    m, px, tuning = identification.measured, identification.predicted_px, identification.tuning
+    m, px = identification.measured, identification.predicted_px
     width = m.psf_fwhm_px
     owner = identification.result.answers_1.partner
     tree = cKDTree(np.column_stack([m.x_px, m.y_px]))
-    reach = [width * tuning.merged_widths, width * tuning.hidden_widths]
+    reach = [width * MERGED_WIDTHS, width * HIDDEN_WIDTHS]
     close, in_wings = (tree.query_ball_point(px[rows], radius, return_sorted=True) for radius in reach)
     edge = np.minimum(px[rows], np.array(m.shape[::-1]) - 1 - px[rows]).min(axis=1)
     words = []
@@ -230,7 +230,7 @@ def why_missing(identification: FrameIdentification, rows: IntArray) -> list[str
             words.append(_nearby_measurement(identification, int(i), int(row), owner))
         elif edge[k] < width:
             words.append("on the edge of the frame")
-        elif identification.p_detect[row] < tuning.p_expected:
+        elif identification.p_detect[row] < P_EXPECTED:
             words.append(f"completeness at its magnitude {100 * identification.p_detect[row]:.0f} %")
         elif hidden:
             words.append(f"in the wings of measurement {hidden[0]}, which is saturated")
@@ -243,7 +243,7 @@ def _is_brighter(identification: FrameIdentification, i: int, row: int, owner: n
     if np.ma.getmaskarray(owner)[i]:
         return True
     magnitude = identification.stars.magnitude
-    return bool(magnitude[owner[i]] < magnitude[row] - identification.tuning.brighter_mag)
+    return bool(magnitude[owner[i]] < magnitude[row] - BRIGHTER_MAG)
 
 
 def _nearby_measurement(identification: FrameIdentification, i: int, row: int, owner: np.ma.MaskedArray) -> str:

@@ -2,44 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.sky.frame.centroid import PSF, Background
 
-
-@dataclass(frozen=True)
-class PeakTuning:
-    """Parameters of the search for peaks, tuned on simulated frames (``scripts/bench centroids`` and ``crowded``).
-
-    min_usable : no star is detected where less than this share of its pixels is usable.
-    saddle_sigmas : minimum depth of the saddle between two stars, in standard deviations of the sky.
-    saddle_photons : the same for the photon noise of the star, larger because the saddle is the minimum of many points
-        along a trail.
-    saddle_share : minimum depth of the saddle as a share of the lower peak.
-    saddle_widths : peaks farther apart than this many FWHM are always two stars; longer trails are split.
-    ridge_px : offset of the three parallel lines on which the saddle is measured; a ridge may miss the pixel centres.
-    trailed : stars are trailed if longer than wide by this factor (chosen). trail_sigmas : a peak that is closer to a
-        higher one in standard deviations of the PSF lies on its trail, whose ends are at 1.7.
-    """
-
-    min_usable: float = 0.3
-    saddle_sigmas: float = 3.0
-    saddle_photons: float = 5.0
-    saddle_share: float = 0.02
-    saddle_widths: float = 8.0
-    ridge_px: float = 0.6
-    trailed: float = 2.0
-    trail_sigmas: float = 2.5
-
-
-DEFAULT_PEAKS = PeakTuning()
+# Parameters of the search for peaks, tuned on simulated frames (``scripts/bench centroids`` and ``crowded``).
+MIN_USABLE = 0.3  # no star is detected where less than this share of its pixels is usable
+SADDLE_SIGMAS = 3.0  # minimum depth of the saddle between two stars, in standard deviations of the sky
+#: The same for the photon noise of the star, larger because the saddle is the minimum of many points along a trail.
+SADDLE_PHOTONS = 5.0
+SADDLE_SHARE = 0.02  # minimum depth of the saddle as a share of the lower peak
+SADDLE_WIDTHS = 8.0  # peaks farther apart than this many FWHM are always two stars; longer trails are split
+RIDGE_PX = 0.6  # offset of the three parallel lines on which the saddle is measured; a ridge may miss the pixel centres
+TRAILED = 2.0  # stars are trailed if longer than wide by this factor (chosen)
+#: A peak that is closer to a higher one in standard deviations of the PSF lies on its trail, whose ends are at 1.7.
+TRAIL_SIGMAS = 2.5
 
 
 def peaks(
-    light: FloatArray, background: Background, psf: PSF, threshold_sigmas: float, tuning: PeakTuning
+    light: FloatArray, background: Background, psf: PSF, threshold_sigmas: float
 ) -> tuple[FloatArray, FloatArray]:
     """(n, 2) pixels (x, y) of the stars, the most significant first, and their significance (n,).
 
@@ -49,7 +33,7 @@ def peaks(
     """
     from sameas.kernels.frames import local_maxima
 
-    snr = _significance(light, background, psf, tuning.min_usable)
+    snr = _significance(light, background, psf, MIN_USABLE)
     y, x = local_maxima(snr, threshold_sigmas, max(1, round(psf.sigma_px)))
     if not len(x):
         return np.empty((0, 2)), np.empty(0)
@@ -59,14 +43,14 @@ def peaks(
     x, y = x.astype(float), y.astype(float)
     order = np.lexsort((x, y, -value))
     xy, value = np.column_stack([x, y])[order], value[order]
-    reach_px = tuning.saddle_widths * psf.fwhm_px
+    reach_px = SADDLE_WIDTHS * psf.fwhm_px
     pairs = _pairs(xy, reach_px)
     separate = np.ones(len(xy), bool)
-    separate[_without_saddle(snr, noise, xy, value, pairs, reach_px, tuning)] = False
+    separate[_without_saddle(snr, noise, xy, value, pairs, reach_px)] = False
     minor, major = np.linalg.eigvalsh(psf.matrix)
-    if major > tuning.trailed**2 * minor:
-        sharp = _significance(light, background, replace(psf, matrix=minor * np.eye(2)), tuning.min_usable)
-        separate |= _separated_trails(sharp, noise, xy, pairs, psf, tuning)
+    if major > TRAILED**2 * minor:
+        sharp = _significance(light, background, replace(psf, matrix=minor * np.eye(2)), MIN_USABLE)
+        separate |= _separated_trails(sharp, noise, xy, pairs, psf)
     return xy[separate], value[separate]
 
 
@@ -119,20 +103,18 @@ def _from_edges(length: int, half: int) -> IntArray:
     return np.minimum(index, 2 * half) + np.maximum(index - (length - 1 - 2 * half), 0)
 
 
-def _separated_trails(
-    snr: FloatArray, noise: FloatArray, xy: FloatArray, pairs: IntArray, psf: PSF, tuning: PeakTuning
-) -> BoolArray:
+def _separated_trails(snr: FloatArray, noise: FloatArray, xy: FloatArray, pairs: IntArray, psf: PSF) -> BoolArray:
     """(n,) mask of the peaks with a saddle in a filter as wide as the trails, and that lie on no trail of a higher one.
 
     The filter of trails doubles their length, so that bright ones cover the saddles around them. pairs : of peaks.
     """
-    reach_px = tuning.saddle_widths * psf.fwhm_px
+    reach_px = SADDLE_WIDTHS * psf.fwhm_px
     offset = xy[pairs[:, 0]] - xy[pairs[:, 1]]
-    on_trail = np.einsum("ni,ij,nj->n", offset, np.linalg.inv(psf.matrix), offset) < tuning.trail_sigmas**2
+    on_trail = np.einsum("ni,ij,nj->n", offset, np.linalg.inv(psf.matrix), offset) < TRAIL_SIGMAS**2
     separate = np.ones(len(xy), bool)
     separate[pairs[on_trail, 1]] = False
     value = snr[xy[:, 1].astype(int), xy[:, 0].astype(int)].astype(float)
-    separate[_without_saddle(snr, noise, xy, value, pairs[~on_trail], reach_px, tuning)] = False
+    separate[_without_saddle(snr, noise, xy, value, pairs[~on_trail], reach_px)] = False
     return separate
 
 
@@ -144,13 +126,7 @@ def _pairs(xy: FloatArray, reach_px: float) -> IntArray:
 
 
 def _without_saddle(
-    snr: FloatArray,
-    noise: FloatArray,
-    xy: FloatArray,
-    value: FloatArray,
-    pairs: IntArray,
-    reach_px: float,
-    tuning: PeakTuning,
+    snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, pairs: IntArray, reach_px: float
 ) -> IntArray:
     """Rows of the lower peaks of pairs within reach without a saddle. value : (n,) of ``snr`` at the peaks."""
     from sameas.kernels.frames import saddles
@@ -159,8 +135,8 @@ def _without_saddle(
         return np.empty(0, np.int64)
     higher, lower = pairs.T
     # A ridge may pass half a pixel from the centres of its end pixels.
-    saddle = saddles(snr, xy[higher], xy[lower], int(np.ceil(reach_px)), tuning.ridge_px)
+    saddle = saddles(snr, xy[higher], xy[lower], int(np.ceil(reach_px)), RIDGE_PX)
     x, y = xy[lower].astype(int).T
-    random_depth = np.sqrt(tuning.saddle_sigmas**2 + tuning.saddle_photons**2 * (noise[y, x] ** 2 - 1))
-    depth = np.maximum(random_depth, tuning.saddle_share * value[lower])
+    random_depth = np.sqrt(SADDLE_SIGMAS**2 + SADDLE_PHOTONS**2 * (noise[y, x] ** 2 - 1))
+    depth = np.maximum(random_depth, SADDLE_SHARE * value[lower])
     return np.asarray(lower[value[lower] - saddle < depth])

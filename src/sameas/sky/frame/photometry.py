@@ -24,26 +24,22 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, robust_scale, weighted_median
 from sameas.gaussian import inverse
 
+PAIRS_PER_TERM = 12  # minimum of additional pairs per term
+ITERATIONS = 12  # of the fit and its weights
+TAIL_SIGMAS = 3.0  # the weight of residuals beyond this many robust standard deviations falls with their inverse square
+PRIOR_STARS = 2.0  # weight of the prior of the completeness, in stars
+STARS_PER_BIN = 20  # minimum number of stars for bins of half a magnitude; else wider bins are used
+CELLS = 150  # number of magnitude cells for the fit of the completeness
+
 
 @dataclass(frozen=True)
 class PhotometryTuning:
     """Parameters of the fits of zero point and completeness, all chosen.
 
-    min_pairs : minimum number of pairs for a zero point. pairs_per_term : minimum of additional pairs per term.
-    iterations : of the fit and its weights.
-    tail_sigmas : the weight of residuals beyond this many robust standard deviations falls with their inverse square.
-    prior_stars : weight of the prior of the completeness, in stars.
-    stars_per_bin : minimum number of stars for bins of half a magnitude; else wider bins are used.
-    cells : number of magnitude cells for the fit of the completeness.
+    min_pairs : minimum number of pairs for a zero point.
     """
 
     min_pairs: float = 3
-    pairs_per_term: float = 12
-    iterations: int = 12
-    tail_sigmas: float = 3.0
-    prior_stars: float = 2.0
-    stars_per_bin: int = 20
-    cells: int = 150
 
 
 DEFAULT_PHOTOMETRY = PhotometryTuning()
@@ -103,8 +99,8 @@ class ZeroPoint:
         candidates: list[tuple[str, ...]] = [(), ("1", "2"), ("1", "2", "3")]
         if math.isfinite(mean) and np.ptp(excess) > 0:
             candidates += [("colour", *terms) for terms in candidates]
-        candidates = [terms for terms in candidates if w.sum() >= fewest + tuning.pairs_per_term * len(terms)] or [()]
-        fits = {terms: _robust([columns[name] for name in terms], m - measured, w, tuning) for terms in candidates}
+        candidates = [terms for terms in candidates if w.sum() >= fewest + PAIRS_PER_TERM * len(terms)] or [()]
+        fits = {terms: _robust([columns[name] for name in terms], m - measured, w) for terms in candidates}
         best = min(fits, key=lambda terms: fits[terms].bic)
         fit = fits[best]
         value, error = dict(zip(best, fit.terms[1:], strict=True)), dict(zip(best, fit.sigma[1:], strict=True))
@@ -169,15 +165,15 @@ class _MagnitudeFit:
     bic: float
 
 
-def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray, tuning: PhotometryTuning) -> _MagnitudeFit:
+def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray) -> _MagnitudeFit:
     """Weighted least squares; residuals beyond ``tail_sigmas`` robust standard deviations are downweighted."""
     a = np.column_stack([np.ones_like(y), *columns])
     tail_weight = np.ones_like(y)
     # Starting from the weighted median, one wrong pair of seven does not decide which pairs are outliers.
     residual = y - weighted_median(y, weight)
     scatter = 1.0
-    tail = tuning.tail_sigmas
-    for iteration in range(tuning.iterations):
+    tail = TAIL_SIGMAS
+    for iteration in range(ITERATIONS):
         if iteration:
             w = weight * tail_weight
             normal = a.T @ (w[:, None] * a) + 1e-9 * np.eye(a.shape[1])
@@ -208,16 +204,14 @@ class Completeness:
     identified: FloatArray
 
     @classmethod
-    def of(
-        cls, magnitude: FloatArray, p_identified: FloatArray, tuning: PhotometryTuning = DEFAULT_PHOTOMETRY
-    ) -> Completeness | None:
+    def of(cls, magnitude: FloatArray, p_identified: FloatArray) -> Completeness | None:
         """The fit to stars with identification probabilities, (n,) each; None if no magnitude is known."""
         known = np.isfinite(magnitude)
         if not known.any():
             return None
         m, p = magnitude[known], np.clip(p_identified[known], 0.0, 1.0)
-        top, limit, width = _fitted_curve(m, p, tuning)
-        edges = _bins(m, tuning.stars_per_bin)
+        top, limit, width = _fitted_curve(m, p)
+        edges = _bins(m, STARS_PER_BIN)
         bin = np.clip(np.searchsorted(edges, m, side="right") - 1, 0, len(edges) - 2)
         count = np.bincount(bin, minlength=len(edges) - 1).astype(np.float64)
         identified = np.bincount(bin, p, len(edges) - 1).astype(np.float64)
@@ -249,11 +243,11 @@ class Completeness:
         return f"{100 * self.top:.0f} % of the bright stars detected, half as many at magnitude {self.limit:.2f}"
 
 
-def _fitted_curve(m: FloatArray, p: FloatArray, tuning: PhotometryTuning) -> tuple[float, float, float]:
+def _fitted_curve(m: FloatArray, p: FloatArray) -> tuple[float, float, float]:
     """Maximum-likelihood (top, limit, width), with a weak prior that bright stars are detected."""
     from scipy.optimize import minimize
 
-    low, high, cells, weight = float(m.min()), float(m.max()), tuning.cells, tuning.prior_stars
+    low, high, cells, weight = float(m.min()), float(m.max()), CELLS, PRIOR_STARS
     cell = np.minimum(((m - low) / max(high - low, 1e-9) * cells).astype(np.int64), cells - 1)
     number = np.bincount(cell, minlength=cells)
     used = number > 0

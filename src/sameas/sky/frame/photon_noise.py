@@ -27,37 +27,20 @@ from sameas.sky.frame.centroid import PSF, Background, Subtracted, cut_stamps
 _MEDIAN_VARIANCE = 1.36
 
 
-@dataclass(frozen=True)
-class GainTuning:
-    """Parameters of the measurement of the gain, tuned on simulated frames (``scripts/bench centroids``).
-
-    stars, pixels : minimum numbers for a measured gain; sample : maximum number of stars for it.
-    snr : minimum signal to noise ratio of these stars. neighbours : maximum share of neighbours' light in it.
-    reach_sigmas : distance to which a star's pixels are used. steps : iterations.
-    accuracy : relative accuracy of a scatter beyond chance. leverage, share : maximum weight of a pixel in the fit of
-        its star, and in the mean pattern of all stars.
-    correlation : no gain is measured if correlated noise enlarges variances of positions by more than this factor.
-    least_contradiction, largest_contradiction : a given gain is doubted if the photon variance is smaller by more than
-        the first factor or larger by more than the second; trails and unresolved neighbours make it up to five times
-        larger.
-    """
-
-    stars: int = 5
-    pixels: int = 240
-    sample: int = 500
-    snr: float = 8.0
-    neighbours: float = 0.2
-    reach_sigmas: float = 2.65
-    steps: int = 8
-    accuracy: float = 0.01
-    leverage: float = 0.7
-    share: float = 0.3
-    correlation: float = 1.5
-    least_contradiction: float = 2.5
-    largest_contradiction: float = 10.0
-
-
-DEFAULT_GAIN = GainTuning()
+# Parameters of the measurement of the gain, tuned on simulated frames (``scripts/bench centroids``).
+GAIN_STARS, GAIN_PIXELS = 5, 240  # minimum numbers for a measured gain
+GAIN_SAMPLE = 500  # maximum number of stars for it
+GAIN_SNR = 8.0  # minimum signal to noise ratio of these stars
+NEIGHBOURS = 0.2  # maximum share of neighbours' light in it
+GAIN_REACH_SIGMAS = 2.65  # distance to which a star's pixels are used
+STEPS = 8  # iterations
+ACCURACY = 0.01  # relative accuracy of a scatter beyond chance
+LEVERAGE, SHARE = 0.7, 0.3  # maximum weight of a pixel in the fit of its star, and in the mean pattern of all stars
+#: No gain is measured if correlated noise enlarges variances of positions by more than this factor.
+MAX_NOISE_CORRELATION = 1.5
+#: A given gain is doubted if the photon variance is smaller by more than the first factor or larger by more than the
+#: second; trails and unresolved neighbours make it up to five times larger.
+LEAST_CONTRADICTION, LARGEST_CONTRADICTION = 2.5, 10.0
 
 
 @dataclass(frozen=True)
@@ -70,7 +53,7 @@ class InverseGain:
 
 
 def measured_inverse_gain(
-    residual: FloatArray, background: Background, stars: Subtracted, usable: BoolArray, tuning: GainTuning
+    residual: FloatArray, background: Background, stars: Subtracted, usable: BoolArray
 ) -> InverseGain | None:
     """The inverse gain from the scatter of stars' pixels about their profiles; None with too few pixels.
 
@@ -89,16 +72,16 @@ def measured_inverse_gain(
     >>> bool(abs(found.value - 0.5) < 3 * found.error), found.stars
     (True, 100)
     """
-    rows = _isolated_stars(stars, usable, tuning)
-    if len(rows) < tuning.stars:
+    rows = _isolated_stars(stars, usable)
+    if len(rows) < GAIN_STARS:
         return None
-    pixels = _Pixels.of(residual, background, stars, rows, tuning)
+    pixels = _Pixels.of(residual, background, stars, rows)
     noise = _Noise(1.0, 0.0, 0.0, np.inf)
-    for iteration in range(tuning.steps):
-        light, deviation, sky = pixels.deviations(noise, tuning, with_pattern=iteration > 0)
-        if len(light) < tuning.pixels:
+    for iteration in range(STEPS):
+        light, deviation, sky = pixels.deviations(noise, with_pattern=iteration > 0)
+        if len(light) < GAIN_PIXELS:
             return None
-        noise = _Noise.of(light, deviation, sky, noise, tuning.accuracy)
+        noise = _Noise.of(light, deviation, sky, noise, ACCURACY)
     return InverseGain(_mean_above_zero(noise.inverse_gain, noise.error), noise.error, len(rows))
 
 
@@ -109,7 +92,7 @@ def _mean_above_zero(value: float, error: float) -> float:
     return value + error * math.exp(-0.5 * t * t) / math.sqrt(2.0 * math.pi) / (1.0 - below)
 
 
-def _isolated_stars(stars: Subtracted, usable: BoolArray, tuning: GainTuning) -> IntArray:
+def _isolated_stars(stars: Subtracted, usable: BoolArray) -> IntArray:
     """Rows of usable stars to which neighbours contribute little light, at most ``sample`` of all fluxes."""
     from scipy.spatial import cKDTree
 
@@ -118,11 +101,11 @@ def _isolated_stars(stars: Subtracted, usable: BoolArray, tuning: GainTuning) ->
     share = stars.psf.light(dx, dy) / stars.psf.light(0.0, 0.0)
     others = np.bincount(pairs[:, 0], stars.flux[pairs[:, 1]] * share, len(stars.xy))
     others += np.bincount(pairs[:, 1], stars.flux[pairs[:, 0]] * share, len(stars.xy))
-    rows = np.flatnonzero(usable & (others < tuning.neighbours * stars.flux))
+    rows = np.flatnonzero(usable & (others < NEIGHBOURS * stars.flux))
     by_flux = rows[np.argsort(stars.flux[rows], kind="stable")]
-    if len(rows) <= tuning.sample:
+    if len(rows) <= GAIN_SAMPLE:
         return np.asarray(by_flux)
-    return np.asarray(by_flux[np.linspace(0, len(rows) - 1, tuning.sample).astype(int)])
+    return np.asarray(by_flux[np.linspace(0, len(rows) - 1, GAIN_SAMPLE).astype(int)])
 
 
 @dataclass(frozen=True)
@@ -178,18 +161,16 @@ class _Pixels:
     cell: IntArray
 
     @classmethod
-    def of(
-        cls, residual: FloatArray, background: Background, stars: Subtracted, rows: IntArray, tuning: GainTuning
-    ) -> _Pixels:
+    def of(cls, residual: FloatArray, background: Background, stars: Subtracted, rows: IntArray) -> _Pixels:
         psf, xy = stars.psf, stars.xy[rows]
-        reach_sq = tuning.reach_sigmas**2
+        reach_sq = GAIN_REACH_SIGMAS**2
         half = int(np.ceil(np.sqrt(reach_sq * np.linalg.eigvalsh(psf.matrix)[1]))) + 1
         stamps = cut_stamps(residual, background, np.rint(xy).astype(int), half)
         stamps = stars.add_back(stamps, rows)
         dx, dy = np.broadcast_arrays(stamps.x - xy[:, 0, None, None], stamps.y - xy[:, 1, None, None])
         inverse = np.linalg.inv(psf.matrix)
         r2 = inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2
-        basis = _change_of_light(psf, dx, dy, tuning.reach_sigmas)
+        basis = _change_of_light(psf, dx, dy, GAIN_REACH_SIGMAS)
         offset = np.rint(np.stack([dx, dy])).astype(int) + half + 1
         flat = len(rows), -1
         return cls(
@@ -201,9 +182,7 @@ class _Pixels:
             (offset[0] * (2 * half + 3) + offset[1]).reshape(flat),
         )
 
-    def deviations(
-        self, noise: _Noise, tuning: GainTuning, *, with_pattern: bool
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def deviations(self, noise: _Noise, *, with_pattern: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(m,) light of pixels, their deviations from the profile with leverage allowed for, and the sky's variance.
 
         with_pattern : whether the mean deviation of all stars, relative to their light, is removed.
@@ -215,7 +194,7 @@ class _Pixels:
         scaled = self.light * weight
         fitted = np.einsum("nkp,np->nk", orthogonal, np.einsum("nkp,nk->np", orthogonal, scaled))
         safe = np.where(weight > 0, weight, 1.0)
-        used = self.usable & (leverage < tuning.leverage) & (fitted > 0)
+        used = self.usable & (leverage < LEVERAGE) & (fitted > 0)
         light, sky = (fitted / safe)[used], self.sky[used]
         deviation = ((scaled - fitted) / safe)[used] / np.sqrt(1 - leverage[used])
         if not with_pattern:
@@ -227,8 +206,8 @@ class _Pixels:
         total = np.maximum(np.bincount(cell, precision * near), 1e-30)
         mean = np.bincount(cell, precision * near * relative) / total
         share = precision / total[cell]
-        kept = share < tuning.share
-        without = (relative - mean[cell]) * light / np.sqrt(np.maximum(1 - share, 1 - tuning.share))
+        kept = share < SHARE
+        without = (relative - mean[cell]) * light / np.sqrt(np.maximum(1 - share, 1 - SHARE))
         return light[kept], without[kept], sky[kept]
 
 

@@ -159,7 +159,7 @@ def place(
     for hint in hints:
         best, second = _best_pointing(problem, hint, index, math.log(odds), tuning)
         if best is not None and _is_established(best, second, math.log(odds)):
-            return _placement(problem, best, second, hint, (order_1, order_2), tuning)
+            return _placement(problem, best, second, hint, (order_1, order_2))
         refusals.append(_refusal(hint, best, second))
     raise NoSolution(f"{measured.name}: no solution: {'; '.join(refusals)}; {_advice(hints)}")
 
@@ -192,7 +192,7 @@ def _best_pointing(
     best, second = None, -math.inf
     for pointings in candidates(undistorted, hint, index, tuning):
         for pointing in _distinct(pointings, undistorted, tuning.verified):
-            verified = verify(undistorted, pointing, volume, tolerance, tuning.odds)
+            verified = verify(undistorted, pointing, volume, tolerance)
             if not math.isfinite(verified.log_odds) or not hint.allows(verified.pointing, undistorted):
                 continue
             if best is None or verified.log_odds > best.log_odds:
@@ -250,16 +250,11 @@ def _is_established(best: VerifiedPointing | None, second: float, least_log_odds
 
 
 def _placement(
-    problem: PlateProblem,
-    best: VerifiedPointing,
-    second: float,
-    hint: Hint,
-    orders: tuple[IntArray, IntArray],
-    tuning: PointingTuning,
+    problem: PlateProblem, best: VerifiedPointing, second: float, hint: Hint, orders: tuple[IntArray, IntArray]
 ) -> Placement:
     rms_px = math.sqrt(np.mean(best.residual_px**2))
     if isinstance(hint, ApproximateWcs):
-        best = refitted_on(best, problem, problem.px, tuning.odds)
+        best = refitted_on(best, problem, problem.px)
     return Placement(
         wcs=best.pointing.to_wcs(problem.shape),
         pointing=best.pointing,

@@ -40,38 +40,32 @@ if TYPE_CHECKING:
 HIGHEST_ORDER = 5
 
 
+ITERATIONS = 8  # number of iterations of the fit, its weights and the transformed errors
+#: The weight of larger residuals falls with their inverse square, so that wrong pairs and blends have little influence;
+#: blends move one star in ten of a crowded frame. With 3.5 instead of 2 the plates of crowded frames are 1.2 to 1.6
+#: times as far off; without blends 2 costs 4 % (tuned on simulated frames).
+TAIL_SIGMAS = 2.0
+QUOTED_WEIGHT = 4.0  # prior weight, in residuals, of an error scale of 1
+#: The order of the inverse SIP polynomial is raised until its largest error over the frame is below REVERSE_PX, at most
+#: to REVERSE_ORDER.
+REVERSE_PX, REVERSE_ORDER = 0.002, 9
+MAX_REVERSE_PX = 0.01  # orders whose inverse has a larger error are not chosen, unless given
+FLOOR_GAIN = 6.0  # a floor must lower −2 ln L by more than this
+FLOOR_PAIRS = 20.0  # minimum number of pairs for it
+FLOOR_STEPS = 16  # number of floors tried, from LEAST_FLOOR times the smallest error to twice the median residual
+LEAST_FLOOR = 0.3
+FLOOR_FREEDOM = 4.0  # degrees of freedom of the t distribution of the residuals there, low against blends
+FLOOR_ITERATIONS = 4  # iterations of its scale
+
+
 @dataclass(frozen=True)
 class PlateTuning:
     """Parameters of the plate fit, all chosen.
 
-    iterations : number of iterations of the fit, its weights and the transformed errors.
-    tail_sigmas : the weight of larger residuals falls with their inverse square, so that wrong pairs and blends have
-        little influence; blends move one star in ten of a crowded frame. With 3.5 instead of 2 the plates of crowded
-        frames are 1.2 to 1.6 times as far off; without blends 2 costs 4 % (tuned on simulated frames).
-    quoted_weight : prior weight, in residuals, of an error scale of 1.
-    reverse_px, reverse_order : the order of the inverse SIP polynomial is raised until its largest error over the frame
-        is below ``reverse_px``, at most to ``reverse_order``.
-    max_reverse_px : orders whose inverse has a larger error are not chosen, unless given.
     min_gain : a higher order must lower the leave-one-out −2 ln L by more than this.
-    floor_gain : a floor must lower −2 ln L by more than this. floor_pairs : minimum number of pairs for it.
-    floor_steps : number of floors tried, from ``least_floor`` times the smallest error to twice the median residual.
-    floor_freedom : degrees of freedom of the t distribution of the residuals there, low against blends.
-        floor_iterations : iterations of its scale.
     """
 
-    iterations: int = 8
-    tail_sigmas: float = 2.0
-    quoted_weight: float = 4.0
-    reverse_px: float = 0.002
-    reverse_order: int = 9
-    max_reverse_px: float = 0.01
     min_gain: float = 8.0
-    floor_gain: float = 6.0
-    floor_pairs: float = 20.0
-    floor_steps: int = 16
-    least_floor: float = 0.3
-    floor_freedom: float = 4.0
-    floor_iterations: int = 4
 
 
 DEFAULT_PLATE = PlateTuning()
@@ -156,7 +150,7 @@ class Polynomial:
         return about_origin
 
 
-def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int], tuning: PlateTuning = DEFAULT_PLATE) -> WCS:
+def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int]) -> WCS:
     """The astropy WCS of a polynomial (arcsec) on the plane at ``centre``: TAN, or TAN-SIP with its inverse."""
     from astropy.wcs import WCS, Sip
 
@@ -171,7 +165,7 @@ def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int], tuni
     if polynomial.order > 1:
         distortion = np.linalg.solve(cd, coefficients)
         forward = [_table(distortion[axis], polynomial.order) for axis in range(2)]
-        wcs.sip = Sip(*forward, *_reverse(polynomial, origin, cd, shape, tuning)[:2], origin + 1.0)
+        wcs.sip = Sip(*forward, *_reverse(polynomial, origin, cd, shape)[:2], origin + 1.0)
     wcs.wcs.set()
     wcs.array_shape = shape
     return wcs
@@ -187,19 +181,19 @@ def _table(row: FloatArray, order: int, least: int = 2) -> FloatArray:
 
 
 def _reverse(
-    polynomial: Polynomial, origin: FloatArray, cd: FloatArray, shape: tuple[int, int], tuning: PlateTuning
+    polynomial: Polynomial, origin: FloatArray, cd: FloatArray, shape: tuple[int, int]
 ) -> tuple[FloatArray, FloatArray, float]:
     """The inverse tables AP and BP, from linear to frame pixels, and their largest error over the frame, px."""
-    n = 4 * tuning.reverse_order
+    n = 4 * REVERSE_ORDER
     x, y = np.meshgrid(np.linspace(-0.5, shape[1] - 0.5, n), np.linspace(-0.5, shape[0] - 0.5, n))
     px = np.column_stack([x.ravel(), y.ravel()])
     linear = polynomial(px) @ np.linalg.inv(cd).T
     unit = np.abs(linear).max()
-    for order in range(polynomial.order, tuning.reverse_order + 1):
+    for order in range(polynomial.order, REVERSE_ORDER + 1):
         powers = np.stack([(linear[:, 0] / unit) ** a * (linear[:, 1] / unit) ** b for a, b in terms(order)], axis=1)
         fit = np.linalg.lstsq(powers, px - origin - linear, rcond=None)[0]
         worst = float(np.abs(powers @ fit - (px - origin - linear)).max())
-        if worst < tuning.reverse_px:
+        if worst < REVERSE_PX:
             break
     fit = fit / unit ** np.array([a + b for a, b in terms(order)])[:, None]
     return _table(fit[:, 0], order, least=0), _table(fit[:, 1], order, least=0), worst
@@ -367,30 +361,28 @@ def fit_plate(
     behind = np.flatnonzero(unit_vectors(stars.ra_deg, stars.dec_deg) @ start.centre <= 0.0)
     if len(behind):
         raise InputError(f"plate: the star of pair {behind[0]} is 90° or more from the frame; check the pairs")
-    fits = {p: _fitted(stars, start, shape, p, tuning) for p in possible}
+    fits = {p: _fitted(stars, start, shape, p) for p in possible}
     bic = {p: model.bic[p] for p, model in fits.items()}
     leave_one_out = {p: model.leave_one_out[p] for p, model in fits.items()}
     best = min(bic, key=lambda p: (bic[p], p))
     supported = [p for p in possible if p <= best]
     if order is None:
-        supported = [p for p in supported if p == possible[0] or _invertible(fits[p], tuning)]
+        supported = [p for p in supported if p == possible[0] or _invertible(fits[p])]
     least = min(leave_one_out[p] for p in supported)
     best = min(p for p in supported if leave_one_out[p] <= least + tuning.min_gain)
     return replace(fits[best], bic=bic, leave_one_out=leave_one_out)
 
 
-def _invertible(model: PlateModel, tuning: PlateTuning) -> bool:
+def _invertible(model: PlateModel) -> bool:
     """Whether the inverse of the model's WCS is accurate over the whole frame."""
     if model.order == 1:
         return True
     origin = model.polynomial.inverse(np.zeros((1, 2)))[0]
     cd = model.polynomial.about(origin)[:, 1:3]
-    return _reverse(model.polynomial, origin, cd, model.shape, tuning)[2] < tuning.max_reverse_px
+    return _reverse(model.polynomial, origin, cd, model.shape)[2] < MAX_REVERSE_PX
 
 
-def _fitted(
-    stars: MatchedStars, start: Pointing, shape: tuple[int, int], order: int, tuning: PlateTuning
-) -> PlateModel:
+def _fitted(stars: MatchedStars, start: Pointing, shape: tuple[int, int], order: int) -> PlateModel:
     """The plate model of one order, by iteratively reweighted least squares."""
     middle = np.array([(shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0])
     polynomial = Polynomial.linear(start, middle, 0.5 * math.hypot(*shape), order)
@@ -401,11 +393,11 @@ def _fitted(
     basis, tail_weight = polynomial.basis(stars.px), np.ones(len(plane))
     q = basis.shape[1]
     floor_sq, residual = 0.0, np.zeros_like(plane)
-    for iteration in range(tuning.iterations):
+    for iteration in range(ITERATIONS):
         slope = polynomial.slope(stars.px)
         total = star_covariance + propagated(slope, unpack(stars.covariance_px, 2))
         if iteration:
-            floor_sq = _floor_squared(residual, total, q, stars.p_match, tuning)
+            floor_sq = _floor_squared(residual, total, q, stars.p_match)
         total = total + floor_sq * np.eye(2)
         precision = inverse(total + 1e-12 * np.eye(2))
         information, right_side = _normal_equations(basis, precision, plane, stars.p_match * tail_weight)
@@ -413,8 +405,8 @@ def _fitted(
         polynomial = polynomial.with_coefficients(solution.reshape(2, q))
         residual = plane - basis @ polynomial.coefficients.T
         normalised_sq = np.einsum("ni,nij,nj->n", residual, precision, residual)
-        scale_sq = _scale_squared(normalised_sq, stars.p_match, tail_weight, 2 * q, tuning)
-        tail_weight = np.minimum(1.0, tuning.tail_sigmas**2 * scale_sq / np.maximum(normalised_sq, 1e-300))
+        scale_sq = _scale_squared(normalised_sq, stars.p_match, tail_weight, 2 * q)
+        tail_weight = np.minimum(1.0, TAIL_SIGMAS**2 * scale_sq / np.maximum(normalised_sq, 1e-300))
     covariance_scale, log_volume = max(1.0, scale_sq), float(stars.p_match @ log_determinant(total))
     covariance = covariance_scale * _solve_normal(
         _normal_equations(basis, precision, plane, stars.p_match * tail_weight)[0], np.eye(2 * q)
@@ -426,10 +418,9 @@ def _fitted(
         error_scale=math.sqrt(covariance_scale),
         shape=shape,
         effective_pairs=float(stars.p_match.sum()),
-        bic={order: log_volume + _bic(normalised_sq / scale_sq, scale_sq, stars.p_match, 2 * q, tuning)},
+        bic={order: log_volume + _bic(normalised_sq / scale_sq, scale_sq, stars.p_match, 2 * q)},
         leave_one_out={
-            order: log_volume
-            + _leave_one_out(basis, precision, residual, stars.p_match, tail_weight, tuning.tail_sigmas)
+            order: log_volume + _leave_one_out(basis, precision, residual, stars.p_match, tail_weight, TAIL_SIGMAS)
         },
         residual_arcsec=residual,
         weight=stars.p_match * tail_weight,
@@ -437,9 +428,7 @@ def _fitted(
     )
 
 
-def _floor_squared(
-    residual: FloatArray, covariance: FloatArray, terms_per_axis: int, p_match: FloatArray, tuning: PlateTuning
-) -> float:
+def _floor_squared(residual: FloatArray, covariance: FloatArray, terms_per_axis: int, p_match: FloatArray) -> float:
     """The variance per axis to be added to all pairs, arcsec², before the error scale; 0 if the residuals show none.
 
     It maximises the restricted likelihood (Patterson & Thompson 1971, Biometrika 58, 545) together with the error
@@ -448,49 +437,43 @@ def _floor_squared(
 
     residual : (n, 2) of a fit with ``terms_per_axis`` terms. covariance : (n, 2, 2) as quoted.
     """
-    if float(p_match.sum()) < max(tuning.floor_pairs, 2 * terms_per_axis):
+    if float(p_match.sum()) < max(FLOOR_PAIRS, 2 * terms_per_axis):
         return 0.0
     quoted, squares = np.diagonal(covariance, axis1=1, axis2=2), residual**2
-    least = tuning.least_floor**2 * float(quoted.min())
+    least = LEAST_FLOOR**2 * float(quoted.min())
     most = max(float(np.median(squares[p_match > 0.5])) if (p_match > 0.5).any() else 0.0, 1e-300) * 4.0
     if least >= most:
         return 0.0
-    floors = np.concatenate([[0.0], np.geomspace(max(least, 1e-6 * most), most, tuning.floor_steps)])
-    misfit = np.array(
-        [_restricted_misfit(squares, quoted + floor, terms_per_axis, p_match, tuning) for floor in floors]
-    )
+    floors = np.concatenate([[0.0], np.geomspace(max(least, 1e-6 * most), most, FLOOR_STEPS)])
+    misfit = np.array([_restricted_misfit(squares, quoted + floor, terms_per_axis, p_match) for floor in floors])
     best = int(np.argmin(misfit))
-    return float(floors[best]) if misfit[best] < misfit[0] - tuning.floor_gain else 0.0
+    return float(floors[best]) if misfit[best] < misfit[0] - FLOOR_GAIN else 0.0
 
 
-def _restricted_misfit(
-    squares: FloatArray, variance: FloatArray, terms_per_axis: int, p_match: FloatArray, tuning: PlateTuning
-) -> float:
+def _restricted_misfit(squares: FloatArray, variance: FloatArray, terms_per_axis: int, p_match: FloatArray) -> float:
     """Restricted −2 ln L of squared residuals (n, 2) with these variances (n, 2) and an unknown error scale.
 
     The determinant of the terms' information is that of stars whose errors do not depend on their place.
     """
-    freedom, nu = max(2.0 * float(p_match.sum()) - 2 * terms_per_axis, 1.0), tuning.floor_freedom
+    freedom, nu = max(2.0 * float(p_match.sum()) - 2 * terms_per_axis, 1.0), FLOOR_FREEDOM
     ratio = (squares / variance).sum(axis=1)
     scale_sq = float(np.median(ratio)) / (2.0 * math.log(2.0))
-    for _ in range(tuning.floor_iterations):
+    for _ in range(FLOOR_ITERATIONS):
         weight = p_match * (nu + 2.0) / (nu + ratio / scale_sq)
-        scale_sq = (float(weight @ ratio) + tuning.quoted_weight) / (freedom + tuning.quoted_weight)
+        scale_sq = (float(weight @ ratio) + QUOTED_WEIGHT) / (freedom + QUOTED_WEIGHT)
     loss = (nu + 2.0) * np.log1p(ratio / (nu * scale_sq))
     information = terms_per_axis * float(np.log(weight @ (1.0 / variance)).sum())
-    prior = tuning.quoted_weight * (math.log(scale_sq) + 1.0 / scale_sq)
+    prior = QUOTED_WEIGHT * (math.log(scale_sq) + 1.0 / scale_sq)
     return float(p_match @ (np.log(variance).sum(axis=1) + loss)) + freedom * math.log(scale_sq) + prior + information
 
 
-def _bic(
-    normalised_sq: FloatArray, scale_sq: float, p_match: FloatArray, parameters: int, tuning: PlateTuning
-) -> float:
+def _bic(normalised_sq: FloatArray, scale_sq: float, p_match: FloatArray, parameters: int) -> float:
     """−2 ln L + parameters · ln(effective pairs), with an unknown error scale.
 
     normalised_sq : (n,) squared residuals over scaled variances; beyond the tail the loss grows logarithmically.
     """
-    n, prior = 2.0 * float(p_match.sum()), tuning.quoted_weight
-    limit = tuning.tail_sigmas**2
+    n, prior = 2.0 * float(p_match.sum()), QUOTED_WEIGHT
+    limit = TAIL_SIGMAS**2
     loss = np.where(
         normalised_sq > limit, limit * (1.0 + np.log(np.maximum(normalised_sq / limit, 1.0))), normalised_sq
     )
@@ -553,11 +536,9 @@ def _solve_normal(information: FloatArray, right_side: FloatArray) -> FloatArray
     return np.asarray(solution * (unit if right_side.ndim == 1 else unit[:, None]))
 
 
-def _scale_squared(
-    normalised_sq: FloatArray, p_match: FloatArray, tail_weight: FloatArray, parameters: int, tuning: PlateTuning
-) -> float:
+def _scale_squared(normalised_sq: FloatArray, p_match: FloatArray, tail_weight: FloatArray, parameters: int) -> float:
     """Mean square of residuals over errors; robust against outliers in the first iteration, before any weighting."""
-    weight, prior = p_match * tail_weight, tuning.quoted_weight
+    weight, prior = p_match * tail_weight, QUOTED_WEIGHT
     if np.all(tail_weight == 1.0):
         order = np.argsort(normalised_sq)
         share = np.cumsum(p_match[order]) / p_match.sum()
@@ -567,7 +548,7 @@ def _scale_squared(
         # The mean is the better estimate without wrong pairs; a few wrong pairs make it many times the median.
         return mean if mean < 3.0 * max(median, 1e-300) else median
     freedom = max(2.0 * weight.sum() - parameters, 0.0)
-    expected = _weighted_mean_square(tuning.tail_sigmas)
+    expected = _weighted_mean_square(TAIL_SIGMAS)
     return float((float(weight @ normalised_sq) / expected + prior) / (freedom + prior))
 
 

@@ -26,7 +26,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.ragged import Ragged, ranges
 from sameas.representation import in_short
-from sameas.sky.frame.odds import DEFAULT_ODDS_TUNING, OddsTuning, PlateProblem, SearchVolume
+from sameas.sky.frame.odds import PlateProblem, SearchVolume
 from sameas.sky.frame.pointing import Pointing, similarities
 from sameas.space import ARCSEC_PER_RADIAN, chord_angle_deg, from_plane, to_plane, unit_vectors
 
@@ -219,7 +219,7 @@ class PointingTuning:
     aim_lists : tried around an aim, in this order: points per pattern, bright stars per field, brightest measurements.
     batch : pairs of patterns counted at a time, which bounds the memory.
     best : maximum number of pointings per list.
-    verified : maximum number of different pointings per list that are verified. odds : of their verification.
+    verified : maximum number of different pointings per list that are verified.
     """
 
     code_tolerance: float = 0.02
@@ -233,7 +233,6 @@ class PointingTuning:
     batch: int = 20_000
     best: int = 500
     verified: int = 20
-    odds: OddsTuning = DEFAULT_ODDS_TUNING
 
 
 DEFAULT_POINTING = PointingTuning()

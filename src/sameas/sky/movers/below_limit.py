@@ -47,40 +47,35 @@ _BYTES = 18
 _NO_LIGHT = Flag.HOT | Flag.COSMIC | Flag.MASKED | Flag.SATURATED
 
 
+MIN_FRAMES = 5  # minimum number of frames
+STEP_WIDTHS = 0.5  # step of the rates, as the displacement on the first and last frame in FWHM of a star
+MIN_WIDTHS = 2.5  # minimum motion over all frames, FWHM
+HIDDEN_WIDTHS = 1.2  # radius of excluded pixels around sources, FWHM; larger for bright ones
+#: Maximum signal of one frame, in its noise: residuals of stars reach 5 often, and are in line on two or three frames,
+#: which made the tail of T 1.5 times as wide as that of noise; with 3 the tail is that of noise, and a mover of 2 on
+#: each frame loses 4 %.
+CLIP = 3.0
+MEASURED_CLIP = 5.0  # the same for measuring candidates
+STATIC = 2.5  # minimum significance on the median frame of static light that is removed
+#: Noise around stars is averaged over this many FWHM, and increased where its variance exceeds the typical one by the
+#: factor ROUGH.
+BLUR_WIDTHS, ROUGH = 2.5, 1.2
+SHARE = 0.5  # minimum share of the frames' weight at a position
+PEAKS = 300  # maximum number of peaks
+CHANCE = 100  # number of peaks of the scrambled frames for the tail
+CERTAIN = 6.0  # peaks above this T are removed before scrambling
+OWN_WIDTHS = 1.5  # a peak does not use frames on which a higher one is closer than this, FWHM
+REFINED = 5.0  # peaks above this T are measured
+
+
 @dataclass(frozen=True)
 class BelowLimitTuning:
     """Parameters for stacking frames along motions; all chosen.
 
-    min_frames : minimum number of frames. step_widths : step of the rates, as the displacement on the first and
-    last frame in FWHM of a star. min_widths : minimum motion over all frames, FWHM. hidden_widths : radius of
-    excluded pixels around sources, FWHM; larger for bright ones. clip : maximum signal of one frame, in its noise:
-    residuals of stars reach 5 often, and are in line on two or three frames, which made the tail of T 1.5 times as wide
-    as that of noise; with 3 the tail is that of noise, and a mover of 2 on each frame loses 4 %. measured_clip : the
-    same for measuring candidates. static : minimum significance on the median frame of static light that is removed.
-    blur_widths, rough : noise around stars is averaged over this many FWHM, and increased where its variance exceeds
-    the typical one by the factor ``rough``.
-    share : minimum share of the frames' weight at a position. peaks : maximum number of peaks.
-    chance : number of peaks of the scrambled frames for the tail. certain : peaks above this T are removed before
-    scrambling. own_widths : a peak does not use frames on which a higher one is closer than this, FWHM.
-    max_bytes : maximum memory for frames. refined : peaks above this T are measured.
+    max_bytes : maximum memory for frames.
     """
 
-    min_frames: int = 5
-    step_widths: float = 0.5
-    min_widths: float = 2.5
-    hidden_widths: float = 1.2
-    clip: float = 3.0
-    measured_clip: float = 5.0
-    static: float = 2.5
-    blur_widths: float = 2.5
-    rough: float = 1.2
-    share: float = 0.5
-    peaks: int = 300
-    chance: int = 100
-    certain: float = 6.0
-    own_widths: float = 1.5
     max_bytes: int = 600_000_000
-    refined: float = 5.0
 
 
 TUNING = BelowLimitTuning()
@@ -121,23 +116,23 @@ class Plan:
 
         Raises InputError: too few frames; a maximum rate below the slowest one that can be distinguished from a star.
         """
-        if len(series.exposures) < tuning.min_frames:
+        if len(series.exposures) < MIN_FRAMES:
             raise InputError(
                 f"{len(series.exposures)} frames: stacking needs at least "
-                f"{tuning.min_frames}", naming("leave {below_limit} out")
+                f"{MIN_FRAMES}", naming("leave {below_limit} out")
             )  # fmt: skip
         scale = series.scale_arcsec_per_px
         minutes = np.array([e.mjd_utc for e in series.exposures]) * 1440.0
         minutes -= 0.5 * (minutes[0] + minutes[-1])
         half = float(minutes[-1])
         width = float(np.median([max(e.psf_fwhm_px * e.scale_arcsec_per_px / scale, 1.5) for e in series.exposures]))
-        slowest = tuning.min_widths * width * scale / (2.0 * half)
+        slowest = MIN_WIDTHS * width * scale / (2.0 * half)
         if not fastest > slowest:
             raise InputError(
                 f"{fastest:g}″/min: over {2 * half:.0f} minutes motion slower than {slowest:.2f}″/min is less "
                 "than the PSF width needed", naming("give {below_limit:RATE}, a higher one"),
             )  # fmt: skip
-        step = tuning.step_widths * width * scale / half
+        step = STEP_WIDTHS * width * scale / half
         count = math.ceil(fastest / step)
         east, north = np.meshgrid(*2 * [np.arange(-count, count + 1) * step])
         rates = np.column_stack([east.ravel(), north.ravel()])
@@ -232,18 +227,18 @@ def search_below_limit(
     groups = _thirds(len(plan.minutes))
     for first, last in zip(plan.strips, plan.strips[1:], strict=False):
         low, high = max(first - plan.margin, 0), min(last + plan.margin, plan.shape[0])
-        planes = _planes(series, frames, plan, (low, high), known, tuning)
+        planes = _planes(series, frames, plan, (low, high), known)
         core = (first - low, last - low)
         strip = _Strip(plan, *planes, plan.origin + np.array([0.0, low * plan.scale]), core, tuning)
         peaks = strip.peaks(plan.minutes)
-        own_frames = _with_own_frames(peaks, plan.minutes, plan, tuning)
+        own_frames = _with_own_frames(peaks, plan.minutes, plan)
         real.append(strip.measured_peaks(own_frames, groups))
-        strip.remove(own_frames.some(own_frames.t > tuning.certain))
-        chance.append(_with_own_frames(strip.peaks(plan.minutes[order]), plan.minutes[order], plan, tuning))
-    peaks = _with_own_frames(_Peaks.concatenated(real), plan.minutes, plan, tuning)
+        strip.remove(own_frames.some(own_frames.t > CERTAIN))
+        chance.append(_with_own_frames(strip.peaks(plan.minutes[order]), plan.minutes[order], plan))
+    peaks = _with_own_frames(_Peaks.concatenated(real), plan.minutes, plan)
     chance_peaks = _Peaks.concatenated(chance)
-    tail = _tail(chance_peaks.t, tuning)
-    speed = np.hypot(*chance_peaks.rate[np.argsort(-chance_peaks.t)[: tuning.chance]].T)
+    tail = _tail(chance_peaks.t)
+    speed = np.hypot(*chance_peaks.rate[np.argsort(-chance_peaks.t)[:CHANCE]].T)
     return _answer(movers, series, plan, peaks, tail, _Speeds.of(speed, plan), min_probability)
 
 
@@ -255,8 +250,7 @@ def _to_sky(series: Series, n: int) -> ChipMap:
 
 def _planes(
     series: Series, frames: Sequence[Callable[[], Frame]], plan: Plan, rows: tuple[int, int],
-    known: tuple[FloatArray, FloatArray], tuning: BelowLimitTuning,
-) -> tuple[Plane, Plane, Plane]:  # fmt: skip
+    known: tuple[FloatArray, FloatArray]) -> tuple[Plane, Plane, Plane]:  # fmt: skip
     """(f, h, w) ψ and φ of all frames on rows of the grid, with static light removed; and ψ for measuring candidates.
 
     known : (k, f, 2) positions of tracklets and (k,) their signal to noise."""
@@ -270,14 +264,14 @@ def _planes(
         zero).any() else np.ones(len(frames))  # fmt: skip
     for n, give in enumerate(frames):
         chip = chip_map(series, n)(place)
-        psi, phi = _filtered(give(), series, n, known[0][:, n], known[1], tuning)
+        psi, phi = _filtered(give(), series, n, known[0][:, n], known[1])
         at = [chip[:, 1], chip[:, 0]]
         for out, plane, scale in ((signal, psi, factor[n]), (weight, phi, factor[n] ** 2)):
             out[n] = (map_coordinates(plane, at, order=1, cval=0.0) * scale).reshape(height, width)
-    _without_static(signal, weight, plan.width, tuning)
+    _without_static(signal, weight, plan.width)
     # The signal of one frame is limited, more strictly in the search.
     measured = signal.copy()
-    for plane, most in ((signal, tuning.clip), (measured, tuning.measured_clip)):
+    for plane, most in ((signal, CLIP), (measured, MEASURED_CLIP)):
         for psi, phi in zip(plane, weight, strict=True):
             bound = most * np.sqrt(phi)
             np.clip(psi, -bound, bound, out=psi)
@@ -290,9 +284,7 @@ def _signal_to_noise(movers: Movers, series: Series) -> FloatArray:
     return np.array([float(snr[one[one >= 0]].max()) for one in movers.members])
 
 
-def _filtered(
-    frame: Frame, series: Series, n: int, movers: FloatArray, mover_snr: FloatArray, tuning: BelowLimitTuning
-) -> tuple[Plane, Plane]:
+def _filtered(frame: Frame, series: Series, n: int, movers: FloatArray, mover_snr: FloatArray) -> tuple[Plane, Plane]:
     """ψ and φ of one frame in its pixels. movers : (k, 2) positions of tracklets, arcsec. mover_snr : (k,)."""
     exposure = series.exposures[n]
     fwhm = max(exposure.psf_fwhm_px, 1.5)
@@ -310,14 +302,14 @@ def _filtered(
             chip, snr = np.concatenate([chip, to_chip(place)]), np.concatenate([snr, light])
     snr = np.maximum(snr, 10.0)
     # The wings of a star fall with the fifth power (Moffat, β 2.5); beyond this radius they are far below the noise.
-    reach = fwhm * np.maximum(tuning.hidden_widths, 0.5 * (5.0 * snr) ** 0.2)
+    reach = fwhm * np.maximum(HIDDEN_WIDTHS, 0.5 * (5.0 * snr) ** 0.2)
     _hide(inverse, chip, reach)
     light = (frame.image - background.level) * inverse
     psi = gaussian_filter(light, sigma, mode="constant", truncate=3.5)
     # k² of a Gaussian is a Gaussian narrower by √2.
     phi = gaussian_filter(inverse, sigma / math.sqrt(2.0), mode="constant", truncate=3.5) / (4 * math.pi * sigma**2)
     typical = float(np.median(phi[phi > 0])) if (phi > 0).any() else 0.0
-    phi[phi < tuning.share * typical] = 0.0
+    phi[phi < SHARE * typical] = 0.0
     psi[phi == 0] = 0.0
     normalise(psi, phi)
     return psi, phi
@@ -367,7 +359,7 @@ def _level_and_scale(z: FloatArray) -> tuple[float, float]:
     return float(middle), max(float(middle - low), 0.5 * float(high - low), 0.1)
 
 
-def _without_static(signal: Plane, weight: Plane, width: float, tuning: BelowLimitTuning) -> None:
+def _without_static(signal: Plane, weight: Plane, width: float) -> None:
     """Subtracts significant light of the median frame, and increases the noise where the frames differ; in place."""
     typical_sq = np.zeros(signal.shape[1:], np.float32)
     for row in range(signal.shape[1]):
@@ -375,17 +367,17 @@ def _without_static(signal: Plane, weight: Plane, width: float, tuning: BelowLim
         present = phi > 0
         flux, inverse = np.where(present, psi / np.where(present, phi, 1.0), np.inf), np.sqrt(phi)
         middle = _medians(flux, present)
-        clear = np.abs(middle) * np.sqrt(phi.sum(axis=0)) > 1.2533 * tuning.static
+        clear = np.abs(middle) * np.sqrt(phi.sum(axis=0)) > 1.2533 * STATIC
         psi -= np.where(clear, middle, 0.0).astype(np.float32) * phi
         typical_sq[row] = _medians(np.where(present, (psi / np.where(present, inverse, 1.0)) ** 2, np.inf), present)
     # Differences between most frames are noise (seeing, wings of stars): a mover is at a pixel on few frames.
     measured = (typical_sq > 0).astype(np.float32)
-    blur_px = tuning.blur_widths * width / FWHM_PER_SIGMA
+    blur_px = BLUR_WIDTHS * width / FWHM_PER_SIGMA
     mean = gaussian_filter(typical_sq, blur_px) / np.maximum(gaussian_filter(measured, blur_px), 1e-3)
     if measured.any():
         mean /= float(np.median(mean[measured > 0]))
     # Smaller excesses are within the uncertainty of the median of few frames.
-    excess = np.maximum(mean / tuning.rough, 1.0)
+    excess = np.maximum(mean / ROUGH, 1.0)
     for psi, phi in zip(signal, weight, strict=True):
         psi /= excess
         phi /= excess
@@ -424,15 +416,13 @@ class _Strip:
         first, last = self.core
         bounds = [first + b for b in threads.even(last - first, 8)]
         threads.over(
-            lambda a, b: best_motion(
-                self.signal, self.weight, down, right, self.tuning.share * self.usual, a, b, best, which
-            ),
+            lambda a, b: best_motion(self.signal, self.weight, down, right, SHARE * self.usual, a, b, best, which),
             bounds,
         )
         size = 2 * math.ceil(self.plan.width) + 1
         top = (best == maximum_filter(best, size)) & (best > 0)
         v, u = np.nonzero(top)
-        order = np.argsort(-best[v, u], kind="stable")[: self.tuning.peaks]
+        order = np.argsort(-best[v, u], kind="stable")[:PEAKS]
         v, u = v[order], u[order]
         start = self.origin + np.column_stack([u, v]) * self.plan.scale
         place, speed = self._climbed(self.signal, start, self.plan.rates[which[v, u]], minutes)
@@ -460,7 +450,7 @@ class _Strip:
         """Positions and rates of peaks (n, 2) at the local maximum of T, by decreasing steps up to one width away."""
         reach, half = self.plan.width * self.plan.scale, float(np.abs(minutes).max())
         start = np.column_stack([place, rate * half])
-        least = self.tuning.share * self.usual
+        least = SHARE * self.usual
 
         def height(x: FloatArray) -> FloatArray:
             psi, phi = self._sampled(signal, _path(x[..., :2], x[..., 2:] / half, minutes))
@@ -478,7 +468,7 @@ class _Strip:
 
     def measured_peaks(self, peaks: _Peaks, groups: Sequence[IntArray]) -> _Peaks:
         """The higher peaks measured, with their parts; T is kept, to be comparable with that of chance peaks."""
-        high = np.flatnonzero(peaks.t > self.tuning.refined)
+        high = np.flatnonzero(peaks.t > REFINED)
         minutes, reach = self.plan.minutes, self.plan.width * self.plan.scale
         place, rate = peaks.place.copy(), peaks.rate.copy()
         place[high], rate[high] = self._climbed(self.measured, place[high], rate[high], minutes)
@@ -514,11 +504,11 @@ def _stacked_t(psi: FloatArray, phi: FloatArray) -> FloatArray:
     return np.asarray(psi.sum(axis=-1) / np.sqrt(np.maximum(phi.sum(axis=-1), 1e-30)))
 
 
-def _with_own_frames(peaks: _Peaks, minutes: FloatArray, plan: Plan, tuning: BelowLimitTuning) -> _Peaks:
+def _with_own_frames(peaks: _Peaks, minutes: FloatArray, plan: Plan) -> _Peaks:
     """The peaks, the highest first, each without the frames on which a higher one passes it, with the remaining T."""
     peaks = peaks.some(np.argsort(-peaks.t, kind="stable"))
     path = peaks.path(minutes)
-    reach = tuning.own_widths * plan.width * plan.scale
+    reach = OWN_WIDTHS * plan.width * plan.scale
     kept, t = list[int](), peaks.t.copy()
     weight, signal = peaks.weight.copy(), peaks.signal.copy()
     floor = float(peaks.t.min(initial=math.inf))
@@ -529,7 +519,7 @@ def _with_own_frames(peaks: _Peaks, minutes: FloatArray, plan: Plan, tuning: Bel
                 weight[k, near] = signal[k, near] = 0.0
                 remaining = float(weight[k].sum())
                 # It must keep at least this share of its weight.
-                enough = remaining > tuning.share * float(peaks.weight[k].sum())
+                enough = remaining > SHARE * float(peaks.weight[k].sum())
                 t[k] = signal[k].sum() / math.sqrt(remaining) if enough else 0.0
         if t[k] >= floor:
             kept.append(k)
@@ -554,9 +544,9 @@ def _thirds(frames: int) -> list[IntArray]:
     return [np.asarray(part) for part in np.array_split(np.arange(frames), 3)]
 
 
-def _tail(t: FloatArray, tuning: BelowLimitTuning) -> tuple[float, float, float]:
+def _tail(t: FloatArray) -> tuple[float, float, float]:
     """N_u, u and s of N(>T) = N_u (T/u)³ exp(−(T² − u²)/2s²)."""
-    t = np.sort(t)[::-1][: tuning.chance]
+    t = np.sort(t)[::-1][:CHANCE]
     if len(t) < 10:
         return 1.0, 5.0, 1.0
     u = float(t[-1])

@@ -28,25 +28,12 @@ if TYPE_CHECKING:
     from astropy.table import Table
 
 
-@dataclass(frozen=True)
-class KnownObjectsTuning:
-    """Parameters of the identification of movers with known objects, all chosen.
-
-    error_factor : factor on the predicted errors, as elements are often worse than their age suggests.
-    odds : prior odds that a known object predicted in the field is one of the tracklets.
-    min_probability : of an accepted match.
-    field_deg : tracklets farther apart are matched field by field, in cells of this size.
-    oldest_years : maximum age of elements; older objects were lost.
-    """
-
-    error_factor: float = 2.0
-    odds: float = 0.5
-    min_probability: float = 0.5
-    field_deg: float = 4.0
-    oldest_years: float = 20.0
-
-
-DEFAULT_KNOWN_OBJECTS = KnownObjectsTuning()
+# Parameters of the identification of movers with known objects, all chosen.
+ERROR_FACTOR = 2.0  # factor on the predicted errors, as elements are often worse than their age suggests
+ODDS = 0.5  # prior odds that a known object predicted in the field is one of the tracklets
+MIN_PROBABILITY = 0.5  # of an accepted match
+FIELD_DEG = 4.0  # tracklets farther apart are matched field by field, in cells of this size
+OLDEST_YEARS = 20.0  # maximum age of elements; older objects were lost
 
 
 @dataclass(frozen=True)
@@ -106,7 +93,6 @@ def name_movers(
     elements: Elements,
     *,
     site: tuple[float, float, float] | None = None,
-    tuning: KnownObjectsTuning = DEFAULT_KNOWN_OBJECTS,
 ) -> KnownObjects:
     """The known objects among the tracklets.
 
@@ -120,20 +106,20 @@ def name_movers(
     owner, p = np.full(k, ABSENT), np.zeros(k)
     offset, magnitude = np.full((len(detections), 2), np.nan), np.full(k, np.nan)
     middle = float(np.median(detections.mjd_utc))
-    elements = elements.some(np.flatnonzero(np.abs(elements.epoch_mjd - middle) < 365.25 * tuning.oldest_years))
+    elements = elements.some(np.flatnonzero(np.abs(elements.epoch_mjd - middle) < 365.25 * OLDEST_YEARS))
     unit = detections.axes().unit
     if not k:
         none = elements.some(np.empty(0, np.int64))
-        missing = _missing(unit, elements, owner, middle, site, tuning)
+        missing = _missing(unit, elements, owner, middle, site)
         return KnownObjects(none, owner, p, offset, magnitude, missing)
-    fields = _fields(unit[movers.members[:, 0]], tuning.field_deg)
+    fields = _fields(unit[movers.members[:, 0]], FIELD_DEG)
     # With several fields all orbits are integrated to the night once; from there only over hours.
     state = states(elements, middle) if len(fields) > 1 else None
     is_near = np.zeros(len(elements), bool)
     for rows in fields:
         in_field = movers.only(rows)
         directions = unit[in_field.members[in_field.members >= 0]]
-        match = _of_field(in_field, directions, elements, state, middle, site, tuning)
+        match = _of_field(in_field, directions, elements, state, middle, site)
         is_near[match.near] = True
         owner[rows], p[rows], magnitude[rows] = match.owner, match.p, match.magnitude
         offset[match.rows] = match.offset
@@ -144,20 +130,19 @@ def name_movers(
     magnitude[owner < 0] = np.nan
     near_all = np.flatnonzero(is_near)
     known = owner >= 0
-    missing = _missing(unit, elements, owner[known], middle, site, tuning)
+    missing = _missing(unit, elements, owner[known], middle, site)
     owner[known] = np.searchsorted(near_all, owner[known])
     return KnownObjects(elements.some(near_all), owner, p, offset, magnitude, missing)
 
 
 def _missing(
-    unit: FloatArray, elements: Elements, found: IntArray, middle: float, site: tuple[float, float, float] | None,
-    tuning: KnownObjectsTuning,
-) -> tuple[MissingObject, ...]:  # fmt: skip
+    unit: FloatArray, elements: Elements, found: IntArray, middle: float, site: tuple[float, float, float] | None
+) -> tuple[MissingObject, ...]:
     """The objects predicted among the detections, whose directions (n, 3) are given, without those in the rows
     ``found``; none if the detections are far apart."""
     centre = mean_direction(unit)
     radius = float(np.degrees(np.arccos(np.clip(unit @ centre, -1, 1)).max()))
-    if radius > tuning.field_deg:
+    if radius > FIELD_DEG:
         return ()
     elements = elements.some(np.setdiff1d(near(elements, middle, centre, radius), found))
     if not len(elements):
@@ -169,7 +154,7 @@ def _missing(
     )
     seen, at = ARCSEC_PER_RADIAN * to_plane(unit, centre), _arcsec_from(centre, ra, dec)
     # An object that may as well be beside the field is not missed.
-    edge = tuning.error_factor * sigma[:, None]
+    edge = ERROR_FACTOR * sigma[:, None]
     inside = ((at > seen.min(axis=0) + edge) & (at < seen.max(axis=0) - edge)).all(axis=1)
     rows = np.flatnonzero(inside)[np.argsort(magnitude[inside], kind="stable")].tolist()
     return tuple(
@@ -216,8 +201,7 @@ class _FieldMatch:
 
 def _of_field(
     movers: Movers, unit_of: FloatArray, all_elements: Elements, state: FloatArray | None, middle: float,
-    site: tuple[float, float, float] | None, tuning: KnownObjectsTuning,
-) -> _FieldMatch:  # fmt: skip
+    site: tuple[float, float, float] | None) -> _FieldMatch:  # fmt: skip
     """The match of the tracklets of one field. unit_of : (m, 3) directions of their detections."""
     k, detections = len(movers), movers.detections
     owner, p, magnitude = np.full(k, ABSENT), np.zeros(k), np.full(k, np.nan)
@@ -240,7 +224,7 @@ def _of_field(
         rows = movers.members[row][movers.members[row] >= 0]
         time_index = np.searchsorted(times, detections.mjd_utc[rows])
         predicted[row] = _mean_and_motion(at[:, time_index], times[time_index])
-    sigma = tuning.error_factor * np.hypot(predicted_sky.sigma_arcsec.mean(axis=1), 0.05)
+    sigma = ERROR_FACTOR * np.hypot(predicted_sky.sigma_arcsec.mean(axis=1), 0.05)
     area = math.pi * (3600.0 * (radius + 0.1)) ** 2
     span = float(np.ptp(times)) * 1440.0
     density = 1.0 / (area * math.pi * max(span, 1.0) ** 2)
@@ -252,10 +236,10 @@ def _of_field(
     error[:, [0, 1], [0, 1]] = (sigma**2)[:, None]
     error[:, [2, 3], [2, 3]] = (0.05 * sigma[:, None]) ** 2 + 0.02**2
     second = Records.of(predicted[nearest, np.arange(len(elements))], covariance=error, source="ephemerides")
-    answer = identify(first, second, rule=Field(density), prior=PerPair(math.log(tuning.odds)))
+    answer = identify(first, second, rule=Field(density), prior=PerPair(math.log(ODDS)))
     matches = answer.matches
     for row, known, probability in zip(matches.rows_1, matches.rows_2, matches.p_match, strict=True):
-        if probability < tuning.min_probability:
+        if probability < MIN_PROBABILITY:
             continue
         owner[row], p[row] = known, probability
         rows = movers.members[row][movers.members[row] >= 0]

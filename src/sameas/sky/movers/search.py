@@ -453,28 +453,18 @@ def _linear_fits(detections: Detections, members: IntArray) -> tuple[FloatArray,
     return rate, residual, scatter
 
 
-@dataclass(frozen=True)
-class MoverTuning:
-    """Parameters of the search in a series of frames.
-
-    min_move_px : minimum motion between first and last frame: less on the sky is a faint or blended star, less on the
-        chip a defect.
-    creep_px, creep_sigmas : with five or more detections a smaller motion counts as real if it exceeds this many pixels
-        and this many times its error, by its scatter about linear motion.
-    drift : a tracklet may be a defect if its motion on the chip is less than this fraction of that on the sky.
-    iterations : maximum number of searches, each without the stationary sources found by the previous one.
-    counts : weight of the prior model, in links: detections left over in frames are mostly noise, and give no rates.
-    """
-
-    min_move_px: float = 2.0
-    creep_px: float = 0.8
-    creep_sigmas: float = 12.0
-    drift: float = 0.5
-    iterations: int = 3
-    counts: float = 300.0
+# Parameters of the search in a series of frames.
+#: Minimum motion between first and last frame: less on the sky is a faint or blended star, less on the chip a defect.
+MIN_MOVE_PX = 2.0
+#: With five or more detections a smaller motion counts as real if it exceeds this many pixels and this many times its
+#: error, by its scatter about linear motion.
+CREEP_PX, CREEP_SIGMAS = 0.8, 12.0
+DRIFT = 0.5  # a tracklet may be a defect if its motion on the chip is less than this fraction of that on the sky
+ITERATIONS = 3  # maximum number of searches, each without the stationary sources found by the previous one
+#: Weight of the prior model, in links: detections left over in frames are mostly noise, and give no rates.
+COUNTS = 300.0
 
 
-SERIES_TUNING = MoverTuning()
 #: Few detections are left over in a series, and three frames must agree: links too fast for the main belt are tried
 #: too. With −6, the limit for alerts, no injected mover faster than 2″/min was found, bright or faint; with −14 most
 #: are.
@@ -517,7 +507,6 @@ def search(
     *,
     least: int = 3,
     min_probability: float = 0.5,
-    tuning: MoverTuning = SERIES_TUNING,
     motion: Tuning = MOTION_TUNING,
 ) -> tuple[Movers, Series]:
     """The movers of a series of frames, and the series with newly found stationary and fixed detections marked.
@@ -528,12 +517,12 @@ def search(
     plus twice their error on the chip, while the sky moves over it, are warm pixels. They are marked and the rest is
     searched again, so that they do not influence the rates.
     """
-    for _ in range(tuning.iterations):
+    for _ in range(ITERATIONS):
         if len(np.unique(series.frame[series.unexplained])) < 2:
             return _no_movers(_no_detections(series)), series
         around = Surroundings.of(unexplained_detections(series), motion)
-        movers = _found(around, *_learned(around, MotionModel(), tuning.counts), 2, 0.0, None)
-        slow, stuck = _stationary_and_fixed(movers, series, tuning)
+        movers = _found(around, *_learned(around, MotionModel(), COUNTS), 2, 0.0, None)
+        slow, stuck = _stationary_and_fixed(movers, series)
         if not (slow | stuck).any():
             break
         stationary, fixed = series.stationary.copy(), series.fixed.copy()
@@ -541,22 +530,22 @@ def search(
             members = movers.members[selected]
             mask[movers.detections.rows[members[members >= 0]]] = True
         series = replace(series, stationary=stationary, fixed=fixed)
-    slow, stuck = _stationary_and_fixed(movers, series, tuning)
+    slow, stuck = _stationary_and_fixed(movers, series)
     wanted = (movers.size >= least) & (movers.p_tracklet >= min_probability) & ~slow & ~stuck
     return movers.only(wanted), series
 
 
-def _stationary_and_fixed(movers: Movers, series: Series, tuning: MoverTuning) -> tuple[BoolArray, BoolArray]:
+def _stationary_and_fixed(movers: Movers, series: Series) -> tuple[BoolArray, BoolArray]:
     """(k,) masks of the tracklets that are stationary on the sky, and of those that may be fixed on the chip."""
     over_sky = _moved_arcsec(movers) / series.scale_arcsec_per_px
     rows = movers.detections.rows[movers.members[:, 0]], movers.detections.rows[_last(movers)]
     first, last = (_chip(series, selected) for selected in rows)
     over_chip = np.hypot(*(last - first).T)
     error = np.hypot(*(series.sigma_arcsec[selected] for selected in rows)) / series.scale_arcsec_per_px
-    stuck = (over_chip < tuning.min_move_px + 2.0 * error) & (over_chip < tuning.drift * over_sky)
+    stuck = (over_chip < MIN_MOVE_PX + 2.0 * error) & (over_chip < DRIFT * over_sky)
     # Blends and faint stars move with the seeing; a linear motion of many times its scatter is real.
-    creeps = (movers.size >= 5) & (over_sky > tuning.creep_px) & (_moved_sigmas(movers) > tuning.creep_sigmas)
-    return (over_sky < tuning.min_move_px) & ~creeps, stuck
+    creeps = (movers.size >= 5) & (over_sky > CREEP_PX) & (_moved_sigmas(movers) > CREEP_SIGMAS)
+    return (over_sky < MIN_MOVE_PX) & ~creeps, stuck
 
 
 def _chip(series: Series, rows: IntArray) -> FloatArray:

@@ -29,33 +29,19 @@ from sameas.sky.frame.image import Frame
 from sameas.sky.movers.search import Movers
 from sameas.sky.series import Series
 
-
-@dataclass(frozen=True)
-class StackTuning:
-    """Parameters for measuring tracklets in the pixels; all chosen.
-
-    half_px : half-size of a cut-out along the motion. max_half_px : maximum half-size of one fixed on the sky.
-    controls : number of positions around the track, per frame, that give the noise. far_widths : their maximum
-        distance, FWHM.
-    hidden_widths : a star closer than this (FWHM) hides the mover. absent : probability ε that it is not visible.
-    variable : relative 1σ of its flux. unlisted : probability that the light on its path is not its own, but of a star
-        or halo that is not listed. max_tracklets : maximum number of tracklets, the first ones.
-    """
-
-    half_px: int = 24
-    max_half_px: int = 60
-    controls: int = 48
-    far_widths: float = 6.0
-    hidden_widths: float = 1.2
-    absent: float = 0.1
-    variable: float = 0.3
-    #: At 1 500 random places of ten real frames a path over six of them has a likelihood ratio above 100 in 1.3 % of
-    #: the cases, and a mean one of 9·10⁴ where chance allows 1; with 0.02 the mean is 0.85.
-    unlisted: float = 0.02
-    max_tracklets: int = 200
-
-
-DEFAULT_STACK = StackTuning()
+# Parameters for measuring tracklets in the pixels; all chosen.
+HALF_PX = 24  # half-size of a cut-out along the motion
+MAX_HALF_PX = 60  # maximum half-size of one fixed on the sky
+CONTROLS = 48  # number of positions around the track, per frame, that give the noise
+FAR_WIDTHS = 6.0  # their maximum distance, FWHM
+HIDDEN_WIDTHS = 1.2  # a star closer than this (FWHM) hides the mover
+ABSENT = 0.1  # probability ε that it is not visible
+VARIABLE = 0.3  # relative 1σ of its flux
+#: Probability that the light on its path is not its own, but of a star or halo that is not listed. At 1 500 random
+#: places of ten real frames a path over six of them has a likelihood ratio above 100 in 1.3 % of the cases, and a mean
+#: one of 9·10⁴ where chance allows 1; with 0.02 the mean is 0.85.
+UNLISTED = 0.02
+MAX_TRACKLETS = 200  # maximum number of tracklets, the first ones
 
 
 @in_short
@@ -98,18 +84,17 @@ def stack(
     series: Series,
     frames: Iterable[Frame],
     place: FloatArray | None = None,
-    tuning: StackTuning = DEFAULT_STACK,
 ) -> Stack:
     """The tracklets measured in the pixels of the frames.
 
     movers : tracklets of the series. frames : calibrated, in the order of ``series.exposures``, used one at a time.
     place : (k, f, 2) arcsec, positions of movers below the limit of single frames; None for tracklets of detections.
     """
-    k, f = min(len(movers), tuning.max_tracklets), len(series.exposures)
+    k, f = min(len(movers), MAX_TRACKLETS), len(series.exposures)
     scale = series.scale_arcsec_per_px
     blind = place is not None
     place = (predicted(movers, series) if place is None else place)[:k]
-    size, half = 2 * tuning.half_px + 1, _fixed_halves(place, scale, tuning)
+    size, half = 2 * HALF_PX + 1, _fixed_halves(place, scale)
     chip, flux, error = np.full((k, f, 2), np.nan), np.full((k, f), np.nan), np.full((k, f), np.nan)
     along = np.zeros((k, f, size, size), np.float32)
     fixed = [None if h is None else np.zeros((f, 2 * h + 1, 2 * h + 1), np.float32) for h in half]
@@ -121,12 +106,12 @@ def stack(
         to_chip = chip_map(series, n)
         chip[:, n] = to_chip(place[:, n])
         width = max(_width(series, n), 1.5)
-        hidden[:, n] = _near_star(series, place[:, n], tuning.hidden_widths * width * scale)
+        hidden[:, n] = _near_star(series, place[:, n], HIDDEN_WIDTHS * width * scale)
         measured = _FramePixels(frame, width / FWHM_PER_SIGMA)
-        flux[:, n], error[:, n] = _forced(measured, chip[:, n], to_chip, place[:, n], width, scale, rng, tuning)
+        flux[:, n], error[:, n] = _forced(measured, chip[:, n], to_chip, place[:, n], width, scale, rng)
         noise = measured.noise()
         for i in range(k):
-            along[i, n] = measured.cut(to_chip(_grid(place[i, n], tuning.half_px, scale))) / noise
+            along[i, n] = measured.cut(to_chip(_grid(place[i, n], HALF_PX, scale))) / noise
             h, cut = half[i], fixed[i]
             if h is not None and cut is not None:
                 cut[n] = measured.cut(to_chip(_grid(place[i].mean(axis=0), h, scale))) / noise
@@ -134,7 +119,7 @@ def stack(
     factor = 10 ** (-0.4 * np.nan_to_num(np.where(np.isfinite(zero), np.nanmean(zero) - zero, 0.0)))
     flux, error = flux / factor, error / factor
     detected = np.zeros((k, f), bool) if blind else _detected(movers, series)[:k]
-    log_ratio = np.zeros(k) if blind else stacked_evidence(movers, flux, error, hidden, detected, tuning)
+    log_ratio = np.zeros(k) if blind else stacked_evidence(movers, flux, error, hidden, detected)
     p = movers.p_tracklet[:k]
     with np.errstate(divide="ignore", over="ignore"):
         odds = np.log(np.maximum(p, 1e-300)) - np.log(np.maximum(1 - p, 1e-16)) + log_ratio
@@ -162,11 +147,11 @@ def predicted(movers: Movers, series: Series) -> FloatArray:
     return path
 
 
-def _fixed_halves(place: FloatArray, scale: float, tuning: StackTuning) -> list[int | None]:
+def _fixed_halves(place: FloatArray, scale: float) -> list[int | None]:
     """Half-size of the cut-out fixed on the sky of each tracklet, px; None if its motion is too large."""
     motion_px = np.abs(place - place.mean(axis=1, keepdims=True)).max(axis=(1, 2), initial=0.0) / scale
-    half = np.ceil(motion_px + 0.6 * tuning.half_px).astype(int)
-    return [max(int(h), tuning.half_px) if h <= tuning.max_half_px else None for h in half]
+    half = np.ceil(motion_px + 0.6 * HALF_PX).astype(int)
+    return [max(int(h), HALF_PX) if h <= MAX_HALF_PX else None for h in half]
 
 
 class ChipMap:
@@ -262,18 +247,17 @@ def _forced(
     width: float,
     scale: float,
     rng: np.random.Generator,
-    tuning: StackTuning,
 ) -> tuple[FloatArray, FloatArray]:
     """(k,) fluxes at the positions, and their errors from control positions around each."""
     flux, error = measured.flux(chip), np.full(len(chip), np.nan)
     for i in np.flatnonzero(np.isfinite(flux)):
-        angle = rng.uniform(0, 2 * math.pi, tuning.controls)
-        radius = width * scale * (2.0 + (tuning.far_widths - 2.0) * np.sqrt(rng.uniform(0, 1, tuning.controls)))
+        angle = rng.uniform(0, 2 * math.pi, CONTROLS)
+        radius = width * scale * (2.0 + (FAR_WIDTHS - 2.0) * np.sqrt(rng.uniform(0, 1, CONTROLS)))
         control_places = place[i] + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
         control_flux = measured.flux(to_chip(control_places))
         control_flux = control_flux[np.isfinite(control_flux)]
         least = measured.noise() * 2.0 * math.sqrt(math.pi) * measured.sigma
-        if len(control_flux) >= tuning.controls // 3:
+        if len(control_flux) >= CONTROLS // 3:
             # Stars near the track widen the upper half of the controls; the lower half gives the noise.
             middle = float(np.percentile(control_flux, 40.0))
             low = float(np.percentile(control_flux, 12.0))
@@ -300,7 +284,7 @@ def _detected(movers: Movers, series: Series) -> BoolArray:
 
 
 def stacked_evidence(
-    movers: Movers, flux: FloatArray, error: FloatArray, hidden: BoolArray, detected: BoolArray, tuning: StackTuning
+    movers: Movers, flux: FloatArray, error: FloatArray, hidden: BoolArray, detected: BoolArray
 ) -> FloatArray:
     """(k,) log ratio by the frames without a detection."""
     usable = np.isfinite(flux) & ~hidden
@@ -310,13 +294,13 @@ def stacked_evidence(
     mean = np.where(mean > 0, mean, np.nan)[:, None]
     missed = usable & ~detected & np.isfinite(mean)
     with np.errstate(invalid="ignore", divide="ignore"):
-        variance = error**2 + (tuning.variable * mean) ** 2
-        log_visible = math.log1p(-tuning.absent) - 0.5 * ((flux - mean) ** 2 / variance + np.log(variance))
+        variance = error**2 + (VARIABLE * mean) ** 2
+        log_visible = math.log1p(-ABSENT) - 0.5 * ((flux - mean) ** 2 / variance + np.log(variance))
         log_absent = -0.5 * ((flux / error) ** 2 + np.log(error**2))
-        log_ratio = np.logaddexp(log_visible, math.log(tuning.absent) + log_absent) - log_absent
+        log_ratio = np.logaddexp(log_visible, math.log(ABSENT) + log_absent) - log_absent
     # An unlisted star on the track would give much light: the evidence is limited, per frame and of all.
     gain = np.where(missed, np.minimum(log_ratio, 3.0), 0.0).sum(axis=1)
-    gain -= np.logaddexp(math.log1p(-tuning.unlisted), math.log(tuning.unlisted) + gain)
+    gain -= np.logaddexp(math.log1p(-UNLISTED), math.log(UNLISTED) + gain)
     # This replaces the misses counted by the search.
     return np.asarray(gain - movers.log_missed[: len(flux)])
 

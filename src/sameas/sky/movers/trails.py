@@ -42,41 +42,20 @@ _LEAST_SHARE = 0.3
 _AT_ONCE = 500
 
 
-@dataclass(frozen=True)
-class TrailTuning:
-    """Parameters for measuring trails; chosen on injected ones (``scripts/bench movers --rounds``).
-
-    min_widths : minimum length, FWHM; shorter trails are measured as stars.
-    max_px : maximum half-length; longer trails are of satellites and are removed.
-    angles : number of directions that are tried.
-    gain : minimum decrease of χ² by a trail against a star.
-    min_sigmas : minimum significance of the length.
-    hidden_widths : radius of excluded pixels around other sources, FWHM; larger for bright ones.
-    star_share : minimum error of the light of a subtracted star, as a share of it.
-    least_step : no mover's trails are closer in two frames than this share of their length.
-    seed_sigmas : trails are also sought through the maxima of what is left, above this many standard deviations.
-    tried, tried_unmeasured : minimum gain, as a share of ``gain``, of a line through a measurement or such a maximum
-        before a trail is fitted.
-    gap : a trail ends where the light falls below this share of the maximum near the middle.
-    max_fits : maximum number of fits per frame, the most significant candidates first.
-    """
-
-    min_widths: float = 0.8
-    max_px: float = 60.0
-    angles: int = 24
-    gain: float = 30.0
-    min_sigmas: float = 5.0
-    hidden_widths: float = 1.2
-    star_share: float = 0.05
-    least_step: float = 0.8
-    seed_sigmas: float = 2.5
-    tried: float = 0.35
-    tried_unmeasured: float = 0.8
-    gap: float = 0.3
-    max_fits: int = 100
-
-
-TRAIL_TUNING = TrailTuning()
+# Parameters for measuring trails; chosen on injected ones (``scripts/bench movers --rounds``).
+MIN_WIDTHS = 0.8  # minimum length, FWHM; shorter trails are measured as stars
+MAX_PX = 60.0  # maximum half-length; longer trails are of satellites and are removed
+ANGLES = 24  # number of directions that are tried
+GAIN = 30.0  # minimum decrease of χ² by a trail against a star
+MIN_SIGMAS = 5.0  # minimum significance of the length
+HIDDEN_WIDTHS = 1.2  # radius of excluded pixels around other sources, FWHM; larger for bright ones
+STAR_SHARE = 0.05  # minimum error of the light of a subtracted star, as a share of it
+LEAST_STEP = 0.8  # no mover's trails are closer in two frames than this share of their length
+SEED_SIGMAS = 2.5  # trails are also sought through the maxima of what is left, above this many standard deviations
+#: Minimum gain, as a share of GAIN, of a line through a measurement or such a maximum before a trail is fitted.
+TRIED, TRIED_UNMEASURED = 0.35, 0.8
+GAP = 0.3  # a trail ends where the light falls below this share of the maximum near the middle
+MAX_FITS = 100  # maximum number of fits per frame, the most significant candidates first
 
 
 @dataclass(frozen=True)
@@ -126,7 +105,7 @@ class _Trail:
         )  # fmt: skip
 
 
-def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = TRAIL_TUNING) -> Series:
+def with_trails(series: Series, frames: Iterable[Frame]) -> Series:
     """The series with unexplained measurements remeasured as trails where these fit better, and with further trails.
 
     frames : calibrated, in the order of ``series.exposures``, used one at a time. Other measurements of parts of a
@@ -135,11 +114,11 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
     """
     columns, exposures, long = _Columns.of(series), list(series.exposures), 0
     for n, frame in enumerate(frames):
-        exposures[n], lines = columns.remeasured(series, n, frame, tuning)
+        exposures[n], lines = columns.remeasured(series, n, frame)
         long += lines
-    note = f"{long} trails longer than {2 * tuning.max_px:.0f} px, as of satellites, are removed"
+    note = f"{long} trails longer than {2 * MAX_PX:.0f} px, as of satellites, are removed"
     return replace(
-        columns.into(series, tuning.min_widths, tuning.least_step), exposures=tuple(exposures),
+        columns.into(series, MIN_WIDTHS, LEAST_STEP), exposures=tuple(exposures),
         notes=(*series.notes, *([note] if long else [])),
     )  # fmt: skip
 
@@ -181,7 +160,7 @@ class _Columns:
             trails=Trails(self.vector, self.error, min_widths, len(other)),
         )  # fmt: skip
 
-    def remeasured(self, series: Series, n: int, frame: Frame, tuning: TrailTuning) -> tuple[Exposure, int]:
+    def remeasured(self, series: Series, n: int, frame: Frame) -> tuple[Exposure, int]:
         """Exposure n with the trails of its frame, and the number of lines that are too long for a mover's."""
         one, rows = series.exposures[n], np.flatnonzero(series.frame == n)
         at = np.column_stack([one.x_px, one.y_px])[series.row[rows]]
@@ -190,14 +169,13 @@ class _Columns:
             return one, 0
         width, to_sky = max(one.psf_fwhm_px, 1.5), ChipMap(at, series.place[rows])
         snr, flux = (values[series.row[rows]] for values in (one.snr, one.flux))
-        pixels = TrailPixels.of(frame, at[~free], snr[~free], flux[~free], width, tuning)
+        pixels = TrailPixels.of(frame, at[~free], snr[~free], flux[~free], width)
         light = free & ((np.asarray(one.flags)[series.row[rows]] & _NO_LIGHT) == 0)
         trails = _trails(pixels, at[light])
         # What remains of bright stars is not measured, and lies in line by chance.
         measured = [k for k, trail in enumerate(trails) if (free & trail.covers(at, width)).any()]
         lines = [
-            [measured[k] for k in line]
-            for line in _long_lines([trails[k] for k in measured], width, 1.8 * tuning.max_px)
+            [measured[k] for k in line] for line in _long_lines([trails[k] for k in measured], width, 1.8 * MAX_PX)
         ]
         satellites = {k for line in lines for k in line}
         for k, trail in enumerate(trails):
@@ -263,8 +241,8 @@ def _resting(place: FloatArray, frame: IntArray, vector: FloatArray, least_step:
 
 def _trails(pixels: TrailPixels, measured: FloatArray) -> list[_Trail]:
     """The trails through measured pixels (n, 2), and those of what is left of the frame; no two at one place."""
-    points, tuning = np.concatenate([measured, pixels.seeds()]), pixels.tuning
-    least = np.where(np.arange(len(points)) < len(measured), tuning.tried, tuning.tried_unmeasured) * tuning.gain
+    points = np.concatenate([measured, pixels.seeds()])
+    least = np.where(np.arange(len(points)) < len(measured), TRIED, TRIED_UNMEASURED) * GAIN
     trails: list[_Trail] = []
     fits = 0
     for k, start in pixels.candidates(points, least):
@@ -274,7 +252,7 @@ def _trails(pixels: TrailPixels, measured: FloatArray) -> list[_Trail]:
         trail = pixels.fitted(points[k], start)
         if trail is not None and not any(other.covers(trail.middle[None], pixels.width)[0] for other in trails):
             trails.append(trail)
-        if fits == tuning.max_fits:
+        if fits == MAX_FITS:
             break
     return trails
 
@@ -317,12 +295,10 @@ class TrailPixels:
     share: FloatArray
     inverse_gain: float
     width: float
-    tuning: TrailTuning
 
     @classmethod
     def of(
         cls, frame: Frame, sources: FloatArray, snr: FloatArray, flux: FloatArray, width: float,
-        tuning: TrailTuning = TRAIL_TUNING,
     ) -> TrailPixels:  # fmt: skip
         """The pixels of a frame. sources : (n, 2) pixels of known sources, subtracted. snr, flux : (n,)."""
         background = Background.of(frame)
@@ -330,8 +306,8 @@ class TrailPixels:
         good = ((frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) == 0) & np.isfinite(background.variance)
         variance = np.where(good, background.variance, 1.0)
         variance = variance + background.inverse_gain * np.maximum(stars, 0.0)
-        _hide(good, sources, width * (tuning.hidden_widths + 0.6 * np.log10(np.maximum(snr / 10.0, 1.0))))
-        variance = variance + (max(tuning.star_share, _misfit(light, stars, variance, good)) * stars) ** 2
+        _hide(good, sources, width * (HIDDEN_WIDTHS + 0.6 * np.log10(np.maximum(snr / 10.0, 1.0))))
+        variance = variance + (max(STAR_SHARE, _misfit(light, stars, variance, good)) * stars) ** 2
         weight = np.where(good, 1.0 / variance, 0.0).astype(np.float32)
         psf = width / FWHM_PER_SIGMA
         # k² of a Gaussian is a Gaussian narrower by √2.
@@ -341,11 +317,11 @@ class TrailPixels:
         norm[share <= _LEAST_SHARE] = 0.0
         normalise(signal, norm)
         smooth = np.where(norm > 0, signal / np.sqrt(np.where(norm > 0, norm, 1.0)), 0.0)
-        return cls(light, good, np.sqrt(variance), smooth, share, background.inverse_gain, width, tuning)
+        return cls(light, good, np.sqrt(variance), smooth, share, background.inverse_gain, width)
 
     def seeds(self) -> FloatArray:
         """(n, 2) maxima of what is left of the frame, not at its edge, the most significant first."""
-        y, x = local_maxima(self.smooth.astype(np.float32), self.tuning.seed_sigmas, max(1, round(0.5 * self.width)))
+        y, x = local_maxima(self.smooth.astype(np.float32), SEED_SIGMAS, max(1, round(0.5 * self.width)))
         rows, columns = self.smooth.shape
         inside = np.minimum(np.minimum(x, columns - 1 - x), np.minimum(y, rows - 1 - y)) > 2.0 * self.width
         y, x = y[inside], x[inside]
@@ -368,8 +344,8 @@ class TrailPixels:
 
     def _best_lines(self, at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The best line through each pixel (n, 2): S (n,), the excess of S² over a star's, and its ends (n, 2, 2)."""
-        steps = np.arange(1, max(int(self.tuning.max_px / self.width), 2) + 1) * self.width
-        angle = np.arange(self.tuning.angles) * math.pi / self.tuning.angles
+        steps = np.arange(1, max(int(MAX_PX / self.width), 2) + 1) * self.width
+        angle = np.arange(ANGLES) * math.pi / ANGLES
         direction = np.column_stack([np.cos(angle), np.sin(angle)])
         offsets = np.concatenate([-steps[::-1], [0.0], steps])
         points = at[:, None, None] + direction[None, :, None] * offsets[None, None, :, None]  # (n, angles, steps, 2)
@@ -382,7 +358,7 @@ class TrailPixels:
         # A trail has uniform brightness: it ends at a gap, and much brighter parts are other sources.
         top = np.max(s[..., max(m - 1, 0) : m + 2], axis=(1, 2))[:, None, None]
         s = np.minimum(s, 1.3 * np.maximum(top, 1.0))
-        gap = seen & (s < np.maximum(self.tuning.gap * top, 0.5))
+        gap = seen & (s < np.maximum(GAP * top, 0.5))
         gap = np.concatenate(
             [np.logical_or.accumulate(gap[..., :m][..., ::-1], axis=-1)[..., ::-1], np.zeros((*s.shape[:2], 1), bool),
              np.logical_or.accumulate(gap[..., m + 1 :], axis=-1)], axis=-1,
@@ -456,8 +432,8 @@ class TrailPixels:
         unit = half / max(size, 1e-9)
         spread = math.sqrt(max(float(unit @ covariance[2:4, 2:4] @ unit), 1e-12))
         gain = 2.0 * (min(point.cost for point in points) - fit.cost) / chi
-        long = 2.0 * size > self.tuning.min_widths * self.width and size > self.tuning.min_sigmas * spread
-        if gain < self.tuning.gain or not long:
+        long = 2.0 * size > MIN_WIDTHS * self.width and size > MIN_SIGMAS * spread
+        if gain < GAIN or not long:
             return None
         trail = _Trail(fit.x[:2], half, covariance[:4, :4], float(fit.x[4] * flux),
                        float(flux * math.sqrt(covariance[4, 4])))  # fmt: skip
