@@ -17,6 +17,7 @@ from sameas import CloseObjects, CommonObjects, PerPair, Radius, identify
 from sameas import posterior as stage
 from sameas.gate import ChiSquare
 from sameas.groups import Groups
+from sameas.posterior import NEIGHBOURHOOD_THRESHOLD, THRESHOLDS, TOLERANCE
 from sameas.simulate.scenes import grid
 
 SIZES = ((3, 4), (5, 8), (9, 16), (17, 32), (33, 10**9))
@@ -55,14 +56,13 @@ def approximations(solved: Solved) -> dict[str, np.ndarray]:
     g, best = solved.groups, solved.best
     method = np.where(solved.posterior.method == EXACT, stage.APPROXIMATE, 0).astype(np.int8)
     belief = np.zeros(len(g.order))
-    tuning = stage.Tuning()
-    messages = stage.PairMessages.of(g, best, method, belief, tuning.tolerance, tuning)
+    messages = stage.PairMessages.of(g, best, method, belief, TOLERANCE)
     inside = np.flatnonzero(np.repeat(method == stage.APPROXIMATE, g.pair_counts))
     around = belief.copy()
-    around[inside] = stage.neighbourhoods(g, best, inside, messages, tuning)
+    around[inside] = stage.neighbourhoods(g, best, inside, messages)
     ways = {"messages": belief, "neighbourhoods": around}
-    for threshold in tuning.thresholds[:: len(tuning.thresholds) - 1]:
-        basis = around if threshold >= tuning.neighbourhood_threshold else belief
+    for threshold in THRESHOLDS[:: len(THRESHOLDS) - 1]:
+        basis = around if threshold >= NEIGHBOURHOOD_THRESHOLD else belief
         probable = inside[(basis[inside] > threshold) | best.chosen[inside]]
         part, summed = stage.Thinned.of(g, best, probable, messages.weight[probable]).exact()
         thinned = basis.copy()

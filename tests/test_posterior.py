@@ -240,8 +240,8 @@ def all_local(grouped, best):
     """(m,) probabilities of the layout's pairs from balls, (m,) by messages, whatever else could have solved them."""
     method = np.full(len(grouped), APPROXIMATE, np.int8)
     p_messages = np.zeros(len(grouped.order))
-    messages = PairMessages.of(grouped, best, method, p_messages, 1e-8, Tuning())
-    return neighbourhoods(grouped, best, np.arange(len(grouped.order)), messages, Tuning()), p_messages
+    messages = PairMessages.of(grouped, best, method, p_messages, 1e-8)
+    return neighbourhoods(grouped, best, np.arange(len(grouped.order)), messages), p_messages
 
 
 # With extreme ratios, messages around loops leave some rows almost no weight; such rows were left out of the balls.

@@ -44,6 +44,21 @@ _NONE = np.empty(0, np.int64)
 EVERY = 2**62
 
 
+#: Probabilities below which pairs of an entangled group are dropped, in turn until it splits.
+THRESHOLDS = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
+NEIGHBOURHOOD_THRESHOLD = 1e-6  # the threshold from which on probabilities come from neighbourhoods instead of messages
+#: Size of the exact neighbourhood around a record of an entangled group: its rows, and log2 of the choices among them.
+NEIGHBOURHOOD_ROWS, NEIGHBOURHOOD_BITS = 8, 16.0
+SWEEPS = 400  # greatest number of sweeps of sum-product messages
+#: Relative change of a message at convergence, for single probabilities and for sums over many pairs.
+TOLERANCE, ROUGH_TOLERANCE = 1e-8, 1e-4
+LINEARISATIONS = 6  # how many times a prior of the count is linearised about the expected number of pairs
+#: ``small`` and ``improbable`` for sums over many pairs; with a linear prior, groups of at most ROUGH_RECORDS records
+#: on one side are summed exactly that need at most ``rough_sums`` partial sums a pair, about what messages cost.
+ROUGH_SMALL, ROUGH_IMPROBABLE = 4, 1e-5
+ROUGH_RECORDS = 1000
+
+
 @dataclass(frozen=True)
 class Tuning:
     """Limits of the exact posterior; the defaults are chosen with ``benchmarks/posterior.py``.
@@ -53,33 +68,12 @@ class Tuning:
     small : groups of at most this many records on one side are summed with every pair.
     improbable : pairs of larger groups that are proved to be less probable than this are dropped first, if the prior
         allows the proof.
-    thresholds : of probabilities below which pairs of an entangled group are dropped, in turn until it splits.
-    neighbourhood_threshold : the threshold from which on probabilities come from neighbourhoods instead of messages.
-    neighbourhood_rows, neighbourhood_bits : size of the exact neighbourhood around a record of an entangled group:
-        its rows, and log2 of the choices among them.
-    sweeps : greatest number of sweeps of sum-product messages.
-    tolerance, rough_tolerance : relative change of a message at convergence, for single probabilities and for sums over
-        many pairs.
-    linearisations : how many times a prior of the count is linearised about the expected number of pairs.
-    rough_small, rough_improbable : ``small`` and ``improbable`` for sums over many pairs; with a linear prior, groups
-        of at most ``rough_records`` records on one side are summed exactly that need at most ``rough_sums`` partial
-        sums a pair, about what messages cost.
+    rough_sums : for sums over many pairs, the most partial sums a pair of a group that is summed exactly.
     """
 
     small: int = 16
     improbable: float = 1e-6
-    thresholds: tuple[float, ...] = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
-    neighbourhood_threshold: float = 1e-6
-    neighbourhood_rows: int = 8
-    neighbourhood_bits: float = 16.0
-    sweeps: int = 400
-    tolerance: float = 1e-8
-    rough_tolerance: float = 1e-4
-    linearisations: int = 6
-    rough_small: int = 4
-    rough_records: int = 1000
     rough_sums: float = 64.0
-    rough_improbable: float = 1e-5
 
 
 DEFAULT_TUNING = Tuning()
@@ -134,7 +128,7 @@ def posterior(
         else:
             open_pairs = np.flatnonzero(np.repeat(method == APPROXIMATE, groups.pair_counts))
     if len(open_pairs):
-        message_change = _local(groups, best, open_pairs, method, share, excluded_below, tuning, edge)
+        message_change = _local(groups, best, open_pairs, method, share, excluded_below, edge)
         total_1, total_2 = (np.bincount(place, share)[place] for place in groups.places)
         share = share / np.maximum(1.0, np.maximum(total_1, total_2))
         if not math.isfinite(float(share.sum())):
@@ -230,16 +224,16 @@ def by_messages(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNIN
     share = np.zeros(len(groups.order))
     method = np.zeros(len(groups), np.int8)
     linear = best.prior.slope is not None
-    _exact(groups, best, share, method, tuning.rough_records if linear else tuning.rough_small, tuning.rough_sums)
+    _exact(groups, best, share, method, ROUGH_RECORDS if linear else ROUGH_SMALL, tuning.rough_sums)
     change, large = 0.0, method == APPROXIMATE
     if not linear:
-        change = PairMessages.of(groups, best, method, share, tuning.rough_tolerance, tuning).change
+        change = PairMessages.of(groups, best, method, share, ROUGH_TOLERANCE).change
     elif large.any():
         bound = share.copy()
         _upper_bounds(groups, best, large, bound)
-        probable = np.flatnonzero(np.repeat(large, groups.pair_counts) & (bound > tuning.rough_improbable))
+        probable = np.flatnonzero(np.repeat(large, groups.pair_counts) & (bound > ROUGH_IMPROBABLE))
         thin = Thinned.of(groups, best, probable, best.weight[probable])
-        share[probable], messages = thin.by_messages(tuning.rough_tolerance, tuning)
+        share[probable], messages = thin.by_messages(ROUGH_TOLERANCE)
         change = messages.change
     p_pair = groups.in_given_order(np.clip(share, 0.0, 1.0, out=share))
     return Posterior(p_pair, method, np.zeros(len(groups)), change)
@@ -301,20 +295,14 @@ class PairMessages:
 
     @classmethod
     def of(
-        cls,
-        groups: Groups,
-        best: Hypothesis,
-        method: NDArray[np.int8],
-        share: FloatArray,
-        tolerance: float,
-        tuning: Tuning,
+        cls, groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray, tolerance: float
     ) -> PairMessages:
         """Messages with the prior linearised about the expected number of pairs; fills ``share``."""
-        limits = tuning.sweeps, tolerance
+        limits = SWEEPS, tolerance
         if best.prior.slope is not None:
             return cls._with_weight(best.weight, groups, best, method, share, limits)
         size = np.add.reduceat(best.chosen.astype(np.float64), groups.start[:-1])
-        for _ in range(tuning.linearisations):
+        for _ in range(LINEARISATIONS):
             weight = best.weight + np.repeat(_local_slopes(best, size), groups.pair_counts)
             messages = cls._with_weight(weight, groups, best, method, share, limits)
             previous, size = size, np.add.reduceat(share, groups.start[:-1])
@@ -373,7 +361,6 @@ def _local(
     method: NDArray[np.int8],
     share: FloatArray,
     excluded_below: FloatArray,
-    tuning: Tuning,
     edge: _Edge | None,
 ) -> float:
     """Fill ``share`` of the pairs that elimination gave up; returns the last relative change of the messages.
@@ -381,13 +368,13 @@ def _local(
     ``method`` becomes THINNED for groups that split into parts that can be summed, and ``excluded_below`` the
     probability, as first estimated, below which their pairs keep that estimate.
     """
-    messages = _messages(groups, best, open_pairs, method, share, tuning)
+    messages = _messages(groups, best, open_pairs, method, share)
     group = groups.group
     method[method == APPROXIMATE] = THINNED
-    for threshold in tuning.thresholds:
-        if threshold == tuning.neighbourhood_threshold:
+    for threshold in THRESHOLDS:
+        if threshold == NEIGHBOURHOOD_THRESHOLD:
             # From here on the dropped pairs matter, and messages alone are too over-confident to choose them.
-            share[open_pairs] = neighbourhoods(groups, best, open_pairs, messages, tuning)
+            share[open_pairs] = neighbourhoods(groups, best, open_pairs, messages)
         excluded_below[group[open_pairs]] = threshold
         probable = open_pairs[(share[open_pairs] > threshold) | best.chosen[open_pairs]]
         thin = Thinned.of(groups, best, probable, messages.weight[probable])
@@ -403,34 +390,32 @@ def _local(
 
 
 def _messages(
-    groups: Groups, best: Hypothesis, open_pairs: IntArray, method: NDArray[np.int8], share: FloatArray, tuning: Tuning
+    groups: Groups, best: Hypothesis, open_pairs: IntArray, method: NDArray[np.int8], share: FloatArray
 ) -> PairMessages:
     """Messages among the pairs that elimination gave up; fills their ``share``."""
     m = len(share)
     if best.prior.slope is None:  # linearised group by group
         p_messages = np.zeros(m)
-        messages = PairMessages.of(groups, best, method, p_messages, tuning.tolerance, tuning)
+        messages = PairMessages.of(groups, best, method, p_messages, TOLERANCE)
         share[open_pairs] = p_messages[open_pairs]
         return messages
     thin = Thinned.of(groups, best, open_pairs, best.weight[open_pairs])
-    share[open_pairs], messages = thin.by_messages(tuning.tolerance, tuning)
+    share[open_pairs], messages = thin.by_messages(TOLERANCE)
     claims = np.zeros(m), np.zeros(m)
     claims[0][open_pairs], claims[1][open_pairs] = messages.claims_1, messages.claims_2
     return PairMessages(best.weight, *claims, messages.change)
 
 
-def neighbourhoods(
-    groups: Groups, best: Hypothesis, pairs: IntArray, messages: PairMessages, tuning: Tuning
-) -> FloatArray:
+def neighbourhoods(groups: Groups, best: Hypothesis, pairs: IntArray, messages: PairMessages) -> FloatArray:
     """Probabilities of some pairs from the neighbourhoods of their records: the mean of those around both records."""
     one = Thinned.of(groups, best, pairs, messages.weight[pairs])
-    around_1 = one.by_neighbourhoods(messages.claims_1[pairs], tuning)
+    around_1 = one.by_neighbourhoods(messages.claims_1[pairs])
     del one
     order = np.lexsort([place[pairs] for place in groups.places])
     by_2 = pairs[order]
     two = Thinned.of(groups, best, by_2, messages.weight[by_2], swapped=True)
     around_2 = np.empty_like(around_1)
-    around_2[order] = two.by_neighbourhoods(messages.claims_2[by_2], tuning)
+    around_2[order] = two.by_neighbourhoods(messages.claims_2[by_2])
     return 0.5 * (around_1 + around_2)
 
 
@@ -479,16 +464,16 @@ class Thinned:
         solved = np.repeat(method != APPROXIMATE, self.groups.pair_counts)
         return self.groups.in_given_order(share), self.groups.in_given_order(solved)
 
-    def by_messages(self, tolerance: float, tuning: Tuning) -> tuple[FloatArray, PairMessages]:
+    def by_messages(self, tolerance: float) -> tuple[FloatArray, PairMessages]:
         """Probability of every pair by messages alone, and the messages, in the order of the given pairs."""
         share = np.zeros(len(self.groups.order))
         method = np.full(len(self.groups), APPROXIMATE, np.int8)
-        messages = PairMessages.of(self.groups, self.best, method, share, tolerance, tuning)
+        messages = PairMessages.of(self.groups, self.best, method, share, tolerance)
         of_pairs = (messages.weight, messages.claims_1, messages.claims_2)
         weight, claims_1, claims_2 = (self.groups.in_given_order(values) for values in of_pairs)
         return self.groups.in_given_order(share), PairMessages(weight, claims_1, claims_2, messages.change)
 
-    def by_neighbourhoods(self, claims: FloatArray, tuning: Tuning) -> FloatArray:
+    def by_neighbourhoods(self, claims: FloatArray) -> FloatArray:
         """Probability of every pair from the neighbourhood of its record, with these messages (``claims``)."""
         from sameas.kernels.messages import Graph, balls, rank_rivals
         from sameas.kernels.posterior import MAX_DEPTH
@@ -505,11 +490,11 @@ class Thinned:
         graph = Graph(
             g.edges_1, column, odds, claim, start, rival, claim[by_column], odds[by_column], none, free
         )  # fmt: skip
-        rivals = np.empty((len(none), tuning.neighbourhood_rows), np.int32)
+        rivals = np.empty((len(none), NEIGHBOURHOOD_ROWS), np.int32)
         strength, share = np.empty(rivals.shape), np.zeros(len(g.order))
         ranges = threads.even(len(none), least=256)
         threads.over(lambda a, b: rank_rivals(a, b, graph, rivals, strength), ranges)
-        threads.over(lambda a, b: balls(a, b, graph, rivals, strength, tuning.neighbourhood_bits, share), ranges)
+        threads.over(lambda a, b: balls(a, b, graph, rivals, strength, NEIGHBOURHOOD_BITS, share), ranges)
         return self.groups.in_given_order(share)
 
 
