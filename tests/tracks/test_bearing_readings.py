@@ -65,7 +65,8 @@ def establishes(scene):
 @READINGS
 def test_wrong_bearings_establish_no_offset(reading, ids):
     """A third of the mirrored radars on shore had an established offset, by ships near the axis of the mirror."""
-    assert [seed for seed in range(7) if establishes(on_shore(10000 + seed, READ[reading], ids)[0])] == []
+    seeds = 1, 3, 5, 9, 13, 18, 19  # of twenty, those with an offset where no other reading is sought
+    assert [seed for seed in seeds if establishes(on_shore(10000 + seed, READ[reading], ids)[0])] == []
 
 
 @pytest.mark.slow
