@@ -21,12 +21,13 @@ from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence import PoissonField, Rule
 from sameas.gate import DEFAULT_GATE, Pairs
-from sameas.many.marginals import EXACT, Answer, answer
+from sameas.many.marginals import EXACT, Answer, answer, walked_answer
 from sameas.many.objects import Objects
 from sameas.many.observations import Region, Source
 from sameas.many.pooled import PooledRecords, numbered_groups, pooled
 from sameas.many.rules import MissedObjects, Pairwise, PoissonObjects, SetPrior, SetRule, parts_of, terms_of
 from sameas.many.sets import TUNING, ManyTuning, Sets, candidate_sets
+from sameas.many.walk import Walk
 from sameas.prior import EVIDENCE_ALONE, CommonObjects, Prior
 from sameas.ragged import Ragged
 from sameas.records import Records
@@ -76,7 +77,11 @@ def identify_many(
     terms = terms_of(rule, prior, together)
     sets = candidate_sets(together, terms, tuning)
     counts = prior if isinstance(prior, MissedObjects) else None
-    best = answer(sets, together, counts, time_limit_s=time_limit_s, tuning=tuning)
+    walk = Walk.of(together, terms) if counts is None else None
+    if walk is None:
+        best = answer(sets, together, counts, time_limit_s=time_limit_s, tuning=tuning)
+    else:
+        sets, best = walked_answer(sets, walk, time_limit_s=time_limit_s, tuning=tuning)
     return Objects(tuple(sources), together, sets, best, terms)
 
 

@@ -9,8 +9,9 @@ others by branch and bound with one binary variable for every number of merges.
 records that are taken and, with a count prior, the number of merges. Sets of large reduced cost are excluded first: by
 the duals of the best partition, a partition with a set of reduced cost c is at least eᶜ times less probable than the
 best. Without the sets of c > 30 the sum counts as exact. Groups for which it is too long are summed without the sets of
-c > 20, 14, …, until it is short enough; where c would have to be below 2, or no c is low enough, samples of partitions
-replace the sum (:mod:`sameas.kernels.partition_samples`). The result states which.
+c > 20, 14, …, until it is short enough; where c would have to be below 2, or no c is low enough, a walk over all
+partitions (:mod:`sameas.many.walk`) replaces the sum, or samples of those of the listed sets
+(:mod:`sameas.kernels.partition_samples`). The result states which.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries
 from sameas.many.pooled import PooledRecords, record_codes
 from sameas.many.rules import MissedObjects
 from sameas.many.sets import TUNING, ManyTuning, Sets
+from sameas.many.walk import Walk
 from sameas.ragged import Ragged
 from sameas.representation import in_short
 
@@ -221,7 +223,12 @@ class Answer:
 
 
 def answer(
-    sets: Sets, pooled: PooledRecords, counts: MissedObjects | None, *, time_limit_s: float, tuning: ManyTuning = TUNING
+    sets: Sets,
+    pooled: PooledRecords,
+    counts: MissedObjects | None,
+    *,
+    time_limit_s: float,
+    tuning: ManyTuning = TUNING,
 ) -> Answer:
     """The best partition of every group and the probabilities of all sets; counts : the count prior, or None."""
     if counts is None:
@@ -243,8 +250,13 @@ def answer(
     return Answer(chosen, share, gap, cut)
 
 
-def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning: ManyTuning = TUNING) -> Answer:
-    """:func:`answer` without a count prior; sizes : (g,) number of records of every group."""
+def additive_answer(
+    sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning: ManyTuning = TUNING, samples: bool = True
+) -> Answer:
+    """:func:`answer` without a count prior.
+
+    sizes : (g,) number of records of every group. samples : False to leave probabilities of 0 where samples are needed.
+    """
     from sameas.kernels.partitions import pack, set_samples
 
     n = int(sizes.sum())
@@ -261,8 +273,35 @@ def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning:
     if unsolved.any():
         best = best_partition(sets, n, unsolved, time_limit_s=time_limit_s)
         chosen, gap = np.where(unsolved[sets.group], best.chosen, chosen), np.where(unsolved, best.gap, gap)
-    set_samples(np.flatnonzero(sampled), sets.start, sets.members, sets.log_weight, chosen, n, share)
+    if samples:
+        set_samples(np.flatnonzero(sampled), sets.start, sets.members, sets.log_weight, chosen, n, share)
     return Answer(chosen, share, gap, np.where(sampled, 0.0, cut))
+
+
+def walked_answer(sets: Sets, walk: Walk, *, time_limit_s: float, tuning: ManyTuning = TUNING) -> tuple[Sets, Answer]:
+    """:func:`additive_answer` with walks in place of samples, and the sets with those that the walks add.
+
+    A group with the sets near a good partition is walked, too; if the walk adds none, and its sets could be summed, the
+    sum stands.
+    """
+    sizes = walk.pooled.sizes
+    summed = additive_answer(sets, sizes, time_limit_s=time_limit_s, tuning=tuning, samples=False)
+    share, cut = summed.probability.copy(), summed.cut.copy()
+    added, added_share = [sets.members[:0]], [share[:0]]
+    long = cut < tuning.walked_below
+    for g in np.flatnonzero((long | (sets.floor == np.inf)) & (sizes > 1)).tolist():
+        own = slice(sets.start[g], sets.start[g + 1])
+        of_listed, members, of_members = walk.group(g, sets.members[own], summed.chosen[own])
+        if long[g] or len(members):
+            share[own], cut[g] = of_listed, 0.0
+            added.append(members)
+            added_share.append(of_members)
+    members = np.concatenate(added)
+    if not len(members):
+        return sets, replace(summed, probability=share, cut=cut)
+    more, order = sets.with_more(members, walk.weights(members), walk.pooled.group[members.max(axis=1)])
+    chosen = np.append(summed.chosen, np.zeros(len(members), bool))[order]
+    return more, Answer(chosen, np.concatenate([share, *added_share])[order], summed.gap, cut)
 
 
 def best_sets(

@@ -77,7 +77,7 @@ def near_sets(pooled: PooledRecords, terms: Terms, groups: BoolArray, most_cost:
     return NearSets(found, search.known(found), partition)
 
 
-class _Weights:
+class SetWeights:
     """ln w of sets (k, S), each weighed once."""
 
     def __init__(self, pooled: PooledRecords, terms: Terms) -> None:
@@ -127,7 +127,7 @@ class _Search:
     pooled: PooledRecords
     start: IntArray
     neighbour: IntArray
-    known: _Weights
+    known: SetWeights
 
     @classmethod
     def of(cls, pooled: PooledRecords, terms: Terms, groups: BoolArray) -> _Search:
@@ -135,7 +135,7 @@ class _Search:
         one, two = np.concatenate([pooled.i[kept], pooled.j[kept]]), np.concatenate([pooled.j[kept], pooled.i[kept]])
         order = np.lexsort([two, one])
         start = Ragged.of_sorted(one[order], len(pooled)).start
-        return cls(pooled, start, two[order], _Weights(pooled, terms))
+        return cls(pooled, start, two[order], SetWeights(pooled, terms))
 
     def single(self, records: IntArray) -> IntArray:
         """(k, S) every record as a set."""

@@ -86,16 +86,16 @@ class PooledRecords:
 
     def log_joint(self, sets: IntArray) -> FloatArray:
         """(k,) ln J of sets (k, size) of record numbers, ascending."""
-        if self._in_plane is None:
+        if self.in_plane is None:
             members = np.full((len(sets), len(self.sources)), ABSENT)
             np.put_along_axis(members, self.source[sets], sets, axis=1)
             return self.observers.joint(self.positions(members)).log_density
         out = np.empty(len(sets))
-        joint_in_plane(sets, *self._in_plane, out)
+        joint_in_plane(sets, *self.in_plane, out)
         return out
 
     @cached_property
-    def _in_plane(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None:
+    def in_plane(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None:
         """Positions, precisions and log peaks of all records, centre and information of the region, for the compiled
         joint density; None unless all sources are positions in a plane without periods."""
         whole = [source for source in self.sources if isinstance(source, Records)]

@@ -37,6 +37,7 @@ class ManyTuning:
     max_steps : maximum number of transitions between states in the sum of a group.
     small : groups of at most this many records are summed with all their sets.
     block_steps : most transitions in the sum of a block, a part of a group that has its own cut.
+    walked_below : cut of the sum below which probabilities are those of a walk (:mod:`sameas.many.walk`).
     """
 
     floors: tuple[float, ...] = (-np.inf, 0.0)
@@ -47,6 +48,7 @@ class ManyTuning:
     max_steps: int = 300_000
     small: int = 8
     block_steps: int = 300_000
+    walked_below: float = 2.0
 
 
 TUNING = ManyTuning()
@@ -86,6 +88,18 @@ class Sets:
         return Sets(
             taken(self.members, which), self.size[which], self.log_weight[which], group, start, self.floor, partition
         )
+
+    def with_more(self, members: IntArray, log_weight: FloatArray, group: IntArray) -> tuple[Sets, IntArray]:
+        """The sets with others (m, S), and (k + m,) the number of each among these and those."""
+        size = np.concatenate([self.size, np.count_nonzero(members != ABSENT, axis=1)])
+        members, group = np.concatenate([self.members, members]), np.concatenate([self.group, group])
+        order = packed_order([group, size, *(members + 1).T])
+        partition = self.partition
+        if partition is not None:
+            partition = np.append(partition, np.zeros(len(size) - len(partition), bool))[order]
+        start = Ragged.of_sorted(group[order], len(self.start) - 1).start
+        weight = np.concatenate([self.log_weight, log_weight])[order]
+        return Sets(taken(members, order), size[order], weight, group[order], start, self.floor, partition), order
 
     def entries(self) -> tuple[IntArray, IntArray]:
         """(set, record) of every member of a set, sets ascending."""
