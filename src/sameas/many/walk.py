@@ -46,8 +46,8 @@ class Walk:
 
     @classmethod
     def of(cls, pooled: PooledRecords, terms: Terms) -> Walk | None:
-        """None unless the weights of sets are sums over their records."""
-        if pooled.in_plane is None or not all(rule.is_silent for rule in terms.by_pair):
+        """None unless there are pairs, and the weights of sets are sums over their records."""
+        if not len(pooled.i) or pooled.in_plane is None or not all(rule.is_silent for rule in terms.by_pair):
             return None
         place, precision, log_peak, centre, prior = pooled.in_plane
         one, two = np.concatenate([pooled.i, pooled.j]), np.concatenate([pooled.j, pooled.i])
