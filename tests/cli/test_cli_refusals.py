@@ -36,7 +36,9 @@ def test_missing_files_and_files_that_are_no_table(tmp_path, refusal, field_file
         "match", page, field_files[1], "-o", out
     )
     page.rename(tmp_path / "page.xyz")
-    assert "or give --format1 NAME" in refusal("match", tmp_path / "page.xyz", field_files[1], "-o", out)
+    assert "is a web page (HTML), not a table" in refusal("match", tmp_path / "page.xyz", field_files[1], "-o", out)
+    (tmp_path / "stars.xyz").write_bytes(bytes(range(1, 9)))
+    assert "or give --format1 NAME" in refusal("match", tmp_path / "stars.xyz", field_files[1], "-o", out)
 
 
 def test_missing_or_ambiguous_positions_name_the_option_of_that_catalogue(refused):

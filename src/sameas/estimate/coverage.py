@@ -487,7 +487,7 @@ def local_share(
     """Local share Σ part / Σ weights of the records of ``source`` (1 or 2), at the records of both; without
     ``elsewhere`` at its own only, and the other source's array is empty.
 
-    Drawn towards that of the coarser cell by COVERAGE_PSEUDO_COUNT records; many, so that the estimated share does not
+    Drawn towards that of the coarser cell by ``pseudo_count`` records; many, so that the estimated share does not
     concentrate at chance pairs.
     """
     from sameas.kernels.coverage import refine_share

@@ -35,7 +35,7 @@ MAX_FITTED_GAIN = 1.0
 #: The evidence is used if twice its gain in ln likelihood exceeds this per cell of the table. Uninformative grades stay
 #: below 4, even in crowded fields with uncertain pairs; for stars it reaches 30 and more.
 MIN_GAIN = 6.0
-SHARED_PSEUDO_COUNT = 2.0  # pseudo-count that draws the grades in a cell of the sky to those of all records
+GRADES_PSEUDO_COUNT = 2.0  # pseudo-count that draws the grades in a cell of the sky to those of all records
 #: Mean number of records of the poorer source in the cells of the sky whose grades are counted separately.
 RECORDS_PER_SKY_CELL = 25.0
 #: Records from which a scale is made (more give no noticeable gain), and records per grade in a range of magnitudes.
@@ -197,7 +197,7 @@ class Grades:
             if likelihood_ratio is not None:
                 alone = 1.0 - (1.0 - alone) * likelihood_ratio[source]
             count_alone(self.cells[source], self.grades[source], alone, covered[source], count)
-            count += SHARED_PSEUDO_COUNT * _margin(count, 0)
+            count += GRADES_PSEUDO_COUNT * _margin(count, 0)
             parts.append(count / count.sum(axis=1, keepdims=True))
         weight = np.bincount(self.cells[0], np.where(covered[0], partner[0], 0.0), number)
         return np.asarray((parts[0] * weight[:, None]).T @ parts[1] / max(float(weight.sum()), 1e-300))

@@ -68,7 +68,7 @@ def measured_inverse_gain(
     >>> model = sum(f * psf.light(x - a, y - b) for f, (a, b) in zip(flux, xy))
     >>> residual = rng.normal(0, np.sqrt(25.0 + model / 2.0))  # two electrons per unit
     >>> sky = Background(np.zeros(model.shape), np.full(model.shape, 25.0), 0.0, np.eye(9))
-    >>> found = measured_inverse_gain(residual, sky, Subtracted(xy, flux, psf), np.ones(100, bool), DEFAULT_GAIN)
+    >>> found = measured_inverse_gain(residual, sky, Subtracted(xy, flux, psf), np.ones(100, bool))
     >>> bool(abs(found.value - 0.5) < 3 * found.error), found.stars
     (True, 100)
     """
