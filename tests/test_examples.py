@@ -97,7 +97,7 @@ def test_the_log_of_new_york_agrees_with_its_readme(new_york: ModuleType) -> Non
     assert {new_york.SILENT, new_york.FORGER, new_york.FERRY, *new_york.CLOSE} <= set(log.mmsi)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_vessels_off_manhattan_are_distinguished(
     new_york: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -169,7 +169,7 @@ def test_the_result_is_that_of_one_machine_for_any_partitioning(tmp_path, place,
     assert written.doubtful == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_in_a_crowd_pairs_are_equal_and_probabilities_nearly_equal(tmp_path):
     """Percolating groups are summed approximately, in an order independent of the partitioning."""
     tables = sky((0.0, 0.0), 3_500, 2.0, seed=6)

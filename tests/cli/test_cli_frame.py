@@ -228,7 +228,7 @@ def test_one_failing_frame_does_not_stop_the_others(files, sameas, tmp_path):
     assert "Frames: 3; 0 done, 2 done before, 1 failed" in sameas(*arguments, "-j", 1, exit_code=1).stdout
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_processes_write_the_same_as_one(files, sameas, tmp_path):
     frames = [picture(tmp_path / f"n{k}.fits", sky(), seed=k) for k in (1, 2)]
     for processes in (1, 2):
@@ -588,7 +588,7 @@ def test_a_bias_is_subtracted(files, done, sameas, tmp_path):
         np.testing.assert_allclose(subtracted[name], plain[name], rtol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_movers_below_the_limit_of_frames_with_a_bias_are_found(files, sameas, tmp_path):
     """The mover is too faint for a single frame, and the stack of frames whose bias stays does not show it."""
     frames, out, east, north = [tmp_path / f"n{k}.fits" for k in range(8)], tmp_path / "out", -0.4, 0.3

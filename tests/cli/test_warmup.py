@@ -23,7 +23,7 @@ assert posterior.exact.compiled.stats.cache_hits and not posterior.exact.compile
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="compilation is switched off")
 def test_kernels_compiled_beforehand_are_used(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}

@@ -256,7 +256,7 @@ def test_pluto_does_not_perturb_itself(tmp_path):
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "asteroid_2713"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not DATA.is_dir(), reason="the frames of asteroid 2713 are not on this machine")
 def test_the_asteroid_of_five_real_frames_comes_first(tmp_path):
     from typer.testing import CliRunner

@@ -77,7 +77,7 @@ def identify_many(
     terms = terms_of(rule, prior, together)
     sets = candidate_sets(together, terms, tuning)
     counts = prior if isinstance(prior, MissedObjects) else None
-    walk = Walk.of(together, terms) if counts is None else None
+    walk = Walk.of(together, terms) if counts is None and tuning.walked_below > 0.0 else None
     if walk is None:
         best = answer(sets, together, counts, time_limit_s=time_limit_s, tuning=tuning)
     else:

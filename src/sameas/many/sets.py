@@ -37,7 +37,7 @@ class ManyTuning:
     max_steps : maximum number of transitions between states in the sum of a group.
     small : groups of at most this many records are summed with all their sets.
     block_steps : most transitions in the sum of a block, a part of a group that has its own cut.
-    walked_below : cut of the sum below which probabilities are those of a walk (:mod:`sameas.many.walk`).
+    walked_below : cut of the sum below which probabilities are those of a walk (:mod:`sameas.many.walk`); 0 for none.
     """
 
     floors: tuple[float, ...] = (-np.inf, 0.0)

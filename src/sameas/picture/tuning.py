@@ -16,8 +16,9 @@ from sameas.many.sets import ManyTuning
 GATE = ChiSquare(tuning=GateTuning(brute_force_records=4096))
 
 #: Work limits of an instant. In crowded pictures (500 objects, 0.1 others within σ) the excluded sets change
-#: probabilities by at most 5e-4; a first cut of 20, with 6 for the largest groups as well, takes twice as long.
-LIVE = ManyTuning(cuts=(10.0, 8.0, 6.0, 4.0, 2.0, 1.0), block_steps=10_000)
+#: probabilities by at most 5e-4; a first cut of 20, with 6 for the largest groups as well, takes twice as long. A walk
+#: takes a tenth of a second and more.
+LIVE = ManyTuning(cuts=(10.0, 8.0, 6.0, 4.0, 2.0, 1.0), block_steps=10_000, walked_below=0.0)
 
 
 @dataclass(frozen=True)
