@@ -28,7 +28,7 @@ from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries
 from sameas.many.pooled import PooledRecords, record_codes
 from sameas.many.rules import MissedObjects
 from sameas.many.sets import TUNING, ManyTuning, Sets
-from sameas.many.walk import Walk
+from sameas.many.walk import TRIAL, Walk
 from sameas.ragged import Ragged
 from sameas.representation import in_short
 
@@ -281,8 +281,8 @@ def additive_answer(
 def walked_answer(sets: Sets, walk: Walk, *, time_limit_s: float, tuning: ManyTuning = TUNING) -> tuple[Sets, Answer]:
     """:func:`additive_answer` with walks in place of samples, and the sets with those that the walks add.
 
-    A group with the sets near a good partition is walked, too; if the walk adds none, and its sets could be summed, the
-    sum stands.
+    A group with the sets near a good partition is walked, too, unless a short walk meets no others and its sets could
+    be summed.
     """
     sizes = walk.pooled.sizes
     summed = additive_answer(sets, sizes, time_limit_s=time_limit_s, tuning=tuning, samples=False)
@@ -291,9 +291,10 @@ def walked_answer(sets: Sets, walk: Walk, *, time_limit_s: float, tuning: ManyTu
     long = cut < tuning.walked_below
     for g in np.flatnonzero((long | (sets.floor == np.inf)) & (sizes > 1)).tolist():
         own = slice(sets.start[g], sets.start[g + 1])
-        of_listed, members, of_members = walk.group(g, sets.members[own], summed.chosen[own])
-        if long[g] or len(members):
-            share[own], cut[g] = of_listed, 0.0
+        listed, chosen = sets.members[own], summed.chosen[own]
+        if long[g] or len(walk.group(g, listed, chosen, TRIAL)[1]):
+            share[own], members, of_members = walk.group(g, listed, chosen)
+            cut[g] = 0.0
             added.append(members)
             added_share.append(of_members)
     members = np.concatenate(added)

@@ -25,6 +25,8 @@ from sameas.ragged import Ragged
 
 #: Partitions of the walk whose sets are added.
 SEEN = 200
+#: Share of the steps of a walk that only looks whether there are other sets than those listed.
+TRIAL = 0.05
 
 
 @dataclass(frozen=True)
@@ -62,9 +64,11 @@ class Walk:
         weights = SetWeights(pooled, terms)
         return cls(pooled, terms_of_records, of_region, constant, start, two[order], code, weights)
 
-    def group(self, g: int, listed: IntArray, chosen: BoolArray) -> tuple[FloatArray, IntArray, FloatArray]:
+    def group(
+        self, g: int, listed: IntArray, chosen: BoolArray, part: float = 1.0
+    ) -> tuple[FloatArray, IntArray, FloatArray]:
         """(k,) probabilities of the listed sets (k, S) of a group, from the partition of its ``chosen`` ones, and other
-        sets (m, S) with theirs (m,)."""
+        sets (m, S) with theirs (m,). part : of the steps of a walk."""
         from sameas.kernels.partition_walk import MIN_RECORDS, STEPS, Walked, walk
 
         records = np.flatnonzero(self.pooled.group == g)
@@ -78,7 +82,7 @@ class Walk:
         share, seen = np.empty(len(listed)), np.empty((SEEN, n), np.int64)
         walk(
             Walked(self.terms[records], self.prior, self.constant, source, start, near, self.code[records]),
-            local[listed[chosen]], keys, STEPS * max(n, MIN_RECORDS), share, seen,
+            local[listed[chosen]], keys, int(part * STEPS * max(n, MIN_RECORDS)), share, seen,
         )  # fmt: skip
         return share, *self._unlisted(records, source, seen, keys)
 
