@@ -11,7 +11,7 @@ from sameas.many.identify import identify_many
 from sameas.many.observations import Region
 from sameas.many.rules import PoissonObjects
 from sameas.many.sets import TUNING
-from sameas.many.walk import Walk
+from sameas.many.walk import can_walk
 
 #: Objects per unit area: two of them within their errors in each part of a crowd.
 DENSITY = 0.05
@@ -79,7 +79,7 @@ def test_sets_that_are_not_listed_count(monkeypatch):
         sources, rule = crowd(seed, 5, 5), PoissonObjects(DENSITY, 0.25)
         whole = identify_many(sources, rule=rule)
         by_walk = identify_many(sources, rule=rule, tuning=few)
-        monkeypatch.setattr(Walk, "of", lambda *_: None)
+        monkeypatch.setattr("sameas.many.identify.can_walk", lambda *_: False)
         listed = identify_many(sources, rule=rule, tuning=few)
         monkeypatch.undo()
         assert np.isinf(listed.groups.floor).any()
@@ -100,7 +100,7 @@ def test_rules_of_pairs_are_not_walked():
     named = Identity({source.source: {"icao": [f"4b18{k:02}" for k in range(len(source))]} for source in sources})
     for rule, walks in ((PoissonObjects(DENSITY, 0.25), True), (PoissonObjects(DENSITY, 0.25) + named, False)):
         found = identify_many(sources, rule=rule)
-        assert found.terms is not None and (Walk.of(found.pooled, found.terms) is not None) is walks
+        assert found.terms is not None and can_walk(found.pooled, found.terms) is walks
 
 
 def test_the_order_of_sources_changes_nothing():

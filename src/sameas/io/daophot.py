@@ -82,16 +82,8 @@ def _of_stetson(content: bytes, lines: int, path: Path) -> Table:
     width = len(rows[0].split())
     if lines == 2:  # x, y and magnitudes of the apertures; sky, its scatter and skewness, and their errors
         apertures = (width - 6) // 2
-        names = [
-            "id",
-            "x",
-            "y",
-            *_numbered("mag", apertures),
-            "sky",
-            "sky_sd",
-            "sky_skew",
-            *_numbered("mag_err", apertures),
-        ]
+        sky = ("sky", "sky_sd", "sky_skew")
+        names = ["id", "x", "y", *_numbered("mag", apertures), *sky, *_numbered("mag_err", apertures)]
     else:
         names = _COLUMNS.get(width, "id x y").split()
     names += [f"column_{number}" for number in range(len(names) + 1, width + 1)]

@@ -259,27 +259,40 @@ def _keys(begin: IntArray, entry: IntArray, n: int) -> tuple[IntArray, IntArray,
         high = random
         random = random * MULTIPLIER % MODULUS
         code[r] = (high << 31) ^ random
+    for s in range(len(key)):
+        for e in range(begin[s], begin[s + 1]):
+            key[s] ^= code[entry[e]]
+    return code, key, hash_table(key)
+
+
+@part
+def hash_table(key: IntArray) -> IntArray:
+    """A hash table of sets by their keys (k,), ``NO_SET`` where empty."""
     size = 4
     while size < 2 * len(key):
         size *= 2
     table = np.full(size, NO_SET)
     for s in range(len(key)):
-        for e in range(begin[s], begin[s + 1]):
-            key[s] ^= code[entry[e]]
         at = (key[s] >> 20) & (size - 1)
         while table[at] != NO_SET:
             at = (at + 1) & (size - 1)
         table[at] = s
-    return code, key, table
+    return table
+
+
+@part
+def looked_up(wanted: int, table: IntArray, key: IntArray) -> int:
+    """The set with a key in a hash table of the sets' keys (k,); ``NO_SET`` if there is none."""
+    at = (wanted >> 20) & (len(table) - 1)
+    while table[at] != NO_SET and key[table[at]] != wanted:
+        at = (at + 1) & (len(table) - 1)
+    return table[at]
 
 
 @part
 def _find_set(wanted: int, sets: KeyedSets) -> int:
     """The set with a key; ``NO_SET`` if there is none."""
-    at = (wanted >> 20) & (len(sets.table) - 1)
-    while sets.table[at] != NO_SET and sets.key[sets.table[at]] != wanted:
-        at = (at + 1) & (len(sets.table) - 1)
-    return sets.table[at]
+    return looked_up(wanted, sets.table, sets.key)
 
 
 @part

@@ -27,14 +27,13 @@ import numpy as np
 
 from sameas.arrays import ABSENT, FloatArray, IntArray
 from sameas.kernels.compiled import kernel, part
+from sameas.kernels.partition_samples import MODULUS, MULTIPLIER, NO_SET, hash_table, looked_up
 
 #: Steps for each record of a group, least number of records for that product, and share of the steps before any is
 #: counted (chosen: 20 sources of 100 objects with λ = 0.2 then have probabilities within 0.02, in 10 s).
 STEPS, MIN_RECORDS, BURN_IN = 6_000, 100, 0.1
 #: Of so many steps one is a division and one an exchange.
 MOVES = 16
-#: Multiplier and modulus of the random numbers (Park, Miller and Stockmeyer 1993).
-MULTIPLIER, MODULUS = 48271, 2147483647
 #: What a record adds to the sums of its set: information (xx, xy, yy), its product with the position (x, y), the square
 #: zᵀ R⁻¹ z, ln of peak and gain, and 1.
 SUMS = 8
@@ -76,7 +75,7 @@ class Clusters(NamedTuple):
 
 
 class Listed(NamedTuple):
-    """Sets by key: a hash table of their numbers, ABSENT where empty, their keys, and the steps that each was there."""
+    """Sets by key: a hash table of them, their keys, and the steps that each was there."""
 
     table: IntArray
     key: IntArray
@@ -102,7 +101,7 @@ def walk(records: Walked, member: IntArray, keys: IntArray, steps: int, share: F
     """
     n, n_sources = len(records.source), member.shape[1]
     clusters = _clusters(records, member)
-    listed = Listed(_table(keys), keys, share)
+    listed = Listed(hash_table(keys), keys, share)
     proposal = Proposal(
         np.empty(n_sources, np.int64), np.empty(n_sources, np.int64), np.empty((2, SUMS)), np.arange(n_sources)
     )
@@ -400,8 +399,8 @@ def _sum(c: int, records: Walked, clusters: Clusters) -> None:
 def _count(c: int, step: int, clusters: Clusters, listed: Listed) -> None:
     """Count the steps since a cluster was changed for its set, if that is listed."""
     if step > clusters.since[c] and clusters.size[c] > 0:
-        number = _number(clusters.key[c], listed.table, listed.key)
-        if number != ABSENT:
+        number = looked_up(clusters.key[c], listed.table, listed.key)
+        if number != NO_SET:
             listed.steps[number] += step - clusters.since[c]
 
 
@@ -421,27 +420,3 @@ def _clusters(records: Walked, member: IntArray) -> Clusters:
         clusters.free[clusters.free[-1]] = c
         clusters.free[-1] += 1
     return clusters
-
-
-@part
-def _table(keys: IntArray) -> IntArray:
-    """A hash table of the numbers of keys, ABSENT where empty."""
-    size = 4
-    while size < 2 * len(keys):
-        size *= 2
-    table = np.full(size, ABSENT)
-    for k in range(len(keys)):
-        at = (keys[k] >> 20) & (size - 1)
-        while table[at] != ABSENT:
-            at = (at + 1) & (size - 1)
-        table[at] = k
-    return table
-
-
-@part
-def _number(key: int, table: IntArray, keys: IntArray) -> int:
-    """The number of a key, ABSENT if it is not listed."""
-    at = (key >> 20) & (len(table) - 1)
-    while table[at] != ABSENT and keys[table[at]] != key:
-        at = (at + 1) & (len(table) - 1)
-    return table[at]

@@ -27,7 +27,7 @@ from sameas.many.observations import Region, Source
 from sameas.many.pooled import PooledRecords, numbered_groups, pooled
 from sameas.many.rules import MissedObjects, Pairwise, PoissonObjects, SetPrior, SetRule, parts_of, terms_of
 from sameas.many.sets import TUNING, ManyTuning, Sets, candidate_sets
-from sameas.many.walk import Walk
+from sameas.many.walk import can_walk
 from sameas.prior import EVIDENCE_ALONE, CommonObjects, Prior
 from sameas.ragged import Ragged
 from sameas.records import Records
@@ -77,11 +77,10 @@ def identify_many(
     terms = terms_of(rule, prior, together)
     sets = candidate_sets(together, terms, tuning)
     counts = prior if isinstance(prior, MissedObjects) else None
-    walk = Walk.of(together, terms) if counts is None and tuning.walked_below > 0.0 else None
-    if walk is None:
-        best = answer(sets, together, counts, time_limit_s=time_limit_s, tuning=tuning)
+    if counts is None and tuning.walked_below > 0.0 and can_walk(together, terms):
+        sets, best = walked_answer(sets, together, terms, time_limit_s=time_limit_s, tuning=tuning)
     else:
-        sets, best = walked_answer(sets, walk, time_limit_s=time_limit_s, tuning=tuning)
+        best = answer(sets, together, counts, time_limit_s=time_limit_s, tuning=tuning)
     return Objects(tuple(sources), together, sets, best, terms)
 
 

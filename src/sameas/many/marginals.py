@@ -25,10 +25,11 @@ from scipy.sparse import csr_array, hstack, vstack
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, entries
+from sameas.many.near_sets import SetWeights
 from sameas.many.pooled import PooledRecords, record_codes
-from sameas.many.rules import MissedObjects
+from sameas.many.rules import MissedObjects, Terms
 from sameas.many.sets import TUNING, ManyTuning, Sets
-from sameas.many.walk import TRIAL, Walk
+from sameas.many.walk import Walk
 from sameas.ragged import Ragged
 from sameas.representation import in_short
 
@@ -223,12 +224,7 @@ class Answer:
 
 
 def answer(
-    sets: Sets,
-    pooled: PooledRecords,
-    counts: MissedObjects | None,
-    *,
-    time_limit_s: float,
-    tuning: ManyTuning = TUNING,
+    sets: Sets, pooled: PooledRecords, counts: MissedObjects | None, *, time_limit_s: float, tuning: ManyTuning = TUNING
 ) -> Answer:
     """The best partition of every group and the probabilities of all sets; counts : the count prior, or None."""
     if counts is None:
@@ -278,29 +274,32 @@ def additive_answer(
     return Answer(chosen, share, gap, np.where(sampled, 0.0, cut))
 
 
-def walked_answer(sets: Sets, walk: Walk, *, time_limit_s: float, tuning: ManyTuning = TUNING) -> tuple[Sets, Answer]:
+def walked_answer(
+    sets: Sets, pooled: PooledRecords, terms: Terms, *, time_limit_s: float, tuning: ManyTuning = TUNING
+) -> tuple[Sets, Answer]:
     """:func:`additive_answer` with walks in place of samples, and the sets with those that the walks add.
 
     A group with the sets near a good partition is walked, too, unless a short walk meets no others and its sets could
-    be summed.
+    be summed. terms : of which the weights are sums (:func:`sameas.many.walk.can_walk`).
     """
-    sizes = walk.pooled.sizes
-    summed = additive_answer(sets, sizes, time_limit_s=time_limit_s, tuning=tuning, samples=False)
-    share, cut = summed.probability.copy(), summed.cut.copy()
+    summed = additive_answer(sets, pooled.sizes, time_limit_s=time_limit_s, tuning=tuning, samples=False)
+    long = summed.cut < tuning.walked_below
+    groups = (long | (sets.floor == np.inf)) & (pooled.sizes > 1)
+    if not groups.any():
+        return sets, summed
+    share, cut, walk = summed.probability.copy(), summed.cut.copy(), Walk.of(pooled, terms, groups)
     added, added_share = [sets.members[:0]], [share[:0]]
-    long = cut < tuning.walked_below
-    for g in np.flatnonzero((long | (sets.floor == np.inf)) & (sizes > 1)).tolist():
+    for g in np.flatnonzero(groups).tolist():
         own = slice(sets.start[g], sets.start[g + 1])
-        listed, chosen = sets.members[own], summed.chosen[own]
-        if long[g] or len(walk.group(g, listed, chosen, TRIAL)[1]):
-            share[own], members, of_members = walk.group(g, listed, chosen)
+        found = walk.group(g, sets.members[own], summed.chosen[own], is_summed=not long[g])
+        if found is not None:
+            share[own], members, of_members = found
             cut[g] = 0.0
             added.append(members)
             added_share.append(of_members)
     members = np.concatenate(added)
-    if not len(members):
-        return sets, replace(summed, probability=share, cut=cut)
-    more, order = sets.with_more(members, walk.weights(members), walk.pooled.group[members.max(axis=1)])
+    group = pooled.group[members.max(axis=1, initial=0)]
+    more, order = sets.with_more(members, SetWeights(pooled, terms)(members), group)
     chosen = np.append(summed.chosen, np.zeros(len(members), bool))[order]
     return more, Answer(chosen, np.concatenate([share, *added_share])[order], summed.gap, cut)
 

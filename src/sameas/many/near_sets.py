@@ -131,11 +131,7 @@ class _Search:
 
     @classmethod
     def of(cls, pooled: PooledRecords, terms: Terms, groups: BoolArray) -> _Search:
-        kept = groups[pooled.group[pooled.i]]
-        one, two = np.concatenate([pooled.i[kept], pooled.j[kept]]), np.concatenate([pooled.j[kept], pooled.i[kept]])
-        order = np.lexsort([two, one])
-        start = Ragged.of_sorted(one[order], len(pooled)).start
-        return cls(pooled, start, two[order], SetWeights(pooled, terms))
+        return cls(pooled, *pooled.neighbours(groups), SetWeights(pooled, terms))
 
     def single(self, records: IntArray) -> IntArray:
         """(k, S) every record as a set."""

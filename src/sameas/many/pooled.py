@@ -108,6 +108,13 @@ class PooledRecords:
         precision = np.concatenate([self.observers.precision(s) for s in range(len(self.sources))])
         return np.concatenate([one.features for one in whole]), precision, self.log_peak, centre, prior
 
+    def neighbours(self, groups: BoolArray) -> tuple[IntArray, IntArray]:
+        """CSR of the records that are pairs with each record, both ways and ascending, in some groups (g,)."""
+        kept = groups[self.group[self.i]]
+        one, two = np.concatenate([self.i[kept], self.j[kept]]), np.concatenate([self.j[kept], self.i[kept]])
+        order = np.lexsort([two, one])
+        return Ragged.of_sorted(one[order], len(self)).start, two[order]
+
     def positions(self, sets: NDArray[np.integer]) -> IntArray:
         """Sets (k, S) of record numbers as positions within each source; ABSENT stays."""
         return np.where(sets != ABSENT, sets - self.start[:-1], ABSENT)

@@ -91,15 +91,11 @@ class Sets:
 
     def with_more(self, members: IntArray, log_weight: FloatArray, group: IntArray) -> tuple[Sets, IntArray]:
         """The sets with others (m, S), and (k + m,) the number of each among these and those."""
-        size = np.concatenate([self.size, np.count_nonzero(members != ABSENT, axis=1)])
-        members, group = np.concatenate([self.members, members]), np.concatenate([self.group, group])
-        order = packed_order([group, size, *(members + 1).T])
-        partition = self.partition
-        if partition is not None:
-            partition = np.append(partition, np.zeros(len(size) - len(partition), bool))[order]
-        start = Ragged.of_sorted(group[order], len(self.start) - 1).start
-        weight = np.concatenate([self.log_weight, log_weight])[order]
-        return Sets(taken(members, order), size[order], weight, group[order], start, self.floor, partition), order
+        weight, of = np.concatenate([self.log_weight, log_weight]), np.concatenate([self.group, group])
+        sets, order = _ordered(np.concatenate([self.members, members]), weight, of, self.floor)
+        if self.partition is not None:
+            sets = replace(sets, partition=np.append(self.partition, np.zeros(len(members), bool))[order])
+        return sets, order
 
     def entries(self) -> tuple[IntArray, IntArray]:
         """(set, record) of every member of a set, sets ascending."""
@@ -257,16 +253,20 @@ def _gathered(
     """
     n = len(pooled)
     members = np.concatenate([_by_source(pooled, np.arange(n)[:, None]), members])
-    size = over_columns(np.add, (members != ABSENT).astype(np.int64))
     group = pooled.group[over_columns(np.maximum, members)]
-    order = packed_order([group, size, *(members + 1).T])
-    start = Ragged.of_sorted(group[order], len(pooled.sizes)).start
-    weight = np.concatenate([np.zeros(n), weight])
-    sets = Sets(taken(members, order), size[order], weight[order], group[order], start, floor)
+    sets, _ = _ordered(members, np.concatenate([np.zeros(n), weight]), group, floor)
     if partition is None:
         return sets
     code = record_codes(n)
     return replace(sets, partition=np.isin(code[sets.members].sum(axis=1), code[partition].sum(axis=1)))
+
+
+def _ordered(members: IntArray, log_weight: FloatArray, group: IntArray, floor: FloatArray) -> tuple[Sets, IntArray]:
+    """Sets (k, S) in any order as a table, and (k,) the number of each in that order; floor : (g,) of the groups."""
+    size = over_columns(np.add, (members != ABSENT).astype(np.int64))
+    order = packed_order([group, size, *(members + 1).T])
+    start = Ragged.of_sorted(group[order], len(floor)).start
+    return Sets(taken(members, order), size[order], log_weight[order], group[order], start, floor), order
 
 
 def packed_order(columns: list[IntArray]) -> IntArray:

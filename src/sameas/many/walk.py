@@ -14,14 +14,17 @@ and positions on a sphere or in part leave the group to samples of its listed se
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
-from sameas.many.near_sets import SetWeights
-from sameas.many.pooled import PooledRecords
+from sameas.many.pooled import PooledRecords, record_codes
 from sameas.many.rules import Terms
 from sameas.ragged import Ragged
+
+if TYPE_CHECKING:
+    from sameas.kernels.partition_walk import Walked
 
 #: Partitions of the walk whose sets are added.
 SEEN = 200
@@ -29,12 +32,18 @@ SEEN = 200
 TRIAL = 0.05
 
 
+def can_walk(pooled: PooledRecords, terms: Terms) -> bool:
+    """Whether the weights of sets are sums over their records."""
+    return pooled.in_plane is not None and all(rule.is_silent for rule in terms.by_pair)
+
+
 @dataclass(frozen=True)
 class Walk:
     """Walks over the partitions of groups of pooled records.
 
-    terms : (n, 8) of all records, about the first one's place. prior : (8,). start, neighbour : CSR of the pairs of
-    every record, both ways. code : (n + 1,) random numbers, 0 for ABSENT. weights : of sets.
+    terms : (n, 8) of all records, about the first one's place. prior : (8,). start, neighbour : of
+    :meth:`PooledRecords.neighbours`. by_group : all records, those of a group together, from ``first`` of it on. code :
+    (n + 1,) of :func:`record_codes`.
     """
 
     pooled: PooledRecords
@@ -43,48 +52,58 @@ class Walk:
     constant: float
     start: IntArray
     neighbour: IntArray
+    by_group: IntArray
+    first: IntArray
     code: IntArray
-    weights: SetWeights
 
     @classmethod
-    def of(cls, pooled: PooledRecords, terms: Terms) -> Walk | None:
-        """None unless there are pairs, and the weights of sets are sums over their records."""
-        if not len(pooled.i) or pooled.in_plane is None or not all(rule.is_silent for rule in terms.by_pair):
-            return None
+    def of(cls, pooled: PooledRecords, terms: Terms, groups: BoolArray) -> Walk:
+        """For some of the groups (g,), where :func:`can_walk`."""
+        assert pooled.in_plane is not None
         place, precision, log_peak, centre, prior = pooled.in_plane
-        one, two = np.concatenate([pooled.i, pooled.j]), np.concatenate([pooled.j, pooled.i])
-        order = np.lexsort([two, one])
         gain, origin = log_peak + terms.gain(pooled), place[:1]
         of_region = _sums(centre[None] - origin, prior[None], np.zeros(1), 0.0)[0]
         constant = float(sum(part.constant for part in terms.linear.values()))
-        code = np.random.default_rng(0).integers(0, 1 << 62, len(pooled) + 1)
-        code[ABSENT] = 0
-        start = Ragged.of_sorted(one[order], len(pooled)).start
-        terms_of_records = _sums(place - origin, precision, gain, 1.0)
-        weights = SetWeights(pooled, terms)
-        return cls(pooled, terms_of_records, of_region, constant, start, two[order], code, weights)
+        by_group = np.argsort(pooled.group, kind="stable")
+        return cls(
+            pooled, _sums(place - origin, precision, gain, 1.0), of_region, constant, *pooled.neighbours(groups),
+            by_group, Ragged.of_sizes(pooled.sizes).start, record_codes(len(pooled)).astype(np.int64),
+        )  # fmt: skip
 
     def group(
-        self, g: int, listed: IntArray, chosen: BoolArray, part: float = 1.0
-    ) -> tuple[FloatArray, IntArray, FloatArray]:
+        self, g: int, listed: IntArray, chosen: BoolArray, *, is_summed: bool
+    ) -> tuple[FloatArray, IntArray, FloatArray] | None:
         """(k,) probabilities of the listed sets (k, S) of a group, from the partition of its ``chosen`` ones, and other
-        sets (m, S) with theirs (m,). part : of the steps of a walk."""
-        from sameas.kernels.partition_walk import MIN_RECORDS, STEPS, Walked, walk
+        sets (m, S) with theirs (m,).
 
-        records = np.flatnonzero(self.pooled.group == g)
-        local = np.full(len(self.pooled) + 1, ABSENT)
-        local[records] = np.arange(len(records))
-        n, source, first = len(records), self.pooled.source[records], self.start[records]
+        is_summed : the listed sets were summed; None if a short walk meets no others.
+        """
+        from sameas.kernels.partition_walk import MIN_RECORDS, STEPS, walk
+
+        records = self.by_group[self.first[g] : self.first[g + 1]]
+        of_records, begin = self._walked(records), _local(records, listed[chosen])
+        keys = np.bitwise_xor.reduce(self.code[listed], axis=1)
+        share, seen = np.empty(len(listed)), np.empty((SEEN, len(records)), np.int64)
+        steps = STEPS * max(len(records), MIN_RECORDS)
+        for part in (TRIAL, 1.0) if is_summed else (1.0,):
+            walk(of_records, begin, keys, int(part * steps), share, seen)
+            others, of_others = self._unlisted(records, of_records.source, seen, keys)
+            if is_summed and part < 1.0 and not len(others):
+                return None
+        return share, others, of_others
+
+    def _walked(self, records: IntArray) -> Walked:
+        """The records of a group as the kernel wants them."""
+        from sameas.kernels.partition_walk import Walked
+
+        first = self.start[records]
         width = self.start[records + 1] - first
         start = Ragged.of_sizes(width).start
-        near = local[self.neighbour[np.repeat(first - start[:-1], width) + np.arange(start[-1])]]
-        keys = np.bitwise_xor.reduce(self.code[listed], axis=1)
-        share, seen = np.empty(len(listed)), np.empty((SEEN, n), np.int64)
-        walk(
-            Walked(self.terms[records], self.prior, self.constant, source, start, near, self.code[records]),
-            local[listed[chosen]], keys, int(part * STEPS * max(n, MIN_RECORDS)), share, seen,
+        near = self.neighbour[np.repeat(first - start[:-1], width) + np.arange(start[-1])]
+        return Walked(
+            self.terms[records], self.prior, self.constant, self.pooled.source[records], start,
+            np.searchsorted(records, near), self.code[records],
         )  # fmt: skip
-        return share, *self._unlisted(records, source, seen, keys)
 
     def _unlisted(
         self, records: IntArray, source: IntArray, seen: IntArray, keys: IntArray
@@ -97,6 +116,11 @@ class Walk:
         new = np.flatnonzero((members != ABSENT).any(axis=1) & ~np.isin(key, keys))
         _, first, count = np.unique(key[new], return_index=True, return_counts=True)
         return members[new[first]], count / m
+
+
+def _local(records: IntArray, sets: IntArray) -> IntArray:
+    """Sets (k, S) of ascending ``records`` (n,) as numbers among these; ABSENT stays."""
+    return np.where(sets == ABSENT, ABSENT, np.searchsorted(records, sets))
 
 
 def _sums(place: FloatArray, precision: FloatArray, log_peak: FloatArray, count: float) -> FloatArray:
