@@ -8,7 +8,7 @@ from sameas.io.sensors import ReadOptions, read_reports
 from sameas.io.sensors.sentences import AisWriter, clock
 from sameas.live.alarms import CALL_S
 from sameas.live.keeper import Keeper
-from sameas.live.settings import LiveSource, Settings, WatchSettings
+from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings
 from sameas.picture import Picture
 from sameas.tracks import Description, Reports, Scene
 from sameas.tracks.distress import distress_calls
@@ -55,14 +55,20 @@ def test_a_table_may_have_no_status_or_words(tmp_path, status, calls):
     assert len(distress_calls(read_reports(tmp_path / "ais.csv"))) == calls
 
 
-def test_a_live_call_is_an_alarm_at_once_and_for_as_long_as_it_is_repeated():
-    def received(t):
-        columns = {"time_s": [t], "lat_deg": [54.6], "lon_deg": [12.3], "speed_m_per_s": [0.2], "course_deg": [90.0]}
-        return Reports.of("ais", "ais", columns | {"mmsi": [SART], "track_id": [SART], "nav_status": [14.0]})
+def received(t, *, mmsi=SART, lat=54.6, speed=0.2, source="ais"):
+    columns = {"time_s": [t], "lat_deg": [lat], "lon_deg": [12.3], "speed_m_per_s": [speed], "course_deg": [0.0]}
+    return Reports.of(source, "ais", columns | {"mmsi": [mmsi], "track_id": [mmsi], "nav_status": [14.0]})
 
-    keeper = Keeper(Settings({"ais": LiveSource(Description("ais", "ais"))}, WatchSettings()), replay=replay())
+
+def watch(folder=None, **given):
+    keeper = Keeper(Settings({"ais": LiveSource(Description("ais", "ais"))}, WatchSettings(**given)), folder,
+                    replay=replay())  # fmt: skip
     keeper.clock.replay.sources, keeper.clock.replay._next = [], []
-    active = {}
+    return keeper
+
+
+def test_a_live_call_is_an_alarm_at_once_and_for_as_long_as_it_is_repeated():
+    keeper, active = watch(), {}
     for t in (0.0, 1.0, 60.0, 200.0, 60.0 + CALL_S, 62.0 + CALL_S):
         if t in (0.0, 60.0):
             keeper._use("ais", received(START_S + t))
@@ -70,3 +76,34 @@ def test_a_live_call_is_an_alarm_at_once_and_for_as_long_as_it_is_repeated():
     keeper.close()
     assert [len(one) for one in active.values()] == [1, 1, 1, 1, 1, 0]
     assert active[0.0][0].key == f"distress {SART}" and len(active[0.0][0].objects) == 1
+
+
+def test_a_call_survives_a_kill_and_stays_one_alarm(tmp_path):
+    killed = watch(tmp_path, save_every_s=1e9)
+    killed.tick(START_S)
+    killed._use("ais", received(START_S + 1.0))
+    killed.tick(START_S + 1.0)
+    [alarm] = killed.alarm_list()
+    assert killed.acknowledge(alarm["id"], "mate")
+    killed.store.journal.close()
+    again = watch(tmp_path)
+    # The device is silent for a minute, and then sends on.
+    for t in (20.0, 40.0, 60.0, 80.0):
+        if t == 60.0:
+            again._use("ais", received(START_S + t))
+        again.tick(START_S + t)
+    [row] = again.alarm_list()
+    again.close()
+    assert (row["kind"], row["active"], row["acknowledged_by"]) == ("distress", 1, "mate")
+    assert row["id"] == alarm["id"]
+
+
+@pytest.mark.parametrize(("mmsi", "alarms"), [(SART, {"distress"}), (SHIP, {"cpa"})])
+def test_a_device_that_calls_for_help_is_to_be_approached(mmsi, alarms):
+    keeper, kinds = watch(own_ship=OwnShip(mmsi="235000009"), cpa_m=500.0), set()
+    for t in np.arange(0.0, 120.0, 10.0):
+        for one, lat in ((mmsi, 54.6), ("235000009", 54.58 + 8.0 * t / 111_240.0)):
+            keeper._use("ais", received(START_S + t, mmsi=one, lat=lat, speed=0.0 if one == mmsi else 8.0))
+        kinds |= {alarm.kind for alarm in keeper.tick(START_S + t).alarms}
+    keeper.close()
+    assert kinds == alarms

@@ -121,16 +121,26 @@ class AlarmLog:
 
 
 class DistressCalls:
-    """The calls received so far, by MMSI."""
+    """The calls received so far, by MMSI.
 
-    def __init__(self) -> None:
-        self._calls: dict[str, DistressCall] = {}
+    calls : of the saved state. unsaved : whether there is one more since that was saved; the next tick saves it.
+    """
+
+    def __init__(self, calls: Sequence[DistressCall] = ()) -> None:
+        self._calls = {call.mmsi: call for call in calls}
+        self.unsaved = False
+
+    @property
+    def calls(self) -> tuple[DistressCall, ...]:
+        """The calls, to be saved."""
+        return tuple(self._calls.values())
 
     def take(self, reports: Reports) -> None:
         """Takes the calls among new reports of a source."""
         for call in calls_in(reports):
             before = self._calls.get(call.mmsi)
             self._calls[call.mmsi] = call if before is None else replace(call, first_s=before.first_s)
+            self.unsaved |= before is None
 
     def alarms(self, situation: Situation) -> list[Alarm]:
         """An alarm of each call, with the objects that have its MMSI."""

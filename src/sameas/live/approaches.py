@@ -42,6 +42,7 @@ from sameas.maps.geojson import Coast
 from sameas.picture.live import LiveState
 from sameas.picture.rows import Columns
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.distress import device_of
 from sameas.tracks.reports import Reports
 from sameas.tracks.stationary import RESTS
 
@@ -151,7 +152,8 @@ class Approaches:
             holds = CPA_HOLDS if f"cpa {number}" in active else 1.0
             near = number in company or (metres < holds * cpa_m and seconds < holds * watch.tcpa_s)
             settled = situation.time_s - self._since_s.get(number, -math.inf) >= TENTATIVE_S
-            if not near or not settled or mmsi in own:
+            # A locating device that calls for help has an alarm already, and is to be approached.
+            if not near or not settled or mmsi in own or device_of(mmsi):
                 continue
             hit = metres < holds * HIT_CPA_S * speed and seconds < holds * HIT_TCPA_S
             if self.in_harbour and number in self._alongside and not hit:

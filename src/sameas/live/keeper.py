@@ -107,7 +107,6 @@ class Keeper:
         # Whether no tick will follow.
         self.ended = False
         self.approaches = Approaches(settings.watch)
-        self.distress = DistressCalls()
         self.zones = GuardZones(settings.watch.zones)
         self.own_ship = OwnShipMotion(settings, self.wires, replayed=replay is not None)
         self._saved_s = -math.inf
@@ -127,13 +126,14 @@ class Keeper:
         state = None if folder is None else load_state(folder)
         descriptions = [source.description for source in settings.sources.values()]
         origin = watch.origin or (None if replay is None else replay.origin)
-        self.picture = LivePicture(descriptions, plane=origin, lag_s=watch.lag_s)
+        self.picture, self.distress = LivePicture(descriptions, plane=origin, lag_s=watch.lag_s), DistressCalls()
         with reading(f"{folder}: the state of the watch", "is damaged"):
             self.restored = state is not None
             #: Names of the sources that are new or described differently since the state was saved.
             self.changed: tuple[str, ...] = ()
             if state is not None:
                 self.picture, self._tick = state["picture"], int(state["tick"])
+                self.distress = DistressCalls(state.get("calls", ()))
                 self.picture.instant_s  # noqa: B018 (the state may hold anything by that name)
                 self._require_plane(self.picture.plane)
                 self.changed = self.picture.describe(descriptions, watch.lag_s)
@@ -193,7 +193,8 @@ class Keeper:
             self.situation, self._state = situation, state
             self._keep_history(situation)
             self.store.attempt(lambda journal: journal.write(situation))
-            if self.offsets.unsaved or instant_s - self._saved_s >= self.settings.watch.save_every_s:
+            unsaved = self.offsets.unsaved or self.distress.unsaved
+            if unsaved or instant_s - self._saved_s >= self.settings.watch.save_every_s:
                 self.store.attempt(lambda journal: self.save(), "state")
         self.durations_s.append(time.perf_counter() - began)
         self._timed, self._timed_s = self._timed + 1, self._timed_s + self.durations_s[-1]
@@ -208,8 +209,9 @@ class Keeper:
     def save(self) -> None:
         """Saves the state."""
         if self.folder is not None:
-            save_state(self.folder, {"picture": self.picture, "tick": self._tick})
-            self._saved_s, self.offsets.unsaved = self.picture.instant_s, False
+            save_state(self.folder, {"picture": self.picture, "tick": self._tick, "calls": self.distress.calls})
+            self._saved_s = self.picture.instant_s
+            self.offsets.unsaved = self.distress.unsaved = False
 
     def _use(self, name: str, reports: Reports) -> None:
         """Takes the reports of a source into the picture; they are refused as of :meth:`LivePicture.add`."""
