@@ -57,16 +57,7 @@ from sameas.tracks.plot_pairs import Plots, candidates
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
 from sameas.tracks.snapshot import ComparedSource, common_scans
-from sameas.tracks.source import (
-    Clutter,
-    Description,
-    MissRate,
-    Resolution,
-    SensorCoverage,
-    SensorErrors,
-    Site,
-    Timing,
-)
+from sameas.tracks.source import Clutter, Description, MissRate, Resolution, SensorCoverage, SensorErrors, Site, Timing
 
 #: Radius of the peers: plots within it belong to a vessel.
 RADIUS_M = 60.0
@@ -135,12 +126,12 @@ def by_all_plots(radar: Feed, ais: Feed) -> Answer:
 def by_instants(radar: Feed, ais: Feed) -> Answer:
     """The fit of 16 instants, which `sameas` used before."""
     scans = common_scans(ComparedSource(ais, None), ComparedSource(radar, 0))
-    return answer_of(fit_biases(scans, radar.tuning) if scans else None)
+    return answer_of(fit_biases(scans) if scans else None)
 
 
 def by_radius(radar: Feed, ais: Feed) -> Answer:
     """The azimuth at which most plots lie within a radius of a vessel; without an error."""
-    near = candidates(Plots.of(radar), radar, [ais], radar.tuning)
+    near = candidates(Plots.of(radar), radar, [ais])
     grid = np.arange(-20.0, 20.05, 0.25)
     across = near.residual[:, 1, None] - near.jacobian[:, 1, 1, None] * grid
     counts = (np.hypot(near.residual[:, :1], across) < RADIUS_M).sum(axis=0)
@@ -149,7 +140,7 @@ def by_radius(radar: Feed, ais: Feed) -> Answer:
 
 def by_nearest(radar: Feed, ais: Feed) -> Answer:
     """The median rotation of every plot to the nearest vessel, 30 iterations."""
-    near = candidates(Plots.of(radar), radar, [ais], radar.tuning)
+    near = candidates(Plots.of(radar), radar, [ais])
     azimuth = 0.0
     for _ in range(30):
         across = near.residual[:, 1] - near.jacobian[:, 1, 1] * azimuth

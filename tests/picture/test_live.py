@@ -12,9 +12,8 @@ from sameas.picture import LivePicture, PlotPicture, picture_states
 from sameas.picture.live import Registered, Window
 from sameas.tracks import Clutter, Description, LocalPlane, MissRate, Motion, Scene, SensorErrors, Site, Timing
 from sameas.tracks.biases import TIME
-from sameas.tracks.registration import SourceBiases
+from sameas.tracks.registration import DELAY_S, SourceBiases
 from sameas.tracks.reports import Reports
-from sameas.tracks.tuning import DEFAULT_TUNING
 
 INSTANTS = np.arange(5.0, 300.0, 5.0)
 
@@ -322,7 +321,7 @@ def test_a_delay_of_the_stamps_is_removed_live_and_estimated_again_in_every_wind
     # No track is missing for a moment, and those of an aircraft are one object again.
     assert np.mean([len(state.scan) for state in after]) > 15.8
     assert np.mean((after[-1].members >= 0).sum(axis=1) > 1) > 0.8
-    assert [d.bias.time_s for d, _ in picture.recent()] == [None, DEFAULT_TUNING.delay_s]
+    assert [d.bias.time_s for d, _ in picture.recent()] == [None, DELAY_S]
     assert picture.descriptions[1].bias.time_s is None
 
 

@@ -102,7 +102,7 @@ def test_the_reading_is_named():
     for reading, suspicion in words.items():
         scene, _ = on_shore(10001, READ[reading], True)
         one = best_other_reading(scene.feeds[0], [scene.feeds[1]])
-        assert one is not None and suspicion in one.suspicion and one.is_decisive(scene.tuning)
+        assert one is not None and suspicion in one.suspicion and one.is_decisive()
     scene, azimuth_deg = on_shore(10001, lambda bearing, t: bearing, True)
     one = best_other_reading(scene.feeds[0], [scene.feeds[1]], azimuth_deg)
     assert one is not None and one.log_odds < -10.0

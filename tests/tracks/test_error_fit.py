@@ -13,7 +13,6 @@ from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
 from sameas.tracks.source import Clutter, Description, MissRate, SensorErrors, Site, Timing
-from sameas.tracks.tuning import DEFAULT_TUNING
 
 SITE = Site(east_m=0.0, north_m=0.0)
 #: 1σ of ranges (m) and bearings (°), wander over the hull (m), period (s), clutter per scan, time stamp lateness (s).
@@ -218,5 +217,5 @@ def test_second_plots_of_a_hull_count_as_clutter():
 @pytest.mark.parametrize("weight", [[0.5] * 60, [0.0] * 30 + [1.0] * 30, [0.01] * 59 + [30.0], [1.0, 0.0] * 30])
 def test_miss_rates_of_ships_that_lie_still_or_weigh_nothing_are_defined(range_m, weight):
     part = [np.array(range_m, np.float64), np.array(weight), np.full(60, 0.6)]
-    found = estimated_miss_rate(Description("lidar", "lidar", misses=MissRate(0.3)), [part], DEFAULT_TUNING)
+    found = estimated_miss_rate(Description("lidar", "lidar", misses=MissRate(0.3)), [part])
     assert np.all((found.at([10.0, 50.0, 100.0]) >= 0.3) & (found.at([10.0, 50.0, 100.0]) < 0.4))

@@ -19,8 +19,7 @@ from sameas.tracks.placement import PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Description, MissRate, Motion, Resolution, SensorErrors, Site
-from sameas.tracks.stationary import ADRIFT, MIN_VARIANCE, stationary
-from sameas.tracks.tuning import DEFAULT_TUNING
+from sameas.tracks.stationary import ADRIFT, DRIFT_WALK_M2_PER_S3, MIN_VARIANCE, stationary
 
 PLOTS = {"time_s": [0.0, 3.0], "range_m": [900.0, 910.0], "bearing_deg": [10.0, 11.0]}
 PLACES = {"time_s": [0.0, 3.0], "lat_deg": [50.0, 50.1], "lon_deg": [1.0, 1.0]}
@@ -278,13 +277,13 @@ def test_states_of_simulated_vessels_are_consistent():
     mode = rng.choice(4, n, p=[0.15, 0.15, 0.07, 0.63])
     velocity = np.array([0.01, 0.1, 0.5, 8.0])[mode, None] * rng.standard_normal((n, 2))
     there, _ = moved(np.column_stack([np.zeros((n, 2)), velocity]), np.zeros((n, 4, 4)), age_s, 0.0)
-    walk = np.array([0.0, 0.0, DEFAULT_TUNING.drift_walk_m2_per_s3, 0.01])[mode]
+    walk = np.array([0.0, 0.0, DRIFT_WALK_M2_PER_S3, 0.01])[mode]
     there[:, :2] += np.sqrt(walk * age_s**3 / 3.0)[:, None] * rng.standard_normal((n, 2))
     made = reported_states(velocity + 0.3 * rng.standard_normal((n, 2)))
     now, modes = stationary(made, VESSELS)
     assert modes is not None
     stands = modes.p_slow.sum(axis=1)
-    mean_walk = 0.01 * (1.0 - stands) + DEFAULT_TUNING.drift_walk_m2_per_s3 * modes.p_slow[:, ADRIFT]
+    mean_walk = 0.01 * (1.0 - stands) + DRIFT_WALK_M2_PER_S3 * modes.p_slow[:, ADRIFT]
     error, spread = _off(now, there, age_s, mean_walk)
     before, wide = _off(made, there, age_s, 0.01)
     slow = stands > 0.5

@@ -17,7 +17,6 @@ from sameas.tracks.plot_fit import Knots
 from sameas.tracks.plot_offsets import fit_plots
 from sameas.tracks.plot_pairs import shows_bare_plots, shows_tracks
 from sameas.tracks.scene import Scene
-from sameas.tracks.tuning import DEFAULT_TUNING
 
 
 def drawn(seed, azimuth_deg, **counts):
@@ -146,7 +145,7 @@ def test_the_drift_has_the_covariance_of_an_ornstein_uhlenbeck_process():
     knot, share = knots.around(np.array([15.0, 100.0]))
     assert knot.tolist() == [[0, 1], [2, 3]] and np.allclose(share, [[0.5, 0.5], [0.0, 1.0]])
     assert np.allclose(knots.mean_weights(np.array([0.0, 60.0])), [0.5, 0.25, 0.25, 0.0])
-    fixed = Knots.of(np.arange(9.0), np.zeros((9, 2)), DEFAULT_TUNING)
+    fixed = Knots.of(np.arange(9.0), np.zeros((9, 2)))
     assert len(fixed) == 0
 
 

@@ -12,8 +12,17 @@ from sameas.tracks.feed import Feed
 from sameas.tracks.live_feed import LiveFeed
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Motion, SensorErrors
-from sameas.tracks.stationary import ADRIFT, FILTERED, MIN_VARIANCE, slow_objects, stationary
-from sameas.tracks.tuning import DEFAULT_TUNING
+from sameas.tracks.stationary import (
+    ADRIFT,
+    DRIFT_M_PER_S,
+    DRIFT_SHARE,
+    DRIFT_WALK_M2_PER_S3,
+    FILTERED,
+    MIN_VARIANCE,
+    REST_S,
+    slow_objects,
+    stationary,
+)
 
 VESSELS = Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=0.2)
 SIGMA_M, SIGMA_M_PER_S = 5.0, 0.5
@@ -22,10 +31,10 @@ SIGMA_M, SIGMA_M_PER_S = 5.0, 0.5
 def shares():
     """Shares of objects alongside, at anchor, adrift, under way on a steady course and otherwise; 1σ of their
     velocities, and the walks of these."""
-    w, drift = VESSELS.stationary_share, DEFAULT_TUNING.drift_share
+    w, drift = VESSELS.stationary_share, DRIFT_SHARE
     share = np.array([w / 2.0] * 2 + [(1.0 - w) * drift] + [(1.0 - w) * (1.0 - drift) / 2.0] * 2)
-    slow_walk = DEFAULT_TUNING.drift_walk_m2_per_s3
-    return share, np.array([0.01, 0.1, DEFAULT_TUNING.drift_m_per_s, 8.0, 8.0]), [0.0, 0.0, slow_walk, slow_walk, 0.01]
+    slow_walk = DRIFT_WALK_M2_PER_S3
+    return share, np.array([0.01, 0.1, DRIFT_M_PER_S, 8.0, 8.0]), [0.0, 0.0, slow_walk, slow_walk, 0.01]
 
 
 def simulated(rng, n, reports, every_s):
@@ -33,7 +42,7 @@ def simulated(rng, n, reports, every_s):
     slow."""
     (share, speed, walk), step_s = shares(), 2.0
     mode = rng.choice(FILTERED, n, p=share)
-    p_change = -np.expm1(-step_s / (DEFAULT_TUNING.rest_s * (1.0 - VESSELS.stationary_share)))
+    p_change = -np.expm1(-step_s / (REST_S * (1.0 - VESSELS.stationary_share)))
     velocity = speed[mode, None] * rng.standard_normal((n, 2))
     place, rows, is_slow = np.zeros((n, 2)), [], []
     for k in range(reports):
@@ -79,7 +88,7 @@ def test_the_modes_after_two_reports_are_the_exact_mixture(way, monkeypatch):
         shares(),
         np.diag([SIGMA_M**2] * 2 + [SIGMA_M_PER_S**2] * 2) + MIN_VARIANCE * np.eye(4),
     )
-    p_change = -np.expm1(-dt / (DEFAULT_TUNING.rest_s * (1.0 - VESSELS.stationary_share)))
+    p_change = -np.expm1(-dt / (REST_S * (1.0 - VESSELS.stationary_share)))
     for k in range(n):
         first, second = made.state[k], made.state[n + k]
         weight = np.zeros((FILTERED, FILTERED))

@@ -385,7 +385,7 @@ class BackgroundWork:
         """Estimates the biases of the sources from the last minutes."""
         recent = self.picture.recent()
         try:
-            registered = self.aside.call(_number(recent), estimated, recent, self.picture.plane, self.picture.tuning)
+            registered = self.aside.call(_number(recent), estimated, recent, self.picture.plane)
             self.picture.take_off(registered)
         except Exception as error:
             # A failed bias fit must not end the watch: the previous biases stay in use.
@@ -397,7 +397,7 @@ class BackgroundWork:
             recent, sightings, tuning = self.picture.recent(), self.picture.sightings(), self.picture.picture_tuning
         plane = self.picture.plane
         try:
-            faults = self.aside.call(_number(recent), faults_of, recent, sightings, plane, self.picture.tuning, tuning)
+            faults = self.aside.call(_number(recent), faults_of, recent, sightings, plane, tuning)
         except Exception as error:
             # A failed search must not end the watch.
             LOG.info("faults: %s", error, exc_info=not isinstance(error, InputError))

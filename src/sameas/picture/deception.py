@@ -33,9 +33,9 @@ from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
 from sameas.tracks.alignment import States
-from sameas.tracks.duplicate_ids import fastest
+from sameas.tracks.duplicate_ids import MAX_SPEED_SIGMAS, POSITION_SIGMAS, fastest
 from sameas.tracks.faults import Fault, log_odds_of_silence, source_faults
-from sameas.tracks.feed import CORRELATED_KINDS, Feed, fastest_vessel_m_per_s
+from sameas.tracks.feed import CORRELATED_KINDS, FASTEST_VESSEL_M_PER_S, Feed
 from sameas.tracks.kinds import KINDS
 
 
@@ -264,7 +264,7 @@ class _TrackHistories:
         """
         if KINDS[self.feeds[own.source].description.kind].target != "aircraft":
             return False
-        fastest = fastest_vessel_m_per_s(self.feeds[own.source].tuning)
+        fastest = FASTEST_VESSEL_M_PER_S
         parts = np.split(np.arange(len(meeting.other.at)), [meeting.last + 1])
         return all(self._mean_speed(meeting.other, part) <= fastest for part in parts)
 
@@ -427,9 +427,9 @@ def _jumps_of(feed: Feed, n_around: int) -> list[_Jump]:
     rows = np.flatnonzero(reports.usable)
     rows = rows[np.lexsort([reports.time_s[rows], number[rows]])]
     number, time_s, place = number[rows], reports.time_s[rows], reports.state[rows, :2]
-    radius = feed.tuning.position_sigmas * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
-    limit, state = feed.tuning.max_speed_sigmas * speed, reports.state[rows]
-    reach = radius[1:] + radius[:-1] + fastest(limit, state[:-1], state[1:], feed.tuning) * np.diff(time_s)
+    radius = POSITION_SIGMAS * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
+    limit, state = MAX_SPEED_SIGMAS * speed, reports.state[rows]
+    reach = radius[1:] + radius[:-1] + fastest(limit, state[:-1], state[1:]) * np.diff(time_s)
     same_track = np.diff(number) == 0
     far = same_track & (np.hypot(*np.diff(place, axis=0).T) > reach)
     jumps = []
@@ -453,7 +453,7 @@ def _jumped(feed: Feed, tuning: Tuning) -> Iterator[Fault]:
             continue
         later = (n for n in range(k + 1, len(jumps)) if n not in exchanged and jumps[n].track != jump.track)
         n_other = next((n for n in later if jump.exchanges(jumps[n])), None)
-        log_odds = 0.5 * (feed.tuning.position_sigmas * jump.distance_m / jump.reach_m) ** 2
+        log_odds = 0.5 * (POSITION_SIGMAS * jump.distance_m / jump.reach_m) ** 2
         log_odds = min(log_odds + math.log(tuning.false_position_odds), 50.0)
         kind, within = "jumped", f"within {jump.times_s[1] - jump.times_s[0]:.0f} s"
         words = (

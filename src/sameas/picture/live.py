@@ -41,8 +41,6 @@ from sameas.tracks.registration import SourceBiases, with_delay_prior
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Description
-from sameas.tracks.tuning import DEFAULT_TUNING as DEFAULT_TRACKS
-from sameas.tracks.tuning import Tuning as TracksTuning
 
 LiveState = PictureState[Watch] | PictureState[PlotPicture]
 
@@ -99,7 +97,6 @@ class LivePicture:
         watch: Watch | PlotPicture | None = None,
         lag_s: float = 10.0,
         window: Window | None = None,
-        tuning: TracksTuning = DEFAULT_TRACKS,
     ) -> None:
         names = [description.name for description in descriptions]
         if not names or len(set(names)) < len(names):
@@ -107,9 +104,9 @@ class LivePicture:
         sites = [site for d in descriptions if (site := d.site) is not None]
         places = [(s.lat_deg, s.lon_deg) for s in sites if s.lat_deg is not None and s.lon_deg is not None]
         self.plane = plane or (LocalPlane(*places[0]) if places else None)
-        self.lag_s, self.tuning = _lag(lag_s), tuning
+        self.lag_s = _lag(lag_s)
         self.window = window or Window()
-        self._feeds = {d.name: LiveFeed(d, self.plane, lag_s, tuning=tuning) for d in descriptions}
+        self._feeds = {d.name: LiveFeed(d, self.plane, lag_s) for d in descriptions}
         self._carried: Watch | PlotPicture | None = watch
         self._biases: dict[str, SourceBiases] = {}
         self._estimates: dict[str, SourceBiases] = {}
@@ -147,7 +144,7 @@ class LivePicture:
 
     @property
     def picture_tuning(self) -> Tuning:
-        """The tuning of the picture itself; :attr:`tuning` is that of the reports."""
+        """The tuning of the picture."""
         return DEFAULT_TUNING if self._carried is None else self._carried.tuning
 
     @property
@@ -270,7 +267,7 @@ class LivePicture:
             if feed is not None and KINDS[feed.given.kind].directions == KINDS[description.kind].directions:
                 feed.describe(description)
             else:
-                self._feeds[description.name] = LiveFeed(description, self.plane, self.lag_s, tuning=self.tuning)
+                self._feeds[description.name] = LiveFeed(description, self.plane, self.lag_s)
                 self._recent[description.name], self._n_recent[description.name] = deque(), 0
             self._biases.pop(description.name, None)
             self._estimates.pop(description.name, None)
@@ -291,7 +288,7 @@ class LivePicture:
             return
         feed = self._feeds[source]
         given = len(reports)
-        reports, _ = on_platform(feed.given, reports, self._recent, self.tuning)
+        reports, _ = on_platform(feed.given, reports, self._recent)
         places = (reports.lat_deg, reports.lon_deg)
         if places[0] is None:
             places = (reports.station_lat_deg, reports.station_lon_deg)
@@ -349,7 +346,7 @@ class LivePicture:
             )
         feeds = tuple(self._feed(feed, instant_s) for feed in self._feeds.values())
         self.height_model = self._heights or HeightModel.as_given(feeds)
-        scene = Scene(feeds, self.plane, self.tuning, self.height_model)
+        scene = Scene(feeds, self.plane, self.height_model)
         carried = self._start() if self._carried is None else self._named(self._carried)
         misread = self._given_misread | self._misread
         if isinstance(carried, Watch) and carried.misread != misread and self._state is not None:
@@ -369,7 +366,7 @@ class LivePicture:
         It takes as long as for a file of these minutes. To estimate in another process, use :meth:`recent`,
         :func:`estimated` and :meth:`take_off`.
         """
-        registered = estimated(self.recent(), self.plane, self.tuning)
+        registered = estimated(self.recent(), self.plane)
         self.take_off(registered)
         return registered.biases
 
@@ -385,7 +382,7 @@ class LivePicture:
         description, biases = self._feeds[source].description, self._biases.get(source)
         if biases is None or "time_s" not in biases.parameters or description.bias.time_s is not None:
             return description
-        return with_delay_prior(description, self.tuning.delay_s)
+        return with_delay_prior(description)
 
     def faults(self) -> tuple[Fault, ...]:
         """The deceptions and faults of sources in the last minutes, each with its evidence and probability.
@@ -393,7 +390,7 @@ class LivePicture:
         It takes as long as for a file of these minutes. To run it in another process, use :meth:`recent`,
         :meth:`sightings` and :func:`faults_of`.
         """
-        return faults_of(self.recent(), self.sightings(), self.plane, self.tuning, self.picture_tuning)
+        return faults_of(self.recent(), self.sightings(), self.plane, self.picture_tuning)
 
     def sightings(self) -> Columns:
         """The records of instants of the last minutes, for :func:`sameas.picture.deception.deceptions`."""
@@ -461,35 +458,27 @@ class Registered:
     misread: frozenset[str] = frozenset()
 
 
-def estimated(
-    sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None, tuning: TracksTuning
-) -> Registered:
+def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None) -> Registered:
     """The biases of sources and of their heights from some minutes of their reports, and doubts about them; empty for a
     single source."""
     if len(sources) < 2:
         return Registered()
-    given = Scene.of(sources, plane, tuning=tuning)
+    given = Scene.of(sources, plane)
     doubts, misread = given.doubts(), given.misread
     scene, biases = given.registered()
     return Registered(biases, HeightModel.of(scene.feeds), doubts, misread)
 
 
 def faults_of(
-    sources: Sequence[tuple[Description, Reports]],
-    sightings: Columns,
-    plane: LocalPlane | None,
-    tuning: TracksTuning,
-    picture: Tuning,
+    sources: Sequence[tuple[Description, Reports]], sightings: Columns, plane: LocalPlane | None, tuning: Tuning
 ) -> tuple[Fault, ...]:
     """The deceptions and faults in some minutes of the reports of sources and in the records of their picture.
-
-    tuning, picture : of the reports, and of the picture.
 
     Raises InputError: the sources have no common plane.
     """
     if not sources:
         return ()
-    return faults_and_deceptions(Scene.of(sources, plane, tuning=tuning).feeds, sightings, picture)
+    return faults_and_deceptions(Scene.of(sources, plane).feeds, sightings, tuning)
 
 
 def _lag(lag_s: float) -> float:

@@ -14,6 +14,7 @@ from sameas.kernels.tracks import places_of
 from sameas.picture.id_swaps import Rivals, group_maximum
 from sameas.picture.tables import Scan, distances
 from sameas.picture.track_pairs import TrackPairs
+from sameas.tracks.stationary import REST_S
 
 
 def with_manoeuvres(
@@ -96,7 +97,7 @@ def with_manoeuvres(
 def _log_manoeuvre_odds(scan: Scan) -> FloatArray:
     """(n,) ln of the prior odds of a manoeuvre since each report."""
     age = np.maximum(scan.now.instant_s - scan.time_s, 0.0)
-    rest_s = np.array([feed.tuning.rest_s for feed in scan.now.feeds])[scan.source]
+    rest_s = np.array([REST_S for feed in scan.now.feeds])[scan.source]
     since = [-np.expm1(-age / every_s) for every_s in (scan.tuning.manoeuvre_every_s, rest_s)]
     p = (1.0 - scan.p_stationary) * since[0] + scan.p_stationary * since[1]
     with np.errstate(divide="ignore"):

@@ -311,7 +311,7 @@ class PictureState(Generic[W]):
             ratios = feed.log_mode_ratios(scan.row[records], self.now.instant_s)
             np.add.at(evidence, self.object_of_record[records], ratios)
             if share is None:
-                share = mode_shares(feed.description.motion, feed.tuning)
+                share = mode_shares(feed.description.motion)
         if share is None:
             return np.full((n, MODES), np.nan)
         unknown = ~evidence.any(axis=1)

@@ -136,7 +136,7 @@ class PlotTracker:
         sensor = feed.sensor_at(now.instant_s)
         sigma, extent = feed.reports.sigma_deg[records.ids], feed.description.errors.extent_m or 0.0
         sensor = np.zeros(2) if sensor is None else sensor
-        weight = pointed_at(records.features[:, 0], sigma, sensor, places, extent, feed.tuning)
+        weight = pointed_at(records.features[:, 0], sigma, sensor, places, extent)
         points_nowhere = ~weight.any(axis=1)
         columns = []
         for other in now.feeds:

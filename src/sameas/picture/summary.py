@@ -19,7 +19,7 @@ from sameas.picture.texts import TEXTS
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.distress import DistressCall
 from sameas.tracks.faults import Fault
-from sameas.tracks.feed import Feed, fastest_vessel_m_per_s
+from sameas.tracks.feed import FASTEST_VESSEL_M_PER_S, Feed
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import SensorCoverage
@@ -109,7 +109,7 @@ def _aircraft(state: PictureState[Carried], shows: BoolArray) -> BoolArray:
     shown = shows[:, [KINDS[feed.description.kind].target == "aircraft" for feed in feeds]].any(axis=1)
     named = [any(n in texts and texts[n][column] != "" for column in _OF_AIRCRAFT) for n in state.number.tolist()]
     speed = np.hypot(*state.states.state[:, 2:4].T)
-    is_fast = state.states.moving & (speed > fastest_vessel_m_per_s(feeds[0].tuning))
+    is_fast = state.states.moving & (speed > FASTEST_VESSEL_M_PER_S)
     return np.asarray(shown | np.array(named, bool) | is_fast)
 
 

@@ -24,4 +24,3 @@ from .source import Site as Site
 from .source import Targets as Targets
 from .source import Timing as Timing
 from .source import read_descriptions as read_descriptions
-from .tuning import Tuning as Tuning

@@ -39,7 +39,18 @@ from sameas.kernels.kalman import states_moved
 from sameas.kernels.tracks import filter_tracks
 from sameas.many.observations import StatePart
 from sameas.representation import counted
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
+
+#: Reports are independent measurements if the median of their squared innovations is at least this share of that of
+#: independent errors; minimum number of innovations.
+INNOVATION_RATIO, MIN_INNOVATIONS = 1.0 / 3.0, 30
+#: A report beyond the χ² limit that correct reports exceed with this probability restarts its track.
+NEW_TRACK_PROBABILITY = 1e-9
+#: A lag of a track's filter is detected from the mean of its innovations: weight of the previous ones, per report; the
+#: maximum of one, in σ; and the probability with which tracks without a lag exceed the χ² limit.
+INNOVATION_MEMORY, MAX_INNOVATION, MANOEUVRE_PROBABILITY = 0.8, 3.0, 1e-3
+#: Factor on the motion noise in a manoeuvre, and its length: 0.13 m/s² for a minute is 100 times the noise assumed for
+#: ships, a turn at 0.26 g for a minute that for aircraft.
+MANOEUVRE_NOISE, MANOEUVRE_S = 100.0, 60.0
 
 
 @dataclass(frozen=True)
@@ -290,13 +301,13 @@ def aged(covariance: FloatArray, density_per_m2: float) -> BoolArray:
     return np.asarray((area * density_per_m2 > 1.0) | is_singular)
 
 
-def followed_back(measured: States, *, acceleration_m2_per_s3: float, speed_m_per_s: float, tuning: Tuning) -> States:
+def followed_back(measured: States, *, acceleration_m2_per_s3: float, speed_m_per_s: float) -> States:
     """The tracks of measured positions, each state filtered from the reports at and after it."""
     back = States.of(
         -measured.time_s, measured.state[:, :2], measured.covariance[:, :2, :2], track=measured.track,
         speed_m_per_s=speed_m_per_s,
     )  # fmt: skip
-    tracks = follow(back, acceleration_m2_per_s3=acceleration_m2_per_s3, tuning=tuning).states
+    tracks = follow(back, acceleration_m2_per_s3=acceleration_m2_per_s3).states
     state, covariance = tracks.state.copy(), tracks.covariance.copy()
     state[:, 2:] *= -1.0
     covariance[:, :2, 2:] *= -1.0
@@ -331,9 +342,7 @@ class FilteredTracks:
 NO_TREND = (0.0, 0.0, 0.0, math.inf)
 
 
-def follow(
-    reports: States, *, acceleration_m2_per_s3: float, trend: FloatArray | None = None, tuning: Tuning = DEFAULT_TUNING
-) -> FilteredTracks:
+def follow(reports: States, *, acceleration_m2_per_s3: float, trend: FloatArray | None = None) -> FilteredTracks:
     """The filtered track state after each report of a source with track ids, by the positions.
 
     A reported velocity counts at the start of a track only.
@@ -353,20 +362,20 @@ def follow(
     trends = np.tile(NO_TREND, (len(reports), 1)) if trend is None else np.array(trend, order="C")
     filter_tracks(
         rows, np.diff(number, prepend=-1) != 0, np.ascontiguousarray(reports.time_s), float(acceleration_m2_per_s3),
-        float(acceleration_m2_per_s3 * tuning.manoeuvre_noise), ChiSquare(1.0 - tuning.new_track_probability).limit(2),
-        ChiSquare(1.0 - tuning.manoeuvre_probability).limit(2), tuning.manoeuvre_s, tuning.innovation_memory,
-        tuning.max_innovation, state, covariance, trends, nis, began,
+        float(acceleration_m2_per_s3 * MANOEUVRE_NOISE), ChiSquare(1.0 - NEW_TRACK_PROBABILITY).limit(2),
+        ChiSquare(1.0 - MANOEUVRE_PROBABILITY).limit(2), MANOEUVRE_S, INNOVATION_MEMORY,
+        MAX_INNOVATION, state, covariance, trends, nis, began,
     )  # fmt: skip
     return FilteredTracks(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began, trends)
 
 
-def are_unfiltered(reports: States, *, acceleration_m2_per_s3: float, tuning: Tuning) -> bool:
+def are_unfiltered(reports: States, *, acceleration_m2_per_s3: float) -> bool:
     """Whether the reports of a source with track ids are independent measurements, not smoothed by a tracker.
 
     Independent measurements scatter by their stated errors, and their NIS has a χ² distribution with two degrees of
     freedom; the reports of a tracker scatter less. The median NIS decides; it is robust to breaks of tracks. False with
     too few reports.
     """
-    nis = follow(reports, acceleration_m2_per_s3=acceleration_m2_per_s3, tuning=tuning).nis
+    nis = follow(reports, acceleration_m2_per_s3=acceleration_m2_per_s3).nis
     nis = nis[np.isfinite(nis)]
-    return len(nis) >= tuning.min_innovations and float(np.median(nis)) > tuning.innovation_ratio * MEDIAN
+    return len(nis) >= MIN_INNOVATIONS and float(np.median(nis)) > INNOVATION_RATIO * MEDIAN

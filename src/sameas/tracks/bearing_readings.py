@@ -22,9 +22,19 @@ from sameas.gaussian import LOG_2PI
 from sameas.tracks.bias_fit import BearingReading
 from sameas.tracks.biases import AZIMUTH
 from sameas.tracks.feed import Feed
-from sameas.tracks.plot_pairs import FITTED, PlotPairs, Plots, candidates, first_of_scans, log_prior_of_azimuth, moves
+from sameas.tracks.plot_pairs import (
+    COMPANION,
+    FITTED,
+    PLOT_RATES,
+    PlotPairs,
+    Plots,
+    azimuth_limit_deg,
+    candidates,
+    first_of_scans,
+    log_prior_of_azimuth,
+    moves,
+)
 from sameas.tracks.snapshot import bias_widths
-from sameas.tracks.tuning import Tuning
 
 #: Suspicion, change and remedy of each reading.
 Words = tuple[str, str, str]
@@ -38,6 +48,16 @@ UNREAD = (
     "check the sign of its bearings, their zero, and whether they are from north or from the bow",
 )
 
+#: Prior probability that a radar's bearings are read wrongly in one of the ways that are tried.
+MISREAD = 0.01
+#: Step of the offsets of bearings, which are tried all around; plots farther than READING_WINDOW_DEG from an offset are
+#: no evidence for it, and one as given is compared at its best place within READING_NEAR_DEG.
+READING_STEP_DEG, READING_WINDOW_DEG, READING_NEAR_DEG = 1.0, 12.0, 2.0
+READINGS_DEG = np.arange(-180.0, 180.0, READING_STEP_DEG)
+READING_PLOTS = 5000  # about the most plots used
+READING_COURSE_S = 15.0  # the course of a sensor that moves is that from so long before to so long after
+READING_SAME_DEG = 6.0  # bearings from the bow that differ by less from those with an offset are no other reading
+
 
 def best_other_reading(
     feed: Feed, partners: Sequence[Feed], azimuth_deg: float | None = None, log_companion: float | None = None
@@ -47,34 +67,34 @@ def best_other_reading(
     azimuth_deg : the offset of the azimuth, or one near it, of the bearings as given; by default the most probable one.
     log_companion : as of :meth:`~sameas.tracks.plot_offsets.AzimuthSearch.log_companion`.
     """
-    tuning, plots = feed.tuning, _fewer(Plots.of(feed), feed.tuning)
-    pairs = candidates(plots, feed, partners, tuning, reach_deg=180.0)
+    plots = _fewer(Plots.of(feed))
+    pairs = candidates(plots, feed, partners, reach_deg=180.0)
     if not len(pairs.plot):
         return None
-    log_companion = float(np.log(tuning.companion)) if log_companion is None else log_companion
+    log_companion = float(np.log(COMPANION)) if log_companion is None else log_companion
     width = float(bias_widths(feed)[AZIMUTH])
-    limit_deg = tuning.azimuth_limit_deg(width)
-    likelihood = _Likelihood.of(pairs, plots, bias_widths(feed), tuning)
+    limit_deg = azimuth_limit_deg(width)
+    likelihood = _Likelihood.of(pairs, plots, bias_widths(feed))
     apart_deg = pairs.residual[:, 1] / pairs.jacobian[:, 1, FITTED.index(AZIMUTH)]
-    grid, as_given = tuning.readings_deg, likelihood.by_offset(apart_deg)
+    grid, as_given = READINGS_DEG, likelihood.by_offset(apart_deg)
     if azimuth_deg is None:
         near = np.abs(grid) <= limit_deg
     else:
-        near = np.abs(_wrapped(grid - azimuth_deg)) <= tuning.reading_near_deg
+        near = np.abs(_wrapped(grid - azimuth_deg)) <= READING_NEAR_DEG
     log_prior = log_prior_of_azimuth(_wrapped(grid), width)
     given = _best(as_given, np.where(near, log_prior, -np.inf))
     azimuth_deg = float(grid[given.at])
     measured_deg = plots.azimuth_deg[pairs.plot]
-    uniform = np.full(len(grid), np.log(tuning.misread / 360.0))
+    uniform = np.full(len(grid), np.log(MISREAD / 360.0))
     trials = [
         (MIRRORED, likelihood.by_offset(_wrapped(apart_deg - 2.0 * measured_deg)), uniform),
         (TURNED, as_given, np.where(np.abs(_wrapped(grid)) > limit_deg, uniform, -np.inf)),
-        (UNREAD, likelihood.without_bearings(), np.log([tuning.misread])),
+        (UNREAD, likelihood.without_bearings(), np.log([MISREAD])),
     ]
     for words, heading_deg in _headings(feed, plots):
         turn_deg = heading_deg[pairs.plot]
         # On a steady course, bearings from the bow are bearings from north with an offset.
-        differs = [_rms(_wrapped(turn_deg - offset + azimuth_deg)) > tuning.reading_same_deg for offset in grid]
+        differs = [_rms(_wrapped(turn_deg - offset + azimuth_deg)) > READING_SAME_DEG for offset in grid]
         of_reading = likelihood.by_offset(_wrapped(apart_deg + turn_deg))
         trials.append((words, of_reading, np.where(differs, uniform, -np.inf)))
     others = [(words, _best(of_reading, prior)) for words, of_reading, prior in trials]
@@ -118,34 +138,31 @@ class _Likelihood:
     pairs: PlotPairs
     log_ratio: FloatArray
     sigma_deg: FloatArray
-    tuning: Tuning
 
     @classmethod
-    def of(cls, pairs: PlotPairs, plots: Plots, widths: FloatArray, tuning: Tuning) -> _Likelihood:
+    def of(cls, pairs: PlotPairs, plots: Plots, widths: FloatArray) -> _Likelihood:
         """The biases other than the azimuth are integrated over their priors."""
         prior = pairs.variance_without_azimuth(widths)
-        lever, step_deg = pairs.jacobian[:, 1, FITTED.index(AZIMUTH)], tuning.reading_step_deg
+        lever, step_deg = pairs.jacobian[:, 1, FITTED.index(AZIMUTH)], READING_STEP_DEG
         ratios, sigmas = [], []
-        for scale, drift_deg in plots.spreads(tuning):
+        for scale, drift_deg in plots.spreads():
             variance = scale**2 * pairs.variance + prior + pairs.lasting_m2
             variance[:, 1] += (drift_deg**2 + 0.25 * step_deg**2) * lever**2
             along = -0.5 * np.log(variance[:, 0]) - 0.5 * pairs.residual[:, 0] ** 2 / variance[:, 0]
             ratios.append(along - LOG_2PI - 0.5 * np.log(variance[:, 1]) - np.log(pairs.background))
             sigmas.append(np.sqrt(variance[:, 1]) / lever)
-        return cls(pairs, np.array(ratios), np.array(sigmas), tuning)
+        return cls(pairs, np.array(ratios), np.array(sigmas))
 
     def by_offset(self, apart_deg: FloatArray) -> FloatArray:
         """(s, v, g) ln L at the offsets of the grid; apart_deg : (m,) bearing of the plot minus that of the track, NaN
         where unknown."""
-        tuning, grid = self.tuning, self.tuning.readings_deg
+        grid = READINGS_DEG
         known = np.flatnonzero(np.isfinite(apart_deg))
-        half = int(np.ceil(tuning.reading_window_deg / tuning.reading_step_deg))
-        cell = np.round(apart_deg[known] / tuning.reading_step_deg).astype(np.int64)[:, None] + np.arange(
-            -half, half + 1
-        )
-        off_deg = cell * tuning.reading_step_deg - apart_deg[known, None]
+        half = int(np.ceil(READING_WINDOW_DEG / READING_STEP_DEG))
+        cell = np.round(apart_deg[known] / READING_STEP_DEG).astype(np.int64)[:, None] + np.arange(-half, half + 1)
+        off_deg = cell * READING_STEP_DEG - apart_deg[known, None]
         at = (
-            self.pairs.track[known, None] * len(grid) + (cell - round(grid[0] / tuning.reading_step_deg)) % len(grid)
+            self.pairs.track[known, None] * len(grid) + (cell - round(grid[0] / READING_STEP_DEG)) % len(grid)
         ).ravel()
         out = []
         for log_ratio, sigma in zip(self.log_ratio[:, known], self.sigma_deg[:, known], strict=True):
@@ -160,7 +177,7 @@ class _Likelihood:
 
     def _of_rates(self, ratio: FloatArray, at: IntArray, cells: int) -> FloatArray:
         """(v, cells) ln of the mean over the rates of plots; at : of each ratio, its track × cells + its cell."""
-        scans, rates = self.pairs.scans, self.tuning.plot_rates
+        scans, rates = self.pairs.scans, PLOT_RATES
         size = len(scans) * cells
         terms = [
             np.bincount(at, np.log1p(rate * ratio), size).reshape(-1, cells) - rate * scans[:, None] for rate in rates
@@ -176,16 +193,16 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
-def _fewer(plots: Plots, tuning: Tuning) -> Plots:
+def _fewer(plots: Plots) -> Plots:
     """The plots of evenly spread scans, at most ``reading_plots`` of them or so."""
-    step = int(np.ceil(len(plots) / tuning.reading_plots))
+    step = int(np.ceil(len(plots) / READING_PLOTS))
     return plots if step < 2 else plots.where(np.flatnonzero(plots.scan // 4 % step == 0))
 
 
 def _headings(feed: Feed, plots: Plots) -> list[tuple[Words, FloatArray]]:
     """The readings by the heading of the vessel that carries the sensor, or her course, with (n,) what they add to the
     bearings; none for a fixed sensor."""
-    if not moves(plots.sensor, feed.tuning):
+    if not moves(plots.sensor):
         return []
     raw = feed.raw_reports
     if raw is not None:
@@ -196,6 +213,6 @@ def _headings(feed: Feed, plots: Plots) -> list[tuple[Words, FloatArray]]:
     time_s, place = plots.time_s[first], plots.sensor[first]
     behind, ahead = (
         np.stack([np.interp(plots.time_s + off_s, time_s, axis) for axis in place.T])
-        for off_s in (-feed.tuning.reading_course_s, feed.tuning.reading_course_s)
+        for off_s in (-READING_COURSE_S, READING_COURSE_S)
     )
     return [(OF_BOW, np.asarray(np.degrees(np.arctan2(*(ahead - behind)))))]

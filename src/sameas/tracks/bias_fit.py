@@ -19,12 +19,22 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import inverse, log_determinant, propagated, symmetric
+from sameas.registration.hough import DEFAULT_TUNING as REGISTRATION
 from sameas.registration.hough import HoughSearch
 from sameas.registration.solution import displacement_sigmas, refine
 from sameas.registration.weights import Weighed, weigh
 from sameas.tracks.biases import AzimuthDrift, RelativeBias
 from sameas.tracks.snapshot import CommonScan
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
+
+#: Of the bias search: instants, offsets per instant, and iterations.
+SEARCHED_INSTANTS, SEARCH_OFFSETS, SEARCH_STEPS = 3, 32, 20
+#: Factor on the errors, and number of candidates kept, for each iteration.
+WIDENINGS, N_CANDIDATES = (2.0, 1.5, 1.2, 1.0, 1.0), (12, 8, 6, 4, 3)
+STEP_TOLERANCE, MAX_STEPS = 0.01, 40  # a fit ends at steps below this share of a standard error, or after this many
+SAME_SIGMAS = 0.7  # two solutions are one if no record moves between them by more than this many σ
+MIN_INFORMATION = 0.02  # minimum eigenvalue of the observed information relative to the complete one
+MOVED_SIGMAS = 3.0  # instants are independent if records have moved by at least this many σ between them
+DECISIVE = REGISTRATION.decisive  # the log evidence that establishes biases
 
 
 @dataclass(frozen=True)
@@ -42,9 +52,9 @@ class BearingReading:
     log_odds: float
     log_evidence: float
 
-    def is_decisive(self, tuning: Tuning) -> bool:
+    def is_decisive(self) -> bool:
         """Whether it is decisively more probable than these biases and than no object in common."""
-        return min(self.log_odds, self.log_evidence) > tuning.registration.decisive
+        return min(self.log_odds, self.log_evidence) > DECISIVE
 
 
 @dataclass(frozen=True)
@@ -56,7 +66,7 @@ class BiasFit:
     relative : (p, p) the same without the common displacement of all sources, for comparing these with each other.
     pairs : expected number of pairs, over all instants. instants : their number. tracks : number of objects in pairs.
     log_evidence : log-odds of these biases against no object in common.
-    rivals : other solutions, with their log evidence. converged : whether the refinement converged. tuning : of tracks.
+    rivals : other solutions, with their log evidence. converged : whether the refinement converged.
     speed_m_per_s : median speed of the compared objects, 0 if unknown.
     drift : of the azimuth about its mean, for a sensor that moves. missed : for a source of plots, the mean probability
         that a scan has none of a track.
@@ -73,7 +83,6 @@ class BiasFit:
     log_evidence: float
     rivals: tuple[tuple[FloatArray, float], ...]
     converged: bool
-    tuning: Tuning = DEFAULT_TUNING
     speed_m_per_s: float = 0.0
     drift: AzimuthDrift | None = None
     missed: float | None = None
@@ -82,13 +91,13 @@ class BiasFit:
     @property
     def near_rivals(self) -> tuple[tuple[FloatArray, float], ...]:
         """The rivals whose log evidence is lower by less than ``decisive``."""
-        return tuple(rival for rival in self.rivals if rival[1] > self.log_evidence - self.tuning.registration.decisive)
+        return tuple(rival for rival in self.rivals if rival[1] > self.log_evidence - DECISIVE)
 
     @property
     def established(self) -> bool:
         """Whether these biases are decisively more probable than any rival, than no object in common, and than another
         reading of the bearings."""
-        decisive = self.tuning.registration.decisive
+        decisive = DECISIVE
         reread = self.reading is not None and self.reading.log_odds > -decisive
         return self.log_evidence > decisive and not self.near_rivals and not reread
 
@@ -96,7 +105,7 @@ class BiasFit:
     def misread(self) -> BearingReading | None:
         """The other reading of the bearings, if it is decisively more probable than these biases and than no object in
         common."""
-        return self.reading if self.reading is not None and self.reading.is_decisive(self.tuning) else None
+        return self.reading if self.reading is not None and self.reading.is_decisive() else None
 
 
 @dataclass(frozen=True)
@@ -104,7 +113,6 @@ class Pool:
     """Scans with one set of biases; θ (…, p) has the order of ``biases``."""
 
     scans: tuple[CommonScan, ...]
-    tuning: Tuning = DEFAULT_TUNING
 
     @cached_property
     def biases(self) -> IntArray:
@@ -158,9 +166,9 @@ class Pool:
         return [np.full(count, 0.5 * scan.most_pairs) for scan in self.scans]
 
 
-def fit_biases(scans: Sequence[CommonScan], tuning: Tuning) -> BiasFit:
+def fit_biases(scans: Sequence[CommonScan]) -> BiasFit:
     """The biases of maximum posterior probability of the sources of these scans, at least one of which shows a bias."""
-    pool = Pool(tuple(scans), tuning)
+    pool = Pool(tuple(scans))
     theta = _annealed(pool, _starting_points(pool))
     fits = [_converged(pool, candidate) for candidate in theta]
     fits.sort(key=lambda fit: -fit.log_evidence)
@@ -169,7 +177,7 @@ def fit_biases(scans: Sequence[CommonScan], tuning: Tuning) -> BiasFit:
     rivals = [
         (fit.theta, fit.log_evidence)
         for fit in fits[1:]
-        if displacement_sigmas(pool.scans[largest].weighing, best.theta[at], fit.theta[at]) > tuning.same_sigmas
+        if displacement_sigmas(pool.scans[largest].weighing, best.theta[at], fit.theta[at]) > SAME_SIGMAS
     ]
     return replace(best, rivals=tuple(rivals))
 
@@ -183,15 +191,13 @@ def _starting_points(pool: Pool) -> FloatArray:
     """(s, p) no bias, and the solutions of some instants with many records."""
     starts = [np.zeros(len(pool.biases))]
     # Instants of the larger half, far apart in time, so that they do not share their chance coincidences.
-    large = sorted(_by_size(pool)[: max(len(pool.scans) // 2, pool.tuning.searched_instants)])
-    for k in np.unique(
-        np.linspace(0, len(large) - 1, min(pool.tuning.searched_instants, len(large))).round().astype(int)
-    ):
+    large = sorted(_by_size(pool)[: max(len(pool.scans) // 2, SEARCHED_INSTANTS)])
+    for k in np.unique(np.linspace(0, len(large) - 1, min(SEARCHED_INSTANTS, len(large))).round().astype(int)):
         scan, at = pool.scans[large[k]], pool.columns[large[k]]
         weighing = scan.weighing
-        search = HoughSearch(weighing.first, weighing.second, weighing.model, pool.tuning.registration)
-        votes = search.vote(pool.tuning.search_offsets).with_zero()
-        for solution in refine(weighing, votes, pool.tuning.search_steps):
+        search = HoughSearch(weighing.first, weighing.second, weighing.model, REGISTRATION)
+        votes = search.vote(SEARCH_OFFSETS).with_zero()
+        for solution in refine(weighing, votes, SEARCH_STEPS):
             theta = np.zeros(len(pool.biases))
             theta[at] = solution.theta
             starts.append(theta)
@@ -201,7 +207,7 @@ def _starting_points(pool: Pool) -> FloatArray:
 def _annealed(pool: Pool, theta: FloatArray) -> FloatArray:
     """The best candidates, refined over all scans jointly, with errors decreasing to the stated ones."""
     common = pool.initial_common(len(theta))
-    for widening, keep in zip(pool.tuning.widenings, pool.tuning.n_candidates, strict=True):
+    for widening, keep in zip(WIDENINGS, N_CANDIDATES, strict=True):
         weights = pool.weighed(theta, common, widening)
         score, information = pool.equations(theta, weights)
         gain = pool.gain(theta, weights)
@@ -214,12 +220,12 @@ def _annealed(pool: Pool, theta: FloatArray) -> FloatArray:
 def _converged(pool: Pool, theta: FloatArray) -> BiasFit:
     """One candidate refined to its maximum, with covariance and evidence."""
     at, common, converged = theta[None, :], pool.initial_common(1), False
-    for _ in range(pool.tuning.max_steps):
+    for _ in range(MAX_STEPS):
         weights = pool.weighed(at, common, 1.0)
         score, information = pool.equations(at, weights)
         step = np.linalg.solve(information, score[..., None])[..., 0]
         at, common = at + step, [each.common for each in weights]
-        converged = float(np.einsum("sp,spq,sq->", step, information, step)) <= pool.tuning.step_tolerance**2
+        converged = float(np.einsum("sp,spq,sq->", step, information, step)) <= STEP_TOLERANCE**2
         if converged:
             break
     weights = pool.weighed(at, common, 1.0)
@@ -234,7 +240,7 @@ def _converged(pool: Pool, theta: FloatArray) -> BiasFit:
     return BiasFit(
         biases=pool.biases, theta=at[0], covariance=covariance, relative=projection @ covariance @ projection.T,
         pairs=float(sum(e.common[0] for e in weights)), instants=instants, tracks=tracks,
-        log_evidence=likelihood + prior + min(float(occam), 0.0), rivals=(), converged=converged, tuning=pool.tuning,
+        log_evidence=likelihood + prior + min(float(occam), 0.0), rivals=(), converged=converged,
         speed_m_per_s=float(np.median([scan.speed_m_per_s for scan in pool.scans])),
     )  # fmt: skip
 
@@ -250,7 +256,7 @@ def _covariance(pool: Pool, theta: FloatArray, common: list[FloatArray], complet
     # Eigenvalues relative to the complete information, bounded from below by ``min_information``.
     scale = np.linalg.cholesky(inverse(complete))
     shares, axes = np.linalg.eigh(scale.T @ symmetric(observed) @ scale)
-    root = scale @ axes / np.sqrt(np.clip(shares, pool.tuning.min_information, None))
+    root = scale @ axes / np.sqrt(np.clip(shares, MIN_INFORMATION, None))
     return np.asarray(root @ root.T)
 
 
@@ -325,7 +331,7 @@ def _independent(pool: Pool) -> float:
     if len(times) < 2:
         return 1.0
     moved = [
-        scan.speed_m_per_s * float(np.median(np.diff(times))) / (pool.tuning.moved_sigmas * scan.weighing.sigma)
+        scan.speed_m_per_s * float(np.median(np.diff(times))) / (MOVED_SIGMAS * scan.weighing.sigma)
         for scan in pool.scans
         if isinstance(scan.weighing.model, RelativeBias)
     ]

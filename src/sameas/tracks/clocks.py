@@ -22,7 +22,17 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.kernels.tracks import search_jumps
 from sameas.representation import counted
 from sameas.tracks.alignment import States, track_numbers
-from sameas.tracks.tuning import Tuning
+
+#: Prior probability of a fault of one kind, and the probability at which it is an alarm.
+FAULT_PRIOR, SURE_FAULT = 1e-3, 0.95
+#: Minimum speed of the tracks used, maximum time between their reports, and 1σ of a correct time stamp.
+CLOCK_SPEED_M_PER_S, CLOCK_GAP_S, STAMP_S = 1.5, 400.0, 1.5
+CLOCK_SEARCH_S = (6.0, 181.0, 2.0)  # trial jumps: from, to, step
+CLOCK_OUTLIER, CLOCK_VOTE = 0.05, 8.0  # share of outliers among the steps of tracks, and maximum evidence of one step
+LEAP_GAP_S = 60.0  # most seconds that pass in truth from one line of a file to the next where its stamps leap
+#: Of a clock counted from the seconds in messages: maximum number of whole minutes lost in one pause, maximum number of
+#: corrected pauses, and probability that there is another one.
+MAX_MINUTES, MAX_PAUSES, PAUSE_PRIOR = 10, 100, 0.3
 
 
 @dataclass(frozen=True)
@@ -40,7 +50,7 @@ class Steps:
     track: IntArray
 
     @classmethod
-    def of(cls, reports: States, walk: FloatArray, tuning: Tuning, later: States | None = None) -> Steps:
+    def of(cls, reports: States, walk: FloatArray, later: States | None = None) -> Steps:
         """Of reports with velocities, in the order of the file.
 
         later : the states that the later report of each pair is taken from, for reports that are filtered: they are to
@@ -69,22 +79,20 @@ class Steps:
         variance = variance + elapsed**2 * np.einsum("nvv->n", total[:, 2:, 2:]) / 8.0
         known = total[:, 2, 2] < 0.1 * speed**2 + 1.0
         turned = np.hypot(*(reports.state[a, 2:] - ends.state[b, 2:]).T) > 0.3 * speed
-        kept = known & ~turned & (speed > tuning.clock_speed_m_per_s) & (across < 4.0 * np.sqrt(variance))
-        kept &= elapsed < tuning.clock_gap_s
+        kept = known & ~turned & (speed > CLOCK_SPEED_M_PER_S) & (across < 4.0 * np.sqrt(variance))
+        kept &= elapsed < CLOCK_GAP_S
         sigma = np.sqrt(variance) / speed
-        return cls(a[kept], b[kept], -(along / speed)[kept], np.hypot(sigma, tuning.stamp_s)[kept], track[kept])
+        return cls(a[kept], b[kept], -(along / speed)[kept], np.hypot(sigma, STAMP_S)[kept], track[kept])
 
 
-def jump_of(
-    steps: Steps, at: IntArray, seconds: FloatArray, prior: float, tuning: Tuning
-) -> tuple[float, int, float, int] | None:
+def jump_of(steps: Steps, at: IntArray, seconds: FloatArray, prior: float) -> tuple[float, int, float, int] | None:
     """The most probable clock jump: log-odds, first row of the file after it, seconds, number of supporting tracks.
 
     at : (n,) row of the file of each report. seconds : the jumps to try. prior : probability of a jump.
     """
     if len(steps.first) < 2:
         return None
-    log_outlier = math.log(tuning.clock_outlier / (2.0 * tuning.clock_search_s[1]))
+    log_outlier = math.log(CLOCK_OUTLIER / (2.0 * CLOCK_SEARCH_S[1]))
     log_width = np.log(steps.sigma_s * math.sqrt(2.0 * math.pi))
 
     def log_density(late_s: FloatArray) -> FloatArray:
@@ -95,7 +103,7 @@ def jump_of(
     total, row = np.empty(len(seconds)), np.empty(len(seconds), np.int64)
     search_jumps(
         seconds, steps.late_s, steps.sigma_s, log_width, log_no_jump, before + 1, after + 1, log_outlier,
-        tuning.clock_vote, total, row,
+        CLOCK_VOTE, total, row,
     )  # fmt: skip
     # All lines between the same two reports of a track are one place for a jump.
     places = len(steps.first) / len(np.unique(steps.track))
@@ -107,7 +115,7 @@ def jump_of(
     return float(log_odds[best]), int(row[best]), float(seconds[best]), votes
 
 
-def with_minutes(reports: States, walk: FloatArray, tuning: Tuning) -> tuple[States, int]:
+def with_minutes(reports: States, walk: FloatArray) -> tuple[States, int]:
     """The reports with missing minutes inserted, and how many; for stamps counted from the seconds in messages.
 
     A pause of more than half a minute loses whole minutes. They are inserted where the motion of the tracks shows them.
@@ -115,10 +123,10 @@ def with_minutes(reports: States, walk: FloatArray, tuning: Tuning) -> tuple[Sta
     if reports.track is None:
         return reports, 0
     at, count = np.asarray(reports.rows), 0
-    seconds = -60.0 * np.arange(1.0, tuning.max_minutes + 1.0)
-    for _ in range(tuning.max_pauses):
-        steps = Steps.of(reports, walk, tuning)
-        jump = jump_of(steps, at, seconds, tuning.pause_prior, tuning)
+    seconds = -60.0 * np.arange(1.0, MAX_MINUTES + 1.0)
+    for _ in range(MAX_PAUSES):
+        steps = Steps.of(reports, walk)
+        jump = jump_of(steps, at, seconds, PAUSE_PRIOR)
         if jump is None or jump[0] <= 0.0:
             break
         _, row, jump_s, _ = jump
@@ -159,7 +167,7 @@ class Leap:
         return f"its clock is {off} {sense} for {span}, {shows}; the {counted(n, 'report')} of it are set aside"
 
 
-def leaps_of(reports: States, walk: FloatArray, tuning: Tuning) -> tuple[Leap, ...]:
+def leaps_of(reports: States, walk: FloatArray) -> tuple[Leap, ...]:
     """Jumps by more than ``clock_search_s``: the stamps leap, and the tracks go on as if no time had passed.
 
     After a pause of the source the tracks are elsewhere; a report that was late is where its track had been.
@@ -168,20 +176,20 @@ def leaps_of(reports: States, walk: FloatArray, tuning: Tuning) -> tuple[Leap, .
     order = np.argsort(reports.rows, kind="stable")
     time_s = reports.time_s[order]
     step_s = np.diff(time_s, prepend=time_s[:1])
-    at = np.flatnonzero(np.abs(step_s) > tuning.clock_search_s[1])
+    at = np.flatnonzero(np.abs(step_s) > CLOCK_SEARCH_S[1])
     if reports.track is None or not len(at):
         return ()
     part = np.empty(len(order), np.int64)
-    part[order] = np.cumsum(np.abs(step_s) > tuning.clock_search_s[1])
-    evidence = _evidence(reports, part, np.append(0.0, step_s[at]), walk, tuning)
+    part[order] = np.cumsum(np.abs(step_s) > CLOCK_SEARCH_S[1])
+    evidence = _evidence(reports, part, np.append(0.0, step_s[at]), walk)
     rows, out, n = np.asarray(reports.rows)[order], [], 0
     while n < len(at):
         begin, (log_odds, votes, passed_s) = int(at[n]), evidence[n + 1]
         n += 1
-        if expit(log_odds) <= tuning.sure_fault:
+        if expit(log_odds) <= SURE_FAULT:
             continue
         seconds = float(step_s[begin]) - passed_s
-        back = np.flatnonzero(np.abs(step_s[at[n:]] + seconds) < tuning.leap_gap_s)
+        back = np.flatnonzero(np.abs(step_s[at[n:]] + seconds) < LEAP_GAP_S)
         until = int(at[n + back[0]]) if len(back) else None
         last_s = float(time_s[-1] if until is None else time_s[until - 1] - seconds)
         row, until_row = int(rows[begin]), None if until is None else int(rows[until])
@@ -190,35 +198,33 @@ def leaps_of(reports: States, walk: FloatArray, tuning: Tuning) -> tuple[Leap, .
     return tuple(out)
 
 
-def _evidence(
-    reports: States, part: IntArray, step_s: FloatArray, walk: FloatArray, tuning: Tuning
-) -> list[tuple[float, int, float]]:
+def _evidence(reports: States, part: IntArray, step_s: FloatArray, walk: FloatArray) -> list[tuple[float, int, float]]:
     """Of the leap to each part of the file (``step_s``): its log-odds, the number of tracks that show it, and the
     seconds that passed in truth."""
     closed = replace(reports, time_s=reports.time_s - np.cumsum(step_s)[part])
-    steps = Steps.of(closed, walk, tuning)
+    steps = Steps.of(closed, walk)
     crossing = part[steps.second] == part[steps.first] + 1
-    n_moving = _tracks_across(reports, part, tuning)
-    log_outlier = math.log(tuning.clock_outlier / (2.0 * tuning.clock_search_s[1]))
+    n_moving = _tracks_across(reports, part)
+    log_outlier = math.log(CLOCK_OUTLIER / (2.0 * CLOCK_SEARCH_S[1]))
     # One value of the time that passed, common to all tracks, is fitted for each leap.
-    log_prior = math.log(tuning.fault_prior / (len(step_s) * tuning.leap_gap_s / tuning.stamp_s))
+    log_prior = math.log(FAULT_PRIOR / (len(step_s) * LEAP_GAP_S / STAMP_S))
     out = [(-math.inf, 0, 0.0)] * len(step_s)
     for k in np.unique(part[steps.second[crossing]]).tolist():
         across = crossing & (part[steps.second] == k)
         late_s, sigma_s = steps.late_s[across], steps.sigma_s[across]
         passed_s = -float(np.median(late_s))
         log_normal = -0.5 * ((late_s + passed_s) / sigma_s) ** 2 - np.log(sigma_s * math.sqrt(2.0 * math.pi))
-        votes = np.clip(log_normal - log_outlier, 0.0, tuning.clock_vote)
+        votes = np.clip(log_normal - log_outlier, 0.0, CLOCK_VOTE)
         shown = int(np.sum(votes > 0.0))
-        if 2 * shown > n_moving[k] and abs(passed_s) < tuning.leap_gap_s:
+        if 2 * shown > n_moving[k] and abs(passed_s) < LEAP_GAP_S:
             out[k] = (float(votes.sum()) + log_prior, shown, passed_s)
     return out
 
 
-def _tracks_across(reports: States, part: IntArray, tuning: Tuning) -> IntArray:
+def _tracks_across(reports: States, part: IntArray) -> IntArray:
     """(parts,) number of moving tracks with a report in each part of the file and one in the part before."""
     assert reports.track is not None
-    moving = np.flatnonzero(np.hypot(*reports.state[:, 2:].T) > tuning.clock_speed_m_per_s)
+    moving = np.flatnonzero(np.hypot(*reports.state[:, 2:].T) > CLOCK_SPEED_M_PER_S)
     n_parts = int(part.max()) + 1
     seen = np.unique(track_numbers(reports.track)[moving] * n_parts + part[moving])
     return np.bincount(seen[np.isin(seen - 1, seen) & (seen % n_parts > 0)] % n_parts, minlength=n_parts)

@@ -28,9 +28,8 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import FREQUENCY, MODELS, NAMING
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
-from sameas.tracks.plot_differences import nearest_scans, scans_with_rows
+from sameas.tracks.plot_differences import FIT_CORRELATION_S, nearest_scans, scans_with_rows
 from sameas.tracks.scans import usual_period_s
-from sameas.tracks.tuning import Tuning
 
 #: Places nearer to each other than this are one: their directions do not cross.
 APART_M = 20.0
@@ -42,6 +41,12 @@ _STARTS = {3: (-1.2, 0.0, 1.2), 4: (-1.0, 1.0)}
 _MOST_TRIPLES = 3.0
 #: Directions farther than this from their crossing are not of one object, degrees.
 _REACH_DEG = 30.0
+
+#: About the maximum number of instants at which directions of three places are compared, and of their triples at one
+#: instant; an instant with more is left out.
+CROSSING_SCANS, CROSSING_TRIPLES = 300, 1000
+#: Offsets are not estimated where a direction is in more triples than this beyond the first, in the mean.
+CROSSING_RIVALS = 0.5
 
 
 @dataclass(frozen=True)
@@ -191,17 +196,17 @@ class _Triples:
     def of(cls, feeds: Sequence[Feed]) -> _Triples | None:
         """All triples at matched scans; None without any, or where a direction is in too many."""
         parts: list[tuple[IntArray, IntArray, float, int]] = []
-        tuning, n_triples, n_directions = feeds[0].tuning, 0, 0.0
+        n_triples, n_directions = 0, 0.0
         for which in combinations(range(len(feeds)), 3):
             own = [feeds[k] for k in which]
-            for every, scan_weight, number in _of_scans(own, tuning):
+            for every, scan_weight, number in _of_scans(own):
                 index = every[:, _alike(own, np.arange(3)[:, None].repeat(every.shape[1], axis=1), every)]
                 directions = sum(len(np.unique(rows)) for rows in index) / 3.0
                 n_triples, n_directions = n_triples + index.shape[1], n_directions + directions
                 # Those of an instant at which most are false are not kept: they decide that nothing is estimated.
                 if 0 < index.shape[1] <= _MOST_TRIPLES * directions:
                     parts.append((np.array(which), index, scan_weight, number))
-        if not parts or n_triples / n_directions - 1.0 > tuning.crossing_rivals:
+        if not parts or n_triples / n_directions - 1.0 > CROSSING_RIVALS:
             return None
         # Of K directions of one object, K − 2 residuals are independent.
         share = (len(feeds) - 2.0) / math.comb(len(feeds), 3)
@@ -264,15 +269,15 @@ class _Triples:
         return _Residuals(self, theta, value, of_offset, np.maximum(variance, 1e-6), np.maximum(reach, 1e-3), crosses)
 
 
-def _of_scans(feeds: Sequence[Feed], tuning: Tuning) -> list[tuple[IntArray, float, int]]:
+def _of_scans(feeds: Sequence[Feed]) -> list[tuple[IntArray, float, int]]:
     """The rows (3, m) of all triples of three sources at each of their matched scans, the weight and the instant."""
     scans = [scans_with_rows(feed) for feed in feeds]
     fewest = min(range(3), key=lambda k: len(scans[k][0]))
     times = scans[fewest][0]
     if len(times) < 2:
         return []
-    step = max(len(times) // tuning.crossing_scans, 1)
-    weight = min(step * usual_period_s(times) / tuning.fit_correlation_s, 1.0)
+    step = max(len(times) // CROSSING_SCANS, 1)
+    weight = min(step * usual_period_s(times) / FIT_CORRELATION_S, 1.0)
     nearest = [nearest_scans(own, times) for own, _ in scans]
     is_near = [
         np.abs(own[at] - times) <= (math.inf if k == fewest else 0.6 * usual_period_s(own))
@@ -281,7 +286,7 @@ def _of_scans(feeds: Sequence[Feed], tuning: Tuning) -> list[tuple[IntArray, flo
     out = []
     for t in range(0, len(times), step):
         rows = [scans[k][1][nearest[k][t]] if is_near[k][t] else np.empty(0, np.int64) for k in range(3)]
-        if 0 < math.prod(map(len, rows)) <= tuning.crossing_triples:
+        if 0 < math.prod(map(len, rows)) <= CROSSING_TRIPLES:
             out.append((np.stack(np.meshgrid(*rows, indexing="ij")).reshape(3, -1), weight, t))
     return out
 

@@ -16,7 +16,7 @@ from sameas.errors import InputError
 from sameas.registration.weights import weigh
 from sameas.tracks.alignment import States
 from sameas.tracks.bearing_readings import best_other_reading
-from sameas.tracks.bias_fit import BiasFit, fit_biases
+from sameas.tracks.bias_fit import DECISIVE, BiasFit, fit_biases
 from sameas.tracks.biases import BIASES, TIME
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.elsewhere import COUNTED_S, span_of
@@ -26,7 +26,6 @@ from sameas.tracks.plot_offsets import PlotFits
 from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_tracks
 from sameas.tracks.registration import observable, unbiased
 from sameas.tracks.snapshot import ComparedSource, bias_widths, common_scans
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.unit_guesses import (
     DELAYS,
     HOURS,
@@ -36,6 +35,13 @@ from sameas.tracks.unit_guesses import (
     range_guesses,
     unit_guesses,
 )
+
+DOUBT_INSTANTS, DOUBT_STEPS = 5, 8  # compared instants, and iterations of the number of common objects
+#: A source whose share of records with a partner is not above the first has nothing in common with another; a guess
+#: must reach the second.
+UNRELATED_SHARE, GUESS_SHARE = 0.1, 0.5
+GUESS_GAIN = 8.0  # minimum gain of the log likelihood per instant by a guess, among some thirty guesses
+TINY_RANGE = 0.002  # ranges of a radar's plots up to this part of its reach are hardly metres
 
 
 @dataclass(frozen=True)
@@ -63,9 +69,7 @@ class Doubt:
     misread: frozenset[str] = frozenset()
 
 
-def doubts(
-    feeds: Sequence[Feed], plane: LocalPlane | None, tuning: Tuning = DEFAULT_TUNING, fits: PlotFits | None = None
-) -> tuple[Doubt, ...]:
+def doubts(feeds: Sequence[Feed], plane: LocalPlane | None, fits: PlotFits | None = None) -> tuple[Doubt, ...]:
     """One doubt for each source that looks wrong as a whole; see :meth:`sameas.tracks.scene.Scene.doubts`.
 
     fits : of sources of plots, where already made.
@@ -76,10 +80,10 @@ def doubts(
     matched = {name for fit in by_plots if fit is not None and fit[0].established for name in fit[1]}
     tolerant = [_tolerant(feed) for feed in feeds]
     examined = [
-        _Examined.of(feed, own, tolerant, fit, feed.description.name in matched, plane, tuning)
+        _Examined.of(feed, own, tolerant, fit, feed.description.name in matched, plane)
         for feed, own, fit in zip(feeds, tolerant, by_plots, strict=True)
     ]
-    examined = [replace(one, guess=None) if _is_offset(one, feeds, tuning) else one for one in examined]
+    examined = [replace(one, guess=None) if _is_offset(one, feeds) else one for one in examined]
     sentences: dict[str, str] = {}
     for one in examined:
         # Of two that contradict each other one sentence is enough.
@@ -97,11 +101,11 @@ def doubts(
 
     # A source that is read wrongly explains why another matches nothing.
     for one in unexplained():
-        if sentence := _range_sentence(one, fits, plane, tuning) or _reading_sentence(one, tuning):
+        if sentence := _range_sentence(one, fits, plane) or _reading_sentence(one):
             sentences[one.name], misread[one.name] = sentence, frozenset({one.name})
     for one in unexplained():
-        if not one.has_common(tuning):
-            sentences[one.name] = one.unmatched(tuning)
+        if not one.has_common():
+            sentences[one.name] = one.unmatched()
     names = (one.name for one in examined if one.name in sentences)
     return tuple(Doubt(sentences[name], misread.get(name, frozenset())) for name in names)
 
@@ -131,32 +135,31 @@ class _Examined:
         by_plots: tuple[BiasFit, tuple[str, ...]] | None,
         is_matched: bool,
         plane: LocalPlane | None,
-        tuning: Tuning,
     ) -> _Examined:
         """own : the feed as of :func:`_tolerant`, one of ``tolerant``."""
         partners = _comparable(feed, [other for other in tolerant if other.description != feed.description])
-        in_common, guess = _best(own, partners, tuning), None
-        if partners and not is_matched and (in_common is None or in_common.share < tuning.guess_share):
-            guess = _best_guess(feed, partners, in_common, plane, tuning)
+        in_common, guess = _best(own, partners), None
+        if partners and not is_matched and (in_common is None or in_common.share < GUESS_SHARE):
+            guess = _best_guess(feed, partners, in_common, plane)
         return cls(feed, partners, in_common, by_plots, is_matched, guess)
 
     @property
     def name(self) -> str:
         return self.feed.description.name
 
-    def has_common(self, tuning: Tuning) -> bool:
+    def has_common(self) -> bool:
         """Whether it has more in common with another source than by chance."""
         best = self.in_common
-        return self.is_matched or (best is not None and best.share > tuning.unrelated_share and best.gain > 0.0)
+        return self.is_matched or (best is not None and best.share > UNRELATED_SHARE and best.gain > 0.0)
 
-    def unmatched(self, tuning: Tuning) -> str:
+    def unmatched(self) -> str:
         """The sentence on a source that has nothing in common with the others."""
-        if self.by_plots is not None and self.by_plots[0].log_evidence > -tuning.registration.decisive:
+        if self.by_plots is not None and self.by_plots[0].log_evidence > -DECISIVE:
             return _undecided(*self.by_plots)
         return _nothing_in_common(self.feed, self.partners, self.in_common)
 
 
-def _is_offset(one: _Examined, feeds: Sequence[Feed], tuning: Tuning) -> bool:
+def _is_offset(one: _Examined, feeds: Sequence[Feed]) -> bool:
     """Whether a source that looks late matches the other no worse as it is, with offsets of the sensors.
 
     A radar that is turned by some degrees shows ships where they were or will be within the minute.
@@ -167,7 +170,7 @@ def _is_offset(one: _Examined, feeds: Sequence[Feed], tuning: Tuning) -> bool:
     scans = common_scans(ComparedSource(other, 0), ComparedSource(one.feed, len(BIASES)))
     if not observable(scans):
         return False
-    fit = fit_biases(scans, tuning)
+    fit = fit_biases(scans)
     records = sum(scan.most_pairs for scan in scans)
     return fit.established and fit.pairs >= one.guess.delay_share * records
 
@@ -181,14 +184,14 @@ def _by_plots(feed: Feed, feeds: Sequence[Feed], fits: PlotFits) -> tuple[BiasFi
     return None if fit is None else (fit, tuple(one.description.name for one in (feed, *named)))
 
 
-def _reading_sentence(one: _Examined, tuning: Tuning) -> str:
+def _reading_sentence(one: _Examined) -> str:
     """The sentence on bearings that all reports show to be of another kind; "" if they do not."""
     named = [other for other in one.partners if shows_tracks(other)]
     if one.by_plots is not None:
         misread = one.by_plots[0].misread
-    elif named and has_bearings(one.feed) and not one.has_common(tuning):
+    elif named and has_bearings(one.feed) and not one.has_common():
         reading = best_other_reading(one.feed, named)
-        misread = reading if reading is not None and reading.is_decisive(tuning) else None
+        misread = reading if reading is not None and reading.is_decisive() else None
     else:
         return ""
     if misread is None:
@@ -200,19 +203,19 @@ def _reading_sentence(one: _Examined, tuning: Tuning) -> str:
     )
 
 
-def _range_sentence(one: _Examined, fits: PlotFits, plane: LocalPlane | None, tuning: Tuning) -> str:
+def _range_sentence(one: _Examined, fits: PlotFits, plane: LocalPlane | None) -> str:
     """The sentence on the unit of ranges of a radar's plots that all are a tiny part of its reach; "" for others."""
     reports, reach_m = one.feed.raw_reports, one.feed.description.coverage.range_m
     if reports is None or reports.range_m is None or reach_m is None or not shows_bare_plots(one.feed):
         return ""
     far = float(np.quantile(reports.range_m, 0.99))
-    if far > tuning.tiny_range * reach_m:
+    if far > TINY_RANGE * reach_m:
         return ""
     named = [other for other in one.partners if shows_tracks(other)]
     best: tuple[float, UnitGuess] | None = None
     for guess in range_guesses(at_least_m=1.0):
         source = guess.read(one.feed.description, reports)
-        fit = None if source is None or not named else fits(Feed.of(*source, plane, tuning=tuning), named)
+        fit = None if source is None or not named else fits(Feed.of(*source, plane), named)
         if fit is not None and fit.established and (best is None or fit.log_evidence > best[0]):
             best = fit.log_evidence, guess
     if best is None:
@@ -248,14 +251,14 @@ def _tolerant(feed: Feed) -> Feed:
     return unbiased(feed, np.zeros(len(widths)), np.diag(widths**2)) if widths.any() else feed
 
 
-def _best(feed: Feed, others: Sequence[Feed], tuning: Tuning) -> Shared | None:
+def _best(feed: Feed, others: Sequence[Feed]) -> Shared | None:
     """The match with the source that it matches best; None without common scans."""
-    candidates = [shared for other in others if (shared := _shared(feed, other, tuning)) is not None]
+    candidates = [shared for other in others if (shared := _shared(feed, other)) is not None]
     return max(candidates, key=lambda shared: shared.gain) if candidates else None
 
 
-def _shared(feed: Feed, other: Feed, tuning: Tuning) -> Shared | None:
-    scans = common_scans(ComparedSource(other, None), ComparedSource(feed, None), tuning.doubt_instants)
+def _shared(feed: Feed, other: Feed) -> Shared | None:
+    scans = common_scans(ComparedSource(other, None), ComparedSource(feed, None), DOUBT_INSTANTS)
     if not scans:
         return None
     pairs = records = gain = 0.0
@@ -263,7 +266,7 @@ def _shared(feed: Feed, other: Feed, tuning: Tuning) -> Shared | None:
         weighing = scan.weighing
         none = np.zeros((1, len(scan.biases)))
         common = np.array([0.5 * scan.most_pairs])
-        for _ in range(tuning.doubt_steps):
+        for _ in range(DOUBT_STEPS):
             weights = weigh(weighing, none, common, 1.0)
             common = weights.common
         pairs, gain = pairs + float(common[0]), gain + float(weights.gain[0])
@@ -287,17 +290,15 @@ class BestGuess:
     delay_share: float = 0.0
 
 
-def _best_guess(
-    feed: Feed, others: Sequence[Feed], as_is: Shared | None, plane: LocalPlane | None, tuning: Tuning
-) -> BestGuess | None:
+def _best_guess(feed: Feed, others: Sequence[Feed], as_is: Shared | None, plane: LocalPlane | None) -> BestGuess | None:
     """The guess by which the source matches best; None if none matches well."""
     unchanged = as_is or Shared("", 0.0, 0.0, 0.0)
     best: BestGuess | None = None
     for suspicion, changed, remedy, is_delay, guessed in _guessed_feeds(feed, plane):
-        shared = _best(guessed, others, tuning)
-        if shared is None or shared.share < max(tuning.guess_share, 2.0 * unchanged.share):
+        shared = _best(guessed, others)
+        if shared is None or shared.share < max(GUESS_SHARE, 2.0 * unchanged.share):
             continue
-        if shared.gain > (max(unchanged.gain, 0.0) + tuning.guess_gain if best is None else best.gain):
+        if shared.gain > (max(unchanged.gain, 0.0) + GUESS_GAIN if best is None else best.gain):
             name, is_mutual = feed.description.name, len(others) == 1
             either = f", unless it is {shared.other} that is wrong" if is_mutual else ""
             sentence = (
@@ -323,7 +324,7 @@ def _guessed_feeds(feed: Feed, plane: LocalPlane | None) -> Iterator[tuple[str, 
             if source is None:
                 continue
             try:
-                changed = Feed.of(*source, plane, tuning=feed.tuning)
+                changed = Feed.of(*source, plane)
             except InputError:
                 continue
             yield guess.suspicion, guess.changed, guess.remedy, is_delay, _tolerant(changed)

@@ -16,11 +16,20 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.representation import counted
 from sameas.tracks.alignment import States
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
+
+#: Maximum speed, in units of the typical speed of the source's objects (1σ per axis). An object that states a speed may
+#: move at STATED_SPEEDS times it, whatever the maximum speed is.
+MAX_SPEED_SIGMAS, STATED_SPEEDS = 5.0, 1.5
+#: An id belongs to two objects if its reports change between their places at least this often; a single change is a
+#: repeated position or a reused id.
+ALTERNATIONS = 4
+SUPPORT_INTERVALS = 10.0  # a report supports another one of a second object of its id within so many usual intervals
+POSITION_SIGMAS = 6.0  # tolerance of positions
+WAY_M_PER_S = 1.0  # speed above which a hull lies along the course
 
 
 def split_duplicate_ids(
-    reports: States, speed_m_per_s: float, tuning: Tuning = DEFAULT_TUNING, *, doubtful_s: float = 0.0
+    reports: States, speed_m_per_s: float, *, doubtful_s: float = 0.0
 ) -> tuple[States, tuple[str, ...]]:
     """The reports with one track per object of a duplicate id, and printable notes.
 
@@ -30,23 +39,23 @@ def split_duplicate_ids(
     """
     if reports.track is None or not len(reports):
         return reports, ()
-    limit = tuning.max_speed_sigmas * speed_m_per_s
+    limit = MAX_SPEED_SIGMAS * speed_m_per_s
     usable = np.flatnonzero(reports.usable)
     names, number = np.unique(reports.track[usable].astype(str), return_inverse=True)
     order = np.lexsort([reports.time_s[usable], number])
     rows, owner = usable[order], number[order]
     radius = (
-        tuning.position_sigmas * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
+        POSITION_SIGMAS * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
         + 0.5 * doubtful_s * limit
     )
-    jumps = _too_far(reports, rows[:-1], rows[1:], radius[:-1] + radius[1:], limit, tuning) & (owner[1:] == owner[:-1])
+    jumps = _too_far(reports, rows[:-1], rows[1:], radius[:-1] + radius[1:], limit) & (owner[1:] == owner[:-1])
     track, state, notes = reports.track.astype(object), reports.state.copy(), []
     for k in np.unique(owner[1:][jumps]):
         own = np.flatnonzero(owner == k)
-        branch = _branches(reports, rows[own], radius[own], limit, tuning)
-        is_outlier = ~_supported(reports, rows[own], radius[own], branch, limit, tuning)
+        branch = _branches(reports, rows[own], radius[own], limit)
+        is_outlier = ~_supported(reports, rows[own], radius[own], branch, limit)
         objects = np.flatnonzero(np.bincount(branch, ~is_outlier))
-        if np.count_nonzero(np.diff(branch[~is_outlier])) < tuning.alternations:
+        if np.count_nonzero(np.diff(branch[~is_outlier])) < ALTERNATIONS:
             objects = objects[:1]
         for nth, of_object in enumerate(objects[1:], start=2):
             track[rows[own[branch == of_object]]] = f"{names[k]} ({nth})"
@@ -56,25 +65,23 @@ def split_duplicate_ids(
     return States(reports.time_s, state, reports.covariance, track, reports.rows), tuple(notes)
 
 
-def fastest(limit: float, first: FloatArray, second: FloatArray, tuning: Tuning) -> FloatArray:
+def fastest(limit: float, first: FloatArray, second: FloatArray) -> FloatArray:
     """(k,) greatest speed, m/s, between two states (k, 4): the limit, or what the speeds that they state allow.
 
     A rescue helicopter among ships states her speed by AIS. limit : of the objects that state none.
     """
     stated = np.maximum(np.hypot(first[:, 2], first[:, 3]), np.hypot(second[:, 2], second[:, 3]))
-    return np.fmax(limit, tuning.stated_speeds * stated)
+    return np.fmax(limit, STATED_SPEEDS * stated)
 
 
-def _too_far(
-    reports: States, first: IntArray, second: IntArray, radius: FloatArray, limit: float, tuning: Tuning
-) -> BoolArray:
+def _too_far(reports: States, first: IntArray, second: IntArray, radius: FloatArray, limit: float) -> BoolArray:
     """(k,) whether the second report of each pair is out of reach of the first."""
     a, b = reports.state[first], reports.state[second]
-    reach = radius + fastest(limit, a, b, tuning) * np.abs(reports.time_s[second] - reports.time_s[first])
+    reach = radius + fastest(limit, a, b) * np.abs(reports.time_s[second] - reports.time_s[first])
     return np.asarray(np.linalg.norm(b[:, :2] - a[:, :2], axis=1) > reach)
 
 
-def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float, tuning: Tuning) -> IntArray:
+def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float) -> IntArray:
     """(k,) number of the object of each report of one id: the nearest one that can have moved there."""
     ends: list[int] = []
     branch = np.zeros(len(rows), np.int64)
@@ -83,7 +90,7 @@ def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float,
         distance = np.full(len(last_rows), math.inf)
         if len(last_rows):
             before = rows[last_rows]
-            far = _too_far(reports, before, np.full(len(last_rows), row), radius[last_rows] + radius[at], limit, tuning)
+            far = _too_far(reports, before, np.full(len(last_rows), row), radius[last_rows] + radius[at], limit)
             predicted = reports.state[before, :2] + reports.state[before, 2:] * (
                 reports.time_s[row] - reports.time_s[before, None]
             )
@@ -97,9 +104,7 @@ def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float,
     return branch
 
 
-def _supported(
-    reports: States, rows: IntArray, radius: FloatArray, branch: IntArray, limit: float, tuning: Tuning
-) -> BoolArray:
+def _supported(reports: States, rows: IntArray, radius: FloatArray, branch: IntArray, limit: float) -> BoolArray:
     """(k,) whether another report of its object supports each report of one id.
 
     Wrong positions are not where one another's speeds lead, and come rarely. So a report of another object than the
@@ -117,9 +122,9 @@ def _supported(
         a, b = reports.state[rows[first]], reports.state[rows[second]]
         dt = reports.time_s[rows[second]] - reports.time_s[rows[first]]
         stated = np.maximum(np.hypot(*a[:, 2:].T), np.hypot(*b[:, 2:].T))
-        speed = np.where(stated > tuning.way_m_per_s, tuning.stated_speeds * stated, limit)
+        speed = np.where(stated > WAY_M_PER_S, STATED_SPEEDS * stated, limit)
         near = np.hypot(*(b - a)[:, :2].T) <= radius[first] + radius[second] + speed * dt
-        near &= dt <= tuning.support_intervals * usual_s
+        near &= dt <= SUPPORT_INTERVALS * usual_s
         out[first[near]] = out[second[near]] = True
     return np.asarray(out)
 
@@ -155,11 +160,9 @@ class Branches:
         """One object, with its last report."""
         return cls([(time_s, state, radius)], [2])
 
-    def add(
-        self, time_s: float, state: FloatArray, radius: float, limit: float, tuning: Tuning = DEFAULT_TUNING
-    ) -> int | None:
+    def add(self, time_s: float, state: FloatArray, radius: float, limit: float) -> int | None:
         """The object of a report: 0 for the first one, or while the id may just have moved; None if excluded."""
-        distance = [self._distance_m(end, time_s, state, radius, limit, tuning) for end in self.ends]
+        distance = [self._distance_m(end, time_s, state, radius, limit) for end in self.ends]
         nearest = int(np.argmin(distance))
         if math.isinf(distance[nearest]):
             self.ends.append((time_s, state, radius))
@@ -170,7 +173,7 @@ class Branches:
             self.ends[nearest] = (time_s, state, radius)
         self.changes += nearest != self.last
         self.last = nearest
-        if self.changes < tuning.alternations:
+        if self.changes < ALTERNATIONS:
             return 0
         return int(np.count_nonzero(np.array(self.counts[:nearest]) > 1))
 
@@ -187,16 +190,11 @@ class Branches:
 
     @staticmethod
     def _distance_m(
-        end: tuple[float, FloatArray, float],
-        time_s: float,
-        state: FloatArray,
-        radius: float,
-        limit: float,
-        tuning: Tuning,
+        end: tuple[float, FloatArray, float], time_s: float, state: FloatArray, radius: float, limit: float
     ) -> float:
         """The distance from the predicted place of an object; infinite if out of its reach."""
         last_s, last, last_radius = end
-        dt, limit = time_s - last_s, float(fastest(limit, last[None], state[None], tuning)[0])
+        dt, limit = time_s - last_s, float(fastest(limit, last[None], state[None])[0])
         if float(np.hypot(*(state[:2] - last[:2]))) > last_radius + radius + limit * abs(dt):
             return math.inf
         return float(np.hypot(*(last[:2] + last[2:] * dt - state[:2])))

@@ -12,14 +12,17 @@ from sameas.arrays import FloatArray
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description
-from sameas.tracks.tuning import Tuning
 from sameas.tracks.unit_guesses import Source, place_guesses
 
 #: Seconds of a day; below it, seconds count from an arbitrary start.
 DAY_S, COUNTED_S = 86400.0, 1e8
 
+APART_M = 900e3  # sources farther apart than this, and than either is wide, are not of one area
+#: A guess of positions must bring a source to within this many extents of another, or metres.
+NEAR_EXTENTS, NEAR_M = 3.0, 50e3
 
-def too_far_apart(sources: Sequence[Source], tuning: Tuning) -> dict[str, str]:
+
+def too_far_apart(sources: Sequence[Source]) -> dict[str, str]:
     """By name, sentences on sources too far for one plane from that which is near most others.
 
     Sources of a continent are as far apart as they are wide. Of several that are near most others, that with the most
@@ -32,13 +35,13 @@ def too_far_apart(sources: Sequence[Source], tuning: Tuning) -> dict[str, str]:
     middle = {k: LocalPlane.about(*position) for k, position in known.items()}
     extent_m = {k: float(np.quantile(middle[k].great_circle_m(*position), 0.9)) for k, position in known.items()}
     far = {
-        k: [n for n, m in middle.items() if _apart_m(middle[k], m) > max(tuning.apart_m, extent_m[k], extent_m[n])]
+        k: [n for n, m in middle.items() if _apart_m(middle[k], m) > max(APART_M, extent_m[k], extent_m[n])]
         for k in known
     }
     home = min(known, key=lambda k: (len(far[k]), -len(known[k][0]), k))
     if not far[home]:
         return {}
-    reach = max(tuning.near_extents * extent_m[home], tuning.near_m)
+    reach = max(NEAR_EXTENTS * extent_m[home], NEAR_M)
     return {sources[k][0].name: _far_sentence(sources[k], sources[home], reach) for k in far[home]}
 
 

@@ -39,7 +39,21 @@ from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.plot_differences import MatchedScans, PlotDifferences, matched_scans, plot_differences
 from sameas.tracks.source import CLUTTER, MISSES, Description, MissRate
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
+
+FIT_PAIRS = 5.0  # minimum number of independent pairs for which errors are estimated
+#: Prior 1σ of the logarithms of the assumed errors: of ranges, of bearings, of the echo's place on the hull.
+FIT_SIGMAS = (0.7, 0.35, 0.7)
+#: Median of the latter, that of a hull of 20 m in any direction, and minimum of any median.
+HULL_SIGMA_M, FIT_MIN_M = 4.0, 1e-3
+SHARED_HULL = 0.5  # share of the variance of the echo's place that is common to all sources at one place
+FIT_LATENCIES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)  # trial latencies, in 1σ of their prior
+#: Initial share of real pairs, and starting points of EM, in 1σ of the prior from its medians.
+FIT_REAL, FIT_STARTS = 0.3, (0.0, -2.0)
+#: Maximum number of EM iterations, and the change of a logarithm at which they end.
+FIT_STEPS, FIT_TOLERANCE = 200, 1e-3
+#: For miss rates by range: least weight of a bin, in independent scans, most bins, and the weight of the described rate
+#: in each, in scans.
+FIT_BIN_SCANS, FIT_BINS, FIT_PRIOR_SCANS = 3.0, 5, 2.0
 
 
 @dataclass(frozen=True)
@@ -106,9 +120,7 @@ class _Model:
         return np.asarray(np.log(real) - np.log1p(-real) + np.where(pairs.placed, log_ratio[0], 0.0) + log_ratio[1])
 
 
-def fit_errors(
-    feeds: Sequence[Feed], plane: LocalPlane | None = None, tuning: Tuning = DEFAULT_TUNING
-) -> TrackErrorFit:
+def fit_errors(feeds: Sequence[Feed], plane: LocalPlane | None = None) -> TrackErrorFit:
     """The errors of sources of plots without ids, from the differences between sources.
 
     Estimates what the descriptions do not give: errors of ranges and bearings, wander over a hull, clutter, and the
@@ -119,38 +131,38 @@ def fit_errors(
     fittable = [feeds[k] for k in at]
     if len(fittable) < 2 or all(isinstance(feed.reports, Directions) for feed in fittable):
         return TrackErrorFit(tuple(feeds))
-    prior = _Prior.of([feed.description for feed in fittable], tuning)
-    fits = _fits(fittable, prior, tuning)
+    prior = _Prior.of([feed.description for feed in fittable])
+    fits = _fits(fittable, prior)
     for k, feed in enumerate(fittable):
         late = feed.description.bias.time_s or 0.0
         if not late or not feed.description.is_assumed("timing.latency_s"):
             continue
         best = _best(fits).feeds
-        for share in tuning.fit_latencies:
+        for share in FIT_LATENCIES:
             timing = replace(feed.description.timing, latency_s=share * late)
             trial = [*best[:k], _rebuilt(feed, replace(feed.description, timing=timing), plane), *best[k + 1 :]]
-            fits += _fits(trial, prior, tuning, -0.5 * share**2)
+            fits += _fits(trial, prior, -0.5 * share**2)
     mean, latency_s = _averaged(fits)
     p_pair = expit(mean.model.log_odds(mean.pairs))
-    if float(p_pair @ mean.pairs.weight) < tuning.fit_pairs:
+    if float(p_pair @ mean.pairs.weight) < FIT_PAIRS:
         return TrackErrorFit(tuple(feeds))
-    matches, partner = list(matched_scans(mean.feeds, tuning)), _p_partner(mean.feeds, mean.pairs, p_pair)
-    out, misses = list(feeds), _misses(mean.feeds, matches, partner, tuning)
+    matches, partner = list(matched_scans(mean.feeds)), _p_partner(mean.feeds, mean.pairs, p_pair)
+    out, misses = list(feeds), _misses(mean.feeds, matches, partner)
     first = _p_first(mean.feeds, mean.pairs, p_pair)
     densities = _clutter(mean.feeds, misses, matches, partner, first)
     for k, feed, description in zip(at, mean.feeds, _described(mean, latency_s, misses, densities), strict=True):
         out[k] = _rebuilt(feed, description, plane)
-    shared = common_error_m(np.exp(mean.model.logs[2]), tuning)
+    shared = common_error_m(np.exp(mean.model.logs[2]))
     return TrackErrorFit(tuple(out), tuple(feed.description.name for feed in fittable), shared)
 
 
-def common_error_m(extent_m: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> float:
+def common_error_m(extent_m: FloatArray) -> float:
     """1σ per axis of the error that sources at one place have in common, from their scatter e over hulls (S,).
 
     >>> round(common_error_m(np.array([3.0, 1.0])), 2), round(common_error_m(np.array([3.0, 0.1])), 2)
     (1.58, 1.5)
     """
-    return math.sqrt(tuning.shared_hull * float(np.mean(np.square(extent_m))))
+    return math.sqrt(SHARED_HULL * float(np.mean(np.square(extent_m))))
 
 
 def _is_fittable(feed: Feed) -> bool:
@@ -170,7 +182,7 @@ class _Prior:
     sigma: FloatArray
 
     @classmethod
-    def of(cls, descriptions: Sequence[Description], tuning: Tuning) -> _Prior:
+    def of(cls, descriptions: Sequence[Description]) -> _Prior:
         names = ("range_m", "bearing_deg", "extent_m")
         values = [[getattr(d.errors, name) for d in descriptions] for name in names]
         given = [
@@ -180,11 +192,11 @@ class _Prior:
             ]
             for name, row in zip(names, values, strict=True)
         ]
-        least = tuning.fit_min_m
+        least = FIT_MIN_M
         median = np.array([[max(value or 0.0, least) for value in row] for row in values])
         median[1] = np.radians([[max(value or 0.0, 1e-3) for value in values[1]]])
-        median[2] = np.where(given[2], median[2], tuning.hull_sigma_m)
-        return cls(np.log(median), np.where(given, 1e-3, np.array(tuning.fit_sigmas)[:, None]))
+        median[2] = np.where(given[2], median[2], HULL_SIGMA_M)
+        return cls(np.log(median), np.where(given, 1e-3, np.array(FIT_SIGMAS)[:, None]))
 
     def log_density(self, logs: FloatArray) -> float:
         return -0.5 * float(np.sum(((logs - self.median) / self.sigma) ** 2))
@@ -198,12 +210,12 @@ class _Fit:
     log_posterior: float
 
 
-def _fits(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning, log_prior: float = 0.0) -> list[_Fit]:
+def _fits(feeds: Sequence[Feed], prior: _Prior, log_prior: float = 0.0) -> list[_Fit]:
     """The fits of feeds with the latencies that they have, one from each starting point."""
-    pairs, out = plot_differences(feeds, prior.median, tuning), []
-    for shift in tuning.fit_starts:
-        start = _Model(prior.median + shift * prior.sigma, np.full((len(feeds), len(feeds)), tuning.fit_real))
-        model = _converged(pairs, start, prior, tuning)
+    pairs, out = plot_differences(feeds, prior.median), []
+    for shift in FIT_STARTS:
+        start = _Model(prior.median + shift * prior.sigma, np.full((len(feeds), len(feeds)), FIT_REAL))
+        model = _converged(pairs, start, prior)
         log_posterior = _log_likelihood(pairs, model) + prior.log_density(model.logs) + log_prior
         out.append(_Fit(tuple(feeds), pairs, model, log_posterior))
     return out
@@ -223,14 +235,14 @@ def _averaged(fits: Sequence[_Fit]) -> tuple[_Fit, FloatArray]:
     return replace(best, model=replace(best.model, logs=logs)), latency_s
 
 
-def _converged(pairs: PlotDifferences, model: _Model, prior: _Prior, tuning: Tuning) -> _Model:
+def _converged(pairs: PlotDifferences, model: _Model, prior: _Prior) -> _Model:
     """The model after EM iterations until convergence, at most ``fit_steps``."""
-    for _ in range(tuning.fit_steps if len(pairs) else 0):
+    for _ in range(FIT_STEPS if len(pairs) else 0):
         p = expit(model.log_odds(pairs))
         after = _Model(_updated_logs(pairs, p, model.logs, prior), _pair_shares(pairs, p, model.logs.shape[1]))
         change = float(np.abs(after.logs - model.logs).max())
         model = after
-        if change < tuning.fit_tolerance:
+        if change < FIT_TOLERANCE:
             break
     return model
 
@@ -311,7 +323,6 @@ def _described(
 
 def _misses(
     feeds: Sequence[Feed], matches: Sequence[MatchedScans], partner: Mapping[tuple[int, int], FloatArray],
-    tuning: Tuning,
 ) -> list[MissRate]:  # fmt: skip
     """The miss rates of the sources, by range where enough scans tell; those described where too few do, or where the
     user gave them. partner : of :func:`_p_partner`."""
@@ -330,7 +341,7 @@ def _misses(
             weight = weight * p_real * feeds[source].description.coverage.covers(range_m, bearing)
             parts[source].append([range_m, weight, partner[reference, source][rows]])
     return [
-        estimated_miss_rate(feed.description, own, tuning) if own and feed.description.is_assumed(MISSES)
+        estimated_miss_rate(feed.description, own) if own and feed.description.is_assumed(MISSES)
         else feed.description.misses
         for feed, own in zip(feeds, parts, strict=True)
     ]  # fmt: skip
@@ -363,7 +374,7 @@ def _p_first(feeds: Sequence[Feed], pairs: PlotDifferences, p_pair: FloatArray) 
     ]
 
 
-def estimated_miss_rate(described: Description, parts: Sequence[Sequence[FloatArray]], tuning: Tuning) -> MissRate:
+def estimated_miss_rate(described: Description, parts: Sequence[Sequence[FloatArray]]) -> MissRate:
     """The miss rate of a source: in each bin of range the mean of the described one, weighted as ``fit_prior_scans``
     scans, and of the shares that the bin's plots show.
 
@@ -371,7 +382,7 @@ def estimated_miss_rate(described: Description, parts: Sequence[Sequence[FloatAr
     """
     range_m, weight, p_shown = (np.concatenate(column) for column in zip(*parts, strict=True))
     total = float(weight.sum())
-    bins = min(int(total / tuning.fit_bin_scans), tuning.fit_bins)
+    bins = min(int(total / FIT_BIN_SCANS), FIT_BINS)
     if not bins:
         return described.misses
     order = np.argsort(range_m, kind="stable")
@@ -385,7 +396,7 @@ def estimated_miss_rate(described: Description, parts: Sequence[Sequence[FloatAr
         np.bincount(number, weight * x, bins) for x in (np.ones_like(weight), 1.0 - p_shown, range_m)
     )
     middle_m = np.asarray(total_m / scans)
-    q = (tuning.fit_prior_scans * described.misses.at(middle_m) + missed) / (tuning.fit_prior_scans + scans)
+    q = (FIT_PRIOR_SCANS * described.misses.at(middle_m) + missed) / (FIT_PRIOR_SCANS + scans)
     return MissRate(float(q[0])) if bins == 1 else MissRate(tuple(q.tolist()), tuple(middle_m.tolist()))
 
 
@@ -435,4 +446,4 @@ def _rebuilt(feed: Feed, description: Description, plane: LocalPlane | None) -> 
     shift_s = (feed.description.timing.latency_s or 0.0) - (description.timing.latency_s or 0.0)
     empty = np.setdiff1d(feed.scan_times_s, feed.scan_s)
     times = feed.scan_times_s + shift_s if len(empty) else None
-    return Feed.of_placed(PlacedReports(description, feed.raw_reports, plane, feed.tuning), scan_times_s=times)
+    return Feed.of_placed(PlacedReports(description, feed.raw_reports, plane), scan_times_s=times)

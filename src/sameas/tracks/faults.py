@@ -17,9 +17,18 @@ from scipy.special import expit
 
 from sameas.arrays import FloatArray
 from sameas.tracks.alignment import States, follow, followed_back, track_numbers
-from sameas.tracks.clocks import Steps, jump_of
+from sameas.tracks.clocks import CLOCK_SEARCH_S, FAULT_PRIOR, SURE_FAULT, Steps, jump_of
 from sameas.tracks.feed import CORRELATED_KINDS, Feed, walk_of
 from sameas.tracks.reports import Reports
+
+FAULT_REPORTS = 20  # minimum number of reports of a tested source
+CLOCK_JUMPS = 3  # maximum number of jumps of a clock
+ENDED_S, ENDED_SHARE = 60.0, 0.1  # a source has ended if it is silent for this time and this share of the whole time
+#: Minimum number of repeated positions of a frozen track, probability that a moving track repeats a position, and
+#: maximum evidence of one track.
+FROZEN_REPORTS, P_REPEATED, TRACK_VOTE = 3, 0.02, 8.0
+#: Width of the intervals in which reports are counted, a flood's minimum ratio to, and excess over, the usual count.
+FLOOD_S, FLOOD_FACTOR, FLOOD_MIN = 10.0, 5.0, 50.0
 
 
 @dataclass(frozen=True)
@@ -51,12 +60,12 @@ class Fault:
 
 def source_faults(feeds: Sequence[Feed]) -> tuple[Fault, ...]:
     """The faults of the sources of a scene with a probability above ``sure_fault``, in order of time."""
-    faults = [fault for feed in feeds for fault in _faults(feed, feeds) if fault.probability > feed.tuning.sure_fault]
+    faults = [fault for feed in feeds for fault in _faults(feed, feeds) if fault.probability > SURE_FAULT]
     return tuple(sorted(faults, key=lambda fault: fault.first_s))
 
 
 def _faults(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:
-    if feed.raw_reports is None or len(feed.raw_reports) < feed.tuning.fault_reports:
+    if feed.raw_reports is None or len(feed.raw_reports) < FAULT_REPORTS:
         return
     name = feed.description.name
     for leap in feed.leaps:
@@ -72,19 +81,19 @@ def clock_jumps(feed: Feed) -> list[Fault]:
 
     A manoeuvre or an outlier affects one track only, so the evidence of each track is bounded.
     """
-    reports, tuning = feed.reports, feed.tuning
+    reports = feed.reports
     if not isinstance(reports, States) or reports.track is None or not feed.has_velocities:
         return []
     before, after = reports, None
     if feed.measured is not None and feed.description.kind not in CORRELATED_KINDS:
         before, after = _filtered_both_ways(feed.measured, feed)
-    steps = Steps.of(before, feed.walk_m2_per_s3, tuning, after)
+    steps = Steps.of(before, feed.walk_m2_per_s3, after)
     jumps: list[Fault] = []
-    ahead = np.arange(*tuning.clock_search_s)
+    ahead = np.arange(*CLOCK_SEARCH_S)
     seconds = np.concatenate([-ahead[::-1], ahead])
     at = np.asarray(reports.rows)
-    for _ in range(tuning.clock_jumps):
-        jump = jump_of(steps, at, seconds, tuning.fault_prior, tuning)
+    for _ in range(CLOCK_JUMPS):
+        jump = jump_of(steps, at, seconds, FAULT_PRIOR)
         if jump is None or jump[0] <= 0.0:
             break
         log_odds, row, jump_s, votes = jump
@@ -104,7 +113,7 @@ def _filtered_both_ways(measured: States, feed: Feed) -> tuple[States, States]:
     """Measured positions filtered to tracks forwards and backwards; where the stamps of the file go back, anew."""
     at = np.argsort(measured.rows, kind="stable")
     part = np.empty(len(measured), np.int64)
-    part[at] = np.cumsum(np.diff(measured.time_s[at], prepend=-np.inf) < -feed.tuning.clock_search_s[0])
+    part[at] = np.cumsum(np.diff(measured.time_s[at], prepend=-np.inf) < -CLOCK_SEARCH_S[0])
     assert measured.track is not None
     number = track_numbers(measured.track)
     speed = feed.description.motion.speed_m_per_s or 0.0
@@ -116,8 +125,8 @@ def _filtered_both_ways(measured: States, feed: Feed) -> tuple[States, States]:
         speed_m_per_s=speed,
     )
     walk = walk_of(feed.description)
-    forwards = follow(given, acceleration_m2_per_s3=walk, tuning=feed.tuning).states
-    back = followed_back(given, acceleration_m2_per_s3=walk, speed_m_per_s=speed, tuning=feed.tuning)
+    forwards = follow(given, acceleration_m2_per_s3=walk).states
+    back = followed_back(given, acceleration_m2_per_s3=walk, speed_m_per_s=speed)
     track, rows = measured.track, measured.rows
     return replace(forwards, track=track, rows=rows), replace(back, track=track, rows=rows)
 
@@ -126,14 +135,14 @@ def _ended(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:
     """A source whose reports end while those of others continue, compared with its longest previous pause."""
     others = [other.reports.time_s for other in feeds if other is not feed and len(other.reports)]
     times = np.unique(feed.reports.time_s)
-    if not others or len(times) < feed.tuning.fault_reports:
+    if not others or len(times) < FAULT_REPORTS:
         return
     end, begin = max(float(t.max()) for t in others), min(float(t.min()) for t in others)
     silent_s, pauses = end - float(times[-1]), np.diff(times)
     longest = max(float(pauses.max()), feed.description.timing.period_s or 0.0)
-    if silent_s < max(feed.tuning.ended_s, feed.tuning.ended_share * (end - begin)):
+    if silent_s < max(ENDED_S, ENDED_SHARE * (end - begin)):
         return
-    log_odds = log_odds_of_silence(silent_s, longest, len(pauses), feed.tuning.fault_prior)
+    log_odds = log_odds_of_silence(silent_s, longest, len(pauses), FAULT_PRIOR)
     name = feed.description.name
     words = (
         f"{name}: ends {silent_s:.0f} s before the others, its longest pause before was {longest:.3g} s; what it "
@@ -162,7 +171,7 @@ def _places(reports: Reports) -> FloatArray | None:
 
 def _frozen(feed: Feed) -> Iterator[Fault]:
     """A source whose moving tracks repeat their last positions exactly until it ends."""
-    raw, reports, tuning = feed.raw_reports, feed.reports, feed.tuning
+    raw, reports = feed.raw_reports, feed.reports
     position = None if raw is None else _places(raw)
     if raw is None or position is None or not isinstance(reports, States) or raw.object_ids is None:
         return
@@ -179,7 +188,7 @@ def _frozen(feed: Feed) -> Iterator[Fault]:
     n_moving = 0
     for rows in np.split(np.arange(len(order)), np.flatnonzero(np.diff(number)) + 1):
         changed = np.flatnonzero((position[rows[1:]] != position[rows[:-1]]).any(axis=1))
-        if len(changed) < tuning.frozen_reports or end - time_s[rows[-1]] > 0.25 * (end - float(raw.time_s.min())):
+        if len(changed) < FROZEN_REPORTS or end - time_s[rows[-1]] > 0.25 * (end - float(raw.time_s.min())):
             continue
         last = int(changed[-1]) + 1
         update_s = np.diff(time_s[rows[np.append(0, changed + 1)]])
@@ -189,11 +198,11 @@ def _frozen(feed: Feed) -> Iterator[Fault]:
         n_moving += 1
         n_repeats = len(rows) - 1 - last
         frozen_s = time_s[rows[-1]] - time_s[rows[last]]
-        if n_repeats >= tuning.frozen_reports and frozen_s > 5.0 * float(np.median(update_s)):
+        if n_repeats >= FROZEN_REPORTS and frozen_s > 5.0 * float(np.median(update_s)):
             n_frozen += 1
             begins.append(float(time_s[rows[last]]))
-            votes += min(n_repeats * math.log(1.0 / tuning.p_repeated), tuning.track_vote)
-    log_odds = votes + (n_moving - n_frozen) * math.log(tuning.p_repeated) + math.log(tuning.fault_prior)
+            votes += min(n_repeats * math.log(1.0 / P_REPEATED), TRACK_VOTE)
+    log_odds = votes + (n_moving - n_frozen) * math.log(P_REPEATED) + math.log(FAULT_PRIOR)
     if n_frozen:
         name = feed.description.name
         words = (
@@ -205,8 +214,8 @@ def _frozen(feed: Feed) -> Iterator[Fault]:
 
 def _floods(feed: Feed) -> Iterator[Fault]:
     """Intervals in which a source gives many times its usual number of reports."""
-    tuning, time_s = feed.tuning, feed.reports.time_s
-    width = max(tuning.flood_s, 5.0 * (feed.description.timing.period_s or 0.0))
+    time_s = feed.reports.time_s
+    width = max(FLOOD_S, 5.0 * (feed.description.timing.period_s or 0.0))
     bins = ((time_s - time_s.min()) // width).astype(np.int64)
     if not 5 <= bins.max(initial=0) < 10**6:
         return
@@ -214,12 +223,12 @@ def _floods(feed: Feed) -> Iterator[Fault]:
     typical = max(float(np.median(count)), 1.0)
     normal = count[count <= np.quantile(count, 0.9)]
     dispersion = max(float(np.var(normal)) / max(float(normal.mean()), 1.0), 1.0)
-    flooded = (count > tuning.flood_factor * typical) & (count > typical + tuning.flood_min)
+    flooded = (count > FLOOD_FACTOR * typical) & (count > typical + FLOOD_MIN)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flooded.astype(np.int64), [0]])))
     for low, high in zip(edges[::2], edges[1::2], strict=True):
         reports, expected = float(count[low:high].sum()), typical * (high - low)
         log_odds = (reports * math.log(reports / expected) - reports + expected) / dispersion
-        log_odds += math.log(tuning.fault_prior / len(count))
+        log_odds += math.log(FAULT_PRIOR / len(count))
         name, begin = feed.description.name, float(time_s.min()) + float(low) * width
         words = (
             f"{name}: flood of reports: {reports:.0f} reports in {width * (high - low):.0f} s, {expected:.0f} are "

@@ -18,18 +18,26 @@ from sameas.evidence.identity import FREQUENCY, MODELS
 from sameas.gate import ChiSquare
 from sameas.gaussian import mahalanobis_sq
 from sameas.representation import counted, in_short
-from sameas.tracks.alignment import States, Succession, are_unfiltered, follow, track_numbers
+from sameas.tracks.alignment import MANOEUVRE_NOISE, States, Succession, are_unfiltered, follow, track_numbers
 from sameas.tracks.biases import corrected
 from sameas.tracks.clocks import Leap, leaps_of, with_minutes, without_leaps
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.duplicate_ids import split_duplicate_ids
+from sameas.tracks.duplicate_ids import MAX_SPEED_SIGMAS, split_duplicate_ids
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import AntennaRotation, scans_of, seen_from, usual_period_s
 from sameas.tracks.source import Description
-from sameas.tracks.stationary import ADRIFT, MODES, RESTS, mode_shares, slow_objects
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
+from sameas.tracks.stationary import (
+    ADRIFT,
+    DRIFT_WALK_M2_PER_S3,
+    MODES,
+    REST_S,
+    RESTS,
+    is_known_velocity,
+    mode_shares,
+    slow_objects,
+)
 
 #: Smallest probability of a mode of motion.
 MIN_P = 1e-12
@@ -38,8 +46,24 @@ MIN_RANGE_M = 1.0
 #: Objects that many standard deviations farther apart than a resolution cell are resolved (a probability of 1e-18).
 RESOLVED_SIGMAS = 9.0
 
+#: The track timeout is this quantile of the gaps within tracks, with a tolerance for the rounding of stamps (ASTERIX:
+#: 1/128 s).
+TIMEOUT_QUANTILE, STAMP_STEP_S = 0.999, 0.01
+#: Minimum track timeout of a probably stationary object: two of the intervals at which vessels at anchor report (3 min:
+#: ITU-R M.1371-5, table 1).
+STATIONARY_TIMEOUT_S = 360.0
+#: An object moves if the χ² of its velocity against 0 exceeds this quantile for objects at rest.
+AT_REST = 1.0 - 1e-6
+#: An object has left a repeated position if it moved farther than this many σ of that position since: below, the
+#: position is as good as others; rounding to a step of √12 σ cannot be seen either.
+REPEAT_SIGMAS = 2.0
+#: Tracks of another system are of aircraft if at least this share of its reports are.
+AIRCRAFT_SHARE = 0.5
+#: The speed above which an object is an aircraft.
+FASTEST_VESSEL_M_PER_S = MAX_SPEED_SIGMAS * float(KINDS["ais"].defaults["motion.speed_m_per_s"][0])  # type: ignore[arg-type]
 
-def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None, tuning: Tuning = DEFAULT_TUNING) -> float:
+
+def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None) -> float:
     """Seconds without a report after which a track of the source has ended; infinite if no track has two reports.
 
     A radar drops a lost track without a message; its last report would remain current though the object has left or
@@ -55,10 +79,10 @@ def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None, tuning: Tuni
     number = track_numbers(track)
     order = np.lexsort([time_s, number])
     gaps = np.diff(time_s[order])[np.diff(number[order]) == 0]
-    return float(np.quantile(gaps, tuning.timeout_quantile, method="higher")) if len(gaps) else math.inf
+    return float(np.quantile(gaps, TIMEOUT_QUANTILE, method="higher")) if len(gaps) else math.inf
 
 
-def position_updates(reports: States, tuning: Tuning = DEFAULT_TUNING) -> tuple[States, tuple[str, ...]]:
+def position_updates(reports: States) -> tuple[States, tuple[str, ...]]:
     """The reports, NaN in place of positions repeated to the last digit though the object has moved, and notes.
 
     Receivers and databases resend their last position with the current time and perhaps a new velocity. Such
@@ -76,7 +100,7 @@ def position_updates(reports: States, tuning: Tuning = DEFAULT_TUNING) -> tuple[
         return reports, ()
     usable = np.flatnonzero(reports.usable)
     number = track_numbers(reports.track[usable])
-    stale = stale_positions(number, reports.time_s[usable], reports.state[usable], reports.covariance[usable], tuning)
+    stale = stale_positions(number, reports.time_s[usable], reports.state[usable], reports.covariance[usable])
     repeats = usable[stale]
     if not len(repeats):
         return reports, ()
@@ -87,9 +111,7 @@ def position_updates(reports: States, tuning: Tuning = DEFAULT_TUNING) -> tuple[
     return States(reports.time_s, state, reports.covariance, reports.track, reports.rows), (note,)
 
 
-def stale_positions(
-    track: IntArray, time_s: FloatArray, state: FloatArray, covariance: FloatArray, tuning: Tuning
-) -> IntArray:
+def stale_positions(track: IntArray, time_s: FloatArray, state: FloatArray, covariance: FloatArray) -> IntArray:
     """(k,) rows of reports (n,) with a position that their object had left: it repeats that of the report before.
 
     ``state`` (n, 4) and ``covariance`` (n, 4, 4) are position and velocity. The object has left a position if it moves,
@@ -98,7 +120,7 @@ def stale_positions(
     repeats, held_s = repeated(track, time_s, state[:, :2])
     velocity, covariance = state[repeats, 2:], covariance[repeats]
     moved_sq = mahalanobis_sq(velocity * held_s[:, None], covariance[:, :2, :2])
-    left = in_motion(velocity, covariance[:, 2:, 2:], tuning) & (moved_sq > tuning.repeat_sigmas**2)
+    left = in_motion(velocity, covariance[:, 2:, 2:]) & (moved_sq > REPEAT_SIGMAS**2)
     return np.asarray(repeats[left])
 
 
@@ -115,9 +137,9 @@ def repeated(
     return rows[same], time_s[rows[same]] - time_s[rows[first[same]]]
 
 
-def in_motion(velocity: FloatArray, covariance: FloatArray, tuning: Tuning) -> BoolArray:
+def in_motion(velocity: FloatArray, covariance: FloatArray) -> BoolArray:
     """(n,) whether velocities (n, 2) differ significantly from 0."""
-    return np.asarray(mahalanobis_sq(velocity, covariance) > ChiSquare(tuning.at_rest).limit(2))
+    return np.asarray(mahalanobis_sq(velocity, covariance) > ChiSquare(AT_REST).limit(2))
 
 
 #: Kinds of sources whose position errors are correlated for minutes: a filter does not reduce them.
@@ -140,7 +162,7 @@ class Feed:
     rotation : of an antenna whose plots have their own time stamps; None if scans are exposures.
     p_slow : (n, 3) probability that a report is of an object alongside, at anchor, and adrift; None if the motion has
         no such objects.
-    tuning : of tracks. heights : in a live feed, the (n, 4) columns of ``heights.HeightColumns``, None if it has had
+    heights : in a live feed, the (n, 4) columns of ``heights.HeightColumns``, None if it has had
         no heights; in other feeds they are in ``raw_reports``.
     clutter_per_m2 : (n,) density of other plots about each, per scan, for a source of plots where it is estimated; None
         if the described one holds everywhere.
@@ -158,7 +180,6 @@ class Feed:
     measured: States | None = None
     rotation: AntennaRotation | None = None
     p_slow: FloatArray | None = None
-    tuning: Tuning = DEFAULT_TUNING
     heights: FloatArray | None = None
     clutter_per_m2: FloatArray | None = None
     leaps: tuple[Leap, ...] = ()
@@ -172,10 +193,9 @@ class Feed:
         *,
         scan_times_s: ArrayLike | None = None,
         to_tracks: bool = False,
-        tuning: Tuning = DEFAULT_TUNING,
     ) -> Feed:
         """A feed of reports as read; see :meth:`of_placed`."""
-        placed = PlacedReports(description, reports, plane, tuning)
+        placed = PlacedReports(description, reports, plane)
         return cls.of_placed(placed, scan_times_s=scan_times_s, to_tracks=to_tracks)
 
     @classmethod
@@ -193,16 +213,16 @@ class Feed:
         description, reports, in_plane = placed.description, placed.reports, calibrated(placed)
         notes, sensor_m = placed.notes, placed.sensor_m
         if isinstance(in_plane, States) and reports.counted_clock:
-            in_plane, minutes = with_minutes(in_plane, np.full(len(in_plane), walk_of(description)), placed.tuning)
+            in_plane, minutes = with_minutes(in_plane, np.full(len(in_plane), walk_of(description)))
             notes += (_counted_note(description.name, minutes),)
         leaps: tuple[Leap, ...] = ()
         if isinstance(in_plane, States):
             if not reports.counted_clock:
-                leaps = leaps_of(in_plane, np.full(len(in_plane), walk_of(description)), placed.tuning)
+                leaps = leaps_of(in_plane, np.full(len(in_plane), walk_of(description)))
                 in_plane = without_leaps(in_plane, leaps)
-            in_plane, repetitions = position_updates(in_plane, placed.tuning)
+            in_plane, repetitions = position_updates(in_plane)
             in_plane, duplicates = split_duplicate_ids(
-                in_plane, description.motion.speed_m_per_s or math.inf, placed.tuning,
+                in_plane, description.motion.speed_m_per_s or math.inf,
                 doubtful_s=60.0 if reports.counted_clock else 0.0,
             )  # fmt: skip
             notes += tuple(f"{description.name}: {note}" for note in (*repetitions, *duplicates))
@@ -210,21 +230,19 @@ class Feed:
         if to_tracks:
             if not isinstance(in_plane, States):
                 raise InputError(f"{description.name}: directions are not filtered; give positions")
-            tracks = follow(in_plane, acceleration_m2_per_s3=walk_of(description), tuning=placed.tuning).states
+            tracks = follow(in_plane, acceleration_m2_per_s3=walk_of(description)).states
             at_reported = at_reported_positions(in_plane, tracks)
             in_plane = at_reported if description.kind in CORRELATED_KINDS else tracks
-            measured, _ = slow_objects(at_reported, description.motion, placed.tuning)
+            measured, _ = slow_objects(at_reported, description.motion)
         if isinstance(in_plane, States):
-            in_plane, p_slow = slow_objects(in_plane, description.motion, placed.tuning)
+            in_plane, p_slow = slow_objects(in_plane, description.motion)
         given_times = None if scan_times_s is None else np.asarray(scan_times_s, np.float64)
-        scans = scans_of(
-            in_plane.time_s, description.timing.period_s, bearings_of(in_plane, sensor_m), given_times, placed.tuning
-        )
+        scans = scans_of(in_plane.time_s, description.timing.period_s, bearings_of(in_plane, sensor_m), given_times)
         scan_times = scans.scan_s if given_times is None else np.concatenate([given_times, scans.scan_s])
         return cls(
             description=description, reports=in_plane, scan_times_s=np.unique(scan_times), scan_s=scans.scan_s,
             sensor_m=sensor_m, attributes=identity_attributes(reports), raw_reports=reports, notes=notes,
-            measured=measured, rotation=scans.rotation, p_slow=p_slow, tuning=placed.tuning, leaps=leaps,
+            measured=measured, rotation=scans.rotation, p_slow=p_slow, leaps=leaps,
         )  # fmt: skip
 
     @property
@@ -250,10 +268,10 @@ class Feed:
         Of plots without ids, the mean with manoeuvres: no filter notices these.
         """
         bare = self.reports.track is None
-        walk = mean_walk_of(self.description, self.tuning) if bare else walk_of(self.description)
+        walk = mean_walk_of(self.description) if bare else walk_of(self.description)
         if self.p_slow is None:
             return np.full(len(self.reports), walk)
-        return walk * (1.0 - self.p_slow.sum(axis=1)) + self.tuning.drift_walk_m2_per_s3 * self.p_slow[:, ADRIFT]
+        return walk * (1.0 - self.p_slow.sum(axis=1)) + DRIFT_WALK_M2_PER_S3 * self.p_slow[:, ADRIFT]
 
     @cached_property
     def p_stationary(self) -> FloatArray | None:
@@ -268,22 +286,22 @@ class Feed:
         three minutes a ship that was alongside may have left.
         """
         out = np.zeros((len(row), MODES))
-        motion, tuning = self.description.motion, self.tuning
-        share = mode_shares(motion, tuning)
+        motion = self.description.motion
+        share = mode_shares(motion)
         if share is None or self.p_slow is None or not isinstance(self.reports, States):
             return out
-        known = tuning.is_known(self.reports.covariance[row, 2, 2], motion.speed_m_per_s or 0.0)
+        known = is_known_velocity(self.reports.covariance[row, 2, 2], motion.speed_m_per_s or 0.0)
         slow = self.p_slow[row[known]]
         p = np.column_stack([slow, np.maximum(1.0 - slow.sum(axis=1), 0.0)])
         age_s = np.maximum(instant_s - self.reports.time_s[row[known]], 0.0)
-        kept = np.exp(-age_s / (tuning.rest_s * share[RESTS:].sum()))[:, None]
+        kept = np.exp(-age_s / (REST_S * share[RESTS:].sum()))[:, None]
         out[known] = np.log(np.maximum(share + kept * (p - share), MIN_P)) - np.log(share)
         return out
 
     @cached_property
     def track_timeout_s(self) -> float:
         """Seconds without a report after which a track of the source has ended."""
-        return track_timeout_s(self.reports.time_s, self.reports.track, self.tuning)
+        return track_timeout_s(self.reports.time_s, self.reports.track)
 
     @property
     def scan_period_s(self) -> float:
@@ -306,10 +324,10 @@ class Feed:
         A ship at anchor reports every three minutes. Where most others report every two seconds, intervals of three
         minutes are too rare to count among the gaps of the source.
         """
-        timeout_s = np.full(len(rows), self.track_timeout_s + self.tuning.stamp_step_s)
+        timeout_s = np.full(len(rows), self.track_timeout_s + STAMP_STEP_S)
         if self.p_stationary is None:
             return timeout_s
-        rest_s = self.tuning.stationary_timeout_s
+        rest_s = STATIONARY_TIMEOUT_S
         return np.where(self.p_stationary[rows] > 0.5, np.maximum(timeout_s, rest_s), timeout_s)
 
     @cached_property
@@ -331,7 +349,7 @@ class Feed:
         """Whether any report has a velocity."""
         speed = self.description.motion.speed_m_per_s or math.inf
         reports = self.reports
-        return isinstance(reports, States) and bool(self.tuning.is_known(reports.covariance[:, 2, 2], speed).any())
+        return isinstance(reports, States) and bool(is_known_velocity(reports.covariance[:, 2, 2], speed).any())
 
     def sensor_at(self, instant_s: float) -> FloatArray | None:
         """(2,) position of the sensor at its last report up to the instant; None if it is unknown."""
@@ -496,12 +514,10 @@ def need_filtering(placed: PlacedReports) -> bool:
     if description.kind in CORRELATED_KINDS:
         return False
     states = placed.in_plane
-    return isinstance(states, States) and are_unfiltered(
-        states, acceleration_m2_per_s3=walk_of(description), tuning=placed.tuning
-    )
+    return isinstance(states, States) and are_unfiltered(states, acceleration_m2_per_s3=walk_of(description))
 
 
-def of_aircraft(reports: Reports, tuning: Tuning) -> BoolArray:
+def of_aircraft(reports: Reports) -> BoolArray:
     """(n,) whether a report is of an aircraft: it has an address, a Mode A code, a pressure height, or its speed."""
     out = np.zeros(len(reports), bool)
     for column in (reports.icao, reports.mode_a):
@@ -511,23 +527,18 @@ def of_aircraft(reports: Reports, tuning: Tuning) -> BoolArray:
         out |= np.isfinite(reports.pressure_alt_m)
     velocity = reports.velocity_m_per_s()
     if velocity is not None:
-        out |= np.hypot(*velocity.T) > fastest_vessel_m_per_s(tuning)
+        out |= np.hypot(*velocity.T) > FASTEST_VESSEL_M_PER_S
     return out
 
 
-def fastest_vessel_m_per_s(tuning: Tuning) -> float:
-    """The speed above which an object is an aircraft."""
-    return tuning.max_speed_sigmas * float(KINDS["ais"].defaults["motion.speed_m_per_s"][0])  # type: ignore[arg-type]
-
-
-def of_their_objects(description: Description, reports: Reports, tuning: Tuning) -> Description:
+def of_their_objects(description: Description, reports: Reports) -> Description:
     """The description of tracks of another system, with the motion of aircraft if most of its reports are of those.
 
     Tracks of ships and of aircraft come in one format; no other kind has both.
     """
     if description.kind != "tracks" or not len(reports):
         return description
-    is_of_aircraft = of_aircraft(reports, tuning).mean() >= tuning.aircraft_share
+    is_of_aircraft = of_aircraft(reports).mean() >= AIRCRAFT_SHARE
     return description.with_motion_of_aircraft() if is_of_aircraft else description
 
 
@@ -551,10 +562,10 @@ def walk_of(description: Description) -> float:
     return walk
 
 
-def mean_walk_of(description: Description, tuning: Tuning = DEFAULT_TUNING) -> float:
+def mean_walk_of(description: Description) -> float:
     """The mean of :func:`walk_of` over the time, of which objects manoeuvre for a share, m²/s³.
 
     A filter with one state for all modes of motion predicts with it: GPB1, Bar-Shalom, Li and Kirubarajan 2001, 11.6.2.
     """
     share = description.motion.manoeuvring_share or 0.0
-    return walk_of(description) * (1.0 + share * (tuning.manoeuvre_noise - 1.0))
+    return walk_of(description) * (1.0 + share * (MANOEUVRE_NOISE - 1.0))

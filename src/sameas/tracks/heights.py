@@ -23,9 +23,23 @@ from sameas.tracks.placement import Directions, heights_by_elevation
 from sameas.tracks.reports import Reports
 from sameas.tracks.snapshot import Snapshot
 from sameas.tracks.source import Description
-from sameas.tracks.tuning import DEFAULT_TUNING, HeightTuning
 
 PRESSURE, GEOMETRIC = "pressure height", "height above the ellipsoid"
+
+SIGMA_M = 60.0  # 1σ of a height without a stated error
+#: 1σ of an unknown vertical speed and of a reported one; growth of its variance with age, so that an aircraft that
+#: climbs at 10 m/s may be level after a minute and a half.
+CLIMB_M_PER_S, REPORTED_CLIMB_M_PER_S, CLIMB_NOISE_M2_PER_S3 = 8.0, 1.5, 1.0
+#: 1σ of the difference between pressure height and height above the ellipsoid if it is not estimated: at the ground,
+#: and as a share of the height.
+PRESSURE_M, PRESSURE_SHARE = 250.0, 0.04
+OFFSET_M = 300.0  # 1σ of the offset between two sources of one kind
+#: Minimum number of reports with both heights for a line, and minimum span of their heights for its gain.
+MIN_REPORTS, MIN_SPAN_M = 20, 2000.0
+#: Instants at which sources are compared, pairs at most, completeness of the gate of positions.
+INSTANTS, MAX_PAIRS, NEAR = 32, 3000, 0.999
+MIN_PAIRS, SHARE = 5, 0.5  # minimum number of pairs for an offset, and share of the records that agree with it
+MIN_M = 5.0  # minimum 1σ of an estimate
 
 
 @dataclass(frozen=True)
@@ -70,9 +84,7 @@ class HeightColumns:
     climb_m_per_s: FloatArray
 
     @classmethod
-    def of(
-        cls, description: Description, reports: Reports, tuning: HeightTuning = DEFAULT_TUNING.heights
-    ) -> HeightColumns | None:
+    def of(cls, description: Description, reports: Reports) -> HeightColumns | None:
         """The heights of reports with positions; None if no report has a height or a vertical speed."""
         n, absent = len(reports), np.full(len(reports), np.nan)
         pressure = absent if reports.pressure_alt_m is None else reports.pressure_alt_m
@@ -80,7 +92,7 @@ class HeightColumns:
         if reports.z_m is not None and description.site is None:
             geometric = np.where(np.isfinite(geometric), geometric, reports.z_m)
         stated = absent if reports.sigma_alt_m is None else reports.sigma_alt_m
-        sigma = np.where(stated > 0.0, stated, np.full(n, description.errors.height_m or tuning.sigma_m))
+        sigma = np.where(stated > 0.0, stated, np.full(n, description.errors.height_m or SIGMA_M))
         site_m = 0.0 if description.site is None else description.site.height_m
         measured = heights_by_elevation(reports, description.errors, site_m)
         if measured is not None:
@@ -110,7 +122,7 @@ def _columns_of(feed: Feed) -> HeightColumns | None:
         return kept if kept.any else None
     if feed.raw_reports is None:
         return None
-    return HeightColumns.of(feed.description, feed.raw_reports, feed.tuning.heights)
+    return HeightColumns.of(feed.description, feed.raw_reports)
 
 
 @dataclass(frozen=True)
@@ -128,13 +140,11 @@ class HeightModel:
     """Conversion of the heights of all sources to one kind, without offsets between the sources.
 
     kind : PRESSURE or GEOMETRIC. line : relation of the kinds, None if it was not estimated. offsets : by source name.
-    tuning : with which it was made.
     """
 
     kind: str = PRESSURE
     line: _Line | None = None
     offsets: Mapping[str, HeightOffset] = field(default_factory=dict)
-    tuning: HeightTuning = DEFAULT_TUNING.heights
 
     @classmethod
     def of(cls, feeds: Sequence[Feed]) -> HeightModel | None:
@@ -143,8 +153,7 @@ class HeightModel:
         known = [one for one in columns if one is not None]
         if not known:
             return None
-        tuning = feeds[0].tuning.heights
-        model = cls(kind_of(known), _line(known, tuning), tuning=tuning)
+        model = cls(kind_of(known), _line(known))
         raw = [None if one is None else model.of_kind(one) for one in columns]
         counts = [0 if one is None else int(np.isfinite(one.height_m).sum()) for one in raw]
         reference = int(np.argmax(counts))
@@ -152,7 +161,7 @@ class HeightModel:
         assert against is not None
         for k, (one, feed) in enumerate(zip(raw, feeds, strict=True)):
             if k != reference and one is not None and counts[k]:
-                offset = _offset(one, feed, against, feeds[reference], tuning)
+                offset = _offset(one, feed, against, feeds[reference])
                 if offset is not None:
                     offsets[feed.description.name] = offset
         return replace(model, offsets=offsets)
@@ -161,15 +170,15 @@ class HeightModel:
     def as_given(cls, feeds: Sequence[Feed]) -> HeightModel | None:
         """The model with the kind of these feeds' heights, without line and offsets; None if none has a height."""
         known = [one for feed in feeds if (one := _columns_of(feed)) is not None]
-        return cls(kind_of(known), tuning=feeds[0].tuning.heights) if known else None
+        return cls(kind_of(known)) if known else None
 
     def of_kind(self, one: HeightColumns) -> HeightReports:
         """The heights of a source, all of ``kind``, with its offset."""
-        line, tuning = self.line, self.tuning
+        line = self.line
         notes: tuple[str, ...] = ()
         own, other = (one.pressure_m, one.geometric_m) if self.kind == PRESSURE else (one.geometric_m, one.pressure_m)
         only_other = ~np.isfinite(own) & np.isfinite(other)
-        converted, extra = other, np.hypot(tuning.pressure_m, tuning.pressure_share * other)
+        converted, extra = other, np.hypot(PRESSURE_M, PRESSURE_SHARE * other)
         if line is not None:
             converted = (other - line.offset_m) / (1.0 + line.gain)
             extra = np.full(len(other), line.sigma_m)
@@ -181,9 +190,9 @@ class HeightModel:
         height = np.where(only_other, converted, own)
         sigma = np.where(only_other, np.hypot(one.sigma_m, extra), one.sigma_m)
         climb = one.climb_m_per_s
-        sigma_climb = np.where(np.isfinite(climb), tuning.reported_climb_m_per_s, tuning.climb_m_per_s)
+        sigma_climb = np.where(np.isfinite(climb), REPORTED_CLIMB_M_PER_S, CLIMB_M_PER_S)
         sigma = np.where(np.isfinite(height), sigma, np.nan)
-        return HeightReports(height, sigma, climb, sigma_climb, tuning.climb_noise_m2_per_s3, self.kind, notes)
+        return HeightReports(height, sigma, climb, sigma_climb, CLIMB_NOISE_M2_PER_S3, self.kind, notes)
 
     def heights(self, source: str, columns: HeightColumns) -> HeightReports:
         """The heights of a source, all of ``kind``, corrected for its offset."""
@@ -204,7 +213,7 @@ class HeightModel:
         if self.kind == GEOMETRIC:
             return height_m, sigma_m
         if self.line is None:
-            extra = np.hypot(self.tuning.pressure_m, self.tuning.pressure_share * height_m)
+            extra = np.hypot(PRESSURE_M, PRESSURE_SHARE * height_m)
             return height_m, np.hypot(sigma_m, extra)
         height = height_m + self.line.offset_m + self.line.gain * height_m
         return height, np.hypot((1.0 + self.line.gain) * sigma_m, self.line.sigma_m)
@@ -237,69 +246,67 @@ class _Line:
     count: int
 
 
-def _line(known: Sequence[HeightColumns], tuning: HeightTuning) -> _Line | None:
+def _line(known: Sequence[HeightColumns]) -> _Line | None:
     """The line fitted to reports with both heights; None if they are fewer than ``min_reports``."""
     pressure, geometric = (
         np.concatenate([getattr(one, name) for one in known]) for name in ("pressure_m", "geometric_m")
     )
     both = np.isfinite(pressure) & np.isfinite(geometric)
-    if both.sum() < tuning.min_reports:
+    if both.sum() < MIN_REPORTS:
         return None
     x, y = pressure[both], (geometric - pressure)[both]
-    offset, gain, sigma = _robust_line(x, y, tuning)
-    keep = np.abs(y - offset - gain * x) <= 4.0 * max(sigma, tuning.min_m)
-    return _Line(offset, gain, max(sigma, tuning.min_m), int(keep.sum()))
+    offset, gain, sigma = _robust_line(x, y)
+    keep = np.abs(y - offset - gain * x) <= 4.0 * max(sigma, MIN_M)
+    return _Line(offset, gain, max(sigma, MIN_M), int(keep.sum()))
 
 
-def _robust_line(x: FloatArray, y: FloatArray, tuning: HeightTuning) -> tuple[float, float, float]:
+def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
     """Offset, gain and scatter (1σ) of y over x without outliers; gain 0 if points are few or the span of x small."""
     keep = np.ones(len(x), bool)
     offset = gain = sigma = 0.0
     for _ in range(5):
-        if keep.sum() < tuning.min_reports or np.ptp(x[keep]) < tuning.min_span_m:
+        if keep.sum() < MIN_REPORTS or np.ptp(x[keep]) < MIN_SPAN_M:
             offset, gain = float(np.median(y[keep])), 0.0
         else:
             design = np.column_stack([np.ones(keep.sum()), x[keep]])
             offset, gain = map(float, np.linalg.lstsq(design, y[keep], rcond=None)[0])
         residual = y - offset - gain * x
         sigma = robust_scale(residual)
-        keep = np.abs(residual) <= 4.0 * max(sigma, tuning.min_m)
+        keep = np.abs(residual) <= 4.0 * max(sigma, MIN_M)
     return offset, gain, sigma
 
 
-def _offset(
-    heights: HeightReports, feed: Feed, against: HeightReports, reference: Feed, tuning: HeightTuning
-) -> HeightOffset | None:
+def _offset(heights: HeightReports, feed: Feed, against: HeightReports, reference: Feed) -> HeightOffset | None:
     """The offset of a source against another; None if too few pairs agree on one, or if it is not significant."""
-    difference, sigma, height, records = _differences(heights, feed, against, reference, tuning)
-    if records < tuning.min_pairs:
+    difference, sigma, height, records = _differences(heights, feed, against, reference)
+    if records < MIN_PAIRS:
         return None
-    width = np.hypot(sigma, tuning.min_m)
+    width = np.hypot(sigma, MIN_M)
     # The mode of the differences under the prior of the offset.
     density = np.exp(-0.5 * ((difference[:, None] - difference[None, :]) / width[None, :]) ** 2).sum(axis=1)
-    best = difference[np.argmax(np.log(density) - 0.5 * (difference / np.hypot(tuning.offset_m, sigma)) ** 2)]
+    best = difference[np.argmax(np.log(density) - 0.5 * (difference / np.hypot(OFFSET_M, sigma)) ** 2)]
     near = np.abs(difference - best) < 3.0 * width
-    if near.sum() < max(tuning.min_pairs, tuning.share * records):
+    if near.sum() < max(MIN_PAIRS, SHARE * records):
         return None
-    offset, gain, scatter = _robust_line(height[near], difference[near], tuning)
-    error = max(1.2533 * scatter / np.sqrt(near.sum()), tuning.min_m)
+    offset, gain, scatter = _robust_line(height[near], difference[near])
+    error = max(1.2533 * scatter / np.sqrt(near.sum()), MIN_M)
     if abs(offset) < 2.0 * error and gain == 0.0:
         return None
     note = (
         f"{feed.description.name}: heights {offset:+.0f} ± {error:.0f} m{f' {100.0 * gain:+.1f} %' if gain else ''} "
         f"against {reference.description.name}, subtracted; by {near.sum()} pairs"
     )
-    return HeightOffset(offset, gain, max(scatter, tuning.min_m) + error, note)
+    return HeightOffset(offset, gain, max(scatter, MIN_M) + error, note)
 
 
 def _differences(
-    heights: HeightReports, feed: Feed, against: HeightReports, reference: Feed, tuning: HeightTuning
+    heights: HeightReports, feed: Feed, against: HeightReports, reference: Feed
 ) -> tuple[FloatArray, FloatArray, FloatArray, int]:
     """(k,) height differences of pairs near in position, their 1σ, the reference heights, and the number of records."""
     start = max(feed.reports.time_s.min(), reference.reports.time_s.min())
     stop = min(feed.reports.time_s.max(), reference.reports.time_s.max())
     parts, records = [(np.empty(0),) * 3], 0
-    for instant_s in np.linspace(start, stop, tuning.instants) if stop >= start else ():
+    for instant_s in np.linspace(start, stop, INSTANTS) if stop >= start else ():
         one, two = Snapshot.of(feed, float(instant_s)), Snapshot.of(reference, float(instant_s))
         if not (len(one.rows) and len(two.rows)):
             continue
@@ -307,12 +314,12 @@ def _differences(
             table.at(side.feed.reports.rows[side.rows], instant_s - side.time_s)[:, :2].T
             for side, table in ((one, heights), (two, against))
         )
-        i, j = _near(one, two, tuning.near)
+        i, j = _near(one, two, NEAR)
         both = np.isfinite(h[i]) & np.isfinite(k[j])
         i, j = i[both], j[both]
         parts.append((h[i] - k[j], np.hypot(s[i], t[j]), k[j]))
         records += min(len(np.unique(i)), len(np.unique(j)))
-    difference, sigma, height = (np.concatenate(column)[: tuning.max_pairs] for column in zip(*parts, strict=True))
+    difference, sigma, height = (np.concatenate(column)[:MAX_PAIRS] for column in zip(*parts, strict=True))
     return difference, sigma, height, min(records, len(difference))
 
 

@@ -26,12 +26,15 @@ from sameas.arrays import BoolArray, FloatArray, IntArray, are_among, numbers_of
 from sameas.evidence.identity import NAMING
 from sameas.kernels.tracks import neighbours, outdated
 from sameas.kernels.zones import merge_rows
-from sameas.tracks.alignment import NO_TREND, States, Succession, are_unfiltered, follow
+from sameas.tracks.alignment import MIN_INNOVATIONS, NO_TREND, States, Succession, are_unfiltered, follow
 from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.duplicate_ids import Branches, fastest
+from sameas.tracks.duplicate_ids import MAX_SPEED_SIGMAS, POSITION_SIGMAS, Branches, fastest
 from sameas.tracks.feed import (
+    AIRCRAFT_SHARE,
     CORRELATED_KINDS,
+    STATIONARY_TIMEOUT_S,
+    TIMEOUT_QUANTILE,
     Feed,
     at_reported_positions,
     bearings_of,
@@ -53,7 +56,12 @@ from sameas.tracks.reports import Reports
 from sameas.tracks.scans import scans_of
 from sameas.tracks.source import Description
 from sameas.tracks.stationary import Modes, stationary
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
+
+#: Plots of a source without ids are kept for PLOTS_S seconds and at least PLOT_PERIODS periods, to estimate the
+#: rotation of the antenna.
+PLOTS_S, PLOT_PERIODS = 30.0, 12.0
+GAPS = 4096  # the track timeout is computed from this many of the last gaps within tracks
+SPARE_ROWS = 4.0  # a table with less than this multiple of the rows in use is not made smaller
 
 
 @dataclass(frozen=True)
@@ -61,19 +69,11 @@ class LiveTuning:
     """The chosen numbers of live feeds.
 
     id_timeout_s : a track without reports is dropped after this time; until then its filter can continue.
-    plots_s, plot_periods : plots of a source without ids are kept for ``plots_s`` seconds and for at least this many
-        periods, to estimate the rotation of the antenna.
-    gaps : the track timeout is computed from this many of the last gaps within tracks.
-    least_rows, spare_rows : a table of at most this many rows is not made smaller, nor one with less than this multiple
-        of those in use.
+    least_rows : a table of at most this many rows is not made smaller.
     """
 
     id_timeout_s: float = 3600.0
-    plots_s: float = 30.0
-    plot_periods: float = 12.0
-    gaps: int = 4096
     least_rows: int = 2048
-    spare_rows: float = 4.0
 
 
 @dataclass
@@ -118,7 +118,6 @@ class LiveFeed:
     plane: LocalPlane | None = None
     lag_s: float = 10.0
     to_tracks: bool | None = None
-    tuning: Tuning = DEFAULT_TUNING
     live: LiveTuning = field(default_factory=LiveTuning)
     counts: ReportCounts = field(default_factory=ReportCounts)
 
@@ -171,11 +170,11 @@ class LiveFeed:
         if not len(reports):
             return
         self._take_motion_of(reports)
-        placed = PlacedReports(self.description, reports, self.plane, self.tuning)
+        placed = PlacedReports(self.description, reports, self.plane)
         in_plane = calibrated(placed)
         heights = None
         if not isinstance(in_plane, Directions):
-            heights = HeightColumns.of(self.description, reports, self.tuning.heights)
+            heights = HeightColumns.of(self.description, reports)
         usable = np.flatnonzero(in_plane.usable)
         self.counts.newest_s = max(self.counts.newest_s, float(in_plane.time_s.max()))
         if isinstance(in_plane, Directions):
@@ -216,8 +215,8 @@ class LiveFeed:
         """Gives tracks of another system the motion of aircraft while most of the reports so far are of aircraft."""
         if self.description.kind != "tracks":
             return
-        self._of_aircraft += (int(of_aircraft(reports, self.tuning).sum()), len(reports))
-        most = self._of_aircraft[0] >= self.tuning.aircraft_share * self._of_aircraft[1]
+        self._of_aircraft += (int(of_aircraft(reports).sum()), len(reports))
+        most = self._of_aircraft[0] >= AIRCRAFT_SHARE * self._of_aircraft[1]
         self.description = self._given.with_motion_of_aircraft() if most else self._given
 
     def feed(self, instant_s: float, early_s: float = 0.0) -> Feed:
@@ -247,7 +246,6 @@ class LiveFeed:
             bearing = bearings_of(reports, sensor_m)
             scans = scans_of(
                 time_s[live], self.description.timing.period_s, None if bearing is None else bearing[live], None,
-                self.tuning,
             )  # fmt: skip
             scan_s = np.full(len(rows), -math.inf)
             scan_s[live], scan_times_s, rotation = scans.scan_s, np.unique(scans.scan_s), scans.rotation
@@ -255,8 +253,8 @@ class LiveFeed:
         heights = rows.heights.copy() if HEIGHTS in rows.groups else None
         attributes = {name: column.copy() for name, column in rows.attributes.items()}
         feed = Feed(
-            self.description, reports, scan_times_s, scan_s, sensor_m, attributes, rotation=rotation, p_slow=p_slow,
-            tuning=self.tuning, heights=heights,
+            self.description, reports, scan_times_s, scan_s, sensor_m, attributes, rotation=rotation,
+            p_slow=p_slow, heights=heights,
         )  # fmt: skip
         if self._named:
             feed = feed.with_succession(self._succession(rows), self.track_timeout_s())
@@ -265,7 +263,7 @@ class LiveFeed:
     def release(self) -> None:
         """Frees the rows of dropped reports for new ones; to be called after each instant."""
         self._rows.release()
-        if len(self._rows) > max(self.live.least_rows, self.live.spare_rows * self._rows.n_held):
+        if len(self._rows) > max(self.live.least_rows, SPARE_ROWS * self._rows.n_held):
             self._shrink()
 
     def _shrink(self) -> None:
@@ -279,7 +277,7 @@ class LiveFeed:
         taken = np.flatnonzero(rows.taken)
         size = max(self.live.least_rows // 2, 2 * len(taken))
         beyond = taken[taken >= size]
-        ended_s = self._instant_s - self.lag_s - max(self.track_timeout_s(), 2.0 * self.tuning.stationary_timeout_s)
+        ended_s = self._instant_s - self.lag_s - max(self.track_timeout_s(), 2.0 * STATIONARY_TIMEOUT_S)
         if (rows.time_s[beyond] >= ended_s).any() or (len(beyond) and not self._named):
             return
         self._order = rows.shrink(size)[self._order]
@@ -297,7 +295,7 @@ class LiveFeed:
         gaps = self._gaps[:, 0] + np.maximum(self._gaps[:, 1] + delay_s, 0.0)
         # The quantile with method "higher": np.quantile takes ten times as long, and np.partition twenty times where
         # most gaps are equal.
-        place = math.ceil(self.tuning.timeout_quantile * (len(gaps) - 1))
+        place = math.ceil(TIMEOUT_QUANTILE * (len(gaps) - 1))
         # How late a report can be is known to within an instant.
         late = bool(self._spacings_s) and self._latest_s + delay_s > 0.0
         return float(np.sort(gaps)[place]) + (float(np.median(self._spacings_s)) if late else 0.0)
@@ -335,11 +333,9 @@ class LiveFeed:
             self.to_tracks = need_filtering(placed)
             return
         rows, taken = self._rows, np.flatnonzero(self._rows.taken)
-        if len(taken) > self.tuning.min_innovations + len(np.unique(rows.number[taken])):
+        if len(taken) > MIN_INNOVATIONS + len(np.unique(rows.number[taken])):
             measured = States(rows.time_s, rows.measured, rows.measured_covariance, rows.number, np.arange(len(rows)))
-            self.to_tracks = are_unfiltered(
-                measured.take(taken), acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning
-            )
+            self.to_tracks = are_unfiltered(measured.take(taken), acceleration_m2_per_s3=walk_of(self.description))
 
     def _add_to_tracks(self, new: ReportTable) -> None:
         """Adds reports with ids: without late ones, repetitions and outliers, filtered, written into rows."""
@@ -406,7 +402,7 @@ class LiveFeed:
         repeats = repeats[repeats >= 0]
         if not len(repeats):
             return out
-        moving = in_motion(new.measured[repeats, 2:], new.measured_covariance[repeats, 2:, 2:], self.tuning)
+        moving = in_motion(new.measured[repeats, 2:], new.measured_covariance[repeats, 2:, 2:])
         tracks = np.unique(new.number[repeats[moving]])
         if not len(tracks):
             return out
@@ -415,7 +411,7 @@ class LiveFeed:
         stale = stale_positions(
             np.concatenate([rows.number[kept], new.number]), np.concatenate([rows.time_s[kept], new.time_s]),
             np.concatenate([rows.measured[kept], new.measured]),
-            np.concatenate([rows.measured_covariance[kept], new.measured_covariance]), self.tuning,
+            np.concatenate([rows.measured_covariance[kept], new.measured_covariance]),
         ) - len(kept)  # fmt: skip
         out[stale[stale >= 0]] = False
         return out
@@ -423,13 +419,13 @@ class LiveFeed:
     def _split_ids(self, new: ReportTable, own: IntArray) -> bool:
         """Moves reports of one id that cannot be of one object to a track of their own, or excludes them (``taken``);
         gives whether any id was checked."""
-        rows, limit = self._rows, self.tuning.max_speed_sigmas * (self.description.motion.speed_m_per_s or math.inf)
+        rows, limit = self._rows, MAX_SPEED_SIGMAS * (self.description.motion.speed_m_per_s or math.inf)
         last = own[np.flatnonzero(np.diff(rows.number[own], append=-1))]
-        radius = self.tuning.position_sigmas * _sigma_m(new.measured_covariance)
+        radius = POSITION_SIGMAS * _sigma_m(new.measured_covariance)
         suspects = self._far(new, last, radius, limit)
         if not (self._split or suspects.any()):
             return False
-        last_radius = self.tuning.position_sigmas * _sigma_m(taken(rows.measured_covariance, last))
+        last_radius = POSITION_SIGMAS * _sigma_m(taken(rows.measured_covariance, last))
         for k in np.lexsort([new.serial, new.time_s]).tolist():
             name = new.name[k]
             if name not in self._split and suspects[k]:
@@ -440,7 +436,7 @@ class LiveFeed:
             if name not in self._split:
                 continue
             branches = self._split[name]
-            owner = branches.add(float(new.time_s[k]), new.measured[k], float(radius[k]), limit, self.tuning)
+            owner = branches.add(float(new.time_s[k]), new.measured[k], float(radius[k]), limit)
             if owner is None:
                 new.taken[k] = False
                 self.counts.jumps += 1
@@ -470,10 +466,10 @@ class LiveFeed:
         same = np.flatnonzero(number[1:] == number[:-1])
         state = np.concatenate([taken(rows.measured, last), new.measured])
         first, second = taken(state, order[same]), taken(state, order[same + 1])
-        last_radius = self.tuning.position_sigmas * _sigma_m(taken(rows.measured_covariance, last))
+        last_radius = POSITION_SIGMAS * _sigma_m(taken(rows.measured_covariance, last))
         reach = np.concatenate([last_radius, radius])[order]
         distance, elapsed_s = np.hypot(*(second[:, :2] - first[:, :2]).T), time_s[same + 1] - time_s[same]
-        far = distance > reach[same] + reach[same + 1] + fastest(limit, first, second, self.tuning) * elapsed_s
+        far = distance > reach[same] + reach[same + 1] + fastest(limit, first, second) * elapsed_s
         # All reports of such an id in the batch are then checked one by one.
         return are_among(new.number, number[same[far]])
 
@@ -512,7 +508,7 @@ class LiveFeed:
             covariance=np.where(is_start[:, None, None], table.filtered_covariance[at], measured.covariance),
         )
         tracks = follow(
-            reports, acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning,
+            reports, acceleration_m2_per_s3=walk_of(self.description),
             trend=np.where(is_start[:, None], table.trend[at], NO_TREND),
         )  # fmt: skip
         updated = np.flatnonzero(~is_start)
@@ -532,7 +528,7 @@ class LiveFeed:
             table.add_groups(MODES)
             log_p = np.where(is_start[:, None], table.modes[at], np.nan)
             known = Modes(log_p, table.modes_mean[at], table.modes_covariance[at])
-        visible, modes = stationary(visible, self.description.motion, self.tuning, known)
+        visible, modes = stationary(visible, self.description.motion, known)
         at = at[updated]
         table.filtered[at], table.filtered_covariance[at] = tracks.state[updated], tracks.covariance[updated]
         table.state[at], table.covariance[at] = visible.state[updated], visible.covariance[updated]
@@ -556,11 +552,11 @@ class LiveFeed:
                 is_dropped, is_ended, gaps,
             )  # fmt: skip
             # These gaps are final: no late report can change them.
-            self._gaps = np.concatenate([self._gaps, gaps[:n_gaps]])[-self.live.gaps :]
+            self._gaps = np.concatenate([self._gaps, gaps[:n_gaps]])[-GAPS:]
             dropped, names = order[is_dropped], rows.name[order[is_ended]].tolist()
         else:
             period_s = self.description.timing.period_s or 0.0
-            kept_s = max(self.live.plots_s, self.live.plot_periods * period_s)
+            kept_s = max(PLOTS_S, PLOT_PERIODS * period_s)
             dropped = live[rows.time_s[live] < horizon_s - kept_s]
         if not len(dropped):
             return

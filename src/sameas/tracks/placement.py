@@ -30,12 +30,17 @@ from sameas.tracks.coordinates import (
 )
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, SensorErrors
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 #: Ranges longer than this are in another unit; no sensor reaches farther, metres.
 LONGEST_M = 900e3
 #: Beginning of the names that reports without an id are given.
 UNNAMED = "unnamed "
+
+#: Assumed range of the targets of a radar without a site, as a share of its maximum range.
+UNKNOWN_SITE_SHARE = 0.25
+#: In a source of at least STRAY_COUNT positions, those farther from the median than STRAY_M and than STRAY_RADII × the
+#: radius of 90 % of them are excluded.
+STRAY_COUNT, STRAY_RADII, STRAY_M = 20, 20.0, 20e3
 
 
 def unnamed(names: list[str]) -> list[int]:
@@ -111,7 +116,6 @@ class PlacedReports:
     description: Description
     reports: Reports
     plane: LocalPlane | None = None
-    tuning: Tuning = DEFAULT_TUNING
 
     @cached_property
     def in_plane(self) -> States | Directions:
@@ -201,7 +205,7 @@ class PlacedReports:
         reports = self.reports
         lat, lon = np.asarray(reports.lat_deg), np.asarray(reports.lon_deg)
         to_plane = self.plane.jacobian(lat, lon, 0.0 if reports.alt_m is None else np.nan_to_num(reports.alt_m))
-        position = _without_strays(self.plane.of_geodetic(lat, lon, self.description.name), self.tuning)
+        position = _without_strays(self.plane.of_geodetic(lat, lon, self.description.name))
         stated = propagated(to_plane, self._stated_covariance())
         return _Positions(position, self._with_measured_errors(position, stated), to_plane)
 
@@ -354,7 +358,7 @@ class PlacedReports:
     @property
     def _assumed_range_m(self) -> float:
         """Assumed range of the targets of a sensor at an unknown position."""
-        return self.tuning.unknown_site_share * self._needed("coverage", "range_m")
+        return UNKNOWN_SITE_SHARE * self._needed("coverage", "range_m")
 
     def _velocities(self) -> tuple[FloatArray | None, FloatArray | None]:
         """Velocities (n, 2) and covariances (n, 2, 2) of east and north, NaN where not reported; None without any."""
@@ -389,13 +393,13 @@ class PlacedReports:
         return float(value)
 
 
-def _without_strays(position: FloatArray, tuning: Tuning) -> FloatArray:
-    """The positions, NaN where one is very far from the others of its source (``stray_…`` of the tuning)."""
+def _without_strays(position: FloatArray) -> FloatArray:
+    """The positions, NaN where one is very far from the others of its source."""
     known = finite_rows(position)
-    if known.sum() < tuning.stray_count:
+    if known.sum() < STRAY_COUNT:
         return position
     distance_m = np.hypot(*(position - np.median(position[known], axis=0)).T)
-    limit = max(tuning.stray_radii * float(np.quantile(distance_m[known], 0.9)), tuning.stray_m)
+    limit = max(STRAY_RADII * float(np.quantile(distance_m[known], 0.9)), STRAY_M)
     return np.where((distance_m > limit)[:, None], np.nan, position)
 
 

@@ -19,11 +19,16 @@ from sameas.representation import listed
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import OWN_HEADING, Reports
 from sameas.tracks.source import Description, Platform
-from sameas.tracks.tuning import Tuning
+
+#: Longest time between two positions of a vessel that carries a sensor, on whose line she is; between two headings; and
+#: between a position and a report before the first or after the last.
+PLATFORM_GAP_S, PLATFORM_HEADING_GAP_S, PLATFORM_AHEAD_S = 180.0, 30.0, 10.0
+#: Lowest speed at which her course may be her heading.
+PLATFORM_COURSE_M_PER_S = 1.5
 
 
 def on_platform(
-    description: Description, reports: Reports, others: Mapping[str, Sequence[Reports]], tuning: Tuning
+    description: Description, reports: Reports, others: Mapping[str, Sequence[Reports]]
 ) -> tuple[Reports, tuple[str, ...]]:
     """The reports with the position of their sensor, if it is aboard a vessel that another source reports, and notes.
 
@@ -32,7 +37,6 @@ def on_platform(
     have themselves stay as they are.
 
     others : by name, the reports of all sources; those of the sensor itself are not used.
-    tuning : ``platform_gap_s``, ``platform_heading_gap_s``, ``platform_ahead_s`` and ``platform_course_m_per_s``.
 
     Raises InputError: no source reports the vessel, several do, or none at the times of the sensor's reports; bearings
     are from the bow, and no source has the heading.
@@ -80,7 +84,7 @@ def on_platform(
     reports = replace(reports, time_s=reports.time_s - late_s)
     for step in steps:
         if len(reports):
-            reports, of_step = step(description.name, platform, vessel, compass or vessel, reports, tuning)
+            reports, of_step = step(description.name, platform, vessel, compass or vessel, reports)
             notes += of_step
     return replace(reports, time_s=reports.time_s + late_s), tuple(notes)
 
@@ -122,13 +126,11 @@ def gives_own_ship(part: Reports) -> bool:
 Step = tuple[Reports, list[str]]
 
 
-def _placed(
-    sensor: str, platform: Platform, vessel: list[Reports], compass: list[Reports], reports: Reports, tuning: Tuning
-) -> Step:
+def _placed(sensor: str, platform: Platform, vessel: list[Reports], compass: list[Reports], reports: Reports) -> Step:
     """The reports with the position of the vessel, where it is known, and notes."""
     names = ("lat_deg", "lon_deg") if vessel[0].lat_deg is not None else ("x_m", "y_m")
     time_s, place = _series(vessel, names)
-    known, at = _interpolated(time_s, place, reports.time_s, tuning.platform_gap_s, tuning.platform_ahead_s)
+    known, at = _interpolated(time_s, place, reports.time_s, PLATFORM_GAP_S, PLATFORM_AHEAD_S)
     if not known.any():
         raise InputError(
             f"{sensor}: the {platform}, which carries it, has no position at the times of its {len(reports)} "
@@ -139,17 +141,15 @@ def _placed(
     out = replace(reports, **{latitude_or_x: at[:, 0], longitude_or_y: at[:, 1]})  # type: ignore[arg-type]
     if out.station_heading_deg is None and out.relative_bearing_deg is None:
         # Bearings that look to be from the bow are doubted.
-        _, _, heading_deg = _headings(compass, reports.time_s, tuning)
+        _, _, heading_deg = _headings(compass, reports.time_s)
         out = replace(out, station_heading_deg=heading_deg if np.isfinite(heading_deg).any() else None)
     return _where(known, out, sensor, f"where the {platform} was at their times is not known")
 
 
-def _turned(
-    sensor: str, platform: Platform, vessel: list[Reports], compass: list[Reports], reports: Reports, tuning: Tuning
-) -> Step:
+def _turned(sensor: str, platform: Platform, vessel: list[Reports], compass: list[Reports], reports: Reports) -> Step:
     """The reports with bearings from north, where the heading of the vessel is known, and notes."""
     notes: list[str] = []
-    column, count, heading_deg = _headings(compass, reports.time_s, tuning)
+    column, count, heading_deg = _headings(compass, reports.time_s)
     known = np.isfinite(heading_deg)
     if not known.any():
         raise InputError(
@@ -172,7 +172,7 @@ def _where(known: BoolArray, reports: Reports, sensor: str, reason: str) -> Step
     return reports.where(known), [f"{sensor}: {int((~known).sum())} of {len(reports)} reports are set aside: {reason}"]
 
 
-def _headings(vessel: list[Reports], wanted_s: FloatArray, tuning: Tuning) -> tuple[str, int, FloatArray]:
+def _headings(vessel: list[Reports], wanted_s: FloatArray) -> tuple[str, int, FloatArray]:
     """The column of the headings, their number, and (n,) the heading at each time, NaN where it is not known.
 
     A vessel without headings heads along its course while it is under way.
@@ -181,22 +181,22 @@ def _headings(vessel: list[Reports], wanted_s: FloatArray, tuning: Tuning) -> tu
     time_s, heading_deg = _series(vessel, (column,))
     if not len(time_s):
         column = "course_deg"
-        time_s, heading_deg = _series([_under_way(part, tuning) for part in vessel], (column,))
+        time_s, heading_deg = _series([_under_way(part) for part in vessel], (column,))
     if not len(time_s):
         return column, 0, np.full(len(wanted_s), np.nan)
     # A heading is not continued beyond the last: of two a second apart, errors of a degree are a turn.
-    gap_s, ahead_s = tuning.platform_heading_gap_s, tuning.platform_ahead_s
+    gap_s, ahead_s = PLATFORM_HEADING_GAP_S, PLATFORM_AHEAD_S
     _, at = _interpolated(time_s, heading_deg, np.minimum(wanted_s, time_s[-1]), gap_s, ahead_s)
     return column, len(time_s), np.where(wanted_s <= time_s[-1] + ahead_s, np.mod(at[:, 0], 360.0), np.nan)
 
 
-def _under_way(reports: Reports, tuning: Tuning) -> Reports:
+def _under_way(reports: Reports) -> Reports:
     """The reports fast enough for the course to be the heading, nearly."""
     velocity = reports.velocity_m_per_s()
     if velocity is None:
         return reports
     with np.errstate(invalid="ignore"):
-        return reports.where(np.hypot(*velocity.T) >= tuning.platform_course_m_per_s)
+        return reports.where(np.hypot(*velocity.T) >= PLATFORM_COURSE_M_PER_S)
 
 
 def only_carries(source: str, reports: Reports, descriptions: Iterable[Description]) -> bool:

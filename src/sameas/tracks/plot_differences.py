@@ -14,7 +14,11 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
 from sameas.tracks.scans import usual_period_s
-from sameas.tracks.tuning import Tuning
+
+#: Plots of two sources are compared if they differ by less than the first, or by this many assumed σ.
+FIT_BOX_M, FIT_BOX_SIGMAS = 40.0, 2.5
+#: Maximum number of compared scans of two sources; those within this time count as one, since errors are correlated.
+FIT_SCANS, FIT_CORRELATION_S = 2000, 10.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ class MatchedScans:
     weight: float
 
 
-def matched_scans(feeds: Sequence[Feed], tuning: Tuning) -> Iterator[MatchedScans]:
+def matched_scans(feeds: Sequence[Feed]) -> Iterator[MatchedScans]:
     """For any two sources, not both of directions, each scan of that with fewer and the nearest one of the other."""
     scans = [scans_with_rows(feed) for feed in feeds]
     for s, t in combinations(range(len(feeds)), 2):
@@ -64,23 +68,23 @@ def matched_scans(feeds: Sequence[Feed], tuning: Tuning) -> Iterator[MatchedScan
         if len(times) < 2 or not len(scans[other][0]):
             continue
         period, period_other = usual_period_s(times), usual_period_s(scans[other][0])
-        step = max(len(times) // tuning.fit_scans, 1)
+        step = max(len(times) // FIT_SCANS, 1)
         nearest = nearest_scans(scans[other][0], times)
         gap = np.abs(scans[other][0][nearest] - times)
-        weight = min(step * period / tuning.fit_correlation_s, 1.0)
+        weight = min(step * period / FIT_CORRELATION_S, 1.0)
         for k in range(0, len(times), step):
             if gap[k] <= 0.6 * period_other:
                 numbers, both = (k, int(nearest[k])), (rows[k], scans[other][1][nearest[k]])
                 yield MatchedScans((fewer, other), numbers, both, float(times[k]), weight)
 
 
-def plot_differences(feeds: Sequence[Feed], logs: FloatArray, tuning: Tuning) -> PlotDifferences:
+def plot_differences(feeds: Sequence[Feed], logs: FloatArray) -> PlotDifferences:
     """The pairs of plots of any two sources, between scans that are nearest in time.
 
     logs : (3, S) ln of the errors a, b and e of each source, by which a box is wide enough.
     """
     parts: list[list[Any]] = []
-    for match in matched_scans(feeds, tuning):
+    for match in matched_scans(feeds):
         i, j = (side.ravel() for side in np.meshgrid(*match.rows, indexing="ij"))
         s, t = match.sources
         parts.append([np.full(len(i), s), np.full(len(i), t), i, j, np.full(len(i), match.weight)])
@@ -90,12 +94,10 @@ def plot_differences(feeds: Sequence[Feed], logs: FloatArray, tuning: Tuning) ->
             s=no_rows, t=no_rows, i=no_rows, j=no_rows, range_m=none, along_m=none, across_m=none,
             placed=np.empty(0, bool), box_m=none, weight=none,
         )  # fmt: skip
-    return _compared(feeds, logs, [np.concatenate(column) for column in zip(*parts, strict=True)], tuning)
+    return _compared(feeds, logs, [np.concatenate(column) for column in zip(*parts, strict=True)])
 
 
-def _compared(
-    feeds: Sequence[Feed], logs: FloatArray, columns: Sequence[NDArray[Any]], tuning: Tuning
-) -> PlotDifferences:
+def _compared(feeds: Sequence[Feed], logs: FloatArray, columns: Sequence[NDArray[Any]]) -> PlotDifferences:
     """The pairs with their differences, of those within the box; columns : s, t, i, j and weight."""
     s, t, i, j, weight = columns
     n = len(s)
@@ -129,7 +131,7 @@ def _compared(
     a, b, e = np.exp(2.0 * logs)
     hull = e[s] + e[t]
     sigma = np.sqrt(np.maximum(a[s] + a[t], range_m**2 * (b[s] + b[t])) + hull)
-    box = np.maximum(tuning.fit_box_m, tuning.fit_box_sigmas * sigma)
+    box = np.maximum(FIT_BOX_M, FIT_BOX_SIGMAS * sigma)
     kept = np.flatnonzero((np.abs(along) < box) & (np.abs(across) < box) & (range_m > 1.0))
     return PlotDifferences(*(x[kept] for x in (s, t, i, j, range_m, along, across, both_positions, box, weight)))
 

@@ -16,10 +16,23 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, inverse
-from sameas.tracks.bias_fit import BiasFit
+from sameas.tracks.bias_fit import MAX_STEPS, STEP_TOLERANCE, BiasFit
 from sameas.tracks.biases import AZIMUTH, RANGE, TIME, AzimuthDrift
-from sameas.tracks.plot_pairs import FITTED, PlotPairs, Plots, first_of_scans, moves
-from sameas.tracks.tuning import Tuning
+from sameas.tracks.duplicate_ids import WAY_M_PER_S
+from sameas.tracks.plot_pairs import AZIMUTH_REACH, FITTED, PLOT_RATES, PlotPairs, Plots, first_of_scans, moves
+
+#: Bounds of the fitted factors on the errors, and weight of the trial factor, in plots.
+SCALE_LIMITS, SCALE_PRIOR = (0.4, 4.0), 10.0
+#: Weight of the described extents when they are estimated, in tracks; 1σ of the mean of the antennas' places along the
+#: course, as a share of them (chosen).
+HULL_PRIOR, HULL_ALONG = 2.0, 0.25
+#: Weight of the median of PLOT_RATES, in scans; minimum number of plots of a detected track.
+RATE_PRIOR, MIN_PLOTS = 10.0, 3.0
+STATION_M = 5.0  # 1σ per axis of the place of a moving sensor: its antenna is not that of the positioning (chosen)
+#: Time between the knots of a drift of the azimuth, and their maximum number (chosen, as the following).
+COMPASS_KNOT_S, COMPASS_KNOTS = 30.0, 400
+#: Its expected correlation time, the bounds of the fitted one, its expected 1σ, and the weight of both, in knots.
+COMPASS_CORRELATION_S, COMPASS_LIMITS_S, COMPASS_DEG, COMPASS_PRIOR = 60.0, (15.0, 600.0), 0.3, 4.0
 
 
 @dataclass(frozen=True)
@@ -29,12 +42,12 @@ class Knots:
     time_s: FloatArray
 
     @classmethod
-    def of(cls, time_s: FloatArray, sensor: FloatArray, tuning: Tuning) -> Knots:
+    def of(cls, time_s: FloatArray, sensor: FloatArray) -> Knots:
         """The knots for plots at these times (n,) from these positions of the sensor (n, 2)."""
-        if not moves(sensor, tuning):
+        if not moves(sensor):
             return cls(np.empty(0))
         first, last = float(time_s.min()), float(time_s.max())
-        count = int(np.clip(np.ceil((last - first) / tuning.compass_knot_s) + 1, 2, tuning.compass_knots))
+        count = int(np.clip(np.ceil((last - first) / COMPASS_KNOT_S) + 1, 2, COMPASS_KNOTS))
         return cls(np.linspace(first, last, count))
 
     def __len__(self) -> int:
@@ -98,17 +111,16 @@ class _Estimates:
     @classmethod
     def initial(cls, parts: _Parts, pairs: PlotPairs, azimuth_deg: float, spread: tuple[float, float]) -> _Estimates:
         """Those at the start; the others are not known yet."""
-        state, tuning, none = np.zeros(parts.size), parts.tuning, np.empty(0)
+        state, none = np.zeros(parts.size), np.empty(0)
         state[parts.azimuth] = azimuth_deg
-        rate = np.full(len(pairs.scans), float(np.median(tuning.plot_rates)))
-        process = _Process(max(spread[1], tuning.compass_deg) ** 2, tuning.compass_correlation_s)
+        rate = np.full(len(pairs.scans), float(np.median(PLOT_RATES)))
+        process = _Process(max(spread[1], COMPASS_DEG) ** 2, COMPASS_CORRELATION_S)
         drift_variance = np.full(len(pairs.plot), process.variance_deg2 if len(parts.knots) else 0.0)
         scales, lasting_m2 = np.full(2, spread[0]), np.full(2, pairs.lasting_m2)
         return cls(state, rate, scales, lasting_m2, process, drift_variance, *[none] * 7)
 
     def iterated(self, parts: _Parts, pairs: PlotPairs, n_plots: int, scale: float) -> _Estimates:
         """Those after one more iteration. scale : prior factor on the errors."""
-        tuning = parts.tuning
         residual = pairs.residual - (parts.design @ self.state).reshape(-1, 2)
         variance = self.scales**2 * pairs.variance
         # Where the drift is not known yet, plots farther off are possible.
@@ -116,7 +128,7 @@ class _Estimates:
         wide = variance + np.column_stack([np.zeros(len(lever)), lever**2 * self.drift_variance])
         weight = _probabilities(pairs, residual, wide, self.rate, n_plots)
         total = np.asarray(np.bincount(pairs.track, weight, len(pairs.scans)), np.float64)
-        rate = (total + tuning.rate_prior) / (pairs.scans + tuning.rate_prior / np.median(tuning.plot_rates))
+        rate = (total + RATE_PRIOR) / (pairs.scans + RATE_PRIOR / np.median(PLOT_RATES))
         weighted = parts.design.multiply((weight[:, None] / variance).reshape(-1, 1)).tocsr()
         target = residual.ravel() + parts.design @ self.state
         prior = parts.prior(self.lasting_m2, self.process)
@@ -124,13 +136,13 @@ class _Estimates:
         covariance = inverse(information)
         state = covariance @ (weighted.T @ target)
         # The variances of places on the hull, of the detected tracks, and of the drift.
-        detected = total > tuning.min_plots
+        detected = total > MIN_PLOTS
         square = (state**2 + np.diag(covariance))[parts.hulls].reshape(-1, 2)[detected].sum(axis=0)
-        lasting_m2 = (square + tuning.hull_prior * pairs.lasting_m2) / (detected.sum() + tuning.hull_prior)
+        lasting_m2 = (square + HULL_PRIOR * pairs.lasting_m2) / (detected.sum() + HULL_PRIOR)
         chi_sq = np.einsum("m,ma->a", weight, residual**2 / pairs.variance)
-        scales = np.sqrt((chi_sq + tuning.scale_prior * scale**2) / (weight.sum() + tuning.scale_prior))
+        scales = np.sqrt((chi_sq + SCALE_PRIOR * scale**2) / (weight.sum() + SCALE_PRIOR))
         return _Estimates(
-            state, rate, np.clip(scales, *tuning.scale_limits), lasting_m2, parts.process(state, covariance),
+            state, rate, np.clip(scales, *SCALE_LIMITS), lasting_m2, parts.process(state, covariance),
             parts.drift_variance(covariance), residual, variance, weight, total, covariance, information, prior,
         )  # fmt: skip
 
@@ -138,25 +150,25 @@ class _Estimates:
         """Whether the biases differ by a small part of their errors from those of the state before."""
         change = np.abs(parts.reported @ (self.state - before))
         errors = np.sqrt(np.einsum("pq,qr,pr->p", parts.reported, self.covariance, parts.reported))
-        return bool(np.all(change < parts.tuning.step_tolerance * errors))
+        return bool(np.all(change < STEP_TOLERANCE * errors))
 
 
 def refined(
-    pairs: PlotPairs, widths: FloatArray, azimuth_deg: float, spread: tuple[float, float], plots: Plots, tuning: Tuning
+    pairs: PlotPairs, widths: FloatArray, azimuth_deg: float, spread: tuple[float, float], plots: Plots
 ) -> BiasFit:
     """The biases near an azimuth, by EM over plots and tracks, with a constant place of the echo on each hull, and with
     a drift of the azimuth if the sensor moves.
 
     spread : factor on the errors of plots, and 1σ of the drift, at the start.
     """
-    parts, converged = _Parts.of(pairs, widths, plots, tuning), False
+    parts, converged = _Parts.of(pairs, widths, plots), False
     em = _Estimates.initial(parts, pairs, azimuth_deg, spread)
-    for step in range(tuning.max_steps):
+    for step in range(MAX_STEPS):
         before, em = em.state, em.iterated(parts, pairs, len(plots), spread[0])
         converged = step > 3 and em.has_converged(before, parts)
         if converged:
             break
-    sure, detected = em.weight > 0.5, em.total > tuning.min_plots
+    sure, detected = em.weight > 0.5, em.total > MIN_PLOTS
     error = (em.residual[:, 1] / np.sqrt(em.variance[:, 1]))[sure]
     inflation = _variance_inflation(plots.time_s[pairs.plot[sure]], pairs.track[sure], error)
     covariance = inverse((em.information - em.prior) / inflation + em.prior)
@@ -164,24 +176,24 @@ def refined(
     speed = np.hypot(*pairs.jacobian[sure, :, FITTED.index(TIME)].T)
     biases = np.array([FITTED[k] for k in parts.fitted], np.int64)
     moving = float(np.median(speed)) if sure.any() else 0.0
-    common = np.diag(_common_hull(biases, float(np.sqrt(em.lasting_m2[0])), moving, tuning) ** 2)
+    common = np.diag(_common_hull(biases, float(np.sqrt(em.lasting_m2[0])), moving) ** 2)
     # The azimuth is the mean over the recording, and its standard error that of the mean without drift.
     of_mean = parts.reported @ covariance @ parts.reported.T
     missed = _missed(pairs, em.weight, plots.scan[pairs.plot])[detected if detected.any() else slice(None)]
     return BiasFit(
         biases, parts.reported @ em.state, covariance[:p, :p] + common, of_mean + common, float(em.weight.sum()),
-        int(plots.scan.max()) + 1, float(np.sum(detected)), 0.0, (), converged, tuning, moving,
+        int(plots.scan.max()) + 1, float(np.sum(detected)), 0.0, (), converged, moving,
         parts.drift(em.state, covariance, em.process), float(np.mean(missed)),
     )  # fmt: skip
 
 
-def _common_hull(biases: IntArray, hull_m: float, speed_m_per_s: float, tuning: Tuning) -> FloatArray:
+def _common_hull(biases: IntArray, hull_m: float, speed_m_per_s: float) -> FloatArray:
     """(p,) 1σ of the biases by what all hulls have in common: echoes of their near sides, antennas aft of the middle.
 
     hull_m : 1σ of the places of echoes along hulls.
     """
-    common_m = tuning.hull_along * hull_m
-    late_s = common_m / speed_m_per_s if speed_m_per_s > tuning.way_m_per_s else 0.0
+    common_m = HULL_ALONG * hull_m
+    late_s = common_m / speed_m_per_s if speed_m_per_s > WAY_M_PER_S else 0.0
     return np.asarray(np.where(biases == RANGE, common_m, np.where(biases == TIME, late_s, 0.0)))
 
 
@@ -211,15 +223,14 @@ class _Parts:
     reported: FloatArray
     precision: FloatArray
     tracks: int
-    tuning: Tuning
 
     @classmethod
-    def of(cls, pairs: PlotPairs, widths: FloatArray, plots: Plots, tuning: Tuning) -> _Parts:
+    def of(cls, pairs: PlotPairs, widths: FloatArray, plots: Plots) -> _Parts:
         """The model of all pairs."""
         from scipy.sparse import csr_array
 
         fitted = [p for p, k in enumerate(FITTED) if widths[k] > 0.0]
-        knots, tracks, p = Knots.of(plots.time_s, plots.sensor, tuning), len(pairs.scans), len(fitted)
+        knots, tracks, p = Knots.of(plots.time_s, plots.sensor), len(pairs.scans), len(fitted)
         m, at = len(pairs.plot), fitted.index(FITTED.index(AZIMUTH))
         column = np.tile(np.arange(p), (m, 1))
         hull = p + 2 * pairs.track[:, None] + np.arange(2)
@@ -239,8 +250,8 @@ class _Parts:
         reported[at, size - len(knots) :] = knots.mean_weights(plots.time_s[first_of_scans(plots)])
         precision = widths[[FITTED[k] for k in fitted]] ** -2.0
         # The azimuth's prior has the width of the search: its tails are wide.
-        precision[at] = (tuning.azimuth_reach * widths[AZIMUTH]) ** -2.0
-        return cls(fitted, design, knots, pair_knots, pair_shares, reported, precision, tracks, tuning)
+        precision[at] = (AZIMUTH_REACH * widths[AZIMUTH]) ** -2.0
+        return cls(fitted, design, knots, pair_knots, pair_shares, reported, precision, tracks)
 
     @property
     def size(self) -> int:
@@ -264,7 +275,7 @@ class _Parts:
 
     def prior(self, lasting_m2: FloatArray, process: _Process) -> FloatArray:
         """Prior precision, with these variances of places along and across a hull, and of the drift."""
-        out = np.diag(np.full(self.size, self.tuning.station_m**-2.0))
+        out = np.diag(np.full(self.size, STATION_M**-2.0))
         np.fill_diagonal(
             out[: self.hulls.stop], np.concatenate([self.precision, np.tile(1.0 / lasting_m2, self.tracks)])
         )
@@ -282,17 +293,17 @@ class _Parts:
 
     def process(self, state: FloatArray, covariance: FloatArray) -> _Process:
         """The process of the drift, by its moments at the knots and between neighbours."""
-        tuning, n = self.tuning, len(self.knots)
-        prior = _Process(tuning.compass_deg**2, tuning.compass_correlation_s)
+        n = len(self.knots)
+        prior = _Process(COMPASS_DEG**2, COMPASS_CORRELATION_S)
         if not n:
             return prior
         moments = np.outer(state[self.drifts], state[self.drifts]) + covariance[self.drifts, self.drifts]
-        expected = tuning.compass_prior * prior.variance_deg2
-        variance = (float(np.trace(moments)) + expected) / (n + tuning.compass_prior)
+        expected = COMPASS_PRIOR * prior.variance_deg2
+        variance = (float(np.trace(moments)) + expected) / (n + COMPASS_PRIOR)
         together = float(np.sum(np.diag(moments, 1))) * n / (n - 1)
         dt = self.knots.interval_s
         keep = (together + expected * np.exp(-dt / prior.correlation_s)) / (float(np.trace(moments)) + expected)
-        low, high = np.exp(-dt / np.array(tuning.compass_limits_s))
+        low, high = np.exp(-dt / np.array(COMPASS_LIMITS_S))
         return _Process(variance, -dt / float(np.log(np.clip(keep, low, high))))
 
     def drift(self, state: FloatArray, covariance: FloatArray, process: _Process) -> AzimuthDrift | None:

@@ -12,7 +12,7 @@ after, when a moving object would have left (fixed echoes), plus plots at the sa
 
 The plots of one object are not independent: errors of its hull, the antenna of the other source and its companions are
 the same in all scans. So the evidence of a track is bounded: with probability ε another object accompanies the track,
-and L/(1 + ε L) is its likelihood ratio against no object in common. ε is ``companion`` of the tuning, or the share of
+and L/(1 + ε L) is its likelihood ratio against no object in common. ε is ``COMPANION``, or the share of
 other azimuths at which some object seems to be a track, if that is larger. One track alone establishes no offset: the
 evidence is that without the track that fits best.
 The final fit is by EM (:mod:`sameas.tracks.plot_fit`).
@@ -32,13 +32,23 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.gaussian import LOG_2PI
 from sameas.tracks.bearing_readings import best_other_reading
-from sameas.tracks.bias_fit import BiasFit
+from sameas.tracks.bias_fit import DECISIVE, BiasFit
 from sameas.tracks.biases import AZIMUTH
 from sameas.tracks.feed import Feed
 from sameas.tracks.plot_fit import refined
-from sameas.tracks.plot_pairs import PlotPairs, Plots, candidates, log_prior_of_azimuth
+from sameas.tracks.plot_pairs import (
+    COMPANION,
+    PLOT_RATES,
+    PlotPairs,
+    Plots,
+    azimuth_limit_deg,
+    candidates,
+    log_prior_of_azimuth,
+)
 from sameas.tracks.snapshot import bias_widths
-from sameas.tracks.tuning import Tuning
+
+AZIMUTH_STEP_DEG, AZIMUTH_PEAKS = 0.1, 8  # steps of the search of the azimuth, and the most peaks
+MAX_TRACKS = 30.0  # with more tracks than this in view, and more plots per scan, instants are compared instead
 
 
 @dataclass(frozen=True)
@@ -48,7 +58,7 @@ class AzimuthSearch:
     azimuth_deg: FloatArray
     log_likelihood: FloatArray
 
-    def log_companion(self, tuning: Tuning) -> float:
+    def log_companion(self) -> float:
         """ln of the probability that another object than its own accompanies a track.
 
         At least ``companion``, and the share of azimuths at which the plots of any object seem to be of a track, apart
@@ -60,16 +70,16 @@ class AzimuthSearch:
         low = np.max(np.where(unlike & (grid < best), grid, -1), axis=2, keepdims=True)
         high = np.min(np.where(unlike & (grid > best), grid, len(grid)), axis=2, keepdims=True)
         elsewhere = (grid <= low) | (grid >= high)
-        odds = np.log(tuning.companion) + self.log_likelihood
+        odds = np.log(COMPANION) + self.log_likelihood
         share = np.sum(np.exp(odds - np.logaddexp(0.0, odds)) * elsewhere) / max(int(elsewhere.sum()), 1)
-        return float(np.log(max(share, tuning.companion)))
+        return float(np.log(max(share, COMPANION)))
 
 
-def search_azimuth(pairs: PlotPairs, plots: Plots, widths: FloatArray, tuning: Tuning) -> AzimuthSearch:
+def search_azimuth(pairs: PlotPairs, plots: Plots, widths: FloatArray) -> AzimuthSearch:
     """ln L of each track at each azimuth, with the other biases integrated over their priors."""
-    reach = tuning.azimuth_limit_deg(widths[AZIMUTH])
-    grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / tuning.azimuth_step_deg)) + 1)
-    prior, spreads = pairs.variance_without_azimuth(widths), plots.spreads(tuning)
+    reach = azimuth_limit_deg(widths[AZIMUTH])
+    grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / AZIMUTH_STEP_DEG)) + 1)
+    prior, spreads = pairs.variance_without_azimuth(widths), plots.spreads()
     out = np.zeros((len(spreads), len(pairs.scans), len(grid)))
     for number in range(len(pairs.scans)):
         own = pairs.track == number
@@ -82,13 +92,13 @@ def search_azimuth(pairs: PlotPairs, plots: Plots, widths: FloatArray, tuning: T
             variance[:, 1] += (drift_deg * lever) ** 2
             log_density = -LOG_2PI - 0.5 * np.log(variance).sum(axis=1) - 0.5 * residual[:, 0] ** 2 / variance[:, 0]
             ratio = np.exp(log_density[:, None] - 0.5 * across**2 / variance[:, 1, None])
-            out[s, number] = _log_mean_over_rates(ratio / pairs.background[own, None], pairs.scans[number], tuning)
+            out[s, number] = _log_mean_over_rates(ratio / pairs.background[own, None], pairs.scans[number])
     return AzimuthSearch(grid, out)
 
 
-def _log_mean_over_rates(ratio: FloatArray, scans: float, tuning: Tuning) -> FloatArray:
+def _log_mean_over_rates(ratio: FloatArray, scans: float) -> FloatArray:
     """(g,) ln of the mean over μ of the likelihood of plots with density ratios (m, g)."""
-    rates = np.array(tuning.plot_rates)
+    rates = np.array(PLOT_RATES)
     terms = np.array([np.sum(np.log1p(rate * ratio), axis=0) - rate * scans for rate in rates])
     return np.asarray(np.logaddexp.reduce(terms, axis=0) - np.log(len(rates)))
 
@@ -99,24 +109,24 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
     None if no plot is near a track, and if a scan may show many tracks: then single scans determine the biases, and
     tracks are near enough to be confused (use :func:`sameas.tracks.bias_fit.fit_biases`).
     """
-    tuning, widths = feed.tuning, bias_widths(feed)
+    widths = bias_widths(feed)
     plots = Plots.of(feed)
     if not len(plots) or not partners:
         return None
-    pairs = candidates(plots, feed, partners, tuning)
+    pairs = candidates(plots, feed, partners)
     # A scan shows at most as many tracks as it has plots.
     in_view = min(float(pairs.scans.sum()), float(len(plots)))
-    if not len(pairs.plot) or in_view > tuning.max_tracks * (plots.scan.max() + 1):
+    if not len(pairs.plot) or in_view > MAX_TRACKS * (plots.scan.max() + 1):
         return None
-    search = search_azimuth(pairs, plots, widths, tuning)
+    search = search_azimuth(pairs, plots, widths)
     # The evidence against no object in common is bounded per track; the comparison of azimuths is not.
-    log_companion = search.log_companion(tuning)
+    log_companion = search.log_companion()
     bounded = search.log_likelihood - np.logaddexp(0.0, search.log_likelihood + log_companion)
     log_prior = log_prior_of_azimuth(search.azimuth_deg, float(widths[AZIMUTH]))
     step = float(search.azimuth_deg[1] - search.azimuth_deg[0])
     log_posterior = np.logaddexp.reduce(bounded.sum(axis=1), axis=0) - np.log(len(search.log_likelihood)) + log_prior
     peaks: list[tuple[float, int, int, slice]] = []
-    for low, high in _peaks(log_posterior, tuning):
+    for low, high in _peaks(log_posterior):
         inside = search.log_likelihood[:, :, low:high].sum(axis=1)
         scale, position = divmod(int(np.argmax(inside)), high - low)
         mass = float(np.logaddexp.reduce(log_posterior[low:high]) + np.log(step))
@@ -125,17 +135,17 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
     # An object that moves like one track by chance is no offset: the other tracks must agree by themselves.
     others = np.delete(bounded[s], np.argmax(bounded[s, :, at]), axis=0).sum(axis=0) + log_prior
     evidence = min(evidence, float(np.logaddexp.reduce(others[peak]) + np.log(step)))
-    spread = plots.spreads(tuning)[s]
-    best = refined(pairs, widths, float(search.azimuth_deg[at]), spread, plots, tuning)
+    spread = plots.spreads()[s]
+    best = refined(pairs, widths, float(search.azimuth_deg[at]), spread, plots)
     rivals = []
     for other in [one[2] for one in peaks if one[2] != at]:
         # A track's preference between two azimuths is bounded like its evidence against no object in common.
         lead = search.log_likelihood[s, :, at] - search.log_likelihood[s, :, other]
         log_ratio = float(np.clip(lead, log_companion, -log_companion).sum() + log_prior[at] - log_prior[other])
         theta = np.where(best.biases == AZIMUTH, search.azimuth_deg[other], best.theta)
-        if log_ratio < tuning.registration.decisive:
+        if log_ratio < DECISIVE:
             # Two peaks of the search may be one solution.
-            theta = refined(pairs, widths, float(search.azimuth_deg[other]), spread, plots, tuning).theta
+            theta = refined(pairs, widths, float(search.azimuth_deg[other]), spread, plots).theta
             if _same(best, theta):
                 continue
         rivals.append((theta, evidence - log_ratio))
@@ -167,14 +177,14 @@ def _same(best: BiasFit, theta: FloatArray) -> bool:
     return bool(abs(theta[at] - best.theta[at]) <= 2.0 * np.sqrt(best.covariance[at, at]))
 
 
-def _peaks(log_density: FloatArray, tuning: Tuning) -> list[tuple[int, int]]:
+def _peaks(log_density: FloatArray) -> list[tuple[int, int]]:
     """Index ranges (low, high) of the grid about its peaks, the highest first: each is connected and less than
     ``decisive`` below its peak."""
     remaining = log_density.copy()
     peaks: list[tuple[int, int]] = []
-    while len(peaks) < tuning.azimuth_peaks and np.isfinite(remaining).any():
+    while len(peaks) < AZIMUTH_PEAKS and np.isfinite(remaining).any():
         at = int(np.argmax(remaining))
-        below = np.flatnonzero(remaining < remaining[at] - tuning.registration.decisive)
+        below = np.flatnonzero(remaining < remaining[at] - DECISIVE)
         after = int(np.searchsorted(below, at))
         low = int(below[after - 1]) + 1 if after else 0
         high = int(below[after]) if after < len(below) else len(remaining)

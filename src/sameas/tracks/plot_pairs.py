@@ -14,13 +14,30 @@ from sameas.ragged import flattened
 from sameas.registration.offsets import RADIAN, line_of_sight, range_and_azimuth
 from sameas.tracks.alignment import States, Succession, moved
 from sameas.tracks.biases import AZIMUTH, EAST, GAIN, NORTH, RANGE, TIME
+from sameas.tracks.duplicate_ids import WAY_M_PER_S
 from sameas.tracks.feed import Feed
 from sameas.tracks.snapshot import bias_widths
 from sameas.tracks.source import CLUTTER, MISSES, MissRate
-from sameas.tracks.tuning import Tuning
 
 #: The biases of a radar's plots, in the order of BIASES.
 FITTED = (RANGE, AZIMUTH, GAIN, TIME)
+
+AZIMUTH_REACH = 20.0  # the azimuth of bare plots is searched within this many prior widths
+#: Gate of plots and tracks in range, and maximum 1σ of the position of a compared track.
+GATE_SIGMAS, MAX_SIGMA_M = 3.5, 100.0
+OWN_PLATFORM_M = 50.0  # tracks nearer to the sensor than this are excluded, as the sensor's own platform
+#: Plots at the same place, between these times before and after a plot, are background: a moving object has left the
+#: place by then. ECHO_M is added to the width within which they are counted.
+BACKGROUND_FROM_S, BACKGROUND_TO_S, ECHO_M = 40.0, 240.0, 15.0
+CLUTTER_CELL_M = 100.0  # width of the cells in which the clutter of a picture is counted
+RING_SHARE = 0.03  # the density of plots at a range is that of this share of the plots to either side of it in range
+#: Trial factors on the errors of plots, with 1σ of the drift of the azimuth in degrees, if the sensor moves.
+PLOT_SPREADS = ((1.0, 0.0), (2.0, 0.0), (1.0, 1.5), (1.0, 3.0))
+COMPASS_MOVED_M = 50.0  # a sensor that moves at least so far has a drift of its azimuth (chosen)
+#: Mean numbers of plots of a track per scan, averaged over.
+PLOT_RATES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+#: Probability that another object accompanies a track; it limits the evidence of one track to −ln COMPANION.
+COMPANION = 3e-4
 
 
 def shows_bare_plots(feed: Feed) -> bool:
@@ -82,15 +99,20 @@ class Plots:
         """Some of the plots, with the numbers of their scans."""
         return Plots(*(column[which] for column in vars(self).values()))
 
-    def spreads(self, tuning: Tuning) -> list[tuple[float, float]]:
+    def spreads(self) -> list[tuple[float, float]]:
         """The trial factors on their errors, with 1σ of the drift in degrees: none for a fixed sensor."""
-        drifts = moves(self.sensor, tuning)
-        return [spread for spread in tuning.plot_spreads if drifts or not spread[1]]
+        drifts = moves(self.sensor)
+        return [spread for spread in PLOT_SPREADS if drifts or not spread[1]]
 
 
-def moves(sensor: FloatArray, tuning: Tuning) -> bool:
+def azimuth_limit_deg(width_deg: float) -> float:
+    """The largest offset of the azimuth that is searched; ``width_deg`` : its prior 1σ."""
+    return min(AZIMUTH_REACH * width_deg, 180.0)
+
+
+def moves(sensor: FloatArray) -> bool:
     """Whether a sensor at these places (n, 2) moves, so that its azimuth drifts with the heading of its vessel."""
-    return len(sensor) > 0 and float(np.ptp(sensor, axis=0).max()) >= tuning.compass_moved_m
+    return len(sensor) > 0 and float(np.ptp(sensor, axis=0).max()) >= COMPASS_MOVED_M
 
 
 def log_prior_of_azimuth(azimuth_deg: FloatArray, width_deg: float) -> FloatArray:
@@ -133,15 +155,13 @@ class PlotPairs:
         return np.einsum("map,p,map->ma", self.jacobian, others**2, self.jacobian)
 
 
-def candidates(
-    plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tuning, reach_deg: float | None = None
-) -> PlotPairs:
+def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], reach_deg: float | None = None) -> PlotPairs:
     """The candidate pairs of all plots and all tracks of the partners.
 
     reach_deg : the most by which their azimuths differ; by default the reach of the search.
     """
     widths = bias_widths(feed)
-    reach_deg = tuning.azimuth_limit_deg(widths[AZIMUTH]) if reach_deg is None else reach_deg
+    reach_deg = azimuth_limit_deg(widths[AZIMUTH]) if reach_deg is None else reach_deg
     parts: list[tuple[NDArray[Any], ...]] = []
     scans: list[float] = []
     lasting = max(feed.description.errors.extent_m or 0.0, LEAST_LASTING_M) ** 2
@@ -153,13 +173,13 @@ def candidates(
             arm = state[:, :2] - plots.sensor
             range_m, azimuth, frame = _sight(arm)
             along, across = (np.einsum("nv,nvw,nw->n", frame[:, a], covariance[:, :2, :2], frame[:, a]) for a in (0, 1))
-            known = np.maximum(along, across) < tuning.max_sigma_m**2
-            known &= (range_m > tuning.own_platform_m) & (range_m <= (feed.description.coverage.range_m or np.inf))
+            known = np.maximum(along, across) < MAX_SIGMA_M**2
+            known &= (range_m > OWN_PLATFORM_M) & (range_m <= (feed.description.coverage.range_m or np.inf))
             if not known.any():
                 continue
             d_azimuth = (plots.azimuth_deg - azimuth + 180.0) % 360.0 - 180.0
             variance = plots.variance + np.column_stack([along, across])
-            gate_m = tuning.gate_sigmas * np.sqrt(
+            gate_m = GATE_SIGMAS * np.sqrt(
                 variance[:, 0] + lasting + widths[RANGE] ** 2 + (widths[GAIN] * range_m) ** 2
             )
             d_range = plots.range_m - range_m
@@ -171,7 +191,7 @@ def candidates(
                  np.stack([zero, RADIAN * r, zero, -velocity[:, 1]], axis=-1)], axis=-2,
             )  # fmt: skip
             residual = np.column_stack([d_range[near], RADIAN * d_azimuth[near] * r])
-            hull = frame[near] @ _axes(state[near, 2:], tuning)
+            hull = frame[near] @ _axes(state[near, 2:])
             parts.append((near, np.full(len(near), len(scans)), residual, jacobian, variance[near], hull, frame[near]))
             scans.append(float(np.sum(known[scan_starts])))
     if not sum(len(part[0]) for part in parts):
@@ -183,16 +203,16 @@ def candidates(
     plot, track, residual, jacobian, variance, *axes = (np.concatenate(part) for part in zip(*parts, strict=True))
     in_gate = np.unique(plot)
     background = np.zeros(len(plots))
-    background[in_gate] = _background(plots, in_gate, tuning)
+    background[in_gate] = _background(plots, in_gate)
     return PlotPairs(
         plot, track, residual, jacobian, variance, background[plot], np.array(scans), lasting, *axes
     )  # fmt: skip
 
 
-def _axes(velocity: FloatArray, tuning: Tuning) -> FloatArray:
+def _axes(velocity: FloatArray) -> FloatArray:
     """(n, 2, 2) unit vectors along and across the courses, as columns; north and east for objects without way."""
     speed = np.hypot(*velocity.T)[:, None]
-    along = np.where(speed > tuning.way_m_per_s, velocity / np.maximum(speed, 1e-9), [0.0, 1.0])
+    along = np.where(speed > WAY_M_PER_S, velocity / np.maximum(speed, 1e-9), [0.0, 1.0])
     return np.stack([along, np.column_stack([along[:, 1], -along[:, 0]])], axis=-1)
 
 
@@ -238,17 +258,17 @@ def _paths(feed: Feed) -> list[Path]:
     ]
 
 
-def _background(plots: Plots, rows: IntArray, tuning: Tuning) -> FloatArray:
+def _background(plots: Plots, rows: IntArray) -> FloatArray:
     """(m,) density of other plots at the plots ``rows``, per m² and scan: of fixed echoes, plus that of the range."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(plots.position)
     scans_s = plots.time_s[first_of_scans(plots)]
-    width = np.sqrt(2.0 * plots.variance[rows]) + tuning.echo_m
+    width = np.sqrt(2.0 * plots.variance[rows]) + ECHO_M
     frame = _sight(plots.position[rows] - plots.sensor[rows])[2]
     owner, other = flattened(tree.query_ball_point(plots.position[rows], 3.0 * width.max(axis=1), return_sorted=False))
     apart_s = np.abs(plots.time_s[other] - plots.time_s[rows[owner]])
-    earliest_s, latest_s = tuning.background_from_s, tuning.background_to_s
+    earliest_s, latest_s = BACKGROUND_FROM_S, BACKGROUND_TO_S
     kept = (apart_s >= earliest_s) & (apart_s <= latest_s)
     owner, other = owner[kept], other[kept]
     step = np.einsum("mav,mv->ma", frame[owner], plots.position[other] - plots.position[rows[owner]]) / width[owner]
@@ -259,13 +279,13 @@ def _background(plots: Plots, rows: IntArray, tuning: Tuning) -> FloatArray:
         for low, high in ((-latest_s, -earliest_s), (earliest_s, latest_s))
     )
     fixed = np.bincount(owner, kernel, len(rows)) / np.maximum(window, 1)
-    return fixed + _by_range(plots, rows, len(scans_s), tuning)
+    return fixed + _by_range(plots, rows, len(scans_s))
 
 
-def _by_range(plots: Plots, rows: IntArray, n_scans: int, tuning: Tuning) -> FloatArray:
+def _by_range(plots: Plots, rows: IntArray, n_scans: int) -> FloatArray:
     """(m,) plots per m² and scan at the range of the plots ``rows``, averaged over all directions."""
     order = np.sort(plots.range_m)
-    count = max(int(tuning.ring_share * len(order)), 10)
+    count = max(int(RING_SHARE * len(order)), 10)
     middle = np.searchsorted(order, plots.range_m[rows])
     low, high = np.maximum(middle - count, 0), np.minimum(middle + count, len(order) - 1)
     inner, outer = np.where(low == 0, 0.0, order[low]), order[high] + 1.0
@@ -297,7 +317,7 @@ def _clutter(feed: Feed) -> tuple[FloatArray, float]:
     from scipy.ndimage import gaussian_filter, uniform_filter
     from scipy.special import erf
 
-    plots, cell_m = Plots.of(feed), feed.tuning.clutter_cell_m
+    plots, cell_m = Plots.of(feed), CLUTTER_CELL_M
     scans = len(first_of_scans(plots))
     at = ((plots.position - plots.position.min(axis=0)) / cell_m).astype(np.int64) + 8
     counts = np.zeros(at.max(axis=0) + 9)
@@ -306,7 +326,7 @@ def _clutter(feed: Feed) -> tuple[FloatArray, float]:
     share = float(erf(1.5 / 2.0 / np.sqrt(2.0)) ** 2)
     middle = uniform_filter(counts, 3, mode="constant")
     around = np.maximum(gaussian_filter(counts, 2.0, mode="constant") - share * middle, 0.0) / (1.0 - share)
-    density = around[tuple(at.T)] / (cell_m**2 * scans) + _by_range(plots, np.arange(len(plots)), scans, feed.tuning)
+    density = around[tuple(at.T)] / (cell_m**2 * scans) + _by_range(plots, np.arange(len(plots)), scans)
     reach_m = min(feed.description.coverage.range_m or np.inf, float(plots.range_m.max()))
     mean_per_m2 = len(plots) / (scans * np.pi * reach_m**2)
     out = np.full(len(feed.reports), mean_per_m2)

@@ -23,15 +23,21 @@ from sameas.registration import Parameter
 from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.bearing_readings import best_other_reading
-from sameas.tracks.bias_fit import BiasFit, fit_biases
+from sameas.tracks.bias_fit import DECISIVE, BiasFit, fit_biases
 from sameas.tracks.biases import AZIMUTH, BIASES, TIME, AzimuthDrift, corrected
 from sameas.tracks.crossing_offsets import crossing_fit
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
 from sameas.tracks.placement import Directions
+from sameas.tracks.plot_fit import HULL_ALONG
 from sameas.tracks.plot_offsets import PlotFits
 from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_tracks, with_plot_statistics
 from sameas.tracks.snapshot import CommonScan, ComparedSource, bias_widths, common_scans
 from sameas.tracks.source import Description
+
+DELAY_S = 5.0  # prior 1σ of a delay of the time stamps that a description does not mention (chosen)
+#: An offset of bearings with pairs of a larger share of the records, and with more tracks, is not compared with others.
+READING_SHARE, READING_TRACKS = 0.5, 4.0
+COMPASS_NOTED_DEG = 0.5  # a larger drift of the azimuth is reported
 
 
 @dataclass(frozen=True)
@@ -304,7 +310,7 @@ def _fit(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> BiasFit | None
     scans = _common_scans(feed, partners)
     if not observable(scans):
         return None
-    fit = fit_biases(scans, feed.tuning)
+    fit = fit_biases(scans)
     if not fit.established or not named or not has_bearings(feed) or _is_plain(fit, scans):
         return fit
     azimuth_deg = float(fit.theta[fit.biases == AZIMUTH][0])
@@ -314,23 +320,23 @@ def _fit(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> BiasFit | None
 def _is_plain(fit: BiasFit, scans: Sequence[CommonScan]) -> bool:
     """Whether so many records are in pairs that they cannot be read in another way."""
     records = sum(scan.most_pairs for scan in scans)
-    return fit.tracks > fit.tuning.reading_tracks and fit.pairs > fit.tuning.reading_share * records
+    return fit.tracks > READING_TRACKS and fit.pairs > READING_SHARE * records
 
 
 def _common_scans(feed: Feed, partners: Sequence[Feed]) -> list[CommonScan]:
     return [scan for other in partners for scan in common_scans(ComparedSource(other, None), ComparedSource(feed, 0))]
 
 
-def with_delay_prior(description: Description, delay_s: float) -> Description:
+def with_delay_prior(description: Description) -> Description:
     """The description with a prior 1σ of a delay in addition to its latency, so that the delay is always estimated."""
-    return replace(description, bias=replace(description.bias, time_s=delay_s))
+    return replace(description, bias=replace(description.bias, time_s=DELAY_S))
 
 
 def _with_unknown_delay(feed: Feed) -> Feed | None:
     """The feed with a prior for a delay of its stamps; None for directions, and if its description has one, or 0."""
     if feed.description.bias.time_s is not None or isinstance(feed.reports, Directions):
         return None
-    return replace(feed, description=with_delay_prior(feed.description, feed.tuning.delay_s))
+    return replace(feed, description=with_delay_prior(feed.description))
 
 
 def _delay_fit(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> BiasFit | None:
@@ -341,7 +347,7 @@ def _delay_fit(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> BiasFit 
 
 
 def _delay_established(fit: BiasFit, feeds: Sequence[Feed]) -> bool:
-    decisive = fit.tuning.registration.decisive
+    decisive = DECISIVE
     return fit.established and delay_evidence(fit, feeds) > decisive
 
 
@@ -359,8 +365,8 @@ def delay_evidence(fit: BiasFit, feeds: Sequence[Feed]) -> float:
     delay, variance = float(fit.theta[at[0]]), float(fit.covariance[at[0], at[0]])
     if fit.speed_m_per_s > 0.0:
         extent_sq = max((feed.description.errors.extent_m or 0.0) ** 2 for feed in feeds)
-        variance += extent_sq * (fit.tuning.hull_along / fit.speed_m_per_s) ** 2
-    return 0.5 * delay**2 / variance + 0.5 * float(np.log(variance)) - float(np.log(fit.tuning.delay_s))
+        variance += extent_sq * (HULL_ALONG / fit.speed_m_per_s) ** 2
+    return 0.5 * delay**2 / variance + 0.5 * float(np.log(variance)) - float(np.log(DELAY_S))
 
 
 def _mutual(one: Feed, other: Feed) -> tuple[RegisteredFeed, RegisteredFeed]:
@@ -377,7 +383,7 @@ def _mutual(one: Feed, other: Feed) -> tuple[RegisteredFeed, RegisteredFeed]:
                 for feed, partner in ((one, other), (other, one))
             )  # fmt: skip
             return first, second
-        fit = fit_biases(scans, one.tuning)
+        fit = fit_biases(scans)
     gauge = (
         f"{names[0]} and {names[1]} have no reference: a bias that displaces both alike cannot be seen, and is assumed "
         "to be as small as their descriptions allow"
@@ -402,7 +408,7 @@ def _mutual_delay_fit(one: Feed, other: Feed) -> BiasFit | None:
     scans = common_scans(ComparedSource(late_one or one, 0), ComparedSource(late_other or other, 6))
     if not observable(scans):
         return None
-    fit = fit_biases(scans, one.tuning)
+    fit = fit_biases(scans)
     return fit if _delay_established(fit, [one, other]) else None
 
 
@@ -471,7 +477,7 @@ def _notes(feed: Feed, which: IntArray, own: IntArray, fit: BiasFit, against: tu
     """Doubts about the biases of one source."""
     name, others = feed.description.name, " and ".join(against)
     notes = []
-    if fit.log_evidence < fit.tuning.registration.decisive:
+    if fit.log_evidence < DECISIVE:
         notes.append(
             f"{name}: may have no object in common with {others}: its biases are not significant "
             f"(log evidence {fit.log_evidence:.1f})"
@@ -482,14 +488,14 @@ def _notes(feed: Feed, which: IntArray, own: IntArray, fit: BiasFit, against: tu
             f"{name}: its stamps are {abs(delay_s):.2g} s {'late' if delay_s > 0.0 else 'early'} against those of "
             f"{others}, which its description does not mention; if they are exact, give bias time_s = 0"
         )
-    if fit.established and fit.drift is not None and fit.drift.spread_deg > fit.tuning.compass_noted_deg:
+    if fit.established and fit.drift is not None and fit.drift.spread_deg > COMPASS_NOTED_DEG:
         at = own[which == AZIMUTH][0]
         mean_deg = float(np.sqrt(fit.relative[at, at]))
         notes.append(
             f"{name}: its azimuth drifts by {fit.drift.spread_deg:.1f}° about this (root mean square), as with a "
             f"heading from a compass; the drift is removed, and the mean is known to {mean_deg:.2f}°"
         )
-    if fit.reading is not None and fit.reading.log_odds > -fit.tuning.registration.decisive:
+    if fit.reading is not None and fit.reading.log_odds > -DECISIVE:
         notes.append(f"{name}: its {fit.reading.suspicion} (log odds {fit.reading.log_odds:.1f} against these biases)")
     if fit.near_rivals:
         theta, evidence = fit.near_rivals[0]

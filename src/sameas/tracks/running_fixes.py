@@ -22,14 +22,19 @@ from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.placement import Directions
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import BiasPrior, Description, Motion
-from sameas.tracks.tuning import Tuning
 
 #: The kind of reports of running fixes, and 1σ of the velocity of what does not move, m/s.
 FIXES, STILL_M_PER_S = "running fix", 0.01
 
+#: Least number of directions that place an emitter, and most instants at which it is.
+FIX_DIRECTIONS, FIX_INSTANTS = 10, 40
+#: 1σ of its place by the range, and scatter of the directions by their errors, at most.
+FIX_SHARE, FIX_SPREAD = 0.1, 2.0
+FIX_CORRELATION_S = 10.0  # errors of directions nearer in time count as one
+
 
 def running_fixes(
-    description: Description, directions: Directions, raw: Reports, plane: LocalPlane | None, tuning: Tuning
+    description: Description, directions: Directions, raw: Reports, plane: LocalPlane | None
 ) -> tuple[tuple[Description, Reports] | None, tuple[str, ...]]:
     """A moving direction finder as a source of the places of its emitters, None if it has none, and notes.
 
@@ -42,9 +47,9 @@ def running_fixes(
     ids, notes = np.full(len(raw), None, object), []
     for name, of_emitter in _emitters(usable, directions, raw):
         last: _Fix | None = None
-        for count in _checkpoints(len(of_emitter), tuning):
-            fix = _Fix.of(directions, of_emitter[:count], description.bias.azimuth_deg or 0.0, tuning)
-            if fix is None or not fix.is_placed(tuning):
+        for count in _checkpoints(len(of_emitter)):
+            fix = _Fix.of(directions, of_emitter[:count], description.bias.azimuth_deg or 0.0)
+            if fix is None or not fix.is_placed():
                 continue
             row = directions.rows[of_emitter[count - 1]]
             place[row], covariance[row], last = fix.place, fix.covariance[[0, 0, 1], [0, 1, 1]], fix
@@ -108,11 +113,11 @@ def _emitters(usable: IntArray, directions: Directions, raw: Reports) -> Iterato
 _SAME_FREQUENCY = 1e-4
 
 
-def _checkpoints(count: int, tuning: Tuning) -> list[int]:
+def _checkpoints(count: int) -> list[int]:
     """The numbers of directions after which an emitter is placed."""
-    if count < tuning.fix_directions:
+    if count < FIX_DIRECTIONS:
         return []
-    return np.unique(np.linspace(tuning.fix_directions, count, tuning.fix_instants).astype(np.int64)).tolist()
+    return np.unique(np.linspace(FIX_DIRECTIONS, count, FIX_INSTANTS).astype(np.int64)).tolist()
 
 
 @dataclass(frozen=True)
@@ -125,13 +130,13 @@ class _Fix:
     spread: float
     range_m: float
 
-    def is_placed(self, tuning: Tuning) -> bool:
+    def is_placed(self) -> bool:
         """Whether the directions cross, and at one place."""
         large_m = float(np.sqrt(np.linalg.eigvalsh(self.covariance)[-1]))
-        return large_m < tuning.fix_share * self.range_m and self.spread < tuning.fix_spread
+        return large_m < FIX_SHARE * self.range_m and self.spread < FIX_SPREAD
 
     @classmethod
-    def of(cls, directions: Directions, which: IntArray, offset_deg: float, tuning: Tuning) -> _Fix | None:
+    def of(cls, directions: Directions, which: IntArray, offset_deg: float) -> _Fix | None:
         """The fix by some directions, with an offset of 0 ± ``offset_deg``; None where they are parallel."""
         from scipy.optimize import least_squares
 
@@ -140,7 +145,7 @@ class _Fix:
         of_each = directions.sigma_deg[which] ** 2
         sigma = np.sqrt(np.maximum(of_each - lasting**2, 0.05 * of_each))
         interval_s = float(np.ptp(directions.time_s[which])) / max(len(which) - 1, 1)
-        share = min(1.0, interval_s / tuning.fix_correlation_s)
+        share = min(1.0, interval_s / FIX_CORRELATION_S)
         offset_sigma = max(offset_deg, 0.01)
         ranges = np.geomspace(50.0, 0.5 * _FARTHEST_M, 40)
         middle = np.radians(bearing[: max(len(which) // 4, 1)])

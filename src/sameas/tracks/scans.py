@@ -19,7 +19,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
+
+#: The rotation period is searched within ROTATION_SEARCH of the described one, by at most ROTATION_PLOTS plots, with
+#: ROTATION_STEPS steps per resolvable frequency; then within ROTATION_FAR times it.
+ROTATION_SEARCH, ROTATION_FAR, ROTATION_PLOTS, ROTATION_STEPS = 0.3, 3.0, 3000, 6.0
+ROTATION_LOG_ODDS = 12.0  # minimum log-odds of a period against chance
+ROTATION_UNEXPLAINED = 0.5  # an antenna rotates if its rotation leaves less than this share of the scatter of bearings
+PAUSE_QUANTILE = 0.99  # the pause of an antenna is this quantile of the gaps between its plots
+#: Maximum gap between successive reports of one exposure, and its maximum length, as shares of the period.
+EXPOSURE_GAP, EXPOSURE_LENGTH = 0.1, 0.5
+#: Maximum number of exposures per period, and maximum share of those that follow the previous one in less than half the
+#: usual time.
+EXPOSURES_PER_PERIOD, HURRIED_SHARE = 1.5, 0.1
 
 
 def usual_period_s(times_s: FloatArray) -> float:
@@ -65,7 +76,6 @@ def scans_of(
     period_s: float | None,
     bearing_deg: FloatArray | None = None,
     scan_times_s: FloatArray | None = None,
-    tuning: Tuning = DEFAULT_TUNING,
 ) -> Scans:
     """The scans of bare plots.
 
@@ -81,22 +91,20 @@ def scans_of(
         return Scans(time_s.copy())
     _, stamp, count = np.unique(time_s, return_inverse=True, return_counts=True)
     shared = float(np.mean(count[stamp] > 1)) >= 0.5
-    exposures = _exposures(time_s, period_s, 0.0 if shared else tuning.exposure_gap * period_s, tuning)
+    exposures = _exposures(time_s, period_s, 0.0 if shared else EXPOSURE_GAP * period_s)
     if exposures is not None:
         return Scans(exposures)
-    rotation_s = None if bearing_deg is None else rotation_period_s(time_s, bearing_deg, period_s, tuning)
+    rotation_s = None if bearing_deg is None else rotation_period_s(time_s, bearing_deg, period_s)
     if shared and rotation_s is None:
         return Scans(time_s.copy())
     period = period_s if rotation_s is None else rotation_s
     gaps, first = np.diff(np.sort(time_s)), float(time_s.min())
     # Below one period, so that the rotation includes its last plot.
-    pause_s = min(float(np.quantile(gaps, tuning.pause_quantile)), 0.999 * period)
+    pause_s = min(float(np.quantile(gaps, PAUSE_QUANTILE)), 0.999 * period)
     return Scans(first + period * np.floor((time_s - first) / period), AntennaRotation(period, pause_s))
 
 
-def rotation_period_s(
-    time_s: FloatArray, bearing_deg: FloatArray, near_s: float, tuning: Tuning = DEFAULT_TUNING
-) -> float | None:
+def rotation_period_s(time_s: FloatArray, bearing_deg: FloatArray, near_s: float) -> float | None:
     """The period of a clockwise rotation, from bearings and stamps; None without one, or with too few plots.
 
     The frequency f that maximises R = |Σ exp i(β − 2π f t)| / n. It is accepted if n R² exceeds the level that the
@@ -110,8 +118,8 @@ def rotation_period_s(
     """
     known = np.flatnonzero(np.isfinite(bearing_deg))
     order = known[np.argsort(time_s[known], kind="stable")]
-    skipped = max(len(order) - tuning.rotation_plots, 0) // 2
-    order = order[skipped : skipped + tuning.rotation_plots]
+    skipped = max(len(order) - ROTATION_PLOTS, 0) // 2
+    order = order[skipped : skipped + ROTATION_PLOTS]
     time, sight = time_s[order], np.exp(1j * np.radians(bearing_deg[order]))
     span = float(np.ptp(time)) if len(time) else 0.0
     if span < 2.0 * near_s:
@@ -127,21 +135,21 @@ def rotation_period_s(
     def accepted(shortest_s: float, longest_s: float) -> float | None:
         """The best period between these, where it is accepted."""
         low, high = 1.0 / longest_s, 1.0 / shortest_s
-        count = math.ceil((high - low) * span * tuning.rotation_steps)
+        count = math.ceil((high - low) * span * ROTATION_STEPS)
         tried = np.linspace(low, high, count + 1)
         for step in (high - low) / count * np.array([1.0, 0.1, 0.01]):
             best = float(tried[np.argmax(explained(tried))])
             tried = best + 0.1 * step * np.arange(-10, 11)
         strength = float(explained(np.array([best]))[0])
-        chance = len(time) * strength**2 < tuning.rotation_log_odds + math.log(count)
-        return None if chance or 1.0 - strength > tuning.rotation_unexplained * (1.0 - fixed) else 1.0 / best
+        chance = len(time) * strength**2 < ROTATION_LOG_ODDS + math.log(count)
+        return None if chance or 1.0 - strength > ROTATION_UNEXPLAINED * (1.0 - fixed) else 1.0 / best
 
-    fixed, near, far = float(np.abs(sight.mean())), tuning.rotation_search, tuning.rotation_far
+    fixed, near, far = float(np.abs(sight.mean())), ROTATION_SEARCH, ROTATION_FAR
     found = accepted((1.0 - near) * near_s, (1.0 + near) * near_s)
     return accepted(near_s / far, near_s * far) if found is None else found
 
 
-def _exposures(time_s: FloatArray, period_s: float, gap_s: float, tuning: Tuning) -> FloatArray | None:
+def _exposures(time_s: FloatArray, period_s: float, gap_s: float) -> FloatArray | None:
     """(n,) the begin of the exposure of each report, if reports come in short bursts, one per period; else None."""
     order = np.argsort(time_s, kind="stable")
     stamps = time_s[order]
@@ -149,11 +157,11 @@ def _exposures(time_s: FloatArray, period_s: float, gap_s: float, tuning: Tuning
     starts = stamps[begins]
     out = np.empty_like(stamps)
     out[order] = starts[np.cumsum(begins) - 1]
-    if np.any(time_s - out > tuning.exposure_length * period_s):
+    if np.any(time_s - out > EXPOSURE_LENGTH * period_s):
         return None
     gaps = np.diff(starts)
-    too_many = len(starts) > tuning.exposures_per_period * (np.ptp(starts) / period_s + 1.0)
-    irregular = len(gaps) > 0 and np.mean(gaps < 0.5 * np.median(gaps)) > tuning.hurried_share
+    too_many = len(starts) > EXPOSURES_PER_PERIOD * (np.ptp(starts) / period_s + 1.0)
+    irregular = len(gaps) > 0 and np.mean(gaps < 0.5 * np.median(gaps)) > HURRIED_SHARE
     return None if too_many or irregular else out
 
 

@@ -52,7 +52,6 @@ from sameas.tracks.reports import Reports
 from sameas.tracks.running_fixes import running_fixes
 from sameas.tracks.snapshot import POSITION, POSITION_AND_VELOCITY, Snapshot
 from sameas.tracks.source import Assumption, Description
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 #: Seconds without a report of any source that separate two sessions (chosen): a source that is slow reports more often.
 PAUSE_S = 1800.0
@@ -76,7 +75,6 @@ class Scene:
 
     feeds: tuple[Feed, ...]
     plane: LocalPlane | None = None
-    tuning: Tuning = DEFAULT_TUNING
     height_model: HeightModel | None = None
     shared_error_m: float = 0.0
     estimated: tuple[str, ...] = ()
@@ -87,7 +85,6 @@ class Scene:
         cls,
         sources: Sequence[tuple[Description, Reports]],
         plane: LocalPlane | None = None,
-        tuning: Tuning = DEFAULT_TUNING,
         *,
         set_aside: dict[str, InputError] | None = None,
     ) -> Scene:
@@ -104,8 +101,8 @@ class Scene:
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
         notes: dict[str, tuple[str, ...]] = {}
         given = tuple(sources)
-        sources = _with_platforms(sources, tuning, set_aside, notes)
-        far = too_far_apart(sources, tuning)
+        sources = _with_platforms(sources, set_aside, notes)
+        far = too_far_apart(sources)
         if set_aside is None and far:
             raise InputError("; ".join(far.values()))
         if set_aside is not None:
@@ -116,7 +113,7 @@ class Scene:
             plane = LocalPlane.about(*middle)
         feeds: list[Feed] = []
         for description, reports in sources:
-            placed = PlacedReports(of_their_objects(description, reports, tuning), reports, plane, tuning)
+            placed = PlacedReports(of_their_objects(description, reports), reports, plane)
             try:
                 feed = Feed.of_placed(placed, to_tracks=need_filtering(placed))
                 if set_aside is not None:
@@ -130,8 +127,8 @@ class Scene:
         if set_aside and not feeds:
             raise next(iter(set_aside.values()))
         if len(feeds) == 1:
-            feeds = [_by_running_fixes(feeds[0], plane, tuning)]
-        return cls(tuple(feeds), plane, tuning, given=given)
+            feeds = [_by_running_fixes(feeds[0], plane)]
+        return cls(tuple(feeds), plane, given=given)
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -198,14 +195,14 @@ class Scene:
             sources.append(
                 (replace(description, timing=timing) if description.name in late_s else description, reports)
             )
-        return Scene.of(sources, self.plane, self.tuning, set_aside={})
+        return Scene.of(sources, self.plane, set_aside={})
 
     def with_fitted_errors(self) -> tuple[Scene, TrackErrorFit]:
         """The scene with errors, clutter and latencies estimated from its bare plots, and the fit.
 
         Values given by the user are kept; see :mod:`sameas.tracks.error_fit`. To be called before :meth:`registered`.
         """
-        fit = fit_errors(self.feeds, self.plane, self.tuning)
+        fit = fit_errors(self.feeds, self.plane)
         lines = tuple(fit.lines())
         return replace(self, feeds=fit.feeds, shared_error_m=fit.shared_m, estimated=lines, given=()), fit
 
@@ -226,7 +223,7 @@ class Scene:
 
     @cached_property
     def _doubts(self) -> tuple[Doubt, ...]:
-        return doubts(self.feeds, self.plane, self.tuning, self._plot_fits)
+        return doubts(self.feeds, self.plane, self._plot_fits)
 
     @cached_property
     def _plot_fits(self) -> PlotFits:
@@ -391,21 +388,21 @@ class _Surroundings:
         return cls(Region(np.concatenate([centre, [0.0, 0.0]]), whole), density / (2.0 * math.pi * speed**2), density)
 
 
-def _by_running_fixes(feed: Feed, plane: LocalPlane | None, tuning: Tuning) -> Feed:
+def _by_running_fixes(feed: Feed, plane: LocalPlane | None) -> Feed:
     """The feed; of a moving direction finder, that of the places of its emitters."""
     raw, reports = feed.raw_reports, feed.reports
     if raw is None or not isinstance(reports, Directions) or feed.description.kind != "esm":
         return feed
-    if not len(reports) or not moves(reports.sensor_m, tuning):
+    if not len(reports) or not moves(reports.sensor_m):
         return feed
-    fixes, notes = running_fixes(feed.description, reports, raw, plane, tuning)
+    fixes, notes = running_fixes(feed.description, reports, raw, plane)
     if fixes is not None:
-        feed = Feed.of_placed(PlacedReports(*fixes, plane, tuning), to_tracks=False)
+        feed = Feed.of_placed(PlacedReports(*fixes, plane), to_tracks=False)
     return replace(feed, notes=(*feed.notes, *notes))
 
 
 def _with_platforms(
-    sources: Sequence[tuple[Description, Reports]], tuning: Tuning, set_aside: dict[str, InputError] | None,
+    sources: Sequence[tuple[Description, Reports]], set_aside: dict[str, InputError] | None,
     notes: dict[str, tuple[str, ...]],
 ) -> list[tuple[Description, Reports]]:  # fmt: skip
     """The sources with the positions of sensors aboard vessels; those whose vessel is not known are set aside.
@@ -418,7 +415,7 @@ def _with_platforms(
         if only_carries(description.name, reports, descriptions):
             continue
         try:
-            placed, notes[description.name] = on_platform(description, reports, given, tuning)
+            placed, notes[description.name] = on_platform(description, reports, given)
         except InputError as error:
             if set_aside is None:
                 raise

@@ -35,16 +35,16 @@ from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME, AzimuthBias
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, SlowBearing
 from sameas.tracks.scans import last_exposure, last_rotation
-from sameas.tracks.tuning import Tuning
+
+POINTING_SIGMAS = 3.0  # a direction points at places within this many σ
+#: Maximum number of instants at which two sources are compared, and maximum number of records at all of them; more
+#: records reduce the instants, down to MIN_INSTANTS.
+COMMON_INSTANTS, COMMON_RECORDS, MIN_INSTANTS = 16, 4000, 4
+SKIPPED_SHARE = 0.05  # share of the common time skipped at its start, when some objects have not reported yet
 
 
 def pointed_at(
-    bearing_deg: FloatArray,
-    sigma_deg: ArrayLike,
-    sensor_m: ArrayLike,
-    places: FloatArray,
-    extent_m: float,
-    tuning: Tuning,
+    bearing_deg: FloatArray, sigma_deg: ArrayLike, sensor_m: ArrayLike, places: FloatArray, extent_m: float
 ) -> FloatArray:
     """(n, p) probability that each direction points at each place, if at one of them; rows of 0 for directions at none.
 
@@ -56,7 +56,7 @@ def pointed_at(
     extent_m : 1σ of the observed point relative to the centre of the object.
 
     >>> boats = np.array([[0.0, 100.0], [5.0, 300.0], [90.0, 0.0]])
-    >>> pointed_at(np.array([0.0, 180.0]), 1.0, (0.0, 0.0), boats, 2.0, Tuning()).round(2).tolist()
+    >>> pointed_at(np.array([0.0, 180.0]), 1.0, (0.0, 0.0), boats, 2.0).round(2).tolist()
     [[0.51, 0.49, 0.0], [0.0, 0.0, 0.0]]
     """
     weight = np.zeros((len(bearing_deg), len(places)))
@@ -68,7 +68,7 @@ def pointed_at(
         np.asarray(bearing_deg)[:, None] - np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) + 180.0
     ) % 360.0 - 180.0
     sigma = np.hypot(np.broadcast_to(sigma_deg, len(bearing_deg))[:, None], np.degrees(np.arctan2(extent_m, range_m)))
-    inside = np.abs(residual_deg) < tuning.pointing_sigmas * sigma
+    inside = np.abs(residual_deg) < POINTING_SIGMAS * sigma
     weight[inside] = (np.exp(-0.5 * (residual_deg / sigma) ** 2) / sigma)[inside]
     total = weight.sum(axis=1, keepdims=True)
     return np.asarray(np.divide(weight, total, out=weight, where=total > 0.0))
@@ -202,7 +202,7 @@ class Snapshot:
         range if there are none.
         """
         extent = self.feed.description.errors.extent_m or 0.0
-        weight = pointed_at(self.state, np.sqrt(self.covariance), self.sensor(), places, extent, self.feed.tuning)
+        weight = pointed_at(self.state, np.sqrt(self.covariance), self.sensor(), places, extent)
         out = np.full(len(self.rows), max_range_m / 2.0)
         has_records = weight.any(axis=1)
         range_m = np.maximum(np.hypot(*(places - np.asarray(self.sensor())).T), 1.0)
@@ -287,7 +287,7 @@ def bias_widths(feed: Feed) -> FloatArray:
 def common_scans(one: ComparedSource, other: ComparedSource, most: int | None = None) -> tuple[CommonScan, ...]:
     """Two sources at instants spread over their common time; none if they have no time in common.
 
-    most : maximum number of instants; ``common_instants`` of the first feed's tuning if None.
+    most : maximum number of instants; ``COMMON_INSTANTS`` if None.
     """
     sides = [one, other]
     directions = [isinstance(side.feed.reports, Directions) for side in sides]
@@ -302,8 +302,7 @@ def common_scans(one: ComparedSource, other: ComparedSource, most: int | None = 
 
 def common_instants(one: Feed, other: Feed, most: int | None = None) -> FloatArray:
     """(k,) instants at which both may have reports: scan times, of the source without velocities if only one has."""
-    tuning = one.tuning
-    most = tuning.common_instants if most is None else most
+    most = COMMON_INSTANTS if most is None else most
     times = [feed.reports.time_s[feed.reports.usable] for feed in (one, other)]
     if not all(len(t) for t in times):
         return np.empty(0)
@@ -320,8 +319,8 @@ def common_instants(one: Feed, other: Feed, most: int | None = None) -> FloatArr
     if not len(scan_times):
         return scan_times
     per_instant = _typical_count(one) + _typical_count(other)
-    count = int(np.clip(tuning.common_records / max(per_instant, 1.0), min(tuning.min_instants, most), most))
-    chosen = np.linspace(tuning.skipped_share * (len(scan_times) - 1), len(scan_times) - 1, min(count, len(scan_times)))
+    count = int(np.clip(COMMON_RECORDS / max(per_instant, 1.0), min(MIN_INSTANTS, most), most))
+    chosen = np.linspace(SKIPPED_SHARE * (len(scan_times) - 1), len(scan_times) - 1, min(count, len(scan_times)))
     return np.asarray(scan_times[np.unique(np.round(chosen).astype(np.int64))])
 
 

@@ -5,9 +5,9 @@ by 150 m between two reports three minutes apart; it swings by 15 m, and one alo
 adrift, or one that waits for a pilot, keeps a slow velocity for minutes. So an object is in one of five modes of
 motion, each with a share of all objects and a velocity of 0 ± s per axis; w is ``motion.stationary_share``:
 
-    alongside    w/2              s = ``tuning.alongside`` · motion.stationary_m_per_s, new at each report
+    alongside    w/2              s = ``ALONGSIDE`` · motion.stationary_m_per_s, new at each report
     at anchor    w/2              s = motion.stationary_m_per_s, new at each report
-    adrift       a share of 1−w   s = ``tuning.drift_m_per_s``, with a random walk of 2 s²/``tuning.drift_s``
+    adrift       a share of 1−w   s = ``DRIFT_M_PER_S``, with a random walk of 2 s²/``DRIFT_S``
     steady       half of others   s = motion.speed_m_per_s, with the random walk of those adrift
     under way    half of others   s = motion.speed_m_per_s, with the random walk of the motion
 
@@ -37,7 +37,6 @@ from sameas.gaussian import Gaussian, symmetric
 from sameas.kernels.modes import filter_modes
 from sameas.tracks.alignment import States
 from sameas.tracks.source import Motion
-from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 #: Modes of motion: alongside, at anchor, adrift, under way. The first RESTS are at rest, the first SLOW are slow.
 RESTS, SLOW, MODES = 2, 3, 4
@@ -48,6 +47,16 @@ ADRIFT = 2
 BATCH = 100_000
 #: Smallest variance of a reported coordinate, m² or m²/s²: errors may be stated as 0.
 MIN_VARIANCE = 1e-6
+
+#: A velocity is unknown if its variance is at least this share of the prior variance of velocities.
+UNKNOWN_VELOCITY_SHARE = 0.9
+#: Mean time for which a stationary object stays so; speed of a vessel alongside, in that of one at anchor.
+REST_S, ALONGSIDE = 3600.0, 0.1
+#: Share of the moving objects that are adrift, their velocity (1σ per axis), and the time in which it changes: tidal
+#: streams reach 1 to 2 m/s and turn within hours, but a vessel waiting under engines corrects her drift every few
+#: minutes.
+DRIFT_SHARE, DRIFT_M_PER_S, DRIFT_S = 0.1, 0.5, 600.0
+DRIFT_WALK_M2_PER_S3 = 2.0 * DRIFT_M_PER_S**2 / DRIFT_S  # random walk of the velocity of a vessel adrift
 
 
 @dataclass(frozen=True)
@@ -72,9 +81,7 @@ class Modes:
         return np.nan_to_num(np.exp(self.log_p[:, :SLOW]))
 
 
-def stationary(
-    reports: States, motion: Motion, tuning: Tuning = DEFAULT_TUNING, known: Modes | None = None
-) -> tuple[States, Modes | None]:
+def stationary(reports: States, motion: Motion, known: Modes | None = None) -> tuple[States, Modes | None]:
     """The reports with the velocities of slow objects, and the modes of motion.
 
     The returned state and covariance are the mean and covariance of the mixture of all modes: in those at rest of the
@@ -98,8 +105,8 @@ def stationary(
     if motion.stationary_share >= 1.0:
         share = motion.stationary_share
         raise InputError(f"motion.stationary_share is {share}; give the share of stationary objects, below 1")
-    has_velocity = reports.usable & tuning.is_known(reports.covariance[:, 2, 2], speed)
-    model = _Model.of(motion, tuning)
+    has_velocity = reports.usable & is_known_velocity(reports.covariance[:, 2, 2], speed)
+    model = _Model.of(motion)
     modes = model.filtered(reports, has_velocity, known)
     rows = np.flatnonzero(has_velocity)
     x, cov = reports.state[rows], reports.covariance[rows]
@@ -125,17 +132,15 @@ def stationary(
     return States(reports.time_s, state, covariance, reports.track, reports.rows), modes
 
 
-def slow_objects(
-    reports: States, motion: Motion, tuning: Tuning = DEFAULT_TUNING, batch: int = BATCH
-) -> tuple[States, FloatArray | None]:
+def slow_objects(reports: States, motion: Motion, batch: int = BATCH) -> tuple[States, FloatArray | None]:
     """As :func:`stationary`, with (n, SLOW) probabilities of the slow modes instead of all modes.
 
     batch : number of reports above which some whole tracks are taken at a time: the modes of a report take 2 kB.
     """
     if len(reports) <= batch:
-        now, modes = stationary(reports, motion, tuning)
+        now, modes = stationary(reports, motion)
         return now, None if modes is None else modes.p_slow
-    if mode_shares(motion, tuning) is None:
+    if mode_shares(motion) is None:
         return reports, None
     if reports.track is None:
         rows, ends = np.flatnonzero(reports.usable), np.arange(batch, len(reports), batch)
@@ -147,19 +152,25 @@ def slow_objects(
     p_slow = np.zeros((len(reports), SLOW))
     for part in np.split(rows, ends[ends < len(rows)]):
         part = np.sort(part)
-        now, modes = stationary(reports.take(part), motion, tuning)
+        now, modes = stationary(reports.take(part), motion)
         assert modes is not None
         state[part], covariance[part], p_slow[part] = now.state, now.covariance, modes.p_slow
     return States(reports.time_s, state, covariance, reports.track, reports.rows), p_slow
 
 
-def mode_shares(motion: Motion, tuning: Tuning) -> FloatArray | None:
+def is_known_velocity(variance: FloatArray, speed_m_per_s: float) -> BoolArray:
+    """(n,) whether velocities with these variances per axis (n,) are known, of objects with 1σ of velocity per axis
+    ``speed_m_per_s``."""
+    return np.asarray(variance < UNKNOWN_VELOCITY_SHARE * speed_m_per_s**2)
+
+
+def mode_shares(motion: Motion) -> FloatArray | None:
     """(MODES,) the share of each mode; None if the motion has no stationary objects."""
     at_rest = motion.stationary_share
     if not motion.stationary_m_per_s or not motion.speed_m_per_s or not at_rest:
         return None
     moves = 1.0 - at_rest
-    return np.array([at_rest / 2.0] * 2 + [tuning.drift_share * moves, (1.0 - tuning.drift_share) * moves])
+    return np.array([at_rest / 2.0] * 2 + [DRIFT_SHARE * moves, (1.0 - DRIFT_SHARE) * moves])
 
 
 @dataclass(frozen=True)
@@ -173,14 +184,14 @@ class _Model:
     exchange_s: float
 
     @classmethod
-    def of(cls, motion: Motion, tuning: Tuning) -> _Model:
-        slow, speed, share = motion.stationary_m_per_s, motion.speed_m_per_s, mode_shares(motion, tuning)
+    def of(cls, motion: Motion) -> _Model:
+        slow, speed, share = motion.stationary_m_per_s, motion.speed_m_per_s, mode_shares(motion)
         assert slow and speed and share is not None
         return cls(
-            np.array([tuning.alongside * slow, slow, tuning.drift_m_per_s, speed, speed]),
-            np.array([-1.0, -1.0, *[tuning.drift_walk_m2_per_s3] * 2, motion.acceleration_m2_per_s3 or 0.0]),
+            np.array([ALONGSIDE * slow, slow, DRIFT_M_PER_S, speed, speed]),
+            np.array([-1.0, -1.0, *[DRIFT_WALK_M2_PER_S3] * 2, motion.acceleration_m2_per_s3 or 0.0]),
             np.append(share[:SLOW], np.repeat(share[SLOW:] / 2.0, 2)),
-            tuning.rest_s * float(share[RESTS:].sum()),
+            REST_S * float(share[RESTS:].sum()),
         )
 
     def filtered(self, reports: States, has_velocity: BoolArray, known: Modes | None) -> Modes:
