@@ -190,3 +190,23 @@ def test_local_times_are_named_where_no_times_are_common():
     (radar, plots), ais = boat_radar(np.random.default_rng(1), common=2, minutes=1.0).sources
     [sentence] = Scene.of([ais, (radar, replace(plots, time_s=plots.time_s + 7200.0))]).doubts()
     assert "it is 2 h behind them, as with local times: give their time_zone" in sentence, sentence
+
+
+@pytest.mark.parametrize("kind", ["marine radar", "air radar"])
+@pytest.mark.parametrize("is_the_same", [True, False])
+def test_one_aircraft_on_one_path_is_in_common_and_two_on_two_paths_are_not(kind, is_the_same):
+    rng, t = np.random.default_rng(3), np.arange(0.0, 300.0, 3.0)
+    course = np.radians(40.0 + 0.3 * t)
+    path = np.cumsum(150.0 * np.column_stack([np.sin(course), np.cos(course)]), axis=0) - 6000.0
+    lat, lon = PLANE.to_geodetic(path + 8.0 * rng.normal(size=path.shape))
+    name = np.full(len(t), "3c4a11")
+    columns = {"time_s": NOON + t, "lat_deg": lat, "lon_deg": lon, "icao": name, "track_id": name}
+    seen = path if is_the_same else path[::-1] * (1.0, -0.4)
+    polar = {"range_m": np.hypot(*seen.T) + 30.0 * rng.normal(size=len(t)),
+             "bearing_deg": np.degrees(np.arctan2(*seen.T)) % 360.0 + 0.3 * rng.normal(size=len(t))}  # fmt: skip
+    radar = Description("radar", kind, site=Site(PLANE.lat_deg, PLANE.lon_deg))
+    sources = [
+        (Description("adsb", "ads-b"), Reports.of("adsb", "ads-b", columns)),
+        (radar, Reports.of("radar", "table", {"time_s": NOON + t + 0.4, **polar})),
+    ]
+    assert len(Scene.of(sources).doubts()) == (0 if is_the_same else 1)

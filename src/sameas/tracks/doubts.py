@@ -7,13 +7,15 @@ of sources at another place or of other days, are in :mod:`sameas.tracks.elsewhe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.registration.weights import weigh
+from sameas.registration.weights import PlacedSources, weigh
 from sameas.tracks.alignment import States
 from sameas.tracks.bearing_readings import best_other_reading
 from sameas.tracks.bias_fit import DECISIVE, BiasFit, fit_biases
@@ -262,8 +264,7 @@ def _shared(feed: Feed, other: Feed) -> Shared | None:
     if not scans:
         return None
     pairs = records = gain = 0.0
-    for scan in scans:
-        weighing = scan.weighing
+    for scan, weighing in zip(scans, _in_one_field([scan.weighing for scan in scans]), strict=True):
         none = np.zeros((1, len(scan.biases)))
         common = np.array([0.5 * scan.most_pairs])
         for _ in range(DOUBT_STEPS):
@@ -273,6 +274,24 @@ def _shared(feed: Feed, other: Feed) -> Shared | None:
         records += scan.most_pairs
     count = len(scans)
     return Shared(other.description.name, pairs / count, records / count, gain / count)
+
+
+def _in_one_field(weighings: Sequence[PlacedSources]) -> list[PlacedSources]:
+    """The scans with fields as wide as that of all instants: one aircraft at an instant fills no field, and is where
+    another source shows one by chance; on a path of kilometres it is not."""
+    if any(not math.isinf(one.periods.min()) for one in weighings):
+        return list(weighings)
+    whole = np.ptp(np.concatenate([place for one in weighings for place in _places(one)]), axis=0)
+    out = []
+    for one in weighings:
+        wider = float(np.max(whole - np.ptp(np.concatenate(_places(one)), axis=0))) / 2.0
+        out.append(replace(one, box=one.box + np.array([[-wider], [wider]]), sigma=one.sigma + wider))
+    return out
+
+
+def _places(weighing: PlacedSources) -> tuple[FloatArray, FloatArray]:
+    """(n₁, 2), (n₂, 2) of the records of both."""
+    return weighing.flat, weighing.second.features
 
 
 @dataclass(frozen=True)
