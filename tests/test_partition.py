@@ -44,7 +44,7 @@ def test_the_partition_is_optimal_where_the_relaxation_is_fractional():
         sets, n = random_sets(np.random.default_rng(seed))
         best = direct(sets, n, whole=True)
         broken += direct(sets, n, whole=False) > best + 1e-6
-        found = best_partition(sets, n, time_limit_s=20.0)
+        found = best_partition(sets, n)
         taken = incidence_of(sets, n)[:, found.chosen].sum(axis=1)
         assert (taken == 1).all()
         assert sets.log_weight[found.chosen].sum() == pytest.approx(best, abs=1e-6)
@@ -103,13 +103,13 @@ def test_the_best_partition_of_possible_sets_is_found_with_and_without_block_sum
         share, chosen, _ = sum_pruned_groups(sets, n, np.ones(1, bool), TUNING)
         tilted = replace(sets, log_weight=sets.log_weight + 0.5 * (sets.size - 1) * (np.arange(len(sets)) % 3 == 0))
         for tuning in (TUNING, replace(TUNING, small=0, cuts=(30.0,), block_steps=1)):
-            best = best_sets(tilted, n, share > 0.0, time_limit_s=10.0, tuning=tuning)
+            best = best_sets(tilted, n, share > 0.0, tuning=tuning)
             assert (incidence_of(sets, n)[:, best].sum(axis=1) == 1).all()
             assert tilted.log_weight[best].sum() == pytest.approx(direct(tilted, n, whole=True), abs=1e-6)
             assert tilted.log_weight[best].sum() >= tilted.log_weight[chosen].sum() - 1e-9
     # Impossible sets are never chosen, and records outside all sets stay unchanged.
     here = np.flatnonzero(chosen)[:2]
-    some = best_sets(sets, n, np.isin(np.arange(len(sets)), here), time_limit_s=10.0)
+    some = best_sets(sets, n, np.isin(np.arange(len(sets)), here))
     assert np.flatnonzero(some).tolist() == here.tolist()
 
 

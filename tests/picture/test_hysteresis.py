@@ -9,9 +9,8 @@ from modelled_scenes import describe, feed, straight
 from sameas.errors import InputError
 from sameas.many.hysteresis import with_hysteresis
 from sameas.many.identify import identify_many
-from sameas.many.marginals import best_sets
 from sameas.many.rules import PoissonObjects
-from sameas.picture import Picture, Tuning, Watch
+from sameas.picture import Picture, Watch
 from sameas.records import Records
 from sameas.tracks.scene import Scene
 
@@ -125,20 +124,6 @@ def test_a_common_echo_of_two_vessels_does_not_alternate():
         steady += changes(Picture.of(scene, times))
         restless += changes(Picture.of(scene, times, watch=Watch(bound=1.0)))
     assert restless >= 10 and steady <= 0.35 * restless
-
-
-def test_the_search_for_the_best_partition_has_the_time_limit_of_the_tuning(monkeypatch):
-    """``Tuning.search_s`` had no effect."""
-    limits = []
-
-    def recorded(*arguments, time_limit_s, **others):
-        limits.append(time_limit_s)
-        return best_sets(*arguments, time_limit_s=time_limit_s, **others)
-
-    monkeypatch.setattr("sameas.many.hysteresis.best_sets", recorded)
-    scene, times = moored(0, looks=12)
-    Picture.of(scene, times, watch=Watch(tuning=Tuning(search_s=7.0)))
-    assert limits and set(limits) == {7.0}
 
 
 @pytest.mark.slow

@@ -18,7 +18,6 @@ def with_hysteresis(
     previous_object: IntArray,
     log_bound: float,
     *,
-    time_limit_s: float = 60.0,
     tuning: ManyTuning = TUNING,
 ) -> tuple[Objects, BoolArray]:
     """The objects of an instant, with those of the previous instant kept unless another answer is much more probable;
@@ -40,7 +39,7 @@ def with_hysteresis(
     ----------
     previous_object : (records,) the object of each pooled record's track at the previous instant, ABSENT without one.
     log_bound : ln b; 0 to show the most probable answer always.
-    time_limit_s, tuning : as of :func:`sameas.identify_many`, of which only the best partition is computed again.
+    tuning : as of :func:`sameas.identify_many`, of which only the best partition is computed again.
     """
     sets, answer, n = identification.sets, identification.answer, len(identification.pooled)
     if log_bound <= 0.0:
@@ -55,7 +54,7 @@ def with_hysteresis(
     log_weight = sets.log_weight.copy()
     log_weight[which] += log_bound * _links(taken(sets.members, which), previous_object)
     with_links = replace(sets, log_weight=log_weight)
-    best = best_sets(with_links, n, possible & resolve, time_limit_s=time_limit_s, tuning=tuning)
+    best = best_sets(with_links, n, possible & resolve, tuning=tuning)
     chosen = np.where(resolve, best, answer.chosen)
     change = _components(sets, chosen ^ answer.chosen, n)[record]
     gain = np.bincount(change, sets.log_weight * (answer.chosen.astype(np.int64) - chosen), n)

@@ -41,7 +41,6 @@ def identify_many(
     prior: SetPrior = EVIDENCE_ALONE,
     gate: Callable[[Records, Records], Pairs] = DEFAULT_GATE,
     region: Region | None = None,
-    time_limit_s: float = 60.0,
     tuning: ManyTuning = TUNING,
 ) -> Objects:
     """Objects, each of at most one record per source, with their probabilities.
@@ -56,7 +55,6 @@ def identify_many(
         first.
     gate : which two records may be one object; every two records of an object are a pair of the gate.
     region : where objects are; required if a source observes a part of the state.
-    time_limit_s : of branch and bound in one group; a group that reaches it has a gap above 0.
     tuning : limits of the work on a group.
 
     Source: METHOD 7; for two sources it is :func:`sameas.identify` with ``PoissonField`` or ``CommonObjects``.
@@ -78,9 +76,9 @@ def identify_many(
     sets = candidate_sets(together, terms, tuning)
     counts = prior if isinstance(prior, MissedObjects) else None
     if counts is None and tuning.walked_below > 0.0 and can_walk(together, terms):
-        sets, best = walked_answer(sets, together, terms, time_limit_s=time_limit_s, tuning=tuning)
+        sets, best = walked_answer(sets, together, terms, tuning=tuning)
     else:
-        best = answer(sets, together, counts, time_limit_s=time_limit_s, tuning=tuning)
+        best = answer(sets, together, counts, tuning=tuning)
     return Objects(tuple(sources), together, sets, best, terms)
 
 

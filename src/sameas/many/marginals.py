@@ -33,6 +33,9 @@ from sameas.many.walk import Walk
 from sameas.ragged import Ragged
 from sameas.representation import in_short
 
+#: Maximum number of nodes of a branch and bound (chosen): a time would let the answer depend on the machine.
+NODES = 1000
+
 
 @in_short
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class Partition:
     slack: FloatArray
 
 
-def best_partition(sets: Sets, n_records: int, groups: BoolArray | None = None, *, time_limit_s: float) -> Partition:
+def best_partition(sets: Sets, n_records: int, groups: BoolArray | None = None) -> Partition:
     """The partition of largest Σ ln w of every group, or of some ``groups`` (g,); all records alone in the others."""
     incidence = incidence_of(sets, n_records)
     active, x, dual = _relaxation(sets, incidence, np.ones(len(sets.start) - 1, bool) if groups is None else groups)
@@ -67,7 +70,7 @@ def best_partition(sets: Sets, n_records: int, groups: BoolArray | None = None, 
     for g in np.flatnonzero(fractional):
         own = slice(*np.searchsorted(active, sets.start[g : g + 2]))
         chosen[active[own]] = False
-        packing, tighter = _best_packing(sets, active[own], x[own], dual, incidence, time_limit_s)
+        packing, tighter = _best_packing(sets, active[own], x[own], dual, incidence)
         chosen[packing] = True
         bound[g] = min(bound[g], tighter)
     chosen |= _alone(sets, chosen, incidence)
@@ -79,8 +82,9 @@ def best_partition(sets: Sets, n_records: int, groups: BoolArray | None = None, 
     return Partition(chosen, np.where(sets.floor > 0, np.inf, gap), dual, slack)
 
 
-def best_counted(weight: FloatArray, merges: IntArray, incidence: csr_array, log_p: FloatArray, time_limit_s: float
-                 ) -> tuple[IntArray, float]:  # fmt: skip
+def best_counted(
+    weight: FloatArray, merges: IntArray, incidence: csr_array, log_p: FloatArray
+) -> tuple[IntArray, float]:
     """The sets of one group that maximise Σ ln w + ln P(Σ merges), and the gap.
 
     weight, merges : (k,) of the sets. incidence : (n, k) records in sets. log_p : ln P of 0, 1, … merges.
@@ -92,7 +96,7 @@ def best_counted(weight: FloatArray, merges: IntArray, incidence: csr_array, log
     rows = vstack([cover, csr_array(balance[None]), csr_array(one[None])]).tocsr()
     low = np.concatenate([np.zeros(incidence.shape[0]), [0.0, 1.0]])
     high = np.concatenate([np.ones(incidence.shape[0]), [0.0, 1.0]])
-    x, bound, value = _branched(np.concatenate([weight, log_p]), rows, low, high, time_limit_s)
+    x, bound, value = _branched(np.concatenate([weight, log_p]), rows, low, high)
     return np.flatnonzero(x[:n] > 0.5), max(bound - value, 0.0)
 
 
@@ -131,7 +135,7 @@ def _dominated(sets: Sets) -> BoolArray:
 
 
 def _best_packing(
-    sets: Sets, useful: IntArray, x: FloatArray, dual: FloatArray, incidence: csr_array, time_limit_s: float
+    sets: Sets, useful: IntArray, x: FloatArray, dual: FloatArray, incidence: csr_array
 ) -> tuple[IntArray, float]:
     """The best packing of one group's ``useful`` sets, and its bound, from the relaxation's values x and its duals.
 
@@ -141,32 +145,32 @@ def _best_packing(
     within, weight = incidence[:, useful], sets.log_weight[useful]
     whole = x > 1.0 - 1e-6
     disjoint = np.flatnonzero(within.T @ (within[:, whole].sum(axis=1) > 0) == 0)
-    added, _ = _branched_packing(weight[disjoint], within[:, disjoint], 0.5 * time_limit_s)
+    added, _ = _branched_packing(weight[disjoint], within[:, disjoint])
     good = np.concatenate([np.flatnonzero(whole), disjoint[added]])
     value, cost = float(weight[good].sum()), within.T @ dual - weight
     relaxed = float(dual[within.sum(axis=1) > 0].sum())
     cheap = np.flatnonzero(cost <= relaxed - value + 1e-6 * max(1.0, abs(relaxed)))
-    packing, bound = _branched_packing(weight[cheap], within[:, cheap], 0.5 * time_limit_s)
+    packing, bound = _branched_packing(weight[cheap], within[:, cheap])
     best = cheap[packing]
     return useful[best if weight[best].sum() >= value else good], max(bound, value)
 
 
-def _branched_packing(weight: FloatArray, incidence: csr_array, time_limit_s: float) -> tuple[IntArray, float]:
+def _branched_packing(weight: FloatArray, incidence: csr_array) -> tuple[IntArray, float]:
     """The best packing of some sets by branch and bound, and the bound."""
     if not len(weight):
         return np.empty(0, np.int64), 0.0
     high = np.ones(incidence.shape[0])
-    x, bound, _ = _branched(weight, incidence, np.full(len(high), -np.inf), high, time_limit_s)
+    x, bound, _ = _branched(weight, incidence, np.full(len(high), -np.inf), high)
     return np.flatnonzero(x > 0.5), bound
 
 
 def _branched(
-    weight: FloatArray, rows: csr_array, low: FloatArray, high: FloatArray, time_limit_s: float
+    weight: FloatArray, rows: csr_array, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, float, float]:
-    """Solution, bound and value of the binary programme of largest weight; all 0 if the time limit came first."""
+    """Solution, bound and value of the binary programme of largest weight; all 0 if the limit of nodes came first."""
     used = np.diff(rows.tocsr().indptr) > 0
     constraint = LinearConstraint(rows.tocsr()[used], low[used], high[used])
-    options = {"mip_rel_gap": 0.0, "time_limit": time_limit_s}
+    options = {"mip_rel_gap": 0.0, "node_limit": NODES}
     solution = milp(-weight, constraints=constraint, integrality=np.ones(len(weight)), bounds=Bounds(0, 1),
                     options=options)  # fmt: skip
     bound = np.inf if solution.mip_dual_bound is None else -float(solution.mip_dual_bound)
@@ -223,12 +227,10 @@ class Answer:
         return np.asarray((self.cut >= EXACT) & (floor == -np.inf))
 
 
-def answer(
-    sets: Sets, pooled: PooledRecords, counts: MissedObjects | None, *, time_limit_s: float, tuning: ManyTuning = TUNING
-) -> Answer:
+def answer(sets: Sets, pooled: PooledRecords, counts: MissedObjects | None, *, tuning: ManyTuning = TUNING) -> Answer:
     """The best partition of every group and the probabilities of all sets; counts : the count prior, or None."""
     if counts is None:
-        return additive_answer(sets, pooled.sizes, time_limit_s=time_limit_s, tuning=tuning)
+        return additive_answer(sets, pooled.sizes, tuning=tuning)
     sums = _Sums.of(sets, pooled, counts, tuning)
     no_cost = np.zeros(len(sets))
     share, chosen, solved = sums.below(no_cost, EXACT, np.ones(len(pooled.sizes), bool))
@@ -237,18 +239,16 @@ def answer(
     if not solved.all():
         weight = sets.log_weight.copy()
         for g in np.flatnonzero(~solved).tolist():
-            gap[g] = max(gap[g], _solve_counted(sets, sums, g, weight, chosen, time_limit_s))
+            gap[g] = max(gap[g], _solve_counted(sets, sums, g, weight, chosen))
         tilted = replace(sets, log_weight=weight)
-        best = best_partition(tilted, len(pooled), time_limit_s=time_limit_s)
+        best = best_partition(tilted, len(pooled))
         cost = _reduced_cost(sets, best.dual, best.slack, weight)
         part, _, cut = sums.all(cost, chosen, cut, weight)
         share = np.where(solved[sets.group], share, part)
     return Answer(chosen, share, gap, cut)
 
 
-def additive_answer(
-    sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning: ManyTuning = TUNING, samples: bool = True
-) -> Answer:
+def additive_answer(sets: Sets, sizes: IntArray, *, tuning: ManyTuning = TUNING, samples: bool = True) -> Answer:
     """:func:`answer` without a count prior.
 
     sizes : (g,) number of records of every group. samples : False to leave probabilities of 0 where samples are needed.
@@ -267,7 +267,7 @@ def additive_answer(
         pack(np.flatnonzero(near), sets.start, sets.members, sets.log_weight, n, chosen)
         unsolved &= ~near
     if unsolved.any():
-        best = best_partition(sets, n, unsolved, time_limit_s=time_limit_s)
+        best = best_partition(sets, n, unsolved)
         chosen, gap = np.where(unsolved[sets.group], best.chosen, chosen), np.where(unsolved, best.gap, gap)
     if samples:
         set_samples(np.flatnonzero(sampled), sets.start, sets.members, sets.log_weight, chosen, n, share)
@@ -275,14 +275,14 @@ def additive_answer(
 
 
 def walked_answer(
-    sets: Sets, pooled: PooledRecords, terms: Terms, *, time_limit_s: float, tuning: ManyTuning = TUNING
+    sets: Sets, pooled: PooledRecords, terms: Terms, *, tuning: ManyTuning = TUNING
 ) -> tuple[Sets, Answer]:
     """:func:`additive_answer` with walks in place of samples, and the sets with those that the walks add.
 
     A group with the sets near a good partition is walked, too, unless a short walk meets no others and its sets could
     be summed. terms : of which the weights are sums (:func:`sameas.many.walk.can_walk`).
     """
-    summed = additive_answer(sets, pooled.sizes, time_limit_s=time_limit_s, tuning=tuning, samples=False)
+    summed = additive_answer(sets, pooled.sizes, tuning=tuning, samples=False)
     long = summed.cut < tuning.walked_below
     groups = (long | (sets.floor == np.inf)) & (pooled.sizes > 1)
     if not groups.any():
@@ -304,9 +304,7 @@ def walked_answer(
     return more, Answer(chosen, np.concatenate([share, *added_share])[order], summed.gap, cut)
 
 
-def best_sets(
-    sets: Sets, n_records: int, possible: BoolArray, *, time_limit_s: float, tuning: ManyTuning = TUNING
-) -> BoolArray:
+def best_sets(sets: Sets, n_records: int, possible: BoolArray, *, tuning: ManyTuning = TUNING) -> BoolArray:
     """(k,) the sets of the best partition, without a count prior, of the records of the ``possible`` sets.
 
     possible : (k,) sets of nonzero probability under similar weights; they include a partition of their records.
@@ -319,7 +317,7 @@ def best_sets(
         return chosen
     which = np.flatnonzero(possible | (sets.size == 1))
     searched = np.zeros(len(sets), bool)
-    searched[which] = best_partition(sets.take(which), n_records, unsolved, time_limit_s=time_limit_s).chosen
+    searched[which] = best_partition(sets.take(which), n_records, unsolved).chosen
     return np.where(unsolved[sets.group], searched, chosen)
 
 
@@ -355,9 +353,7 @@ def _reduced_cost(sets: Sets, dual: FloatArray, slack: FloatArray, weight: Float
     return np.asarray(total - weight - slack[sets.group])
 
 
-def _solve_counted(
-    sets: Sets, sums: _Sums, g: int, weight: FloatArray, chosen: BoolArray, time_limit_s: float
-) -> float:
+def _solve_counted(sets: Sets, sums: _Sums, g: int, weight: FloatArray, chosen: BoolArray) -> float:
     """Choose group g's sets by branch and bound, in ``chosen``, and tilt its ``weight`` by the prior's slope at their
     number of merges; returns the gap."""
     of_group = np.arange(sets.start[g], sets.start[g + 1])
@@ -365,7 +361,7 @@ def _solve_counted(
     log_p = sums.table[sums.table_start[g] : sums.table_start[g + 1]]
     multiple = of_group[merges > 0]
     incidence = incidence_of(sets, sums.n_records)[:, multiple]
-    best, gap = best_counted(weight[multiple], sets.size[multiple] - 1, incidence, log_p, time_limit_s)
+    best, gap = best_counted(weight[multiple], sets.size[multiple] - 1, incidence, log_p)
     chosen[of_group] = False
     chosen[multiple[best]] = True
     covered = sets.members[multiple[best]]

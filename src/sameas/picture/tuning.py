@@ -73,7 +73,6 @@ class Tuning:
     distant_chi_sq, distant_s : two tracks are not compared while their χ² is above the first, once their positions have
         not agreed for the second; their history is kept for when they are near again.
     partner_odds : two tracks may be partners unless their positions make chance this many times more probable.
-    search_s : time limit of the search for the best partition of one group, in seconds.
 
     report_reassigned : probability ε that a report is of another object than that of its id; for a radar of 20
         rotations a minute once in eight hours.
@@ -194,7 +193,6 @@ class Tuning:
     distant_chi_sq: float = 60.0
     distant_s: float = 20.0
     partner_odds: float = 20.0
-    search_s: float = 10.0
 
     report_reassigned: float = 1e-4
     id_reassigned: float = 1e-3

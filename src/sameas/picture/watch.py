@@ -229,7 +229,6 @@ class Watch:
                 identification,
                 self._previous_objects(identification.pooled, scan, memory),
                 math.log(self.bound),
-                time_limit_s=self.tuning.search_s,
                 tuning=LIVE,
             )
         objects_now = IdentifiedObjects(scan, identification, by_hysteresis)

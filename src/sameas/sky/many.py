@@ -253,7 +253,6 @@ class ManyOptions:
 
     epoch_jyr : epoch of the objects' positions in the result; the mean of the catalogues' epochs by default.
     gate_sigmas, error_scale : as in :class:`~sameas.sky.crossmatch.MatchOptions`, for every two catalogues.
-    time_limit_s : of branch and bound per group; if it is reached the result states the gap.
     magnitudes : "auto" uses the magnitude of each catalogue as evidence; "off" positions only.
     offset : "none" assumes one frame; "find" rotates each catalogue onto the most precise one, or onto one already
         rotated (see :mod:`sameas.sky.systematics`).
@@ -262,7 +261,6 @@ class ManyOptions:
     epoch_jyr: float | None = None
     gate_sigmas: float | None = None
     error_scale: float | str | Errors = "auto"
-    time_limit_s: float = 60.0
     offset: str = "none"
     magnitudes: str = AUTO
 
@@ -487,7 +485,7 @@ def _estimate_population(
     for iteration in range(1, POPULATION_ITERATIONS + 1):
         progress(f"estimation of all, round {iteration}")
         weighted_sets = replace(sets, log_weight=log_weight(population))
-        best = answer(weighted_sets, pooled_records, None, time_limit_s=options.time_limit_s)
+        best = answer(weighted_sets, pooled_records, None)
         expected = np.bincount(log_weight.patterns, best.probability, len(previous)).astype(np.float64)
         converged = bool(np.abs(expected - previous).max() <= CONVERGED_SHARE * expected.sum() + 0.01)
         if converged or iteration == POPULATION_ITERATIONS:
@@ -595,12 +593,10 @@ def _doubts(pairs: dict[tuple[str, str], SkyMatch], objects: Objects, converged:
     if not converged:
         doubts.append("the estimates of all catalogues had not converged at the last iteration")
     groups = objects.groups
-    approximate = int(np.count_nonzero(~groups.exact))
+    approximate = int(groups.records[~groups.exact].sum())
     if approximate:
-        doubts.append(f"{approximate} groups are large; their probabilities are approximate")
-    unproved = int(np.count_nonzero(groups.gap > 0))
+        doubts.append(f"{counted(approximate, 'record')} in crowds too large for exact sums; their p is approximate")
+    unproved = int(groups.records[groups.gap > 0].sum())
     if unproved:
-        doubts.append(
-            f"in {unproved} groups a better partition is possible, at most e^{groups.gap.max():.2g} as probable"
-        )
+        doubts.append(f"{counted(unproved, 'record')} in crowds whose objects are not proved to be the most probable")
     return tuple(doubts)

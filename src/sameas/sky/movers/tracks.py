@@ -307,7 +307,7 @@ class Competition:
         return np.minimum(p_tracklet, 1.0), np.minimum(p_member, 1.0)
 
 
-def compete(tracks: Tracks, n: int, tuning: Tuning, *, time_limit_s: float = 20.0) -> Competition:
+def compete(tracks: Tracks, n: int, tuning: Tuning) -> Competition:
     """The best selection of tracks without common detections, and the probability of each, by set packing.
 
     tracks : of n detections. Tracks with a certain extension and tracks with a low weight do not compete.
@@ -322,7 +322,7 @@ def compete(tracks: Tracks, n: int, tuning: Tuning, *, time_limit_s: float = 20.
     gap = 0.0
     if len(conflicting):
         sets, sizes, of_track = _sets(_contracted(members[conflicting], n), weight[conflicting])
-        answer = additive_answer(sets, sizes, time_limit_s=time_limit_s)
+        answer = additive_answer(sets, sizes)
         chosen[conflicting], probability[conflicting] = answer.chosen[of_track], answer.probability[of_track]
         gap = float(answer.gap.max(initial=0.0))
     return Competition(tracks.only(competing), members, chosen, probability, gap)
