@@ -12,7 +12,7 @@ from sameas.estimate.match import match
 from sameas.estimate.result import DEFAULT_MATCH
 from sameas.estimate.sample import Setting
 from sameas.estimate.unresolved import BlendResolution, Unresolved
-from sameas.evidence import Errors
+from sameas.evidence import Errors, Magnitudes
 from sameas.gate import Radius
 
 RESOLUTION = 1.0
@@ -20,11 +20,11 @@ UNAWARE = replace(DEFAULT_MATCH, fits_resolution=False)
 
 
 def blended(seed, n=3_000, resolution=RESOLUTION, side=180.0):
-    """A fine source of n objects, a coarse one that blends those nearer than its resolution, and the brighter object of
-    each of its records."""
+    """A fine source of n objects, a coarse one that blends those nearer than its resolution, the brighter object of
+    each of its records, and the magnitudes of both sources."""
     rng = np.random.default_rng([41, seed])
     place, flux = rng.uniform(0.0, side, (n, 2)), rng.uniform(0.2, 1.0, n)
-    seen, alive = place.copy(), np.ones(n, bool)
+    seen, light, alive = place.copy(), flux.copy(), np.ones(n, bool)
     couples = (
         cKDTree(place).query_pairs(1.5 * resolution, output_type="ndarray") if resolution else np.empty((0, 2), int)
     )
@@ -35,18 +35,21 @@ def blended(seed, n=3_000, resolution=RESOLUTION, side=180.0):
         if not taken[[one, two]].any() and rng.random() < 2.0 ** -((apart[at] / resolution) ** 4):
             taken[[one, two]] = True
             alive[two] = False
+            light[one] += flux[two]
             seen[one] += flux[two] / (flux[one] + flux[two]) * (place[two] - place[one])
     detected = rng.permutation(np.flatnonzero(alive & (rng.random(n) < 0.9)))
     fine = Records.of(place + 0.05 * rng.standard_normal((n, 2)), sigma=0.05, source="fine")
     noise = 0.3 * rng.standard_normal((len(detected), 2))
-    return fine, Records.of(seen[detected] + noise, sigma=0.3, source="coarse"), detected
+    light_mag = -2.5 * np.log10(light[detected]) + 0.05 * rng.standard_normal(len(detected))
+    magnitudes = Magnitudes(-2.5 * np.log10(flux), sigma=0.01), Magnitudes(light_mag, sigma=0.05)
+    return fine, Records.of(seen[detected] + noise, sigma=0.3, source="coarse"), detected, magnitudes
 
 
-def wrong_and_expected(seeds, tuning):
+def wrong_and_expected(seeds, tuning, with_magnitudes=False):
     wrong = expected = log_loss = 0.0
     for seed in seeds:
-        fine, coarse, truth = blended(seed)
-        answer, _ = match(fine, coarse, tuning=tuning)
+        fine, coarse, truth, magnitudes = blended(seed)
+        answer, _ = match(fine, coarse, tuning=tuning, brightness=magnitudes if with_magnitudes else None)
         right = answer.rows_1 == truth[answer.rows_2]
         wrong += float((~right[answer.chosen]).sum())
         expected += answer.expected_wrong
@@ -63,9 +66,17 @@ def test_probabilities_allow_for_blends():
     assert log_loss < 0.93 * log_loss_unaware
 
 
+def test_the_magnitude_of_a_blend_is_that_of_its_objects_together():
+    wrong, expected, log_loss = wrong_and_expected([0], DEFAULT_MATCH, with_magnitudes=True)
+    wrong_unaware, _, log_loss_unaware = wrong_and_expected([0], UNAWARE, with_magnitudes=True)
+    assert wrong < 0.85 * wrong_unaware
+    assert abs(wrong - expected) < 3.0 * expected**0.5
+    assert log_loss < 0.9 * log_loss_unaware
+
+
 @pytest.mark.parametrize("swapped", [False, True])
 def test_the_resolution_and_the_coarse_source_are_found(swapped):
-    fine, coarse, _ = blended(4)
+    fine, coarse, *_ = blended(4)
     _, estimate = match(coarse, fine) if swapped else match(fine, coarse)
     assert estimate.resolution.coarse == (0 if swapped else 1)
     assert 0.75 < estimate.resolution.separation / RESOLUTION < 1.3
@@ -73,12 +84,12 @@ def test_the_resolution_and_the_coarse_source_are_found(swapped):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_sources_that_resolve_all_neighbours_have_no_resolution(seed):
-    fine, coarse, _ = blended(seed, resolution=1e-3)
+    fine, coarse, *_ = blended(seed, resolution=1e-3)
     assert match(fine, coarse)[1].resolution is None
 
 
-def test_the_evidence_has_the_mean_one_over_all_positions():
-    """∫ N(x_j − x_i) (evidence) dx_j = 1 for the brighter and for the fainter of two neighbours."""
+def test_the_evidence_has_the_mean_one_over_all_positions_unless_the_object_may_be_the_fainter_one_of_a_blend():
+    """∫ N(x_j − x_i) (evidence) dx_j is the probability that i is not the fainter one of two that are one record."""
     step = 0.04
     axis = np.arange(-4.0, 4.0, step)
     places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
@@ -94,4 +105,6 @@ def test_the_evidence_has_the_mean_one_over_all_positions():
         term = unresolved.with_probabilities(setting, errors, np.zeros(len(pairs)), share).term
         assert np.ptp(term[pairs.i == 0]) > 0.5
         total += np.bincount(pairs.i, np.exp(errors.log_density(pairs) + term), 2) * step**2
-    assert total == pytest.approx(1.0, abs=2e-3)
+    one_record = 2.0 ** -((np.hypot(0.9, 0.3) / 1.2) ** 4)
+    hidden = one_record / (one_record + (1.0 - one_record) * 0.2)
+    assert total == pytest.approx([1.0, 1.0 - hidden], abs=3e-3)

@@ -194,7 +194,8 @@ class EMState:
     def _with_unresolved_by(self, p_pair: FloatArray) -> EMState:
         if self.unresolved is None:
             return self
-        evidence = self.unresolved.with_probabilities(self.setting, self.errors, p_pair, self.shares())
+        given = self.setting, self.errors, p_pair, self.shares(), self.brightness()
+        evidence = self.unresolved.with_probabilities(*given)
         return replace(self, unresolved=evidence)
 
     def best_resolution(self, p_counted: FloatArray) -> BlendResolution | None:

@@ -33,6 +33,7 @@ from sameas.estimate.result import (
     MAX_RESOLUTION_FITS,
     MAX_TREND_FITS,
     MIN_GAIN_OF_GATE,
+    MIN_KEPT,
     MIN_TAIL_GAIN,
     MIN_TREND_GAIN,
     N_MODEL_PAIRS,
@@ -284,7 +285,7 @@ def _fit_resolution(search: GateSearch, result: GateResult, errors: Errors | Non
             break
         changed = replace(search, resolution=found)
         again = _rerun(changed, result, errors)
-        if again.is_worse_than(result):
+        if again.is_worse_than(result) or again.estimates.n_common < MIN_KEPT * result.estimates.n_common:
             break
         search, result = changed, again
     return search, result

@@ -66,6 +66,9 @@ MIN_SIGNIFICANCE = 4.0  # excess of close candidates over chance, in standard de
 MAX_TREND_FITS = 3
 MIN_TREND_GAIN = 2.0
 MAX_RESOLUTION_FITS = 2
+#: A resolution is refused where fewer common objects than this share of those without it are left: the tails of the
+#: relation of the magnitudes explain such blends better, of three and more objects in the core of a cluster.
+MIN_KEPT = 0.99
 #: Records plus twice the expected chance candidates above which interpreting the kernels takes longer than reading the
 #: compiled ones from the cache (measured with 200 to 2 000 records).
 MAX_INTERPRETED = 2_300.0

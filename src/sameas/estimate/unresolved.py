@@ -5,12 +5,14 @@ record between two objects looks surely like the nearer one. Two objects at a se
 source with the probability B(s) = 2^−(s/ℓ)⁴, ℓ its resolution, as in :mod:`~sameas.estimate.blends`. With w the
 share of the brighter one in the flux, the density of the residual of a pair (i, j) is multiplied by
 
-    1 − Σ β_k + Σ β_k ∫ p(w) N(x_j − w x_i − (1 − w) x_k; S) dw / N(x_j − x_i; S)
+    γ₀ + Σ γ_k b_k μ_k ∫ p(w) N(x_j − w x_i − (1 − w) x_k; S) dw / N(x_j − x_i; S)
 
-over the neighbours k of i in the fine source, the integral over w > ½. β_k is the probability that i and k are one
-record, if they are j's partner: B u / (B + (1 − B)(1 − c)), where u is the probability that k has no partner
-but j, and c the share of the records there that have a partner. Without magnitudes w is uniform; with them
-β_k is multiplied by the probability that i is the brighter one, and the sum is divided by its mean over all positions.
+over the neighbours k of i in the fine source, the integral over w > ½. i and k are one record, if they are j's partner,
+with the probability β_k = B u / (B + (1 − B)(1 − c)), where u is the probability that k has no partner but j, and c
+the share of the records there that have a partner. γ₀ = Π (1 − β_k) is the probability of no blend; γ_k that of one
+with k alone, β_k γ₀ / (1 − β_k), and of one with others too, whose position is that of the two. Without magnitudes
+b = μ = 1 and w is uniform. With them b is the probability that i is the brightest, and μ the density of the magnitudes
+of i and the others together, over that of i alone.
 
 ℓ is that of a grid with the greatest likelihood, given the probabilities of the pairs.
 :func:`sameas.estimate.blends.find_blends` gives the two objects of each record instead, for a resolution that is known.
@@ -18,6 +20,7 @@ but j, and c the share of the records there that have a partner. Without magnitu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
@@ -26,7 +29,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.estimate.sample import Setting
-from sameas.evidence import Errors, Evidence, Rule
+from sameas.evidence import Brightness, Errors, Evidence, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import inverse
 from sameas.representation import in_short
@@ -35,7 +38,9 @@ from sameas.representation import in_short
 REACH = 1.5  # maximum separation of two objects that are one record, in resolutions
 TRIED = (1.5, 1.9, 2.3, 2.9, 3.6, 4.5, 5.6, 7.0)  # resolutions, in typical errors of a pair
 SHARES = (0.55, 0.65, 0.75, 0.85, 0.95)  # w of the brighter object, equally probable
-COLOUR_MAG = 0.3  # scatter of the objects' colours, by which the shares by the fine source's magnitudes are uncertain
+MIN_COLOUR_MAG, MAX_COLOUR_MAG = 0.03, 0.3  # limits of the scatter of the objects' colours; the upper one if unknown
+MAX_BLENDED = 0.98  # greatest probability that a neighbour is not resolved
+MIN_BLENDED = 1e-4  # probability of a blend from which its magnitude is compared
 MAX_COUPLES = 20.0  # maximum mean number of neighbours per candidate; denser fields are left as they are
 MIN_RESOLVED_PAIRS = 200.0  # expected number of pairs from which a resolution is sought
 MAX_UNRESOLVED_RECORDS = 6_000  # of the coarse source, from which the resolution is found
@@ -72,6 +77,20 @@ class UnresolvedRule(Rule):
         return Evidence({"unresolved neighbours": self.term})
 
 
+@dataclass(frozen=True)
+class BlendWeights:
+    """Probabilities of blends, if a pair is one object or a blend whose brighter object is the fine record.
+
+    single : (m,) of none. alone, with_more : (q,) of a blend with the neighbour alone, and with others too.
+    more_flux : (q,) expected flux of the others, over that of the fine record.
+    """
+
+    single: FloatArray
+    alone: FloatArray
+    with_more: FloatArray
+    more_flux: FloatArray
+
+
 @in_short
 @dataclass(frozen=True)
 class Unresolved:
@@ -81,8 +100,10 @@ class Unresolved:
     square, mirrored : (q, w) squared normalised distance of the coarse record from the point between them, by the share
         w; and from the point as far on the other side.
     weight : (q, w) probability of the share, if the fine record of ``pair`` is the brighter one. brighter : (q,)
-        probability of that by magnitudes; 1 where they are unknown.
+        probability of that by magnitudes; 1 where they are unknown. fainter : (q,) magnitude of the neighbour
+        minus that of the fine record of ``pair``, NaN where unknown.
     term : (m,) evidence of the pairs. single : (m,) probability that the pair is no blend, if it is one object.
+    colour_mag : scatter of the objects' colours, by which the shares by the magnitudes are uncertain.
     """
 
     resolution: BlendResolution
@@ -93,12 +114,19 @@ class Unresolved:
     mirrored: FloatArray = field(repr=False)
     weight: FloatArray = field(repr=False)
     brighter: FloatArray = field(repr=False)
+    fainter: FloatArray = field(repr=False)
     term: FloatArray = field(repr=False)
     single: FloatArray = field(repr=False)
+    colour_mag: float = math.inf
 
     @classmethod
     def of(
-        cls, resolution: BlendResolution, setting: Setting, errors: Errors, magnitude: FloatArray | None, every: int = 1
+        cls,
+        resolution: BlendResolution,
+        setting: Setting,
+        errors: Errors,
+        magnitude: FloatArray | None,
+        every: int = 1,
     ) -> Unresolved | None:
         """The neighbours before any probabilities are known; None if there are too many.
 
@@ -118,32 +146,57 @@ class Unresolved:
         along = np.einsum("qv,qvw,qw->q", pairs.residual[pair], precision, apart)[:, None]
         between = np.einsum("qv,qvw,qw->q", apart, precision, apart)[:, None]
         even, odd = pairs.mahalanobis_sq[pair, None] + (1.0 - shares) ** 2 * between, 2.0 * (1.0 - shares) * along
-        weight, brighter = np.full(even.shape, 1.0 / len(shares)), np.ones(len(pair))
-        if magnitude is not None:
-            fainter = magnitude[fine[neighbour]] - magnitude[fine[pair]]
-            known = np.isfinite(fainter)
-            by_share = _share_weights(fainter[known], shares, COLOUR_MAG)
-            brighter[known] = by_share.sum(axis=1)
-            weight[known] = by_share / np.maximum(brighter[known], 1e-9)[:, None]
-        none, all_single = np.zeros(len(pairs)), np.ones(len(pairs))
         separation = np.sqrt((apart**2).sum(axis=1))
-        return cls(
-            resolution, pair, neighbour, separation, even + odd, even - odd, weight, brighter, none, all_single
+        weight, brighter = np.full(even.shape, 1.0 / len(shares)), np.ones(len(pair))
+        fainter = (
+            np.full(len(pair), np.nan) if magnitude is None else magnitude[fine[neighbour]] - magnitude[fine[pair]]
+        )
+        none, all_single = np.zeros(len(pairs)), np.ones(len(pairs))
+        unresolved = cls(
+            resolution, pair, neighbour, separation, even + odd, even - odd, weight, brighter, fainter, none,
+            all_single,
         )  # fmt: skip
+        return unresolved._with_colours(MAX_COLOUR_MAG)
+
+    def _with_colours(self, colour_mag: float) -> Unresolved:
+        """The same with the shares by magnitudes, if the objects' colours scatter by this much."""
+        colour_mag = min(max(colour_mag, MIN_COLOUR_MAG), MAX_COLOUR_MAG)
+        known = np.isfinite(self.fainter)
+        if not known.any() or abs(colour_mag / self.colour_mag - 1.0) < 0.1:
+            return self
+        weight, brighter = self.weight.copy(), self.brighter.copy()
+        by_share = _share_weights(self.fainter[known], np.array(SHARES), colour_mag)
+        brighter[known] = by_share.sum(axis=1)
+        weight[known] = by_share / np.maximum(brighter[known], 1e-9)[:, None]
+        return replace(self, weight=weight, brighter=brighter, colour_mag=colour_mag)
+
+    @property
+    def _flux(self) -> FloatArray:
+        """(q,) flux of the neighbour over that of the fine record of the pair; 0 where unknown."""
+        return np.nan_to_num(10.0 ** (-0.4 * self.fainter))
 
     @property
     def rule(self) -> UnresolvedRule:
         """The evidence."""
         return UnresolvedRule(self.term)
 
-    def with_probabilities(self, setting: Setting, errors: Errors, p_pair: FloatArray, share: Both) -> Unresolved:
-        """The evidence by the probabilities (m,) of the pairs, and the local shares (n₁,), (n₂,) with a partner."""
-        blended = self._blended(setting, p_pair, share)
-        single = np.maximum(1.0 - self._by_pair(blended, setting), 0.0)
-        brighter = blended * self.brighter
-        toward = single + self._by_pair(brighter * self._ratio(self.square, setting, errors), setting)
-        term = np.log(np.maximum(toward, 1e-9)) - np.log(np.maximum(single + self._by_pair(brighter, setting), 1e-9))
-        return replace(self, term=term, single=single / np.maximum(toward, 1e-9))
+    def with_probabilities(
+        self, setting: Setting, errors: Errors, p_pair: FloatArray, share: Both, brightness: Brightness | None = None
+    ) -> Unresolved:
+        """The evidence by the probabilities (m,) of the pairs, and the local shares (n₁,), (n₂,) with a partner.
+
+        brightness : evidence of the magnitudes, which for a blend are those of both objects together.
+        """
+        by_colours = self
+        if brightness is not None and brightness.chains is not None:
+            by_colours = self._with_colours(math.sqrt(2.0) * brightness.chains[self.resolution.coarse].scatter)
+        weights, flux = by_colours._blended(setting, p_pair, share), self._flux
+        ratio, toward = by_colours._ratio(self.square, setting, errors), weights.single.copy()
+        for p_blend, added in ((weights.alone, flux), (weights.with_more, flux + weights.more_flux)):
+            by_magnitude = self._magnitude_ratio(p_blend, added, setting.pairs, brightness)
+            toward += self._by_pair(p_blend * ratio * by_magnitude, setting)
+        toward = np.maximum(toward, 1e-9)
+        return replace(by_colours, term=np.log(toward), single=weights.single / toward)
 
     def gain(self, setting: Setting, errors: Errors, p_pair: FloatArray, share: Both) -> float:
         """Gain in ln likelihood of the positions, given the probabilities (m,) of the pairs without this evidence.
@@ -151,7 +204,8 @@ class Unresolved:
         It is that beyond the mirrored points, which tails of the errors reach as well as the points between.
         """
         _, coarse = _sides(self.resolution, setting.pairs)
-        blended = np.where(self.brighter > 0.5, self._blended(setting, p_pair, share), 0.0)
+        weights = self._blended(setting, p_pair, share)
+        blended = np.where(self.brighter > 0.5, weights.alone + weights.with_more, 0.0)
         gains = []
         for square in (self.square, self.mirrored):
             change = p_pair * self._by_pair(blended * (self._ratio(square, setting, errors) - 1.0), setting)
@@ -159,16 +213,32 @@ class Unresolved:
             gains.append(float(np.log1p(np.maximum(of_record, -1.0 + 1e-9)).sum()))
         return gains[0] - max(gains[1], 0.0)
 
-    def _blended(self, setting: Setting, p_pair: FloatArray, share: Both) -> FloatArray:
-        """(q,) probability β that both records are one of the coarse source; at most 1 for all neighbours of a pair."""
+    def _blended(self, setting: Setting, p_pair: FloatArray, share: Both) -> BlendWeights:
+        """The probabilities that the fine records of the pairs are the brighter ones of such blends."""
         fine, _ = _sides(self.resolution, setting.pairs)
         missing = 1.0 - share[1 - self.resolution.coarse]
         k, own = fine[self.neighbour], p_pair[self.neighbour]
         others = np.bincount(fine, p_pair, len(missing))[k] - own
         free = np.clip(1.0 - others / np.maximum(1.0 - own, 1e-9), 0.0, 1.0)
         merged = np.exp2(-((self.separation / self.resolution.separation) ** 4))
-        blended = free * merged / (merged + (1.0 - merged) * np.maximum(missing[k], 1e-3))
-        return np.asarray(blended / np.maximum(self._by_pair(blended, setting), 1.0)[self.pair])
+        p = np.minimum(free * merged / (merged + (1.0 - merged) * np.maximum(missing[k], 1e-3)), MAX_BLENDED)
+
+        single = np.exp(self._by_pair(np.log1p(-p), setting))
+        alone = p / (1.0 - p) * single[self.pair]
+        several = np.maximum(1.0 - single - self._by_pair(alone, setting), 0.0)
+        with_more = p * (several / np.maximum(self._by_pair(p, setting), 1e-300))[self.pair]
+        brightest = np.log1p(-p * (1.0 - self.brighter))
+        more_flux = p * self._flux * self.brighter
+        return BlendWeights(
+            single,
+            alone * self.brighter,
+            with_more * self.brighter * np.exp(self._of_others(brightest, setting)),
+            self._of_others(more_flux, setting),
+        )
+
+    def _of_others(self, values: FloatArray, setting: Setting) -> FloatArray:
+        """(q,) sums of values (q,) over the other neighbours of each pair."""
+        return self._by_pair(values, setting)[self.pair] - values
 
     def _ratio(self, square: FloatArray, setting: Setting, errors: Errors) -> FloatArray:
         """(q,) density at these squared distances (q, w), averaged over the shares, over that of the pair."""
@@ -176,6 +246,18 @@ class Unresolved:
         at_pair = errors.log_profile(errors.pairs(setting.pairs).mahalanobis_sq, d)[self.pair, None]
         log_ratio = errors.log_profile(square.ravel(), d).reshape(square.shape) - at_pair
         return np.asarray((self.weight * np.exp(np.minimum(log_ratio, MAX_LOG_RATIO))).sum(axis=1))
+
+    def _magnitude_ratio(
+        self, p_blend: FloatArray, flux: FloatArray, pairs: Pairs, brightness: Brightness | None
+    ) -> FloatArray:
+        """(q,) density of the magnitudes if the neighbours add this ``flux`` (q,) to that of the fine records, over
+        that if they do not; 1 where a blend is improbable."""
+        ratio, compared = np.ones(len(flux)), np.flatnonzero(p_blend > MIN_BLENDED)
+        if brightness is not None and len(compared):
+            i, j = pairs.i[self.pair[compared]], pairs.j[self.pair[compared]]
+            log_ratio = brightness.log_ratio_of_blend(i, j, 1 - self.resolution.coarse, flux[compared])
+            ratio[compared] = np.exp(np.clip(log_ratio, -MAX_LOG_RATIO, MAX_LOG_RATIO))
+        return ratio
 
     def _by_pair(self, values: FloatArray, setting: Setting) -> FloatArray:
         """(m,) sums of values (q,) over the neighbours of each pair."""
@@ -192,7 +274,7 @@ def _share_weights(fainter: FloatArray, shares: FloatArray, scatter_mag: float) 
     they sum to less than 1 where the neighbour may be the brighter one."""
     from scipy.special import ndtr
 
-    half = 0.5 / len(shares)
+    half = 0.25 / len(shares)  # of the interval of each share, ½ … 1 together
     edges = np.append(shares - half, 1.0 - 1e-9)
     magnitude = 2.5 * np.log10(edges / (1.0 - edges))
     below = ndtr((magnitude - fainter[:, None]) / scatter_mag)

@@ -379,6 +379,12 @@ class Chain:
     related: tuple[Mapping[Pattern, Relation], ...]
     tilt: PartnerTilt | None = None
 
+    @property
+    def scatter(self) -> float:
+        """Scatter of the first band beyond quoted errors, mag: the median along the relation of most pairs."""
+        relation = max(self.related[0].values(), key=lambda relation: relation.weight, default=None)
+        return 0.0 if relation is None else float(np.median(relation.scatter))
+
     def log_ratio(self, compared: Comparisons) -> FloatArray:
         """(m,) for the compared magnitudes of the pairs."""
         total = np.zeros(compared.m)
@@ -423,6 +429,31 @@ class Brightness(Rule):
                     some = slice(first, first + COMPARED_AT_ONCE)
                     brightness[some] = self._log_ratio(*_compared(self.sides, pairs.i[some], pairs.j[some]))
         return Evidence(terms)
+
+    def log_ratio_of_blend(
+        self, i: NDArray[np.integer], j: NDArray[np.integer], source: int, flux: FloatArray
+    ) -> FloatArray:
+        """(q,) ln of the density of the magnitudes of pairs (i, j), if others add their light to the object of
+        ``source`` (0 or 1), over that if it is alone.
+
+        flux : (q,) of the others over that of the object. Their colours scatter like those of pairs.
+        """
+        if self.chains is None:
+            return np.zeros(len(i))
+        rows, taken = np.arange(len(i)), zip(self.sides, (i, j), strict=True)
+        both = [replace(side, measured=side.measured.take(at)) for side, at in taken]
+        alone = self._log_ratio(*_compared((both[0], both[1]), rows, rows))
+        own, density = both[source].measured, both[source].densities[0]
+        change, variance = (
+            -2.5 * np.log10(1.0 + flux),
+            2.0 * (self.chains[1 - source].scatter * flux / (1.0 + flux)) ** 2,
+        )
+        together = MeasuredMagnitudes(own.values + change[:, None], own.variance + variance[:, None])
+        both[source] = replace(both[source], measured=together)
+        log_ratio = self._log_ratio(*_compared((both[0], both[1]), rows, rows)) - alone
+        if density is not None:  # the object's own magnitude is measured, and its density is the same in both
+            log_ratio += 0.5 * np.nan_to_num(density(together.values[:, 0]) - density(own.values[:, 0]))
+        return log_ratio
 
     def _log_ratio(self, forth: Comparisons, back: Comparisons) -> FloatArray:
         assert self.chains is not None
