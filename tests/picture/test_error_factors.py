@@ -11,6 +11,7 @@ from sameas.gaussian import log_density
 from sameas.many.observations import records_of
 from sameas.picture.error_factors import (
     BLOCK,
+    ERROR_FACTORS,
     ErrorFactors,
     information,
     log_of_differences,
@@ -20,14 +21,13 @@ from sameas.picture.error_factors import (
 from sameas.picture.picture import Picture, picture_states
 from sameas.picture.tables import RANGE_BANDS, Scan
 from sameas.picture.track_pairs import keys
-from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.picture.watch import Watch
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Description, Site
 
-FACTORS = np.array(DEFAULT_TUNING.error_factors)
+FACTORS = np.array(ERROR_FACTORS)
 
 
 def spd(rng, n, size):
@@ -38,7 +38,7 @@ def spd(rng, n, size):
 def test_the_density_of_a_difference_is_normal_with_a_few_outliers():
     rng = np.random.default_rng(1)
     one, other, motion, delta = spd(rng, 3, 5.0), spd(rng, 3, 2.0), spd(rng, 3, 1.0), 9.0 * rng.standard_normal((3, 2))
-    found = log_of_differences(delta, one, other, motion, DEFAULT_TUNING) - np.log(2.0 * np.pi)
+    found = log_of_differences(delta, one, other, motion) - np.log(2.0 * np.pi)
     for n, f, g in ((0, 4, 4), (1, 0, 16), (2, 9, 3)):
         total = FACTORS[f] ** 2 * one[n] + FACTORS[g] ** 2 * other[n] + motion[n]
         usual, wide = (multivariate_normal([0.0, 0.0], size * total).pdf(delta[n]) for size in (1.0, 100.0))
@@ -141,7 +141,7 @@ def after_ways(rng, true, n, correlation=0.0, stated_m=10.0, carried_m=0.0):
         factors = factors.with_shifts(
             np.zeros(len(k), np.int64), shift[k], (2.0 * stated[k], stated[k]), (carried[k], carried[k])
         )
-    return float(factors._with_posterior(DEFAULT_TUNING).factor[0])
+    return float(factors._with_posterior().factor[0])
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.7, 0.95, 1.0])
@@ -151,7 +151,7 @@ def test_residuals_bound_factors_from_below_and_prefer_none_above(rho):
     shift = 10.0 * np.sqrt(2.0 * (1.0 - rho)) * rng.standard_normal((n, 2))
     factors = ErrorFactors().of_sources(("receiver",))
     factors = factors.with_shifts(part, shift, (2.0 * stated, stated), (still, still))
-    log_likely, relative = log_of_residuals(factors.log_shifts, DEFAULT_TUNING)[0], FACTORS - np.sqrt(1.0 - rho)
+    log_likely, relative = log_of_residuals(factors.log_shifts)[0], FACTORS - np.sqrt(1.0 - rho)
     allowed = log_likely[(relative > 0.2) & (FACTORS < 2.5)]
     assert np.ptp(allowed) < 0.05
     assert np.all(log_likely[relative < -0.2] < allowed.mean() - 10.0)

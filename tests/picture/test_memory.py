@@ -20,7 +20,7 @@ from sameas.picture.picture import picture_states
 from sameas.picture.previous_scans import FirstContact, PreviousScans
 from sameas.picture.tables import Scan
 from sameas.picture.track_pairs import TrackPairs
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.picture.tuning import Tuning
 from sameas.picture.watch import Watch
 from sameas.prior import PerPair
 from sameas.records import Records
@@ -462,7 +462,7 @@ def test_trackers_without_swaps_are_not_suspected_of_them():
             names = np.append(state.scan.track, "")[state.members]
             if state.now.instant_s >= 300.0:
                 right += ((names == names[:, :1]).all(axis=1) * state.probability).tolist()
-        rates.append(watch.memory.swaps.rate(np.arange(2), state.scan.tuning))
+        rates.append(watch.memory.swaps.rate(np.arange(2)))
     # By one ln r for all rates, that of the mean one, they came out as 0.004 to 0.012, once as 0.3.
     assert np.max(rates) < 0.003
     assert np.mean(right) > 0.85
@@ -510,7 +510,7 @@ def test_swaps_of_ships_abreast_are_found_over_many_reports():
         (scene, times), watch = abreast(seed, swaps=0.1), Watch()
         for time_s in times:
             watch = watch.advance(scene.at(time_s)).watch
-        rates.append(watch.memory.swaps.rate(np.arange(2), DEFAULT_TUNING))
+        rates.append(watch.memory.swaps.rate(np.arange(2)))
     west, east = np.array(rates).T
     assert np.median(west) > 0.02
     assert np.median(east) < 0.5 * np.median(west)

@@ -1,14 +1,19 @@
 """Ships in AIS only, where a radar sees others: alarms for a fleet, none for weak, hidden or berthed ships."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from modelled_scenes import describe, feed, straight, watched_live
 
-from sameas.picture.phantoms import RadarLooks, ShipSightings, phantoms, proven
+from sameas.picture.phantoms import (
+    HIDDEN_SHARE,
+    INVENTED_ODDS,
+    INVENTED_SHARE,
+    RadarLooks,
+    ShipSightings,
+    phantoms,
+    proven,
+)
 from sameas.picture.picture import Picture
-from sameas.picture.tuning import Tuning
 from sameas.tracks.scene import Scene
 
 TIMES = np.arange(0.0, 601.0, 10.0)
@@ -87,7 +92,7 @@ def test_a_second_radar_that_sees_them_acquits_them():
     assert not alarms([(radar, tracks), other, ais])
 
 
-def looks(hits, n_looks, chance=0.02, **tuning):
+def looks(hits, n_looks, chance=0.02, **grids):
     """Looks in one range bin."""
     hits = np.asarray(hits)
     names, n = tuple(f"{k}" for k in range(len(hits))), np.full((len(hits), 1), n_looks)
@@ -104,7 +109,7 @@ def looks(hits, n_looks, chance=0.02, **tuning):
         times,
         times,
         1e4,
-        replace(Tuning(), **tuning),
+        **grids,
     )
 
 
@@ -121,7 +126,7 @@ def test_the_log_odds_grow_with_unseen_ships_and_shrink_with_weak_ones():
 
 def test_the_posterior_is_that_of_the_sum_over_all_assignments():
     # One mean and width, three ships: every assignment to seen, hidden and invented, by hand.
-    hits, n, chance, d, tuning = [9, 0, 0], 10, 0.05, (np.arange(50) + 0.5) / 50, Tuning()
+    hits, n, chance, d = [9, 0, 0], 10, 0.05, (np.arange(50) + 0.5) / 50
     one = looks(hits, n, chance, mean_detectabilities=(0.9,), detectability_widths=(8.0,)).log_odds()
     from scipy.stats import beta
 
@@ -130,15 +135,15 @@ def test_the_posterior_is_that_of_the_sum_over_all_assignments():
     real = np.array([np.sum(weight * p**k * (1.0 - p) ** (n - k)) for k in hits])
     none = np.array([chance**k * (1.0 - chance) ** (n - k) for k in hits])
     edges = np.append(0.0, np.logspace(-4.0, 0.0, 33))
-    h, p_h = 0.5 * (edges[1:] + edges[:-1]), np.diff(beta.cdf(edges, *tuning.hidden_share))
+    h, p_h = 0.5 * (edges[1:] + edges[:-1]), np.diff(beta.cdf(edges, *HIDDEN_SHARE))
     edges = np.linspace(0.0, 1.0, 21)
-    t, p_t = 0.5 * (edges[1:] + edges[:-1]), np.diff(beta.cdf(edges, *tuning.invented_share))
+    t, p_t = 0.5 * (edges[1:] + edges[:-1]), np.diff(beta.cdf(edges, *INVENTED_SHARE))
     total, own = 0.0, np.zeros(3)
     for invented in np.ndindex(2, 2, 2):
         for k, p_hidden in zip(h, p_h, strict=True):
             exists = np.where(invented, none, (1.0 - k) * real + k * none).prod() * p_hidden
             share = [np.where(invented, one, 1.0 - one).prod() for one in t]
-            weight_of = exists * (tuning.invented_odds * np.dot(share, p_t) + (not any(invented)))
+            weight_of = exists * (INVENTED_ODDS * np.dot(share, p_t) + (not any(invented)))
             total, own = total + weight_of, own + weight_of * np.array(invented)
     assert one == pytest.approx(np.log(own / (total - own)), abs=1e-6)
 
@@ -151,7 +156,7 @@ def test_a_place_is_seen_only_where_another_ship_at_its_bearing_is_seen_as_far_a
     zeros = np.zeros(len(ship))
     one = ShipSightings(tuple("abcdefg"), ship, zeros, arm, seen, zeros, seen, zeros)
     # Number 5 is between two ships, 7° to either side; no ship proves her own place.
-    assert proven(one, bearing, False, Tuning()).tolist() == [True, False, False, False, False, True, False]
+    assert proven(one, bearing, False).tolist() == [True, False, False, False, False, True, False]
 
 
 def test_nothing_is_said_without_records():

@@ -9,11 +9,13 @@ from modelled_scenes import describe
 from scipy.special import expit
 
 from sameas.picture import Picture, Watch, instants, picture_states
+from sameas.picture.hull_echoes import OWN_LOOKS_KEPT
 from sameas.picture.object_ids import NamedObjects
 from sameas.picture.picture import error_lines
 from sameas.picture.plot_existence import Looks, NewPlots, PlotOdds, looks_between
 from sameas.picture.plot_rates import SourceCounts
 from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, PictureObjects
+from sameas.picture.track_existence import REAL_S
 from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
@@ -156,13 +158,13 @@ def test_the_odds_are_those_of_bayes_rule():
     odds = PlotOdds(np.array([-1.0, -1.0]), np.full(2, -1.0), np.full(2, 4.0), np.full(2, 3.0))
     own_q = (6.0 * q + 3.0) / (6.0 + 4.0)
     after = odds.after(objects, plots, looks, 2.5, 0.5)
-    p = math.exp(-2.5 / DEFAULT_TUNING.real_s) * expit(-1.0)
+    p = math.exp(-2.5 / REAL_S) * expit(-1.0)
     total = sigma**2 + 100.0
     density = math.exp(-0.5 * (12.0**2 + 9.0**2) / total) / (2.0 * math.pi * total)
     hit = p * (1.0 - own_q) * density / (p * (1.0 - own_q) * density + (1.0 - p) * clutter)
     missed = p * own_q / (p * own_q + 1.0 - p)
     assert np.allclose(expit(after.log_odds), [hit, missed], rtol=1e-9)
-    kept = 1.0 / (1.0 + 1.0 / DEFAULT_TUNING.own_looks_kept)
+    kept = 1.0 / (1.0 + 1.0 / OWN_LOOKS_KEPT)
     assert np.allclose(after.looked, kept * 4.0 + 1.0) and np.allclose(after.missed, kept * 3.0 + np.array([0.0, 1.0]))
     # An object that other sources have shown begins with its first plot; without a new look nothing is missed.
     unknown = replace(odds, log_odds=np.full(2, -math.inf))
@@ -176,7 +178,7 @@ def test_the_share_of_objects_not_seen_before():
     scene, motion = radar_beside_ais(0, 0.8, 40.0)
     looks = Looks.since(scene.at(5.0), -math.inf)
     assert math.isclose(looks.unseen_share(1.0, motion(0.0), 0.0), 0.2)
-    comes = 1.0 - math.exp(-5.0 / DEFAULT_TUNING.real_s)
+    comes = 1.0 - math.exp(-5.0 / REAL_S)
     assert math.isclose(looks.unseen_share(0.2, motion(0.0), 5.0), 0.04 * (1.0 - comes) + comes)
 
 
@@ -196,7 +198,7 @@ def test_what_is_assumed_is_counted_and_a_shore_is_not_boats():
         ashore.append(int((np.abs(objects.state[:, 1] - 0.6 * SIDE_M) < 100.0).sum()))
     assert isinstance(state.watch, Watch)
     counts = state.watch.plot_rates.of["radar"]
-    assert abs(counts.miss_rate(0.1, DEFAULT_TUNING) - 0.65) < 0.05
+    assert abs(counts.miss_rate(0.1) - 0.65) < 0.05
     [line] = error_lines(state.watch)
     assert line.startswith("radar: misses 6") and "(10 % was assumed); has " in line
     assert (shown / len(late)).mean() > 0.85 and np.mean(ashore) < 4.0
@@ -219,7 +221,7 @@ def test_the_clutter_about_a_plot():
     places = np.array([[0.0, 1000.0], [2000.0, 0.0], [-2000.0, 0.0], [-2000.0, 1000.0]])
     mean = 400 / 64e6 / looks
     at_sea, on_shore, *of_one = counts.clutter_per_m2(
-        places, np.full(4, 15.0), np.array([0, 2001, 7, 0]), np.full(4, mean), DEFAULT_TUNING
+        places, np.full(4, 15.0), np.array([0, 2001, 7, 0]), np.full(4, mean)
     )
     assert 0.3 * mean < at_sea < 3.0 * mean
     # A buoy, followed under one number, or lost and found under many.

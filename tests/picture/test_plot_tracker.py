@@ -12,7 +12,15 @@ from sameas.gate import ChiSquare
 from sameas.many.identify import identify_many, identify_sequentially
 from sameas.many.observations import Region, joint_density, records_of
 from sameas.many.rules import PoissonObjects
-from sameas.picture.bernoulli import KNOWN, BernoulliObjects, BernoulliTable, Sighting
+from sameas.picture.bernoulli import (
+    DIFFERENT_QUANTILE,
+    KNOWN,
+    MERGING_LOG_ODDS,
+    SAME_QUANTILE,
+    BernoulliObjects,
+    BernoulliTable,
+    Sighting,
+)
 from sameas.picture.plot_tracker import PlotTracker
 from sameas.picture.tuning import Tuning
 from sameas.records import Records
@@ -421,7 +429,7 @@ def all_odds(table):
     return out
 
 
-def merged_by_all_pairs(table, density_per_m2, tuning):
+def merged_by_all_pairs(table, density_per_m2):
     """The numbers and odds of a table by comparing every two of its objects."""
     kept, odds_apart = list(range(len(table))), all_odds(table)
     state, covariance, number = table.state.copy(), table.covariance.copy(), table.number.copy()
@@ -431,13 +439,13 @@ def merged_by_all_pairs(table, density_per_m2, tuning):
         for i, j in combinations(kept, 2):
             delta, total = state[i] - state[j], covariance[i] + covariance[j]
             chi_sq = delta[:2] @ np.linalg.solve(total[:2, :2], delta[:2])
-            if chi_sq > ChiSquare(tuning.different_quantile).limit(2):
+            if chi_sq > ChiSquare(DIFFERENT_QUANTILE).limit(2):
                 odds_apart[i, j] = odds_apart[j, i] = 0.0
-            if delta @ np.linalg.solve(total, delta) < ChiSquare(tuning.same_quantile).limit(4):
+            if delta @ np.linalg.solve(total, delta) < ChiSquare(SAME_QUANTILE).limit(4):
                 log_n = -0.5 * chi_sq - 0.5 * np.log(np.linalg.det(2.0 * np.pi * total[:2, :2]))
                 odds[i, j] = log_n - np.log(density_per_m2) - odds_apart[i, j]
         i, j = np.unravel_index(int(odds.argmax()), odds.shape)
-        if not odds[i, j] > tuning.merging_log_odds:
+        if not odds[i, j] > MERGING_LOG_ODDS:
             return number[kept].tolist(), odds_apart[np.ix_(kept, kept)]
         best = max(i, j, key=lambda k: (seen[k], *state[k]))
         state[i], covariance[i], number[i] = state[best], covariance[best], min(number[i], number[j])
@@ -447,14 +455,14 @@ def merged_by_all_pairs(table, density_per_m2, tuning):
 
 def test_objects_are_merged_as_by_comparing_every_two():
     """In a scene of 2 000 plots every two took 2 GB, and 3 s of the processor for each that was merged."""
-    rng, tuning = np.random.default_rng(4), Tuning()
+    rng = np.random.default_rng(4)
     place = rng.uniform(0.0, 2_000.0, (30, 2))
     place = np.concatenate([place, place[:10] + rng.uniform(-4.0, 4.0, (10, 2))])
     table = objects(place, hits=rng.uniform(1.0, 5.0, (40, 2)))
-    near = np.column_stack(table.pairs_near(tuning))
+    near = np.column_stack(table.pairs_near())
     table = replace(table, near=near, separate_log_odds=rng.uniform(-8.0, 8.0, len(near)))
-    number, odds = merged_by_all_pairs(table, 1e-5, tuning)
-    merged = table.merged(1e-5, tuning)
+    number, odds = merged_by_all_pairs(table, 1e-5)
+    merged = table.merged(1e-5)
     assert merged.number.tolist() == number and 30 < len(number) < 40
     np.testing.assert_array_equal(all_odds(merged), odds)
 

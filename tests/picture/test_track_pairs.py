@@ -20,7 +20,7 @@ from sameas.kernels.track_pairs import (
 )
 from sameas.picture.error_correlation import MIN_M2
 from sameas.picture.error_factors import error_update
-from sameas.picture.id_swaps import Rivals, SwapRates
+from sameas.picture.id_swaps import SWAP_MODELS, SWAP_RANGES, Rivals, SwapRates
 from sameas.picture.named_tracks import prior_covariance
 from sameas.picture.track_pairs import TrackPairs
 from sameas.picture.tuning import DEFAULT_TUNING
@@ -250,18 +250,18 @@ def test_joint_swaps_are_a_mean_of_probabilities_over_the_swap_models():
 def after_reports(rng, chi_sq, swap_probability, count, swaps=None):
     """ln r with the last report, and the rates, after reports of tracks 2 and 3 at this distance; track pairs as of
     :func:`two_by_two`. A report is worth N(4, 8) in favour of the true two pairs; the true ids may be swapped."""
-    (rivals, _), tuning = two_by_two(), DEFAULT_TUNING
-    swaps = swaps or SwapRates().of_sources(("ais", "tracks"), tuning)
-    log_ratio, log_reported, by_model = np.zeros(4), np.zeros(4), np.zeros((4, len(tuning.swap_models[0])))
-    near = np.zeros((4, 2, len(tuning.swap_ranges)))
-    near[:, 0] = np.exp(-chi_sq / np.array(tuning.swap_ranges))
+    rivals, _ = two_by_two()
+    swaps = swaps or SwapRates().of_sources(("ais", "tracks"))
+    log_ratio, log_reported, by_model = np.zeros(4), np.zeros(4), np.zeros((4, len(SWAP_MODELS[0])))
+    near = np.zeros((4, 2, len(SWAP_RANGES)))
+    near[:, 0] = np.exp(-chi_sq / np.array(SWAP_RANGES))
     swapped = np.cumsum(rng.random(count) < swap_probability) % 2 == 1
     for sign in np.where(swapped, -1.0, 1.0):
         log_now = sign * rng.normal(4.0, np.sqrt(8.0)) / 4.0 * np.array([1.0, -1.0, -1.0, 1.0])
         rival = np.column_stack([rivals.best_other(log_ratio + log_reported, 0), np.full(4, -1)])
         log_ratio, by_model, p_swapped, swaps = swaps.updated(
             (log_ratio, log_reported, by_model), log_ratio + log_reported, log_now, (rival, np.zeros((4, 2)), near),
-            rivals, (np.ones(4, int), np.zeros(4, int)), -9.0, tuning,
+            rivals, (np.ones(4, int), np.zeros(4, int)), -9.0,
         )  # fmt: skip
         assert ((p_swapped >= 0.0) & (p_swapped <= 1.0)).all()
         log_ratio, log_reported = rivals.bounded(log_ratio, np.ones(4, bool), DEFAULT_TUNING), log_now
@@ -271,18 +271,18 @@ def after_reports(rng, chi_sq, swap_probability, count, swaps=None):
 def test_a_history_is_kept_while_it_is_not_known_whether_a_tracker_swaps(rng):
     log_ratio, swaps = after_reports(rng, 0.0, 0.0, 10)
     # By the mean rate, the odds of a pair would be bounded by its inverse.
-    mean = swaps.rate(np.array([1]), DEFAULT_TUNING)[0]
+    mean = swaps.rate(np.array([1]))[0]
     assert mean > 1e-3
     assert log_ratio[0] - log_ratio[1] > np.log(1.0 / mean) + 1.0
 
 
 def test_rate_and_range_of_swaps_are_estimated_together(rng):
     _, near = after_reports(rng, 0.0, 0.1, 300)
-    assert near.rate(np.array([0, 1]), DEFAULT_TUNING) == pytest.approx([1e-5, 0.1], rel=0.01)
-    short, long = DEFAULT_TUNING.swap_ranges
+    assert near.rate(np.array([0, 1])) == pytest.approx([1e-5, 0.1], rel=0.01)
+    short, long = SWAP_RANGES
     for swap_probability, expected in ((0.0, short), (0.1, long)):
         _, swaps = after_reports(rng, 4.0, swap_probability, 300, near)
-        ranges = DEFAULT_TUNING.swap_models[1]
+        ranges = SWAP_MODELS[1]
         assert swaps.probability[1, ranges == expected].sum() > 0.99
 
 

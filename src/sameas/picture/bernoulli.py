@@ -30,11 +30,18 @@ from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Linear, ObjectsRule, PairTerms, Terms, best_reference, mean_of_pairs
 from sameas.picture.tables import ObjectTable
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.picture.tuning import Tuning
 from sameas.records import Records
 
 #: Name of the source whose records are the known objects.
 KNOWN = "known objects"
+
+#: Probabilities of existence are clipped to this distance from 0 and 1, so that later scans can change them.
+MIN_PROBABILITY = 1e-6
+MERGING_LOG_ODDS = 3.0  # two objects are merged at these log-odds
+#: Two objects are separate, whatever the scans show, beyond the χ² limit with this share of equal ones below it.
+DIFFERENT_QUANTILE = 1.0 - 1e-6
+SAME_QUANTILE = 0.99  # states of two objects agree within the χ² limit that includes this share of equal ones
 
 
 def log_odds(q: FloatArray) -> FloatArray:
@@ -200,7 +207,7 @@ class BernoulliTable(ObjectTable):
         existence: FloatArray,
         hits: FloatArray,
         frequency_hz: FloatArray | None = None,
-        least: float = DEFAULT_TUNING.min_probability,
+        least: float = MIN_PROBABILITY,
     ) -> BernoulliTable:
         """New objects."""
         bounded, misses = np.clip(existence, least, 1.0 - least), np.zeros_like(hits)
@@ -232,7 +239,7 @@ class BernoulliTable(ObjectTable):
         q = (scans * usual_q + self.misses) / (scans + self.misses + self.hits)
         return np.asarray(np.clip(q, least, 1.0 - least))
 
-    def after(self, sighting: Sighting, least: float = DEFAULT_TUNING.min_probability) -> BernoulliTable:
+    def after(self, sighting: Sighting, least: float = MIN_PROBABILITY) -> BernoulliTable:
         """The objects with existence, hits and misses after completed scans; their states do not change."""
         p_detected, r = sighting.p_detected, self.existence
         p_missed = r * np.prod(sighting.q**sighting.scans, axis=1)
@@ -243,10 +250,10 @@ class BernoulliTable(ObjectTable):
             misses=self.misses + np.maximum(sighting.scans - p_detected, 0.0),
         )  # fmt: skip
 
-    def pairs_near(self, tuning: Tuning = DEFAULT_TUNING) -> tuple[IntArray, IntArray]:
+    def pairs_near(self) -> tuple[IntArray, IntArray]:
         """(p,), (p,) rows of every two objects whose positions do not differ, i < j, in their order."""
         positions = Records.of(self.state[:, :2], covariance=self.covariance[:, :2, :2], source=KNOWN)
-        pairs = ChiSquare(tuning.different_quantile)(positions, positions)
+        pairs = ChiSquare(DIFFERENT_QUANTILE)(positions, positions)
         once = np.flatnonzero(pairs.i < pairs.j)
         i, j = pairs.i[once].astype(np.int64), pairs.j[once].astype(np.int64)
         order = np.lexsort([j, i])
@@ -283,16 +290,16 @@ class BernoulliTable(ObjectTable):
         bound = tuning.separate_log_odds
         return replace(self, near=np.column_stack(pairs), separate_log_odds=np.clip(separate_log_odds, -bound, bound))
 
-    def merged(self, density_per_m2: float, tuning: Tuning = DEFAULT_TUNING) -> BernoulliTable:
+    def merged(self, density_per_m2: float) -> BernoulliTable:
         """The objects without duplicates, of those near each other at the last scan; the lower number of two stays.
 
         Two are merged if the evidence of their positions, ln N(Δ; 0, P + P′)/ρ, exceeds the log-odds of the scans that
-        they are separate by ``merging_log_odds``. The state of the one detected more often stays: the other may be the
+        they are separate by ``MERGING_LOG_ODDS``. The state of the one detected more often stays: the other may be the
         end of its hull.
         """
         objects = replace(self, **{each.name: getattr(self, each.name).copy() for each in fields(self)})
         i, j = self.near.T
-        for_one, agree = self._compared(i, j, density_per_m2, tuning)
+        for_one, agree = self._compared(i, j, density_per_m2)
         # The object with the state of each row, ABSENT for none: every two states are compared once.
         holder = np.arange(len(self))
         while True:
@@ -302,7 +309,7 @@ class BernoulliTable(ObjectTable):
             may_be_one = both & agree & ~objects._on_two_frequencies(one, other)
             odds = np.where(may_be_one, for_one - separate_log_odds, -np.inf)
             best = int(odds.argmax()) if len(odds) else 0
-            if not (len(odds) and odds[best] > tuning.merging_log_odds):
+            if not (len(odds) and odds[best] > MERGING_LOG_ODDS):
                 near = np.column_stack([one, other])[both]
                 objects = replace(objects, near=near, separate_log_odds=separate_log_odds[both])
                 return objects.take(np.isin(np.arange(len(self)), holder))
@@ -310,12 +317,10 @@ class BernoulliTable(ObjectTable):
             rows = (i[best], j[best]) if holder[i[best]] == stays else (j[best], i[best])
             holder[list(rows)] = one[best], ABSENT
 
-    def _compared(
-        self, i: IntArray, j: IntArray, density_per_m2: float, tuning: Tuning
-    ) -> tuple[FloatArray, BoolArray]:
+    def _compared(self, i: IntArray, j: IntArray, density_per_m2: float) -> tuple[FloatArray, BoolArray]:
         """(p,) ln N/ρ of the positions of every two objects, and whether their states agree."""
         delta, total = self.state[i] - self.state[j], self.covariance[i] + self.covariance[j]
-        agree = mahalanobis_sq(delta, total) < ChiSquare(tuning.same_quantile).limit(4)
+        agree = mahalanobis_sq(delta, total) < ChiSquare(SAME_QUANTILE).limit(4)
         return log_density(delta[:, :2], total[:, :2, :2]) - math.log(density_per_m2), agree
 
     def _on_two_frequencies(self, i: IntArray, j: IntArray) -> BoolArray:

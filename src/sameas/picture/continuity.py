@@ -18,8 +18,12 @@ from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq
 from sameas.kernels.tracks import places_of
-from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
+from sameas.picture.tuning import GATE
 from sameas.records import Records
+
+ID_REASSIGNED = 1e-3  # probability that a report of a track is of another object, when objects are matched over time
+UNIQUE_ID_ODDS = 1e7  # factor on the odds of a match whose tracks share a unique id
+NEW_SHARE = 0.05  # share of the objects of an instant that may be new
 
 
 @dataclass(frozen=True)
@@ -36,14 +40,14 @@ class CommonTracks:
 
     @classmethod
     def of(
-        cls, object_place: IntArray, detection_place: IntArray, share: FloatArray, unique: BoolArray, tuning: Tuning
+        cls, object_place: IntArray, detection_place: IntArray, share: FloatArray, unique: BoolArray
     ) -> CommonTracks:
-        """Of common tracks (m,): each adds ln(1 + s/ε), ε ``id_reassigned``.
+        """Of common tracks (m,): each adds ln(1 + s/ε), ε ``ID_REASSIGNED``.
 
         share : s, the track's share in the object over the last minutes. unique : whether the track's id is unique.
         """
         key, pair = np.unique((object_place << 32) | detection_place, return_inverse=True)
-        log_ratio = np.log1p(share / tuning.id_reassigned) + math.log(tuning.unique_id_odds) * unique
+        log_ratio = np.log1p(share / ID_REASSIGNED) + math.log(UNIQUE_ID_ODDS) * unique
         weight = np.bincount(pair, log_ratio, len(key)).astype(np.float64)
         n_unique = np.bincount(pair, unique, len(key)).astype(np.float64)
         return cls(key >> 32, key & 0xFFFFFFFF, weight, n_unique)
@@ -94,13 +98,12 @@ class Continuity(Rule):
     detections: Motions
     has_velocity: BoolArray
     plots: PlotContinuity
-    tuning: Tuning = DEFAULT_TUNING
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        elsewhere = self.tuning.new_share * self.per_m2 + self.plots.clutter_per_m2
+        elsewhere = NEW_SHARE * self.per_m2 + self.plots.clutter_per_m2
         place = Field(elsewhere)(pairs).log_ratio + self.plots(pairs)
         weight, unique = self.common.of_pairs(pairs)
-        place = np.where(unique > 0.0, np.maximum(place, math.log(self.tuning.id_reassigned)), place)
+        place = np.where(unique > 0.0, np.maximum(place, math.log(ID_REASSIGNED)), place)
         velocity = np.zeros(len(pairs))
         unrelated = np.flatnonzero((weight == 0.0) & self.has_velocity[pairs.second.rows[pairs.j]])
         velocity[unrelated] = self._velocities(

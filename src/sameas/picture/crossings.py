@@ -14,14 +14,19 @@ import numpy as np
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.many.objects import Objects
 from sameas.many.observations import Region, joint_density, records_of
-from sameas.picture.tuning import Tuning
 from sameas.tracks.scene import Instant
 
+#: Directions cross if the object's 1σ is below this share of that of the region.
+CROSSING_SHARE = 0.2
+#: A new object begins at a crossing of at least this probability, which is at least the share CLEAR_CROSSING of that of
+#: all crossings of its directions.
+CROSSING_EXISTENCE, CLEAR_CROSSING = 0.3, 0.8
 
-def is_placed(covariance: FloatArray, region: FloatArray, tuning: Tuning) -> BoolArray:
+
+def is_placed(covariance: FloatArray, region: FloatArray) -> BoolArray:
     """(n,) whether directions cross: otherwise the position along them is as uncertain as the region is wide."""
     widest = np.linalg.eigvalsh(region[:2, :2])[-1]
-    return np.asarray(np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1] < tuning.crossing_share**2 * widest)
+    return np.asarray(np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1] < CROSSING_SHARE**2 * widest)
 
 
 @dataclass(frozen=True)
@@ -35,13 +40,7 @@ class Crossings:
 
     @classmethod
     def among(
-        cls,
-        now: Instant,
-        identification: Objects,
-        members: IntArray,
-        is_free: BoolArray,
-        region: Region,
-        tuning: Tuning,
+        cls, now: Instant, identification: Objects, members: IntArray, is_free: BoolArray, region: Region
     ) -> Crossings:
         """The clear crossings of the directions of free objects at an instant, with rows of all its sources.
 
@@ -50,11 +49,11 @@ class Crossings:
         region : of the new objects.
         """
         with_records = [s for s, source in enumerate(now.sources) if len(records_of(source))]
-        found = cls._of(identification, members[:, with_records], is_free, tuning)
+        found = cls._of(identification, members[:, with_records], is_free)
         rows = np.full((len(found.object), members.shape[1]), ABSENT)
         rows[:, with_records] = found.sets
         joint = joint_density(list(now.sources), rows, region)
-        return replace(found, sets=rows)._take(is_placed(joint.covariance, now.region.covariance, tuning))
+        return replace(found, sets=rows)._take(is_placed(joint.covariance, now.region.covariance))
 
     def with_any(self, sets: IntArray) -> Crossings:
         """Those with at least one of the rows ``sets`` (n, S)."""
@@ -64,7 +63,7 @@ class Crossings:
         return Crossings(self.object[which], self.sets[which], self.p[which])
 
     @classmethod
-    def _of(cls, identification: Objects, members: IntArray, is_free: BoolArray, tuning: Tuning) -> Crossings:
+    def _of(cls, identification: Objects, members: IntArray, is_free: BoolArray) -> Crossings:
         """As :meth:`among`, with the rows of the sources with records only, wherever the directions cross."""
         rows = np.ma.filled(identification.set_rows, ABSENT)
         possible, known, p = rows[:, 1:], rows[:, 0] >= 0, identification.answer.probability
@@ -72,10 +71,10 @@ class Crossings:
         owner = [dict(zip(column[at].tolist(), at.tolist(), strict=True)) for column, at in _free(members, is_free)]
         found: dict[tuple[int, ...], tuple[int, float]] = {}
         of_three = (n_directions > 2) & identification.answer.chosen
-        candidate = of_three | ((n_directions > 1) & (p > tuning.crossing_existence))
+        candidate = of_three | ((n_directions > 1) & (p > CROSSING_EXISTENCE))
         for k in np.flatnonzero(candidate & ~known).tolist():
             of = [owner[s].get(row) for s, row in enumerate(possible[k].tolist()) if row >= 0]
-            if None not in of and (of_three[k] or cls._is_clear(possible, known, p, k, tuning)):
+            if None not in of and (of_three[k] or cls._is_clear(possible, known, p, k)):
                 found[tuple(possible[k].tolist())] = min(one for one in of if one is not None), float(p[k])
         chosen: list[tuple[tuple[int, ...], tuple[int, float]]] = []
         for one, value in sorted(found.items(), key=lambda item: -item[1][1]):
@@ -88,7 +87,7 @@ class Crossings:
         )
 
     @staticmethod
-    def _is_clear(possible: IntArray, known: BoolArray, p: FloatArray, k: int, tuning: Tuning) -> bool:
+    def _is_clear(possible: IntArray, known: BoolArray, p: FloatArray, k: int) -> bool:
         """Whether no other crossing of the directions of a set is nearly as probable."""
         own = possible[k]
         shared = (possible == own) & (own >= 0)
@@ -96,7 +95,7 @@ class Crossings:
         rival = shared.any(axis=1) & (differs | known) & ((possible >= 0).sum(axis=1) + known > 1)
         support = (shared.sum(axis=1) > 1) & ~differs & ~known
         total = p[rival].sum() + p[support].sum()
-        return bool(p[support].sum() >= tuning.clear_crossing * total)
+        return bool(p[support].sum() >= CLEAR_CROSSING * total)
 
 
 def _free(members: IntArray, is_free: BoolArray) -> list[tuple[IntArray, IntArray]]:

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, distinct, places_in, spans_in
-from sameas.picture.phantoms import Phantom, instant_keys, phantoms
+from sameas.picture.phantoms import APART_SIGMAS, TRACKER_LAG_S, Phantom, instant_keys, phantoms
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
@@ -37,6 +37,15 @@ from sameas.tracks.duplicate_ids import MAX_SPEED_SIGMAS, POSITION_SIGMAS, faste
 from sameas.tracks.faults import Fault, log_odds_of_silence, source_faults
 from sameas.tracks.feed import CORRELATED_KINDS, FASTEST_VESSEL_M_PER_S, Feed
 from sameas.tracks.kinds import KINDS
+
+#: Minimum number of reports of a track, to find its silence, and before and after a jump.
+MIN_REPORTS, JUMP_REPORTS = 5, 3
+APART_INSTANTS = 3  # two tracks are apart at this many instants or more
+#: Prior odds that reported positions are false, against a swap of the sensor's track to another ship; the probability
+#: of such a swap for each further sensor; maximum evidence of one sensor without a detection at the reported position.
+FALSE_POSITION_ODDS, SENSOR_SWAP, EMPTY_VOTE = 0.1, 0.01, 6.0
+SILENT_S, SILENT_ODDS = 60.0, 0.01  # minimum duration of a silence, and its prior odds
+SURE_DECEPTION = 0.95  # probability at which either is an alarm
 
 
 @dataclass(frozen=True)
@@ -132,7 +141,7 @@ def sightings_of(state: PictureState[Carried]) -> dict[str, NDArray[Any]]:
 def deceptions(
     feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
 ) -> tuple[Fault, ...]:
-    """The deceptions in the records of a picture with a probability above ``sure_deception``, in order of time."""
+    """The deceptions in the records of a picture with a probability above ``SURE_DECEPTION``, in order of time."""
     if not len(records["time_s"]):
         return ()
     instants = np.unique(records["time_s"])
@@ -149,11 +158,11 @@ def deceptions(
         ]
         alarms += histories.dragged(own, meetings)
         alarms += histories.silent(own, meetings)
-    dragged = {(fault.source, fault.track) for fault in alarms if fault.probability > tuning.sure_deception}
+    dragged = {(fault.source, fault.track) for fault in alarms if fault.probability > SURE_DECEPTION}
     for feed in feeds:
-        alarms += [fault for fault in _jumped(feed, tuning) if (fault.source, fault.track) not in dragged]
-    alarms += [_phantom(one) for one in phantoms(feeds, records, tuning) if (one.source, one.track) not in dragged]
-    alarms = [fault for fault in alarms if fault.probability > tuning.sure_deception]
+        alarms += [fault for fault in _jumped(feed) if (fault.source, fault.track) not in dragged]
+    alarms += [_phantom(one) for one in phantoms(feeds, records) if (one.source, one.track) not in dragged]
+    alarms = [fault for fault in alarms if fault.probability > SURE_DECEPTION]
     return tuple(sorted(alarms, key=lambda fault: fault.first_s))
 
 
@@ -179,7 +188,7 @@ def faults_and_deceptions(
     displacing = [fault for fault in faults if fault.kind in ("clock", "frozen")]
 
     def displaced(one: Fault) -> bool:
-        return any(one.source == fault.source and one.first_s > fault.first_s - tuning.silent_s for fault in displacing)
+        return any(one.source == fault.source and one.first_s > fault.first_s - SILENT_S for fault in displacing)
 
     return (*faults, *(one for one in (deceptions(feeds, records, tuning) if records else ()) if not displaced(one)))
 
@@ -286,12 +295,12 @@ class _TrackHistories:
         after = np.zeros(len(own.at), bool)
         for meeting in self.companions(meetings):
             since = meeting.theirs > meeting.last
-            if since.sum() < self.tuning.apart_instants:
+            if since.sum() < APART_INSTANTS:
                 continue
             other, i, j = meeting.other, meeting.own[since], meeting.theirs[since]
-            contradicts = self.disagreement(own, other, i, j) > self.tuning.apart_sigmas**2
-            contradicts &= meeting.shift(own, i, j) > self.tuning.apart_sigmas**2
-            if contradicts.sum() >= self.tuning.apart_instants and contradicts[-1]:
+            contradicts = self.disagreement(own, other, i, j) > APART_SIGMAS**2
+            contradicts &= meeting.shift(own, i, j) > APART_SIGMAS**2
+            if contradicts.sum() >= APART_INSTANTS and contradicts[-1]:
                 distance_m = float(np.sqrt(np.sum((own.position[i[-1]] - other.position[j[-1]]) ** 2)))
                 contradicting.append((self.name(other), distance_m))
                 begins.append(int(own.at[i[contradicts][0]]))
@@ -304,9 +313,9 @@ class _TrackHistories:
             return
         sensors = sorted({name for name, _ in contradicting})
         log_odds = (
-            math.log(self.tuning.false_position_odds)
+            math.log(FALSE_POSITION_ODDS)
             + self.log_undetected(own, unaccompanied)
-            - (len(sensors) - 1) * math.log(self.tuning.sensor_swap)
+            - (len(sensors) - 1) * math.log(SENSOR_SWAP)
         )
         distance_m = max(distance for _, distance in contradicting)
         words = (
@@ -320,9 +329,9 @@ class _TrackHistories:
     def disagreement(self, own: PictureTrack, other: PictureTrack, i: IntArray, j: IntArray) -> FloatArray:
         """(k,) χ² of the positions ``j`` of the other track against the path of the own one about its reports ``i``.
 
-        The other track may be late or early on the path by some seconds, 1σ ``tracker_lag_s``.
+        The other track may be late or early on the path by some seconds, 1σ ``TRACKER_LAG_S``.
         """
-        sigma_s, widest = self.tuning.tracker_lag_s, self.tuning.apart_sigmas
+        sigma_s, widest = TRACKER_LAG_S, APART_SIGMAS
         lag_s = sigma_s * np.linspace(-widest, widest, 41)
         times = self.instants[own.at[i]] + lag_s[:, None]
         path = np.stack([np.interp(times, self.instants[own.at], axis) for axis in own.position.T], axis=-1)
@@ -333,7 +342,7 @@ class _TrackHistories:
         """−ln of the probability that no sensor that covers its positions ``which`` detects anything there."""
         start_s = float(self.instants[own.at[which][0]])
         return sum(
-            min(float(-np.log(feed.q_at(own.position[which], start_s)).sum()), self.tuning.empty_vote)
+            min(float(-np.log(feed.q_at(own.position[which], start_s)).sum()), EMPTY_VOTE)
             for feed in self.feeds
             if feed.sensor_m is not None
             and feed.description.kind not in CORRELATED_KINDS
@@ -355,7 +364,7 @@ class _TrackHistories:
         Of several base stations, only the one that received the ship last can tell.
         """
         times = self.report_times_s[own.source].get(own.track, np.empty(0))
-        if len(times) < self.tuning.min_reports or self.received_later(own, float(times[-1])):
+        if len(times) < MIN_REPORTS or self.received_later(own, float(times[-1])):
             return
         pauses, end = np.diff(times), float(self.feeds[own.source].reports.time_s.max())
         longest = float(pauses.max())
@@ -370,9 +379,9 @@ class _TrackHistories:
             seen_until = max(seen_until, float(self.instants[other.at[-1]]))
             sensors.add(self.name(other))
         silent_s = min(seen_until, end) - float(times[-1])
-        if silent_s < self.tuning.silent_s or not sensors:
+        if silent_s < SILENT_S or not sensors:
             return
-        log_odds = log_odds_of_silence(silent_s, longest, len(pauses), self.tuning.silent_odds)
+        log_odds = log_odds_of_silence(silent_s, longest, len(pauses), SILENT_ODDS)
         words = (
             f"{self.name(own)}: {own.track} has gone silent: {' and '.join(sorted(sensors))} saw it for "
             f"{silent_s:.0f} s more, its longest pause before was {longest:.3g} s"
@@ -442,11 +451,11 @@ def _jumps_of(feed: Feed, n_around: int) -> list[_Jump]:
     return sorted(jumps, key=lambda jump: jump.times_s)
 
 
-def _jumped(feed: Feed, tuning: Tuning) -> Iterator[Fault]:
+def _jumped(feed: Feed) -> Iterator[Fault]:
     """Alarms on tracks of a cooperative source that jump farther than their objects can move, and stay there."""
     if feed.description.kind not in CORRELATED_KINDS or (feed.raw_reports and feed.raw_reports.counted_clock):
         return
-    name, jumps = feed.description.name, _jumps_of(feed, tuning.jump_reports)
+    name, jumps = feed.description.name, _jumps_of(feed, JUMP_REPORTS)
     exchanged: set[int] = set()
     for k, jump in enumerate(jumps):
         if k in exchanged:
@@ -454,7 +463,7 @@ def _jumped(feed: Feed, tuning: Tuning) -> Iterator[Fault]:
         later = (n for n in range(k + 1, len(jumps)) if n not in exchanged and jumps[n].track != jump.track)
         n_other = next((n for n in later if jump.exchanges(jumps[n])), None)
         log_odds = 0.5 * (POSITION_SIGMAS * jump.distance_m / jump.reach_m) ** 2
-        log_odds = min(log_odds + math.log(tuning.false_position_odds), 50.0)
+        log_odds = min(log_odds + math.log(FALSE_POSITION_ODDS), 50.0)
         kind, within = "jumped", f"within {jump.times_s[1] - jump.times_s[0]:.0f} s"
         words = (
             f"{name}: {jump.track} jumps by {jump.distance_m:.0f} m {within}, faster than it can move: another sender "

@@ -8,9 +8,9 @@ second differs from the prediction of the first by
     ν ~ N(0, R + R′ − C − Cᵀ + κ D),   C = ρ L L′ᵀ,
 
 with R = L Lᵀ and R′ = L′ L′ᵀ the covariances of the two reports, and D the largest covariance of the motion between
-them. Most objects move far less, so κ is one of ``motion_shares``, equally probable. Each report updates the
+them. Most objects move far less, so κ is one of ``MOTION_SHARES``, equally probable. Each report updates the
 probability of every τ (``correlation_s``). The prior of ln(τ + 1 s) is normal about that of the source's kind
-(:data:`sameas.tracks.kinds.KINDS`) with σ ``correlation_sigma``; after some dozens of reports the data dominate.
+(:data:`sameas.tracks.kinds.KINDS`) with σ ``CORRELATION_SIGMA``; after some dozens of reports the data dominate.
 
 A share s of the error variance is *lasting*, that is constant for a track: the antenna's place on the hull, a residual
 bias. It is one vector z ~ N(0, 1) for all reports of a track, e = √s L z + f; only f decorrelates with τ, and ρ above
@@ -46,6 +46,16 @@ MIN_M2 = 1e-6
 #: Correlations of two reports at which likelihoods are computed; interpolated between.
 CORRELATIONS = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0])
 
+#: A report with a larger χ² from its prediction is of a manoeuvre and not used to estimate errors; the limit of 1 in
+#: 1000 for two degrees of freedom.
+MANOEUVRE_CHI_SQ = 13.8
+#: Prior 1σ of ln(τ + 1 s) about that of the source's kind.
+CORRELATION_SIGMA = 3.0
+#: Change of ln of a source's error factor beyond which its error correlation is estimated anew.
+CORRELATION_RESTART = 0.2
+LASTING_RESTART = 0.25  # evidence on pairs that was weighed by a share lower by this than the present one is dropped
+MOTION_SHARES = (1.0, 0.1, 0.01)  # grid of shares of the largest motion noise; the prior is uniform
+
 
 @dataclass(frozen=True)
 class ErrorCorrelation:
@@ -70,7 +80,7 @@ class ErrorCorrelation:
             return self
         kind_s = np.array([KINDS[description.kind].correlation_s for description in new], np.float64)
         log_change = np.log(np.array(scan.tuning.correlation_s) + 1.0) - np.log(kind_s[:, None] + 1.0)
-        prior = -0.5 * (log_change / scan.tuning.correlation_sigma) ** 2
+        prior = -0.5 * (log_change / CORRELATION_SIGMA) ** 2
         prior = np.repeat(prior[:, None], len(scan.tuning.lasting_shares), axis=1)
         log_probable, log_prior = (
             np.concatenate([before, prior]) if self.names else prior for before in (self.log_probable, self.log_prior)
@@ -79,20 +89,20 @@ class ErrorCorrelation:
         factor, used = (np.append(before, np.full(len(new), np.nan)) for before in (self.factor, self.used))
         return replace(self, names=names, log_probable=log_probable, log_prior=log_prior, factor=factor, used=used)
 
-    def with_factors(self, factor: FloatArray, tuning: Tuning) -> ErrorCorrelation:
+    def with_factors(self, factor: FloatArray) -> ErrorCorrelation:
         """The estimate by other error factors of the sources, (S,).
 
         Residuals of tracks measure f² (1 − ρ), and differences of pairs the same. Where f has changed by more than
-        ``correlation_restart``, what they showed of ρ no longer holds, and the estimate begins anew: errors that were
+        ``CORRELATION_RESTART``, what they showed of ρ no longer holds, and the estimate begins anew: errors that were
         stated three times too large, and are new in every report, would stay persistent.
         """
         change = np.abs(np.log(factor / self.factor))
-        changed = np.flatnonzero(change > tuning.correlation_restart)
+        changed = np.flatnonzero(change > CORRELATION_RESTART)
         if not len(changed) and np.isfinite(change).all():
             return self
         log_probable = self.log_probable.copy()
         log_probable[changed] = self.log_prior[changed]
-        factor = np.where(change <= tuning.correlation_restart, self.factor, factor)
+        factor = np.where(change <= CORRELATION_RESTART, self.factor, factor)
         return replace(self, log_probable=log_probable, factor=factor)
 
     def begun_anew(self, before: ErrorCorrelation) -> BoolArray:
@@ -101,13 +111,13 @@ class ErrorCorrelation:
 
     def weighing(self, tuning: Tuning) -> tuple[ErrorCorrelation, BoolArray]:
         """The estimate before it weighs the evidence of the next reports, and (S,) of which sources the previous
-        evidence was weighed by a lasting share too low by ``lasting_restart``.
+        evidence was weighed by a lasting share too low by ``LASTING_RESTART``.
 
         That evidence counted constant errors as new ones, again with every report, and would outweigh all that follows.
         Evidence weighed by too high a share is only too weak.
         """
         lasting = self.lasting(np.arange(len(self.names)), tuning)
-        outgrown = lasting > self.used + tuning.lasting_restart
+        outgrown = lasting > self.used + LASTING_RESTART
         return replace(self, used=np.where(outgrown, lasting, np.fmin(self.used, lasting))), outgrown
 
     def numbers(self, scan: Scan) -> IntArray:
@@ -165,11 +175,11 @@ class ErrorCorrelation:
         source, elapsed_s, shift : (n,), (n,), (n, 2) the source, Δt and ν of each report.
         errors : R + R′ and L L′ᵀ, (n, 2, 2) each. motion : D, and what is in it from the errors of measured velocities.
         """
-        steady = mahalanobis_sq(shift, errors[0] + motion[0]) <= tuning.manoeuvre_chi_sq
+        steady = mahalanobis_sq(shift, errors[0] + motion[0]) <= MANOEUVRE_CHI_SQ
         source, elapsed_s, shift = source[steady], elapsed_s[steady], shift[steady]
         motion = motion[0][steady], motion[1][steady]
         total, common = errors[0][steady], (errors[1] + errors[1].transpose(0, 2, 1))[steady]
-        log_p = np.logaddexp(*log_residuals(shift, (total, common), motion, CORRELATIONS, tuning))
+        log_p = np.logaddexp(*log_residuals(shift, (total, common), motion, CORRELATIONS))
         return self._with_evidence(source, elapsed_s, log_p, np.ones(len(log_p)), tuning)
 
     def with_sure_pairs(
@@ -228,14 +238,13 @@ class ErrorCorrelation:
 
 def log_residuals(
     shift: FloatArray, errors: Sequence[FloatArray], motion: Sequence[FloatArray], correlations: FloatArray,
-    tuning: Tuning,
 ) -> FloatArray:  # fmt: skip
     """(2, n, c) ln p of ν (n, 2) for correlations ρ (c,): with κ on all of the motion, and with κ on all but the errors
     of measured velocities, which are as stated.
 
     errors : (n, 2, 2) R + R′, and L L′ᵀ + L′ Lᵀ. motion : (n, 2, 2) D, and what is in it from these errors.
     """
-    (total, common), (whole, by_velocity), shares = errors, motion, np.array(tuning.motion_shares)
+    (total, common), (whole, by_velocity), shares = errors, motion, np.array(MOTION_SHARES)
     log_p = np.empty((2, len(shift), len(correlations)))
     for fixed, scaled, out in ((total, whole, log_p[0]), (total + by_velocity, growth(whole - by_velocity), log_p[1])):
         correlated_shifts(shift, fixed, common, scaled, correlations, shares, MIN_M2, out)

@@ -10,14 +10,14 @@ L_ab the log-likelihood of all differences of the two sources. The prior p(f) is
 with a mean square of 1: the stated variance is the expected one. So is that with the root mean square of the posterior,
 which is used. More than ``BLOCK`` sources are split into blocks, each in the mean field of the others. A difference
 that is correlated with previous ones of its pair counts by what it adds to them (:func:`information`), and the
-differences of m tracks of one object count as m − 1 (:func:`pairs_within`). A share ``factor_outliers`` (1 %) of the
-differences are outliers with ``factor_outlier`` times the errors: a wrong time stamp, an antenna far from the centre, a
+differences of m tracks of one object count as m − 1 (:func:`pairs_within`). A share ``FACTOR_OUTLIERS`` (1 %) of the
+differences are outliers with ``FACTOR_OUTLIER`` times the errors: a wrong time stamp, an antenna far from the centre, a
 false pair.
 
 Sure pairs are selected for being near, so where pairs are sure only by chance, factors come out too small. The
 residuals of single tracks from report to report, ν ~ N(0, f² (R + R′ − ρ (L L′ᵀ + L′ Lᵀ)) + κ D) as in
 :mod:`sameas.picture.error_correlation`, do not depend on pairs and bound the errors from below, whatever ρ. Each source
-has one unknown ρ. They measure f² (1 − ρ). With probability ``errors_new`` ρ is 0; otherwise the prior is uniform in
+has one unknown ρ. They measure f² (1 − ρ). With probability ``ERRORS_NEW`` ρ is 0; otherwise the prior is uniform in
 ln (1 − ρ), so that residuals prefer none of the factors above the bound. A prior uniform in ρ prefers small ones, by
 1 / f²: AIS whose errors persist for minutes would have factors of 0.85. The motion's share κ is unknown as well;
 whether it applies to the errors of measured velocities too is a second unknown. Residuals count against small factors
@@ -49,8 +49,15 @@ from sameas.gaussian import log_density
 from sameas.kernels.kalman import update_in_plane
 from sameas.picture.error_correlation import MIN_M2, log_residuals
 from sameas.picture.tables import RANGE_BANDS, Scan
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import moved
+
+ERROR_FACTORS = tuple(2.0 ** (k / 4.0) for k in range(-8, 9))  # grid of factors on stated errors, about 1
+#: Prior probability that errors are as stated, and prior 1σ of ln f otherwise.
+ERRORS_AS_STATED, ERROR_FACTOR_SIGMA = 0.5, 0.5
+#: Prior probability that the errors of a source are new in every report; factors are then estimated from single tracks.
+ERRORS_NEW = 0.1
+#: Share of differences of sure pairs that are outliers, with FACTOR_OUTLIER times their errors.
+FACTOR_OUTLIERS, FACTOR_OUTLIER = 0.01, 10.0
 
 
 def error_update(
@@ -97,18 +104,18 @@ class ErrorFactors:
     sigma: FloatArray = field(default_factory=lambda: np.empty(0))
     by_range: FloatArray = field(default_factory=lambda: np.empty((0, RANGE_BANDS)))
 
-    def of_sources(self, names: tuple[str, ...], tuning: Tuning = DEFAULT_TUNING) -> ErrorFactors:
+    def of_sources(self, names: tuple[str, ...]) -> ErrorFactors:
         """The estimate with new sources at their prior; names : of all sources, those already known first."""
         if names == self.names:
             return self
-        k, n, known = len(tuning.error_factors), RANGE_BANDS * len(names), len(self.reports)
+        k, n, known = len(ERROR_FACTORS), RANGE_BANDS * len(names), len(self.reports)
         log_likely = np.zeros((n, n, k, k))
         log_likely[:known, :known] = self.log_likely.reshape(known, known, k, k)
         log_shifts, reports = np.zeros((n, k, 2 * len(FACTOR_CORRELATIONS))), np.zeros(n)
         log_shifts[:known] = self.log_shifts.reshape(known, k, 2 * len(FACTOR_CORRELATIONS))
         reports[:known] = self.reports
         extended = replace(self, names=names, log_likely=log_likely, log_shifts=log_shifts, reports=reports)
-        return extended._with_posterior(tuning)
+        return extended._with_posterior()
 
     def informative(self, part: IntArray, position: FloatArray, stated: FloatArray, motion: FloatArray) -> IntArray:
         """(k,) the new reports, of (n,), that :meth:`with_shifts` should use.
@@ -126,7 +133,6 @@ class ErrorFactors:
         shift: FloatArray,
         errors: tuple[FloatArray, FloatArray],
         motion: tuple[FloatArray, FloatArray],
-        tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorFactors:
         """The estimate after new reports of tracks, those chosen by :meth:`informative`.
 
@@ -137,12 +143,12 @@ class ErrorFactors:
         if not n:
             return self
         total, common = errors[0], errors[1] + errors[1].transpose(0, 2, 1)
-        log_outlier = log_density(shift, tuning.factor_outlier**2 * total) - np.log(1.0 / tuning.factor_outliers - 1.0)
+        log_outlier = log_density(shift, FACTOR_OUTLIER**2 * total) - np.log(1.0 / FACTOR_OUTLIERS - 1.0)
         # All factors at once, (factors times n, …).
-        sq = np.array(tuning.error_factors) ** 2
+        sq = np.array(ERROR_FACTORS) ** 2
         errors_of = [np.multiply.outer(sq, each).reshape(-1, 2, 2) for each in (total, common)]
         motion_of = [np.tile(each, (len(sq), 1, 1)) for each in motion]
-        log_p = log_residuals(np.tile(shift, (len(sq), 1)), errors_of, motion_of, FACTOR_CORRELATIONS, tuning)
+        log_p = log_residuals(np.tile(shift, (len(sq), 1)), errors_of, motion_of, FACTOR_CORRELATIONS)
         both_cases = np.moveaxis(log_p.reshape(2, len(sq), n, -1), 0, 2).reshape(len(sq), n, -1)
         # Half weight: each report enters two successive residuals.
         log_likely = 0.5 * np.logaddexp(both_cases, log_outlier[:, None])
@@ -159,7 +165,6 @@ class ErrorFactors:
         stated: tuple[FloatArray, FloatArray],
         motion: FloatArray,
         weight: FloatArray,
-        tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorFactors:
         """The estimate after pairs of tracks that are surely one object, at most :data:`MAX_PAIRS` per instant.
 
@@ -171,9 +176,9 @@ class ErrorFactors:
         swap = parts[0] > parts[1]
         first, second = np.minimum(*parts), np.maximum(*parts)
         one, other = (np.where(swap[:, None, None], *both) for both in (stated[::-1], stated))
-        log_p, log_likely = log_of_differences(delta, one, other, motion, tuning), self.log_likely.copy()
+        log_p, log_likely = log_of_differences(delta, one, other, motion), self.log_likely.copy()
         np.add.at(log_likely, (first, second), weight[:, None, None] * log_p)
-        return replace(self, log_likely=log_likely)._with_posterior(tuning)
+        return replace(self, log_likely=log_likely)._with_posterior()
 
     def of_records(self, scan: Scan) -> FloatArray:
         """(n,) the factor of each record; 1 for directions and for sources that are not in ``names``."""
@@ -209,12 +214,10 @@ class ErrorFactors:
             if abs(np.log(factor)) > max(3.0 * sigma, np.log(1.25))
         ]
 
-    def _with_posterior(self, tuning: Tuning) -> ErrorFactors:
+    def _with_posterior(self) -> ErrorFactors:
         """The estimate with ``factor``, ``sigma`` and ``by_range`` updated to all evidence."""
-        logs, n, k = np.log(np.array(tuning.error_factors)), len(self.names), len(tuning.error_factors)
-        own = _log_prior(logs, tuning) + log_of_residuals(
-            self.log_shifts.reshape(n, RANGE_BANDS, k, -1).sum(axis=1), tuning
-        )
+        logs, n, k = np.log(np.array(ERROR_FACTORS)), len(self.names), len(ERROR_FACTORS)
+        own = _log_prior(logs) + log_of_residuals(self.log_shifts.reshape(n, RANGE_BANDS, k, -1).sum(axis=1))
         # L symmetrised: by the factor of the first part, then of the second.
         of_parts = self.log_likely + self.log_likely.transpose(1, 0, 3, 2)
         pairwise = of_parts.reshape(n, RANGE_BANDS, n, RANGE_BANDS, k, k).sum(axis=(1, 3))
@@ -228,13 +231,9 @@ class ErrorFactors:
         mean = weight @ logs
         sigma = np.sqrt(np.maximum(weight @ logs**2 - mean**2, 0.0))
         factor = np.sqrt(weight @ np.exp(2.0 * logs))
-        return replace(
-            self, factor=factor, sigma=sigma, by_range=self._by_range(factor, weight, of_parts, logs, tuning)
-        )
+        return replace(self, factor=factor, sigma=sigma, by_range=self._by_range(factor, weight, of_parts, logs))
 
-    def _by_range(
-        self, factor: FloatArray, weight: FloatArray, pairwise: FloatArray, logs: FloatArray, tuning: Tuning
-    ) -> FloatArray:
+    def _by_range(self, factor: FloatArray, weight: FloatArray, pairwise: FloatArray, logs: FloatArray) -> FloatArray:
         """(S, B) the factors of the range bands: that of the source where it has evidence of one band only.
 
         factor, weight : (S,), (S, K) root mean square and posterior of the sources' factors. pairwise : (S B, S B, K,
@@ -244,22 +243,22 @@ class ErrorFactors:
         log_pairs = np.einsum("stfg,tg->sf", pairwise, np.repeat(weight, RANGE_BANDS, axis=0))
         has_evidence = (self.reports > 0) | log_pairs.any(axis=1)
         several = has_evidence.reshape(n, RANGE_BANDS).sum(axis=1) > 1
-        ratio = np.exp(-0.5 * ((logs - logs[:, None]) / tuning.error_factor_sigma) ** 2)
+        ratio = np.exp(-0.5 * ((logs - logs[:, None]) / ERROR_FACTOR_SIGMA) ** 2)
         change = 0.5 * np.eye(k) + 0.5 * ratio / ratio.sum(axis=1, keepdims=True)
         prior = np.repeat(np.log(weight @ change + 1e-300), RANGE_BANDS, axis=0)
-        of_bands = np.exp(log_softmax(prior + log_of_residuals(self.log_shifts, tuning) + log_pairs, axis=1))
+        of_bands = np.exp(log_softmax(prior + log_of_residuals(self.log_shifts) + log_pairs, axis=1))
         return np.where(
             several[:, None], np.sqrt(of_bands @ np.exp(2.0 * logs)).reshape(n, RANGE_BANDS), factor[:, None]
         )
 
 
-def _in_words(factor: float, sigma: float, tuning: Tuning = DEFAULT_TUNING) -> str:
+def _in_words(factor: float, sigma: float) -> str:
     """Printable: a factor with its 1σ range; at an end of the grid, what is at least or at most.
 
     >>> _in_words(0.5, 0.1), _in_words(0.25, 1e-6)
     ('0.5 times (0.45 to 0.55)', 'at most 0.25 times')
     """
-    low, high = tuning.error_factors[0], tuning.error_factors[-1]
+    low, high = ERROR_FACTORS[0], ERROR_FACTORS[-1]
     if not 1.02 * low < factor < high / 1.02:
         return f"at {'most' if factor < 1.0 else 'least'} {factor:.2g} times"
     return f"{factor:.2g} times ({factor * np.exp(-sigma):.2g} to {factor * np.exp(sigma):.2g})"
@@ -306,20 +305,20 @@ def evenly(position: FloatArray, max_rows: int) -> IntArray:
     return np.sort(ordered_by(position.T)[np.linspace(0, len(position) - 1, max_rows).astype(np.int64)])
 
 
-def log_of_residuals(log_shifts: FloatArray, tuning: Tuning) -> FloatArray:
+def log_of_residuals(log_shifts: FloatArray) -> FloatArray:
     """(n, K) ln p of residuals for each factor, from that for each ρ and both cases of the motion (n, K, 2ρ)."""
-    share = tuning.errors_new
+    share = ERRORS_NEW
     prior = np.full(len(FACTOR_CORRELATIONS), (1.0 - share) / len(FACTOR_CORRELATIONS))
     prior[0] += share
     return np.asarray(logsumexp(log_shifts + np.log(np.tile(prior, 2)), axis=2))
 
 
-def _log_prior(logs: FloatArray, tuning: Tuning) -> FloatArray:
+def _log_prior(logs: FloatArray) -> FloatArray:
     """(K,) ln of the prior probability of factors with these logarithms."""
     # With this median the mean square is 1: the variance before any evidence is the stated one.
-    log_normal = np.exp(-0.5 * ((logs + tuning.error_factor_sigma**2) / tuning.error_factor_sigma) ** 2)
+    log_normal = np.exp(-0.5 * ((logs + ERROR_FACTOR_SIGMA**2) / ERROR_FACTOR_SIGMA) ** 2)
     as_stated = np.abs(logs) == np.abs(logs).min()
-    share = tuning.errors_as_stated
+    share = ERRORS_AS_STATED
     return np.asarray(np.log((1.0 - share) * log_normal / log_normal.sum() + share * as_stated / as_stated.sum()))
 
 
@@ -337,11 +336,9 @@ def _marginals(own: FloatArray, pairwise: FloatArray) -> FloatArray:
     return np.asarray(out / out.sum(axis=1, keepdims=True))
 
 
-def log_of_differences(
-    delta: FloatArray, one: FloatArray, other: FloatArray, motion: FloatArray, tuning: Tuning
-) -> FloatArray:
+def log_of_differences(delta: FloatArray, one: FloatArray, other: FloatArray, motion: FloatArray) -> FloatArray:
     """(n, K, K) ln p(δ), up to a constant, for each pair of factors; one, other : (n, 2, 2) R_a and R_b."""
-    sq = np.array(tuning.error_factors) ** 2
+    sq = np.array(ERROR_FACTORS) ** 2
     xx, xy, yy = (
         sq[:, None] * one[:, v, w, None, None] + sq * other[:, v, w, None, None] + motion[:, v, w, None, None]
         for v, w in ((0, 0), (0, 1), (1, 1))
@@ -350,6 +347,6 @@ def log_of_differences(
     det = np.maximum(xx * yy - xy**2, MIN_M2**2)
     x, y = delta[:, 0, None, None], delta[:, 1, None, None]
     chi_sq = (yy * x**2 - 2.0 * xy * x * y + xx * y**2) / det
-    inflated = tuning.factor_outlier**2
-    inlier, outlier = -0.5 * chi_sq, -0.5 * chi_sq / inflated - np.log(inflated * (1.0 / tuning.factor_outliers - 1.0))
+    inflated = FACTOR_OUTLIER**2
+    inlier, outlier = -0.5 * chi_sq, -0.5 * chi_sq / inflated - np.log(inflated * (1.0 / FACTOR_OUTLIERS - 1.0))
     return np.asarray(np.logaddexp(inlier, outlier) - 0.5 * np.log(det))

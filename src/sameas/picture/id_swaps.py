@@ -21,7 +21,7 @@ from sameas.kernels.id_swaps import add_set_gains, swap_factors
 from sameas.kernels.track_pairs import best_others
 from sameas.picture.named_tracks import Step
 from sameas.picture.tables import distances
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.picture.tuning import Tuning
 from sameas.tracks.kinds import KINDS
 
 #: Minimum probability, for h = 1, of a swap that is counted.
@@ -30,6 +30,12 @@ MIN_SWAP = 1e-3
 MIN_PROBABILITY = 1e-4
 #: Maximum difference of ln r under one model of swaps from ln of the mean.
 MAX_DIFFERENCE = 20.0
+
+SWAP_RATES = (1e-5, 1e-4, 1e-3, 1e-2, 0.1, 0.3)  # grid of probabilities h, per report, that a tracker swaps two objects
+SWAP_RANGES = (1.5, 4.0)  # grid of c, where h decreases with the distance as e^(−χ²/c); the prior is uniform
+SWAP_RATE, SWAP_SIGMA = 3e-4, 2.0  # prior median of h and 1σ of ln h
+#: (r,), (r,) h and c of every model of swaps: each rate with each range.
+SWAP_MODELS = np.tile(SWAP_RATES, len(SWAP_RANGES)), np.repeat(SWAP_RANGES, len(SWAP_RATES))
 
 
 def by_source_order(pair: tuple[IntArray, IntArray], source: tuple[IntArray, IntArray]) -> tuple[IntArray, IntArray]:
@@ -146,7 +152,6 @@ class Rivals:
 
 def swap_hypotheses(
     log_weight: FloatArray, log_two: FloatArray, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals,
-    tuning: Tuning,
 ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
     """Of each pair and its most probable rival with the same first track, and with the same second, (k, 2) each: the
     rival (ABSENT without one), ln p of the pair's new reports apart from the position if their ids were swapped, and,
@@ -160,7 +165,7 @@ def swap_hypotheses(
     with the prediction of its own: the subtracted term is ``log_two`` less that of the other track's report. Leaving
     out either would favour a rival whose last report was an outlier, and inflate the estimated swap rates.
     """
-    k, ranges = len(log_weight), np.array(tuning.swap_ranges)
+    k, ranges = len(log_weight), np.array(SWAP_RANGES)
     rival, log_report, p_swap = np.full((k, 2), ABSENT), np.zeros((k, 2)), np.zeros((k, 2, len(ranges)))
     for side, track in ((0, tracks[1]), (1, tracks[0])):
         best = rivals.best_other(log_weight, side)
@@ -179,20 +184,20 @@ def swap_hypotheses(
 
 @dataclass(frozen=True)
 class SwapRates:
-    """How often trackers swap the ids of near objects: the probability of each of ``swap_models``, per source.
+    """How often trackers swap the ids of near objects: the probability of each of ``SWAP_MODELS``, per source.
 
     log_probable : (S, r) its ln, up to a constant.
     """
 
     log_probable: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
-    def of_sources(self, kinds: Sequence[str], tuning: Tuning = DEFAULT_TUNING) -> SwapRates:
+    def of_sources(self, kinds: Sequence[str]) -> SwapRates:
         """The rates with new sources at their prior; kinds : of all sources, those already known first.
 
         Sources that name themselves (AIS, ADS-B) have the lowest rate for certain.
         """
-        rates = np.log(tuning.swap_models[0])
-        prior = -0.5 * ((rates - math.log(tuning.swap_rate)) / tuning.swap_sigma) ** 2
+        rates = np.log(SWAP_MODELS[0])
+        prior = -0.5 * ((rates - math.log(SWAP_RATE)) / SWAP_SIGMA) ** 2
         never = np.where(rates == rates.min(), 0.0, -np.inf)
         new = [never if KINDS[kind].self_named else prior for kind in kinds[len(self.log_probable) :]]
         if not new:
@@ -215,9 +220,9 @@ class SwapRates:
         """The models that are not improbable for every source that may swap ids."""
         return np.flatnonzero((self.probability[self.may_swap] > MIN_PROBABILITY).any(axis=0))
 
-    def rate(self, source: IntArray, tuning: Tuning) -> FloatArray:
+    def rate(self, source: IntArray) -> FloatArray:
         """(n,) mean h of each source."""
-        return np.asarray((self.probability @ tuning.swap_models[0])[source]) if len(source) else np.empty(0)
+        return np.asarray((self.probability @ SWAP_MODELS[0])[source]) if len(source) else np.empty(0)
 
     def of_pairs(self, sources: Sequence[IntArray]) -> FloatArray:
         """(k, r) probability of each model for pairs of tracks of two sources: the mean of those that may swap ids."""
@@ -229,7 +234,7 @@ class SwapRates:
     def updated(
         self, before: tuple[FloatArray, FloatArray, FloatArray], log_ratio: FloatArray, log_now: FloatArray,
         swap: tuple[IntArray, FloatArray, FloatArray], rivals: Rivals, sources: tuple[IntArray, IntArray],
-        log_density_anywhere: float, tuning: Tuning,
+        log_density_anywhere: float,
     ) -> tuple[FloatArray, FloatArray, FloatArray, SwapRates]:  # fmt: skip
         """Of pairs after new reports: ln r and how much larger it is under each model, (k,) and (k, r), and the
         probability that ids were swapped, (k,); and the updated rates.
@@ -248,7 +253,7 @@ class SwapRates:
         """
         log_old, log_reported, by_model = before
         p_swapped = np.zeros(len(log_ratio))
-        at = np.flatnonzero(over_columns(np.logical_or, (swap[2] > MIN_SWAP).reshape(-1, 2 * len(tuning.swap_ranges))))
+        at = np.flatnonzero(over_columns(np.logical_or, (swap[2] > MIN_SWAP).reshape(-1, 2 * len(SWAP_RANGES))))
         if not len(at):
             return log_ratio, by_model, p_swapped, self
         sources, weight = (sources[0][at], sources[1][at]), np.exp(by_model)
@@ -257,7 +262,7 @@ class SwapRates:
         swap_factors(
             at, (log_old, log_reported), log_ratio, weight,
             (taken(swap[0], at), taken(swap[1], at), taken(swap[2], at)),
-            np.column_stack([self.may_swap[source] for source in sources]), np.array(tuning.swap_rates), factor,
+            np.column_stack([self.may_swap[source] for source in sources]), np.array(SWAP_RATES), factor,
             swapped, with_reports, log_top,
         )  # fmt: skip
         own = taken(weight, at)

@@ -11,10 +11,14 @@ import numpy as np
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, taken, taken_plane
 from sameas.gaussian import LOG_2PI, log_density
 from sameas.kernels.tracks import places_of
+from sameas.picture.error_correlation import MANOEUVRE_CHI_SQ
 from sameas.picture.id_swaps import Rivals, group_maximum
 from sameas.picture.tables import Scan, distances
 from sameas.picture.track_pairs import TrackPairs
 from sameas.tracks.stationary import REST_S
+
+MANOEUVRE_EVERY_S = 600.0  # mean time between two manoeuvres of an object
+PARTNER_ODDS = 20.0  # two tracks may be partners unless their positions make chance this many times more probable
 
 
 def with_manoeuvres(
@@ -32,7 +36,7 @@ def with_manoeuvres(
     A report is moved to the instant by a random walk of its velocity, which fits nearly all motion. But a ferry that
     stops at a pier is 6σ from her prediction within a minute; by the normal distribution her AIS report from before the
     stop then matches no object, whatever its history with the radar's track. So a report of a named track may be
-    followed by a manoeuvre, on average one every ``manoeuvre_every_s``, and of a stationary object one every
+    followed by a manoeuvre, on average one every ``MANOEUVRE_EVERY_S``, and of a stationary object one every
     ``rest_s``: at an unknown time since the report, the velocity v changed to that of any object, 0 ± s per axis, which
     adds the covariance
 
@@ -52,7 +56,7 @@ def with_manoeuvres(
     together : gives of numbers of tracks, (n,) and (n,), whether each two were one object before.
     """
     assumed = _assumed_before(scan, previous)
-    log_limit = math.log(per_m2) - math.log(scan.tuning.partner_odds)
+    log_limit = math.log(per_m2) - math.log(PARTNER_ODDS)
     near = np.flatnonzero(log_ratio + track_pairs.log_now >= log_limit)
     a, b = _places(track_of_record, np.stack([track_pairs.first[near], track_pairs.second[near]]))
     present = (a >= 0) & (b >= 0)
@@ -75,7 +79,7 @@ def with_manoeuvres(
     log_apart = np.where(together(track_of_record[own], track_of_record[other]), -np.inf, math.log(per_m2))
     rivals = Rivals.of(a, b, scan.source[a], scan.source[b])
     # Where a swap of ids is more probable than a manoeuvre, a rival may have the history of its better pair.
-    free = rivals.most_free(log_pair_steady, chi_sq <= scan.tuning.manoeuvre_chi_sq)
+    free = rivals.most_free(log_pair_steady, chi_sq <= MANOEUVRE_CHI_SQ)
     is_swap = np.exp(log_odds[own]) < swap_rate[scan.source[other]]
     best = np.maximum(np.where(is_swap, rivals.most(log_pair_steady)[k], free[k]), log_apart)
     delta = (taken(scan.state, own) - taken(scan.state, other))[:, :2]
@@ -98,7 +102,7 @@ def _log_manoeuvre_odds(scan: Scan) -> FloatArray:
     """(n,) ln of the prior odds of a manoeuvre since each report."""
     age = np.maximum(scan.now.instant_s - scan.time_s, 0.0)
     rest_s = np.array([REST_S for feed in scan.now.feeds])[scan.source]
-    since = [-np.expm1(-age / every_s) for every_s in (scan.tuning.manoeuvre_every_s, rest_s)]
+    since = [-np.expm1(-age / every_s) for every_s in (MANOEUVRE_EVERY_S, rest_s)]
     p = (1.0 - scan.p_stationary) * since[0] + scan.p_stationary * since[1]
     with np.errstate(divide="ignore"):
         return np.asarray(np.log(p) - np.log1p(-p))

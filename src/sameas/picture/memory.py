@@ -36,16 +36,19 @@ from sameas.errors import InputError
 from sameas.gaussian import log_determinant
 from sameas.kernels.tracks import places_of
 from sameas.many.pooled import PooledRecords
+from sameas.picture.error_correlation import MANOEUVRE_CHI_SQ
 from sameas.picture.error_factors import MAX_PAIRS, evenly, information, pairs_within
-from sameas.picture.id_swaps import MIN_SWAP, Rivals, SwapRates, by_source_order
+from sameas.picture.id_swaps import MIN_SWAP, SWAP_MODELS, SWAP_RANGES, Rivals, SwapRates, by_source_order
 from sameas.picture.manoeuvres import with_manoeuvres
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.previous_scans import FirstContact, PreviousScans
 from sameas.picture.tables import RANGE_BANDS, Scan, distances, objects_per_m2
-from sameas.picture.track_existence import TrackExistence
-from sameas.picture.track_pairs import TrackPairs, keys
+from sameas.picture.track_existence import PERIOD_S, TrackExistence
+from sameas.picture.track_pairs import LASTING_S, MIN_OFFSETS, TrackPairs, keys
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.representation import in_short
+
+SURE_PAIR = 0.999  # a pair is sure at or above this probability
 
 
 @in_short
@@ -89,7 +92,7 @@ class TrackMemory:
         swaps, per_m2, tuning = self._swaps_of(tracks, scan), objects_per_m2(scan.now), scan.tuning
         track_pairs, swaps = before.track_pairs.looked_ahead(step, swaps, per_m2, tuning)
         # Offsets of fewer values than contribute would be thrown away.
-        track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, tuning, least=tuning.min_offsets)
+        track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, tuning, least=MIN_OFFSETS)
         existence = self.existence.advance(tracks)
         return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
 
@@ -102,7 +105,7 @@ class TrackMemory:
         """The swap rates with the new sources of a scan."""
         kind, known = {d.name: d.kind for d in scan.now.descriptions}, len(self.swaps.log_probable)
         kinds = ["" if k < known else kind[name] for k, name in enumerate(tracks.error_correlation.names)]
-        return self.swaps.of_sources(kinds, scan.tuning)
+        return self.swaps.of_sources(kinds)
 
     def with_numbers_of(self, later: TrackMemory, tuning: Tuning) -> TrackMemory:
         """The memory with the numbers that were given to the ids of tracks until a later instant, and their existence
@@ -201,7 +204,7 @@ class TrackMemory:
         rivals = Rivals.of(first, second, tracks.source[first], tracks.source[second])
         log_ratio = track_pairs.log_ratio + track_pairs.log_reported - track_pairs.log_now
         tuning = DEFAULT_TUNING if tracks.scan is None else tracks.scan.tuning
-        agrees = track_pairs.chi_sq <= tuning.manoeuvre_chi_sq
+        agrees = track_pairs.chi_sq <= MANOEUVRE_CHI_SQ
         # With an agreeing rival, ids may have been swapped: the mean offset may mix several objects.
         alone = rivals.max_other(np.where(agrees, 0.0, -np.inf)) < 0.0
         log_ratio += np.where(alone, track_pairs.log_offset, 0.0)
@@ -230,15 +233,15 @@ class TrackMemory:
         (m,) indices of pairs and rivals (n,); (m, r), (m, r) probability of a swap under each of ``models``, and that
         of the model. Both tracks have a report of their source's last scan. numbers : (k,), (k,) indices of the tracks.
         """
-        tracks, tuning = self.tracks, scan.tuning
+        tracks = self.tracks
         one, other = tracks.place[numbers[1 - side][pair]], tracks.place[numbers[1 - side][rival]]
         source = tracks.source[numbers[1 - side][pair]]
-        period_s = np.array([d.timing.period_s or tuning.period_s for d in scan.now.descriptions])[scan.source]
+        period_s = np.array([d.timing.period_s or PERIOD_S for d in scan.now.descriptions])[scan.source]
         is_recent = scan.now.instant_s - scan.time_s <= 1.5 * period_s
         which = np.flatnonzero(is_recent[one] & is_recent[other] & self.swaps.may_swap[source])
         chi_sq, _ = distances(scan.state, scan.reported_covariance, one[which], other[which])
-        near = chi_sq < -math.log(MIN_SWAP) * max(tuning.swap_ranges)
-        which, (rates, ranges) = which[near], tuning.swap_models
+        near = chi_sq < -math.log(MIN_SWAP) * max(SWAP_RANGES)
+        which, (rates, ranges) = which[near], SWAP_MODELS
         p = rates[models] * np.exp(chi_sq[near, None] * (-1.0 / ranges[models]))
         return which, p, self.swaps.probability[:, models][source[which]]
 
@@ -256,7 +259,7 @@ class TrackMemory:
         """
         names, n = self.tracks.error_correlation.names, len(self.swaps.log_probable)
         known = np.array([names.index(d.name) if d.name in names else n for d in scan.now.descriptions], np.int64)
-        swap_rate = np.append(self.swaps.rate(np.arange(n), scan.tuning), 0.0)[known]
+        swap_rate = np.append(self.swaps.rate(np.arange(n)), 0.0)[known]
         return with_manoeuvres(
             scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio[0], per_m2, swap_rate,
             together,
@@ -294,10 +297,10 @@ class TrackMemory:
         tracks, scan, pairs = self.tracks, self.tracks.scan, self.track_pairs
         if scan is None or not len(members):
             return self
-        at, places, share = self._sure_pairs(scan, members[probability >= scan.tuning.sure_pair])
+        at, places, share = self._sure_pairs(scan, members[probability >= SURE_PAIR])
         elapsed = scan.now.instant_s - pairs.anchor_s[at]
         delta = scan.state[places[:, 0], :2] - scan.state[places[:, 1], :2]
-        due = np.flatnonzero((elapsed >= scan.tuning.lasting_s) & pairs.anchor_new[at].all(axis=1))
+        due = np.flatnonzero((elapsed >= LASTING_S) & pairs.anchor_new[at].all(axis=1))
         # Pairs added at one instant are due at one instant; beyond MAX_PAIRS they wait for the next.
         due = due[evenly(scan.state[places[due, 0], :2], MAX_PAIRS)]
         restart = np.isnan(elapsed)
@@ -325,7 +328,7 @@ class TrackMemory:
         factors = tracks.error_factors.with_sure_pairs(
             (part[a], part[b]), delta, tuple(own[k] / scan.error_factor[k, None, None] ** 2 for k in (a, b)),
             total - reported[0] - reported[1],
-            share[due] * information(pairs.n_compared[at], rho, lasting_rho), scan.tuning,
+            share[due] * information(pairs.n_compared[at], rho, lasting_rho),
         )  # fmt: skip
         correlation = errors.with_sure_pairs(
             (source[a], source[b]), elapsed, (pairs.anchor[at], delta), reported, total, kept, scan.tuning

@@ -42,6 +42,8 @@ MAX_REPORTS = 256
 #: Smallest change of ln of an error factor for which the errors of tracks are estimated anew (chosen).
 MIN_CHANGE = 0.1
 
+NEW_TRACK_PROBABILITY = 1e-9  # a track restarts beyond the χ² limit that this share of correct reports exceeds
+
 
 @dataclass(frozen=True)
 class Step(ColumnTable):
@@ -138,7 +140,7 @@ class NamedTracks:
         if not changed.any():
             return self, changed
         scan = self.error_factors.applied(self.scan)
-        correlation = self.error_correlation.with_factors(self.error_factors.factor, scan.tuning)
+        correlation = self.error_correlation.with_factors(self.error_factors.factor)
         lasting = _lasting_root(scan, correlation)
         return replace(self, scan=scan, error_correlation=correlation, lasting=lasting), changed
 
@@ -166,8 +168,8 @@ class NamedTracks:
         themselves for ``return_s``, but has no history when it returns.
         """
         correlation = self.error_correlation.of_sources(scan)
-        factors = self.error_factors.of_sources(correlation.names, scan.tuning)
-        correlation = correlation.with_factors(factors.factor, scan.tuning)
+        factors = self.error_factors.of_sources(correlation.names)
+        correlation = correlation.with_factors(factors.factor)
         track_of_record = self.numbers_on(scan) if track_of_record is None else track_of_record.copy()
         place = np.flatnonzero(scan.track != "")
         number = track_of_record[place]
@@ -298,7 +300,7 @@ class NamedTracks:
             new_report=new_report, log_kept=log_kept, log_own=log_own, error_mean=updated_mean,
             error_covariance=updated_covariance, instant_s=scan.now.instant_s, reports=reports,
         )  # fmt: skip
-        consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - scan.tuning.new_track_probability).limit(2))
+        consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - NEW_TRACK_PROBABILITY).limit(2))
         return step if consistent.all() else step.take(np.flatnonzero(consistent)), correlation
 
 
@@ -343,9 +345,7 @@ class NewReports:
         part = self.source * RANGE_BANDS + self.scan.range_band[self.place]
         sample = before.informative(part, taken(self.scan.state, self.place)[:, :2], as_stated, self.motion)
         common = (to_stated[0] * to_stated[1])[sample] * self._common(sample)
-        return before.with_shifts(
-            part[sample], self.shift[sample], (as_stated[sample], common), self._motions(sample), self.scan.tuning
-        )
+        return before.with_shifts(part[sample], self.shift[sample], (as_stated[sample], common), self._motions(sample))
 
     def _reported(self, which: IntArray | slice) -> tuple[FloatArray, FloatArray]:
         """R and R′."""

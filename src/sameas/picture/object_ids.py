@@ -41,6 +41,9 @@ from sameas.tracks.alignment import aged
 #: that is hardly real, if it exists, but rather to one that is certain: the most by which it counts less.
 MIN_SHOWN, LEAST_WEIGHT = 1e-6, 0.2
 
+#: An object that split off another is confirmed once its tracks were its own for this share of the time.
+OWN_SHARE = 0.8
+
 
 @dataclass(frozen=True)
 class Stages:
@@ -155,12 +158,12 @@ class NamedObjects(PictureObjects):
         """The objects that only plots without names show, predicted to an instant."""
         return self._at(instant_s, self.by_plots & (self.stage != ENDED))
 
-    def owners_at(self, instant_s: float, tuning: Tuning) -> NamedObjects:
+    def owners_at(self, instant_s: float) -> NamedObjects:
         """The owners of hulls (:mod:`sameas.picture.hull_echoes`), predicted to an instant."""
         confirmed = np.flatnonzero(self.placed & np.isin(self.stage, (CONFIRMED, COASTING)))
         named = ~self.by_plots[confirmed] & (self.main_track[confirmed] >= 0)
         chosen = np.zeros(len(self), bool)
-        chosen[confirmed] = owners_among(self.state[confirmed, :2], named, tuning)
+        chosen[confirmed] = owners_among(self.state[confirmed, :2], named)
         return self._at(instant_s, chosen)
 
     def _at(self, instant_s: float, chosen: BoolArray) -> NamedObjects:
@@ -185,17 +188,17 @@ class NamedObjects(PictureObjects):
         alive = self.take(self.stage != ENDED)
         elapsed_s = instant_s - self.instant_s if math.isfinite(self.instant_s) else 0.0
         alive = alive.predicted(elapsed_s, alive.walk_m2_per_s3)
-        match = alive._matches(detections, tuning)
+        match = alive._matches(detections)
         # The detection of each object; the last place is that of detections without an object.
         detection = np.full(len(alive) + 1, ABSENT)
         detection[match] = np.arange(len(match))
         is_matched, new = detection[:-1] >= 0, np.flatnonzero(match < 0)
         matched = detection[:-1][is_matched]
         number = alive._new_numbers(detections, new)
-        found = alive.take(is_matched)._detected(detections, matched, elapsed_s, stages, tuning)
+        found = alive.take(is_matched)._detected(detections, matched, elapsed_s, stages)
         others = []
         if not is_matched.all():
-            others.append(alive.take(~is_matched)._undetected(detections, elapsed_s, stages, tuning))
+            others.append(alive.take(~is_matched)._undetected(detections, elapsed_s, stages))
         if len(new):
             split_off = alive._split_off(detections, new)
             others.append(NamedObjects._new(detections, new, number, split_off, self.unseen_share, stages))
@@ -207,12 +210,12 @@ class NamedObjects(PictureObjects):
         )  # fmt: skip
         return objects._with_history(self, detections, tuning)
 
-    def _matches(self, detections: UnnumberedObjects, tuning: Tuning) -> IntArray:
+    def _matches(self, detections: UnnumberedObjects) -> IntArray:
         """(n,) the row of each object of the instant among these, ABSENT for none."""
         out = np.full(len(detections), ABSENT)
         if not len(detections) or not len(self):
             return out
-        common = self._common_tracks(detections, tuning)
+        common = self._common_tracks(detections)
         before = Motions(self.state, self._of_hulls(detections.hulls), self.speed_m_per_s)
         after = Motions(detections.states.state, detections.states.covariance, detections.speed_m_per_s)
         first, second = (
@@ -221,22 +224,22 @@ class NamedObjects(PictureObjects):
         )
         plots = detections.plots.besides(detections.hulls, np.zeros(len(detections), np.int64))
         is_new = plots.found & (plots.clutter_per_m2 > 0.0)
-        log_shown = self._log_shown(detections.looks, tuning) if is_new.any() else np.zeros(len(self))
+        log_shown = self._log_shown(detections.looks) if is_new.any() else np.zeros(len(self))
         of_plots = PlotContinuity(plots.clutter_per_m2, is_new, log_shown)
         # The stages of `identify` without its last: no probability of a match is used.
         pairs = detections.fixes.observed_in(NearOrSameId(common)(first, second), before.state, before.covariance)
         refuse_crowds(pairs)
         has_velocity = ~detections.fixes.only
-        evidence = Continuity(detections.looks.per_m2, common, before, after, has_velocity, of_plots, tuning)(pairs)
+        evidence = Continuity(detections.looks.per_m2, common, before, after, has_velocity, of_plots)(pairs)
         grouped = groups(pairs)
         best = assign(grouped, evidence.log_ratio, EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
         matched = grouped.order[best.chosen]
         out[second.rows[pairs.j[matched]]] = first.rows[pairs.i[matched]]
         return out
 
-    def _log_shown(self, looks: Looks, tuning: Tuning) -> FloatArray:
+    def _log_shown(self, looks: Looks) -> FloatArray:
         """(k,) log-odds that a look shows each object, if that is real, lowered as far as it may not be."""
-        p_shown = 1.0 - self.plot_odds.p_missed(looks.p_missed(self.state[:, :2]), tuning)
+        p_shown = 1.0 - self.plot_odds.p_missed(looks.p_missed(self.state[:, :2]))
         log_odds = logit(np.clip(p_shown, MIN_SHOWN, 1.0 - MIN_SHOWN))
         return np.asarray(log_odds + np.log(np.maximum(self.p_real, LEAST_WEIGHT)))
 
@@ -248,7 +251,7 @@ class NamedObjects(PictureObjects):
         covariance[:, :2, :2] += hulls.of_objects(np.where(self.by_plots, self.number, 0))
         return covariance
 
-    def _common_tracks(self, detections: UnnumberedObjects, tuning: Tuning) -> CommonTracks:
+    def _common_tracks(self, detections: UnnumberedObjects) -> CommonTracks:
         """The common tracks of these objects and those of the instant."""
         at, track = entries(detections.tracks)
         track_place, row = self.history.of(track)
@@ -256,7 +259,7 @@ class NamedObjects(PictureObjects):
         is_alive = object_place >= 0
         track_place, row = track_place[is_alive], row[is_alive]
         unique = detections.unique[detections.tracks >= 0][track_place]
-        return CommonTracks.of(object_place[is_alive], at[track_place], self.history.share[row], unique, tuning)
+        return CommonTracks.of(object_place[is_alive], at[track_place], self.history.share[row], unique)
 
     def _new_numbers(self, detections: UnnumberedObjects, new: IntArray) -> IntArray:
         """(k,) numbers of the objects ``new`` without a match: that of an ended object with the same unique id, else
@@ -282,7 +285,7 @@ class NamedObjects(PictureObjects):
         return np.asarray((owner >= 0).any(axis=1))
 
     def _detected(
-        self, detections: UnnumberedObjects, which: IntArray, elapsed_s: float, stages: Stages, tuning: Tuning
+        self, detections: UnnumberedObjects, which: IntArray, elapsed_s: float, stages: Stages
     ) -> NamedObjects:
         """These objects, updated by their matches ``which`` of the instant."""
         states, new_report = detections.states, detections.new_report[which]
@@ -315,7 +318,7 @@ class NamedObjects(PictureObjects):
         split_off = self.split_off.copy()
         at = np.flatnonzero(split_off)
         if len(at):
-            split_off[at] = self.take(at)._own_share(detections.tracks[which[at]]) < tuning.own_share
+            split_off[at] = self.take(at)._own_share(detections.tracks[which[at]]) < OWN_SHARE
         odds = self.plot_odds.after(self, new_plots, detections.looks, elapsed_s, self.unseen_share)
         is_real_by_plots = (odds.log_odds >= logit(stages.real)) | ~states.placed[which]
         newly = ((detections.is_certain[which] | is_real) & ~split_off) | (is_real_by_plots & (n_plots >= stages.scans))
@@ -371,9 +374,7 @@ class NamedObjects(PictureObjects):
             walk_m2_per_s3=detections.walk_m2_per_s3[which], speed_m_per_s=detections.speed_m_per_s[which],
         )  # fmt: skip
 
-    def _undetected(
-        self, detections: UnnumberedObjects, elapsed_s: float, stages: Stages, tuning: Tuning
-    ) -> NamedObjects:
+    def _undetected(self, detections: UnnumberedObjects, elapsed_s: float, stages: Stages) -> NamedObjects:
         """These objects at an instant at which no source detects them."""
         tentative = self.stage == TENTATIVE
         n_missing = self.n_missing + ((tentative | ~self.placed) & bool(detections.new_report.any()))
@@ -387,7 +388,7 @@ class NamedObjects(PictureObjects):
         missed = tentative & (n_missing > stages.of - stages.scans)
         # Without a position there is nothing to predict.
         too_uncertain |= ~self.placed & (n_missing > stages.of)
-        ended = too_uncertain | absorbed | np.where(self.by_plots, odds.improbable(~tentative, tuning), missed)
+        ended = too_uncertain | absorbed | np.where(self.by_plots, odds.improbable(~tentative), missed)
         stage = np.where(ended, ENDED, np.where(tentative, TENTATIVE, COASTING))
         objects = self.undetected(stage).changed(n_missing=n_missing, **_columns_of(odds))
         return objects.take(np.flatnonzero(~(ended & tentative & self.by_plots)))

@@ -1,18 +1,18 @@
 """Phantoms: ships of AIS, or aircraft of ADS-B, that stand where a radar sees others and that it never sees.
 
 A transmitter can report ships that do not exist. What a radar says of a ship is a number of *looks*: intervals of
-``look_s`` in which the ship was under way within the coverage of the radar, at a place that it demonstrably sees
+``LOOK_S`` in which the ship was under way within the coverage of the radar, at a place that it demonstrably sees
 (another ship, seen at about the same bearing, stood as far away or farther), and the number of these in which the radar
 showed anything near her.
 
 - A ship that exists is seen in a look with probability d·ρ(r): ρ is the relative rate of detections at range r, from
   the ships that are seen; d, her detectability, is Beta distributed, with the mean and width that all ships together
   show. Weak boats make that distribution wide.
-- A share h of the ships that exist is never seen (a hull of plastic, a filter of the radar), ``hidden_share`` a priori;
-  of aircraft and of hulls that state ``steel_m`` or more, ``steel_share`` as many. Shorter ones do not count.
+- A share h of the ships that exist is never seen (a hull of plastic, a filter of the radar), ``HIDDEN_SHARE`` a priori;
+  of aircraft and of hulls that state ``STEEL_M`` or more, ``STEEL_SHARE`` as many. Shorter ones do not count.
 - A phantom is seen by chance only: at the rate c(r) at which the radar shows anything near places turned about it.
 
-Either no ship is invented, or a share θ of them is, a priori with ``invented_odds``. The unknown h, θ and the two
+Either no ship is invented, or a share θ of them is, a priori with ``INVENTED_ODDS``. The unknown h, θ and the two
 parameters of the Beta distribution are integrated over, so the ships decide together: one that is never seen may be a
 plastic yacht, five of them among forty others are no chance. The model is a Beta-binomial mixture, as for occupancy
 with imperfect detection (Royle 2006, Biometrics 62, 97).
@@ -35,13 +35,38 @@ from scipy.special import betainc, expit, logit, logsumexp
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.kernels.nearest import nearest_at_once
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import Ragged
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
 from sameas.tracks.kinds import KINDS
 
 #: Cells of bearing.
 CELLS = 720
+
+APART_SIGMAS = 5.0  # two tracks are apart beyond this
+TRACKER_LAG_S = 5.0  # 1σ of the time by which a sensor's tracker follows the path of a ship late
+LOOK_S, MIN_LOOKS = 30.0, 6  # one look of a radar at a ship lasts this long; a ship with fewer looks is no phantom yet
+COVERED_Q = 0.9  # places at which the described probability of a miss is as high are not covered
+#: Least speed of vessels, and of aircraft, that a radar is expected to see: land returns those at rest, too.
+UNDER_WAY_M_PER_S = (1.5, 40.0)
+#: A radar sees a ship within this share of her range, besides the errors of both: its biases may be unknown.
+NEAR_SHARE = 0.01
+#: Angles about the radar of the places that give the rate of chance.
+TURNED_DEG = (-75.0, -45.0, -25.0, 25.0, 45.0, 75.0)
+#: A place is seen if another ship within the first angle of it is, or one on either side within the second, in layers
+#: of the third for aircraft.
+SIGHT_DEG, SIGHT_BETWEEN_DEG, SIGHT_HEIGHT_M = 3.0, 8.0, 1000.0
+SIGHT_MOVES_M = 200.0  # a radar that moves farther is on a ship
+COMPARABLE_SHIPS = 4  # least number of ships that a radar sees, at a range and altogether
+RANGE_BINS = 5  # of the rate at which she is seen
+#: Shorter hulls are not expected to be seen, and longer ones are never seen this many times as often as those of
+#: unknown length.
+STEEL_M, STEEL_SHARE = 20.0, 0.2
+DETECTABILITIES = 50  # number of steps of d
+#: Grids of the mean and of a + b of the Beta distribution of d; the prior is uniform.
+MEAN_DETECTABILITIES = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98)
+DETECTABILITY_WIDTHS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+HIDDEN_SHARE, INVENTED_SHARE = (0.5, 200.0), (1.0, 3.0)  # a and b of the Beta priors of h and θ
+INVENTED_ODDS = 0.1  # prior odds that any ship is invented
 
 
 @dataclass(frozen=True)
@@ -67,9 +92,7 @@ class Phantom:
     log_odds: float
 
 
-def phantoms(
-    feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
-) -> list[Phantom]:
+def phantoms(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]]) -> list[Phantom]:
     """The ships that some radar should have seen, with the log-odds that they are invented, in order of their ids.
 
     records : columns as of :func:`sameas.picture.deception.sightings_of`, of some minutes or of a whole picture. Where
@@ -80,7 +103,7 @@ def phantoms(
     least: dict[tuple[str, str], Phantom] = {}
     for ships in (feed for feed in feeds if feed.description.kind in CORRELATED_KINDS):
         for radar in filter(_sees_by_itself, feeds):
-            looks = RadarLooks.of(ships, radar, records, tuning)
+            looks = RadarLooks.of(ships, radar, records)
             for one in () if looks is None else looks.phantoms():
                 known = least.get((one.source, one.track))
                 if known is None or one.log_odds < known.log_odds:
@@ -126,7 +149,7 @@ class ShipSightings:
         return np.asarray(np.hypot(*self.arm.T))
 
 
-def _sightings(ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tuning: Tuning) -> ShipSightings | None:
+def _sightings(ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]]) -> ShipSightings | None:
     """None where the source has no ids or the radar shows nothing."""
     placed = ~np.ma.getmaskarray(records["x_m"])
     position = np.column_stack([np.ma.filled(records[name], np.nan) for name in ("x_m", "y_m")])
@@ -146,18 +169,18 @@ def _sightings(ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tu
     order = np.argsort(shown_at, kind="stable")
     shown, shown_at = shown[order], shown_at[order]
     arm, echoes = place - sensor[at], position[shown] - sensor[shown_at]
-    angle = np.radians(tuning.turned_deg)
+    angle = np.radians(TURNED_DEG)
     turns = np.stack([np.stack([np.cos(angle), np.sin(angle)], -1), np.stack([-np.sin(angle), np.cos(angle)], -1)], 1)
     # The places themselves, and turned about the radar.
     places = np.concatenate([arm[None], arm @ turns])
     distance, nearest = np.empty(places.shape[:2]), np.empty(places.shape[:2], np.int64)
     nearest_at_once(places, at, echoes, Ragged.of_sorted(shown_at, len(instants)).start, distance, nearest)
-    lag_s = 0.0 if radar.reports.track is None else tuning.tracker_lag_s
-    reach = tuning.near_share * np.hypot(*arm.T) + lag_s * speed + tuning.apart_sigmas * np.sqrt(variance[own])
-    near = distance <= reach + tuning.apart_sigmas * np.sqrt(variance[shown])[nearest]
+    lag_s = 0.0 if radar.reports.track is None else TRACKER_LAG_S
+    reach = NEAR_SHARE * np.hypot(*arm.T) + lag_s * speed + APART_SIGMAS * np.sqrt(variance[own])
+    near = distance <= reach + APART_SIGMAS * np.sqrt(variance[shown])[nearest]
     with_radar = np.isin(instant_keys(at, records["object"][own]), instant_keys(shown_at, records["object"][shown]))
     seen, chance = near[0] | with_radar, near[1:].mean(axis=0)
-    fast = tuning.under_way_m_per_s[KINDS[ships.description.kind].target == "aircraft"]
+    fast = UNDER_WAY_M_PER_S[KINDS[ships.description.kind].target == "aircraft"]
     heights = _heights(ships, names, ship, time_s)
     return ShipSightings(tuple(names.tolist()), ship, time_s, arm, speed > fast, heights, seen, chance)
 
@@ -199,20 +222,20 @@ def _heights(ships: Feed, names: NDArray[Any], ship: IntArray, time_s: FloatArra
     return out
 
 
-def proven(one: ShipSightings, bearing_deg: FloatArray, moving: bool, tuning: Tuning) -> BoolArray:
+def proven(one: ShipSightings, bearing_deg: FloatArray, moving: bool) -> BoolArray:
     """(k,) whether the radar demonstrably sees the place of each record.
 
-    It saw another ship that was as far away or farther, and no higher, within ``sight_deg`` of its bearing, or one on
-    either side within ``sight_between_deg``. Land hides what is behind it, and nobody is seen there. The land about a
+    It saw another ship that was as far away or farther, and no higher, within ``SIGHT_DEG`` of its bearing, or one on
+    either side within ``SIGHT_BETWEEN_DEG``. Land hides what is behind it, and nobody is seen there. The land about a
     radar that moves changes: then within a minute.
     """
     known = np.isfinite(one.height_m)
-    band = (np.where(known, one.height_m, 0.0).clip(min=0.0) // tuning.sight_height_m).astype(np.int64)
+    band = (np.where(known, one.height_m, 0.0).clip(min=0.0) // SIGHT_HEIGHT_M).astype(np.int64)
     minute = ((one.time_s - one.time_s.min()) // 60.0).astype(np.int64) if moving else np.zeros(len(band), np.int64)
     cell = (bearing_deg % 360.0 * CELLS / 360.0).astype(np.int64) % CELLS
     seen, out = one.seen & known, np.zeros(len(band), bool)
     # Two bearings this many cells apart differ by less than the angle.
-    near, wide = (int(angle * CELLS / 360.0) - 1 for angle in (tuning.sight_deg, tuning.sight_between_deg))
+    near, wide = (int(angle * CELLS / 360.0) - 1 for angle in (SIGHT_DEG, SIGHT_BETWEEN_DEG))
     for m, b in np.unique(np.column_stack([minute, band])[known], axis=0).tolist():
         rows = np.flatnonzero((minute == m) & (band == b) & known)
         by = np.flatnonzero(seen & (np.abs(minute - m) <= 1) & (band <= b))
@@ -260,7 +283,7 @@ class RadarLooks:
     """The looks of a radar at ships: (n, b) their numbers by ship and range, and those with anything near the ship.
 
     chance, relative : (b,) c and ρ. hidden : (n,) how many times h is each ship's. first_s, last_s : (n,) of each ship.
-    within_m : the range up to which it sees.
+    within_m : the range up to which it sees. mean_detectabilities, detectability_widths : grids of its distribution.
     """
 
     source: str
@@ -274,32 +297,33 @@ class RadarLooks:
     first_s: FloatArray
     last_s: FloatArray
     within_m: float
-    tuning: Tuning
+    mean_detectabilities: tuple[float, ...] = MEAN_DETECTABILITIES
+    detectability_widths: tuple[float, ...] = DETECTABILITY_WIDTHS
 
     @classmethod
-    def of(cls, ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]], tuning: Tuning) -> RadarLooks | None:
+    def of(cls, ships: Feed, radar: Feed, records: Mapping[str, NDArray[Any]]) -> RadarLooks | None:
         """None where the radar sees too few ships."""
-        one = _sightings(ships, radar, records, tuning)
+        one = _sightings(ships, radar, records)
         if one is None:
             return None
         sensor_m = radar.sensor_m
         assert sensor_m is not None
-        moving = bool(np.ptp(sensor_m, axis=0).max() > tuning.sight_moves_m)
+        moving = bool(np.ptp(sensor_m, axis=0).max() > SIGHT_MOVES_M)
         bearing = np.degrees(np.arctan2(one.arm[:, 0], one.arm[:, 1]))
-        covered = radar.description.q_at(one.range_m, bearing) < tuning.covered_q
+        covered = radar.description.q_at(one.range_m, bearing) < COVERED_Q
         length_m = _lengths(ships, one.names)
-        long_enough = ~(length_m < tuning.steel_m)[one.ship]
-        one = one.take(one.moved & covered & long_enough & proven(one, bearing, moving, tuning))
-        if np.unique(one.ship[one.seen]).size < tuning.comparable_ships:
+        long_enough = ~(length_m < STEEL_M)[one.ship]
+        one = one.take(one.moved & covered & long_enough & proven(one, bearing, moving))
+        if np.unique(one.ship[one.seen]).size < COMPARABLE_SHIPS:
             return None
         # One look an interval: a tracker that shows a ship shows it again ten seconds later.
-        interval = ((one.time_s - one.time_s.min()) // tuning.look_s).astype(np.int64)
+        interval = ((one.time_s - one.time_s.min()) // LOOK_S).astype(np.int64)
         key, number = np.unique(one.ship * (int(interval.max()) + 1) + interval, return_inverse=True)
         of_look = np.bincount(number)
         seen = np.bincount(number, one.seen) > 0.0
         range_m, chance = (np.bincount(number, column) / of_look for column in (one.range_m, one.chance))
         ship = key // (int(interval.max()) + 1)
-        bins, far = _range_bins(range_m, seen, ship, tuning)
+        bins, far = _range_bins(range_m, seen, ship)
         if not far > 0.0:
             return None
         n, n_bins = len(one.names), int(bins.max()) + 1
@@ -312,14 +336,14 @@ class RadarLooks:
         rate = (hits[visible].sum(axis=0) + 0.5) / (looks[visible].sum(axis=0) + 1.0)
         rate = np.minimum.accumulate(rate)
         aircraft = KINDS[ships.description.kind].target == "aircraft"
-        hidden = np.where(aircraft | (length_m >= tuning.steel_m), tuning.steel_share, 1.0)
+        hidden = np.where(aircraft | (length_m >= STEEL_M), STEEL_SHARE, 1.0)
         first, last = np.full(n, np.inf), np.full(n, -np.inf)
         np.minimum.at(first, one.ship, one.time_s)
         np.maximum.at(last, one.ship, one.time_s)
         return cls(
             source=ships.description.name, radar=radar.description.name, names=one.names, looks=looks.astype(np.int64),
             seen=hits.astype(np.int64), chance=np.clip(c, 1e-3, 0.5), relative=rate / rate.max(), hidden=hidden,
-            first_s=first, last_s=last, within_m=far, tuning=tuning,
+            first_s=first, last_s=last, within_m=far,
         )  # fmt: skip
 
     def phantoms(self) -> Iterator[Phantom]:
@@ -327,12 +351,12 @@ class RadarLooks:
         looks, seen = self.looks.sum(axis=1), self.seen.sum(axis=1)
         chance = self.looks @ self.chance
         are_seen = seen > np.maximum(2.0 * chance, 0.1 * looks)
-        if are_seen.sum() < self.tuning.comparable_ships:
+        if are_seen.sum() < COMPARABLE_SHIPS:
             return
         share = float(seen[are_seen].sum() / looks[are_seen].sum())
         log_odds = self.log_odds()
-        minutes = looks * self.tuning.look_s / 60.0
-        for k in np.flatnonzero(looks >= self.tuning.min_looks).tolist():
+        minutes = looks * LOOK_S / 60.0
+        for k in np.flatnonzero(looks >= MIN_LOOKS).tolist():
             yield Phantom(
                 source=self.source, track=self.names[k], radar=self.radar, looks=int(looks[k]), seen=int(seen[k]),
                 minutes=float(minutes[k]), others=int(are_seen.sum() - are_seen[k]), share=share,
@@ -342,15 +366,15 @@ class RadarLooks:
 
     def log_odds(self) -> FloatArray:
         """(n,) log-odds that each ship is invented; 0 for those without looks."""
-        tuning, judged = self.tuning, self.looks.sum(axis=1) > 0
+        judged = self.looks.sum(axis=1) > 0
         looks, seen = self.looks[judged], self.seen[judged]
-        middles, weight = _detectabilities(tuning)
+        middles, weight = _detectabilities(self.mean_detectabilities, self.detectability_widths)
         missed = (1.0 - middles[:, None] * self.relative) * (1.0 - self.chance)
         # (m, d) ln of the probability of the looks of each ship with each detectability, and (m,) with none.
         log_seen = seen @ np.log1p(-missed).T + (looks - seen) @ np.log(missed).T
         log_none = seen @ np.log(self.chance) + (looks - seen) @ np.log1p(-self.chance)
-        share, p_hidden = _cells(np.append(0.0, np.logspace(-4.0, 0.0, 33)), *tuning.hidden_share)
-        theta, p_theta = _cells(np.linspace(0.0, 1.0, 21), *tuning.invented_share)
+        share, p_hidden = _cells(np.append(0.0, np.logspace(-4.0, 0.0, 33)), *HIDDEN_SHARE)
+        theta, p_theta = _cells(np.linspace(0.0, 1.0, 21), *INVENTED_SHARE)
         h, log_prior = share * self.hidden[judged, None], np.log(p_hidden)[:, None] + np.log(p_theta)
         peak = log_seen.max(axis=1)[:, None]
         real = peak + np.log(np.maximum(np.exp(log_seen - peak) @ weight, 1e-300))
@@ -372,7 +396,7 @@ class RadarLooks:
             log_with.append(most + math.log(posterior.sum()))
             of_share = np.divide(theta * posterior, mixed, out=part)
             own.append(np.einsum("mht,mh->m", of_share, ratio) / posterior.sum())
-        log_odds = logsumexp(log_with) - logsumexp(log_without) + math.log(tuning.invented_odds)
+        log_odds = logsumexp(log_with) - logsumexp(log_without) + math.log(INVENTED_ODDS)
         of_grid = np.exp(np.array(log_with) - logsumexp(log_with))
         p = expit(log_odds) * (of_grid @ np.array(own))
         out = np.zeros(len(judged))
@@ -381,11 +405,11 @@ class RadarLooks:
 
 
 @cache
-def _detectabilities(tuning: Tuning) -> tuple[FloatArray, FloatArray]:
+def _detectabilities(means: tuple[float, ...], widths: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
     """Middles (d,) of steps of detectability, and their probabilities (d, c) for each mean and width of the Beta
     distribution."""
-    edges = np.linspace(0.0, 1.0, tuning.detectabilities + 1)
-    mean, width = np.array(list(product(tuning.mean_detectabilities, tuning.detectability_widths))).T
+    edges = np.linspace(0.0, 1.0, DETECTABILITIES + 1)
+    mean, width = np.array(list(product(means, widths))).T
     weight = np.diff(betainc(mean * width, (1.0 - mean) * width, edges[:, None]), axis=0)
     return 0.5 * (edges[1:] + edges[:-1]), weight
 
@@ -395,18 +419,18 @@ def _cells(edges: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArra
     return 0.5 * (edges[1:] + edges[:-1]), np.maximum(np.diff(betainc(a, b, edges)), 1e-300)
 
 
-def _range_bins(range_m: FloatArray, seen: BoolArray, ship: IntArray, tuning: Tuning) -> tuple[IntArray, float]:
+def _range_bins(range_m: FloatArray, seen: BoolArray, ship: IntArray) -> tuple[IntArray, float]:
     """(k,) bin of each look, of equal numbers of looks with detections, and the range within which ships are compared.
 
-    That is the range beyond which fewer than ``comparable_ships`` ships are seen.
+    That is the range beyond which fewer than ``COMPARABLE_SHIPS`` ships are seen.
     """
     farthest = np.zeros(int(ship.max()) + 1)
     np.maximum.at(farthest, ship[seen], range_m[seen])
-    far = float(np.sort(farthest)[-tuning.comparable_ships]) if len(farthest) >= tuning.comparable_ships else 0.0
+    far = float(np.sort(farthest)[-COMPARABLE_SHIPS]) if len(farthest) >= COMPARABLE_SHIPS else 0.0
     inside = range_m[seen & (range_m <= far)]
     if not len(inside):
         return np.zeros(len(range_m), np.int64), 0.0
-    edges = np.quantile(inside, np.linspace(0.0, 1.0, tuning.range_bins + 1))[1:-1]
+    edges = np.quantile(inside, np.linspace(0.0, 1.0, RANGE_BINS + 1))[1:-1]
     return np.searchsorted(edges, range_m), far
 
 

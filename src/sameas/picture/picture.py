@@ -37,6 +37,10 @@ from sameas.tracks.scene import Scene
 #: More instants are refused: the unit of the step is most likely wrong.
 MAX_INSTANTS = 1_000_000
 
+#: A new rival is explained only if its probability is above the first, a change of probability if it is larger than the
+#: second.
+EXPLAINED_RIVAL, EXPLAINED_CHANGE = 1e-3, 0.02
+
 
 def instants(span_s: tuple[float, float], every_s: float) -> FloatArray:
     """(k,) the multiples of ``every_s`` seconds within a span; the end of the span if there are none.
@@ -157,7 +161,7 @@ class Picture:
         calls = tuple(one for one in calls if one.last_s >= times[0] and one.first_s <= times[-1])
         return cls(
             times, table, records_table,
-            Summary.of(scene, table, tallies, biases, state.scan.tuning, faults, error_lines(state.watch), calls),
+            Summary.of(scene, table, tallies, biases, faults, error_lines(state.watch), calls),
             texts, scene.plane, state.watch,
         )  # fmt: skip
 
@@ -174,7 +178,7 @@ def error_lines(watch: Watch | PlotPicture) -> list[str]:
     if not isinstance(watch, Watch):
         return []
     descriptions = () if watch.shown is None else watch.shown.now.descriptions
-    return watch.memory.tracks.error_factors.lines() + watch.plot_rates.lines(descriptions, watch.tuning)
+    return watch.memory.tracks.error_factors.lines() + watch.plot_rates.lines(descriptions)
 
 
 def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, str, float]]) -> list[int]:
@@ -187,12 +191,12 @@ def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, st
     records = zip(scan.source.tolist(), scan.track.tolist(), scan.row.tolist(), strict=True)
     words = [f"{names[s]}:{track or row}" for s, track, row in records]
     several, out = (state.members >= 0).sum(axis=1) > 1, []
-    rivals = np.where(state.p_runner_up[:, None] > scan.tuning.explained_rival, state.runner_up, ABSENT)
+    rivals = np.where(state.p_runner_up[:, None] > EXPLAINED_RIVAL, state.runner_up, ABSENT)
     texts = joined(state.members, words).tolist(), joined(rivals, words).tolist()
     columns = state.number.tolist(), *texts, several.tolist(), state.probability.tolist()
     for number, members, rival, is_joint, p in zip(*columns, strict=True):
         *last, p_last = explained.get(number, ("", "", -1.0))
-        changed = last != [members, rival] or abs(p - p_last) > scan.tuning.explained_change
+        changed = last != [members, rival] or abs(p - p_last) > EXPLAINED_CHANGE
         if (is_joint or rival) and changed:
             explained[number] = members, rival, p
             out.append(number)
@@ -206,7 +210,7 @@ def object_columns(state: PictureState[Carried]) -> Columns:
     vy_m_per_s of the plane, speed_m_per_s, course_deg, masked if unknown; height_m, sigma_height_m, climb_m_per_s if
     sources report heights, of the kind of ``Scene.heights``; n_sources, sources, members ("radar:12 ais:3": rows of the
     sources' reports), probability, runner_up, p_runner_up, masked while coasting; label, mmsi, icao, callsign, name,
-    mode_a, type; ambiguous: whether the probability is below ``ambiguous_below``.
+    mode_a, type; ambiguous: whether the probability is below ``AMBIGUOUS_BELOW``.
     """
     objects, detected = state.objects, state.objects.detected
     # ABSENT, the last row, for undetected objects; it is masked.

@@ -27,12 +27,13 @@ from sameas.many.observations import records_of
 from sameas.picture.bernoulli import KNOWN
 from sameas.picture.crossings import is_placed
 from sameas.picture.plot_tracker import TrackedPlots
-from sameas.picture.tables import ObjectStates, PictureObjects, Scan
-from sameas.picture.tuning import Tuning
+from sameas.picture.tables import UNKNOWN_VELOCITY_SHARE, ObjectStates, PictureObjects, Scan
 from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.scene import Instant
 from sameas.tracks.stationary import MODES, mode_shares
+
+AMBIGUOUS_BELOW = 0.95  # an object is ambiguous if its probability is below this
 
 
 @dataclass(frozen=True)
@@ -187,8 +188,8 @@ class TrackedObjects:
         region = tracks.now.region.covariance
         position = [isinstance(feed.reports, States) for feed in scan.now.feeds]
         placed = ((self.members >= 0) & np.array(position, dtype=bool)).any(axis=1) | (tracks.prior_of[which] >= 0)
-        placed |= is_placed(covariance, region, scan.tuning)
-        return ObjectStates(state, covariance, placed, placed & has_velocity(covariance, region, scan.tuning))
+        placed |= is_placed(covariance, region)
+        return ObjectStates(state, covariance, placed, placed & has_velocity(covariance, region))
 
     @cached_property
     def _sets(self) -> tuple[IntArray, FloatArray, IntArray]:
@@ -236,9 +237,9 @@ class TrackedObjects:
         return best
 
 
-def has_velocity(covariance: FloatArray, region: FloatArray, tuning: Tuning) -> BoolArray:
+def has_velocity(covariance: FloatArray, region: FloatArray) -> BoolArray:
     """(n,) whether velocities are known better than from the region's prior; region : (4, 4) its covariance."""
-    unknown = tuning.unknown_velocity_share * np.diagonal(region)[2:4]
+    unknown = UNKNOWN_VELOCITY_SHARE * np.diagonal(region)[2:4]
     return np.asarray((covariance[:, 2, 2] < unknown[0]) & (covariance[:, 3, 3] < unknown[1]))
 
 
@@ -341,8 +342,8 @@ class PictureState(Generic[W]):
 
     @cached_property
     def ambiguous(self) -> BoolArray:
-        """(n,) whether the probability of the object's records is below ``ambiguous_below``."""
-        return np.asarray(self.probability < self.scan.tuning.ambiguous_below)
+        """(n,) whether the probability of the object's records is below ``AMBIGUOUS_BELOW``."""
+        return np.asarray(self.probability < AMBIGUOUS_BELOW)
 
     @cached_property
     def alarms(self) -> tuple[IdentityConflict, ...]:

@@ -11,7 +11,7 @@ misses one, and λ its clutter there, per m² and look. At each later instant th
     by (1 − q) N(z; x, P + R) / λ    if a new plot z ± R is of the object, which is expected at x ± P,
     by 1 − s (1 − q)                 otherwise, s the part of a look that the source has taken since then.
 
-Objects differ: 1 − s (1 − q) is that of the place with the weight of ``own_looks``, and the object's own misses among
+Objects differ: 1 − s (1 − q) is that of the place with the weight of ``OWN_LOOKS``, and the object's own misses among
 its last looks; 1 − q changes by the same factor as its complement.
 
 The share of those not seen before falls with every look, and rises as objects come, which stay for a mean time T:
@@ -37,8 +37,11 @@ from scipy.special import expit, logit
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.gaussian import log_density
-from sameas.picture.hull_echoes import Hulls, ScanPlots
+from sameas.picture.bernoulli import MIN_PROBABILITY
+from sameas.picture.hull_echoes import OWN_LOOKS_KEPT, Hulls, ScanPlots
+from sameas.picture.plot_tracker import MIN_EXISTENCE, MIN_SHARE_OF_INITIAL
 from sameas.picture.tables import ColumnTable, ObjectTable, Scan, objects_per_m2
+from sameas.picture.track_existence import REAL_S
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed
@@ -47,6 +50,11 @@ from sameas.tracks.scene import Instant
 
 #: Least probability of which a logarithm is taken.
 MIN_P = 1e-12
+
+#: Beside named tracks, the probability that a source of plots misses an object is within this of 0 and 1: misses of one
+#: object come in runs.
+LEAST_Q = 0.1
+OWN_LOOKS = 6.0  # weight of the usual misses beside an object's own, in looks
 
 
 @dataclass(frozen=True)
@@ -60,15 +68,14 @@ class Looks:
     feeds: tuple[Feed, ...]
     share: FloatArray
     per_m2: float
-    tuning: Tuning = DEFAULT_TUNING
 
     @classmethod
-    def since(cls, now: Instant, before_s: float, tuning: Tuning = DEFAULT_TUNING) -> Looks:
+    def since(cls, now: Instant, before_s: float) -> Looks:
         """The looks of an instant after ``before_s``, −∞ for none before."""
         plots = [feed for feed in now.feeds if gives_plots(feed)]
         share = np.array([_part_of_a_look(feed, before_s, now.instant_s) for feed in plots], np.float64)
         looked = np.flatnonzero(share > 0.0).tolist()
-        return cls(now.instant_s, tuple(plots[k] for k in looked), share[looked], objects_per_m2(now), tuning)
+        return cls(now.instant_s, tuple(plots[k] for k in looked), share[looked], objects_per_m2(now))
 
     def p_missed(self, places: FloatArray) -> FloatArray:
         """(n,) probability that no source has a new plot of a real object at each of the places (n, 2)."""
@@ -78,14 +85,14 @@ class Looks:
         return out
 
     def miss_rate(self, feed: Feed, places: FloatArray) -> FloatArray:
-        """(n,) q of a source at each of the places (n, 2), within ``least_q`` of 0 and 1: misses of one object come in
+        """(n,) q of a source at each of the places (n, 2), within ``LEAST_Q`` of 0 and 1: misses of one object come in
         runs."""
-        return np.asarray(np.clip(feed.q_at(places, self.instant_s), self.tuning.least_q, 1.0 - self.tuning.least_q))
+        return np.asarray(np.clip(feed.q_at(places, self.instant_s), LEAST_Q, 1.0 - LEAST_Q))
 
     def unseen_share(self, before: float, places: FloatArray, elapsed_s: float) -> float:
         """u after the looks; before : u. places : (n, 2) of the objects."""
         p_missed = float(self.p_missed(places).mean()) if len(places) else 1.0
-        return still_unseen(before, p_missed, elapsed_s, self.tuning.real_s)
+        return still_unseen(before, p_missed, elapsed_s, REAL_S)
 
 
 def gives_plots(feed: Feed) -> bool:
@@ -229,33 +236,33 @@ class PlotOdds:
         log_initial = np.where(first, begun.log_initial, self.log_initial)
         if not self.known.any() or (not looks.feeds and not plots.found.any()):
             return replace(self, log_odds=np.where(first, begun.log_odds, self.log_odds), log_initial=log_initial)
-        tuning, found = looks.tuning, plots.found & self.known
+        found = plots.found & self.known
         usual = looks.p_missed(objects.state[:, :2])
-        p_missed = self.p_missed(usual, tuning)
+        p_missed = self.p_missed(usual)
         gain, hit = np.log(p_missed), np.flatnonzero(found)
         total = plots.covariance[hit] + objects.covariance[hit, :2, :2]
         gain[hit] = plots.log_odds_per_m2[hit] + log_density(plots.place[hit] - objects.state[hit, :2], total)
         gain[hit] += np.log1p(-p_missed[hit]) - np.log(np.maximum(1.0 - usual[hit], MIN_P))
-        p_stays = np.clip(math.exp(-elapsed_s / tuning.real_s) * expit(self.log_odds), MIN_P, 1.0 - MIN_P)
-        bound = _bound(tuning)
+        p_stays = np.clip(math.exp(-elapsed_s / REAL_S) * expit(self.log_odds), MIN_P, 1.0 - MIN_P)
+        bound = _bound()
         log_odds = np.where(self.known, np.clip(logit(p_stays) + gain, -bound, bound), begun.log_odds)
-        kept = 1.0 / (1.0 + 1.0 / tuning.own_looks_kept)
+        kept = 1.0 / (1.0 + 1.0 / OWN_LOOKS_KEPT)
         return PlotOdds(log_odds, log_initial, kept * self.looked + 1.0, kept * self.missed + ~found)
 
-    def p_missed(self, usual: FloatArray, tuning: Tuning) -> FloatArray:
+    def p_missed(self, usual: FloatArray) -> FloatArray:
         """(k,) probability that a look misses each object; usual : (k,) that of its place."""
-        return (tuning.own_looks * usual + self.missed) / (tuning.own_looks + self.looked)
+        return (OWN_LOOKS * usual + self.missed) / (OWN_LOOKS + self.looked)
 
-    def improbable(self, was_confirmed: BoolArray, tuning: Tuning) -> BoolArray:
+    def improbable(self, was_confirmed: BoolArray) -> BoolArray:
         """(k,) whether plots make the object improbable: among much clutter that of a real one begins so, too.
 
         was_confirmed : (k,) whether it was confirmed. One that began below the least odds would never end.
         """
-        least = np.minimum(logit(tuning.min_existence), self.log_initial + math.log(tuning.min_share_of_initial))
-        least = np.where(was_confirmed, np.maximum(least, -_bound(tuning)), least)
+        least = np.minimum(logit(MIN_EXISTENCE), self.log_initial + math.log(MIN_SHARE_OF_INITIAL))
+        least = np.where(was_confirmed, np.maximum(least, -_bound()), least)
         return np.asarray(self.known & (self.log_odds <= least))
 
 
-def _bound(tuning: Tuning) -> float:
+def _bound() -> float:
     """The largest log-odds, so that later looks can change them."""
-    return float(logit(1.0 - tuning.min_probability))
+    return float(logit(1.0 - MIN_PROBABILITY))

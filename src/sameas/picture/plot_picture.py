@@ -26,15 +26,19 @@ from scipy.special import logit
 from sameas.arrays import ABSENT, IntArray
 from sameas.errors import InputError
 from sameas.evidence.identity import NAMING
+from sameas.picture.bernoulli import MIN_PROBABILITY
 from sameas.picture.picture_state import PictureState, TrackedObjects, has_velocity
 from sameas.picture.plot_existence import still_unseen
 from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
 from sameas.picture.tables import COASTING, CONFIRMED, TENTATIVE, PictureObjects, Scan
 from sameas.picture.texts import RecordTexts, texts_of
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.picture.tuning import Tuning
 from sameas.tracks.feed import Feed, walk_of
 from sameas.tracks.scans import joint_times
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, Scene
+
+JOINT_SCAN_SHARE = 0.2  # scans within this share of the shortest period are processed together
+CONFIRMING_PLOTS = 3  # a tracked object is confirmed only with at least this many plots
 
 
 def nameless(scene: Scene) -> bool:
@@ -42,16 +46,14 @@ def nameless(scene: Scene) -> bool:
     return all(feed.reports.track is None and feed.attributes.keys().isdisjoint(NAMING) for feed in scene.feeds)
 
 
-def scan_times_between(
-    feeds: Sequence[Feed], after_s: float, until_s: float, tuning: Tuning = DEFAULT_TUNING
-) -> list[float]:
+def scan_times_between(feeds: Sequence[Feed], after_s: float, until_s: float) -> list[float]:
     """The times of scans of any source between two times (exclusive), ascending.
 
-    Scans within ``joint_scan_share`` of the shortest period count as one, at the time of the last: no source scans
+    Scans within ``JOINT_SCAN_SHARE`` of the shortest period count as one, at the time of the last: no source scans
     twice in that time.
     """
     times_s = np.unique(np.concatenate([np.empty(0), *(feed.scan_times_s for feed in feeds)]))
-    gap_s = tuning.joint_scan_share * min((feed.scan_period_s for feed in feeds), default=math.inf)
+    gap_s = JOINT_SCAN_SHARE * min((feed.scan_period_s for feed in feeds), default=math.inf)
     return joint_times(times_s[(times_s > after_s) & (times_s < until_s)], gap_s)
 
 
@@ -65,10 +67,7 @@ class PlotObjects(PictureObjects):
         tracks = detections.tracks
         detection = np.full(len(tracks), ABSENT)
         detection[detections.which] = np.arange(len(detections.which))
-        placed, moving = (
-            np.ones(len(tracks), bool),
-            has_velocity(tracks.covariance, tracks.now.region.covariance, tracks.tuning),
-        )
+        placed, moving = (np.ones(len(tracks), bool), has_velocity(tracks.covariance, tracks.now.region.covariance))
         placed[detections.which], moving[detections.which] = detections.states.placed, detections.states.moving
         is_confirmed = np.isin(tracks.number, np.array(sorted(confirmed), np.int64))
         stage = np.where(is_confirmed, np.where(detection >= 0, CONFIRMED, COASTING), TENTATIVE)
@@ -93,7 +92,7 @@ class Confirmation:
         u ← u Q e^{−Δt/λ} + 1 − e^{−Δt/λ},    u = 1 at first,
 
     and an object is confirmed once the odds of its existence, times u at its first detection, reach those of ``real``;
-    an object with a prior also needs ``confirming_plots`` plots.
+    an object with a prior also needs ``CONFIRMING_PLOTS`` plots.
 
     unseen_share : u. share : by number, u at the first detection. plots : by number, the count of plots. confirmed :
     numbers.
@@ -104,9 +103,7 @@ class Confirmation:
     plots: Mapping[int, int] = field(default_factory=dict)
     confirmed: frozenset[int] = frozenset()
 
-    def advance(
-        self, before: TrackedPlots | None, after: TrackedPlots, lifetime_s: float, real: float, tuning: Tuning
-    ) -> Confirmation:
+    def advance(self, before: TrackedPlots | None, after: TrackedPlots, lifetime_s: float, real: float) -> Confirmation:
         """The confirmation after the scans of ``after``."""
         unseen_share, last = self.unseen_share, {} if before is None else before.last_number
         if before is not None:
@@ -119,10 +116,10 @@ class Confirmation:
         numbers = after.number.tolist()
         share = {number: self.share.get(number, unseen_share) for number in numbers}
         plots = {number: self.plots.get(number, 0) + new_plots[number] for number in numbers}
-        least = tuning.min_probability
+        least = MIN_PROBABILITY
         odds = logit(np.clip(after.existence, least, 1.0 - least)) + np.log([share[number] for number in numbers])
         enough_plots = (after.prior_of < 0) | (
-            np.array([plots[number] for number in numbers], np.int64) >= tuning.confirming_plots
+            np.array([plots[number] for number in numbers], np.int64) >= CONFIRMING_PLOTS
         )
         newly_confirmed = after.number[(odds >= logit(real)) & enough_plots].tolist()
         return Confirmation(unseen_share, share, plots, (self.confirmed | set(newly_confirmed)) & set(numbers))
@@ -168,14 +165,14 @@ class PlotPicture:
         """
         carried = self
         since = instant_s - self.tracker.lifetime_s if self.tracks is None else self.tracks.now.instant_s
-        for scan_s in scan_times_between(scene.feeds, since, instant_s, self.tuning):
+        for scan_s in scan_times_between(scene.feeds, since, instant_s):
             carried = carried.updated(scene.at(scan_s, features=POSITION_AND_VELOCITY))
         return carried.advance(scene.at(instant_s, features=POSITION_AND_VELOCITY))
 
     def updated(self, now: Instant) -> PlotPicture:
         """The state after the scans of a later instant."""
         tracks = self.tracker.advance(now, self.tracks)
-        confirmation = self.confirmation.advance(self.tracks, tracks, self.tracker.lifetime_s, self.real, self.tuning)
+        confirmation = self.confirmation.advance(self.tracks, tracks, self.tracker.lifetime_s, self.real)
         return replace(self, tracks=tracks, confirmation=confirmation)
 
     def advance(self, now: Instant) -> PictureState[PlotPicture]:

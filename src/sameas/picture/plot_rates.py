@@ -5,9 +5,9 @@ five, and shores, buoys and waves give plots at the same places, scan after scan
 instant, but for the misses and the mean clutter that a description gives:
 
 - misses q: the share of the looks at confirmed objects with a name (AIS, a tracker) that gave no plot of them, with the
-  assumed q as a prior of ``rate_looks`` looks;
-- clutter λ at a plot z ± R: the plots of the last ``clutter_s`` within ``clutter_sigmas`` of z that are not of an
-  object with a name, per m² and look: their mean over all places, or, with the prior probability ``dense_share``, a
+  assumed q as a prior of ``RATE_LOOKS`` looks;
+- clutter λ at a plot z ± R: the plots of the last ``CLUTTER_S`` within ``CLUTTER_SIGMAS`` of z that are not of an
+  object with a name, per m² and look: their mean over all places, or, with the prior probability ``DENSE_SHARE``, a
   density there of anything up to one plot a look. The assumed clutter has the weight of one plot in the mean.
 
 Earlier plots at the place of the next one are no clutter about it, if there are not as many of other objects beside
@@ -31,10 +31,9 @@ from scipy.special import expit, gammaln, xlogy
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, spans_in
 from sameas.many.observations import records_of
-from sameas.picture.hull_echoes import HullEchoes, ScanPlots
+from sameas.picture.hull_echoes import CLUTTER_SIGMAS, HullEchoes, ScanPlots
 from sameas.picture.plot_existence import Looks
 from sameas.picture.tables import ObjectTable, Scan
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed
@@ -49,6 +48,12 @@ AROUND_USUAL = 2.0
 BESIDE = 3.0
 #: A plot may be of an object within this many 1σ.
 GATE_SIGMAS = 3.0
+
+RATE_LOOKS = 10.0  # weight of an assumed miss rate, in looks at objects
+#: The clutter about a plot is counted over this time, or that of so many plots; echoes within AROUND_SIGMAS of it are
+#: beside it, as on a shore.
+CLUTTER_S, MOST_PLOTS, AROUND_SIGMAS = 300.0, 20_000, 6.0
+DENSE_SHARE = 0.1  # prior probability that the clutter at a place is denser than elsewhere
 
 
 @dataclass(frozen=True)
@@ -68,13 +73,11 @@ class SourceCounts:
     look_s: FloatArray = field(default_factory=lambda: np.empty(0))
     share: FloatArray = field(default_factory=lambda: np.empty(0))
 
-    def with_look(
-        self, instant_s: float, share: float, place: FloatArray, number: IntArray, tuning: Tuning
-    ) -> SourceCounts:
+    def with_look(self, instant_s: float, share: float, place: FloatArray, number: IntArray) -> SourceCounts:
         """The counts after a look; place, number : (k, 2), (k,) of its plots."""
-        since_s = instant_s - tuning.clutter_s
-        if len(self.time_s) > tuning.most_plots:
-            since_s = max(since_s, float(self.time_s[-tuning.most_plots]))
+        since_s = instant_s - CLUTTER_S
+        if len(self.time_s) > MOST_PLOTS:
+            since_s = max(since_s, float(self.time_s[-MOST_PLOTS]))
         old, looks = self.time_s >= since_s, self.look_s >= since_s
         return replace(
             self,
@@ -83,21 +86,19 @@ class SourceCounts:
             look_s=np.append(self.look_s[looks], instant_s), share=np.append(self.share[looks], share),
         )  # fmt: skip
 
-    def miss_rate(self, assumed: float, tuning: Tuning) -> float:
+    def miss_rate(self, assumed: float) -> float:
         """q, with the assumed one as prior."""
-        n = tuning.rate_looks
+        n = RATE_LOOKS
         return (n * assumed + self.looked - self.hit) / (n + self.looked)
 
-    def clutter_per_m2(
-        self, place: FloatArray, sigma: FloatArray, own: IntArray, usual: FloatArray, tuning: Tuning
-    ) -> FloatArray:
+    def clutter_per_m2(self, place: FloatArray, sigma: FloatArray, own: IntArray, usual: FloatArray) -> FloatArray:
         """(n,) λ at plots.
 
         place, sigma : (n, 2), (n,) of them, and their largest 1σ. own : (n,) the number of the object that each may be
         of, 0 for none. usual : (n,) λ where they do not return to the place, per m² and look.
         """
         looks = float(self.share.sum())
-        radius = np.outer((tuning.clutter_sigmas, GATE_SIGMAS, tuning.around_sigmas), sigma)
+        radius = np.outer((CLUTTER_SIGMAS, GATE_SIGMAS, AROUND_SIGMAS), sigma)
         (here, _), (gate, gate_own), (around, around_own) = self._within(place, radius, own)
         area = math.pi * radius[0] ** 2
         expected_beside = AROUND_USUAL * usual * math.pi * (radius[2] ** 2 - radius[1] ** 2) * looks
@@ -106,7 +107,7 @@ class SourceCounts:
         near = np.minimum(here, BESIDE * beside)
         # As dense as everywhere, or anything up to one plot a look.
         expected = usual * area * looks
-        log_dense = math.log(tuning.dense_share / (1.0 - tuning.dense_share)) - math.log1p(looks)
+        log_dense = math.log(DENSE_SHARE / (1.0 - DENSE_SHARE)) - math.log1p(looks)
         p_dense = expit(log_dense - xlogy(near, expected) + expected + gammaln(near + 1.0))
         return np.asarray((1.0 - p_dense) * usual + p_dense * (near + 1.0) / (looks + 2.0) / area)
 
@@ -157,22 +158,22 @@ class PlotRates:
     of: Mapping[str, SourceCounts] = field(default_factory=dict)
     hulls: Mapping[str, HullEchoes] = field(default_factory=dict)
 
-    def applied(self, now: Instant, known: ObjectTable, tuning: Tuning = DEFAULT_TUNING) -> Instant:
+    def applied(self, now: Instant, known: ObjectTable) -> Instant:
         """The instant with the counted misses and clutter of the sources of plots, where they were assumed.
 
         known : the objects that only plots show, predicted to the instant.
         """
         feeds = zip(now.feeds, now.sources, strict=True)
-        applied = (self._applied(feed, records_of(own).ids, known, tuning) for feed, own in feeds)
+        applied = (self._applied(feed, records_of(own).ids, known) for feed, own in feeds)
         return replace(now, feeds=tuple(applied))
 
-    def _applied(self, feed: Feed, ids: NDArray[Any], known: ObjectTable, tuning: Tuning) -> Feed:
+    def _applied(self, feed: Feed, ids: NDArray[Any], known: ObjectTable) -> Feed:
         reports, description, described = feed.reports, feed.description, feed.description.clutter.per_km2
         if reports.track is not None or not isinstance(reports, States):
             return feed
         counts = self.of.get(description.name, SourceCounts())
         if description.is_assumed(MISSES) and isinstance(description.misses.q, float):
-            q = counts.miss_rate(description.misses.q, tuning)
+            q = counts.miss_rate(description.misses.q)
             description = replace(description, misses=MissRate.counted(q))
         clutter = feed.clutter_per_m2
         if described:
@@ -185,11 +186,11 @@ class PlotRates:
                 usual = np.full(len(rows), mean)
             clutter = np.full(len(reports), 1e-6 * described) if clutter is None else clutter.copy()
             clutter[rows] = counts.clutter_per_m2(
-                place, _largest_sigma(covariance), nearest_object(place, covariance, known), usual, tuning
+                place, _largest_sigma(covariance), nearest_object(place, covariance, known), usual
             )
         return replace(feed, description=description, clutter_per_m2=clutter)
 
-    def lines(self, descriptions: Sequence[Description], tuning: Tuning = DEFAULT_TUNING) -> list[str]:
+    def lines(self, descriptions: Sequence[Description]) -> list[str]:
         """Printable lines on what was counted in place of what was assumed; descriptions : of the sources."""
         out = []
         for description in descriptions:
@@ -197,10 +198,10 @@ class PlotRates:
             assumed = {line.name: line.value for line in description.assumed}
             if counts is None:
                 continue
-            if MISSES in assumed and counts.looked >= tuning.rate_looks and isinstance(assumed[MISSES], float):
-                rates = 100.0 * counts.miss_rate(assumed[MISSES], tuning), 100.0 * assumed[MISSES]
+            if MISSES in assumed and counts.looked >= RATE_LOOKS and isinstance(assumed[MISSES], float):
+                rates = 100.0 * counts.miss_rate(assumed[MISSES]), 100.0 * assumed[MISSES]
                 words.append("misses {:.0f} % of the objects with names ({:.0f} % was assumed)".format(*rates))
-            if assumed.get(CLUTTER) and len(counts.look_s) >= tuning.rate_looks:
+            if assumed.get(CLUTTER) and len(counts.look_s) >= RATE_LOOKS:
                 per_m2 = mean_per_m2(counts.place, float(counts.share.sum()), 1e-6 * assumed[CLUTTER])
                 words.append(
                     f"has {1e6 * per_m2:.2g} other plots per km² and scan (clutter of {assumed[CLUTTER]:.2g} was "
@@ -236,9 +237,9 @@ class PlotRates:
                 new, rows = np.empty((2, 0), np.int64)
                 hit = np.zeros(len(named), bool)
             covered = feed.q_at(places, looks.instant_s) < 1.0
-            counts = counts.with_look(looks.instant_s, share, scan.reported_state[rows, :2], number[rows], looks.tuning)
+            counts = counts.with_look(looks.instant_s, share, scan.reported_state[rows, :2], number[rows])
             hulls[name] = hulls.get(name, HullEchoes()).after(
-                share, owners, ScanPlots(scan.state[new, :2], plain[new], number[new]), looks.tuning
+                share, owners, ScanPlots(scan.state[new, :2], plain[new], number[new])
             )
             looked, hits = share * float(covered.sum()), float((hit & covered).sum())
             out[name] = replace(counts, looked=counts.looked + looked, hit=counts.hit + hits)

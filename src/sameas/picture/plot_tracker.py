@@ -35,7 +35,7 @@ from sameas.evidence.identity import FREQUENCY, Identity
 from sameas.many.identify import identify_many
 from sameas.many.objects import Objects
 from sameas.many.observations import Joint, Observations, Region, Source, joint_density, records_of
-from sameas.picture.bernoulli import KNOWN, BernoulliObjects, BernoulliTable, Sighting
+from sameas.picture.bernoulli import KNOWN, MIN_PROBABILITY, BernoulliObjects, BernoulliTable, Sighting
 from sameas.picture.crossings import Crossings
 from sameas.picture.tables import objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
@@ -44,6 +44,16 @@ from sameas.tracks.feed import Feed, mean_walk_of
 from sameas.tracks.placement import Directions
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, record_positions
 from sameas.tracks.snapshot import pointed_at
+
+CURRENT_WEIGHT = 0.01  # of directions that will be used again, in the position at which an object begins
+SPLIT = 0.02  # probability that a scan shows one object as two, if neither the description nor the kind has it
+#: Objects of plots without ids are dropped below the first probability and below this share of that with their first
+#: scan: among much clutter the first plot of a real object is below the first.
+MIN_EXISTENCE, MIN_SHARE_OF_INITIAL = 0.01, 0.1
+#: A record updates the state of an object that may not exist if, in case it does, the record is its with this
+#: probability.
+LIKELY_MEMBER = 0.9
+REGION_FACTOR = 1e4  # factor on the region's covariance for the states of objects that are already tracked
 
 
 @dataclass(frozen=True)
@@ -95,7 +105,7 @@ class PlotTracker:
             q_of[feed.description.name] = self._q_of(feed, source, places, now)
             false[feed.description.name] = feed.clutter(records_of(source).d)
         rule = BernoulliObjects(now.density, tuple(q_of), q_of, false, prior_objects.existence, q)
-        return TrackedPlots.of(now, before, prior_objects, rule, usual_q, self.tuning)
+        return TrackedPlots.of(now, before, prior_objects, rule, usual_q)
 
     def _carried(self, before: TrackedPlots, now: Instant) -> BernoulliTable:
         """The prior objects for the scans of ``now``: those of ``before`` updated by its scans that are not current any
@@ -104,19 +114,19 @@ class PlotTracker:
         retired = before.retired(before.members, now)
         p_detected, (new, new_q) = before.p_detected(retired), before.new_objects(retired)
         objects = before.fused(before.retired(before.likely_members, now), self.correlation_s).after(
-            Sighting(p_detected, before.scans_over(now), before.rule.known_q), self.tuning.min_probability
+            Sighting(p_detected, before.scans_over(now), before.rule.known_q), MIN_PROBABILITY
         )
-        split = np.array([d.resolution.split or self.tuning.split for d in now.descriptions])
+        split = np.array([d.resolution.split or SPLIT for d in now.descriptions])
         objects = objects.with_(new)
-        pairs = objects.pairs_near(self.tuning)
+        pairs = objects.pairs_near()
         unresolved = [_p_unresolved(feed, objects, pairs, before.now.instant_s) for feed in before.now.feeds]
         objects = objects.with_separate_odds(
             pairs, np.vstack([p_detected, new.hits]), np.vstack([before.usual_q, new_q]), split, np.array(unresolved),
             self.tuning,
         )  # fmt: skip
         density = objects_per_m2(now)
-        objects = objects.merged(density, self.tuning)
-        least = np.minimum(self.tuning.min_existence, self.tuning.min_share_of_initial * objects.initial)
+        objects = objects.merged(density)
+        least = np.minimum(MIN_EXISTENCE, MIN_SHARE_OF_INITIAL * objects.initial)
         objects = objects.take((objects.existence > least) & ~aged(objects.covariance, density))
         walk = max(mean_walk_of(description) for description in now.descriptions)
         return objects.predicted(dt, walk).aged(dt, self.lifetime_s, self.sighting_s)
@@ -158,7 +168,6 @@ class TrackedPlots:
     rule, usual_q, identification : of the records; identification is None if no scan is current.
     scan_s, gap_s : (S,) the time of each source's last scan, and the time between its last two scans.
     n_numbers : the highest number in use.
-    tuning : of the tracker.
     """
 
     now: Instant
@@ -174,7 +183,6 @@ class TrackedPlots:
     scan_s: FloatArray
     gap_s: FloatArray
     n_numbers: int
-    tuning: Tuning = DEFAULT_TUNING
 
     def __len__(self) -> int:
         return len(self.number)
@@ -187,7 +195,6 @@ class TrackedPlots:
         prior_objects: BernoulliTable,
         rule: BernoulliObjects,
         usual_q: FloatArray,
-        tuning: Tuning,
     ) -> TrackedPlots:
         """The objects from the joint identification of the current scans and the prior objects."""
         with_records = [s for s, source in enumerate(now.sources) if len(records_of(source))]
@@ -197,7 +204,7 @@ class TrackedPlots:
             no_members = np.full((len(prior_objects), len(now.sources)), ABSENT)
             one, each = np.ones(len(prior_objects)), np.arange(len(prior_objects))
             return cls(now, prior_objects.number, no_members, one, prior_objects.existence, prior_objects, each, rule,
-                       usual_q, None, scan_s, gap_s, n_numbers, tuning)  # fmt: skip
+                       usual_q, None, scan_s, gap_s, n_numbers)  # fmt: skip
         identification = identify_many(
             [prior_objects.records, *(now.sources[s] for s in with_records)],
             rule=rule + _frequencies(prior_objects, now),
@@ -210,7 +217,7 @@ class TrackedPlots:
         number, n_numbers = _numbered(now, before, prior_objects, prior_of, members, n_numbers)
         existence = _existence(identification, rule)
         return cls(now, number, members, identification.probability, existence, prior_objects, prior_of, rule, usual_q,
-                   identification, scan_s, gap_s, n_numbers, tuning)  # fmt: skip
+                   identification, scan_s, gap_s, n_numbers)  # fmt: skip
 
     @property
     def state(self) -> FloatArray:
@@ -259,9 +266,9 @@ class TrackedPlots:
 
     @property
     def _wide_region(self) -> Region:
-        """The region with its covariance times ``region_factor``: it does not constrain prior objects."""
+        """The region with its covariance times ``REGION_FACTOR``: it does not constrain prior objects."""
         region = self.now.region
-        return Region(region.centre, self.tuning.region_factor * region.covariance)
+        return Region(region.centre, REGION_FACTOR * region.covariance)
 
     def _pooled(self, which: NDArray[Any], sets: IntArray, count: FloatArray, region: Region) -> Joint:
         """The states of the objects ``which`` from their priors and their records ``sets``.
@@ -273,7 +280,7 @@ class TrackedPlots:
         for s, source in enumerate(self.now.sources):
             at = np.flatnonzero(sets[:, s] >= 0)
             weight = self._p_of_existing(s, objects[at], sets[at, s]) * count[s]
-            sources.append(_weighted(source, sets[at, s], np.maximum(weight, self.tuning.min_probability)))
+            sources.append(_weighted(source, sets[at, s], np.maximum(weight, MIN_PROBABILITY)))
             columns.append(np.full(len(sets), ABSENT))
             columns[-1][at] = np.arange(len(at))
         return joint_density(sources, np.column_stack(columns), region)
@@ -288,15 +295,13 @@ class TrackedPlots:
     @cached_property
     def likely_members(self) -> IntArray:
         """(n, S) the members, and where a prior object has none of a source, the record that is its member with a
-        probability of ``likely_member`` if it exists. An object that hardly exists yet has no members in the most
+        probability of ``LIKELY_MEMBER`` if it exists. An object that hardly exists yet has no members in the most
         probable hypothesis, but its state is that of one that exists."""
         out, prior = self.members.copy(), np.flatnonzero(self.prior_of >= 0)
         for s, p in enumerate(self.p_association):
             if p.shape[1]:
                 best = p[self.prior_of[prior]].argmax(axis=1)
-                likely = (self.members[prior, s] < 0) & (
-                    self._p_of_existing(s, prior, best) > self.tuning.likely_member
-                )
+                likely = (self.members[prior, s] < 0) & (self._p_of_existing(s, prior, best) > LIKELY_MEMBER)
                 out[prior[likely], s] = best[likely]
         return out
 
@@ -384,13 +389,13 @@ class TrackedPlots:
         if self.identification is None or has_place.all():
             return born, q
         is_free = (self.prior_of < 0) & ~((self.members >= 0) & has_place).any(axis=1)
-        crossings = Crossings.among(
-            self.now, self.identification, self.members, is_free, self._birth_region, self.tuning
-        ).with_any(sets)
+        crossings = Crossings.among(self.now, self.identification, self.members, is_free, self._birth_region).with_any(
+            sets
+        )
         if not len(crossings.object):
             return born, q
         is_new = (crossings.sets[:, None] == sets).any(axis=1) & (crossings.sets >= 0)
-        weight = np.where(is_new, 1.0, self.tuning.current_weight)
+        weight = np.where(is_new, 1.0, CURRENT_WEIGHT)
         more, more_q = self._born(crossings.object, crossings.sets, weight, crossings.p, ~has_place)
         return born.with_(more), np.vstack([q, more_q])
 
@@ -418,7 +423,7 @@ class TrackedPlots:
         tables = [self.rule.q[name] for name in self.rule.sources]
         own_q = [[tables[s][row[s]] for s in np.flatnonzero((row >= 0) & located_by)] for row in sets]
         q = np.array([np.mean(each, axis=0) for each in own_q])
-        least, frequency_hz = self.tuning.min_probability, self._frequency_hz(sets)
+        least, frequency_hz = MIN_PROBABILITY, self._frequency_hz(sets)
         number, state, covariance = self.number[objects], joint.state, joint.covariance
         return BernoulliTable.born(number, state, covariance, existence, hits, frequency_hz, least), q
 

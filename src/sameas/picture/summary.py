@@ -16,7 +16,6 @@ from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotObjects
 from sameas.picture.tables import CONFIRMED
 from sameas.picture.texts import TEXTS
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.distress import DistressCall
 from sameas.tracks.faults import Fault
 from sameas.tracks.feed import FASTEST_VESSEL_M_PER_S, Feed
@@ -26,6 +25,9 @@ from sameas.tracks.source import SensorCoverage
 
 #: Attributes of identity that only aircraft have.
 _OF_AIRCRAFT = [TEXTS.index(name) for name in ("icao", "mode_a")]
+
+MIN_EXPECTED = 20  # the summary gives a miss rate from this many expected detections on
+BLOCKS = 12  # number of blocks of successive instants from whose scatter a miss rate's standard error is estimated
 
 
 @dataclass(frozen=True)
@@ -232,7 +234,6 @@ class Summary:
         objects: Mapping[str, NDArray[Any]],
         tallies: Sequence[Tally],
         biases: Sequence[str] = (),
-        tuning: Tuning = DEFAULT_TUNING,
         faults: Sequence[Fault] = (),
         errors: Sequence[str] = (),
         calls: Sequence[DistressCall] = (),
@@ -248,7 +249,7 @@ class Summary:
             unconfirmed=unconfirmed, detected=float(np.mean([tally.objects for tally in tallies])),
             expected_wrong=float(np.mean([tally.expected_wrong for tally in tallies])),
             ambiguous_groups=float(np.mean([tally.ambiguous_groups for tally in tallies])),
-            places=PositionErrors.of(objects, len(tallies)), misses=tuple(_misses(scene.feeds, tallies, tuning)),
+            places=PositionErrors.of(objects, len(tallies)), misses=tuple(_misses(scene.feeds, tallies)),
             biases=tuple(biases), alarms=tuple(_alarms(scene.feeds, tallies)), assumed=assumed,
             notes=tuple(_notes(scene.feeds, tallies)), faults=tuple(faults), errors=tuple(errors),
             calls=tuple(calls),
@@ -309,21 +310,21 @@ def _by_sources(objects: Mapping[str, NDArray[Any]], n_sources: int) -> tuple[tu
     return tuple(np.bincount(max_sources[confirmed], minlength=n_sources + 1).tolist()), int(np.sum(~confirmed))
 
 
-def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally], tuning: Tuning) -> Iterable[MissCount]:
+def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[MissCount]:
     due, missed = (np.array([getattr(tally, name) for tally in tallies]) for name in ("due", "missed"))
     for s, feed in enumerate(feeds):
         whole = float(due[:, s].sum())
-        if whole >= tuning.min_expected:
+        if whole >= MIN_EXPECTED:
             q = feed.description.misses.q
             described = None if q is None else float(np.mean(q))
             share = float(missed[:, s].sum() / whole)
-            error = share_error(due[:, s], missed[:, s], tuning.blocks)
+            error = share_error(due[:, s], missed[:, s], BLOCKS)
             bounded = feed.description.coverage != SensorCoverage()
             yield MissCount(feed.description.name, whole, share, error, described, bounded)
 
 
-def share_error(due: FloatArray, missed: FloatArray, blocks: int = DEFAULT_TUNING.blocks) -> float | None:
-    """Standard error of the share Σ missed / Σ due of instants (n,), from the scatter between up to ``blocks``
+def share_error(due: FloatArray, missed: FloatArray, blocks: int = BLOCKS) -> float | None:
+    """Standard error of the share Σ missed / Σ due of instants (n,), from the scatter between up to ``BLOCKS``
     blocks; None for a single one.
 
     It is at least that of independent scans: few blocks may agree by chance.

@@ -39,6 +39,10 @@ from sameas.tracks.scene import POSITION, Instant
 #: Octaves of distance by which the errors of one sensor may differ.
 RANGE_BANDS = 4
 
+#: A velocity is unknown if its variance is at least this share of the prior variance of velocities. It is below 1,
+#: since correcting a range bias changes an unmeasured velocity by some percent.
+UNKNOWN_VELOCITY_SHARE = 0.9
+
 
 @dataclass(frozen=True)
 class Scan:
@@ -99,7 +103,7 @@ class Scan:
         rows = Ragged.of_sizes([len(part["row"]) for part in parts])
         placed = finite_rows(columns["state"])
         with np.errstate(invalid="ignore"):
-            unknown_variance = tuning.unknown_velocity_share * columns["speed_m_per_s"] ** 2
+            unknown_variance = UNKNOWN_VELOCITY_SHARE * columns["speed_m_per_s"] ** 2
             moving = placed & (columns["reported_covariance"][:, 2, 2] < unknown_variance)
         manoeuvre_covariance = np.zeros((len(rows.row), 4, 4))
         return cls(
@@ -424,5 +428,5 @@ def object_states(scan: Scan, members: IntArray, identification: Objects | None)
         state[directed, :2] = fused.state[directed, :2]
         covariance[directed, :2], covariance[directed, 2:, :2] = 0.0, 0.0
         covariance[directed, :2, :2] = fused.covariance[directed, :2, :2]
-        placed[directed] |= is_placed(covariance[directed], scan.now.region.covariance, scan.tuning)
+        placed[directed] |= is_placed(covariance[directed], scan.now.region.covariance)
     return ObjectStates(state, covariance, placed, moving)

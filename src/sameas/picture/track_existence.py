@@ -10,8 +10,8 @@ duration ℓ,
 
 This is Wald's sequential test: under the model, at most a share 1 − p of the tracks that it confirms at probability p
 are false. The parameters are estimated per source by EM from all its tracks: continuing tracks are censored, tracks
-that another source confirms as real are labelled. The prior of T₀ is ``false_scans`` scans with the weight of
-``false_weight`` tracks (:class:`sameas.picture.tuning.Tuning`).
+that another source confirms as real are labelled. The prior of T₀ is ``FALSE_SCANS`` scans with the weight of
+``FALSE_WEIGHT`` tracks.
 
 Source: Wald 1947, section 3; lifetime mixtures with censoring as in McLachlan and Peel 2000, section 10.
 """
@@ -28,7 +28,14 @@ from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.kernels.tracks import DURATION_SUMS, add_durations, places_of
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.tables import ColumnTable
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+
+FALSE_SCANS, FALSE_WEIGHT = 4.0, 4.0  # prior mean duration of false tracks in scans, and its weight in tracks
+REAL_S, REAL_WEIGHT = 1800.0, 1.0  # prior mean duration of real tracks in seconds, and its weight in tracks
+#: Pseudo-counts of tracks per source: real (first row) and false, present at its first scan and begun later. Most
+#: tracks that begin later are false.
+PRIOR_TRACKS = ((1.0, 1.0), (1.0, 3.0))
+PERIOD_S = 10.0  # time between two scans of a source whose description has none
+EM_STEPS = 4  # EM iterations per instant; they continue from the previous instant
 
 
 @dataclass(frozen=True)
@@ -44,11 +51,11 @@ class DurationMixture(ColumnTable):
     share: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     prior_false_s: FloatArray = field(default_factory=lambda: np.empty(0))
 
-    def with_sources(self, period_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> DurationMixture:
+    def with_sources(self, period_s: FloatArray) -> DurationMixture:
         """The model with new sources, (k,) with these scan periods, at their prior."""
-        false_s, n, tracks = tuning.false_scans * period_s, len(period_s), np.array(tuning.prior_tracks)
+        false_s, n, tracks = FALSE_SCANS * period_s, len(period_s), np.array(PRIOR_TRACKS)
         share = np.tile(tracks[0] / tracks.sum(axis=0), (n, 1))
-        return self.stacked(DurationMixture(false_s, np.maximum(tuning.real_s, 10.0 * false_s), share, false_s))
+        return self.stacked(DurationMixture(false_s, np.maximum(REAL_S, 10.0 * false_s), share, false_s))
 
     def log_odds(
         self, source: IntArray, began_later: BoolArray, duration_s: FloatArray, ended: BoolArray
@@ -60,13 +67,7 @@ class DurationMixture(ColumnTable):
         return np.asarray(log_initial + log_end + duration_s * (rate_0 - rate_1)[source])
 
     def fitted(
-        self,
-        source: IntArray,
-        began_later: BoolArray,
-        duration_s: FloatArray,
-        ended: BoolArray,
-        is_real: BoolArray,
-        tuning: Tuning = DEFAULT_TUNING,
+        self, source: IntArray, began_later: BoolArray, duration_s: FloatArray, ended: BoolArray, is_real: BoolArray
     ) -> DurationMixture:
         """The model after one EM iteration on tracks (n,); is_real : tracks that another source confirms as real."""
         p_real = np.where(is_real, 1.0, expit(self.log_odds(source, began_later, duration_s, ended)))
@@ -74,9 +75,9 @@ class DurationMixture(ColumnTable):
         sums = np.zeros((len(self.false_s), len(DURATION_SUMS)))
         add_durations(source, began_later, duration_s, ended, is_real, p_real, sums)
         ended_0, ended_1, duration_0, duration_1 = sums[:, :4].T
-        false_s = (duration_0 + tuning.false_weight * self.prior_false_s) / (ended_0 + tuning.false_weight)
-        real_s = (duration_1 + tuning.real_weight * tuning.real_s) / (ended_1 + tuning.real_weight)
-        counts = np.array(tuning.prior_tracks)[:, None, :] + sums[:, 4:].reshape(-1, 2, 2).transpose(1, 0, 2)
+        false_s = (duration_0 + FALSE_WEIGHT * self.prior_false_s) / (ended_0 + FALSE_WEIGHT)
+        real_s = (duration_1 + REAL_WEIGHT * REAL_S) / (ended_1 + REAL_WEIGHT)
+        counts = np.array(PRIOR_TRACKS)[:, None, :] + sums[:, 4:].reshape(-1, 2, 2).transpose(1, 0, 2)
         share = counts[0] / counts.sum(axis=0)
         # Without T₁ ≥ 2 T₀ the two components could exchange their roles.
         return DurationMixture(false_s, np.maximum(real_s, 2.0 * false_s), share, self.prior_false_s)
@@ -140,8 +141,8 @@ class TrackExistence(ColumnTable):
             out = out.take(np.argsort(out.number))
         duration_s, ended = out.last_s - out.first_s + out.after_s, out.last_scan_s < now_s
         mixture = out.mixture
-        for _ in range(scan.tuning.em_steps):
-            mixture = mixture.fitted(out.source, out.began_later, duration_s, ended, out.is_real, scan.tuning)
+        for _ in range(EM_STEPS):
+            mixture = mixture.fitted(out.source, out.began_later, duration_s, ended, out.is_real)
         return replace(out, mixture=mixture)
 
     def with_real(self, number: IntArray) -> TrackExistence:
@@ -170,13 +171,12 @@ class TrackExistence(ColumnTable):
     def _ended(self, which: IntArray, tracks: NamedTracks, now_s: float) -> TrackExistence:
         """The tracks ``which``, not in the scan, without those whose id has timed out."""
         assert tracks.scan is not None
-        tuning = tracks.scan.tuning
-        which = which[now_s - self.last_scan_s[which] <= tuning.id_timeout_s]
+        which = which[now_s - self.last_scan_s[which] <= tracks.scan.tuning.id_timeout_s]
         just_ended = np.flatnonzero(self.after_s[which] == 0.0)
         after_s = self.after_s[which].copy()
         # The track ended between its last report and the later of the next scan and now minus the track timeout.
         timeout_s = _timeouts(tracks)[self.source[which[just_ended]]]
-        period_s = self.mixture.prior_false_s[self.source[which[just_ended]]] / tuning.false_scans
+        period_s = self.mixture.prior_false_s[self.source[which[just_ended]]] / FALSE_SCANS
         after_s[just_ended] = 0.5 * np.maximum(now_s - timeout_s - self.last_s[which[just_ended]], period_s)
         return replace(self.take(which), after_s=after_s)
 
@@ -184,8 +184,8 @@ class TrackExistence(ColumnTable):
         """The model of the previous instant, with the new sources at their prior."""
         assert tracks.scan is not None
         new = tracks.error_correlation.names[len(self.mixture.share) :]
-        periods = {d.name: d.timing.period_s or tracks.scan.tuning.period_s for d in tracks.scan.now.descriptions}
-        return self.mixture.with_sources(np.array([periods[name] for name in new], np.float64), tracks.scan.tuning)
+        periods = {d.name: d.timing.period_s or PERIOD_S for d in tracks.scan.now.descriptions}
+        return self.mixture.with_sources(np.array([periods[name] for name in new], np.float64))
 
 
 def _timeouts(tracks: NamedTracks) -> FloatArray:

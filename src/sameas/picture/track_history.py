@@ -14,6 +14,8 @@ from sameas.picture.tables import ColumnTable
 from sameas.picture.tuning import Tuning
 from sameas.ragged import ranges
 
+MIN_SHARE = 1e-3  # smaller shares of a track's history are dropped
+
 
 @dataclass(frozen=True)
 class TrackHistory(ColumnTable):
@@ -63,7 +65,7 @@ class TrackHistory(ColumnTable):
         keep = (places_of(alive, self.number) >= 0) | self.unique
         if forgotten is not None and len(forgotten):
             keep &= ~np.isin(self.track, forgotten)
-        keep &= ~in_scan | (fade * self.share >= tuning.min_share)
+        keep &= ~in_scan | (fade * self.share >= MIN_SHARE)
         earlier = TrackHistory(
             instant_s, self.track, self.number, np.where(in_scan, fade * self.share, self.share), self.last & ~in_scan,
             self.unique,

@@ -37,11 +37,21 @@ from sameas.arrays import BoolArray, FloatArray, IntArray, over_columns, taken
 from sameas.gaussian import log_density_and_distance, mahalanobis_sq
 from sameas.kernels.track_pairs import COVARIANCE, MEAN, WIDTH, mix, new_pair_errors, pairs_stepped
 from sameas.kernels.tracks import places_of
-from sameas.picture.error_correlation import MIN_M2, ErrorCorrelation
-from sameas.picture.id_swaps import Rivals, SwapRates, by_source_order, swap_hypotheses
+from sameas.picture.error_correlation import MANOEUVRE_CHI_SQ, MIN_M2, ErrorCorrelation
+from sameas.picture.id_swaps import SWAP_MODELS, Rivals, SwapRates, by_source_order, swap_hypotheses
 from sameas.picture.named_tracks import Step
 from sameas.picture.tables import ColumnTable
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+
+LASTING_S = 60.0  # time between two comparisons of a sure pair, to estimate lasting shares
+MIN_OFFSETS = 3  # a mean offset of two tracks is used from this many differences LASTING_S apart on
+#: Prior weight of the stated errors against the offsets of sure pairs, in degrees of freedom, and maximum weight of the
+#: latter, since hulls differ.
+OFFSET_FREEDOM, MAX_OFFSET_FREEDOM = 4.0, 30.0
+OFFSET_RESTART = 0.1  # a mean offset restarts if the ids were swapped or reassigned with at least this probability
+#: Two tracks are not compared while their χ² is above ``distant_chi_sq``, once their positions have not agreed for this
+#: time; their history is kept for when they are near again.
+DISTANT_S = 20.0
 
 
 def keys(first: IntArray, second: IntArray) -> IntArray:
@@ -92,7 +102,7 @@ class TrackPairs(ColumnTable):
         step, and of the pairs added since. row : row of each pair in the two tables stacked.
     log_convoy : log-odds of convoy against independent motion, given two objects.
     log_ratio : ln r of the reports before the last one, bounded: see :meth:`stepped`. by_model : (k, r) how much larger
-        it is under each of ``swap_models``.
+        it is under each of ``SWAP_MODELS``.
     log_reported : ln N(δ; 0, P_a + P_b) at the last report of either track. log_now : the same at the instant.
     chi_sq : χ² of δ at the instant.
     anchor_s, anchor : (k,), (k, 2) time at which the pair first was sure or was last compared since, and δ then; NaN
@@ -100,7 +110,7 @@ class TrackPairs(ColumnTable):
     anchor_new : (k, 2) whether each track has a new report since. anchor_kept : (k, 2) ``Step.log_kept`` of both then.
         n_compared : (k,) number of comparisons.
     sure : whether the pair is surely one object.
-    offset, n_offsets : (k, 2), (k,) mean and number of values of δ taken at least ``lasting_s`` apart. offset_s : time
+    offset, n_offsets : (k, 2), (k,) mean and number of values of δ taken at least ``LASTING_S`` apart. offset_s : time
         of the last one. offset_new : (k, 2) whether each track has a new report since. offset_chi_sq, log_offset : χ²
         of the mean by the stated errors, and its contribution to ln r; see :meth:`with_offsets`.
     agreed_s : last time at which the positions agreed. Pairs are dropped ``pair_timeout_s`` later: else two objects
@@ -130,7 +140,7 @@ class TrackPairs(ColumnTable):
     offset_chi_sq: FloatArray = field(default_factory=lambda: np.empty(0))
     log_offset: FloatArray = field(default_factory=lambda: np.empty(0))
     agreed_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    by_model: FloatArray = field(default_factory=lambda: np.empty((0, len(DEFAULT_TUNING.swap_models[0]))))
+    by_model: FloatArray = field(default_factory=lambda: np.empty((0, len(SWAP_MODELS[0]))))
     errors: FloatArray = field(default_factory=lambda: np.empty((0, WIDTH)))
     new_errors: FloatArray = field(default_factory=lambda: np.empty((0, WIDTH)))
     distant: DistantPairs = field(default_factory=DistantPairs)
@@ -159,7 +169,7 @@ class TrackPairs(ColumnTable):
             anchor_new=np.zeros(delta.shape, bool), anchor_kept=np.zeros(delta.shape), n_compared=np.zeros(k, np.int64),
             sure=np.zeros(k, bool), offset=np.zeros_like(delta), n_offsets=np.zeros(k, np.int64),
             offset_s=np.full(k, -np.inf), offset_new=np.ones(delta.shape, bool), offset_chi_sq=zero, log_offset=zero,
-            agreed_s=np.full(k, instant_s), by_model=np.zeros((k, len(DEFAULT_TUNING.swap_models[0]))), errors=errors,
+            agreed_s=np.full(k, instant_s), by_model=np.zeros((k, len(SWAP_MODELS[0]))), errors=errors,
         )  # fmt: skip
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
@@ -256,7 +266,7 @@ class TrackPairs(ColumnTable):
         a, b = step.find(self.first), step.find(self.second)
         disagree_s = step.instant_s - self.agreed_s
         recent, distant = disagree_s <= tuning.pair_timeout_s, self.chi_sq > tuning.distant_chi_sq
-        distant &= disagree_s > tuning.distant_s
+        distant &= disagree_s > DISTANT_S
         rows = np.flatnonzero((a >= 0) & (b >= 0) & recent & ~distant)
         return rows, a[rows], b[rows], distant
 
@@ -273,11 +283,11 @@ class TrackPairs(ColumnTable):
         rivals = Rivals.of(a, b, step.source[a], step.source[b])
         by_source = by_source_order((a, b), (step.source[a], step.source[b]))
         log_weight = self.log_ratio[rows] + self.log_reported[rows]
-        swap = swap_hypotheses(log_weight, log_two, step, by_source, rivals, tuning)
+        swap = swap_hypotheses(log_weight, log_two, step, by_source, rivals)
         exchanged = step.source[by_source[1]], step.source[by_source[0]]
         log_ratio, by_model, p_swapped, swaps = swaps.updated(
             (self.log_ratio[rows], self.log_reported[rows], updated.by_model), updated.log_ratio, updated.log_now,
-            swap, rivals, exchanged, math.log(per_m2), tuning,
+            swap, rivals, exchanged, math.log(per_m2),
         )  # fmt: skip
         updated = updated.changed(
             log_ratio=log_ratio, by_model=by_model, distant=self.distant.advance(step, newly_distant, tuning)
@@ -317,7 +327,7 @@ class TrackPairs(ColumnTable):
             anchor_new=taken(self.anchor_new, rows) | is_new, offset=taken(self.offset, rows),
             n_offsets=self.n_offsets[rows], offset_new=taken(self.offset_new, rows) | is_new,
             log_offset=self.log_offset[rows],
-            agreed_s=np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.agreed_s[rows]),
+            agreed_s=np.where(chi_sq <= MANOEUVRE_CHI_SQ, step.instant_s, self.agreed_s[rows]),
             by_model=taken(self.by_model, rows), errors=errors,
         ), log_two  # fmt: skip
 
@@ -330,7 +340,7 @@ class TrackPairs(ColumnTable):
         p_swapped : (k,) probability that ids were swapped, which ln r includes. The states are changed in place.
         """
         new_report = step.new_report[tracks[0]] | step.new_report[tracks[1]]
-        agrees = self.chi_sq <= tuning.manoeuvre_chi_sq
+        agrees = self.chi_sq <= MANOEUVRE_CHI_SQ
         best_rival = rivals.max_other(np.where(agrees, self.log_ratio, -np.inf))
         best = np.maximum(best_rival, step.log_elsewhere(tracks, log_density_anywhere))
         log_same = np.log1p(-tuning.report_reassigned) + self.log_ratio
@@ -347,7 +357,7 @@ class TrackPairs(ColumnTable):
             )  # fmt: skip
             mix(self.errors, at, p_changed[at], without_history)
             self.log_convoy[at] *= 1.0 - p_changed[at]
-        restart = p_changed > tuning.offset_restart
+        restart = p_changed > OFFSET_RESTART
         self.n_offsets[restart], self.offset[restart], self.log_offset[restart] = 0, 0.0, 0.0
         return self.changed(log_ratio=np.where(new_report, log_ratio, self.log_ratio))
 
@@ -366,7 +376,7 @@ class TrackPairs(ColumnTable):
 
         Source: a normal variance with its conjugate prior (Gelman et al., Bayesian Data Analysis, section 2.6).
         """
-        is_due = step.instant_s - self.offset_s >= tuning.lasting_s
+        is_due = step.instant_s - self.offset_s >= LASTING_S
         is_due &= self.n_offsets + 1 >= least
         due = np.flatnonzero(is_due & over_columns(np.logical_and, self.offset_new))
         if not len(due):
@@ -378,22 +388,22 @@ class TrackPairs(ColumnTable):
         here, offset = taken(step.here, tracks), taken(out.offset, due)
         out.offset[due] = offset + (here[0] - here[1] - offset) / out.n_offsets[due, None]
         out.offset_s[due], out.offset_new[due] = step.instant_s, False
-        share = correlation.of_mean(step.source[tracks], tuning.lasting_s, out.n_offsets[due], tuning)
+        share = correlation.of_mean(step.source[tracks], LASTING_S, out.n_offsets[due], tuning)
         covariance = MIN_M2 * np.eye(2) + sum(share[:, :, None, None] * taken(step.reported, tracks))
         out.offset_chi_sq[due] = mahalanobis_sq(out.offset[due], covariance)
         # χ² is clipped so that one false pair cannot dominate the sum over sure pairs.
-        counts = self.sure & (out.n_offsets >= tuning.min_offsets)
-        clipped = np.where(counts, np.minimum(out.offset_chi_sq, tuning.manoeuvre_chi_sq), 0.0)
+        counts = self.sure & (out.n_offsets >= MIN_OFFSETS)
+        clipped = np.where(counts, np.minimum(out.offset_chi_sq, MANOEUVRE_CHI_SQ), 0.0)
         n_sources = len(correlation.names)
         sources = np.minimum(step.source[a], step.source[b]) * n_sources + np.maximum(step.source[a], step.source[b])
         n = np.bincount(sources, counts, n_sources**2)[sources[due]] - counts[due]
         total = np.bincount(sources, clipped, n_sources**2)[sources[due]] - clipped[due]
-        discount = np.minimum(1.0, tuning.max_offset_freedom / np.maximum(2.0 * n, 1.0))
-        nu = tuning.offset_freedom + discount * 2.0 * n
-        kappa = (tuning.offset_freedom + discount * total) / nu
+        discount = np.minimum(1.0, MAX_OFFSET_FREEDOM / np.maximum(2.0 * n, 1.0))
+        nu = OFFSET_FREEDOM + discount * 2.0 * n
+        kappa = (OFFSET_FREEDOM + discount * total) / nu
         chi_sq = out.offset_chi_sq[due]
         student = -np.log(kappa) - 0.5 * (nu + 2.0) * np.log1p(chi_sq / (nu * kappa))
-        known = (out.n_offsets[due] >= tuning.min_offsets) & (n > 0)
+        known = (out.n_offsets[due] >= MIN_OFFSETS) & (n > 0)
         out.log_offset[due] = np.where(known, np.minimum(student + 0.5 * chi_sq, 0.0), 0.0)
         return out
 

@@ -55,6 +55,8 @@ EvidenceOf = Callable[[Instant, TrackMemory], SetRule]
 #: Functions that saved states refer to by name (:mod:`sameas.io.saved`).
 SAVED = ("all_evidence",)
 
+MEMORY_STEPS = 60  # the memory of tracks takes in reports at this many instants between two of the picture, at most
+
 
 def all_evidence(now: Instant, memory: TrackMemory, *, identity: bool = True, previous_scans: bool = True) -> SetRule:
     """The rule of positions, misses and clutter as described, of heights and identities, and of the memory of tracks,
@@ -134,7 +136,7 @@ class Watch:
         """The picture at an instant from all steps of the memory since the last."""
         carried, since_s = self, instant_s - self.memory.tracks.instant_s
         if math.isfinite(since_s):
-            n = min(int(since_s / self.tuning.memory_every_s + 1e-9), self.tuning.memory_steps)
+            n = min(int(since_s / self.tuning.memory_every_s + 1e-9), MEMORY_STEPS)
             for k in range(1, n):
                 carried = carried.passed(scene.at(instant_s - since_s * (1.0 - k / n)))
         return carried.advance(scene.at(instant_s))
@@ -185,7 +187,7 @@ class Watch:
         """The hulls about which echoes are looked for at an instant; none without a source of plots."""
         if not any(gives_plots(feed) for feed in now.feeds):
             return Hulls()
-        return Hulls(self.objects.owners_at(now.instant_s, self.tuning), self.plot_rates.hulls, self.tuning)
+        return Hulls(self.objects.owners_at(now.instant_s), self.plot_rates.hulls)
 
     def _with_hulls(self, scan: Scan, hulls: Hulls) -> Scan:
         """The scan with the errors of the plots that may be of any place of a hull."""
@@ -217,7 +219,7 @@ class Watch:
         if self.shown is not None:
             require_order(self.shown.now.instant_s, now.instant_s)
         if any(feed.reports.track is None for feed in now.feeds):
-            now = self.plot_rates.applied(now, self.objects.of_plots_at(now.instant_s), self.tuning)
+            now = self.plot_rates.applied(now, self.objects.of_plots_at(now.instant_s))
         hulls = self._hulls_at(now)
         scan, track_of_record = self._scan(now, hulls)
         with_records, is_due = scan.now, self._is_due(scan.now)
@@ -234,7 +236,7 @@ class Watch:
         objects_now = IdentifiedObjects(scan, identification, by_hysteresis)
         members = objects_now.members
         texts = texts_of(scan)
-        looks = Looks.since(now, -math.inf if self.shown is None else self.shown.now.instant_s, self.tuning)
+        looks = Looks.since(now, -math.inf if self.shown is None else self.shown.now.instant_s)
         is_new = scan.new_since(self.shown)
         hulls = hulls if looks.feeds else Hulls()
         detections = self._detections(scan, members, identification, memory, texts, looks, hulls, is_new)
@@ -266,7 +268,7 @@ class Watch:
         number[members[objects.detection[detected]]] = objects.number[detected, None]
         named = np.flatnonzero(objects.detected & (objects.main_track >= 0) & (objects.stage == CONFIRMED))
         shown = np.append(is_new, False)[members[objects.detection[named]]]
-        owners = objects.owners_at(scan.now.instant_s, self.tuning)
+        owners = objects.owners_at(scan.now.instant_s)
         return self.plot_rates.advance(
             scan, looks, is_named[:-1], number[:-1], is_new, objects.take(named), shown, owners
         )

@@ -4,7 +4,7 @@ A radar whose bearings are read wrongly shows every ship at its true range. A sh
 is then at its true bearing, too, and two of them may agree on an offset of the azimuth, with far more evidence than
 by chance. So an offset is compared with the other readings (:class:`~sameas.tracks.bias_fit.BearingReading`), each
 with an offset of its own, and with bearings that say nothing, by the likelihood of plots about tracks of
-:mod:`sameas.tracks.plot_offsets`. Readings other than that given have the prior probability ``misread`` each, and
+:mod:`sameas.tracks.plot_offsets`. Readings other than that given have the prior probability ``MISREAD`` each, and
 their offsets are uniform on the circle.
 
 - :func:`best_other_reading`: the reading that is more probable than others beside an offset, and its log-odds.
@@ -194,7 +194,7 @@ def _rms(values: FloatArray) -> float:
 
 
 def _fewer(plots: Plots) -> Plots:
-    """The plots of evenly spread scans, at most ``reading_plots`` of them or so."""
+    """The plots of evenly spread scans, at most ``READING_PLOTS`` of them or so."""
     step = int(np.ceil(len(plots) / READING_PLOTS))
     return plots if step < 2 else plots.where(np.flatnonzero(plots.scan // 4 % step == 0))
 

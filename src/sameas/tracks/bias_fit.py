@@ -90,7 +90,7 @@ class BiasFit:
 
     @property
     def near_rivals(self) -> tuple[tuple[FloatArray, float], ...]:
-        """The rivals whose log evidence is lower by less than ``decisive``."""
+        """The rivals whose log evidence is lower by less than ``DECISIVE``."""
         return tuple(rival for rival in self.rivals if rival[1] > self.log_evidence - DECISIVE)
 
     @property
@@ -253,7 +253,7 @@ def _covariance(pool: Pool, theta: FloatArray, common: list[FloatArray], complet
     weights = pool.weighed(nodes, [np.repeat(n_common, 2 * p) for n_common in common], 1.0)
     score, _ = pool.equations(nodes, weights)
     observed = -(score[:p] - score[p:]) / (2.0 * step[:, None])
-    # Eigenvalues relative to the complete information, bounded from below by ``min_information``.
+    # Eigenvalues relative to the complete information, bounded from below by ``MIN_INFORMATION``.
     scale = np.linalg.cholesky(inverse(complete))
     shares, axes = np.linalg.eigh(scale.T @ symmetric(observed) @ scale)
     root = scale @ axes / np.sqrt(np.clip(shares, MIN_INFORMATION, None))

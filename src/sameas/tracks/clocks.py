@@ -168,7 +168,7 @@ class Leap:
 
 
 def leaps_of(reports: States, walk: FloatArray) -> tuple[Leap, ...]:
-    """Jumps by more than ``clock_search_s``: the stamps leap, and the tracks go on as if no time had passed.
+    """Jumps by more than ``CLOCK_SEARCH_S``: the stamps leap, and the tracks go on as if no time had passed.
 
     After a pause of the source the tracks are elsewhere; a report that was late is where its track had been.
     walk : (n,) as of :meth:`Steps.of`.

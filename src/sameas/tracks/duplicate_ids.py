@@ -108,7 +108,7 @@ def _supported(reports: States, rows: IntArray, radius: FloatArray, branch: IntA
     """(k,) whether another report of its object supports each report of one id.
 
     Wrong positions are not where one another's speeds lead, and come rarely. So a report of another object than the
-    main one, which has most reports, is supported by the one before or after it only within ``support_intervals`` of
+    main one, which has most reports, is supported by the one before or after it only within ``SUPPORT_INTERVALS`` of
     the id's usual interval, and if the stated speeds lead from one to the other.
     """
     count = np.bincount(branch)
@@ -143,7 +143,7 @@ class Branches:
     """The objects of one id while its reports arrive: :func:`split_duplicate_ids` without later reports.
 
     A report out of reach of all objects of the id is excluded until a second one confirms its place; then the id has
-    two objects. Each gets its own track once the reports have alternated between them ``alternations`` times; before
+    two objects. Each gets its own track once the reports have alternated between them ``ALTERNATIONS`` times; before
     that the id may have gone to another object, and its track with it.
 
     ends : time, state and radius of the last report of each object. counts : number of its reports. last : the object

@@ -9,8 +9,8 @@ three-cornered hat). Along and across the line of sight, at range r,
 with a the error of ranges, b that of bearings, and e the scatter of the measured point over the hull; directions have
 only the second. Which plots are of one object is unknown: a pair within a box is of one object with probability π, else
 by chance, with uniform density in the box. Values not given by the user have log-normal priors about those of the kind
-(e about ``hull_sigma_m``). EM finds the maximum of the posterior, from several starting points. Errors are correlated
-in time, so the scans within ``fit_correlation_s`` count as one. For a source with possible latency, several latencies
+(e about ``HULL_SIGMA_M``). EM finds the maximum of the posterior, from several starting points. Errors are correlated
+in time, so the scans within ``FIT_CORRELATION_S`` count as one. For a source with possible latency, several latencies
 are tried. All fits are averaged with their posterior probabilities as weights.
 
 A source misses the share of the others' plots that has no plot of it in its nearest scan, of those that a third source
@@ -125,7 +125,7 @@ def fit_errors(feeds: Sequence[Feed], plane: LocalPlane | None = None) -> TrackE
 
     Estimates what the descriptions do not give: errors of ranges and bearings, wander over a hull, clutter, and the
     latency of sources that may be late. Positions with stated errors, tracks, and sources without a site stay
-    unchanged; so do all if the pairs weigh less than ``fit_pairs`` independent scans.
+    unchanged; so do all if the pairs weigh less than ``FIT_PAIRS`` independent scans.
     """
     at = [k for k, feed in enumerate(feeds) if _is_fittable(feed)]
     fittable = [feeds[k] for k in at]
@@ -236,7 +236,7 @@ def _averaged(fits: Sequence[_Fit]) -> tuple[_Fit, FloatArray]:
 
 
 def _converged(pairs: PlotDifferences, model: _Model, prior: _Prior) -> _Model:
-    """The model after EM iterations until convergence, at most ``fit_steps``."""
+    """The model after EM iterations until convergence, at most ``FIT_STEPS``."""
     for _ in range(FIT_STEPS if len(pairs) else 0):
         p = expit(model.log_odds(pairs))
         after = _Model(_updated_logs(pairs, p, model.logs, prior), _pair_shares(pairs, p, model.logs.shape[1]))
@@ -375,7 +375,7 @@ def _p_first(feeds: Sequence[Feed], pairs: PlotDifferences, p_pair: FloatArray) 
 
 
 def estimated_miss_rate(described: Description, parts: Sequence[Sequence[FloatArray]]) -> MissRate:
-    """The miss rate of a source: in each bin of range the mean of the described one, weighted as ``fit_prior_scans``
+    """The miss rate of a source: in each bin of range the mean of the described one, weighted as ``FIT_PRIOR_SCANS``
     scans, and of the shares that the bin's plots show.
 
     parts : ranges of others' plots, weights in independent scans, and probabilities that the source shows them.

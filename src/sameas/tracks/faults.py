@@ -59,7 +59,7 @@ class Fault:
 
 
 def source_faults(feeds: Sequence[Feed]) -> tuple[Fault, ...]:
-    """The faults of the sources of a scene with a probability above ``sure_fault``, in order of time."""
+    """The faults of the sources of a scene with a probability above ``SURE_FAULT``, in order of time."""
     faults = [fault for feed in feeds for fault in _faults(feed, feeds) if fault.probability > SURE_FAULT]
     return tuple(sorted(faults, key=lambda fault: fault.first_s))
 

@@ -115,7 +115,7 @@ def stale_positions(track: IntArray, time_s: FloatArray, state: FloatArray, cova
     """(k,) rows of reports (n,) with a position that their object had left: it repeats that of the report before.
 
     ``state`` (n, 4) and ``covariance`` (n, 4, 4) are position and velocity. The object has left a position if it moves,
-    and by its velocity was carried farther than ``repeat_sigmas`` since the first report of that position.
+    and by its velocity was carried farther than ``REPEAT_SIGMAS`` since the first report of that position.
     """
     repeats, held_s = repeated(track, time_s, state[:, :2])
     velocity, covariance = state[repeats, 2:], covariance[repeats]

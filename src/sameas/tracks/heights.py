@@ -247,7 +247,7 @@ class _Line:
 
 
 def _line(known: Sequence[HeightColumns]) -> _Line | None:
-    """The line fitted to reports with both heights; None if they are fewer than ``min_reports``."""
+    """The line fitted to reports with both heights; None if they are fewer than ``MIN_REPORTS``."""
     pressure, geometric = (
         np.concatenate([getattr(one, name) for one in known]) for name in ("pressure_m", "geometric_m")
     )

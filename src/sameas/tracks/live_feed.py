@@ -99,7 +99,7 @@ class LiveFeed:
     description : of the source. plane : of the picture; None for the user's own metres.
     lag_s : reports late by at most this are treated as if on time.
     to_tracks : whether reports with ids are filtered to tracks; None to decide by their kind, and for reports with
-        velocities by their scatter, once there are ``min_innovations`` of them
+        velocities by their scatter, once there are ``MIN_INNOVATIONS`` of them
         (:func:`sameas.tracks.feed.need_filtering`).
 
     Example

@@ -61,7 +61,7 @@ class AzimuthSearch:
     def log_companion(self) -> float:
         """ln of the probability that another object than its own accompanies a track.
 
-        At least ``companion``, and the share of azimuths at which the plots of any object seem to be of a track, apart
+        At least ``COMPANION``, and the share of azimuths at which the plots of any object seem to be of a track, apart
         from the best azimuths of each: where many move, another one crosses its path at some azimuth.
         """
         best = np.argmax(self.log_likelihood, axis=2)[:, :, None]
@@ -179,7 +179,7 @@ def _same(best: BiasFit, theta: FloatArray) -> bool:
 
 def _peaks(log_density: FloatArray) -> list[tuple[int, int]]:
     """Index ranges (low, high) of the grid about its peaks, the highest first: each is connected and less than
-    ``decisive`` below its peak."""
+    ``DECISIVE`` below its peak."""
     remaining = log_density.copy()
     peaks: list[tuple[int, int]] = []
     while len(peaks) < AZIMUTH_PEAKS and np.isfinite(remaining).any():

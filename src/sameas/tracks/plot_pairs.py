@@ -297,7 +297,7 @@ def with_plot_statistics(feed: Feed, missed: float) -> Feed:
     assumed for its kind.
 
     The clutter at a plot is the density of fixed echoes and that of the sea. The first is that of all plots around it,
-    in cells of ``clutter_cell_m`` without the nearest ones: an echo at one place is the ship that AIS has there, unless
+    in cells of ``CLUTTER_CELL_M`` without the nearest ones: an echo at one place is the ship that AIS has there, unless
     there are more echoes beside it, as on a shore. The second is that of the plots at its range in all directions.
     """
     description = feed.description

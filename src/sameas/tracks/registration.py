@@ -5,7 +5,7 @@ satellite positions) are the reference. If all sources may be biased, the two wi
 each other first; their priors are the gauge.
 
 A delay of the time stamps that a description does not mention is usually unknown, not zero. Each source is therefore
-also fitted with an unknown delay (of prior width ``delay_s``), which is kept if the data establish it: if the odds
+also fitted with an unknown delay (of prior width ``DELAY_S``), which is kept if the data establish it: if the odds
 against no delay (:func:`delay_evidence`) are decisive. ``bias.time_s = 0`` in the description excludes it.
 """
 
@@ -352,10 +352,10 @@ def _delay_established(fit: BiasFit, feeds: Sequence[Feed]) -> bool:
 
 
 def delay_evidence(fit: BiasFit, feeds: Sequence[Feed]) -> float:
-    """Log-odds of the fitted delay, of prior width ``delay_s``, against none: the Savage-Dickey density ratio.
+    """Log-odds of the fitted delay, of prior width ``DELAY_S``, against none: the Savage-Dickey density ratio.
 
     An antenna is rarely amidships. An offset along the course that all ships share looks like a delay at a given
-    speed; it adds to the standard error here, as ``hull_along`` of the described extents.
+    speed; it adds to the standard error here, as ``HULL_ALONG`` of the described extents.
 
     Source: Dickey 1971, Annals of Mathematical Statistics 42, 204.
     """

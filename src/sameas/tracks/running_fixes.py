@@ -3,7 +3,7 @@
 The directions of one place do not cross, but those of one that moves do, as from several places. The emitter and the
 offset of the directions are the least-squares solution of all directions of it so far, weighted by their errors; the
 offset has its prior width. Directions of one emitter have one frequency, or one name; without these all are taken to
-be of one. Errors of directions nearer in time than ``fix_correlation_s`` count as one. Where the directions scatter
+be of one. Errors of directions nearer in time than ``FIX_CORRELATION_S`` count as one. Where the directions scatter
 far more than they should about the solution, the emitter moves, or there are several: then it has no place.
 
 Source: bearings-only localization of a stationary target, by nonlinear least squares.

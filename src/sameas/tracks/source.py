@@ -211,7 +211,7 @@ class Timing:
 class Motion:
     """The motion of objects: a random walk of velocity (m²/s³) from 0 ± speed; a share of them may be stationary.
 
-    manoeuvring_share : of the time in which they turn or change speed, with a walk ``manoeuvre_noise`` times as large;
+    manoeuvring_share : of the time in which they turn or change speed, with a walk ``MANOEUVRE_NOISE`` times as large;
     plots without ids are followed with the mean of both.
     """
 

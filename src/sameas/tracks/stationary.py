@@ -16,8 +16,8 @@ walk then dominates the mean covariance: after three minutes 7 times the varianc
 0.3 ± 0.3 m/s may be the velocity of a vessel at anchor, but not report after report. A steady course fits the walk of
 those adrift better than that of a motion with turns, at any speed: without a mode of their own, ships at 4 kn would be
 adrift. So the modes are filtered over each track. Each has a Kalman filter of position and velocity, and a probability,
-which changes by the density of each report. Modes change as a Markov process: after a mean time of (1 − w) ``rest_s``
-the mode is drawn anew by the shares, except that one at rest does not follow the other, so that ``rest_s`` is the mean
+which changes by the density of each report. Modes change as a Markov process: after a mean time of (1 − w) ``REST_S``
+the mode is drawn anew by the shares, except that one at rest does not follow the other, so that ``REST_S`` is the mean
 time at rest. The change is at an unknown time between two reports, with the mean and variance of a uniform
 distribution.
 
