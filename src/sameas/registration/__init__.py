@@ -5,7 +5,6 @@ shifted, rotated, stretched or biased relative to the other, with the matching
 :class:`~sameas.registration.offsets.Offset`: ``Shift``, ``Similarity``, ``Affine`` or ``SensorBias``.
 """
 
-from sameas.registration.hough import Tuning
 from sameas.registration.offsets import Affine, Offset, SensorBias, Shift, Similarity
 from sameas.registration.solution import Parameter, Registration, Solution, register
 
@@ -18,6 +17,5 @@ __all__ = [
     "Shift",
     "Similarity",
     "Solution",
-    "Tuning",
     "register",
 ]

@@ -6,7 +6,6 @@ in cells, from coarse ones down to the size of the errors. Parameters that do no
 are searched on a grid, for many records on a few small patches, which need a coarse grid only. If the pairs are too
 many to list, the counts are the correlation of both densities of records, by Fourier transform.
 
-:class:`Tuning` has the chosen numbers of the whole registration: search, refinement and decision.
 """
 
 from __future__ import annotations
@@ -23,112 +22,25 @@ from sameas.records import Records
 from sameas.registration.offsets import Offset
 from sameas.space import Sphere, wrapped
 
-
-@dataclass(frozen=True)
-class Tuning:
-    """Fixed parameters of :func:`sameas.registration.register`, chosen; σ is the standard deviation of a residual.
-
-    Attributes
-    ----------
-    starts, min_starts : maximum and minimum number of refined offsets. refined_records : fewer than
-        ``starts`` are refined if the second source has more than 16 × refined_records / starts records.
-    sure : minimum posterior probability of an established offset.
-    small_overlap : an overlap below this share of both sources is reported.
-
-    max_pairs : maximum number of pairs whose votes are counted one by one; above, the counts are a correlation by FFT.
-    max_cells : maximum number of cells of a count.
-    fine_sigmas : cells up to this many σ need no finer count. coarse_peaks : peaks of a coarse count that are refined.
-    first_records, more_records : records that vote first, and the factor to the next number of them.
-    decided_score, few_peaks : the votes of a sample decide at this score, with at most this many peaks near it.
-    patch_records, patch_cell_sigmas : records of a patch in a grid search, and size of its cells in σ, wider than 1
-        because the true votes at a node of the grid do not coincide exactly.
-    node_peaks : peaks kept at each node of the grid on a patch.
-    step_sigmas, reach_widths, max_steps : a step of the grid moves the patch's edge by this many σ; the grid extends
-        to this many prior widths in at most this many steps.
-    peak_share, peak_cells : minimum share of the best score, and minimum distance in cells, of fine peaks.
-    vote_sample : records that locate the votes within a coarse cell.
-
-    gate_sigmas : pairs farther apart than this many σ are ignored.
-    cell_sigmas, cells_per_record : size of the cells in which pairs are searched, and maximum number per record.
-    sweeps, search_message_tolerance, message_tolerance : maximum number of sweeps of messages, and the relative change
-        at convergence, in the search and afterwards.
-    min_common, max_common_share : limits of the number of common objects: objects, and share of the smaller source.
-
-    widenings : factors on the errors, by iteration. n_candidates : candidates that remain after each.
-    from_patches, from_sample : first of the widenings with all records, after patches and after a sample.
-    step_tolerance : the refinement has converged if a step is below this share of a standard error.
-    same_sigmas, same_errors : two solutions are the same if 9 of 10 records move by at most this many σ, or if they
-        differ by at most this many standard errors.
-    max_log_deficit : solutions with a log likelihood lower than the best by this are dropped.
-    repeat_share : the pattern repeats if another solution has this share of the best one's log likelihood.
-    sample : records of the second source in the search; the last refinement uses all of them.
-    sample_ratio : records in the search per record whose votes decided.
-    patch_growth : factor by which a patch grows from one refinement to the next.
-    min_weight : pairs of lower weight are ignored in the normal equations.
-    few_common : with fewer common objects, the likelihood is also evaluated at ``trial_sigmas`` standard deviations
-        from its maximum.
-    """
-
-    starts: int = 64
-    min_starts: int = 6
-    refined_records: int = 4000
-    sure: float = 0.95
-    small_overlap: float = 0.2
-
-    max_pairs: int = 2_000_000
-    max_cells: int = 1 << 19
-    fine_sigmas: float = 2.0
-    coarse_peaks: int = 8
-    first_records: int = 64
-    more_records: int = 8
-    decided_score: float = 25.0
-    few_peaks: int = 4
-    patch_records: int = 40
-    patch_cell_sigmas: float = 1.6
-    node_peaks: int = 5
-    step_sigmas: float = 3.0
-    reach_widths: float = 2.5
-    max_steps: int = 41
-    peak_share: float = 0.3
-    peak_cells: int = 2
-    vote_sample: int = 20_000
-
-    gate_sigmas: float = 5.5
-    cell_sigmas: float = 6.0
-    cells_per_record: float = 4.0
-    sweeps: int = 100
-    search_message_tolerance: float = 1e-2
-    message_tolerance: float = 1e-5
-    min_common: float = 0.05
-    max_common_share: float = 0.98
-
-    widenings: tuple[float, ...] = (2.0, 1.5, 1.2, 1.0, 1.0)
-    n_candidates: tuple[int, ...] = (64, 64, 48, 32, 16)
-    from_patches: int = 2
-    from_sample: int = 3
-    step_tolerance: float = 0.01
-    same_sigmas: float = 0.7
-    same_errors: float = 2.0
-    max_log_deficit: float = 8.0
-    repeat_share: float = 0.4
-    sample: int = 4000
-    sample_ratio: int = 16
-    patch_growth: int = 8
-    min_weight: float = 1e-6
-    few_common: float = 200.0
-    trial_sigmas: tuple[float, ...] = (-3.0, -1.5, 1.5, 3.0)
-
-    @property
-    def decisive(self) -> float:
-        """ln of the odds of ``sure``."""
-        return math.log(self.sure / (1.0 - self.sure))
-
-
-DEFAULT_TUNING = Tuning()
-
-
 #: Score, and a shift in the chart.
 Peak = tuple[float, FloatArray]
+
+#: Maximum number of pairs whose votes are counted one by one (above, counts are a correlation by FFT), and of cells.
+MAX_PAIRS, MAX_CELLS = 2_000_000, 1 << 19
+#: Cells up to FINE_SIGMAS σ, the standard deviation of a residual, need no finer count; peaks of a coarse count that
+#: are refined.
+FINE_SIGMAS, COARSE_PEAKS = 2.0, 8
+FIRST_RECORDS, MORE_RECORDS = 64, 8  # records that vote first, and the factor to the next number of them
+#: The votes of a sample decide at this score, with at most this many peaks near it.
+DECIDED_SCORE, FEW_PEAKS = 25.0, 4
+#: Records of a patch in a grid search, peaks kept at each node, and size of its cells in σ, wider than 1 because the
+#: true votes at a node of the grid do not coincide exactly.
+PATCH_RECORDS, NODE_PEAKS, PATCH_CELL_SIGMAS = 40, 5, 1.6
+#: A step of the grid moves the patch's edge by this many σ; the grid extends to this many prior widths in at most this
+#: many steps.
+STEP_SIGMAS, REACH_WIDTHS, MAX_STEPS = 3.0, 2.5, 41
+PEAK_SHARE, PEAK_CELLS = 0.3, 2  # minimum share of the best score, and minimum distance in cells, of fine peaks
+VOTE_SAMPLE = 20_000  # records that locate the votes within a coarse cell
 
 
 @dataclass(frozen=True)
@@ -153,18 +65,17 @@ Entries = list[tuple[float, int, FloatArray]]
 
 @dataclass(frozen=True)
 class HoughSearch:
-    """Two sources, an offset model placed on them, and the tuning of the search."""
+    """Two sources and an offset model placed on them."""
 
     first: Records
     second: Records
     model: Offset
-    tuning: Tuning = DEFAULT_TUNING
 
     def vote(self, count: int) -> Votes:
         """The ``count`` offsets with the most votes."""
         entries, patches = self._on_patches(count) if self.model.turns() else self._by_sample(count)
         entries.sort(key=lambda entry: -entry[0])
-        entries = [entry for entry in entries if entry[0] >= self.tuning.peak_share * entries[0][0]][:count]
+        entries = [entry for entry in entries if entry[0] >= PEAK_SHARE * entries[0][0]][:count]
         p = len(self.model.names)
         return Votes(
             np.array([theta for _, _, theta in entries]).reshape(-1, p), np.array([score for score, _, _ in entries]),
@@ -173,22 +84,22 @@ class HoughSearch:
 
     def _by_sample(self, count: int) -> tuple[Entries, tuple[IntArray, ...]]:
         """The votes of a few records of the second source, then of more, until one peak is clear."""
-        n, size, tuning = len(self.second), self.tuning.first_records, self.tuning
+        n, size = len(self.second), FIRST_RECORDS
         while True:
             rows = np.linspace(0, n - 1, min(size, n)).astype(np.int64)
             peaks = self._shifts(rows, np.zeros(len(self.model.names)), 1.0, count)
             best = max((score for score, _ in peaks), default=0.0)
-            near = sum(score >= tuning.peak_share * best for score, _ in peaks)
-            if len(rows) == n or (best >= tuning.decided_score and near <= tuning.few_peaks):
+            near = sum(score >= PEAK_SHARE * best for score, _ in peaks)
+            if len(rows) == n or (best >= DECIDED_SCORE and near <= FEW_PEAKS):
                 return [(score, 0, theta) for score, theta in peaks], (rows,)
-            size *= tuning.more_records
+            size *= MORE_RECORDS
 
     def _on_patches(self, count: int) -> tuple[Entries, tuple[IntArray, ...]]:
         """The votes at every node of the grid, of all records or of small patches."""
         entries: Entries = []
-        patches = _patches(self.model.chart(self.second.features), self.tuning.patch_records)
+        patches = _patches(self.model.chart(self.second.features), PATCH_RECORDS)
         # On small patches true votes are clear; otherwise chance votes may outnumber them, and more peaks are kept.
-        each, cell = (count, 1.0) if len(patches) == 1 else (self.tuning.node_peaks, self.tuning.patch_cell_sigmas)
+        each, cell = (count, 1.0) if len(patches) == 1 else (NODE_PEAKS, PATCH_CELL_SIGMAS)
         for number, rows in enumerate(patches):
             for node in self._grid(rows):
                 entries += [(score, number, theta) for score, theta in self._shifts(rows, node, cell, each)]
@@ -196,14 +107,14 @@ class HoughSearch:
 
     def _grid(self, rows: IntArray) -> Iterator[FloatArray]:
         """θ of every grid node: the parameters that do not shift the chart, in steps that hardly distort the patch."""
-        p, sigma, tuning = len(self.model.names), typical_sigma(self.first, self.second), self.tuning
+        p, sigma = len(self.model.names), typical_sigma(self.first, self.second)
         axes = []
         jacobian = self.model.jacobian(self.second.features, np.zeros(p))[rows]
         for direction, width in self.model.turns():
             move = jacobian @ direction
             distortion = float(np.sqrt(np.sum((move - move.mean(axis=0)) ** 2, axis=1)).max(initial=0.0))
-            reach = tuning.reach_widths * width
-            steps = min(math.ceil(reach * distortion / (tuning.step_sigmas * sigma)), tuning.max_steps // 2)
+            reach = REACH_WIDTHS * width
+            steps = min(math.ceil(reach * distortion / (STEP_SIGMAS * sigma)), MAX_STEPS // 2)
             axes.append(
                 [direction * at for at in np.linspace(-reach, reach, 2 * steps + 1)] if steps else [0.0 * direction]
             )
@@ -221,13 +132,13 @@ class HoughSearch:
         for axis, (which, per) in enumerate(model.voted(d)):
             width = 0.0 if which is None else model.widths[which]
             limit[axis] = (3.5 * width / abs(per) if width < math.inf else math.inf) + 3.0 * sigma[axis]
-        if len(one) * len(two) <= self.tuning.max_pairs:
+        if len(one) * len(two) <= MAX_PAIRS:
             low = np.where(np.isfinite(periods), -0.5 * periods, one.min(axis=0) - two.max(axis=0)) - 3.0 * sigma
             high = np.where(np.isfinite(periods), 0.5 * periods, one.max(axis=0) - two.min(axis=0)) + 3.0 * sigma
             box = np.maximum(low, -limit), np.maximum(np.minimum(high, limit), np.maximum(low, -limit))
-            peaks = Charts(one, two, periods, sigma * cell, self.tuning).peaks(box, count)
+            peaks = Charts(one, two, periods, sigma * cell).peaks(box, count)
         else:
-            peaks = Charts(one, two, periods, sigma, self.tuning).correlated_peaks(limit, count)
+            peaks = Charts(one, two, periods, sigma).correlated_peaks(limit, count)
         result = []
         for score, shift in peaks:
             theta = node.copy()
@@ -281,7 +192,6 @@ class Charts:
     two: FloatArray
     periods: FloatArray
     sigma: FloatArray
-    tuning: Tuning
 
     def peaks(self, box: tuple[FloatArray, FloatArray], count: int, density: float | None = None) -> list[Peak]:
         """Peaks of the differences of records within a box, in coarse cells first if needed, then in fine ones.
@@ -290,22 +200,22 @@ class Charts:
         """
         from sameas.kernels.offsets import tally
 
-        (low, high), sigma, tuning = box, self.sigma, self.tuning
-        most = min(max(64 * len(self.one) * len(self.two), 4096), tuning.max_cells)
+        (low, high), sigma = box, self.sigma
+        most = min(max(64 * len(self.one) * len(self.two), 4096), MAX_CELLS)
         size = sigma * _coarser((high - low) / sigma, most)
         # One more cell at either end, which stays empty.
         cells, start = np.maximum(np.ceil((high - low) / size).astype(np.int64), 1) + 2, low - size
         votes = tally(self.one, self.two, self.periods, start, size, cells).reshape(tuple(cells))
         chance = None if density is None else density * float(size.prod())
-        if np.all(size <= tuning.fine_sigmas * sigma):
+        if np.all(size <= FINE_SIGMAS * sigma):
             return [
                 (score, start + (cell + 0.5) * size)
-                for score, cell, _ in _crowded(votes, count, chance, tuning.peak_share, tuning.peak_cells)
+                for score, cell, _ in _crowded(votes, count, chance, PEAK_SHARE, PEAK_CELLS)
             ]
         result: list[Peak] = []
-        for _, cell, chance_votes in _crowded(votes, min(count, tuning.coarse_peaks), chance, 0.0, 1):
+        for _, cell, chance_votes in _crowded(votes, min(count, COARSE_PEAKS), chance, 0.0, 1):
             block = start + (cell - 1.0) * size, start + (cell + 2.0) * size
-            result += self.peaks(block, max(1, count // tuning.coarse_peaks), chance_votes / float(size.prod()))
+            result += self.peaks(block, max(1, count // COARSE_PEAKS), chance_votes / float(size.prod()))
         result.sort(key=lambda entry: -entry[0])
         return result[:count]
 
@@ -314,10 +224,10 @@ class Charts:
         from scipy.signal import fftconvolve
         from scipy.spatial import cKDTree
 
-        one, two, sigma, tuning = self.one, self.two, self.sigma, self.tuning
+        one, two, sigma = self.one, self.two, self.sigma
         origin_1, origin_2, d = one.min(axis=0), two.min(axis=0), one.shape[1]
         span = np.maximum(np.maximum(one.max(axis=0) - origin_1, two.max(axis=0) - origin_2), sigma)
-        size = sigma * _coarser(span / sigma, tuning.max_cells / 2.0)
+        size = sigma * _coarser(span / sigma, MAX_CELLS / 2.0)
         cells = np.ceil(span / size).astype(int) + 1
         densities = [_density((one - origin_1) / size, cells), _density((two - origin_2) / size, cells)]
         votes = np.pad(fftconvolve(densities[0], densities[1][(slice(None, None, -1),) * d]).clip(0.0), 1)
@@ -325,15 +235,14 @@ class Charts:
         for v in range(d):
             shift = wrapped(start[v] + np.arange(votes.shape[v]) * size[v], self.periods[v])
             votes *= np.expand_dims(np.abs(shift) <= limit[v] + size[v], tuple(u for u in range(d) if u != v))
-        if np.all(size <= tuning.fine_sigmas * sigma):
+        if np.all(size <= FINE_SIGMAS * sigma):
             return [
-                (score, start + cell * size)
-                for score, cell, _ in _crowded(votes, count, None, tuning.peak_share, tuning.peak_cells)
+                (score, start + cell * size) for score, cell, _ in _crowded(votes, count, None, PEAK_SHARE, PEAK_CELLS)
             ]
         tree = cKDTree(one / size)
-        sample = two[np.linspace(0, len(two) - 1, min(tuning.vote_sample, len(two))).astype(np.int64)]
+        sample = two[np.linspace(0, len(two) - 1, min(VOTE_SAMPLE, len(two))).astype(np.int64)]
         result: list[Peak] = []
-        for _, cell, chance_votes in _crowded(votes, tuning.coarse_peaks, None, 0.0, 1):
+        for _, cell, chance_votes in _crowded(votes, COARSE_PEAKS, None, 0.0, 1):
             centre = start + cell * size
             near = tree.query_ball_point((sample + centre) / size, 1.5, p=np.inf, return_sorted=False)
             at = np.repeat(np.arange(len(sample)), [len(rows) for rows in near])
@@ -341,8 +250,8 @@ class Charts:
             difference, box = one[rows] - sample[at], (centre - 1.5 * size, centre + 1.5 * size)
             density = chance_votes / float(size.prod()) * len(sample) / len(two)
             origin = np.zeros((1, d))
-            result += Charts(difference, origin, np.full(d, np.inf), sigma, tuning).peaks(
-                box, max(1, count // tuning.coarse_peaks), density
+            result += Charts(difference, origin, np.full(d, np.inf), sigma).peaks(
+                box, max(1, count // COARSE_PEAKS), density
             )
         result.sort(key=lambda entry: -entry[0])
         return result[:count]

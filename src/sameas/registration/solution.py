@@ -26,9 +26,11 @@ from sameas.gate.gate import feature_count
 from sameas.gaussian import LOG_2PI, inverse, log_determinant, mahalanobis_sq, propagated, symmetric
 from sameas.prior import EVIDENCE_ALONE, Prior
 from sameas.records import Records
-from sameas.registration.hough import DEFAULT_TUNING, HoughSearch, Tuning, Votes
+from sameas.registration.hough import HoughSearch, Votes
 from sameas.registration.offsets import Offset
 from sameas.registration.weights import (
+    MESSAGE_TOLERANCE,
+    SEARCH_MESSAGE_TOLERANCE,
     PlacedSources,
     Weighed,
     boxed,
@@ -40,6 +42,29 @@ from sameas.registration.weights import (
 )
 from sameas.representation import in_short
 from sameas.result import Identification
+
+#: Maximum and minimum number of refined offsets. Fewer than STARTS are refined if the second source has more than
+#: 16 × REFINED_RECORDS / STARTS records.
+STARTS, MIN_STARTS, REFINED_RECORDS = 64, 6, 4000
+SURE = 0.95  # minimum posterior probability of an established offset
+DECISIVE = math.log(SURE / (1.0 - SURE))  # ln of its odds
+SMALL_OVERLAP = 0.2  # an overlap below this share of both sources is reported
+#: Factors on the errors, by iteration, and candidates that remain after each.
+WIDENINGS, N_CANDIDATES = (2.0, 1.5, 1.2, 1.0, 1.0), (64, 64, 48, 32, 16)
+FROM_PATCHES, FROM_SAMPLE = 2, 3  # first of the widenings with all records, after patches and after a sample
+STEP_TOLERANCE = 0.01  # the refinement has converged if a step is below this share of a standard error
+#: Two solutions are the same if 9 of 10 records move by at most this many σ, or if they differ by at most this many
+#: standard errors.
+SAME_SIGMAS, SAME_ERRORS = 0.7, 2.0
+MAX_LOG_DEFICIT = 8.0  # solutions with a log likelihood lower than the best by this are dropped
+REPEAT_SHARE = 0.4  # the pattern repeats if another solution has this share of the best one's log likelihood
+#: Records of the second source in the search (the last refinement uses all of them), and records in the search per
+#: record whose votes decided.
+SAMPLE, SAMPLE_RATIO = 4000, 16
+PATCH_GROWTH = 8  # factor by which a patch grows from one refinement to the next
+MIN_WEIGHT = 1e-6  # pairs of lower weight are ignored in the normal equations
+#: With fewer common objects, the likelihood is also evaluated at so many standard deviations from its maximum.
+FEW_COMMON, TRIAL_SIGMAS = 200.0, (-3.0, -1.5, 1.5, 3.0)
 
 
 @dataclass(frozen=True)
@@ -114,10 +139,10 @@ class Trials:
 def refine(scene: PlacedSources, votes: Votes, max_steps: int) -> list[Solution]:
     """Solutions from the votes, most probable first; at most ``max_steps`` iterations each after the search."""
     prior = OffsetPrior.of(scene)
-    n, size = len(scene.second), scene.tuning.sample
+    n, size = len(scene.second), SAMPLE
     if not scene.model.turns():
         # The search has fewer records where the votes of few decided.
-        size = min(size, scene.tuning.sample_ratio * len(votes.patches[0]))
+        size = min(size, SAMPLE_RATIO * len(votes.patches[0]))
     sample = scene.of_patch(np.linspace(0, n - 1, min(n, size)).astype(np.int64))
     trials, search_steps = _searched(scene, sample, prior, votes)
     solutions = []
@@ -138,43 +163,43 @@ def _searched(scene: PlacedSources, sample: PlacedSources, prior: OffsetPrior, v
         trials = Trials.initial(scene, votes.theta[votes.patch == number])
         for part, keep in _growing_patches(scene, rows) if len(trials.theta) else []:
             patch = sample if part is None else scene.of_patch(part)
-            trials = _anneal(patch, prior, Trials.initial(patch, trials.theta), keep, scene.tuning.widenings)
+            trials = _anneal(patch, prior, Trials.initial(patch, trials.theta), keep, WIDENINGS)
             trials = trials.scaled(len(sample.second) / len(patch.second))
         ends.append(trials)
     if len(ends) == 1:
-        trials, steps = _distinct(scene, _promising(ends[0], scene.tuning)), len(scene.tuning.widenings)
+        trials, steps = _distinct(scene, _promising(ends[0])), len(WIDENINGS)
         if len(votes.patches[0]) == len(sample.second) or len(trials.gain) == 1:
             return trials, steps
-        closing = scene.tuning.widenings[scene.tuning.from_sample :]
+        closing = WIDENINGS[FROM_SAMPLE:]
     else:
         # The offsets of a patch hold only approximately for all records.
         trials = _distinct(scene, Trials.initial(sample, np.concatenate([trials.theta for trials in ends])))
-        steps, closing = len(scene.tuning.widenings), scene.tuning.widenings[scene.tuning.from_patches :]
-    trials = _anneal(sample, prior, Trials.initial(sample, trials.theta), scene.tuning.n_candidates[-1], closing)
-    return _distinct(scene, _promising(trials, scene.tuning)), steps + len(closing)
+        steps, closing = len(WIDENINGS), WIDENINGS[FROM_PATCHES:]
+    trials = _anneal(sample, prior, Trials.initial(sample, trials.theta), N_CANDIDATES[-1], closing)
+    return _distinct(scene, _promising(trials)), steps + len(closing)
 
 
-def _promising(trials: Trials, tuning: Tuning) -> Trials:
+def _promising(trials: Trials) -> Trials:
     """The offsets that may be the true one, or show that the pattern repeats."""
     best = trials.gain[0]
-    return trials.chosen(trials.gain > min(best - tuning.max_log_deficit, tuning.repeat_share * best))
+    return trials.chosen(trials.gain > min(best - MAX_LOG_DEFICIT, REPEAT_SHARE * best))
 
 
 def _growing_patches(scene: PlacedSources, rows: IntArray) -> list[tuple[IntArray | None, int]]:
     """The patch and larger ones around it, or None for the sample of all records; and how many offsets each keeps."""
     n = len(scene.second)
     if len(rows) == n:
-        return [(None, scene.tuning.n_candidates[-1])]
+        return [(None, N_CANDIDATES[-1])]
     if not scene.model.turns():
-        return [(rows, scene.tuning.n_candidates[-1])]
+        return [(rows, N_CANDIDATES[-1])]
     features = scene.second.features
     distance = np.sum((features - features[rows].mean(axis=0)) ** 2, axis=1)
     order = np.argsort(distance, kind="stable")
     parts: list[tuple[IntArray | None, int]] = [(rows, 4)]
-    size = len(rows) * scene.tuning.patch_growth
-    while size < min(n, scene.tuning.sample):
+    size = len(rows) * PATCH_GROWTH
+    while size < min(n, SAMPLE):
         parts.append((np.sort(order[:size]), 2))
-        size *= scene.tuning.patch_growth
+        size *= PATCH_GROWTH
     return parts
 
 
@@ -185,7 +210,7 @@ def _anneal(scene: PlacedSources, prior: OffsetPrior, trials: Trials, keep: int,
         score, information = normal_equations(scene, prior, trials.theta, weights)
         theta = trials.theta + np.linalg.solve(information, score[..., None])[..., 0]
         gain = weights.gain - 0.5 * np.sum(prior.precision * theta**2, axis=1)
-        best = np.argsort(-gain, kind="stable")[: max(scene.tuning.n_candidates[number], keep)]
+        best = np.argsort(-gain, kind="stable")[: max(N_CANDIDATES[number], keep)]
         trials = Trials(theta, weights.common, gain).chosen(best)
     return trials.chosen(range(min(keep, len(trials.gain))))
 
@@ -199,7 +224,7 @@ def normal_equations(
     d, p = scene.second.d, theta.shape[1]
     jacobian = np.ascontiguousarray(np.broadcast_to(weights.displaced.by_theta, (len(theta), len(scene.second), d, p)))
     score, information = score_and_information(
-        weights.s, weights.j, weights.residual, weights.precision, weights.weight, jacobian, scene.tuning.min_weight
+        weights.s, weights.j, weights.residual, weights.precision, weights.weight, jacobian, MIN_WEIGHT
     )
     return score - prior.precision * theta, information + np.diag(prior.precision)
 
@@ -217,7 +242,7 @@ def _converged(
         at = at + step
         moved_by = math.sqrt(max(float(step[0] @ information[0] @ step[0]), 0.0))
         common_change = abs(float(weights.common[0] - common[0]))
-        converged = moved_by <= scene.tuning.step_tolerance and common_change <= 0.01 + 3e-3 * float(common[0])
+        converged = moved_by <= STEP_TOLERANCE and common_change <= 0.01 + 3e-3 * float(common[0])
         common = weights.common
         if converged or number >= max_steps:
             return Trials(at, common, weights.gain), information[0], number, converged
@@ -235,7 +260,7 @@ def _finished(
         score, _ = normal_equations(scene, prior, one.theta, weights)
     root = np.linalg.cholesky(inverse(complete)) @ axes
     theta = one.theta[0] + root @ root.T @ score[0]
-    if weights.common[0] < scene.tuning.few_common:
+    if weights.common[0] < FEW_COMMON:
         root = _stretched(scene, prior, theta, weights.common[:1], root)
     covariance = root @ root.T
     log_prior = float(np.sum(prior.log_density - 0.5 * prior.precision * theta**2))
@@ -277,11 +302,11 @@ def _stretched(
     The likelihood of a few pairs is wider than its curvature at the maximum suggests: farther out other pairs gain
     weight, and the number of common objects changes. The moments are by the trapezoidal rule.
     """
-    away = np.array(scene.tuning.trial_sigmas)
+    away = np.array(TRIAL_SIGMAS)
     nodes = np.concatenate([theta[None, :], (theta + away[:, None, None] * root.T).reshape(-1, len(theta))])
     candidates = candidates_at(scene, nodes, 1.0).with_overlap_of_first()
-    common_at = weighed(scene, candidates, np.repeat(common, len(nodes)), scene.tuning.search_message_tolerance).common
-    log_density = weighed(scene, candidates, common_at, scene.tuning.message_tolerance).gain - 0.5 * np.sum(
+    common_at = weighed(scene, candidates, np.repeat(common, len(nodes)), SEARCH_MESSAGE_TOLERANCE).common
+    log_density = weighed(scene, candidates, common_at, MESSAGE_TOLERANCE).gain - 0.5 * np.sum(
         prior.precision * nodes**2, axis=1
     )
     density = np.exp(np.minimum(log_density[1:] - log_density[0], 0.0)).reshape(len(away), -1)
@@ -308,10 +333,7 @@ def _same(scene: PlacedSources, one: Solution, other: Solution) -> bool:
     """Whether two solutions are the same, within σ of the records or within their standard errors."""
     apart = other.theta - one.theta
     by_errors = float(mahalanobis_sq(apart, one.covariance))
-    return (
-        by_errors <= scene.tuning.same_errors**2
-        or displacement_sigmas(scene, one.theta, other.theta) <= scene.tuning.same_sigmas
-    )
+    return by_errors <= SAME_ERRORS**2 or displacement_sigmas(scene, one.theta, other.theta) <= SAME_SIGMAS
 
 
 def _without_repetitions(scene: PlacedSources, solutions: list[Solution]) -> list[Solution]:
@@ -349,7 +371,6 @@ class Registration:
     probability : of this offset, among all solutions and nothing in common.
     iterations, converged : iterations of the refinement, and whether they converged.
     notes : doubts; empty if there are none.
-    tuning : numbers of the search and the decision.
     """
 
     model: Offset
@@ -364,14 +385,11 @@ class Registration:
     iterations: int
     converged: bool
     notes: tuple[str, ...]
-    tuning: Tuning = DEFAULT_TUNING
 
     @property
     def established(self) -> bool:
         """Whether this offset alone explains the data, neither another one nor chance (nothing in common)."""
-        return self.probability >= self.tuning.sure and not any(
-            _credible(rival, self.log_evidence, self.tuning) for rival in self.rivals
-        )
+        return self.probability >= SURE and not any(_credible(rival, self.log_evidence) for rival in self.rivals)
 
     @property
     def standard_errors(self) -> FloatArray:
@@ -395,7 +413,6 @@ def register(
     rule: Rule | None = None,
     prior: Prior = EVIDENCE_ALONE,
     max_iterations: int = 40,
-    tuning: Tuning = DEFAULT_TUNING,
 ) -> Registration:
     """The offset of the second source from the first, with its covariance, and the identification after removing it.
 
@@ -411,8 +428,7 @@ def register(
     density : (ρ₁, ρ₂) of all records of each source; estimated if not given.
     rule, prior : evidence and prior of the identification, such as ``Field`` and ``CommonObjects(q1, q2)``; without a
         rule everything is estimated as by ``match``.
-    max_iterations : maximum number of iterations of the last refinement. tuning : numbers of the search and the
-        decision.
+    max_iterations : maximum number of iterations of the last refinement.
 
     Raises
     ------
@@ -434,8 +450,8 @@ def register(
         if not len(records):
             raise InputError(f"{records.source} has no usable records; no offset can be found")
     placed = model.placed(first, second)
-    scene = PlacedSources.of(first, second, placed, tuning)
-    solutions = refine(scene, _initial_offsets(HoughSearch(first, second, placed, tuning)), max_iterations)
+    scene = PlacedSources.of(first, second, placed)
+    solutions = refine(scene, _initial_offsets(HoughSearch(first, second, placed)), max_iterations)
     best = solutions[0]
     registered = _registered(scene, best)
     if rule is None:
@@ -447,25 +463,23 @@ def register(
     return Registration(
         model=placed, theta=best.theta, covariance=best.covariance, registered=registered, identification=answer,
         common=best.common, log_evidence=best.log_evidence, rivals=tuple(solutions[1:]), probability=probability,
-        iterations=best.iterations, converged=best.converged, notes=_notes(scene, solutions), tuning=tuning,
+        iterations=best.iterations, converged=best.converged, notes=_notes(scene, solutions),
     )  # fmt: skip
 
 
 def _initial_offsets(search: HoughSearch) -> Votes:
     """The offsets with the most votes, and the offset 0."""
-    tuning = search.tuning
-    few = min(tuning.starts, tuning.refined_records * 16 // len(search.second))
-    return search.vote(tuning.starts if search.model.turns() else max(few, tuning.min_starts)).with_zero()
+    few = min(STARTS, REFINED_RECORDS * 16 // len(search.second))
+    return search.vote(STARTS if search.model.turns() else max(few, MIN_STARTS)).with_zero()
 
 
-def _credible(rival: Solution, log_evidence: float, tuning: Tuning) -> bool:
+def _credible(rival: Solution, log_evidence: float) -> bool:
     """Whether a solution is nearly as good as the best one, or so good that the pattern must repeat.
 
     Randomly scattered objects fit at one offset only. If they fit at two, as on a lattice, the assumptions of the
     evidence do not hold, and its differences are not reliable.
     """
-    decisive = tuning.decisive
-    return rival.log_evidence > min(log_evidence - decisive, max(tuning.repeat_share * log_evidence, decisive))
+    return rival.log_evidence > min(log_evidence - DECISIVE, max(REPEAT_SHARE * log_evidence, DECISIVE))
 
 
 def _registered(scene: PlacedSources, solution: Solution) -> Records:
@@ -481,12 +495,12 @@ def _notes(scene: PlacedSources, solutions: list[Solution]) -> tuple[str, ...]:
     """Doubts about the best solution."""
     best, names = solutions[0], (scene.first.source, scene.second.source)
     notes = []
-    if best.log_evidence < scene.tuning.decisive:
+    if best.log_evidence < DECISIVE:
         notes.append(
             f"{names[0]} and {names[1]} may have no object in common: the offset is not significant "
             f"(log evidence {best.log_evidence:.1f})"
         )
-    rivals = [one for one in solutions[1:] if _credible(one, best.log_evidence, scene.tuning)]
+    rivals = [one for one in solutions[1:] if _credible(one, best.log_evidence)]
     if rivals:
         columns = zip(scene.model.names, rivals[0].theta, strict=True)
         values = ", ".join(f"{name} {value:.4g}" for name, value in columns)
@@ -501,7 +515,7 @@ def _notes(scene: PlacedSources, solutions: list[Solution]) -> tuple[str, ...]:
         )
     fewest = min(best.in_common[0] / len(scene.first), best.in_common[1] / len(scene.second))
     most = max(best.in_common[0] / len(scene.first), best.in_common[1] / len(scene.second))
-    if most < scene.tuning.small_overlap:
+    if most < SMALL_OVERLAP:
         notes.append(
             f"small overlap: only {100 * fewest:.0f} % to {100 * most:.0f} % of the records lie in the common area"
         )

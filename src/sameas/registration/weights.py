@@ -19,12 +19,19 @@ from sameas.gate import Radius
 from sameas.gaussian import inverse, log_density
 from sameas.ragged import Ragged
 from sameas.records import Records
-from sameas.registration.hough import DEFAULT_TUNING, Tuning, typical_sigma
+from sameas.registration.hough import typical_sigma
 from sameas.registration.offsets import Displaced, Offset
 from sameas.space import Plane
 
 if TYPE_CHECKING:
     from sameas.kernels.offsets import Cells
+
+GATE_SIGMAS = 5.5  # pairs farther apart than this are ignored
+CELL_SIGMAS, CELLS_PER_RECORD = 6.0, 4.0  # size of the cells in which pairs are searched, and their number per record
+#: Maximum number of sweeps of messages, and the relative change at convergence, in the search and afterwards.
+SWEEPS, SEARCH_MESSAGE_TOLERANCE, MESSAGE_TOLERANCE = 100, 1e-2, 1e-5
+#: Limits of the number of common objects: objects, and share of the smaller source.
+MIN_COMMON, MAX_COMMON_SHARE = 0.05, 0.98
 
 
 @dataclass(frozen=True)
@@ -33,7 +40,7 @@ class PlacedSources:
 
     covariance_1, covariance_2 : (n, d, d) of their records. sigma : typical σ of a residual. flat : (n₁, d) the first
     source's positions in the residual's unit. box : (2, d) corners of its field. cells : its records in cells, for the
-    search of pairs. periods : (d,) of the residual's axes. tuning : of the registration.
+    search of pairs. periods : (d,) of the residual's axes.
     """
 
     first: Records
@@ -46,16 +53,15 @@ class PlacedSources:
     box: FloatArray
     cells: Cells
     periods: FloatArray
-    tuning: Tuning = DEFAULT_TUNING
 
     @classmethod
-    def of(cls, first: Records, second: Records, model: Offset, tuning: Tuning = DEFAULT_TUNING) -> PlacedSources:
+    def of(cls, first: Records, second: Records, model: Offset) -> PlacedSources:
         sigma = typical_sigma(first, second)
         flat = np.ascontiguousarray(flattened(first.features, model, first))
         periods = np.array(first.space.period_list(first.d) if isinstance(first.space, Plane) else [np.inf] * first.d)
         errors = first.full_covariance(), second.full_covariance()
-        cells = in_cells(first.features, errors[0], tuning.cell_sigmas * sigma, periods, tuning.cells_per_record)
-        return cls(first, second, model, *errors, sigma, flat, boxed(flat, sigma), cells, periods, tuning)
+        cells = in_cells(first.features, errors[0], CELL_SIGMAS * sigma, periods, CELLS_PER_RECORD)
+        return cls(first, second, model, *errors, sigma, flat, boxed(flat, sigma), cells, periods)
 
     def of_patch(self, rows: IntArray) -> PlacedSources:
         """The same with only these records of the second source."""
@@ -145,7 +151,7 @@ def weigh(scene: PlacedSources, theta: FloatArray, common: FloatArray, widening:
         scene,
         candidates_at(scene, theta, widening),
         common,
-        scene.tuning.search_message_tolerance if widening > 1.0 else scene.tuning.message_tolerance,
+        SEARCH_MESSAGE_TOLERANCE if widening > 1.0 else MESSAGE_TOLERANCE,
     )
 
 
@@ -154,8 +160,8 @@ def weighed(scene: PlacedSources, candidates: CandidatePairs, common: FloatArray
     from sameas.kernels.offsets import messages
 
     volume, expected = candidates.volume, candidates.expected
-    least = scene.tuning.min_common
-    in_both = np.clip(common, least, scene.tuning.max_common_share * np.maximum(expected.min(axis=1), 2 * least))
+    least = MIN_COMMON
+    in_both = np.clip(common, least, MAX_COMMON_SHARE * np.maximum(expected.min(axis=1), 2 * least))
     rest = np.maximum(expected - in_both[:, None], 0.5)
     # Of a Poisson number n, the mean of 1 / (n + 1) is nearly 1 / its expectation.
     due = np.maximum(expected - in_both[:, None], 0.0) + 1.0
@@ -164,7 +170,7 @@ def weighed(scene: PlacedSources, candidates: CandidatePairs, common: FloatArray
     records = len(scene.first), len(scene.second)
     log_weight = log_odds[s] + candidates.log_normal
     share, log_sum, total = messages(
-        candidates.start, candidates.i, candidates.j, log_weight, records, scene.tuning.sweeps, tolerance
+        candidates.start, candidates.i, candidates.j, log_weight, records, SWEEPS, tolerance
     )
     # The likelihood has the remaining number ``rest``, the pairs have ``due``: the last term corrects for that.
     alone = candidates.in_common * (np.log(rest) - np.log(np.maximum(expected, 0.5))) + in_both[:, None] * np.log(
@@ -194,12 +200,12 @@ def _candidates(scene: PlacedSources, moved: FloatArray, spread: FloatArray, wid
         return _gated(scene, moved, spread, widening)
     from sameas.kernels.offsets import near_pairs
 
-    return near_pairs(scene.cells, moved, spread, scene.periods, scene.tuning.gate_sigmas, widening)
+    return near_pairs(scene.cells, moved, spread, scene.periods, GATE_SIGMAS, widening)
 
 
 def _gated(scene: PlacedSources, moved: FloatArray, spread: FloatArray, widening: float) -> Candidates:
     """Candidates on the sphere, by the gate."""
-    gate = Radius(scene.tuning.gate_sigmas * widening)
+    gate = Radius(GATE_SIGMAS * widening)
     gated = [gate(scene.first, records_moved(scene.second, moved[s], spread[s])) for s in range(len(moved))]
     residual = np.concatenate([pairs.residual for pairs in gated])
     covariance = np.concatenate([pairs.covariance for pairs in gated]) * widening**2
@@ -212,11 +218,7 @@ def _gated(scene: PlacedSources, moved: FloatArray, spread: FloatArray, widening
 
 
 def in_cells(
-    features: FloatArray,
-    covariance: FloatArray,
-    size: float,
-    periods: FloatArray,
-    per_record: float = DEFAULT_TUNING.cells_per_record,
+    features: FloatArray, covariance: FloatArray, size: float, periods: FloatArray, per_record: float = CELLS_PER_RECORD
 ) -> Cells:
     """Records laid out in cells of their first and last feature, with a single cell along a periodic axis."""
     from sameas.kernels.offsets import Cells

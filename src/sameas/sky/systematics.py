@@ -199,12 +199,12 @@ def residual_rotation(answer: Identification, errors: Errors) -> tuple[Rotation,
 
 def _initial(centre: tuple[float, float], registration: Registration) -> Rotation:
     """The shift found in the patch, at its centre, without a rotation about it."""
-    from sameas.registration.hough import DEFAULT_TUNING as REGISTRATION
+    from sameas.registration.solution import DECISIVE
 
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = registration.covariance
     vector = np.array([*registration.theta, 0.0])
-    by_chance = registration.log_evidence < REGISTRATION.decisive
+    by_chance = registration.log_evidence < DECISIVE
     return Rotation(centre, vector, covariance, registration.established, 0, registration.notes, by_chance)
 
 

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import inverse, log_determinant, propagated, symmetric
-from sameas.registration.hough import DEFAULT_TUNING as REGISTRATION
 from sameas.registration.hough import HoughSearch
-from sameas.registration.solution import displacement_sigmas, refine
+from sameas.registration.solution import DECISIVE, displacement_sigmas, refine
 from sameas.registration.weights import Weighed, weigh
 from sameas.tracks.biases import AzimuthDrift, RelativeBias
 from sameas.tracks.snapshot import CommonScan
@@ -34,7 +33,6 @@ STEP_TOLERANCE, MAX_STEPS = 0.01, 40  # a fit ends at steps below this share of 
 SAME_SIGMAS = 0.7  # two solutions are one if no record moves between them by more than this many σ
 MIN_INFORMATION = 0.02  # minimum eigenvalue of the observed information relative to the complete one
 MOVED_SIGMAS = 3.0  # instants are independent if records have moved by at least this many σ between them
-DECISIVE = REGISTRATION.decisive  # the log evidence that establishes biases
 
 
 @dataclass(frozen=True)
@@ -97,9 +95,8 @@ class BiasFit:
     def established(self) -> bool:
         """Whether these biases are decisively more probable than any rival, than no object in common, and than another
         reading of the bearings."""
-        decisive = DECISIVE
-        reread = self.reading is not None and self.reading.log_odds > -decisive
-        return self.log_evidence > decisive and not self.near_rivals and not reread
+        reread = self.reading is not None and self.reading.log_odds > -DECISIVE
+        return self.log_evidence > DECISIVE and not self.near_rivals and not reread
 
     @property
     def misread(self) -> BearingReading | None:
@@ -195,7 +192,7 @@ def _starting_points(pool: Pool) -> FloatArray:
     for k in np.unique(np.linspace(0, len(large) - 1, min(SEARCHED_INSTANTS, len(large))).round().astype(int)):
         scan, at = pool.scans[large[k]], pool.columns[large[k]]
         weighing = scan.weighing
-        search = HoughSearch(weighing.first, weighing.second, weighing.model, REGISTRATION)
+        search = HoughSearch(weighing.first, weighing.second, weighing.model)
         votes = search.vote(SEARCH_OFFSETS).with_zero()
         for solution in refine(weighing, votes, SEARCH_STEPS):
             theta = np.zeros(len(pool.biases))

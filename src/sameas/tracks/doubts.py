@@ -15,10 +15,11 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
+from sameas.registration.solution import DECISIVE
 from sameas.registration.weights import PlacedSources, weigh
 from sameas.tracks.alignment import States
 from sameas.tracks.bearing_readings import best_other_reading
-from sameas.tracks.bias_fit import DECISIVE, BiasFit, fit_biases
+from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import BIASES, TIME
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.elsewhere import COUNTED_S, span_of

@@ -31,8 +31,9 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.gaussian import LOG_2PI
+from sameas.registration.solution import DECISIVE
 from sameas.tracks.bearing_readings import best_other_reading
-from sameas.tracks.bias_fit import DECISIVE, BiasFit
+from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import AZIMUTH
 from sameas.tracks.feed import Feed
 from sameas.tracks.plot_fit import refined

@@ -20,10 +20,11 @@ import numpy as np
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.registration import Parameter
+from sameas.registration.solution import DECISIVE
 from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.bearing_readings import best_other_reading
-from sameas.tracks.bias_fit import DECISIVE, BiasFit, fit_biases
+from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import AZIMUTH, BIASES, TIME, AzimuthDrift, corrected
 from sameas.tracks.crossing_offsets import crossing_fit
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
@@ -347,8 +348,7 @@ def _delay_fit(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> BiasFit 
 
 
 def _delay_established(fit: BiasFit, feeds: Sequence[Feed]) -> bool:
-    decisive = DECISIVE
-    return fit.established and delay_evidence(fit, feeds) > decisive
+    return fit.established and delay_evidence(fit, feeds) > DECISIVE
 
 
 def delay_evidence(fit: BiasFit, feeds: Sequence[Feed]) -> float:
