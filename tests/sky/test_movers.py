@@ -16,10 +16,10 @@ from sameas.sky.movers import stationary
 from sameas.sky.movers.detections import detections_of
 from sameas.sky.movers.known import near_earth_scores
 from sameas.sky.movers.links import candidate_links, link_probabilities
-from sameas.sky.movers.model import DEFAULT_STATIONARY, Surroundings, Tuning
+from sameas.sky.movers.model import Surroundings, Tuning
 from sameas.sky.movers.rates import EclipticAxes, RateDensity, reference_rate, sun_longitude_deg
 from sameas.sky.movers.search import detection_probability
-from sameas.sky.movers.stationary import fixed_on_chip
+from sameas.sky.movers.stationary import MOST_TRIED, fixed_on_chip
 from sameas.sky.movers.tracks import Tracks, compete, grow
 from sameas.sky.times import Time
 
@@ -337,11 +337,11 @@ def test_a_crowd_at_one_place_is_searched_for_a_dither_by_few_of_its_vectors():
     rng = np.random.default_rng(2)
     at = np.concatenate([rng.normal(0.0, 0.2, (300, 2)), rng.uniform(-900.0, 900.0, (40, 2))])
     steps = (at[:, None] + [15.0, -8.0] + 0.2 * rng.standard_normal((340, 340, 2)) - at).reshape(-1, 2)
-    tried = stationary.thinned(steps, 0.4, DEFAULT_STATIONARY.most_tried)
+    tried = stationary.thinned(steps, 0.4, MOST_TRIED)
     assert (np.diff(tried) > 0).all() and len(tried) < 0.3 * len(steps)
     # Where vectors are sparse, all are tried.
     sparse = steps[np.hypot(*(steps - [15.0, -8.0]).T) > 100.0]
-    assert len(stationary.thinned(sparse, 0.4, DEFAULT_STATIONARY.most_tried)) == len(sparse) > 1000
+    assert len(stationary.thinned(sparse, 0.4, MOST_TRIED)) == len(sparse) > 1000
     dithers = [(0.0, 0.0), (15.0, -8.0), (-11.0, 4.0), (6.0, 17.0)]
     seen, _ = dithered(1, dithers, pixels=200)
     assert fixed_on_chip(seen)[-800:].mean() > 0.95

@@ -124,8 +124,8 @@ def test_links_against_the_direction_of_a_trail_are_less_probable():
 
     from sameas.sky import Detections
     from sameas.sky.movers.detections import TrailRates
-    from sameas.sky.movers.links import trail_ratio
-    from sameas.sky.movers.model import DEFAULT_TUNING, Surroundings
+    from sameas.sky.movers.links import NO_TRAIL, ODD_BRIGHTNESS, trail_ratio
+    from sameas.sky.movers.model import Surroundings
 
     bare = Detections.of([10.0, 10.01], [5.0, 5.0], [60000.0, 60000.005], sigma_arcsec=0.2)
     east = 36.0 * np.cos(np.radians(5.0)) / 7.2
@@ -140,8 +140,8 @@ def test_links_against_the_direction_of_a_trail_are_less_probable():
     along, back = log_ratios([(east, 0.0), (-east, 0.0)])
     assert along == pytest.approx(back, abs=0.1) and along > 2.0
     across, none = log_ratios([(0.0, east), (np.nan, np.nan)])
-    assert across == pytest.approx(np.log(DEFAULT_TUNING.odd_brightness), abs=0.1)
-    assert none == pytest.approx(np.log(DEFAULT_TUNING.no_trail))
+    assert across == pytest.approx(np.log(ODD_BRIGHTNESS), abs=0.1)
+    assert none == pytest.approx(np.log(NO_TRAIL))
 
 
 @pytest.mark.slow

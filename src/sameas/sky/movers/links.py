@@ -24,11 +24,25 @@ from sameas.assignment import assign
 from sameas.groups import laid_out
 from sameas.posterior import posterior
 from sameas.prior import EVIDENCE_ALONE
-from sameas.sky.movers.model import MotionModel, Surroundings
+from sameas.sky.movers.model import BEND_RATE, VARIABILITY_MAG, MotionModel, Surroundings
 from sameas.space import ARCSEC_PER_RADIAN
 
 #: ln of the density of an unrelated magnitude: uniform over 8 mag.
 _LOG_UNIFORM_MAG = math.log(1.0 / 8.0)
+
+FASTEST_ARCSEC_PER_MIN = 60.0  # maximum rate
+#: Minimum ln λ of pairs with a third detection in line, which adds ten and more.
+MIN_SUPPORTED = -20.0
+LINKS = 12  # maximum number of links from a detection to later ones, the best ones
+#: Maximum number of pairs per two exposures tried beyond the reach of links, if a third detection is in line, and the
+#: tolerance for being in line, in standard deviations.
+FAR_PAIRS, FAR_SIGMAS = 3e5, 4.0
+MISSES = 4  # maximum number of exposures in a track's gap that covered its position without a detection
+ODD_BRIGHTNESS = 0.05  # share of detections with an unrelated magnitude (blends, wrong bands)
+#: Share of the detections of fast movers without a measured trail, and range of ln length of unrelated ones (uniform).
+NO_TRAIL, TRAIL_RANGE = 0.15, 3.0
+PRIOR_SHARE = 0.02  # prior share of the detections that have a next one (alerts have 0.3, frames less)
+EM_ITERATIONS = 8
 
 
 @dataclass(frozen=True)
@@ -70,7 +84,7 @@ def with_far_links(around: Surroundings, links: Links, model: MotionModel) -> Li
     straight line: few of a hundred chance pairs have a third.
     """
     tuning = around.tuning
-    least = min(tuning.min_log_ratio, tuning.min_supported)
+    least = min(tuning.min_log_ratio, MIN_SUPPORTED)
     supported = replace(around, tuning=replace(tuning, min_log_ratio=least))
     reach = Reach.of(supported, model)
     reach = replace(reach, arcsec=reach.uncapped)
@@ -99,7 +113,7 @@ def _best_links(around: Surroundings, links: Links) -> Links:
     """The best links of each detection to later ones, ordered by the exposure of the later one."""
     order = np.lexsort([-links.log_ratio, links.i])
     rank = np.arange(len(order)) - np.searchsorted(links.i[order], links.i[order])
-    links = links.only(order[rank < around.tuning.links])
+    links = links.only(order[rank < LINKS])
     return links.only(np.lexsort([links.i, around.detections.frame[links.j]]))
 
 
@@ -124,7 +138,7 @@ def _frames_apart(around: Surroundings) -> int:
     before = around.coverage.before
     sampled = before[:: max(1, len(before) // 500)]
     spans = [
-        np.searchsorted(covered, covered[1:][np.diff(covered) > 0] + around.tuning.misses, side="right")
+        np.searchsorted(covered, covered[1:][np.diff(covered) > 0] + MISSES, side="right")
         - np.flatnonzero(np.diff(covered))
         - 1
         for covered in sampled
@@ -150,10 +164,10 @@ def _evaluated(around: Surroundings, model: MotionModel, reach: Reach, pairs: In
     later = minutes[kept] < 0
     i, j = np.where(later, j[kept], i[kept]).astype(np.int64), np.where(later, i[kept], j[kept]).astype(np.int64)
     misses = around.misses(i, j)
-    kept = np.flatnonzero(misses <= tuning.misses)
+    kept = np.flatnonzero(misses <= MISSES)
     i, j, misses = i[kept], j[kept], misses[kept]
     minutes, offset = t[j] - t[i], around.axes.offsets(i, j)
-    kept = np.flatnonzero(np.hypot(*offset.T) <= tuning.fastest_arcsec_per_min * minutes + 1.0)
+    kept = np.flatnonzero(np.hypot(*offset.T) <= FASTEST_ARCSEC_PER_MIN * minutes + 1.0)
     i, j, minutes, offset, misses = i[kept], j[kept], minutes[kept], offset[kept], misses[kept]
     rate, error = rates_of(around, i, j, minutes, offset)
     log_brightness = brightness_ratio(around, model, i, j)
@@ -187,7 +201,7 @@ def _supported(around: Surroundings, far: Reach) -> IntArray:
         most = float(far(np.array([minutes]))[0])
         # The number of pairs is limited to bound the cost: with more detections, the maximum rate is lower.
         density = len(rows[a]) * len(rows[b]) * math.exp(float(np.median(around.log_density[rows[b]]))) / len(rows[b])
-        most = min(most, math.sqrt(tuning.far_pairs / (math.pi * max(density, 1e-300))))
+        most = min(most, math.sqrt(FAR_PAIRS / (math.pi * max(density, 1e-300))))
         pairs = first.sparse_distance_matrix(second, most / ARCSEC_PER_RADIAN, output_type="ndarray")
         i, j = rows[a][pairs["i"]], rows[b][pairs["j"]]
         for c in (b + 1, b + 2):
@@ -198,9 +212,9 @@ def _supported(around: Surroundings, far: Reach) -> IntArray:
             predicted = unit[j] + q * (unit[j] - unit[i])
             predicted /= np.linalg.norm(predicted, axis=1, keepdims=True)
             speed = pairs["v"] * (ARCSEC_PER_RADIAN / minutes)
-            bend = tuning.bend_arcsec_per_min2 * speed / tuning.bend_rate * minutes**2 * q
+            bend = tuning.bend_arcsec_per_min2 * speed / BEND_RATE * minutes**2 * q
             variance = sigma[i] ** 2 * q**2 + sigma[j] ** 2 * (1.0 + q) ** 2 + bend**2
-            reach = tuning.far_sigmas * np.sqrt(variance + float(np.percentile(sigma[rows[c]], 90.0)) ** 2)
+            reach = FAR_SIGMAS * np.sqrt(variance + float(np.percentile(sigma[rows[c]], 90.0)) ** 2)
             distance, k = third.query(predicted, distance_upper_bound=float(reach.max(initial=0.0)) / ARCSEC_PER_RADIAN)
             hit = distance * ARCSEC_PER_RADIAN < reach
             out += [np.column_stack([i[hit], j[hit]]), np.column_stack([j[hit], rows[c][k[hit]]])]
@@ -256,7 +270,7 @@ class Reach:
         mean_speed = np.abs(around.reference).max() + np.hypot(*model.rates.mean.T)
         error = np.sqrt(np.percentile(around.covariance[:, [0, 1], [0, 1]].sum(axis=1), 99.0))
         # Distance within which as many chance detections lie as a detection may have links.
-        limit = math.sqrt(tuning.links / math.pi) * math.exp(-0.5 * float(np.median(around.log_density)))
+        limit = math.sqrt(LINKS / math.pi) * math.exp(-0.5 * float(np.median(around.log_density)))
         # 3.0 allows for brightness evidence.
         margin = model.log_odds - low_density - tuning.min_log_ratio + 3.0
         best = np.zeros(len(minutes))
@@ -264,13 +278,13 @@ class Reach:
             sigma = np.hypot(width * minutes, error)
             height = margin + math.log(share) - np.log(2 * np.pi * sigma**2)
             distance = np.where(height > 0, mean * minutes + sigma * np.sqrt(2 * np.maximum(height, 0.0)), 0.0)
-            best = np.maximum(best, np.minimum(distance, tuning.fastest_arcsec_per_min * minutes + 1.0))
+            best = np.maximum(best, np.minimum(distance, FASTEST_ARCSEC_PER_MIN * minutes + 1.0))
         return cls(minutes, np.minimum(best, max(limit, 3.0 * error)), best)
 
 
 def brightness_ratio(around: Surroundings, model: MotionModel, i: IntArray, j: IntArray) -> FloatArray:
     """(m,) ln likelihood ratio of the magnitude of j given that of i; 0 where one is not measured."""
-    seen, odd = around.detections, around.tuning.odd_brightness
+    seen, odd = around.detections, ODD_BRIGHTNESS
     difference = seen.magnitude[j] - seen.magnitude[i]
     a, b = seen.band[i], seen.band[j]
     error = np.nan_to_num(seen.magnitude_error[i]) ** 2 + np.nan_to_num(seen.magnitude_error[j]) ** 2
@@ -288,7 +302,7 @@ def trail_ratio(around: Surroundings, end: IntArray, rate: FloatArray, minutes: 
     A trail vector v, of either sign, has the density ½ N(v; r) + ½ N(v; −r) about the rate r, and 1/(2π |v|² · range)
     if unrelated.
     """
-    trail, tuning = around.detections.trail, around.tuning
+    trail = around.detections.trail
     if trail is None:
         return np.zeros(len(end))
     v = around.trail[end]
@@ -297,10 +311,10 @@ def trail_ratio(around: Surroundings, end: IntArray, rate: FloatArray, minutes: 
     variance = variance + (0.1 * np.hypot(*v.T)) ** 2
     distance_sq = np.minimum(((v - rate) ** 2).sum(axis=1), ((v + rate) ** 2).sum(axis=1)) / variance
     related = -0.5 * distance_sq - np.log(4.0 * np.pi * variance)
-    unrelated = -np.log(2.0 * np.pi * tuning.trail_range * (v**2).sum(axis=1))
-    odd = math.log(tuning.odd_brightness)
+    unrelated = -np.log(2.0 * np.pi * TRAIL_RANGE * (v**2).sum(axis=1))
+    odd = math.log(ODD_BRIGHTNESS)
     with_trail = np.logaddexp(np.nan_to_num(related - unrelated), odd)
-    without_trail = np.where(np.hypot(*rate.T) > trail.least[end], math.log(tuning.no_trail), 0.0)
+    without_trail = np.where(np.hypot(*rate.T) > trail.least[end], math.log(NO_TRAIL), 0.0)
     return np.where(np.isfinite(v[:, 0]), with_trail, without_trail)
 
 
@@ -322,7 +336,7 @@ def learn(around: Surroundings, model: MotionModel, *, counts: float = 30.0) -> 
 
     counts : weight of the prior model, in links.
     """
-    for _ in range(around.tuning.iterations):
+    for _ in range(EM_ITERATIONS):
         links = candidate_links(around, model)
         p = link_probabilities(links, len(around.detections))
         model, before = _maximised(around, links, p, model, counts), model
@@ -342,7 +356,7 @@ def _maximised(around: Surroundings, links: Links, p: FloatArray, model: MotionM
     sharp = np.sqrt(np.trace(error, axis1=1, axis2=2)) < 1.0
     rates = model.rates.refined(rate[sharp], error[sharp], p[sharp], counts=counts)
     n, share = len(around.detections), float(p.sum())
-    p_next = min((share + counts * around.tuning.prior_share) / (n + counts), 0.95)
+    p_next = min((share + counts * PRIOR_SHARE) / (n + counts), 0.95)
     missed = float((p * links.misses).sum())
     p_detect = (share + 2.0) / (share + missed + 3.0)
     colour, sigma = _colours(around, links, p, model, counts)
@@ -361,7 +375,7 @@ def _colours(
     around: Surroundings, links: Links, p: FloatArray, model: MotionModel, counts: float
 ) -> tuple[FloatArray, FloatArray]:
     """Mean differences of magnitude between bands and their scatter, by EM with unrelated magnitudes as outliers."""
-    seen, tuning = around.detections, around.tuning
+    seen = around.detections
     difference = seen.magnitude[links.j] - seen.magnitude[links.i]
     error = np.nan_to_num(seen.magnitude_error[links.i]) ** 2 + np.nan_to_num(seen.magnitude_error[links.j]) ** 2
     colour, sigma = model.colour.copy(), model.colour_sigma.copy()
@@ -374,12 +388,12 @@ def _colours(
             mean, spread = colour[a, b], sigma[a, b]
             for _ in range(5):
                 variance = e + spread**2
-                same = (1 - tuning.odd_brightness) * np.exp(-0.5 * (d - mean) ** 2 / variance)
+                same = (1 - ODD_BRIGHTNESS) * np.exp(-0.5 * (d - mean) ** 2 / variance)
                 same /= np.sqrt(2 * np.pi * variance)
-                r = w * same / (same + tuning.odd_brightness / 8.0)
+                r = w * same / (same + ODD_BRIGHTNESS / 8.0)
                 mean = 0.0 if a == b else float((r * d).sum() / r.sum())
                 gain = spread**2 / variance
                 second = float((r * ((gain * (d - mean)) ** 2 + spread**2 * (1 - gain))).sum())
-                spread = math.sqrt((second + counts * tuning.variability_mag**2) / (r.sum() + counts))
+                spread = math.sqrt((second + counts * VARIABILITY_MAG**2) / (r.sum() + counts))
             colour[a, b], sigma[a, b] = mean, max(spread, 0.02)
     return colour, sigma

@@ -24,113 +24,40 @@ from sameas.sky.movers.rates import (
 )
 from sameas.space import ARCSEC_PER_RADIAN
 
-
-@dataclass(frozen=True)
-class StationaryTuning:
-    """Parameters of the search for stationary sources and for detections fixed on the chip, all chosen.
-
-    within_sigmas : tracks with rates within this many errors of 0 are counted as stationary or slow.
-    prior_counts : prior counts of stationary and of moving tracks among these.
-    least_tracks : minimum number of tracks for the offset of an exposure and the error scale.
-    iterations : maximum number of searches, each with the offsets and error scale of the previous one.
-    farthest_arcsec, most_pairs : maximum dither, and maximum number of pairs that are searched for one.
-    least_pairs, excess : minimum number of pairs with a common vector, absolute and as a multiple of the chance number.
-    most_tried : maximum number of vectors that are tried in one cell: a thousand detections at one place have a million
-        pairs, and counting the neighbours of each took half of the search's time.
-    """
-
-    within_sigmas: float = 5.0
-    prior_counts: tuple[float, float] = (0.1, 0.3)
-    least_tracks: int = 10
-    iterations: int = 4
-    farthest_arcsec: float = 60.0
-    most_pairs: int = 500_000
-    least_pairs: int = 8
-    excess: float = 8.0
-    most_tried: int = 100
-
-
-DEFAULT_STATIONARY = StationaryTuning()
+NEIGHBOURS = 8  # number of neighbours of the same exposure for the density around a detection
+#: Where the density exceeds CROWDED times that of WIDE times as many neighbours, movers are not assumed denser too:
+#: false detections cluster, movers do not. A smaller excess is chance.
+WIDE, CROWDED = 10, 2.0
+#: The acceleration of movers is that of the tuning at this rate, arcsec/min, and below; proportional to the rate above.
+BEND_RATE = 0.5
+OUTLIER, OUTLIER_SCALE = 0.02, 4.0  # share of outliers, and the factor on their errors
+VARIABILITY_MAG = 0.12  # 1σ of the intrinsic change of magnitude between two exposures
+#: Counts of the Beta distribution of detection probabilities among movers: bright ones are detected nearly always,
+#: faint ones seldom.
+BETA_COUNTS = 2.0
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Parameters of the search for movers.
+    """Parameters of the search for movers that may be changed; others are constants beside their use.
 
-    Attributes
-    ----------
-    fastest_arcsec_per_min : maximum rate.
     min_log_ratio : minimum ln λ of a link that starts or extends a track.
-    min_supported : the same for pairs with a third detection in line, which adds ten and more.
-    links : maximum number of links from a detection to later ones, the best ones.
     tracks : maximum number of tracks kept per last detection, the best ones, for each of three kinds: two detections,
         two far apart, and more than two.
-    far_pairs : maximum number of pairs per two exposures tried beyond the reach of links, if a third detection is in
-        line. far_sigmas : tolerance for being in line, in standard deviations.
-    misses : maximum number of exposures in a track's gap that covered its position without a detection.
-    neighbours : number of neighbours of the same exposure for the density around a detection.
-    wide, crowded : where the density exceeds ``crowded`` times that of ``wide`` times as many neighbours, movers are
-        not assumed denser too: false detections cluster, movers do not. A smaller excess is chance.
-    bend_arcsec_per_min2, bend_rate : 1σ of the acceleration of movers at the rate ``bend_rate``, arcsec/min, and below;
-        proportional to the rate above. From the diurnal parallax at 1 au: 8.8″ (2π/1436 min)².
-    outlier, outlier_scale : share of outliers, and the factor on their errors.
-    variability_mag : 1σ of the intrinsic change of magnitude between two exposures.
-    odd_brightness : share of detections with an unrelated magnitude (blends, wrong bands).
-    no_trail : share of the detections of fast movers without a measured trail.
-    trail_range : range of ln length of unrelated trails (uniform).
-    beta_counts : counts of the Beta distribution of detection probabilities among movers: bright ones are detected
-        nearly always, faint ones seldom.
-    outer_exposures : number of exposures before and after a track that are checked for non-detections.
-    min_ended : minimum ln w of the tracks for which this is done.
+    bend_arcsec_per_min2 : 1σ of the acceleration of movers at ``BEND_RATE``. From the diurnal parallax at 1 au: 8.8″
+        (2π/1436 min)².
     min_competing : minimum ln w of the tracks that compete for detections. Among many false detections there are ten
         to thirty chance tracks below it for each one above, and they change no probability by 0.01.
     certain_gain : a track does not compete if its extension by one detection gains more than this in ln w.
     pairs_at_once : pairs per chunk, which bounds the memory.
-    prior_share : prior share of the detections that have a next one (alerts have 0.3, frames less).
-    iterations : maximum number of EM iterations.
-    model_counts : weight of the prior model of movers, in links. With 30, pairs of two exposures influence their own
-        probabilities too much: of 347 with p > 0.5, 319 were expected to be right and 300 were.
-    track_counts : the same in tracks, per link of that weight: a track has several links, and chance tracks are far
-        fewer.
-    sharp_arcsec_per_min : maximum error of rates, to separate a common motion from the main belt, whose scatter is 0.05
-        and more. least_alike, alike_excess : minimum number of tracklets within three errors of a rate, absolute and as
-        a multiple of the number expected from those within twelve errors.
-    stationary : of the search for stationary sources.
     """
 
-    fastest_arcsec_per_min: float = 60.0
     min_log_ratio: float = -6.0
-    min_supported: float = -20.0
-    links: int = 12
     tracks: int = 8
-    far_pairs: float = 3e5
-    far_sigmas: float = 4.0
-    misses: int = 4
-    neighbours: int = 8
-    wide: int = 10
-    crowded: float = 2.0
     bend_arcsec_per_min2: float = 1.7e-4
-    bend_rate: float = 0.5
-    outlier: float = 0.02
-    outlier_scale: float = 4.0
-    variability_mag: float = 0.12
-    odd_brightness: float = 0.05
-    no_trail: float = 0.15
-    trail_range: float = 3.0
-    beta_counts: float = 2.0
-    outer_exposures: int = 8
-    min_ended: float = -4.0
     min_competing: float = -6.0
     certain_gain: float = 12.0
     pairs_at_once: int = 200_000
-    prior_share: float = 0.02
-    iterations: int = 8
-    model_counts: float = 100.0
-    track_counts: float = 0.1
-    sharp_arcsec_per_min: float = 0.012
-    least_alike: int = 8
-    alike_excess: float = 8.0
-    stationary: StationaryTuning = DEFAULT_STATIONARY
 
 
 DEFAULT_TUNING = Tuning()
@@ -155,7 +82,7 @@ class MotionModel:
     colour: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     colour_sigma: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
-    def for_bands(self, bands: tuple[str, ...], tuning: Tuning = DEFAULT_TUNING) -> MotionModel:
+    def for_bands(self, bands: tuple[str, ...]) -> MotionModel:
         """The model for the given bands in their order; the scatter between unknown bands is 1 mag."""
         if bands == self.bands:
             return self
@@ -167,21 +94,21 @@ class MotionModel:
                     at = self.bands.index(one), self.bands.index(other)
                     colour[a, b], sigma[a, b] = self.colour[at], self.colour_sigma[at]
                 elif a == b:
-                    sigma[a, b] = tuning.variability_mag
+                    sigma[a, b] = VARIABILITY_MAG
         return replace(self, bands=bands, colour=colour, colour_sigma=sigma)
 
-    def log_pattern(self, n_detected: IntArray, n_covered: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+    def log_pattern(self, n_detected: IntArray, n_covered: IntArray) -> FloatArray:
         """(k,) ln of the probability of a mover's pattern of detections and misses (beta-binomial).
 
         n_detected : (k,) number of exposures with a detection. n_covered : (k,) of exposures that covered its position.
         The detection probability varies between movers (Beta distribution): one missed often is likely missed again.
         """
-        a, b = tuning.beta_counts * self.p_detect, tuning.beta_counts * (1.0 - self.p_detect)
+        a, b = BETA_COUNTS * self.p_detect, BETA_COUNTS * (1.0 - self.p_detect)
         return np.asarray(betaln(n_detected + a, np.maximum(n_covered - n_detected, 0) + b) - betaln(a, b))
 
-    def tracked(self, n_covered: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+    def tracked(self, n_covered: IntArray) -> FloatArray:
         """(k,) share of movers with enough detections for training, among those covered by ``n_covered`` exposures."""
-        none, one, two = (np.exp(self.log_pattern(np.full_like(n_covered, k), n_covered, tuning)) for k in (0, 1, 2))
+        none, one, two = (np.exp(self.log_pattern(np.full_like(n_covered, k), n_covered)) for k in (0, 1, 2))
         few = np.where(min_detected(n_covered) > 2, 0.5 * n_covered * (n_covered - 1) * two, 0.0)
         return np.asarray(1.0 - none - n_covered * one - few)
 
@@ -224,11 +151,11 @@ class Surroundings:
         axes = detections.axes()
         minutes = (detections.mjd_utc - detections.mjd_utc.min()) * 1440.0
         elongation = axes.longitude_deg - sun_longitude_deg(detections.mjd_utc)
-        density, wide = _densities(detections, axes, (tuning.neighbours, tuning.wide * tuning.neighbours))
+        density, wide = _densities(detections, axes, (NEIGHBOURS, WIDE * NEIGHBOURS))
         coverage = ExposureCoverage.of(detections, axes, density)
         return cls(
             detections=detections, axes=axes, minutes=minutes, covariance=axes.rotated(detections.covariance),
-            log_density=np.log(density), log_crowding=np.log(np.maximum(density / (tuning.crowded * wide), 1.0)),
+            log_density=np.log(density), log_crowding=np.log(np.maximum(density / (CROWDED * wide), 1.0)),
             reference=reference_rate(elongation), log_brightness=_brightness(detections), coverage=coverage,
             cell=coverage.cell(axes.unit), trail=_trail(detections, axes), tuning=tuning,
         )  # fmt: skip

@@ -16,7 +16,7 @@ from sameas.errors import InputError, naming
 from sameas.representation import in_short
 from sameas.sky.frame.measurements import POGSON
 from sameas.sky.movers.detections import Detections, TrailRates
-from sameas.sky.movers.links import candidate_links, learn, rates_between, with_far_links
+from sameas.sky.movers.links import PRIOR_SHARE, candidate_links, learn, rates_between, with_far_links
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning, min_detected
 from sameas.sky.movers.rates import EclipticAxes, RateDensity
 from sameas.sky.movers.stationary import Stationary, fixed_on_chip, stationary_sources
@@ -28,6 +28,17 @@ if TYPE_CHECKING:
 
 #: Prefixes of names: movers found in the detections, and movers found only in the stacked frames.
 DETECTED, ADDED = "sa", "sb"
+
+#: Weight of the prior model of movers, in links. With 30, pairs of two exposures influence their own probabilities too
+#: much: of 347 with p > 0.5, 319 were expected to be right and 300 were.
+MODEL_COUNTS = 100.0
+#: The same in tracks, per link of that weight: a track has several links, and chance tracks are far fewer.
+TRACK_COUNTS = 0.1
+#: Maximum error of rates, to separate a common motion from the main belt, whose scatter is 0.05 and more.
+SHARP_ARCSEC_PER_MIN = 0.012
+#: Minimum number of tracklets within three errors of a rate, absolute and as a multiple of the number expected from
+#: those within twelve errors.
+LEAST_ALIKE, ALIKE_EXCESS = 8, 8.0
 
 
 @in_short
@@ -233,9 +244,9 @@ def find_movers(
         if others:
             model = learn_motion(*others, tuning=tuning)
         else:
-            model, influence = _learned(around, MotionModel(), tuning.model_counts)
+            model, influence = _learned(around, MotionModel(), MODEL_COUNTS)
     movers = _found(around, model, influence, least, min_probability, stationary)
-    same_rate = _same_rate(movers, tuning)
+    same_rate = _same_rate(movers)
     movers = replace(movers.only(~same_rate), same_rate=int(same_rate.sum()))
     members = np.where(movers.members >= 0, at[movers.members], ABSENT)
     return replace(movers, detections=detections, members=members, stationary=stationary, fixed=fixed)
@@ -245,11 +256,11 @@ def _excluded(detections: Detections, tuning: Tuning) -> tuple[Stationary, int, 
     """The stationary sources, the number of others fixed on the chip, and the rest: rows and corrected detections."""
     stationary = stationary_sources(detections, tuning)
     rest = stationary.rest(detections)
-    moves = ~fixed_on_chip(rest, tuning.stationary)
+    moves = ~fixed_on_chip(rest)
     return stationary, int(np.count_nonzero(~moves)), np.flatnonzero(~stationary.rows)[moves], rest.some(moves)
 
 
-def _same_rate(movers: Movers, tuning: Tuning) -> BoolArray:
+def _same_rate(movers: Movers) -> BoolArray:
     """(k,) mask of the tracklets with a common rate: chip defects moved over the sky by a steady drift."""
     same_rate = np.zeros(len(movers), bool)
     first, last = movers.members[:, 0], _last(movers)
@@ -258,12 +269,12 @@ def _same_rate(movers: Movers, tuning: Tuning) -> BoolArray:
     error = np.sqrt(variance[first] + variance[last]) / (
         (detections.mjd_utc[last] - detections.mjd_utc[first]) * 1440.0
     )
-    sharp = np.flatnonzero((movers.size > 2) & (error < tuning.sharp_arcsec_per_min))
+    sharp = np.flatnonzero((movers.size > 2) & (error < SHARP_ARCSEC_PER_MIN))
     rate, error = movers.rate_arcsec_per_min[sharp], error[sharp]
     if len(sharp):
         tree = cKDTree(rate)
         near, far = (tree.query_ball_point(rate, sigmas * error, return_length=True) for sigmas in (3.0, 12.0))
-        common = (near >= tuning.least_alike) & (near > tuning.alike_excess * (far - near) / 15.0)
+        common = (near >= LEAST_ALIKE) & (near > ALIKE_EXCESS * (far - near) / 15.0)
         for near in tree.query_ball_point(rate[common], 3.0 * error[common]):
             same_rate[sharp[near]] = True
     return same_rate
@@ -283,7 +294,7 @@ def _found(
     probability that slow tracklets are stationary.
     """
     detections = around.detections
-    model = model.for_bands(detections.bands, around.tuning)
+    model = model.for_bands(detections.bands)
     competition = _competition(around, model, influence)
     p_stationary = np.zeros(len(competition.tracks))
     if stationary is not None:
@@ -291,9 +302,7 @@ def _found(
     return _movers(detections, model, competition, least, min_probability, p_stationary)
 
 
-def learn_motion(
-    *nights: Detections, counts: float = DEFAULT_TUNING.model_counts, tuning: Tuning = DEFAULT_TUNING
-) -> MotionModel:
+def learn_motion(*nights: Detections, counts: float = MODEL_COUNTS, tuning: Tuning = DEFAULT_TUNING) -> MotionModel:
     """The model of rates, brightness and misses estimated from one or more nights; no identities are needed.
 
     counts : weight of the prior model, in links.
@@ -342,8 +351,8 @@ def _learned(around: Surroundings, model: MotionModel, counts: float) -> tuple[M
     rates, tuning = model.rates, around.tuning
     # Links too fast for the main belt are too many and carry too little information each.
     likely = replace(tuning, min_log_ratio=max(tuning.min_log_ratio, DEFAULT_TUNING.min_log_ratio))
-    model = learn(replace(around, tuning=likely), model.for_bands(around.detections.bands, tuning), counts=counts)
-    return _learned_from_tracks(around, model, rates, counts * tuning.track_counts)
+    model = learn(replace(around, tuning=likely), model.for_bands(around.detections.bands), counts=counts)
+    return _learned_from_tracks(around, model, rates, counts * TRACK_COUNTS)
 
 
 def _competition(around: Surroundings, model: MotionModel, influence: Influence | None) -> Competition:
@@ -363,17 +372,17 @@ def _learned_from_tracks(
     rates : of the prior model. Among many false detections links alone do not show fast movers; straight tracks over
     three or more exposures do.
     """
-    n, tuning = len(around.detections), around.tuning
+    n = len(around.detections)
     competition = _competition(around, model, None)
     # Chip defects make pairs of any rate: where three exposures covered the position, pairs are not used.
     used = (competition.p_track > 0.01) & (competition.tracks.size >= min_detected(competition.tracks.n_covered))
     p, tracks, members = competition.p_track[used], competition.tracks.only(used), competition.members[used]
     groups, of_track, of_detection = groups_of(members, n)
     # Corrected for movers with too few detections for such a track; the share refers to one exposure's detections.
-    movers = np.bincount(of_track, p / model.tracked(tracks.n_covered, tuning), groups)
+    movers = np.bincount(of_track, p / model.tracked(tracks.n_covered), groups)
     exposures = float(around.coverage.before[around.cell, -1].mean())
-    share = (movers.sum() + counts * tuning.prior_share) / (n / exposures + counts)
-    share_of_others = (movers.sum() - movers + counts * tuning.prior_share) / (n / exposures + counts)
+    share = (movers.sum() + counts * PRIOR_SHARE) / (n / exposures + counts)
+    share_of_others = (movers.sum() - movers + counts * PRIOR_SHARE) / (n / exposures + counts)
     rate, error = rates_between(around, tracks.first, tracks.last)
     sharp = np.sqrt(np.trace(error, axis1=1, axis2=2)) < 1.0
     moments = model.rates.moments(rate[sharp], error[sharp], p[sharp], of_track[sharp], groups)
@@ -503,11 +512,7 @@ def _trail_rates(series: Series, rows: IntArray) -> TrailRates | None:
 
 
 def search(
-    series: Series,
-    *,
-    least: int = 3,
-    min_probability: float = 0.5,
-    motion: Tuning = MOTION_TUNING,
+    series: Series, *, least: int = 3, min_probability: float = 0.5, motion: Tuning = MOTION_TUNING
 ) -> tuple[Movers, Series]:
     """The movers of a series of frames, and the series with newly found stationary and fixed detections marked.
 

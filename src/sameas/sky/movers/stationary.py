@@ -26,20 +26,25 @@ from scipy.special import expit, logsumexp
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.sky.movers.detections import Detections
 from sameas.sky.movers.links import candidate_links, learn
-from sameas.sky.movers.model import (
-    DEFAULT_STATIONARY,
-    DEFAULT_TUNING,
-    MotionModel,
-    StationaryTuning,
-    Surroundings,
-    Tuning,
-)
+from sameas.sky.movers.model import DEFAULT_TUNING, OUTLIER, OUTLIER_SCALE, MotionModel, Surroundings, Tuning
 from sameas.sky.movers.rates import SOLAR_SYSTEM, EclipticAxes, RateDensity
 from sameas.sky.movers.tracks import compete, grow
 from sameas.space import ARCSEC_PER_RADIAN
 
 #: Rate density of stationary sources: 1σ of 1e-4 arcsec/min, 1″ in a week.
 _AT_REST = RateDensity.of([1.0], [(0.0, 0.0)], [(1e-4, 1e-4)])
+
+WITHIN_SIGMAS = 5.0  # tracks with rates within this many errors of 0 are counted as stationary or slow
+PRIOR_COUNTS = (0.1, 0.3)  # prior counts of stationary and of moving tracks among these
+LEAST_TRACKS = 10  # minimum number of tracks for the offset of an exposure and the error scale
+SEARCHES = 4  # maximum number of searches, each with the offsets and error scale of the previous one
+#: Maximum dither, and maximum number of pairs that are searched for one.
+FARTHEST_ARCSEC, MOST_PAIRS = 60.0, 500_000
+#: Minimum number of pairs with a common vector, absolute and as a multiple of the chance number.
+LEAST_PAIRS, EXCESS = 8, 8.0
+#: Maximum number of vectors that are tried in one cell: a thousand detections at one place have a million pairs, and
+#: counting the neighbours of each took half of the search's time.
+MOST_TRIED = 100
 
 
 @dataclass(frozen=True)
@@ -75,16 +80,16 @@ class Stationary:
 
     def probability(self, around: Surroundings, members: IntArray) -> FloatArray:
         """(k,) probability that tracks are stationary. members : (k, S), rows of corrected detections."""
-        return _probabilities(_Rates.of(around, members), self.counts, around.tuning.stationary)
+        return _probabilities(_Rates.of(around, members), self.counts)
 
 
 def stationary_sources(detections: Detections, tuning: Tuning) -> Stationary:
     """The sources that are more probably stationary than moving or unrelated."""
     no_offset = np.zeros((len(detections.frame_names), 2))
-    sources = Stationary(np.zeros(len(detections), bool), 0, tuning.stationary.prior_counts, no_offset, 1.0)
+    sources = Stationary(np.zeros(len(detections), bool), 0, PRIOR_COUNTS, no_offset, 1.0)
     typical = detections.typical_sigma_arcsec
 
-    for iteration in range(tuning.stationary.iterations):
+    for iteration in range(SEARCHES):
         previous = sources
         sources = _searched(previous.corrected(detections), previous, iteration == 0, tuning)
         changed = np.abs(sources.offset_arcsec - previous.offset_arcsec).max(initial=0.0)
@@ -99,7 +104,7 @@ def _searched(detections: Detections, previous: Stationary, first: bool, tuning:
     # Stationary tracks have few alternatives: the second best ones through a star skip an exposure.
     straight = replace(tuning, bend_arcsec_per_min2=0.0, min_log_ratio=DEFAULT_TUNING.min_log_ratio, tracks=6)
     at_rest = replace(around, reference=np.zeros(n), tuning=straight)
-    model = MotionModel(rates=_AT_REST).for_bands(detections.bands, tuning)
+    model = MotionModel(rates=_AT_REST).for_bands(detections.bands)
     model = learn(at_rest, model)
     model = replace(model, rates=_AT_REST, log_begin=model.log_odds)
     competition = compete(grow(at_rest, candidate_links(at_rest, model), model), n, tuning)
@@ -109,12 +114,12 @@ def _searched(detections: Detections, previous: Stationary, first: bool, tuning:
         offset, scale = _robust_offsets(around, members)
     else:
         rates = _Rates.of(around, members)
-        p = _probabilities(rates, _counts(rates, tuning.stationary), tuning.stationary)
+        p = _probabilities(rates, _counts(rates))
         no_offset = np.zeros_like(previous.offset_arcsec)
         offset, scale = _fitted_offsets(around, members[p > 0.5], no_offset, straight=False)
     rates = _Rates.of(around, members, scale)
-    counts = _counts(rates, tuning.stationary)
-    stationary = members[_probabilities(rates, counts, tuning.stationary) > 0.5]
+    counts = _counts(rates)
+    stationary = members[_probabilities(rates, counts) > 0.5]
     rows = np.zeros(n, bool)
     rows[stationary[stationary >= 0]] = True
     return Stationary(rows, len(stationary), counts, previous.offset_arcsec + offset, previous.error_scale * scale)
@@ -134,7 +139,7 @@ class _Rates:
     @classmethod
     def of(cls, around: Surroundings, members: IntArray, scale: float = 1.0) -> _Rates:
         """The evidence of tracks with members (k, S), errors multiplied by ``scale``; one member may be an outlier."""
-        present, tuning = members >= 0, around.tuning
+        present = members >= 0
         rows = np.where(present, members, members[:, :1])
         origin = np.repeat(members[:, 0], members.shape[1])
         position = around.axes.offsets(origin, rows.ravel()).reshape(*members.shape, 2)
@@ -146,12 +151,12 @@ class _Rates:
         # With two detections an outlier cannot be identified.
         for column in range(members.shape[1]):
             outlier_variance = variance.copy()
-            outlier_variance[:, column] *= tuning.outlier_scale**2
+            outlier_variance[:, column] *= OUTLIER_SCALE**2
             fits.append(_RateFit.of(position, minutes, np.where(present, outlier_variance, np.inf)))
             possible = present[:, column] & (present.sum(axis=1) > 2)
-            log_prior.append(np.where(possible, math.log(tuning.outlier / (1.0 - tuning.outlier)), -np.inf))
+            log_prior.append(np.where(possible, math.log(OUTLIER / (1.0 - OUTLIER)), -np.inf))
         at_rest = np.array([q + f.log_residual + f.log_stationary() for q, f in zip(log_prior, fits, strict=True)])
-        within = tuning.stationary.within_sigmas
+        within = WITHIN_SIGMAS
         moving = np.array(
             [q + f.log_residual + f.log_moving(reference, within) for q, f in zip(log_prior, fits, strict=True)]
         )
@@ -206,24 +211,21 @@ class _RateFit:
         return np.maximum(SOLAR_SYSTEM.log_density(self.rate - reference, error), uniform)
 
 
-def _counts(rates: _Rates, tuning: StationaryTuning) -> tuple[float, float]:
+def _counts(rates: _Rates) -> tuple[float, float]:
     """Numbers of stationary and of moving tracks with rates near 0, by EM."""
     log_ratio = rates.log_ratio[rates.near]
-    stationary, moving = (0.5 * len(log_ratio) + tuning.prior_counts[0], 0.5 * len(log_ratio) + tuning.prior_counts[1])
+    stationary, moving = (0.5 * len(log_ratio) + PRIOR_COUNTS[0], 0.5 * len(log_ratio) + PRIOR_COUNTS[1])
     for _ in range(50):
         p = float(expit(log_ratio + math.log(stationary / moving)).sum())
-        stationary, moving = (p + tuning.prior_counts[0], len(log_ratio) - p + tuning.prior_counts[1])
+        stationary, moving = (p + PRIOR_COUNTS[0], len(log_ratio) - p + PRIOR_COUNTS[1])
     return stationary, moving
 
 
-def _probabilities(rates: _Rates, counts: tuple[float, float], tuning: StationaryTuning) -> FloatArray:
+def _probabilities(rates: _Rates, counts: tuple[float, float]) -> FloatArray:
     """(k,) probability that tracks are stationary, with counts that exclude the track itself."""
     stationary, moving = counts
     own = rates.near * expit(rates.log_ratio + math.log(stationary / moving))
-    others = (
-        np.maximum(stationary - own, tuning.prior_counts[0]),
-        np.maximum(moving - (rates.near - own), tuning.prior_counts[1]),
-    )
+    others = (np.maximum(stationary - own, PRIOR_COUNTS[0]), np.maximum(moving - (rates.near - own), PRIOR_COUNTS[1]))
     return np.asarray(expit(rates.log_ratio + np.log(others[0] / others[1])))
 
 
@@ -252,7 +254,7 @@ def _fitted_offsets(
     members : (k, S) detections of tracks; medians of their residuals are used. offset : (f, 2) initial values.
     straight : residuals from linear motion, else from the mean position.
     """
-    detections, offset, least_tracks = around.detections, offset.copy(), around.tuning.stationary.least_tracks
+    detections, offset, least_tracks = around.detections, offset.copy(), LEAST_TRACKS
     parameters = 2 if straight else 1
     members = members[(members >= 0).sum(axis=1) > parameters]
     if len(members) < least_tracks:
@@ -292,18 +294,18 @@ def _residuals(position: FloatArray, minutes: FloatArray, present: BoolArray, st
     return np.asarray(residual)
 
 
-def fixed_on_chip(detections: Detections, tuning: StationaryTuning = DEFAULT_STATIONARY) -> BoolArray:
+def fixed_on_chip(detections: Detections) -> BoolArray:
     """(n,) mask of the detections fixed on the chip; empty without a pattern in three exposures that is not a motion.
 
     detections : without stationary sources.
     """
     fixed = np.zeros(len(detections), bool)
     rows = [np.flatnonzero(detections.frame == k) for k in range(len(detections.frame_names))]
-    usable = [k for k, of_exposure in enumerate(rows) if len(of_exposure) >= tuning.least_pairs]
+    usable = [k for k, of_exposure in enumerate(rows) if len(of_exposure) >= LEAST_PAIRS]
     if len(usable) < 3:
         return fixed
     axes, width = detections.axes(), 3.0 * math.sqrt(2.0) * detections.typical_sigma_arcsec
-    steps = {b: _common_step(axes, rows[a], rows[b], width, tuning) for a, b in itertools.pairwise(usable)}
+    steps = {b: _common_step(axes, rows[a], rows[b], width) for a, b in itertools.pairwise(usable)}
     common_steps = {b: step for b, step in steps.items() if step is not None}
     previous = dict(zip(usable[1:], usable, strict=False))
     if len(common_steps) < 2 or _one_motion(common_steps, previous, detections.frame_mjd, width):
@@ -318,28 +320,26 @@ def fixed_on_chip(detections: Detections, tuning: StationaryTuning = DEFAULT_STA
     return fixed
 
 
-def _common_step(
-    axes: EclipticAxes, first: IntArray, second: IntArray, width: float, tuning: StationaryTuning
-) -> FloatArray | None:
+def _common_step(axes: EclipticAxes, first: IntArray, second: IntArray, width: float) -> FloatArray | None:
     """(2,) most common vector from detections of one exposure to those of another, arcsec on the ecliptic axes.
 
     None if it is not more common than by chance.
     """
     trees = cKDTree(axes.unit[first]), cKDTree(axes.unit[second])
-    farthest = tuning.farthest_arcsec
+    farthest = FARTHEST_ARCSEC
     while farthest > 4.0 * width:
-        if trees[0].count_neighbors(trees[1], farthest / ARCSEC_PER_RADIAN) <= tuning.most_pairs:
+        if trees[0].count_neighbors(trees[1], farthest / ARCSEC_PER_RADIAN) <= MOST_PAIRS:
             break
         farthest *= 0.7
     pairs = trees[0].sparse_distance_matrix(trees[1], farthest / ARCSEC_PER_RADIAN, output_type="ndarray")
-    if len(pairs) < tuning.least_pairs:
+    if len(pairs) < LEAST_PAIRS:
         return None
     step = axes.offsets(first[pairs["i"]], second[pairs["j"]])
-    tree, tried = cKDTree(step), thinned(step, 0.5 * width, tuning.most_tried)
+    tree, tried = cKDTree(step), thinned(step, 0.5 * width, MOST_TRIED)
     near = tree.query_ball_point(step[tried], width, return_length=True)
     best, most = step[tried[near.argmax()]], int(near.max())
     around = tree.query_ball_point(best, 4.0 * width, return_length=True) - most
-    if most < tuning.least_pairs or most < tuning.excess * around / 15.0:
+    if most < LEAST_PAIRS or most < EXCESS * around / 15.0:
         return None
     return np.median(step[tree.query_ball_point(best, width)], axis=0)
 

@@ -27,7 +27,11 @@ from sameas.many.marginals import additive_answer
 from sameas.many.sets import Sets
 from sameas.ragged import Ragged, ranges
 from sameas.sky.movers.links import Links, rates_of
-from sameas.sky.movers.model import MotionModel, Surroundings, Tuning
+from sameas.sky.movers.model import BEND_RATE, OUTLIER, OUTLIER_SCALE, MotionModel, Surroundings, Tuning
+
+#: Number of exposures before and after a track that are checked for non-detections, and minimum ln w of the tracks for
+#: which this is done.
+OUTER_EXPOSURES, MIN_ENDED = 8, -4.0
 
 
 @dataclass(frozen=True)
@@ -150,8 +154,8 @@ def _with_outer_exposures(around: Surroundings, tracks: Tracks, model: MotionMod
     detections, tuning, when = around.detections, around.tuning, around.detections.frame_mjd * 1440.0
     frames, first_minutes = len(when), detections.mjd_utc * 1440.0
     # Misses only lower the weight, and dominated tracks do not compete.
-    selected = np.flatnonzero((tracks.log_weight > tuning.min_ended) & ~_dominated(tracks, tuning))
-    steps = np.arange(1, tuning.outer_exposures + 1)
+    selected = np.flatnonzero((tracks.log_weight > MIN_ENDED) & ~_dominated(tracks, tuning))
+    steps = np.arange(1, OUTER_EXPOSURES + 1)
     n_covered = tracks.n_covered.copy()
     for part in np.split(selected, range(tuning.pairs_at_once, len(selected), tuning.pairs_at_once)):
         frame = np.concatenate(
@@ -167,9 +171,9 @@ def _with_outer_exposures(around: Surroundings, tracks: Tracks, model: MotionMod
         state = tracks.state[row]
         position = state[:, :2] + t * state[:, 2:4] + 0.5 * t * t * state[:, 4:]
         np.add.at(n_covered, row, around.coverage.covers(around.axes.directions(tracks.first[row], position), number))
-    old_pattern = model.log_pattern(tracks.size, tracks.n_covered, tuning)
-    pattern = model.log_pattern(tracks.size, n_covered, tuning)
-    missed = pattern - model.log_pattern(tracks.size, tracks.size, tuning)
+    old_pattern = model.log_pattern(tracks.size, tracks.n_covered)
+    pattern = model.log_pattern(tracks.size, n_covered)
+    missed = pattern - model.log_pattern(tracks.size, tracks.size)
     return replace(tracks, log_weight=tracks.log_weight + pattern - old_pattern, n_covered=n_covered, log_missed=missed)
 
 
@@ -201,17 +205,17 @@ def _new_tracks(around: Surroundings, links: Links, model: MotionModel) -> _Exte
     covariance[:, :2, :2] = around.covariance[links.i]
     covariance[:, 2:4, 2:4] = rate_covariance
     speed = np.hypot(*(links.offset / links.minutes[:, None]).T)
-    bend = tuning.bend_arcsec_per_min2 * np.maximum(1.0, speed / tuning.bend_rate)
+    bend = tuning.bend_arcsec_per_min2 * np.maximum(1.0, speed / BEND_RATE)
     covariance[:, [4, 5], [4, 5]] = (bend**2)[:, None]
     state, covariance = _updated(state, covariance, links.minutes, links.offset, around.covariance[links.j])
     # The prior of a link (a detection has a next one) is replaced by that of a track (a detection begins a mover).
     two, n_covered = np.full(m, 2), 2 + links.misses
-    pattern = model.log_pattern(two, n_covered, tuning)
+    pattern = model.log_pattern(two, n_covered)
     weight = (
         links.log_ratio - model.log_odds - links.misses * math.log(1.0 - model.p_detect)
         + model.log_begin - around.log_crowding[links.i] + pattern
     )  # fmt: skip
-    missed = pattern - model.log_pattern(two, two, tuning)
+    missed = pattern - model.log_pattern(two, two)
     return _Extendable(
         Tracks(links.i, links.j, np.full(m, ABSENT), two, weight, weight, n_covered, missed, state), covariance
     )
@@ -226,16 +230,16 @@ def _extended(
     offset = around.axes.offsets(parents.first, links.j)
     noise = around.covariance[links.j]
     residual, covariance = _predicted(parents.state, tracks.covariance, minutes, offset, noise)
-    outlier_covariance = covariance + (tuning.outlier_scale**2 - 1.0) * noise
+    outlier_covariance = covariance + (OUTLIER_SCALE**2 - 1.0) * noise
     log_fit = np.logaddexp(
-        math.log1p(-tuning.outlier) + log_density(residual, covariance),
-        math.log(tuning.outlier) + log_density(residual, outlier_covariance),
+        math.log1p(-OUTLIER) + log_density(residual, covariance),
+        math.log(OUTLIER) + log_density(residual, outlier_covariance),
     )
     size, n_covered = parents.size + 1, parents.n_covered + links.misses + 1
-    pattern = model.log_pattern(size, n_covered, tuning)
-    log_again = pattern - model.log_pattern(parents.size, parents.n_covered, tuning)
+    pattern = model.log_pattern(size, n_covered)
+    log_again = pattern - model.log_pattern(parents.size, parents.n_covered)
     gain = log_again + log_fit - around.log_density[links.j] + links.log_brightness
-    missed = pattern - model.log_pattern(size, size, tuning)
+    missed = pattern - model.log_pattern(size, size)
     # Few of the tracks are in line with the link.
     kept = np.flatnonzero(gain > tuning.min_log_ratio)
     parents, state_covariance = parents.only(kept), tracks.covariance[kept]
