@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
-from sameas.kernels import partitions
+from sameas.kernels import packing, partitions
 from sameas.many.identify import identify_many
 from sameas.many.marginals import EXACT, MAX_RECORDS, best_partition, best_sets, incidence_of, sum_pruned_groups
 from sameas.many.rules import PoissonObjects
@@ -119,7 +119,7 @@ def test_annealed_duals_agree_with_the_relaxation():
         begin = np.concatenate([[0], np.cumsum(sets.size)])
         entry = sets.members[sets.members >= 0]
         dual = np.full(n, sets.log_weight.max())
-        chosen = partitions._anneal(begin, entry, sets.log_weight, partitions.ANNEALINGS[-1], dual)
+        chosen = packing.anneal(begin, entry, sets.log_weight, packing.ANNEALINGS[-1], dual)
         assert (np.add.reduceat(dual[entry], begin[:-1]) >= sets.log_weight - 1e-9).all()
         best = direct(sets, n, whole=False)
         assert best - 1e-6 <= dual.sum() <= best + 0.01 * n

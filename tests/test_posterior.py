@@ -458,6 +458,7 @@ def test_the_order_of_the_records_changes_no_probability():
 def test_no_sum_is_read_before_it_is_written(monkeypatch):
     """The workspace of the elimination is not cleared: whatever it holds, the answer is the same, to the last bit."""
     from sameas.kernels import posterior as kernels
+    from sameas.kernels.elimination import elimination
 
     def poisoned(records, pairs):
         workspace = elimination(records, pairs)
@@ -477,7 +478,6 @@ def test_no_sum_is_read_before_it_is_written(monkeypatch):
         exact(0, len(grouped), grouped.layout, best.weight, best.dual_1, best.dual_2, EVERY, math.inf, share, method)
         return share
 
-    elimination = kernels.elimination
     for seed in range(30):
         _, grouped, best, _ = solved(8, 8, near(seed), PerPair(-0.7))
         monkeypatch.setattr(kernels, "elimination", elimination)

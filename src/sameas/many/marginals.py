@@ -253,7 +253,8 @@ def additive_answer(sets: Sets, sizes: IntArray, *, tuning: ManyTuning = TUNING,
 
     sizes : (g,) number of records of every group. samples : False to leave probabilities of 0 where samples are needed.
     """
-    from sameas.kernels.partitions import pack, set_samples
+    from sameas.kernels.packing import pack
+    from sameas.kernels.partitions import set_samples
 
     n = int(sizes.sum())
     share, chosen, cut = sum_pruned_groups(sets, n, np.ones(len(sizes), bool), tuning)

@@ -13,7 +13,7 @@ are reached from a good partition instead, one record at a time:
 4. *Search.* From the single records and the clusters, a record is added (in place of one of the same source) or
    removed. Sets of a cost up to ``ManyTuning.near_cost`` are changed further, the cheapest first, in a group at most
    ``ManyTuning.near_breadth`` for each record.
-5. *Packing.* All sets found, and what they leave, are packed anew (:func:`sameas.kernels.partitions.pack`), and the
+5. *Packing.* All sets found, and what they leave, are packed anew (:func:`sameas.kernels.packing.pack`), and the
    search begins again from the better partition, if there is one.
 
 All sets found are candidates: any partition made of them counts, not only those of one change. A set that is excluded
@@ -309,7 +309,7 @@ class _Search:
 
     def packed(self, clusters: IntArray, sets: IntArray) -> IntArray:
         """(c, S) a partition made of the clusters and sets, which include each other, no worse than the clusters."""
-        from sameas.kernels.partitions import pack
+        from sameas.kernels.packing import pack
 
         weight, group = self.known(sets), self.group_of(sets)
         order = np.argsort(group, kind="stable")
