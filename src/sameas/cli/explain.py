@@ -12,50 +12,32 @@ from sameas.cli.outcome import answering
 
 
 def explain(
-    output: Annotated[
-        Path,
-        typer.Argument(
-            metavar="OUT",
-            help="A table that `sameas match`, `many` or `frame` wrote, or the folder of a picture.",
-            show_default=False,
-        ),
-    ],
-    record: Annotated[
-        str,
-        typer.Argument(
-            metavar="ID",
-            help="Id of the record, or its row if the catalogue has no ids; in a picture, the number or label "
-            "of an object.",
-            show_default=False,
-        ),
-    ],
-    source: Annotated[
-        str,
-        option(
-            "--source", metavar="1|2|NAME", show_default=True,
-            help="Source of the record: its number or name; in a frame, measurement or star.",
-        ),
-    ] = "1",
+    output: Annotated[Path, typer.Argument(
+        metavar="OUT", help="A table that `sameas match`, `many` or `frame` wrote, or the folder of a picture.",
+        show_default=False,
+    )],
+    record: Annotated[str, typer.Argument(
+        metavar="ID",
+        help="Id of the record, or its row if the catalogue has no ids; in a picture, the number or label of an "
+        "object.",
+        show_default=False,
+    )],
+    source: Annotated[str, option(
+        "--source", metavar="1|2|NAME", show_default=True,
+        help="Source of the record: its number or name; in a frame, measurement or star.",
+    )] = "1",
     row: Annotated[bool, option("--row", show_default=True, help="ID is a row, counted from 0.")] = False,
     at: Annotated[str | None, option("--at", metavar="TIME", help="Of a picture: the time.")] = None,
-    other: Annotated[
-        str | None,
-        option("--with", metavar="ID", help="Of a picture: a second track or object: are both one, and why?"),
-    ] = None,
-    again: Annotated[
-        bool,
-        option(
-            "--again", show_default=True,
-            help="Match the two catalogues again, for the terms of the odds and the cost of other answers.",
-        ),
-    ] = False,
-    format: Annotated[
-        str | None,
-        option(
-            "--format", metavar="NAME", callback=known_format,
-            help="Format of OUT; by default by its extension.",
-        ),
-    ] = None,
+    other: Annotated[str | None, option(
+        "--with", metavar="ID", help="Of a picture: a second track or object: are both one, and why?",
+    )] = None,
+    again: Annotated[bool, option(
+        "--again", show_default=True,
+        help="Match the two catalogues again, for the terms of the odds and the cost of other answers.",
+    )] = False,
+    format: Annotated[str | None, option(
+        "--format", metavar="NAME", callback=known_format, help="Format of OUT; by default by its extension.",
+    )] = None,
     debug: Debug = False,
 ) -> None:  # fmt: skip
     """Explain a record's identification: its candidates, and what other answers would cost.

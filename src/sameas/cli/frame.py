@@ -20,28 +20,17 @@ _PLACE, _IMAGE, _FILES = "Where it points", "The image", "Outputs"
 
 @with_columns({"": "The catalogue's columns"})
 def frame(
-    images: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="IMAGE...",
-            help="Frames: FITS, plain or packed (.fz, .gz); a folder is a series.",
-            show_default=False,
-        ),
-    ],
-    catalog: Annotated[
-        str,
-        option(
-            "--catalog",
-            "-c",
-            metavar="NAME",
-            help="A table, a folder of Parquet (HATS), 'bright' (whole sky, G < 10, no network) or 'gaia' (online).",
-        ),
-    ],
+    images: Annotated[list[Path], typer.Argument(
+        metavar="IMAGE...", help="Frames: FITS, plain or packed (.fz, .gz); a folder is a series.", show_default=False,
+    )],
+    catalog: Annotated[str, option(
+        "--catalog", "-c", metavar="NAME",
+        help="A table, a folder of Parquet (HATS), 'bright' (whole sky, G < 10, no network) or 'gaia' (online).",
+    )],
     output: Folder = Path("identified"),
-    aim: Annotated[
-        str | None,
-        option("--aim", panel=_PLACE, metavar="RA,DEC", help="Middle of the frame, degrees or 04:10:09,+22:50:22."),
-    ] = None,
+    aim: Annotated[str | None, option(
+        "--aim", panel=_PLACE, metavar="RA,DEC", help="Middle of the frame, degrees or 04:10:09,+22:50:22.",
+    )] = None,
     radius: Annotated[
         float | None, option("--radius", panel=_PLACE, metavar="DEG", help="Largest error of the aim.")
     ] = None,
@@ -63,10 +52,9 @@ def frame(
     bias: Annotated[
         list[Path] | None, option("--bias", panel=_IMAGE, metavar="FILE", help="Biases; repeat it.")
     ] = None,
-    mask: Annotated[
-        Path | None,
-        option("--mask", panel=_IMAGE, metavar="FILE", help="Mask image; pixels that are not 0 are not used."),
-    ] = None,
+    mask: Annotated[Path | None, option(
+        "--mask", panel=_IMAGE, metavar="FILE", help="Mask image; pixels that are not 0 are not used.",
+    )] = None,
     hdu: Annotated[
         str | None, option("--hdu", panel=_IMAGE, metavar="HDU", help="Number or name of the extension.")
     ] = None,
@@ -81,20 +69,16 @@ def frame(
     order: Annotated[
         int | None, option("--order", metavar="1…5", min=1, max=5, help="Order of the plate model; by default by BIC.")
     ] = None,
-    magnitudes: Annotated[
-        str,
-        option(
-            "--magnitudes", metavar="auto|off", callback=one_of(("auto", "off")), help="Brightness as evidence, or not."
-        ),
-    ] = "auto",
+    magnitudes: Annotated[str, option(
+        "--magnitudes", metavar="auto|off", callback=one_of(("auto", "off")), help="Brightness as evidence, or not.",
+    )] = "auto",
     faintest: Annotated[
         float | None, option("--faintest", metavar="MAG", help="Faintest star used; by default the frame's limit.")
     ] = None,
     no_motion: Annotated[bool, option("--no-motion", help="Leave the stars at the catalogue's epoch.")] = False,
-    brightest: Annotated[
-        int | None,
-        option("--brightest", panel=_FILES, metavar="N", min=0, help="Mark only the N brightest identified stars."),
-    ] = None,
+    brightest: Annotated[int | None, option(
+        "--brightest", panel=_FILES, metavar="N", min=0, help="Mark only the N brightest identified stars.",
+    )] = None,
     format: Annotated[
         str, option("--format", panel=_FILES, metavar="NAME", callback=known_format, help="Format of the star tables.")
     ] = "fits",
@@ -112,7 +96,7 @@ def frame(
     quiet: Quiet = False,
     debug: Debug = False,
     **columns: Any,
-) -> None:
+) -> None:  # fmt: skip
     """Identify the stars on frames with a catalogue: table, plate solution, regions, pictures and a page each.
 
     A frame is placed by its header, or an aim and a scale, or a range of scales alone. What is done already is not

@@ -43,13 +43,10 @@ def many(
         list[Path], typer.Argument(metavar="A B C …", help="Two catalogues or more, in any order.", show_default=False)
     ],
     output: Output = None,
-    least: Annotated[
-        int,
-        option(
-            "--least", metavar="N", min=1, max=MOST, show_default=True,
-            help="Write objects that at least this many catalogues show.",
-        ),
-    ] = 1,
+    least: Annotated[int, option(
+        "--least", metavar="N", min=1, max=MOST, show_default=True,
+        help="Write objects that at least this many catalogues show.",
+    )] = 1,
     dry_run: DryRun = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -58,20 +55,14 @@ def many(
     ] = None,
     gate_sigmas: GateSigmas = None,
     error_scale: ErrorScale = "auto",
-    offset: Annotated[
-        str,
-        option(
-            "--offset", panel=THE_MATCH, metavar="none|find", callback=one_of(("none", "find")), show_default=True,
-            help="Fit and remove each catalogue's shift and rotation relative to the most precise one.",
-        ),
-    ] = "none",
-    magnitudes: Annotated[
-        str,
-        option(
-            "--magnitudes", panel=THE_MATCH, metavar="auto|off", callback=one_of(("auto", "off")), show_default=True,
-            help="Magnitudes as evidence, or not.",
-        ),
-    ] = "auto",
+    offset: Annotated[str, option(
+        "--offset", panel=THE_MATCH, metavar="none|find", callback=one_of(("none", "find")), show_default=True,
+        help="Fit and remove each catalogue's shift and rotation relative to the most precise one.",
+    )] = "none",
+    magnitudes: Annotated[str, option(
+        "--magnitudes", panel=THE_MATCH, metavar="auto|off", callback=one_of(("auto", "off")), show_default=True,
+        help="Magnitudes as evidence, or not.",
+    )] = "auto",
     out_format: OutFormat = None,
     overwrite: Overwrite = True,
     **columns: Any,

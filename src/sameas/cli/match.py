@@ -50,125 +50,82 @@ _PANELS = {"": "Columns of both catalogues", "1": "First catalogue alone", "2": 
 @with_columns(_PANELS)
 def match(
     ctx: typer.Context,
-    first: Annotated[
-        Path,
-        typer.Argument(
-            metavar="A", help="First catalogue: FITS, VOTable, ECSV, CSV or Parquet.", show_default=False
-        ),
-    ],
+    first: Annotated[Path, typer.Argument(
+        metavar="A", help="First catalogue: FITS, VOTable, ECSV, CSV or Parquet.", show_default=False,
+    )],
     second: Annotated[Path, typer.Argument(metavar="B", help="Second catalogue.", show_default=False)],
     output: Output = None,
-    join: Annotated[
-        str,
-        option(
-            "--join", metavar="TYPE", callback=one_of(JOINS), show_default=True,
-            help=f"Rows of the output: {', '.join(JOINS)}.",
-        ),
-    ] = JOINS[0],
+    join: Annotated[str, option(
+        "--join", metavar="TYPE", callback=one_of(JOINS), show_default=True,
+        help=f"Rows of the output: {', '.join(JOINS)}.",
+    )] = JOINS[0],
     nway_columns: Annotated[
         bool, option("--nway-columns", show_default=True, help="Add p_any, p_i and dist_bayesfactor of NWAY.")
     ] = False,
-    compare_nearest: Annotated[
-        bool,
-        option(
-            "--compare-nearest", show_default=True, help="Print a nearest-neighbour match for comparison."
-        ),
-    ] = False,
-    certify: Annotated[
-        bool,
-        option(
-            "--certify", show_default=True,
-            help="Prove that no other one-to-one answer is more probable, and print the proof.",
-        ),
-    ] = False,
-    pictures: Annotated[
-        Path | None,
-        option(
-            "--pictures", metavar="FOLDER", help="Folder for plots of residuals, errors, probabilities and magnitudes."
-        ),
-    ] = None,
-    blends: Annotated[
-        float | None,
-        option(
-            "--blends", metavar="ARCSEC",
-            help="Resolution of A: write its blends of two records of B to OUT-blends.",
-        ),
-    ] = None,
+    compare_nearest: Annotated[bool, option(
+        "--compare-nearest", show_default=True, help="Print a nearest-neighbour match for comparison.",
+    )] = False,
+    certify: Annotated[bool, option(
+        "--certify", show_default=True,
+        help="Prove that no other one-to-one answer is more probable, and print the proof.",
+    )] = False,
+    pictures: Annotated[Path | None, option(
+        "--pictures", metavar="FOLDER", help="Folder for plots of residuals, errors, probabilities and magnitudes.",
+    )] = None,
+    blends: Annotated[float | None, option(
+        "--blends", metavar="ARCSEC", help="Resolution of A: write its blends of two records of B to OUT-blends.",
+    )] = None,
     dry_run: DryRun = False,
     quiet: Quiet = False,
     debug: Debug = False,
     to_epoch: ToEpoch = None,
     gate_sigmas: GateSigmas = None,
     error_scale: ErrorScale = "auto",
-    density: Annotated[
-        str | None,
-        option(
-            "--density", panel=THE_MATCH, metavar="N1,N2",
-            help="Records per square degree of A and B, instead of local densities from the data.",
-        ),
-    ] = None,
-    magnitudes: Annotated[
-        str,
-        option(
-            "--magnitudes", panel=THE_MATCH, metavar="auto|off|A,…:B,…", show_default=True,
-            help="Magnitudes as evidence: those of both catalogues, none, or columns of A and of B.",
-        ),
-    ] = "auto",
-    precision: Annotated[
-        bool,
-        option(
-            "--precision/--no-precision", panel=THE_MATCH, show_default=True,
-            help="Use the sizes of the quoted errors as evidence if magnitudes decide too little.",
-        ),
-    ] = True,
-    column1: Annotated[
-        list[str] | None,
-        option(
-            "--column1", panel=THE_MATCH, metavar="NAME[=FILE]",
-            help="Column of A to use as evidence; with a table of odds by value, a prior of your own. Repeatable.",
-        ),
-    ] = None,
+    density: Annotated[str | None, option(
+        "--density", panel=THE_MATCH, metavar="N1,N2",
+        help="Records per square degree of A and B, instead of local densities from the data.",
+    )] = None,
+    magnitudes: Annotated[str, option(
+        "--magnitudes", panel=THE_MATCH, metavar="auto|off|A,…:B,…", show_default=True,
+        help="Magnitudes as evidence: those of both catalogues, none, or columns of A and of B.",
+    )] = "auto",
+    precision: Annotated[bool, option(
+        "--precision/--no-precision", panel=THE_MATCH, show_default=True,
+        help="Use the sizes of the quoted errors as evidence if magnitudes decide too little.",
+    )] = True,
+    column1: Annotated[list[str] | None, option(
+        "--column1", panel=THE_MATCH, metavar="NAME[=FILE]",
+        help="Column of A to use as evidence; with a table of odds by value, a prior of your own. Repeatable.",
+    )] = None,
     column2: Annotated[
         list[str] | None, option("--column2", panel=THE_MATCH, metavar="NAME[=FILE]", help="The same of B.")
     ] = None,
-    relation: Annotated[
-        list[str] | None,
-        option(
-            "--relation", panel=THE_MATCH, metavar="A:B",
-            help="Column of A and column of B that may be related, such as two fluxes. Repeatable.",
-        ),
-    ] = None,
-    offset: Annotated[
-        str,
-        option(
-            "--offset", panel=THE_MATCH, metavar="none|find", callback=one_of(("none", "find")), show_default=True,
-            help="Fit and remove the shift and rotation of B relative to A.",
-        ),
-    ] = "none",
+    relation: Annotated[list[str] | None, option(
+        "--relation", panel=THE_MATCH, metavar="A:B",
+        help="Column of A and column of B that may be related, such as two fluxes. Repeatable.",
+    )] = None,
+    offset: Annotated[str, option(
+        "--offset", panel=THE_MATCH, metavar="none|find", callback=one_of(("none", "find")), show_default=True,
+        help="Fit and remove the shift and rotation of B relative to A.",
+    )] = "none",
     hdu1: Annotated[
         str | None, option("--hdu1", panel=FILES, metavar="HDU", help="Number or name of the FITS extension of A.")
     ] = None,
     hdu2: Annotated[str | None, option("--hdu2", panel=FILES, metavar="HDU", help="The same of B.")] = None,
-    format1: Annotated[
-        str | None,
-        option(
-            "--format1", panel=FILES, metavar="NAME", callback=known_format,
-            help="Format of A; by default by its extension.",
-        ),
-    ] = None,
-    format2: Annotated[
-        str | None,
-        option("--format2", panel=FILES, metavar="NAME", callback=known_format, help="The same of B."),
-    ] = None,
-    out_format: Annotated[
-        str | None,
-        option("--out-format", panel=FILES, metavar="NAME", callback=known_format, help="The same of OUT."),
-    ] = None,
+    format1: Annotated[str | None, option(
+        "--format1", panel=FILES, metavar="NAME", callback=known_format,
+        help="Format of A; by default by its extension.",
+    )] = None,
+    format2: Annotated[str | None, option(
+        "--format2", panel=FILES, metavar="NAME", callback=known_format, help="The same of B.",
+    )] = None,
+    out_format: Annotated[str | None, option(
+        "--out-format", panel=FILES, metavar="NAME", callback=known_format, help="The same of OUT.",
+    )] = None,
     overwrite: Overwrite = True,
-    workers: Annotated[
-        int | None,
-        option("--workers", panel=FILES, metavar="N", help="Processes, where A and B are HATS catalogues."),
-    ] = None,
+    workers: Annotated[int | None, option(
+        "--workers", panel=FILES, metavar="N", help="Processes, where A and B are HATS catalogues.",
+    )] = None,
     **columns: Any,
 ) -> None:  # fmt: skip
     """Identify the records of two catalogues and join their tables.

@@ -39,37 +39,25 @@ _FRAMES = "A series of frames"
 @with_columns({"": _COLUMNS}, SIDE_OPTIONS)
 def movers(
     ctx: typer.Context,
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE…", help="Detections of one night, in tables, or the frames of a series.", show_default=False
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        option(
-            "-o",
-            "--output",
-            metavar="OUT",
-            help="Table of the detections of tracklets, one row each; of frames, a folder.",
-        ),
-    ] = None,
+    files: Annotated[list[Path], typer.Argument(
+        metavar="FILE…", help="Detections of one night, in tables, or the frames of a series.", show_default=False,
+    )],
+    output: Annotated[Path | None, option(
+        "-o", "--output", metavar="OUT",
+        help="Table of the detections of tracklets, one row each; of frames, a folder.",
+    )] = None,
     tracklets: Annotated[
         Path | None, option("--tracklets", metavar="OUT", help="Table of the tracklets, one row each.")
     ] = None,
     least: Annotated[
         int, option("--least", metavar="N", min=2, show_default=True, help="Fewest detections of a tracklet.")
     ] = 2,
-    probability: Annotated[
-        float,
-        option("--probability", metavar="P", min=0, max=1, show_default=True, help="Lowest probability of a tracklet."),
-    ] = 0.5,
-    learn: Annotated[
-        list[Path] | None,
-        option(
-            "--learn", metavar="TABLE", help="Detections of another night, to learn the rates of motion; repeatable."
-        ),
-    ] = None,
+    probability: Annotated[float, option(
+        "--probability", metavar="P", min=0, max=1, show_default=True, help="Lowest probability of a tracklet.",
+    )] = 0.5,
+    learn: Annotated[list[Path] | None, option(
+        "--learn", metavar="TABLE", help="Detections of another night, to learn the rates of motion; repeatable.",
+    )] = None,
     time: Annotated[
         str | None, option("--time", panel=_COLUMNS, metavar="NAME", help="Column: middle of the exposure, UTC.")
     ] = None,
@@ -79,20 +67,12 @@ def movers(
     band: Annotated[
         str | None, option("--band", panel=_COLUMNS, metavar="NAME|none", help="Column: band of the magnitude.")
     ] = None,
-    catalog: Annotated[
-        str | None,
-        option(
-            "--catalog",
-            "-c",
-            panel=_FRAMES,
-            metavar="NAME",
-            help="Star catalogue, as of sameas frame: files are frames.",
-        ),
-    ] = None,
-    aim: Annotated[
-        str | None,
-        option("--aim", panel=_FRAMES, metavar="RA,DEC", help="Centre of the frames, if their headers lack it."),
-    ] = None,
+    catalog: Annotated[str | None, option(
+        "--catalog", "-c", panel=_FRAMES, metavar="NAME", help="Star catalogue, as of sameas frame: files are frames.",
+    )] = None,
+    aim: Annotated[str | None, option(
+        "--aim", panel=_FRAMES, metavar="RA,DEC", help="Centre of the frames, if their headers lack it.",
+    )] = None,
     scale: Annotated[str | None, option("--scale", panel=_FRAMES, metavar="LO,HI", help="Arcsec per pixel.")] = None,
     dark: Annotated[
         list[Path] | None, option("--dark", panel=_FRAMES, metavar="FILE", help="Dark frames; repeat it.")
@@ -103,41 +83,23 @@ def movers(
     bias: Annotated[
         list[Path] | None, option("--bias", panel=_FRAMES, metavar="FILE", help="Biases; repeat it.")
     ] = None,
-    elements: Annotated[
-        Path | None,
-        option("--elements", metavar="FILE", help="Orbits of known objects: MPCORB.DAT, JPL's JSON, or demo."),
-    ] = None,
-    report: Annotated[
-        Path | None,
-        option(
-            "--report",
-            metavar="TOML",
-            help="Observer and telescope (TOML): also writes the ADES and 80-column reports.",
-        ),
-    ] = None,
-    report_probability: Annotated[
-        float | None,
-        option(
-            "--report-probability",
-            metavar="P",
-            min=0,
-            max=1,
-            help="Lowest probability of a tracklet in the report; the tables contain all. [0.9]",
-        ),
-    ] = None,
+    elements: Annotated[Path | None, option(
+        "--elements", metavar="FILE", help="Orbits of known objects: MPCORB.DAT, JPL's JSON, or demo.",
+    )] = None,
+    report: Annotated[Path | None, option(
+        "--report", metavar="TOML", help="Observer and telescope (TOML): also writes the ADES and 80-column reports.",
+    )] = None,
+    report_probability: Annotated[float | None, option(
+        "--report-probability", metavar="P", min=0, max=1,
+        help="Lowest probability of a tracklet in the report; the tables contain all. [0.9]",
+    )] = None,
     site: Annotated[
         str | None, option("--site", metavar="LAT,LON,M", help="Observer: degrees, east positive, metres. [header's]")
     ] = None,
-    below_limit: Annotated[
-        float | None,
-        option(
-            "--below-limit",
-            panel=_FRAMES,
-            metavar="RATE",
-            min=0.0,
-            help="Stack the frames along all motions to this rate, arcsec/min: finds movers too faint for one frame.",
-        ),
-    ] = None,
+    below_limit: Annotated[float | None, option(
+        "--below-limit", panel=_FRAMES, metavar="RATE", min=0.0,
+        help="Stack the frames along all motions to this rate, arcsec/min: finds movers too faint for one frame.",
+    )] = None,
     processes: Annotated[
         int, option("--processes", "-j", panel=_FRAMES, metavar="N", min=1, show_default=True, help="Frames at a time.")
     ] = 2,
@@ -146,7 +108,7 @@ def movers(
     quiet: Quiet = False,
     debug: Debug = False,
     **columns: Any,
-) -> None:
+) -> None:  # fmt: skip
     """Find what moves: tracklets of detections, how sure each is, and each of its detections.
 
     With --catalog the files are the frames of a series, and -o is a folder. Without it they are tables of the

@@ -148,29 +148,17 @@ THE_MATCH, FILES = "The match", "Files"
 Output = Annotated[
     Path | None, option("-o", "--output", metavar="OUT", help="The joined table; its format is that of the extension.")
 ]
-ToEpoch = Annotated[
-    float | None,
-    option("--to-epoch", panel=THE_MATCH, metavar="YEAR", help="Common epoch that both catalogues are moved to."),
-]
-GateSigmas = Annotated[
-    float | None,
-    option(
-        "--gate-sigmas",
-        panel=THE_MATCH,
-        metavar="K",
-        help="Radius of the gate in quoted σ; by default from the estimated errors.",
-    ),
-]
-ErrorScale = Annotated[
-    str,
-    option(
-        "--error-scale",
-        panel=THE_MATCH,
-        metavar="auto|FACTOR",
-        show_default=True,
-        help="Factor on the quoted errors: estimated, or given; 1 takes them as quoted.",
-    ),
-]
+ToEpoch = Annotated[float | None, option(
+    "--to-epoch", panel=THE_MATCH, metavar="YEAR", help="Common epoch that both catalogues are moved to.",
+)]  # fmt: skip
+GateSigmas = Annotated[float | None, option(
+    "--gate-sigmas", panel=THE_MATCH, metavar="K",
+    help="Radius of the gate in quoted σ; by default from the estimated errors.",
+)]  # fmt: skip
+ErrorScale = Annotated[str, option(
+    "--error-scale", panel=THE_MATCH, metavar="auto|FACTOR", show_default=True,
+    help="Factor on the quoted errors: estimated, or given; 1 takes them as quoted.",
+)]  # fmt: skip
 Overwrite = Annotated[
     bool, option("--overwrite/--no-overwrite", panel=FILES, show_default=True, help="Whether OUT may exist already.")
 ]

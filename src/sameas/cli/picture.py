@@ -39,24 +39,15 @@ def duration_s(text: str | None) -> float | None:
 
 def picture(
     ctx: typer.Context,
-    files: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="FILE...",
-            show_default=False,
-            help="Recordings of the sensors: CSV, Parquet, JSON lines, AIS and ARPA NMEA, NMEA 2000, Signal K, gpsd, "
-            "aircraft.json, SBS, Mode S, ASTERIX. NAME=FILE names the source.",
-        ),
-    ] = None,
-    sensors: Annotated[
-        Path | None,
-        option(
-            "--sensors",
-            "-s",
-            metavar="TOML",
-            help="Description of the sensors (TOML): position, coverage, errors, misses, biases; and their files.",
-        ),
-    ] = None,
+    files: Annotated[list[str] | None, typer.Argument(
+        metavar="FILE...", show_default=False,
+        help="Recordings of the sensors: CSV, Parquet, JSON lines, AIS and ARPA NMEA, NMEA 2000, Signal K, gpsd, "
+        "aircraft.json, SBS, Mode S, ASTERIX. NAME=FILE names the source.",
+    )] = None,
+    sensors: Annotated[Path | None, option(
+        "--sensors", "-s", metavar="TOML",
+        help="Description of the sensors (TOML): position, coverage, errors, misses, biases; and their files.",
+    )] = None,
     output: Folder = Path("picture"),
     every: Annotated[
         str | None, option("--every", panel=_TIMES, metavar="10s", help="Time between instants; 10s, 2min, 1h.")
@@ -64,47 +55,36 @@ def picture(
     at: Annotated[str | None, option("--at", panel=_TIMES, metavar="TIME", help="One instant only.")] = None,
     begin: Annotated[str | None, option("--from", panel=_TIMES, metavar="TIME", help="The first instant.")] = None,
     end: Annotated[str | None, option("--to", panel=_TIMES, metavar="TIME", help="The last instant.")] = None,
-    start: Annotated[
-        str | None,
-        option("--start", panel=_TIMES, metavar="TIME", help="UTC of the first line, for files without a date."),
-    ] = None,
-    within: Annotated[
-        str | None,
-        option(
-            "--within",
-            panel=_AREA,
-            metavar="LAT,LON,KM",
-            help="Use only reports within this distance of a place; 50km, 20nm.",
-        ),
-    ] = None,
-    without: Annotated[
-        list[str] | None,
-        option(
-            "--without", panel=_METHOD, metavar="SOURCE", help="Exclude this source, for comparison; may be repeated."
-        ),
-    ] = None,
+    start: Annotated[str | None, option(
+        "--start", panel=_TIMES, metavar="TIME", help="UTC of the first line, for files without a date.",
+    )] = None,
+    within: Annotated[str | None, option(
+        "--within", panel=_AREA, metavar="LAT,LON,KM",
+        help="Use only reports within this distance of a place; 50km, 20nm.",
+    )] = None,
+    without: Annotated[list[str] | None, option(
+        "--without", panel=_METHOD, metavar="SOURCE", help="Exclude this source, for comparison; may be repeated.",
+    )] = None,
     no_registration: Annotated[
         bool, option("--no-registration", panel=_METHOD, help="Assume sensor offsets of zero, or as described.")
     ] = False,
     no_identity: Annotated[
         bool, option("--no-identity", panel=_METHOD, help="Do not use MMSI, ICAO address, callsign … as evidence.")
     ] = False,
-    no_memory: Annotated[
-        bool,
-        option("--no-memory", panel=_METHOD, help="Identify every instant by itself, without the tracks' history."),
-    ] = False,
+    no_memory: Annotated[bool, option(
+        "--no-memory", panel=_METHOD, help="Identify every instant by itself, without the tracks' history.",
+    )] = False,
     format: Annotated[
         str, option("--format", panel=_FILES, metavar="parquet|csv", callback=one_of(TABLES), help="Table format.")
     ] = "parquet",
-    coast: Annotated[
-        Path | None,
-        option("--coast", panel=_FILES, metavar="GEOJSON", help="Land and shores for the map, finer than the world's."),
-    ] = None,
+    coast: Annotated[Path | None, option(
+        "--coast", panel=_FILES, metavar="GEOJSON", help="Land and shores for the map, finer than the world's.",
+    )] = None,
     no_map: Annotated[bool, option("--no-map", panel=_FILES, help="No map.html.")] = False,
     no_image: Annotated[bool, option("--no-image", panel=_FILES, help="No picture.png.")] = False,
     quiet: Quiet = False,
     debug: Debug = False,
-) -> None:
+) -> None:  # fmt: skip
     """One picture from many sensors: which record of each source is which ship or aircraft, and how sure that is.
 
     Writes tables of identities and objects, GeoJSON, a map to open in a browser and a picture for a report.

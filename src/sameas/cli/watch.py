@@ -50,58 +50,34 @@ _INPUTS, _MAP = "What is read", "The map"
 
 
 def watch(
-    files: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[FILE]...",
-            show_default=False,
-            help="Files, or a folder of --record, to replay instead of live inputs, as for sameas picture. NAME=FILE "
-            "names the source.",
-        ),
-    ] = None,
-    sensors: Annotated[
-        Path | None,
-        option(
-            "--sensors",
-            "-s",
-            metavar="TOML",
-            help="Descriptions of the sensors and their inputs: udp://, tcp://, tcp-listen://, http://, serial:, "
-            "stdin:.",
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        option(
-            "-o",
-            "--output",
-            metavar="FOLDER",
-            help="Folder of state, journal and archive; a watch that was stopped resumes from it.",
-        ),
-    ] = None,
-    pace: Annotated[
-        float,
-        option("--pace", panel=_INPUTS, metavar="N", show_default=True, help="Replay N times as fast as recorded."),
-    ] = 1.0,
-    as_received: Annotated[
-        bool,
-        option(
-            "--as-received",
-            panel=_INPUTS,
-            help="Replay recordings by the times of receipt, not by those of the reports: late reports and clocks that "
-            "jump come again as they came.",
-        ),
-    ] = False,
-    record: Annotated[
-        Path | None,
-        option(
-            "--record", panel=_INPUTS, metavar="FOLDER", help="Record what is received; the folder can be replayed."
-        ),
-    ] = None,
+    files: Annotated[list[str] | None, typer.Argument(
+        metavar="[FILE]...", show_default=False,
+        help="Files, or a folder of --record, to replay instead of live inputs, as for sameas picture. NAME=FILE "
+        "names the source.",
+    )] = None,
+    sensors: Annotated[Path | None, option(
+        "--sensors", "-s", metavar="TOML",
+        help="Descriptions of the sensors and their inputs: udp://, tcp://, tcp-listen://, http://, serial:, stdin:.",
+    )] = None,
+    output: Annotated[Path | None, option(
+        "-o", "--output", metavar="FOLDER",
+        help="Folder of state, journal and archive; a watch that was stopped resumes from it.",
+    )] = None,
+    pace: Annotated[float, option(
+        "--pace", panel=_INPUTS, metavar="N", show_default=True, help="Replay N times as fast as recorded.",
+    )] = 1.0,
+    as_received: Annotated[bool, option(
+        "--as-received", panel=_INPUTS,
+        help="Replay recordings by the times of receipt, not by those of the reports: late reports and clocks that "
+        "jump come again as they came.",
+    )] = False,
+    record: Annotated[Path | None, option(
+        "--record", panel=_INPUTS, metavar="FOLDER", help="Record what is received; the folder can be replayed.",
+    )] = None,
     every: Annotated[str | None, option("--every", panel=_INPUTS, metavar="1s", help="Time between instants.")] = None,
-    start: Annotated[
-        str | None,
-        option("--start", panel=_INPUTS, metavar="TIME", help="UTC of the first line, for files without a date."),
-    ] = None,
+    start: Annotated[str | None, option(
+        "--start", panel=_INPUTS, metavar="TIME", help="UTC of the first line, for files without a date.",
+    )] = None,
     duration: Annotated[
         str | None, option("--for", panel=_INPUTS, metavar="10s", help="End after this long; otherwise with Ctrl-C.")
     ] = None,
@@ -117,44 +93,28 @@ def watch(
     viewer_token: Annotated[
         str | None, option("--viewer-token", panel=_MAP, metavar="TEXT", help="Token that may only view.")
     ] = None,
-    certificate: Annotated[
-        Path | None,
-        option(
-            "--certificate",
-            panel=_MAP,
-            metavar="PEM",
-            help="Serve https, with this certificate and its private key; without it the map is not encrypted.",
-        ),
-    ] = None,
-    key: Annotated[
-        Path | None,
-        option("--key", panel=_MAP, metavar="PEM", help="The private key, if it is in a file of its own."),
-    ] = None,
-    chart: Annotated[
-        list[Path] | None,
-        option(
-            "--chart",
-            panel=_MAP,
-            metavar="FILE",
-            help="Chart below the objects: MBTiles, PMTiles or GeoJSON of land; again for charts above it.",
-        ),
-    ] = None,
-    zones: Annotated[
-        list[Path] | None,
-        option(
-            "--zones",
-            metavar="GEOJSON",
-            help="Guard zones: polygons, or points with radius_m; an object inside raises an alarm. Again for more.",
-        ),
-    ] = None,
+    certificate: Annotated[Path | None, option(
+        "--certificate", panel=_MAP, metavar="PEM",
+        help="Serve https, with this certificate and its private key; without it the map is not encrypted.",
+    )] = None,
+    key: Annotated[Path | None, option(
+        "--key", panel=_MAP, metavar="PEM", help="The private key, if it is in a file of its own.",
+    )] = None,
+    chart: Annotated[list[Path] | None, option(
+        "--chart", panel=_MAP, metavar="FILE",
+        help="Chart below the objects: MBTiles, PMTiles or GeoJSON of land; again for charts above it.",
+    )] = None,
+    zones: Annotated[list[Path] | None, option(
+        "--zones", metavar="GEOJSON",
+        help="Guard zones: polygons, or points with radius_m; an object inside raises an alarm. Again for more.",
+    )] = None,
     no_map: Annotated[bool, option("--no-map", panel=_MAP, help="Serve no map.")] = False,
-    standby: Annotated[
-        bool,
-        option("--standby", help="While another watch uses the folder of -o: wait, and take over when it has ended."),
-    ] = False,
+    standby: Annotated[bool, option(
+        "--standby", help="While another watch uses the folder of -o: wait, and take over when it has ended.",
+    )] = False,
     quiet: Quiet = False,
     debug: Debug = False,
-) -> None:
+) -> None:  # fmt: skip
     """The picture live: which of the sensors' records are the same ship or aircraft, while it happens.
 
     Reads what sensors send, or replays files; serves a map; keeps a journal of identities; sends to other programs.
