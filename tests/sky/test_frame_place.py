@@ -19,8 +19,8 @@ from sameas.sky.frame.place import NoSolution, Placement, odds_in_words, place
 from sameas.sky.frame.plate import MatchedStars, fit_plate
 from sameas.sky.frame.pointing import Pointing
 from sameas.sky.frame.pointing_hints import (
+    AIM_LISTS,
     BRIGHTEST_PATTERNS,
-    DEFAULT_POINTING,
     FURTHER_PATTERNS,
     Aim,
     AllSky,
@@ -179,8 +179,8 @@ def test_another_field_is_refused_with_the_odds(n: int, brightest: int) -> None:
 @pytest.mark.slow
 def test_a_search_in_two_steps_has_every_list_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor are the patterns of the same stars made twice: they take most of the time of a frame that is refused."""
-    assert BRIGHTEST_PATTERNS.aim_lists + FURTHER_PATTERNS.aim_lists == DEFAULT_POINTING.aim_lists
-    (k, per_field, n), (next_k, next_per_field, next_n) = DEFAULT_POINTING.aim_lists[:2]
+    assert BRIGHTEST_PATTERNS + FURTHER_PATTERNS == AIM_LISTS
+    (k, per_field, n), (next_k, next_per_field, next_n) = AIM_LISTS[:2]
     assert (k, per_field) == (next_k, next_per_field) and n < next_n, "the second step has the patterns of the first"
     made: list[tuple[int, int]] = []
 

@@ -44,14 +44,14 @@ from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.outputs import listing, summary
 from sameas.sky.frame.place import NoSolution
 from sameas.sky.frame.pointing_hints import (
+    AIM_LISTS,
     BRIGHTEST_PATTERNS,
-    DEFAULT_POINTING,
     FURTHER_PATTERNS,
     Aim,
+    AimLists,
     AllSky,
     ApproximateWcs,
     Hint,
-    PointingTuning,
     SkyIndex,
     sky_index,
 )
@@ -269,8 +269,8 @@ def _solved_at_some_scale(
     scale, others = at_other_scales(request.pointing, own_hints)
     if not others:
         return _first_solved(solved, request, frame, own_hints)
-    for pointing, aims in ((BRIGHTEST_PATTERNS, others), (FURTHER_PATTERNS, others[:2])):
-        search = partial(solved, pointing=pointing)
+    for aim_lists, aims in ((BRIGHTEST_PATTERNS, others), (FURTHER_PATTERNS, others[:2])):
+        search = partial(solved, aim_lists=aim_lists)
         try:
             return _first_solved(search, request, frame, own_hints)
         except NoSolution as error:
@@ -316,7 +316,7 @@ def _solved(
     *,
     progress: Progress,
     given: Catalogue | None,
-    pointing: PointingTuning = DEFAULT_POINTING,
+    aim_lists: AimLists = AIM_LISTS,
 ) -> tuple[FrameIdentification, Catalogue]:
     """The frame identified by the hints on one field, and the catalogue of this field."""
     cone = search_cone(near, frame.shape)
@@ -336,7 +336,7 @@ def _solved(
         index=None if all_sky is None or given else _index(_key(request, cone), epoch, frame.shape, all_sky),
         motion=request.motion and not (moves and moment is None),
         faintest=request.faintest,
-        pointing=pointing,
+        aim_lists=aim_lists,
     )
     if moves and moment is None and request.motion:
         text = (

@@ -35,12 +35,12 @@ from sameas.sky.frame.place import Placement, place
 from sameas.sky.frame.plate import DEFAULT_PLATE, MatchedStars, PlateModel, PlateTuning, fit_plate, terms
 from sameas.sky.frame.pointing import Pointing
 from sameas.sky.frame.pointing_hints import (
-    DEFAULT_POINTING,
+    AIM_LISTS,
     Aim,
+    AimLists,
     AllSky,
     ApproximateWcs,
     Hint,
-    PointingTuning,
     SkyIndex,
 )
 from sameas.sky.residual_epoch import LARGEST_SIGMAS, MovedPairs, Questioned
@@ -410,7 +410,7 @@ def solve(
     index: SkyIndex | None = None,
     motion: bool = True,
     faintest: float | None = None,
-    pointing: PointingTuning = DEFAULT_POINTING,
+    aim_lists: AimLists = AIM_LISTS,
 ) -> FrameIdentification:
     """A frame solved: placement, identification of its stars, and refined plate.
 
@@ -421,7 +421,7 @@ def solve(
     epoch_jyr : middle of the exposure, Julian year; None only if the catalogue has no proper motions.
     refinement : how identification and plate are refined. index : for :class:`AllSky` hints, reusable between frames.
     motion : False keeps the stars at their own epochs, for comparison.
-    faintest : limiting magnitude of the stars; None for the limit of the frame. pointing : how placements are searched.
+    faintest : limiting magnitude of the stars; None for the limit of the frame. aim_lists : patterns that are tried.
 
     Raises
     ------
@@ -444,7 +444,7 @@ def solve(
         raise InputError(
             f"{catalogue.name}: {len(stars)} stars{where}{by}, a frame needs four; does the catalogue cover the field?"
         )
-    placement = place(measured, stars.stars(), hints, index=index, tuning=pointing)
+    placement = place(measured, stars.stars(), hints, index=index, aim_lists=aim_lists)
     near_frame = stars.within(footprint(placement.pointing, measured.shape, room))
     near_frame[placement.rows_stars] = True
     new_row = np.cumsum(near_frame) - 1

@@ -27,12 +27,13 @@ from sameas.sky.frame.field import Stars
 from sameas.sky.frame.odds import PlateProblem, VerifiedPointing, refitted_on, verify
 from sameas.sky.frame.pointing import Pointing, sky_of
 from sameas.sky.frame.pointing_hints import (
-    DEFAULT_POINTING,
+    AIM_LISTS,
+    VERIFIED,
     Aim,
+    AimLists,
     AllSky,
     ApproximateWcs,
     Hint,
-    PointingTuning,
     SkyIndex,
     candidates,
 )
@@ -129,7 +130,7 @@ def place(
     *,
     index: SkyIndex | None = None,
     odds: float = DEFAULT_ODDS,
-    tuning: PointingTuning = DEFAULT_POINTING,
+    aim_lists: AimLists = AIM_LISTS,
 ) -> Placement:
     """The placement of a frame by the first hint whose best placement has high enough odds.
 
@@ -141,7 +142,7 @@ def place(
     index : of :func:`~sameas.sky.frame.pointing_hints.sky_index` for :class:`AllSky` hints, reusable between frames;
         built if not given.
     odds : minimum odds of a placement against chance, and against the next best placement.
-    tuning : of the search and the odds.
+    aim_lists : patterns that are tried around an aim.
 
     Raises
     ------
@@ -157,7 +158,7 @@ def place(
     problem, order_1, order_2 = problem_of(measured, stars)
     refusals = []
     for hint in hints:
-        best, second = _best_pointing(problem, hint, index, math.log(odds), tuning)
+        best, second = _best_pointing(problem, hint, index, math.log(odds), aim_lists)
         if best is not None and _is_established(best, second, math.log(odds)):
             return _placement(problem, best, second, hint, (order_1, order_2))
         refusals.append(_refusal(hint, best, second))
@@ -184,14 +185,14 @@ def problem_of(measured: MeasuredStars, stars: Stars) -> tuple[PlateProblem, Int
 
 
 def _best_pointing(
-    problem: PlateProblem, hint: Hint, index: SkyIndex | None, least_log_odds: float, tuning: PointingTuning
+    problem: PlateProblem, hint: Hint, index: SkyIndex | None, least_log_odds: float, aim_lists: AimLists
 ) -> tuple[VerifiedPointing | None, float]:
     """The best pointing under one hint, and the log-odds of the next best, different one."""
     undistorted = _undistorted(problem, hint)
     volume, tolerance = hint.search_volume(undistorted), 0.01 * undistorted.half_diagonal_px
     best, second = None, -math.inf
-    for pointings in candidates(undistorted, hint, index, tuning):
-        for pointing in _distinct(pointings, undistorted, tuning.verified):
+    for pointings in candidates(undistorted, hint, index, aim_lists):
+        for pointing in _distinct(pointings, undistorted, VERIFIED):
             verified = verify(undistorted, pointing, volume, tolerance)
             if not math.isfinite(verified.log_odds) or not hint.allows(verified.pointing, undistorted):
                 continue

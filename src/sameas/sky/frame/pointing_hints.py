@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -206,40 +206,25 @@ def brightest_per_cell(vectors: FloatArray, rank: IntArray, side_rad: float, n: 
     return chosen[np.argsort(rank[chosen], kind="stable")]
 
 
-@dataclass(frozen=True)
-class PointingTuning:
-    """Parameters of the search for a pointing, tuned on simulated frames.
+# Numbers of the search for a pointing, tuned on simulated frames.
 
-    code_tolerance : maximum distance of two codes of similar patterns: 1.5 % of the longest side per coordinate.
-    sides_all_sky, sides_few, sides_many : (least, largest) longest side of a pattern over the side of the field: in the
-        index of the whole sky, and around an aim with few or many stars per field.
-    many_stars : number of stars per field above which it has many: no longest patterns, no triangles of faint stars.
-    stars_per_field : bright stars per field in the index of the whole sky.
-    measured : numbers of brightest measurements tried with the index, in this order.
-    aim_lists : tried around an aim, in this order: points per pattern, bright stars per field, brightest measurements.
-    batch : pairs of patterns counted at a time, which bounds the memory.
-    best : maximum number of pointings per list.
-    verified : maximum number of different pointings per list that are verified.
-    """
+CODE_TOLERANCE = 0.02  # maximum distance of two codes of similar patterns: 1.5 % of the longest side per coordinate
+#: (least, largest) longest side of a pattern over the side of the field: in the index of the whole sky, and around an
+#: aim with few or many stars per field.
+SIDES_ALL_SKY, SIDES_FEW, SIDES_MANY = (0.2, 0.6), (0.15, 1.3), (0.2, 0.7)
+MANY_STARS = 20  # stars per field above which it has many: no longest patterns, no triangles of faint stars
+STARS_PER_FIELD = 14  # bright stars per field in the index of the whole sky
+MEASURED = (12, 20, 30)  # numbers of brightest measurements tried with the index, in this order
+BATCH = 20_000  # pairs of patterns counted at a time, which bounds the memory
+BEST, VERIFIED = 500, 20  # maximum number of pointings per list, and of different ones that are verified
 
-    code_tolerance: float = 0.02
-    sides_all_sky: tuple[float, float] = (0.2, 0.6)
-    sides_few: tuple[float, float] = (0.15, 1.3)
-    sides_many: tuple[float, float] = (0.2, 0.7)
-    many_stars: int = 20
-    stars_per_field: int = 14
-    measured: tuple[int, ...] = (12, 20, 30)
-    aim_lists: tuple[tuple[int, int, int], ...] = ((4, 16, 16), (4, 16, 30), (3, 16, 25), (4, 32, 32), (3, 32, 36))
-    batch: int = 20_000
-    best: int = 500
-    verified: int = 20
-
-
-DEFAULT_POINTING = PointingTuning()
+AimLists = tuple[tuple[int, int, int], ...]
+#: Tried around an aim, in this order: points per pattern, bright stars per field, brightest measurements.
+AIM_LISTS: AimLists = ((4, 16, 16), (4, 16, 30), (3, 16, 25), (4, 32, 32), (3, 32, 36))
 #: Only the first list around an aim: a second, where all may take half a minute; and those after it, of which the next
 #: has all its patterns, so that a search in two steps misses none.
-BRIGHTEST_PATTERNS = replace(DEFAULT_POINTING, aim_lists=DEFAULT_POINTING.aim_lists[:1])
-FURTHER_PATTERNS = replace(DEFAULT_POINTING, aim_lists=DEFAULT_POINTING.aim_lists[1:])
+BRIGHTEST_PATTERNS = AIM_LISTS[:1]
+FURTHER_PATTERNS = AIM_LISTS[1:]
 
 
 @in_short
@@ -369,19 +354,17 @@ class SkyIndex:
     levels: tuple[PatternIndex, ...]
 
 
-def sky_index(
-    stars: Stars, shape: tuple[int, int], hint: AllSky, tuning: PointingTuning = DEFAULT_POINTING
-) -> SkyIndex:
+def sky_index(stars: Stars, shape: tuple[int, int], hint: AllSky) -> SkyIndex:
     """The index of a catalogue of the whole sky, for frames of ``shape`` (rows, columns) and the scales of the hint.
 
     Raises InputError: the catalogue has too few stars for fields of this size.
     """
     order = stars.order()
     vectors = unit_vectors(np.asarray(stars.ra_deg)[order], np.asarray(stars.dec_deg)[order])
-    return _index_of(vectors, shape, hint, tuning)
+    return _index_of(vectors, shape, hint)
 
 
-def _index_of(vectors: FloatArray, shape: tuple[int, int], hint: AllSky, tuning: PointingTuning) -> SkyIndex:
+def _index_of(vectors: FloatArray, shape: tuple[int, int], hint: AllSky) -> SkyIndex:
     least, most = (side / ARCSEC_PER_RADIAN * math.sqrt(shape[0] * shape[1]) for side in hint.scale_arcsec)
     per_field = len(vectors) * least**2 / (4 * math.pi)
     if per_field < 4:
@@ -392,7 +375,7 @@ def _index_of(vectors: FloatArray, shape: tuple[int, int], hint: AllSky, tuning:
     _refuse_round(least)
     steps = max(1, math.ceil(math.log(most / least) / math.log(math.sqrt(2.0)) - 0.3))
     fields = least * math.sqrt(2.0) ** np.arange(steps)
-    number, sides = tuning.stars_per_field, tuning.sides_all_sky
+    number, sides = STARS_PER_FIELD, SIDES_ALL_SKY
     return SkyIndex(tuple(_level(vectors, float(side), number, 4, sides) for side in fields))
 
 
@@ -411,7 +394,7 @@ def _level(vectors: FloatArray, side_rad: float, per_field: int, k: int, sides: 
 
 
 def candidates(
-    problem: PlateProblem, hint: Hint, index: SkyIndex | None, tuning: PointingTuning = DEFAULT_POINTING
+    problem: PlateProblem, hint: Hint, index: SkyIndex | None, aim_lists: AimLists = AIM_LISTS
 ) -> Iterator[Iterator[Pointing]]:
     """Lists of candidate pointings, the most promising of each first."""
     if isinstance(hint, ApproximateWcs):
@@ -419,16 +402,16 @@ def candidates(
         return
     scale = (hint.scale_arcsec[0] / ARCSEC_PER_RADIAN, hint.scale_arcsec[1] / ARCSEC_PER_RADIAN)
     if isinstance(hint, AllSky):
-        index = index or _index_of(problem.vectors, problem.shape, hint, tuning)
-        for n in tuning.measured:
-            if n == tuning.measured[0] or n // 2 < len(problem.px):
-                yield _alike(problem, index.levels, n, 4, scale, tuning)
+        index = index or _index_of(problem.vectors, problem.shape, hint)
+        for n in MEASURED:
+            if n == MEASURED[0] or n // 2 < len(problem.px):
+                yield _alike(problem, index.levels, n, 4, scale)
         return
-    yield from _about_aim(problem, hint, scale, tuning)
+    yield from _about_aim(problem, hint, scale, aim_lists)
 
 
 def _about_aim(
-    problem: PlateProblem, aim: Aim, scale: tuple[float, float], tuning: PointingTuning
+    problem: PlateProblem, aim: Aim, scale: tuple[float, float], aim_lists: AimLists
 ) -> Iterator[Iterator[Pointing]]:
     _refuse_round(scale[0] * math.sqrt(problem.shape[0] * problem.shape[1]))
     reach = math.radians(aim.radius_deg) + problem.half_diagonal_px * scale[1]
@@ -438,40 +421,35 @@ def _about_aim(
             f"the catalogue has {len(cone)} stars within {math.degrees(reach):.2g}° of the aim; give one that covers it"
         )
     side = math.sqrt(problem.shape[0] * problem.shape[1] * scale[0] * scale[1])
-    many = len(cone) * side**2 / (4 * math.pi * math.sin(reach / 2) ** 2) > tuning.many_stars
+    many = len(cone) * side**2 / (4 * math.pi * math.sin(reach / 2) ** 2) > MANY_STARS
     done: set[tuple[int, int, int]] = set()
     levels: dict[tuple[int, int], PatternIndex] = {}  # the costly part of a list
-    for k, per_field, n in tuning.aim_lists:
-        if many and k == 3 and per_field > tuning.aim_lists[0][1]:
+    for k, per_field, n in aim_lists:
+        if many and k == 3 and per_field > aim_lists[0][1]:
             continue
         if (k, per_field) not in levels:
-            levels[k, per_field] = _level(cone, side, per_field, k, tuning.sides_many if many else tuning.sides_few)
+            levels[k, per_field] = _level(cone, side, per_field, k, SIDES_MANY if many else SIDES_FEW)
         level = levels[k, per_field]
         # With few stars or measurements later lists are the same as earlier ones.
         key = (k, len(level.vectors), min(n, len(problem.px)))
         if key not in done and len(level.patterns):
             done.add(key)
-            yield _alike(problem, (level,), n, k, scale, tuning)
+            yield _alike(problem, (level,), n, k, scale)
 
 
 def _alike(
-    problem: PlateProblem,
-    levels: tuple[PatternIndex, ...],
-    n: int,
-    k: int,
-    scale: tuple[float, float],
-    tuning: PointingTuning,
+    problem: PlateProblem, levels: tuple[PatternIndex, ...], n: int, k: int, scale: tuple[float, float]
 ) -> Iterator[Pointing]:
     """Pointings that map a pattern of the n brightest measurements to one of stars, by descending number of matches."""
     # Small patterns determine neither the rotation nor the scale of the frame.
     measured = patterns(problem.px[:n], k, 0.1 * min(problem.shape))
     hits, centres, matrices = [], [], []
     for level in levels:
-        i, j, flipped = level.similar(measured, tuning.code_tolerance * math.sqrt(k - 2) / math.sqrt(2.0), scale)
-        for start in range(0, len(i), tuning.batch):
-            part = slice(start, start + tuning.batch)
+        i, j, flipped = level.similar(measured, CODE_TOLERANCE * math.sqrt(k - 2) / math.sqrt(2.0), scale)
+        for start in range(0, len(i), BATCH):
+            part = slice(start, start + BATCH)
             count, centre, cd = _match_counts(problem, level, measured, i[part], j[part], flipped[part], n)
-            top = np.argsort(-count, kind="stable")[: tuning.best]
+            top = np.argsort(-count, kind="stable")[:BEST]
             top = top[count[top] >= k]
             hits.append(count[top])
             centres.append(centre[top])
@@ -479,7 +457,7 @@ def _alike(
     if not hits:
         return
     count, centre, cd = np.concatenate(hits), np.concatenate(centres), np.concatenate(matrices)
-    for row in np.argsort(-count, kind="stable")[: tuning.best]:
+    for row in np.argsort(-count, kind="stable")[:BEST]:
         yield Pointing(centre[row], cd[row], problem.middle_px)
 
 
