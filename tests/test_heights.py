@@ -10,7 +10,6 @@ from scipy.stats import norm
 from sameas import Radius, Records
 from sameas.errors import InputError
 from sameas.evidence import Heights
-from sameas.evidence.heights import HeightEvidenceTuning
 
 
 def pairs(n: int, m: int):
@@ -21,9 +20,8 @@ def pairs(n: int, m: int):
 
 def test_the_ratio_of_two_heights_agrees_with_its_integral() -> None:
     """One object of a height anywhere in 13 km, against two: the rule's normal law is the integral within 1 %."""
-    tuning = HeightEvidenceTuning(wrong=1e-9)
     for h, k, s, t in ((5000.0, 5030.0, 20.0, 40.0), (3000.0, 3200.0, 60.0, 60.0)):
-        found = Heights({"a": np.array([[h, s]]), "b": np.array([[k, t]])}, tuning)(pairs(1, 1)).log_ratio[0]
+        found = Heights({"a": np.array([[h, s]]), "b": np.array([[k, t]])}, wrong=1e-9)(pairs(1, 1)).log_ratio[0]
 
         def weight(x: float, h: float = h, k: float = k, s: float = s, t: float = t) -> float:
             return float(norm.pdf(h, x, s) * norm.pdf(k, x, t))
@@ -58,18 +56,17 @@ def test_common_heights_have_less_weight_and_wrong_ones_are_bounded() -> None:
 
 
 def test_the_ratio_of_two_vertical_speeds_agrees_with_its_integral_and_adds_to_that_of_heights() -> None:
-    tuning = HeightEvidenceTuning(wrong_climb=1e-9)
     level = {"a": np.array([[3000.0, 20.0]]), "b": np.array([[3000.0, 20.0]])}
     for v, w, s, t in ((-9.0, -8.0, 1.5, 1.5), (6.0, 4.0, 0.5, 3.0)):
         speeds = {"a": np.array([[v, s]]), "b": np.array([[w, t]])}
-        found = Heights(level, tuning, climbs=speeds)(pairs(1, 1)).terms
+        found = Heights(level, climbs=speeds, wrong_climb=1e-9)(pairs(1, 1)).terms
 
         def weight(x: float, v: float = v, w: float = w, s: float = s, t: float = t) -> float:
             return float(norm.pdf(v, x, s) * norm.pdf(w, x, t))
 
         same = quad(weight, -15.0, 15.0, points=[v, w])[0] / 30.0
         assert found["vertical speed"][0] == pytest.approx(np.log(same * 30.0**2), abs=0.02)
-        assert found["height"][0] == Heights(level, tuning)(pairs(1, 1)).log_ratio[0]
+        assert found["height"][0] == Heights(level)(pairs(1, 1)).log_ratio[0]
 
 
 def test_wrong_vertical_speeds_are_bounded_and_those_of_level_flight_are_weak_evidence() -> None:

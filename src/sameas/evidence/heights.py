@@ -27,29 +27,9 @@ from sameas.gate import Pairs
 from sameas.records import Records
 from sameas.representation import in_short
 
-
-@dataclass(frozen=True)
-class HeightEvidenceTuning:
-    """The constants of the evidence of heights (chosen).
-
-    wrong, wrong_climb : probability that one of two heights is an outlier, and one of two vertical speeds: trackers
-        follow a change late.
-    usual_m, usual_m_per_s : prior span of heights, and of vertical speeds. usual_weight : number of objects that the
-        prior counts as.
-    bandwidth_m, bandwidth_m_per_s : 1σ of the smoothing of known values to their density.
-    """
-
-    wrong: float = 0.01
-    wrong_climb: float = 0.05
-    usual_m: float = 13_000.0
-    usual_m_per_s: float = 30.0
-    usual_weight: float = 10.0
-    bandwidth_m: float = 150.0
-    bandwidth_m_per_s: float = 2.0
-
-
-DEFAULT_TUNING = HeightEvidenceTuning()
-
+#: Prior span of heights and of vertical speeds, and number of objects that the prior counts as (chosen).
+USUAL_M, USUAL_M_PER_S, USUAL_WEIGHT = 13_000.0, 30.0, 10.0
+BANDWIDTH_M, BANDWIDTH_M_PER_S = 150.0, 2.0  # 1σ of the smoothing of known values to their density
 #: A normal at −4 … 4 standard deviations, of sum 1.
 SMOOTHING = np.exp(-0.5 * np.arange(-4.0, 5.0) ** 2)
 SMOOTHING /= SMOOTHING.sum()
@@ -59,7 +39,7 @@ SMOOTHING /= SMOOTHING.sum()
 class _Quantity:
     """One quantity of all sources: by source name (n_table, 2) value and its 1σ, NaN if unknown.
 
-    wrong, usual, usual_weight, bandwidth : of :class:`HeightEvidenceTuning`.
+    wrong : probability that one of two values is an outlier. usual : prior span. bandwidth : 1σ of the smoothing.
     """
 
     word: str
@@ -67,7 +47,6 @@ class _Quantity:
     values: Mapping[str, FloatArray]
     wrong: float
     usual: float
-    usual_weight: float
     bandwidth: float
 
     def checked(self) -> None:
@@ -135,8 +114,8 @@ class _Quantity:
         """(m,) ln p of values, one of each source being those of the pair itself."""
         own = 2.0 * SMOOTHING.max() / self.bandwidth
         others = np.maximum(np.interp(value, *self._number_density) - own, 0.0)
-        total = max(len(self._known) - 2.0, 0.0) + self.usual_weight
-        return np.asarray(np.log((others + self.usual_weight / self.usual) / total))
+        total = max(len(self._known) - 2.0, 0.0) + USUAL_WEIGHT
+        return np.asarray(np.log((others + USUAL_WEIGHT / self.usual) / total))
 
 
 @in_short
@@ -147,6 +126,8 @@ class Heights(Rule):
     heights : by the source's name, (n_table, 2) height and its 1σ error of every row of its table, metres; NaN where a
         record has none. All are of one kind.
     climbs : the same of vertical speeds, m/s upwards; sources without any may be left out.
+    wrong, wrong_climb : probability that one of two heights is an outlier, and one of two vertical speeds: trackers
+        follow a change late (chosen).
 
     >>> from sameas import Radius, Records
     >>> radar = Records.of([[0.0, 0.0]], sigma=50.0, source="radar")
@@ -158,8 +139,9 @@ class Heights(Rule):
     """
 
     heights: Mapping[str, FloatArray] = field(repr=False)
-    tuning: HeightEvidenceTuning = DEFAULT_TUNING
     climbs: Mapping[str, FloatArray] = field(default_factory=dict, repr=False)
+    wrong: float = 0.01
+    wrong_climb: float = 0.05
 
     def __post_init__(self) -> None:
         self._height.checked()
@@ -173,12 +155,8 @@ class Heights(Rule):
 
     @cached_property
     def _height(self) -> _Quantity:
-        t = self.tuning
-        return _Quantity("height", "metres", self.heights, t.wrong, t.usual_m, t.usual_weight, t.bandwidth_m)
+        return _Quantity("height", "metres", self.heights, self.wrong, USUAL_M, BANDWIDTH_M)
 
     @cached_property
     def _climb(self) -> _Quantity:
-        t = self.tuning
-        return _Quantity(
-            "vertical speed", "m/s", self.climbs, t.wrong_climb, t.usual_m_per_s, t.usual_weight, t.bandwidth_m_per_s
-        )
+        return _Quantity("vertical speed", "m/s", self.climbs, self.wrong_climb, USUAL_M_PER_S, BANDWIDTH_M_PER_S)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.bounds import memory_left
 from sameas.errors import InputError
-from sameas.gate.zones import Extent, Geometry, Layout, Source, Tuning
+from sameas.gate.zones import FEW_ROWS, Extent, Geometry, Layout, Source, Tuning
 from sameas.kernels import threads
 from sameas.kernels.compiled import runs_interpreted
 from sameas.ragged import ranges
@@ -41,6 +41,9 @@ _SMALL = 1 << 28
 
 #: Writes the pairs of the records first ≤ k < last into columns; gives (pairs, next k), less than last when full.
 Sweep = Callable[[int, int, Any], tuple[int, int]]
+
+FEW_TESTS = 4.0  # a class of errors is separate if that saves at least this many tests per record
+SAMPLE = 128  # length of the samples of successive records whose candidates are counted to estimate the memory
 
 
 def search(first: Records, second: Records, limit: float, box: bool, tuning: Tuning) -> Columns:
@@ -91,7 +94,7 @@ def _search(first: Records, second: Records, limit: float, box: bool, tuning: Tu
     sources = Source.of(first, geometry), Source.of(second, geometry)
     extent = Extent.of(sources, geometry)
     within = [geometry.opening * len(other) / max(extent.area, 1e-290) for other in (second, first)]
-    classes = [source.classes(others, tuning.few_tests) for source, others in zip(sources, within, strict=True)]
+    classes = [source.classes(others, FEW_TESTS) for source, others in zip(sources, within, strict=True)]
     one, two = threads.each(
         [partial(Layout.of, source, rows, extent, geometry) for source, rows in zip(sources, classes, strict=True)],
         len(first) + len(second),
@@ -115,7 +118,7 @@ def _listed(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowe
 
     about = one.side, two.side, two.grids[0], two.reach(0, one.widest[0], one.starts[1], geometry)
     kernel, gate = sweep_sphere if geometry.sphere else sweep_plane, (geometry.limit, geometry.box)
-    few = len(one.side.rows) + len(two.side.rows) <= geometry.tuning.few_rows
+    few = len(one.side.rows) + len(two.side.rows) <= FEW_ROWS
     if geometry.sphere and few and runs_interpreted(kernel) and not len(wide):
         columns = _few_on_sphere(one, two, geometry)
         if columns is not None:
@@ -140,7 +143,7 @@ def _listed(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowe
         return count, first
 
     n, d = len(one.side.rows), len(geometry.periods)
-    each = _expected(partial(candidates, wide[:0]), one.starts[1], d, geometry.tuning.sample)
+    each = _expected(partial(candidates, wide[:0]), one.starts[1], d, SAMPLE)
     each = min(each, allowed.most / n)
     bounds = threads.even(n)
     starts = [math.ceil(each * k) + (int(np.searchsorted(wide, k << 32)) if len(wide) else 0) for k in bounds]

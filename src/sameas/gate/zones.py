@@ -24,6 +24,15 @@ if TYPE_CHECKING:
 
 Rows = NDArray[np.int32]
 
+# Numbers of the layout affect the time of the search only, not its result (tuned by timing).
+
+ONE_ZONE = 512  # up to this many records get one zone: more zones cost as much as testing all
+SQUARE = 8.0  # a zone is as high as a square with this many records: one look-up costs as much as some tests
+#: Squares along each axis of the grid that measures the area with records; refined, up to the latter, if most are empty
+#: and the others crowded.
+SQUARES, MAX_SQUARES = 32, 2048
+FEW_ROWS = 10_000  # fewer rows than this are scanned without a compiled loop
+
 
 @dataclass(frozen=True)
 class Tuning:
@@ -34,26 +43,12 @@ class Tuning:
     brute_force_records : up to this many records of both sources together on a plane, all pairs are tested.
     max_pairs_by_arrays : up to this many pairs in the same strip of latitude are tested by array operations if the
         kernel is interpreted.
-    one_zone : up to this many records get one zone: more zones cost as much as testing all.
-    square : a zone is as high as a square with this many records: one look-up costs as much as some tests.
-    few_tests : a class of errors is separate if that saves at least this many tests per record.
-    squares, max_squares : squares along each axis of the grid that measures the area with records; refined, up to the
-        latter, if most are empty and the others crowded.
-    sample : length of the samples of successive records whose candidates are counted to estimate the memory.
-    few_rows : fewer rows than this are scanned without a compiled loop.
     bytes_of_pair : memory for a pair in all stages together, measured. Pairs that need more than the available memory
         are refused; if that is unknown, more than ``memory`` bytes.
     """
 
     brute_force_records: int = 512
     max_pairs_by_arrays: int = 1_000_000
-    one_zone: int = 512
-    square: float = 8.0
-    few_tests: float = 4.0
-    squares: int = 32
-    max_squares: int = 2048
-    sample: int = 128
-    few_rows: int = 10_000
     bytes_of_pair: int = 300
     memory: int = 1 << 33
 
@@ -89,7 +84,7 @@ class Geometry:
             return cls(True, box, bare, limit, opening, np.array([360.0, np.inf]), 0, 1, tuning)
         assert isinstance(first.space, Plane)
         periods = np.array(first.space.period_list(first.d))
-        if first.d == 1 or len(first) + len(second) <= tuning.one_zone:
+        if first.d == 1 or len(first) + len(second) <= ONE_ZONE:
             return cls(False, box, False, limit, limit, periods, 0, 0, tuning)
         # Sweep along the feature with the widest range in units of its errors; zones of the second widest.
         sharpness = np.minimum(_sharpness(first), _sharpness(second))
@@ -102,9 +97,9 @@ class Geometry:
         return None if self.sphere else (float(self.periods[self.x]), float(self.periods[self.y]))
 
 
-def _extent(values: FloatArray, few_rows: int) -> FloatArray:
+def _extent(values: FloatArray) -> FloatArray:
     """(2, d) least and greatest value of every column; few rows are not worth a compilation."""
-    if 0 < len(values) < few_rows:
+    if 0 < len(values) < FEW_ROWS:
         return np.stack([values.min(axis=0), values.max(axis=0)])
     from sameas.kernels.zones import extent
 
@@ -129,7 +124,7 @@ class Source:
     @classmethod
     def of(cls, records: Records, geometry: Geometry) -> Source:
         features = records.features
-        ends = _extent(features, geometry.tuning.few_rows)
+        ends = _extent(features)
         for axis in np.flatnonzero(np.isfinite(geometry.periods)):
             period = geometry.periods[axis]
             if ends[0, axis] < 0 or ends[1, axis] >= period:
@@ -171,7 +166,7 @@ class Source:
     def widest(self, rows: Rows, geometry: Geometry) -> tuple[float, float]:
         """The largest variances in x and in y of these rows."""
         variance = self.variance if len(rows) == len(self.variance) else self.variance[rows]
-        largest = _extent(variance, geometry.tuning.few_rows)[1].tolist()
+        largest = _extent(variance)[1].tolist()
         return (largest[0], largest[0]) if len(largest) == 1 else (largest[geometry.x], largest[geometry.y])
 
     def rank(self) -> IntArray:
@@ -202,16 +197,16 @@ class Extent:
         low = np.minimum(sources[0].ends[0], sources[1].ends[0])[axes]
         high = np.maximum(sources[0].ends[1], sources[1].ends[1])[axes]
         x, y = ((float(a), float(b)) for a, b in zip(low, high, strict=True))
-        if len(sources[0].features) + len(sources[1].features) <= geometry.tuning.one_zone:
+        if len(sources[0].features) + len(sources[1].features) <= ONE_ZONE:
             return cls(x, y, 0.0)
-        squares, total = geometry.tuning.squares, sum(len(source.features) for source in sources)
+        squares, total = SQUARES, sum(len(source.features) for source in sources)
         while True:
             counts = np.zeros((squares, squares), np.int64)
             size = np.maximum((high - low) / squares, 1e-300)
             for source in sources:
                 tally(source.features, geometry.x, geometry.y, low[0], low[1], 1.0 / size[0], 1.0 / size[1], counts)
             held = int(np.count_nonzero(counts))
-            if 4 * held > squares**2 or total < 64 * held or squares >= geometry.tuning.max_squares:
+            if 4 * held > squares**2 or total < 64 * held or squares >= MAX_SQUARES:
                 break
             squares *= 8  # fields far apart are much smaller than the squares
         shrink = np.ones(squares)
@@ -238,7 +233,7 @@ class Zones:
         """Zones for n records whose gate by their own errors extends to ``reach`` in y."""
         if geometry.x == geometry.y:
             return cls(0.0, math.inf, 1, False)
-        height = max(math.sqrt(geometry.tuning.square * extent.area / n), 0.25 * reach)
+        height = max(math.sqrt(SQUARE * extent.area / n), 0.25 * reach)
         period = float(geometry.periods[geometry.y])
         low, high = (0.0, period) if math.isfinite(period) else extent.y
         count = max(1, int(min((high - low) / height, float(n))))
