@@ -114,7 +114,7 @@ class ConvexRegion:
 
 def _outermost(points: FloatArray) -> FloatArray:
     """The polygon of the outermost points in some directions, and the points outside it."""
-    corners = _farthest(_some_of(points), DIRECTIONS)
+    corners = _farthest(_some_of(points))
     # Points within the inscribed circle of that polygon are no vertices; this excludes most of them.
     centre = corners.mean(axis=0)
     from_centre = corners - centre, np.roll(corners, -1, axis=0) - centre
@@ -128,7 +128,7 @@ def _outermost(points: FloatArray) -> FloatArray:
         return np.compress(x * x + y * y >= least_sq, points[first:last], axis=0)
 
     points = np.concatenate(threads.over(beyond, threads.even(len(points))))
-    corners = _farthest(points, DIRECTIONS)
+    corners = _farthest(points)
     outside = np.zeros(len(points), np.bool_)
     for one, two in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = two - one
@@ -141,9 +141,9 @@ def _some_of(points: FloatArray) -> FloatArray:
     return np.ascontiguousarray(points[:: max(1, len(points) // SOME)])
 
 
-def _farthest(points: FloatArray, directions: int) -> FloatArray:
-    """(directions, 2) the outermost point in each of some directions, counterclockwise."""
-    angle = np.arange(directions) * (2.0 * math.pi / directions)
+def _farthest(points: FloatArray) -> FloatArray:
+    """(DIRECTIONS, 2) the outermost point in each of some directions, counterclockwise."""
+    angle = np.arange(DIRECTIONS) * (2.0 * math.pi / DIRECTIONS)
     return points[[int(np.argmax(points @ way)) for way in np.column_stack([np.cos(angle), np.sin(angle)])]]
 
 

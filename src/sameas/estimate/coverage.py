@@ -101,17 +101,12 @@ DEFAULT_COVERAGE = CoverageTuning()
 
 
 def smoothing(
-    others: FloatArray,
-    volume: FloatArray,
-    density: FloatArray,
-    weight: FloatArray,
-    smooths: Sequence[float],
-    log_prior_step: float,
+    others: FloatArray, volume: FloatArray, density: FloatArray, weight: FloatArray, smooths: Sequence[float]
 ) -> tuple[float, float]:
     """The maximum-likelihood pseudo-count of ``smooths`` for one level of cells, and the ln posterior of the records.
 
     others : (n,) other records in the cell of each record. volume : of that cell. density : (n,) by coarser cells,
-    towards which the pseudo-count draws. weight : (n,) of the records. log_prior_step : as of the tuning.
+    towards which the pseudo-count draws. weight : (n,) of the records.
 
     The pseudo-count is large for an even field and small for one with clusters. The expected number of records is the
     same for all pseudo-counts, so that the prediction of every record by the others decides.
@@ -119,7 +114,7 @@ def smoothing(
     Source: Duin 1976, IEEE Transactions on Computers 25, 1175 (smoothing by leave-one-out likelihood).
     """
     fits = [inner(weight, np.log((others + smooth) / (volume + smooth / density))) for smooth in smooths]
-    scores = fits - log_prior_step * np.arange(len(smooths))
+    scores = fits - LOG_PRIOR_STEP * np.arange(len(smooths))
     best = int(np.argmax(scores))
     return smooths[best], float(scores[best])
 
@@ -257,9 +252,7 @@ class Coverage:
             )
             finest = level is self.levels[-1] or inner(count, count) <= FINEST_CELLS * weights.sum()
             others = np.maximum(count[cell[sample]] - weights[sample], 0.0)
-            smooth, _ = smoothing(
-                others, volume[cell[sample]], at[0][sample], weights[sample], tuning.smooths, LOG_PRIOR_STEP
-            )
+            smooth, _ = smoothing(others, volume[cell[sample]], at[0][sample], weights[sample], tuning.smooths)
             without = (others + smooth) / (volume[cell[sample]] + smooth / at[0][sample])
             refine(*level.facing(source), LEFT_OUT * weights if finest else weights, volume, count, smooth, *at)
             if finest:
@@ -311,7 +304,7 @@ class Coverage:
         accepted: list[tuple[int, float]] = []
         for ball, number in enumerate(balls.neighbours(points[sample], radii, NEAR)):
             shell = np.full(len(sample), shells[ball])
-            smooth, score = smoothing(number, shell, without, weight, tuning.shell_smooths, LOG_PRIOR_STEP)
+            smooth, score = smoothing(number, shell, without, weight, tuning.shell_smooths)
             if score - inner(weight, np.log(without)) > MIN_GAIN:
                 without = (number + smooth) / (shell + smooth / without)
                 accepted.append((ball, smooth))

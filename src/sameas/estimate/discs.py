@@ -106,21 +106,21 @@ def _around(centres: FloatArray, others: FloatArray, most: float) -> tuple[float
     next_to_it = int(np.count_nonzero(chord > 0.5 * reach)) - outer
     if outer < OUTER or outer < FLAT * next_to_it or len(of) - len(np.unique(of)) < REPEATED * outer:
         return None
-    radius, area = reach * ARCSEC_PER_RADIAN, _areas(ground, reach, POINTS)
+    radius, area = reach * ARCSEC_PER_RADIAN, _areas(ground, reach)
     return None if area.sum() > most else (radius, np.asarray(of, np.int64), area)
 
 
-def _areas(ground: FloatArray, reach: float, points: int) -> FloatArray:
+def _areas(ground: FloatArray, reach: float) -> FloatArray:
     """(n,) area in square arcsec of discs around ``ground`` (n, 3), with their shares of what overlaps.
 
-    reach : radius of the discs, as a chord. points : per disc.
+    reach : radius of the discs, as a chord.
     """
     from scipy.spatial import cKDTree
 
     tree = cKDTree(ground)
     # A sunflower: points that share the area of a disc evenly.
-    k = np.arange(points) + 0.5
-    at, angle = reach * np.sqrt(k / points), k * math.pi * (3.0 - math.sqrt(5.0))
+    k = np.arange(POINTS) + 0.5
+    at, angle = reach * np.sqrt(k / POINTS), k * math.pi * (3.0 - math.sqrt(5.0))
     pole = np.eye(3)[np.argmin(np.abs(ground), axis=1)]
     east = np.cross(ground, pole)
     east /= np.linalg.norm(east, axis=1)[:, None]
@@ -128,7 +128,7 @@ def _areas(ground: FloatArray, reach: float, points: int) -> FloatArray:
     share = np.zeros(len(ground))
     for x, y in zip(at * np.cos(angle), at * np.sin(angle), strict=True):
         share += 1.0 / np.maximum(tree.query_ball_point(ground + x * east + y * north, reach, return_length=True), 1)
-    return np.asarray(math.pi * (reach * ARCSEC_PER_RADIAN) ** 2 * share / points)
+    return np.asarray(math.pi * (reach * ARCSEC_PER_RADIAN) ** 2 * share / POINTS)
 
 
 def _around_neither(
@@ -184,7 +184,7 @@ def _around_neither(
     # Of discs that overlap by chance, those whose middles are about half a radius apart stay together.
     together = 0.25 * len(middle) * math.pi * (rough * ARCSEC_PER_RADIAN) ** 2 / region
     radius = _half_extent(points, disc, 2.6 * rough, 0.98 - min(together, 0.1))
-    area = _areas(middle / np.linalg.norm(middle, axis=1)[:, None], radius, POINTS)
+    area = _areas(middle / np.linalg.norm(middle, axis=1)[:, None], radius)
     # Discs overlap by chance as often as they fill the region.
     if inside < WITHIN - area.sum() / region or area.sum() > FULL * region:
         return None

@@ -233,7 +233,7 @@ def _covered_cells(
 ) -> BoolArray:
     """(u, 2) whether the other source observes there, as by ``kernels.coverage.check_cells``. volume : of a cell."""
     total = numbers.sum(axis=0).astype(np.float64)
-    density = np.tile(total[::-1] / _field_volume(cells, numbers, levels[0], volume, PARTLY), (len(cells), 1))
+    density = np.tile(total[::-1] / _field_volume(cells, numbers, levels[0], volume), (len(cells), 1))
     highest, covered = np.zeros(numbers.shape), np.ones(numbers.shape, np.bool_)
     for steps in levels:
         check_cells_nested(
@@ -250,7 +250,7 @@ def _density(
     by ``Coverage.density``. volume : of a cell."""
     total, density = numbers.sum(axis=0).astype(np.float64), np.empty((len(cells), 2, 2))
     own, others = density[:, :, 0], density[:, :, 1]
-    own[:] = others[:] = (total + 0.5) / _field_volume(cells, numbers, levels[0], volume, PARTLY)
+    own[:] = others[:] = (total + 0.5) / _field_volume(cells, numbers, levels[0], volume)
     partly, coverage, open_ = PARTLY, tuning.coverage, total > 0.0
     smooths, sampled = np.array(coverage.smooths), min(tuning.smoothing_cells / len(cells), 1.0)
     log_prior = -LOG_PRIOR_STEP * np.arange(len(smooths))
@@ -265,10 +265,10 @@ def _density(
     return density
 
 
-def _field_volume(cells: IntArray, numbers: AnyIntArray, steps: int, volume: float, partly: float) -> float:
+def _field_volume(cells: IntArray, numbers: AnyIntArray, steps: int, volume: float) -> float:
     """The volume of all cells inside the field."""
     own, covered = np.empty(len(cells), np.int64), np.empty(len(cells))
-    number = covered_cells(cells, numbers, 2 * steps, partly, own, covered)
+    number = covered_cells(cells, numbers, 2 * steps, PARTLY, own, covered)
     return volume * float(covered[:number].sum())
 
 

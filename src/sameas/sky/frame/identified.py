@@ -34,15 +34,7 @@ from sameas.sky.frame.photometry import DEFAULT_PHOTOMETRY, Completeness, Photom
 from sameas.sky.frame.place import Placement, place
 from sameas.sky.frame.plate import DEFAULT_PLATE, MatchedStars, PlateModel, PlateTuning, fit_plate, terms
 from sameas.sky.frame.pointing import Pointing
-from sameas.sky.frame.pointing_hints import (
-    AIM_LISTS,
-    Aim,
-    AimLists,
-    AllSky,
-    ApproximateWcs,
-    Hint,
-    SkyIndex,
-)
+from sameas.sky.frame.pointing_hints import AIM_LISTS, Aim, AimLists, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.sky.residual_epoch import LARGEST_SIGMAS, MovedPairs, Questioned
 from sameas.space import chord_angle_deg, directions_deg, sphere_offset
 
@@ -253,7 +245,7 @@ def identify_frame(
         completeness = _completeness(px, stars, result, measured)
         if completeness is not None:
             faintest = completeness.faintest(MIN_P_DETECT)
-        pairs = _matched(measured, stars, result, MIN_P_PAIR)
+        pairs = _matched(measured, stars, result)
         plate = fit_plate(pairs, placement.pointing, measured.shape, order=refinement.order, tuning=tuning.plate)
         previous_px, inside = px, _within(px, measured.shape, 0.0)
         px, covariance = _predicted(plate, stars)
@@ -298,9 +290,9 @@ def _first_plate(
     return fit_plate(pairs, placement.pointing, measured.shape, order=order, tuning=tuning.plate)
 
 
-def _matched(measured: Measurements, stars: StarField, result: Identification, min_p_pair: float) -> MatchedStars:
+def _matched(measured: Measurements, stars: StarField, result: Identification) -> MatchedStars:
     """All candidate pairs above the minimum probability, with their probabilities, for the plate fit."""
-    used = np.flatnonzero(result.p_pair >= min_p_pair)
+    used = np.flatnonzero(result.p_pair >= MIN_P_PAIR)
     p = np.minimum(result.p_pair[used], 1.0)
     return _pairs(measured, stars, result.rows_1[used], result.rows_2[used], p)
 

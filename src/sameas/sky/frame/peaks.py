@@ -33,7 +33,7 @@ def peaks(
     """
     from sameas.kernels.frames import local_maxima
 
-    snr = _significance(light, background, psf, MIN_USABLE)
+    snr = _significance(light, background, psf)
     y, x = local_maxima(snr, threshold_sigmas, max(1, round(psf.sigma_px)))
     if not len(x):
         return np.empty((0, 2)), np.empty(0)
@@ -49,16 +49,15 @@ def peaks(
     separate[_without_saddle(snr, noise, xy, value, pairs, reach_px)] = False
     minor, major = np.linalg.eigvalsh(psf.matrix)
     if major > TRAILED**2 * minor:
-        sharp = _significance(light, background, replace(psf, matrix=minor * np.eye(2)), MIN_USABLE)
+        sharp = _significance(light, background, replace(psf, matrix=minor * np.eye(2)))
         separate |= _separated_trails(sharp, noise, xy, pairs, psf)
     return xy[separate], value[separate]
 
 
-def _significance(light: FloatArray, background: Background, psf: PSF, min_usable: float) -> FloatArray:
+def _significance(light: FloatArray, background: Background, psf: PSF) -> FloatArray:
     """(rows, columns) signal to noise ratio of a star at the centre of each pixel; 0 where most of it is masked.
 
     Matched filter: Σ k I/v over √(Σ k²/v), k the PSF, v the variance of the sky, infinite for unusable pixels.
-    min_usable : share of the pixels of a star, weighted by k², that must be usable.
     """
     from scipy.signal import oaconvolve
 
@@ -74,7 +73,7 @@ def _significance(light: FloatArray, background: Background, psf: PSF, min_usabl
     signal = oaconvolve((light * weight).astype(np.float32), kernel, mode="same")
     noise_sq = oaconvolve(weight, kernel**2, mode="same")
     factor = float(background.factor(np.array([psf.sigma_px]))[0][0])
-    enough = usable_share(weight > 0, kernel**2) > min_usable
+    enough = usable_share(weight > 0, kernel**2) > MIN_USABLE
     return np.where(enough, signal * np.sqrt(typical_weight / factor) / np.sqrt(np.maximum(noise_sq, 1e-12)), 0.0)
 
 
