@@ -172,14 +172,9 @@ def _with_any(start: IntArray, records: BoolArray) -> BoolArray:
 
 
 def _sum_probable(
-    groups: Groups,
-    best: Hypothesis,
-    method: NDArray[np.int8],
-    share: FloatArray,
-    excluded_below: FloatArray,
-    improbable: float,
-    edge: _Edge | None,
-) -> IntArray:
+    groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray, excluded_below: FloatArray,
+    improbable: float, edge: _Edge | None,
+) -> IntArray:  # fmt: skip
     """Fill ``share`` of groups that split without the pairs proved improbable; returns the pairs still entangled."""
     large = method == APPROXIMATE
     _upper_bounds(groups, best, large, share)
@@ -312,14 +307,9 @@ class PairMessages:
 
     @classmethod
     def _with_weight(
-        cls,
-        weight: FloatArray,
-        groups: Groups,
-        best: Hypothesis,
-        method: NDArray[np.int8],
-        share: FloatArray,
+        cls, weight: FloatArray, groups: Groups, best: Hypothesis, method: NDArray[np.int8], share: FloatArray,
         limits: tuple[int, float],
-    ) -> PairMessages:
+    ) -> PairMessages:  # fmt: skip
         from sameas.kernels.messages import messages
 
         claims = np.zeros(len(weight)), np.zeros(len(weight))
@@ -355,14 +345,9 @@ def _exact(
 
 
 def _local(
-    groups: Groups,
-    best: Hypothesis,
-    open_pairs: IntArray,
-    method: NDArray[np.int8],
-    share: FloatArray,
-    excluded_below: FloatArray,
-    edge: _Edge | None,
-) -> float:
+    groups: Groups, best: Hypothesis, open_pairs: IntArray, method: NDArray[np.int8], share: FloatArray,
+    excluded_below: FloatArray, edge: _Edge | None,
+) -> float:  # fmt: skip
     """Fill ``share`` of the pairs that elimination gave up; returns the last relative change of the messages.
 
     ``method`` becomes THINNED for groups that split into parts that can be summed, and ``excluded_below`` the

@@ -266,14 +266,9 @@ class Coverage:
         return at_first, at_second
 
     def _count_neighbours(
-        self,
-        source: int,
-        counted: BoolArray,
-        volume: float,
-        without: FloatArray,
-        sample: IntArray,
+        self, source: int, counted: BoolArray, volume: float, without: FloatArray, sample: IntArray,
         at: tuple[FloatArray, FloatArray],
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Refine densities ``at`` the records of ``source`` and of the other in place by their neighbours in balls.
 
         Clumps smaller than cells are seen by the neighbours of each record: with the cells alone, chance partners in

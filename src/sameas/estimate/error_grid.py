@@ -144,14 +144,9 @@ def scan_errors(
 
 
 def _scan(
-    pairs: Pairs,
-    coverage: Coverage,
-    rows: tuple[IntArray, IntArray],
-    typical: tuple[FloatArray, float],
-    widest: float,
-    density: tuple[float, float] | None,
-    tuning: GridTuning,
-) -> ErrorScan:
+    pairs: Pairs, coverage: Coverage, rows: tuple[IntArray, IntArray], typical: tuple[FloatArray, float],
+    widest: float, density: tuple[float, float] | None, tuning: GridTuning,
+) -> ErrorScan:  # fmt: skip
     """The grid over these candidates, which are those of some rows of both sources.
 
     typical : error of a pair along the axes, and chance candidates within it.

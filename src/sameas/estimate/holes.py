@@ -171,14 +171,9 @@ def in_empty_discs(
 
 
 def _inside(
-    own: Points,
-    other: Points,
-    rows: IntArray,
-    radius: FloatArray,
-    beyond: FloatArray,
-    least: float,
+    own: Points, other: Points, rows: IntArray, radius: FloatArray, beyond: FloatArray, least: float,
     tuning: HolesTuning,
-) -> BoolArray:
+) -> BoolArray:  # fmt: skip
     """(n,) mask of the points inside empty discs around ``rows`` that contain enough points."""
     isolated = ~_near_sampled(own, rows, radius, other)
     rows, radius, beyond = rows[isolated], radius[isolated], beyond[isolated]

@@ -84,23 +84,10 @@ def assign_linear(
 
 @part
 def augment(
-    s: int,
-    base: int,
-    edges1: IntArray,
-    local1: Int32Array,
-    local2: Int32Array,
-    weight: FloatArray,
-    u: FloatArray,
-    v: FloatArray,
-    mate1: IntArray,
-    mate2: Int32Array,
-    distance: FloatArray,
-    through: IntArray,
-    reached: IntArray,
-    frontier: Int32Array,
-    scanned: Int32Array,
-    stamp: int,
-) -> None:
+    s: int, base: int, edges1: IntArray, local1: Int32Array, local2: Int32Array, weight: FloatArray, u: FloatArray,
+    v: FloatArray, mate1: IntArray, mate2: Int32Array, distance: FloatArray, through: IntArray, reached: IntArray,
+    frontier: Int32Array, scanned: Int32Array, stamp: int,
+) -> None:  # fmt: skip
     """Match row s along the cheapest path: to a free column, or to a row that is then left without partner.
 
     ``mate1`` has the pair of each row. ``reached`` is stamp for a column in the frontier, stamp + 1 for a finished one.
@@ -177,17 +164,9 @@ def augment(
 
 @small_by(_steps)
 def assign_counted(
-    first: int,
-    last: int,
-    layout: GroupLayout,
-    weight: FloatArray,
-    table_start: IntArray,
-    table: FloatArray,
-    chosen: BoolArray,
-    u: FloatArray,
-    v: FloatArray,
-    slope: FloatArray,
-) -> None:
+    first: int, last: int, layout: GroupLayout, weight: FloatArray, table_start: IntArray, table: FloatArray,
+    chosen: BoolArray, u: FloatArray, v: FloatArray, slope: FloatArray,
+) -> None:  # fmt: skip
     """The best matching of each group under any prior of the number of pairs: the best of each size, then the size.
 
     table[table_start[g] + k] is ln P(k) of group g. Shortest augmenting paths from all free rows at once give the best
@@ -222,17 +201,9 @@ def heaviest_free(
 
 @part
 def every_size(
-    n1: int,
-    n2: int,
-    edges: IntArray,
-    local1: Int32Array,
-    local2: Int32Array,
-    weight: FloatArray,
-    prior: FloatArray,
-    chosen: BoolArray,
-    u: FloatArray,
-    v: FloatArray,
-) -> float:
+    n1: int, n2: int, edges: IntArray, local1: Int32Array, local2: Int32Array, weight: FloatArray, prior: FloatArray,
+    chosen: BoolArray, u: FloatArray, v: FloatArray,
+) -> float:  # fmt: skip
     """One group of :func:`assign_counted`: writes chosen, u, v and returns μ."""
     low = edges[0]
     chosen[low : edges[-1]] = False

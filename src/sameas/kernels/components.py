@@ -53,16 +53,9 @@ def label_components(i: AnyIntArray, j: AnyIntArray, parent: IntArray, label: In
 
 @small
 def label_pairs(
-    place1: Int32Array,
-    place2: Int32Array,
-    parent: Int32Array,
-    label: Int32Array,
-    number2: Int32Array,
-    group: Int32Array,
-    start: IntArray,
-    start1: IntArray,
-    start2: IntArray,
-) -> int:
+    place1: Int32Array, place2: Int32Array, parent: Int32Array, label: Int32Array, number2: Int32Array,
+    group: Int32Array, start: IntArray, start1: IntArray, start2: IntArray,
+) -> int:  # fmt: skip
     """Number the components by first appearance among the pairs; returns their number.
 
     place1, place2 : (m,) record numbers, close in memory for consecutive pairs; the pairs of a record of source 1 are
@@ -119,22 +112,10 @@ def join(place1: AnyIntArray, place2: AnyIntArray, parent: AnyIntArray, n1: int)
 
 @small
 def lay_out(
-    place1: Int32Array,
-    place2: Int32Array,
-    i: Int32Array,
-    j: Int32Array,
-    group: Int32Array,
-    number2: Int32Array,
-    start1: IntArray,
-    start2: IntArray,
-    fill: IntArray,
-    fill1: IntArray,
-    order: IntArray,
-    edges1: IntArray,
-    local1: Int32Array,
-    local2: Int32Array,
-    rows: tuple[Int32Array, Int32Array],
-) -> None:
+    place1: Int32Array, place2: Int32Array, i: Int32Array, j: Int32Array, group: Int32Array, number2: Int32Array,
+    start1: IntArray, start2: IntArray, fill: IntArray, fill1: IntArray, order: IntArray, edges1: IntArray,
+    local1: Int32Array, local2: Int32Array, rows: tuple[Int32Array, Int32Array],
+) -> None:  # fmt: skip
     """Lay out the candidate pairs (i, j) by component, in their order within each.
 
     group, number2, start1, start2 : of :func:`label_pairs`. fill, fill1 : copies of its start and start1. Writes order

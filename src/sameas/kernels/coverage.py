@@ -96,16 +96,9 @@ def cell_sizes(known: IntArray, begin: IntArray, volume: FloatArray) -> FloatArr
 
 @small
 def check_cells(
-    cell: Int32Array,
-    volume: FloatArray,
-    count: FloatArray,
-    own_count: FloatArray,
-    pseudo_count: float,
-    hole: float,
-    own_in_empty: FloatArray,
-    density: FloatArray,
-    highest: FloatArray,
-) -> float:
+    cell: Int32Array, volume: FloatArray, count: FloatArray, own_count: FloatArray, pseudo_count: float, hole: float,
+    own_in_empty: FloatArray, density: FloatArray, highest: FloatArray,
+) -> float:  # fmt: skip
     """Test whether the other source observes around each record, by one size of cells.
 
     Raises ``own_in_empty`` (n,) to the number of records in a record's cell, including itself, if the other source has
@@ -159,15 +152,9 @@ def shared_part(
 
 @small
 def refine(
-    own: Int32Array,
-    other: Int32Array,
-    weight: FloatArray,
-    volume: FloatArray,
-    count: FloatArray,
-    pseudo_count: float,
-    at_own: FloatArray,
-    at_other: FloatArray,
-) -> None:
+    own: Int32Array, other: Int32Array, weight: FloatArray, volume: FloatArray, count: FloatArray, pseudo_count: float,
+    at_own: FloatArray, at_other: FloatArray,
+) -> None:  # fmt: skip
     """Refine densities in place by the count of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
 
     own, weight : (n,) cells of the counted records, and the part of each that is not counted at its own position.
@@ -184,16 +171,9 @@ def refine(
 
 @small
 def refine_share(
-    own: Int32Array,
-    other: Int32Array,
-    part: FloatArray,
-    weight: FloatArray,
-    parts: FloatArray,
-    weights: FloatArray,
-    pseudo_count: float,
-    at_own: FloatArray,
-    at_other: FloatArray,
-) -> None:
+    own: Int32Array, other: Int32Array, part: FloatArray, weight: FloatArray, parts: FloatArray, weights: FloatArray,
+    pseudo_count: float, at_own: FloatArray, at_other: FloatArray,
+) -> None:  # fmt: skip
     """Refine shares in place by Σ part / Σ weight of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
 
     own, part, weight : (n,) cells of the counted records and their contributions; a record's own is not counted at its
@@ -284,18 +264,9 @@ def covered_cells(
 
 @small
 def check_cells_nested(
-    cells: IntArray,
-    numbers: AnyIntArray,
-    shift: int,
-    partly: float,
-    volume: float,
-    least: FloatArray,
-    hole: float,
-    pseudo_count: float,
-    density: FloatArray,
-    highest: FloatArray,
-    observed: BoolArray,
-) -> None:
+    cells: IntArray, numbers: AnyIntArray, shift: int, partly: float, volume: float, least: FloatArray, hole: float,
+    pseudo_count: float, density: FloatArray, highest: FloatArray, observed: BoolArray,
+) -> None:  # fmt: skip
     """Clear ``observed`` (u, 2) where the other source does not observe, by the cells ``shift`` bits coarser, and
     refine the ``density`` (u, 2) of the other source by their counts, as :func:`check_cells` does.
 
@@ -319,16 +290,9 @@ def check_cells_nested(
 
 @small
 def score_nested(
-    cells: IntArray,
-    numbers: AnyIntArray,
-    shift: int,
-    partly: float,
-    volume: float,
-    used_share: float,
-    smooths: FloatArray,
-    own: FloatArray,
-    score: FloatArray,
-) -> None:
+    cells: IntArray, numbers: AnyIntArray, shift: int, partly: float, volume: float, used_share: float,
+    smooths: FloatArray, own: FloatArray, score: FloatArray,
+) -> None:  # fmt: skip
     """Add to ``score`` (2, m) the log likelihood of pseudo-counts ``smooths`` (m,) for the positions of both sources'
     records, by the other records in their cells ``shift`` bits coarser; to ``score[:, m]`` the squares of the cells'
     counts.
@@ -359,17 +323,9 @@ def score_nested(
 
 @small
 def refine_nested(
-    cells: IntArray,
-    numbers: AnyIntArray,
-    shift: int,
-    partly: float,
-    volume: float,
-    smooth: FloatArray,
-    left_out: FloatArray,
-    open_: BoolArray,
-    own: FloatArray,
-    others: FloatArray,
-) -> None:
+    cells: IntArray, numbers: AnyIntArray, shift: int, partly: float, volume: float, smooth: FloatArray,
+    left_out: FloatArray, open_: BoolArray, own: FloatArray, others: FloatArray,
+) -> None:  # fmt: skip
     """Refine densities in place by the counts of cells ``shift`` bits coarser: ``own`` (u, 2) at the records of the
     source itself, ``others`` (u, 2) at those of the other source.
 
@@ -394,14 +350,9 @@ def refine_nested(
 
 @small
 def refine_share_nested(
-    cells: IntArray,
-    known: IntArray,
-    parts: FloatArray,
-    weights: FloatArray,
-    shift: int,
-    pseudo_count: float,
+    cells: IntArray, known: IntArray, parts: FloatArray, weights: FloatArray, shift: int, pseudo_count: float,
     share: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Refine shares (u,) in place by ``parts``/``weights`` (c,) of the coarser cells ``known`` (c,), ascending; in
     other cells they do not change. pseudo_count : see :func:`refine_share`."""
     at = 0

@@ -123,16 +123,9 @@ def unfold(leaves: int, n1: int, first: Int32Array, second: Int32Array, work: Fo
 
 @borrowing_part
 def core_of(
-    n1: int,
-    n2: int,
-    first: Int32Array,
-    second: Int32Array,
-    odds: FloatArray,
-    folded: Forest,
-    record: IntArray,
-    graph: Elimination,
-    core_odds: FloatArray,
-) -> int:
+    n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, folded: Forest, record: IntArray,
+    graph: Elimination, core_odds: FloatArray,
+) -> int:  # fmt: skip
     """Write the core as the graph of the elimination, with the odds of its pairs; returns its number of records.
 
     record : receives the number of each of the graph's records among the n₁ + n₂.

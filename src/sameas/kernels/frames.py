@@ -138,18 +138,9 @@ def fill_window(
 
 @kernel
 def windowed(
-    light: Pixels,
-    variance: Pixels,
-    start: FloatArray,
-    inverse: FloatArray,
-    half: IntArray,
-    limit: FloatArray,
-    own: FloatArray,
-    profile: FloatArray,
-    inverse_gain: float,
-    steps: int,
-    short: float,
-) -> FloatArray:
+    light: Pixels, variance: Pixels, start: FloatArray, inverse: FloatArray, half: IntArray, limit: FloatArray,
+    own: FloatArray, profile: FloatArray, inverse_gain: float, steps: int, short: float,
+) -> FloatArray:  # fmt: skip
     """(n, COLUMNS) centroids in Gaussian windows, x ← x + 2 Σ w I d / Σ w I, and the sums at the last position.
 
     light, variance : (rows, columns) above the sky, and of a pixel of the sky, infinite where unusable.

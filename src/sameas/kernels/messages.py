@@ -56,14 +56,9 @@ def _pairs_wanted(first: int, last: int, layout: GroupLayout, *rest: Any) -> flo
 
 @small_by(_pairs_wanted)
 def bounds(
-    first: int,
-    last: int,
-    layout: GroupLayout,
-    weight: FloatArray,
-    chosen: BoolArray,
-    wanted: BoolArray,
+    first: int, last: int, layout: GroupLayout, weight: FloatArray, chosen: BoolArray, wanted: BoolArray,
     bound: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Write to ``bound`` (m,) upper bounds of P of the pairs of the ``wanted`` groups (g,) among first … last − 1.
 
     weight : (m,) ln λ, including the linear prior.
@@ -183,19 +178,10 @@ def _pairs_left(first: int, last: int, layout: GroupLayout, *rest: Any) -> float
 
 @small_by(_pairs_left)
 def messages(
-    first: int,
-    last: int,
-    layout: GroupLayout,
-    weight: FloatArray,
-    u: FloatArray,
-    v: FloatArray,
-    method: NDArray[np.int8],
-    to_column: FloatArray,
-    to_row_claim: FloatArray,
-    belief: FloatArray,
-    sweeps: int,
+    first: int, last: int, layout: GroupLayout, weight: FloatArray, u: FloatArray, v: FloatArray,
+    method: NDArray[np.int8], to_column: FloatArray, to_row_claim: FloatArray, belief: FloatArray, sweeps: int,
     tolerance: float,
-) -> float:
+) -> float:  # fmt: skip
     """Sum-product messages of the LOCAL groups.
 
     Writes to_column (m,), the odds of each pair without its column's other pairs; to_row_claim (m,), the odds without
@@ -360,14 +346,8 @@ def rank_rivals(first: int, last: int, graph: Graph, rivals: Int32Array, strengt
 
 @kernel
 def balls(
-    first: int,
-    last: int,
-    graph: Graph,
-    rivals: Int32Array,
-    strength: FloatArray,
-    max_bits: float,
-    share: FloatArray,
-) -> None:
+    first: int, last: int, graph: Graph, rivals: Int32Array, strength: FloatArray, max_bits: float, share: FloatArray,
+) -> None:  # fmt: skip
     """Write the posterior ``share`` of the pairs of rows first … last − 1 of a :data:`Graph`.
 
     Each row is summed exactly together with the rows that compete with it most, at most as many as ``rivals`` has

@@ -14,17 +14,9 @@ from sameas.kernels.linear import solve, summed
 
 @small
 def log_odds(
-    i: Int32Array,
-    j: Int32Array,
-    p_pair: FloatArray,
-    log_ratio: FloatArray,
-    partner_1: FloatArray,
-    partner_2: FloatArray,
-    counted: BoolArray,
-    faint: float,
-    largest_p: float,
-    profile: FloatArray,
-) -> None:
+    i: Int32Array, j: Int32Array, p_pair: FloatArray, log_ratio: FloatArray, partner_1: FloatArray,
+    partner_2: FloatArray, counted: BoolArray, faint: float, largest_p: float, profile: FloatArray,
+) -> None:  # fmt: skip
     """Replace ``profile`` (m,), the pairs' log density by their errors, by their log odds without it; −∞ if record i is
     not counted.
 
@@ -46,14 +38,9 @@ def log_odds(
 
 @small
 def cells(
-    square: FloatArray,
-    log_odds: FloatArray,
-    least: float,
-    most: float,
-    nearest: float,
-    reach: float,
+    square: FloatArray, log_odds: FloatArray, least: float, most: float, nearest: float, reach: float,
     shape: tuple[int, int],
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Counts of pairs in cells of distance and odds, as ``log_likelihood`` takes them, and mean squared distances.
 
     square, log_odds : (m,) squared distances and log odds; pairs of log odds up to ``least`` are ignored, those above
@@ -120,16 +107,9 @@ def _mixed(density: FloatArray, shares: FloatArray) -> FloatArray:
 
 @part
 def _derivatives(
-    start: IntArray,
-    count: FloatArray,
-    odds: FloatArray,
-    density: FloatArray,
-    pseudo: FloatArray,
-    shares: FloatArray,
-    ridge: float,
-    slope: FloatArray,
-    bend: FloatArray,
-) -> None:
+    start: IntArray, count: FloatArray, odds: FloatArray, density: FloatArray, pseudo: FloatArray, shares: FloatArray,
+    ridge: float, slope: FloatArray, bend: FloatArray,
+) -> None:  # fmt: skip
     """Write the gradient ``slope`` (k,) and the negative curvature ``bend`` (k, k) of the log likelihood."""
     size = len(shares)
     slope[:] = 0.0
@@ -209,18 +189,9 @@ def _steps(start: IntArray, count: FloatArray, odds: FloatArray, *rest: Any) -> 
 
 @small_by(_steps)
 def max_likelihood_shares(
-    start: IntArray,
-    count: FloatArray,
-    odds: FloatArray,
-    density: FloatArray,
-    pseudo: FloatArray,
-    shares: FloatArray,
-    spread: float,
-    steps: int,
-    min_gain: float,
-    shortest: float,
-    ridge: float,
-) -> FloatArray:
+    start: IntArray, count: FloatArray, odds: FloatArray, density: FloatArray, pseudo: FloatArray, shares: FloatArray,
+    spread: float, steps: int, min_gain: float, shortest: float, ridge: float,
+) -> FloatArray:  # fmt: skip
     """The shares of maximum likelihood, by alternating EM steps, which always increase the likelihood, and Newton steps
     among nonnegative shares, which converge quickly near the maximum.
 
@@ -264,18 +235,9 @@ def max_likelihood_shares(
 
 @small_by(_steps)
 def fit(
-    start: IntArray,
-    count: FloatArray,
-    odds: FloatArray,
-    squares: FloatArray,
-    d: int,
-    scales: FloatArray,
-    core: int,
-    pseudo: FloatArray,
-    shares: FloatArray,
-    min_gain: float,
-    search: tuple[float | int, ...],
-) -> tuple[FloatArray, float, float]:
+    start: IntArray, count: FloatArray, odds: FloatArray, squares: FloatArray, d: int, scales: FloatArray, core: int,
+    pseudo: FloatArray, shares: FloatArray, min_gain: float, search: tuple[float | int, ...],
+) -> tuple[FloatArray, float, float]:  # fmt: skip
     """The shares (k,) of maximum likelihood of a mixture of normals in d features, of ascending ``scales`` (k,).
 
     The components from ``core`` on are the tail, which is removed if it does not improve the log likelihood by more

@@ -185,14 +185,9 @@ def number_within(points: FloatArray, low: FloatArray, high: FloatArray, periods
 
 @kernel
 def messages(
-    start: IntArray,
-    i: IntArray,
-    j: IntArray,
-    log_weight: FloatArray,
-    records: tuple[int, int],
-    sweeps: int,
+    start: IntArray, i: IntArray, j: IntArray, log_weight: FloatArray, records: tuple[int, int], sweeps: int,
     tolerance: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Sum-product messages under every offset: probabilities of pairs, and the sum over hypotheses.
 
     records : numbers of records of both sources. At most ``sweeps`` sweeps, fewer if no message changes by more than
@@ -287,14 +282,9 @@ def sum_by_column(pairs: IntArray, j: IntArray, to_column: FloatArray, by_column
 
 @kernel
 def score_and_information(
-    s: IntArray,
-    j: IntArray,
-    residual: FloatArray,
-    precision: FloatArray,
-    weight: FloatArray,
-    jacobian: FloatArray,
+    s: IntArray, j: IntArray, residual: FloatArray, precision: FloatArray, weight: FloatArray, jacobian: FloatArray,
     min_weight: float,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """The score of the pairs at every offset: Σ w Jᵀ Σ⁻¹ Δ (s, p), and their information Σ w Jᵀ Σ⁻¹ J (s, p, p).
 
     s, j : (m,) offset and record of the second source of every pair. jacobian : (s, k, d, p). Pairs of weight up to

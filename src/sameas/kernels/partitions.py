@@ -40,20 +40,10 @@ FEW_RECORDS, FEW_SETS, CLEAR_NATS = 3, 7, 1e-9
 
 @kernel
 def eliminate(
-    groups: IntArray,
-    start: IntArray,
-    size: IntArray,
-    first: IntArray,
-    mask: NDArray[np.uint64],
-    weight: FloatArray,
-    merges: IntArray,
-    table_start: IntArray,
-    table: FloatArray,
-    cap: int,
-    share: FloatArray,
-    chosen: BoolArray,
+    groups: IntArray, start: IntArray, size: IntArray, first: IntArray, mask: NDArray[np.uint64], weight: FloatArray,
+    merges: IntArray, table_start: IntArray, table: FloatArray, cap: int, share: FloatArray, chosen: BoolArray,
     solved: BoolArray,
-) -> None:
+) -> None:  # fmt: skip
     """Write every set's probability to ``share``, the best partition to ``chosen``, the solved groups to ``solved``.
 
     groups : numbers of the groups to sum. start : (g+1,) sets of each group, ascending in ``first``, the number of the
@@ -71,17 +61,9 @@ def eliminate(
 
 @part
 def _sum_group(
-    n: int,
-    first: IntArray,
-    mask: NDArray[np.uint64],
-    weight: FloatArray,
-    merges: IntArray,
-    log_p: FloatArray,
-    counted: bool,
-    cap: int,
-    share: FloatArray,
-    chosen: BoolArray,
-) -> bool:
+    n: int, first: IntArray, mask: NDArray[np.uint64], weight: FloatArray, merges: IntArray, log_p: FloatArray,
+    counted: bool, cap: int, share: FloatArray, chosen: BoolArray,
+) -> bool:  # fmt: skip
     key, n_merges, layer, origin, target, used = _steps(n, first, mask, merges, counted, cap)
     if len(layer) == 0:
         return False
@@ -132,14 +114,9 @@ def _factors(n: int, mask: NDArray[np.uint64], weight: FloatArray) -> FloatArray
 
 @part
 def _add_path_shares(
-    layer: IntArray,
-    origin: Int32Array,
-    target: Int32Array,
-    used: Int32Array,
-    factor: FloatArray,
-    ends: FloatArray,
+    layer: IntArray, origin: Int32Array, target: Int32Array, used: Int32Array, factor: FloatArray, ends: FloatArray,
     share: FloatArray,
-) -> bool:
+) -> bool:  # fmt: skip
     """Add to ``share`` of every set the share of all paths, from the first state to the last ones, that use it.
 
     The sums of each layer are divided by their largest. A path has one step between consecutive layers, so the shares
@@ -212,19 +189,10 @@ def _steps(
 
 @part
 def _fill_steps(
-    n: int,
-    first: IntArray,
-    mask: NDArray[np.uint64],
-    merges: IntArray,
-    counted: bool,
-    width: int,
-    key: NDArray[np.uint64],
-    n_merges: IntArray,
-    layer: IntArray,
-    origin: Int32Array,
-    target: Int32Array,
+    n: int, first: IntArray, mask: NDArray[np.uint64], merges: IntArray, counted: bool, width: int,
+    key: NDArray[np.uint64], n_merges: IntArray, layer: IntArray, origin: Int32Array, target: Int32Array,
     used: Int32Array,
-) -> int:
+) -> int:  # fmt: skip
     """Write the states and steps; returns the number of steps, −1 if they exceed the arrays.
 
     width : of :func:`_width`. If small, the bits of a state's records after r are its slot; else slots are hashed.
@@ -317,19 +285,9 @@ def _sums_of_pruned(groups: IntArray, start: IntArray, *rest: Any) -> float:
 
 @small_by(_sums_of_pruned)
 def sum_pruned(
-    groups: IntArray,
-    start: IntArray,
-    members: IntArray,
-    weight: FloatArray,
-    small: int,
-    cuts: FloatArray,
-    max_records: int,
-    cap: int,
-    dual: FloatArray,
-    share: FloatArray,
-    chosen: BoolArray,
-    cut: FloatArray,
-) -> None:
+    groups: IntArray, start: IntArray, members: IntArray, weight: FloatArray, small: int, cuts: FloatArray,
+    max_records: int, cap: int, dual: FloatArray, share: FloatArray, chosen: BoolArray, cut: FloatArray,
+) -> None:  # fmt: skip
     """Write every set's probability to ``share``, the best partition to ``chosen``, and each group's ``cut``.
 
     groups : numbers of the groups to sum. start : (g+1,) sets of each group. members : (k, S) records of the sets, −1
@@ -359,15 +317,9 @@ def _groups(groups: IntArray, *rest: Any) -> float:
 
 @small_by(_groups)
 def sum_few(
-    groups: IntArray,
-    start: IntArray,
-    members: IntArray,
-    weight: FloatArray,
-    n_records: int,
-    share: FloatArray,
-    chosen: BoolArray,
-    solved: BoolArray,
-) -> None:
+    groups: IntArray, start: IntArray, members: IntArray, weight: FloatArray, n_records: int, share: FloatArray,
+    chosen: BoolArray, solved: BoolArray,
+) -> None:  # fmt: skip
     """:func:`sum_pruned` for groups of at most FEW_SETS sets, which most are; ``solved`` (g,) receives whether they
     have at most FEW_RECORDS records and one partition that is clearly the best, without which nothing is written."""
     local = np.full(n_records, NONE)
@@ -380,15 +332,9 @@ def sum_few(
 
 @part
 def _sum_few(
-    members: IntArray,
-    weight: FloatArray,
-    local: IntArray,
-    mask: IntArray,
-    partition: IntArray,
-    log_weight: FloatArray,
-    share: FloatArray,
-    chosen: BoolArray,
-) -> bool:
+    members: IntArray, weight: FloatArray, local: IntArray, mask: IntArray, partition: IntArray,
+    log_weight: FloatArray, share: FloatArray, chosen: BoolArray,
+) -> bool:  # fmt: skip
     """Sum a group over all its partitions, if it has at most FEW_RECORDS records and one partition is clearly the best;
     returns whether that is so. Most groups have three records at most, and setting up the elimination takes ten times
     as long.
@@ -449,17 +395,9 @@ def _sum_few(
 
 @inlined
 def _sum_pruned_group(
-    members: IntArray,
-    weight: FloatArray,
-    local: IntArray,
-    small: int,
-    cuts: FloatArray,
-    max_records: int,
-    cap: int,
-    dual: FloatArray,
-    share: FloatArray,
-    chosen: BoolArray,
-) -> float:
+    members: IntArray, weight: FloatArray, local: IntArray, small: int, cuts: FloatArray, max_records: int, cap: int,
+    dual: FloatArray, share: FloatArray, chosen: BoolArray,
+) -> float:  # fmt: skip
     """Sum one group of :func:`sum_pruned`; returns its cut."""
     k = len(members)
     begin, entry, n = local_numbers(members, local)
@@ -530,14 +468,8 @@ def set_samples(groups: IntArray, start: IntArray, members: IntArray, weight: Fl
 
 @part
 def _sum_blocks(
-    kept: KeptSets,
-    block: IntArray,
-    done: BoolArray,
-    max_records: int,
-    cap: int,
-    share: FloatArray,
-    chosen: BoolArray,
-) -> bool:
+    kept: KeptSets, block: IntArray, done: BoolArray, max_records: int, cap: int, share: FloatArray, chosen: BoolArray,
+) -> bool:  # fmt: skip
     """Sum the blocks of records that the sets connect and that are not ``done`` (n,); returns whether all are now."""
     begin, entry, in_group = kept.begin, kept.entry, kept.in_group
     n, k = len(block), len(in_group)

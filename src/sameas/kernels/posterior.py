@@ -141,17 +141,9 @@ def _sums_of_small(first: int, last: int, layout: GroupLayout, *rest: Any) -> fl
 
 @small_by(_sums_of_small)
 def exact(
-    first: int,
-    last: int,
-    layout: GroupLayout,
-    weight: FloatArray,
-    u: FloatArray,
-    v: FloatArray,
-    most: int,
-    sums_per_pair: float,
-    share: FloatArray,
-    method: NDArray[np.int8],
-) -> None:
+    first: int, last: int, layout: GroupLayout, weight: FloatArray, u: FloatArray, v: FloatArray, most: int,
+    sums_per_pair: float, share: FloatArray, method: NDArray[np.int8],
+) -> None:  # fmt: skip
     """Write the exact posterior ``share`` (m,) of the pairs of the groups first … last − 1, under a linear prior.
 
     method (g,) receives CLOSED, ELIMINATED or LOCAL. LOCAL groups have no share written: both sides have more than
@@ -172,20 +164,10 @@ def exact(
 
 @borrowing_part
 def _exact(
-    first: int,
-    last: int,
-    layout: GroupLayout,
-    weight: FloatArray,
-    u: FloatArray,
-    v: FloatArray,
-    most: int,
-    sums_per_pair: float,
-    work: tuple[Forest, Elimination],
-    of_pairs: tuple[FloatArray, FloatArray],
-    of_core: tuple[IntArray, FloatArray, FloatArray, FloatArray],
-    share: FloatArray,
-    method: NDArray[np.int8],
-) -> None:
+    first: int, last: int, layout: GroupLayout, weight: FloatArray, u: FloatArray, v: FloatArray, most: int,
+    sums_per_pair: float, work: tuple[Forest, Elimination], of_pairs: tuple[FloatArray, FloatArray],
+    of_core: tuple[IntArray, FloatArray, FloatArray, FloatArray], share: FloatArray, method: NDArray[np.int8],
+) -> None:  # fmt: skip
     """:func:`exact` with workspaces for the largest group: of its pairs (odds, odds in the core) and of the records of
     its core (number, odds of having no partner, probabilities of none and of one)."""
     start, start1, start2 = layout.start, layout.start1, layout.start2
@@ -226,14 +208,8 @@ def _exact(
 
 @small_by(_sums)
 def log_sums(
-    first: int,
-    last: int,
-    layout: GroupLayout,
-    weight: FloatArray,
-    u: FloatArray,
-    v: FloatArray,
-    out: FloatArray,
-) -> None:
+    first: int, last: int, layout: GroupLayout, weight: FloatArray, u: FloatArray, v: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
     """Write to ``out`` (g,) ln Σ over hypotheses of exp(Σ weight) of the groups first … last − 1, the sum that
     :func:`exact` divides by; NaN where the elimination needs too many partial sums."""
     start, start1, start2 = layout.start, layout.start1, layout.start2
@@ -275,14 +251,9 @@ CountSteps = namedtuple("CountSteps", "start low width")
 
 @borrowing_part
 def _forward_counted(
-    n: int,
-    odds: FloatArray,
-    odds_alone: FloatArray,
-    prior: FloatArray,
-    work: Elimination,
-    counts: CountSteps,
+    n: int, odds: FloatArray, odds_alone: FloatArray, prior: FloatArray, work: Elimination, counts: CountSteps,
     value: FloatArray,
-) -> bool:
+) -> bool:  # fmt: skip
     """:func:`_forward` of polynomials, without the terms that are negligible; False if they are more than ``value``
     has room for. prior : factor of each number of pairs."""
     start, low, width, sum_size, bit = counts.start, counts.low, counts.width, work.sum_size, work.choice_bit
@@ -346,15 +317,9 @@ def _trimmed(
 
 @borrowing_part
 def _backward_counted(
-    n: int,
-    odds_alone: FloatArray,
-    prior: FloatArray,
-    work: Elimination,
-    counts: CountSteps,
-    value: FloatArray,
-    suffix: FloatArray,
-    p_pair: FloatArray,
-) -> None:
+    n: int, odds_alone: FloatArray, prior: FloatArray, work: Elimination, counts: CountSteps, value: FloatArray,
+    suffix: FloatArray, p_pair: FloatArray,
+) -> None:  # fmt: skip
     """:func:`_backward` of polynomials; the last ones are the prior."""
     start, low, width, sum_size, bit = counts.start, counts.low, counts.width, work.sum_size, work.choice_bit
     choice_start, choice_pair = work.choice_start, work.choice_pair
@@ -399,20 +364,10 @@ def _backward_counted(
 
 @small_by(_sums)
 def exact_counted(
-    first: int,
-    last: int,
-    layout: GroupLayout,
-    weight: FloatArray,
-    chosen: BoolArray,
-    u: FloatArray,
-    v: FloatArray,
-    table_start: IntArray,
-    table: FloatArray,
-    slope: FloatArray,
-    most: int,
-    share: FloatArray,
+    first: int, last: int, layout: GroupLayout, weight: FloatArray, chosen: BoolArray, u: FloatArray, v: FloatArray,
+    table_start: IntArray, table: FloatArray, slope: FloatArray, most: int, share: FloatArray,
     method: NDArray[np.int8],
-) -> None:
+) -> None:  # fmt: skip
     """:func:`exact` under any prior of the count: ``weight`` excludes it (see ``assign_counted``).
 
     table[table_start[g] + k] : ln P of k pairs. slope : (g,) its multiplier μ at the best hypothesis.

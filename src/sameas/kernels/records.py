@@ -128,14 +128,11 @@ def greatest_pair(position: Int32Array, n: int, value: FloatArray) -> IntArray:
 
 @small
 def by_row(
-    at: IntArray,
-    of_record: tuple[IntArray, IntArray, Int32Array, FloatArray],
-    pairs: tuple[FloatArray, Int32Array, IntArray, Int32Array, IntArray],
-    rows: tuple[IntArray, IntArray, IntArray],
-    shares: tuple[FloatArray, FloatArray, FloatArray],
-    counts: tuple[Int32Array, Int32Array, IntArray],
+    at: IntArray, of_record: tuple[IntArray, IntArray, Int32Array, FloatArray],
+    pairs: tuple[FloatArray, Int32Array, IntArray, Int32Array, IntArray], rows: tuple[IntArray, IntArray, IntArray],
+    shares: tuple[FloatArray, FloatArray, FloatArray], counts: tuple[Int32Array, Int32Array, IntArray],
     absent: tuple[BoolArray, ...],
-) -> None:
+) -> None:  # fmt: skip
     """Write the summary of each record k to row ``at[k]`` of the table.
 
     of_record : result of :func:`per_record`. pairs : probability (m,), position of the other record (m,), table rows of

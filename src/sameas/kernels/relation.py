@@ -47,16 +47,9 @@ def interval(knots: FloatArray, starts: IntArray, x: float) -> tuple[int, int, f
 
 @small
 def climb(
-    magnitude: FloatArray,
-    log_odds: FloatArray,
-    p_detected: FloatArray,
-    knots: FloatArray,
-    penalty: FloatArray,
-    values: FloatArray,
-    steps: int,
-    longest: float,
-    tolerance: float,
-) -> None:
+    magnitude: FloatArray, log_odds: FloatArray, p_detected: FloatArray, knots: FloatArray, penalty: FloatArray,
+    values: FloatArray, steps: int, longest: float, tolerance: float,
+) -> None:  # fmt: skip
     """Newton steps towards the maximum of the penalised likelihood of ``values`` (k,) at ``knots``, in place.
 
     magnitude, log_odds, p_detected : (n,) of the records: magnitudes, log odds without the curve, and probabilities of
@@ -96,14 +89,9 @@ def climb(
 
 @small
 def weigh(
-    magnitude: FloatArray,
-    share: FloatArray,
-    wanted: AnyIntArray,
-    least: float,
-    knots: FloatArray,
-    values: FloatArray,
+    magnitude: FloatArray, share: FloatArray, wanted: AnyIntArray, least: float, knots: FloatArray, values: FloatArray,
     out: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Write to ``out`` (n,), for the records ``wanted``, the change of ½ ln s − ln (1 − s) if shares s (n,) follow the
     curve: ½ [v + ln (1 − s + s eᵛ)] for its value v; 0 for a NaN magnitude.
 
@@ -120,15 +108,9 @@ def weigh(
 
 @small
 def log_mixture(
-    y: FloatArray,
-    variance: FloatArray,
-    others: FloatArray,
-    other_variance: FloatArray,
-    knots: FloatArray,
-    relation: tuple[FloatArray, ...],
-    background: FloatArray,
-    out: FloatArray,
-) -> None:
+    y: FloatArray, variance: FloatArray, others: FloatArray, other_variance: FloatArray, knots: FloatArray,
+    relation: tuple[FloatArray, ...], background: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
     """Write to ``out`` (n,) ln of the density of magnitudes y (n,), given others (n, 1 + c) and the variances of both.
 
     knots : (k,) ascending, of the first of the others. relation : offset and scatter (k,), slopes and centres (c,),
@@ -192,17 +174,9 @@ def quartiles(order: IntArray, values: FloatArray, weight: FloatArray, nearest: 
 
 @small
 def gather(
-    at: IntArray,
-    weight: FloatArray,
-    y: FloatArray,
-    variance: FloatArray,
-    others: FloatArray,
-    other_variance: FloatArray,
-    unrelated: FloatArray,
-    assumed: FloatArray,
-    sample: FloatArray,
-    colours: FloatArray,
-) -> None:
+    at: IntArray, weight: FloatArray, y: FloatArray, variance: FloatArray, others: FloatArray,
+    other_variance: FloatArray, unrelated: FloatArray, assumed: FloatArray, sample: FloatArray, colours: FloatArray,
+) -> None:  # fmt: skip
     """Write ``sample`` (n, 6) and ``colours`` (n, 2c), without subtracting centres, as :func:`learn` takes them, from
     the rows ``at`` (n,) of the others (r, ·), whose pairs have the probabilities ``weight`` (n,).
 
@@ -220,14 +194,9 @@ def gather(
 
 @small
 def learn(
-    sample: FloatArray,
-    colours: FloatArray,
-    knots: FloatArray,
-    relation: tuple[FloatArray, ...],
-    penalty: FloatArray,
-    priors: FloatArray,
-    steps: int,
-) -> None:
+    sample: FloatArray, colours: FloatArray, knots: FloatArray, relation: tuple[FloatArray, ...], penalty: FloatArray,
+    priors: FloatArray, steps: int,
+) -> None:  # fmt: skip
     """EM iterations of the relation, in place, until it has converged or for ``steps`` iterations.
 
     sample : (n, 6) difference of the magnitude and the first of the others, variances of both, density of the
@@ -344,16 +313,9 @@ def _summed(
 
 @part
 def _scatters(
-    scatter: FloatArray,
-    error: FloatArray,
-    hats: tuple[IntArray, FloatArray],
-    leverages: FloatArray,
-    excess: FloatArray,
-    share: FloatArray,
-    number: float,
-    fitted: int,
-    priors: FloatArray,
-) -> float:
+    scatter: FloatArray, error: FloatArray, hats: tuple[IntArray, FloatArray], leverages: FloatArray,
+    excess: FloatArray, share: FloatArray, number: float, fitted: int, priors: FloatArray,
+) -> float:  # fmt: skip
     """Write the scatters (k,) beyond the quoted errors and the ``error`` of the typical one; returns the typical."""
     left, upper = hats
     shrinking, least = priors[-3], priors[-2]

@@ -65,19 +65,9 @@ def whitened(matrix: FloatArray, residual: FloatArray, solved: FloatArray) -> tu
 
 @small
 def sweep_plane(
-    one: Side,
-    two: Side,
-    grid: Grid,
-    reach: Reach,
-    folds: tuple[float, float],
-    listed: IntArray,
-    limit: float,
-    box: bool,
-    periods: FloatArray,
-    first: int,
-    last: int,
-    out: tuple[FloatArray | Int32Array, ...],
-) -> tuple[int, int]:
+    one: Side, two: Side, grid: Grid, reach: Reach, folds: tuple[float, float], listed: IntArray, limit: float,
+    box: bool, periods: FloatArray, first: int, last: int, out: tuple[FloatArray | Int32Array, ...],
+) -> tuple[int, int]:  # fmt: skip
     """Write the candidates of the records at places ``first`` ≤ k < ``last`` of source 1 to the arrays ``out``.
 
     one, two : ``zones.Side``. grid, reach : of source 2. folds : periods of x and y. listed : see ``zones.near``, from
@@ -98,17 +88,9 @@ def sweep_plane(
 
 @part
 def measured_on_plane(
-    one: Side,
-    two: Side,
-    limit: float,
-    box: bool,
-    periods: FloatArray,
-    of1: Int32Array,
-    of2: Int32Array,
-    found: int,
-    count: int,
-    out: tuple[FloatArray | Int32Array, ...],
-) -> tuple[int, int]:
+    one: Side, two: Side, limit: float, box: bool, periods: FloatArray, of1: Int32Array, of2: Int32Array, found: int,
+    count: int, out: tuple[FloatArray | Int32Array, ...],
+) -> tuple[int, int]:  # fmt: skip
     """Write the pairs that pass the gate; returns (candidates written, pairs tested before out was full)."""
     place1, place2, i, j, residual, distance, determinant = out
     d = len(periods)
@@ -163,15 +145,9 @@ def plane_covariances(cov1: FloatArray, cov2: FloatArray, i: Int32Array, j: Int3
 
 @small
 def sweep_few(
-    features1: FloatArray,
-    packed1: FloatArray,
-    features2: FloatArray,
-    packed2: FloatArray,
-    limit: float,
-    box: bool,
-    periods: FloatArray,
-    out: tuple[FloatArray | Int32Array, ...],
-) -> int:
+    features1: FloatArray, packed1: FloatArray, features2: FloatArray, packed2: FloatArray, limit: float, box: bool,
+    periods: FloatArray, out: tuple[FloatArray | Int32Array, ...],
+) -> int:  # fmt: skip
     """Write the candidates of two sources of few records on a plane to the columns ``out`` of ``gate.Pairs``.
 
     Returns their number; −1 if ``out`` is too small, or two records of a source have the same content.
@@ -207,15 +183,9 @@ def sweep_few(
 
 @inlined
 def _near(
-    content1: FloatArray,
-    variance1: FloatArray,
-    k: int,
-    content2: FloatArray,
-    variance2: FloatArray,
-    q: int,
-    periods: FloatArray,
-    enough: float,
-) -> bool:
+    content1: FloatArray, variance1: FloatArray, k: int, content2: FloatArray, variance2: FloatArray, q: int,
+    periods: FloatArray, enough: float,
+) -> bool:  # fmt: skip
     """Whether two records are within the gate's box on every axis."""
     for v in range(variance1.shape[1]):
         apart = abs(content1[k, v] - content2[q, v])
@@ -403,17 +373,9 @@ def spreads(
 
 @small
 def sweep_sphere(
-    one: Side,
-    two: Side,
-    grid: Grid,
-    reach: Reach,
-    listed: IntArray,
-    limit: float,
-    box: bool,
-    first: int,
-    last: int,
+    one: Side, two: Side, grid: Grid, reach: Reach, listed: IntArray, limit: float, box: bool, first: int, last: int,
     out: tuple[FloatArray | Int32Array, ...],
-) -> tuple[int, int]:
+) -> tuple[int, int]:  # fmt: skip
     """Write the candidates of the records at places ``first`` ≤ k < ``last`` of source 1 to the arrays ``out``.
 
     one, two : ``zones.Side``, guards (longitude, latitude, its cosine, variance). grid, reach : of source 2. listed :
@@ -464,17 +426,9 @@ def residuals(
 
 @borrowing_part
 def measured_on_sphere(
-    one: Side,
-    two: Side,
-    limit: float,
-    box: bool,
-    of1: Int32Array,
-    of2: Int32Array,
-    found: int,
-    terms: FloatArray,
-    count: int,
-    out: tuple[FloatArray | Int32Array, ...],
-) -> tuple[int, int]:
+    one: Side, two: Side, limit: float, box: bool, of1: Int32Array, of2: Int32Array, found: int, terms: FloatArray,
+    count: int, out: tuple[FloatArray | Int32Array, ...],
+) -> tuple[int, int]:  # fmt: skip
     """Write the pairs that pass the gate; returns (candidates written, pairs tested before out was full)."""
     place1, place2, i, j, residual, distance, determinant = out
     circles = len(one.content) == 0
@@ -505,14 +459,9 @@ def measured_on_sphere(
 
 @small
 def sphere_covariances(
-    features1: FloatArray,
-    cov1: FloatArray,
-    features2: FloatArray,
-    cov2: FloatArray,
-    i: Int32Array,
-    j: Int32Array,
+    features1: FloatArray, cov1: FloatArray, features2: FloatArray, cov2: FloatArray, i: Int32Array, j: Int32Array,
     out: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Write the covariance of each pair's residual to ``out`` (m, 2, 2)."""
     for k in range(len(i)):
         # Records keep their longitudes as given, which may be outside 0 … 360°; the search has reduced its own.

@@ -63,15 +63,9 @@ def extent(features: FloatArray) -> FloatArray:
 
 @small
 def tally(
-    features: FloatArray,
-    axis_x: int,
-    axis_y: int,
-    low_x: float,
-    low_y: float,
-    per_x: float,
-    per_y: float,
+    features: FloatArray, axis_x: int, axis_y: int, low_x: float, low_y: float, per_x: float, per_y: float,
     counts: IntArray,
-) -> None:
+) -> None:  # fmt: skip
     """Add to ``counts`` (c, c) the number of records in each cell of a grid of per_x and per_y cells per unit."""
     last = len(counts) - 1.0
     for k in range(len(features)):
@@ -98,15 +92,9 @@ def zones_of(
 
 @small
 def into_zones(
-    features: FloatArray,
-    variance: FloatArray,
-    rows: Int32Array,
-    axis_x: int,
-    axis_y: int,
-    zone: Int32Array,
-    fill: IntArray,
-    side: Side,
-) -> None:
+    features: FloatArray, variance: FloatArray, rows: Int32Array, axis_x: int, axis_y: int, zone: Int32Array,
+    fill: IntArray, side: Side,
+) -> None:  # fmt: skip
     """Write the ``rows`` and their guards to ``side`` (:data:`Side`), zone by zone.
 
     The guard is x, y and the variances of x and y; on the sphere the third is later replaced by the cosine of y.
@@ -127,16 +115,9 @@ def into_zones(
 
 @small
 def into_cells(
-    features: FloatArray,
-    covariance: FloatArray,
-    turning: bool,
-    ends: IntArray,
-    frame: tuple[float, float],
-    rank: IntArray,
-    base: int,
-    grid: tuple[IntArray, Int32Array, FloatArray],
-    side: Side,
-) -> bool:
+    features: FloatArray, covariance: FloatArray, turning: bool, ends: IntArray, frame: tuple[float, float],
+    rank: IntArray, base: int, grid: tuple[IntArray, Int32Array, FloatArray], side: Side,
+) -> bool:  # fmt: skip
     """Sort every zone by x, then content, then ``rank`` (one for each row of features), and write its cells.
 
     ends (z+1,), side : results of :func:`zones_of` and :func:`into_zones`. frame : (low, extent) of x. grid : (first
@@ -154,17 +135,10 @@ def into_cells(
 
 @borrowing_part
 def _into_cells(
-    features: FloatArray,
-    covariance: FloatArray,
-    turning: bool,
-    ends: IntArray,
-    x_low: float,
-    rank: IntArray,
-    base: int,
-    grid: tuple[IntArray, Int32Array, FloatArray],
-    side: Side,
+    features: FloatArray, covariance: FloatArray, turning: bool, ends: IntArray, x_low: float, rank: IntArray,
+    base: int, grid: tuple[IntArray, Int32Array, FloatArray], side: Side,
     workspace: tuple[Int32Array | FloatArray, ...],
-) -> bool:
+) -> bool:  # fmt: skip
     """:func:`into_cells` with a workspace for the largest zone."""
     first, starts, scale = grid
     cell, order, fill, guard, rows, cosine = workspace
@@ -246,14 +220,9 @@ def cell_of(at: float, count: int) -> int:
 
 @borrowing_part
 def sort_cells(
-    features: FloatArray,
-    covariance: FloatArray,
-    rank: IntArray,
-    rows: Int32Array,
-    guard: FloatArray,
-    ends: Int32Array,
-    order: Int32Array,
-) -> bool:
+    features: FloatArray, covariance: FloatArray, rank: IntArray, rows: Int32Array, guard: FloatArray,
+    ends: Int32Array, order: Int32Array,
+) -> bool:  # fmt: skip
     """Sort the records of a zone that share a cell; see :func:`into_cells`."""
     start = 0
     for c in range(len(ends) - 1):
@@ -462,16 +431,9 @@ def reach_of_record(
 
 @borrowing_part
 def near(
-    one: Side,
-    two: Side,
-    grid: Grid,
-    reach: Reach,
-    folds: tuple[float, float] | None,
-    listed: IntArray,
-    at: tuple[int, ...],
-    last: int,
-    room: tuple[Int32Array, Int32Array, ByteArray],
-) -> tuple[int, tuple[int, ...]]:
+    one: Side, two: Side, grid: Grid, reach: Reach, folds: tuple[float, float] | None, listed: IntArray,
+    at: tuple[int, ...], last: int, room: tuple[Int32Array, Int32Array, ByteArray],
+) -> tuple[int, tuple[int, ...]]:  # fmt: skip
     """Write near pairs to of1, of2, of the records from ``at`` on, as many as fit.
 
     at : (k, zones of k done, records of the next zone done, pairs of ``listed`` done). listed : further pairs
@@ -514,16 +476,9 @@ def near(
 
 @borrowing_part
 def piecewise(
-    guard1: FloatArray,
-    guard2: FloatArray,
-    folds: tuple[float, float] | None,
-    opening: float,
-    k: int,
-    ends: tuple[int, ...],
-    skip: int,
-    room: tuple[Int32Array, Int32Array, ByteArray],
-    count: int,
-) -> tuple[int, int]:
+    guard1: FloatArray, guard2: FloatArray, folds: tuple[float, float] | None, opening: float, k: int,
+    ends: tuple[int, ...], skip: int, room: tuple[Int32Array, Int32Array, ByteArray], count: int,
+) -> tuple[int, int]:  # fmt: skip
     """Add the near pairs of two stretches, from their record ``skip`` on; returns (pairs, 0), or (pairs, 1 + records
     done) if of1 is full before their end. Stretches longer than of1 are done in pieces.
     """
@@ -539,16 +494,9 @@ def piecewise(
 
 @borrowing_part
 def near_in(
-    guard1: FloatArray,
-    guard2: FloatArray,
-    folds: tuple[float, float] | None,
-    opening: float,
-    k: int,
-    low: int,
-    high: int,
-    room: tuple[Int32Array, Int32Array, ByteArray],
-    count: int,
-) -> int:
+    guard1: FloatArray, guard2: FloatArray, folds: tuple[float, float] | None, opening: float, k: int, low: int,
+    high: int, room: tuple[Int32Array, Int32Array, ByteArray], count: int,
+) -> int:  # fmt: skip
     """Add to of1, of2 the records low ≤ c < high near to k; returns the number of pairs."""
     of1, of2, passes = room
     x, y, a, b = guard1[k, 0], guard1[k, 1], guard1[k, 2], guard1[k, 3]

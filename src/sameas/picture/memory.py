@@ -220,14 +220,9 @@ class TrackMemory:
         return log_ratio, rivals.level(log_ratio, agrees)
 
     def _swaps_since(
-        self,
-        scan: Scan,
-        numbers: tuple[IntArray, IntArray],
-        models: IntArray,
-        side: int,
-        pair: IntArray,
+        self, scan: Scan, numbers: tuple[IntArray, IntArray], models: IntArray, side: int, pair: IntArray,
         rival: IntArray,
-    ) -> tuple[IntArray, FloatArray, FloatArray]:
+    ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
         """Pairs whose track that differs from the rival's may have exchanged ids with it since a scan.
 
         (m,) indices of pairs and rivals (n,); (m, r), (m, r) probability of a swap under each of ``models``, and that

@@ -299,16 +299,9 @@ class Watch:
         )
 
     def _detections(
-        self,
-        scan: Scan,
-        members: IntArray,
-        identification: Objects | None,
-        memory: TrackMemory,
-        texts: Mapping[str, NDArray[Any]],
-        looks: Looks,
-        hulls: Hulls,
-        is_new: BoolArray,
-    ) -> UnnumberedObjects:
+        self, scan: Scan, members: IntArray, identification: Objects | None, memory: TrackMemory,
+        texts: Mapping[str, NDArray[Any]], looks: Looks, hulls: Hulls, is_new: BoolArray,
+    ) -> UnnumberedObjects:  # fmt: skip
         """The objects of an instant with the properties that identify them over time."""
         states = object_states(scan, members, identification)
         is_member = members >= 0

@@ -232,14 +232,9 @@ def grid(
 
 
 def _plane_scene(
-    rng: np.random.Generator,
-    positions: FloatArray,
-    objects: tuple[IntArray, IntArray],
-    n_real: int,
-    sigmas: tuple[Sigma, Sigma],
-    correlated: bool,
-    space: Plane,
-) -> SimulatedScene:
+    rng: np.random.Generator, positions: FloatArray, objects: tuple[IntArray, IntArray], n_real: int,
+    sigmas: tuple[Sigma, Sigma], correlated: bool, space: Plane,
+) -> SimulatedScene:  # fmt: skip
     """The scene of sources that detected ``objects`` (numbers) at ``positions`` (n, d), false from n_real on."""
     d = positions.shape[1]
     period = np.array(space.period_list(d))

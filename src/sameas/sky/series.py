@@ -433,14 +433,9 @@ def _floors(place: FloatArray, frame: IntArray, variance: FloatArray, good: Bool
 
 
 def _stationary(
-    place: FloatArray,
-    frame: IntArray,
-    minutes: FloatArray,
-    sigma: FloatArray,
-    reach: float,
-    least_drift: float,
+    place: FloatArray, frame: IntArray, minutes: FloatArray, sigma: FloatArray, reach: float, least_drift: float,
     frames: int,
-) -> BoolArray:
+) -> BoolArray:  # fmt: skip
     """(n,) mask of the measurements with counterparts at the same position in other frames, without a drift.
 
     The other frames are at most ``compared``, evenly over the series, so that the cost per frame is constant.

@@ -145,14 +145,9 @@ def _instrumental(flux: FloatArray) -> FloatArray:
 
 
 def _rows(
-    place: FloatArray,
-    frame: IntArray,
-    sigma: FloatArray,
-    name: NDArray[Any],
-    stationary: BoolArray,
-    frames: int,
+    place: FloatArray, frame: IntArray, sigma: FloatArray, name: NDArray[Any], stationary: BoolArray, frames: int,
     log_odds: float,
-) -> tuple[IntArray, NDArray[Any]]:
+) -> tuple[IntArray, NDArray[Any]]:  # fmt: skip
     """(s, f) measurement of each star in each frame, ABSENT for none, and (s,) names.
 
     Stars measured in one frame only are kept if they are in the catalogue. log_odds : ln of the prior odds that a star

@@ -285,14 +285,9 @@ class _Deblended:
 
 
 def _deblended(
-    light: FloatArray,
-    background: Background,
-    psf: PSF,
-    xy: FloatArray,
-    snr: FloatArray,
-    detection: Detection,
+    light: FloatArray, background: Background, psf: PSF, xy: FloatArray, snr: FloatArray, detection: Detection,
     passes: int,
-) -> _Deblended:
+) -> _Deblended:  # fmt: skip
     """The stars measured in passes: subtract all stars, add each one back alone, measure it again."""
     window_fraction = psf.window_fraction()
     windows = np.broadcast_to(psf.window(), (len(xy), 2, 2))

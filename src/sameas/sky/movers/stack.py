@@ -240,14 +240,9 @@ class _FramePixels:
 
 
 def _forced(
-    measured: _FramePixels,
-    chip: FloatArray,
-    to_chip: ChipMap,
-    place: FloatArray,
-    width: float,
-    scale: float,
+    measured: _FramePixels, chip: FloatArray, to_chip: ChipMap, place: FloatArray, width: float, scale: float,
     rng: np.random.Generator,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """(k,) fluxes at the positions, and their errors from control positions around each."""
     flux, error = measured.flux(chip), np.full(len(chip), np.nan)
     for i in np.flatnonzero(np.isfinite(flux)):
