@@ -12,7 +12,7 @@ from problems import DRAWS, components_of, laid_out, many_blocks, random_ratios,
 from sameas import CloseObjects, CommonObjects, PerPair, Radius, Records, identify
 from sameas.assignment import assign
 from sameas.groups import groups
-from sameas.kernels.messages import bounds
+from sameas.kernels.probability_bounds import bounds
 from sameas.posterior import (
     APPROXIMATE,
     EVERY,

@@ -204,7 +204,7 @@ def _sum_probable(
 
 def _upper_bounds(groups: Groups, best: Hypothesis, large: BoolArray, bound: FloatArray) -> None:
     """Fill ``bound`` (m,) with upper bounds of P of the pairs of the groups ``large`` (g,), with a linear prior."""
-    from sameas.kernels.messages import bounds
+    from sameas.kernels.probability_bounds import bounds
 
     arguments = groups.layout, best.weight, best.chosen, large, bound
     threads.over(lambda a, b: bounds(a, b, *arguments), groups.bounds_of_threads())
@@ -460,7 +460,7 @@ class Thinned:
 
     def by_neighbourhoods(self, claims: FloatArray) -> FloatArray:
         """Probability of every pair from the neighbourhood of its record, with these messages (``claims``)."""
-        from sameas.kernels.messages import Graph, balls, rank_rivals
+        from sameas.kernels.balls import Graph, balls, rank_rivals
         from sameas.kernels.posterior import MAX_DEPTH
 
         g, best = self.groups, self.best

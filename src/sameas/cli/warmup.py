@@ -32,7 +32,8 @@ KERNELS_OF_A_MATCH = {
     "components": ("label_pairs", "lay_out"),
     "assign": ("assign_linear",),
     "posterior": ("exact",),
-    "messages": ("bounds", "messages"),
+    "messages": ("messages",),
+    "probability_bounds": ("bounds",),
     "mixture": ("log_odds", "cells", "fit", "grade", "count_pairs", "count_alone"),
     "records": ("per_record", "greatest_pair", "by_row"),
 }
