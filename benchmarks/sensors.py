@@ -554,9 +554,9 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
     if "resolution" in options.only:
         yield resolution(min(options.scenes, 12))
     if "boats" in options.only:
-        yield unnamed_boats.table(min(options.scenes, 6))
+        yield unnamed_boats.table(min(options.scenes, 3))
     if "aircraft" in options.only:
-        yield unnamed_aircraft.table(min(options.scenes, 6))
+        yield unnamed_aircraft.table(min(options.scenes, 3))
     if "alarms" in options.only:
         yield alarms(min(options.scenes, 20))
         yield invented.table(min(options.scenes, 20))

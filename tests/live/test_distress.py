@@ -1,4 +1,6 @@
-"""Locating devices in distress are alarms, in a file and live; those in a test are none."""
+"""Devices and aircraft in distress are alarms, in a file and live; devices in a test are none."""
+
+from typing import Any
 
 import numpy as np
 import pytest
@@ -6,12 +8,11 @@ from tests.live.conftest import START_S, replay
 
 from sameas.io.sensors import ReadOptions, read_reports
 from sameas.io.sensors.sentences import AisWriter, clock
-from sameas.live.alarms import CALL_S
 from sameas.live.keeper import Keeper
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings
 from sameas.picture import Picture
 from sameas.tracks import Description, Reports, Scene
-from sameas.tracks.distress import distress_calls
+from sameas.tracks.distress import CALL_S, CODE_S, distress_calls
 
 SART, TESTED, SHIP = "970012345", "970054321", "211700001"
 
@@ -107,3 +108,52 @@ def test_a_device_that_calls_for_help_is_to_be_approached(mmsi, alarms):
         kinds |= {alarm.kind for alarm in keeper.tick(START_S + t).alarms}
     keeper.close()
     assert kinds == alarms
+
+
+def flown(t, code, *, source="mlat", **identity):
+    """Reports of one aircraft at the times t (n,), with the codes (n,)."""
+    t = np.asarray(t, np.float64)
+    columns: dict[str, Any] = {"time_s": START_S + t, "lat_deg": 54.6 + 1e-3 * t, "lon_deg": np.full(len(t), 12.3)}
+    columns |= {"track_id": ["7"] * len(t), "mode_a": code}
+    return Reports.of(source, "table", columns | {name: [text] * len(t) for name, text in identity.items()})
+
+
+@pytest.mark.parametrize(
+    ("t", "code", "calls"),
+    [
+        ([0.0, 4.0, 8.0], ["1234", "7700", "7700"], 1),
+        ([0.0, 4.0, 8.0], ["1234", "7700", "1234"], 0),  # garbled once
+        ([0.0, 4.0, 8.0 + CODE_S], ["7600", "1234", "7600"], 0),  # and once more
+        ([0.0, 4.0, 8.0], ["7000", None, "7000"], 0),
+    ],
+)
+def test_a_code_of_distress_is_a_call_if_two_reports_have_it(t, code, calls):
+    assert len(distress_calls([flown(t, code, icao="4ca123")])) == calls
+
+
+@pytest.mark.parametrize(
+    ("identity", "who", "label"),
+    [
+        ({"icao": "4ca123", "callsign": "RYR12"}, "aircraft 4ca123", "RYR12"),
+        ({"callsign": "RYR12"}, "aircraft RYR12", "RYR12"),
+        ({}, "an aircraft", "A7700"),
+    ],
+)
+def test_an_aircraft_in_distress_is_an_alarm_of_its_object(identity, who, label):
+    t = np.arange(0.0, 60.0, 5.0)
+    scene = Scene.of([(Description("mlat", "mlat"), flown(t, ["7700"] * len(t), **identity))])
+    picture = Picture.of(scene, START_S + np.array([30.0, 55.0]))
+    [call] = picture.summary.calls
+    assert str(call).startswith(f"{who} squawks 7700, emergency, at 54°39.30' N 012°18.00' E")
+    own = picture.objects[call.column] == call.identity
+    assert own.all() and set(picture.objects["label"]) == {label}
+
+
+def test_a_live_code_is_an_alarm_from_its_second_report_until_it_is_changed():
+    keeper, active = watch(), {}
+    for t, code in ((0.0, "7700"), (5.0, "7700"), (10.0, "2000"), (66.0, "2000")):
+        keeper._use("ais", flown([t], [code], source="ais", icao="4ca123"))
+        active[t] = [one for one in keeper.tick(START_S + t).alarms if one.kind == "distress"]
+    keeper.close()
+    assert [len(one) for one in active.values()] == [0, 1, 1, 0]
+    assert active[5.0][0].key == "distress 4ca123"

@@ -313,7 +313,7 @@ def _map_alarms(picture: Picture) -> Iterator[MapAlarm]:
     """The calls for help, alarms and faults, each with the objects of its records."""
     records, objects = picture.records, picture.objects
     for call in picture.summary.calls:
-        numbers = np.unique(objects["object"][objects["mmsi"] == call.mmsi])
+        numbers = np.unique(objects["object"][objects[call.column] == call.identity])
         yield MapAlarm(str(call), call.first_s, tuple(numbers.tolist()))
     for alarmed in picture.summary.alarms:
         concerned = np.zeros(len(records["row"]), bool)

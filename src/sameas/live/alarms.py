@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,9 +30,6 @@ ALARM_ENDS_S = 10.0
 MOST_UNSAVED = 500
 #: Largest number of alarms that wait for a terminal that takes none: it may be stopped.
 MOST_BEGUN = 100_000
-#: A call lasts until this many seconds after its last report (chosen). A device sends eight times within a minute, and
-#: again after a minute; waves hide it for longer.
-CALL_S = 600.0
 #: The picture stands still if the clock is this many seconds before its last instant.
 STANDS_S = 5.0
 #: An alarm is raised if half of the last SLOW_TICKS ticks take longer than their interval by the factor SLOWER.
@@ -121,13 +118,13 @@ class AlarmLog:
 
 
 class DistressCalls:
-    """The calls received so far, by MMSI.
+    """The calls received so far, by identity.
 
     calls : of the saved state. unsaved : whether there is one more since that was saved; the next tick saves it.
     """
 
     def __init__(self, calls: Sequence[DistressCall] = ()) -> None:
-        self._calls = {call.mmsi: call for call in calls}
+        self._calls = {(call.column, call.identity): call for call in calls}
         self.unsaved = False
 
     @property
@@ -138,20 +135,18 @@ class DistressCalls:
     def take(self, reports: Reports) -> None:
         """Takes the calls among new reports of a source."""
         for call in calls_in(reports):
-            before = self._calls.get(call.mmsi)
-            self._calls[call.mmsi] = call if before is None else replace(call, first_s=before.first_s)
+            before = self._calls.get(who := (call.column, call.identity))
+            self._calls[who] = call.after(before)
             self.unsaved |= before is None
 
     def alarms(self, situation: Situation) -> list[Alarm]:
-        """An alarm of each call, with the objects that have its MMSI."""
-        self._calls = {mmsi: call for mmsi, call in self._calls.items() if situation.time_s - call.last_s <= CALL_S}
+        """An alarm of each call, with the objects that have its identity."""
+        self._calls = {who: call for who, call in self._calls.items() if situation.time_s <= call.ends_s}
         objects = situation.objects
-        numbers: dict[str, list[int]] = {}
-        for number, mmsi in zip(objects["object"].tolist(), objects["mmsi"].tolist(), strict=True):
-            numbers.setdefault(mmsi, []).append(number)
         return [
-            Alarm(f"distress {mmsi}", "distress", str(call), tuple(numbers.get(mmsi, ())))
-            for mmsi, call in self._calls.items()
+            Alarm(f"distress {who}", "distress", str(call), tuple(objects["object"][objects[column] == who].tolist()))
+            for (column, who), call in self._calls.items()
+            if call.is_sure
         ]
 
 

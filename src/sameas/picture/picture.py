@@ -361,7 +361,7 @@ def _texts(state: PictureState[Carried]) -> Columns:
     rows = [state.watch.texts[number] for number in state.objects.number.tolist()]
     table = np.array(rows, dtype=object).reshape(len(rows), len(TEXTS))
     columns = {name: table[:, k].astype(np.str_) for k, name in enumerate(TEXTS)}
-    label = np.full(len(rows), "", dtype=object)
+    label = np.array([f"A{code}" if code else "" for code in columns["mode_a"].tolist()], dtype=object)
     for name in ("icao", "mmsi", "callsign", "name"):
         label = np.where(columns[name] != "", columns[name], label)
     devices = [device_of(mmsi) for mmsi in columns["mmsi"].tolist()]
