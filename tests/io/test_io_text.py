@@ -170,6 +170,48 @@ def test_malformed_blank_separated_text(tmp_path):
         read(tmp_path / "b.txt", "a b c\n1 2 3\n4 5 6\n7 8\n")
 
 
+@pytest.mark.parametrize("text", ["name;ra;Größe\na;1;2\nÉtoile;3;4\n", "name;ra;n\na;1;2\nÉtoile;3;4\n"])
+def test_csv_of_a_western_spreadsheet(text, tmp_path):
+    table = read(tmp_path / "c.csv", text, "cp1252")
+    assert list(table["name"]) == ["a", "Étoile"] and list(table["ra"]) == [1, 3]
+    assert "is read as Windows-1252" in table.meta["sameas_notes"][0]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["150.5 2.25\n10.0 -3.5\n", "# mine\n150.5, 2.25\n10.0, -3.5\n", "150.5\t2.25\r\n\r\n10.0\t-3.5"],
+)
+def test_a_list_of_positions_in_degrees_needs_no_names(text, tmp_path):
+    table = read(tmp_path / "mine.txt", text)
+    assert list(table["RA"]) == [150.5, 10.0] and list(table["DEC"]) == [2.25, -3.5]
+    assert "have no names: they are read as right ascension" in table.meta["sameas_notes"][0]
+
+
+@pytest.mark.parametrize("text", ["10:02:00.1 -00:15:00\n", "10 02 00.1 -00 15 00\n", "10h02m00.1s,-00d15m00s\n"])
+def test_a_sexagesimal_list_of_positions_needs_no_names(text, tmp_path):
+    table = read(tmp_path / "mine.txt", 2 * text)
+    assert table.colnames == ["RA", "DEC"] and len(table) == 2 and str(table["DEC"][0]).startswith("-00")
+
+
+def test_numbers_that_are_no_positions_need_names(tmp_path):
+    for text in ("512.5 100.25\n3.0 4.0\n", "512 100\n3 4\n", "1 2 3\n4 5 6\n"):
+        with pytest.raises(InputError, match="holds numbers; put the names of the columns above"):
+            read(tmp_path / "pixels.txt", text)
+    assert read(tmp_path / "named.txt", "# x y\n1 2\n3 4\n").colnames == ["x", "y"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "+----+-------+\n| id | ra    |\n+----+-------+\n|  1 | 10.25 |\n| b c|       |\n+----+-------+\n",
+        "| id | ra    |\n|:---|------:|\n|  1 | 10.25 |\n| b c|       |\n",
+    ],
+)
+def test_a_drawn_table(text, tmp_path):
+    table = read(tmp_path / "drawn.txt", text)
+    assert list(table["id"]) == ["1", "b c"] and table["ra"][0] == 10.25 and table["ra"].mask[1]
+
+
 def test_a_column_whose_title_has_blanks_is_one_column(tmp_path):
     assert read(tmp_path / "c.csv", "RA (deg)\n1.5\n2.5\n").colnames == ["RA (deg)"]
 
@@ -190,7 +232,9 @@ def test_fits_ldac_gives_its_objects_and_the_time_of_its_image(ending, tmp_path)
 
 
 def test_read_only_formats_are_not_written(tmp_path):
-    assert set(known_formats()) - set(written_formats()) == {"daophot", "sextractor", "ipac", "mrt", "vizier", "ascii"}
+    assert set(known_formats()) - set(written_formats()) == {
+        "daophot", "list", "drawn", "sextractor", "ipac", "mrt", "vizier", "ascii",
+    }  # fmt: skip
     with pytest.raises(InputError, match=r"the extension '.tbl' is not known; known are .fits"):
         write_table(Table({"x": [1]}), tmp_path / "t.tbl", provenance={})
     with pytest.raises(InputError, match=r"IPAC table is read, not written; give one of fits, votable"):

@@ -63,7 +63,30 @@ class TableHead:
 def read(path: Path, hdu: None) -> Table:
     """The table in a CSV file; column types are inferred from the cells."""
     text = content_of(path)
-    return table_of(text, _header(text, path), path)
+    try:
+        return table_of(text, _header(text, path), path)
+    except EncodingError as error:
+        text = _from_windows_1252(text, error)
+    table = table_of(text, _header(text, path), path)
+    notes = table.meta.get("sameas_notes", [])
+    table.meta["sameas_notes"] = [*notes, f"{path}: is not UTF-8 text and is read as Windows-1252"]
+    return table
+
+
+class EncodingError(InputError):
+    """A text is not UTF-8."""
+
+
+def _from_windows_1252(text: pa.Buffer, error: EncodingError) -> pa.Buffer:
+    """The text in UTF-8, of the code page that spreadsheets of Western Europe write; raises the error if it has bytes
+    that stand for nothing there."""
+    import pyarrow as pa
+
+    content = memoryview(text).tobytes()
+    if b"\0" not in content:
+        with suppress(UnicodeDecodeError):
+            return pa.py_buffer(content.decode("cp1252").encode())
+    raise error
 
 
 def table_of(text: pa.Buffer, head: TableHead, path: Path) -> Table:
@@ -194,7 +217,7 @@ def _header(text: pa.Buffer, path: Path) -> TableHead:
             line = raw.decode("utf-8-sig" if lines == 1 else "utf-8", "replace" if raw[:1] == b"#" else "strict")
             line = line.strip("\r\n")
         except UnicodeDecodeError as error:
-            raise InputError(f"{path}: is not UTF-8 text (line {lines}); save it as UTF-8") from error
+            raise EncodingError(f"{path}: is not UTF-8 text (line {lines}); save it as UTF-8") from error
         if line.startswith("#"):
             comment = line.lstrip("#").strip()
         elif line.strip():
@@ -353,7 +376,7 @@ def _check_encoding(text: pa.Buffer, header: TableHead, path: Path) -> None:
             line.decode()
         except UnicodeDecodeError as error:
             if number > header.lines:
-                raise InputError(f"{path}: is not UTF-8 text (line {number}); save it as UTF-8") from error
+                raise EncodingError(f"{path}: is not UTF-8 text (line {number}); save it as UTF-8") from error
 
 
 def _has_rows(text: pa.Buffer, header: TableHead) -> bool:
@@ -367,7 +390,7 @@ def _column(name: str, values: Any, path: Path) -> Column:
     import pyarrow as pa
 
     if pa.types.is_binary(values.type):
-        raise InputError(f"{path}: column {name} is not UTF-8 text; save the file as UTF-8")
+        raise EncodingError(f"{path}: column {name} is not UTF-8 text; save the file as UTF-8")
     column = column_of(name, values)
     if column is None:
         raise InputError(f"{path}: column {name} cannot be read ({values.type})")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from sameas.bounds import check_facts
 from sameas.errors import Argument, InputError, Message, first_line, printable, reading
 from sameas.io import ascii as text
-from sameas.io import csv, daophot, ecsv, fits, parquet, votable
+from sameas.io import csv, daophot, ecsv, fits, lists, parquet, votable
 from sameas.io.atomic import replacing
 from sameas.io.format import TEXT_EXTENSIONS, Format, LazyTable, in_utf_8, plain, utf_16_of
 
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 #: The formats, in the order of messages and of the recognition of texts.
 FORMATS: tuple[Format, ...] = (
-    fits.FORMAT, votable.FORMAT, ecsv.FORMAT, parquet.FORMAT, daophot.FORMAT, *text.TEXT_FORMATS, csv.FORMAT,
+    fits.FORMAT, votable.FORMAT, ecsv.FORMAT, parquet.FORMAT, daophot.FORMAT, *lists.LIST_FORMATS,
+    *text.TEXT_FORMATS, csv.FORMAT,
 )  # fmt: skip
 #: Number of bytes for the recognition of a format; VizieR's comments are long.
 _HEAD_BYTES = 1 << 16
@@ -261,7 +262,7 @@ def _format_in(path: Path, name: str | None) -> Format:
         _check_kind(path, csv.FORMAT, kind_of(first[:4096]), "a table")
         raise _unknown_extension(path, known_formats())
     # The readers of text take UTF-16, too; ECSV is UTF-8 by its standard.
-    of_text = known in (daophot.FORMAT, *text.TEXT_FORMATS, csv.FORMAT)
+    of_text = known in (daophot.FORMAT, *lists.LIST_FORMATS, *text.TEXT_FORMATS, csv.FORMAT)
     _check_kind(path, known, kind_of((text_of_head if of_text else first)[:4096]))
     return known
 
