@@ -142,7 +142,7 @@ def test_tables_without_usable_rows(refused):
     def no_errors(table):
         table["sigma"] = np.nan
 
-    assert "none of its 120 rows can be used: no error (120)" in refused(no_errors)
+    assert "none of its 120 rows can be used: no error (120)" in refused(no_errors, "--sigma1", "sigma")
 
 
 def test_impossible_outputs_are_refused_at_the_start(tmp_path, refusal, field_files):

@@ -233,7 +233,7 @@ def test_fits_ldac_gives_its_objects_and_the_time_of_its_image(ending, tmp_path)
 
 def test_read_only_formats_are_not_written(tmp_path):
     assert set(known_formats()) - set(written_formats()) == {
-        "daophot", "list", "drawn", "sextractor", "ipac", "mrt", "vizier", "ascii",
+        "daophot", "positions", "drawn", "sextractor", "ipac", "mrt", "vizier", "ascii",
     }  # fmt: skip
     with pytest.raises(InputError, match=r"the extension '.tbl' is not known; known are .fits"):
         write_table(Table({"x": [1]}), tmp_path / "t.tbl", provenance={})

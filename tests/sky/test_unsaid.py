@@ -188,6 +188,15 @@ def test_a_common_error_is_estimated_from_the_distances(sigma: float, unrelated:
     assert common_error(one, both, shared=True)[0] == pytest.approx(sigma / np.sqrt(2.0), rel=0.2)
 
 
+@pytest.mark.parametrize("nothing", [0.0, -1.0, np.nan])
+def test_a_column_of_errors_without_any_is_as_no_column(nothing: float) -> None:
+    place, again = scattered(300, 0.4, 5)
+    first = Table({"ra": place[:, 0], "dec": place[:, 1], "e_pos": np.full(300, nothing)})
+    found = sameas.match(first, Table({"ra": again[:, 0], "dec": again[:, 1]}), sigma2=0.01)
+    assert len(found) == 300
+    assert any("it has no position errors" in str(doubt) for doubt in found.doubts)
+
+
 def test_two_catalogues_without_errors_get_the_same_one_whichever_moves() -> None:
     # What the years make of motions without an error counts from either side.
     here, there = scattered(600, 0.3, seed=3)

@@ -86,7 +86,7 @@ def read_drawn(path: Path) -> Table:
 
 
 LIST_FORMATS = (
-    Format("list", "list of positions", TEXT_EXTENSIONS, unmarked=True,
+    Format("positions", "list of positions", TEXT_EXTENSIONS, unmarked=True,
            recognised=is_list_of_positions, read=read_positions),
     Format("drawn", "table with drawn lines", TEXT_EXTENSIONS, unmarked=True, recognised=is_drawn, read=read_drawn),
 )  # fmt: skip

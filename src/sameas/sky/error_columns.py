@@ -60,7 +60,7 @@ def position_error(search: ColumnSearch, convention: Convention) -> PositionErro
     for candidates in (deviations, _confidence_radii(search), bare):
         found = {names: e for e in candidates if (names := search.find_all(e.names)) and _may_be_angle(search, names)}
         found = {names: e for names, e in found.items() if names not in of_survey}
-        found = {names: e for names, e in found.items() if search.hold_errors(names)} or found
+        found = {names: e for names, e in found.items() if search.hold_errors(names)}
         if found:
             break
     if len(found) > 1:
