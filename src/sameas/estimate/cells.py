@@ -102,8 +102,7 @@ class ConvexRegion:
         part = np.ones(len(low))
         cut = np.flatnonzero(~inside.all(axis=0))
         (west, south), (east, north) = low[cut].T, high[cut].T
-        across = ACROSS
-        at = west + (east - west) * ((np.arange(across) + 0.5) / across)[:, None]
+        at = west + (east - west) * ((np.arange(ACROSS) + 0.5) / ACROSS)[:, None]
         height = np.minimum(np.interp(at, self.x, self.upper), north) - np.maximum(
             np.interp(at, self.x, self.lower), south
         )

@@ -374,8 +374,7 @@ class Coverage:
             max(int(np.count_nonzero(own_in_empty == 0.0)), 1) for own_in_empty in (own_in_empty_1, own_in_empty_2)
         ]
         # Requires enough records of its own source, too, so that a region poor in objects is not taken for a hole.
-        in_cell = IN_CELL
-        least = in_cell * n_observed[0] / n_observed[1], in_cell * n_observed[1] / n_observed[0]
+        least = IN_CELL * n_observed[0] / n_observed[1], IN_CELL * n_observed[1] / n_observed[0]
         covered = own_in_empty_1 < max(least[0], 1.0), own_in_empty_2 < max(least[1], 1.0)
         if all(each.all() for each in covered) and max(excess_1, excess_2) < self.tuning.uneven:
             return covered

@@ -160,8 +160,7 @@ def weighed(scene: PlacedSources, candidates: CandidatePairs, common: FloatArray
     from sameas.kernels.offsets import messages
 
     volume, expected = candidates.volume, candidates.expected
-    least = MIN_COMMON
-    in_both = np.clip(common, least, MAX_COMMON_SHARE * np.maximum(expected.min(axis=1), 2 * least))
+    in_both = np.clip(common, MIN_COMMON, MAX_COMMON_SHARE * np.maximum(expected.min(axis=1), 2 * MIN_COMMON))
     rest = np.maximum(expected - in_both[:, None], 0.5)
     # Of a Poisson number n, the mean of 1 / (n + 1) is nearly 1 / its expectation.
     due = np.maximum(expected - in_both[:, None], 0.0) + 1.0

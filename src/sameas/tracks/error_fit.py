@@ -192,8 +192,7 @@ class _Prior:
             ]
             for name, row in zip(names, values, strict=True)
         ]
-        least = FIT_MIN_M
-        median = np.array([[max(value or 0.0, least) for value in row] for row in values])
+        median = np.array([[max(value or 0.0, FIT_MIN_M) for value in row] for row in values])
         median[1] = np.radians([[max(value or 0.0, 1e-3) for value in values[1]]])
         median[2] = np.where(given[2], median[2], HULL_SIGMA_M)
         return cls(np.log(median), np.where(given, 1e-3, np.array(FIT_SIGMAS)[:, None]))

@@ -327,8 +327,7 @@ class Feed:
         timeout_s = np.full(len(rows), self.track_timeout_s + STAMP_STEP_S)
         if self.p_stationary is None:
             return timeout_s
-        rest_s = STATIONARY_TIMEOUT_S
-        return np.where(self.p_stationary[rows] > 0.5, np.maximum(timeout_s, rest_s), timeout_s)
+        return np.where(self.p_stationary[rows] > 0.5, np.maximum(timeout_s, STATIONARY_TIMEOUT_S), timeout_s)
 
     @cached_property
     def succession(self) -> Succession:

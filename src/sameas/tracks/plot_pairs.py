@@ -268,15 +268,14 @@ def _background(plots: Plots, rows: IntArray) -> FloatArray:
     frame = _sight(plots.position[rows] - plots.sensor[rows])[2]
     owner, other = flattened(tree.query_ball_point(plots.position[rows], 3.0 * width.max(axis=1), return_sorted=False))
     apart_s = np.abs(plots.time_s[other] - plots.time_s[rows[owner]])
-    earliest_s, latest_s = BACKGROUND_FROM_S, BACKGROUND_TO_S
-    kept = (apart_s >= earliest_s) & (apart_s <= latest_s)
+    kept = (apart_s >= BACKGROUND_FROM_S) & (apart_s <= BACKGROUND_TO_S)
     owner, other = owner[kept], other[kept]
     step = np.einsum("mav,mv->ma", frame[owner], plots.position[other] - plots.position[rows[owner]]) / width[owner]
     kernel = np.exp(-0.5 * np.sum(step**2, axis=1)) / (2.0 * np.pi * width[owner].prod(axis=1))
     at = plots.time_s[rows]
     window = sum(
         np.searchsorted(scans_s, at + high) - np.searchsorted(scans_s, at + low)
-        for low, high in ((-latest_s, -earliest_s), (earliest_s, latest_s))
+        for low, high in ((-BACKGROUND_TO_S, -BACKGROUND_FROM_S), (BACKGROUND_FROM_S, BACKGROUND_TO_S))
     )
     fixed = np.bincount(owner, kernel, len(rows)) / np.maximum(window, 1)
     return fixed + _by_range(plots, rows, len(scans_s))

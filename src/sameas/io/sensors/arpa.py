@@ -410,7 +410,7 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
     own = own_ship_of(log, ship)
     if not (has_ais or has_arpa):
         if positions := own_positions(log, source, start_s, own):
-            return with_own_ship([positions], log, own, start_s)
+            return with_own_ship([positions], log, own, replace(positions, source=OWN))
         listed = ", ".join(sorted(kinds)) or "none"
         raise InputError(f"{source}: no AIS (VDM) and no radar targets (TTM, TLL) among its sentences: {listed}")
     both = has_ais and has_arpa
@@ -419,9 +419,10 @@ def of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
         # Damaged lines are counted once, with the first source.
         rest = replace(log, damaged=()) if both else log
         sources.append(read(rest, f"{source}:arpa" if both else source, start_s, own=own))
-    return with_own_ship(sources, log, own, start_s, ship.mmsi)
+    return with_own_ship(sources, log, own, own_track(log, own, start_s, ship.mmsi))
 
 
+OWN = "own ship"  # the source of her track
 #: Sentences of positions, and the field of their time of day.
 _POSITIONS = {"RMC": 1, "GGA": 1, "GNS": 1, "GLL": 5}
 
@@ -457,22 +458,23 @@ def _day_s(sentence: Sentence) -> float:
         return np.nan
 
 
-def with_own_ship(
-    sources: Sequence[Reports], log: Log, own: Mapping[str, FloatArray], start_s: float | None = None, mmsi: str = ""
-) -> list[Reports]:
-    """The reports of a log with own ship at each of them, as :data:`~sameas.io.sensors.format.OWN_SHIP`, and her track,
-    where her position is known.
+def own_track(log: Log, own: Mapping[str, FloatArray], start_s: float | None, mmsi: str) -> Reports | None:
+    """The positions of own ship, as of :func:`own_ship_of`, with her MMSI where it is known; None if the log has none,
+    or no time of them."""
+    try:
+        track = own_positions(log, OWN, start_s, own)
+    except InputError:
+        return None
+    return replace(track, mmsi=np.full(len(track), mmsi, object)) if track is not None and mmsi else track
 
-    own : as of :func:`own_ship_of`. mmsi : hers, where it is known.
-    """
+
+def with_own_ship(
+    sources: Sequence[Reports], log: Log, own: Mapping[str, FloatArray], track: Reports | None
+) -> list[Reports]:
+    """The reports of a log with own ship at each of them, as :data:`~sameas.io.sensors.format.OWN_SHIP`, and her
+    ``track``, where her position is known. own : as of :func:`own_ship_of`."""
     if not sources or not np.isfinite(own["lat"] + own["lon"]).any():
         return list(sources)
-    try:
-        track = own_positions(log, "own ship", start_s, own)
-    except InputError:
-        track = None  # its sentences have no times
-    if track is not None and mmsi:
-        track = replace(track, mmsi=np.full(len(track), mmsi, object))
     lines = np.array([sentence.line for sentence in log.sentences])
     out = []
     for reports in sources:

@@ -310,7 +310,7 @@ class ReportStream:
         if self.carries and not self._has_others:
             positions = arpa.own_positions(log, self.source, None, own)
             out = [] if positions is None else [positions]
-        return arpa.with_own_ship(out, log, own, mmsi=self._ship.mmsi)
+        return arpa.with_own_ship(out, log, own, arpa.own_track(log, own, None, self._ship.mmsi) if out else None)
 
     def _read(self, read: Callable[[], list[Reports]]) -> list[Reports]:
         """The reports of a reader; its counts of damaged and skipped lines are added to those of the stream."""

@@ -425,8 +425,7 @@ def solve(
     >>> found.plate.to_wcs()  # doctest: +SKIP
     """
     hints = [hints] if isinstance(hints, ApproximateWcs | Aim | AllSky) else list(hints)
-    room = ROOM
-    near = search_cone(hints, measured.shape, room)
+    near = search_cone(hints, measured.shape, ROOM)
     stars = StarField.of(catalogue, epoch_jyr, motion=motion, near=near)
     if faintest is not None:
         stars = stars[~(stars.magnitude > faintest)]
@@ -437,7 +436,7 @@ def solve(
             f"{catalogue.name}: {len(stars)} stars{where}{by}, a frame needs four; does the catalogue cover the field?"
         )
     placement = place(measured, stars.stars(), hints, index=index, aim_lists=aim_lists)
-    near_frame = stars.within(footprint(placement.pointing, measured.shape, room))
+    near_frame = stars.within(footprint(placement.pointing, measured.shape, ROOM))
     near_frame[placement.rows_stars] = True
     new_row = np.cumsum(near_frame) - 1
     placement = replace(placement, rows_stars=new_row[placement.rows_stars])

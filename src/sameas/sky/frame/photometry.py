@@ -172,7 +172,6 @@ def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray) -> _Ma
     # Starting from the weighted median, one wrong pair of seven does not decide which pairs are outliers.
     residual = y - weighted_median(y, weight)
     scatter = 1.0
-    tail = TAIL_SIGMAS
     for iteration in range(ITERATIONS):
         if iteration:
             w = weight * tail_weight
@@ -180,9 +179,9 @@ def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray) -> _Ma
             terms = np.linalg.solve(normal, a.T @ (w * y))
             residual = y - a @ terms
         scatter = max(robust_scale(residual, weight), 1e-3)
-        tail_weight = np.minimum(1.0, (tail * scatter / np.maximum(np.abs(residual), 1e-12)) ** 2)
+        tail_weight = np.minimum(1.0, (TAIL_SIGMAS * scatter / np.maximum(np.abs(residual), 1e-12)) ** 2)
     n = float(weight.sum())
-    loss = np.where(tail_weight < 1.0, tail**2 * (1.0 - np.log(tail_weight)), (residual / scatter) ** 2)
+    loss = np.where(tail_weight < 1.0, TAIL_SIGMAS**2 * (1.0 - np.log(tail_weight)), (residual / scatter) ** 2)
     bic = 2 * n * math.log(scatter) + float(weight @ loss) + a.shape[1] * math.log(max(n, 2.0))
     return _MagnitudeFit(np.asarray(terms), scatter * np.sqrt(np.diag(inverse(normal))), scatter, bic)
 

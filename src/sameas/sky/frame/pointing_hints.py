@@ -375,8 +375,7 @@ def _index_of(vectors: FloatArray, shape: tuple[int, int], hint: AllSky) -> SkyI
     _refuse_round(least)
     steps = max(1, math.ceil(math.log(most / least) / math.log(math.sqrt(2.0)) - 0.3))
     fields = least * math.sqrt(2.0) ** np.arange(steps)
-    number, sides = STARS_PER_FIELD, SIDES_ALL_SKY
-    return SkyIndex(tuple(_level(vectors, float(side), number, 4, sides) for side in fields))
+    return SkyIndex(tuple(_level(vectors, float(side), STARS_PER_FIELD, 4, SIDES_ALL_SKY) for side in fields))
 
 
 def _refuse_round(side_rad: float) -> None:

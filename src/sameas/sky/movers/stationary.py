@@ -156,12 +156,11 @@ class _Rates:
             possible = present[:, column] & (present.sum(axis=1) > 2)
             log_prior.append(np.where(possible, math.log(OUTLIER / (1.0 - OUTLIER)), -np.inf))
         at_rest = np.array([q + f.log_residual + f.log_stationary() for q, f in zip(log_prior, fits, strict=True)])
-        within = WITHIN_SIGMAS
         moving = np.array(
-            [q + f.log_residual + f.log_moving(reference, within) for q, f in zip(log_prior, fits, strict=True)]
+            [q + f.log_residual + f.log_moving(reference, WITHIN_SIGMAS) for q, f in zip(log_prior, fits, strict=True)]
         )
         best = np.maximum(at_rest, moving).argmax(axis=0)
-        near = np.array([f.chi2 for f in fits])[best, np.arange(len(members))] < within**2
+        near = np.array([f.chi2 for f in fits])[best, np.arange(len(members))] < WITHIN_SIGMAS**2
         return cls(logsumexp(at_rest, axis=0) - logsumexp(moving, axis=0), near)
 
 
