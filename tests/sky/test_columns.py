@@ -253,6 +253,14 @@ def test_the_main_position_of_a_votable_is_preferred() -> None:
     assert names_of(chosen(table, sigma=1)) == ["RAJ2000", "DEJ2000"]
 
 
+@pytest.mark.parametrize(
+    "place", ["150.5 +2.25", "10:02:00.1 -00:15:00", "10 02 00 -00 15 00", "10h02m00.1s, -00d15m00s"]
+)
+def test_a_column_of_both_coordinates_is_to_be_divided(place):
+    with pytest.raises(InputError, match=r"where holds right ascension and declination together.*RA and DEC"):
+        Catalogue.of(Table({"name": ["a", "b"], "when": ["2016-01-02 03:04:05"] * 2, "where": [place, place]}), "t")
+
+
 def test_columns_of_unknown_names_are_found_by_their_ucds() -> None:
     table = made("alpha", "delta")
     with pytest.raises(InputError, match=r"no columns of right ascension and declination found among: alpha, delta"):

@@ -247,10 +247,29 @@ def _pair_named_alike(search: ColumnSearch) -> Convention:
             f"{search.source}: no columns of right ascension and declination, but pixels {', '.join(pixels)}",
             wanted or naming(convert),
         )
+    both = next(filter(lambda name: _holds_both(search.table, name), search.table.colnames), None)
+    if both:
+        raise InputError(
+            f"{search.source}: {both} holds right ascension and declination together",
+            "divide it into two columns, such as RA and DEC",
+        )
     raise InputError(
         f"{search.source}: no columns of right ascension and declination found among: {search.listing()}{other}",
         naming("choose another table: give {hdu:NAME}" if tables else "give {ra:NAME} {dec:NAME}"),
     )
+
+
+#: Two numbers in degrees; or hours, minutes and seconds, then degrees, minutes and seconds.
+_BOTH = re.compile(
+    r"\s*(\d{1,3}\.\d+[\s,]+[+-]?\d{1,2}\.\d+"
+    r"|\d{1,2}[h: ]\d{1,2}[m: ]\d{1,2}(\.\d*)?s?[\s,]*[+-]?\d{1,2}[d: ]\d{1,2}[m: ]\d{1,2}(\.\d*)?s?)\s*"
+)
+
+
+def _holds_both(table: Table, name: str) -> bool:
+    """Whether the first cell of a column of text is a right ascension and a declination."""
+    first = table[name][:1]
+    return first.dtype.kind in "OSU" and len(first) > 0 and bool(_BOTH.fullmatch(str(first[0])))
 
 
 def _direction(search: ColumnSearch, name: str, convention: Convention, axis: int) -> ChosenColumn:
