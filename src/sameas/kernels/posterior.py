@@ -254,8 +254,8 @@ def _forward_counted(
     n: int, odds: FloatArray, odds_alone: FloatArray, prior: FloatArray, work: Elimination, counts: CountSteps,
     value: FloatArray,
 ) -> bool:  # fmt: skip
-    """:func:`_forward` of polynomials, without the terms that are negligible; False if they are more than ``value``
-    has room for. prior : factor of each number of pairs."""
+    """``elimination._forward`` of polynomials, without the terms that are negligible; False if they are more than
+    ``value`` has room for. prior : factor of each number of pairs."""
     start, low, width, sum_size, bit = counts.start, counts.low, counts.width, work.sum_size, work.choice_bit
     choice_start, choice_odds = work.choice_start, work.choice_odds
     for k in range(choice_start[n]):
@@ -320,7 +320,7 @@ def _backward_counted(
     n: int, odds_alone: FloatArray, prior: FloatArray, work: Elimination, counts: CountSteps, value: FloatArray,
     suffix: FloatArray, p_pair: FloatArray,
 ) -> None:  # fmt: skip
-    """:func:`_backward` of polynomials; the last ones are the prior."""
+    """``elimination._backward`` of polynomials; the last ones are the prior."""
     start, low, width, sum_size, bit = counts.start, counts.low, counts.width, work.sum_size, work.choice_bit
     choice_start, choice_pair = work.choice_start, work.choice_pair
     for j in range(width[n]):
