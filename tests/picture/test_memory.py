@@ -144,7 +144,8 @@ def test_memory_is_bounded_by_the_reliability_of_track_ids():
         memory = memory.advance(Scan.of(now, tuning))
         found = identify_many(now.sources, rule=now.rule() + memory.rule(), region=now.region)
         memory = memory.with_pairs(found.pooled)
-        assert np.abs(memory.rule().log_ratio).max(initial=0.0) <= np.log(0.99 / 0.01) + 1e-9
+        log_ratio, bound = np.asarray(memory.rule().log_ratio), np.log(0.99 / 0.01) + 1e-9
+        assert log_ratio.max(initial=0.0) <= bound and log_ratio.min(initial=0.0) >= -2.0 * bound
     # Who met and went on is another's: less so than who stays together by as much as a look's name is worth.
     log_ratio = np.asarray(memory.rule().log_ratio)
     assert log_ratio.max() > 0.5 and log_ratio.max() - log_ratio.min() > 0.9 * np.log(0.99 / 0.01)
@@ -556,9 +557,49 @@ def test_velocities_of_a_new_pair_count_if_they_differ_and_never_join_it():
     scan = Scan.of(overflight(2, n=3).at(10.0))
     state = scan.state.copy()
     state[1, 2:] = state[0, 2:] + 6.0 * np.sqrt(2.0 * scan.covariance[0, 2:, 2:].diagonal()) * [1.0, 0.0]
-    first = FirstContact(replace(scan, state=state), {}, TrackMemory().rule(), np.zeros(0, bool))
+    first = FirstContact(replace(scan, state=state), {}, TrackMemory().rule(), np.zeros(0, bool), NamedTracks())
     # The same velocity, one that is 6σ wrong, and that of an aircraft.
     log_ratio = first._by_velocity(np.array([0, 0, 0]), np.array([0, 1, 3]))
     assert log_ratio[0] == 0.0 and -7.0 < log_ratio[1] < -1.0
     assert log_ratio[2] == pytest.approx(2.0 * np.log(1e-4))
     assert first._by_target(np.array([0, 0]), np.array([1, 3])) == pytest.approx([0.0, np.log(1e-3)])
+
+
+def at_turbines(seed, apart_m=(12.0, 0.0), way_m=2000.0):
+    """A boat that comes from ``way_m`` to the second of five turbines and ends ``apart_m`` from it. She is in the AIS
+    alone: the radar tracks the turbines."""
+    rng, times = np.random.default_rng(seed), np.arange(0.0, 700.0, 10.0)
+    turbines = np.array([[900.0 * k, 0.0] for k in range(5)])
+    still = np.zeros((5, len(times), 2))
+    left = np.maximum(way_m - 6.0 * times, 0.0)
+    boat = turbines[1] + np.array(apart_m) + left[:, None] * [0.6, 0.8]
+    speed = np.where(left > 0.0, -6.0, 0.0)[:, None] * [0.6, 0.8]
+    sources = [
+        feed(rng, describe("radar", "tracks"), times, turbines[:, None] + still, still, 30.0, list("01234")),
+        feed(rng, describe("ais", "ais", 10.0), times, boat[None], speed[None], 300.0, ["a"], {"mmsi": ["235000000"]}),
+    ]
+    return Scene.of(sources), times
+
+
+@pytest.mark.parametrize("way_m", [2000.0, 0.0])
+def test_a_boat_that_comes_and_moors_at_a_turbine_is_not_the_turbine(way_m):
+    """One that was always there may be: it is the turbine itself."""
+    together = []
+    for seed in range(4):
+        scene, times = at_turbines(seed, way_m=way_m)
+        states = list(picture_states(scene, times))
+        together += [(state.members >= 0).all(axis=1).any() for state in states[-30:]]
+    assert np.mean(together) < 0.4 if way_m else np.mean(together) > 0.9
+
+
+def test_an_offset_that_is_subtracted_is_no_way_of_any_track():
+    scene, times = at_turbines(0)
+    watch = Watch()
+    for time_s in times[times <= 340.0]:
+        watch = watch.at(scene, time_s).watch
+    tracks = watch.memory.tracks
+    source = tracks.scan.source[tracks.place]
+    turbines = tracks.place[source == 0]
+    boat = np.repeat(tracks.place[source == 1], len(turbines))
+    assert (tracks.log_met(boat, turbines, 1e-6) < -10.0).all()
+    assert (watch.displaced().memory.tracks.log_met(boat, turbines, 1e-6) == 0.0).all()

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.picture.deception import faults_and_deceptions, sightings_of
 from sameas.picture.picture import error_lines, object_columns, record_columns, with_degrees
@@ -47,6 +48,9 @@ LiveState = PictureState[Watch] | PictureState[PlotPicture]
 
 #: Reports that are further from the present than this multiple of the window are of a wrong date.
 STRAY_SPANS = 6.0
+#: Changes of biases, in the order and the units of ``BIASES``, by which the positions of a source are others (chosen):
+#: some 30 m at 10 km.
+DISPLACED = np.array([30.0, 0.2, 0.003, 2.0, 30.0, 30.0])
 
 
 @dataclass(frozen=True)
@@ -109,6 +113,7 @@ class LivePicture:
         self._feeds = {d.name: LiveFeed(d, self.plane, lag_s) for d in descriptions}
         self._carried: Watch | PlotPicture | None = watch
         self._biases: dict[str, SourceBiases] = {}
+        self._subtracted: dict[str, FloatArray] = {}
         self._estimates: dict[str, SourceBiases] = {}
         self._held: frozenset[str] = frozenset()
         self._given_misread = watch.misread if isinstance(watch, Watch) else frozenset()
@@ -272,6 +277,8 @@ class LivePicture:
             self._biases.pop(description.name, None)
             self._estimates.pop(description.name, None)
             self._held -= {description.name}
+        if changed and isinstance(self._carried, Watch):
+            self._carried = self._carried.displaced()
         if self._misread & set(changed):
             self._doubts, self._misread, self._misread_s = (), frozenset(), -math.inf
         return tuple(changed)
@@ -351,6 +358,8 @@ class LivePicture:
         misread = self._given_misread | self._misread
         if isinstance(carried, Watch) and carried.misread != misread and self._state is not None:
             carried = carried.doubting(misread, self._state.members)
+        if isinstance(carried, Watch) and self._are_displaced():
+            carried = carried.displaced()
         if isinstance(carried, Watch) and self.return_s not in (None, carried.tuning.return_s):
             carried = replace(carried, tuning=replace(carried.tuning, return_s=self.return_s))
         state: LiveState = carried.at(scene, instant_s)
@@ -413,6 +422,17 @@ class LivePicture:
             is_first = biases.source not in self._biases
             if biases.theta is not None and (biases.established or is_first) and biases.source not in self._held:
                 self._biases[biases.source] = biases
+
+    def _are_displaced(self) -> bool:
+        """Whether the biases subtracted from a source have changed by more than :data:`DISPLACED` since they last were
+        found to have."""
+        now = {name: one.theta for name, one in dict(self._biases).items() if one.theta is not None}
+        before, none = self._subtracted, np.zeros(len(BIASES))
+        change = [np.abs(now.get(name, none) - before.get(name, none)) for name in now.keys() | before.keys()]
+        if not any((one > DISPLACED).any() for one in change):
+            return False
+        self._subtracted = now
+        return True
 
     def _keep_sightings(self, state: LiveState) -> None:
         kept, now_s = self._sightings, state.now.instant_s

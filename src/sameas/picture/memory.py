@@ -177,7 +177,7 @@ class TrackMemory:
             return None
         records = scan.by_table(np.arange(len(scan)))
         sure = ~np.isnan(self.track_pairs.anchor_s)
-        return FirstContact(scan, records, history, sure)
+        return FirstContact(scan, records, history, sure, self.tracks)
 
     def _precision(self) -> FloatArray:
         """(k,) sum of the precisions of both tracks of each pair, |P|^(−½) in m⁻²."""
@@ -281,7 +281,8 @@ class TrackMemory:
         delta = np.ascontiguousarray((taken(scan.state, a) - taken(scan.state, b))[:, :2])
         covariances = taken_plane(scan.covariance, a), taken_plane(scan.covariance, b)
         lasting = taken(self.tracks.lasting, a), taken(self.tracks.lasting, b)
-        new_pairs = TrackPairs.of(number[a], number[b], delta, covariances, lasting, scan.now.instant_s)
+        log_met = self.tracks.log_met(a, b, objects_per_m2(scan.now))
+        new_pairs = TrackPairs.of(number[a], number[b], delta, covariances, lasting, scan.now.instant_s, log_met)
         return replace(self, track_pairs=self.track_pairs.with_(new_pairs))
 
     def with_sure(self, members: IntArray, probability: FloatArray) -> TrackMemory:

@@ -21,8 +21,10 @@ Source: METHOD 1; autocorrelated errors of tracks as in Bar-Shalom, Li and Kirub
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -31,7 +33,7 @@ from sameas.gate import ChiSquare
 from sameas.gaussian import log_determinant
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
 from sameas.kernels.tracks import places_of
-from sameas.picture.error_correlation import ErrorCorrelation, growth
+from sameas.picture.error_correlation import MANOEUVRE_CHI_SQ, ErrorCorrelation, growth
 from sameas.picture.error_factors import ErrorFactors, error_update, evenly
 from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan
 from sameas.picture.tuning import Tuning
@@ -41,6 +43,14 @@ from sameas.tracks.kinds import KINDS
 MAX_REPORTS = 256
 #: Smallest change of ln of an error factor for which the errors of tracks are estimated anew (chosen).
 MIN_CHANGE = 0.1
+#: Positions of a track are kept for so many marks, this many seconds apart: five minutes of approach (chosen).
+MARKS, MARK_EVERY_S = 5, 60.0
+#: Largest age of a report that is marked, seconds: that of AIS of class B under way (chosen).
+MARK_AGE_S = 30.0
+#: A track jumps if it moves farther than this number of times the usual speed of its kind, and so many metres.
+JUMP_SPEEDS, JUMP_M = 3.0, 300.0
+#: Share of their ways by which those of two tracks of one object may differ, by a radar's gain, turn or late stamps.
+WAY_SHARE = 0.1
 
 NEW_TRACK_PROBABILITY = 1e-9  # a track restarts beyond the χ² limit that this share of correct reports exceeds
 
@@ -106,6 +116,8 @@ class NamedTracks:
     track_of_record : (n,) number of the track of each record of that scan, ABSENT for records without an id.
     error_mean, error_covariance : (m, 4), (m, 4, 4) of (e, z), given the track's own reports.
     log_kept : (m,) as of :class:`Step`. lasting : (n, 2, 2) B of each record of the scan.
+    past : (m, MARKS, 3) position of each track at the last marks and its variance, the newest first, NaN where it had
+        none. marked_s : time of the newest mark.
     scan : of the instant; None before the first.
     error_correlation, error_factors : of all sources. source : (m,) index of the track's source in
         ``error_correlation.names``.
@@ -123,6 +135,8 @@ class NamedTracks:
     error_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
     log_kept: FloatArray = field(default_factory=lambda: np.empty(0))
     lasting: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
+    past: FloatArray = field(default_factory=lambda: np.empty((0, MARKS, 3)))
+    marked_s: float = -np.inf
     scan: Scan | None = None
     error_correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
     source: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -190,7 +204,7 @@ class NamedTracks:
             forgotten=forgotten, number=number, place=place, track_of_record=track_of_record, scan=scan,
             error_correlation=correlation, source=source, error_factors=factors,
         )  # fmt: skip
-        return tracks, step
+        return tracks._with_past(self), step
 
     def _with_errors_of(self, step: Step) -> NamedTracks:
         """These tracks of a scan with their errors after the step to it; those that are not in the step have begun."""
@@ -206,6 +220,55 @@ class NamedTracks:
             self, error_mean=error_mean, error_covariance=error_covariance, log_kept=np.append(step.log_kept, 0.0)[at],
             lasting=lasting,
         )  # fmt: skip
+
+    def _with_past(self, before: NamedTracks) -> NamedTracks:
+        """These tracks of a scan with where they were at the marks of the previous one, and a new mark where due.
+
+        The place that an old report has been moved to is none where a track was. A track that jumps farther than its
+        kind moves is of another object from then on, and was nowhere.
+        """
+        assert self.scan is not None
+        at, now_s = places_of(before.number, self.number), self.scan.now.instant_s
+        past = np.append(before.past, np.full((1, MARKS, 3), np.nan), axis=0)[at]
+        known = np.flatnonzero(at >= 0)
+        if before.scan is not None and len(known):
+            here, last = self.place[known], before.place[at[known]]
+            jump = np.hypot(*(self.scan.state[here, :2] - before.scan.state[last, :2]).T)
+            elapsed = now_s - before.scan.time_s[last]
+            past[known[jump > JUMP_SPEEDS * self.scan.speed_m_per_s[here] * elapsed + JUMP_M]] = np.nan
+        if now_s - before.marked_s < MARK_EVERY_S:
+            return replace(self, past=past, marked_s=before.marked_s)
+        past[:, 1:], past[:, 0, :2] = past[:, :-1].copy(), self.scan.state[self.place, :2]
+        is_old = now_s - self.scan.time_s[self.place] > MARK_AGE_S
+        past[:, 0, 2] = np.where(is_old, np.nan, self.position_m2[self.place])
+        return replace(self, past=past, marked_s=now_s)
+
+    def log_met(self, one: IntArray, other: IntArray, per_m2: float) -> FloatArray:
+        """(k,) ln r, 0 or less, that the tracks of records (k,) which meet for the first time were one object before: a
+        boat that moors at a turbine came from elsewhere.
+
+        Their separation is compared with that at the marks, so that a constant offset of their sources, known or not,
+        is no evidence; neither is a difference within :data:`WAY_SHARE` of their ways. They may be one all the same if
+        the id of one went to the object of the other, with probability ``report_reassigned``, of all objects to that.
+        """
+        scan, p = self.scan, self.position_m2
+        assert scan is not None
+        a, b = (places_of(self.number, self.track_of_record[records]) for records in (one, other))
+        past = np.append(self.past, np.full((1, MARKS, 3), np.nan), axis=0)
+        ways = [scan.state[r, None, :2] - past[k, :, :2] for r, k in ((one, a), (other, b))]
+        variance = (p[one] + p[other])[:, None] + past[a, :, 2] + past[b, :, 2]
+        longest = np.maximum(*(np.hypot(way[..., 0], way[..., 1]) for way in ways))
+        chi_sq = ((ways[0] - ways[1]) ** 2).sum(axis=-1) / ((WAY_SHARE * longest) ** 2 + variance)
+        excess = np.maximum(np.nanmax(chi_sq, axis=1, initial=0.0) - MANOEUVRE_CHI_SQ, 0.0)
+        log_taken = np.log(2.0 * math.pi * per_m2 * np.minimum(p[one], p[other]))
+        floor = math.log(scan.tuning.report_reassigned) + np.minimum(log_taken, 0.0)
+        return np.asarray(np.nan_to_num(np.maximum(-0.5 * excess, floor)))
+
+    @cached_property
+    def position_m2(self) -> FloatArray:
+        """(n,) m², mean of both axes, of the positions of the records of the scan."""
+        assert self.scan is not None
+        return np.asarray(0.5 * np.trace(self.scan.covariance[:, :2, :2], axis1=1, axis2=2))
 
     def _names_after(
         self, scan: Scan, new_place: IntArray, new_number: IntArray, present: IntArray

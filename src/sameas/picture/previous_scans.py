@@ -15,7 +15,8 @@ from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.kernels.tracks import places_of
-from sameas.picture.tables import Scan, distances
+from sameas.picture.named_tracks import NamedTracks
+from sameas.picture.tables import Scan, distances, objects_per_m2
 from sameas.picture.track_pairs import keys
 from sameas.representation import in_short
 from sameas.tracks.kinds import KINDS
@@ -152,12 +153,15 @@ class FirstContact(Rule):
     scan : of the instant. records : by source name, the record of the scan of each row of the source's table, or
         ABSENT.
     history : of the pairs of tracks. sure : (k,) which of them were sure before.
+    tracks : of the scan. Where both were before (:meth:`NamedTracks.log_met`) is in the history of a pair from the next
+        instant on; at its first one it counts here.
     """
 
     scan: Scan = field(repr=False)
     records: Mapping[str, IntArray] = field(repr=False)
     history: PreviousScans
     sure: BoolArray = field(repr=False)
+    tracks: NamedTracks = field(repr=False)
 
     def __call__(self, pairs: Pairs) -> Evidence:
         out = np.zeros(len(pairs))
@@ -166,8 +170,9 @@ class FirstContact(Rule):
             a, b = first[pairs.first.rows[pairs.i]], second[pairs.second.rows[pairs.j]]
             pair = self.history.rows(pairs)
             at = np.flatnonzero((a >= 0) & (b >= 0) & ~np.append(self.sure, False)[pair])
-            counted = np.minimum(np.append(np.asarray(self.history.log_ratio), 0.0)[pair[at]], 0.0)
-            out[at] = np.minimum(self._by_velocity(a[at], b[at]) - counted, 0.0) + self._by_target(a[at], b[at])
+            met = np.where(pair[at] < 0, self.tracks.log_met(a[at], b[at], objects_per_m2(self.scan.now)), 0.0)
+            counted = met + np.minimum(np.append(np.asarray(self.history.log_ratio), 0.0)[pair[at]], 0.0)
+            out[at] = np.minimum(self._by_velocity(a[at], b[at]) - counted, 0.0) + self._by_target(a[at], b[at]) + met
         return Evidence({"velocity": out})
 
     def _by_velocity(self, a: IntArray, b: IntArray) -> FloatArray:

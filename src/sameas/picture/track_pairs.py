@@ -103,6 +103,7 @@ class TrackPairs(ColumnTable):
     log_convoy : log-odds of convoy against independent motion, given two objects.
     log_ratio : ln r of the reports before the last one, bounded: see :meth:`stepped`. by_model : (k, r) how much larger
         it is under each of ``SWAP_MODELS``.
+    log_met : the part of it that comes from where both were before they met, which no estimate of errors refutes.
     log_reported : ln N(δ; 0, P_a + P_b) at the last report of either track. log_now : the same at the instant.
     chi_sq : χ² of δ at the instant.
     anchor_s, anchor : (k,), (k, 2) time at which the pair first was sure or was last compared since, and δ then; NaN
@@ -124,6 +125,7 @@ class TrackPairs(ColumnTable):
     row: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     log_convoy: FloatArray = field(default_factory=lambda: np.empty(0))
     log_ratio: FloatArray = field(default_factory=lambda: np.empty(0))
+    log_met: FloatArray = field(default_factory=lambda: np.empty(0))
     log_reported: FloatArray = field(default_factory=lambda: np.empty(0))
     log_now: FloatArray = field(default_factory=lambda: np.empty(0))
     chi_sq: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -157,14 +159,19 @@ class TrackPairs(ColumnTable):
         covariances: tuple[FloatArray, FloatArray],
         lasting: tuple[FloatArray, FloatArray],
         instant_s: float,
+        log_met: FloatArray | float = 0.0,
     ) -> TrackPairs:
-        """New pairs, without history: δ (k, 2), covariances P_a, P_b and roots B_a, B_b, (k, 2, 2) each."""
+        """New pairs, without history: δ (k, 2), covariances P_a, P_b and roots B_a, B_b, (k, 2, 2) each.
+
+        log_met : (k,) ln r of where the tracks were before (:meth:`NamedTracks.log_met`).
+        """
         errors, total = _without_history(delta, covariances, lasting), covariances[0] + covariances[1]
         log_n, chi_sq = log_density_and_distance(delta, total)
         k = len(first)
-        zero = np.zeros(k)
+        zero, log_met = np.zeros(k), np.full(k, log_met)
         return cls(
-            first=first, second=second, row=np.arange(k), log_convoy=zero, log_ratio=zero, log_reported=log_n,
+            first=first, second=second, row=np.arange(k), log_convoy=zero, log_ratio=log_met, log_met=log_met,
+            log_reported=log_n,
             log_now=log_n, chi_sq=chi_sq, anchor_s=np.full(k, np.nan), anchor=np.full_like(delta, np.nan),
             anchor_new=np.zeros(delta.shape, bool), anchor_kept=np.zeros(delta.shape), n_compared=np.zeros(k, np.int64),
             sure=np.zeros(k, bool), offset=np.zeros_like(delta), n_offsets=np.zeros(k, np.int64),
@@ -236,13 +243,15 @@ class TrackPairs(ColumnTable):
         self, rows: IntArray, delta: FloatArray, covariances: tuple[FloatArray, FloatArray],
         lasting: tuple[FloatArray, FloatArray],
     ) -> TrackPairs:  # fmt: skip
-        """The table with the pairs ``rows`` (k,) as of new ones: errors as by :meth:`without_history`, and no ln r."""
+        """The table with the pairs ``rows`` (k,) as of new ones: errors as by :meth:`without_history`, and ln r as when
+        they met."""
         if not len(rows):
             return self
         out = self.without_history(rows, delta, covariances, lasting)
         changed = {name: getattr(out, name).copy() for name in ("log_ratio", "log_convoy", "by_model")}
         for column in changed.values():
             column[rows] = 0.0
+        changed["log_ratio"][rows] = self.log_met[rows]
         return out.changed(**changed)
 
     def stepped(self, step: Step, swaps: SwapRates, per_m2: float, tuning: Tuning) -> tuple[TrackPairs, SwapRates]:
@@ -425,7 +434,8 @@ class TrackPairs(ColumnTable):
 
 #: Columns that no method changes in place, but for those that copy them.
 _FIXED = (
-    "first", "second", "anchor_s", "anchor", "anchor_kept", "n_compared", "sure", "offset_s", "offset_chi_sq",
+    "first", "second", "log_met", "anchor_s", "anchor", "anchor_kept", "n_compared", "sure", "offset_s",
+    "offset_chi_sq",
 )  # fmt: skip
 #: Columns that :meth:`TrackPairs.anchored` changes.
 _ANCHORS = ("anchor_s", "anchor", "anchor_new", "anchor_kept", "n_compared")

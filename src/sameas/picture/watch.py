@@ -168,6 +168,12 @@ class Watch:
         doubtful = only_wrong & np.isin(objects.stage, (CONFIRMED, COASTING))
         return replace(out, objects=replace(objects, stage=np.where(doubtful, TENTATIVE, objects.stage)))
 
+    def displaced(self) -> Watch:
+        """The watch after the positions of sources changed altogether, by other offsets: no track went there."""
+        tracks = self.memory.tracks
+        tracks = replace(tracks, past=np.full_like(tracks.past, np.nan))
+        return replace(self, memory=replace(self.memory, tracks=tracks))
+
     def passed(self, now: Instant) -> Watch:
         """The watch after an instant that is not shown: its reports are in the memory of tracks."""
         scan, track_of_record = self._scan(now, self._hulls_at(now))
