@@ -163,7 +163,7 @@ class TrackPairs(ColumnTable):
     ) -> TrackPairs:
         """New pairs, without history: δ (k, 2), covariances P_a, P_b and roots B_a, B_b, (k, 2, 2) each.
 
-        log_met : (k,) ln r of where the tracks were before (:meth:`NamedTracks.log_met`).
+        log_met : (k,) ln r of where the tracks were before (:meth:`sameas.picture.named_tracks.NamedTracks.log_met`).
         """
         errors, total = _without_history(delta, covariances, lasting), covariances[0] + covariances[1]
         log_n, chi_sq = log_density_and_distance(delta, total)
