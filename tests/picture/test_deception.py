@@ -140,6 +140,20 @@ def test_ais_silence_of_a_ship_still_on_radar_is_an_alarm():
     assert "has gone silent: radar saw it for" in str(fault)
 
 
+@pytest.mark.slow_after(1)
+@pytest.mark.parametrize("n", [1, 3])
+def test_several_ships_that_end_where_nobody_was_received_have_left_the_reception(n):
+    """Every aircraft that flew out of the reach of the receiver of ADS-B, within that of the radars, was an alarm."""
+    rng, angle = np.random.default_rng(3), np.linspace(0.0, 2.0 * np.pi, 7)[:-1]
+    out = np.column_stack([np.cos(angle), np.sin(angle)])
+    x, v = straight(1500.0 * out, np.where(np.arange(6)[:, None] < n, 8.0, 0.5) * out, TIMES)
+    radar = feed(rng, describe("radar", "tracks"), TIMES, x, v, 30.0, [f"radar{k}" for k in range(6)])
+    ais, reports = feed(rng, describe("ais", "ais"), TIMES, x, v, 300.0, MMSI, {"mmsi": MMSI})
+    received = reports.where(np.hypot(reports.x_m, reports.y_m) < 3000.0)
+    found = [(fault.kind, fault.track) for fault in faults(Scene.of([radar, (ais, received)]))]
+    assert found == ([("silent", MMSI[0])] if n == 1 else [])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("heard_until_s", [np.inf, 200.0])
 def test_a_ship_that_leaves_one_base_station_while_another_receives_her_is_not_silent(heard_until_s):

@@ -82,6 +82,13 @@ def test_ecsv_of_astropy_is_read_like_csv(delimiter, tmp_path):
             np.testing.assert_array_equal(two.columns()[name], column, err_msg=name)
 
 
+@pytest.mark.parametrize(("name", "cell", "metres"), [("flight_level", "350", 10668.0), ("FL", "98.5", 3002.28),
+                                                      ("flight_level_ft", "35000", 10668.0)])  # fmt: skip
+def test_flight_levels_are_hundreds_of_feet(name, cell, metres):
+    made = table(f"time,range_nm,azimuth_deg,{name}\n0,20,40,{cell}\n")
+    assert made.pressure_alt_m == pytest.approx([metres])
+
+
 def test_units_in_names_are_used_and_usual_ones_assumed():
     made = table("time,lat,lon,sog,alt_ft,course_rad\n0,50,1,10,1000,1.5707963\n")
     assert made.speed_m_per_s[0] == pytest.approx(10 * KNOT) and made.alt_m[0] == pytest.approx(304.8)

@@ -6,7 +6,8 @@ object with a sensor's track for a while. Then
 - its reported positions move away, while the sensor continues to track the ship where it was ("dragged"). Instead, the
   sensor's tracker may have swapped to a neighbour; the evidence against that is other sensors that continue too, and
   that no sensor covering the reported position detects anything there.
-- its reports end, while others of its source continue and the sensor still tracks the ship ("silent").
+- its reports end, while others of its source continue and the sensor still tracks the ship ("silent"). Several that end
+  where the source has received nobody farther out have left its reception.
 - its reported positions jump farther than it can move, and stay there ("jumped"), or two tracks jump to each other's
   place ("exchanged": two ships with each other's MMSI). No sensor is needed for these.
 
@@ -19,10 +20,11 @@ the faults of sources (:mod:`sameas.tracks.faults`), and the deceptions that the
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +39,9 @@ from sameas.tracks.duplicate_ids import MAX_SPEED_SIGMAS, POSITION_SIGMAS, faste
 from sameas.tracks.faults import Fault, log_odds_of_silence, source_faults
 from sameas.tracks.feed import CORRELATED_KINDS, FASTEST_VESSEL_M_PER_S, Feed
 from sameas.tracks.kinds import KINDS
+
+if TYPE_CHECKING:
+    from scipy.spatial import Delaunay
 
 #: Minimum number of reports of a track, to find its silence, and before and after a jump.
 MIN_REPORTS, JUMP_REPORTS = 5, 3
@@ -103,6 +108,14 @@ class _Meeting:
         return int(self.theirs[self.together][-1])
 
 
+@dataclass(frozen=True)
+class Silence:
+    """The alarm of a track whose reports end. outside : whether the ship then was where its source received nobody."""
+
+    fault: Fault
+    outside: bool
+
+
 def _tracks(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], instants: FloatArray) -> list[PictureTrack]:
     """All tracks of sources with track ids."""
     out: list[PictureTrack] = []
@@ -149,7 +162,7 @@ def deceptions(
     if not tracks:
         return ()
     histories = _TrackHistories.of(tracks, feeds, instants, tuning)
-    alarms: list[Fault] = []
+    alarms, silences = list[Fault](), list[Silence]()
     for own in filter(histories.is_cooperative, tracks):
         meetings = [
             meeting
@@ -157,7 +170,9 @@ def deceptions(
             if not (histories.is_of_another(meeting, own) or histories.carried(meeting, own))
         ]
         alarms += histories.dragged(own, meetings)
-        alarms += histories.silent(own, meetings)
+        silences += histories.silent(own, meetings)
+    outside = Counter(silence.fault.source for silence in silences if silence.outside)
+    alarms += [one.fault for one in silences if not one.outside or outside[one.fault.source] == 1]
     dragged = {(fault.source, fault.track) for fault in alarms if fault.probability > SURE_DECEPTION}
     for feed in feeds:
         alarms += [fault for fault in _jumped(feed) if (fault.source, fault.track) not in dragged]
@@ -358,7 +373,21 @@ class _TrackHistories:
             if s != own.source and own.track in reported and self.feeds[s].description.kind == kind
         )
 
-    def silent(self, own: PictureTrack, meetings: Sequence[_Meeting]) -> Iterator[Fault]:
+    @cached_property
+    def received(self) -> dict[int, Delaunay]:
+        """By cooperative source, the area within which it received reports: the convex hull of their positions."""
+        from scipy.spatial import ConvexHull, Delaunay, QhullError
+
+        out = {}
+        for s in {track.source for track in self.tracks if self.is_cooperative(track)}:
+            position = np.concatenate([track.position for track in self.tracks if track.source == s])
+            try:
+                out[s] = Delaunay(position[ConvexHull(position).vertices])
+            except (QhullError, ValueError):  # all on one line, or fewer than three
+                continue
+        return out
+
+    def silent(self, own: PictureTrack, meetings: Sequence[_Meeting]) -> Iterator[Silence]:
         """An alarm if its reports end while its source continues and a sensor still tracks the ship.
 
         Of several base stations, only the one that received the ship last can tell.
@@ -368,17 +397,24 @@ class _TrackHistories:
             return
         pauses, end = np.diff(times), float(self.feeds[own.source].reports.time_s.max())
         longest = float(pauses.max())
-        seen_until, sensors = -math.inf, set()
+        seen_until, within_until, sensors = -math.inf, -math.inf, set()
         for meeting in self.companions(meetings):
             other, last = meeting.other, int(meeting.other.at[meeting.last])
             if self.instants[last] < times[-1] - longest or other.at[-1] <= last:
                 continue
             # The sensor's track must continue without large gaps.
-            if np.sum(other.at > last) < 0.8 * (other.at[-1] - last):
+            after = np.flatnonzero(other.at > last)
+            if len(after) < 0.8 * (other.at[-1] - last):
                 continue
             seen_until = max(seen_until, float(self.instants[other.at[-1]]))
             sensors.add(self.name(other))
-        silent_s = min(seen_until, end) - float(times[-1])
+            if own.source in self.received:
+                after = after[self.received[own.source].find_simplex(other.position[after]) >= 0]
+            if len(after):
+                within_until = max(within_until, float(self.instants[other.at[after[-1]]]))
+        outside = min(within_until, end) - float(times[-1]) < SILENT_S
+        last_s = min(seen_until if outside else within_until, end)
+        silent_s = last_s - float(times[-1])
         if silent_s < SILENT_S or not sensors:
             return
         log_odds = log_odds_of_silence(silent_s, longest, len(pauses), SILENT_ODDS)
@@ -386,8 +422,8 @@ class _TrackHistories:
             f"{self.name(own)}: {own.track} has gone silent: {' and '.join(sorted(sensors))} saw it for "
             f"{silent_s:.0f} s more, its longest pause before was {longest:.3g} s"
         )
-        last_s = min(seen_until, end)
-        yield Fault("silent", self.name(own), float(times[-1]), last_s, min(log_odds, 50.0), words, own.track)
+        fault = Fault("silent", self.name(own), float(times[-1]), last_s, min(log_odds, 50.0), words, own.track)
+        yield Silence(fault, outside)
 
 
 def _times_by_track(track: NDArray[Any] | None, time_s: FloatArray) -> dict[str, FloatArray]:

@@ -75,7 +75,8 @@ QUANTITIES = tuple(
                             "height hae "
                             "geodeticaltitude altitudegeodetic altitudeabovesealevel altitudemsl"),
         ("pressure_alt_m", "length", "pressurealtitude baroaltitude altbaro baroalt flightlevelaltitude "
-                                     "altitudebarometric barometricaltitude altitudebaro"),
+                                     "altitudebarometric barometricaltitude altitudebaro flightlevel fl "
+                                     "measuredflightlevel"),
         ("x_m", "length", "x east e xeast easting xpos posx"),
         ("y_m", "length", "y north n ynorth northing ypos posy"),
         ("z_m", "length", "z up"),
@@ -136,6 +137,7 @@ QUANTITIES = tuple(
 _QUANTITY = {quantity.column: quantity for quantity in QUANTITIES}
 #: Places of the antenna on the hull, A to D in AIS: other tables call other things by these letters.
 OF_THE_ANTENNA = tuple(f"to_{side}_m" for side in SIDES)
+_FLIGHT_LEVELS = "flightlevel", "fl", "measuredflightlevel"
 #: Conventional units where none is stated: sentence, columns (several together) or kind of source that indicate it,
 #: names, unit.
 _CONVENTIONS = (
@@ -143,6 +145,7 @@ _CONVENTIONS = (
     ("ship speeds are knots", ("mmsi", "sourcemmsi", "imo", "ais"), ("sog", "speed", "speedoverground"), "kn"),
     ("speeds over ground (sog) are knots", ("sog", "speedoverground"), ("sog", "speedoverground"), "kn"),
     ("speeds of aircraft are knots", ("groundspeed", "gs"), ("groundspeed", "gs"), "kn"),
+    ("flight levels are hundreds of feet", _FLIGHT_LEVELS, _FLIGHT_LEVELS, "100 ft"),
     ("altitudes are hundreds of feet in answers of FlightAware", ("faflightid",), ("altitude",), "100 ft"),
     ("altitudes are feet", ("groundspeed", "gs"), ("altitude", "alt", "geoaltitude", "altgeom", "altbaro",
                                                    "baroaltitude"), "ft"),
