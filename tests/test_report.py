@@ -174,8 +174,10 @@ def test_a_single_record_per_source_suggests_no_offset():
 
 
 def test_zero_errors_are_refused_with_the_remedy():
-    table = Table({"ra": [10.0, 10.1], "dec": [0.0, 0.1], "sigma_arcsec": [0.0, 0.0]})
-    with pytest.raises(InputError, match=r"no error \(2\); an error of 0 or less counts as none: give sigma=ARCSEC"):
+    table = Table({"ra": [10.0, 10.1, np.nan], "dec": [0.0, 0.1, 0.2], "sigma_arcsec": [0.0, 0.0, 0.1]})
+    with pytest.raises(
+        InputError, match=r"no error \(2\), no position \(1\); an error of 0 or less counts as none: give sigma=ARCSEC"
+    ):
         match(Catalogue.of(table, "left"), Catalogue.of(table, "right"))
 
 
