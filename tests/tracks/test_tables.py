@@ -82,9 +82,30 @@ def test_ecsv_of_astropy_is_read_like_csv(delimiter, tmp_path):
             np.testing.assert_array_equal(two.columns()[name], column, err_msg=name)
 
 
-@pytest.mark.parametrize(("name", "cell", "metres"), [("flight_level", "350", 10668.0), ("FL", "98.5", 3002.28),
-                                                      ("flight_level_ft", "35000", 10668.0)])  # fmt: skip
-def test_flight_levels_are_hundreds_of_feet(name, cell, metres):
+@pytest.mark.parametrize(
+    ("quantity", "names", "cell"),
+    [
+        ("mode_a", ("SSR code", "mode_3a_code", "Mode A Code"), "1234"),
+        ("callsign", ("target_identification", "ACID"), "DLH12"),
+        ("icao", ("aircraft_address", "mode_s_code"), "3c4b26"),
+        ("track_id", ("trk_num", "TN", "system_track_number"), "17"),
+        ("mmsi", ("UserID", "vessel_mmsi"), "211000000"),
+    ],
+)
+def test_names_in_tables_of_centres_and_receivers(quantity, names, cell):
+    for name in names:
+        made = table(f"time,range_nm,azimuth_deg,{name}\n0,20,40,{cell}\n")
+        assert getattr(made, quantity).tolist() == [cell]
+
+
+@pytest.mark.parametrize(
+    ("name", "cell", "metres"),
+    [
+        *(("flight_level", "350", 10668.0), ("FL", "98.5", 3002.28), ("flight_level_ft", "35000", 10668.0)),
+        *(("Mode C", "350", 10668.0), ("mode_c_ft", "35000", 10668.0), ("mode_c_code", "35000", 10668.0)),
+    ],
+)
+def test_flight_levels_and_mode_c_are_hundreds_of_feet_unless_a_unit_is_stated(name, cell, metres):
     made = table(f"time,range_nm,azimuth_deg,{name}\n0,20,40,{cell}\n")
     assert made.pressure_alt_m == pytest.approx([metres])
 

@@ -67,16 +67,18 @@ QUANTITIES = tuple(
     SensorQuantity(column, kind, tuple(names.split()))
     for column, kind, names in (
         ("time_s", "time", "lastposupdate time timestamp datetime basedatetime t utc timeutc utctime dt epoch "
-                           "unixtime unix date msgtime dtpos clock ts epochtime"),
+                           "unixtime unix date msgtime dtpos clock ts epochtime rxtime receivetime"),
         ("day_s", "time", "timeofday tod"),
         ("lat_deg", "angle", "lat latitude latitudewgs84"),
         ("lon_deg", "angle", "lon long longitude lng longitudewgs84"),
         ("alt_m", "length", "alt altitude geoaltitude geometricaltitude altgeom altitudegeo heightellipsoid "
                             "height hae "
-                            "geodeticaltitude altitudegeodetic altitudeabovesealevel altitudemsl"),
+                            "geodeticaltitude altitudegeodetic altitudeabovesealevel altitudemsl geoalt gnssaltitude "
+                            "gnssalt gpsaltitude gpsalt mslaltitude altmsl mslalt altitudeamsl altamsl qnhaltitude"),
         ("pressure_alt_m", "length", "pressurealtitude baroaltitude altbaro baroalt flightlevelaltitude "
                                      "altitudebarometric barometricaltitude altitudebaro flightlevel fl "
-                                     "measuredflightlevel"),
+                                     "measuredflightlevel flightlevelmeasured altitudefl altfl modec modeccode "
+                                     "modecaltitude modecheight"),
         ("x_m", "length", "x east e xeast easting xpos posx"),
         ("y_m", "length", "y north n ynorth northing ypos posy"),
         ("z_m", "length", "z up"),
@@ -93,8 +95,9 @@ QUANTITIES = tuple(
         ("station_x_m", "length", "stationx sensorx ownx ownshipx"),
         ("station_y_m", "length", "stationy sensory owny ownshipy"),
         ("station_heading_deg", "angle", _hers("heading", "hdg")),
-        ("speed_m_per_s", "speed", "sog speed groundspeed gs velocity speedoverground speedhorizontal horizontalspeed"),
-        ("course_deg", "angle", "cog course courseoverground track trackangle direction"),
+        ("speed_m_per_s", "speed", "sog speed groundspeed gs velocity speedoverground speedhorizontal "
+                                  "horizontalspeed spd"),
+        ("course_deg", "angle", "cog course courseoverground track trackangle direction coursetrue groundtrack"),
         ("heading_deg", "angle", "heading hdg trueheading headingtrue hdt gyro gyroheading"),
         ("vx_m_per_s", "speed", "vx ve veast velx velocityx xvel vele xspeed xdot"),
         ("vy_m_per_s", "speed", "vy vn vnorth vely velocityy yvel veln yspeed ydot"),
@@ -116,12 +119,15 @@ QUANTITIES = tuple(
         ("sigma_elevation_deg", "angle", "sigmaelevation elevationsigma sigmael"),
         ("track_id", "text", "trackid tracknumber trackno tracknum id targetid target targetno targetnumber tgt tgtid "
                              "tgtno trkid trkno tracknr targetnr objectid uid shipid vesselid uasid "
-                             "uavid droneid faflightid"),
-        ("mmsi", "text", "mmsi sourcemmsi"),
+                             "uavid droneid faflightid flightid trknum tn systemtracknumber stn localtracknumber "
+                             "contactid"),
+        ("mmsi", "text", "mmsi sourcemmsi mmsinumber vesselmmsi userid"),
         ("imo", "text", "imo imonumber"),
-        ("icao", "text", "icao24 icao icaoaddress hex hexid modes modesaddress"),
-        ("callsign", "text", "callsign flight ident"),
-        ("mode_a", "text", "squawk modea mode3a modea3"),
+        ("icao", "text", "icao24 icao icaoaddress hex hexid modes modesaddress modescode aircraftaddress targetaddress "
+                         "transponderid"),
+        ("callsign", "text", "callsign flight ident targetidentification aircraftidentification aircraftid acid "
+                             "flightnumber"),
+        ("mode_a", "text", "squawk modea mode3a modea3 squawkcode modeacode mode3acode ssrcode ssr"),
         ("name", "text", "name vesselname shipname"),
         ("type", "text", "type vesseltype shiptype typecode"),
         ("nav_status", "text", "navstatus navstat navigationalstatus navigationstatus status"),
@@ -137,7 +143,7 @@ QUANTITIES = tuple(
 _QUANTITY = {quantity.column: quantity for quantity in QUANTITIES}
 #: Places of the antenna on the hull, A to D in AIS: other tables call other things by these letters.
 OF_THE_ANTENNA = tuple(f"to_{side}_m" for side in SIDES)
-_FLIGHT_LEVELS = "flightlevel", "fl", "measuredflightlevel"
+_FLIGHT_LEVELS = "flightlevel", "fl", "measuredflightlevel", "flightlevelmeasured", "altitudefl", "altfl", "modec"
 #: Conventional units where none is stated: sentence, columns (several together) or kind of source that indicate it,
 #: names, unit.
 _CONVENTIONS = (
@@ -145,8 +151,10 @@ _CONVENTIONS = (
     ("ship speeds are knots", ("mmsi", "sourcemmsi", "imo", "ais"), ("sog", "speed", "speedoverground"), "kn"),
     ("speeds over ground (sog) are knots", ("sog", "speedoverground"), ("sog", "speedoverground"), "kn"),
     ("speeds of aircraft are knots", ("groundspeed", "gs"), ("groundspeed", "gs"), "kn"),
-    ("flight levels are hundreds of feet", _FLIGHT_LEVELS, _FLIGHT_LEVELS, "100 ft"),
+    ("flight levels and mode C are hundreds of feet", _FLIGHT_LEVELS, _FLIGHT_LEVELS, "100 ft"),
     ("altitudes are hundreds of feet in answers of FlightAware", ("faflightid",), ("altitude",), "100 ft"),
+    ("altitudes of mode C are feet", ("modeccode", "modecaltitude", "modecheight"),
+     ("modeccode", "modecaltitude", "modecheight"), "ft"),
     ("altitudes are feet", ("groundspeed", "gs"), ("altitude", "alt", "geoaltitude", "altgeom", "altbaro",
                                                    "baroaltitude"), "ft"),
     ("vertical rates are feet a minute", ("groundspeed", "gs"), ("verticalrate", "rocd", "vertrate"), "fpm"),
