@@ -210,3 +210,24 @@ def test_one_aircraft_on_one_path_is_in_common_and_two_on_two_paths_are_not(kind
         (radar, Reports.of("radar", "table", {"time_s": NOON + t + 0.4, **polar})),
     ]
     assert len(Scene.of(sources).doubts()) == (0 if is_the_same else 1)
+
+
+def test_errors_too_large_for_an_apron_are_named():
+    """Aircraft 60 m apart with the errors of a wide area: "has no report at the times of the others"."""
+    rng, n, times = np.random.default_rng(4), 40, np.arange(0.0, 60.0, 1.0)
+    stand = 60.0 * np.stack(np.meshgrid(np.arange(8), np.arange(5)), axis=-1).reshape(-1, 2)
+
+    def reports(source, sigma_m, **columns):
+        place = (stand + sigma_m * rng.standard_normal((len(times), n, 2))).reshape(-1, 2)
+        at = {"time_s": np.repeat(times, n), "x_m": place[:, 0], "y_m": place[:, 1]}
+        return Reports.of(source, "table", at | columns)
+
+    numbers = np.tile([f"3c{k:04x}" for k in range(n)], len(times))
+    wide = Description("mlat", "mlat", errors=SensorErrors(position_m=400.0))
+    radar = Description("smr", "marine radar", site=Site(east_m=0.0, north_m=-500.0))
+    scene = Scene.of([(radar, reports("smr", 5.0)), (wide, reports("mlat", 5.0, track_id=numbers, icao=numbers))])
+    assert any("errors of one are too large to separate objects as near as these" in str(one) for one in scene.doubts())
+    _, found = scene.registered()
+    assert any(
+        "too large to separate objects as near as these; its biases" in str(n) for one in found for n in one.notes
+    )

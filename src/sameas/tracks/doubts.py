@@ -371,7 +371,10 @@ def _nothing_in_common(feed: Feed, others: Sequence[Feed], best: Shared | None) 
     own, theirs = span_of(feed.reports.time_s), span_of(time_s)
     first_s, last_s = float(time_s.min()), float(time_s.max())
     if np.mean((feed.reports.time_s >= first_s) & (feed.reports.time_s <= last_s)) > 0.5:
-        return f"{name}: has nothing near the others at any instant; check positions, units and errors, or leave it out"
+        return (
+            f"{name}: cannot be compared with the others at any instant: the errors of one are too large to separate "
+            "objects as near as these; state errors.position_m, or check positions and units"
+        )
     remedy = "check its clock and its date, or leave it out"
     if (float(time_s.max()) < COUNTED_S) != (float(feed.reports.time_s.max()) < COUNTED_S):
         remedy = "some count from a start of their own: give start, the UTC of their 0"

@@ -32,7 +32,7 @@ from sameas.tracks.placement import Directions
 from sameas.tracks.plot_fit import HULL_ALONG
 from sameas.tracks.plot_offsets import PlotFits
 from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_tracks, with_plot_statistics
-from sameas.tracks.snapshot import CommonScan, ComparedSource, bias_widths, common_scans
+from sameas.tracks.snapshot import CommonScan, ComparedSource, bias_widths, common_instants, common_scans
 from sameas.tracks.source import Description
 
 DELAY_S = 5.0  # prior 1σ of a delay of the time stamps that a description does not mention (chosen)
@@ -298,8 +298,8 @@ def _against(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> Registered
     if fit is not None:
         return _corrected(feed, 0, fit, tuple(other.description.name for other in partners))
     if not _common_scans(feed, partners):
-        return feed, SourceBiases(name, established=False, notes=(_no_common_time(name, partners),))
-    return feed, SourceBiases(name, notes=(_not_observable(name, partners),))
+        return feed, SourceBiases(name, established=False, notes=(_not_compared(feed, partners),))
+    return feed, SourceBiases(name, notes=(_not_observable(feed, partners),))
 
 
 def _fit(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> BiasFit | None:
@@ -376,10 +376,10 @@ def _mutual(one: Feed, other: Feed) -> tuple[RegisteredFeed, RegisteredFeed]:
     if fit is None:
         scans = common_scans(ComparedSource(one, 0), ComparedSource(other, 6))
         if not observable(scans):
-            note = _not_observable if scans else _no_common_time
+            note = _not_observable if scans else _not_compared
             first, second = (
                 (feed, SourceBiases(feed.description.name, established=bool(scans),
-                                    notes=(note(feed.description.name, [partner]),)))
+                                    notes=(note(feed, [partner]),)))
                 for feed, partner in ((one, other), (other, one))
             )  # fmt: skip
             return first, second
@@ -417,13 +417,18 @@ def observable(scans: Sequence[CommonScan]) -> bool:
     return any(scan.weighing.model.names for scan in scans)
 
 
-def _not_observable(name: str, partners: Sequence[Feed]) -> str:
-    others = " nor ".join(other.description.name for other in partners)
+def _not_observable(feed: Feed, partners: Sequence[Feed]) -> str:
+    name, others = feed.description.name, " nor ".join(other.description.name for other in partners)
     return f"{name}: only its latency may be biased, and was not fitted: neither it nor {others} has velocities"
 
 
-def _no_common_time(name: str, partners: Sequence[Feed]) -> str:
-    others = " or ".join(other.description.name for other in partners)
+def _not_compared(feed: Feed, partners: Sequence[Feed]) -> str:
+    name, others = feed.description.name, " or ".join(other.description.name for other in partners)
+    if any(len(common_instants(feed, other)) for other in partners):
+        return (
+            f"{name}: its errors, or those of {others}, are too large to separate objects as near as these; its biases "
+            "were not fitted"
+        )
     return f"{name}: has no report at the times of {others}; its biases were not fitted"
 
 
