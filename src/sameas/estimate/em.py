@@ -194,8 +194,9 @@ class EMState:
     def _with_unresolved_by(self, p_pair: FloatArray) -> EMState:
         if self.unresolved is None:
             return self
-        given = self.setting, self.errors, p_pair, self.shares(), self.brightness()
-        evidence = self.unresolved.with_probabilities(*given)
+        evidence = self.unresolved.with_probabilities(
+            self.setting, self.errors, p_pair, self.shares(), self.brightness()
+        )
         return replace(self, unresolved=evidence)
 
     def best_resolution(self, p_counted: FloatArray) -> BlendResolution | None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sameas.errors import InputError
-from sameas.io.csv import TableHead, content_of, distinct, is_number, table_of
+from sameas.io.csv import TableHead, content_of, distinct, is_any_text, is_number, table_of
 from sameas.io.format import TEXT_EXTENSIONS, Format, unit_of
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _DELIMITERS = b",;\t|"
 
 def is_separated_by_blanks(path: Path, first: bytes) -> bool:
     """Whether the first two lines that are not comments have several words, and no other delimiter."""
-    if not path.name.lower().endswith(TEXT_EXTENSIONS):
+    if not is_any_text(path, first):
         return False
     lines = [line.strip() for line in first.split(b"\n")[:-1] if line.strip()] or [first.strip()]
     comments = [line.lstrip(b"#").strip() for line in lines if line.startswith(b"#")]

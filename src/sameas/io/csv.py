@@ -68,8 +68,12 @@ def read(path: Path, hdu: None) -> Table:
     except EncodingError as error:
         text = _from_windows_1252(text, error)
     table = table_of(text, _header(text, path), path)
-    notes = table.meta.get("sameas_notes", [])
-    table.meta["sameas_notes"] = [*notes, f"{path}: is not UTF-8 text and is read as Windows-1252"]
+    return with_note(table, f"{path}: is not UTF-8 text and is read as Windows-1252")
+
+
+def with_note(table: Table, note: str) -> Table:
+    """The table with a further note of its reader."""
+    table.meta["sameas_notes"] = [*table.meta.get("sameas_notes", []), note]
     return table
 
 

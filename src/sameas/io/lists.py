@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sameas.errors import InputError
-from sameas.io.csv import TableHead, content_of, distinct, is_number, table_of
+from sameas.io.csv import TableHead, content_of, distinct, is_any_text, is_number, table_of, with_note
 from sameas.io.format import TEXT_EXTENSIONS, Format
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _DASHES = re.compile(rb"[+|][-+|: =]*-[-+|: =]*")
 
 def is_list_of_positions(path: Path, first: bytes) -> bool:
     """Whether all lines are positions, and no comment names them."""
-    if not path.name.lower().endswith(TEXT_EXTENSIONS):
+    if not is_any_text(path, first):
         return False
     lines = [line.strip() for line in first.split(b"\n")[: -1 if len(first) > 1 << 15 else None] if line.strip()]
     rows = [_BETWEEN.split(line) for line in lines if not line.startswith(b"#")]
@@ -53,21 +53,19 @@ def read_positions(path: Path) -> Table:
     import pyarrow as pa
 
     rows = []
-    for number, line in enumerate(memoryview(content_of(path)).tobytes().split(b"\n"), start=1):
+    for number, line in enumerate(_lines(path), start=1):
         if line.strip() and not line.startswith(b"#"):
             position = _position(_BETWEEN.split(line.strip()))
             if position is None:
                 raise InputError(f"{path}: line {number} is not a right ascension and a declination like the first")
             rows.append(b"\t".join(position))
     table = table_of(pa.py_buffer(b"\n".join(rows) + b"\n"), TableHead(["RA", "DEC"], "\t", 0), path)
-    notes = [f"{path}: its columns have no names: they are read as right ascension and declination"]
-    table.meta["sameas_notes"] = [*table.meta.get("sameas_notes", []), *notes]
-    return table
+    return with_note(table, f"{path}: its columns have no names: they are read as right ascension and declination")
 
 
 def is_drawn(path: Path, first: bytes) -> bool:
     """Whether the first or second line is one of dashes and corners, and rows begin with a bar."""
-    if not path.name.lower().endswith(TEXT_EXTENSIONS):
+    if not is_any_text(path, first):
         return False
     lines = [line.strip() for line in first.split(b"\n") if line.strip()][:3]
     return any(_DASHES.fullmatch(line) for line in lines[:2]) and any(line.startswith(b"|") for line in lines)
@@ -78,11 +76,15 @@ def read_drawn(path: Path) -> Table:
     import pyarrow as pa
 
     rows = []
-    for line in memoryview(content_of(path)).tobytes().split(b"\n"):
+    for line in _lines(path):
         if line.strip() and not _DASHES.fullmatch(line.strip()):
             rows.append(b"|".join(cell.strip() for cell in line.strip().strip(b"|").split(b"|")))
     names = [name.decode() for name in rows[0].split(b"|")]
     return table_of(pa.py_buffer(b"\n".join(rows) + b"\n"), TableHead(distinct(names, path), "|", 1), path)
+
+
+def _lines(path: Path) -> list[bytes]:
+    return memoryview(content_of(path)).tobytes().split(b"\n")
 
 
 LIST_FORMATS = (

@@ -22,11 +22,10 @@ from sameas.io.format import TEXT_EXTENSIONS, Format, LazyTable, in_utf_8, plain
 if TYPE_CHECKING:
     from astropy.table import Table
 
+#: The formats of text, whose readers take UTF-16, too; ECSV is UTF-8 by its standard.
+_OF_TEXT: tuple[Format, ...] = (daophot.FORMAT, *lists.LIST_FORMATS, *text.TEXT_FORMATS, csv.FORMAT)
 #: The formats, in the order of messages and of the recognition of texts.
-FORMATS: tuple[Format, ...] = (
-    fits.FORMAT, votable.FORMAT, ecsv.FORMAT, parquet.FORMAT, daophot.FORMAT, *lists.LIST_FORMATS,
-    *text.TEXT_FORMATS, csv.FORMAT,
-)  # fmt: skip
+FORMATS: tuple[Format, ...] = (fits.FORMAT, votable.FORMAT, ecsv.FORMAT, parquet.FORMAT, *_OF_TEXT)
 #: Number of bytes for the recognition of a format; VizieR's comments are long.
 _HEAD_BYTES = 1 << 16
 
@@ -261,9 +260,7 @@ def _format_in(path: Path, name: str | None) -> Format:
     if known is None:
         _check_kind(path, csv.FORMAT, kind_of(first[:4096]), "a table")
         raise _unknown_extension(path, known_formats())
-    # The readers of text take UTF-16, too; ECSV is UTF-8 by its standard.
-    of_text = known in (daophot.FORMAT, *lists.LIST_FORMATS, *text.TEXT_FORMATS, csv.FORMAT)
-    _check_kind(path, known, kind_of((text_of_head if of_text else first)[:4096]))
+    _check_kind(path, known, kind_of((text_of_head if known in _OF_TEXT else first)[:4096]))
     return known
 
 

@@ -426,7 +426,7 @@ class LivePicture:
     def _are_displaced(self) -> bool:
         """Whether the biases subtracted from a source have changed by more than :data:`DISPLACED` since they last were
         found to have."""
-        now = {name: one.theta for name, one in dict(self._biases).items() if one.theta is not None}
+        now = {name: one.theta for name, one in self._biases.items() if one.theta is not None}
         before, none = self._subtracted, np.zeros(len(BIASES))
         change = [np.abs(now.get(name, none) - before.get(name, none)) for name in now.keys() | before.keys()]
         if not any((one > DISPLACED).any() for one in change):

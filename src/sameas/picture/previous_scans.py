@@ -170,7 +170,8 @@ class FirstContact(Rule):
             a, b = first[pairs.first.rows[pairs.i]], second[pairs.second.rows[pairs.j]]
             pair = self.history.rows(pairs)
             at = np.flatnonzero((a >= 0) & (b >= 0) & ~np.append(self.sure, False)[pair])
-            met = np.where(pair[at] < 0, self.tracks.log_met(a[at], b[at], objects_per_m2(self.scan.now)), 0.0)
+            met, new = np.zeros(len(at)), pair[at] < 0
+            met[new] = self.tracks.log_met(a[at[new]], b[at[new]], objects_per_m2(self.scan.now))
             counted = met + np.minimum(np.append(np.asarray(self.history.log_ratio), 0.0)[pair[at]], 0.0)
             out[at] = np.minimum(self._by_velocity(a[at], b[at]) - counted, 0.0) + self._by_target(a[at], b[at]) + met
         return Evidence({"velocity": out})

@@ -76,24 +76,35 @@ class DistressCall:
 
 
 def calls_in(reports: Reports) -> Iterator[DistressCall]:
-    """The calls in the reports of a source, by identity; a device whose status is unknown may be in distress."""
+    """The calls in the reports of a source, by identity: those of devices first."""
     if reports.mmsi is not None:
-        status = reports.extra.get("nav_status")
-        tested = np.zeros(len(reports), bool) if status is None else status == TESTED
-        is_device = np.array([device_of(mmsi) is not None for mmsi in reports.mmsi.tolist()], bool)
-        for mmsi, rows in _by_text(reports.mmsi, np.flatnonzero(is_device & ~tested)):
-            yield _call(reports, rows, "mmsi", mmsi, f"{device_of(mmsi)} {mmsi} calls for help")
+        yield from _of_devices(reports, reports.mmsi)
     if reports.mode_a is not None:
         for code, rows in _by_text(reports.mode_a, np.flatnonzero(np.isin(reports.mode_a, list(CODES)))):
-            for column, texts in (("icao", reports.icao), ("callsign", reports.callsign), ("mode_a", reports.mode_a)):
-                if texts is None:
-                    continue
-                named = np.array([bool(text) for text in texts[rows].tolist()], bool)
-                for text, own in _by_text(texts, rows[named]):
-                    who = "an aircraft" if column == "mode_a" else f"aircraft {text}"
-                    call = _call(reports, own, column, text, f"{who} squawks {code}, {CODES[code]},")
-                    yield replace(call, is_sure=bool((np.diff(np.unique(reports.time_s[own])) <= CODE_S).any()))
-                rows = rows[~named]
+            yield from _of_aircraft(reports, code, rows)
+
+
+def _of_devices(reports: Reports, mmsis: TextArray) -> Iterator[DistressCall]:
+    """The calls of locating devices; one whose status is unknown may be in distress."""
+    status = reports.extra.get("nav_status")
+    tested = np.zeros(len(reports), bool) if status is None else status == TESTED
+    is_device = np.array([device_of(mmsi) is not None for mmsi in mmsis.tolist()], bool)
+    for mmsi, rows in _by_text(mmsis, np.flatnonzero(is_device & ~tested)):
+        yield _call(reports, rows, "mmsi", mmsi, f"{device_of(mmsi)} {mmsi} calls for help")
+
+
+def _of_aircraft(reports: Reports, code: str, rows: IntArray) -> Iterator[DistressCall]:
+    """The calls of the aircraft with a code in these rows, by the best name that each report has."""
+    for column in ("icao", "callsign", "mode_a"):
+        texts = getattr(reports, column)
+        if texts is None:
+            continue
+        named = np.array([bool(text) for text in texts[rows].tolist()], bool)
+        for text, own in _by_text(texts, rows[named]):
+            who = "an aircraft" if column == "mode_a" else f"aircraft {text}"
+            call = _call(reports, own, column, text, f"{who} squawks {code}, {CODES[code]},")
+            yield replace(call, is_sure=bool((np.diff(np.unique(reports.time_s[own])) <= CODE_S).any()))
+        rows = rows[~named]
 
 
 def _by_text(texts: TextArray, rows: IntArray) -> Iterator[tuple[str, IntArray]]:

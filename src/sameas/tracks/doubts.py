@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.registration.solution import DECISIVE
 from sameas.registration.weights import PlacedSources, weigh
@@ -282,17 +281,13 @@ def _in_one_field(weighings: Sequence[PlacedSources]) -> list[PlacedSources]:
     another source shows one by chance; on a path of kilometres it is not."""
     if any(not math.isinf(one.periods.min()) for one in weighings):
         return list(weighings)
-    whole = np.ptp(np.concatenate([place for one in weighings for place in _places(one)]), axis=0)
+    places = [np.concatenate([one.flat, one.second.features]) for one in weighings]
+    whole = np.ptp(np.concatenate(places), axis=0)
     out = []
-    for one in weighings:
-        wider = float(np.max(whole - np.ptp(np.concatenate(_places(one)), axis=0))) / 2.0
+    for one, place in zip(weighings, places, strict=True):
+        wider = float(np.max(whole - np.ptp(place, axis=0))) / 2.0
         out.append(replace(one, box=one.box + np.array([[-wider], [wider]]), sigma=one.sigma + wider))
     return out
-
-
-def _places(weighing: PlacedSources) -> tuple[FloatArray, FloatArray]:
-    """(n₁, 2), (n₂, 2) of the records of both."""
-    return weighing.flat, weighing.second.features
 
 
 @dataclass(frozen=True)

@@ -144,6 +144,7 @@ _QUANTITY = {quantity.column: quantity for quantity in QUANTITIES}
 #: Places of the antenna on the hull, A to D in AIS: other tables call other things by these letters.
 OF_THE_ANTENNA = tuple(f"to_{side}_m" for side in SIDES)
 _FLIGHT_LEVELS = "flightlevel", "fl", "measuredflightlevel", "flightlevelmeasured", "altitudefl", "altfl", "modec"
+_MODE_C = "modeccode", "modecaltitude", "modecheight"
 #: Conventional units where none is stated: sentence, columns (several together) or kind of source that indicate it,
 #: names, unit.
 _CONVENTIONS = (
@@ -153,8 +154,7 @@ _CONVENTIONS = (
     ("speeds of aircraft are knots", ("groundspeed", "gs"), ("groundspeed", "gs"), "kn"),
     ("flight levels and mode C are hundreds of feet", _FLIGHT_LEVELS, _FLIGHT_LEVELS, "100 ft"),
     ("altitudes are hundreds of feet in answers of FlightAware", ("faflightid",), ("altitude",), "100 ft"),
-    ("altitudes of mode C are feet", ("modeccode", "modecaltitude", "modecheight"),
-     ("modeccode", "modecaltitude", "modecheight"), "ft"),
+    ("altitudes of mode C are feet", _MODE_C, _MODE_C, "ft"),
     ("altitudes are feet", ("groundspeed", "gs"), ("altitude", "alt", "geoaltitude", "altgeom", "altbaro",
                                                    "baroaltitude"), "ft"),
     ("vertical rates are feet a minute", ("groundspeed", "gs"), ("verticalrate", "rocd", "vertrate"), "fpm"),
