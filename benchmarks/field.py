@@ -24,8 +24,8 @@ from benchmarks.recovered import true_rule
 from benchmarks.tables import Table, report
 from sameas import Identification, Sphere, identify
 from sameas.estimate.blends import Blends, find_blends
+from sameas.estimate.gate_search import DEFAULT_MATCH
 from sameas.estimate.match import match
-from sameas.estimate.result import DEFAULT_MATCH
 from sameas.evidence import Column, Magnitudes, Related
 from sameas.records import Records
 from sameas.score.pairs import is_true_pair, reliability
@@ -283,7 +283,7 @@ def couples(options: argparse.Namespace) -> Iterator[Table]:
     for objects, share, separation, missing in COUPLES:
         tunings = {
             "sameas": DEFAULT_MATCH,
-            "no companions": replace(DEFAULT_MATCH, em=replace(DEFAULT_MATCH.em, companions=None)),
+            "no companions": replace(DEFAULT_MATCH, em=replace(DEFAULT_MATCH.em, companions=False)),
         }
         scores, certain_counts = {method: Score() for method in tunings}, dict.fromkeys(tunings, (0, 0))
         mutual = MutualNearest()

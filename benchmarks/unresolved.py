@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 
 from benchmarks.tables import Table, report
 from sameas import Records
+from sameas.estimate.gate_search import MatchTuning
 from sameas.estimate.match import match
-from sameas.estimate.result import MatchTuning
 from sameas.evidence import Magnitudes
 
 SIGMA_ARCSEC, FINE_ARCSEC = 0.3, 0.05

@@ -658,11 +658,7 @@ def nested_densities(
         for k, (n, size) in enumerate(level(steps, numbers)):
             for s in range(2):
                 expected = max(density[k, s], 0.5 * highest[k, s]) * size
-                if (
-                    n[1 - s] == 0
-                    and n[s] >= IN_CELL * total[s] / total[1 - s]
-                    and expected >= coverage.DEFAULT_COVERAGE.hole
-                ):
+                if n[1 - s] == 0 and n[s] >= IN_CELL * total[s] / total[1 - s] and expected >= coverage.HOLE:
                     seen[k, s] = False
                 highest[k, s] = max(highest[k, s], density[k, s])
                 drawn = COVERAGE_PSEUDO_COUNT / density[k, s]
@@ -677,14 +673,14 @@ def nested_densities(
         for s in range(2):
             finest = sum(n[s] ** 2 for n in of_cells.values()) <= FINEST_CELLS * total[s] or steps == 0
             scores = []
-            for rank, smooth in enumerate(coverage.DEFAULT_COVERAGE.smooths):
+            for rank, smooth in enumerate(coverage.SMOOTHS):
                 score = -LOG_PRIOR_STEP * rank
                 for k, (n, size) in enumerate(known):
                     if numbers[k, s]:
                         due = (max(n[s] - 1.0, 0.0) + smooth) / (size + smooth / at[k, s, 0])
                         score += numbers[k, s] * math.log(due)
                 scores.append(score)
-            smooth = coverage.DEFAULT_COVERAGE.smooths[int(np.argmax(scores))]
+            smooth = coverage.SMOOTHS[int(np.argmax(scores))]
             if not ended[s]:
                 for k, (n, size) in enumerate(known):
                     left = max(n[s] - (LEFT_OUT if finest else 1.0), 0.0)

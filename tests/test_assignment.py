@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 import naive
 from problems import DRAWS, chosen_edges, components_of, crowd, laid_out, many_blocks, random_ratios, solved
 from sameas import CloseObjects, CommonObjects, InputError, PerPair, Radius, Records, identify
-from sameas.assignment import Certificate, Tuning, assign, refuse_crowds
+from sameas.assignment import Certificate, assign, refuse_crowds
 from sameas.estimate.match import match
 from sameas.kernels import threads
 from sameas.many.identify import identify_many
@@ -255,14 +255,14 @@ def test_threads_do_not_change_the_hypothesis(monkeypatch, prior):
 
 
 def test_a_crowd_that_would_take_hours_is_refused_with_its_row():
-    gate, tuning = Radius(6.0), Tuning(max_choices=20.0**3)
-    refuse_crowds(gate(crowd(20), crowd(20, "b", 2)), tuning)
+    gate, most = Radius(6.0), 20.0**3
+    refuse_crowds(gate(crowd(20), crowd(20, "b", 2)), most)
     apart = Records.of([[1000.0, 0.0], *crowd(21).features], sigma=1.0, source="a")
     with pytest.raises(InputError, match=r"a: at row \d+, 21 records of b may each be any of 21: .* some 0 minutes"):
-        refuse_crowds(gate(apart, crowd(21, "b", 2)), tuning)
+        refuse_crowds(gate(apart, crowd(21, "b", 2)), most)
     # Not a crowd: one record with many candidates, or many records with few candidates each.
-    refuse_crowds(gate(crowd(1), crowd(2000, "b", 2)), tuning)
-    refuse_crowds(gate(crowd(2000), crowd(1, "b", 2)), tuning)
+    refuse_crowds(gate(crowd(1), crowd(2000, "b", 2)), most)
+    refuse_crowds(gate(crowd(2000), crowd(1, "b", 2)), most)
 
 
 CHOOSERS: dict[str, Any] = {

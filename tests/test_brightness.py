@@ -11,9 +11,9 @@ from benchmarks.misstated import misquoted, with_outliers
 
 from problems import calibration, counterparts_of_ellipses
 from sameas import InputError, PoissonField, Records, identify
+from sameas.estimate.gate_search import MatchTuning
 from sameas.estimate.match import match
 from sameas.estimate.photometry import Photometry, Sample, density_of, fit_relation
-from sameas.estimate.result import MatchTuning
 from sameas.evidence import Brightness, Chain, Magnitudes, SourceMagnitudes
 from sameas.evidence.detection import DetectionCurve, LinearSpline, ShareCurve, knots_of, logit, share_error
 from sameas.score.pairs import is_true_pair

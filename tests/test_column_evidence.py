@@ -10,8 +10,8 @@ from sameas import InputError, Records
 from sameas.cli.app import app
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
+from sameas.estimate.gate_search import MatchTuning
 from sameas.estimate.match import match
-from sameas.estimate.result import MatchTuning
 from sameas.estimate.sample import Setting
 from sameas.estimate.share_regression import ColumnsTuning
 from sameas.evidence import Column, Errors, OddsTable, Related

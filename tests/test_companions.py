@@ -10,16 +10,16 @@ from benchmarks.misstated import couples_field
 from scipy import special
 
 from sameas import ChiSquare, Identification, Records
-from sameas.estimate.clustering import CompanionsTuning, close_neighbours, clustering, ring, scaled_i0, share_within
+from sameas.estimate.clustering import close_neighbours, clustering, ring, scaled_i0, scaled_sources, share_within
 from sameas.estimate.companions import Companions
-from sameas.estimate.coverage import Coverage
+from sameas.estimate.coverage import Coverage, typical_error
+from sameas.estimate.gate_search import DEFAULT_MATCH
 from sameas.estimate.match import match
-from sameas.estimate.result import DEFAULT_MATCH
 from sameas.estimate.sample import Setting
 from sameas.score.pairs import is_true_pair
 from sameas.simulate.scenes import SimulatedScene
 
-WITHOUT = replace(DEFAULT_MATCH, em=replace(DEFAULT_MATCH.em, companions=None))
+WITHOUT = replace(DEFAULT_MATCH, em=replace(DEFAULT_MATCH.em, companions=False))
 
 
 def setting_of(scene: SimulatedScene) -> Setting:
@@ -49,12 +49,14 @@ def test_a_wide_ring_of_two_dimensions_is_scaled_before_it_overflows():
     assert np.allclose(density, expected, rtol=1e-9, atol=0)
 
 
-def test_couples_found_by_strips_and_by_the_gate_agree():
-    setting = setting_of(couples_field(np.random.default_rng(3), 400))
-    one = clustering(setting)
-    other = clustering(setting, CompanionsTuning(max_in_strips=0))
-    assert one is not None and other is not None
-    assert np.allclose(one.volume, other.volume, rtol=0, atol=1e-7 * one.volume.sum())
+def test_neighbours_found_in_strips_and_by_the_gate_agree():
+    scene = couples_field(np.random.default_rng(3), 400)
+    setting = setting_of(scene)
+    source, _ = scaled_sources(setting, typical_error(scene.first, scene.second))
+    in_strips, by_gate = (source.near(source, 5.0, most) for most in (1_000_000, 0))
+    order, other_order = (np.lexsort(found[1::-1]) for found in (in_strips, by_gate))
+    for ours, due in zip(in_strips, by_gate, strict=True):
+        np.testing.assert_allclose(ours[order], due[other_order], rtol=0, atol=1e-7)
 
 
 def certain_and_wrong(answer: Identification, scene: SimulatedScene) -> tuple[int, float]:

@@ -7,7 +7,7 @@ import pytest
 
 import sameas
 from sameas import Plane, Records, Sphere
-from sameas.estimate.coverage import DEFAULT_COVERAGE, SHARED_PSEUDO_COUNT, Coverage, local_share
+from sameas.estimate.coverage import SHARED_PSEUDO_COUNT, SHELL_SMOOTHS, SMOOTHS, Coverage, local_share
 from sameas.simulate.scenes import Cap, LonLatBox, WholeSky
 from sameas.space import ARCSEC_PER_RADIAN, displaced, unit_vectors
 
@@ -130,7 +130,7 @@ def defined(cover, weights, side):
     for level in cover.levels:
         volume, cell = level.volume[level.of_first], getattr(level, side)
         others = np.array([weights[level.of_first == here].sum() for here in level.of_first]) - weights
-        fits = {k: np.sum(weights * np.log((others + k) / (volume + k / own))) for k in DEFAULT_COVERAGE.smooths}
+        fits = {k: np.sum(weights * np.log((others + k) / (volume + k / own))) for k in SMOOTHS}
         fits = {k: fit - 0.7 * n for n, (k, fit) in enumerate(fits.items())}
         smooth = max(fits, key=fits.get)
         # In the finest cells (four records on average or fewer) each record counts for three quarters.
@@ -141,7 +141,7 @@ def defined(cover, weights, side):
         at = own if side == "of_first" else (count + smooth) / (level.volume[cell] + smooth / at)
         if finest:
             break
-    if smooth < DEFAULT_COVERAGE.smooths[0] and np.isin(weights, (0.0, 1.0)).all():
+    if smooth < SMOOTHS[0] and np.isin(weights, (0.0, 1.0)).all():
         return refined_by_balls(cover, weights, side, at, without, float(np.median(level.volume)))
     return at
 
@@ -159,7 +159,7 @@ def refined_by_balls(cover, weights, side, at, without, volume):
     while radius**2 > 2.0 * near**2:
         shell = math.pi * (radius**2 - near**2)
         own, others = (np.sum((distance <= radius) & (distance > near), axis=1) for distance in (to_own, to_there))
-        fits = {k: np.sum(weights * np.log((own + k) / (shell + k / without))) for k in DEFAULT_COVERAGE.shell_smooths}
+        fits = {k: np.sum(weights * np.log((own + k) / (shell + k / without))) for k in SHELL_SMOOTHS}
         fits = {k: fit - 0.7 * n for n, (k, fit) in enumerate(fits.items())}
         smooth = max(fits, key=fits.get)
         if fits[smooth] - np.sum(weights * np.log(without)) > 16.0:

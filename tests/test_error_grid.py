@@ -10,7 +10,7 @@ from problems import shuffled
 from sameas import InputError, Records, Sphere
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.error_average import Average, ErrorAverage
-from sameas.estimate.error_grid import DEFAULT_GRID, MIN_POINTS, GridTuning, scan_errors
+from sameas.estimate.error_grid import MAX_POINTS, MIN_POINTS, scan_errors
 from sameas.estimate.match import match
 from sameas.evidence import Errors
 from sameas.gate import Radius
@@ -170,12 +170,10 @@ def test_the_grid_is_finer_where_the_records_are_more_informative():
     scenes = [formal_field(np.random.default_rng(14), n, floor_arcsec=0.15) for n in (20, 200)]
     coarse, fine = (scan_errors(Coverage.of(s.first, s.second)) for s in scenes)
     for scan in (coarse, fine):
-        assert MIN_POINTS <= len(scan.errors) <= DEFAULT_GRID.max_points
+        assert MIN_POINTS <= len(scan.errors) <= MAX_POINTS
         assert scan.weight.sum() == pytest.approx(1.0) and scan.gain > 0.0
     spread = [np.std(np.log([e.factor_1 for e in scan.errors])) for scan in (coarse, fine)]
     assert spread[1] < spread[0]
-    one = scan_errors(Coverage.of(scenes[0].first, scenes[0].second), tuning=GridTuning(max_points=5))
-    assert len(one.errors) <= 5
 
 
 # ---- the model of the errors ----

@@ -5,7 +5,7 @@ import pytest
 
 from sameas import Records
 from sameas.estimate.error_model import ErrorModel, error_model, tail
-from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
+from sameas.estimate.error_scales import SIGNIFICANT_TAIL_GAIN, fit_errors
 from sameas.estimate.match import match
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors
@@ -172,7 +172,7 @@ def scaled_pairs(rng, n, d=2, scale=1.3, chance=0):
 def test_no_other_mixture_of_the_scales_is_more_likely(seed, scale, chance):
     rng = np.random.default_rng(seed)
     z2, log_odds = scaled_pairs(rng, 600, scale=scale, chance=chance)
-    found = fit_errors(z2, log_odds, 2, Errors(), tuning=ScalesTuning(significant_tail_gain=0.0)).errors
+    found = fit_errors(z2, log_odds, 2, Errors(), significant_tail_gain=0.0).errors
     ladder = found.scales[0] * 1.5 ** np.arange(-8.0, 9.0)
     ladder = ladder[(ladder > 0.1) & (ladder < 8.0)]
     known = dict(zip(np.round(found.scales, 9), found.shares, strict=True))
@@ -212,11 +212,11 @@ def test_a_tail_is_fitted_where_it_is_significant():
     # Chance candidates are rare: about one in 3000 within 12 standard deviations.
     core, odds = rng.chisquare(2, 3000), np.full(3000, np.log(2e5))
     without = fit_errors(core, odds, 2, Errors())
-    assert max(without.errors.scales) < 2.0 and without.tail_gain < DEFAULT_SCALES.significant_tail_gain
+    assert max(without.errors.scales) < 2.0 and without.tail_gain < SIGNIFICANT_TAIL_GAIN
     far = np.concatenate([core, 25.0 * rng.chisquare(2, 60)])
     found = fit_errors(far, np.full(3060, np.log(2e5)), 2, Errors())
     tail = sum(share for scale, share in zip(found.errors.scales, found.errors.shares, strict=True) if scale > 2.0)
-    assert found.tail_gain > DEFAULT_SCALES.significant_tail_gain and tail == pytest.approx(0.02, abs=0.008)
+    assert found.tail_gain > SIGNIFICANT_TAIL_GAIN and tail == pytest.approx(0.02, abs=0.008)
 
 
 def test_pairs_of_zero_odds_and_zero_pairs_give_the_prior():

@@ -10,9 +10,8 @@ from benchmarks.misstated import growing_field
 
 from sameas import Identification, Records
 from sameas.arrays import FloatArray
-from sameas.estimate.error_model import DEFAULT_ERROR_FIT
 from sameas.estimate.match import match
-from sameas.estimate.result import Estimate, MatchTuning
+from sameas.estimate.result import Estimate
 from sameas.evidence import Errors, Magnitudes
 from sameas.score.pairs import is_true_pair
 from sameas.simulate.scenes import SimulatedScene
@@ -58,17 +57,6 @@ def test_errors_that_grow_with_magnitude_are_found(faint: tuple[Field, Found]) -
     true = np.hypot(0.1, faint_are_worse(trend.at, trend.at))
     assert trend.sigma == pytest.approx(true, rel=0.2)
     assert "magnitude (second)" in trend.words("second")
-
-
-def test_the_fit_of_errors_that_grow_has_the_tuning_of_a_match(faint: tuple[Field, Found]) -> None:
-    """``MatchTuning.error_fit`` reached all fits of errors but this one."""
-    (scene, (one, two), _), _ = faint
-    fits = []
-    for max_steps in (300, 1):
-        tuning = MatchTuning(error_fit=replace(DEFAULT_ERROR_FIT, max_steps=max_steps, min_pairs=1e9))
-        _, estimate = match(scene.first, scene.second, brightness=(Magnitudes(one), Magnitudes(two)), tuning=tuning)
-        fits.append(estimate.trends)
-    assert fits[0] and [t.added.tolist() for t in fits[0]] != [t.added.tolist() for t in fits[1]]
 
 
 def test_estimated_trends_find_as_many_pairs_as_the_true_errors(faint: tuple[Field, Found]) -> None:

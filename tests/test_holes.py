@@ -8,8 +8,8 @@ import pytest
 import naive
 from sameas import Plane, Records, Sphere
 from sameas.estimate import coverage
-from sameas.estimate.coverage import Coverage, CoverageTuning
-from sameas.estimate.holes import HolesTuning, Points, in_empty_discs
+from sameas.estimate.coverage import Coverage
+from sameas.estimate.holes import DISC, Points, in_empty_discs
 from sameas.simulate.scenes import LonLatBox
 from sameas.space import sphere_offset
 
@@ -48,13 +48,6 @@ def test_a_mask_and_an_edge_are_found_to_a_fraction_of_the_spacing(seed, hole):
     assert (covered_2 & hole).mean() < 0.005 and (~covered_2 & ~hole).mean() < 0.005
     assert detected[covered_2].mean() == pytest.approx(detected[~hole].mean(), abs=0.006)
     assert coverage_of_both.common_volume == pytest.approx((1.0 - hole.mean()) * SIDE**2, rel=0.02)
-
-
-def test_a_tuning_without_holes_finds_none():
-    rng = np.random.default_rng(0)
-    first, second, hole, _ = two_sources(rng, rng.uniform(0.0, SIDE, (6000, 2)), disc, 0.8)
-    blind = CoverageTuning(hole=math.inf, uneven=math.inf)
-    assert hole.any() and all(covered.all() for covered in Coverage.of(first, second, tuning=blind).covered)
 
 
 def false_share(first, second):
@@ -194,9 +187,10 @@ def test_a_crowd_in_a_hole_is_in_it_however_few_of_its_points_are_listed_at_once
     even, crowd = rng.uniform(0.0, SIDE, (4000, 2)), rng.normal([400.0, 500.0], 0.5, (4000, 2))
     even = even[~disc(even)]
     first, second = Records.of(even, sigma=1e-3), Records.of(np.concatenate([even, crowd]), sigma=1e-3)
-    tuning = CoverageTuning(holes=HolesTuning(at_once=at_once))
-    covered = Coverage.of(first, second, tuning=tuning).covered[1]
-    assert covered[: len(even)].mean() > 0.99 and not covered[len(even) :].any()
+    own, other = (Points.of(records, np.full(2, 1e-3)) for records in (second, first))
+    every, density = np.ones(len(second), bool), np.full(len(second), len(even) / SIDE**2)
+    inside = in_empty_discs(own, other, every, density, DISC, 0.0, 2.0, at_once)
+    assert inside[: len(even)].mean() < 0.01 and inside[len(even) :].all()
 
 
 def test_a_uniform_field_is_not_searched_and_one_with_a_mask_is(monkeypatch):

@@ -22,15 +22,12 @@ pytest.importorskip("cdshealpix", reason="catalogues in partitions need cdshealp
 from typer.testing import CliRunner
 
 from sameas.cli.app import app
-from sameas.estimate.em import EMTuning
-from sameas.estimate.places import CellCounts, Places, PlacesTuning, SampleRecords, learn
-from sameas.estimate.result import MatchTuning
+from sameas.estimate.places import CellCounts, Places
 from sameas.io import read_table
 from sameas.io.atomic import held
 from sameas.partitions import healpix, run
 from sameas.partitions.hats import CELL, Cell, HatsCatalogue, is_hats, partition_file, write_hats
-from sameas.partitions.part import FINER, Halo, PartTuning, Patch
-from sameas.records import Records
+from sameas.partitions.part import FINER, Halo, Patch
 
 EVERYTHING = np.array([[0, 12 << 58]], np.int64)
 
@@ -734,33 +731,9 @@ def test_a_sample_of_cells_determines_the_smoothing():
     rng = np.random.default_rng(3)
     one, two = (np.concatenate([rng.integers(0, 1 << 14, 60_000), rng.integers(0, 1 << 10, 30_000)]) for _ in "12")
     every = Places.of(CellCounts.of(one, two), 1.0)
-    some = Places.of(CellCounts.of(one, two), 1.0, PlacesTuning(smoothing_cells=len(every.cells) // 20))
+    some = Places.of(CellCounts.of(one, two), 1.0, smoothing_cells=len(every.cells) // 20)
     apart = np.log(some.density / every.density)
     assert 0.0 < float(np.sqrt(np.mean(apart**2))) < 0.03
-
-
-def test_the_rule_of_the_parts_has_the_tuning_of_the_sample():
-    """It had the default: a least share of records without a partner held for the sample only."""
-    rng = np.random.default_rng(2)
-    place = rng.uniform(0.0, 1.0, (300, 2))
-    one, two = (
-        Records.of(place[:n] + 2e-3 * rng.standard_normal((n, 2)), sigma=2e-3, source=name)
-        for n, name in ((300, "a"), (250, "b"))
-    )
-    # Four quarters of the field, one step above sixteen cells.
-    rows = [np.clip(4.0 * records.features, 0.0, 3.0).astype(np.int64) for records in (one, two)]
-    cells = tuple(4 * (x // 2 + 2 * (y // 2)) + x % 2 + 2 * (y % 2) for x, y in (at.T for at in rows))
-    places = Places.of(CellCounts.of(*cells), 1.0 / 16.0)
-    sample = SampleRecords((one, two), cells, (np.ones(300, bool), np.ones(250, bool)), 1.0)
-
-    def log_ratio(em, of_rule):
-        learned = learn(sample, places, tuning=MatchTuning(em=em))
-        assert learned.tuning == em
-        pairs = learned.pairs(one, two)
-        return replace(learned, tuning=of_rule).rule(pairs, cells)(pairs).log_ratio
-
-    most_alone, default = EMTuning(min_share=0.5), EMTuning()
-    np.testing.assert_array_less(log_ratio(most_alone, most_alone), log_ratio(most_alone, default) - 1.0)
 
 
 def test_counts_of_a_partition_do_not_depend_on_the_block_size(tmp_path):
@@ -770,9 +743,7 @@ def test_counts_of_a_partition_do_not_depend_on_the_block_size(tmp_path):
     work = found.estimated.work
     for side in (1, 2):
         cell = work.sides[side - 1].stored.cells[0]
-        whole, pieces = (
-            replace(work, tuning=PartTuning(counted_at_once=most)).count(side, cell) for most in (9_999, 7)
-        )
+        whole, pieces = (work.count(side, cell, most) for most in (9_999, 7))
         assert np.array_equal(whole.counts.cells, pieces.counts.cells)
         assert np.array_equal(whole.counts.numbers, pieces.counts.numbers)
         assert whole.rows == pieces.rows == [len(one), len(two)][side - 1]

@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 
 from sameas import Records
 from sameas.estimate.coverage import Coverage
+from sameas.estimate.gate_search import DEFAULT_MATCH
 from sameas.estimate.match import match
-from sameas.estimate.result import DEFAULT_MATCH
 from sameas.estimate.sample import Setting
 from sameas.estimate.unresolved import BlendResolution, Unresolved
 from sameas.evidence import Errors, Magnitudes

@@ -21,19 +21,9 @@ from sameas.kernels import threads
 from sameas.prior import LogPrior
 from sameas.representation import in_short
 
-
-@dataclass(frozen=True)
-class Tuning:
-    """The limit of the assignment.
-
-    max_choices : the sum over the pairs of the smaller number of candidates of its two records; n³ if each of n
-        records has n candidates. 10⁹ take about one minute of processor time.
-    """
-
-    max_choices: float = 4e9
-
-
-DEFAULT_TUNING = Tuning()
+#: Largest sum over the pairs of the smaller number of candidates of its two records; n³ if each of n records has n
+#: candidates. 10⁹ take about one minute of processor time.
+MAX_CHOICES = 4e9
 
 
 @dataclass(frozen=True)
@@ -95,16 +85,17 @@ class Hypothesis:
             raise ArithmeticError(f"the assignment is {certificate}; please report this with the records")
 
 
-def refuse_crowds(pairs: Pairs, tuning: Tuning = DEFAULT_TUNING) -> None:
-    """Raise InputError if so many records compete that the most probable hypothesis takes hours."""
-    if float(len(pairs)) ** 1.5 <= tuning.max_choices:  # the sum is largest for √m × √m records
+def refuse_crowds(pairs: Pairs, max_choices: float = MAX_CHOICES) -> None:
+    """Raise InputError if so many records compete that the most probable hypothesis takes hours: more choices than
+    MAX_CHOICES."""
+    if float(len(pairs)) ** 1.5 <= max_choices:  # the sum is largest for √m × √m records
         return
     of_1 = np.bincount(pairs.i, minlength=len(pairs.first))
-    if float(np.square(of_1, dtype=np.float64).sum()) <= tuning.max_choices:
+    if float(np.square(of_1, dtype=np.float64).sum()) <= max_choices:
         return
     fewer = np.minimum(of_1[pairs.i], np.bincount(pairs.j, minlength=len(pairs.second))[pairs.j])
     choices = float(fewer.sum(dtype=np.float64))
-    if choices > tuning.max_choices:
+    if choices > max_choices:
         worst = int(np.argmax(fewer))
         first, second = pairs.first.source, pairs.second.source
         one, two = of_1[pairs.i[worst]], np.count_nonzero(pairs.j == pairs.j[worst])

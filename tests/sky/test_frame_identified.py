@@ -21,7 +21,6 @@ from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.identified import (
     FrameIdentification,
     Refinement,
-    RefinementTuning,
     footprint,
     search_cone,
     solve,
@@ -29,8 +28,7 @@ from sameas.sky.frame.identified import (
 from sameas.sky.frame.image import MasterFrames, read
 from sameas.sky.frame.measurements import Flag, Measurements
 from sameas.sky.frame.outputs import ERROR_TERM_NAMES, listing, summary
-from sameas.sky.frame.photometry import Completeness, PhotometryTuning, ZeroPoint
-from sameas.sky.frame.plate import PlateTuning
+from sameas.sky.frame.photometry import Completeness, ZeroPoint
 from sameas.sky.frame.pointing import Pointing
 from sameas.sky.frame.pointing_hints import Aim, ApproximateWcs
 from sameas.space import ARCSEC_PER_RADIAN, directions_deg, unit_vectors
@@ -110,16 +108,6 @@ def found(seen: Scene) -> FrameIdentification:
 def wrong(found: FrameIdentification, truth: np.ndarray) -> int:
     i, j, _ = found.pairs
     return int(np.sum(found.stars.rows[j] != truth[i]))
-
-
-@pytest.mark.slow
-def test_the_numbers_of_plates_and_of_photometry_are_given_with_those_of_the_refinement(seen, found):
-    """They could be given to the fits alone."""
-    tuning = RefinementTuning(plate=PlateTuning(min_gain=1e9), photometry=PhotometryTuning(min_pairs=1e9))
-    hint = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
-    other = solve(seen.measured, seen.catalogue, hint, epoch_jyr=2020.0, refinement=Refinement(tuning=tuning))
-    assert other.plate.order == 1 < found.plate.order
-    assert other.zero_point is None and found.zero_point is not None
 
 
 @pytest.mark.slow

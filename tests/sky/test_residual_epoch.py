@@ -9,7 +9,7 @@ import pytest
 from astropy.table import Table
 
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.crossmatch import CrossmatchTuning, MatchOptions, match
+from sameas.sky.crossmatch import MatchOptions, match
 
 
 def _sky(shift: float = 0.0, common: float = 0.0) -> tuple[Table, Table]:
@@ -149,15 +149,3 @@ def test_a_common_epoch_of_catalogues_without_motions_is_not_said_to_move_them()
     first, second = Catalogue.of(gaia, "one", options=CatalogueOptions(epoch="2000")), Catalogue.of(old, "two")
     note = match(first, second, MatchOptions(epoch_jyr=2024.0, magnitudes="off")).moved
     assert note == "2024 (option), but neither catalogue has proper motions: no positions are moved, errors are widened"
-
-
-def test_how_far_a_catalogue_may_stay_from_a_common_epoch_can_be_set():
-    gaia, old = _sky()
-    first, second = (Catalogue.of(t, n, options=CatalogueOptions(epoch=e)) for t, n, e in (
-        (gaia, "one", "2016"), (old, "two", "2000"),
-    ))  # fmt: skip
-    options = MatchOptions(epoch_jyr=2001.0, magnitudes="off")
-    for years, named in ((0.5, True), (2.0, False)):
-        found = match(first, second, options, tuning=CrossmatchTuning(same_epoch_years=years))
-        assert ("stays at 2000.00" in found.moved) == named
-        assert any("has no proper motions" in str(doubt) for doubt in found.doubts) == named

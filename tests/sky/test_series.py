@@ -12,8 +12,7 @@ from sameas import InputError
 from sameas.sky.motion import AU_KM
 from sameas.sky.movers.orbits import Elements, de421, ephemeris, near, packed_date, states, two_body
 from sameas.sky.movers.search import search
-from sameas.sky.series import Exposure, SeriesTuning, tie
-from sameas.sky.series_stars import StarTuning
+from sameas.sky.series import Exposure, tie
 from sameas.space import unit_vectors
 
 RA, DEC, SCALE = 62.5, 22.9, 1.2
@@ -407,12 +406,6 @@ def test_zero_points_correct_for_clouds_and_a_variable_star_is_found():
     assert stars.scatter_mag[least] == pytest.approx(0.15 * np.sqrt(6 / 5), abs=0.02)
     others = np.arange(len(stars)) != least
     assert np.nanmean(stars.p_constant[others] < 0.01) < 0.06
-
-
-def test_the_numbers_of_zero_points_are_given_with_those_of_a_series():
-    assert np.isfinite(tie(frames(1)).stars.zero_point).all()
-    few = SeriesTuning(stars=StarTuning(min_ensemble=1_000))
-    assert np.isnan(tie(frames(1), few).stars.zero_point).all()
 
 
 def test_stars_of_the_catalogue_keep_their_name_and_its_scale():

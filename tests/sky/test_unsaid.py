@@ -17,7 +17,7 @@ from sameas.errors import InputError
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.column_choice import SURVEYS
 from sameas.sky.column_values import year_of
-from sameas.sky.completion import CommonErrorTuning, common_error, completed, in_strips, nearest_chords
+from sameas.sky.completion import common_error, completed, in_strips, nearest_chords
 from sameas.sky.table_astrometry import typical_errors
 
 
@@ -218,16 +218,15 @@ def test_the_error_of_large_catalogues_is_estimated_from_strips(covered: float) 
     in_two &= dec < covered - 0.5
     one = Catalogue.of({"ra": ra[in_one] + rng.normal(0, 0.3, in_one.sum()) / 3600, "dec": dec[in_one]}, "one")
     two = Catalogue.of({"ra": ra[in_two], "dec": dec[in_two]}, "two")
-    tuning = CommonErrorTuning(max_rows=8_000)
-    parts = in_strips(one, two, tuning)
+    parts = in_strips(one, two, 8_000)
     assert sum(map(len, parts)) < 16_000
     for of in ((one, two), (two, one)):
-        sigma, share = common_error(*of, shared=True, tuning=tuning)
+        sigma, share = common_error(*of, shared=True, max_rows=8_000)
         whole, of_whole = common_error(*of, shared=True)
         assert sigma == pytest.approx(whole, rel=0.3)
         assert share == pytest.approx(of_whole, abs=0.15)
     flat = Catalogue.of({"ra": ra, "dec": np.zeros(len(ra))}, "flat")
-    assert len(in_strips(flat, flat, tuning)[0]) == len(flat)
+    assert len(in_strips(flat, flat, 8_000)[0]) == len(flat)
 
 
 @pytest.mark.parametrize("field", [1.0, 0.01, 0.0])

@@ -52,19 +52,8 @@ SAME_OBJECT_RADIUS = 2.0  # records of one source nearer than this, in the unit 
 CELL, SEED = 1_000, 20_063  # mean number of records of both sources in a sampled cell, and the seed of the sample
 
 
-@dataclass(frozen=True)
-class CompanionsTuning:
-    """Sample sizes and limits for companions.
-
-    max_in_strips : up to this many pairs in strips along one axis, all distances are computed; with more, the gate
-        finds the near ones.
-    """
-
-    max_in_strips: int = 1_000_000
-
-
-DEFAULT_COMPANIONS = CompanionsTuning()
-
+#: Up to this many pairs in strips along one axis, all distances are computed; with more, the gate finds the near ones.
+MAX_IN_STRIPS = 1_000_000
 #: Quantiles of the variances at which averages over records are taken.
 VARIANCES = np.linspace(0.01, 0.99, 50)
 
@@ -156,7 +145,6 @@ class ScaledSource:
     variance: FloatArray
     density: FloatArray
     counted: BoolArray
-    tuning: CompanionsTuning
 
     def part(self, rows: IntArray) -> ScaledSource:
         """The source with these rows only."""
@@ -165,13 +153,15 @@ class ScaledSource:
             density=self.density[rows], counted=self.counted[rows],
         )  # fmt: skip
 
-    def near(self, other: ScaledSource, reach: float) -> tuple[IntArray, IntArray, FloatArray]:
+    def near(
+        self, other: ScaledSource, reach: float, max_in_strips: int = MAX_IN_STRIPS
+    ) -> tuple[IntArray, IntArray, FloatArray]:
         """(m,) i, k and distance of pairs of a record of this source and one of the other within ``reach``."""
         axis = int(np.argmax(np.ptp(other.points, axis=0)))
         order = np.argsort(other.points[:, axis], kind="stable")
         along = other.points[order, axis]
         low, high = (np.searchsorted(along, self.points[:, axis] + side) for side in (-reach, reach))
-        if int((high - low).sum()) <= self.tuning.max_in_strips:
+        if int((high - low).sum()) <= max_in_strips:
             i, place = ranges(low, high - low)
             k = order[place]
             distance = np.sqrt(((self.points[i] - other.points[k]) ** 2).sum(axis=1))
@@ -201,26 +191,19 @@ def _with_equal_errors(records: Records, unit: FloatArray) -> Records:
     return replace(records, covariance=np.tile(variance, (len(records), 1)))
 
 
-def scaled_sources(setting: Setting, unit: FloatArray, tuning: CompanionsTuning) -> tuple[ScaledSource, ScaledSource]:
+def scaled_sources(setting: Setting, unit: FloatArray) -> tuple[ScaledSource, ScaledSource]:
     """Both sources of a setting. unit : (d,) typical error of a residual per axis, the unit of their distances."""
     scale = float(np.prod(unit))
     one, two = (
         ScaledSource(
-            _points(records, unit),
-            _with_equal_errors(records, unit),
-            (records.variances / unit**2).mean(axis=1),
-            density * scale,
-            covered & counted,
-            tuning,
+            _points(records, unit), _with_equal_errors(records, unit), (records.variances / unit**2).mean(axis=1),
+            density * scale, covered & counted,
         )
         for records, density, covered, counted in zip(
-            (setting.pairs.first, setting.pairs.second),
-            setting.densities,
-            setting.covered,
-            setting.counted,
+            (setting.pairs.first, setting.pairs.second), setting.densities, setting.covered, setting.counted,
             strict=True,
         )
-    )
+    )  # fmt: skip
     return one, two
 
 
@@ -234,15 +217,13 @@ def _sampled_rows(levels: Sequence[GridLevel]) -> tuple[IntArray, IntArray]:
     return np.flatnonzero(sampled[level.of_first]), np.flatnonzero(sampled[level.of_second])
 
 
-def _sampled_sources(
-    setting: Setting, tuning: CompanionsTuning
-) -> tuple[FloatArray, ScaledSource, ScaledSource] | None:
+def _sampled_sources(setting: Setting) -> tuple[FloatArray, ScaledSource, ScaledSource] | None:
     """The typical error of a residual by axis, and both sources, sampled; None with too many records or dimensions."""
     if setting.pairs.d > MAX_DIMENSIONS or not 0 < sum(setting.n_counted) <= MAX_RECORDS:
         return None
     rows = _sampled_rows(setting.levels)
     unit = typical_error(setting.pairs.first, setting.pairs.second)
-    one, two = (s.part(some) for s, some in zip(scaled_sources(setting, unit, tuning), rows, strict=True))
+    one, two = (s.part(some) for s, some in zip(scaled_sources(setting, unit), rows, strict=True))
     return unit, one, two
 
 
@@ -312,9 +293,9 @@ class _Neighbours:
         return np.asarray(excess / (level * self.background + excess))
 
 
-def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) -> Clustering | None:
+def clustering(setting: Setting) -> Clustering | None:
     """The excess of close neighbours in both sources; None without a significant excess."""
-    sampled = None if sum(setting.n_counted) < sum(map(len, setting.counted)) else _sampled_sources(setting, tuning)
+    sampled = None if sum(setting.n_counted) < sum(map(len, setting.counted)) else _sampled_sources(setting)
     if sampled is None:
         return None
     d, (unit, one, two) = setting.pairs.d, sampled
@@ -358,11 +339,9 @@ class CloseNeighbours:
     by_chance: float
 
 
-def close_neighbours(
-    setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS
-) -> tuple[CloseNeighbours, CloseNeighbours] | None:
+def close_neighbours(setting: Setting) -> tuple[CloseNeighbours, CloseNeighbours] | None:
     """Neighbour pairs of each source within their errors; None with too many records or dimensions."""
-    sampled = _sampled_sources(setting, tuning)
+    sampled = _sampled_sources(setting)
     if sampled is None:
         return None
     one, two = (_close_neighbours(source, SAME_OBJECT_RADIUS, setting.pairs.d) for source in sampled[1:])

@@ -20,10 +20,8 @@ from sameas.arrays import ABSENT, FloatArray, IntArray, places_in
 from sameas.estimate.clustering import (
     COMPANIONS_REACH,
     COMPETING_SQ,
-    DEFAULT_COMPANIONS,
     MIN_VOID,
     Clustering,
-    CompanionsTuning,
     ScaledSource,
     scaled_sources,
 )
@@ -63,13 +61,12 @@ class Companions:
     excess: FloatArray
     companion_odds: FloatArray
     log_swap: FloatArray = field(repr=False)
-    tuning: CompanionsTuning = DEFAULT_COMPANIONS
 
     @classmethod
-    def of(cls, clustering: Clustering, setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) -> Companions:
+    def of(cls, clustering: Clustering, setting: Setting) -> Companions:
         """The companions among all candidates of a setting."""
         pairs, unit = setting.pairs, clustering.unit
-        one, two = scaled_sources(setting, unit, tuning)
+        one, two = scaled_sources(setting, unit)
         residual = pairs.residual / unit
         local = clustering.mean_densities[0] / one.density, clustering.mean_densities[1] / two.density
         excess = clustering.excess_at(np.sqrt((residual**2).sum(axis=1)), one.variance[pairs.i] + two.variance[pairs.j])
@@ -77,7 +74,7 @@ class Companions:
         if clustering.level is not None:
             denser = np.log(np.maximum(clustering.level + excess, 1.0))
             index = np.flatnonzero(denser > 1e-3)
-            return cls(clustering, index, excess[index], np.zeros((2, len(index))), -denser[index], tuning)
+            return cls(clustering, index, excess[index], np.zeros((2, len(index))), -denser[index])
         odds, companion = [], []
         for source, relative in zip((one, two), local, strict=True):
             i, k, distance = source.neighbours(COMPANIONS_REACH)
@@ -88,7 +85,7 @@ class Companions:
         log_swap = _log_swaps(clustering, setting, (one, two), residual, companion, COMPETING_SQ)
         index = np.flatnonzero((excess > 1e-3) | (log_swap != 0.0))
         companion_odds = np.array([odds[0][pairs.i[index]], odds[1][pairs.j[index]]], np.float64)
-        return cls(clustering, index, excess[index], companion_odds, log_swap[index], tuning)
+        return cls(clustering, index, excess[index], companion_odds, log_swap[index])
 
     @property
     def share(self) -> float:

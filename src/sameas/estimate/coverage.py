@@ -21,10 +21,8 @@ from sameas.arrays import BoolArray, FloatArray, IntArray, inner, median
 from sameas.estimate.cells import FINEST_CELLS, GridLevel, levels_of
 from sameas.estimate.discs import Discs
 from sameas.estimate.holes import (
-    DEFAULT_HOLES,
     MAX_HOLE_DIMENSIONS,
     PLACE_OF_AXES,
-    HolesTuning,
     Points,
     geometric_mean,
     places_of_cells,
@@ -64,8 +62,8 @@ SPARSE = 20
 #: Pseudo-count of local shares of one half; for other shares, the count with the same information on the logit.
 SHARED_PSEUDO_COUNT = 200.0
 RICHER = 2.0  # a source this many times richer than the other determines the part of a cell where both observe
-#: Records expected in it from the number of records of the querying source in it, at least (see
-#: ``HolesTuning.min_expected``).
+#: Records expected in it from the number of records of the querying source in it, at least (as
+#: MIN_EXPECTED in a disc).
 IN_CELL = 3.5
 #: The search for holes is repeated with the densities outside those found, at most this often, while a source is denser
 #: there by this factor.
@@ -73,31 +71,14 @@ ROUNDS, DENSER = 2, 1.05
 MIN_VOLUME = 1e-3  # least fraction of the region that is common to both sources
 
 
-@dataclass(frozen=True)
-class CoverageTuning:
-    """Parameters of the coverage, its holes and the densities; chosen where no source is given.
-
-    smooths : pseudo-counts of local densities, one of which is chosen per level by the likelihood of the records; with
-        few records the strongest one.
-    hole : records expected in an empty cell that is taken for a hole: the probability of an empty cell by chance is
-        e⁻⁷.
-    uneven : holes smaller than cells are searched for if the records in empty cells exceed chance by this many standard
-        deviations, which an even field does not.
-    holes : of empty discs.
-    """
-
-    smooths: tuple[float, ...] = (500.0, 200.0, 80.0, 30.0, 12.0, 5.0, 2.0)
-    hole: float = 7.0
-    uneven: float = 2.0
-    holes: HolesTuning = DEFAULT_HOLES
-
-    @property
-    def shell_smooths(self) -> tuple[float, ...]:
-        """Pseudo-counts of the densities in balls of neighbours."""
-        return (*self.smooths, 1.0, 0.5)
-
-
-DEFAULT_COVERAGE = CoverageTuning()
+#: Pseudo-counts of local densities, one of which is chosen per level by the likelihood of the records (with few records
+#: the strongest one); and those of the densities in balls of neighbours.
+SMOOTHS = (500.0, 200.0, 80.0, 30.0, 12.0, 5.0, 2.0)
+SHELL_SMOOTHS = (*SMOOTHS, 1.0, 0.5)
+HOLE = 7.0  # records expected in an empty cell that is taken for a hole, which by chance is empty with probability e⁻⁷
+#: Holes smaller than cells are searched for if the records in empty cells exceed chance by this many standard
+#: deviations, which an even field does not.
+UNEVEN = 2.0
 
 
 def smoothing(
@@ -191,7 +172,6 @@ class Coverage:
     volume: float
     discs: Discs | None = field(default=None, kw_only=True)
     of_part: tuple[GridLevel, ...] | None = field(default=None, kw_only=True, repr=False)
-    tuning: CoverageTuning = field(default=DEFAULT_COVERAGE, kw_only=True, repr=False)
 
     @cached_property
     def levels(self) -> tuple[GridLevel, ...]:
@@ -204,10 +184,10 @@ class Coverage:
         return np.ones(len(self.first), np.bool_), np.ones(len(self.second), np.bool_)
 
     @classmethod
-    def of(cls, first: Records, second: Records, *, tuning: CoverageTuning = DEFAULT_COVERAGE) -> Coverage:
+    def of(cls, first: Records, second: Records) -> Coverage:
         """Cells over the region of both sources, which must have records."""
         volume, levels, discs = levels_of(first, second)
-        coverage = cls(first, second, volume, discs=discs, tuning=tuning)
+        coverage = cls(first, second, volume, discs=discs)
         coverage.__dict__["levels"] = levels
         return coverage
 
@@ -215,7 +195,7 @@ class Coverage:
         """The same cells and footprints, for some of the records, or for all in another order."""
         levels = tuple(level.part(rows_1, rows_2) for level in self.levels)
         first, second = self.first.part(rows_1), self.second.part(rows_2)
-        coverage = Coverage(first, second, self.volume, of_part=levels, tuning=self.tuning)
+        coverage = Coverage(first, second, self.volume, of_part=levels)
         one, two = self.covered
         coverage.__dict__["covered"] = one[rows_1], two[rows_2]
         return coverage
@@ -238,7 +218,6 @@ class Coverage:
         """
         from sameas.kernels.coverage import refine
 
-        tuning = self.tuning
         volumes = [level.volume for level in self.levels] if volumes is None else volumes
         start = (float(weights.sum()) + 0.5) / float(volumes[0].sum())
         at_first, at_second = np.full(len(self.first), start), np.full(len(self.second), start)
@@ -252,16 +231,12 @@ class Coverage:
             )
             finest = level is self.levels[-1] or inner(count, count) <= FINEST_CELLS * weights.sum()
             others = np.maximum(count[cell[sample]] - weights[sample], 0.0)
-            smooth, _ = smoothing(others, volume[cell[sample]], at[0][sample], weights[sample], tuning.smooths)
+            smooth, _ = smoothing(others, volume[cell[sample]], at[0][sample], weights[sample], SMOOTHS)
             without = (others + smooth) / (volume[cell[sample]] + smooth / at[0][sample])
             refine(*level.facing(source), LEFT_OUT * weights if finest else weights, volume, count, smooth, *at)
             if finest:
                 break
-        if (
-            smooth < tuning.smooths[0]
-            and len(self.levels) > 1
-            and (unweighted or bool(np.isin(weights, (0.0, 1.0)).all()))
-        ):
+        if smooth < SMOOTHS[0] and len(self.levels) > 1 and (unweighted or bool(np.isin(weights, (0.0, 1.0)).all())):
             self._count_neighbours(source, weights > 0.0, float(np.median(volume)), without, sample, at)
         return at_first, at_second
 
@@ -277,7 +252,7 @@ class Coverage:
         counted : (n,) records of the source that are counted. volume : of the finest cells. sample : (s,) rows that
         decide. without : (s,) their densities by cells, without the record itself.
         """
-        d, unit, tuning = self.first.d, self.typical_error, self.tuning
+        d, unit = self.first.d, self.typical_error
         one, two = self._points if source == 1 else self._points[::-1]
         if d > MAX_HOLE_DIMENSIONS or np.isfinite(one.period).any() or not (unit > 0.0).all() or not counted.any():
             return
@@ -299,7 +274,7 @@ class Coverage:
         accepted: list[tuple[int, float]] = []
         for ball, number in enumerate(balls.neighbours(points[sample], radii, NEAR)):
             shell = np.full(len(sample), shells[ball])
-            smooth, score = smoothing(number, shell, without, weight, tuning.shell_smooths)
+            smooth, score = smoothing(number, shell, without, weight, SHELL_SMOOTHS)
             if score - inner(weight, np.log(without)) > MIN_GAIN:
                 without = (number + smooth) / (shell + smooth / without)
                 accepted.append((ball, smooth))
@@ -376,7 +351,7 @@ class Coverage:
         # Requires enough records of its own source, too, so that a region poor in objects is not taken for a hole.
         least = IN_CELL * n_observed[0] / n_observed[1], IN_CELL * n_observed[1] / n_observed[0]
         covered = own_in_empty_1 < max(least[0], 1.0), own_in_empty_2 < max(least[1], 1.0)
-        if all(each.all() for each in covered) and max(excess_1, excess_2) < self.tuning.uneven:
+        if all(each.all() for each in covered) and max(excess_1, excess_2) < UNEVEN:
             return covered
         mean = self._mean_densities(*covered)
         for _ in range(ROUNDS):
@@ -410,8 +385,8 @@ class Coverage:
         of_first, of_second = (np.maximum(local, least) for local, least in zip(highest, mean, strict=True))
         one, two = threads.each(
             [
-                partial(within_holes, first, covered[0], second, of_second, mean[1] / mean[0], self.tuning.holes),
-                partial(within_holes, second, covered[1], first, of_first, mean[0] / mean[1], self.tuning.holes),
+                partial(within_holes, first, covered[0], second, of_second, mean[1] / mean[0]),
+                partial(within_holes, second, covered[1], first, of_first, mean[0] / mean[1]),
             ],
             len(self.first),
         )
@@ -428,12 +403,12 @@ class Coverage:
 
         n = len(self.first if query == 1 else self.second)
         density = np.full(n, len(self.first if source == 1 else self.second) / self.volume)
-        own_in_empty, highest, excess, tuning = np.zeros(n), np.zeros(n), 0.0, self.tuning
+        own_in_empty, highest, excess = np.zeros(n), np.zeros(n), 0.0
         for level in self.levels:
             cells, _ = level.facing(query)
             counts = level.count(source), level.count(query)
             more = check_cells(
-                cells, level.volume, *counts, COVERAGE_PSEUDO_COUNT, tuning.hole, own_in_empty, density, highest
+                cells, level.volume, *counts, COVERAGE_PSEUDO_COUNT, HOLE, own_in_empty, density, highest
             )
             excess = max(excess, more)
         return own_in_empty, highest, excess
@@ -455,9 +430,7 @@ class Coverage:
         from sameas.kernels.coverage import shared_part
 
         richer = max(len(self.first), len(self.second))
-        fine = next(
-            (level for level in self.levels[::-1] if richer >= self.tuning.hole * len(level.volume)), self.levels[0]
-        )
+        fine = next((level for level in self.levels[::-1] if richer >= HOLE * len(level.volume)), self.levels[0])
         count = np.zeros((len(fine.volume), 4))
         return inner(shared_part(fine.of_first, covered_1, fine.of_second, covered_2, count), fine.volume)
 

@@ -16,12 +16,12 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray
 from sameas.assignment import Hypothesis
 from sameas.errors import InputError
-from sameas.estimate.clustering import DEFAULT_COMPANIONS, CompanionsTuning, clustering
+from sameas.estimate.clustering import clustering
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.companions import Companions
 from sameas.estimate.coverage import local_share
 from sameas.estimate.error_average import Average, Averaged, HypothesisSums, without_positions
-from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
+from sameas.estimate.error_scales import SIGNIFICANT_TAIL_GAIN, fit_errors
 from sameas.estimate.grades import Grades, first_magnitudes
 from sameas.estimate.photometry import LearningPairs, Photometry
 from sameas.estimate.quantity import MAX_MISSING
@@ -44,6 +44,7 @@ from sameas.representation import in_short
 #: Where errors are fitted, a pair of a lower probability gets its odds from its likelihood ratio and its records'
 #: probabilities of having no other partner; higher probabilities are clipped.
 MIN_P_PAIR, MAX_P_PAIR = 1e-3, 1.0 - 1e-12
+MIN_SHARE = 1e-6  # lower limit of the share of records without a partner
 #: Pairs of smaller ln odds, before one-to-one, are less probable than 1e-5; sums ignore them.
 MIN_LOG_ODDS = math.log(1e-5)
 MIN_INITIAL_SHARE, MAX_INITIAL_SHARE = 0.1, 0.95  # limits of the initial share of common objects in the poorer source
@@ -68,16 +69,11 @@ MIN_COMPANION_SHARE = 0.5
 
 @dataclass(frozen=True)
 class EMTuning:
-    """When an EM iteration learns what, and when the iterations end.
+    """What EM iterations fit. companions : whether companions. significant_tail_gain : gain in ln likelihood from which
+    a tail of the errors is accepted."""
 
-    min_share : lower limit of the share of records without a partner.
-    scales : tuning of the mixture of error scales.
-    companions : tuning of companions; None ignores companions.
-    """
-
-    min_share: float = 1e-6
-    scales: ScalesTuning = DEFAULT_SCALES
-    companions: CompanionsTuning | None = DEFAULT_COMPANIONS
+    companions: bool = True
+    significant_tail_gain: float = SIGNIFICANT_TAIL_GAIN
 
 
 DEFAULT_EM = EMTuning()
@@ -173,14 +169,13 @@ class EMState:
 
         previous : estimates for other candidates; their clustering is reused if the records are the same.
         """
-        tuning = self.tuning.companions
-        if tuning is None or self.density is not None:
+        if not self.tuning.companions or self.density is not None:
             return self
         if previous is not None and previous.setting.pairs.same_records(self.setting.pairs):
             excess = None if previous.companions is None else previous.companions.clustering
         else:
-            excess = clustering(self.setting, tuning)
-        return replace(self, companions=None if excess is None else Companions.of(excess, self.setting, tuning))
+            excess = clustering(self.setting)
+        return replace(self, companions=None if excess is None else Companions.of(excess, self.setting))
 
     def with_unresolved(self, resolution: BlendResolution | None) -> EMState:
         """The same estimates with the neighbours that are not resolved among these candidates."""
@@ -276,7 +271,7 @@ class EMState:
     def _positions(self) -> PoissonField:
         if self.density is not None:
             (mean_1, mean_2), (all_1, all_2) = self.mean_shares, self.density
-            alone_1, alone_2 = max(1.0 - mean_1, self.tuning.min_share), max(1.0 - mean_2, self.tuning.min_share)
+            alone_1, alone_2 = max(1.0 - mean_1, MIN_SHARE), max(1.0 - mean_2, MIN_SHARE)
             both = math.sqrt(all_1 * mean_1 * all_2 * mean_2)
             return PoissonField(both, all_1 * alone_1, all_2 * alone_2, self.errors)
         of_1, of_2 = self.setting.densities
@@ -285,8 +280,8 @@ class EMState:
         # taken at its own record and excludes it; a density at the candidate would include it, and the pair would
         # support itself.
         common = of_1 * share_1, of_2 * share_2
-        only_1 = of_1 * np.maximum(1.0 - share_1, self.tuning.min_share)
-        only_2 = of_2 * np.maximum(1.0 - share_2, self.tuning.min_share)
+        only_1 = of_1 * np.maximum(1.0 - share_1, MIN_SHARE)
+        only_2 = of_2 * np.maximum(1.0 - share_2, MIN_SHARE)
         return PoissonField(common, only_1, only_2, self.errors)
 
     def expected_common(self) -> float:
@@ -425,7 +420,7 @@ class EMState:
             log_odds = estimates.log_odds_without_errors(square, p_pair, log_ratio)
             fit = fit_errors(
                 square, log_odds, pairs.d, self.errors, widest=max(widest, MIN_LARGEST_SCALE),
-                tuning=self.tuning.scales,
+                significant_tail_gain=self.tuning.significant_tail_gain,
             )  # fmt: skip
             estimates = replace(estimates, errors=self.errors.with_mixture(fit.errors), tail_gain=fit.tail_gain)
         return estimates._with_unresolved_by(p_pair)

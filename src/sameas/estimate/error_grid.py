@@ -52,22 +52,9 @@ TAIL_SHARES = (0.0, 0.03, 0.1, 0.25)  # of the pairs in the tail
 LOG_TAIL_PRIOR = tuple(map(math.log, (0.35, 0.25, 0.25, 0.15)))  # ln of their prior probabilities (chosen)
 SHARES = (0.02, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97)  # of the poorer source in common, equally probable
 MIN_WEIGHT = 1e-3  # points of a smaller weight are dropped
-MIN_POINTS = 16  # the steps are halved, at most HALVINGS times, until this many points are left
+MIN_POINTS, MAX_POINTS = 16, 64  # the steps are halved, at most HALVINGS times, until MIN_POINTS are left
 HALVINGS = 4
 MAX_AVERAGED = 300.0  # number of common objects from which the best errors are used instead of the average
-
-
-@dataclass(frozen=True)
-class GridTuning:
-    """The grid of error scales and floors, and their prior.
-
-    max_points : kept.
-    """
-
-    max_points: int = 64
-
-
-DEFAULT_GRID = GridTuning()
 
 
 @dataclass(frozen=True)
@@ -109,9 +96,7 @@ class ErrorScan:
         return ErrorAverage(self.errors, self.log_prior, limits)
 
 
-def scan_errors(
-    coverage: Coverage, density: tuple[float, float] | None = None, tuning: GridTuning = DEFAULT_GRID
-) -> ErrorScan | None:
+def scan_errors(coverage: Coverage, density: tuple[float, float] | None = None) -> ErrorScan | None:
     """The posterior of the errors; None where candidates cannot determine them.
 
     That is where records lie so close that quoted errors cannot be enlarged, and where no record of one source lies in
@@ -140,12 +125,12 @@ def scan_errors(
             return None
     wide = Errors(factor_1=1e-6, factor_2=1e-6, floor=floor_of_axes(widest / REACH * unit))
     pairs = Radius(REACH)(*wide.records(first, second)).of(first, second)
-    return _scan(pairs, coverage, (rows_1, rows_2), (unit, within_one), widest, density, tuning)
+    return _scan(pairs, coverage, (rows_1, rows_2), (unit, within_one), widest, density)
 
 
 def _scan(
     pairs: Pairs, coverage: Coverage, rows: tuple[IntArray, IntArray], typical: tuple[FloatArray, float],
-    widest: float, density: tuple[float, float] | None, tuning: GridTuning,
+    widest: float, density: tuple[float, float] | None,
 ) -> ErrorScan:  # fmt: skip
     """The grid over these candidates, which are those of some rows of both sources.
 
@@ -162,7 +147,7 @@ def _scan(
     else:
         density_there = np.full(len(rows[poorer]), density[other])
     residuals = _Residuals.of(pairs, unit, np.log(density_there)[at])
-    lattice = _Lattice.over(residuals, widest, tuning)
+    lattice = _Lattice.over(residuals, widest)
     total = float(np.count_nonzero(coverage.covered[poorer]))
     gain = contrast = math.nan
     while True:
@@ -176,7 +161,7 @@ def _scan(
         log_weight = log_prior + np.logaddexp.reduce(log_likelihood, axis=2)
         weight = np.exp(log_weight - log_weight.max())
         kept = weight > MIN_WEIGHT * weight.sum()
-        kept &= weight >= np.sort(weight, axis=None)[-min(tuning.max_points, weight.size)]
+        kept &= weight >= np.sort(weight, axis=None)[-min(MAX_POINTS, weight.size)]
         points, tails = (np.asarray(each, np.int64) for each in np.nonzero(kept))
         share = np.exp(log_likelihood - log_likelihood.max(axis=2, keepdims=True))[kept]
         weight = weight[kept] / weight[kept].sum()
@@ -274,17 +259,16 @@ class _Lattice:
     min_floor: float
     max_floor_index: int
     n_halvings: int
-    tuning: GridTuning
 
     @classmethod
-    def over(cls, residuals: _Residuals, widest: float, tuning: GridTuning) -> _Lattice:
+    def over(cls, residuals: _Residuals, widest: float) -> _Lattice:
         """All factors, and floors from 0.3 of the smallest quoted errors to a third of the widest radius."""
         low, high = (math.log(value) for value in FACTORS)
         min_floor = 0.3 * math.sqrt(float(np.quantile(residuals.variance, 0.05))) if residuals.variance.size else 0.3
         most = max(int(math.log(widest / 3.0 / min_floor) / FLOOR_STEP), 1)
         grids = np.meshgrid(np.arange(int((high - low) / FACTOR_STEP) + 1), np.arange(-1, most + 1))
         factor_index, floor_index = (np.asarray(grid.ravel(), np.int64) for grid in grids)
-        return cls(factor_index, np.maximum(floor_index, 0), floor_index < 0, min_floor, most, 0, tuning)
+        return cls(factor_index, np.maximum(floor_index, 0), floor_index < 0, min_floor, most, 0)
 
     @property
     def factor(self) -> FloatArray:

@@ -46,22 +46,8 @@ TAIL_FACTOR = 2.5  # components this many times wider than the typical error bel
 MIN_TAIL_P, MIN_TAIL_SHARE = 1e-3, 1e-4
 
 
-@dataclass(frozen=True)
-class ErrorFitTuning:
-    """Parameters of the fits of error factors, floors and tails; chosen where no source is given.
-
-    min_pairs, max_pairs : pairs needed for a fit (expected number), and pairs used at most.
-    max_steps, tolerance : most steps of the fit, and the change at which it ends.
-    """
-
-    min_pairs: float = 200.0
-    max_pairs: int = 5_000
-    max_steps: int = 300
-    tolerance: float = 1e-5
-
-
-DEFAULT_ERROR_FIT = ErrorFitTuning()
-
+MIN_PAIRS, MAX_PAIRS = 200.0, 5_000  # pairs needed for a fit (expected number), and pairs used at most
+MAX_STEPS, TOLERANCE = 300, 1e-5  # most steps of a fit, and the change at which it ends
 
 #: Scales of the core and the normals of the tail, in units of the modelled error, and their initial shares.
 SCALES, INITIAL_SHARES = np.array([1.0, 3.0, 6.0, 12.0]), np.array([0.97, 0.01, 0.01, 0.01])
@@ -124,25 +110,25 @@ class ErrorModel:
 UNSCALED = Quantity(1.0, 0.0)
 
 
-def error_model(answer: Identification, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT) -> ErrorModel:
+def error_model(answer: Identification) -> ErrorModel:
     """The error model of the pairs of an answer.
 
     >>> error_model(match(plate, gaia)[0]).factor_1  # doctest: +SKIP
     Quantity(value=1.68, standard_error=0.04, unit='')
     """
-    return fit_error_model(answer.pairs, answer.p_pair, tuning.max_pairs, tuning)
+    return fit_error_model(answer.pairs, answer.p_pair, MAX_PAIRS)
 
 
-def fit_error_model(pairs: Pairs, p_pair: FloatArray, most: int, tuning: ErrorFitTuning) -> ErrorModel:
+def fit_error_model(pairs: Pairs, p_pair: FloatArray, most: int) -> ErrorModel:
     """The error model of pairs with these (m,) probabilities, fitted to at most ``most`` of them."""
     probable = _sample(p_pair, most)
     weight = p_pair[probable]
-    if weight.sum() < tuning.min_pairs:
-        return ErrorModel(note=f"fewer than {tuning.min_pairs:.0f} pairs: too few to judge the sources' errors apart")
+    if weight.sum() < MIN_PAIRS:
+        return ErrorModel(note=f"fewer than {MIN_PAIRS:.0f} pairs: too few to judge the sources' errors apart")
     one = unpack(pairs.first.covariance[pairs.i[probable]], pairs.d)
     two = unpack(pairs.second.covariance[pairs.j[probable]], pairs.d)
     names = pairs.first.source, pairs.second.source
-    return _PairErrors(pairs.residual[probable], weight, one, two, names, tuning).model()
+    return _PairErrors(pairs.residual[probable], weight, one, two, names).model()
 
 
 def _sample(p_pair: FloatArray, most: int) -> IntArray:
@@ -154,21 +140,19 @@ def _sample(p_pair: FloatArray, most: int) -> IntArray:
     return probable[:: max(1, -(-len(probable) // most))]
 
 
-def better_model(
-    errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT
-) -> tuple[Errors, float]:
+def better_model(errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> tuple[Errors, float]:
     """The errors of the model fitted to these (m,) pairs, and its gain in ln likelihood over ``errors``.
 
     Both get the maximum-likelihood mixture of error scales. The gain is infinite where one factor replaces ``errors``.
     """
     probable = _sample(p_pair, most)
-    model = fit_error_model(pairs, p_pair, most, tuning)
+    model = fit_error_model(pairs, p_pair, most)
     if not model.is_estimated:
         return errors, 0.0
     some, weight = pairs.part(probable), p_pair[probable]
     old, new = (log_likelihood(each, some, weight) for each in (errors, model.errors))
     if np.any(errors.floor) or errors.factor_1 != errors.factor_2:
-        factor = factor_on_quoted(errors, pairs, p_pair, tuning) * errors.typical_scale
+        factor = factor_on_quoted(errors, pairs, p_pair) * errors.typical_scale
         factor = factor if abs(math.log(factor)) > MAX_MIXTURE_LOG_FACTOR else 1.0
         plain = Errors(factor_1=factor, factor_2=factor)
         if log_likelihood(plain, some, weight) > max(old, new) - MIN_GAIN:
@@ -202,19 +186,19 @@ def _fit_mixture(mahalanobis_sq: FloatArray, d: int, weight: FloatArray, scales:
     return Errors(tuple(scales.tolist()), tuple((shares / shares.sum()).tolist()))
 
 
-def factor_on_quoted(errors: Errors, pairs: Pairs, p_pair: FloatArray, tuning: ErrorFitTuning) -> float:
+def factor_on_quoted(errors: Errors, pairs: Pairs, p_pair: FloatArray) -> float:
     """Median over the probable pairs of modelled over quoted error, without the mixture."""
     if not errors.as_modelled or not len(pairs):
         return 1.0
-    probable = _sample(p_pair, tuning.max_pairs)
+    probable = _sample(p_pair, MAX_PAIRS)
     some = pairs.part(probable) if len(probable) else pairs
     ratio = errors.pairs(some).determinant / some.determinant
     return float(np.median(ratio) ** (0.5 / pairs.d))
 
 
-def fit_spread(pairs: Pairs, p_pair: FloatArray, tuning: ErrorFitTuning) -> Errors:
+def fit_spread(pairs: Pairs, p_pair: FloatArray) -> Errors:
     """Distribution of the residuals of pairs (m,) relative to their quoted covariances: a mixture of scales."""
-    probable = _sample(p_pair, tuning.max_pairs)
+    probable = _sample(p_pair, MAX_PAIRS)
     if not len(probable):
         return Errors()
     square = pairs.mahalanobis_sq[probable]
@@ -226,12 +210,12 @@ def fit_spread(pairs: Pairs, p_pair: FloatArray, tuning: ErrorFitTuning) -> Erro
     return Errors(scales, shares)
 
 
-def fit_variances(residual: FloatArray, weight: FloatArray, parts: FloatArray, tuning: ErrorFitTuning) -> FloatArray:
+def fit_variances(residual: FloatArray, weight: FloatArray, parts: FloatArray) -> FloatArray:
     """(k,) the θ ≥ 0 of greatest likelihood for residuals (m, d) of covariance Σ θ_k parts_k, parts (k, m, d, d).
 
     For degenerate parts only the sum of their terms is determined.
     """
-    return _fit(residual, weight, parts, np.zeros_like(parts[0]), tuning).theta
+    return _fit(residual, weight, parts, np.zeros_like(parts[0])).theta
 
 
 @in_short
@@ -244,7 +228,6 @@ class _PairErrors:
     quoted_1: FloatArray
     quoted_2: FloatArray
     names: tuple[str, str]
-    tuning: ErrorFitTuning
 
     @property
     def unit(self) -> float:
@@ -307,7 +290,7 @@ class _PairErrors:
 
     def _fit(self, parts: Sequence[FloatArray], fixed: FloatArray | None = None) -> _VarianceFit:
         fixed = np.zeros_like(self.quoted_1) if fixed is None else fixed
-        return _fit(self.residual, self.weight, np.stack(parts), fixed, self.tuning)
+        return _fit(self.residual, self.weight, np.stack(parts), fixed)
 
     def _floor(self, fit: _VarianceFit, k: int) -> Quantity:
         """The root of term k as a floor, in the unit of the residuals."""
@@ -324,7 +307,6 @@ class _VarianceFit:
     covariance: FloatArray
     weakest: FloatArray
     log_likelihood: float
-    tuning: ErrorFitTuning
 
     def root(self, k: int) -> Quantity:
         """√θ and its standard error: the change of the root across the 95 % interval of θ ≥ 0, over 1.96.
@@ -343,9 +325,7 @@ class _VarianceFit:
         return root.standard_error < MAX_RELATIVE_ERROR * max(root.value, 1.0)
 
 
-def _fit(
-    residual: FloatArray, weight: FloatArray, parts: FloatArray, fixed: FloatArray, tuning: ErrorFitTuning
-) -> _VarianceFit:
+def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, fixed: FloatArray) -> _VarianceFit:
     """S = ``fixed`` + Σ θ_k parts_k of greatest likelihood, by EM over core and tail.
 
     residual (m, d), weight (m,), parts (k, m, d, d), fixed (m, d, d).
@@ -353,7 +333,7 @@ def _fit(
     # The axis of pairs is last, so that products are contiguous.
     residual, parts, fixed = residual.T.copy(), _pairs_last(parts), _pairs_last(fixed)
     theta, shares, damping = np.full(len(parts), 0.5), INITIAL_SHARES, 0.5
-    for _ in range(tuning.max_steps):
+    for _ in range(MAX_STEPS):
         state = _PairTerms.of(residual, parts, fixed, theta, shares)
         core = weight * state.p_component[0]
         score = state.score @ core
@@ -365,9 +345,9 @@ def _fit(
         step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=1e-9)[0]
         previous, theta = theta, np.maximum(theta + damping * step, 1e-9)
         shares, damping = state.p_component @ weight / weight.sum(), 1.0
-        if np.abs(theta - previous).max() < tuning.tolerance * max(1.0, float(theta.max())):
+        if np.abs(theta - previous).max() < TOLERANCE * max(1.0, float(theta.max())):
             break
-    return _with_covariance(_PairTerms.of(residual, parts, fixed, theta, shares), weight, theta, shares, tuning)
+    return _with_covariance(_PairTerms.of(residual, parts, fixed, theta, shares), weight, theta, shares)
 
 
 def _pairs_last(matrices: FloatArray) -> FloatArray:
@@ -410,9 +390,7 @@ class _PairTerms:
         return cls(precision_parts, slope, p_component / total, log_density)
 
 
-def _with_covariance(
-    state: _PairTerms, weight: FloatArray, theta: FloatArray, shares: FloatArray, tuning: ErrorFitTuning
-) -> _VarianceFit:
+def _with_covariance(state: _PairTerms, weight: FloatArray, theta: FloatArray, shares: FloatArray) -> _VarianceFit:
     """The fit, with the covariance from the outer products of the pairs' scores, including the shares of the tail.
 
     Terms at zero are excluded from the covariance of the others.
@@ -428,7 +406,7 @@ def _with_covariance(
     index = np.flatnonzero(free[:k])
     covariance[np.ix_(index, index)] = of_free[: len(index), : len(index)]
     weakest = np.linalg.eigh(_bounded_inverse(information)[:k, :k])[1][:, -1]
-    return _VarianceFit(theta, covariance, weakest, float(weight @ state.log_density), tuning)
+    return _VarianceFit(theta, covariance, weakest, float(weight @ state.log_density))
 
 
 def _bounded_inverse(information: FloatArray) -> FloatArray:
@@ -452,7 +430,7 @@ class Tail:
     factor: float
 
 
-def tail(answer: Identification, errors: Errors, tuning: ErrorFitTuning = DEFAULT_ERROR_FIT) -> Tail | None:
+def tail(answer: Identification, errors: Errors) -> Tail | None:
     """The tail of the errors of the pairs of an answer; None without a tail.
 
     The standard error is that of the share in a mixture of tail and core of known shape, with the information
@@ -476,5 +454,5 @@ def tail(answer: Identification, errors: Errors, tuning: ErrorFitTuning = DEFAUL
     slope = (outer - core) / np.maximum(share * outer + (1.0 - share) * core, np.finfo(float).tiny)
     information = float(np.sum(weight[probable] * slope**2))
     factor = math.exp(float(shares[far] @ np.log(scales[far])) / share)
-    factor *= factor_on_quoted(errors, answer.pairs, answer.p_pair, tuning)
+    factor *= factor_on_quoted(errors, answer.pairs, answer.p_pair)
     return Tail(Quantity(share, 1.0 / math.sqrt(max(information, np.finfo(float).tiny))), factor)

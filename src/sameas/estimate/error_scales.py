@@ -30,21 +30,9 @@ INITIAL_SHARE = 1e-3  # added to every share at the beginning, since EM never ch
 MIN_STEP, RIDGE = 1e-3, 1e-10
 
 
-@dataclass(frozen=True)
-class ScalesTuning:
-    """How the mixture of error scales is fitted.
-
-    tail_scale, significant_tail_gain : errors larger than this scale are a tail, and it must gain this in ln likelihood
-        (four standard errors). A tail with chance pairs in it would grow from step to step, as it makes more of them
-        probable.
-    """
-
-    tail_scale: float = 2.0
-    significant_tail_gain: float = 8.0
-
-
-DEFAULT_SCALES = ScalesTuning()
-
+#: Errors larger than this scale are a tail, and it must gain this in ln likelihood (four standard errors). A tail with
+#: chance pairs in it would grow from step to step, as it makes more of them probable.
+TAIL_SCALE, SIGNIFICANT_TAIL_GAIN = 2.0, 8.0
 
 #: Starts of the bins of distance, counts and odds of the cells in them, mean squared distances of the bins.
 BinnedPairs = tuple[IntArray, FloatArray, FloatArray, FloatArray]
@@ -69,7 +57,7 @@ def fit_errors(
     start: Errors,
     *,
     widest: float = math.inf,
-    tuning: ScalesTuning = DEFAULT_SCALES,
+    significant_tail_gain: float = SIGNIFICANT_TAIL_GAIN,
 ) -> ErrorFit:
     """The mixture of error scales of greatest likelihood for pairs that are true with odds exp(log_odds) · f.
 
@@ -79,18 +67,18 @@ def fit_errors(
     ladders are tried too: one normal mixed from two neighbouring rungs has too long a tail, which chance pairs fill.
 
     mahalanobis_sq, log_odds : (m,) squared normalised distances m² in d features, and ln of the odds.
-    start : initial mixture.
+    start : initial mixture. significant_tail_gain : gain in ln likelihood from which a tail is accepted.
     """
     reach, cells = _binned(mahalanobis_sq, log_odds)
-    fit = _on_ladder(reach, cells, d, start, widest, 0.0, tuning)
+    fit = _on_ladder(reach, cells, d, start, widest, 0.0, significant_tail_gain)
     if abs(math.log(fit.errors.typical_scale)) < MAX_LOG_SCALE:
         return fit
-    others = [_on_ladder(reach, cells, d, fit.errors, widest, shift, tuning) for shift in SHIFTS]
+    others = [_on_ladder(reach, cells, d, fit.errors, widest, shift, significant_tail_gain) for shift in SHIFTS]
     return max(fit, *others, key=lambda fit: fit.log_likelihood)
 
 
 def _on_ladder(
-    reach: float, cells: BinnedPairs, d: int, start: Errors, widest: float, shift: float, tuning: ScalesTuning
+    reach: float, cells: BinnedPairs, d: int, start: Errors, widest: float, shift: float, significant_tail_gain: float
 ) -> ErrorFit:
     """The maximum-likelihood mixture of the grid of scales ``shift`` of a step above 1, 1.5, …"""
     from sameas.kernels.mixture import fit
@@ -102,10 +90,10 @@ def _on_ladder(
     nearest = np.round(np.log(np.asarray(start.scales)) / math.log(RUNG) - steps[0])
     at = nearest.clip(0, len(scales) - 1).astype(np.int64)
     shares = np.asarray(np.bincount(at, start.shares, len(scales)), np.float64)
-    core, pseudo = int(np.searchsorted(scales, tuning.tail_scale, side="right")), np.zeros(len(scales))
+    core, pseudo = int(np.searchsorted(scales, TAIL_SCALE, side="right")), np.zeros(len(scales))
     pseudo[np.argmin(np.abs(np.log(scales)))] = 2.0
     search = INITIAL_SHARE, MAX_STEPS, TOLERANCE, MIN_STEP, RIDGE
-    shares, tail, likelihood = fit(*cells, d, scales, core, pseudo, shares, tuning.significant_tail_gain, search)
+    shares, tail, likelihood = fit(*cells, d, scales, core, pseudo, shares, significant_tail_gain, search)
     kept = shares > 1e-6
     errors = Errors(tuple(scales[kept].tolist()), tuple((shares[kept] / shares[kept].sum()).tolist()))
     return ErrorFit(errors, tail, likelihood)
@@ -117,12 +105,4 @@ def _binned(z2: FloatArray, log_odds: FloatArray) -> tuple[float, BinnedPairs]:
 
     farthest = float(z2.max(initial=1.0, where=log_odds > MIN_LOG_ODDS))
     reach = max(math.sqrt(farthest), 2.0)
-    return reach, cells(
-        z2,
-        log_odds,
-        MIN_LOG_ODDS,
-        MAX_LOG_ODDS,
-        MIN_DISTANCE,
-        reach,
-        (BINS, LOG_ODDS_BINS),
-    )
+    return reach, cells(z2, log_odds, MIN_LOG_ODDS, MAX_LOG_ODDS, MIN_DISTANCE, reach, (BINS, LOG_ODDS_BINS))

@@ -20,13 +20,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.error_model import (
-    DEFAULT_ERROR_FIT,
-    ErrorFitTuning,
-    fit_variances,
-    log_likelihood,
-    with_fitted_mixture,
-)
+from sameas.estimate.error_model import MIN_PAIRS, fit_variances, log_likelihood, with_fitted_mixture
 from sameas.estimate.photometry import Photometry
 from sameas.evidence import Errors
 from sameas.gate import Pairs
@@ -38,7 +32,6 @@ from sameas.space import Plane, unit_vectors
 # Limits for trends of errors; all chosen.
 #: Pairs less probable than this are not used; below the second, not by other errors either.
 MIN_P, MIN_P_OTHER = 0.05, 1e-4
-MIN_PAIRS = DEFAULT_ERROR_FIT.min_pairs  # pairs needed for a trend (expected number)
 MAX_KNOTS, PAIRS_PER_KNOT = 7, 60.0  # number of knots of a trend, limited by the number of pairs
 MIN_GAIN = 6.0  # gain in ln likelihood, beyond chance, for the score test and for a trend
 MAX_REFITS, MIN_REFIT_GAIN = 12, 0.5  # number of fits with updated probabilities; they end when one gains less
@@ -143,12 +136,11 @@ def with_trends(
     quantities: Sequence[Covariate],
     most: int,
     previous: Sequence[Trend],
-    error_fit: ErrorFitTuning,
 ) -> tuple[Errors, tuple[Trend, ...], float]:
     """The errors with trends that these pairs support, the trends, and the gain in ln likelihood.
 
     errors : the present model. p_pair : (m,) probabilities. most : greatest number of pairs used. previous : trends
-    included in ``errors``, which are fitted again. error_fit : of the variances at the knots.
+    included in ``errors``, which are fitted again.
 
     Source: METHOD 6, "Errors that grow".
     """
@@ -172,11 +164,7 @@ def with_trends(
     best: tuple[float, Errors, tuple[Trend, ...]] = (present if not previous else -math.inf, errors, ())
     chosen: list[_LinearBasis] = []
     while len(chosen) < len(candidates):
-        fits = [
-            (basis, *_fit_trends(some, weight, [*chosen, basis], error_fit))
-            for basis in candidates
-            if basis not in chosen
-        ]
+        fits = [(basis, *_fit_trends(some, weight, [*chosen, basis])) for basis in candidates if basis not in chosen]
         basis, value, model, trends = max(fits, key=lambda fit: fit[1])
         if value - best[0] < MIN_GAIN + 0.5 * n_knots * math.log(float(weight.sum())):
             break
@@ -186,7 +174,7 @@ def with_trends(
         return errors, (), 0.0
     competing = _Competing.of(errors, pairs, p_pair, most)
     without = competing.reweighted(with_fitted_mixture(errors, some, weight))[1]
-    model, trends, fitted = _refit(competing, best, chosen, error_fit)
+    model, trends, fitted = _refit(competing, best, chosen)
     return model, trends, fitted - without
 
 
@@ -194,7 +182,6 @@ def _refit(
     competing: _Competing,
     initial: tuple[float, Errors, tuple[Trend, ...]],
     chosen: Sequence[_LinearBasis],
-    error_fit: ErrorFitTuning,
 ) -> tuple[Errors, tuple[Trend, ...], float]:
     """The trends fitted repeatedly with updated probabilities of the candidates, and the gain in ln likelihood."""
     (_, errors, trends), bases = initial, [each.at(competing.pairs) for each in chosen]
@@ -207,7 +194,7 @@ def _refit(
             break
         gain, likely = new_gain, weight > MIN_P
         some, of_some = competing.pairs.part(np.flatnonzero(likely)), [each.part(likely) for each in bases]
-        _, errors, trends = _fit_trends(some, weight[likely], of_some, error_fit)
+        _, errors, trends = _fit_trends(some, weight[likely], of_some)
     return errors, trends, gain
 
 
@@ -306,14 +293,14 @@ def _score(errors: Errors, square: FloatArray, d: int) -> FloatArray:
 
 
 def _fit_trends(
-    pairs: Pairs, weight: FloatArray, bases: Sequence[_LinearBasis], error_fit: ErrorFitTuning
+    pairs: Pairs, weight: FloatArray, bases: Sequence[_LinearBasis]
 ) -> tuple[float, Errors, tuple[Trend, ...]]:
     """ln likelihood of pairs with errors that grow with all these quantities, the errors, and their trends."""
     one, two = (unpack(of.covariance[at], pairs.d) for of, at in ((pairs.first, pairs.i), (pairs.second, pairs.j)))
     unit = float(np.median(np.einsum("mvv->m", one + two))) / pairs.d
     floor_covariance = unit * np.eye(pairs.d)
     parts = np.stack([one, two, *(value[:, None, None] * floor_covariance for each in bases for value in each.values)])
-    theta = fit_variances(pairs.residual, weight, parts, error_fit)
+    theta = fit_variances(pairs.residual, weight, parts)
     total_variance = np.einsum("k,kmvv->m", theta, parts) / pairs.d
     ends = np.cumsum([2, *(len(each.values) for each in bases)])
     trends = tuple(

@@ -13,36 +13,69 @@ from sameas.arrays import FloatArray
 from sameas.assignment import refuse_crowds
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.em import MIN_PAIRS_TO_LEARN, EMState, iterate
+from sameas.estimate.em import DEFAULT_EM, MIN_PAIRS_TO_LEARN, EMState, EMTuning, iterate
 from sameas.estimate.error_average import Average, identify_averaged
 from sameas.estimate.error_grid import ErrorScan
 from sameas.estimate.error_model import better_model
 from sameas.estimate.error_trends import Trend
 from sameas.estimate.photometry import Photometry
-from sameas.estimate.result import (
-    DEFAULT_MATCH,
-    GATE_STEP,
-    MAX_CHANCE_SCALE,
-    MAX_CHANCE_SUSPECTED,
-    MAX_CHANCE_TAIL,
-    MAX_GATE_SIGMAS,
-    MAX_NEGLIGIBLE_CHANCE,
-    MAX_SCALE_EXCESS,
-    MIN_OUTER_SHARE,
-    MIN_SIGNIFICANCE,
-    N_MODEL_PAIRS,
-    SUSPECT_TAIL_GAIN,
-    SUSPECT_WIDE_SHARE,
-    Estimate,
-    MatchTuning,
-)
+from sameas.estimate.result import Estimate
 from sameas.estimate.sample import Sampling, Setting
+from sameas.estimate.share_regression import DEFAULT_COLUMNS, ColumnsTuning
 from sameas.estimate.unresolved import BlendResolution
 from sameas.evidence import Errors
 from sameas.evidence.rule import AS_QUOTED
 from sameas.gate import ChiSquare, Pairs, Radius
 from sameas.representation import in_short
 from sameas.result import Identification
+
+#: The gate is widened when this share of the expected true pairs lies beyond 0.7 of its radius (4e-5 where errors are
+#: as quoted), and one pair more.
+MIN_OUTER_SHARE = 6e-5
+#: Where a record would have fewer chance candidates, half a pair of a tail suffices: its last pairs are otherwise
+#: certain to have no partner.
+MAX_NEGLIGIBLE_CHANCE = 0.1
+MAX_GATE_SIGMAS = 400.0  # greatest radius of the gate
+#: The gate is widened when the typical errors exceed those it was made for by this factor; up to there it loses only
+#: 2e-6 of the pairs.
+MAX_SCALE_EXCESS = 1.25
+#: The gate is not widened for a tail, or for underestimated errors, when a record would have on average more chance
+#: candidates than this.
+MAX_CHANCE_TAIL, MAX_CHANCE_SCALE = 0.5, 8.0
+#: A tail with this gain in ln likelihood that is not yet significant is looked for in a wider gate. Then, and with a
+#: significant tail, a record may have this many chance candidates.
+SUSPECT_TAIL_GAIN, MAX_CHANCE_SUSPECTED = 1.0, 2.0
+#: The gate is widened by this factor to test for a tail that begins at its edge: after SUSPECT_TAIL_GAIN, or where
+#: SUSPECT_WIDE_SHARE of the pairs has errors above 1.4 typical ones.
+GATE_STEP = 1.5
+SUSPECT_WIDE_SHARE = 0.1
+N_MODEL_PAIRS = 3_000  # pairs from which the error model of the evidence is fitted
+MIN_SIGNIFICANCE = 4.0  # excess of close candidates over chance, in standard deviations, from which errors are fitted
+MAX_UNRELATED = 0.5  # from this share of pairs with unrelated magnitudes on, a note is given
+
+
+@dataclass(frozen=True)
+class MatchTuning:
+    """Limits for widening the gate and for accepting estimates.
+
+    max_iterations : EM iterations after which no further error model is tried; its iterations are at most two thirds of
+        these more.
+    max_sample_error : a sample is rejected when the number of common objects differs from its prediction by more than
+        this share and the statistical error.
+    fits_trends, fits_resolution : whether growth of the errors, and the resolution of a source that blends neighbours,
+        are fitted.
+    em, columns : tuning of EM iterations, and of the evidence of other columns.
+    """
+
+    max_iterations: int = 30
+    max_sample_error: float = 0.02
+    fits_trends: bool = True
+    fits_resolution: bool = True
+    em: EMTuning = DEFAULT_EM
+    columns: ColumnsTuning = DEFAULT_COLUMNS
+
+
+DEFAULT_MATCH = MatchTuning()
 
 
 @in_short
@@ -85,13 +118,13 @@ class GateResult:
         estimates = self.estimates
         if not estimates.fits_errors or estimates.n_common < MIN_PAIRS_TO_LEARN:
             return estimates.errors, 0.0
-        pairs, tuning = estimates.setting.pairs, self.tuning
+        pairs = estimates.setting.pairs
         p_single = estimates.p_single(self.p_counted)
-        return better_model(estimates.errors, pairs, p_single, N_MODEL_PAIRS, tuning.error_fit)
+        return better_model(estimates.errors, pairs, p_single, N_MODEL_PAIRS)
 
     def must_widen(self) -> bool:
         """Whether the outer part of the gate still contains true pairs, and a wider gate is affordable."""
-        limit, significant_tail_gain = self.gate_sigmas, self.tuning.em.scales.significant_tail_gain
+        limit, significant_tail_gain = self.gate_sigmas, self.tuning.em.significant_tail_gain
         if limit >= MAX_GATE_SIGMAS or not self.estimates.fits_errors:
             return False
         if _is_narrow(self.estimates, self.p_counted, limit):
@@ -112,7 +145,7 @@ class GateResult:
             return False
         if _chance_candidates(estimates, self.p_counted, GATE_STEP) > MAX_CHANCE_SCALE:
             return False
-        if estimates.tail_gain >= self.tuning.em.scales.significant_tail_gain:
+        if estimates.tail_gain >= self.tuning.em.significant_tail_gain:
             return self._extends_to_edge()
         errors = estimates.errors
         typical = 1.4 * errors.typical_scale
@@ -315,7 +348,6 @@ def to_estimate(answer: Identification, coverage: Coverage, result: GateResult, 
         learned_from=result.learned_from, notes=tuple(remarks) + _notes(result, answer), photometry=photometry,
         precision=precision, answer=answer,
         errors_estimated=estimates.fits_errors and common >= MIN_PAIRS_TO_LEARN, columns=estimates.columns,
-        tuning=result.tuning,
     )  # fmt: skip
     if not estimates.errors.as_modelled:
         return estimate
@@ -340,7 +372,7 @@ def _notes(result: GateResult, answer: Identification) -> tuple[str, ...]:
         few = f"too few pairs with magnitudes of both (of {common:.1f})"
         notes.append(f"{few} to fit the magnitudes; they are not used")
     relation = None if estimates.photometry is None else estimates.photometry.first_relation
-    if estimates.photometry is not None and relation is not None and relation.unrelated > result.tuning.max_unrelated:
+    if estimates.photometry is not None and relation is not None and relation.unrelated > MAX_UNRELATED:
         error, spread_mag = estimates.photometry.quoted_and_spread(answer.pairs, answer.p_pair)
         notes.append(
             f"the quoted errors of the magnitudes, {error:.2g} mag, are larger than the spread of those of the pairs, "

@@ -40,17 +40,7 @@ MAX_HOLE_DIMENSIONS = 3  # maximum dimension for discs; in more dimensions recor
 MIN_SPACING, MANY, CROWDED = 0.125, 64.0, 4.0
 
 
-@dataclass(frozen=True)
-class HolesTuning:
-    """Parameters of the search for holes by empty discs; chosen.
-
-    at_once : points of discs that are listed at a time, which limits the memory.
-    """
-
-    at_once: int = 1_000_000
-
-
-DEFAULT_HOLES = HolesTuning()
+POINTS_AT_ONCE = 1_000_000  # points of discs that are listed at a time, which limits the memory
 
 Floats = TypeVar("Floats", float, FloatArray)
 
@@ -115,9 +105,7 @@ def places_of_cells(points: FloatArray, side: float, *, rows: int | None = None)
     return np.asarray(place & last), last
 
 
-def within_holes(
-    own: Points, covered: BoolArray, other: Points, density: FloatArray, share: float, tuning: HolesTuning
-) -> BoolArray:
+def within_holes(own: Points, covered: BoolArray, other: Points, density: FloatArray, share: float) -> BoolArray:
     """(n,) whether records of one source, ``own``, lie in holes of the other, ``other``.
 
     covered : (n,) whether they may be covered, by the cells.
@@ -135,9 +123,9 @@ def within_holes(
         widest = _radius(DISC, float(density[covered].min()), own.d)
         wanted = covered | own.near(other, 2.0 * widest)
     least = max(2.0, MIN_EXPECTED / share)
-    in_disc = in_empty_discs(own, other, wanted, density, DISC, beyond, least, tuning)
+    in_disc = in_empty_discs(own, other, wanted, density, DISC, beyond, least)
     if in_disc.any():
-        in_disc |= in_empty_discs(own, other, wanted & in_disc, density, STEP, beyond, 1.0, tuning)
+        in_disc |= in_empty_discs(own, other, wanted & in_disc, density, STEP, beyond, 1.0)
     return in_hole | in_disc
 
 
@@ -155,7 +143,7 @@ def in_empty_discs(
     expected: float,
     beyond: float,
     least: float,
-    tuning: HolesTuning = DEFAULT_HOLES,
+    points_at_once: int = POINTS_AT_ONCE,
 ) -> BoolArray:
     """(n,) mask of the points in empty discs around ``wanted`` points that contain at least ``least`` points."""
     in_disc = np.zeros(len(own.points), np.bool_)
@@ -166,13 +154,14 @@ def in_empty_discs(
         remaining = remaining[remaining <= low]
         rows = np.flatnonzero(wanted & (density > low) & (density <= high))
         radius = _radius(expected, density[rows], own.d)
-        in_disc |= _inside(own, other, rows, radius, beyond * density[rows] ** (-1.0 / own.d), least, tuning)
+        overreach = beyond * density[rows] ** (-1.0 / own.d)
+        in_disc |= _inside(own, other, rows, radius, overreach, least, points_at_once)
     return in_disc
 
 
 def _inside(
     own: Points, other: Points, rows: IntArray, radius: FloatArray, beyond: FloatArray, least: float,
-    tuning: HolesTuning,
+    points_at_once: int,
 ) -> BoolArray:  # fmt: skip
     """(n,) mask of the points inside empty discs around ``rows`` that contain enough points."""
     isolated = ~_near_sampled(own, rows, radius, other)
@@ -189,7 +178,7 @@ def _inside(
     number = own.tree.query_ball_point(own.points[rows], np.nextafter(radius, 0.0), return_length=True)
     enough = number >= least
     centres, inner = own.points[rows[enough]], np.nextafter(radius - beyond, 0.0)[enough]
-    ends = np.flatnonzero(np.diff(np.cumsum(number[enough]) // tuning.at_once)) + 1
+    ends = np.flatnonzero(np.diff(np.cumsum(number[enough]) // points_at_once)) + 1
     for some in np.split(np.arange(len(centres)), ends):
         for rows_of_disc in own.tree.query_ball_point(centres[some], inner[some]):
             inside[rows_of_disc] = True

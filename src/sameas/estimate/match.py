@@ -21,27 +21,22 @@ import numpy as np
 from sameas.errors import InputError
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.em import MIN_PAIRS_TO_LEARN, EMState
+from sameas.estimate.em import MIN_PAIRS_TO_LEARN, EMState, EMTuning
 from sameas.estimate.error_grid import ENOUGH_PAIRS, MAX_AVERAGED, ErrorScan, mean_densities, scan_errors
 from sameas.estimate.error_trends import covariates, with_trends
-from sameas.estimate.gate_search import GateResult, GateSearch, has_excess, to_estimate
-from sameas.estimate.photometry import Photometry
-from sameas.estimate.result import (
+from sameas.estimate.gate_search import (
     DEFAULT_MATCH,
     GATE_STEP,
-    MAX_INTERPRETED,
-    MAX_RESOLUTION_FITS,
-    MAX_TREND_FITS,
-    MIN_GAIN_OF_GATE,
-    MIN_KEPT,
-    MIN_TAIL_GAIN,
-    MIN_TREND_GAIN,
     N_MODEL_PAIRS,
     SUSPECT_TAIL_GAIN,
-    TAIL_SEED,
-    Estimate,
+    GateResult,
+    GateSearch,
     MatchTuning,
+    has_excess,
+    to_estimate,
 )
+from sameas.estimate.photometry import Photometry
+from sameas.estimate.result import Estimate
 from sameas.estimate.sample import Sampling
 from sameas.evidence import Column, Errors, Magnitudes, Related
 from sameas.gate import ChiSquare, Radius
@@ -50,6 +45,19 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.space import ball_volume
+
+#: Gain in ln likelihood for another error model, over the quoted errors, or of common objects over chance.
+MIN_GAIN_OF_GATE = 8.0
+MAX_TREND_FITS, MIN_TREND_GAIN = 3, 2.0  # fits of growing errors, and the gain in ln likelihood for a further one
+MAX_RESOLUTION_FITS = 2
+#: A resolution is refused where fewer common objects than this share of those without it are left: the tails of the
+#: relation of the magnitudes explain such blends better, of three and more objects in the core of a cluster.
+MIN_KEPT = 0.99
+#: Records plus twice the expected chance candidates above which interpreting the kernels takes longer than reading the
+#: compiled ones from the cache (measured with 200 to 2 000 records).
+MAX_INTERPRETED = 2_300.0
+TAIL_SEED = (3.375, 0.1)  # scale (in typical errors) and share of the tail that the test for a tail starts from
+MIN_TAIL_GAIN = 4.0  # gain in ln likelihood to accept it (without a tail, clusters, ghosts and blends give at most 0.4)
 
 
 def match(
@@ -89,14 +97,14 @@ def match(
             raise InputError(f"{records.source} has no usable records; nothing can be identified")
     progress("densities")
     photometry = _photometry(first, second, brightness)
-    coverage = Coverage.of(first, second, tuning=tuning.coverage)
+    coverage = Coverage.of(first, second)
     columns = ColumnEvidence.of(first, second, evidence, tuning.columns)
     if _expected_work(coverage, density) > MAX_INTERPRETED:
         prefer_compiled()
     search = GateSearch(
         coverage, photometry, precision, density, gate, sampling, progress, tuning=tuning, columns=columns
     )
-    scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
+    scan = scan_errors(coverage, density) if errors is None and gate is None else None
     # With few records, errors by which they have nothing in common are averaged over too.
     few = min(len(first), len(second)) <= 2 * ENOUGH_PAIRS
     if scan is not None and scan.common < MAX_AVERAGED and (few or scan.contrast > MIN_GAIN_OF_GATE):
@@ -149,7 +157,6 @@ def match_sample(
     *,
     brightness: tuple[Magnitudes, Magnitudes] | None,
     columns: ColumnEvidence | None,
-    tuning: MatchTuning,
     progress: Callable[[str], None],
 ) -> SampleMatch:
     """The estimates from a sample drawn by the caller.
@@ -160,13 +167,13 @@ def match_sample(
     photometry = _photometry(coverage.first, coverage.second, brightness)
     all_records, density = Sampling(enough=2**62), assumed.density
     # Trends would apply to the records of the sample only; companions need all records.
-    tuning = replace(tuning, fits_trends=False, fits_resolution=False, em=replace(tuning.em, companions=None))
+    tuning = MatchTuning(fits_trends=False, fits_resolution=False, em=EMTuning(companions=False))
     search = GateSearch(
         coverage, photometry, assumed.precision, density, assumed.gate, all_records, progress, tuning=tuning,
         columns=columns,
     )  # fmt: skip
     estimated = assumed.errors is None and assumed.gate is None
-    scan = scan_errors(coverage, density, tuning.grid) if estimated else None
+    scan = scan_errors(coverage, density) if estimated else None
     search, result, remarks = _fit(search, scan, assumed.errors)
     result = search.without_message_errors(result)
     answer, result = search.identify_all(result)
@@ -232,9 +239,9 @@ def _fit_tail(search: GateSearch, result: GateResult) -> tuple[GateSearch, GateR
     Within a gate for quoted errors, pairs of the tail are hidden among chance candidates, and their number is missing
     from the number of common objects; farther out, only a tail gives more pairs than chance.
     """
-    tuning, scales = search.tuning, search.tuning.em.scales
+    tuning = search.tuning
     # Accepted after the last iteration, not in each: the gain of a tail grows with the number of common objects.
-    late = replace(tuning, em=replace(tuning.em, scales=replace(scales, significant_tail_gain=SUSPECT_TAIL_GAIN)))
+    late = replace(tuning, em=replace(tuning.em, significant_tail_gain=SUSPECT_TAIL_GAIN))
     while search.gate is None and result.suspects_tail() and result.iterations < tuning.max_iterations:
         min_sigmas = GATE_STEP * result.gate_sigmas
         seed_errors = _with_tail_seed(result.estimates.errors)
@@ -265,7 +272,7 @@ def _fit_trends(search: GateSearch, result: GateResult) -> tuple[GateSearch, Gat
             break
         model, trends, gain = with_trends(
             estimates.errors, estimates.setting.pairs, estimates.p_single(result.p_counted), quantities,
-            N_MODEL_PAIRS, search.trends, tuning.error_fit,
+            N_MODEL_PAIRS, search.trends,
         )  # fmt: skip
         if gain < (MIN_TREND_GAIN if search.trends else MIN_GAIN_OF_GATE):
             break

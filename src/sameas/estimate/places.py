@@ -26,19 +26,19 @@ from sameas.estimate.cells import FINEST_CELLS, GridLevel
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import (
     COVERAGE_PSEUDO_COUNT,
-    DEFAULT_COVERAGE,
+    HOLE,
     IN_CELL,
     LEFT_OUT,
     LOG_PRIOR_STEP,
     SHARED_PSEUDO_COUNT,
+    SMOOTHS,
     Coverage,
-    CoverageTuning,
 )
-from sameas.estimate.em import EMState, EMTuning
+from sameas.estimate.em import EMState
 from sameas.estimate.grades import Grades
 from sameas.estimate.match import Assumed, match_sample
 from sameas.estimate.photometry import Photometry
-from sameas.estimate.result import DEFAULT_MATCH, Estimate, MatchTuning
+from sameas.estimate.result import Estimate
 from sameas.estimate.sample import Sampling, Setting
 from sameas.estimate.share_regression import COLUMN_FOLDS
 from sameas.evidence import Column, Errors, Magnitudes, MeasuredMagnitudes, Related, Rule
@@ -56,20 +56,8 @@ COARSEST = 100_000.0  # records in the coarsest cells on average; larger cells g
 PARTLY = 2.0
 
 
-@dataclass(frozen=True)
-class PlacesTuning:
-    """Parameters of densities, coverage and shares from counts in cells; chosen.
-
-    smoothing_cells : about this many cells choose the smoothing of densities; those at borders, which matter most, are
-        few.
-    coverage : of the densities and holes, as for a match in one piece.
-    """
-
-    smoothing_cells: int = 300_000
-    coverage: CoverageTuning = DEFAULT_COVERAGE
-
-
-DEFAULT_PLACES = PlacesTuning()
+#: About this many cells choose the smoothing of densities; those at borders, which matter most, are few.
+SMOOTHING_CELLS = 300_000
 
 
 @in_short
@@ -123,7 +111,7 @@ class Places:
     density : (u, 2, 2) of the covered records of source k + 1 at records of its own, [:, k, 0], and of the other
     source, [:, k, 1]. seen : (u, 2) whether the other source observes there.
     share : (u, 2) of the records of a source there that have a partner. levels : steps from these to coarser cells.
-    volume : of a cell. tuning : with which they were made.
+    volume : of a cell.
     """
 
     cells: IntArray
@@ -133,11 +121,11 @@ class Places:
     share: FloatArray = field(repr=False)
     levels: tuple[int, ...]
     volume: float
-    tuning: PlacesTuning = field(default=DEFAULT_PLACES, repr=False)
 
     @classmethod
-    def of(cls, counts: CellCounts, volume: float, tuning: PlacesTuning = DEFAULT_PLACES) -> Places:
-        """From the counts of all records, in cells of this volume; shares are NaN.
+    def of(cls, counts: CellCounts, volume: float, smoothing_cells: int = SMOOTHING_CELLS) -> Places:
+        """From the counts of all records, in cells of this volume; shares are NaN. smoothing_cells : about this many
+        cells choose the smoothing of densities.
 
         Raises InputError: a source has no records.
         """
@@ -155,9 +143,9 @@ class Places:
             level, last = level.coarser(1), last + 1
         counts, levels = counts.coarser(finest), tuple(range(last - finest, -1, -1))
         cells, volume, numbers = counts.cells, volume * 4.0**finest, counts.numbers
-        covered = _covered_cells(cells, numbers, levels, volume, tuning)
-        density = _density(cells, numbers * covered, levels, volume, tuning)
-        return cls(cells, finest, density, covered, np.full((len(cells), 2), np.nan), levels, volume, tuning)
+        covered = _covered_cells(cells, numbers, levels, volume)
+        density = _density(cells, numbers * covered, levels, volume, smoothing_cells)
+        return cls(cells, finest, density, covered, np.full((len(cells), 2), np.nan), levels, volume)
 
     def at(self, counted: IntArray) -> IntArray:
         """Indices of records into ``cells``, from the cells in which they were counted."""
@@ -228,9 +216,7 @@ class Places:
 _COLUMNS = ("cells", "density", "seen", "share")
 
 
-def _covered_cells(
-    cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float, tuning: PlacesTuning
-) -> BoolArray:
+def _covered_cells(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float) -> BoolArray:
     """(u, 2) whether the other source observes there, as by ``kernels.coverage.check_cells``. volume : of a cell."""
     total = numbers.sum(axis=0).astype(np.float64)
     density = np.tile(total[::-1] / _field_volume(cells, numbers, levels[0], volume), (len(cells), 1))
@@ -238,21 +224,21 @@ def _covered_cells(
     for steps in levels:
         check_cells_nested(
             cells, numbers, 2 * steps, PARTLY, volume, IN_CELL * total / total[::-1],
-            tuning.coverage.hole, COVERAGE_PSEUDO_COUNT, density, highest, covered,
+            HOLE, COVERAGE_PSEUDO_COUNT, density, highest, covered,
         )  # fmt: skip
     return covered
 
 
 def _density(
-    cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float, tuning: PlacesTuning
+    cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float, smoothing_cells: int
 ) -> FloatArray:
     """(u, 2, 2) densities of the counted records of each source at its own records, [:, k, 0], and at the other's, as
     by ``Coverage.density``. volume : of a cell."""
     total, density = numbers.sum(axis=0).astype(np.float64), np.empty((len(cells), 2, 2))
     own, others = density[:, :, 0], density[:, :, 1]
     own[:] = others[:] = (total + 0.5) / _field_volume(cells, numbers, levels[0], volume)
-    partly, coverage, open_ = PARTLY, tuning.coverage, total > 0.0
-    smooths, sampled = np.array(coverage.smooths), min(tuning.smoothing_cells / len(cells), 1.0)
+    partly, open_ = PARTLY, total > 0.0
+    smooths, sampled = np.array(SMOOTHS), min(smoothing_cells / len(cells), 1.0)
     log_prior = -LOG_PRIOR_STEP * np.arange(len(smooths))
     for steps in levels:
         score = np.zeros((2, len(smooths) + 1))
@@ -322,7 +308,7 @@ class Learned:
     errors : of the evidence. start, gate_sigmas : errors of the gate's distances, and its radius in these.
     means : overall shares with a partner. photometry, grades, columns : fits without records.
     density : of all records of each source if given by the user. places : densities, coverage and shares.
-    tuning : of the rule. estimate : of the sample, for reports; None if not needed.
+    estimate : of the sample, for reports; None if not needed.
     """
 
     errors: Errors
@@ -334,7 +320,6 @@ class Learned:
     columns: ColumnEvidence | None = field(repr=False)
     density: tuple[float, float] | None
     places: Places
-    tuning: EMTuning
     estimate: Estimate | None = field(repr=False, default=None)
 
     def pairs(self, first: Records, second: Records) -> Pairs:
@@ -367,7 +352,7 @@ class Learned:
         estimates = EMState(
             setting, (np.full(n1, self.means[0]), np.full(n2, self.means[1])), counted,
             (share[at_1, 0], share[at_2, 1]), self.errors, False, photometry,
-            self.density, tuning=self.tuning,
+            self.density,
         )  # fmt: skip
         if self.grades is not None:
             estimates = replace(estimates, grades=self.grades.for_setting(setting, photometry))
@@ -408,7 +393,6 @@ def learn(
     *,
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
     evidence: Sequence[Column | Related] = (),
-    tuning: MatchTuning = DEFAULT_MATCH,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Learned:
     """The estimates for all records, from a sample.
@@ -428,9 +412,9 @@ def learn(
     coverage = _SampleCoverage(
         first, second, sample.volume, sample.counted, covered, places.densities(*at), of_part=levels
     )
-    columns = ColumnEvidence.of(first, second, evidence, tuning.columns)
+    columns = ColumnEvidence.of(first, second, evidence)
     columns = columns and replace(columns, folds=places.folds(cells, COLUMN_FOLDS))
-    matched = match_sample(coverage, assumed, brightness=brightness, columns=columns, tuning=tuning, progress=progress)
+    matched = match_sample(coverage, assumed, brightness=brightness, columns=columns, progress=progress)
     estimates = matched.estimates
     weights = [(s & c).astype(np.float64) for s, c in zip(covered, estimates.counted, strict=True)]
     part = [p * w for p, w in zip(estimates.p_partner, weights, strict=True)]
@@ -440,7 +424,7 @@ def learn(
         means=estimates.mean_shares, photometry=_without_records(estimates.photometry),
         grades=None if estimates.grades is None or estimates.grades.rule is None else _without_grades(estimates.grades),
         columns=estimates.columns and estimates.columns.without_records(), density=assumed.density, places=places,
-        tuning=tuning.em, estimate=matched.estimate,
+        estimate=matched.estimate,
     )  # fmt: skip
 
 

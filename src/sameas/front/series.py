@@ -20,7 +20,7 @@ from sameas.front.provenance import program
 from sameas.io import read_table, write_table
 from sameas.io.atomic import filling
 from sameas.sky.frame.image import Frame
-from sameas.sky.series import DEFAULT_SERIES, MIN_OVERLAP, Exposure, Series, SeriesTuning, tie
+from sameas.sky.series import MIN_OVERLAP, Exposure, Series, tie
 
 #: Extensions of frames in a folder, without that of a compression.
 ENDINGS = (".fits", ".fit", ".fts")
@@ -114,13 +114,10 @@ class FieldSeries:
     filter: str
 
 
-def series_of(
-    done: Sequence[IdentifiedFrame], *, by_filter: bool = True, tuning: SeriesTuning = DEFAULT_SERIES
-) -> tuple[list[FieldSeries], list[str]]:
+def series_of(done: Sequence[IdentifiedFrame], *, by_filter: bool = True) -> tuple[list[FieldSeries], list[str]]:
     """The series among identified frames, the longest first, and the reasons why other frames are in none.
 
     by_filter : one series per filter; False for the search of movers, which uses all frames of a field.
-    tuning : of :func:`sameas.sky.series.tie`.
     """
     kept, reasons = [], []
     for one in done:
@@ -135,7 +132,7 @@ def series_of(
             continue
         group = sorted(group, key=lambda pair: pair[1].mjd_utc)
         try:
-            series = tie([exposure for _, exposure in group], tuning)
+            series = tie([exposure for _, exposure in group])
         except InputError as error:
             reasons.append(str(error))
             continue

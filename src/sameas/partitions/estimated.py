@@ -20,9 +20,7 @@ from sameas.partitions import healpix
 from sameas.partitions.hats import OWN, Cell, HatsCatalogue
 from sameas.partitions.part import (
     COMPETING,
-    DEFAULT_PART,
     Counted,
-    PartTuning,
     Side,
     Work,
     brightness,
@@ -61,19 +59,6 @@ MIN_HALO_ARCSEC = 1.0  # lower limit of both
 MAX_ROWS_IN_PROCESS = 3_000_000
 #: Size of the sample. Noqa: RUF009.
 SAMPLING = Sampling()
-
-
-@dataclass(frozen=True)
-class RunTuning:
-    """Numbers of a run, all chosen.
-
-    part : of every part.
-    """
-
-    part: PartTuning = DEFAULT_PART
-
-
-DEFAULT_RUN = RunTuning()
 
 
 @in_short
@@ -121,7 +106,6 @@ def estimate(
     workers: Workers,
     scratch: Path,
     progress: Progress = lambda stage: None,
-    tuning: RunTuning = DEFAULT_RUN,
 ) -> Estimated:
     """Everything that has to be estimated from two catalogues: once, from the counts of all partitions and a sample.
 
@@ -140,9 +124,7 @@ def estimate(
     epochs, assumed_epochs = with_known_epochs(samples, options.epoch_jyr)
     epoch, moved = common_epoch(epochs[0], epochs[1], options.epoch_jyr)
     bare = tuple(Side(one, without_rows(sample), epoch, 0) for one, sample in zip(stored, epochs, strict=True))
-    work = Work(
-        (bare[0], bare[1]), options.magnitudes, tuple(options.evidence), join, nway_columns, np.inf, tuning=tuning.part
-    )
+    work = Work((bare[0], bare[1]), options.magnitudes, tuple(options.evidence), join, nway_columns, np.inf)
     chunks = [_Chunks.of(side, work.columns(k)) for k, side in enumerate(bare, 1)]
     order = max(one.order for one in chunks)
     far = max(FAR_ARCSEC, FAR_SIGMAS * max(one.sigma_arcsec for one in chunks))

@@ -58,17 +58,7 @@ MAX_SHARE = 0.8  # if a sum needs more than this share of all records, it takes 
 FINER = 3  # orders by which the cells along the halo's edge are finer than cells of the halo's width
 
 
-@dataclass(frozen=True)
-class PartTuning:
-    """Numbers of the halo of a part and of the sums over its groups.
-
-    counted_at_once : rows of a partition that are counted at once; about 200 bytes each.
-    """
-
-    counted_at_once: int = 200_000
-
-
-DEFAULT_PART = PartTuning()
+COUNTED_AT_ONCE = 200_000  # rows of a partition that are counted at once; about 200 bytes each
 #: Masks (n₁,) and (n₂,) of the records of both catalogues.
 Both = tuple[BoolArray, BoolArray]
 #: Largest distance of a cell's centre from its corners, in units of its side.
@@ -204,17 +194,16 @@ class Work:
     halo_arcsec: float = 0.0
     margin_arcsec: float = 0.0
     learned: Learned | None = None
-    tuning: PartTuning = DEFAULT_PART
 
     def columns(self, side: int) -> list[str]:
         """The columns of catalogue 1 or 2 that the identification needs."""
         return self.sides[side - 1].columns(self.magnitudes, self.evidence)
 
-    def count(self, side: int, cell: Cell) -> Counted:
+    def count(self, side: int, cell: Cell, rows_at_once: int = COUNTED_AT_ONCE) -> Counted:
         """The counts of a partition of catalogue 1 or 2."""
         one, none = self.sides[side - 1], np.empty(0, np.int64)
         counts, number, far_cells = [CellCounts.of(none, none)], 0, [none]
-        for table in one.stored.pieces(cell, self.columns(side), self.tuning.counted_at_once):
+        for table in one.stored.pieces(cell, self.columns(side), rows_at_once):
             rows = one.rows(table)
             far = (rows.moved_arcsec > self.far_arcsec) | (rows.sigma_arcsec * 10.0 > self.far_arcsec)
             counts.append(CellCounts.of(rows.cells, none) if side == 1 else CellCounts.of(none, rows.cells))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,24 +33,14 @@ MAX_RECORDS = 4000  # maximum number of records used, evenly sampled
 MAX_PRODUCTS = 4_000_000
 
 
-@dataclass(frozen=True)
-class CommonErrorTuning:
-    """How a common position error is estimated; all chosen.
-
-    max_rows, strips : larger catalogues are reduced to about ``max_rows`` rows, in this many strips of declination.
-    """
-
-    max_rows: int = 40_000
-    strips: int = 2
-
-
-COMMON_ERROR = CommonErrorTuning()
+#: Larger catalogues are reduced to about this many rows, in this many strips of declination.
+MAX_ROWS, STRIPS = 40_000, 2
 
 _UNITS = ("mas", "arcsec", "deg")
 
 
 def completed(
-    catalogues: Sequence[Catalogue], epoch_jyr: float | None = None, tuning: CommonErrorTuning = COMMON_ERROR
+    catalogues: Sequence[Catalogue], epoch_jyr: float | None = None
 ) -> tuple[list[Catalogue], tuple[str, ...]]:
     """The catalogues with missing epochs, errors and units assumed, and one doubt per assumption.
 
@@ -60,7 +50,7 @@ def completed(
     result, doubts = list(with_epochs), list(of_epochs)
     for k, catalogue in enumerate(with_epochs):
         if catalogue.error_is_unknown:
-            sigma, source = _error_against_others(with_epochs, k, tuning)
+            sigma, source = _error_against_others(with_epochs, k)
             text = (
                 f"{catalogue.name}: it has no position errors; {sigma:.2g} arcsec on each axis was assumed, {source}; "
             )
@@ -68,7 +58,7 @@ def completed(
             result[k] = catalogue.with_error(PositionError("number", sigma_arcsec=sigma, reason="assumed"))
     for k, catalogue in enumerate(result):
         if catalogue.choice.error.guessed_unit:
-            result[k], doubt = _with_likelier_unit(result, k, tuning)
+            result[k], doubt = _with_likelier_unit(result, k)
             doubts += [doubt] if doubt else []
     return result, tuple(doubts)
 
@@ -102,13 +92,13 @@ def _epoch_of_others(catalogues: Sequence[Catalogue], k: int, epoch_jyr: float |
     return float(np.median(moving)) if moving else None
 
 
-def _error_against_others(catalogues: Sequence[Catalogue], k: int, tuning: CommonErrorTuning) -> tuple[float, str]:
+def _error_against_others(catalogues: Sequence[Catalogue], k: int) -> tuple[float, str]:
     """The common error of catalogue ``k``, arcsec, and a text on its origin."""
     found = []
     for other, catalogue in enumerate(catalogues):
         if other != k:
             shared = catalogue.error_is_unknown
-            sigma, share = common_error(catalogues[k], catalogue, shared=shared, tuning=tuning)
+            sigma, share = common_error(catalogues[k], catalogue, shared=shared)
             found.append((share, sigma, catalogue.name))
     share, sigma, name = max(found)
     if share <= 0.0:
@@ -116,13 +106,13 @@ def _error_against_others(catalogues: Sequence[Catalogue], k: int, tuning: Commo
     return sigma, f"estimated from the distances to {name}"
 
 
-def _with_likelier_unit(catalogues: Sequence[Catalogue], k: int, tuning: CommonErrorTuning) -> tuple[Catalogue, str]:
+def _with_likelier_unit(catalogues: Sequence[Catalogue], k: int) -> tuple[Catalogue, str]:
     """Catalogue ``k`` with its errors in the unit that fits the distances best, and a doubt if the unit changed."""
     catalogue, error = catalogues[k], catalogues[k].choice.error
     others = [other for j, other in enumerate(catalogues) if j != k and other.choice.error.reason != "assumed"]
     if not others:
         return catalogue, ""
-    estimates = [common_error(catalogue, other, tuning=tuning) for other in others]
+    estimates = [common_error(catalogue, other) for other in others]
     sigma, share = max(estimates, key=lambda estimate: estimate[1])
     variance = 0.5 * (catalogue.astrometry.variance(0) + catalogue.astrometry.variance(1))
     known = variance[np.isfinite(variance)]
@@ -148,15 +138,15 @@ def _is_guessed(column: ChosenColumn) -> bool:
 
 
 def common_error(
-    catalogue: Catalogue, other: Catalogue, *, shared: bool = False, tuning: CommonErrorTuning = COMMON_ERROR
+    catalogue: Catalogue, other: Catalogue, *, shared: bool = False, max_rows: int = MAX_ROWS
 ) -> tuple[float, float]:
     """The position error per axis, arcsec, from the distances to another catalogue, and the share of partners.
 
     The share is 0 where nothing can be estimated: no records, or a copy of the same records.
 
-    shared : the errors of the other catalogue are unknown too, and assumed equal.
+    shared : the errors of the other catalogue are unknown too, and assumed equal. max_rows : of :func:`in_strips`.
     """
-    position, variances = _positions(*in_strips(catalogue, other, tuning), shared)
+    position, variances = _positions(*in_strips(catalogue, other, max_rows), shared)
     if not len(position[0]) or not len(position[1]):
         return USUAL_ARCSEC, 0.0
     # Start from the smaller catalogue: hardly any records of a deep one have a partner in a sparse one.
@@ -181,18 +171,18 @@ def common_error(
     return float(s[best_s, 0]), float(shares[best_share])
 
 
-def in_strips(one: Catalogue, two: Catalogue, tuning: CommonErrorTuning) -> tuple[Catalogue, Catalogue]:
-    """Both catalogues, large ones reduced to strips of declination.
+def in_strips(one: Catalogue, two: Catalogue, max_rows: int) -> tuple[Catalogue, Catalogue]:
+    """Both catalogues, large ones reduced to strips of declination with about ``max_rows`` rows.
 
     The strips of the larger catalogue are twice as high, so that records at the edge of a strip keep their partners and
     neighbours.
     """
-    share = tuning.max_rows / max(len(one), len(two))
+    share = max_rows / max(len(one), len(two))
     if share >= 1.0:
         return one, two
     smaller = min(one, two, key=len)
     dec_deg = smaller.astrometry.dec_deg[np.isfinite(smaller.astrometry.dec_deg)]
-    middle, half = (np.arange(tuning.strips) + 0.5) / tuning.strips, 0.25 * share / tuning.strips
+    middle, half = (np.arange(STRIPS) + 0.5) / STRIPS, 0.25 * share / STRIPS
     ranks = (np.array([middle - half, middle + half]) * (len(dec_deg) - 1)).round().astype(np.intp)
     low, high = np.partition(dec_deg, ranks.ravel())[ranks]
     margin = 0.5 * (high - low)

@@ -39,25 +39,8 @@ from sameas.sky.systematics import WARP_PASSES, Warp, find_rotation, find_warp
 MAX_RECORDS_PER_ERROR = 20.0
 #: Tables longer than SAMPLED_FROM_ROWS are checked for this on one declination ring of cells in SAMPLED_RINGS.
 SAMPLED_FROM_ROWS, SAMPLED_RINGS = 100_000, 16.0
-
-
-@dataclass(frozen=True)
-class CrossmatchTuning:
-    """Thresholds for refusing input, and for doubting a result; all chosen.
-
-    same_epoch_years : a catalogue without motions whose epoch differs by more from a given common epoch raises a doubt.
-    sort_by_position : whether records are sorted by position. Samples of every k-th record then do not depend on the
-        order of the table's rows, and neighbours on the sky are neighbours in memory (a million rows in table order
-        take a third longer).
-    doubts : thresholds for doubting a result.
-    warp : of the smooth warp that is searched with a shift and rotation.
-    """
-
-    same_epoch_years: float = 0.5
-    sort_by_position: bool = True
-
-
-TUNING = CrossmatchTuning()
+#: A catalogue without motions whose epoch differs by more years from a given common epoch raises a doubt (chosen).
+SAME_EPOCH_YEARS = 0.5
 
 
 @in_short
@@ -123,7 +106,6 @@ def match(
     options: MatchOptions | None = None,
     *,
     progress: Callable[[str], None] = lambda stage: None,
-    tuning: CrossmatchTuning = TUNING,
 ) -> SkyMatch:
     """Crossmatch of two catalogues.
 
@@ -131,7 +113,6 @@ def match(
     ----------
     first, second : the catalogues.
     options : given values. progress : called with the name of the current stage.
-    tuning : thresholds for refusing or doubting the result, and of the warp.
 
     Raises
     ------
@@ -140,9 +121,10 @@ def match(
     options = MatchOptions() if options is None else options
     progress("motion")
     (first, second), assumed = completed((first, second), options.epoch_jyr)
-    epoch, epoch_note, one, two = at_common_epoch(first, second, options.epoch_jyr, tuning)
-    if tuning.sort_by_position:
-        one, two = threads.each([partial(by_position, records) for records in (one, two)], len(one) + len(two))
+    epoch, epoch_note, one, two = at_common_epoch(first, second, options.epoch_jyr)
+    # Samples of every k-th record then do not depend on the order of the rows, and neighbours on the sky are neighbours
+    # in memory (a million rows in table order take a third longer).
+    one, two = threads.each([partial(by_position, records) for records in (one, two)], len(one) + len(two))
     _refuse_large_errors(one, two)
     search = find_rotation(one, two, progress) if options.offset == "find" else None
     rotation = None if search is None or search.by_chance else search
@@ -164,20 +146,20 @@ def match(
         result, estimate = run_match(one, warp.of(two))
     matched = SkyMatch(first, second, epoch, epoch_note, result, estimate, (), rotation, warp)
     disjoint = disjoint_doubt(first, second, one, two) if hardly_any_common(result, estimate) else ()
-    left_behind = left_behind_doubt(first, second, options.epoch_jyr, tuning)
+    left_behind = left_behind_doubt(first, second, options.epoch_jyr)
     doubts = assumed + left_behind + density_doubts(estimate.coverage, options.density_per_deg2)
     doubts += match_doubts(matched, search, disjoint, left_behind)
     return replace(matched, doubts=doubts)
 
 
 def at_common_epoch(
-    first: Catalogue, second: Catalogue, epoch_jyr: float | None = None, tuning: CrossmatchTuning = TUNING
+    first: Catalogue, second: Catalogue, epoch_jyr: float | None = None
 ) -> tuple[float | None, str, Records, Records]:
     """The common epoch, a sentence that explains it, and the records of both catalogues at this epoch.
 
     Raises InputError: no usable rows; a common epoch is needed and not known.
     """
-    epoch, note = common_epoch(first, second, epoch_jyr, tuning)
+    epoch, note = common_epoch(first, second, epoch_jyr)
     calls = [partial(catalogue.records, epoch) for catalogue in (first, second)]
     one, two = threads.each(calls, len(first) + len(second))
     for catalogue, records in ((first, one), (second, two)):
@@ -249,16 +231,14 @@ def _records_per_cell(position_deg: FloatArray, side_arcsec: float) -> float:
     return len(lon) / (int(np.count_nonzero(np.diff(cell))) + 1)
 
 
-def common_epoch(
-    first: Catalogue, second: Catalogue, epoch_jyr: float | None, tuning: CrossmatchTuning = TUNING
-) -> tuple[float | None, str]:
+def common_epoch(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -> tuple[float | None, str]:
     """The common epoch, None if no positions are moved, and a sentence that explains it.
 
     A catalogue without proper motions stays at its epoch and the other one is moved; if both have proper motions, the
     epoch of the second is used.
     """
     if epoch_jyr is not None:
-        return epoch_jyr, _given_epoch_note(first, second, epoch_jyr, tuning)
+        return epoch_jyr, _given_epoch_note(first, second, epoch_jyr)
     epoch_1, epoch_2 = first.epoch_jyr, second.epoch_jyr
     if epoch_1 is None or epoch_2 is None:
         if not first.has_motion and not second.has_motion:
@@ -282,13 +262,13 @@ def common_epoch(
     )
 
 
-def _given_epoch_note(first: Catalogue, second: Catalogue, epoch_jyr: float, tuning: CrossmatchTuning) -> str:
+def _given_epoch_note(first: Catalogue, second: Catalogue, epoch_jyr: float) -> str:
     """A sentence that says which catalogues are moved to the epoch that was given."""
     moving = [catalogue for catalogue in (first, second) if catalogue.has_motion]
     if not moving:
         unmoved = "but neither catalogue has proper motions: no positions are moved, errors are widened"
         return f"{epoch_jyr:g} (option), {unmoved}"
-    staying = _left_behind(first, second, epoch_jyr, tuning)
+    staying = _left_behind(first, second, epoch_jyr)
     if staying is None:
         names = "both catalogues" if len(moving) == 2 else moving[0].name
         return f"{names} moved to {epoch_jyr:g} (option)"
@@ -296,25 +276,21 @@ def _given_epoch_note(first: Catalogue, second: Catalogue, epoch_jyr: float, tun
     return f"{moving[0].name} moved to {epoch_jyr:g} (option); {stays}"
 
 
-def _left_behind(
-    first: Catalogue, second: Catalogue, epoch_jyr: float | None, tuning: CrossmatchTuning
-) -> Catalogue | None:
+def _left_behind(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -> Catalogue | None:
     """The catalogue without motions that stays years away from the given epoch while the other is moved; or None."""
     if epoch_jyr is None or first.has_motion == second.has_motion:
         return None
     staying = second if first.has_motion else first
-    away = staying.epoch_jyr is not None and abs(staying.epoch_jyr - epoch_jyr) > tuning.same_epoch_years
+    away = staying.epoch_jyr is not None and abs(staying.epoch_jyr - epoch_jyr) > SAME_EPOCH_YEARS
     return staying if away else None
 
 
-def left_behind_doubt(
-    first: Catalogue, second: Catalogue, epoch_jyr: float | None, tuning: CrossmatchTuning = TUNING
-) -> tuple[str, ...]:
+def left_behind_doubt(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -> tuple[str, ...]:
     """A doubt about a given common epoch that only one catalogue can be moved to; empty if there is none.
 
     The stars of the other are then compared with where they were at its own epoch.
     """
-    staying = _left_behind(first, second, epoch_jyr, tuning)
+    staying = _left_behind(first, second, epoch_jyr)
     if staying is None:
         return ()
     assert staying.epoch_jyr is not None

@@ -53,11 +53,9 @@ from sameas.sky.evidence_columns import AUTO, OFF
 from sameas.sky.population import (
     CONVERGED_SHARE,
     POPULATION_ITERATIONS,
-    TUNING,
     AstrometricRecords,
     Coverages,
     Population,
-    PopulationTuning,
     fitted,
     initial_population,
     moving_rows,
@@ -331,7 +329,6 @@ def match_many(
     options: ManyOptions | None = None,
     *,
     progress: Callable[[str], None] = lambda stage: None,
-    tuning: PopulationTuning = TUNING,
 ) -> ManyMatch:
     """Joint crossmatch of two or more catalogues.
 
@@ -339,7 +336,7 @@ def match_many(
     ----------
     catalogues : with different names; their order has no effect.
     options : given values.
-    progress : called with the name of each stage. tuning : parameters of the population estimate.
+    progress : called with the name of each stage.
 
     Raises
     ------
@@ -365,9 +362,9 @@ def match_many(
     if options.magnitudes != OFF:
         two = {(a, b): candidate_indices(match, records[a], records[b]) for (a, b), match in matches.items()}
         magnitudes = SetMagnitudes.of(matches, ordered, records, two)
-    population = _initial_population(matches, records, coverages, options, tuning)
+    population = _initial_population(matches, records, coverages, options)
     observers = StarObservers.of(pooled_records, records, astrometric, population, magnitudes)
-    em = _estimate_population(replace(pooled_records, observers=observers), coverages, options, progress, tuning)
+    em = _estimate_population(replace(pooled_records, observers=observers), coverages, options, progress)
     objects = Objects(tuple(records_as_given), em.pooled, em.sets, em.answer, em.terms)
     expected = _by_names(em.expected, order, [catalogue.name for catalogue in catalogues])
     pairs = {(ordered[a].name, ordered[b].name): match for (a, b), match in matches.items()}
@@ -471,7 +468,6 @@ def _estimate_population(
     coverages: Coverages,
     options: ManyOptions,
     progress: Callable[[str], None],
-    tuning: PopulationTuning,
 ) -> _Estimate:
     """Population and probabilities of the sets by EM."""
     observers = pooled_records.observers
@@ -491,7 +487,7 @@ def _estimate_population(
         if converged or iteration == POPULATION_ITERATIONS:
             break
         previous = expected
-        population = population.m_step(members, log_weight.chi_sq, best.probability, coverages, tuning)
+        population = population.m_step(members, log_weight.chi_sq, best.probability, coverages)
     observers = replace(observers, population=population)
     pooled_records = replace(pooled_records, observers=observers)
     return _Estimate(
@@ -532,7 +528,7 @@ class _LogWeight:
 
 
 def _initial_population(
-    matches: Matches, records: Sequence[Records], coverages: Coverages, options: ManyOptions, tuning: PopulationTuning
+    matches: Matches, records: Sequence[Records], coverages: Coverages, options: ManyOptions
 ) -> Population:
     """The initial population of EM, from the pairwise matches."""
     p_partner: dict[tuple[int, int], FloatArray] = {}
@@ -540,7 +536,7 @@ def _initial_population(
         for (s, t), answers in zip(((a, b), (b, a)), match.result.both_answers, strict=True):
             p_partner[s, t] = 1.0 - np.ma.filled(answers.p_none, 1.0)[records[s].rows]
     errors = {1 << a | 1 << b: match.estimate.spread for (a, b), match in matches.items()}
-    return initial_population(coverages, p_partner, errors, options.error_scale == "auto", tuning)
+    return initial_population(coverages, p_partner, errors, options.error_scale == "auto")
 
 
 def _refuse(catalogues: Sequence[Catalogue]) -> None:

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.estimate.coverage import SHARED_PSEUDO_COUNT, Coverage, local_share
-from sameas.estimate.em import DEFAULT_EM, MIN_LARGEST_SCALE, MIN_PAIRS_TO_LEARN, EMTuning
+from sameas.estimate.em import MIN_LARGEST_SCALE, MIN_PAIRS_TO_LEARN, MIN_SHARE
 from sameas.estimate.error_scales import fit_errors
 from sameas.evidence import Errors
 from sameas.gaussian import LOG_2PI, InformationSum, inverse, log_density, propagated
@@ -221,19 +221,6 @@ MIN_P_SET = 1e-3  # minimum probability of a set used for the errors
 LARGEST_P_SET = 1.0 - 1e-9  # maximum probability of a set, to keep its odds finite
 
 
-@dataclass(frozen=True)
-class PopulationTuning:
-    """Parameters of the estimate of the population (EM), all chosen.
-
-    em : of the matches of two; its limits hold for sets too.
-    """
-
-    em: EMTuning = DEFAULT_EM
-
-
-TUNING = PopulationTuning()
-
-
 @in_short
 @dataclass(frozen=True)
 class Population:
@@ -283,14 +270,7 @@ class Population:
         """(n,) ln ρ of objects in catalogue s alone, at its records."""
         return self.log_density[s][:, 1 << s]
 
-    def m_step(
-        self,
-        sets: IntArray,
-        chi_sq: FloatArray,
-        probability: FloatArray,
-        coverages: Coverages,
-        tuning: PopulationTuning,
-    ) -> Population:
+    def m_step(self, sets: IntArray, chi_sq: FloatArray, probability: FloatArray, coverages: Coverages) -> Population:
         """The maximum-likelihood population given probabilities of sets (k, S) (the M step)."""
         patterns = patterns_of(sets)
         shares = []
@@ -303,7 +283,7 @@ class Population:
         errors = self.errors
         if self.estimates_errors:
             errors = self._fitted_errors(patterns, chi_sq, probability)
-        return replace(self, log_density=log_densities(coverages, shares, tuning.em.min_share), errors=errors)
+        return replace(self, log_density=log_densities(coverages, shares, MIN_SHARE), errors=errors)
 
     def _fitted_errors(self, patterns: IntArray, chi_sq: FloatArray, probability: FloatArray) -> dict[int, Errors]:
         fitted_errors = dict(self.errors)
@@ -325,7 +305,6 @@ def initial_population(
     p_partner: Mapping[tuple[int, int], FloatArray],
     errors: Mapping[int, Errors],
     estimates_errors: bool,
-    tuning: PopulationTuning,
 ) -> Population:
     """The initial population of EM, from the pairwise matches, with independent non-detections.
 
@@ -347,7 +326,7 @@ def initial_population(
     for pattern in range(1, 1 << n_sources):
         if pattern.bit_count() > 2:
             by_pattern[pattern] = max((errors[pair] for pair in pairs_within(pattern)), key=lambda e: e.typical_scale)
-    return Population(log_densities(coverages, shares, tuning.em.min_share), by_pattern, estimates_errors)
+    return Population(log_densities(coverages, shares, MIN_SHARE), by_pattern, estimates_errors)
 
 
 def _with_common_errors(by_pattern: Mapping[int, Errors]) -> dict[int, Errors]:

@@ -26,7 +26,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
 from sameas.errors import InputError
 from sameas.representation import in_short
 from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
-from sameas.sky.series_stars import STAR_TUNING, SeriesMeasurements, SeriesStars, StarTuning, gather
+from sameas.sky.series_stars import SeriesMeasurements, SeriesStars, gather
 from sameas.space import ARCSEC_PER_RADIAN, directions_deg, from_plane, to_plane, unit_vectors
 
 if TYPE_CHECKING:
@@ -51,19 +51,6 @@ OFTEN = 0.5  # minimum share of the other frames that show a stationary source w
 MIN_P_STAR = 0.5  # minimum probability of a catalogue star
 COMPARED = 24  # number of frames, evenly over the series, with which each measurement is compared
 MIN_OVERLAP = 0.7  # maximum offset of a frame from the middle of the field, as a share of its diagonal
-
-
-@dataclass(frozen=True)
-class SeriesTuning:
-    """Parameters for tying a series together.
-
-    stars : of the stars and their zero points.
-    """
-
-    stars: StarTuning = STAR_TUNING
-
-
-DEFAULT_SERIES = SeriesTuning()
 
 
 @in_short
@@ -280,7 +267,7 @@ class Series:
 _UNITS = {"_deg": "deg", "_arcsec": "arcsec", "_mag": "mag"}
 
 
-def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_SERIES) -> Series:
+def tie(exposures: Sequence[Exposure]) -> Series:
     """A series of frames of one field, tied together, with stationary sources marked.
 
     Raises InputError: fewer than two frames; frames of different fields; frames of the same time.
@@ -317,7 +304,7 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_SERIES) ->
         tied, frame, sigma, names, everything["flux"], everything["flux_err"],
         (everything["flags"] & int(_PARTIAL)) == 0, everything["magnitude"], len(ordered),
     )  # fmt: skip
-    stars = gather(measured, stationary & ~fixed, 0.25 * float(np.median(scale)), tuning.stars)
+    stars = gather(measured, stationary & ~fixed, 0.25 * float(np.median(scale)))
     magnitude = stars.magnitudes(everything["flux"], frame)
     each = [(tied - place)[frame == k] for k in range(len(ordered))]
     shift = np.array([np.median(off, axis=0) if len(off) else [0.0, 0.0] for off in each])

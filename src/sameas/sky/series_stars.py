@@ -30,17 +30,7 @@ ITERATIONS = 40  # of the fit
 HUBER = 2.0  # residuals beyond this many errors get a lower weight
 
 
-@dataclass(frozen=True)
-class StarTuning:
-    """Parameters for the stars of a series and their zero points; all chosen.
-
-    min_ensemble : minimum number of stars for a zero point.
-    """
-
-    min_ensemble: int = 3
-
-
-STAR_TUNING = StarTuning()
+MIN_ENSEMBLE = 3  # minimum number of stars for a zero point
 
 
 @in_short
@@ -105,9 +95,7 @@ class SeriesMeasurements:
     frames: int
 
 
-def gather(
-    measured: SeriesMeasurements, stationary: BoolArray, blur_arcsec: float, tuning: StarTuning = STAR_TUNING
-) -> SeriesStars:
+def gather(measured: SeriesMeasurements, stationary: BoolArray, blur_arcsec: float) -> SeriesStars:
     """The stars among the measurements of a series.
 
     stationary : (n,) mask. blur_arcsec : extra position scatter of faint stars.
@@ -126,7 +114,7 @@ def gather(
         error = np.where(has_row & (flux[at] > 0), POGSON * measured.flux_err[at] / flux[at], np.nan)
     usable = np.isfinite(raw) & np.isfinite(error) & whole[at]
     often = usable.sum(axis=1) >= max(2.0, OFTEN * frames)
-    zero, zero_error, ensemble, floor = _ensemble(raw, error, usable & often[:, None], tuning)
+    zero, zero_error, ensemble, floor = _ensemble(raw, error, usable & often[:, None])
     zero_offset, scale = _catalogue_scale(measured.magnitude, _instrumental(flux) + zero[measured.frame])
     zero = zero + zero_offset
     light = np.where(whole[at], raw + zero, np.nan)
@@ -190,13 +178,11 @@ def _rows(
     return rows[keep], names[keep]
 
 
-def _ensemble(
-    raw: FloatArray, error: FloatArray, usable: BoolArray, tuning: StarTuning
-) -> tuple[FloatArray, FloatArray, IntArray, float]:
+def _ensemble(raw: FloatArray, error: FloatArray, usable: BoolArray) -> tuple[FloatArray, FloatArray, IntArray, float]:
     """(f,) zero points with mean 0, their errors and numbers of stars, and the floor, by iterated weighted means."""
     frames = raw.shape[1]
     ensemble = usable.sum(axis=0)
-    good = ensemble >= tuning.min_ensemble
+    good = ensemble >= MIN_ENSEMBLE
     usable = usable & good
     usable &= usable.sum(axis=1, keepdims=True) > 1
     if not usable.any():

@@ -30,9 +30,9 @@ from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.measurements import POGSON, Flag, Measurements
-from sameas.sky.frame.photometry import DEFAULT_PHOTOMETRY, Completeness, PhotometryTuning, ZeroPoint, instrumental
+from sameas.sky.frame.photometry import Completeness, ZeroPoint, instrumental
 from sameas.sky.frame.place import Placement, place
-from sameas.sky.frame.plate import DEFAULT_PLATE, MatchedStars, PlateModel, PlateTuning, fit_plate, terms
+from sameas.sky.frame.plate import MatchedStars, PlateModel, fit_plate, terms
 from sameas.sky.frame.pointing import Pointing
 from sameas.sky.frame.pointing_hints import AIM_LISTS, Aim, AimLists, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.sky.residual_epoch import LARGEST_SIGMAS, MovedPairs, Questioned
@@ -63,21 +63,6 @@ HIDDEN_WIDTHS, BRIGHTER_MAG = 4.0, 0.5
 
 
 @dataclass(frozen=True)
-class RefinementTuning:
-    """Parameters of the refinement, all chosen.
-
-    plate : of the fits of plates.
-    photometry : of zero point and completeness.
-    """
-
-    plate: PlateTuning = DEFAULT_PLATE
-    photometry: PhotometryTuning = DEFAULT_PHOTOMETRY
-
-
-DEFAULT_REFINEMENT = RefinementTuning()
-
-
-@dataclass(frozen=True)
 class Refinement:
     """How identification and plate are refined.
 
@@ -85,14 +70,12 @@ class Refinement:
     converged_px : maximum change of a prediction at convergence.
     magnitudes : "auto" uses magnitudes as evidence from the second iteration on, if the catalogue has them; "off" does
         not.
-    tuning : of the refinement.
     """
 
     order: int | None = None
     iterations: int = 8
     converged_px: float = 0.01
     magnitudes: Literal["auto", "off"] = "auto"
-    tuning: RefinementTuning = field(default=DEFAULT_REFINEMENT, repr=False)
 
 
 REFINEMENT = Refinement()
@@ -113,7 +96,6 @@ class FrameIdentification:
     candidate : (m,) mask of the candidate stars.
     zero_point, completeness : photometric, None without magnitudes.
     iterations, converged : number of iterations, and whether they converged. notes : lines for the user.
-    tuning : of the refinement.
     """
 
     measured: Measurements
@@ -130,7 +112,6 @@ class FrameIdentification:
     iterations: int
     converged: bool
     notes: tuple[str, ...] = ()
-    tuning: RefinementTuning = field(default=DEFAULT_REFINEMENT, repr=False)
 
     @property
     def pairs(self) -> tuple[IntArray, IntArray, FloatArray]:
@@ -233,9 +214,8 @@ def identify_frame(
 
     Example: ``identify_frame(measurements, stars, placement, Refinement()).plate.describe()``.
     """
-    tuning = refinement.tuning
     records, faintest = measured.records(), None
-    plate = _first_plate(measured, stars, placement, tuning)
+    plate = _first_plate(measured, stars, placement)
     px, covariance = _predicted(plate, stars)
     for iteration in range(1, refinement.iterations + 1):
         candidate = _candidates(px, stars, measured, faintest, MARGIN_PX)
@@ -246,25 +226,23 @@ def identify_frame(
         if completeness is not None:
             faintest = completeness.faintest(MIN_P_DETECT)
         pairs = _matched(measured, stars, result)
-        plate = fit_plate(pairs, placement.pointing, measured.shape, order=refinement.order, tuning=tuning.plate)
+        plate = fit_plate(pairs, placement.pointing, measured.shape, order=refinement.order)
         previous_px, inside = px, _within(px, measured.shape, 0.0)
         px, covariance = _predicted(plate, stars)
         converged = bool(np.nanmax(np.abs(px - previous_px)[inside], initial=0.0) < refinement.converged_px)
         if converged and iteration > 1:
             break
     i, j, p = result.matches.rows_1, result.matches.rows_2, result.matches.p_match
-    zero = _zero_point(measured, stars, i, j, p, tuning)
+    zero = _zero_point(measured, stars, i, j, p)
     notes = _notes(result, estimate, plate, converged)
     return FrameIdentification(
         measured=measured, stars=stars, placement=placement, plate=plate, result=result, estimate=estimate,
         predicted_px=px, predicted_covariance=covariance, candidate=candidate, zero_point=zero,
-        completeness=completeness, iterations=iteration, converged=converged, notes=notes, tuning=tuning,
+        completeness=completeness, iterations=iteration, converged=converged, notes=notes,
     )  # fmt: skip
 
 
-def _zero_point(
-    measured: Measurements, stars: StarField, i: IntArray, j: IntArray, p: FloatArray, tuning: RefinementTuning
-) -> ZeroPoint | None:
+def _zero_point(measured: Measurements, stars: StarField, i: IntArray, j: IntArray, p: FloatArray) -> ZeroPoint | None:
     """The zero point of unblended and unsaturated stars if there are enough and the detector is linear, else of all.
 
     Saturated stars have lost light, and blended ones keep some of their neighbours': with them, a linear detector would
@@ -274,20 +252,18 @@ def _zero_point(
     known = np.isfinite(stars.magnitude[j])
     for bits in (Flag.SATURATED | Flag.BLENDED, Flag.SATURATED):
         used = np.where((measured.flags[i] & np.uint16(bits)) == 0, p, 0.0)
-        zero = ZeroPoint.of(*calibration, used, tuning.photometry) if used[known].sum() >= CALIBRATORS else None
+        zero = ZeroPoint.of(*calibration, used) if used[known].sum() >= CALIBRATORS else None
         if zero is not None and not zero.bend:
             return zero
-    return ZeroPoint.of(*calibration, p, tuning.photometry)
+    return ZeroPoint.of(*calibration, p)
 
 
-def _first_plate(
-    measured: Measurements, stars: StarField, placement: Placement, tuning: RefinementTuning
-) -> PlateModel:
+def _first_plate(measured: Measurements, stars: StarField, placement: Placement) -> PlateModel:
     """The plate fitted to the pairs of the placement; linear if they are few."""
     i, j = placement.rows_measured, placement.rows_stars
     pairs = _pairs(measured, stars, i, j, np.ones(len(i)))
     order = None if len(i) > PAIRS_BEYOND_LINEAR else 1
-    return fit_plate(pairs, placement.pointing, measured.shape, order=order, tuning=tuning.plate)
+    return fit_plate(pairs, placement.pointing, measured.shape, order=order)
 
 
 def _matched(measured: Measurements, stars: StarField, result: Identification) -> MatchedStars:

@@ -32,17 +32,7 @@ STARS_PER_BIN = 20  # minimum number of stars for bins of half a magnitude; else
 CELLS = 150  # number of magnitude cells for the fit of the completeness
 
 
-@dataclass(frozen=True)
-class PhotometryTuning:
-    """Parameters of the fits of zero point and completeness, all chosen.
-
-    min_pairs : minimum number of pairs for a zero point.
-    """
-
-    min_pairs: float = 3
-
-
-DEFAULT_PHOTOMETRY = PhotometryTuning()
+MIN_PAIRS = 3  # for a zero point
 
 
 @dataclass(frozen=True)
@@ -70,18 +60,10 @@ class ZeroPoint:
     pairs: float
 
     @classmethod
-    def of(
-        cls,
-        flux: FloatArray,
-        magnitude: FloatArray,
-        colour: FloatArray,
-        weight: FloatArray,
-        tuning: PhotometryTuning = DEFAULT_PHOTOMETRY,
-    ) -> ZeroPoint | None:
+    def of(cls, flux: FloatArray, magnitude: FloatArray, colour: FloatArray, weight: FloatArray) -> ZeroPoint | None:
         """The zero point of pairs with weights, (n,) each; None with fewer than three."""
-        fewest = tuning.min_pairs
         known = (flux > 0) & np.isfinite(magnitude) & (weight > 0)
-        if weight[known].sum() < fewest:
+        if weight[known].sum() < MIN_PAIRS:
             return None
         m, w = magnitude[known], weight[known]
         measured = instrumental(flux[known])
@@ -91,7 +73,7 @@ class ZeroPoint:
         has_colour = np.isfinite(pair_colour)
         mean = (
             float(np.average(pair_colour[has_colour], weights=w[has_colour]))
-            if w[has_colour].sum() >= fewest
+            if w[has_colour].sum() >= MIN_PAIRS
             else math.nan
         )
         excess = np.where(has_colour, pair_colour - mean, 0.0) if math.isfinite(mean) else np.zeros_like(s)
@@ -99,7 +81,7 @@ class ZeroPoint:
         candidates: list[tuple[str, ...]] = [(), ("1", "2"), ("1", "2", "3")]
         if math.isfinite(mean) and np.ptp(excess) > 0:
             candidates += [("colour", *terms) for terms in candidates]
-        candidates = [terms for terms in candidates if w.sum() >= fewest + PAIRS_PER_TERM * len(terms)] or [()]
+        candidates = [terms for terms in candidates if w.sum() >= MIN_PAIRS + PAIRS_PER_TERM * len(terms)] or [()]
         fits = {terms: _robust([columns[name] for name in terms], m - measured, w) for terms in candidates}
         best = min(fits, key=lambda terms: fits[terms].bic)
         fit = fits[best]

@@ -58,17 +58,7 @@ FLOOR_FREEDOM = 4.0  # degrees of freedom of the t distribution of the residuals
 FLOOR_ITERATIONS = 4  # iterations of its scale
 
 
-@dataclass(frozen=True)
-class PlateTuning:
-    """Parameters of the plate fit, all chosen.
-
-    min_gain : a higher order must lower the leave-one-out −2 ln L by more than this.
-    """
-
-    min_gain: float = 8.0
-
-
-DEFAULT_PLATE = PlateTuning()
+MIN_GAIN = 8.0  # a higher order must lower the leave-one-out −2 ln L by more than this
 
 
 def terms(order: int) -> list[tuple[int, int]]:
@@ -333,7 +323,6 @@ def fit_plate(
     shape: tuple[int, int],
     *,
     order: int | None = None,
-    tuning: PlateTuning = DEFAULT_PLATE,
 ) -> PlateModel:
     """The plate model of identified stars.
 
@@ -369,7 +358,7 @@ def fit_plate(
     if order is None:
         supported = [p for p in supported if p == possible[0] or _invertible(fits[p])]
     least = min(leave_one_out[p] for p in supported)
-    best = min(p for p in supported if leave_one_out[p] <= least + tuning.min_gain)
+    best = min(p for p in supported if leave_one_out[p] <= least + MIN_GAIN)
     return replace(fits[best], bic=bic, leave_one_out=leave_one_out)
 
 
