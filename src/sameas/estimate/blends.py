@@ -46,6 +46,11 @@ MAX_ITERATIONS, TOLERANCE = 10, 1e-3  # of the estimation, and the change of c a
 MIN_SHARE = 1e-3  # lower limit of c, and of 1 − c
 
 
+#: Range of the distance of these neighbours: the minimum in standard deviations of the pair, the maximum in those of
+#: the typical pair (less if more than one chance neighbour is expected).
+NEAREST_SIGMAS, FARTHEST_SIGMAS = 4.0, 60.0
+
+
 @dataclass(frozen=True)
 class BlendTuning:
     """Parameters of the search for blends; chosen with ``scripts/bench field --only blends``.
@@ -54,17 +59,13 @@ class BlendTuning:
         merge or not whatever the others do.
     min_log_odds : minimum ln odds of a candidate against no partner.
     max_hypotheses : of a group; with more, the least probable options of its records are dropped.
-    max_pairs, min_sigmas, max_sigmas : for the test for blends: maximum number of pairs, and range of the distance of
-        their unmatched neighbours: the minimum in standard deviations of the pair, the maximum in those of the typical
-        pair (less if more than one chance neighbour is expected).
+    max_pairs : for the test for blends, maximum number of pairs.
     """
 
     max_mergers: int = 1_000
     min_log_odds: float = math.log(1e-6)
     max_hypotheses: float = 1e4
     max_pairs: int = 5_000
-    min_sigmas: float = 4.0
-    max_sigmas: float = 60.0
 
 
 DEFAULT_BLENDS = BlendTuning()
@@ -205,14 +206,14 @@ def suspected_blends(
     toward = sampled_pairs.residual if coarse == 0 else -sampled_pairs.residual
     sigma = np.sqrt(np.einsum("mdd->m", sampled_pairs.covariance) / sampled_pairs.d)
     spacing = math.sqrt(coverage.common_volume / (math.pi * len(unmatched_rows)))
-    reach = min(tuning.max_sigmas * float(np.median(sigma)), spacing)
+    reach = min(FARTHEST_SIGMAS * float(np.median(sigma)), spacing)
     own_records, unmatched = (fine.part(at.astype(np.int64)).with_errors(0.0, 0.5) for at in (own, unmatched_rows))
     near = Radius(reach)(own_records, unmatched)
     # The residual of two fine records is the first minus the second, so the direction to the neighbour is its negative.
     separation = np.sqrt((near.residual**2).sum(axis=1))
     order = np.lexsort((separation, near.i))
     nearest = order[np.unique(near.i[order], return_index=True)[1]]
-    nearest = nearest[separation[nearest] > tuning.min_sigmas * sigma[near.i[nearest]]]
+    nearest = nearest[separation[nearest] > NEAREST_SIGMAS * sigma[near.i[nearest]]]
     nearest = nearest[np.argsort(separation[nearest], kind="stable")]
     if len(nearest) < MIN_NEIGHBOURS:
         return None

@@ -21,13 +21,12 @@ from sameas.estimate.sample import Setting
 from sameas.estimate.share_regression import (
     COLUMN_FOLDS,
     COLUMNS_PSEUDO_COUNT,
-    DEFAULT_COLUMNS,
     MAX_RELATED,
+    MIN_GAIN,
     MIN_P_COLUMNS,
     ROWS_PER_CELL,
     ROWS_PER_RELATED_CELL,
     ColumnFinding,
-    ColumnsTuning,
     ShareFit,
     ShareRegression,
     quantiles,
@@ -58,16 +57,9 @@ class ColumnEvidence:
     folds: tuple[IntArray, IntArray] | None = field(repr=False, default=None)
     log_ratio: Both | None = field(repr=False, default=None)
     findings: tuple[ColumnFinding, ...] = ()
-    tuning: ColumnsTuning = DEFAULT_COLUMNS
 
     @classmethod
-    def of(
-        cls,
-        first: Records,
-        second: Records,
-        evidence: Sequence[Column | Related],
-        tuning: ColumnsTuning = DEFAULT_COLUMNS,
-    ) -> ColumnEvidence | None:
+    def of(cls, first: Records, second: Records, evidence: Sequence[Column | Related]) -> ColumnEvidence | None:
         """Without fits; None without columns. Related columns also count as columns of their sources."""
         sides: tuple[list[CodedColumn], list[CodedColumn]] = ([], [])
         relations = []
@@ -82,7 +74,7 @@ class ColumnEvidence:
                 relations.append((coded[0], coded[1]))
         if not any(sides):
             return None
-        return cls((tuple(sides[0]), tuple(sides[1])), tuple(relations), tuning=tuning)
+        return cls((tuple(sides[0]), tuple(sides[1])), tuple(relations))
 
     def part(self, rows_1: IntArray, rows_2: IntArray) -> ColumnEvidence:
         """The columns of some records, before any fit."""
@@ -120,7 +112,7 @@ class ColumnEvidence:
         )
         return replace(
             columns, sides=(one, two), relations=tuple(pairs), fits=self.fits, findings=self.findings, folds=folds,
-            associations=related, tuning=self.tuning,
+            associations=related,
         )._with_log_ratio()  # fmt: skip
 
     def without_records(self) -> ColumnEvidence:
@@ -189,9 +181,7 @@ class ColumnEvidence:
             zip(self.sides, partner, offset, covered, self.folds, self.fits, strict=True), start=1
         ):
             columns = _to_fit(side)
-            regression = (
-                ShareRegression.of(p, at, is_covered, fold, previous, columns, self.tuning) if columns else None
-            )
+            regression = ShareRegression.of(p, at, is_covered, fold, previous, columns) if columns else None
             if regression is None:
                 fits.append(None)
                 continue
@@ -200,9 +190,7 @@ class ColumnEvidence:
             )
             fits.append(fit)
             findings += own_findings
-        fitted = [
-            (pair, *_fit_association(*pair, pairs, p_counted, self.folds[0], self.tuning)) for pair in self.relations
-        ]
+        fitted = [(pair, *_fit_association(*pair, pairs, p_counted, self.folds[0])) for pair in self.relations]
         if last:
             findings += [finding for _, _, finding in fitted]
             fitted = [each for each in fitted if each[2].used]
@@ -248,7 +236,7 @@ def _cells_and_parts(column: CodedColumn, knots: FloatArray) -> tuple[IntArray, 
 
 
 def _fit_association(
-    a: CodedColumn, b: CodedColumn, pairs: Pairs, p_counted: FloatArray, folds: IntArray, tuning: ColumnsTuning
+    a: CodedColumn, b: CodedColumn, pairs: Pairs, p_counted: FloatArray, folds: IntArray
 ) -> tuple[Association | None, ColumnFinding]:
     """The association of two columns in pairs of these probabilities, and its finding."""
     known = np.isfinite(a.values[pairs.i]) & np.isfinite(b.values[pairs.j]) & (p_counted > MIN_P_COLUMNS)
@@ -272,7 +260,7 @@ def _fit_association(
     values = association(pairs)[known]
     # As for single columns, with cross-fitted tables and by the odds without the relation.
     gain = float((p * values).sum())
-    return association, replace(without, gain=gain, used=gain > tuning.min_gain)
+    return association, replace(without, gain=gain, used=gain > MIN_GAIN)
 
 
 def _log_association(counts: FloatArray, pseudo_count: float) -> FloatArray:

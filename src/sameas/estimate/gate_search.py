@@ -21,7 +21,6 @@ from sameas.estimate.error_trends import Trend
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.result import Estimate
 from sameas.estimate.sample import Sampling, Setting
-from sameas.estimate.share_regression import DEFAULT_COLUMNS, ColumnsTuning
 from sameas.estimate.unresolved import BlendResolution
 from sameas.evidence import Errors
 from sameas.evidence.rule import AS_QUOTED
@@ -64,7 +63,7 @@ class MatchTuning:
         this share and the statistical error.
     fits_trends, fits_resolution : whether growth of the errors, and the resolution of a source that blends neighbours,
         are fitted.
-    em, columns : tuning of EM iterations, and of the evidence of other columns.
+    em : tuning of EM iterations.
     """
 
     max_iterations: int = 30
@@ -72,7 +71,6 @@ class MatchTuning:
     fits_trends: bool = True
     fits_resolution: bool = True
     em: EMTuning = DEFAULT_EM
-    columns: ColumnsTuning = DEFAULT_COLUMNS
 
 
 DEFAULT_MATCH = MatchTuning()

@@ -98,7 +98,7 @@ def match(
     progress("densities")
     photometry = _photometry(first, second, brightness)
     coverage = Coverage.of(first, second)
-    columns = ColumnEvidence.of(first, second, evidence, tuning.columns)
+    columns = ColumnEvidence.of(first, second, evidence)
     if _expected_work(coverage, density) > MAX_INTERPRETED:
         prefer_compiled()
     search = GateSearch(

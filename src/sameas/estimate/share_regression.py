@@ -50,27 +50,12 @@ ROWS_PER_RELATED_CELL, MAX_RELATED = 6.0, 16
 COLUMNS_PSEUDO_COUNT = 2.0  # pairs added to each cell, as if unrelated
 
 
-@dataclass(frozen=True)
-class ColumnsTuning:
-    """Parameters of the fit; tuned on simulated counterparts of X-ray sources (``simulate.counterparts``).
-
-    word_sigma : prior standard deviation of the value for a word or a missing value.
-    max_unmatched : size of the sample of records without a partner.
-    steps, first_steps, max_step, tolerance : Newton steps of later fits and the first one, greatest step, and the step
-        at convergence.
-    min_gain : gain in ln likelihood, for records not fitted to, to use a column.
-    """
-
-    word_sigma: float = 2.0
-    max_unmatched: int = 6_000
-    steps: int = 4
-    first_steps: int = 12
-    max_step: float = 2.0
-    tolerance: float = 0.02
-    min_gain: float = 3.0
-
-
-DEFAULT_COLUMNS = ColumnsTuning()
+# Parameters of the fit; tuned on simulated counterparts of X-ray sources (``simulate.counterparts``).
+WORD_SIGMA = 2.0  # prior standard deviation of the value for a word or a missing value
+MAX_UNMATCHED = 6_000  # size of the sample of records without a partner
+STEPS, FIRST_STEPS = 4, 12  # Newton steps of later fits and of the first one
+MAX_STEP, TOLERANCE = 2.0, 0.02  # greatest step, and the step at convergence
+MIN_GAIN = 3.0  # gain in ln likelihood, for records not fitted to, to use a column
 
 
 @in_short
@@ -129,9 +114,9 @@ class _Basis:
         """Number of functions."""
         return len(self.knots) + 1
 
-    def penalty(self, tuning: ColumnsTuning, values: FloatArray) -> FloatArray:
+    def penalty(self, values: FloatArray) -> FloatArray:
         """(size, size) at coefficients (size,): the weight of a second difference falls with its size (Student's t)."""
-        out, k = np.eye(self.size) / tuning.word_sigma**2, len(self.knots)
+        out, k = np.eye(self.size) / WORD_SIGMA**2, len(self.knots)
         if not self.words:
             bends = np.diff(values[:k], n=2) / BEND_SIGMA
             weight = (FREEDOM + 1.0) / (FREEDOM + bends**2)
@@ -245,13 +230,13 @@ class _Bases:
             blocks.append(block)
         return np.hstack(blocks) if blocks else np.zeros((len(columns[0].values), 0))
 
-    def penalty(self, tuning: ColumnsTuning, values: FloatArray) -> FloatArray:
+    def penalty(self, values: FloatArray) -> FloatArray:
         """(P, P) at coefficients (P,)."""
         parts: list[FloatArray] = []
         for basis, used in zip(self.single, self.used, strict=True):
             if used:
                 begin = sum(map(len, parts))
-                parts.append(basis.penalty(tuning, values[begin : begin + basis.size]))
+                parts.append(basis.penalty(values[begin : begin + basis.size]))
         parts += [np.eye(self.cells(a, b)) / JOINT_SIGMA**2 for a, b in self.two]
         out, at = np.zeros((sum(map(len, parts)),) * 2), 0
         for part in parts:
@@ -268,7 +253,6 @@ class ShareFit:
     bases: _Bases
     coefficients: FloatArray
     whole: FloatArray
-    max_log_ratio: float
 
     def log_ratio(self, columns: Sequence[CodedColumn], fold: IntArray) -> FloatArray:
         """(n,) ln r of records in these folds."""
@@ -280,7 +264,7 @@ class ShareFit:
         for a, b in bases.two:
             out += self.coefficients[fold, begin + bases.cell(a, b, columns)]
             begin += bases.cells(a, b)
-        return np.clip(out, -self.max_log_ratio, self.max_log_ratio)
+        return np.clip(out, -MAX_LOG_RATIO, MAX_LOG_RATIO)
 
 
 @dataclass(frozen=True)
@@ -298,12 +282,11 @@ class ShareRegression:
     weight: FloatArray
     bases: _Bases
     previous: ShareFit | None
-    tuning: ColumnsTuning
 
     @classmethod
     def of(
         cls, partner: FloatArray, offset: FloatArray, covered: BoolArray, fold: IntArray, previous: ShareFit | None,
-        columns: Sequence[CodedColumn], tuning: ColumnsTuning,
+        columns: Sequence[CodedColumn],
     ) -> ShareRegression | None:  # fmt: skip
         """The regression; None with too few partners."""
         likely = np.flatnonzero(covered & (partner >= MIN_P_COLUMNS))
@@ -312,7 +295,7 @@ class ShareRegression:
         if partners < MIN_PARTNERS:
             return None
         parts = []
-        for rows, enough in ((likely, MAX_LIKELY), (alone, tuning.max_unmatched)):
+        for rows, enough in ((likely, MAX_LIKELY), (alone, MAX_UNMATCHED)):
             step = max(1, -(-len(rows) // enough))
             kept = rows[::step]
             parts.append((kept, np.full(len(kept), len(rows) / max(len(kept), 1))))
@@ -321,7 +304,7 @@ class ShareRegression:
         p = partner[rows]
         # The basis stays the same, so that a fit can start from the previous one.
         bases = _Bases.of(some, p * weight, partners) if previous is None else previous.bases
-        return cls(some, p, offset[rows], fold[rows], weight, bases, previous, tuning)
+        return cls(some, p, offset[rows], fold[rows], weight, bases, previous)
 
     def fit(self, bases: _Bases) -> ShareFit:
         """The fit of greatest penalised likelihood; those without a fold are one Newton step from that of all."""
@@ -329,18 +312,18 @@ class ShareRegression:
         resumed = self.previous is not None and self.previous.bases is bases
         values = self.previous.whole.copy() if resumed and self.previous else np.zeros(design.shape[1])
         folds = [np.flatnonzero(self.fold == fold) for fold in range(COLUMN_FOLDS)]
-        for _ in range(self.tuning.steps if resumed else self.tuning.first_steps):
-            penalty = bases.penalty(self.tuning, values)
+        for _ in range(STEPS if resumed else FIRST_STEPS):
+            penalty = bases.penalty(values)
             slope, curvature = self._derivatives(design, values, slice(None))
             if not _is_positive_definite(curvature + penalty):
                 # Not concave: take an EM step, with the curvature of certain partners.
                 slope, curvature = self._derivatives(design, values, slice(None), certain=True)
             step = np.linalg.solve(curvature + penalty, slope - penalty @ values)
-            step *= min(1.0, self.tuning.max_step / max(float(np.abs(step).max(initial=0.0)), 1e-12))
+            step *= min(1.0, MAX_STEP / max(float(np.abs(step).max(initial=0.0)), 1e-12))
             values = values + step
-            if np.abs(step).max(initial=0.0) < self.tuning.tolerance:
+            if np.abs(step).max(initial=0.0) < TOLERANCE:
                 break
-        parts, penalty = [self._derivatives(design[k], values, k) for k in folds], bases.penalty(self.tuning, values)
+        parts, penalty = [self._derivatives(design[k], values, k) for k in folds], bases.penalty(values)
         slope, curvature = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
         if not all(_is_positive_definite(curvature - own + penalty) for _, own in parts):
             parts = [self._derivatives(design[k], values, k, certain=True) for k in folds]
@@ -349,7 +332,7 @@ class ShareRegression:
             values + np.linalg.solve(curvature - own + penalty, slope - own_slope - penalty @ values)
             for own_slope, own in parts
         ]
-        return ShareFit(bases, np.array(without), values, MAX_LOG_RATIO)
+        return ShareFit(bases, np.array(without), values)
 
     def _derivatives(
         self, design: csr_array, values: FloatArray, rows: IntArray | slice, *, certain: bool = False
@@ -378,15 +361,15 @@ class ShareRegression:
         for pair in bases.two:
             fewer = bases.without_pair(pair)
             rest = self.fit(fewer)
-            if best_gain - (without := self.gain(rest)) <= self.tuning.min_gain:
+            if best_gain - (without := self.gain(rest)) <= MIN_GAIN:
                 bases, best, best_gain = fewer, rest, without
         for k, column in enumerate(self.columns):
             fewer = bases.without(k)
             rest = self.fit(fewer)
             gain = best_gain - (without := self.gain(rest))
-            if gain <= self.tuning.min_gain:
+            if gain <= MIN_GAIN:
                 bases, best, best_gain = fewer, rest, without
-            findings.append(ColumnFinding(source, column.name, gain, gain > self.tuning.min_gain, self._span(column)))
+            findings.append(ColumnFinding(source, column.name, gain, gain > MIN_GAIN, self._span(column)))
         return best, findings
 
     def _span(self, column: CodedColumn) -> tuple[float, float]:
