@@ -1,7 +1,7 @@
-"""Text tables of astronomy, which are read only: separated by blanks, SExtractor, VizieR, IPAC and CDS.
+"""Text tables, which are read only: separated by blanks, SExtractor, VizieR, IPAC, CDS, lists of positions, drawn ones.
 
-The rows of the first three are converted to tab-separated text and read as CSV, so that column types, empty cells and
-long identifiers are handled alike; IPAC and CDS tables are parsed by astropy.
+Their rows are converted to text with a separator and read as CSV, so that column types, empty cells and long
+identifiers are handled alike; IPAC and CDS tables are parsed by astropy.
 """
 
 from __future__ import annotations
@@ -13,12 +13,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sameas.errors import InputError
-from sameas.io.csv import TableHead, content_of, distinct, is_any_text, is_number, table_of
+from sameas.io.csv import TableHead, content_of, distinct, is_any_text, is_number, table_of, with_note
 from sameas.io.format import TEXT_EXTENSIONS, Format, unit_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
     from astropy.table import Table
+
+
+def _content(path: Path) -> bytes:
+    return memoryview(content_of(path)).tobytes()
+
+
+def _joined(rows: list[bytes], head: TableHead, path: Path) -> Table:
+    import pyarrow as pa
+
+    return table_of(pa.py_buffer(b"\n".join(rows) + b"\n"), head, path)
+
 
 # Text separated by blanks, as NumPy, IRAF and awk write it: names in the first line, or in a comment above it.
 #
@@ -56,8 +67,6 @@ def words(line: bytes) -> list[bytes]:
 
 def rows_of(text: pa.Buffer | bytes, names: list[str], first_row: int, path: Path) -> Table:
     """The table of rows separated by blanks, from line ``first_row`` on, counted from 0; comments are skipped."""
-    import pyarrow as pa
-
     rows = []
     for number, line in enumerate(memoryview(text).tobytes().split(b"\n")):
         cells = [] if number < first_row or line[:1] == b"#" else words(line)
@@ -66,7 +75,7 @@ def rows_of(text: pa.Buffer | bytes, names: list[str], first_row: int, path: Pat
             raise InputError(message, "put text with blanks in it in quotes, and nan where there is nothing")
         if cells:
             rows.append(b"\t".join(cells))
-    return table_of(pa.py_buffer(b"\n".join(rows) + b"\n"), TableHead(distinct(names, path), "\t", 0), path)
+    return _joined(rows, TableHead(distinct(names, path), "\t", 0), path)
 
 
 def _names_above(text: pa.Buffer, path: Path) -> tuple[list[str], int]:
@@ -207,7 +216,7 @@ def read_vizier(path: Path) -> Table:
     """The first table of a file that VizieR wrote."""
     import pyarrow as pa
 
-    text = memoryview(content_of(path)).tobytes().replace(b"\r\n", b"\n")
+    text = _content(path).replace(b"\r\n", b"\n")
     head = _DASHES.search(text)
     if head is None:
         raise InputError(f"{path}: has no lines of names, units and dashes, as VizieR writes them")
@@ -302,7 +311,7 @@ def read_ipac(path: Path) -> Table:
     """The table of an IPAC file; its keywords are its metadata."""
     from astropy.io import ascii as text_tables
 
-    text = memoryview(content_of(path)).tobytes().decode("utf-8", "replace")
+    text = _content(path).decode("utf-8", "replace")
     table = text_tables.read(text.splitlines(), format="ipac")
     keywords = table.meta.pop("keywords", {})
     table.meta = {key: value for key, value in table.meta.items() if value}
@@ -328,7 +337,7 @@ def read_mrt(path: Path) -> Table:
     """The table of a CDS or machine-readable file."""
     from astropy.io import ascii as text_tables
 
-    text = memoryview(content_of(path)).tobytes().decode("utf-8", "replace")
+    text = _content(path).decode("utf-8", "replace")
     if _BYTES.decode() not in text:
         # The layout of machine-readable tables: description, rule, rows.
         text = _byte_by_byte(path) + text
@@ -349,8 +358,79 @@ def _byte_by_byte(path: Path) -> str:
     return ""
 
 
+# Lists of positions without names: a right ascension and a declination in every line and nothing else; two numbers in
+# degrees, two sexagesimal words (hours and degrees), or six numbers (h m s d m s).
+
+_BETWEEN = re.compile(rb"[\s,;]+")
+_SEXAGESIMAL = re.compile(rb"[+-]?\d{1,3}(:\d{1,2}(:\d{1,2}(\.\d*)?)?|[hd]\d{1,2}m(\d{1,2}(\.\d*)?s)?)")
+
+
+def is_list_of_positions(path: Path, first: bytes) -> bool:
+    """Whether all lines are positions, and no comment names them."""
+    if not is_any_text(path, first):
+        return False
+    lines = [line.strip() for line in first.split(b"\n")[: -1 if len(first) > 1 << 15 else None] if line.strip()]
+    rows = [_BETWEEN.split(line) for line in lines if not line.startswith(b"#")]
+    names = [_BETWEEN.split(line.lstrip(b"# ")) for line in lines if line.startswith(b"#")]
+    named = any(len(above) == len(row) for above in names for row in rows[:1])
+    return bool(rows) and not named and all(map(_position, rows))
+
+
+def _position(words: list[bytes]) -> tuple[bytes, bytes] | None:
+    """The right ascension and declination in the words of a line; None if they are anything else."""
+    if len(words) == 6 and all(is_number(word.decode("latin-1")) for word in words):
+        words = [b":".join(words[:3]), b":".join(words[3:])]
+    if len(words) != 2:
+        return None
+    ra, dec = words
+    if _SEXAGESIMAL.fullmatch(ra) and _SEXAGESIMAL.fullmatch(dec):
+        return ra, dec
+    numbers = [float(word) for word in words if is_number(word.decode("latin-1"))]
+    possible = len(numbers) == 2 and 0.0 <= numbers[0] <= 360.0 and -90.0 <= numbers[1] <= 90.0
+    return (ra, dec) if possible else None
+
+
+def read_positions(path: Path) -> Table:
+    """The table of a list of positions, with columns RA and DEC."""
+    rows = []
+    for number, line in enumerate(_content(path).split(b"\n"), start=1):
+        if line.strip() and not line.startswith(b"#"):
+            position = _position(_BETWEEN.split(line.strip()))
+            if position is None:
+                raise InputError(f"{path}: line {number} is not a right ascension and a declination like the first")
+            rows.append(b"\t".join(position))
+    table = _joined(rows, TableHead(["RA", "DEC"], "\t", 0), path)
+    return with_note(table, f"{path}: its columns have no names: they are read as right ascension and declination")
+
+
+# Drawn tables: bars between cells and lines of dashes, as databases, Astropy and Markdown print them.
+
+_RULE = re.compile(rb"[+|][-+|: =]*-[-+|: =]*")
+
+
+def is_drawn(path: Path, first: bytes) -> bool:
+    """Whether the first or second line is one of dashes and corners, and rows begin with a bar."""
+    if not is_any_text(path, first):
+        return False
+    lines = [line.strip() for line in first.split(b"\n") if line.strip()][:3]
+    return any(_RULE.fullmatch(line) for line in lines[:2]) and any(line.startswith(b"|") for line in lines)
+
+
+def read_drawn(path: Path) -> Table:
+    """The table of a drawn table, with the names of its first row."""
+    rows = []
+    for line in _content(path).split(b"\n"):
+        if line.strip() and not _RULE.fullmatch(line.strip()):
+            rows.append(b"|".join(cell.strip() for cell in line.strip().strip(b"|").split(b"|")))
+    names = [name.decode() for name in rows[0].split(b"|")]
+    return _joined(rows, TableHead(distinct(names, path), "|", 1), path)
+
+
 #: In the order of recognition.
 TEXT_FORMATS = (
+    Format("positions", "list of positions", TEXT_EXTENSIONS, unmarked=True,
+           recognised=is_list_of_positions, read=read_positions),
+    Format("drawn", "table with drawn lines", TEXT_EXTENSIONS, unmarked=True, recognised=is_drawn, read=read_drawn),
     Format("sextractor", "SExtractor catalogue", (".cat", ".cat.gz"), unmarked=True,
            recognised=is_ascii_head, read=read_sextractor),
     Format("ipac", "IPAC table", (".tbl", ".ipac", ".tbl.gz", ".ipac.gz"), unmarked=True,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from sameas.bounds import check_facts
 from sameas.errors import Argument, InputError, Message, first_line, printable, reading
 from sameas.io import ascii as text
-from sameas.io import csv, daophot, ecsv, fits, lists, parquet, votable
+from sameas.io import csv, daophot, ecsv, fits, parquet, votable
 from sameas.io.atomic import replacing
 from sameas.io.format import TEXT_EXTENSIONS, Format, LazyTable, in_utf_8, plain, utf_16_of
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from astropy.table import Table
 
 #: The formats of text, whose readers take UTF-16, too; ECSV is UTF-8 by its standard.
-_OF_TEXT: tuple[Format, ...] = (daophot.FORMAT, *lists.LIST_FORMATS, *text.TEXT_FORMATS, csv.FORMAT)
+_OF_TEXT: tuple[Format, ...] = (daophot.FORMAT, *text.TEXT_FORMATS, csv.FORMAT)
 #: The formats, in the order of messages and of the recognition of texts.
 FORMATS: tuple[Format, ...] = (fits.FORMAT, votable.FORMAT, ecsv.FORMAT, parquet.FORMAT, *_OF_TEXT)
 #: Number of bytes for the recognition of a format; VizieR's comments are long.
