@@ -240,7 +240,7 @@ def test_every_option_is_documented(command, pages):
     options = [one for one in typer.main.get_command(app).params if one.param_type_name == "option"]
     names = {name for one in options for name in (*one.opts, *one.secondary_opts) if name.startswith("--")}
     names -= {"--install-completion", "--show-completion"}
-    stems = {name: re.sub(r"[0-9]$", "", name) for name in names}
+    stems = {name: re.sub(r"[0-9]+$", "", name) for name in names}
     missing = [name for name in names if not re.search(rf"[`\s(/]({name}|{stems[name]})(?![\w-])", page)]
     assert names and not sorted(missing)
 

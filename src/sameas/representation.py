@@ -12,7 +12,10 @@ import numpy as np
 #: Characters of a line, lines of a value, characters of a field, items of a collection that are printed (all chosen).
 WIDTH, LINES, LETTERS, ITEMS = 100, 9, 60, 4
 
-ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
+ORDINALS = (
+    "first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth", "eleventh",
+    "twelfth",
+)  # fmt: skip
 
 T = TypeVar("T")
 

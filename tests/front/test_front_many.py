@@ -106,7 +106,7 @@ def test_the_command_accepts_the_option_named_by_its_doubt(three, tmp_path, monk
 
 def test_invalid_sources_and_options_are_refused(three):
     for words, sources, options in (
-        ("1 catalogue given; give two to 8", three[:1], {}),
+        ("1 catalogue given; give two to 12", three[:1], {}),
         ("no option 'sigma4'; did you mean", three, {"sigma4": 1.0}),
         ('magnitudes is \'V\'; give "auto" or "off"', three, {"magnitudes": "V"}),
         ("least is 4; give 1 to 3", three, {"least": 4}),

@@ -20,19 +20,20 @@ from sameas.errors import InputError
 from sameas.estimate.coverage import local_share
 from sameas.gate import Radius
 from sameas.io import read_provenance, read_table, write_table
+from sameas.records import Records
 from sameas.simulate.scenes import Cap, crowded_sky
 from sameas.sky import many as many_match
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import at_common_epoch, match
 from sameas.sky.many import ManyMatch, ManyOptions, match_many
 from sameas.sky.many_joins import joined_many
+from sameas.sky.pattern_densities import PatternDensities, PatternShares, share_of_source
 from sameas.sky.population import (
     AstrometricRecords,
     degrees_of_freedom,
     fitted,
     pairs_within,
     patterns_of,
-    share_of_source,
 )
 from sameas.sky.set_magnitudes import SetMagnitudes
 from sameas.space import displaced, sphere_offset
@@ -420,8 +421,56 @@ def test_many_combinations_cost_no_more_than_those_that_overlap() -> None:
             np.testing.assert_allclose(np.maximum(one, least), np.maximum(other, least), rtol=1e-12)
 
 
+def test_rare_combinations_have_the_density_of_one_share_everywhere() -> None:
+    """Where shares are the same everywhere, local shares and one share of the field give the same densities."""
+    found = match_many(sky(n=300).catalogues)
+    records = [records for records in found.objects.given if isinstance(records, Records)]
+    order = {name: k for k, name in enumerate(catalogue.name for catalogue in found.catalogues)}
+    coverages = {
+        (order[a], order[b]): match(found.catalogues[order[a]], found.catalogues[order[b]]).estimate.coverage
+        for a, b in found.two_by_two
+    }
+    patterns, n = np.arange(8), np.array([len(one) for one in records])
+    share = np.array([[1.0 / 4.0 if pattern >> s & 1 else 0.0 for s in range(3)] for pattern in range(8)])
+    of_records = [np.tile(share[:, s], (n[s], 1)) for s in range(3)]
+    everywhere = PatternShares(patterns, of_records, np.empty((0, 3)), np.empty((0, 3)))
+    single = np.array([1, 2, 4])
+    rare = PatternShares(single, [one[:, single] for one in of_records], share * n, share)
+    local, constant = (PatternDensities.of(coverages, shares) for shares in (everywhere, rare))
+    assert (constant.column[[3, 5, 6, 7]] == -1).all()
+    for s, pattern in ((0, 3), (0, 7), (1, 6), (2, 5), (2, 7), (1, 2)):
+        at = np.arange(n[s])
+        np.testing.assert_allclose(
+            constant.at(s, at, np.full(n[s], pattern)), local.at(s, at, np.full(n[s], pattern)), atol=0.02
+        )
+
+
+@pytest.mark.slow
+def test_ten_catalogues_of_different_depths() -> None:
+    rng = np.random.default_rng(6)
+    ra, dec, brightness = rng.uniform(10.0, 10.1, 300), rng.uniform(-0.05, 0.05, 300), rng.uniform(0.0, 1.0, 300)
+    catalogues, truth = [], []
+    for k in range(10):
+        rows = np.flatnonzero((brightness < 0.4 + 0.055 * k) & (rng.random(300) < 0.9))
+        sigma = rng.uniform(0.05, 0.3)
+        east, north = rng.normal(0.0, sigma / 3300.0, (2, len(rows)))
+        positions = {"ra": ra[rows] + east, "dec": dec[rows] + north}
+        catalogues.append(Catalogue.of(positions, f"depth {k}", options=CatalogueOptions(sigma=float(sigma))))
+        truth.append(rows)
+    place = np.full((300, 10), -1)
+    for k, rows in enumerate(truth):
+        place[rows, k] = np.arange(len(rows))
+    due = set(map(tuple, place[(place >= 0).any(axis=1)].tolist()))
+    found = match_many(catalogues)
+    members = np.ma.filled(found.objects.members, -1)
+    right = np.array([tuple(row) in due for row in members.tolist()])
+    assert right.mean() > 0.97
+    assert abs(float(found.objects.probability.mean()) - right.mean()) < 0.02
+    assert sum(found.expected.values()) == pytest.approx(len(due), rel=0.02)
+
+
 def test_invalid_input_is_refused(scene: Sky) -> None:
-    with pytest.raises(InputError, match="1 catalogue given; give two to 8"):
+    with pytest.raises(InputError, match="1 catalogue given; give two to 12"):
         match_many(scene.catalogues[:1])
     with pytest.raises(InputError, match="two catalogues are named 'old'"):
         match_many([scene.catalogues[0], scene.catalogues[0]])

@@ -205,7 +205,7 @@ def match_many(
 
     Parameters
     ----------
-    sources : two to eight, each anything that :func:`sameas.match` takes but ``Records``, or one list of them.
+    sources : two to twelve, each anything that :func:`sameas.match` takes but ``Records``, or one list of them.
     least : number of catalogues in which an object of ``.table`` must be.
     to_epoch : Julian year of the objects' positions; the mean of the catalogues' epochs if not given.
     gate_sigmas, error_scale : as for :func:`sameas.match`, for each pair of catalogues.

@@ -70,7 +70,7 @@ FILE_OPTIONS = (
 )
 SIDE_OPTIONS = (*COLUMN_OPTIONS, *FILE_OPTIONS)
 #: Largest number of catalogues, that of ``sameas.sky.many``; each has options of its own.
-MOST = 8
+MOST = 12
 
 
 def refuse_numbers(n: int, prefix: str = "") -> None:

@@ -110,11 +110,15 @@ class SetWeights:
 
     def _weighed(self, sets: IntArray) -> FloatArray:
         """(k,) ln w of sets of two records or more."""
-        weight, sizes = np.empty(len(sets)), np.count_nonzero(sets != ABSENT, axis=1)
+        compiled = self.pooled.in_plane is not None
+        weight = np.zeros(len(sets)) if compiled else self.pooled.log_joint_of_members(sets)
+        sizes = np.count_nonzero(sets != ABSENT, axis=1)
         for size in np.unique(sizes).tolist():
             rows = np.flatnonzero(sizes == size)
             records = np.sort(sets[rows], axis=1)[:, sets.shape[1] - size :]
-            weight[rows] = self.terms.linear_of(records) + self.pooled.log_joint(records)
+            weight[rows] += self.terms.linear_of(records)
+            if compiled:
+                weight[rows] += self.pooled.log_joint(records)
             if self.terms.by_pair:
                 weight[rows] += self.terms.by_pair_of(pairs_of(self.pooled, records))
         return weight

@@ -89,10 +89,14 @@ class PooledRecords:
         if self.in_plane is None:
             members = np.full((len(sets), len(self.sources)), ABSENT)
             np.put_along_axis(members, self.source[sets], sets, axis=1)
-            return self.observers.joint(self.positions(members)).log_density
+            return self.log_joint_of_members(members)
         out = np.empty(len(sets))
         joint_in_plane(sets, *self.in_plane, out)
         return out
+
+    def log_joint_of_members(self, members: IntArray) -> FloatArray:
+        """(k,) ln J of sets (k, S) of record numbers by source, of any sizes."""
+        return self.observers.joint(self.positions(members)).log_density
 
     @cached_property
     def in_plane(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None:

@@ -41,6 +41,7 @@ from sameas.many.objects import Objects
 from sameas.many.observations import Joint, Observers
 from sameas.many.pooled import PooledRecords, pooled
 from sameas.many.rules import Linear, Terms
+from sameas.many.sets import TUNING as TUNING_OF_SETS
 from sameas.many.sets import Sets, candidate_sets
 from sameas.records import Records
 from sameas.representation import counted, in_short
@@ -50,11 +51,11 @@ from sameas.sky.crossmatch import MatchOptions, at_common_epoch, by_position
 from sameas.sky.crossmatch import match as match_two
 from sameas.sky.disjoint import WHETHER_SAME_SKY
 from sameas.sky.evidence_columns import AUTO, OFF
+from sameas.sky.pattern_densities import Coverages
 from sameas.sky.population import (
     CONVERGED_SHARE,
     POPULATION_ITERATIONS,
     AstrometricRecords,
-    Coverages,
     Population,
     fitted,
     initial_population,
@@ -70,8 +71,13 @@ from sameas.space import sphere_offset
 UNBOUNDED = 1e4
 #: Minimum pairwise probability of candidates that imply further ones (chosen).
 PLAUSIBLE = 1e-6
-#: Maximum number of catalogues: more have too many patterns to estimate (chosen).
-MAX_CATALOGUES = 8
+#: Maximum number of catalogues: more have too many patterns (chosen).
+MAX_CATALOGUES = 12
+#: Sets of a group, beyond which it has those near a good partition: nine records of one star have 511 subsets, and the
+#: answers of eight catalogues are the same with either.
+MAX_SETS = 300
+#: Number of catalogues up to which the limits of :func:`sameas.identify_many` hold, as there are few stars (chosen).
+FEW_CATALOGUES = 8
 #: Minimum time span, years, that determines a motion (chosen).
 MIN_SPAN_YR = 0.1
 
@@ -473,7 +479,8 @@ def _estimate_population(
     observers = pooled_records.observers
     assert isinstance(observers, StarObservers)
     progress("sets of all")
-    sets = candidate_sets(pooled_records, observers.terms(pooled_records))
+    limits = TUNING_OF_SETS if len(observers.sources) <= FEW_CATALOGUES else replace(TUNING_OF_SETS, max_sets=MAX_SETS)
+    sets = candidate_sets(pooled_records, observers.terms(pooled_records), limits)
     members = observers.by_catalogue(pooled_records.positions(sets.members))
     log_weight = _LogWeight.of(members, observers)
     previous = np.full(1 << len(observers.sources), -1.0)
@@ -591,8 +598,10 @@ def _doubts(pairs: dict[tuple[str, str], SkyMatch], objects: Objects, converged:
     groups = objects.groups
     approximate = int(groups.records[~groups.exact].sum())
     if approximate:
-        doubts.append(f"{counted(approximate, 'record')} in crowds too large for exact sums; their p is approximate")
+        doubts.append(
+            f"{counted(approximate, 'record')} in groups with too many sets for exact sums; their p is approximate"
+        )
     unproved = int(groups.records[groups.gap > 0].sum())
     if unproved:
-        doubts.append(f"{counted(unproved, 'record')} in crowds whose objects are not proved to be the most probable")
+        doubts.append(f"{counted(unproved, 'record')} in groups whose objects are not proved to be the most probable")
     return tuple(doubts)

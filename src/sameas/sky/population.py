@@ -1,8 +1,8 @@
 """The population: densities of the objects by pattern of catalogues, and the errors of their residuals.
 
-A *pattern* is a set of catalogues, one bit each: the catalogues that contain an object. For each pattern the local
-density of its objects and the scale of the residuals are estimated; non-detections in different catalogues are not
-assumed independent, as all miss the faint objects. The log weight of a set of records of pattern A is
+For each pattern of catalogues (:mod:`sameas.sky.pattern_densities`) the density of its objects and the scale of the
+residuals are estimated; non-detections in different catalogues are not assumed independent, as all miss the faint
+objects. The log weight of a set of records of pattern A is
 
     ln w = ln J + mean over its records of ln ρ_A − Σ over its records of ln ρ_alone,
 
@@ -25,7 +25,7 @@ of the residual at the common epoch.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -35,8 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
-from sameas.estimate.coverage import SHARED_PSEUDO_COUNT, Coverage, local_share
-from sameas.estimate.em import MIN_LARGEST_SCALE, MIN_PAIRS_TO_LEARN, MIN_SHARE
+from sameas.estimate.em import MIN_LARGEST_SCALE, MIN_PAIRS_TO_LEARN
 from sameas.estimate.error_scales import fit_errors
 from sameas.evidence import Errors
 from sameas.gaussian import LOG_2PI, InformationSum, inverse, log_density, propagated
@@ -46,6 +45,7 @@ from sameas.representation import in_short
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.motion import propagate
+from sameas.sky.pattern_densities import Coverages, PatternDensities, PatternShares
 from sameas.space import displaced, on_axes_of
 
 #: Sets per chunk, which bounds the memory.
@@ -211,9 +211,6 @@ def moving_rows(catalogue: Catalogue) -> BoolArray:
     return known
 
 
-Coverages = Mapping[tuple[int, int], Coverage]
-
-
 POPULATION_ITERATIONS = 8  # maximum number
 #: Maximum change of the expected number of objects of a pattern at convergence, as a share of all.
 CONVERGED_SHARE = 3e-4
@@ -226,12 +223,12 @@ LARGEST_P_SET = 1.0 - 1e-9  # maximum probability of a set, to keep its odds fin
 class Population:
     """Densities and errors of the objects by pattern.
 
-    log_density : per catalogue (n, 2^S) ln of the density of objects of each pattern at its records, per arcsec²;
-        −∞ for patterns without the catalogue. errors : mixtures of error factors, by pattern. estimates_errors :
-        whether EM updates them.
+    densities : of the objects of each pattern. errors : mixtures of error factors, by pattern. shares : of the
+        densities. estimates_errors : whether EM updates the errors.
     """
 
-    log_density: tuple[FloatArray, ...]
+    densities: PatternDensities
+    shares: PatternShares
     errors: Mapping[int, Errors]
     estimates_errors: bool = True
 
@@ -254,43 +251,40 @@ class Population:
 
     def _several(self, patterns: IntArray) -> Iterator[tuple[int, IntArray]]:
         """The patterns of two or more catalogues that occur, and their rows."""
-        for pattern in np.unique(patterns).tolist():
+        for pattern, rows in rows_by_pattern(patterns):
             if pattern.bit_count() > 1:
-                yield pattern, np.flatnonzero(patterns == pattern)
+                yield pattern, rows
 
     def mean_log_density(self, sets: IntArray, patterns: IntArray) -> FloatArray:
         """(k,) mean over the records of sets (k, S) of ln ρ of their pattern."""
         total = np.zeros(len(sets))
-        for s, density in enumerate(self.log_density):
+        for s in range(sets.shape[1]):
             k = np.flatnonzero(sets[:, s] >= 0)
-            total[k] += density[sets[k, s], patterns[k]]
+            total[k] += self.densities.at(s, sets[k, s], patterns[k])
         return np.asarray(total / np.count_nonzero(sets >= 0, axis=1))
 
     def log_alone(self, s: int) -> FloatArray:
         """(n,) ln ρ of objects in catalogue s alone, at its records."""
-        return self.log_density[s][:, 1 << s]
+        return np.asarray(self.densities.local[s][:, self.densities.column[1 << s]])
 
     def m_step(self, sets: IntArray, chi_sq: FloatArray, probability: FloatArray, coverages: Coverages) -> Population:
         """The maximum-likelihood population given probabilities of sets (k, S) (the M step)."""
         patterns = patterns_of(sets)
-        shares = []
-        for s, density in enumerate(self.log_density):
-            share = np.zeros(density.shape, order="F")
-            k = np.flatnonzero(sets[:, s] >= 0)
-            np.add.at(share, (sets[k, s], patterns[k]), probability[k])
-            shares.append(np.minimum(share, 1.0, out=share))
-
+        shares = self.shares.of_sets(sets, patterns, probability)
+        densities = PatternDensities.of(coverages, shares)
         errors = self.errors
         if self.estimates_errors:
             errors = self._fitted_errors(patterns, chi_sq, probability)
-        return replace(self, log_density=log_densities(coverages, shares, MIN_SHARE), errors=errors)
+        return replace(self, densities=densities, shares=shares, errors=errors)
 
     def _fitted_errors(self, patterns: IntArray, chi_sq: FloatArray, probability: FloatArray) -> dict[int, Errors]:
         fitted_errors = dict(self.errors)
-        for pattern, errors in self.errors.items():
-            rows = np.flatnonzero((patterns == pattern) & (probability > MIN_P_SET))
-            if probability[rows].sum() < MIN_PAIRS_TO_LEARN:
+        likely = np.flatnonzero(probability > MIN_P_SET)
+        for pattern, among in rows_by_pattern(patterns[likely]):
+            rows = likely[among]
+            if pattern.bit_count() < 2 or probability[rows].sum() < MIN_PAIRS_TO_LEARN:
                 continue
+            errors = self.errors[pattern]
             # The odds of these sets without their residuals.
             p, d = np.minimum(probability[rows], LARGEST_P_SET), degrees_of_freedom(pattern)
             log_odds = np.log(p / (1.0 - p)) - errors.log_profile(chi_sq[rows], d)
@@ -311,22 +305,14 @@ def initial_population(
     p_partner : for catalogues (a, b), (n_a,) the probability that a record of a has a partner in b.
     errors : of every two catalogues, by pattern.
     """
-    n_sources = max(b for _, b in coverages) + 1
-    shares = []
-    for s in range(n_sources):
-        others = [t for t in range(n_sources) if t != s]
-        share = np.zeros((len(p_partner[s, others[0]]), 1 << n_sources), order="F")
-        for pattern in range(1 << n_sources):
-            if pattern >> s & 1:
-                parts = (p_partner[s, t] if pattern >> t & 1 else 1.0 - p_partner[s, t] for t in others)
-                share[:, pattern] = np.prod(list(parts), axis=0)
-        shares.append(share)
-
     by_pattern = _with_common_errors(errors)
-    for pattern in range(1, 1 << n_sources):
+    widest_first = sorted(errors, key=lambda pair: -errors[pair].typical_scale)
+    for pattern in range(1, 1 << max(b for _, b in coverages) + 1):
         if pattern.bit_count() > 2:
-            by_pattern[pattern] = max((errors[pair] for pair in pairs_within(pattern)), key=lambda e: e.typical_scale)
-    return Population(log_densities(coverages, shares, MIN_SHARE), by_pattern, estimates_errors)
+            by_pattern[pattern] = errors[next(pair for pair in widest_first if pair & pattern == pair)]
+    shares = PatternShares.independent(p_partner)
+    densities = PatternDensities.of(coverages, shares)
+    return Population(densities, shares, by_pattern, estimates_errors)
 
 
 def _with_common_errors(by_pattern: Mapping[int, Errors]) -> dict[int, Errors]:
@@ -346,60 +332,16 @@ def _with_common_errors(by_pattern: Mapping[int, Errors]) -> dict[int, Errors]:
     return out
 
 
-def log_densities(coverages: Coverages, shares: Sequence[FloatArray], min_share: float) -> tuple[FloatArray, ...]:
-    """Per catalogue (n, 2^S) ln ρ of each pattern at its records, from the records' probabilities of the patterns.
-
-    ρ_A by one catalogue is the density of its records times their share in A; all catalogues of A count the same
-    objects, so the mean of the logarithms is used. Shares refer to the records in the footprint of all of A,
-    and are at least ``min_share``. The arrays are large and taken by columns, hence in Fortran order and in place.
-    """
-    n_sources = len(shares)
-    total = [np.zeros(share.shape, order="F") for share in shares]
-    for s, pattern, densities in _densities(coverages, shares, min_share):
-        for t, density, share in densities:
-            if pattern >> t & 1:
-                # A catalogue's own records are in n − 1 coverages, those of another in one.
-                weight = 1.0 / (n_sources - 1) if t == s else 1.0
-                total[t][:, pattern] += weight * np.log(density * np.maximum(share, min_share))
-    sizes = np.array([max(pattern.bit_count(), 1) for pattern in range(1 << n_sources)])
-    for s, column in enumerate(total):
-        column /= sizes
-        column[:, np.arange(1 << n_sources) >> s & 1 == 0] = -np.inf
-    return tuple(total)
-
-
-def _densities(
-    coverages: Coverages, shares: Sequence[FloatArray], min_share: float
-) -> Iterator[tuple[int, int, Iterable[tuple[int, FloatArray, FloatArray]]]]:
-    """For each catalogue and each of its patterns, by each of its coverages: the two catalogues of the coverage, the
-    density of the first's records at the records of both, and the share of the pattern in it."""
-    covered = [_covered(coverages, s, shares) for s in range(len(shares))]
-    for pair, coverage in coverages.items():
-        for side, s in enumerate(pair, start=1):
-            density = coverage.density(side, np.ones(len(shares[s])))
-            for pattern in _patterns_with(s, len(shares)):
-                weights = covered[s][:, pattern].astype(np.float64)
-                share = share_of_source(coverage, side, shares[s][:, pattern] * weights, weights, min_share)
-                yield s, pattern, zip(pair, density, share, strict=True)
-
-
-def share_of_source(
-    coverage: Coverage, side: int, part: FloatArray, weights: FloatArray, min_share: float
-) -> tuple[FloatArray, FloatArray]:
-    """Local share Σ part / Σ weights at the records of both, arrays of no dimension where it is the same everywhere.
-
-    It is a mean of the records' values and of that of the field. So it is that of the field without any record, and at
-    most ``min_share`` if they all are: of most combinations of catalogues whose areas do not all overlap.
-    """
-    field = (float(part.sum()) + 0.5) / (float(weights.sum()) + 1.0)
-    if not weights.any() or max(field, float(part.max(initial=0.0))) <= min_share:
-        return np.array(field), np.array(field)
-    return local_share(coverage.levels, side, part, weights, pseudo_count=SHARED_PSEUDO_COUNT)
-
-
 def patterns_of(sets: IntArray) -> IntArray:
     """(k,) patterns of sets (k, S) of records."""
     return (sets >= 0) @ (1 << np.arange(sets.shape[1]))
+
+
+def rows_by_pattern(patterns: IntArray) -> Iterator[tuple[int, IntArray]]:
+    """Each pattern that occurs, ascending, and its rows, ascending."""
+    order = np.argsort(patterns, kind="stable")
+    different, start = np.unique(patterns[order], return_index=True)
+    return zip(different.tolist(), np.split(order, start[1:]), strict=True) if len(order) else iter(())
 
 
 def degrees_of_freedom(pattern: int) -> int:
@@ -411,21 +353,3 @@ def pairs_within(pattern: int) -> list[int]:
     """The patterns of two catalogues within a pattern."""
     within = [s for s in range(pattern.bit_length()) if pattern >> s & 1]
     return [1 << s | 1 << t for s, t in combinations(within, 2)]
-
-
-def _patterns_with(s: int, n_sources: int) -> list[int]:
-    return [pattern for pattern in range(1, 1 << n_sources) if pattern >> s & 1]
-
-
-def _covered(coverages: Coverages, s: int, shares: Sequence[FloatArray]) -> BoolArray:
-    """(n, 2^S) mask of the records of s in the footprint of all catalogues of each pattern."""
-    n_sources = len(shares)
-    by_source = np.ones((len(shares[s]), n_sources), bool)
-    for (a, b), coverage in coverages.items():
-        if s in (a, b):
-            by_source[:, b if s == a else a] = coverage.covered[0 if s == a else 1]
-    out = np.zeros(shares[s].shape, bool)
-    for pattern in _patterns_with(s, n_sources):
-        within = [t for t in range(n_sources) if pattern >> t & 1]
-        out[:, pattern] = by_source[:, within].all(axis=1)
-    return out
