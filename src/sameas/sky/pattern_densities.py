@@ -67,24 +67,24 @@ class PatternShares:
             of_records.append(share)
         return cls(local, of_records, total, total / np.array([len(share) for share in of_records]))
 
-    def of_sets(self, sets: IntArray, patterns: IntArray, probability: FloatArray) -> PatternShares:
-        """The shares by probabilities (k,) of sets (k, S) of these patterns."""
-        n_patterns, n_sources = 1 << sets.shape[1], sets.shape[1]
-        local, total = self.local, self.total
-        if len(total):
+    @classmethod
+    def of_sets(
+        cls, sets: IntArray, patterns: IntArray, probability: FloatArray, n_records: Sequence[int], expected: FloatArray
+    ) -> PatternShares:
+        """From the probabilities (k,) of sets (k, S) of these patterns; n_records : of each catalogue."""
+        n_patterns, local = 1 << sets.shape[1], np.arange(1 << sets.shape[1])
+        if len(expected):
             local = most_frequent(np.bincount(patterns, probability, n_patterns).astype(np.float64))
-            total = np.zeros((n_patterns, n_sources))
-        column = column_of(local, n_patterns)
-        of_records = []
-        for s, before in enumerate(self.of_records):
-            share = np.zeros((len(before), len(local)), order="F")
+        total, column, of_records = np.zeros(expected.shape), column_of(local, n_patterns), []
+        for s, n in enumerate(n_records):
+            share = np.zeros((n, len(local)), order="F")
             k = np.flatnonzero(sets[:, s] != ABSENT)
             if len(total):
                 total[:, s] = np.bincount(patterns[k], probability[k], n_patterns)
             k = k[column[patterns[k]] != ABSENT]
             np.add.at(share, (sets[k, s], column[patterns[k]]), probability[k])
             of_records.append(np.minimum(share, 1.0, out=share))
-        return PatternShares(local, of_records, total, self.expected)
+        return cls(local, of_records, total, expected)
 
 
 @in_short

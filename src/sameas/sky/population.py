@@ -223,12 +223,12 @@ LARGEST_P_SET = 1.0 - 1e-9  # maximum probability of a set, to keep its odds fin
 class Population:
     """Densities and errors of the objects by pattern.
 
-    densities : of the objects of each pattern. errors : mixtures of error factors, by pattern. shares : of the
-        densities. estimates_errors : whether EM updates the errors.
+    densities : of the objects of each pattern. expected : (2^S, S) shares of :class:`PatternShares`. errors : mixtures
+        of error factors, by pattern. estimates_errors : whether EM updates the errors.
     """
 
     densities: PatternDensities
-    shares: PatternShares
+    expected: FloatArray
     errors: Mapping[int, Errors]
     estimates_errors: bool = True
 
@@ -270,12 +270,12 @@ class Population:
     def m_step(self, sets: IntArray, chi_sq: FloatArray, probability: FloatArray, coverages: Coverages) -> Population:
         """The maximum-likelihood population given probabilities of sets (k, S) (the M step)."""
         patterns = patterns_of(sets)
-        shares = self.shares.of_sets(sets, patterns, probability)
-        densities = PatternDensities.of(coverages, shares)
+        n_records = [len(local) for local in self.densities.local]
+        shares = PatternShares.of_sets(sets, patterns, probability, n_records, self.expected)
         errors = self.errors
         if self.estimates_errors:
             errors = self._fitted_errors(patterns, chi_sq, probability)
-        return replace(self, densities=densities, shares=shares, errors=errors)
+        return replace(self, densities=PatternDensities.of(coverages, shares), errors=errors)
 
     def _fitted_errors(self, patterns: IntArray, chi_sq: FloatArray, probability: FloatArray) -> dict[int, Errors]:
         fitted_errors = dict(self.errors)
@@ -312,7 +312,7 @@ def initial_population(
             by_pattern[pattern] = errors[next(pair for pair in widest_first if pair & pattern == pair)]
     shares = PatternShares.independent(p_partner)
     densities = PatternDensities.of(coverages, shares)
-    return Population(densities, shares, by_pattern, estimates_errors)
+    return Population(densities, shares.expected, by_pattern, estimates_errors)
 
 
 def _with_common_errors(by_pattern: Mapping[int, Errors]) -> dict[int, Errors]:
