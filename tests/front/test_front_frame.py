@@ -91,6 +91,35 @@ def test_a_wrong_solution_in_the_header_is_named(made, tmp_path, turn_deg, mirro
     assert abs(sameas.match_frame(tmp_path / "m.fits", stars, aim=WHERE).sky.placement.scale_arcsec - 2.0) < 0.01
 
 
+def test_a_frame_that_its_header_places_elsewhere_is_found_about_the_middle_of_a_small_catalogue(made, tmp_path):
+    """Right ascension and declination that were swapped, or a mount that was not synchronised, were refused."""
+    path, stars = made
+    image, header = fits.getdata(path, header=True)
+    fits.writeto(tmp_path / "m.fits", image, header + fits.Header({"RA": WHERE[1], "DEC": 15.0, "SECPIX": 2.0}))
+    notes = sameas.match_frame(tmp_path / "m.fits", stars).sky.notes
+    assert "doubt: the header points elsewhere; the frame was found about the middle of the catalogue" in notes
+
+
+@pytest.mark.slow
+def test_a_wide_field_without_time_is_found_on_the_whole_sky_with_stars_that_move(tmp_path):
+    """The index of the whole sky asked for the time of the frame, after a search that needs none."""
+    rng, n = np.random.default_rng(1), 20_000
+    stars = Table({
+        "ra": rng.uniform(0, 360, n), "dec": np.degrees(np.arcsin(rng.uniform(-1, 1, n))), "pmra": rng.normal(0, 9, n),
+        "pmdec": rng.normal(0, 9, n), "ref_epoch": np.full(n, 2016.0), "phot_g_mean_mag": 9 - rng.exponential(0.9, n),
+    })  # fmt: skip
+    stars.write(tmp_path / "sky.fits")
+    middle = Pointing(unit_vectors(*WHERE), np.diag([-240.0, 240.0]) / ARCSEC_PER_RADIAN, np.full(2, (SIDE - 1) / 2))
+    near = SkyCoord(stars["ra"], stars["dec"], unit="deg").separation(SkyCoord(*WHERE, unit="deg")).deg < 15
+    seen = frame_of_sky(
+        rng, ra_deg=stars["ra"][near], dec_deg=stars["dec"][near], magnitude=stars["phot_g_mean_mag"][near],
+        wcs=middle.to_wcs((SIDE, SIDE)), zero_point=17.0, psf=GaussianProfile(2.6), camera=Camera(shape=(SIDE, SIDE)),
+    )  # fmt: skip
+    fits.writeto(tmp_path / "m.fits", seen.frame.image.astype(np.uint16))
+    found = sameas.match_frame(tmp_path / "m.fits", tmp_path / "sky.fits", scale=(200, 280))
+    assert len(found) > 50 and any("left at epoch 2016.0" in str(note) for note in found.sky.notes)
+
+
 def test_stars_and_measurements_are_explained(found):
     pair = found.pairs[3]
     star, measurement = found.explain(pair["id_2"]), found.explain(pair["id_1"], source="measurement")

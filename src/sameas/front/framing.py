@@ -41,6 +41,7 @@ from sameas.sky.frame.identified import FrameIdentification, Refinement, hints_b
 from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Measurements
+from sameas.sky.frame.mosaic import without_mosaic
 from sameas.sky.frame.outputs import listing, summary
 from sameas.sky.frame.place import NoSolution
 from sameas.sky.frame.pointing_hints import (
@@ -194,7 +195,7 @@ def write(
 
 
 def frame_of(request: FrameRequest, progress: Progress) -> Frame:
-    """The frame of a request, read and calibrated."""
+    """The frame of a request, read, calibrated, and its mosaic of colours made even."""
     from sameas.sky.times import Time
 
     progress("reading")
@@ -203,7 +204,7 @@ def frame_of(request: FrameRequest, progress: Progress) -> Frame:
     frame = read(request.path, hdu=hdu, mask=request.mask, given=Given(**request.given, mid_time=moment))
     if request.darks or request.flats or request.biases:
         frame = _calibration(request.biases, request.darks, request.flats)(frame)
-    return frame
+    return without_mosaic(frame)
 
 
 def _moment(text: str, kind: Any) -> Any:
@@ -237,18 +238,44 @@ def _found_by_hints(
 ) -> tuple[FrameIdentification, Catalogue]:
     own_hints = hints(request.pointing, frame, whole_sky=request.catalogue.lower() != GAIA)
     solved = partial(_solved, request, frame, measured, progress=progress, given=given)
-    sky = next((hint for hint in own_hints if isinstance(hint, AllSky)), None)
-    if sky is not None and request.catalogue.lower() != BRIGHT and not Path(request.catalogue).is_dir():
-        aim = aim_of_catalogue(sky, _cached_catalogue(_key(request, None), progress) if given is None else given)
-        own_hints = [sky if aim is None else aim]
-    match, stars = _solved_at_some_scale(solved, request, frame, own_hints)
-    if sky is not None and isinstance(own_hints[0], Aim):
+    of_field = _aim_of_catalogue(request, own_hints, progress, given)
+    if of_field is not None and isinstance(own_hints[0], AllSky):
+        match, stars = _solved_at_some_scale(solved, request, frame, [of_field])
         match = replace(match, notes=(*match.notes, "assumed: the aim is the middle of the catalogue"))
+    else:
+        try:
+            match, stars = _solved_at_some_scale(solved, request, frame, own_hints)
+        except InputError as refusal:
+            if of_field is None or request.pointing.aim_deg is not None:
+                raise
+            match, stars = _solved_elsewhere(solved, of_field, refusal)
     header = next((hint.wcs for hint in own_hints if isinstance(hint, ApproximateWcs)), None)
     off = "" if header is None else difference_of_solutions(header, match.plate.to_wcs(), frame.shape)
     if off:
         match = replace(match, notes=(*match.notes, f"the plate solution of the header is {off}"))
     return match, stars
+
+
+def _aim_of_catalogue(
+    request: FrameRequest, own_hints: Sequence[Hint], progress: Progress, given: Catalogue | None
+) -> Aim | None:
+    """The middle of a catalogue of a small field at the scales of the hints; None for other catalogues."""
+    scales = next((hint.scale_arcsec for hint in own_hints if not isinstance(hint, ApproximateWcs)), None)
+    if scales is None or request.catalogue.lower() in (BRIGHT, GAIA) or Path(request.catalogue).is_dir():
+        return None
+    return aim_of_catalogue(
+        AllSky(scales), _cached_catalogue(_key(request, None), progress) if given is None else given
+    )
+
+
+def _solved_elsewhere(solved: _Solver, aim: Aim, refusal: InputError) -> tuple[FrameIdentification, Catalogue]:
+    """The solution about the middle of the catalogue, where the header's directions have none; else that refusal."""
+    try:
+        match, stars = solved([aim])
+    except InputError:
+        raise refusal from None
+    text = "doubt: the header points elsewhere; the frame was found about the middle of the catalogue"
+    return replace(match, notes=(*match.notes, text)), stars
 
 
 _Solver = Callable[[Sequence[Hint]], tuple[FrameIdentification, Catalogue]]
@@ -423,7 +450,8 @@ def _cached_catalogue(key: _Key, progress: Progress = lambda stage: None) -> Cat
 @lru_cache(maxsize=2)
 def _index(key: _Key, epoch_jyr: float | None, shape: tuple[int, int], hint: AllSky) -> SkyIndex:
     # Within a year proper motions do not change the star patterns.
-    return sky_index(StarField.of(_cached_catalogue(key), epoch_jyr).stars(), shape, hint)
+    stars = StarField.of(_cached_catalogue(key), epoch_jyr, motion=epoch_jyr is not None)
+    return sky_index(stars.stars(), shape, hint)
 
 
 def _stamp(path: str) -> tuple[int, int]:
