@@ -263,6 +263,13 @@ def test_a_catalogue_of_a_small_field_is_the_aim_of_a_frame_without_one(files, s
     assert "assumed the aim is the middle of the catalogue" in text
 
 
+def test_a_picture_does_not_replace_the_photograph_it_is_of(files, refusal, tmp_path):
+    pictures = pytest.importorskip("PIL.Image", reason="reading photographs needs Pillow")
+    pictures.fromarray(np.zeros((40, 60), np.uint8)).save(tmp_path / "night.png")
+    shown = refusal("frame", tmp_path / "night.png", "-c", files.stars, "-o", tmp_path)
+    assert "night.png: the picture would replace this frame; give another output folder" in shown
+
+
 def test_an_aim_and_a_scale_place_a_frame_without_a_solution(files, sameas, tmp_path):
     bare = picture(tmp_path / "bare.fits", sky(), solved=False)
     more = ["-c", files.stars, "-o", tmp_path / "out", "--no-page", "--no-picture"]

@@ -21,7 +21,8 @@ _PLACE, _IMAGE, _FILES = "Where it points", "The image", "Outputs"
 @with_columns({"": "The catalogue's columns"})
 def frame(
     images: Annotated[list[Path], typer.Argument(
-        metavar="IMAGE...", help="Frames: FITS, plain or packed (.fz, .gz); a folder is a series.", show_default=False,
+        metavar="IMAGE...", show_default=False,
+        help="Frames: FITS, plain or packed (.fz, .gz), or photographs (JPEG, PNG, TIFF); a folder is a series.",
     )],
     catalog: Annotated[str, option(
         "--catalog", "-c", metavar="NAME",

@@ -38,10 +38,9 @@ from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.frame.detect import Detection, detect
 from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.identified import FrameIdentification, Refinement, hints_by_field, search_cone, solve
-from sameas.sky.frame.image import Frame, MasterFrames, read
+from sameas.sky.frame.image import Frame, MasterFrames, read, without_mosaic
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Measurements
-from sameas.sky.frame.mosaic import without_mosaic
 from sameas.sky.frame.outputs import listing, summary
 from sameas.sky.frame.place import NoSolution
 from sameas.sky.frame.pointing_hints import (
@@ -142,6 +141,8 @@ def fulfil(request: FrameRequest, progress: Progress, words: Callable[[str], str
     """
     began = time.perf_counter()
     request.digest()  # refuses missing files before any work
+    if Path(request.path).resolve() in {path.resolve() for path in request.outputs().values()}:
+        raise InputError(f"{request.path}: the picture would replace this frame; give another output folder")
     frame = frame_of(request, progress)
     progress("detecting")
     measured = detect(frame, Detection(threshold_sigmas=request.threshold_sigmas))

@@ -18,6 +18,7 @@ import numpy as np
 
 from sameas.errors import InputError, printable
 from sameas.io.atomic import replacing
+from sameas.sky.frame.cameras import PHOTOGRAPHS
 from sameas.sky.frame.plate import PlateModel
 
 if TYPE_CHECKING:
@@ -74,6 +75,8 @@ def write_copy(plate: PlateModel, frame: str | os.PathLike[str], path: str | os.
     from astropy.utils.exceptions import AstropyWarning
 
     frame, path = Path(frame), Path(path)
+    if frame.suffix.lower() in PHOTOGRAPHS:
+        raise InputError(f"{frame.name}: a photograph has no header for the solution; use the one written beside it")
     if path.exists() and path.samefile(frame):
         raise InputError(f"{path}: is the frame itself; give the copy another name")
     with replacing(path) as draft:

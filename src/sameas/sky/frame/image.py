@@ -1,7 +1,8 @@
 """Images: a frame from a FITS file with its facts and pixel flags, and its calibration.
 
-:func:`read` accepts plain and compressed files (``.gz``, tile-compressed ``.fz``), several extensions, integers (scaled
-and unsigned) and floats, three planes of colours (their mean), error and data-quality planes, and a user's mask.
+:func:`read` accepts plain and compressed FITS files (``.gz``, tile-compressed ``.fz``) and photographs, several
+extensions, integers (scaled and unsigned) and floats, three planes of colours (their mean), error and data-quality
+planes, and a user's mask.
 ``frame.facts`` has a line for every assumption.
 
 Bias, dark and flat are applied, and bad pixels of darks and flats are flagged:
@@ -31,6 +32,7 @@ from sameas.arrays import BoolArray, FloatArray, robust_scale
 from sameas.bounds import checked_fits
 from sameas.errors import InputError, first_line, reading
 from sameas.representation import in_short
+from sameas.sky.frame.cameras import PHOTOGRAPHS, even_mosaic, photograph, unwrapped
 from sameas.sky.frame.keywords import Facts, Given
 from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
 
@@ -138,9 +140,9 @@ class Frame:
 def read(
     path: str | Path, *, hdu: int | str | None = None, mask: str | Path | None = None, given: Given | None = None
 ) -> Frame:
-    """One image of a FITS file.
+    """One image of a FITS file, or a photograph.
 
-    path : plain, ``.gz`` or tile-compressed ``.fz``.
+    path : FITS, plain, ``.gz`` or tile-compressed ``.fz``; JPEG, PNG or TIFF.
     hdu : number or EXTNAME of the image; by default the first extension named SCI, else the first image.
     mask : a second FITS file, non-zero for unusable pixels.
     given : facts that replace those of the header.
@@ -153,7 +155,9 @@ def read(
     with reading(name, "its header cannot be read"):
         facts = Facts.of(header, given or Given(), name=name, notes=notes)
     bad = None if mask is None else _load(Path(mask), None)[0]["image"]
-    image, flags = planes["image"], planes["quality"]
+    image, flags = unwrapped(planes["image"]), planes["quality"]
+    if image is not planes["image"]:
+        facts = replace(facts, lines=(*facts.lines, "doubt: numbers below zero were unsigned ones, stored as signed"))
     if image.ndim == 3 and len(image) == _COLOURS:
         image, flags, facts = _without_colours(image, flags, facts, given or Given())
     return Frame.of(image, facts=facts, mask=bad, flags=flags, sigma=planes["sigma"], header=header, name=name)
@@ -175,12 +179,28 @@ def _without_colours(
     return planes.mean(axis=0, dtype=np.float64), flags, replace(facts, lines=lines)
 
 
+def without_mosaic(frame: Frame) -> Frame:
+    """The frame with a mosaic of colours made even; the same frame if it is none."""
+    even = even_mosaic(frame.image, frame.flags == 0)
+    if even is None:
+        return frame
+    shown = ", ".join(f"{response:.2f}" for response in even[1])
+    lines = [f"image: a mosaic of colours, 2 × 2 kinds of pixels; levels and responses ({shown}) made equal"]
+    if math.isfinite(frame.facts.gain_e_per_adu):
+        lines.append("assumed: the gain is that of one kind of pixels; the noise is taken from the image")
+    facts = replace(frame.facts, lines=(*frame.facts.lines, *lines), gain_e_per_adu=math.nan)
+    return replace(frame, image=even[0], facts=facts, sigma=None)
+
+
 def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tuple[str, ...]]:
     """The image with its planes, its header, and notes on the choice of the extension."""
     from astropy.utils.exceptions import AstropyWarning
 
     if not path.is_file():
         raise InputError(f"{path}: no such file")
+    if path.suffix.lower() in PHOTOGRAPHS:
+        pixels, facts, lines = photograph(path)
+        return {"image": pixels, "quality": None, "sigma": None}, facts, lines
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AstropyWarning)
