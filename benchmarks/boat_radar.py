@@ -162,7 +162,7 @@ def boat_radar(
     )
     return BoatRadarScene(
         ((described[0], radar), (described[1], ais)), truth[order], mmsi, np.arange(common), bias, heading_error
-    )  # fmt: skip
+    )
 
 
 Echoes = tuple[IntArray, FloatArray, IntArray]

@@ -126,10 +126,7 @@ def tables(options: argparse.Namespace, curves: dict[str, Statements]) -> Iterat
             for model, statements in catalogues(options.rows, lam, elliptical):
                 curves[f"λ {lam:g}, {kind}, {model}"] = statements
                 lines.append([f"λ {lam:g}, {kind}", model, *statements.line()])
-    priors = {
-        "CommonObjects": CommonObjects(Q1, Q2),
-        "CommonObjects, linear": CommonObjects(Q1, Q2, linear=True),
-    }
+    priors = {"CommonObjects": CommonObjects(Q1, Q2), "CommonObjects, linear": CommonObjects(Q1, Q2, linear=True)}
     for model, statements in pictures(options.scenes, priors).items():
         curves[f"pictures, {model}"] = statements
         lines.append([f"{options.scenes} pictures", model, *statements.line()])

@@ -136,10 +136,7 @@ def registration(options: argparse.Namespace) -> Table:
         scene = draw_scene(7, 0.1, DENSITY, n)
         for shift in SHIFTS_SIGMAS:
             moved = with_positions(scene.second, scene.second.features - [shift, 0.0])
-            runs = (
-                lambda m=scene: _matched(m.first, m.second),
-                lambda m=scene, s=moved: register(m.first, s, Shift()),
-            )
+            runs = (lambda m=scene: _matched(m.first, m.second), lambda m=scene, s=moved: register(m.first, s, Shift()))
             once, search = seconds(runs, options.times)
             span = np.ptp(scene.first.features, axis=0) + np.ptp(moved.features, axis=0)
             within = "yes" if search / once <= MAX_RATIO else "no"

@@ -143,9 +143,9 @@ class _TrueStars:
         """The catalogue's records of the stars ``numbers``, moved to the frame's epoch by their proper motions."""
         magnitude = self.magnitude[numbers]
         depth = sky.depth(magnitude, sky.faintest)
-        still, motion = ((low + (high - low) * depth) for low, high in (
-            sky.catalogue_sigma_arcsec, sky.motion_sigma_mas_per_yr,
-        ))  # fmt: skip
+        still, motion = (
+            (low + (high - low) * depth) for low, high in (sky.catalogue_sigma_arcsec, sky.motion_sigma_mas_per_yr)
+        )
         unknown = rng.uniform(size=len(numbers)) < sky.unknown_motion
         motion = np.where(unknown, sky.motion_mas_per_yr, motion)
         spread = np.hypot(still, 1e-3 * motion * sky.gap_yr)

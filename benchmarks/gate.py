@@ -49,16 +49,8 @@ def formations(count: int) -> Iterator[Case]:
     q1, q2, rng = 0.1, 0.2, np.random.default_rng(53)
     sigma = math.sqrt(2.0)
     shapes = [
-        (
-            "line of 10, d = 2σ",
-            [line(rng, n=10, spacing_sigmas=2.0, q1=q1, q2=q2) for _ in range(count)],
-            2.0,
-        ),
-        (
-            "grid 4 × 4, d = 3σ",
-            [grid(rng, shape=(4, 4), spacing_sigmas=3.0, q1=q1, q2=q2) for _ in range(count)],
-            3.0,
-        ),
+        ("line of 10, d = 2σ", [line(rng, n=10, spacing_sigmas=2.0, q1=q1, q2=q2) for _ in range(count)], 2.0),
+        ("grid 4 × 4, d = 3σ", [grid(rng, shape=(4, 4), spacing_sigmas=3.0, q1=q1, q2=q2) for _ in range(count)], 3.0),
     ]
     for name, scenes, spacing in shapes:
         rule = CloseObjects(a=0.5 * spacing * sigma, b=2.0 * spacing * sigma)

@@ -122,14 +122,13 @@ LOADS = (
     Load("1 against 1 000 000 within its error", _match(lambda f: stars(f, (1, 0.1, 10.0), (1_000_000, 1.0, 0.1)))),
     Load("100 000, one error covers all", _match(wide_one)),
     Load("100 000, 1 000 positions are NaN", _match(lambda f: field(f, 100_000, 1000))),
-    Load("100 000, errors 3 600 times too large", _match(
-        lambda f: [*field(f, 100_000), "--sigma", "360"])),
+    Load("100 000, errors 3 600 times too large", _match(lambda f: [*field(f, 100_000), "--sigma", "360"])),
     Load("3 000 000 against 3 000 000", _match(lambda f: field(f, 3_000_000)), moments=2),
     Load("many: 3 times 2 000 in a field", _match(lambda f: field(f, 20_000, crowd=(2000, 0.1), sides=3), "many")),
     Load("many: 3 times 300 in a field", _match(lambda f: field(f, 3000, crowd=(300, 0.1), sides=3), "many")),
     Load("movers: 4 times 1 000 at one place", lambda f: ["movers", *detections(f, 1000), "-o", str(f / "out.fits")]),
     Load("picture: 300 ships at one place", lambda f: ["picture", *ships(f, 300), "-o", str(f / "out")]),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,7 @@ from sameas.tracks.coordinates import LocalPlane
 SITE, START_S = (50.55, -0.95), 1_764_201_600
 SPAN_S, HALF_WIDTH_M, SIGMA_M = 300, 15_000.0, 15.0
 #: What is traced, and kinds of its events: a frame that is drawn, the page's own work for one, and a task of a thread.
-TRACED = [
-    "devtools.timeline",
-    "disabled-by-default-devtools.timeline",
-    "disabled-by-default-devtools.timeline.frame",
-]
+TRACED = ["devtools.timeline", "disabled-by-default-devtools.timeline", "disabled-by-default-devtools.timeline.frame"]
 FRAME, WORK, TASK = "DrawFrame", "FireAnimationFrame", "RunTask"
 #: Milliseconds between frames.
 FRAME_MS = 1e3 / 60.0

@@ -111,10 +111,7 @@ KINDS = (
     Kind("nearly all constant", (Errors(25.0, 0.9), Errors(25.0, 0.9))),
     Kind("new, 2 % swaps", (Errors(25.0, swaps=0.02), Errors(25.0, swaps=0.02))),
     Kind("half constant, 2 % swaps", (Errors(25.0, 0.5, 0.3, swaps=0.02), Errors(25.0, 0.5, 0.3, swaps=0.02))),
-    Kind(
-        "half constant, 0.2 % swaps",
-        (Errors(25.0, 0.5, 0.3, swaps=0.002), Errors(25.0, 0.5, 0.3, swaps=0.002)),
-    ),
+    Kind("half constant, 0.2 % swaps", (Errors(25.0, 0.5, 0.3, swaps=0.002), Errors(25.0, 0.5, 0.3, swaps=0.002))),
 )
 
 

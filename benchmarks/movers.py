@@ -281,11 +281,7 @@ def main() -> None:
     parser.add_argument("--peer", type=Path, help="a Python with fink-fat 0.6.3 (pandas < 3), for comparison")
     parser.add_argument("--frames", type=Path, help="folder of raw frames and darks to inject movers into")
     parser.add_argument("--rounds", type=int, default=0, help="series (also of --frames) with injected movers")
-    parser.add_argument(
-        "--below-limit",
-        type=float,
-        help="highest rate of faint movers in --rounds, ″/min",
-    )
+    parser.add_argument("--below-limit", type=float, help="highest rate of faint movers in --rounds, ″/min")
     parser.add_argument("--heliolinx", type=Path, help="a Python with heliolinx 0.0.2, for comparison in --rounds")
     parser.add_argument(
         "--elements", type=Path, help="elements of known objects, as of sameas movers: O−C of the nights"

@@ -315,9 +315,7 @@ OURS = (
     "GOSPA, m", "missed", "false",
 )  # fmt: skip
 OTHERS = (*LABEL, "method", "F1, biased", "F1, biases found")
-FOUND = (
-    *LABEL, "source", "range, m", "found", "±", "azimuth, °", "found", "±", "late, s", "found", "±",
-)  # fmt: skip
+FOUND = (*LABEL, "source", "range, m", "found", "±", "azimuth, °", "found", "±", "late, s", "found", "±")
 
 
 def tables(world: World, noises: tuple[float, ...], misses: tuple[float, ...], steps: Steps) -> list[Table]:

@@ -129,9 +129,4 @@ def _full_group(n: int) -> tuple[Any, Any, np.ndarray, Any]:
     measured = [position + 0.3 * rng.standard_normal((n, 2)) for _ in range(2)]
     pairs = Radius(1e6)(*(Records.of(x, sigma=0.3, source=f"source {k}") for k, x in enumerate(measured, start=1)))
     grouped = groups(pairs)
-    return (
-        pairs,
-        grouped,
-        Field(1.0 / n)(pairs).log_ratio,
-        CommonObjects(0.1, 0.2)(grouped.sizes_1, grouped.sizes_2),
-    )
+    return (pairs, grouped, Field(1.0 / n)(pairs).log_ratio, CommonObjects(0.1, 0.2)(grouped.sizes_1, grouped.sizes_2))

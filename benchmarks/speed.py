@@ -220,16 +220,7 @@ def start(b: Bench) -> Iterator[Row]:
     """The help; a match of 1000 rows before and after the kernels are compiled."""
     process, tiny = "benchmarks.processes:process", b.sky(0.5, rows=1000)
     first, second = _parquet(Path(tiny))
-    match = [
-        _sameas(),
-        "match",
-        str(first),
-        str(second),
-        "-o",
-        f"{tiny}/out.parquet",
-        "--overwrite",
-        *COLUMN_OPTIONS,
-    ]
+    match = [_sameas(), "match", str(first), str(second), "-o", f"{tiny}/out.parquet", "--overwrite", *COLUMN_OPTIONS]
     yield Row("sameas --help", Work(process, {"command": [_sameas(), "--help"]}, 7), (), 0.25)
     cold = {"command": match, "cache": str(b.folder / "numba")}
     yield Row("sameas match, 1000 rows, first run ever", Work("benchmarks.processes:first_ever", cold, 1), (), 8.0)
@@ -255,13 +246,7 @@ def growth(b: Bench) -> Table:
         ns_per_row = [1e9 * m.median / n for m in (best, posterior, measure_astropy(b, folder))]
         lines.append([n, *ns_per_row, posterior.peak_mb - posterior.baseline_mb])
         n *= 5 if str(n).startswith("1") else 2
-    columns = (
-        "rows",
-        "MAP, ns a row",
-        "posteriors, ns a row",
-        "astropy, ns a row",
-        "MB above baseline, posteriors",
-    )
+    columns = ("rows", "MAP, ns a row", "posteriors, ns a row", "astropy, ns a row", "MB above baseline, posteriors")
     large = [line[1] for line in lines if line[0] >= 100_000]
     note = f"from 10⁵ rows on, MAP per row varies by {max(large) / min(large):.2f} (target: 1.5)" if large else ""
     return Table("Growth with the number of rows, λ 0.5", columns, lines, (note,) if note else ())

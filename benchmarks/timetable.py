@@ -8,18 +8,7 @@ from dataclasses import dataclass
 from benchmarks.measure import Measurement, Work, measure
 from benchmarks.tables import Table, duration
 
-COLUMNS = (
-    "what",
-    "by",
-    "median",
-    "min to max",
-    "runs",
-    "peak MB",
-    "above baseline",
-    "× sameas",
-    "target",
-    "met",
-)
+COLUMNS = ("what", "by", "median", "min to max", "runs", "peak MB", "above baseline", "× sameas", "target", "met")
 
 
 #: A peer's name, and its work or how to install it.

@@ -78,13 +78,7 @@ def targets(seed: int, n: int, d: int, lam: float = 0.5) -> tuple[Any, Densities
     density = lam / ball / (1 - q)
     extent = (n / density / (1 - q)) ** (1 / d)
     scene = poisson_field(
-        np.random.default_rng(seed),
-        density=density,
-        extent=(extent,) * d,
-        q1=q,
-        q2=q,
-        sigma_1=1.0,
-        sigma_2=1.0,
+        np.random.default_rng(seed), density=density, extent=(extent,) * d, q1=q, q2=q, sigma_1=1.0, sigma_2=1.0
     )
     return scene, Densities(density * (1 - q) ** 2, density * (1 - q) * q, density * q * (1 - q))
 

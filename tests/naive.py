@@ -255,13 +255,7 @@ def close_objects_paper(delta: np.ndarray, cov: np.ndarray, a: np.ndarray, b: np
 
 
 def universal_1d(
-    x1: float,
-    variance_1: float,
-    x2: float,
-    variance_2: float,
-    log_p: Callable,
-    log_p_other: Callable,
-    grid: np.ndarray,
+    x1: float, variance_1: float, x2: float, variance_2: float, log_p: Callable, log_p_other: Callable, grid: np.ndarray
 ) -> float:
     """METHOD 3.3 in one feature, summed on a regular ``grid`` of positions (m,).
 

@@ -182,9 +182,9 @@ def test_the_papers_braces_agree_with_the_reference_and_negative_ones_are_marked
     delta, sigma = rng.normal(0, 3, (80, 2)), rng.uniform(0.3, 2, (80, 2))
     ours = log_generalized_density(delta, sigma, A, B)
     covs = [np.diag(s**2) for s in sigma]
-    expected = np.array([
-        naive.log_normal(x, s) - naive.close_objects_paper(x, s, A, B) for x, s in zip(delta, covs, strict=True)
-    ])  # fmt: skip
+    expected = np.array(
+        [naive.log_normal(x, s) - naive.close_objects_paper(x, s, A, B) for x, s in zip(delta, covs, strict=True)]
+    )
     negative = np.isnan(expected)
     assert 0 < negative.sum() < 60
     assert np.all(ours[negative] == -np.inf)

@@ -117,11 +117,7 @@ def test_a_state_of_another_kind_is_refused(state, tmp_path):
         ("partition_info.csv", b"Norder,Npix\n1,48\n", "no cell of HEALPix is of order 1 and number 48"),
         ("partition_info.csv", b"Norder,Npix\n1,-1\n", "no cell of HEALPix is of order 1 and number -1"),
         ("hats.properties", b"hats_npix_suffix=" + 300 * b"A", "hats_npix_suffix is 'A"),
-        (
-            "hats.properties",
-            b"hats_npix_suffix=/../../../other.parquet",
-            "hats_npix_suffix is '/\\.\\.",
-        ),
+        ("hats.properties", b"hats_npix_suffix=/../../../other.parquet", "hats_npix_suffix is '/\\.\\."),
         ("partition_info.csv", b"Norder,Npix\n0,0\n1,3\n", "overlap"),
     ],
 )

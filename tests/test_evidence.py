@@ -58,10 +58,7 @@ def mixture(delta, cov):
 
 RULES = {
     "field": (lambda n1, n2: Field(0.3), lambda x, s, i, j: naive.field(x, s, 0.3)),
-    "field, local": (
-        lambda n1, n2: Field(VARYING_2[:n2]),
-        lambda x, s, i, j: naive.field(x, s, VARYING_2[j]),
-    ),
+    "field, local": (lambda n1, n2: Field(VARYING_2[:n2]), lambda x, s, i, j: naive.field(x, s, VARYING_2[j])),
     "constant cost": (lambda n1, n2: ConstantCost(0.4), lambda x, s, i, j: naive.constant_cost(x, s, 0.4)),
     "detection": (
         lambda n1, n2: ConstantCost.calibrated(0.9, 0.2),

@@ -5,17 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sameas import (
-    CloseObjects,
-    CommonObjects,
-    ConstantCost,
-    Field,
-    PerPair,
-    PoissonField,
-    Radius,
-    Records,
-    identify,
-)
+from sameas import CloseObjects, CommonObjects, ConstantCost, Field, PerPair, PoissonField, Radius, Records, identify
 from sameas.evidence import DetectionField, Errors
 from sameas.score.pairs import is_true_pair, reliability, score_probabilities
 from sameas.simulate.scenes import Cap, poisson_field, sky_field

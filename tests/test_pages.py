@@ -203,9 +203,7 @@ def test_no_page_is_wider_than_its_window_in_either_colour_scheme(every_page, ki
 
 #: Deuteranopia, on linear red, green and blue: Machado, Oliveira, Fernandes 2009, IEEE TVCG 15, 1291, severity 1.
 DEUTERANOPIA = [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
-SRGB_TO_XYZ = [
-    [0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041],
-]  # fmt: skip
+SRGB_TO_XYZ = [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
 
 
 def lab(colour, seen_by):
@@ -254,6 +252,4 @@ def test_marks_of_a_frame_are_distinguishable_from_each_other_and_the_sky(theme,
     apart = {pair: ciede2000(marks[pair[0]], marks[pair[1]]) for pair in itertools.combinations(marks, 2)}
     assert min(apart.values()) >= 25.0, apart
     if theme == ":root":
-        assert [named[n] for n in ("found", "alone", "lost")] == [
-            frame_plots.BLUE, frame_plots.YELLOW, frame_plots.RED,
-        ]  # fmt: skip
+        assert [named[n] for n in ("found", "alone", "lost")] == [frame_plots.BLUE, frame_plots.YELLOW, frame_plots.RED]

@@ -310,8 +310,7 @@ def test_stars_that_move_across_a_border_are_matched(tmp_path):
     first["pmra"], first["pmdec"] = np.zeros(len(first)), np.zeros(len(first))
     first["pmra_error"] = first["pmdec_error"] = np.full(len(first), 0.01)
     star = {"id": -1, "ra": 359.999, "dec": 0.001, "pos_err": 0.05, "mag": 20.0}
-    first.add_row({**star, "epoch": 2000.0, "pmra": 900.0, "pmdec": 0.0, "pmra_error": 0.01,
-                   "pmdec_error": 0.01})  # fmt: skip
+    first.add_row({**star, "epoch": 2000.0, "pmra": 900.0, "pmdec": 0.0, "pmra_error": 0.01, "pmdec_error": 0.01})
     second.add_row({**star, "id": -2, "ra": (359.999 + 14.4 / 3600.0) % 360.0, "epoch": 2016.0})
     found, _ = matched(tmp_path, stored(tmp_path, tables, (200, 200)))
     joined = table_of(tmp_path / "out")

@@ -120,10 +120,7 @@ def test_an_event_of_probability_zero_that_occurs_scores_minus_infinity():
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
-        (
-            lambda: score_pairs(([0, 0], [1, 2]), ([], [])),
-            "claimed pairs: row 0 of source 1 has several partners",
-        ),
+        (lambda: score_pairs(([0, 0], [1, 2]), ([], [])), "claimed pairs: row 0 of source 1 has several partners"),
         (lambda: score_pairs(([0], [1, 2]), ([], [])), "two lists of equal length"),
         (lambda: score_pairs(([-1], [1]), ([], [])), "give integers from 0"),
         (lambda: score_pairs(([0.5], [1]), ([], [])), "give integers from 0"),

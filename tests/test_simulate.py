@@ -76,13 +76,7 @@ def test_a_poisson_field_has_the_stated_counts():
     for seed in range(60):
         scene = field_scene(seed, false_1=0.5, false_2=0.25)
         counts.append(
-            [
-                len(scene.true_pairs()[0]),
-                len(scene.first),
-                len(scene.second),
-                scene.false_1.sum(),
-                scene.false_2.sum(),
-            ]
+            [len(scene.true_pairs()[0]), len(scene.first), len(scene.second), scene.false_1.sum(), scene.false_2.sum()]
         )
     expected = volume * np.array([2 * 0.8 * 0.6, 2 * 0.8 + 0.5, 2 * 0.6 + 0.25, 0.5, 0.25])
     deviation = (np.mean(counts, axis=0) - expected) / np.sqrt(expected / 60)
@@ -154,10 +148,7 @@ def test_a_line_is_a_grid_of_one_row_with_the_stated_errors_and_misses():
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
-    lon=st.floats(0, 360),
-    lat=st.floats(-90, 90),
-    distance=st.floats(1e-6, 600_000),
-    angle=st.floats(0, 2 * math.pi),
+    lon=st.floats(0, 360), lat=st.floats(-90, 90), distance=st.floats(1e-6, 600_000), angle=st.floats(0, 2 * math.pi)
 )
 def test_displaced_moves_by_the_distance_and_starts_in_the_direction(lon, lat, distance, angle):
     offset = distance * np.array([[math.sin(angle), math.cos(angle)]])

@@ -31,9 +31,7 @@ def share_right(scenes, reaches, q):
     for scene, b in zip(scenes, reaches, strict=True):
         rule = CloseObjects(1.1 * SIGMA, tuple(np.broadcast_to(b, 2)))
         found = identify(scene.first, scene.second, rule=rule, prior=CommonObjects(q, q), gate=Box(8.0)).matches
-        score = score_records(
-            (found.rows_1, found.rows_2), scene.true_pairs(), len(scene.first), len(scene.second)
-        )  # fmt: skip
+        score = score_records((found.rows_1, found.rows_2), scene.true_pairs(), len(scene.first), len(scene.second))
         right, total = right + score.n_right_1 + score.n_right_2, total + score.n_1 + score.n_2
     return right / total
 

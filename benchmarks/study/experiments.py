@@ -28,7 +28,7 @@ from benchmarks.study.contenders import (
     Uniform,
     line_up,
     most_pairs_of_groups,
-)  # fmt: skip
+)
 from benchmarks.study.reach import EstimatedReach
 from benchmarks.study.scenes import EQUAL, UNEQUAL, Formation, Lattice, Scatter
 from benchmarks.study.several import Several

@@ -42,10 +42,7 @@ def markdown(rows: Sequence[Row], columns: Iterable[str] = ()) -> str:
     """Rows as a table of these columns, default all; numbers are right-aligned."""
     names = list(columns) or list(rows[0])
     right = {n for n in names if any(isinstance(r.get(n), Ratio | float | int) for r in rows)}
-    lines = [
-        "| " + " | ".join(names) + " |",
-        "|" + "|".join("---:" if n in right else "---" for n in names) + "|",
-    ]
+    lines = ["| " + " | ".join(names) + " |", "|" + "|".join("---:" if n in right else "---" for n in names) + "|"]
     return "\n".join(lines + ["| " + " | ".join(shown(row.get(n)) for n in names) + " |" for row in rows])
 
 

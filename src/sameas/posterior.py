@@ -472,9 +472,7 @@ class Thinned:
             Ragged.of_sorted(g.places[1][by_column], len(free)).start,
             g.places[0][by_column].astype(np.int32),
         )
-        graph = Graph(
-            g.edges_1, column, odds, claim, start, rival, claim[by_column], odds[by_column], none, free
-        )  # fmt: skip
+        graph = Graph(g.edges_1, column, odds, claim, start, rival, claim[by_column], odds[by_column], none, free)
         rivals = np.empty((len(none), NEIGHBOURHOOD_ROWS), np.int32)
         strength, share = np.empty(rivals.shape), np.zeros(len(g.order))
         ranges = threads.even(len(none), least=256)

@@ -239,10 +239,7 @@ def test_two_processes_write_the_same_as_one(files, sameas, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("scale", "times"),
-    [(1.0, "2"), (8.0, "0.25"), (2.0 * 0.63, "1.6")],
-)
+@pytest.mark.parametrize(("scale", "times"), [(1.0, "2"), (8.0, "0.25"), (2.0 * 0.63, "1.6")])
 def test_a_scale_without_the_binning_of_the_pixels_is_found_and_doubted(files, sameas, tmp_path, scale, times):
     """Binned pixels and reducers of the focal length were refused."""
     where = {"SECPIX": scale, "RA": WHERE[0], "DEC": WHERE[1]}
@@ -291,12 +288,12 @@ BARE = {"solved": False}
         (BARE, ("--aim", "15,20", "--scale", "1.6,2.4"), r"stars: 0 stars within .* cover the field\?"),
         ({}, ("--epoch", "when"), r"no column 'when' for --epoch"),
         ({}, ("--threshold", "1e6"), r"bare\.fits: no star above 1e\+06σ"),
-        ({}, ("--aim", "here",), "--aim here: give RA,DEC in degrees"),
+        ({}, ("--aim", "here"), "--aim here: give RA,DEC in degrees"),
         ({}, ("--scale", "3,2"), "--scale 3,2: give LO,HI in arcsec per pixel"),
         ({}, ("--time", "noon"), "--time noon: give a date such as"),
         ({}, ("--catalog", "nowhere.fits"), r"nowhere\.fits: no such file"),
     ],
-)  # fmt: skip
+)
 def test_impossible_requests_give_one_clear_line(files, refusal, tmp_path, cards, options, words):
     frame = picture(tmp_path / "bare.fits", sky(), **cards)
     arguments = ["frame", frame, "-o", tmp_path / "out", *options]
@@ -314,7 +311,7 @@ def test_impossible_requests_give_one_clear_line(files, refusal, tmp_path, cards
         (np.random.default_rng(1).normal(100, 5, (96, 96)).astype(np.float32), "A plate solution needs|no star above"),
     ],
     ids=["nan", "saturated", "no stars"],
-)  # fmt: skip
+)
 def test_bad_images_give_one_clear_line(files, refusal, tmp_path, image, words):
     header = pointing().to_wcs().to_header()
     header["DATE-OBS"] = "2016-01-01T12:00:00"

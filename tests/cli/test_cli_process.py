@@ -96,8 +96,7 @@ def test_a_closed_stream_does_not_stop_the_command(closed, tmp_path, field_files
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "ending",
-    [".fits", pytest.param(".parquet", marks=pytest.mark.long), pytest.param(".csv", marks=pytest.mark.long)],
+    "ending", [".fits", pytest.param(".parquet", marks=pytest.mark.long), pytest.param(".csv", marks=pytest.mark.long)]
 )
 def test_a_signal_at_any_time_leaves_the_old_or_the_new_output(ending, tmp_path, field_files):
     out = tmp_path / f"o{ending}"

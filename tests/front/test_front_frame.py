@@ -71,11 +71,7 @@ def test_the_report_describes_the_interpretation_of_the_catalogue(found):
 
 @pytest.mark.parametrize(
     ("turn_deg", "mirror", "shift_px", "words"),
-    [
-        (0.0, 1.0, 0.0, ""),
-        (0.5, 1.0, 15.0, "″ at most, rotated by 0.50°"),
-        (0.0, -1.0, 0.0, "mirrored"),
-    ],
+    [(0.0, 1.0, 0.0, ""), (0.5, 1.0, 15.0, "″ at most, rotated by 0.50°"), (0.0, -1.0, 0.0, "mirrored")],
 )
 def test_a_wrong_solution_in_the_header_is_named(made, tmp_path, turn_deg, mirror, shift_px, words):
     path, stars = made

@@ -338,10 +338,10 @@ class Code:
 
     def stands(self, later: Code) -> bool:
         """Whether ``later``, with possibly more modules loaded, is the same code."""
-        return (
-            self.modules.items() <= later.modules.items()
-            and (self.libraries, self.inputs) == (later.libraries, later.inputs)
-        )  # fmt: skip
+        return self.modules.items() <= later.modules.items() and (self.libraries, self.inputs) == (
+            later.libraries,
+            later.inputs,
+        )
 
 
 def _meaning(path: Path) -> bytes:

@@ -165,10 +165,7 @@ def _cached_functions() -> tuple[tuple[str, Cached], ...]:
         ("sameas.io.read_table", Cached(sameas.io.read_table, _content)),
         ("sameas.io.read_provenance", Cached(sameas.io.read_provenance, _content, copy.deepcopy)),
         ("sameas.sky.crossmatch.match", Cached(crossmatch.match, _pickled)),
-        (
-            "astropy.table.meta.get_header_from_yaml",
-            Cached(meta.get_header_from_yaml, _header, copy.deepcopy),
-        ),
+        ("astropy.table.meta.get_header_from_yaml", Cached(meta.get_header_from_yaml, _header, copy.deepcopy)),
     )
 
 

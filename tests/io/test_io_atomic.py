@@ -105,10 +105,7 @@ def test_a_link_is_followed(tmp_path):
 
 
 def test_invalid_outputs_are_refused_before_anything_is_written(tmp_path):
-    with (
-        pytest.raises(InputError, match=r"nowhere does not exist; make it first"),
-        replacing(tmp_path / "nowhere/x"),
-    ):
+    with pytest.raises(InputError, match=r"nowhere does not exist; make it first"), replacing(tmp_path / "nowhere/x"):
         pass
     with pytest.raises(InputError, match="it is a directory"), replacing(tmp_path):
         pass

@@ -20,9 +20,9 @@ def objects():
         "lon_deg": np.ma.MaskedArray([-1.5, 179.9995, 0.0], hidden),
         "x_m": np.ma.MaskedArray([1234.56789012, 2.0, 0.0], hidden),
         "probability": np.array([0.999999, 0.5, np.nan]),
-        "label": np.array(["Ålesund \"7\"", "", ""]),
+        "label": np.array(['Ålesund "7"', "", ""]),
         "ambiguous": np.array([False, True, False]),
-    }  # fmt: skip
+    }
 
 
 def test_objects_are_points_longitude_first(tmp_path):
@@ -70,6 +70,4 @@ def test_an_object_has_a_track_in_the_order_of_time_cut_at_the_antimeridian(tmp_
     assert track["properties"]["object"] == 4 and track["properties"]["label"] == "PIKA"
     assert track["properties"]["times_s"] == [NOON_S, NOON_S + 10, NOON_S + 20]
     west = [[179.0, -10.0], [179.5, -10.0], [180.0, -10.0]]
-    assert track["geometry"] == {
-        "type": "MultiLineString", "coordinates": [west, [[-180.0, -10.0], [-179.5, -10.0]]],
-    }  # fmt: skip
+    assert track["geometry"] == {"type": "MultiLineString", "coordinates": [west, [[-180.0, -10.0], [-179.5, -10.0]]]}

@@ -58,9 +58,7 @@ plain = st.one_of(st.text(max_size=120), st.integers(), st.floats(allow_nan=Fals
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     facts=st.dictionaries(
-        st.from_regex(r"[a-z][a-z_.]{0,30}", fullmatch=True),
-        st.one_of(plain, st.lists(plain, max_size=3)),
-        max_size=4,
+        st.from_regex(r"[a-z][a-z_.]{0,30}", fullmatch=True), st.one_of(plain, st.lists(plain, max_size=3)), max_size=4
     )
 )
 def test_any_provenance_round_trips(ending, tmp_path, facts):
@@ -75,21 +73,9 @@ def test_any_provenance_round_trips(ending, tmp_path, facts):
 
 
 def test_numpy_values_and_paths_become_plain_values(tmp_path):
-    facts = {
-        "n": np.int64(3),
-        "q": np.float64(0.5),
-        "yes": np.bool_(True),
-        "of": Path("a.fits"),
-        "v": np.arange(2),
-    }
+    facts = {"n": np.int64(3), "q": np.float64(0.5), "yes": np.bool_(True), "of": Path("a.fits"), "v": np.arange(2)}
     write_table(Table({"x": [1]}), tmp_path / "t.parquet", provenance=facts)
-    assert read_provenance(tmp_path / "t.parquet") == {
-        "n": 3,
-        "q": 0.5,
-        "yes": True,
-        "of": "a.fits",
-        "v": [0, 1],
-    }
+    assert read_provenance(tmp_path / "t.parquet") == {"n": 3, "q": 0.5, "yes": True, "of": "a.fits", "v": [0, 1]}
 
 
 def test_a_file_without_provenance_gives_none(tmp_path):

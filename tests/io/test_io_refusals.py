@@ -107,10 +107,7 @@ def test_a_zipped_name_on_an_unzipped_file(tmp_path):
     ("text", "words"),
     [
         ("a,b,a\n1,2,3\n", "two columns are called a; rename one"),
-        (
-            "a,b\n1,2\n3,4\n5,6,7\n8,9\n",
-            "line 4 has 3 cells, not 2; put text with a delimiter in it in quotes",
-        ),
+        ("a,b\n1,2\n3,4\n5,6,7\n8,9\n", "line 4 has 3 cells, not 2; put text with a delimiter in it in quotes"),
         ("# c\n\na,b\n1,2\n3\n", "line 5 has 1 cells, not 2"),
         ("1,2.5,3\n4,5.5,6\n", "line 1 holds numbers; put the names of the columns above"),
         ("id ra dec\n1 2\n", "line 2 has 2 cells, not 3"),
@@ -149,11 +146,7 @@ def test_columns_that_are_no_cells_are_refused_and_nothing_is_written(ending, tm
     with pytest.raises(InputError, match=rf"out{ending}: column where is a SkyCoord; write its parts"):
         write_table(Table({"where": SkyCoord([1], [2], unit="deg")}), path, provenance={})
     with pytest.raises(InputError, match="out"):
-        write_table(
-            Table({"odd": np.array([{1: 2}, object()], dtype=object)}),
-            tmp_path / "out.parquet",
-            provenance={},
-        )
+        write_table(Table({"odd": np.array([{1: 2}, object()], dtype=object)}), tmp_path / "out.parquet", provenance={})
     with pytest.raises(InputError, match="provenance: rule is a dict"):
         write_table(Table({"x": [1]}), path, provenance={"rule": {}})
     assert list(tmp_path.iterdir()) == []

@@ -234,10 +234,7 @@ def test_we_read_what_astropy_writes(ending, tmp_path):
 def test_fits_gives_native_copies_and_keeps_the_header(tmp_path):
     path = tmp_path / "t.fits"
     header = fits.Header([("EPOCH", 1991.25), ("TELESCOP", "HIP")])
-    columns = [
-        fits.Column("ra", "D", array=[1.0], unit="degrees"),
-        fits.Column("id", "K", array=[-99], null=-99),
-    ]
+    columns = [fits.Column("ra", "D", array=[1.0], unit="degrees"), fits.Column("id", "K", array=[-99], null=-99)]
     hdu = fits.BinTableHDU.from_columns(columns, header=header)
     hdu.header["TUCD1"] = "pos.eq.ra"
     hdu.writeto(path)
@@ -370,8 +367,7 @@ def test_every_known_extension_is_written_and_read(tmp_path):
     for extensions in written_formats().values():
         for ending in extensions:
             assert_same(
-                Table({"x": [1, 2], "y": [1.5, 2.5]}),
-                through(Table({"x": [1, 2], "y": [1.5, 2.5]}), ending, tmp_path),
+                Table({"x": [1, 2], "y": [1.5, 2.5]}), through(Table({"x": [1, 2], "y": [1.5, 2.5]}), ending, tmp_path)
             )
 
 

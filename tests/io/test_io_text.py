@@ -178,8 +178,7 @@ def test_csv_of_a_western_spreadsheet(text, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["150.5 2.25\n10.0 -3.5\n", "# mine\n150.5, 2.25\n10.0, -3.5\n", "150.5\t2.25\r\n\r\n10.0\t-3.5"],
+    "text", ["150.5 2.25\n10.0 -3.5\n", "# mine\n150.5, 2.25\n10.0, -3.5\n", "150.5\t2.25\r\n\r\n10.0\t-3.5"]
 )
 def test_a_list_of_positions_in_degrees_needs_no_names(text, tmp_path):
     table = read(tmp_path / "mine.txt", text)

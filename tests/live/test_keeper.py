@@ -651,7 +651,7 @@ def test_settings_are_read_and_unknown_ones_refused(tmp_path):
         ('[sources.b]\ninput = "udp://127.0.0.1:1"\n', 'has no kind; give kind = "…", one of marine radar'),
         ('[sources.b]\nkind = "other"\ninput = "udp://127.0.0.1:1"\n', "give motion = .* and misses = "),
         ('[sources.b]\ninput = { url = "udp://127.0.0.1:1", format = "ais" }\n', "format is 'ais'; give nmea"),
-    ):  # fmt: skip
+    ):
         path.write_text(text + '[sources.coast]\nkind = "ais"\n')
         with pytest.raises(InputError, match=words):
             read_settings(path)

@@ -5,16 +5,7 @@ import numpy as np
 from sameas.picture import LivePicture
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
-from sameas.tracks.source import (
-    Clutter,
-    Description,
-    MissRate,
-    Motion,
-    SensorCoverage,
-    SensorErrors,
-    Site,
-    Timing,
-)
+from sameas.tracks.source import Clutter, Description, MissRate, Motion, SensorCoverage, SensorErrors, Site, Timing
 
 WALK = Motion(0.01, 8.0)
 

@@ -98,18 +98,7 @@ def looks(hits, n_looks, chance=0.02, **grids):
     names, n = tuple(f"{k}" for k in range(len(hits))), np.full((len(hits), 1), n_looks)
     times, ones = np.zeros(len(hits)), np.ones(1)
     return RadarLooks(
-        "ais",
-        "radar",
-        names,
-        n,
-        hits[:, None],
-        chance * ones,
-        ones,
-        1.0 + times,
-        times,
-        times,
-        1e4,
-        **grids,
+        "ais", "radar", names, n, hits[:, None], chance * ones, ones, 1.0 + times, times, times, 1e4, **grids
     )
 
 

@@ -22,15 +22,7 @@ from sameas.kernels.kalman import (
     weights_of_least_determinant,
 )
 from sameas.kernels.nearest import nearest_at_once
-from sameas.kernels.tracks import (
-    DURATION_SUMS,
-    add_durations,
-    find_places,
-    find_rows,
-    list_rows,
-    neighbours,
-    outdated,
-)
+from sameas.kernels.tracks import DURATION_SUMS, add_durations, find_places, find_rows, list_rows, neighbours, outdated
 from sameas.kernels.zones import merge_rows
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.picture.error_correlation import growth

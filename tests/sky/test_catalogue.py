@@ -57,11 +57,7 @@ def gaia(n: int = 4) -> Table:
     for name, value in (("ra", 0.3), ("dec", 0.2), ("parallax", 0.4), ("pmra", 0.5), ("pmdec", 0.6)):
         table[f"{name}_error"] = np.full(n, value)
     table["parallax"], table["pmra"], table["pmdec"] = np.full(n, 10.0), np.full(n, 100.0), np.full(n, -50.0)
-    table["ra_dec_corr"], table["ra_pmra_corr"], table["ref_epoch"] = (
-        np.full(n, 0.5),
-        np.full(n, -0.25),
-        2016.0,
-    )
+    table["ra_dec_corr"], table["ra_pmra_corr"], table["ref_epoch"] = (np.full(n, 0.5), np.full(n, -0.25), 2016.0)
     return table
 
 
@@ -191,12 +187,7 @@ def test_components_of_askap_are_read_with_their_errors() -> None:
 @pytest.mark.skipif(shutil.which("stilts") is None, reason="needs STILTS")
 def test_error_ellipses_agree_with_stilts(tmp_path: Path) -> None:
     rng, n = np.random.default_rng(1), 30
-    ra, dec, major, angle = (
-        np.arange(n) * 10.0,
-        rng.uniform(-80, 80, n),
-        rng.uniform(1, 3, n),
-        rng.uniform(0, 360, n),
-    )
+    ra, dec, major, angle = (np.arange(n) * 10.0, rng.uniform(-80, 80, n), rng.uniform(1, 3, n), rng.uniform(0, 360, n))
     minor, phi, d = major * rng.uniform(0.2, 1, n), rng.uniform(0, 2 * np.pi, n), rng.uniform(0.1, 0.9, n)
     east, north = d * np.sin(phi), d * np.cos(phi)
     first = Table({"i": np.arange(n), "ra": ra, "dec": dec, "a": major, "b": minor, "pa": angle})
@@ -230,16 +221,7 @@ def test_error_ellipses_agree_with_stilts(tmp_path: Path) -> None:
 
 def test_every_form_of_error_is_read() -> None:
     table = Table(
-        {
-            "ra": [10.0],
-            "dec": [60.0],
-            "e": [0.3],
-            "n": [0.1],
-            "rho": [0.2],
-            "a": [0.3],
-            "b": [0.1],
-            "pa": [90.0],
-        }
+        {"ra": [10.0], "dec": [60.0], "e": [0.3], "n": [0.1], "rho": [0.2], "a": [0.3], "b": [0.1], "pa": [90.0]}
     )
     np.testing.assert_allclose(sigma_arcsec(catalogue(table, sigma=300, sigma_unit="mas")), [0.3, 0.3, 0])
     np.testing.assert_allclose(sigma_arcsec(catalogue(table, sigma="e", sigma_unit="arcsec")), [0.3, 0.3, 0])
@@ -341,16 +323,8 @@ def test_rows_without_an_epoch_are_not_moved() -> None:
 @pytest.mark.parametrize(
     ("change", "options", "doubt"),
     [
-        (
-            {},
-            {"sigma": 100},
-            "the position errors (sigma) have a median of 100 arcsec: are they rather in mas?",
-        ),
-        (
-            {},
-            {"sigma": 1e-7},
-            "the position errors (sigma) have a median of 1e-07 arcsec: are they rather in degrees?",
-        ),
+        ({}, {"sigma": 100}, "the position errors (sigma) have a median of 100 arcsec: are they rather in mas?"),
+        ({}, {"sigma": 1e-7}, "the position errors (sigma) have a median of 1e-07 arcsec: are they rather in degrees?"),
         (
             {"ra": [1.0, 6.0], "dec": [-1.5, 1.5]},
             {},

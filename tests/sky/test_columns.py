@@ -20,27 +20,8 @@ from sameas.sky.surveys import CONVENTIONS
 
 GAIA = ["source_id", "ra", "dec", "ra_error", "dec_error", "ra_dec_corr", "ref_epoch", "phot_g_mean_mag"]
 GAIA_MOTION = ["parallax", "parallax_error", "pmra", "pmra_error", "pmdec", "pmdec_error", "pmra_pmdec_corr"]
-GAIA_VIZIER = [
-    "RA_ICRS",
-    "DE_ICRS",
-    "Source",
-    "e_RA_ICRS",
-    "e_DE_ICRS",
-    "RADEcor",
-    "Plx",
-    "pmRA",
-    "pmDE",
-    "Gmag",
-]
-SEXTRACTOR = [
-    "NUMBER",
-    "ALPHA_J2000",
-    "DELTA_J2000",
-    "ERRA_WORLD",
-    "ERRB_WORLD",
-    "ERRTHETA_J2000",
-    "MAG_AUTO",
-]
+GAIA_VIZIER = ["RA_ICRS", "DE_ICRS", "Source", "e_RA_ICRS", "e_DE_ICRS", "RADEcor", "Plx", "pmRA", "pmDE", "Gmag"]
+SEXTRACTOR = ["NUMBER", "ALPHA_J2000", "DELTA_J2000", "ERRA_WORLD", "ERRB_WORLD", "ERRTHETA_J2000", "MAG_AUTO"]
 TWOMASS = ["ra", "dec", "err_maj", "err_min", "err_ang", "designation", "j_m", "j_msigcom", "jdate"]
 LSST = ["diaSourceId", "ra", "dec", "raErr", "decErr", "ra_dec_Cov", "midpointMjdTai"]
 
@@ -135,19 +116,7 @@ def test_equinox_2000_is_no_epoch() -> None:
 
 
 def test_hip2_is_in_radians() -> None:
-    names = [
-        "HIP",
-        "RArad",
-        "DErad",
-        "Plx",
-        "pmRA",
-        "pmDE",
-        "e_RArad",
-        "e_DErad",
-        "e_Plx",
-        "e_pmRA",
-        "e_pmDE",
-    ]
+    names = ["HIP", "RArad", "DErad", "Plx", "pmRA", "pmDE", "e_RArad", "e_DErad", "e_Plx", "e_pmRA", "e_pmDE"]
     weights = [f"UW{k}" for k in range(1, 16)]
     choice = chosen(made(*names, "Hpmag", "Ntr", "F2", *weights))
     assert (choice.ra.unit, choice.epoch.jyr, choice.magnitude) == ("rad", 1991.25, "Hpmag")

@@ -30,7 +30,7 @@ def _field(n: int = 200) -> dict[str, Any]:
         (lambda ra, dec: (ra, -dec), "with the other sign, dec of two would lie in the field of one: were its signs"),
         (lambda ra, dec: (ra + 3.0, dec), "do they show the same part of the sky?"),
     ],
-)  # fmt: skip
+)
 def test_disjoint_fields_raise_a_doubt_with_possible_misreadings(misread: Any, words: str) -> None:
     first = _field()
     ra, dec = misread(first["ra"], first["dec"])

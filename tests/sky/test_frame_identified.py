@@ -18,13 +18,7 @@ from sameas.report.frame import frame_lines
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.field import Cone, StarField
-from sameas.sky.frame.identified import (
-    FrameIdentification,
-    Refinement,
-    footprint,
-    search_cone,
-    solve,
-)
+from sameas.sky.frame.identified import FrameIdentification, Refinement, footprint, search_cone, solve
 from sameas.sky.frame.image import MasterFrames, read
 from sameas.sky.frame.measurements import Flag, Measurements
 from sameas.sky.frame.outputs import ERROR_TERM_NAMES, listing, summary

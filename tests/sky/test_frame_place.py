@@ -152,10 +152,7 @@ def test_shuffling_rows_changes_nothing() -> None:
     stars = sky(rng, 150, 1.0)
     seen, _ = picture(rng, stars, pointing(120.0, 35.0, 1.2, 30.0), spurious=0.3)
     aim, order, turn = Aim(120.0, 35.0, 0.1, (1.0, 1.4)), rng.permutation(len(seen.x_px)), rng.permutation(150)
-    mixed = replace(
-        seen,
-        **{key: getattr(seen, key)[order] for key in ("x_px", "y_px", "covariance", "flux")},
-    )
+    mixed = replace(seen, **{key: getattr(seen, key)[order] for key in ("x_px", "y_px", "covariance", "flux")})
     other = Stars(stars.ra_deg[turn], stars.dec_deg[turn], 0.1, stars.magnitude[turn])
     one, two = place(seen, stars, aim), place(mixed, other, aim)
     assert one.log_odds == pytest.approx(two.log_odds, rel=1e-9)

@@ -4,17 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.tracks import (
-    BiasPrior,
-    Description,
-    MissRate,
-    Motion,
-    Reports,
-    Scene,
-    SensorErrors,
-    Site,
-    Timing,
-)
+from sameas.tracks import BiasPrior, Description, MissRate, Motion, Reports, Scene, SensorErrors, Site, Timing
 
 WALK = Motion(0.01, 8.0)
 SITES = ((0.0, -10e3), (9e3, -9e3))

@@ -238,7 +238,7 @@ def test_parts_of_a_message_must_be_in_order():
 def parts_of(mmsi, name, tag=("", ""), talker="AI"):
     parts = pyais.encode_dict(
         {"type": 5, "mmsi": mmsi, "shipname": name, "callsign": "D"}, talker_id=talker, sentence_type="VDM", seq_id=3
-    )  # fmt: skip
+    )
     return [f"\\{block},c:1452603731*00\\{part}" for block, part in zip(tag, parts, strict=True)]
 
 

@@ -8,15 +8,7 @@ from hypothesis import strategies as st
 from sameas.errors import InputError
 from sameas.kernels.tracks import search_jumps
 from sameas.many.observations import Bearing, LinearPart
-from sameas.tracks.alignment import (
-    Earlier,
-    States,
-    Succession,
-    aged,
-    moved,
-    process_noise,
-    transition,
-)
+from sameas.tracks.alignment import Earlier, States, Succession, aged, moved, process_noise, transition
 
 SECONDS = st.floats(-200.0, 200.0)
 

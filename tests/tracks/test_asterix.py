@@ -168,10 +168,7 @@ def test_simulated_and_empty_records_are_ignored():
     nowhere = bytes([0xC0, 1, 2, 0, 0, 128])
     timeless = bytes([0x90, 1, 2, 1, 0, 0x40, 0])
     [made] = read(block(48, simulated + nowhere + timeless + plot(1.0)), "radar", DATE)
-    assert made.passed_over == {
-        "048 of a simulated target or a field monitor": 1,
-        "048 without a measured position": 1,
-    }
+    assert made.passed_over == {"048 of a simulated target or a field monitor": 1, "048 without a measured position": 1}
     assert made.damaged.sentences() == ["1 record damaged: a plot without a time (record 3)"]
     with pytest.raises(
         InputError, match="site: no target of category 010, 020, 021, 048 or 062; 1 skipped: block of category 034"

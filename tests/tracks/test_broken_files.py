@@ -129,7 +129,7 @@ def test_a_negative_distance_is_no_position(tmp_path):
         ("a.json", f"{json.dumps(SNAPSHOT)}\n{json.dumps(SNAPSHOT)[:40]}", 2),
         ("a.nmea", f"{STAMP}{POSITION}\n{STAMP}{POSITION[:30]}", 2),
     ],
-)  # fmt: skip
+)
 def test_a_truncated_last_line_is_reported(name, content, line, tmp_path):
     if name == "a.nmea":
         pytest.importorskip("pyais")

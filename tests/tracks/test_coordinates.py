@@ -9,21 +9,13 @@ from hypothesis import strategies as st
 
 from sameas.errors import InputError
 from sameas.gaussian import propagated
-from sameas.tracks.coordinates import (
-    LocalPlane,
-    along_and_across,
-    bearing_in_plane,
-    plane_polar,
-    polar_to_geodetic,
-)
+from sameas.tracks.coordinates import LocalPlane, along_and_across, bearing_in_plane, plane_polar, polar_to_geodetic
 
 pymap3d = pytest.importorskip("pymap3d")
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    st.floats(-90, 90), st.floats(-180, 180), st.floats(-3e5, 3e5), st.floats(-3e5, 3e5)
-)  # fmt: skip
+@given(st.floats(-90, 90), st.floats(-180, 180), st.floats(-3e5, 3e5), st.floats(-3e5, 3e5))
 def test_round_trips_anywhere_on_earth(lat, lon, east, north):
     plane = LocalPlane(lat, lon)
     np.testing.assert_allclose(plane.of_geodetic(*plane.to_geodetic([[east, north]])), [[east, north]], atol=1e-6)

@@ -86,7 +86,7 @@ def test_systematic_errors_are_reported_with_the_remedy(sources, changed, column
         ({"lat_deg": np.radians(AIS.lat_deg), "lon_deg": np.radians(AIS.lon_deg)}, "look like radians: .* unit as rad"),
         ({"lat_deg": AIS.lat_deg - 30.0}, "km from ais, too far for one plane; check the sign and the order"),
     ],
-)  # fmt: skip
+)
 def test_sources_too_far_apart_for_one_plane_are_refused(columns, words):
     with pytest.raises(InputError, match=words):
         doubts_with(DEGREES, "ais", columns)

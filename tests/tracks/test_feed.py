@@ -69,9 +69,7 @@ def vessels(rng, n=60, width_m=6e3):
     return reports
 
 
-RADAR = Description(
-    "radar", "marine radar", errors=SensorErrors(position_m=40.0, extent_m=0.0), misses=MissRate(0.1)
-)  # fmt: skip
+RADAR = Description("radar", "marine radar", errors=SensorErrors(position_m=40.0, extent_m=0.0), misses=MissRate(0.1))
 AIS = Description("ais", "ais", errors=SensorErrors(position_m=8.0, extent_m=0.0))
 
 

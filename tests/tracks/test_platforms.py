@@ -40,9 +40,9 @@ def ais(mmsi, every_s=10.0):
 def plots(times=TIMES):
     """Ranges and bearings of a buoy from the boat."""
     arm = BUOY - boat(times)
-    return Reports.of("radar", "table", {
-        "time_s": times, "range_m": np.hypot(*arm.T), "bearing_deg": np.degrees(np.arctan2(*arm.T)),
-    })  # fmt: skip
+    return Reports.of(
+        "radar", "table", {"time_s": times, "range_m": np.hypot(*arm.T), "bearing_deg": np.degrees(np.arctan2(*arm.T))}
+    )
 
 
 def described(**platform):

@@ -58,10 +58,7 @@ def test_selecting_and_sorting_rows_keeps_all_columns_together():
 def test_damage_is_reported_by_reason_and_count():
     damaged = Damaged.of([(9, "no time"), (2, "wrong checksum"), (7, "no time")])
     assert damaged.counts() == {"no time": 2, "wrong checksum": 1}
-    assert damaged.sentences() == [
-        "2 lines damaged: no time (lines 7, 9)",
-        "1 line damaged: wrong checksum (line 2)",
-    ]
+    assert damaged.sentences() == ["2 lines damaged: no time (lines 7, 9)", "1 line damaged: wrong checksum (line 2)"]
     assert reports().damaged.sentences() == []
 
 

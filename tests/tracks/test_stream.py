@@ -194,7 +194,7 @@ def test_signal_k_gives_vessels_own_ship_and_radar_targets(tmp_path):
         delta("vessels.urn:mrn:imo:mmsi:235070762", ("navigation.position", {"latitude": 50.1, "longitude": -1.1})),
         delta("vessels.self", ("radars.quay.targets.3", {"distance": 900.0, "bearing": math.pi / 2})),
         delta("vessels.self", ("navigation.position", {"latitude": "north"})),
-    ]  # fmt: skip
+    ]
     data = "".join(json.dumps(line) + "\n" for line in lines).encode()
     stream, found = by_pieces(data, [100, 333])
     ships, targets = found["wire:ais"], found["wire:arpa"]

@@ -797,9 +797,9 @@ def test_bearings_and_ranges_that_mean_not_available_are_no_plots(tmp_path):
     assert len(found) == 21
 
 
-@pytest.mark.parametrize(("heights", "kept"), [
-    ("0", 0), ("99999", 0), ("-9999", 0), ("5000", 12), ("", 0), ("250000", 0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("heights", "kept"), [("0", 0), ("99999", 0), ("-9999", 0), ("5000", 12), ("", 0), ("250000", 0)]
+)
 def test_heights_that_a_source_does_not_measure_are_none(heights, kept, tmp_path):
     rows = "".join(f"{t},4ca7a8,50.0,-1.0,{heights}\n" for t in range(0, 36, 3))
     (tmp_path / "adsb.csv").write_text("time,icao,lat,lon,alt_m\n" + rows)

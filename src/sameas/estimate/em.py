@@ -126,7 +126,8 @@ class EMState:
     def initial(
         cls,
         setting: Setting,
-        errors: Errors | None,
+        errors: Errors,
+        fits_errors: bool,
         photometry: Photometry | None,
         density: tuple[float, float] | None,
         share: float,
@@ -139,7 +140,7 @@ class EMState:
         guess = min(max(share, MIN_INITIAL_SHARE), MAX_INITIAL_SHARE) * min(n1, n2)
         partner = np.full(n1, guess / n1), np.full(n2, guess / n2)
         estimates = cls(
-            setting, partner, setting.counted, partner, errors or Errors(), errors is None, photometry, density,
+            setting, partner, setting.counted, partner, errors, fits_errors, photometry, density,
             uses_precision=uses_precision, tuning=tuning, columns=columns and columns.in_folds(setting),
         )  # fmt: skip
         return replace(estimates, n_common=float(partner[0][setting.counted[0]].sum())).with_companions()
@@ -308,9 +309,7 @@ class EMState:
             return replace(exact, p_pair=exact.p_pair - rough.p_pair)
 
         pairs, log_ratio = self.setting.pairs, self.rule()(self.setting.pairs).log_ratio
-        sums = HypothesisSums.of(
-            pairs, log_ratio, difference, self.companion_log_odds(), MIN_LOG_ODDS
-        )  # fmt: skip
+        sums = HypothesisSums.of(pairs, log_ratio, difference, self.companion_log_odds(), MIN_LOG_ODDS)
         return None if by_message < MIN_BY_MESSAGE * self.n_common else sums.p_pair
 
     def expectation(self) -> tuple[EMState, FloatArray, FloatArray]:
@@ -405,12 +404,8 @@ class EMState:
             unrelated = self.photometry is None or (self.n_evidence_fits > 0 and not self.photometry.is_informative)
             grades = Grades.of(self.setting, None if unrelated else self.photometry)
         if grades is not None:
-            estimates = replace(
-                estimates,
-                grades=grades.fitted(
-                    pairs, p_counted, partner, estimates.covered, replace(estimates, grades=grades)._partner_ratios()
-                ),
-            )
+            ratios = replace(estimates, grades=grades)._partner_ratios()
+            estimates = replace(estimates, grades=grades.fitted(pairs, p_counted, partner, estimates.covered, ratios))
         if self.fits_errors:
             # An error component so wide that it is full of chance candidates cannot be distinguished from chance.
             square = self.errors.pairs(pairs).mahalanobis_sq
@@ -456,17 +451,8 @@ class EMState:
             p_pair = self.p_single(p_pair)
             log_ratio = log_ratio + np.log(np.maximum(self.unresolved.single, 1e-300))
         out = self.errors.log_profile(square, pairs.d)
-        log_odds(
-            pairs.i,
-            pairs.j,
-            p_pair,
-            log_ratio,
-            *self.p_partner,
-            self.setting.counted[0],
-            MIN_P_PAIR,
-            MAX_P_PAIR,
-            out,
-        )
+        counted = self.setting.counted[0]
+        log_odds(pairs.i, pairs.j, p_pair, log_ratio, *self.p_partner, counted, MIN_P_PAIR, MAX_P_PAIR, out)
         return out
 
     def with_evidence(self, p_counted: FloatArray, *, last: bool = False) -> EMState:

@@ -179,9 +179,7 @@ def with_trends(
 
 
 def _refit(
-    competing: _Competing,
-    initial: tuple[float, Errors, tuple[Trend, ...]],
-    chosen: Sequence[_LinearBasis],
+    competing: _Competing, initial: tuple[float, Errors, tuple[Trend, ...]], chosen: Sequence[_LinearBasis]
 ) -> tuple[Errors, tuple[Trend, ...], float]:
     """The trends fitted repeatedly with updated probabilities of the candidates, and the gain in ln likelihood."""
     (_, errors, trends), bases = initial, [each.at(competing.pairs) for each in chosen]

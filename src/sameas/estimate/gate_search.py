@@ -213,19 +213,18 @@ class GateSearch:
                 pairs = pairs.of(first, second)
             whole = Setting.whole(pairs, self.coverage) if whole is None else replace(whole, pairs=pairs)
             part = whole.sample(self.sampling)
-            photometry = (
-                self.photometry if part is whole or self.photometry is None else self.photometry.part(*part.rows)
-            )
-            columns = self.columns if part is whole or self.columns is None else self.columns.part(*part.rows)
+            photometry, columns = self.photometry, self.columns
+            if part is not whole:
+                photometry, columns = photometry and photometry.part(*part.rows), columns and columns.part(*part.rows)
             if estimates is None:
                 # Close candidates in excess of chance are common objects.
                 inner, by_chance = _inner_counts(near, limit)
                 excess = (inner - by_chance) / min(len(first), len(second))
+                seed = errors or self.gate_errors.with_mixture(self.seed_errors or self.gate_errors)
                 estimates = EMState.initial(
-                    part, errors, photometry, self.density, excess, self.precision, self.tuning.em, columns
-                )
-                initial_errors = errors or self.gate_errors.with_mixture(self.seed_errors or self.gate_errors)
-                estimates = replace(estimates, errors=initial_errors)
+                    part, seed, errors is None, photometry, self.density, excess, self.precision, self.tuning.em,
+                    columns,
+                )  # fmt: skip
             else:
                 estimates = estimates.for_setting(part, photometry, columns)
             estimates = estimates.with_unresolved(self.resolution)
@@ -282,7 +281,7 @@ class GateSearch:
         whole = Setting.whole(pairs, self.coverage)
         share = scan.common / min(len(first), len(second))
         estimates = EMState.initial(
-            whole, AS_QUOTED, self.photometry, self.density, share, self.precision, self.tuning.em, self.columns
+            whole, AS_QUOTED, False, self.photometry, self.density, share, self.precision, self.tuning.em, self.columns
         )
         estimates = replace(estimates, average=Average.of(error_average, pairs, scan.weight, scan.common))
         estimates, p_counted, n, converged = iterate(estimates, self.tuning.max_iterations, self.progress)

@@ -210,15 +210,9 @@ def _fit(search: GateSearch, scan: ErrorScan | None, errors: Errors | None) -> t
         assumed = "positions and quoted errors alone" if more else "the quoted errors"
         given = search.columns and search.columns.given_only
         search = replace(
-            search,
-            photometry=None,
-            precision=False,
-            columns=given,
-            trends=(),
-            seed_errors=None,
-            min_sigmas=0.0,
+            search, photometry=None, precision=False, columns=given, trends=(), seed_errors=None, min_sigmas=0.0,
             resolution=None,
-        )
+        )  # fmt: skip
         result = _rerun(search, result, errors or Errors())
         remarks.append(f"close candidates do not exceed what chance gives; {assumed} are used")
     return search, result, remarks

@@ -131,11 +131,7 @@ class Sample:
 
 
 def fit_relation(
-    sample: Sample,
-    background: MagnitudeDensity,
-    start: Relation | None = None,
-    *,
-    last: bool = False,
+    sample: Sample, background: MagnitudeDensity, start: Relation | None = None, *, last: bool = False
 ) -> Relation:
     """The relation of greatest likelihood; a few steps from ``start`` if given, many if ``last``."""
     if start is None:
@@ -221,9 +217,7 @@ class Photometry:
 
     @classmethod
     def of(
-        cls,
-        measured: tuple[MeasuredMagnitudes, MeasuredMagnitudes],
-        names: tuple[tuple[str, ...], tuple[str, ...]],
+        cls, measured: tuple[MeasuredMagnitudes, MeasuredMagnitudes], names: tuple[tuple[str, ...], tuple[str, ...]]
     ) -> Photometry:
         """Before any fit."""
         one, two = (_source_magnitudes(each) for each in measured)

@@ -345,9 +345,8 @@ class Learned:
         level = GridLevel(np.zeros(n1, np.int32), np.zeros(n2, np.int32), np.ones(1))
         ((d_1, _), (_, d_2)), share = self.places.densities(at_1, at_2), self.places.share
         setting = Setting(
-            pairs, (np.arange(n1), np.arange(n2)), (level,), counted, counted, (d_1, d_2),
-            SHARED_PSEUDO_COUNT,
-        )  # fmt: skip
+            pairs, (np.arange(n1), np.arange(n2)), (level,), counted, counted, (d_1, d_2), SHARED_PSEUDO_COUNT
+        )
         photometry = self._photometry(measured)
         estimates = EMState(
             setting, (np.full(n1, self.means[0]), np.full(n2, self.means[1])), counted,

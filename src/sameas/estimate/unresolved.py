@@ -121,12 +121,7 @@ class Unresolved:
 
     @classmethod
     def of(
-        cls,
-        resolution: BlendResolution,
-        setting: Setting,
-        errors: Errors,
-        magnitude: FloatArray | None,
-        every: int = 1,
+        cls, resolution: BlendResolution, setting: Setting, errors: Errors, magnitude: FloatArray | None, every: int = 1
     ) -> Unresolved | None:
         """The neighbours before any probabilities are known; None if there are too many.
 
@@ -153,9 +148,8 @@ class Unresolved:
         )
         none, all_single = np.zeros(len(pairs)), np.ones(len(pairs))
         unresolved = cls(
-            resolution, pair, neighbour, separation, even + odd, even - odd, weight, brighter, fainter, none,
-            all_single,
-        )  # fmt: skip
+            resolution, pair, neighbour, separation, even + odd, even - odd, weight, brighter, fainter, none, all_single
+        )
         return unresolved._with_colours(MAX_COLOUR_MAG)
 
     def _with_colours(self, colour_mag: float) -> Unresolved:

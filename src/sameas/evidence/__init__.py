@@ -36,7 +36,7 @@ from sameas.evidence.brightness import (
     Relation,
     SourceMagnitudes,
     comparisons_of,
-)  # fmt: skip
+)
 from sameas.evidence.close import CloseObjects, log_neighbour_density, log_surface_density
 from sameas.evidence.columns import (
     Association,

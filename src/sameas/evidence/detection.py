@@ -168,11 +168,7 @@ class ShareCurve:
 
     @classmethod
     def fit(
-        cls,
-        magnitude: FloatArray,
-        share: FloatArray,
-        p_partner: FloatArray,
-        start: ShareCurve | None = None,
+        cls, magnitude: FloatArray, share: FloatArray, p_partner: FloatArray, start: ShareCurve | None = None
     ) -> ShareCurve:
         """The curve of greatest penalised likelihood, from magnitudes (n,), shares at the records' positions, and the
         probabilities of a partner; a few steps from ``start`` if given."""

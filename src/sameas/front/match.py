@@ -405,9 +405,8 @@ def match(
     if not isinstance(magnitudes, str):
         raise InputError("match: Magnitudes are those of Records", 'name columns of both catalogues, "G,BP:J,H"')
     options = crossmatch.MatchOptions(
-        to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision,
-        tuple(_listed(evidence)),
-    )  # fmt: skip
+        to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision, tuple(_listed(evidence))
+    )
     options.check()
     request = Request(tuple(map(as_source, (first, second))), options, stated, tuple(names or ()))
     if both_hats(first, second):

@@ -91,11 +91,7 @@ class MatchPicture(Result):
     def doubts(self) -> tuple[str, ...]:
         """One sentence for each problem: alarms first, then doubts."""
         summary = self.picture.summary
-        return (
-            *(f"ALARM {alarm}" for alarm in summary.urgent),
-            *self.source_doubts,
-            *summary.notes,
-        )
+        return (*(f"ALARM {alarm}" for alarm in summary.urgent), *self.source_doubts, *summary.notes)
 
     @cached_property
     def objects(self) -> Table:
@@ -186,9 +182,7 @@ class MatchPicture(Result):
         """The provenance of the outputs; it depends on the command and the input files only."""
         given = [path for path in dict.fromkeys(source.path for source in self.sources) if path.exists()]
         files = [one for path in given for one in (paths_in(path) if path.is_dir() else [path])]
-        return made_by(command) | {
-            "files": [str(path) for path in files], "sha256": [checksum(path) for path in files],
-        }  # fmt: skip
+        return made_by(command) | {"files": [str(path) for path in files], "sha256": [checksum(path) for path in files]}
 
     def as_json(self) -> dict[str, Any]:
         """The summary as a mapping that JSON can encode."""

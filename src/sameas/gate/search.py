@@ -42,7 +42,6 @@ _SMALL = 1 << 28
 #: Writes the pairs of the records first ≤ k < last into columns; gives (pairs, next k), less than last when full.
 Sweep = Callable[[int, int, Any], tuple[int, int]]
 
-FEW_TESTS = 4.0  # a class of errors is separate if that saves at least this many tests per record
 SAMPLE = 128  # length of the samples of successive records whose candidates are counted to estimate the memory
 
 
@@ -94,7 +93,7 @@ def _search(first: Records, second: Records, limit: float, box: bool, tuning: Tu
     sources = Source.of(first, geometry), Source.of(second, geometry)
     extent = Extent.of(sources, geometry)
     within = [geometry.opening * len(other) / max(extent.area, 1e-290) for other in (second, first)]
-    classes = [source.classes(others, FEW_TESTS) for source, others in zip(sources, within, strict=True)]
+    classes = [source.classes(others) for source, others in zip(sources, within, strict=True)]
     one, two = threads.each(
         [partial(Layout.of, source, rows, extent, geometry) for source, rows in zip(sources, classes, strict=True)],
         len(first) + len(second),

@@ -31,6 +31,7 @@ SQUARE = 8.0  # a zone is as high as a square with this many records: one look-u
 #: Squares along each axis of the grid that measures the area with records; refined, up to the latter, if most are empty
 #: and the others crowded.
 SQUARES, MAX_SQUARES = 32, 2048
+FEW_TESTS = 4.0  # a class of errors is separate if that saves at least this many tests per record
 FEW_ROWS = 10_000  # fewer rows than this are scanned without a compiled loop
 
 
@@ -135,11 +136,10 @@ class Source:
         variance = _widest(records) if geometry.sphere else records.variances
         return cls(features, records.covariance, variance, records, ends)
 
-    def classes(self, others: float, few_tests: float) -> list[Rows]:
+    def classes(self, others: float) -> list[Rows]:
         """The rows by classes of their errors, smallest first; the few largest are separate if that saves tests.
 
-        others : number of records of the other source in the gate's area per unit of variance. few_tests : see
-        :class:`Tuning`.
+        others : number of records of the other source in the gate's area per unit of variance.
         """
         remaining = np.arange(len(self.features), dtype=np.int32)
         if len(remaining) < 64:
@@ -151,10 +151,10 @@ class Source:
             top = size.max()
             wide = size > top / 16.0
             # A record is tested against zones and a window of about twice its own reach and √top each.
-            if len(size) < 64 or np.count_nonzero(wide) > 0.2 * len(size) or 6.0 * top * others < few_tests:
+            if len(size) < 64 or np.count_nonzero(wide) > 0.2 * len(size) or 6.0 * top * others < FEW_TESTS:
                 break
             part = remaining[wide]
-            if parts and 6.0 * widest * others * len(part) < few_tests * len(self.features):
+            if parts and 6.0 * widest * others * len(part) < FEW_TESTS * len(self.features):
                 # So few that another class would cost more than testing them with the gate of the previous one.
                 parts[-1] = np.concatenate([parts[-1], part])
             else:

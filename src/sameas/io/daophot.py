@@ -26,11 +26,7 @@ if TYPE_CHECKING:
 
 #: Head of Stetson's files; the first number below it is the number of lines of a star: 1, or 2 in ``.ap``.
 _HEAD = re.compile(rb"\A\s*NL\s+NX\s+NY\s+LOWBAD\b[^\n]*\n\s*(?P<lines>\d+)\s")
-_COLUMNS = {
-    6: "id x y mag sharp round",
-    7: "id x y mag sharp round round_y",
-    9: "id x y mag err sky niter chi sharp",
-}
+_COLUMNS = {6: "id x y mag sharp round", 7: "id x y mag sharp round round_y", 9: "id x y mag err sky niter chi sharp"}
 _MAGNITUDES = ("mag", "err", "MAG", "MERR")
 #: Extensions of images, and IRAF's section or number behind a name.
 _IMAGES, _SECTION = (".fits", ".fit", ".fts", ".fits.gz", ".fits.fz"), re.compile(r"\[[^\]]*\]$")

@@ -84,8 +84,8 @@ def rank_rivals(first: int, last: int, graph: Graph, rivals: Int32Array, strengt
 
 @kernel
 def balls(
-    first: int, last: int, graph: Graph, rivals: Int32Array, strength: FloatArray, max_bits: float, share: FloatArray,
-) -> None:  # fmt: skip
+    first: int, last: int, graph: Graph, rivals: Int32Array, strength: FloatArray, max_bits: float, share: FloatArray
+) -> None:
     """Write the posterior ``share`` of the pairs of rows first … last − 1 of a :data:`Graph`.
 
     Each row is summed exactly together with the rows that compete with it most, at most as many as ``rivals`` has

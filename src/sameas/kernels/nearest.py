@@ -17,7 +17,7 @@ def _work(points: FloatArray, at: IntArray, places: FloatArray, start: IntArray,
 @small_by(_work)
 def nearest_at_once(
     points: FloatArray, at: IntArray, places: FloatArray, start: IntArray, distance: FloatArray, nearest: IntArray
-) -> None:  # fmt: skip
+) -> None:
     """Write for points (p, k, 2) the nearest of the places (m, 2) of the same instant, the first of several, and its
     ``distance``, both (p, k).
 

@@ -468,8 +468,8 @@ def set_samples(groups: IntArray, start: IntArray, members: IntArray, weight: Fl
 
 @part
 def _sum_blocks(
-    kept: KeptSets, block: IntArray, done: BoolArray, max_records: int, cap: int, share: FloatArray, chosen: BoolArray,
-) -> bool:  # fmt: skip
+    kept: KeptSets, block: IntArray, done: BoolArray, max_records: int, cap: int, share: FloatArray, chosen: BoolArray
+) -> bool:
     """Sum the blocks of records that the sets connect and that are not ``done`` (n,); returns whether all are now."""
     begin, entry, in_group = kept.begin, kept.entry, kept.in_group
     n, k = len(block), len(in_group)

@@ -21,14 +21,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import borrowing_part, part, small_by
 from sameas.kernels.components import GroupLayout, sizes
-from sameas.kernels.elimination import (
-    Elimination,
-    elimination,
-    log_sum_core,
-    next_state,
-    plan_elimination,
-    sum_core,
-)
+from sameas.kernels.elimination import Elimination, elimination, log_sum_core, next_state, plan_elimination, sum_core
 from sameas.kernels.folding import Forest, core_of, fold, forest, unfold, unfolded
 
 #: How a group was solved: in closed form, exactly by folding and elimination, or not here.
@@ -99,9 +92,8 @@ def _sums(first: int, last: int, layout: GroupLayout, *rest: Any) -> float:
 
 @borrowing_part
 def two_at_most(
-    n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, odds_alone: FloatArray,
-    share: FloatArray,
-) -> None:  # fmt: skip
+    n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, odds_alone: FloatArray, share: FloatArray
+) -> None:
     """Write ``share`` (m,) of a group whose hypotheses have at most two pairs, summed hypothesis by hypothesis.
 
     Planning an elimination would take ten times as long. odds_alone : (n₁ + n₂,) odds of having no partner.
@@ -208,8 +200,8 @@ def _exact(
 
 @small_by(_sums)
 def log_sums(
-    first: int, last: int, layout: GroupLayout, weight: FloatArray, u: FloatArray, v: FloatArray, out: FloatArray,
-) -> None:  # fmt: skip
+    first: int, last: int, layout: GroupLayout, weight: FloatArray, u: FloatArray, v: FloatArray, out: FloatArray
+) -> None:
     """Write to ``out`` (g,) ln Σ over hypotheses of exp(Σ weight) of the groups first … last − 1, the sum that
     :func:`exact` divides by; NaN where the elimination needs too many partial sums."""
     start, start1, start2 = layout.start, layout.start1, layout.start2

@@ -14,11 +14,7 @@ from sameas.many.sets import TUNING, ManyTuning, Sets, packed_order
 
 
 def with_hysteresis(
-    identification: Objects,
-    previous_object: IntArray,
-    log_bound: float,
-    *,
-    tuning: ManyTuning = TUNING,
+    identification: Objects, previous_object: IntArray, log_bound: float, *, tuning: ManyTuning = TUNING
 ) -> tuple[Objects, BoolArray]:
     """The objects of an instant, with those of the previous instant kept unless another answer is much more probable;
     and (n,) whether each object is shown only because it is kept.

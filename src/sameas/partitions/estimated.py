@@ -18,15 +18,7 @@ from sameas.estimate.sample import Sampling
 from sameas.evidence import Related
 from sameas.partitions import healpix
 from sameas.partitions.hats import OWN, Cell, HatsCatalogue
-from sameas.partitions.part import (
-    COMPETING,
-    Counted,
-    Side,
-    Work,
-    brightness,
-    table_of,
-    without_rows,
-)
+from sameas.partitions.part import COMPETING, Counted, Side, Work, brightness, table_of, without_rows
 from sameas.partitions.workers import Workers, store, stored_work
 from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue, CatalogueOptions

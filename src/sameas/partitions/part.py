@@ -340,8 +340,7 @@ class Work:
         """Whether records outside the halo may be candidates of a record."""
         assert self.learned is not None
         learned = self.learned
-        sigmas = [np.sqrt(records.variances.max(axis=1))
-                  for records in learned.start.records(one.records, two.records)]  # fmt: skip
+        sigmas = [np.sqrt(records.variances.max(axis=1)) for records in learned.start.records(one.records, two.records)]
         max_sigma = [float(np.quantile(sigma, 0.999)) if len(sigma) else 0.0 for sigma in sigmas]
         moved = max((rows.moved_limit(self.far_arcsec) for rows in (one, two)), default=0.0)
 

@@ -237,8 +237,8 @@ class ErrorCorrelation:
 
 
 def log_residuals(
-    shift: FloatArray, errors: Sequence[FloatArray], motion: Sequence[FloatArray], correlations: FloatArray,
-) -> FloatArray:  # fmt: skip
+    shift: FloatArray, errors: Sequence[FloatArray], motion: Sequence[FloatArray], correlations: FloatArray
+) -> FloatArray:
     """(2, n, c) ln p of ν (n, 2) for correlations ρ (c,): with κ on all of the motion, and with κ on all but the errors
     of measured velocities, which are as stated.
 

@@ -151,8 +151,8 @@ class Rivals:
 
 
 def swap_hypotheses(
-    log_weight: FloatArray, log_two: FloatArray, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals,
-) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
+    log_weight: FloatArray, log_two: FloatArray, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals
+) -> tuple[IntArray, FloatArray, FloatArray]:
     """Of each pair and its most probable rival with the same first track, and with the same second, (k, 2) each: the
     rival (ABSENT without one), ln p of the pair's new reports apart from the position if their ids were swapped, and,
     (k, 2, c), the probability of a swap for h = 1 and each range.

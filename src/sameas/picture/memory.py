@@ -256,9 +256,8 @@ class TrackMemory:
         known = np.array([names.index(d.name) if d.name in names else n for d in scan.now.descriptions], np.int64)
         swap_rate = np.append(self.swaps.rate(np.arange(n)), 0.0)[known]
         return with_manoeuvres(
-            scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio[0], per_m2, swap_rate,
-            together,
-        )  # fmt: skip
+            scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio[0], per_m2, swap_rate, together
+        )
 
     def with_pairs(self, pooled: PooledRecords) -> TrackMemory:
         """The memory with the pairs that passed the gate for the first time; they have no history yet."""

@@ -254,9 +254,7 @@ def _ground(axes: Axes, drawn: MapSheet, box: Box) -> None:
         if place is not None:
             ticks[each.parallel].append((place, each.words))
     axes.set_xticks([place for place, _ in ticks[False]], [words for _, words in ticks[False]])
-    axes.set_yticks(
-        [place for place, _ in ticks[True]], [words for _, words in ticks[True]], rotation=90, va="center"
-    )  # fmt: skip
+    axes.set_yticks([place for place, _ in ticks[True]], [words for _, words in ticks[True]], rotation=90, va="center")
 
 
 def _crossing(line: GridLine, box: Box) -> float | None:

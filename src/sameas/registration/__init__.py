@@ -8,14 +8,4 @@ shifted, rotated, stretched or biased relative to the other, with the matching
 from sameas.registration.offsets import Affine, Offset, SensorBias, Shift, Similarity
 from sameas.registration.solution import Parameter, Registration, Solution, register
 
-__all__ = [
-    "Affine",
-    "Offset",
-    "Parameter",
-    "Registration",
-    "SensorBias",
-    "Shift",
-    "Similarity",
-    "Solution",
-    "register",
-]
+__all__ = ["Affine", "Offset", "Parameter", "Registration", "SensorBias", "Shift", "Similarity", "Solution", "register"]

@@ -270,8 +270,8 @@ def _finished(
     evidence = likelihood + min(log_prior + occam, 0.0)
     in_common = (int(weights.in_common[0, 0]), int(weights.in_common[0, 1]))
     return Solution(
-        theta, covariance, float(weights.common[0]), likelihood, evidence, in_common, search_steps + number, converged,
-    )  # fmt: skip
+        theta, covariance, float(weights.common[0]), likelihood, evidence, in_common, search_steps + number, converged
+    )
 
 
 def missing_information(

@@ -38,11 +38,7 @@ class Counterparts:
 
 
 def counterparts(
-    rng: np.random.Generator,
-    *,
-    sources: int = 1_500,
-    records: int = 241_000,
-    chance: float = 0.3,
+    rng: np.random.Generator, *, sources: int = 1_500, records: int = 241_000, chance: float = 0.3
 ) -> Counterparts:
     """Sources of which 90 % have a counterpart, brighter and bluer than the catalogue's other records.
 

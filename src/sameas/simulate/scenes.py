@@ -190,13 +190,7 @@ def line(
     σ² = σ₁² + σ₂² is the variance of the residual of one feature. Source: METHOD 8 [T].
     """
     return grid(
-        rng,
-        shape=(n,) + (1,) * (d - 1),
-        spacing_sigmas=spacing_sigmas,
-        q1=q1,
-        q2=q2,
-        sigma_1=sigma_1,
-        sigma_2=sigma_2,
+        rng, shape=(n,) + (1,) * (d - 1), spacing_sigmas=spacing_sigmas, q1=q1, q2=q2, sigma_1=sigma_1, sigma_2=sigma_2
     )
 
 

@@ -25,9 +25,7 @@ _LEAST_IN_ARCSEC, _LARGEST_IN_ARCSEC = 0.002, 5.0
 #: A unit in brackets at the end of a column name.
 _BRACKETED = re.compile(r"[\s_]*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 #: Words of right ascension and declination in names.
-_COORDINATES = (
-    ("right_?ascension", "declination"), ("ra", "dec"), ("ra", "de"), ("ra", "decl"), ("alpha", "delta"),
-)  # fmt: skip
+_COORDINATES = (("right_?ascension", "declination"), ("ra", "dec"), ("ra", "de"), ("ra", "decl"), ("alpha", "delta"))
 #: Parts of names of errors, motions and offsets.
 _NO_POSITION = re.compile(
     r"err|sig|unc|std|rms|var|cov|cor|prec|pm|off|(?:^|_)(?:e|d|delta|mu|n)_?(?:ra|alpha)|mu_?(?:ra|alpha)|19[05]0|1875",

@@ -30,7 +30,7 @@ _NAMED = {"btjd": 2457000.0, "tbjd": 2457000.0, "bkjd": 2454833.0}
 _SUBTRACTED = re.compile(
     r"(?:(?P<jd>jd)|(?P<mjd>mjd))(?:[ _]?(?:utc|tdb|tt|tai))?[\s()\-−–_+]+"
     r"(?P<zero>(?(jd)2[34]\d{5}|[456]\d{4})(?:\.\d*)?)(?!\d)"
-)  # fmt: skip
+)
 _JD_OF_MJD = 2400000.5
 _DAYS = re.compile(r"[bhrtk]{0,2}m?jd(?![a-z])")
 

@@ -122,9 +122,7 @@ _STAR_MOTION = MotionNames(
 )
 PLAIN_MOTIONS = (GAIA_MOTION, VIZIER_MOTION, _ASTROPY_MOTION, _STAR_MOTION)
 
-TWOMASS_MAGNITUDES = (
-    ("j_m", "j_msigcom"), ("Jmag", "e_Jmag"), ("ks_m", ""), ("k_m", "k_msigcom"), ("Kmag", "e_Kmag"),
-)  # fmt: skip
+TWOMASS_MAGNITUDES = (("j_m", "j_msigcom"), ("Jmag", "e_Jmag"), ("ks_m", ""), ("k_m", "k_msigcom"), ("Kmag", "e_Kmag"))
 SEXTRACTOR_MAGNITUDES = (
     ("MAG_AUTO", "MAGERR_AUTO"),
     ("MAG_PSF", "MAGERR_PSF"),

@@ -26,11 +26,7 @@ from sameas.sky.column_choice import in_years
 from sameas.sky.completion import completed
 from sameas.sky.disjoint import disjoint_doubt
 from sameas.sky.evidence_columns import AUTO, columns_of, magnitudes_of
-from sameas.sky.match_doubts import (
-    density_doubts,
-    hardly_any_common,
-    match_doubts,
-)
+from sameas.sky.match_doubts import density_doubts, hardly_any_common, match_doubts
 from sameas.sky.sky_match import ARCSEC2_PER_DEG2, SkyMatch
 from sameas.sky.systematics import WARP_PASSES, Warp, find_rotation, find_warp
 

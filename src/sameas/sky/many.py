@@ -470,10 +470,7 @@ class _Estimate:
 
 
 def _estimate_population(
-    pooled_records: PooledRecords,
-    coverages: Coverages,
-    options: ManyOptions,
-    progress: Callable[[str], None],
+    pooled_records: PooledRecords, coverages: Coverages, options: ManyOptions, progress: Callable[[str], None]
 ) -> _Estimate:
     """Population and probabilities of the sets by EM."""
     observers = pooled_records.observers

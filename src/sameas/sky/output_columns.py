@@ -56,7 +56,7 @@ COLUMNS: dict[str, tuple[str | None, str | None, str]] = {
     "pmdec_object_error": ("mas / yr", f"stat.error;pos.pm;{_DEC}", "its standard error"),
     "epoch_object": ("yr", "time.epoch", "Julian year of the position"),
     "chi_sq": (None, "stat.fit.chi2", "chi squared of the records about the object, by the quoted errors"),
-}  # fmt: skip
+}
 #: By name of the column; those of frames, which have their units and descriptions in ``sky.frame.outputs``, too.
 UCDS = {
     **{name: ucd for name, (_, ucd, _) in COLUMNS.items() if ucd is not None}, "fate": "meta.code.class",

@@ -448,10 +448,8 @@ _SIMBAD = tuple(
         ),
         epoch_jyr=2000.0,
     )
-    for ellipse in (
-        ("coo_err_maj", "coo_err_min", "coo_err_angle"), ("COO_ERR_MAJA", "COO_ERR_MINA", "COO_ERR_ANGLE"),
-    )
-)  # fmt: skip
+    for ellipse in (("coo_err_maj", "coo_err_min", "coo_err_angle"), ("COO_ERR_MAJA", "COO_ERR_MINA", "COO_ERR_ANGLE"))
+)
 
 # Brown et al. 2011, AJ 142, 112: motions in arcsec/yr; the archive gives right ascension in hours, too.
 _KEPLER = tuple(

@@ -200,9 +200,7 @@ def moved(
     size[:], q[:] = np.asarray(dt_s, np.float64), np.asarray(acceleration_m2_per_s3, np.float64)
     there, out = np.empty((n, 4)), np.empty((n, 4, 4))
     if runs_compiled(states_moved):
-        states_moved(
-            np.ascontiguousarray(state), np.ascontiguousarray(covariance), size, q, float(late_s), there, out
-        )  # fmt: skip
+        states_moved(np.ascontiguousarray(state), np.ascontiguousarray(covariance), size, q, float(late_s), there, out)
         return there, out
     dt, p = size[:, None], covariance
     there[:, :2], there[:, 2:] = state[:, :2] + dt * state[:, 2:], state[:, 2:]

@@ -321,8 +321,8 @@ def _described(
 
 
 def _misses(
-    feeds: Sequence[Feed], matches: Sequence[MatchedScans], partner: Mapping[tuple[int, int], FloatArray],
-) -> list[MissRate]:  # fmt: skip
+    feeds: Sequence[Feed], matches: Sequence[MatchedScans], partner: Mapping[tuple[int, int], FloatArray]
+) -> list[MissRate]:
     """The miss rates of the sources, by range where enough scans tell; those described where too few do, or where the
     user gave them. partner : of :func:`_p_partner`."""
     placed = [not isinstance(feed.reports, Directions) for feed in feeds]

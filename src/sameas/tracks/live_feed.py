@@ -245,8 +245,8 @@ class LiveFeed:
             live = np.flatnonzero(rows.taken)
             bearing = bearings_of(reports, sensor_m)
             scans = scans_of(
-                time_s[live], self.description.timing.period_s, None if bearing is None else bearing[live], None,
-            )  # fmt: skip
+                time_s[live], self.description.timing.period_s, None if bearing is None else bearing[live], None
+            )
             scan_s = np.full(len(rows), -math.inf)
             scan_s[live], scan_times_s, rotation = scans.scan_s, np.unique(scans.scan_s), scans.rotation
         p_slow = rows.p_slow.copy() if isinstance(reports, States) and self._models_stationary else None

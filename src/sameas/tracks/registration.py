@@ -378,10 +378,9 @@ def _mutual(one: Feed, other: Feed) -> tuple[RegisteredFeed, RegisteredFeed]:
         if not observable(scans):
             note = _not_observable if scans else _not_compared
             first, second = (
-                (feed, SourceBiases(feed.description.name, established=bool(scans),
-                                    notes=(note(feed, [partner]),)))
+                (feed, SourceBiases(feed.description.name, established=bool(scans), notes=(note(feed, [partner]),)))
                 for feed, partner in ((one, other), (other, one))
-            )  # fmt: skip
+            )
             return first, second
         fit = fit_biases(scans)
     gauge = (

@@ -74,10 +74,7 @@ def main() -> None:
         given, answer = Path(folder, "in.csv"), Path(folder, "out.csv")
         np.savetxt(given, table, "%.17g", ",", header=",".join(("years", *COLUMNS)), comments="")
         given.write_text(given.read_text().replace("nan", ""))
-        take = [
-            f"addcol -shape 22 answer epochPropErr(years,array({','.join(COLUMNS)}))",
-            "explodecols answer",
-        ]
+        take = [f"addcol -shape 22 answer epochPropErr(years,array({','.join(COLUMNS)}))", "explodecols answer"]
         command = ["stilts", "tpipe", f"in={given}", "ifmt=csv", f"out={answer}", "ofmt=csv"]
         subprocess.run([*command, *(f"cmd={step}" for step in take)], check=True)
         with answer.open() as file:

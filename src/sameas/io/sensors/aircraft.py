@@ -47,9 +47,7 @@ _NUMBERS = {
 #: Fields of dump1090-mutability, with their names today.
 _OLDER = {"altitude": "alt_baro", "speed": "gs", "vert_rate": "baro_rate"}
 #: Containment radius of each navigation uncertainty category of position, metres (RTCA DO-260, table 2-11).
-_RADIUS_OF_NUCP = {
-    9: 7.5, 8: 25.0, 7: 185.2, 6: 370.4, 5: 926.0, 4: 1852.0, 3: 3704.0, 2: 18_520.0, 1: 37_040.0,
-}  # fmt: skip
+_RADIUS_OF_NUCP = {9: 7.5, 8: 25.0, 7: 185.2, 6: 370.4, 5: 926.0, 4: 1852.0, 3: 3704.0, 2: 18_520.0, 1: 37_040.0}
 
 
 def read(lines: Sequence[str], source: str, last: dict[str, Mapping[str, Any]] | None = None) -> Reports:

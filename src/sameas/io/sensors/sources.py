@@ -333,10 +333,7 @@ def source_of(name: str, reports: Reports, described: Mapping[str, SourceOptions
     elif reports.kind == OWN_HEADING:
         kind, why = CARRIER_KIND, "it has headings and no positions: the compass of own ship"
     elif _is_of_one_ship(reports):
-        kind, why = (
-            CARRIER_KIND,
-            "its positions have no names and are on one path: own ship; if not, give its kind",
-        )
+        kind, why = (CARRIER_KIND, "its positions have no names and are on one path: own ship; if not, give its kind")
         reports = _as_own_ship(reports)
     else:
         kind, why = _kind(reports)

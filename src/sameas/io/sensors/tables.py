@@ -333,9 +333,9 @@ def _refuse_steps(values: Mapping[str, Any], chosen: Mapping[str, Choice], sourc
             raise InputError(
                 f"{source}: {column} goes to {np.max(beyond):g}, which no bearing in degrees does",
                 Message(
-                    "give ", Argument("units", "UNIT", (column,)), ', such as "4096 per turn" for steps of an antenna',
+                    "give ", Argument("units", "UNIT", (column,)), ', such as "4096 per turn" for steps of an antenna'
                 ),
-            )  # fmt: skip
+            )
 
 
 #: Bearings without a unit are radians if there are so many, all within a turn of radians and over most of it, and half

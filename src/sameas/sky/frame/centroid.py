@@ -460,11 +460,7 @@ def _matrices(sums: FloatArray, first: int) -> FloatArray:
 
 
 def adaptive(
-    light: FloatArray,
-    background: Background,
-    xy: FloatArray,
-    start: FloatArray,
-    subtracted: Subtracted | None = None,
+    light: FloatArray, background: Background, xy: FloatArray, start: FloatArray, subtracted: Subtracted | None = None
 ) -> tuple[Centroids, FloatArray]:
     """Centroids in windows adapted to the shape of each star, and the window matrices (n, 2, 2).
 

@@ -235,8 +235,8 @@ def _psf_of(light: FloatArray, background: Background, xy: FloatArray, start: PS
 
 
 def without_stars(
-    frame: Frame, background: Background, xy: FloatArray, flux: FloatArray, fwhm_px: float,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    frame: Frame, background: Background, xy: FloatArray, flux: FloatArray, fwhm_px: float
+) -> tuple[FloatArray, FloatArray]:
     """The light above the sky without that of measured stars, and the light of these; (rows, columns) each.
 
     xy, flux : (n, 2) pixels and (n,) light of the stars. fwhm_px : of the stars; their profile is measured.

@@ -422,11 +422,7 @@ class MasterFrames:
 
     @classmethod
     def of(
-        cls,
-        *,
-        biases: Sequence[Frame] = (),
-        darks: Sequence[Frame] = (),
-        flats: Sequence[Frame] = (),
+        cls, *, biases: Sequence[Frame] = (), darks: Sequence[Frame] = (), flats: Sequence[Frame] = ()
     ) -> MasterFrames:
         """Masters from frames of each kind; any may be missing.
 

@@ -129,12 +129,7 @@ class VerifiedPointing:
     tolerance_px: float
 
 
-def verify(
-    problem: PlateProblem,
-    pointing: Pointing,
-    volume: SearchVolume,
-    tolerance_px: float,
-) -> VerifiedPointing:
+def verify(problem: PlateProblem, pointing: Pointing, volume: SearchVolume, tolerance_px: float) -> VerifiedPointing:
     """The pointing refined by the measurements, with its odds.
 
     Matching and fit alternate; each iteration re-estimates ``tolerance_px`` from the excess of the residuals over the

@@ -317,13 +317,7 @@ class PlateModel:
         return np.asarray(np.einsum("nq,aqbr,nr->nab", basis, blocks, basis))
 
 
-def fit_plate(
-    stars: MatchedStars,
-    start: Pointing,
-    shape: tuple[int, int],
-    *,
-    order: int | None = None,
-) -> PlateModel:
+def fit_plate(stars: MatchedStars, start: Pointing, shape: tuple[int, int], *, order: int | None = None) -> PlateModel:
     """The plate model of identified stars.
 
     stars : the pairs with their errors and probabilities.

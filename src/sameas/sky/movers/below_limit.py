@@ -118,9 +118,9 @@ class Plan:
         """
         if len(series.exposures) < MIN_FRAMES:
             raise InputError(
-                f"{len(series.exposures)} frames: stacking needs at least "
-                f"{MIN_FRAMES}", naming("leave {below_limit} out")
-            )  # fmt: skip
+                f"{len(series.exposures)} frames: stacking needs at least {MIN_FRAMES}",
+                naming("leave {below_limit} out"),
+            )
         scale = series.scale_arcsec_per_px
         minutes = np.array([e.mjd_utc for e in series.exposures]) * 1440.0
         minutes -= 0.5 * (minutes[0] + minutes[-1])
@@ -631,9 +631,8 @@ def _rate_ratio(movers: Movers, series: Series, plan: Plan, peaks: _Peaks) -> Fl
 
 
 def _movers(
-    movers: Movers, series: Series, plan: Plan, peaks: _Peaks, p: FloatArray, log_weight: FloatArray,
-    chance: FloatArray,
-) -> Movers:  # fmt: skip
+    movers: Movers, series: Series, plan: Plan, peaks: _Peaks, p: FloatArray, log_weight: FloatArray, chance: FloatArray
+) -> Movers:
     """The candidates as tracklets of three positions, of the first, middle and last frames."""
     groups, k = _thirds(len(plan.minutes)), len(p)
     names = tuple(f"frames {g[0] + 1}–{g[-1] + 1} stacked" for g in groups)

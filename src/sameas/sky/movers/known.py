@@ -88,12 +88,7 @@ class KnownObjects:
             table[name].unit = "arcsec"
 
 
-def name_movers(
-    movers: Movers,
-    elements: Elements,
-    *,
-    site: tuple[float, float, float] | None = None,
-) -> KnownObjects:
+def name_movers(movers: Movers, elements: Elements, *, site: tuple[float, float, float] | None = None) -> KnownObjects:
     """The known objects among the tracklets.
 
     movers : the tracklets. elements : of known objects; those older than twenty years are ignored. site : latitude,

@@ -35,11 +35,7 @@ _PLUTO, _PLUTO_ITSELF_AU = 8, 0.03
 _LIGHT_AU_PER_DAY = 173.14463267424034
 #: Rotation from the ecliptic of J2000 to the axes of the ICRS equator.
 _TO_EQUATOR = np.array(
-    [
-        [1.0, 0.0, 0.0],
-        [0.0, math.cos(OBLIQUITY), -math.sin(OBLIQUITY)],
-        [0.0, math.sin(OBLIQUITY), math.cos(OBLIQUITY)],
-    ]
+    [[1.0, 0.0, 0.0], [0.0, math.cos(OBLIQUITY), -math.sin(OBLIQUITY)], [0.0, math.sin(OBLIQUITY), math.cos(OBLIQUITY)]]
 )
 #: Name of the elements that come with the package; ``elements.json`` gives their source.
 DEMO = "demo"
@@ -472,7 +468,7 @@ def _integrated(state: FloatArray, begin: float, times: FloatArray, planets: _Pl
 
 def _integrated_from_epochs(
     state: FloatArray, epochs: FloatArray, which: IntArray, end: float, planets: _Planets
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """(2, 3, n) states at one time from states (2, 3, n) at ``epochs[which]``."""
     from scipy.integrate import solve_ivp
 

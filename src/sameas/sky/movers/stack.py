@@ -79,12 +79,7 @@ class Stack:
         return len(self.flux)
 
 
-def stack(
-    movers: Movers,
-    series: Series,
-    frames: Iterable[Frame],
-    place: FloatArray | None = None,
-) -> Stack:
+def stack(movers: Movers, series: Series, frames: Iterable[Frame], place: FloatArray | None = None) -> Stack:
     """The tracklets measured in the pixels of the frames.
 
     movers : tracklets of the series. frames : calibrated, in the order of ``series.exposures``, used one at a time.

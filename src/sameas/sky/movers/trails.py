@@ -297,9 +297,7 @@ class TrailPixels:
     width: float
 
     @classmethod
-    def of(
-        cls, frame: Frame, sources: FloatArray, snr: FloatArray, flux: FloatArray, width: float,
-    ) -> TrailPixels:  # fmt: skip
+    def of(cls, frame: Frame, sources: FloatArray, snr: FloatArray, flux: FloatArray, width: float) -> TrailPixels:
         """The pixels of a frame. sources : (n, 2) pixels of known sources, subtracted. snr, flux : (n,)."""
         background = Background.of(frame)
         light, stars = without_stars(frame, background, sources, flux, width)
