@@ -28,13 +28,7 @@ from sameas.sky.crossmatch import at_common_epoch, match
 from sameas.sky.many import ManyMatch, ManyOptions, match_many
 from sameas.sky.many_joins import joined_many
 from sameas.sky.pattern_densities import PatternDensities, PatternShares, share_of_source
-from sameas.sky.population import (
-    AstrometricRecords,
-    degrees_of_freedom,
-    fitted,
-    pairs_within,
-    patterns_of,
-)
+from sameas.sky.population import AstrometricRecords, degrees_of_freedom, fitted, pairs_within, patterns_of
 from sameas.sky.set_magnitudes import SetMagnitudes
 from sameas.space import displaced, sphere_offset
 
