@@ -183,7 +183,7 @@ class JoinedRows:
         """Values (n₁,) of the row of the first table, or (n₂,) of the second where there is none."""
         if self.has_first.all():
             return of_1[self.one]
-        values = np.empty(len(self.one), of_1.dtype)
+        values = np.empty(len(self.one), np.promote_types(of_1.dtype, of_2.dtype))
         values[self.has_first] = of_1[self.one[self.has_first]]
         values[~self.has_first] = of_2[self.two[~self.has_first]]
         return values
@@ -289,10 +289,9 @@ def joined_rows(match: Joinable, join: str) -> JoinedRows:
         return _every_answer(result)
     matches = result.matches
     both = JoinedRows(matches.rows_1, matches.rows_2, np.arange(len(matches)))
-    alone_1 = _others(len(match.first), matches.rows_1)
-    alone_2 = _others(len(match.second), matches.rows_2)
-    only_1 = JoinedRows(alone_1, np.full(len(alone_1), ABSENT), np.full(len(alone_1), ABSENT))
-    only_2 = JoinedRows(np.full(len(alone_2), ABSENT), alone_2, np.full(len(alone_2), ABSENT))
+    alone_1, alone_2 = _others(len(match.first), matches.rows_1), _others(len(match.second), matches.rows_2)
+    none_1, none_2 = np.full(len(alone_1), ABSENT), np.full(len(alone_2), ABSENT)
+    only_1, only_2 = JoinedRows(alone_1, none_1, none_1), JoinedRows(none_2, alone_2, none_2)
     parts = {
         "1and2": (both,), "1or2": (both, only_1, only_2), "all1": (both, only_1), "all2": (both, only_2),
         "1not2": (only_1,), "2not1": (only_2,), "1xor2": (only_1, only_2),
@@ -416,8 +415,8 @@ class _JoinedColumns:
     def _separations(self, residual: FloatArray) -> dict[str, np.ma.MaskedArray]:
         n, d = len(self.rows.one), residual.shape[1]
         offsets = threads.each([partial(self._of_pair, residual[:, axis]) for axis in range(d)], n)
-        distance = np.abs(offsets[0].data) if len(offsets) == 1 else np.hypot(offsets[0].data, offsets[1].data)
-        for offset in offsets[2:]:
+        distance = np.abs(offsets[0].data)
+        for offset in offsets[1:]:
             distance = np.hypot(distance, offset.data)
         values = [np.ma.MaskedArray(distance, self.rows.absent), *offsets]
         return dict(zip(_separation_names(self.match.result), values, strict=True))
@@ -435,24 +434,17 @@ class _JoinedColumns:
 
     def _either(self, of_side: Callable[[int], np.ma.MaskedArray]) -> np.ma.MaskedArray:
         """Values of the row's record: ``of_side(1)`` of the first catalogue, or ``of_side(2)`` where it has none."""
-        rows, has_first, one = self.rows, self.rows.has_first, of_side(1)
-        if has_first.all():
+        rows, one = self.rows, of_side(1)
+        if rows.has_first.all():
             return one[rows.of_first]
         two = of_side(2)
         if one.dtype.kind in "OSU" or one.dtype != two.dtype:
             one, two = np.ma.asarray(one.astype(str)), np.ma.asarray(two.astype(str))
-        values = np.zeros(len(has_first), np.promote_types(one.dtype, two.dtype))
-        mask = np.ones(len(has_first), bool)
-        for at, source, rows_of_side in ((rows.one, one, has_first), (rows.two, two, ~has_first)):
-            values[rows_of_side] = np.ma.getdata(source)[at[rows_of_side]]
-            mask[rows_of_side] = np.ma.getmaskarray(source)[at[rows_of_side]]
+        values, mask = (rows.either(part(one), part(two)) for part in (np.ma.getdata, np.ma.getmaskarray))
         return np.ma.MaskedArray(values, mask)
 
     def _covered(self) -> np.ma.MaskedArray:
-        rows = self.rows
-        covered = np.zeros(len(rows.has_first), bool)  # one catalogue may have no rows
-        covered[rows.has_first] = self.match.covered_1[rows.one[rows.has_first]]
-        covered[~rows.has_first] = self.match.covered_2[rows.two[~rows.has_first]]
+        covered = self.rows.either(self.match.covered_1, self.match.covered_2)
         return np.ma.MaskedArray(covered, np.ma.getmaskarray(self._of_row("p_none")))
 
     def _flags(self) -> np.ma.MaskedArray:
