@@ -148,14 +148,12 @@ def test_noise_is_normalised_on_an_uneven_sky():
 
 @pytest.mark.slow
 def test_processing_in_strips_changes_nothing():
-    from sameas.sky.movers.below_limit import BelowLimitTuning
-
     tied, frames, _ = series(1, 0.4)
     _, _, whole = searched(tied, frames)
-    small = BelowLimitTuning(max_bytes=18 * 10 * SIDE * 150)
+    small = 18 * 10 * SIDE * 150
     assert len(Plan.of(tied, 0.6, small).strips) > 2
     assert Plan.of(tied, 0.6, small).peak_bytes < Plan.of(tied, 0.6).peak_bytes
-    _, _, cut = searched(tied, frames, tuning=small)
+    _, _, cut = searched(tied, frames, max_bytes=small)
     assert len(whole) == len(cut) == 1 and cut.snr[0] == pytest.approx(whole.snr[0], abs=0.4)
     np.testing.assert_allclose(cut.movers.rate_arcsec_per_min, whole.movers.rate_arcsec_per_min, atol=0.03)
 

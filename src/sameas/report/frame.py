@@ -124,7 +124,6 @@ def _scatter(summary: Mapping[str, Any]) -> str:
 
 def _estimated(summary: Mapping[str, Any]) -> list[str]:
     """Densities of unmatched measurements and stars, and the errors."""
-    # Summaries of earlier versions may lack them.
     known = {name: Quantity(value, error) for name, (value, error) in summary.get("estimated", {}).items()}
     lines = []
     if "only_on_frame_per_arcmin2" in known:

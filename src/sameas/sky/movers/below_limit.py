@@ -68,17 +68,7 @@ OWN_WIDTHS = 1.5  # a peak does not use frames on which a higher one is closer t
 REFINED = 5.0  # peaks above this T are measured
 
 
-@dataclass(frozen=True)
-class BelowLimitTuning:
-    """Parameters for stacking frames along motions; all chosen.
-
-    max_bytes : maximum memory for frames.
-    """
-
-    max_bytes: int = 600_000_000
-
-
-TUNING = BelowLimitTuning()
+MAX_BYTES = 600_000_000  # maximum memory for frames
 
 
 @dataclass(frozen=True)
@@ -111,8 +101,8 @@ class Plan:
         return _BYTES * len(self.minutes) * min(rows, self.shape[0]) * self.shape[1]
 
     @classmethod
-    def of(cls, series: Series, fastest: float, tuning: BelowLimitTuning = TUNING) -> Plan:
-        """The plan for a series. fastest : maximum rate, arcsec/min.
+    def of(cls, series: Series, fastest: float, max_bytes: int = MAX_BYTES) -> Plan:
+        """The plan for a series. fastest : maximum rate, arcsec/min. max_bytes : maximum memory for frames.
 
         Raises InputError: too few frames; a maximum rate below the slowest one that can be distinguished from a star.
         """
@@ -145,7 +135,7 @@ class Plan:
         origin = place.min(axis=0)
         wide, high = np.ceil((place.max(axis=0) - origin) / scale).astype(int) + 1
         margin = math.ceil((fastest + step) * half / scale) + 1
-        room = tuning.max_bytes // (_BYTES * len(minutes) * wide) - 2 * margin
+        room = max_bytes // (_BYTES * len(minutes) * wide) - 2 * margin
         strips = max(1, math.ceil(high / max(room, 64)))
         bounds = tuple(int(v) for v in np.linspace(0, high, strips + 1))
         return cls(rates, origin, (int(high), int(wide)), scale, minutes, bounds, margin, width)
@@ -210,17 +200,17 @@ def search_below_limit(
     fastest: float,
     *,
     min_probability: float = 0.5,
-    tuning: BelowLimitTuning = TUNING,
+    max_bytes: int = MAX_BYTES,
 ) -> BelowLimit:
     """Movers that are visible in the stacked frames but on no single one.
 
     movers : the tracklets of the series, whose light is excluded, and whose motion model is used. frames : functions
     that return the calibrated frames in the order of ``series.exposures``; each is read once per strip. fastest :
-    maximum rate, arcsec/min; the cost grows with its square (:class:`Plan`).
+    maximum rate, arcsec/min; the cost grows with its square (:class:`Plan`). max_bytes : maximum memory for frames.
 
     Raises InputError: fewer than five frames; a rate that is too low.
     """
-    plan = Plan.of(series, fastest, tuning)
+    plan = Plan.of(series, fastest, max_bytes)
     known = predicted(movers, series), _signal_to_noise(movers, series)
     real, chance = [], []
     order = _scrambled(len(plan.minutes))
@@ -229,7 +219,7 @@ def search_below_limit(
         low, high = max(first - plan.margin, 0), min(last + plan.margin, plan.shape[0])
         planes = _planes(series, frames, plan, (low, high), known)
         core = (first - low, last - low)
-        strip = _Strip(plan, *planes, plan.origin + np.array([0.0, low * plan.scale]), core, tuning)
+        strip = _Strip(plan, *planes, plan.origin + np.array([0.0, low * plan.scale]), core)
         peaks = strip.peaks(plan.minutes)
         own_frames = _with_own_frames(peaks, plan.minutes, plan)
         real.append(strip.measured_peaks(own_frames, groups))
@@ -396,11 +386,10 @@ class _Strip:
     """The planes of a strip of the grid, and the search for peaks in them."""
 
     def __init__(
-        self, plan: Plan, signal: Plane, weight: Plane, measured: Plane, origin: FloatArray, core: tuple[int, int],
-        tuning: BelowLimitTuning,
-    ) -> None:  # fmt: skip
+        self, plan: Plan, signal: Plane, weight: Plane, measured: Plane, origin: FloatArray, core: tuple[int, int]
+    ) -> None:
         self.plan, self.signal, self.weight, self.origin, self.core = plan, signal, weight, origin, core
-        self.measured, self.tuning = measured, tuning
+        self.measured = measured
         self.usual = sum(float(np.median(p[p > 0])) if (p > 0).any() else 0.0 for p in weight[:, ::5, ::5])
 
     def shifts(self, minutes: FloatArray) -> tuple[IntArray, IntArray]:
