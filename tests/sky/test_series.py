@@ -1,14 +1,16 @@
 """A series of frames: relative alignment, removal of stationary detections, movers, names of known objects."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 from sameas import InputError
+from sameas.front.movers import MoverOptions, series_movers
+from sameas.front.series import series_of
 from sameas.sky.motion import AU_KM
 from sameas.sky.movers.orbits import Elements, de421, ephemeris, near, packed_date, states, two_body
 from sameas.sky.movers.search import search
@@ -61,6 +63,35 @@ def test_relative_alignment_is_far_better_than_the_plates():
     assert len(found) == 1 and found.size[0] == 6 and found.p_tracklet[0] > 0.99
     # Plates are off by 0.3″.
     assert found.scatter_arcsec[0] < 0.1 and still.sum() > 300
+
+
+@dataclass(frozen=True)
+class Done:
+    """A frame that was identified, as :func:`series_of` sees it."""
+
+    of: Exposure
+    filter: str = ""
+    summary: ClassVar = {"place": {"middle_ra_deg": RA, "middle_dec_deg": DEC, "width_deg": 0.34, "height_deg": 0.34}}
+
+    def exposure(self) -> Exposure:
+        return self.of
+
+
+def test_a_frame_that_is_given_twice_is_used_once():
+    """The whole series was refused, with no field."""
+    exposures = frames(1)
+    copy = replace(exposures[2], name="copy")
+    done: Any = [Done(each) for each in (*exposures, copy)]
+    (one,), reasons = series_of(done)
+    assert len(one.members) == len(exposures) and len(reasons) == 1
+    assert reasons[0].startswith("1 frame has the time of another and cannot be used: copy; check DATE-OBS")
+
+
+def test_frames_of_one_time_are_refused_for_their_time():
+    """The refusal was that they show no field."""
+    done: Any = [Done(replace(each, mjd_utc=58409.1)) for each in frames(1)]
+    with pytest.raises(InputError, match=r"no two frames make a series: 5 frames have the time of another .* DATE-OBS"):
+        series_movers(done, MoverOptions(), failed=[])
 
 
 def test_uncatalogued_stars_are_no_movers():

@@ -320,8 +320,10 @@ def series_movers(
         )
     fields, reasons = series_of(frames, by_filter=False)
     say([f"{DOUBT}{reason}" for reason in reasons])
+    if not fields:
+        raise InputError("no two frames make a series: " + "; ".join(reasons))
     if len(fields) != 1:
-        each = "; ".join(f"{len(one.members)} about {_centre(one)}" for one in fields) or "no two of one field"
+        each = "; ".join(f"{len(one.members)} about {_centre(one)}" for one in fields)
         raise InputError(
             f"the frames show {len(fields)} fields ({each}); search the frames of each field by themselves"
         )

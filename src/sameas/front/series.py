@@ -19,8 +19,9 @@ from sameas.front.framing import FrameRequest, frame_of
 from sameas.front.provenance import program
 from sameas.io import read_table, write_table
 from sameas.io.atomic import filling
+from sameas.representation import counted
 from sameas.sky.frame.image import Frame
-from sameas.sky.series import MIN_OVERLAP, Exposure, Series, tie
+from sameas.sky.series import MIN_OVERLAP, SAME_TIME_DAYS, Exposure, Series, tie
 
 #: Extensions of frames in a folder, without that of a compression.
 ENDINGS = (".fits", ".fit", ".fts")
@@ -130,7 +131,8 @@ def series_of(done: Sequence[IdentifiedFrame], *, by_filter: bool = True) -> tup
         if len(group) < 2:
             reasons.append(f"{group[0][1].name}: the only frame of its field and filter; no series")
             continue
-        group = sorted(group, key=lambda pair: pair[1].mjd_utc)
+        group, again = _each_time_once(sorted(group, key=lambda pair: pair[1].mjd_utc))
+        reasons += again
         try:
             series = tie([exposure for _, exposure in group])
         except InputError as error:
@@ -141,6 +143,20 @@ def series_of(done: Sequence[IdentifiedFrame], *, by_filter: bool = True) -> tup
     names = ["series" if k == 0 else f"series-{k + 1}" for k in range(len(found))]
     each = [FieldSeries(name, *pair, pair[1][0].filter) for name, pair in zip(names, found, strict=True)]
     return each, reasons
+
+
+def _each_time_once(
+    group: Sequence[tuple[IdentifiedFrame, Exposure]],
+) -> tuple[list[tuple[IdentifiedFrame, Exposure]], list[str]]:
+    """The first frame of each time, of frames in time order, and a line on the others."""
+    kept, others = list(group[:1]), list(group[:0])
+    for pair in group[1:]:
+        (others if abs(pair[1].mjd_utc - kept[-1][1].mjd_utc) < SAME_TIME_DAYS else kept).append(pair)
+    if not others:
+        return kept, []
+    names = ", ".join(exposure.name for _, exposure in others[:3]) + (", …" if len(others) > 3 else "")
+    words = counted(len(others), "frame has", "frames have")
+    return kept, [f"{words} the time of another and cannot be used: {names}; check DATE-OBS, or give each frame once"]
 
 
 def _fields(

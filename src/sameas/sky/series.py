@@ -51,6 +51,7 @@ OFTEN = 0.5  # minimum share of the other frames that show a stationary source w
 MIN_P_STAR = 0.5  # minimum probability of a catalogue star
 COMPARED = 24  # number of frames, evenly over the series, with which each measurement is compared
 MIN_OVERLAP = 0.7  # maximum offset of a frame from the middle of the field, as a share of its diagonal
+SAME_TIME_DAYS = 1.0 / 86400.0  # frames within a second of each other are one, or have a wrong time
 
 
 @in_short
@@ -321,7 +322,7 @@ def _checked(exposures: tuple[Exposure, ...], overlap: float) -> tuple[float, fl
     if len(exposures) < 2:
         raise InputError(f"{len(exposures)} frame could be used; movers need two frames, better three")
     for one, other in itertools.pairwise(exposures):
-        if abs(one.mjd_utc - other.mjd_utc) * 86400.0 < 1.0:
+        if abs(one.mjd_utc - other.mjd_utc) < SAME_TIME_DAYS:
             raise InputError(f"{other.name}: its time is that of {one.name}; check DATE-OBS, or give each frame once")
     middles = np.array([unit_vectors(np.median(e.ra_deg), np.median(e.dec_deg)) for e in exposures if len(e)])
     centre = np.median(middles, axis=0)
