@@ -199,7 +199,7 @@ def _of_picture(folder: Path, record: str, source: int | str, at: float | str | 
 
 
 def _reasons(folder: Path) -> dict[int, list[tuple[float, str]]]:
-    """The explanations in a folder, by number of the object; empty where it has none, as of an earlier version."""
+    """The explanations in a folder, by number of the object; empty where it has none."""
     path = folder / REASONS
     if not path.exists():
         return {}

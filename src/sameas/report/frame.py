@@ -62,7 +62,7 @@ def frame_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def understood_lines(summary: Mapping[str, Any]) -> list[str]:
-    """The interpretation of the catalogue; summaries of earlier versions lack it."""
+    """The interpretation of the catalogue; nothing if the summary lacks it."""
     lines = labelled(summary.get("understood", ()))
     return [f"Catalogue: {summary['catalogue']}", *lines, ""] if lines else []
 
@@ -124,7 +124,7 @@ def _scatter(summary: Mapping[str, Any]) -> str:
 
 def _estimated(summary: Mapping[str, Any]) -> list[str]:
     """Densities of unmatched measurements and stars, and the errors."""
-    known = {name: Quantity(value, error) for name, (value, error) in summary.get("estimated", {}).items()}
+    known = {name: Quantity(value, error) for name, (value, error) in summary["estimated"].items()}
     lines = []
     if "only_on_frame_per_arcmin2" in known:
         alone = f"{known['only_on_frame_per_arcmin2']} of the frame and {known['only_in_catalogue_per_arcmin2']}"
