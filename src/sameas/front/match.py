@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from astropy.table import Table
     from matplotlib.figure import Figure
 
-    from sameas.estimate.match import Assumed
     from sameas.estimate.result import Estimate
     from sameas.evidence import Magnitudes
     from sameas.front.request import Request
@@ -381,32 +380,20 @@ def match(
     refuse_unknown(columns, (*own, "progress", *side_parameters(2)), "match")
     stated = {name: value for name, value in columns.items() if value is not None}
     call = call_text(match, (first, second), own | stated)
-    given = isinstance(first, Records), isinstance(second, Records)
-    if any(given):
-        if not all(given):
-            other = kind_of(second if given[0] else first)
-            raise InputError(f"match: Records are matched with Records, not with a {other}", "make both of one kind")
-        if stated:
-            raise InputError(f"match: Records have no columns, so {next(iter(stated))} has no meaning for them")
-        if offset != "none" or to_epoch is not None:
-            raise InputError("match: Records have no epochs or frames", "see register for offsets between them")
-        from sameas.estimate.match import Assumed
-        from sameas.sky.crossmatch import MatchOptions
-
-        options = MatchOptions(gate_sigmas=gate_sigmas, error_scale=error_scale)
-        assumed = Assumed(options.errors(), options.gate(), density, precision)
-        matched = _match_records(first, second, assumed, magnitudes, _listed(evidence), progress)
-        return replace(matched, join=join, nway_columns=nway_columns, call=call)
     from sameas.front.request import Request
-    from sameas.sky import crossmatch
+    from sameas.sky.crossmatch import MatchOptions
     from sameas.sky.output_columns import check_join
 
+    named = magnitudes if isinstance(magnitudes, str) else "auto"
+    options = MatchOptions(
+        to_epoch, gate_sigmas, error_scale, density, named, offset, precision, tuple(_listed(evidence))
+    )
+    if isinstance(first, Records) or isinstance(second, Records):
+        matched = _match_records(first, second, options, magnitudes, stated, progress)
+        return replace(matched, join=join, nway_columns=nway_columns, call=call)
     check_join(join)
     if not isinstance(magnitudes, str):
         raise InputError("match: Magnitudes are those of Records", 'name columns of both catalogues, "G,BP:J,H"')
-    options = crossmatch.MatchOptions(
-        to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision, tuple(_listed(evidence))
-    )
     options.check()
     request = Request(tuple(map(as_source, (first, second))), options, stated, tuple(names or ()))
     if both_hats(first, second):
@@ -445,20 +432,32 @@ def as_source(source: Any) -> Any:
 
 
 def _match_records(
-    first: Records,
-    second: Records,
-    assumed: Assumed,
-    magnitudes: Any,
-    evidence: list[Column | Related],
+    first: Any,
+    second: Any,
+    options: MatchOptions,
+    magnitudes: str | tuple[Magnitudes, Magnitudes],
+    columns: Mapping[str, Any],
     progress: Callable[[str], None],
 ) -> Match:
+    """The match of two ``Records``. options : their density is per unit of the residuals. columns : options that only
+    catalogues have."""
     from sameas.estimate.match import match as estimated
 
-    if isinstance(magnitudes, str) and magnitudes not in ("auto", "off"):
+    for one in (first, second):
+        if not isinstance(one, Records):
+            raise InputError(
+                f"match: Records are matched with Records, not with a {kind_of(one)}", "make both of one kind"
+            )
+    if columns:
+        raise InputError(f"match: Records have no columns, so {next(iter(columns))} has no meaning for them")
+    if options.offset != "none" or options.epoch_jyr is not None:
+        raise InputError("match: Records have no epochs or frames", "see register for offsets between them")
+    errors, gate = options.errors(), options.gate()
+    if options.magnitudes not in ("auto", "off"):
         raise InputError("match: Records have no columns", "give magnitudes=(Magnitudes, Magnitudes)")
     identification, estimate = estimated(
-        first, second, errors=assumed.errors, gate=assumed.gate, density=assumed.density,
-        brightness=None if isinstance(magnitudes, str) else magnitudes, precision=assumed.precision, evidence=evidence,
-        progress=progress,
+        first, second, errors=errors, gate=gate, density=options.density_per_deg2,
+        brightness=None if isinstance(magnitudes, str) else magnitudes, precision=options.precision,
+        evidence=options.evidence, progress=progress,
     )  # fmt: skip
     return Match(identification, estimate)
