@@ -1,5 +1,6 @@
 """`sameas.match_frame`: a frame against any catalogue input, and the methods of its result."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,11 @@ from astropy.table import Table
 
 import sameas
 from sameas import InputError
+from sameas.front.pointing import horizon_doubt
 from sameas.io import read_provenance, read_table
 from sameas.simulate.frames import Camera, GaussianProfile, Lens, frame_of_sky
+from sameas.sky.frame.image import read
+from sameas.sky.frame.keywords import Station
 from sameas.sky.frame.pointing import Pointing
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
@@ -94,6 +98,23 @@ def test_a_frame_that_its_header_places_elsewhere_is_found_about_the_middle_of_a
     fits.writeto(tmp_path / "m.fits", image, header + fits.Header({"RA": WHERE[1], "DEC": 15.0, "SECPIX": 2.0}))
     notes = sameas.match_frame(tmp_path / "m.fits", stars).sky.notes
     assert "doubt: the header points elsewhere; the frame was found about the middle of the catalogue" in notes
+
+
+@pytest.mark.parametrize(
+    ("lon_deg", "words"),
+    [
+        (-130.0, ""),
+        (0.0, "the frame's middle is 18° below the horizon and the Sun 32° above it of the station at this time"),
+        (100.0, "the frame's middle is 17° below the horizon of the station at this time: is the time local"),
+        (-60.0, "the Sun is 8° above the horizon of the station at this time: is the time local"),
+    ],
+)
+def test_a_time_at_which_the_station_saw_no_stars_there_is_doubted(made, lon_deg, words):
+    """Local time, or a longitude of the wrong sign, was believed, and reported with movers. Heights by astropy."""
+    frame = read(made[0])
+    frame = replace(frame, facts=replace(frame.facts, station=Station(35.0, lon_deg)))
+    doubt = horizon_doubt(frame, WHERE)
+    assert words in doubt and bool(doubt) == bool(words)
 
 
 @pytest.mark.slow

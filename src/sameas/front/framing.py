@@ -27,6 +27,7 @@ from sameas.front.pointing import (
     difference_of_solutions,
     header_elsewhere,
     hints,
+    horizon_doubt,
 )
 from sameas.front.provenance import program
 from sameas.io import checksum, write_table
@@ -254,7 +255,9 @@ def _found_by_hints(
     off = "" if header is None else difference_of_solutions(header, match.plate.to_wcs(), frame.shape)
     if off:
         match = replace(match, notes=(*match.notes, f"the plate solution of the header is {off}"))
-    return match, stars
+    ra_deg, dec_deg = match.placement.wcs.wcs.crval
+    doubt = horizon_doubt(frame, (float(ra_deg), float(dec_deg)))
+    return replace(match, notes=(*match.notes, doubt)) if doubt else match, stars
 
 
 def _aim_of_catalogue(

@@ -12,8 +12,10 @@ import numpy as np
 
 from sameas.errors import InputError, naming
 from sameas.sky.frame.image import Frame
+from sameas.sky.frame.keywords import sidereal_time_h
 from sameas.sky.frame.pointing import Pointing, sky_of
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint
+from sameas.sky.movers.rates import OBLIQUITY, sun_longitude_deg
 from sameas.space import ARCSEC_PER_RADIAN, chord_angle_deg, directions_deg, mean_direction, unit_vectors
 
 if TYPE_CHECKING:
@@ -28,6 +30,8 @@ LOOSE, CLOSE = 0.2, 0.05
 OTHER_SCALES = ((1.8, 2.7), (0.36, 0.54), (1.2, 1.8), (0.54, 0.8), (2.7, 4.05), (0.24, 0.36))
 #: A catalogue within this angle from its middle gives the aim of a frame without one, degrees.
 _SMALL_DEG = 10.0
+#: Heights within this of the horizon, degrees, are not doubted: refraction, positions without precession (chosen).
+_LOW_DEG = 1.5
 #: Default error of an aim: the larger of this many degrees and this many half diagonals of the frame.
 OFF_DEG, OFF_FRAMES = 0.5, 1.0
 
@@ -140,6 +144,27 @@ def _scale(frame: Frame, wcs: WCS | None) -> tuple[float, float] | None:
         scale = Pointing.of_wcs(wcs, frame.shape).scale_arcsec
         return scale * (1 - CLOSE), scale * (1 + CLOSE)
     return None
+
+
+def horizon_doubt(frame: Frame, middle_deg: tuple[float, float]) -> str:
+    """A doubt if, at the time and the station of the header, the frame's middle is below the horizon or the Sun above.
+
+    middle_deg : right ascension and declination. "" if neither is, or time or station is not known.
+    """
+    time, station = frame.facts.mid_time, frame.facts.station
+    if time is None or station is None:
+        return ""
+    longitude = np.radians(sun_longitude_deg(np.array(time.mjd)))
+    tilt = np.array([math.cos(OBLIQUITY), math.sin(OBLIQUITY)])
+    sun = np.array([np.cos(longitude), *(np.sin(longitude) * tilt)])
+    zenith = unit_vectors(15.0 * sidereal_time_h(time) + station.lon_deg, station.lat_deg)
+    field_deg, sun_deg = (math.degrees(math.asin(float(zenith @ one))) for one in (unit_vectors(*middle_deg), sun))
+    low = [f"the frame's middle is {-field_deg:.0f}° below the horizon"] if field_deg < -_LOW_DEG else []
+    high = [f"the Sun {sun_deg:.0f}° above it" if low else f"the Sun is {sun_deg:.0f}° above the horizon"]
+    words = [*low, *(high if sun_deg > _LOW_DEG else [])]
+    if not words:
+        return ""
+    return f"doubt: {' and '.join(words)} of the station at this time: is the time local, or the longitude wrong?"
 
 
 #: Smallest differences of a plate solution in the header that are said: anywhere, pixels; degrees; share of the scale.
