@@ -169,6 +169,10 @@ class InputError(ValueError):
         return Message(self.message, "; ", self.remedy) if self.remedy else Message(self.message)
 
 
+class UndatedTimes(InputError):
+    """A file has the time of day only, and neither the file nor the user states the date."""
+
+
 class MissingPackage(InputError):
     """An optional package is missing."""
 

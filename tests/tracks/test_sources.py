@@ -97,6 +97,19 @@ def test_a_log_of_two_sensors_gives_two_sources():
     assert [s.description.kind for s in ais] == ["ais"]
 
 
+def test_times_of_day_have_the_date_of_the_other_sources(tmp_path):
+    """A radar's export with times of day only, across midnight, beside AIS of one evening; not beside AIS of a week."""
+    (tmp_path / "radar.csv").write_text("time,range_m,brg\n23:59:58.0,1000,70\n00:00:02.0,1010,71\n")
+    ais = "time,lat,lon,mmsi\n2024-05-01T23:58:00Z,50.1,-1.2,235070762\n{}T00:05:00Z,50.1,-1.2,235070762\n"
+    (tmp_path / "ais.csv").write_text(ais.format("2024-05-02"))
+    radar, _ = read_sources([tmp_path / "radar.csv", tmp_path / "ais.csv"])
+    assert radar.reports.time_s.tolist() == [instant("2024-05-01T23:59:58Z"), instant("2024-05-02T00:00:02Z")]
+    assert "its times of day are read as those of 2024-05-01, the date of the others" in " ".join(radar.lines())
+    (tmp_path / "ais.csv").write_text(ais.format("2024-05-08"))
+    with pytest.raises(InputError, match="has the time of day only; give start"):
+        read_sources([tmp_path / "radar.csv", tmp_path / "ais.csv"])
+
+
 def test_a_format_named_like_a_kind_of_source_has_that_kind(folder, monkeypatch):
     """So a new sensor needs no table of formats and kinds."""
     from sameas.io.sensors import sources

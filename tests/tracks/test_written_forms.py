@@ -3,7 +3,7 @@
 import json
 import struct
 import zipfile
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pyarrow as pa
@@ -75,6 +75,23 @@ def test_times_of_expedition_are_days_of_excel(tmp_path):
     )
     own = read(written(tmp_path, "log.csv", "!Boat,Utc,BSP,Lat,Lon,COG,SOG\n!v12.1.3\n" + rows))
     np.testing.assert_allclose(own.time_s, START_S + 10.0 * np.arange(3.0), atol=1e-3)
+
+
+@pytest.mark.parametrize("first", [25569.0, 719529.0])
+def test_days_of_excel_and_matlab_are_known_by_their_steps(tmp_path, first):
+    rows = "".join(f"{(START_S + 2.5 * k) / 86400 + first:.9f},{1000 + k},70\n" for k in range(30))
+    radar = read(written(tmp_path, "radar.csv", "time,range_m,brg\n" + rows))
+    np.testing.assert_allclose(radar.time_s, START_S + 2.5 * np.arange(30.0), atol=1e-3)
+    seconds = read(written(tmp_path, "other.csv", "t_s,range_m,brg\n" + rows))
+    assert seconds.time_s[0] == pytest.approx(START_S / 86400 + first)
+
+
+@pytest.mark.parametrize("form", ["%d-%b-%Y %H:%M:%S", "%d-%B-%Y %I:%M:%S %p", "%m/%d/%Y %I:%M:%S %p"])
+def test_names_of_months_and_hours_of_twelve_are_read(tmp_path, form):
+    times = [datetime(2024, 5, 14, 11, 59, 50, tzinfo=UTC) + timedelta(seconds=5 * k) for k in range(4)]
+    rows = "".join(f"{time.strftime(form)},1000,70\n" for time in times)
+    radar = read(written(tmp_path, "radar.csv", "time,range_m,brg\n" + rows))
+    assert radar.time_s.tolist() == [time.timestamp() for time in times]
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from typing import Any, SupportsFloat
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
-from sameas.errors import InputError, naming, optional
+from sameas.errors import InputError, UndatedTimes, naming, optional
 from sameas.io.sensors.format import (
     AIS_RECKONED_SIGMA_M,
     AIS_SIGMA_M,
@@ -392,7 +392,7 @@ def _times(
     if start_s is None:
         if log.has_times_of_day:
             reason = f"{source}: no time: the lines have the time of day, but no date"
-            raise InputError(reason, naming("give {start}, the UTC date of the first line"))
+            raise UndatedTimes(reason, naming("give {start}, the UTC date of the first line"))
         raise InputError(
             f"{source}: no time: the lines carry no time of receipt, and there is no ZDA, RMC or base station",
             naming("give {start}, the UTC of the first line"),

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError, naming
+from sameas.errors import InputError, UndatedTimes, naming
 from sameas.io.sensors import ais
 from sameas.io.sensors.format import KNOT_M_PER_S, OWN_SHIP, SensorFormat, forward_filled
 from sameas.io.sensors.nmea import Log, Sentence, latitude, log_of, longitude, time_of_day, with_date
@@ -382,7 +382,7 @@ def _times(log: Log, day_s: FloatArray, indices: np.ndarray, source: str, start_
     if not np.isfinite(times).all():
         reason = "the sentences have the time of day, but no date" if np.isfinite(day_s).any() else "no line has a time"
         if np.isfinite(day_s).all():
-            raise InputError(f"{source}: no time: {reason}", naming("give {start}, the UTC date of the first line"))
+            raise UndatedTimes(f"{source}: no time: {reason}", naming("give {start}, the UTC date of the first line"))
         raise InputError(f"{source}: no time: {reason}, no ZDA and no RMC")
     return np.asarray(times)
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError, naming
+from sameas.errors import InputError, UndatedTimes, naming
 from sameas.io.sensors.aircraft import errors_of
 from sameas.io.sensors.asterix_records import (
     CATEGORIES,
@@ -546,7 +546,7 @@ def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float 
         day_s = np.where(np.isnan(day_s), np.mod(received_s, DAY_S), day_s)
         return np.asarray(day_s + DAY_S * np.round((received_s - day_s) / DAY_S))
     if start_s is None:
-        raise InputError(
+        raise UndatedTimes(
             f"{name}: no date: the records have the time of day only", naming("give {start}, the UTC date of the first")
         )
     return unwrapped(day_s, DAY_S, start_s)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from sameas.errors import InputError, naming
+from sameas.errors import UndatedTimes, naming
 from sameas.io.sensors.format import (
     DAY_S,
     FEET_PER_MINUTE_M_PER_S,
@@ -90,7 +90,7 @@ def read(lines: Sequence[str], source: str, start_s: float | None) -> Reports:
     if not rows:
         raise unused.refusal(f"{source}: no position of an aircraft: {unused.reasons() or 'no line has an id'}")
     if start_s is None:
-        raise InputError(
+        raise UndatedTimes(
             f"{source}: APRS has the time of day only", naming("give {start}, the UTC date of the first line")
         )
     columns = of_rows(rows) | {"time_s": unwrapped(np.array(day_s), DAY_S, start_s)}

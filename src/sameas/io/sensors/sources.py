@@ -16,18 +16,19 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from datetime import date
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sameas.errors import Argument, InputError, Message, reading
+from sameas.errors import Argument, InputError, Message, UndatedTimes, reading
 from sameas.io.sensors import aircraft, arpa, asterix, cot, gpsd, gpx, mode_s, n2k, ogn, recording, sbs, signalk, tables
-from sameas.io.sensors.format import OWN_SHIP, ReadOptions, SensorFile, SensorFormat, kind_by_name, kind_of
+from sameas.io.sensors.format import DAY_S, OWN_SHIP, ReadOptions, SensorFile, SensorFormat, kind_by_name, kind_of
+from sameas.io.sensors.table_times import FIRST_S
 from sameas.tracks.kinds import CARRIER_KIND, KINDS
 from sameas.tracks.platforms import OWN_POSITIONS, only_carries
 from sameas.tracks.reports import OWN_HEADING, Damaged, NoReports, Reports, joined, without_stray_times
@@ -231,19 +232,29 @@ def read_sources(
         if set_aside:
             raise next(iter(set_aside.values()))
         raise InputError("no files; give the sensors' files, or descriptions that name them")
-    sources: list[SensorSource] = []
-    for name, path in named:
+    found: dict[int, list[SensorSource]] = {}
+    undated: list[tuple[int, Path, ReadOptions, UndatedTimes]] = []
+    for at, (name, path) in enumerate(named):
         if set_aside and name in set_aside:
             continue
         reading = described[name].options if name in described else ReadOptions(name)
         if reading.start is None:
             reading = replace(reading, start=start)
-        with setting_aside(name, set_aside):
-            for reports in _recorded(path) if path.is_dir() else read_reports(path, reading):
-                if not set_aside or reports.source not in set_aside:
-                    with setting_aside(reports.source, set_aside):
-                        read = without_stray_times(reports)
-                        sources.append(source_of(read.source, read, described, path))
+        try:
+            found[at] = _sources_in(path, reading, described, set_aside)
+        except UndatedTimes as error:
+            undated.append((at, path, reading, error))
+        except InputError as error:
+            if set_aside is None:
+                raise
+            set_aside.setdefault(name, error)
+    day = _common_day(source for of_file in found.values() for source in of_file)
+    for at, path, reading, no_date in undated:
+        with setting_aside(named[at][0], set_aside):
+            if day is None:
+                raise no_date
+            found[at] = [_dated(one) for one in _sources_in(path, replace(reading, start=day), described, set_aside)]
+    sources = [source for at in sorted(found) for source in found[at]]
     names = [source.description.name for source in sources]
     duplicate = next((name for name in names if names.count(name) > 1), None)
     if duplicate is not None and not any(f"{duplicate.partition(':')[0]}=" in str(file) for file in files):
@@ -260,6 +271,39 @@ def read_sources(
             with setting_aside(name, set_aside):
                 _check_used(name, names, set_aside or {})
     return sources
+
+
+def _sources_in(
+    path: Path, reading: ReadOptions, described: Mapping[str, SourceOptions], set_aside: dict[str, InputError] | None
+) -> list[SensorSource]:
+    """The sources in a file, or a folder of recordings."""
+    sources: list[SensorSource] = []
+    for reports in _recorded(path) if path.is_dir() else read_reports(path, reading):
+        if not set_aside or reports.source not in set_aside:
+            with setting_aside(reports.source, set_aside):
+                read = without_stray_times(reports)
+                sources.append(source_of(read.source, read, described, path))
+    return sources
+
+
+def _common_day(sources: Iterable[SensorSource]) -> float | None:
+    """The middle of the time of sources with dates, if they are of a day or less: times of day beside them are of the
+    half day before or after it. None if they are not, or there are none."""
+    times = [source.reports.time_s for source in sources if len(source.reports)]
+    dated = [(float(np.nanmin(time_s)), float(np.nanmax(time_s))) for time_s in times]
+    dated = [(first, last) for first, last in dated if first >= FIRST_S]
+    if not dated:
+        return None
+    first, last = min(one for one, _ in dated), max(one for _, one in dated)
+    return 0.5 * (first + last) if last - first < DAY_S else None
+
+
+def _dated(source: SensorSource) -> SensorSource:
+    """A source with times of day, whose date is that of the others, and a note that says so."""
+    reports = source.reports
+    day = datetime.fromtimestamp(float(reports.time_s[0]), UTC).strftime("%Y-%m-%d")
+    note = f"{reports.source}: its times of day are read as those of {day}, the date of the others"
+    return replace(source, reports=replace(reports, notes=(*reports.notes, note)))
 
 
 def _of_parts(parts: list[SensorSource]) -> SensorSource:

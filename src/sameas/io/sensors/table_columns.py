@@ -88,7 +88,7 @@ QUANTITIES = tuple(
                                  "azimutht azt angle"),
         ("relative_bearing_deg", "angle", "relativebearing relbearing relbrg bearingrelative bearingrel brgrel "
                                           "relativebrg relativeazimuth azimuthrelative relazimuth relaz azrel "
-                                          "bearingr brgr bowbearing bearingfrombow"),
+                                          "azimuthrel bearingr brgr bowbearing bearingfrombow"),
         ("elevation_deg", "angle", "elevation el elev"),
         ("station_lat_deg", "angle", _hers("lat", "latitude")),
         ("station_lon_deg", "angle", _hers("lon", "longitude", "long", "lng")),

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray
-from sameas.errors import InputError, naming
+from sameas.errors import InputError, UndatedTimes, naming
 from sameas.io.sensors.format import DAY_S, instant, seconds, unwrapped, utc_of
 from sameas.io.sensors.languages import DATES, HOURS, plain
 from sameas.io.sensors.table_cells import TableText, of_each
@@ -44,10 +44,11 @@ def times_of(
     if choice.name in parts and None not in parts:
         days, hours = (cells.columns[str(part)] for part in parts)
         column = [f"{day} {hour}" for day, hour in zip(days, hours, strict=True)]
+    column = _in_24_hours(column)
     if choice.quantity.column == "time_s":
-        if _is_expedition(cells, choice):
-            since_1900 = np.array(column, np.float64)
-            return (since_1900 - _EXCEL_1970) * DAY_S, f"{source}: {choice.name} is read as days of Excel, UTC"
+        if (serial := _serial_days(cells, choice)) is not None:
+            program, days_since_1970 = serial
+            return days_since_1970 * DAY_S, f"{source}: {choice.name} is read as days of {program}, UTC"
         # Of the languages that are read, only English has the month first.
         day_first = any("".join(stem_of(name)) in _DAY_FIRST_TABLES for name in cells.columns)
         day_first = day_first or any(one.translated for one in chosen.values())
@@ -69,7 +70,7 @@ def times_of(
             f"{source}: no time can be read in column {choice.name!r} (first: {column[0]!r}); write ISO 8601"
         )
     if start_s is None:
-        raise InputError(
+        raise UndatedTimes(
             f"{source}: {choice.name!r} has the time of day only", naming("give {start}, the UTC date of the first row")
         )
     # The start is UTC, the times are of the zone.
@@ -79,19 +80,33 @@ def times_of(
     return utc_of(unwrapped(times, DAY_S, start_s), time_zone), note
 
 
-#: The number of the first day of 1970 in Excel.
-_EXCEL_1970 = 25569.0
+#: The number of the first day of 1970 in programs that count days, and those of the days that are times of reports.
+_DAYS_OF_1970, _DAYS_SINCE_1970 = {"Excel": 25569.0, "MATLAB": 719529.0}, (0.0, 47_482.0)  # until 2100
+#: Numbers with smaller steps are days: seconds have larger ones.
+_STEP_OF_DAYS = 0.005
 
 
-def _is_expedition(cells: TableText, choice: Choice) -> bool:
-    """Whether the times of a table are days since 1900, as in logs of Expedition."""
-    if stem_of(choice.name) != ("utc", "") or all(stem_of(name)[0] != "boat" for name in cells.columns):
-        return False
+def _serial_days(cells: TableText, choice: Choice) -> tuple[str, FloatArray] | None:
+    """The times of a table in days since 1970, if they are days of a program, and its name.
+
+    Those of Expedition are; others without a unit are if their steps are small.
+    """
+    stem, unit = stem_of(choice.name)
+    if unit:
+        return None
+    is_expedition = stem == "utc" and any(stem_of(name)[0] == "boat" for name in cells.columns)
     try:
-        days = np.array(cells.columns[choice.name], np.float64)
+        numbers = np.array(cells.columns[choice.name], np.float64)
     except (TypeError, ValueError):
-        return False
-    return bool(len(days)) and bool(((days > _EXCEL_1970) & (days < 2.0 * _EXCEL_1970 + 30_000.0)).all())
+        return None
+    steps = np.diff(np.unique(numbers[np.isfinite(numbers)]))
+    if not len(numbers) or not (is_expedition or (len(steps) and np.median(steps) < _STEP_OF_DAYS)):
+        return None
+    for program, first in _DAYS_OF_1970.items():
+        low, high = _DAYS_SINCE_1970
+        if low < np.nanmin(numbers) - first and np.nanmax(numbers) - first < high:
+            return program, numbers - first
+    return None
 
 
 #: Rows of the first numbers by which milliseconds are told from seconds; instants that they need at least; steps of
@@ -141,6 +156,45 @@ def _zone(cell: Any) -> tuple[bool, bool]:
     text = "" if cell is None or isinstance(cell, (int, float)) else str(cell).strip()
     offset = _ZONE.search(text) is not None
     return offset, not offset and ":" in text and re.search(r"(?i)(Z|UTC|GMT)$", text) is None
+
+
+#: A time of day of twelve hours, and a date with the name of its month.
+_TWELVE_HOURS = re.compile(r"(?i)(.*?)(\d{1,2})(:\d{2}(?::\d{2}(?:\.\d+)?)?)\s*([ap])\.?m\.?")
+_NAMED_MONTH = re.compile(r"(\d{1,2})[ /-]([A-Za-z]{3})[a-z]*[ /-](\d{4})\b(.*)")
+_MONTHS = {
+    "jan": 1,
+    "feb": 2,
+    "mar": 3,
+    "apr": 4,
+    "may": 5,
+    "jun": 6,
+    "jul": 7,
+    "aug": 8,
+    "sep": 9,
+    "oct": 10,
+    "nov": 11,
+    "dec": 12,
+}
+
+
+def _in_24_hours(column: list[Any]) -> list[Any]:
+    """The cells with hours of 24 and months as numbers, as far as these are written otherwise.
+
+    >>> _in_24_hours(["5/14/2024 12:30:05 AM", "14-May-2024 09:30:12.5 PM", "1:02:03 pm"])
+    ['5/14/2024 00:30:05', '2024-05-14 21:30:12.5', '13:02:03']
+    """
+    if not any(isinstance(cell, str) and re.search("[A-Za-z]{2}", cell) for cell in column[:100]):
+        return column
+    return [_rewritten(cell.strip()) if isinstance(cell, str) else cell for cell in column]
+
+
+def _rewritten(text: str) -> str:
+    if twelve := _TWELVE_HOURS.fullmatch(text):
+        hour = int(twelve[2]) % 12 + (12 if twelve[4].lower() == "p" else 0)
+        text = f"{twelve[1]}{hour:02d}{twelve[3]}"
+    if (named := _NAMED_MONTH.fullmatch(text)) and named[2].lower() in _MONTHS:
+        text = f"{named[3]}-{_MONTHS[named[2].lower()]:02d}-{int(named[1]):02d}{named[4]}"
+    return text
 
 
 def _instants(column: Sequence[Any], choice: Choice, source: str, start_s: float | None, day_first: bool) -> FloatArray:
