@@ -110,6 +110,16 @@ def drifting(seed, common=5, **more):
     return drawn(seed, 3.0, common=common, compass_deg=2.0, compass_s=120.0, fading_s=30.0, berthed=4, **more)
 
 
+@pytest.mark.slow
+def test_boats_in_a_marina_that_the_radar_does_not_see_hide_no_offset():
+    """Four ships under way, and thirty boats with AIS at berths, each of which is in view and never detected."""
+    marina = {"moored": 0, "unseen": 0, "berthed": 30, "berthed_seen": False}
+    found = fitted(drawn(2, 3.0, common=4, **marina))
+    assert found.established and abs(found.theta[1] - 3.0) < 0.5
+    nobody = [fitted(drawn(seed, 3.0, common=0, silent=4, **marina)) for seed in (2, 3, 4)]
+    assert not any(fit.established for fit in nobody)
+
+
 def azimuth_of(reports, sensor_m):
     return range_and_azimuth(reports.state[:, :2] - sensor_m)[:, 1]
 

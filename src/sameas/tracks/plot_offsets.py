@@ -13,8 +13,10 @@ after, when a moving object would have left (fixed echoes), plus plots at the sa
 The plots of one object are not independent: errors of its hull, the antenna of the other source and its companions are
 the same in all scans. So the evidence of a track is bounded: with probability ε another object accompanies the track,
 and L/(1 + ε L) is its likelihood ratio against no object in common. ε is ``COMPANION``, or the share of
-other azimuths at which some object seems to be a track, if that is larger. One track alone establishes no offset: the
-evidence is that without the track that fits best.
+other azimuths at which some object seems to be a track, if that is larger. A radar may not see a track at all, such as
+a boat in a marina: the likelihood of a track is 1 − φ + φ L, averaged over the share φ of the tracks that are seen. One
+track alone establishes no offset: the evidence is that without the track that fits best.
+
 The final fit is by EM (:mod:`sameas.tracks.plot_fit`).
 
 The azimuth is searched over the whole range of its prior, which is a Cauchy distribution: a wrongly installed compass
@@ -44,6 +46,7 @@ from sameas.tracks.plot_pairs import (
     Plots,
     azimuth_limit_deg,
     candidates,
+    log_mean_over_seen,
     log_prior_of_azimuth,
 )
 from sameas.tracks.snapshot import bias_widths
@@ -125,7 +128,7 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
     bounded = search.log_likelihood - np.logaddexp(0.0, search.log_likelihood + log_companion)
     log_prior = log_prior_of_azimuth(search.azimuth_deg, float(widths[AZIMUTH]))
     step = float(search.azimuth_deg[1] - search.azimuth_deg[0])
-    log_posterior = np.logaddexp.reduce(bounded.sum(axis=1), axis=0) - np.log(len(search.log_likelihood)) + log_prior
+    log_posterior = np.logaddexp.reduce(log_mean_over_seen(bounded), axis=0) - np.log(len(bounded)) + log_prior
     peaks: list[tuple[float, int, int, slice]] = []
     for low, high in _peaks(log_posterior):
         inside = search.log_likelihood[:, :, low:high].sum(axis=1)
@@ -134,7 +137,7 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
         peaks.append((mass, scale, low + position, slice(low, high)))
     evidence, s, at, peak = max(peaks, key=lambda one: one[:3])
     # An object that moves like one track by chance is no offset: the other tracks must agree by themselves.
-    others = np.delete(bounded[s], np.argmax(bounded[s, :, at]), axis=0).sum(axis=0) + log_prior
+    others = log_mean_over_seen(np.delete(bounded[s], np.argmax(bounded[s, :, at]), axis=0)) + log_prior
     evidence = min(evidence, float(np.logaddexp.reduce(others[peak]) + np.log(step)))
     spread = plots.spreads()[s]
     best = refined(pairs, widths, float(search.azimuth_deg[at]), spread, plots)

@@ -38,6 +38,8 @@ COMPASS_MOVED_M = 50.0  # a sensor that moves at least so far has a drift of its
 PLOT_RATES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 #: Probability that another object accompanies a track; it limits the evidence of one track to −ln COMPANION.
 COMPANION = 3e-4
+#: Shares of the tracks that a radar sees, averaged over: it does not see boats in a marina, behind land or far off.
+SEEN_SHARES = (0.05, 0.15, 0.3, 0.5, 0.7, 0.9)
 
 
 def shows_bare_plots(feed: Feed) -> bool:
@@ -118,6 +120,13 @@ def moves(sensor: FloatArray) -> bool:
 def log_prior_of_azimuth(azimuth_deg: FloatArray, width_deg: float) -> FloatArray:
     """(g,) log prior density of azimuth biases, a Cauchy distribution of this width."""
     return np.asarray(-np.log(np.pi * width_deg * (1.0 + (azimuth_deg / width_deg) ** 2)))
+
+
+def log_mean_over_seen(log_likelihood: FloatArray) -> FloatArray:
+    """(…, g) ln of the likelihood of all tracks, averaged over the share of them that the radar sees, from that of each
+    track (…, v, g) against not being seen."""
+    terms = [np.logaddexp(np.log1p(-seen), np.log(seen) + log_likelihood).sum(axis=-2) for seen in SEEN_SHARES]
+    return np.asarray(np.logaddexp.reduce(terms, axis=0) - np.log(len(SEEN_SHARES)))
 
 
 def _sight(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
