@@ -32,6 +32,8 @@ def test_kinds_are_recognised_by_name_and_columns(folder):
     radar, coast, plots = read_sources([folder / name for name in ("harbour radar.csv", "coast.csv", "plots.csv")])
     assert [s.description.kind for s in (radar, coast, plots)] == ["marine radar", "ais", "marine radar"]
     assert "read as ais: it has a column of mmsi" in coast.lines()[0]
+    (folder / "flarm.csv").write_text("time,id,lat,lon,alt_m\n2024-05-01T12:00:00Z,DD1234,50.1,-1.2,600\n")
+    assert read_sources([folder / "flarm.csv"])[0].description.kind == "ads-b"
     with pytest.raises(InputError, match=r"unknown: what kind of sensor is it\?.*\[sources.unknown\]"):
         read_sources([folder / "unknown.csv"])
 

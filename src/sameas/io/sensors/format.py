@@ -255,8 +255,8 @@ class ReadOptions:
 _WORDS = {
     "droneradar": "drone radar", "cuas": "drone radar", "counteruas": "drone radar", "counterdrone": "drone radar",
     "drone": "drone", "remoteid": "drone", "mavlink": "drone", "airradar": "air radar", "radar": "marine radar",
-    "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "mlat": "mlat", "wam": "wam", "esm": "esm", "camera": "camera",
-    "tracks": "tracks",
+    "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "flarm": "ads-b", "mlat": "mlat", "wam": "wam", "esm": "esm",
+    "camera": "camera", "tracks": "tracks",
 }  # fmt: skip
 
 
