@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from astropy.table import Table
 
 from sameas import InputError
 from sameas.front.movers import MoverOptions, series_movers
@@ -75,6 +76,31 @@ class Done:
 
     def exposure(self) -> Exposure:
         return self.of
+
+
+@pytest.mark.parametrize(("share", "away_px"), [(0.2, 1.5), (0.4, 2.0), (0.5, 3.0), (0.0, 2.0), (0.3, 9.0)])
+def test_a_star_without_a_measurement_of_its_own_draws_that_beside_it(share, away_px):
+    """An asteroid that passed a star was reported 5.5 stated errors beside its path."""
+    fwhm = 2.5
+    width = fwhm / 2.3548
+    x = np.linspace(-1.0, 4.0, 50_001)
+    filtered = np.exp(-(x**2) / (4 * width**2)) + share * np.exp(-((x - away_px) ** 2) / (4 * width**2))
+    drawn = x[np.argmax(filtered)]
+    seen, star = 17.0 - 2.5 * np.log10(filtered.max()), 17.0 - 2.5 * np.log10(max(share, 1e-9))
+    columns = {name: [0.01, np.nan] for name in ("cov_xx_px2", "cov_yy_px2", "cov_ee_arcsec2", "cov_nn_arcsec2")}
+    zeros = {
+        name: [0.0, 0.0] for name in ("y_px", "cov_xy_px2", "cov_en_arcsec2", "ra_deg", "dec_deg", "flux_err", "snr")
+    }
+    table = Table({
+        **columns, **zeros, "x_px": [drawn, away_px], "flux": [1.0, 1.0], "flags": [0, 0], "star": ["", "s"],
+        "measurement": np.ma.MaskedArray([0, 0], [False, True]), "p_match": [0.0, 0.0],
+        "magnitude": np.ma.MaskedArray([seen, 0.0], [False, True]),
+        "star_magnitude": np.ma.MaskedArray([0.0, star], [True, False]),
+    })  # fmt: skip
+    seen_there = Exposure.of_listing(table, "frame", 58409.1, SCALE, (64, 64), 60.0, fwhm)
+    pulled = np.sqrt(seen_there.covariance_px[0, 0] - 0.01)
+    assert pulled == pytest.approx(drawn, rel=0.3, abs=0.02)
+    assert np.sqrt(seen_there.covariance[0, 2] - 0.01) == pytest.approx(pulled * SCALE, abs=1e-6)
 
 
 def test_a_frame_that_is_given_twice_is_used_once():

@@ -51,6 +51,7 @@ OFTEN = 0.5  # minimum share of the other frames that show a stationary source w
 MIN_P_STAR = 0.5  # minimum probability of a catalogue star
 COMPARED = 24  # number of frames, evenly over the series, with which each measurement is compared
 MIN_OVERLAP = 0.7  # maximum offset of a frame from the middle of the field, as a share of its diagonal
+MOST_PULLED = 0.5  # maximum share of its distance by which a star draws a measurement
 SAME_TIME_DAYS = 1.0 / 86400.0  # frames within a second of each other are one, or have a wrong time
 
 
@@ -98,20 +99,17 @@ class Exposure:
         rows = table[~np.ma.getmaskarray(np.ma.MaskedArray(table["measurement"]))]
 
         def column(key: str) -> FloatArray:
-            values = rows[key]
-            if values.dtype.kind not in "fiu":  # a column without any value is of masked strings
-                return np.full(len(rows), np.nan)
-            out = np.asarray(values, dtype=np.float64).copy()
-            out[np.ma.getmaskarray(np.ma.MaskedArray(values))] = np.nan
-            return out
+            return _numbers(rows[key])
 
         def matrix(*keys: str) -> FloatArray:
             return np.column_stack([column(key) for key in keys])
 
+        merged = _pull_px(table, psf_fwhm_px)[:, None] ** 2 * [1.0, 0.0, 1.0]
+        covariance = matrix("cov_ee_arcsec2", "cov_en_arcsec2", "cov_nn_arcsec2")
         return cls(
             name=name, mjd_utc=mjd_utc, x_px=column("x_px"), y_px=column("y_px"),
-            covariance_px=matrix("cov_xx_px2", "cov_xy_px2", "cov_yy_px2"), ra_deg=column("ra_deg"),
-            dec_deg=column("dec_deg"), covariance=matrix("cov_ee_arcsec2", "cov_en_arcsec2", "cov_nn_arcsec2"),
+            covariance_px=matrix("cov_xx_px2", "cov_xy_px2", "cov_yy_px2") + merged, ra_deg=column("ra_deg"),
+            dec_deg=column("dec_deg"), covariance=covariance + merged * scale**2,
             flux=column("flux"), flux_err=column("flux_err"), snr=column("snr"), flags=column("flags").astype(np.int64),
             p_star=np.nan_to_num(column("p_match")), magnitude=column("magnitude"), scale_arcsec_per_px=scale,
             shape=shape, exposure_s=exposure_s, star=np.ma.filled(np.ma.MaskedArray(rows["star"]).astype(str), ""),
@@ -131,6 +129,41 @@ class Exposure:
     def names(self) -> NDArray[Any]:
         """(n,) identifiers of the stars of the catalogue, "" for none."""
         return np.full(len(self), "") if self.star is None else self.star
+
+
+def _numbers(values: Any) -> FloatArray:
+    """A column of a table, NaN where it is masked."""
+    if values.dtype.kind not in "fiu":  # a column without any value is of masked strings
+        return np.full(len(values), np.nan)
+    out = np.asarray(values, dtype=np.float64).copy()
+    out[np.ma.getmaskarray(np.ma.MaskedArray(values))] = np.nan
+    return out
+
+
+def _pull_px(table: Any, psf_fwhm_px: float) -> FloatArray:
+    """(n,) how far a star of the catalogue without a measurement of its own draws each measurement of a listing, px.
+
+    A star of flux f at a distance d draws the fitted place of a source of flux F by d (f/F) exp(−d²/4σ²), to first
+    order in f/F, with σ of the profile; the distance is known from the drawn place only.
+    """
+    from scipy.spatial import cKDTree
+
+    unmeasured = np.ma.getmaskarray(np.ma.MaskedArray(table["measurement"]))
+    px = np.column_stack([_numbers(table[name]) for name in ("x_px", "y_px")])
+    seen, known = (_numbers(table[name]) for name in ("magnitude", "star_magnitude"))
+    sources, stars = (
+        np.flatnonzero(~unmeasured),
+        np.flatnonzero(unmeasured & np.isfinite(known) & np.isfinite(px).all(axis=1)),
+    )
+    pull = np.zeros(len(sources))
+    if not len(stars) or not len(sources):
+        return pull
+    near = cKDTree(px[sources]).sparse_distance_matrix(cKDTree(px[stars]), 2.0 * psf_fwhm_px, output_type="ndarray")
+    share = 10.0 ** (0.4 * (seen[sources[near["i"]]] - known[stars[near["j"]]]))
+    share = np.nan_to_num(share) * np.exp(-((near["v"] / psf_fwhm_px) ** 2) * 2.0 * math.log(2.0))
+    share = np.minimum(share, MOST_PULLED)
+    np.maximum.at(pull, near["i"], near["v"] * share / (1.0 - share))
+    return pull
 
 
 @dataclass(frozen=True)
