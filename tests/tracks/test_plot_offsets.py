@@ -15,7 +15,7 @@ from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.plot_fit import Knots
 from sameas.tracks.plot_offsets import fit_plots
-from sameas.tracks.plot_pairs import shows_bare_plots, shows_tracks
+from sameas.tracks.plot_pairs import SEEN_SHARES, log_mean_over_seen, shows_bare_plots, shows_tracks
 from sameas.tracks.scene import Scene
 
 
@@ -275,3 +275,11 @@ def test_the_offsets_of_a_radar_for_aircraft_without_ids_are_found():
     for name, true in (("range_m", 80.0), ("azimuth_deg", 0.25)):
         one = found.parameters[name]
         assert abs(one.value - true) < 4.0 * one.standard_error < 0.5 * true
+
+
+def test_a_radar_sees_at_least_two_of_the_tracks():
+    """With fewer tracks the smallest shares that are seen would cost nothing, and any two agree somewhere by chance."""
+    unseen = np.full((9, 1), -np.inf)
+    due = np.mean([(1.0 - seen) ** 9 for seen in SEEN_SHARES if seen >= 2.0 / 9.0])
+    np.testing.assert_allclose(np.exp(log_mean_over_seen(unseen)), due, rtol=1e-12)
+    np.testing.assert_allclose(log_mean_over_seen(unseen[:1]), np.log(1.0 - SEEN_SHARES[-1]), rtol=1e-12)

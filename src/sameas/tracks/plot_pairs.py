@@ -124,9 +124,11 @@ def log_prior_of_azimuth(azimuth_deg: FloatArray, width_deg: float) -> FloatArra
 
 def log_mean_over_seen(log_likelihood: FloatArray) -> FloatArray:
     """(…, g) ln of the likelihood of all tracks, averaged over the share of them that the radar sees, from that of each
-    track (…, v, g) against not being seen."""
-    terms = [np.logaddexp(np.log1p(-seen), np.log(seen) + log_likelihood).sum(axis=-2) for seen in SEEN_SHARES]
-    return np.asarray(np.logaddexp.reduce(terms, axis=0) - np.log(len(SEEN_SHARES)))
+    track (…, v, g) against not being seen. Two are seen at least, as one alone shows no offset."""
+    least = 2.0 / max(log_likelihood.shape[-2], 1)
+    shares = [seen for seen in SEEN_SHARES if seen >= least] or SEEN_SHARES[-1:]
+    terms = [np.logaddexp(np.log1p(-seen), np.log(seen) + log_likelihood).sum(axis=-2) for seen in shares]
+    return np.asarray(np.logaddexp.reduce(terms, axis=0) - np.log(len(shares)))
 
 
 def _sight(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
