@@ -42,7 +42,7 @@ from sameas.tracks.doubts import Doubt, doubts
 from sameas.tracks.elsewhere import of_other_days, too_far_apart
 from sameas.tracks.error_fit import TrackErrorFit, fit_errors
 from sameas.tracks.feed import Feed, need_filtering, of_their_objects
-from sameas.tracks.heights import HeightModel, HeightReports, heights_of
+from sameas.tracks.heights import HeightModel, HeightReports, heights_of, with_reported_heights
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.platforms import on_platform, only_carries
 from sameas.tracks.plot_offsets import PlotFits
@@ -108,7 +108,7 @@ class Scene:
         if set_aside is not None:
             far |= of_other_days(sources)
             set_aside |= {name: InputError(words) for name, words in far.items()}
-        sources = [source for source in sources if source[0].name not in far]
+        sources = with_reported_heights([source for source in sources if source[0].name not in far])
         if plane is None and (middle := _middle(sources)) is not None:
             plane = LocalPlane.about(*middle)
         feeds: list[Feed] = []

@@ -356,15 +356,19 @@ class Description:
 
     def with_motion_of_aircraft(self) -> Description:
         """The description with the motion of aircraft where none was given, for a kind that assumes that of vessels."""
-        assumed = {line.name for line in self.assumed}
-        motion = {name: default for name, default in AIRCRAFT_MOTION.items() if name in assumed}
-        lines = tuple(
-            replace(line, kind=f"{self.kind} of aircraft", value=motion[line.name][0], why=motion[line.name][1])
-            if line.name in motion else line
-            for line in self.assumed
-        )  # fmt: skip
-        values = {name.partition(".")[2]: value for name, (value, _) in motion.items()}
-        return replace(self, motion=replace(self.motion, **values), assumed=lines)
+        return self.with_assumed(AIRCRAFT_MOTION, kind=f"{self.kind} of aircraft")
+
+    def with_assumed(self, values: Mapping[str, tuple[float, str]], *, kind: str = "") -> Description:
+        """The description with other numbers, by part.field, and why, where it has assumed ones. kind : in words."""
+        changed, lines = self, []
+        for line in self.assumed:
+            if line.name in values:
+                part, _, name = line.name.partition(".")
+                value, why = values[line.name]
+                changed = replace(changed, **{part: replace(getattr(changed, part), **{name: value})})
+                line = replace(line, kind=kind or line.kind, value=value, why=why)
+            lines.append(line)
+        return replace(changed, assumed=tuple(lines))
 
     def is_assumed(self, name: str) -> bool:
         """Whether a number, ``part.field``, was assumed for the kind."""
