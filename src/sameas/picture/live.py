@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -41,7 +41,7 @@ from sameas.tracks.platforms import on_platform, only_carries
 from sameas.tracks.registration import SourceBiases, with_delay_prior
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import Scene
-from sameas.tracks.source import Description
+from sameas.tracks.source import Assumption, Description
 
 LiveState = PictureState[Watch] | PictureState[PlotPicture]
 
@@ -416,6 +416,9 @@ class LivePicture:
             self._doubts, self._misread = registered.doubts, registered.misread
             self._misread_s = self._last_s if registered.misread else -math.inf
         self._heights = registered.heights or self._heights
+        for name, assumed in registered.targets.items():
+            if name not in self._held:
+                self._feeds[name].assume(assumed)
         for biases in registered.biases:
             self._estimates[biases.source] = biases
             # What is not established replaces nothing; it may allow for an unknown offset.
@@ -469,13 +472,15 @@ class LivePicture:
 class Registered:
     """The biases of the sources from some minutes of reports, and the model of their heights.
 
-    doubts, misread : as of :class:`~sameas.tracks.scene.Scene`.
+    doubts, misread : as of :class:`~sameas.tracks.scene.Scene`. targets : of sources whose heights of targets are
+    assumed, the assumptions with which the biases hold.
     """
 
     biases: tuple[SourceBiases, ...] = ()
     heights: HeightModel | None = None
     doubts: tuple[str, ...] = ()
     misread: frozenset[str] = frozenset()
+    targets: Mapping[str, tuple[Assumption, ...]] = field(default_factory=dict)
 
 
 def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None) -> Registered:
@@ -486,7 +491,11 @@ def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane 
     given = Scene.of(sources, plane)
     doubts, misread = given.doubts(), given.misread
     scene, biases = given.registered()
-    return Registered(biases, HeightModel.of(scene.feeds), doubts, misread)
+    targets = {
+        feed.description.name: tuple(line for line in feed.description.assumed if line.name.startswith("targets."))
+        for feed in given.feeds
+    }
+    return Registered(biases, HeightModel.of(scene.feeds), doubts, misread, targets)
 
 
 def faults_of(

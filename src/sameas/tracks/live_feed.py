@@ -16,6 +16,7 @@ each report.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -54,7 +55,7 @@ from sameas.tracks.registration import SourceBiases
 from sameas.tracks.report_table import FILTER, HEIGHTS, MODES, ReportTable
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import scans_of
-from sameas.tracks.source import Description
+from sameas.tracks.source import Assumption, Description
 from sameas.tracks.stationary import Modes, stationary
 
 #: Plots of a source without ids are kept for PLOTS_S seconds and at least PLOT_PERIODS periods, to estimate the
@@ -210,6 +211,10 @@ class LiveFeed:
     def describe(self, description: Description) -> None:
         """Replaces the description, for the reports that are added from now on."""
         self.description = self._given = description
+
+    def assume(self, lines: Iterable[Assumption]) -> None:
+        """Replaces numbers that are assumed, for the reports that are added from now on."""
+        self.description = self.description.with_assumed({line.name: (line.value, line.why) for line in lines})
 
     def _take_motion_of(self, reports: Reports) -> None:
         """Gives tracks of another system the motion of aircraft while most of the reports so far are of aircraft."""
