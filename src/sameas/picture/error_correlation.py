@@ -209,7 +209,8 @@ class ErrorCorrelation:
             common = CORRELATIONS[:, None, None, None] * reported[own] + mean_rho[other] * reported[other]
             slope = common @ precision
             innovation = differences[1] - np.einsum("cnvw,nw->cnv", slope, differences[0])
-            log_p = log_density(innovation, total - slope @ common.swapaxes(2, 3) + MIN_M2 * np.eye(2)).T
+            with np.errstate(invalid="ignore"):  # a singular covariance: see _with_evidence
+                log_p = log_density(innovation, total - slope @ common.swapaxes(2, 3) + MIN_M2 * np.eye(2)).T
             out = out._with_evidence(sources[own], elapsed_s, log_p, kept[:, own], tuning)
         return out
 
