@@ -231,3 +231,31 @@ def test_errors_too_large_for_an_apron_are_named():
     assert any(
         "too large to separate objects as near as these; its biases" in str(n) for one in found for n in one.notes
     )
+
+
+def test_a_convoy_whose_radar_offsets_are_found_is_not_called_incomparable():
+    """Six ships 555 m apart, 12 km from a radar that may be turned by a degree: no ship is told from the next before
+    the offset is known, but all together show it."""
+    rng, times = np.random.default_rng(5), np.arange(0.0, 2400.0, 3.0)
+    along = 3.5 * times[:, None] + 555.0 * np.arange(6)
+    ships = np.stack([9000.0 - 0.15 * along + 100.0 * np.sin(along / 1500.0), 8000.0 + 2500.0 - along], axis=-1)
+
+    def seen(source, every, sigma_m, first):
+        place = (ships[::every] + sigma_m * rng.standard_normal(ships[::every].shape)).reshape(-1, 2)
+        return Reports.of(source, "table", {
+            "time_s": np.repeat(times[::every], 6), "x_m": place[:, 0], "y_m": place[:, 1],
+            "track_id": np.tile(np.arange(first, first + 6), len(times[::every])),
+        })  # fmt: skip
+
+    radar = seen("radar", 1, 8.0, 1)
+    polar = {"range_m": np.hypot(radar.x_m, radar.y_m) - 40.0,
+             "bearing_deg": np.degrees(np.arctan2(radar.x_m, radar.y_m)) % 360.0}  # fmt: skip
+    sources = [
+        (Description("radar", "marine radar", site=Site(east_m=0.0, north_m=0.0)),
+         replace(radar, x_m=None, y_m=None, **polar)),
+        (Description("ais", "ais"), seen("ais", 4, 5.0, 211000001)),
+    ]  # fmt: skip
+    scene = Scene.of(sources)
+    _, found = scene.registered()
+    assert next(one for one in found if one.source == "radar").established
+    assert not scene.doubts()

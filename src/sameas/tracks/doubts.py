@@ -27,7 +27,7 @@ from sameas.tracks.kinds import KINDS
 from sameas.tracks.plot_offsets import PlotFits
 from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_tracks
 from sameas.tracks.registration import observable, unbiased
-from sameas.tracks.snapshot import ComparedSource, bias_widths, common_scans
+from sameas.tracks.snapshot import CommonScan, ComparedSource, bias_widths, common_scans
 from sameas.tracks.unit_guesses import (
     DELAYS,
     HOURS,
@@ -106,7 +106,7 @@ def doubts(feeds: Sequence[Feed], plane: LocalPlane | None, fits: PlotFits | Non
         if sentence := _range_sentence(one, fits, plane) or _reading_sentence(one):
             sentences[one.name], misread[one.name] = sentence, frozenset({one.name})
     for one in unexplained():
-        if not one.has_common():
+        if not one.has_common() and not (one.in_common is None and _show_offsets(one, feeds)):
             sentences[one.name] = one.unmatched()
     names = (one.name for one in examined if one.name in sentences)
     return tuple(Doubt(sentences[name], misread.get(name, frozenset())) for name in names)
@@ -169,12 +169,25 @@ def _is_offset(one: _Examined, feeds: Sequence[Feed]) -> bool:
     if one.guess is None or not one.guess.delay_share:
         return False
     other = next(feed for feed in feeds if feed.description.name == one.guess.other)
-    scans = common_scans(ComparedSource(other, 0), ComparedSource(one.feed, len(BIASES)))
+    scans = _as_stated(one.feed, other)
     if not observable(scans):
         return False
     fit = fit_biases(scans)
     records = sum(scan.most_pairs for scan in scans)
     return fit.established and fit.pairs >= one.guess.delay_share * records
+
+
+def _show_offsets(one: _Examined, feeds: Sequence[Feed]) -> bool:
+    """Whether offsets of a source are established that cannot be compared with the others before these are known, such
+    as beside a convoy whose ships are nearer to each other than the offsets may be."""
+    named = {other.description.name for other in one.partners}
+    scans = (_as_stated(one.feed, other) for other in feeds if other.description.name in named)
+    return any(observable(common) and fit_biases(common).established for common in scans)
+
+
+def _as_stated(one: Feed, other: Feed) -> tuple[CommonScan, ...]:
+    """Two sources at common instants, with their stated errors and unknown offsets."""
+    return common_scans(ComparedSource(other, 0), ComparedSource(one, len(BIASES)))
 
 
 def _by_plots(feed: Feed, feeds: Sequence[Feed], fits: PlotFits) -> tuple[BiasFit, tuple[str, ...]] | None:
