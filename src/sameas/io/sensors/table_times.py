@@ -161,20 +161,7 @@ def _zone(cell: Any) -> tuple[bool, bool]:
 #: A time of day of twelve hours, and a date with the name of its month.
 _TWELVE_HOURS = re.compile(r"(?i)(.*?)(\d{1,2})(:\d{2}(?::\d{2}(?:\.\d+)?)?)\s*([ap])\.?m\.?")
 _NAMED_MONTH = re.compile(r"(\d{1,2})[ /-]([A-Za-z]{3})[a-z]*[ /-](\d{4})\b(.*)")
-_MONTHS = {
-    "jan": 1,
-    "feb": 2,
-    "mar": 3,
-    "apr": 4,
-    "may": 5,
-    "jun": 6,
-    "jul": 7,
-    "aug": 8,
-    "sep": 9,
-    "oct": 10,
-    "nov": 11,
-    "dec": 12,
-}
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
 
 def _in_24_hours(column: list[Any]) -> list[Any]:
@@ -193,7 +180,7 @@ def _rewritten(text: str) -> str:
         hour = int(twelve[2]) % 12 + (12 if twelve[4].lower() == "p" else 0)
         text = f"{twelve[1]}{hour:02d}{twelve[3]}"
     if (named := _NAMED_MONTH.fullmatch(text)) and named[2].lower() in _MONTHS:
-        text = f"{named[3]}-{_MONTHS[named[2].lower()]:02d}-{int(named[1]):02d}{named[4]}"
+        text = f"{named[3]}-{_MONTHS.index(named[2].lower()) + 1:02d}-{int(named[1]):02d}{named[4]}"
     return text
 
 
