@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 #: Suffixes of photographs.
 PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 #: Tags of EXIF, and of its folder of the exposure.
-_EXIF, _TAKEN, _ZONE, _SECONDS, _FOCAL_MM = 0x8769, 0x9003, 0x9011, 0x829A, 0x920A
+_EXIF, _TAKEN, _ZONE, _SECONDS = 0x8769, 0x9003, 0x9011, 0x829A
 
 
 def photograph(path: Path) -> tuple[NDArray[Any], Header, tuple[str, ...]]:
