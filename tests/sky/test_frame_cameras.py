@@ -8,8 +8,9 @@ from astropy.io import fits
 
 from sameas.errors import InputError
 from sameas.simulate.frames import Camera, GaussianProfile, frame_of
+from sameas.sky.frame.bayer import without_mosaic
 from sameas.sky.frame.detect import Detection, detect
-from sameas.sky.frame.image import read, without_mosaic
+from sameas.sky.frame.image import read
 
 pytest.importorskip("photutils", reason="finding stars needs the extra sameas[frames]")
 

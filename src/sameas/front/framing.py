@@ -36,10 +36,11 @@ from sameas.io.catalogues import BRIGHT, GAIA, catalogue
 from sameas.io.format import json_text
 from sameas.io.plate import write_copy, write_regions, write_solution
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
+from sameas.sky.frame.bayer import without_mosaic
 from sameas.sky.frame.detect import Detection, detect
 from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.identified import FrameIdentification, Refinement, hints_by_field, search_cone, solve
-from sameas.sky.frame.image import Frame, MasterFrames, read, without_mosaic
+from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.outputs import listing, summary
@@ -240,17 +241,17 @@ def _found_by_hints(
 ) -> tuple[FrameIdentification, Catalogue]:
     own_hints = hints(request.pointing, frame, whole_sky=request.catalogue.lower() != GAIA)
     solved = partial(_solved, request, frame, measured, progress=progress, given=given)
-    of_field = _aim_of_catalogue(request, own_hints, progress, given)
-    if of_field is not None and isinstance(own_hints[0], AllSky):
-        match, stars = _solved_at_some_scale(solved, request, frame, [of_field])
+    of_field = partial(_aim_of_catalogue, request, own_hints, progress, given)
+    if isinstance(own_hints[0], AllSky) and (aim := of_field()) is not None:
+        match, stars = _solved_at_some_scale(solved, request, frame, [aim])
         match = replace(match, notes=(*match.notes, "assumed: the aim is the middle of the catalogue"))
     else:
         try:
             match, stars = _solved_at_some_scale(solved, request, frame, own_hints)
         except InputError as refusal:
-            if of_field is None or request.pointing.aim_deg is not None:
+            if request.pointing.aim_deg is not None or (aim := of_field()) is None:
                 raise
-            match, stars = _solved_elsewhere(solved, of_field, refusal)
+            match, stars = _solved_elsewhere(solved, aim, refusal)
     header = next((hint.wcs for hint in own_hints if isinstance(hint, ApproximateWcs)), None)
     off = "" if header is None else difference_of_solutions(header, match.plate.to_wcs(), frame.shape)
     if off:

@@ -18,7 +18,7 @@ import numpy as np
 
 from sameas.errors import InputError, printable
 from sameas.io.atomic import replacing
-from sameas.sky.frame.cameras import PHOTOGRAPHS
+from sameas.sky.frame.image import PHOTOGRAPHS
 from sameas.sky.frame.plate import PlateModel
 
 if TYPE_CHECKING:

@@ -491,10 +491,11 @@ def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane 
     given = Scene.of(sources, plane)
     doubts, misread = given.doubts(), given.misread
     scene, biases = given.registered()
-    targets = {
+    of_targets = {
         feed.description.name: tuple(line for line in feed.description.assumed if line.name.startswith("targets."))
         for feed in given.feeds
     }
+    targets = {name: lines for name, lines in of_targets.items() if lines}
     return Registered(biases, HeightModel.of(scene.feeds), doubts, misread, targets)
 
 

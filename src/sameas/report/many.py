@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sameas.arrays import ABSENT
 from sameas.records import Records
 from sameas.report.prose import DOUBT, entry, figures
 from sameas.representation import count, counted
@@ -96,13 +97,14 @@ def _rows_of_many(match: ManyMatch) -> list[str]:
 
 def _objects(match: ManyMatch) -> list[str]:
     """The objects by their catalogues; of many combinations, the most frequent ones and the sum of the others."""
-    present = ~np.ma.getmaskarray(match.objects.members)
+    from sameas.sky.population import patterns_of
+
     names = [catalogue.name for catalogue in match.catalogues]
-    bits = 1 << np.arange(len(names))
-    number = np.bincount(present @ bits, minlength=1 << len(names)).tolist()
+    bit = {name: 1 << k for k, name in enumerate(names)}
+    number = np.bincount(patterns_of(match.objects.members.filled(ABSENT)), minlength=1 << len(names)).tolist()
     rows = []
     for pattern, expected in match.expected.items():
-        found = number[sum(bit for bit, name in zip(bits.tolist(), names, strict=True) if name in pattern)]
+        found = number[sum(bit[name] for name in pattern)]
         if found or expected >= 0.5:
             rows.append((len(pattern), _combination(names, pattern), found, expected))
     rows.sort(key=lambda row: -max(row[2:]))

@@ -16,6 +16,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from scipy.spatial import cKDTree
 from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
 from sameas.errors import InputError
 from sameas.representation import in_short
+from sameas.sky import column_values
 from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
 from sameas.sky.series_stars import SeriesMeasurements, SeriesStars, gather
 from sameas.space import ARCSEC_PER_RADIAN, directions_deg, from_plane, to_plane, unit_vectors
@@ -99,12 +101,12 @@ class Exposure:
         rows = table[~np.ma.getmaskarray(np.ma.MaskedArray(table["measurement"]))]
 
         def column(key: str) -> FloatArray:
-            return _numbers(rows[key])
+            return column_values.numbers(rows, key, name)
 
         def matrix(*keys: str) -> FloatArray:
             return np.column_stack([column(key) for key in keys])
 
-        merged = _pull_px(table, psf_fwhm_px)[:, None] ** 2 * [1.0, 0.0, 1.0]
+        merged = _pull_px(table, name, psf_fwhm_px)[:, None] ** 2 * [1.0, 0.0, 1.0]
         covariance = matrix("cov_ee_arcsec2", "cov_en_arcsec2", "cov_nn_arcsec2")
         return cls(
             name=name, mjd_utc=mjd_utc, x_px=column("x_px"), y_px=column("y_px"),
@@ -131,26 +133,16 @@ class Exposure:
         return np.full(len(self), "") if self.star is None else self.star
 
 
-def _numbers(values: Any) -> FloatArray:
-    """A column of a table, NaN where it is masked."""
-    if values.dtype.kind not in "fiu":  # a column without any value is of masked strings
-        return np.full(len(values), np.nan)
-    out = np.asarray(values, dtype=np.float64).copy()
-    out[np.ma.getmaskarray(np.ma.MaskedArray(values))] = np.nan
-    return out
-
-
-def _pull_px(table: Any, psf_fwhm_px: float) -> FloatArray:
+def _pull_px(table: Any, name: str, psf_fwhm_px: float) -> FloatArray:
     """(n,) how far a star of the catalogue without a measurement of its own draws each measurement of a listing, px.
 
     A star of flux f at a distance d draws the fitted place of a source of flux F by d (f/F) exp(−d²/4σ²), to first
     order in f/F, with σ of the profile; the distance is known from the drawn place only.
     """
-    from scipy.spatial import cKDTree
-
+    column = partial(column_values.numbers, table, source=name)
     unmeasured = np.ma.getmaskarray(np.ma.MaskedArray(table["measurement"]))
-    px = np.column_stack([_numbers(table[name]) for name in ("x_px", "y_px")])
-    seen, known = (_numbers(table[name]) for name in ("magnitude", "star_magnitude"))
+    px = np.column_stack([column("x_px"), column("y_px")])
+    seen, known = (column(key) for key in ("magnitude", "star_magnitude"))
     sources, stars = (
         np.flatnonzero(~unmeasured),
         np.flatnonzero(unmeasured & np.isfinite(known) & np.isfinite(px).all(axis=1)),

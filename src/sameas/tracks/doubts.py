@@ -19,15 +19,15 @@ from sameas.registration.weights import PlacedSources, weigh
 from sameas.tracks.alignment import States
 from sameas.tracks.bearing_readings import best_other_reading
 from sameas.tracks.bias_fit import BiasFit, fit_biases
-from sameas.tracks.biases import BIASES, TIME
+from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.elsewhere import COUNTED_S, span_of
 from sameas.tracks.feed import Feed
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.plot_offsets import PlotFits
 from sameas.tracks.plot_pairs import has_bearings, shows_bare_plots, shows_tracks
-from sameas.tracks.registration import observable, unbiased
-from sameas.tracks.snapshot import CommonScan, ComparedSource, bias_widths, common_scans
+from sameas.tracks.registration import observable, scans_of_both, unbiased
+from sameas.tracks.snapshot import ComparedSource, bias_widths, common_scans
 from sameas.tracks.unit_guesses import (
     DELAYS,
     HOURS,
@@ -169,7 +169,7 @@ def _is_offset(one: _Examined, feeds: Sequence[Feed]) -> bool:
     if one.guess is None or not one.guess.delay_share:
         return False
     other = next(feed for feed in feeds if feed.description.name == one.guess.other)
-    scans = _as_stated(one.feed, other)
+    scans = scans_of_both(other, one.feed)
     if not observable(scans):
         return False
     fit = fit_biases(scans)
@@ -181,13 +181,8 @@ def _show_offsets(one: _Examined, feeds: Sequence[Feed]) -> bool:
     """Whether offsets of a source are established that cannot be compared with the others before these are known, such
     as beside a convoy whose ships are nearer to each other than the offsets may be."""
     named = {other.description.name for other in one.partners}
-    scans = (_as_stated(one.feed, other) for other in feeds if other.description.name in named)
+    scans = (scans_of_both(other, one.feed) for other in feeds if other.description.name in named)
     return any(observable(common) and fit_biases(common).established for common in scans)
-
-
-def _as_stated(one: Feed, other: Feed) -> tuple[CommonScan, ...]:
-    """Two sources at common instants, with their stated errors and unknown offsets."""
-    return common_scans(ComparedSource(other, 0), ComparedSource(one, len(BIASES)))
 
 
 def _by_plots(feed: Feed, feeds: Sequence[Feed], fits: PlotFits) -> tuple[BiasFit, tuple[str, ...]] | None:

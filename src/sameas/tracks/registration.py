@@ -374,7 +374,7 @@ def _mutual(one: Feed, other: Feed) -> tuple[RegisteredFeed, RegisteredFeed]:
     names = one.description.name, other.description.name
     fit = _mutual_delay_fit(one, other)
     if fit is None:
-        scans = common_scans(ComparedSource(one, 0), ComparedSource(other, 6))
+        scans = scans_of_both(one, other)
         if not observable(scans):
             note = _not_observable if scans else _not_compared
             first, second = (
@@ -404,11 +404,16 @@ def _mutual_delay_fit(one: Feed, other: Feed) -> BiasFit | None:
     late_one = _with_unknown_delay(one) if late_other is None else None
     if late_other is None and late_one is None:
         return None
-    scans = common_scans(ComparedSource(late_one or one, 0), ComparedSource(late_other or other, 6))
+    scans = scans_of_both(late_one or one, late_other or other)
     if not observable(scans):
         return None
     fit = fit_biases(scans)
     return fit if _delay_established(fit, [one, other]) else None
+
+
+def scans_of_both(one: Feed, other: Feed) -> tuple[CommonScan, ...]:
+    """Two sources at common instants, the biases of both unknown: those of the first, then those of the second."""
+    return common_scans(ComparedSource(one, 0), ComparedSource(other, len(BIASES)))
 
 
 def observable(scans: Sequence[CommonScan]) -> bool:

@@ -240,14 +240,11 @@ def read_sources(
         reading = described[name].options if name in described else ReadOptions(name)
         if reading.start is None:
             reading = replace(reading, start=start)
-        try:
-            found[at] = _sources_in(path, reading, described, set_aside)
-        except UndatedTimes as error:
-            undated.append((at, path, reading, error))
-        except InputError as error:
-            if set_aside is None:
-                raise
-            set_aside.setdefault(name, error)
+        with setting_aside(name, set_aside):
+            try:
+                found[at] = _sources_in(path, reading, described, set_aside)
+            except UndatedTimes as error:
+                undated.append((at, path, reading, error))
     day = _common_day(source for of_file in found.values() for source in of_file)
     for at, path, reading, no_date in undated:
         with setting_aside(named[at][0], set_aside):

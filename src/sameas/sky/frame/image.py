@@ -30,9 +30,8 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, robust_scale
 from sameas.bounds import checked_fits
-from sameas.errors import InputError, first_line, reading
+from sameas.errors import InputError, first_line, optional, reading
 from sameas.representation import in_short
-from sameas.sky.frame.cameras import PHOTOGRAPHS, even_mosaic, photograph, unwrapped
 from sameas.sky.frame.keywords import Facts, Given
 from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
 
@@ -50,6 +49,10 @@ _VARIANCE = ("VAR", "VARIANCE")
 _COLOURS = 3
 #: Flags of the bits in masks of the Rubin pipelines, by their keywords; other bits mark detections.
 _PLANES = {"MP_BAD": Flag.MASKED, "MP_NO_DATA": Flag.MASKED, "MP_SAT": Flag.SATURATED, "MP_CR": Flag.COSMIC}
+#: Suffixes of photographs.
+PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+#: Tags of EXIF, and of its folder of the exposure.
+_EXIF, _TAKEN, _ZONE, _SECONDS = 0x8769, 0x9003, 0x9011, 0x829A
 
 
 @in_short
@@ -179,17 +182,53 @@ def _without_colours(
     return planes.mean(axis=0, dtype=np.float64), flags, replace(facts, lines=lines)
 
 
-def without_mosaic(frame: Frame) -> Frame:
-    """The frame with a mosaic of colours made even; the same frame if it is none."""
-    even = even_mosaic(frame.image, frame.flags == 0)
-    if even is None:
-        return frame
-    shown = ", ".join(f"{response:.2f}" for response in even[1])
-    lines = [f"image: a mosaic of colours, 2 × 2 kinds of pixels; levels and responses ({shown}) made equal"]
-    if math.isfinite(frame.facts.gain_e_per_adu):
-        lines.append("assumed: the gain is that of one kind of pixels; the noise is taken from the image")
-    facts = replace(frame.facts, lines=(*frame.facts.lines, *lines), gain_e_per_adu=math.nan)
-    return replace(frame, image=even[0], facts=facts, sigma=None)
+def photograph(path: Path) -> tuple[NDArray[Any], Header, tuple[str, ...]]:
+    """The pixels of a photograph, in one plane or three, the facts of its EXIF as a header, and notes.
+
+    The first row is the lowest, as in FITS, so that the sky is not mirrored.
+
+    Raises InputError: not an image, damaged, or of a kind that Pillow does not read.
+    """
+    from astropy.io.fits import Header
+
+    with optional("photographs need Pillow", "plots"):
+        from PIL import Image
+    try:
+        with Image.open(path) as picture:
+            plain = picture if picture.mode in ("L", "RGB", "I;16", "I", "F") else picture.convert("RGB")
+            pixels = np.asarray(plain)[::-1]
+            exif = dict(picture.getexif().get_ifd(_EXIF))
+    except Exception as error:  # Pillow raises many types of errors on damaged files
+        raise InputError(f"{path.name}: the photograph cannot be read ({first_line(error)}); convert it") from error
+    header, notes = Header(), ["a photograph: rows are counted from the lowest, as in FITS"]
+    if _SECONDS in exif:
+        header["EXPTIME"] = float(exif[_SECONDS])
+    if _TAKEN in exif:
+        date, _, time = str(exif[_TAKEN]).partition(" ")
+        header["DATE-OBS"] = f"{date.replace(':', '-')}T{time}"
+        notes.append(f"doubt: the time is that of the camera{_zone(exif)}, taken for UTC")
+    return (pixels if pixels.ndim == 2 else np.moveaxis(pixels, -1, 0)), header, tuple(notes)
+
+
+def _zone(exif: dict[int, Any]) -> str:
+    return f", whose clock is {exif[_ZONE]} of UTC" if _ZONE in exif else ""
+
+
+def unwrapped(image: NDArray[Any]) -> NDArray[Any]:
+    """The image, unsigned where it was stored as signed: else neighbours jump from one end of the range to the other.
+
+    >>> unwrapped(np.array([[32766, 32767, -32768, -32767]], np.int16)).tolist()
+    [[32766, 32767, 32768, 32769]]
+    """
+    kind = image.dtype
+    if kind.kind != "i" or kind.itemsize != 2 or not (image < 0).any():
+        return image
+    unsigned = image.astype(np.int32) & 0xFFFF
+    jumps = [
+        int((np.abs(np.diff(values, axis=-1)) > np.iinfo(np.int16).max).sum())
+        for values in (image.astype(np.int32), unsigned)
+    ]
+    return unsigned.astype(np.uint16) if jumps[0] > jumps[1] else image
 
 
 def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tuple[str, ...]]:
