@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
-from sameas.representation import in_short
 
 LOG_2PI = math.log(2.0 * math.pi)
 
@@ -111,7 +110,6 @@ def distance_and_log_determinant(delta: FloatArray, covariance: FloatArray) -> t
     return np.sum(z**2, axis=-1), 2.0 * np.log(np.einsum("...vv->...v", root)).sum(axis=-1)
 
 
-@in_short
 @dataclass(frozen=True)
 class Gaussian:
     """Normal distributions: ``mean`` (…, d) and ``covariance`` (…, d, d).

@@ -274,7 +274,6 @@ def _p_log_p(p: FloatArray) -> FloatArray:
     return np.asarray(p * np.log(np.maximum(p, np.finfo(float).tiny)))
 
 
-@in_short
 @dataclass(frozen=True)
 class PairMessages:
     """Sum-product messages of the APPROXIMATE groups.

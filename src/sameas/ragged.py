@@ -17,10 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sameas.arrays import IntArray
-from sameas.representation import in_short
 
 
-@in_short
 @dataclass(frozen=True)
 class Ragged:
     """n rows of unequal length, m entries in all, end to end.

@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 def in_short(cls: type[T]) -> type[T]:
-    """Make a dataclass print in at most ten lines: arrays by type and shape, long values by size.
+    """Make a dataclass that users get print in at most ten lines: arrays by type and shape, long values by size.
 
     >>> from dataclasses import dataclass
     >>> @in_short
@@ -54,7 +54,7 @@ def shown(value: Any) -> str:
     if hasattr(value, "colnames"):
         return f"<{type(value).__name__} of {len(value)} rows, {len(value.colnames)} columns>"
     if is_dataclass(value) and not isinstance(value, type):
-        text = repr(value)
+        text = _in_lines(value)
         return text if len(text) <= LETTERS and "\n" not in text else f"{type(value).__qualname__}(…)"
     if isinstance(value, str):
         return repr(value if len(value) <= LETTERS else value[: LETTERS - 1] + "…")

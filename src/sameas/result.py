@@ -269,7 +269,6 @@ FORCE = 1e6
 SEARCHED = 200
 
 
-@in_short
 @dataclass(frozen=True)
 class Competitor:
     """One answer for the record: a candidate, or no partner (``id`` None).

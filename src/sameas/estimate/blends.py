@@ -30,7 +30,6 @@ from sameas.gate import Radius
 from sameas.gaussian import log_density
 from sameas.ragged import Ragged
 from sameas.records import Records
-from sameas.representation import in_short
 from sameas.result import Identification
 
 STEEPNESS = 4.0  # B(s) = exp(−ln 2 · (s/resolution)^steepness)
@@ -71,7 +70,6 @@ class BlendTuning:
 DEFAULT_BLENDS = BlendTuning()
 
 
-@in_short
 @dataclass(frozen=True)
 class BlendCandidates:
     """The candidates of records of the coarse source, o in number, those of one object first.
@@ -93,7 +91,6 @@ class BlendCandidates:
         return replace(self, i=self.i[kept], j=self.j[kept], k=self.k[kept], log_density=self.log_density[kept])
 
 
-@in_short
 @dataclass(frozen=True)
 class Blends:
     """Records of the coarse source, each with no partner, one, or two.
@@ -290,7 +287,6 @@ def _log_densities(residual: FloatArray, covariance: FloatArray, errors: Errors)
     return np.stack([log_density(residual, scale**2 * covariance) for scale in errors.scales], axis=1)
 
 
-@in_short
 @dataclass(frozen=True)
 class Merging:
     """The possible mergers of objects of the fine source, in couples. :meth:`Merging.of` makes it.
@@ -414,7 +410,6 @@ def log_odds_of(
     return log_density, log_density + log_ratio[at]
 
 
-@in_short
 @dataclass(frozen=True)
 class Summed:
     """(o,) probability of each candidate, and whether it is in the most probable answer of its group; (n₁,) exact."""

@@ -22,7 +22,6 @@ from sameas.arrays import BoolArray, FloatArray, IntArray, inner, within_turn
 from sameas.estimate.discs import Discs
 from sameas.kernels import threads
 from sameas.records import Records
-from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere
 
 # Parameters of cells and outlines, all chosen.
@@ -168,7 +167,6 @@ def _hull(points: FloatArray) -> FloatArray:
 Cut = tuple[IntArray, IntArray, int, Callable[[IntArray], FloatArray]]
 
 
-@in_short
 @dataclass(frozen=True)
 class GridLevel:
     """Cells of one size: the cell of every record of both sources, and the volume of each cell.
@@ -346,7 +344,6 @@ class _SphereCells:
         return one, two, int(begin[-1]), volumes
 
 
-@in_short
 @dataclass(frozen=True)
 class _BoxCells:
     """Boxes of equal size over a Euclidean space, divided along every feature with an extent.

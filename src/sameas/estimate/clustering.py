@@ -24,7 +24,6 @@ from sameas.estimate.sample import Setting
 from sameas.gate import Radius
 from sameas.ragged import ranges
 from sameas.records import Records
-from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, unit_vectors
 
 #: Coefficients of √(2πx) e⁻ˣ I₀(x) in powers of 1/x (Abramowitz & Stegun 9.7.1), and the x from which they are exact to
@@ -96,7 +95,6 @@ def share_within(reach: float, radius: float, variance: FloatArray, d: int) -> F
     return np.asarray(1.0 - np.trapezoid(beyond, distance, axis=1))
 
 
-@in_short
 @dataclass(frozen=True)
 class Clustering:
     """The excess of close neighbours: 1 + w(u) times as many pairs as in a Poisson field.
@@ -131,7 +129,6 @@ class Clustering:
         return total
 
 
-@in_short
 @dataclass(frozen=True)
 class ScaledSource:
     """Records of one source in units of typical errors.
@@ -242,7 +239,6 @@ def _edge_loss(source: ScaledSource, d: int) -> float:
     return EDGES[d - 1] * math.pow(float(source.density.mean()) / len(source.points), 1.0 / d)
 
 
-@in_short
 @dataclass(frozen=True)
 class _Neighbours:
     """Neighbour pairs of one source, c of them, each counted from both of its records.
@@ -325,7 +321,6 @@ def clustering(setting: Setting) -> Clustering | None:
     return replace(excess, shares=_fit_shares(excess, (one, two)))
 
 
-@in_short
 @dataclass(frozen=True)
 class CloseNeighbours:
     """Neighbour pairs of one source within their errors.

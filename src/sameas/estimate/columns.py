@@ -271,7 +271,6 @@ def _log_association(counts: FloatArray, pseudo_count: float) -> FloatArray:
     return np.asarray(np.log(shrunk / shrunk.sum()) - np.log(unrelated))
 
 
-@in_short
 @dataclass(frozen=True)
 class _KnottedAssociation(Association):
     """With its knots (k₁,), (k₂,), for use on other records."""

@@ -29,10 +29,8 @@ from sameas.estimate.sample import Setting
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.ragged import Ragged
-from sameas.representation import in_short
 
 
-@in_short
 @dataclass(frozen=True)
 class CompanionsRule(Rule):
     """The rule whose evidence for the pairs at ``index`` is ``term`` (q,), and 0 for the others."""
@@ -46,7 +44,6 @@ class CompanionsRule(Rule):
         return Evidence({"companions": out})
 
 
-@in_short
 @dataclass(frozen=True)
 class Companions:
     """Companions among one list of candidates.

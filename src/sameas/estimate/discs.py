@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 # Parameters of the search for discs; chosen where no source is given.
@@ -56,7 +55,6 @@ SEVERAL = 0.33
 WITHIN, REACH, MOST_DIVISIONS = 0.95, 1.25, 6
 
 
-@in_short
 @dataclass(frozen=True)
 class Discs:
     """Discs around the records of one source that hold all records of the other, or discs that hold those of both.

@@ -39,7 +39,6 @@ from sameas.evidence.rule import AS_QUOTED
 from sameas.groups import Groups
 from sameas.kernels import threads
 from sameas.posterior import APPROXIMATE, Posterior, by_messages, posterior
-from sameas.representation import in_short
 
 #: Where errors are fitted, a pair of a lower probability gets its odds from its likelihood ratio and its records'
 #: probabilities of having no other partner; higher probabilities are clipped.
@@ -81,7 +80,6 @@ DEFAULT_EM = EMTuning()
 Both = tuple[FloatArray, FloatArray]
 
 
-@in_short
 @dataclass(frozen=True)
 class EMState:
     """The estimates after an EM iteration.

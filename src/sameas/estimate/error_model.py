@@ -28,7 +28,6 @@ from sameas.evidence import Errors
 from sameas.gate import Pairs
 from sameas.gaussian import inverse, log_determinant
 from sameas.records import unpack
-from sameas.representation import in_short
 from sameas.result import Identification
 
 MIN_P = 0.05  # pairs less probable than this are not used
@@ -218,7 +217,6 @@ def fit_variances(residual: FloatArray, weight: FloatArray, parts: FloatArray) -
     return _fit(residual, weight, parts, np.zeros_like(parts[0])).theta
 
 
-@in_short
 @dataclass(frozen=True)
 class _PairErrors:
     """Residuals (m, d) of pairs, weights (m,), quoted covariances (m, d, d) of both sources, names of the sources."""
@@ -298,7 +296,6 @@ class _PairErrors:
         return Quantity(sigma * root.value, sigma * root.standard_error)
 
 
-@in_short
 @dataclass(frozen=True)
 class _VarianceFit:
     """Factors (k,) of variances, their covariance (k, k), direction (k,) of least information, and ln likelihood."""
@@ -355,7 +352,6 @@ def _pairs_last(matrices: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.moveaxis(matrices, -3, -1))
 
 
-@in_short
 @dataclass(frozen=True)
 class _PairTerms:
     """Terms of every pair by one model.

@@ -26,7 +26,6 @@ from sameas.evidence import Errors
 from sameas.gate import Pairs
 from sameas.kernels import threads
 from sameas.records import Records, unpack
-from sameas.representation import in_short
 from sameas.space import Plane, unit_vectors
 
 # Limits for trends of errors; all chosen.
@@ -73,7 +72,6 @@ class Trend:
         return f"by {self.quantity}{of}: {at}"
 
 
-@in_short
 @dataclass(frozen=True)
 class Covariate:
     """A quantity that errors may depend on: ``values`` (n_table,) by the rows of a source's table, NaN if unknown."""
@@ -196,7 +194,6 @@ def _refit(
     return errors, trends, gain
 
 
-@in_short
 @dataclass(frozen=True)
 class _Competing:
     """All candidates of some records of source 1; each record has at most one partner among them.
@@ -227,7 +224,6 @@ class _Competing:
         return odds / total[self.pairs.i], float(np.log(total).sum())
 
 
-@in_short
 @dataclass(frozen=True, eq=False)
 class _LinearBasis:
     """Piecewise linear basis of a covariate x: ``values`` (k, m) of pairs, one for each of the ``knots`` (k,)."""

@@ -25,7 +25,6 @@ from sameas.estimate.unresolved import BlendResolution
 from sameas.evidence import Errors
 from sameas.evidence.rule import AS_QUOTED
 from sameas.gate import ChiSquare, Pairs, Radius
-from sameas.representation import in_short
 from sameas.result import Identification
 
 #: The gate is widened when this share of the expected true pairs lies beyond 0.7 of its radius (4e-5 where errors are
@@ -76,7 +75,6 @@ class MatchTuning:
 DEFAULT_MATCH = MatchTuning()
 
 
-@in_short
 @dataclass(frozen=True)
 class GateResult:
     """The state after the EM iterations with one gate.

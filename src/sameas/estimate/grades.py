@@ -24,7 +24,6 @@ from sameas.evidence import Precision, TrainingPairs
 from sameas.gate import Pairs
 from sameas.ragged import Ragged
 from sameas.records import Records
-from sameas.representation import in_short
 
 # Parameters of the grades of precision; chosen where no source is given.
 #: Records of the poorer source per cell of the table of two grades, and greatest number of grades.
@@ -49,7 +48,6 @@ Both = tuple[FloatArray, FloatArray]
 BothGrades = tuple[NDArray[np.int32], NDArray[np.int32]]
 
 
-@in_short
 @dataclass(frozen=True)
 class Scale:
     """The grading of one source's records by the volume of their errors, within ranges of magnitude.

@@ -16,7 +16,6 @@ import numpy as np
 
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.records import Records
-from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, folded, unit_vectors
 
 if TYPE_CHECKING:
@@ -45,7 +44,6 @@ POINTS_AT_ONCE = 1_000_000  # points of discs that are listed at a time, which l
 Floats = TypeVar("Floats", float, FloatArray)
 
 
-@in_short
 @dataclass(frozen=True)
 class Points:
     """The points of a source for the search of empty discs.

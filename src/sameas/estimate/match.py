@@ -42,7 +42,6 @@ from sameas.evidence import Column, Errors, Magnitudes, Related
 from sameas.gate import ChiSquare, Radius
 from sameas.kernels.compiled import prefer_compiled
 from sameas.records import Records
-from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.space import ball_volume
 
@@ -136,7 +135,6 @@ class Assumed:
     precision: bool = True
 
 
-@in_short
 @dataclass(frozen=True)
 class SampleMatch:
     """Estimates from a sample of two sources, for use on all records. Made by :func:`match_sample`.

@@ -87,7 +87,6 @@ def density_of(magnitude: FloatArray) -> MagnitudeDensity:
     return MagnitudeDensity(grid, np.log(density))
 
 
-@in_short
 @dataclass(frozen=True)
 class Sample:
     """Pairs for a fit. Make it with :meth:`Sample.of`.

@@ -45,7 +45,6 @@ from sameas.evidence import Column, Errors, Magnitudes, MeasuredMagnitudes, Rela
 from sameas.gate import Pairs, Radius
 from sameas.kernels.coverage import check_cells_nested, covered_cells, refine_nested, refine_share_nested, score_nested
 from sameas.records import Records
-from sameas.representation import in_short
 
 _EMPTY = np.empty(0)
 
@@ -60,7 +59,6 @@ PARTLY = 2.0
 SMOOTHING_CELLS = 300_000
 
 
-@in_short
 @dataclass(frozen=True)
 class CellCounts:
     """Records of both sources in occupied cells.
@@ -102,7 +100,6 @@ class CellCounts:
         return np.minimum(np.searchsorted(self.cells, cells), len(self.cells) - 1)
 
 
-@in_short
 @dataclass(frozen=True)
 class Places:
     """Densities, coverage and shares in cells. Make it with :meth:`of`.
@@ -273,7 +270,6 @@ def drawn(counts: CellCounts, sampling: Sampling = Sampling()) -> tuple[int, Int
     return steps, np.sort(level.cells[order[:needed]])
 
 
-@in_short
 @dataclass(frozen=True)
 class _SampleCoverage(Coverage):
     """The coverage of a sample, computed from all records."""
@@ -300,7 +296,6 @@ class _SampleCoverage(Coverage):
         return self.volume * min(float(covered[c].mean()) if c.any() else 1.0 for covered, c in pairs)
 
 
-@in_short
 @dataclass(frozen=True)
 class Learned:
     """The estimates for the evidence of any part of both sources. Make it with :func:`learn`.
@@ -371,7 +366,6 @@ class Learned:
         return replace(self.photometry, sides=(one, two), compared=None)
 
 
-@in_short
 @dataclass(frozen=True)
 class SampleRecords:
     """The records of a sample: counted ones, and all that compete with them.

@@ -16,7 +16,6 @@ from sameas.arrays import BoolArray, FloatArray, IntArray, taken
 from sameas.estimate.cells import GridLevel, finest
 from sameas.estimate.coverage import SHARED_PSEUDO_COUNT, Coverage
 from sameas.gate import Pairs
-from sameas.representation import in_short
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,6 @@ class Sampling:
         return max(self.enough, min(round(self.share * n_poorer), self.most))
 
 
-@in_short
 @dataclass(frozen=True)
 class Setting:
     """The candidates and records of an estimation, which stay the same in all EM iterations.

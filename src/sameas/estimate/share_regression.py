@@ -21,7 +21,6 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.columns import CodedColumn
 from sameas.evidence.detection import LinearSpline, logit, roughness
-from sameas.representation import in_short
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -58,7 +57,6 @@ MAX_STEP, TOLERANCE = 2.0, 0.02  # greatest step, and the step at convergence
 MIN_GAIN = 3.0  # gain in ln likelihood, for records not fitted to, to use a column
 
 
-@in_short
 @dataclass(frozen=True)
 class ColumnFinding:
     """The evidence of one column: ``gain`` in ln likelihood for records that it was not fitted to.
@@ -75,7 +73,6 @@ class ColumnFinding:
     other: str = ""
 
 
-@in_short
 @dataclass(frozen=True)
 class _Basis:
     """The basis functions of one column: a curve, or a value for each of some words; and a value if missing.
@@ -175,7 +172,6 @@ def quantiles(x: FloatArray, weight: FloatArray, levels: FloatArray) -> FloatArr
     return np.asarray(x[order][np.minimum(np.searchsorted(cumulated, levels * cumulated[-1]), len(x) - 1)])
 
 
-@in_short
 @dataclass(frozen=True)
 class _Bases:
     """The basis functions of all used columns, and the joint tables of pairs of columns with enough partners.
@@ -245,7 +241,6 @@ class _Bases:
         return out
 
 
-@in_short
 @dataclass(frozen=True)
 class ShareFit:
     """Coefficients (folds, P), each fitted without one of the folds; ``whole`` (P,) from all."""

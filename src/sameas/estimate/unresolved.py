@@ -32,7 +32,6 @@ from sameas.estimate.sample import Setting
 from sameas.evidence import Brightness, Errors, Evidence, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import inverse
-from sameas.representation import in_short
 
 # Parameters of the search for a resolution; all chosen.
 REACH = 1.5  # maximum separation of two objects that are one record, in resolutions
@@ -66,7 +65,6 @@ class BlendResolution:
         return other is not None and other.coarse == self.coarse and abs(self.separation / other.separation - 1.0) < 0.1
 
 
-@in_short
 @dataclass(frozen=True)
 class UnresolvedRule(Rule):
     """The rule whose evidence for all pairs is ``term`` (m,)."""
@@ -91,7 +89,6 @@ class BlendWeights:
     more_flux: FloatArray
 
 
-@in_short
 @dataclass(frozen=True)
 class Unresolved:
     """The neighbours of the candidates of one setting.

@@ -196,7 +196,6 @@ def log_rectangle(
     return top + np.log(np.bincount(row, value, len(rho)))
 
 
-@in_short
 @dataclass(frozen=True)
 class _Cut:
     """ln of φ(t) [Φ(u₁(t)) − Φ(u₀(t))], t = x_low + τ, u = (y − ρt) / √(1 − ρ²), at least as concave as −τ²/2."""

@@ -53,7 +53,6 @@ def knots_of(
     return np.asarray(knots[distinct])
 
 
-@in_short
 @dataclass(frozen=True)
 class LinearSpline:
     """The basis of piecewise linear curves, constant outside the knots, at n places.
@@ -158,7 +157,6 @@ def _edges(magnitude: FloatArray) -> FloatArray:
     return edges[[0, -1]] if end <= begin + 1 else np.concatenate([edges[:1], edges[begin + 1 : end], edges[-1:]])
 
 
-@in_short
 @dataclass(frozen=True)
 class ShareCurve:
     """The addition to the logit of a record's share by its magnitude: (k,) values at (k,) knots, mag."""

@@ -435,7 +435,6 @@ def alarms(sources: Sequence[Records], identity: Identity) -> list[IdentityConfl
     return sorted(all_alarms, key=lambda alarm: (alarm.attribute, alarm.value, alarm.first, alarm.second))
 
 
-@in_short
 @dataclass(frozen=True)
 class _SourceValues:
     """The usable records of one source that have an attribute, at indices ``at``, sorted by value."""

@@ -179,7 +179,6 @@ FIRST, CHECK, MOST = 2**8, 2**10, 2**13
 VALUES_IN_BATCH, COMPONENTS_IN_BATCH = 2**18, 2**20
 
 
-@in_short
 @dataclass(frozen=True)
 class Expected:
     """(m,) ln of the expectations, and (m,) their relative standard errors; infinite where ``log_value`` is a bound."""
@@ -341,7 +340,6 @@ class Universal(Rule):
         return Evidence(terms, np.hypot(same.error, different.error))
 
 
-@in_short
 @dataclass(frozen=True)
 class _PairsOfRecords:
     """The positions (m, d) and covariances (m, d, d) of the two records of every pair, and the rule."""

@@ -57,7 +57,6 @@ class Tuning:
 DEFAULT_TUNING = Tuning()
 
 
-@in_short
 @dataclass(frozen=True)
 class Geometry:
     """The feature space for the kernels: the coordinate of the zones (y), and that of the sweep (x).

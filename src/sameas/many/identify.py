@@ -31,7 +31,6 @@ from sameas.many.walk import can_walk
 from sameas.prior import EVIDENCE_ALONE, CommonObjects, Prior
 from sameas.ragged import Ragged
 from sameas.records import Records
-from sameas.representation import in_short
 
 
 def identify_many(
@@ -122,7 +121,6 @@ def identify_sequentially(
     return picture.objects(tuple(sources))
 
 
-@in_short
 @dataclass(frozen=True)
 class _Picture:
     """The objects of the first sources: ``members`` (k, S) record numbers or ABSENT, probabilities ``p`` (k,)."""

@@ -37,7 +37,6 @@ from sameas.representation import in_short
 NODES = 1000
 
 
-@in_short
 @dataclass(frozen=True)
 class Partition:
     """The best partition found.
@@ -374,7 +373,6 @@ def _solve_counted(sets: Sets, sums: _Sums, g: int, weight: FloatArray, chosen: 
     return gap
 
 
-@in_short
 @dataclass(frozen=True)
 class _Sums:
     """Sums over partitions with a count prior. table : ln P of 0, 1, … merges of group g, from table_start[g] on."""
@@ -450,7 +448,6 @@ class _Sums:
         return Ragged.of_sizes(high - low).start, np.concatenate([*lists, np.zeros(1)])
 
 
-@in_short
 @dataclass(frozen=True)
 class _Blocks:
     """The groups' records that the kept sets connect, laid out for elimination.

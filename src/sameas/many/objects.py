@@ -284,7 +284,6 @@ class _Tables:
         return np.ma.MaskedArray(column, masked)
 
 
-@in_short
 @dataclass(frozen=True)
 class Rival:
     """A set of records that could be one object; the object itself is the ``chosen`` one.
@@ -352,7 +351,6 @@ class ObjectExplanation:
         return "\n".join(_lines(self))
 
 
-@in_short
 @dataclass(frozen=True)
 class Weights:
     """The terms of the probable sets of an answer.

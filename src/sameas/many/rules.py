@@ -56,7 +56,6 @@ from sameas.prior import PerPair
 from sameas.representation import in_short
 
 
-@in_short
 @dataclass(frozen=True)
 class Linear:
     """A term of ln w: a constant of every set, and a gain (n,) of each record in it."""
@@ -127,7 +126,6 @@ def by_precision(precision: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(precision * scale[:, None], 1.0))
 
 
-@in_short
 @dataclass(frozen=True)
 class PairTerms:
     """A rule of pairs: named terms (m,) of ln r of all pooled pairs, whether it is informative (m,), and the shares of

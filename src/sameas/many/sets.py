@@ -125,7 +125,6 @@ def candidate_sets(pooled: PooledRecords, terms: Terms, tuning: ManyTuning = TUN
     return _gathered(pooled, members, weight, floor, near.partition)
 
 
-@in_short
 @dataclass(frozen=True)
 class _SetsOfSize:
     """Sets of one size: ``records`` (k, size) ascending, their ``pairs`` (:func:`sameas.many.rules.pairs_of`), ln w,
@@ -153,7 +152,6 @@ class _SetsOfSize:
         return self.only(groups[pooled.group[self.records[:, 0]]])
 
 
-@in_short
 @dataclass(frozen=True)
 class _Growth:
     """The growth of sets, with upper bounds of what further records add to ln w.

@@ -30,7 +30,6 @@ from sameas.partitions.hats import CELL, Cell, HatsCatalogue, numbers_of
 from sameas.posterior import APPROXIMATE, Posterior, posterior
 from sameas.prior import EVIDENCE_ALONE
 from sameas.records import Records
-from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import PositionError
@@ -67,7 +66,6 @@ CORNER = 0.85
 RING_ORDERS = 3
 
 
-@in_short
 @dataclass(frozen=True)
 class Side:
     """One of the two catalogues, as every part reads it.
@@ -110,7 +108,6 @@ class Side:
         return catalogue.records(self.epoch_jyr)
 
 
-@in_short
 @dataclass(frozen=True)
 class Rows:
     """Rows of a catalogue in memory.
@@ -175,7 +172,6 @@ class Counted:
     far: IntArray
 
 
-@in_short
 @dataclass(frozen=True)
 class Work:
     """The settings of all parts.
@@ -356,7 +352,6 @@ class Work:
         return at_edge(one, sigmas[0], max_sigma[1]), at_edge(two, sigmas[1], max_sigma[0])
 
 
-@in_short
 @dataclass(frozen=True)
 class Competing:
     """Candidates, and the groups of the competing pairs, those that can be chosen.
@@ -407,7 +402,6 @@ class Competing:
         return one, two
 
 
-@in_short
 @dataclass(frozen=True)
 class Patch:
     """Cells of one order, (c,), that are decided together."""
@@ -427,7 +421,6 @@ class Patch:
         return Patch(order, np.unique(self.cells >> 2 * (self.order - order)))
 
 
-@in_short
 @dataclass(frozen=True)
 class Halo:
     """A patch and the cells around it.
@@ -487,7 +480,6 @@ class Halo:
         return np.asarray(distance * ARCSEC_PER_RADIAN - slack)
 
 
-@in_short
 @dataclass(frozen=True)
 class DecidedPart:
     """A decided part.

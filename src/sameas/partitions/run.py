@@ -43,7 +43,6 @@ from sameas.partitions.hats import (
 )
 from sameas.partitions.part import WITH_SECOND, PartSums, Work
 from sameas.partitions.workers import Workers, store, stored_work
-from sameas.representation import in_short
 from sameas.sky.joins import joined_names
 
 if TYPE_CHECKING:
@@ -151,7 +150,6 @@ def _file_of(folder: Path, task: Task) -> Path:
     return folder / "done" / f"{task.cell.order}-{task.cell.number}.json"
 
 
-@in_short
 @dataclass(frozen=True)
 class Written(PartSums):
     """The output of a run, with the sums of all its parts.

@@ -34,7 +34,6 @@ from sameas.picture.track_history import TrackHistory
 from sameas.picture.tuning import Tuning
 from sameas.prior import EVIDENCE_ALONE
 from sameas.records import Records
-from sameas.representation import in_short
 from sameas.tracks.alignment import aged
 
 #: Least distance from 0 and 1 of the probability that a look shows an object. LEAST_WEIGHT : a plot goes to an object
@@ -67,7 +66,6 @@ class Stages:
             raise InputError("Stages: give 1 ≤ scans ≤ of, and sure and real as probabilities")
 
 
-@in_short
 @dataclass(frozen=True)
 class UnnumberedObjects:
     """The objects of an instant, (n,) each, before they have numbers.

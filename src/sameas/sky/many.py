@@ -82,7 +82,6 @@ FEW_CATALOGUES = 8
 MIN_SPAN_YR = 0.1
 
 
-@in_short
 @dataclass(frozen=True)
 class StarObservers(Observers):
     """Catalogues as observers of moving stars, for :mod:`sameas.many`; ``sources`` are their pooled records.
@@ -155,7 +154,6 @@ class StarObservers(Observers):
 Matches = Mapping[tuple[int, int], SkyMatch]
 
 
-@in_short
 @dataclass(frozen=True)
 class PairwiseGate:
     """Candidate pairs of every two catalogues; a gate for :func:`sameas.many.pooled.pooled`, by the sources' names.

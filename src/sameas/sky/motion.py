@@ -27,7 +27,6 @@ from sameas.representation import counted, in_short
 from sameas.space import ARCSEC_PER_RADIAN
 
 
-@in_short
 @dataclass(frozen=True)
 class Variances:
     """(n,) variances of uncorrelated parameters; a constant column takes no memory (broadcast).

@@ -20,7 +20,6 @@ import numpy as np
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.estimate.coverage import SHARED_PSEUDO_COUNT, Coverage, local_share
 from sameas.estimate.em import MIN_SHARE
-from sameas.representation import in_short
 
 Coverages = Mapping[tuple[int, int], Coverage]
 
@@ -87,7 +86,6 @@ class PatternShares:
         return cls(local, of_records, total, expected)
 
 
-@in_short
 @dataclass(frozen=True)
 class PatternDensities:
     """ln of the density of the objects of each pattern, per arcsec², at the records of S catalogues.

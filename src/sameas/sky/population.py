@@ -41,7 +41,6 @@ from sameas.evidence import Errors
 from sameas.gaussian import LOG_2PI, InformationSum, inverse, log_density, propagated
 from sameas.kernels import threads
 from sameas.records import Records
-from sameas.representation import in_short
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.motion import propagate
@@ -56,7 +55,6 @@ _ANY_ARCSEC_PER_YR = 1.0
 _POSITION_AND_MOTION = np.array([0, 1, 3, 4])
 
 
-@in_short
 @dataclass(frozen=True)
 class AstrometricRecords:
     """Position and motion of one catalogue's usable records; lengths in arcsec, times in years, axes east, north.
@@ -218,7 +216,6 @@ MIN_P_SET = 1e-3  # minimum probability of a set used for the errors
 LARGEST_P_SET = 1.0 - 1e-9  # maximum probability of a set, to keep its odds finite
 
 
-@in_short
 @dataclass(frozen=True)
 class Population:
     """Densities and errors of the objects by pattern.

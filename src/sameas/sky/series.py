@@ -25,7 +25,6 @@ from scipy.spatial import cKDTree
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, robust_scale
 from sameas.errors import InputError
-from sameas.representation import in_short
 from sameas.sky import column_values
 from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
 from sameas.sky.series_stars import SeriesMeasurements, SeriesStars, gather
@@ -57,7 +56,6 @@ MOST_PULLED = 0.5  # maximum share of its distance by which a star draws a measu
 SAME_TIME_DAYS = 1.0 / 86400.0  # frames within a second of each other are one, or have a wrong time
 
 
-@in_short
 @dataclass(frozen=True)
 class Exposure:
     """The measurements of one frame with their positions on the sky; (n,) each.

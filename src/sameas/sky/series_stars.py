@@ -21,7 +21,6 @@ from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, robust_scale
 from sameas.evidence import Field
 from sameas.prior import PerPair
 from sameas.records import Records
-from sameas.representation import in_short
 from sameas.sky.frame.measurements import POGSON
 
 ODDS = 2.0  # prior odds that a star of the series is measured on a frame
@@ -33,7 +32,6 @@ HUBER = 2.0  # residuals beyond this many errors get a lower weight
 MIN_ENSEMBLE = 3  # minimum number of stars for a zero point
 
 
-@in_short
 @dataclass(frozen=True)
 class SeriesStars:
     """The stars of a series, (s,) each, in its (f,) frames.
@@ -74,7 +72,6 @@ class SeriesStars:
         return _instrumental(flux) + self.zero_point[frame]
 
 
-@in_short
 @dataclass(frozen=True)
 class SeriesMeasurements:
     """The measurements of all frames of a series.

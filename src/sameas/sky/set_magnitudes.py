@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
 from sameas.evidence.brightness import Chain, SourceMagnitudes
 from sameas.records import Records
-from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.evidence_columns import AUTO, magnitudes_of
 from sameas.sky.sky_match import SkyMatch
@@ -35,7 +34,6 @@ from sameas.sky.sky_match import SkyMatch
 LEAST_INFORMATION = 0.05
 
 
-@in_short
 @dataclass(frozen=True)
 class MagnitudeEdge:
     """The relation of the magnitudes of two catalogues.

@@ -31,7 +31,6 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.kernels import threads
 from sameas.kernels.linear import best_motion
-from sameas.representation import in_short
 from sameas.sky.frame.centroid import FWHM_PER_SIGMA, Background
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import POGSON, Flag
@@ -141,7 +140,6 @@ class Plan:
         return cls(rates, origin, (int(high), int(wide)), scale, minutes, bounds, margin, width)
 
 
-@in_short
 @dataclass(frozen=True)
 class BelowLimit:
     """Movers found in the stacked frames only; (k,) the most probable first.

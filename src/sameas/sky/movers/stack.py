@@ -23,7 +23,6 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from sameas.arrays import BoolArray, FloatArray, robust_scale
-from sameas.representation import in_short
 from sameas.sky.frame.centroid import FWHM_PER_SIGMA
 from sameas.sky.frame.image import Frame
 from sameas.sky.movers.search import Movers
@@ -44,7 +43,6 @@ UNLISTED = 0.02
 MAX_TRACKLETS = 200  # maximum number of tracklets, the first ones
 
 
-@in_short
 @dataclass(frozen=True)
 class Stack:
     """Measurements of the first k tracklets in the pixels of f frames.
