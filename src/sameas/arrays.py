@@ -5,6 +5,7 @@
 - :func:`taken`: rows; :func:`ordered_by`: rows in the order of their columns; :func:`distinct`: without duplicates.
 - :func:`places_in`: positions of numbers among ascending ones; :func:`spans_in`: among ones with duplicates;
   :func:`are_among`: whether they are there; :func:`numbers_of`: of names.
+- :class:`ColumnTable`: frozen columns of equal length; row k of all columns is one object, pair or track.
 - :func:`finite_rows`: rows without NaN; :func:`entries`: the numbers in a table with gaps.
 - :data:`ABSENT`: the number of no row.
 """
@@ -14,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import repeat
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -297,3 +298,45 @@ def are_among(numbers: IntArray, others: IntArray) -> BoolArray:
     found = np.zeros(high - low + 3, bool)
     found[others - (low - 1)] = True
     return np.asarray(found[_within(numbers, low, high)])
+
+
+class ColumnTable:
+    """Base of dataclasses whose fields are columns (k, …), except those in ``WHOLE``, which belong to the table."""
+
+    WHOLE: ClassVar[frozenset[str]] = frozenset()
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns by their names."""
+        return {name: column for name, column in self._fields.items() if name not in self.WHOLE}
+
+    @property
+    def _fields(self) -> dict[str, Any]:
+        """All fields by their names, without what the table has cached."""
+        own = self.__dict__
+        return {name: own[name] for name in type(self).__dataclass_fields__}  # type: ignore[attr-defined]
+
+    def changed(self, **values: Any) -> Self:
+        """The table with other values of some fields: as ``dataclasses.replace``, which takes ten times as long for two
+        dozen fields since it calls the constructor. No table has a check there."""
+        fields = self._fields
+        if not values.keys() <= fields.keys():
+            raise TypeError(f"{type(self).__name__} has no field {', '.join(values.keys() - fields.keys())}")
+        out = object.__new__(type(self))
+        out.__dict__.update(fields, **values)
+        return out
+
+    def take(self, which: NDArray[Any]) -> Self:
+        """The rows of an index array, in any order, or of a mask; the table itself if a mask has all rows."""
+        if which.dtype == np.bool_:
+            if which.all():
+                return self
+            which = np.flatnonzero(which)
+        return self.changed(**{name: taken(column, which) for name, column in self.columns().items()})
+
+    def stacked(self, *others: Self) -> Self:
+        """The rows of this table followed by those of others; the fields in ``WHOLE`` are those of this table."""
+        parts = [columns for columns in (other.columns() for other in others) if any(map(len, columns.values()))]
+        if not parts:
+            return self
+        own = self.columns()
+        return self.changed(**{name: np.concatenate([own[name], *(part[name] for part in parts)]) for name in own})

@@ -17,11 +17,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, places_in, spans_in
+from sameas.arrays import BoolArray, ColumnTable, FloatArray, IntArray, places_in, spans_in
 from sameas.gate import ChiSquare
 from sameas.gaussian import log_density, mahalanobis_sq
 from sameas.picture.bernoulli import SAME_QUANTILE
-from sameas.picture.tables import ColumnTable, ObjectTable
+from sameas.picture.tables import ObjectTable
 from sameas.ragged import ranges
 
 #: EM steps of the density of a hull beside that of an object at a place.

@@ -28,14 +28,14 @@ from functools import cached_property
 
 import numpy as np
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, numbers_of, taken, taken_plane
+from sameas.arrays import ABSENT, BoolArray, ColumnTable, FloatArray, IntArray, numbers_of, taken, taken_plane
 from sameas.gate import ChiSquare
 from sameas.gaussian import log_determinant
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
 from sameas.kernels.tracks import places_of
 from sameas.picture.error_correlation import MANOEUVRE_CHI_SQ, ErrorCorrelation, growth
 from sameas.picture.error_factors import ErrorFactors, error_update, evenly
-from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan
+from sameas.picture.tables import RANGE_BANDS, Scan
 from sameas.picture.tuning import Tuning
 from sameas.tracks.kinds import KINDS
 

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from itertools import product
 from typing import Any
@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betainc, expit, logit, logsumexp
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, ColumnTable, FloatArray, IntArray
 from sameas.kernels.nearest import nearest_at_once
 from sameas.ragged import Ragged
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
@@ -122,13 +122,15 @@ def _sees_by_itself(feed: Feed) -> bool:
 
 
 @dataclass(frozen=True)
-class ShipSightings:
+class ShipSightings(ColumnTable):
     """The records of the ships at the instants at which the radar shows anything, (k,) each.
 
     ship : index of its track in ``names``. arm : (k, 2) position from the radar. moved : whether the ship is under way.
     height_m : of the aircraft, NaN if unknown; 0 for vessels. seen : whether the radar shows anything near it.
     chance : the share of the places turned about the radar near which it does.
     """
+
+    WHOLE = frozenset({"names"})
 
     names: tuple[str, ...]
     ship: IntArray
@@ -138,11 +140,6 @@ class ShipSightings:
     height_m: FloatArray
     seen: BoolArray
     chance: FloatArray
-
-    def take(self, which: BoolArray) -> ShipSightings:
-        """Some of the records."""
-        columns = ("ship", "time_s", "arm", "moved", "height_m", "seen", "chance")
-        return replace(self, **{name: getattr(self, name)[which] for name in columns})
 
     @property
     def range_m(self) -> FloatArray:

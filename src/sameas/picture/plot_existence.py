@@ -35,12 +35,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, ColumnTable, FloatArray, IntArray
 from sameas.gaussian import log_density
 from sameas.picture.bernoulli import MIN_PROBABILITY
 from sameas.picture.hull_echoes import OWN_LOOKS_KEPT, Hulls, ScanPlots
 from sameas.picture.plot_tracker import MIN_EXISTENCE, MIN_SHARE_OF_INITIAL
-from sameas.picture.tables import ColumnTable, ObjectTable, Scan, objects_per_m2
+from sameas.picture.tables import ObjectTable, Scan, objects_per_m2
 from sameas.picture.track_existence import REAL_S
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import States

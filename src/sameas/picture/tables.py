@@ -1,7 +1,6 @@
 """Tables of a picture at one instant: its records, and its objects.
 
 - :class:`Scan`: all records of an instant, source by source, for the later stages of the picture.
-- :class:`ColumnTable`: frozen columns of equal length; row k of all columns is one object, pair or track.
 - :class:`ObjectTable`: a number, a state and its covariance for every object; the base of both kinds of pictures.
 - :class:`PictureObjects`: the objects of a picture at an instant, with their stages.
 
@@ -15,12 +14,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, are_among, finite_rows, over_columns, taken
+from sameas.arrays import (
+    ABSENT,
+    BoolArray,
+    ColumnTable,
+    FloatArray,
+    IntArray,
+    are_among,
+    finite_rows,
+    over_columns,
+    taken,
+)
 from sameas.evidence.identity import UNSET
 from sameas.kernels.kalman import sum_of_records
 from sameas.kernels.track_pairs import pair_distances
@@ -266,48 +275,6 @@ def objects_per_m2(now: Instant) -> float:
     # The density of velocities falls to 1/(2π σ²) at rest.
     variance = math.sqrt(np.linalg.det(now.region.covariance[2:, 2:]))
     return float(now.density * 2.0 * math.pi * variance)
-
-
-class ColumnTable:
-    """Base of dataclasses whose fields are columns (k, …), except those in ``WHOLE``, which belong to the table."""
-
-    WHOLE: ClassVar[frozenset[str]] = frozenset()
-
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns by their names."""
-        return {name: column for name, column in self._fields.items() if name not in self.WHOLE}
-
-    @property
-    def _fields(self) -> dict[str, Any]:
-        """All fields by their names, without what the table has cached."""
-        own = self.__dict__
-        return {name: own[name] for name in type(self).__dataclass_fields__}  # type: ignore[attr-defined]
-
-    def changed(self, **values: Any) -> Self:
-        """The table with other values of some fields: as ``dataclasses.replace``, which takes ten times as long for two
-        dozen fields since it calls the constructor. No table has a check there."""
-        fields = self._fields
-        if not values.keys() <= fields.keys():
-            raise TypeError(f"{type(self).__name__} has no field {', '.join(values.keys() - fields.keys())}")
-        out = object.__new__(type(self))
-        out.__dict__.update(fields, **values)
-        return out
-
-    def take(self, which: NDArray[Any]) -> Self:
-        """The rows of an index array, in any order, or of a mask; the table itself if a mask has all rows."""
-        if which.dtype == np.bool_:
-            if which.all():
-                return self
-            which = np.flatnonzero(which)
-        return self.changed(**{name: taken(column, which) for name, column in self.columns().items()})
-
-    def stacked(self, *others: Self) -> Self:
-        """The rows of this table followed by those of others; the fields in ``WHOLE`` are those of this table."""
-        parts = [columns for columns in (other.columns() for other in others) if any(map(len, columns.values()))]
-        if not parts:
-            return self
-        own = self.columns()
-        return self.changed(**{name: np.concatenate([own[name], *(part[name] for part in parts)]) for name in own})
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import expit
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, ColumnTable, FloatArray, IntArray
 from sameas.kernels.tracks import DURATION_SUMS, add_durations, places_of
 from sameas.picture.named_tracks import NamedTracks
-from sameas.picture.tables import ColumnTable
 
 FALSE_SCANS, FALSE_WEIGHT = 4.0, 4.0  # prior mean duration of false tracks in scans, and its weight in tracks
 REAL_S, REAL_WEIGHT = 1800.0, 1.0  # prior mean duration of real tracks in seconds, and its weight in tracks

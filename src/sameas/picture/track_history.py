@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, is_dense, ordered_by, spans_in
+from sameas.arrays import BoolArray, ColumnTable, FloatArray, IntArray, is_dense, ordered_by, spans_in
 from sameas.kernels.compiled import runs_compiled
 from sameas.kernels.tracks import find_rows, list_rows, places_of
-from sameas.picture.tables import ColumnTable
 from sameas.picture.tuning import Tuning
 from sameas.ragged import ranges
 

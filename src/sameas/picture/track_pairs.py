@@ -33,14 +33,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import expit
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, over_columns, taken
+from sameas.arrays import BoolArray, ColumnTable, FloatArray, IntArray, over_columns, taken
 from sameas.gaussian import log_density_and_distance, mahalanobis_sq
 from sameas.kernels.track_pairs import COVARIANCE, MEAN, WIDTH, mix, new_pair_errors, pairs_stepped
 from sameas.kernels.tracks import places_of
 from sameas.picture.error_correlation import MANOEUVRE_CHI_SQ, MIN_M2, ErrorCorrelation
 from sameas.picture.id_swaps import SWAP_MODELS, Rivals, SwapRates, by_source_order, swap_hypotheses
 from sameas.picture.named_tracks import Step
-from sameas.picture.tables import ColumnTable
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 
 LASTING_S = 60.0  # time between two comparisons of a sure pair, to estimate lasting shares

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator, make_smoothing_spline
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import ColumnTable, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gaussian import propagated
 from sameas.ragged import Ragged, ranges
@@ -300,7 +300,7 @@ class SensorOutput:
 
 
 @dataclass(frozen=True)
-class Echoes:
+class Echoes(ColumnTable):
     """Echoes (n,): the scan, the object (below 0: false), the time and the position of each.
 
     place : (n, 3) east, north, height in the plane of the motion. sight : (n, 2) true range and bearing from the
@@ -316,14 +316,9 @@ class Echoes:
     def __len__(self) -> int:
         return len(self.scan)
 
-    def take(self, which: NDArray[np.generic]) -> Echoes:
-        """Some of the echoes."""
-        return Echoes(self.scan[which], self.object[which], self.time_s[which], self.place[which], self.sight[which])
-
     def and_those_of(self, other: Echoes) -> Echoes:
         """Both, in the order of time."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        both = Echoes(*(np.concatenate(pair) for pair in pairs))
+        both = self.stacked(other)
         return both.take(np.lexsort([both.object, both.time_s]))
 
 

@@ -196,7 +196,7 @@ def _rms(values: FloatArray) -> float:
 def _fewer(plots: Plots) -> Plots:
     """The plots of evenly spread scans, at most ``READING_PLOTS`` of them or so."""
     step = int(np.ceil(len(plots) / READING_PLOTS))
-    return plots if step < 2 else plots.where(np.flatnonzero(plots.scan // 4 % step == 0))
+    return plots if step < 2 else plots.take(np.flatnonzero(plots.scan // 4 % step == 0))
 
 
 def _headings(feed: Feed, plots: Plots) -> list[tuple[Words, FloatArray]]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import ColumnTable, FloatArray, IntArray
 from sameas.ragged import flattened
 from sameas.registration.offsets import RADIAN, line_of_sight, range_and_azimuth
 from sameas.tracks.alignment import States, Succession, moved
@@ -64,7 +64,7 @@ LEAST_LASTING_M = 1.0
 
 
 @dataclass(frozen=True)
-class Plots:
+class Plots(ColumnTable):
     """A radar's plots (n,): time, scan, position east and north, position of the sensor, range, azimuth (°).
 
     variance : (n, 2) m² along and across the line of sight, without the constant errors of an object.
@@ -96,10 +96,6 @@ class Plots:
 
     def __len__(self) -> int:
         return len(self.time_s)
-
-    def where(self, which: IntArray) -> Plots:
-        """Some of the plots, with the numbers of their scans."""
-        return Plots(*(column[which] for column in vars(self).values()))
 
     def spreads(self) -> list[tuple[float, float]]:
         """The trial factors on their errors, with 1σ of the drift in degrees: none for a fixed sensor."""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 from scipy.special import expit
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import ColumnTable, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.kernels import threads
 from sameas.kernels.linear import best_motion
@@ -162,7 +162,7 @@ class BelowLimit:
 
 
 @dataclass(frozen=True)
-class _Peaks:
+class _Peaks(ColumnTable):
     """Peaks, (n,).
 
     t : T of the search, comparable with chance peaks. place : (n, 2) arcsec at the middle of the time. rate : (n, 2)
@@ -179,16 +179,9 @@ class _Peaks:
     flux: FloatArray
     parts: FloatArray
 
-    def some(self, rows: NDArray[np.int64] | BoolArray) -> _Peaks:
-        return _Peaks(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
-
     def path(self, minutes: FloatArray) -> FloatArray:
         """(n, f, 2) positions at these times, arcsec."""
         return _path(self.place, self.rate, minutes)
-
-    @staticmethod
-    def concatenated(parts: Sequence[_Peaks]) -> _Peaks:
-        return _Peaks(*(np.concatenate([getattr(p, name) for p in parts]) for name in _Peaks.__dataclass_fields__))
 
 
 def search_below_limit(
@@ -221,10 +214,10 @@ def search_below_limit(
         peaks = strip.peaks(plan.minutes)
         own_frames = _with_own_frames(peaks, plan.minutes, plan)
         real.append(strip.measured_peaks(own_frames, groups))
-        strip.remove(own_frames.some(own_frames.t > CERTAIN))
+        strip.remove(own_frames.take(own_frames.t > CERTAIN))
         chance.append(_with_own_frames(strip.peaks(plan.minutes[order]), plan.minutes[order], plan))
-    peaks = _with_own_frames(_Peaks.concatenated(real), plan.minutes, plan)
-    chance_peaks = _Peaks.concatenated(chance)
+    peaks = _with_own_frames(real[0].stacked(*real[1:]), plan.minutes, plan)
+    chance_peaks = chance[0].stacked(*chance[1:])
     tail = _tail(chance_peaks.t)
     speed = np.hypot(*chance_peaks.rate[np.argsort(-chance_peaks.t)[:CHANCE]].T)
     return _answer(movers, series, plan, peaks, tail, _Speeds.of(speed, plan), min_probability)
@@ -493,7 +486,7 @@ def _stacked_t(psi: FloatArray, phi: FloatArray) -> FloatArray:
 
 def _with_own_frames(peaks: _Peaks, minutes: FloatArray, plan: Plan) -> _Peaks:
     """The peaks, the highest first, each without the frames on which a higher one passes it, with the remaining T."""
-    peaks = peaks.some(np.argsort(-peaks.t, kind="stable"))
+    peaks = peaks.take(np.argsort(-peaks.t, kind="stable"))
     path = peaks.path(minutes)
     reach = OWN_WIDTHS * plan.width * plan.scale
     kept, t = list[int](), peaks.t.copy()
@@ -511,7 +504,7 @@ def _with_own_frames(peaks: _Peaks, minutes: FloatArray, plan: Plan) -> _Peaks:
         if t[k] >= floor:
             kept.append(k)
     rows = np.array(kept, np.int64)
-    return replace(peaks.some(rows), t=t[rows], weight=weight[rows], signal=signal[rows])
+    return replace(peaks.take(rows), t=t[rows], weight=weight[rows], signal=signal[rows])
 
 
 def _scrambled(frames: int) -> IntArray:
@@ -595,7 +588,7 @@ def _answer(
     p = np.asarray(expit(log_weight))
     keep = np.flatnonzero((p >= least) & np.isfinite(peaks.parts).all(axis=(1, 2)) & (peaks.t > u))
     keep = keep[np.argsort(-p[keep], kind="stable")]
-    chosen = peaks.some(keep)
+    chosen = peaks.take(keep)
     path = chosen.path(plan.minutes)
     movers = _movers(found, series, plan, chosen, p[keep], log_weight[keep], np.exp(log_chance[keep]))
     return BelowLimit(movers, chosen.snr, (chosen.weight > 0).sum(axis=1), chosen.flux, path, tail, plan)

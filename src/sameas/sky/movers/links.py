@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, ColumnTable, FloatArray, IntArray
 from sameas.assignment import assign
 from sameas.groups import laid_out
 from sameas.posterior import posterior
@@ -46,7 +46,7 @@ EM_ITERATIONS = 8
 
 
 @dataclass(frozen=True)
-class Links:
+class Links(ColumnTable):
     """Links of detections i to later ones j, (m,) each.
 
     minutes : between them. offset : (m, 2) arcsec on the ecliptic axes at i. log_ratio : ln λ. log_brightness : its
@@ -65,10 +65,6 @@ class Links:
 
     def __len__(self) -> int:
         return len(self.i)
-
-    def only(self, keep: BoolArray | IntArray) -> Links:
-        """Some of the links."""
-        return Links(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
 def candidate_links(around: Surroundings, model: MotionModel) -> Links:
@@ -93,11 +89,10 @@ def with_far_links(around: Surroundings, links: Links, model: MotionModel) -> Li
         return links
     far = _links_of(supported, model, reach, pairs)
     n = len(around.detections)
-    far = far.only(~np.isin(far.i * n + far.j, links.i * n + links.j))
+    far = far.take(~np.isin(far.i * n + far.j, links.i * n + links.j))
     far = _best_links(around, far)
-    far = replace(far, far=np.ones(len(far), bool))
-    both = Links(*(np.concatenate([getattr(p, name) for p in (links, far)]) for name in Links.__dataclass_fields__))
-    return both.only(np.lexsort([both.i, around.detections.frame[both.j]]))
+    both = links.stacked(far.changed(far=np.ones(len(far), bool)))
+    return both.take(np.lexsort([both.i, around.detections.frame[both.j]]))
 
 
 def _links_of(around: Surroundings, model: MotionModel, reach: Reach, pairs: IntArray) -> Links:
@@ -106,15 +101,15 @@ def _links_of(around: Surroundings, model: MotionModel, reach: Reach, pairs: Int
     parts = [
         _evaluated(around, model, reach, pairs[first : first + size]) for first in range(0, max(len(pairs), 1), size)
     ]
-    return Links(*(np.concatenate([getattr(p, name) for p in parts]) for name in Links.__dataclass_fields__))
+    return parts[0].stacked(*parts[1:])
 
 
 def _best_links(around: Surroundings, links: Links) -> Links:
     """The best links of each detection to later ones, ordered by the exposure of the later one."""
     order = np.lexsort([-links.log_ratio, links.i])
     rank = np.arange(len(order)) - np.searchsorted(links.i[order], links.i[order])
-    links = links.only(order[rank < LINKS])
-    return links.only(np.lexsort([links.i, around.detections.frame[links.j]]))
+    links = links.take(order[rank < LINKS])
+    return links.take(np.lexsort([links.i, around.detections.frame[links.j]]))
 
 
 def _pairs(around: Surroundings, reach: Reach) -> IntArray:
@@ -178,7 +173,7 @@ def _evaluated(around: Surroundings, model: MotionModel, reach: Reach, pairs: In
         + log_brightness + trail_i + misses * math.log(1.0 - model.p_detect)
     )  # fmt: skip
     links = Links(i, j, minutes, offset, log_ratio, log_brightness, misses, np.zeros(len(i), bool))
-    return links.only(log_ratio > tuning.min_log_ratio)
+    return links.take(log_ratio > tuning.min_log_ratio)
 
 
 def _supported(around: Surroundings, far: Reach) -> IntArray:
@@ -350,7 +345,7 @@ def _maximised(around: Surroundings, links: Links, p: FloatArray, model: MotionM
     if p.sum() < 1.0:
         return model
     probable = np.flatnonzero(p > 0.01)
-    links, p = links.only(probable), p[probable]
+    links, p = links.take(probable), p[probable]
     rate, error = rates_of(around, links.i, links.j, links.minutes, links.offset)
     # Links over seconds do not constrain rates.
     sharp = np.sqrt(np.trace(error, axis1=1, axis2=2)) < 1.0

@@ -376,7 +376,7 @@ def _learned_from_tracks(
     competition = _competition(around, model, None)
     # Chip defects make pairs of any rate: where three exposures covered the position, pairs are not used.
     used = (competition.p_track > 0.01) & (competition.tracks.size >= min_detected(competition.tracks.n_covered))
-    p, tracks, members = competition.p_track[used], competition.tracks.only(used), competition.members[used]
+    p, tracks, members = competition.p_track[used], competition.tracks.take(used), competition.members[used]
     groups, of_track, of_detection = groups_of(members, n)
     # Corrected for movers with too few detections for such a track; the share refers to one exposure's detections.
     movers = np.bincount(of_track, p / model.tracked(tracks.n_covered), groups)

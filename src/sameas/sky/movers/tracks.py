@@ -21,7 +21,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray
+from sameas.arrays import ABSENT, BoolArray, ColumnTable, FloatArray, IntArray
 from sameas.gaussian import Gaussian, log_density
 from sameas.many.marginals import additive_answer
 from sameas.many.sets import Sets
@@ -35,7 +35,7 @@ OUTER_EXPOSURES, MIN_ENDED = 8, -4.0
 
 
 @dataclass(frozen=True)
-class Tracks:
+class Tracks(ColumnTable):
     """Tracks, (k,) each, grown exposure by exposure.
 
     first, last : detections. parent : the track without its last detection, ABSENT for tracks of two detections. size :
@@ -58,15 +58,6 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.last)
 
-    def only(self, keep: BoolArray | IntArray) -> Tracks:
-        """Some of the tracks."""
-        return Tracks(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
-
-    @staticmethod
-    def concatenated(parts: list[Tracks]) -> Tracks:
-        """Several sets of tracks as one."""
-        return Tracks(*(np.concatenate([getattr(p, name) for p in parts]) for name in Tracks.__dataclass_fields__))
-
     def members(self, tracks: IntArray) -> IntArray:
         """(k, longest) detections of some tracks in order of time, padded with ABSENT."""
         out = np.full((len(tracks), int(self.size[tracks].max(initial=1))), -1)
@@ -86,15 +77,15 @@ class _Extendable:
     tracks: Tracks
     covariance: FloatArray
 
-    def only(self, keep: BoolArray | IntArray) -> _Extendable:
+    def take(self, which: BoolArray | IntArray) -> _Extendable:
         """Some of the tracks."""
-        return _Extendable(self.tracks.only(keep), self.covariance[keep])
+        return _Extendable(self.tracks.take(which), self.covariance[which])
 
     @staticmethod
     def concatenated(parts: list[_Extendable]) -> _Extendable:
         """Several sets of tracks as one."""
         return _Extendable(
-            Tracks.concatenated([p.tracks for p in parts]), np.concatenate([p.covariance for p in parts])
+            parts[0].tracks.stacked(*(p.tracks for p in parts[1:])), np.concatenate([p.covariance for p in parts])
         )
 
 
@@ -102,7 +93,7 @@ def grow(around: Surroundings, links: Links, model: MotionModel) -> Tracks:
     """The tracks along the links: for each detection, the best ones that end there."""
     detections = around.detections
     order = np.argsort(detections.frame[links.j], kind="stable")
-    links = links.only(order)
+    links = links.take(order)
     bounds = np.searchsorted(detections.frame[links.j], np.arange(len(detections.frame_names) + 1))
     # Last exposure with a link from each: after it the covariances, nine tenths of the memory, are dropped.
     last_use = np.full(len(detections.frame_names), ABSENT)
@@ -115,13 +106,13 @@ def grow(around: Surroundings, links: Links, model: MotionModel) -> Tracks:
     # Range of the tracks that end at each detection; those of one exposure are sorted by detection.
     start, count = np.zeros(len(detections), np.int64), np.zeros(len(detections), np.int64)
     for frame in range(len(detections.frame_names)):
-        to_frame = links.only(slice(bounds[frame], bounds[frame + 1]))  # type: ignore[arg-type]
+        to_frame = links.take(np.arange(bounds[frame], bounds[frame + 1]))
         if not len(to_frame):
             continue
         grown = [_new_tracks(around, to_frame, model)]
         row, parent = ranges(start[to_frame.i], count[to_frame.i])
         if len(row):
-            grown.append(_extended(around, to_frame.only(row), _gathered(kept, offsets, parent), parent, model))
+            grown.append(_extended(around, to_frame.take(row), _gathered(kept, offsets, parent), parent, model))
         kinds = np.concatenate([to_frame.far.astype(np.int64), np.full(len(row) and len(grown[-1].tracks), 2)])
         level = _best_per_detection(_Extendable.concatenated(grown), kinds, around.tuning.tracks)
         size = np.bincount(level.tracks.last, minlength=len(detections))
@@ -133,7 +124,7 @@ def grow(around: Surroundings, links: Links, model: MotionModel) -> Tracks:
         for n, old in enumerate(kept[:-1]):
             if len(old.covariance) and last_use[detections.frame[old.tracks.last[0]]] <= frame:
                 kept[n] = replace(old, covariance=old.covariance[:0])
-    return _with_outer_exposures(around, Tracks.concatenated([level.tracks for level in kept]), model)
+    return _with_outer_exposures(around, kept[0].tracks.stacked(*(level.tracks for level in kept[1:])), model)
 
 
 def _gathered(levels: list[_Extendable], offsets: list[int], number: IntArray) -> _Extendable:
@@ -143,10 +134,10 @@ def _gathered(levels: list[_Extendable], offsets: list[int], number: IntArray) -
     """
     level = np.searchsorted(offsets, number, side="right") - 1
     order = np.argsort(level, kind="stable")
-    parts = [levels[n].only(number[level == n] - offsets[n]) for n in np.unique(level).tolist()]
+    parts = [levels[n].take(number[level == n] - offsets[n]) for n in np.unique(level).tolist()]
     inverse_order = np.empty_like(order)
     inverse_order[order] = np.arange(len(order))
-    return _Extendable.concatenated(parts).only(inverse_order)
+    return _Extendable.concatenated(parts).take(inverse_order)
 
 
 def _with_outer_exposures(around: Surroundings, tracks: Tracks, model: MotionModel) -> Tracks:
@@ -190,7 +181,7 @@ def _best_per_detection(grown: _Extendable, kind: IntArray, most: int) -> _Exten
     tracks = grown.tracks
     order = np.lexsort([-tracks.log_weight, kind, tracks.last])
     code = 3 * tracks.last[order] + kind[order]
-    return grown.only(order[np.arange(len(order)) - np.searchsorted(code, code) < most])
+    return grown.take(order[np.arange(len(order)) - np.searchsorted(code, code) < most])
 
 
 def _new_tracks(around: Surroundings, links: Links, model: MotionModel) -> _Extendable:
@@ -242,7 +233,7 @@ def _extended(
     missed = pattern - model.log_pattern(size, size)
     # Few of the tracks are in line with the link.
     kept = np.flatnonzero(gain > tuning.min_log_ratio)
-    parents, state_covariance = parents.only(kept), tracks.covariance[kept]
+    parents, state_covariance = parents.take(kept), tracks.covariance[kept]
     state, state_covariance = _updated(parents.state, state_covariance, minutes[kept], offset[kept], noise[kept])
     extended = Tracks(
         parents.first, links.j[kept], parent[kept], size[kept], parents.log_weight + gain[kept], gain[kept],
@@ -329,7 +320,7 @@ def compete(tracks: Tracks, n: int, tuning: Tuning) -> Competition:
         answer = additive_answer(sets, sizes)
         chosen[conflicting], probability[conflicting] = answer.chosen[of_track], answer.probability[of_track]
         gap = float(answer.gap.max(initial=0.0))
-    return Competition(tracks.only(competing), members, chosen, probability, gap)
+    return Competition(tracks.take(competing), members, chosen, probability, gap)
 
 
 def groups_of(members: IntArray, n: int) -> tuple[int, IntArray, IntArray]:
