@@ -1,10 +1,12 @@
 """Heights of targets without a reported one are those that the sources of the scene report."""
 
 import numpy as np
+import pymap3d
 import pytest
 
 from sameas.picture.live import LivePicture
 from sameas.tracks import Description, Reports, Scene, Site
+from sameas.tracks.reports import joined
 from sameas.tracks.source import Targets
 
 SITE = Site(lat_deg=51.0, lon_deg=1.0, height_m=60.0)
@@ -52,3 +54,79 @@ def test_live_the_heights_are_those_with_which_the_offsets_hold():
     (again,) = (description for description, _ in picture.recent() if description.name == "radar")
     assert again.targets.height_m == pytest.approx(900.0, abs=50.0)
     assert again.is_assumed("targets.height_m")
+
+
+def flights(*, n=60, reported=True):
+    """A jet at 10 km and a helicopter at 300 m, seen by ADS-B and by a radar without heights, and a glider that only
+    the radar sees; (n, 2) the places of the first two."""
+    site, time_s = (SITE.lat_deg, SITE.lon_deg, SITE.height_m), np.arange(float(n)) * 4.0
+    rng, columns, places = np.random.default_rng(3), [], {}
+    for name, east, north, height, v in (
+        ("jet", 15_000.0, -20_000.0, 10_000.0, (20.0, 180.0)),
+        ("heli", -9000.0, 6000.0, 300.0, (60.0, 10.0)),
+        ("glider", 4000.0, 12_000.0, 1500.0, (-20.0, 15.0)),
+    ):
+        lat, lon, alt = pymap3d.enu2geodetic(east + v[0] * time_s, north + v[1] * time_s, height, *site)
+        places[name] = lat, lon, alt
+        azimuth, _, range_m = pymap3d.geodetic2aer(lat, lon, alt, *site)
+        columns.append((name, range_m + rng.normal(0.0, 50.0, n), azimuth + rng.normal(0.0, 0.06, n)))
+    heights = {"alt_m": np.concatenate([places[name][2] for name in ("jet", "heli")])} if reported else {}
+    adsb = Reports.of("adsb", "table", {
+        "time_s": np.tile(time_s, 2), "track_id": np.repeat(["jet", "heli"], n), **heights,
+        "lat_deg": np.concatenate([places[name][0] for name in ("jet", "heli")]),
+        "lon_deg": np.concatenate([places[name][1] for name in ("jet", "heli")]),
+    })  # fmt: skip
+    radar = Reports.of("radar", "table", {
+        "time_s": np.tile(time_s, 3), "track_id": np.repeat([name for name, *_ in columns], n),
+        "range_m": np.concatenate([c[1] for c in columns]),
+        "bearing_deg": np.concatenate([c[2] for c in columns]) % 360.0,
+    })  # fmt: skip
+    return [(Description("adsb", "ads-b"), adsb), (Description("radar", "air radar", site=SITE), radar)]
+
+
+def apart_m(scene, track):
+    """(n,) distances of the measured places of a track of the radar from those of ADS-B."""
+    places = {feed.description.name: feed.as_measured.reports for feed in scene.feeds}
+    one, other = (each.state[each.track == track, :2] for each in (places["radar"], places["adsb"]))
+    return np.hypot(*(one - other).T)
+
+
+def test_a_track_takes_the_height_of_the_aircraft_that_it_keeps_to():
+    scene = Scene.of(flights())
+    for track in ("jet", "heli"):
+        assert np.median(apart_m(scene, track)) < 100.0
+    radar = next(feed for feed in scene.feeds if feed.description.name == "radar")
+    own = radar.raw_reports.track_id == "glider"
+    assert np.isnan(radar.raw_reports.target_height_m[own]).all()
+    # What was taken from ADS-B is no evidence of heights.
+    assert scene.heights[1] is None
+
+
+def test_without_heights_that_others_report_nothing_is_taken():
+    radar = next(feed for feed in Scene.of(flights(reported=False)).feeds if feed.description.name == "radar")
+    assert radar.raw_reports.target_height_m is None
+
+
+def test_an_aircraft_that_is_only_passed_gives_no_height():
+    (adsb_description, adsb), (description, radar) = flights()
+    crossing = adsb.where((adsb.track_id == "heli") & (adsb.time_s < 80.0))
+    scene = Scene.of([(adsb_description, joined([adsb.where(adsb.track_id == "jet"), crossing])), (description, radar)])
+    raw = next(feed.raw_reports for feed in scene.feeds if feed.description.name == "radar")
+    assert np.isnan(raw.target_height_m[raw.track_id == "heli"]).all()
+
+
+def test_live_a_track_takes_the_last_height_of_its_aircraft():
+    sources = flights()
+    picture = LivePicture([description for description, _ in sources], lag_s=1.0)
+    for begin_s, end_s in ((0.0, 200.0), (200.0, 240.0)):
+        for description, reports in sources:
+            batch = reports.where((reports.time_s >= begin_s) & (reports.time_s < end_s))
+            picture.add(description.name, batch)
+        picture.advance(end_s - 4.0)
+        picture.register()
+    records = picture.records
+    place = {
+        (source, track): np.array([x, y])
+        for source, track, x, y in zip(*(records[c] for c in ("source", "track_id", "x_m", "y_m")), strict=True)
+    }
+    assert np.hypot(*(place["radar", "jet"] - place["adsb", "jet"])) < 200.0

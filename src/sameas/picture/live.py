@@ -42,6 +42,7 @@ from sameas.tracks.registration import SourceBiases, with_delay_prior
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Assumption, Description
+from sameas.tracks.target_heights import HELD_S, Partners, partners_of, reported_heights, with_heights
 
 LiveState = PictureState[Watch] | PictureState[PlotPicture]
 
@@ -124,6 +125,9 @@ class LivePicture:
         self._heights: HeightModel | None = None
         #: Conversion of the heights of the last instant; None if none was reported.
         self.height_model: HeightModel | None = None
+        #: By radar without heights, what its tracks keep to; time and height of the last report of each such aircraft.
+        self._partners: Mapping[str, Partners] = {}
+        self._partner_heights: dict[tuple[str, str], tuple[float, float]] = {}
         self._recent: dict[str, deque[Reports]] = {name: deque() for name in names}
         #: Their numbers, which are counted up and down: to add up 600 lengths takes as long as a batch.
         self._n_recent = dict.fromkeys(names, 0)
@@ -315,9 +319,25 @@ class LivePicture:
             feed.counts.taken += given
             feed.counts.newest_s = max(feed.counts.newest_s, float(reports.time_s.max()))
         else:
-            feed.add(reports)
+            feed.add(self._with_partner_heights(source, reports))
             feed.counts.unplaced += given - len(reports)
         self._keep_recent(source, reports)
+
+    def _with_partner_heights(self, source: str, reports: Reports) -> Reports:
+        """The reports of a radar with the last heights of the aircraft that its tracks keep to; those of such an
+        aircraft are kept."""
+        ids = reports.object_ids
+        if ids is None or not self._partners:
+            return reports
+        for time_s, name, height_m in zip(reports.time_s, ids, reported_heights(reports), strict=True):
+            if (source, name) in self._partner_heights and math.isfinite(height_m):
+                self._partner_heights[source, name] = float(time_s), float(height_m)
+        partners, newest_s = self._partners.get(source, {}), float(reports.time_s.max())
+        heights = {}
+        for track in partners.keys() & set(ids.tolist()):
+            last = [self._partner_heights[key] for key in partners[track]]
+            heights[track] = np.array([[height if newest_s - at_s <= HELD_S else np.nan] for at_s, height in last])
+        return with_heights(self._feeds[source].description, reports, heights)
 
     def _require(self, source: str) -> None:
         if source not in self._feeds:
@@ -419,6 +439,9 @@ class LivePicture:
         for name, assumed in registered.targets.items():
             if name not in self._held:
                 self._feeds[name].assume(assumed)
+        self._partners, before = registered.partners, self._partner_heights
+        keys = {key for tracks in self._partners.values() for keys in tracks.values() for key in keys}
+        self._partner_heights = {key: before.get(key, (-math.inf, math.nan)) for key in keys}
         for biases in registered.biases:
             self._estimates[biases.source] = biases
             # What is not established replaces nothing; it may allow for an unknown offset.
@@ -473,7 +496,8 @@ class Registered:
     """The biases of the sources from some minutes of reports, and the model of their heights.
 
     doubts, misread : as of :class:`~sameas.tracks.scene.Scene`. targets : of sources whose heights of targets are
-    assumed, the assumptions with which the biases hold.
+    assumed, the assumptions with which the biases hold. partners : as of
+    :func:`~sameas.tracks.target_heights.partners_of`.
     """
 
     biases: tuple[SourceBiases, ...] = ()
@@ -481,6 +505,7 @@ class Registered:
     doubts: tuple[str, ...] = ()
     misread: frozenset[str] = frozenset()
     targets: Mapping[str, tuple[Assumption, ...]] = field(default_factory=dict)
+    partners: Mapping[str, Partners] = field(default_factory=dict)
 
 
 def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None) -> Registered:
@@ -496,7 +521,7 @@ def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane 
         for feed in given.feeds
     }
     targets = {name: lines for name, lines in of_targets.items() if lines}
-    return Registered(biases, HeightModel.of(scene.feeds), doubts, misread, targets)
+    return Registered(biases, HeightModel.of(scene.feeds), doubts, misread, targets, partners_of(sources))
 
 
 def faults_of(

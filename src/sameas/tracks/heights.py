@@ -4,11 +4,6 @@ A pressure height is the height at which the standard atmosphere has the measure
 above the ellipsoid by some 8 m per hPa at the ground, 4 % per 10 K of temperature, and the geoid. If aircraft report
 both (ADS-B version 2), or sources of both kinds observe the same aircraft, the difference is estimated as a linear
 function of height. So is the offset between two sources of one kind, such as a pressure correction in one of them.
-
-A radar measures the slant range. With a wrong height of all its targets its ranges seem to have an offset: 5 km instead
-of 700 m is 300 m at 40 km, and more nearby. So what the sources report of the same sky replaces what is assumed for the
-kind (:func:`with_reported_heights`). Targets without a transponder may fly lower than those with one, so the 1σ is at
-least :data:`LEAST_SPREAD` of the height.
 """
 
 from __future__ import annotations
@@ -31,10 +26,6 @@ from sameas.tracks.source import Description
 
 PRESSURE, GEOMETRIC = "pressure height", "height above the ellipsoid"
 
-#: Fewest heights that say how high the targets are (chosen).
-MIN_HEIGHTS = 30
-#: 1σ of the heights as a share of their median, at least (chosen).
-LEAST_SPREAD = 0.5
 SIGMA_M = 60.0  # 1σ of a height without a stated error
 #: 1σ of an unknown vertical speed and of a reported one; growth of its variance with age, so that an aircraft that
 #: climbs at 10 m/s may be level after a minute and a half.
@@ -345,27 +336,3 @@ def _near(one: Snapshot, two: Snapshot, completeness: float) -> tuple[IntArray, 
 def _median_variance(snapshot: Snapshot) -> float:
     """Median of the sum of the variances of both axes, m²."""
     return float(np.median(np.trace(snapshot.covariance[:, :2, :2], axis1=1, axis2=2)))
-
-
-def with_reported_heights(sources: Sequence[tuple[Description, Reports]]) -> list[tuple[Description, Reports]]:
-    """The sources, the heights of targets that were assumed for a kind replaced by those of the reports of all."""
-    reported = np.concatenate([np.empty(0), *(_heights(reports) for _, reports in sources)])
-    if len(reported) < MIN_HEIGHTS:
-        return list(sources)
-    height_m = float(np.median(reported))
-    sigma_m = max(float(np.std(reported)), LEAST_SPREAD * abs(height_m))
-    why = f"the median and spread of {len(reported)} heights that the sources report"
-    values = {"targets.height_m": (height_m, why), "targets.height_sigma_m": (sigma_m, why)}
-    return [
-        (description.with_assumed(values) if description.is_assumed("targets.height_m") else description, reports)
-        for description, reports in sources
-    ]
-
-
-def _heights(reports: Reports) -> FloatArray:
-    """(m,) the heights that the reports give, geometric where there are both."""
-    given = [column for column in (reports.alt_m, reports.pressure_alt_m) if column is not None]
-    if not given:
-        return np.empty(0)
-    heights = given[0] if len(given) == 1 else np.where(np.isfinite(given[0]), *given)
-    return np.asarray(heights[np.isfinite(heights)], np.float64)

@@ -273,9 +273,11 @@ class PlacedReports:
         return Directions(self._time_s, bearing % 360.0, sigma, sensor_m, self._tracks, np.arange(len(reports)))
 
     def _target_heights(self, sensor_height_m: float) -> tuple[FloatArray, FloatArray]:
-        """(n,) heights of the targets and 1σ: the reported height, else the flight level, the elevation, or assumed."""
+        """(n,) heights of the targets and 1σ: the reported height, else the flight level, the elevation, what others
+        report of the target, or assumed."""
         reports, targets, errors, n = self.reports, self.description.targets, self.description.errors, len(self.reports)
-        height, sigma = np.full(n, targets.height_m or 0.0), np.full(n, targets.height_sigma_m or 0.0)
+        height = _filled(reports.target_height_m, targets.height_m or 0.0, n)
+        sigma = _filled(reports.sigma_target_height_m, targets.height_sigma_m or 0.0, n)
         by_elevation = heights_by_elevation(reports, errors, sensor_height_m)
         if by_elevation is not None:
             stated = np.isfinite(by_elevation[0])

@@ -143,6 +143,8 @@ class Reports:
     heading_deg : (n,) direction of the bow, from true north.
     covariance_m2 : (n, 3) xx, xy, yy of the position, east and north (or x and y).
     velocity_covariance_m2_per_s2 : (n, 3) the same of the velocity.
+    target_height_m, sigma_target_height_m : (n,) height that others report of the object that a radar without heights
+        has measured, and 1σ: for its slant range only (:mod:`sameas.tracks.target_heights`).
     sigma_alt_m, sigma_range_m, sigma_bearing_deg, sigma_elevation_deg : (n,) standard deviations.
     track_id : (n,) the source's number of the object. mmsi, imo, icao, callsign, mode_a, name, type : (n,) texts in
         their usual form (nine digits, six lower hexadecimal digits, four octal digits); None if absent.
@@ -183,6 +185,8 @@ class Reports:
     heading_deg: FloatArray | None = None
     covariance_m2: FloatArray | None = None
     velocity_covariance_m2_per_s2: FloatArray | None = None
+    target_height_m: FloatArray | None = None
+    sigma_target_height_m: FloatArray | None = None
     sigma_alt_m: FloatArray | None = None
     sigma_range_m: FloatArray | None = None
     sigma_bearing_deg: FloatArray | None = None

@@ -42,7 +42,7 @@ from sameas.tracks.doubts import Doubt, doubts
 from sameas.tracks.elsewhere import of_other_days, too_far_apart
 from sameas.tracks.error_fit import TrackErrorFit, fit_errors
 from sameas.tracks.feed import Feed, need_filtering, of_their_objects
-from sameas.tracks.heights import HeightModel, HeightReports, heights_of, with_reported_heights
+from sameas.tracks.heights import HeightModel, HeightReports, heights_of
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.platforms import on_platform, only_carries
 from sameas.tracks.plot_offsets import PlotFits
@@ -52,6 +52,7 @@ from sameas.tracks.reports import Reports
 from sameas.tracks.running_fixes import running_fixes
 from sameas.tracks.snapshot import POSITION, POSITION_AND_VELOCITY, Snapshot
 from sameas.tracks.source import Assumption, Description
+from sameas.tracks.target_heights import with_target_heights
 
 #: Seconds without a report of any source that separate two sessions (chosen): a source that is slow reports more often.
 PAUSE_S = 1800.0
@@ -108,7 +109,7 @@ class Scene:
         if set_aside is not None:
             far |= of_other_days(sources)
             set_aside |= {name: InputError(words) for name, words in far.items()}
-        sources = with_reported_heights([source for source in sources if source[0].name not in far])
+        sources = with_target_heights([source for source in sources if source[0].name not in far])
         if plane is None and (middle := _middle(sources)) is not None:
             plane = LocalPlane.about(*middle)
         feeds: list[Feed] = []

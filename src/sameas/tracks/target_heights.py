@@ -1,0 +1,191 @@
+"""The heights of targets of which a radar measures none, for its slant ranges.
+
+With a wrong height the position on the ground is wrong: 5 km instead of 700 m is 300 m at a range of 40 km, and more
+nearby. Other sources, such as ADS-B, report heights:
+
+- A track that keeps to the slant range and the azimuth of an aircraft of another source takes the height of that one
+  (:func:`partners_of`), as of several that are there, with their spread. If it is not that aircraft, their distance by
+  this height shows it; the height itself is no evidence.
+- Any other track has the median height and the spread of all that the sources report (:func:`with_target_heights`)
+  instead of what is assumed for the kind. Targets without a transponder may fly lower than those with one, so the 1σ is
+  at least :data:`LEAST_SPREAD` of the height.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sameas.arrays import BoolArray, FloatArray, IntArray, numbers_of, within_turn
+from sameas.gate import ChiSquare
+from sameas.tracks.coordinates import geodesy
+from sameas.tracks.reports import Reports
+from sameas.tracks.source import Description
+
+#: Fewest heights that say how high the targets are (chosen).
+MIN_HEIGHTS = 30
+#: 1σ of the heights as a share of their median, at least (chosen).
+LEAST_SPREAD = 0.5
+#: A track keeps to an aircraft if this share of up to so many of its reports, at least the fewest, are in the gate;
+#: the aircraft is known where it reports within so many seconds (chosen).
+KEEPS, SAMPLES, FEWEST, NEAR_S = 0.9, 30, 5, 15.0
+GATE = ChiSquare(0.99).limit(2)
+#: The height of an aircraft is taken for so many seconds before its first and after its last report (chosen).
+HELD_S = 60.0
+
+Sources = Sequence[tuple[Description, Reports]]
+#: By track of a radar, the aircraft (name of the source, id) that it keeps to.
+Partners = Mapping[str, tuple[tuple[str, str], ...]]
+
+
+def with_target_heights(sources: Sources) -> list[tuple[Description, Reports]]:
+    """The sources with the heights of targets that others report, where a radar has none and none are given."""
+    reported = np.concatenate([np.empty(0), *(reported_heights(reports) for _, reports in sources)])
+    reported = reported[np.isfinite(reported)]
+    out = list(sources)
+    if len(reported) < MIN_HEIGHTS:
+        return out
+    height_m = float(np.median(reported))
+    sigma_m = max(float(np.std(reported)), LEAST_SPREAD * abs(height_m))
+    why = f"the median and spread of {len(reported)} heights that the sources report"
+    values = {"targets.height_m": (height_m, why), "targets.height_sigma_m": (sigma_m, why)}
+    for k, (description, reports) in enumerate(sources):
+        if description.is_assumed("targets.height_m"):
+            heights = {
+                track: np.array([flight.height_at(reports.time_s[reports.object_ids == track]) for flight in flights])
+                for track, flights in _kept_to(k, sources).items()
+            }
+            out[k] = description.with_assumed(values), with_heights(description, reports, heights)
+    return out
+
+
+def partners_of(sources: Sources) -> dict[str, Partners]:
+    """By radar that measures no heights, the aircraft of other sources that its tracks keep to."""
+    return {
+        description.name: {track: tuple(one.key for one in flights) for track, flights in kept.items()}
+        for k, (description, _) in enumerate(sources)
+        if description.is_assumed("targets.height_m") and (kept := _kept_to(k, sources))
+    }
+
+
+def reported_heights(reports: Reports) -> FloatArray:
+    """(n,) the heights that the reports give, geometric where there are both, NaN where none."""
+    pressure, geometric = (
+        np.full(len(reports), np.nan) if column is None else column
+        for column in (reports.pressure_alt_m, reports.alt_m)
+    )
+    return np.asarray(np.where(np.isfinite(geometric), geometric, pressure))
+
+
+def with_heights(description: Description, reports: Reports, heights: Mapping[str, FloatArray]) -> Reports:
+    """The reports of a radar with the heights of targets.
+
+    heights : by track (aircraft, reports) the heights of what it keeps to at each of its reports, NaN where unknown;
+        (aircraft, 1) for the same at all.
+    """
+    ids = reports.object_ids
+    if ids is None or not heights:
+        return reports
+    target_m, sigma_m = np.full((2, len(reports)), np.nan)
+    for track, each in heights.items():
+        known = np.isfinite(each)
+        n = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+        mean = np.where(known, each, 0.0).sum(axis=0) / n
+        spread = np.sqrt((np.where(known, each - mean, 0.0) ** 2).sum(axis=0) / n)
+        own = ids == track
+        target_m[own], sigma_m[own] = mean, np.hypot(spread, description.errors.height_m or 0.0)
+    return replace(reports, target_height_m=target_m, sigma_target_height_m=sigma_m)
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """An aircraft as a radar would measure it: (n,) times, slant ranges, azimuths that go on beyond a turn, heights.
+
+    key : name of its source, and its id there. sigma_m : 1σ of its positions.
+    """
+
+    key: tuple[str, str]
+    time_s: FloatArray
+    range_m: FloatArray
+    azimuth_deg: FloatArray
+    height_m: FloatArray
+    sigma_m: float
+
+    def is_near(self, time_s: FloatArray, within_s: float) -> BoolArray:
+        """(k,) whether it reports within so many seconds of these times."""
+        after = np.searchsorted(self.time_s, time_s).clip(0, len(self.time_s) - 1)
+        nearest = np.minimum(*(np.abs(self.time_s[k] - time_s) for k in (after, np.maximum(after - 1, 0))))
+        return np.asarray(nearest <= within_s)
+
+    def height_at(self, time_s: FloatArray) -> FloatArray:
+        """(k,) its height at these times, NaN long before its first report and after its last."""
+        held = (time_s >= self.time_s[0] - HELD_S) & (time_s <= self.time_s[-1] + HELD_S)
+        return np.where(held, np.interp(time_s, self.time_s, self.height_m), np.nan)
+
+    def is_at(self, radar: Description, time_s: FloatArray, range_m: FloatArray, azimuth_deg: FloatArray) -> BoolArray:
+        """(k,) whether what a radar, with offsets as it may have, has measured is where this aircraft is."""
+        errors, bias = radar.errors, radar.bias
+        moved_m = np.hypot((bias.time_s or 0.0) * (radar.motion.speed_m_per_s or 0.0), self.sigma_m)
+        moved_deg = np.degrees(moved_m / np.maximum(range_m, 1.0))
+        sigma_r = np.sqrt(errors.sigma_range_m(range_m) ** 2 + (bias.range_m or 0.0) ** 2 + moved_m**2)
+        sigma_a = np.sqrt((errors.bearing_deg or 0.0) ** 2 + (bias.azimuth_deg or 0.0) ** 2 + moved_deg**2)
+        off_r = range_m - np.interp(time_s, self.time_s, self.range_m)
+        off_a = within_turn(azimuth_deg - np.interp(time_s, self.time_s, self.azimuth_deg) + 180.0) - 180.0
+        return np.asarray((off_r / sigma_r) ** 2 + (off_a / sigma_a) ** 2 <= GATE)
+
+
+def _kept_to(k: int, sources: Sources) -> dict[str, list[_Flight]]:
+    """By track of the source k, the aircraft of other sources that it keeps to; none if it measures heights."""
+    (description, reports), ids = sources[k], sources[k][1].object_ids
+    heights, site = (reports.alt_m, reports.pressure_alt_m, reports.elevation_deg), description.site
+    is_placed = site is not None and site.lat_deg is not None and reports.position == "polar"
+    if not is_placed or ids is None or reports.bearing_deg is None or any(column is not None for column in heights):
+        return {}
+    rows, number, names = _sampled(ids)
+    measured = reports.time_s[rows], np.asarray(reports.range_m)[rows], reports.bearing_deg[rows]
+    n, out = np.bincount(number, minlength=len(names)), dict[str, list[_Flight]]()
+    for flight in (one for j, source in enumerate(sources) if j != k for one in _flights(description, *source)):
+        known = flight.is_near(measured[0], NEAR_S)
+        kept = known & flight.is_at(description, *measured)
+        n_known, n_kept = (np.bincount(number[which], minlength=len(names)) for which in (known, kept))
+        for one in np.flatnonzero((n_known >= np.maximum(FEWEST, n // 2)) & (n_kept >= KEEPS * n_known)).tolist():
+            out.setdefault(names[one], []).append(flight)
+    return out
+
+
+def _sampled(ids: NDArray[Any]) -> tuple[IntArray, IntArray, list[str]]:
+    """(k,) rows of at most ``SAMPLES`` reports of each track, spread over it, the number of each one's track; names."""
+    names = sorted({one for one in ids.tolist() if one is not None})
+    number = numbers_of(ids.tolist(), {name: k for k, name in enumerate(names)})
+    order = np.argsort(number, kind="stable")[np.count_nonzero(number < 0) :]
+    n = np.bincount(number[order], minlength=len(names))
+    place = np.arange(len(order)) - np.repeat(np.cumsum(n) - n, n)
+    every = np.repeat(-(-n // SAMPLES), n)
+    rows = order[place % every == 0]
+    return rows, number[rows], names
+
+
+def _flights(radar: Description, description: Description, reports: Reports) -> Iterator[_Flight]:
+    """The aircraft of a source of geodetic positions and heights, as a radar with a site would measure them."""
+    ids, site = reports.object_ids, radar.site
+    if ids is None or site is None or reports.lat_deg is None or reports.lon_deg is None:
+        return
+    height_m = reported_heights(reports)
+    rows = np.flatnonzero(np.isfinite(height_m + reports.lat_deg + reports.lon_deg))
+    names = sorted({one for one in ids[rows].tolist() if one is not None})
+    number = numbers_of(ids[rows].tolist(), {name: k for k, name in enumerate(names)})
+    rows, number = rows[number >= 0], number[number >= 0]
+    order = np.lexsort([reports.time_s[rows], number])
+    rows, number = rows[order], number[order]
+    azimuth, _, range_m = geodesy().geodetic2aer(
+        reports.lat_deg[rows], reports.lon_deg[rows], height_m[rows], site.lat_deg, site.lon_deg, site.height_m
+    )
+    for name, part in zip(names, np.split(np.arange(len(rows)), np.flatnonzero(np.diff(number)) + 1), strict=False):
+        yield _Flight(
+            (description.name, name), reports.time_s[rows[part]], range_m[part], np.unwrap(azimuth[part], period=360.0),
+            height_m[rows[part]], description.errors.position_m or 0.0,
+        )  # fmt: skip
