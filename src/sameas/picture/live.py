@@ -30,7 +30,8 @@ from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.rows import Columns, gathered
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import Watch
-from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME
+from sameas.tracks.antennas import with_antennas
+from sameas.tracks.biases import AZIMUTH, BIASES, EAST, GAIN, RANGE, TIME
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.faults import Fault
 from sameas.tracks.feed import Feed
@@ -116,6 +117,10 @@ class LivePicture:
         self._biases: dict[str, SourceBiases] = {}
         self._subtracted: dict[str, FloatArray] = {}
         self._estimates: dict[str, SourceBiases] = {}
+        #: By source of AIS and track, the distance from the antenna ahead to the middle of the ship; whether any has
+        #: changed by as much as displaces positions since that was last asked.
+        self._antennas: dict[str, dict[str, float]] = {}
+        self._antennas_moved = False
         self._held: frozenset[str] = frozenset()
         self._given_misread = watch.misread if isinstance(watch, Watch) else frozenset()
         self._doubts, self._misread = tuple[str, ...](), frozenset[str]()
@@ -279,6 +284,7 @@ class LivePicture:
                 self._feeds[description.name] = LiveFeed(description, self.plane, self.lag_s)
                 self._recent[description.name], self._n_recent[description.name] = deque(), 0
             self._biases.pop(description.name, None)
+            self._antennas.pop(description.name, None)
             self._estimates.pop(description.name, None)
             self._held -= {description.name}
         if changed and isinstance(self._carried, Watch):
@@ -442,6 +448,11 @@ class LivePicture:
         self._partners, before = registered.partners, self._partner_heights
         keys = {key for tracks in self._partners.values() for keys in tracks.values() for key in keys}
         self._partner_heights = {key: before.get(key, (-math.inf, math.nan)) for key in keys}
+        for name, offsets in registered.antennas.items():
+            known = self._antennas.setdefault(name, {})
+            changes = [abs(offset_m - known.get(track, 0.0)) for track, offset_m in offsets.items()]
+            self._antennas_moved |= bool(max(changes) > DISPLACED[EAST])
+            known.update(offsets)
         for biases in registered.biases:
             self._estimates[biases.source] = biases
             # What is not established replaces nothing; it may allow for an unknown offset.
@@ -450,13 +461,14 @@ class LivePicture:
                 self._biases[biases.source] = biases
 
     def _are_displaced(self) -> bool:
-        """Whether the biases subtracted from a source have changed by more than :data:`DISPLACED` since they last were
-        found to have."""
+        """Whether the biases subtracted from a source, or the places of antennas, have changed by more than
+        :data:`DISPLACED` since they last were found to have."""
+        moved, self._antennas_moved = self._antennas_moved, False
         now = {name: one.theta for name, one in self._biases.items() if one.theta is not None}
         before, none = self._subtracted, np.zeros(len(BIASES))
         change = [np.abs(now.get(name, none) - before.get(name, none)) for name in now.keys() | before.keys()]
         if not any((one > DISPLACED).any() for one in change):
-            return False
+            return moved
         self._subtracted = now
         return True
 
@@ -471,11 +483,12 @@ class LivePicture:
 
     def _feed(self, live_feed: LiveFeed, instant_s: float) -> Feed:
         biases = self._biases.get(live_feed.description.name)
+        antennas = self._antennas.get(live_feed.description.name, {})
         if biases is None or biases.theta is None or biases.covariance is None:
-            return live_feed.feed(instant_s)
+            return with_antennas(live_feed.feed(instant_s), antennas)
         delay_s = float(biases.theta[TIME])
         feed = live_feed.feed(instant_s, early_s=max(0.0, -delay_s))
-        return unbiased_now(feed, biases, live_feed.track_timeout_s(delay_s), instant_s)
+        return with_antennas(unbiased_now(feed, biases, live_feed.track_timeout_s(delay_s), instant_s), antennas)
 
     def _start(self) -> Watch | PlotPicture:
         reporting = [feed for feed in self._feeds.values() if feed.has_reports]
@@ -497,7 +510,7 @@ class Registered:
 
     doubts, misread : as of :class:`~sameas.tracks.scene.Scene`. targets : of sources whose heights of targets are
     assumed, the assumptions with which the biases hold. partners : as of
-    :func:`~sameas.tracks.target_heights.partners_of`.
+    :func:`~sameas.tracks.target_heights.partners_of`. antennas : as of :class:`~sameas.tracks.scene.Scene`.
     """
 
     biases: tuple[SourceBiases, ...] = ()
@@ -506,6 +519,7 @@ class Registered:
     misread: frozenset[str] = frozenset()
     targets: Mapping[str, tuple[Assumption, ...]] = field(default_factory=dict)
     partners: Mapping[str, Partners] = field(default_factory=dict)
+    antennas: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None) -> Registered:
@@ -521,7 +535,9 @@ def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane 
         for feed in given.feeds
     }
     targets = {name: lines for name, lines in of_targets.items() if lines}
-    return Registered(biases, HeightModel.of(scene.feeds), doubts, misread, targets, partners_of(sources))
+    return Registered(
+        biases, HeightModel.of(scene.feeds), doubts, misread, targets, partners_of(sources), scene.antennas
+    )
 
 
 def faults_of(

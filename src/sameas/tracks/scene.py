@@ -37,6 +37,7 @@ from sameas.many.rules import PoissonObjects
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.alignment import States
+from sameas.tracks.antennas import antenna_lines, antenna_offsets, with_antennas
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.doubts import Doubt, doubts
 from sameas.tracks.elsewhere import of_other_days, too_far_apart
@@ -72,6 +73,7 @@ class Scene:
     shared_error_m : 1σ per axis of the error common to all sources, such as the near side of a hull.
     estimated : printable sentences on estimated errors.
     given : the sources of which it was made, before sensors aboard vessels were placed.
+    antennas : by source of AIS and track, the distance by which its positions were moved ahead, metres.
     """
 
     feeds: tuple[Feed, ...]
@@ -80,6 +82,7 @@ class Scene:
     shared_error_m: float = 0.0
     estimated: tuple[str, ...] = ()
     given: tuple[tuple[Description, Reports], ...] = field(default=(), repr=False)
+    antennas: Mapping[str, Mapping[str, float]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -151,6 +154,8 @@ class Scene:
     def registered(self, references: Sequence[str] | None = None) -> tuple[Scene, tuple[SourceBiases, ...]]:
         """The scene without the biases of its sources, and the biases of each, in their order.
 
+        Positions of AIS are moved from the antennas to the middles of the ships, where another source shows them.
+
         Every source is compared, at many instants of the whole span, with those that have no bias (satellite positions:
         AIS, ADS-B); if there are none, the sources are compared with each other. The uncertainty of the removed biases
         is added to the covariances. ``bias`` in the descriptions is the prior of biases; the known ones,
@@ -174,7 +179,10 @@ class Scene:
             scene, (feeds, biases) = placed, found
             late_s |= {name: late_s[name] + value for name, value in more_s.items()}
         of_plots = tuple(feed.plot_statistics for feed in feeds if feed.clutter_per_m2 is not None)
-        scene = replace(scene, feeds=feeds, estimated=(*self.estimated, *of_plots))
+        antennas = antenna_offsets(feeds)
+        feeds = tuple(with_antennas(feed, antennas.get(feed.description.name, {})) for feed in feeds)
+        estimated = (*self.estimated, *of_plots, *antenna_lines(antennas))
+        scene = replace(scene, feeds=feeds, estimated=estimated, antennas=antennas)
         return scene, tuple(one.later(late_s[one.source]) for one in biases)
 
     def _is_placed_late(self, biases: SourceBiases) -> bool:
