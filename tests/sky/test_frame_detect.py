@@ -190,6 +190,25 @@ def test_a_faint_trail_beside_a_bright_one_is_detected():
     assert len(measured) <= 50
 
 
+@pytest.mark.parametrize("psf", [GaussianProfile(3.5), Moffat(3.0)], ids=["gaussian", "moffat"])
+def test_stars_cut_by_the_edge_have_the_errors_of_what_is_left_of_them(psf):
+    normalised = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        along, inside = np.arange(30.0, 610.0, 40.0), rng.uniform(0.0, 4.0, (4, 15))
+        x = np.concatenate([along, along, inside[0], 639.0 - inside[1]])
+        y = np.concatenate([inside[2], 639.0 - inside[3], along, along])
+        flux = 10 ** rng.uniform(3.7, 5.0, x.size)
+        seen = frame_of(rng, x_px=x, y_px=y, flux_e=flux, camera=WIDE, psf=psf)
+        found = detect(seen.frame, Detection(defects=False))
+        rows, _, error = paired(seen, found, within=4.0)
+        assert len(rows) > 0.8 * len(x)
+        covariance = found.covariance[rows][:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+        normalised.append(np.sqrt(np.einsum("nv,nvw,nw->n", error, np.linalg.inv(covariance), error) / 2.0))
+    half, most = np.quantile(np.concatenate(normalised), [0.5, 0.9])
+    assert half < 1.2 and most < 2.5, (half, most)
+
+
 @pytest.mark.slow
 def test_saturated_stars_and_edges_are_flagged():
     rng = np.random.default_rng(11)
