@@ -43,7 +43,7 @@ from sameas.tracks.registration import SourceBiases, with_delay_prior
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Assumption, Description
-from sameas.tracks.target_heights import HELD_S, Partners, partners_of, reported_heights, with_heights
+from sameas.tracks.target_heights import HELD_S, Partners, reported_heights, with_heights
 
 LiveState = PictureState[Watch] | PictureState[PlotPicture]
 
@@ -509,8 +509,8 @@ class Registered:
     """The biases of the sources from some minutes of reports, and the model of their heights.
 
     doubts, misread : as of :class:`~sameas.tracks.scene.Scene`. targets : of sources whose heights of targets are
-    assumed, the assumptions with which the biases hold. partners : as of
-    :func:`~sameas.tracks.target_heights.partners_of`. antennas : as of :class:`~sameas.tracks.scene.Scene`.
+    assumed, the assumptions with which the biases hold. partners, antennas : as of
+    :class:`~sameas.tracks.scene.Scene`.
     """
 
     biases: tuple[SourceBiases, ...] = ()
@@ -535,9 +535,7 @@ def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane 
         for feed in given.feeds
     }
     targets = {name: lines for name, lines in of_targets.items() if lines}
-    return Registered(
-        biases, HeightModel.of(scene.feeds), doubts, misread, targets, partners_of(sources), scene.antennas
-    )
+    return Registered(biases, HeightModel.of(scene.feeds), doubts, misread, targets, given.partners, scene.antennas)
 
 
 def faults_of(

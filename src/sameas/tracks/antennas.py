@@ -21,11 +21,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
+from scipy.special import softmax
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, ColumnTable, FloatArray, IntArray
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed
 from sameas.tracks.kinds import KINDS
+from sameas.tracks.plot_pairs import shows_tracks
 from sameas.tracks.snapshot import Snapshot, common_instants
 
 #: Kind of the sources whose positions are those of an antenna.
@@ -50,7 +53,7 @@ SMALLEST_M = 10.0  # smaller offsets are not taken: they are within the errors a
 
 
 @dataclass(frozen=True)
-class _Looks:
+class _Looks(ColumnTable):
     """Looks at ships with one echo alone, (n,) each: track, time, and the separation of the echo and its variance,
     along and across the course (n, 2)."""
 
@@ -67,7 +70,7 @@ def antenna_offsets(feeds: Sequence[Feed]) -> dict[str, dict[str, float]]:
     """
     out: dict[str, dict[str, float]] = {}
     for feed in feeds:
-        if feed.description.kind == OF_ANTENNAS and _has_tracks(feed):
+        if feed.description.kind == OF_ANTENNAS and shows_tracks(feed):
             offsets = _offsets(feed, [other for other in feeds if _shows_hulls(other)])
             if offsets:
                 out[feed.description.name] = offsets
@@ -93,10 +96,7 @@ def with_antennas(feed: Feed, offsets: Mapping[str, float]) -> Feed:
     measured = None if feed.measured is None else moved(feed.measured)
     # Their times stay, and so does which of them is current at an instant.
     out = replace(feed, reports=moved(feed.reports), measured=measured)
-    out.__dict__.update(
-        {name: feed.__dict__[name] for name in ("succession", "track_timeout_s") if name in feed.__dict__}
-    )
-    return out
+    return out.with_succession(feed.succession, feed.track_timeout_s)
 
 
 def antenna_lines(antennas: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
@@ -114,14 +114,10 @@ def antenna_lines(antennas: Mapping[str, Mapping[str, float]]) -> tuple[str, ...
     return tuple(lines)
 
 
-def _has_tracks(feed: Feed) -> bool:
-    return isinstance(feed.reports, States) and feed.reports.track is not None
-
-
 def _shows_hulls(feed: Feed) -> bool:
     """Whether a source shows the places of hulls, as tracks."""
     kind = feed.description.kind
-    return _has_tracks(feed) and kind != OF_ANTENNAS and KINDS[kind].target != "aircraft"
+    return shows_tracks(feed) and kind != OF_ANTENNAS and KINDS[kind].target != "aircraft"
 
 
 def _has_length(feed: Feed) -> BoolArray:
@@ -137,7 +133,7 @@ def _offsets(feed: Feed, others: Sequence[Feed]) -> dict[str, float]:
     parts = [look for other in others for look in _looks(feed, other, number)]
     if not parts:
         return {}
-    looks = _Looks(*map(np.concatenate, zip(*parts, strict=True)))
+    looks = parts[0].stacked(*parts[1:])
     enough = [np.flatnonzero(looks.track == k) for k in np.unique(looks.track) if k not in of_known_length]
     enough = [at for at in enough if len(at) >= MIN_LOOKS and np.ptp(looks.time_s[at]) >= MIN_SPAN_S]
     means = [_mean(looks.apart[at], looks.variance[at]) for at in enough]
@@ -158,10 +154,8 @@ def _offsets(feed: Feed, others: Sequence[Feed]) -> dict[str, float]:
     return out
 
 
-def _looks(
-    feed: Feed, other: Feed, number: IntArray
-) -> Iterator[tuple[IntArray, FloatArray, FloatArray, FloatArray]]:  # fmt: skip
-    """The columns of :class:`_Looks` at instants of the common time; number : (n,) of the reports' tracks."""
+def _looks(feed: Feed, other: Feed, number: IntArray) -> Iterator[_Looks]:
+    """The looks at each instant of the common time; number : (n,) of the tracks of the reports."""
     for instant_s in common_instants(feed, other, INSTANTS).tolist():
         ships, echoes = (Snapshot.of(one.as_measured, instant_s).between_reports(instant_s) for one in (feed, other))
         ship, echo = _alone(ships.state[:, :2], echoes.state[:, :2])
@@ -171,9 +165,10 @@ def _looks(
         ahead = velocity[near] / speed[near, None]
         axes = np.stack([ahead, ahead[:, ::-1] * (1.0, -1.0)], axis=1)
         covariance = (ships.covariance[ship] + echoes.covariance[echo])[near, :2, :2]
-        yield (
-            number[ships.rows[ship[near]]], np.full(len(near), instant_s), np.einsum("nvw,nw->nv", axes, apart[near]),
-            np.einsum("nvw,nwx,nvx->nv", axes, covariance, axes),
+        yield _Looks(
+            track=number[ships.rows[ship[near]]], time_s=np.full(len(near), instant_s),
+            apart=np.einsum("nvw,nw->nv", axes, apart[near]),
+            variance=np.einsum("nvw,nwx,nvx->nv", axes, covariance, axes),
         )  # fmt: skip
 
 
@@ -181,13 +176,10 @@ def _alone(ships: FloatArray, echoes: FloatArray) -> tuple[IntArray, IntArray]:
     """(k,), (k,) ships (n, 2) and echoes (m, 2) with nothing else of either source within ``ALONE_M`` of the ship."""
     if not len(ships) or not len(echoes):
         return np.empty(0, np.int64), np.empty(0, np.int64)
-
-    def near(others: FloatArray) -> BoolArray:
-        return np.asarray(np.hypot(*(ships[:, None] - others).transpose(2, 0, 1)) < ALONE_M)
-
-    of_echoes = near(echoes)
-    one = np.flatnonzero((of_echoes.sum(axis=1) == 1) & (near(ships).sum(axis=1) == 1))
-    return one, np.argmax(of_echoes[one], axis=1)
+    tree = cKDTree(echoes)
+    of_echoes, of_ships = (each.query_ball_point(ships, ALONE_M, return_length=True) for each in (tree, cKDTree(ships)))
+    one = np.flatnonzero((of_echoes == 1) & (of_ships == 1))
+    return one, np.asarray(tree.query(ships[one])[1], np.int64)
 
 
 def _mean(values: FloatArray, variance: FloatArray) -> FloatArray:
@@ -203,6 +195,5 @@ def _posterior_mean(mean_m: float, sigma_m: float) -> float:
     """
     widths, log_prior = np.array([USUAL_M, LARGE_M]), np.log([1.0 - LARGE, LARGE])
     total = widths**2 + sigma_m**2
-    log_weight = log_prior - 0.5 * (mean_m**2 / total + np.log(total))
-    weight = np.exp(log_weight - log_weight.max())
-    return mean_m * float(np.sum(weight * widths**2 / total) / weight.sum())
+    weight = softmax(log_prior - 0.5 * (mean_m**2 / total + np.log(total)))
+    return mean_m * float(weight @ (widths**2 / total))

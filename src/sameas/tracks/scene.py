@@ -53,7 +53,7 @@ from sameas.tracks.reports import Reports
 from sameas.tracks.running_fixes import running_fixes
 from sameas.tracks.snapshot import POSITION, POSITION_AND_VELOCITY, Snapshot
 from sameas.tracks.source import Assumption, Description
-from sameas.tracks.target_heights import with_target_heights
+from sameas.tracks.target_heights import Partners, with_target_heights
 
 #: Seconds without a report of any source that separate two sessions (chosen): a source that is slow reports more often.
 PAUSE_S = 1800.0
@@ -74,6 +74,7 @@ class Scene:
     estimated : printable sentences on estimated errors.
     given : the sources of which it was made, before sensors aboard vessels were placed.
     antennas : by source of AIS and track, the distance by which its positions were moved ahead, metres.
+    partners : by radar that measures no heights, the aircraft of other sources that its tracks keep to.
     """
 
     feeds: tuple[Feed, ...]
@@ -83,6 +84,7 @@ class Scene:
     estimated: tuple[str, ...] = ()
     given: tuple[tuple[Description, Reports], ...] = field(default=(), repr=False)
     antennas: Mapping[str, Mapping[str, float]] = field(default_factory=dict, repr=False)
+    partners: Mapping[str, Partners] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -112,7 +114,7 @@ class Scene:
         if set_aside is not None:
             far |= of_other_days(sources)
             set_aside |= {name: InputError(words) for name, words in far.items()}
-        sources = with_target_heights([source for source in sources if source[0].name not in far])
+        sources, partners = with_target_heights([source for source in sources if source[0].name not in far])
         if plane is None and (middle := _middle(sources)) is not None:
             plane = LocalPlane.about(*middle)
         feeds: list[Feed] = []
@@ -132,7 +134,7 @@ class Scene:
             raise next(iter(set_aside.values()))
         if len(feeds) == 1:
             feeds = [_by_running_fixes(feeds[0], plane)]
-        return cls(tuple(feeds), plane, given=given)
+        return cls(tuple(feeds), plane, given=given, partners=partners)
 
     @property
     def span_s(self) -> tuple[float, float]:

@@ -4,7 +4,7 @@ With a wrong height the position on the ground is wrong: 5 km instead of 700 m i
 nearby. Other sources, such as ADS-B, report heights:
 
 - A track that keeps to the slant range and the azimuth of an aircraft of another source takes the height of that one
-  (:func:`partners_of`), as of several that are there, with their spread. If it is not that aircraft, their distance by
+  (:data:`Partners`), as of several that are there, with their spread. If it is not that aircraft, their distance by
   this height shows it; the height itself is no evidence.
 - Any other track has the median height and the spread of all that the sources report (:func:`with_target_heights`)
   instead of what is assumed for the kind. Targets without a transponder may fly lower than those with one, so the 1σ is
@@ -42,34 +42,32 @@ Sources = Sequence[tuple[Description, Reports]]
 Partners = Mapping[str, tuple[tuple[str, str], ...]]
 
 
-def with_target_heights(sources: Sources) -> list[tuple[Description, Reports]]:
-    """The sources with the heights of targets that others report, where a radar has none and none are given."""
+def with_target_heights(sources: Sources) -> tuple[list[tuple[Description, Reports]], dict[str, Partners]]:
+    """The sources with the heights of targets that others report, where a radar has none and none are given; and by
+    such radar the aircraft that its tracks keep to."""
+    without = [k for k, (description, _) in enumerate(sources) if description.is_assumed("targets.height_m")]
+    kept = {k: found for k in without if (found := _kept_to(k, sources))}
+    partners: dict[str, Partners] = {
+        sources[k][0].name: {track: tuple(one.key for one in flights) for track, flights in found.items()}
+        for k, found in kept.items()
+    }
     reported = np.concatenate([np.empty(0), *(reported_heights(reports) for _, reports in sources)])
     reported = reported[np.isfinite(reported)]
     out = list(sources)
     if len(reported) < MIN_HEIGHTS:
-        return out
+        return out, partners
     height_m = float(np.median(reported))
     sigma_m = max(float(np.std(reported)), LEAST_SPREAD * abs(height_m))
     why = f"the median and spread of {len(reported)} heights that the sources report"
     values = {"targets.height_m": (height_m, why), "targets.height_sigma_m": (sigma_m, why)}
-    for k, (description, reports) in enumerate(sources):
-        if description.is_assumed("targets.height_m"):
-            heights = {
-                track: np.array([flight.height_at(reports.time_s[reports.object_ids == track]) for flight in flights])
-                for track, flights in _kept_to(k, sources).items()
-            }
-            out[k] = description.with_assumed(values), with_heights(description, reports, heights)
-    return out
-
-
-def partners_of(sources: Sources) -> dict[str, Partners]:
-    """By radar that measures no heights, the aircraft of other sources that its tracks keep to."""
-    return {
-        description.name: {track: tuple(one.key for one in flights) for track, flights in kept.items()}
-        for k, (description, _) in enumerate(sources)
-        if description.is_assumed("targets.height_m") and (kept := _kept_to(k, sources))
-    }
+    for k in without:
+        description, reports = sources[k]
+        heights = {
+            track: np.array([flight.height_at(reports.time_s[reports.object_ids == track]) for flight in flights])
+            for track, flights in kept.get(k, {}).items()
+        }
+        out[k] = description.with_assumed(values), with_heights(description, reports, heights)
+    return out, partners
 
 
 def reported_heights(reports: Reports) -> FloatArray:
