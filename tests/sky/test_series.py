@@ -12,6 +12,7 @@ from astropy.table import Table
 from sameas import InputError
 from sameas.front.movers import MoverOptions, series_movers
 from sameas.front.series import series_of
+from sameas.sky.frame.measurements import Flag
 from sameas.sky.motion import AU_KM
 from sameas.sky.movers.orbits import Elements, de421, ephemeris, near, packed_date, states, two_body
 from sameas.sky.movers.search import search
@@ -482,12 +483,13 @@ def test_stars_of_the_catalogue_keep_their_name_and_its_scale():
     assert (stars.name == "").sum() > 30
 
 
-def test_measurements_cut_by_the_edge_give_no_magnitude():
-    made = [replace(one, flags=np.where(one.flux > 2e4, 1, 0)) for one in frames(24, rates=())]
+@pytest.mark.parametrize("flag", [Flag.SATURATED, Flag.EDGE, Flag.TRAILED])  # two stars in one mark look trailed
+def test_measurements_of_other_light_than_the_star_s_give_no_magnitude(flag):
+    made = [replace(one, flags=np.where(one.flux > 2e4, int(flag), 0)) for one in frames(24, rates=())]
     series = tie(made)
     there = series.stars.measurement
-    saturated = (there >= 0) & (np.concatenate([e.flux for e in series.exposures])[there] > 2e4)
-    assert saturated.sum() > 20 and np.isnan(series.stars.magnitude[saturated]).all()
+    flagged = (there >= 0) & (np.concatenate([e.flux for e in series.exposures])[there] > 2e4)
+    assert flagged.sum() > 20 and np.isnan(series.stars.magnitude[flagged]).all()
 
 
 def test_without_unidentified_detections_there_are_no_movers():

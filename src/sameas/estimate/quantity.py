@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -38,6 +39,8 @@ class Quantity:
     0.3512 ± 0.0042 mag
     >>> print(Quantity(-4.5e-9, 9e-9, "mag"))  # of magnitudes that are copies
     -4.5e-09 ± 9.0e-09 mag
+    >>> print(Quantity(-2.3e-309, 0.0, "mag"))
+    0 mag
     """
 
     value: float
@@ -46,7 +49,9 @@ class Quantity:
 
     def __str__(self) -> str:
         if not 0.0 < self.standard_error < math.inf:
-            return f"{self.value:.4g} {self.unit}".strip()
+            # The medians of copies leave numbers too small for their own digits.
+            value = self.value if abs(self.value) >= sys.float_info.min else 0.0
+            return f"{value:.4g} {self.unit}".strip()
         digits = max(0, 1 - math.floor(math.log10(self.standard_error)))
         if digits > MOST_DECIMALS:
             # As many digits as the error has a meaning for, at least two and at most six.

@@ -39,8 +39,8 @@ NEIGHBOURS = 3
 MIN_FLOOR_ARCSEC = 0.02
 #: Flags of measurements with an unreliable position: never movers.
 _SPOILT = Flag.HOT | Flag.COSMIC | Flag.POOR | Flag.EDGE
-#: Flags of measurements with an incomplete flux: not used for zero points.
-_PARTIAL = PIXEL_FLAGS | Flag.EDGE | Flag.POOR
+#: Flags of measurements whose flux is not that of one star: incomplete, or of a pair in one mark, which looks trailed.
+_OTHER_LIGHT = PIXEL_FLAGS | Flag.EDGE | Flag.POOR | Flag.TRAILED
 
 
 REACH_PX = 1.2  # maximum separation of measurements of one source in two frames, or 3σ if larger
@@ -326,7 +326,7 @@ def tie(exposures: Sequence[Exposure]) -> Series:
     names = np.where(everything["p_star"] >= MIN_P_STAR, names, "")
     measured = SeriesMeasurements(
         tied, frame, sigma, names, everything["flux"], everything["flux_err"],
-        (everything["flags"] & int(_PARTIAL)) == 0, everything["magnitude"], len(ordered),
+        (everything["flags"] & int(_OTHER_LIGHT)) == 0, everything["magnitude"], len(ordered),
     )  # fmt: skip
     stars = gather(measured, stationary & ~fixed, 0.25 * float(np.median(scale)))
     magnitude = stars.magnitudes(everything["flux"], frame)

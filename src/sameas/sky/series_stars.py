@@ -40,8 +40,8 @@ class SeriesStars:
     sigma_arcsec : its error per axis.
     measurement : (s, f) row among the measurements of the series, ABSENT where it was not measured.
     residual_arcsec : (s, f, 2) measured minus mean position, east and north.
-    magnitude, error : (s, f) differential, NaN where the flux is incomplete (saturated, cut); the error includes the
-        floor. mean, mean_error : (s,) over the frames.
+    magnitude, error : (s, f) differential, NaN where the flux is not the star's (saturated, cut, trailed); the error
+        includes the floor. mean, mean_error : (s,) over the frames.
     scatter_mag : (s,) standard deviation. p_constant : (s,) probability of at least this scatter for a constant star.
     zero_point, zero_error : (f,) magnitude of one unit of flux. ensemble : (f,) number of stars used.
     floor_mag : extra scatter of bright stars. scale : description of the magnitude scale.
