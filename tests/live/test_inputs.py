@@ -11,11 +11,12 @@ import pytest
 
 import sameas
 from sameas.errors import InputError
+from sameas.io.sensors.recording import RecordedInput, Recording
 from sameas.io.sensors.stream import ReportStream
 from sameas.live import inputs
 from sameas.live.inputs import BoundedQueue, Wire
 from sameas.live.reception import is_time_zone
-from sameas.live.replay import Replay
+from sameas.live.replay import Playback, Replay, WatchClock
 from sameas.tracks.reports import Reports
 
 LINE = json.dumps({"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi": "235070762"}).encode() + b"\n"
@@ -319,6 +320,24 @@ def test_a_replay_that_waits_loses_no_time_of_the_reports():
     replay.begin(100.0)
     replay.wait(30.0)
     assert replay.now_s(131.0) == 10.0
+
+
+def test_the_ticks_of_a_recording_are_as_far_apart_as_they_were_however_long_they_take():
+    now = [50.0]
+    pieces = [(100.0 + k, b"a", 1, False) for k in range(60)]
+    played = Playback([("tcp://ais:1", Recording(RecordedInput(()), pieces, [0] * 61))], 100.0)
+    clock, due_s, during = WatchClock(lambda: now[0], playback=played), 100.0, []
+    clock.begin(None)
+    for late_s, lasts_s in ((0.0, 0.4), (0.06, 0.002), (0.2, 0.0)):
+        due_s = clock.begin_tick(due_s)
+        # The thread of the tick begins later than it should.
+        now[0] += late_s
+        during.append(clock())
+        now[0] += lasts_s
+        during.append(clock())
+        due_s += 1.0
+        now[0] += clock.end_tick(due_s)
+    assert during == [100.0, 100.0, 101.0, 101.0, 102.0, 102.0]
 
 
 def test_a_delay_of_whole_hours_is_a_time_zone():

@@ -261,12 +261,12 @@ class Keeper:
         try:
             while until is None or not until():
                 # Missed ticks are not caught up: the next one has all reports. A replay waits instead.
-                next_s += self.clock.catch_up(max(self.clock() - next_s, 0.0))
+                next_s = self.clock.begin_tick(next_s)
                 await asyncio.to_thread(self._tick_and_send)
                 self._tell_listeners()
                 self.background.begin_due(self.picture.instant_s)
                 next_s += watch.every_s
-                wait_s = max(next_s - self.clock(), 0.0) / self.clock.tempo
+                wait_s = self.clock.end_tick(next_s)
                 if stop is None:
                     await asyncio.sleep(wait_s)
                 else:

@@ -213,8 +213,13 @@ class WatchClock:
         self._clock, self.replay, self.playback = clock, replay, playback
         #: Seconds by which a replay waited for the picture.
         self.waited_s = 0.0
+        #: Time of the recording during a tick, which takes none of it; None between ticks.
+        self._tick_s: float | None = None
 
     def __call__(self) -> float:
+        return self._running_s() if self._tick_s is None else self._tick_s
+
+    def _running_s(self) -> float:
         clock_s = self._clock()
         return clock_s if self.playback is None else self.playback.time_s(clock_s)
 
@@ -239,11 +244,6 @@ class WatchClock:
         return self._replayed is not None and self._replayed.done
 
     @property
-    def tempo(self) -> float:
-        """Seconds of this clock in a second: that of a recording runs at its pace."""
-        return 1.0 if self.playback is None else self.playback.pace
-
-    @property
     def _replayed(self) -> Replay | Playback | None:
         return self.replay or self.playback
 
@@ -252,10 +252,24 @@ class WatchClock:
         if self._replayed is not None:
             self._replayed.begin(self._clock(), from_s)
 
-    def catch_up(self, late_s: float) -> float:
-        """Waits with what is replayed for a tick that is late, and returns by how much the next one is later."""
+    def begin_tick(self, due_s: float) -> float:
+        """When a tick begins that is due at this time. What is replayed waits for one that is late."""
+        late_s = max(self._running_s() - due_s, 0.0)
         if self._replayed is not None:
-            self._replayed.wait(late_s / self.tempo)
-            self.waited_s += late_s / self.tempo
+            self._replayed.wait(late_s / self._tempo)
+            self.waited_s += late_s / self._tempo
+        if self.playback is None:
+            return due_s + late_s
         # Ticks are as far apart in a recording as they were.
-        return late_s if self.playback is None else 0.0
+        self._tick_s = due_s
+        return due_s
+
+    def end_tick(self, next_s: float) -> float:
+        """Ends a tick; the seconds to wait for the next one, which is due at this time."""
+        self._tick_s = None
+        return max(next_s - self(), 0.0) / self._tempo
+
+    @property
+    def _tempo(self) -> float:
+        """Seconds of this clock in a second: that of a recording runs at its pace."""
+        return 1.0 if self.playback is None else self.playback.pace
