@@ -299,6 +299,19 @@ def test_a_sentence_cut_off_is_damaged_and_no_report(end):
     assert set(reports.bearing_deg.tolist()) == {45.6} and stream.damaged["a line that is cut off"] == 1
 
 
+def test_a_line_that_ends_within_a_sentence_is_damaged_and_no_report():
+    stream, [reports] = nmea_stream((0, TTM + b"\r\n" + TTM[:20] + b"\r\n" + TTM + b"\r\n"), (0, TTM[:20] + b"\r\n"))
+    assert reports.bearing_deg.tolist() == [45.6, 45.6] and stream.damaged == {nmea.CUT_OFF: 2}
+    # One sentence of another device has none: that says nothing about the others.
+    [arpa] = read_sentences([TTM, b"$RATLL,05,5030.0,N,00100.0,W,,,T,"])
+    assert arpa == "RATTM RATLL"
+
+
+def read_sentences(lines):
+    log = nmea.log_of([line.decode() for line in lines], received_s=[0.0] * len(lines))
+    return [" ".join(sentence.address for sentence in log.sentences)]
+
+
 def test_sentences_without_checksums_need_none():
     stream, [reports] = nmea_stream((0, TTM[:-3]), (0, TTM[:-3]), (0, TTM[:-3] + b"\r\n"))
     assert len(reports) == 3 and not +stream.damaged

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -18,6 +19,8 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.io.sensors.format import DAY_S, forward_filled, instant, seconds, unwrapped
 
+#: A sentence without its checksum, or with a part of it.
+CUT_OFF = "checksum cut off"
 _SENTENCE = re.compile(r"([!$])([A-Z]{1,5}[A-Z0-9]{0,4})((?:,[^*]*)?)(?:\*([0-9A-Fa-f]{1,2}))?")
 #: Between two sentences without a line end, as some dispatchers put them into a datagram.
 _JOINT = re.compile(r"(?<=\*[0-9A-Fa-f]{2})(?=[!$])")
@@ -49,6 +52,11 @@ class Sentence:
     time_s: float
     origin: str = ""
     received_of_day_s: float = math.nan
+
+    @property
+    def address(self) -> str:
+        """The talker and the sentence type."""
+        return self.text[1:].partition("*")[0].partition(",")[0]
 
     def field(self, number: int) -> str:
         """Field 1, 2, … without blanks; empty where the sentence is shorter."""
@@ -93,15 +101,19 @@ def log_of(
     received_s: Sequence[float] | None = None,
     numbers: Sequence[int] | None = None,
     start_s: float | None = None,
+    checked: Counter[str] | None = None,
 ) -> Log:
-    """The sentences of these lines. Lines that are no sentences, or have a wrong checksum, are damaged.
+    """The sentences of these lines. Lines that are no sentences, or have a wrong checksum, are damaged; so are those
+    without one where at least half of their address have one: they are cut off.
 
     unended : whether the last line has no line end; then it needs its checksum.
     received_s : (n,) for a stream, the receive time of each line, used where the line has none.
     numbers : (n,) of the lines; None: they are 1, 2, …
     start_s : UTC of the first line, for lines with their time of day only.
+    checked : for a stream, by address how many more sentences had a checksum before than had none; updated.
     """
     sentences, damaged = [], []
+    checked = Counter() if checked is None else checked
     last = len(lines) if numbers is None else math.inf
     for number, raw in zip(range(1, len(lines) + 1) if numbers is None else numbers, lines, strict=True):
         if not raw.strip() or raw.lstrip().startswith("#"):
@@ -110,8 +122,11 @@ def log_of(
             sentence = _sentence(number, one, whole=not unended or number < last)
             if isinstance(sentence, Sentence):
                 sentences.append(sentence)
+                checked[sentence.address] += 1 if "*" in sentence.text else -1
             else:
                 damaged.append((number, sentence))
+    damaged += [(s.line, CUT_OFF) for s in sentences if "*" not in s.text and checked[s.address] >= 0]
+    sentences = [s for s in sentences if "*" in s.text or checked[s.address] < 0]
     if received_s is not None:
         own = np.array([sentence.time_s for sentence in sentences], np.float64)
         received = np.array([received_s[sentence.line - 1] for sentence in sentences], np.float64)
@@ -166,7 +181,7 @@ def _sentence(number: int, raw: str, whole: bool) -> Sentence | str:
     body = text[1:].split("*")[0]
     if given_checksum is None:
         if not whole or "*" in line[match.start() :]:
-            return "checksum cut off"
+            return CUT_OFF
     elif int(given_checksum, 16) != checksum(body):
         return "wrong checksum"
     address, *values = body.split(",")

@@ -111,6 +111,7 @@ class ReportStream:
         self._rest: dict[int, bytes] = {}
         #: Whether any line has a checksum; whether messages of transponders are Beast frames.
         self._checked, self._is_beast = False, False
+        self._addresses: Counter[str] = Counter()
         self._lines: list[tuple[float, str]] = []
         self._datagrams: list[tuple[float, bytes]] = []
         self._messages: list[mode_s.Messages] = []
@@ -296,7 +297,9 @@ class ReportStream:
         return self._read(lambda: [mode_s.read(messages, self.source, aircraft=self._transponders)])
 
     def _nmea(self, texts: list[str], received: list[float]) -> list[Reports]:
-        log = nmea.log_of(texts, received_s=received)
+        if len(self._addresses) > MOST_REMEMBERED:
+            self._addresses.clear()
+        log = nmea.log_of(texts, received_s=received, checked=self._addresses)
         self._count(Damaged.of(log.damaged), {})
         log = nmea.Log(log.sentences, log.clock_s, log.clock, ())
         kinds = {sentence.kind for sentence in log.sentences}
