@@ -8,6 +8,7 @@ import re
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -472,6 +473,24 @@ def test_two_raw_frames_without_a_solution_agree_to_a_tenth_of_a_pixel() -> None
     terms = np.column_stack([np.ones(close.sum()), at[close] / 500 - 1])
     left = step - terms @ np.linalg.lstsq(terms, step, rcond=None)[0]
     assert close.sum() > 80 and (1.4826 * np.median(np.abs(left), axis=0) < 0.12).all()
+
+
+@pytest.mark.slow
+def test_trails_of_stars_outside_the_frame_are_identified_with_them(seen: Scene, found: FrameIdentification) -> None:
+    px, shape = found.predicted_px, found.measured.shape
+    outside = (px[:, 0] < -3.0) & (px[:, 0] > -10.0) & (px[:, 1] > 20.0) & (px[:, 1] < shape[0] - 20.0)
+    row = np.flatnonzero(outside)[np.argmin(found.stars.magnitude[outside])]
+    end = px[row] + [11.0, 0.0]
+    new = {"x_px": end[:1], "y_px": end[1:], "covariance": [[40.0, 0.0, 0.01]], "flags": [int(Flag.EDGE)]}
+    columns = ("flux", "flux_err", "background", "a_px", "b_px", "theta_deg", "fwhm_px", "snr", "peak")
+    rows: dict[str, Any] = {name: np.concatenate([getattr(seen.measured, name), value]) for name, value in new.items()}
+    rows |= {name: np.append(getattr(seen.measured, name), np.median(getattr(seen.measured, name))) for name in columns}
+    hint = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
+    for half_length_px, expected in ((12.0, [row]), (2.0, [])):
+        trails = rows | {"a_px": np.full(len(rows["flux"]), half_length_px / math.sqrt(3.0))}
+        again = solve(replace(seen.measured, **trails), seen.catalogue, hint, epoch_jyr=2020.0)
+        last = again.pairs[0] == len(seen.measured)
+        assert again.pairs[1][last].tolist() == expected
 
 
 @pytest.mark.slow

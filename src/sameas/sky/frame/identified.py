@@ -38,7 +38,8 @@ from sameas.sky.frame.pointing_hints import AIM_LISTS, Aim, AimLists, AllSky, Ap
 from sameas.sky.residual_epoch import LARGEST_SIGMAS, MovedPairs, Questioned
 from sameas.space import chord_angle_deg, directions_deg, sphere_offset
 
-MARGIN_PX = 2.0  # stars predicted up to this distance outside the frame are candidates
+#: Stars predicted up to this distance outside the frame, or of trails up to half their length, are candidates.
+MARGIN_PX = 2.0
 MIN_P_PAIR = 0.02  # minimum probability of a pair used for the plate
 SATURATED_MAG = 0.5  # standard error of the magnitude of a saturated star, which loses part of its light
 PAIRS_BEYOND_LINEAR = 30  # with more pairs than this the first plate may have an order above 1
@@ -218,7 +219,7 @@ def identify_frame(
     plate = _first_plate(measured, stars, placement)
     px, covariance = _predicted(plate, stars)
     for iteration in range(1, refinement.iterations + 1):
-        candidate = _candidates(px, stars, measured, faintest, MARGIN_PX)
+        candidate = _candidates(px, stars, measured, faintest, np.maximum(_half_length_px(measured), MARGIN_PX))
         # With the first plate magnitudes would support wrong pairs as well as right ones.
         magnitudes = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars)
         result, estimate = match(records, _records(px, covariance, candidate, stars), brightness=magnitudes)
@@ -290,15 +291,22 @@ def _predicted(plate: PlateModel, stars: StarField) -> tuple[FloatArray, FloatAr
     return np.column_stack([x, y]), covariance
 
 
-def _within(px: FloatArray, shape: tuple[int, int], margin_px: float) -> BoolArray:
-    """(m,) mask of the pixels on the frame or at most a margin outside."""
-    x, y = px.T
-    low, rows, columns = -0.5 - margin_px, shape[0] - 0.5 + margin_px, shape[1] - 0.5 + margin_px
+def _half_length_px(measured: Measurements) -> FloatArray:
+    """(2,) half the length of a line with the typical second moments of the stars, along x and y; 0 if not known."""
+    angle = np.radians(measured.theta_deg)
+    along = np.column_stack([np.cos(angle), np.sin(angle)]) ** 2
+    moments = along * measured.a_px[:, None] ** 2 + along[:, ::-1] * measured.b_px[:, None] ** 2
+    known = moments[np.isfinite(moments).all(axis=1)]
+    return np.sqrt(3.0 * np.median(known, axis=0)) if len(known) else np.zeros(2)
+
+
+def _within(px: FloatArray, shape: tuple[int, int], margin_px: FloatArray | float) -> BoolArray:
+    """(m,) mask of the pixels on the frame or at most a margin, of each axis or of both, outside."""
     with np.errstate(invalid="ignore"):
-        return np.asarray((x >= low) & (x <= columns) & (y >= low) & (y <= rows))
+        return np.asarray(((px >= -0.5 - margin_px) & (px <= np.array(shape[::-1]) - 0.5 + margin_px)).all(axis=1))
 
 
-def _measurable(px: FloatArray, measured: Measurements, margin_px: float) -> BoolArray:
+def _measurable(px: FloatArray, measured: Measurements, margin_px: FloatArray | float) -> BoolArray:
     """(m,) mask of the pixels on the frame or at most a margin outside, and not in a blind area."""
     measurable = _within(px, measured.shape, margin_px)
     if measured.blind is not None:
@@ -309,7 +317,7 @@ def _measurable(px: FloatArray, measured: Measurements, margin_px: float) -> Boo
 
 
 def _candidates(
-    px: FloatArray, stars: StarField, measured: Measurements, faintest: float | None, margin_px: float
+    px: FloatArray, stars: StarField, measured: Measurements, faintest: float | None, margin_px: FloatArray
 ) -> BoolArray:
     """(m,) mask of the stars on the frame that are not too faint to be detected."""
     candidate = _measurable(px, measured, margin_px)
