@@ -1,5 +1,7 @@
 """Heights of targets without a reported one are those that the sources of the scene report."""
 
+from typing import Any
+
 import numpy as np
 import pymap3d
 import pytest
@@ -8,6 +10,7 @@ from sameas.picture.live import LivePicture
 from sameas.tracks import Description, Reports, Scene, Site
 from sameas.tracks.reports import joined
 from sameas.tracks.source import Targets
+from sameas.tracks.target_heights import PartnerHeights
 
 SITE = Site(lat_deg=51.0, lon_deg=1.0, height_m=60.0)
 
@@ -56,13 +59,13 @@ def test_live_the_heights_are_those_with_which_the_offsets_hold():
     assert again.is_assumed("targets.height_m")
 
 
-def flights(*, n=60, reported=True):
+def flights(*, n=60, reported=True, jet=(15_000.0, -20_000.0)):
     """A jet at 10 km and a helicopter at 300 m, seen by ADS-B and by a radar without heights, and a glider that only
     the radar sees; (n, 2) the places of the first two."""
     site, time_s = (SITE.lat_deg, SITE.lon_deg, SITE.height_m), np.arange(float(n)) * 4.0
     rng, columns, places = np.random.default_rng(3), [], {}
     for name, east, north, height, v in (
-        ("jet", 15_000.0, -20_000.0, 10_000.0, (20.0, 180.0)),
+        ("jet", *jet, 10_000.0, (20.0, 180.0)),
         ("heli", -9000.0, 6000.0, 300.0, (60.0, 10.0)),
         ("glider", 4000.0, 12_000.0, 1500.0, (-20.0, 15.0)),
     ):
@@ -115,6 +118,14 @@ def test_an_aircraft_that_is_only_passed_gives_no_height():
     assert np.isnan(raw.target_height_m[raw.track_id == "heli"]).all()
 
 
+def places_of(records):
+    """(2,) the places of records, by source and track."""
+    return {
+        (source, track): np.array([x, y])
+        for source, track, x, y in zip(*(records[c] for c in ("source", "track_id", "x_m", "y_m")), strict=True)
+    }
+
+
 def test_live_a_track_takes_the_last_height_of_its_aircraft():
     sources = flights()
     picture = LivePicture([description for description, _ in sources], lag_s=1.0)
@@ -124,9 +135,53 @@ def test_live_a_track_takes_the_last_height_of_its_aircraft():
             picture.add(description.name, batch)
         picture.advance(end_s - 4.0)
         picture.register()
-    records = picture.records
-    place = {
-        (source, track): np.array([x, y])
-        for source, track, x, y in zip(*(records[c] for c in ("source", "track_id", "x_m", "y_m")), strict=True)
-    }
+    place = places_of(picture.records)
     assert np.hypot(*(place["radar", "jet"] - place["adsb", "jet"])) < 200.0
+
+
+def test_live_a_track_that_takes_a_height_was_never_elsewhere():
+    adsb, radar = flights(jet=(10_000.0, -2000.0))
+    picture = LivePicture([radar[0], adsb[0]], lag_s=3.0)
+    apart = []
+    for now_s in np.arange(5.0, 240.0, 5.0).tolist():
+        # The height is known after the next report of the radar has come.
+        for description, reports in (radar, adsb):
+            picture.add(description.name, reports.where((reports.time_s > now_s - 5.0) & (reports.time_s <= now_s)))
+        picture.advance(now_s)
+        records = picture.records
+        owner = {(s, t): n for s, t, n in zip(*(records[c] for c in ("source", "track_id", "object")), strict=True)}
+        apart.append(owner["radar", "jet"] != owner["adsb", "jet"])
+        if now_s == 60.0:
+            # By the height that is assumed its positions are 3 km from those of ADS-B.
+            assert apart[-1]
+            picture.register()
+    assert not any(apart[13:])
+
+
+def test_the_heights_of_partners_are_the_mean_of_those_that_are_known_now():
+    radar = Description("radar", "air radar", site=SITE)
+    given = {"1": (("a", "x"), ("a", "y")), "2": (("a", "y"), ("b", "y")), "3": (("b", "z"),)}
+    heights = PartnerHeights().with_partners({"radar": given})
+    for source, time_s, ids, alt_m in (
+        ("a", [0.0, 99.0, 100.0], ["y", "x", "x"], [500.0, 3900.0, 4000.0]),
+        ("b", [80.0, 90.0, 90.0], ["y", "y", "w"], [np.nan, 2000.0, 1.0]),
+    ):
+        columns: dict[str, Any] = {"time_s": time_s, "track_id": ids, "alt_m": alt_m}
+        places = {"lat_deg": np.full(len(ids), 51.1), "lon_deg": np.full(len(ids), 1.1)}
+        heights.take(source, Reports.of(source, "table", {**columns, **places}))
+
+    def measured(ids):
+        n = len(ids)
+        columns = {"time_s": np.full(n, 100.0), "track_id": ids, "range_m": np.full(n, 9000.0)}
+        return Reports.of("radar", "table", columns | {"bearing_deg": np.full(n, 33.0)})
+
+    # The height of a/y is 100 s old: it counts no more.
+    reports, elsewhere = heights.applied(radar, measured(["2", "4", "1", "3", "1"]))
+    np.testing.assert_array_equal(reports.target_height_m, [2000.0, np.nan, 4000.0, np.nan, 4000.0])
+    # 5000 m is what is assumed: 1 km over the ground to 2000 m, and to 4000 m, too.
+    assert elsewhere and not heights.applied(radar, measured(["2", "1"]))[1]
+    # A track that keeps to nothing any more is measured by what is assumed again.
+    heights = heights.with_partners({"radar": {"1": given["1"]}})
+    reports, elsewhere = heights.applied(radar, measured(["1", "2"]))
+    np.testing.assert_array_equal(reports.target_height_m, [4000.0, np.nan])
+    assert elsewhere and not heights.applied(radar, measured(["2"]))[1]

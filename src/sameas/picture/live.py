@@ -43,7 +43,7 @@ from sameas.tracks.registration import SourceBiases, with_delay_prior
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Assumption, Description
-from sameas.tracks.target_heights import HELD_S, Partners, reported_heights, with_heights
+from sameas.tracks.target_heights import PartnerHeights, Partners
 
 LiveState = PictureState[Watch] | PictureState[PlotPicture]
 
@@ -117,10 +117,10 @@ class LivePicture:
         self._biases: dict[str, SourceBiases] = {}
         self._subtracted: dict[str, FloatArray] = {}
         self._estimates: dict[str, SourceBiases] = {}
-        #: By source of AIS and track, the distance from the antenna ahead to the middle of the ship; whether any has
-        #: changed by as much as displaces positions since that was last asked.
+        #: By source of AIS and track, the distance from the antenna ahead to the middle of the ship; whether any, or
+        #: the height of a target, has changed by as much as displaces positions since that was last asked.
         self._antennas: dict[str, dict[str, float]] = {}
-        self._antennas_moved = False
+        self._moved = False
         self._held: frozenset[str] = frozenset()
         self._given_misread = watch.misread if isinstance(watch, Watch) else frozenset()
         self._doubts, self._misread = tuple[str, ...](), frozenset[str]()
@@ -130,9 +130,8 @@ class LivePicture:
         self._heights: HeightModel | None = None
         #: Conversion of the heights of the last instant; None if none was reported.
         self.height_model: HeightModel | None = None
-        #: By radar without heights, what its tracks keep to; time and height of the last report of each such aircraft.
-        self._partners: Mapping[str, Partners] = {}
-        self._partner_heights: dict[tuple[str, str], tuple[float, float]] = {}
+        #: Heights of targets of radars without heights.
+        self._partner_heights = PartnerHeights()
         self._recent: dict[str, deque[Reports]] = {name: deque() for name in names}
         #: Their numbers, which are counted up and down: to add up 600 lengths takes as long as a batch.
         self._n_recent = dict.fromkeys(names, 0)
@@ -330,20 +329,11 @@ class LivePicture:
         self._keep_recent(source, reports)
 
     def _with_partner_heights(self, source: str, reports: Reports) -> Reports:
-        """The reports of a radar with the last heights of the aircraft that its tracks keep to; those of such an
-        aircraft are kept."""
-        ids = reports.object_ids
-        if ids is None or not self._partners:
-            return reports
-        for time_s, name, height_m in zip(reports.time_s, ids, reported_heights(reports), strict=True):
-            if (source, name) in self._partner_heights and math.isfinite(height_m):
-                self._partner_heights[source, name] = float(time_s), float(height_m)
-        partners, newest_s = self._partners.get(source, {}), float(reports.time_s.max())
-        heights = {}
-        for track in partners.keys() & set(ids.tolist()):
-            last = [self._partner_heights[key] for key in partners[track]]
-            heights[track] = np.array([[height if newest_s - at_s <= HELD_S else np.nan] for at_s, height in last])
-        return with_heights(self._feeds[source].description, reports, heights)
+        """The reports of a radar with the last heights of the aircraft that its tracks keep to."""
+        self._partner_heights.take(source, reports)
+        reports, elsewhere = self._partner_heights.applied(self._feeds[source].description, reports)
+        self._moved |= elsewhere
+        return reports
 
     def _require(self, source: str) -> None:
         if source not in self._feeds:
@@ -445,13 +435,11 @@ class LivePicture:
         for name, assumed in registered.targets.items():
             if name not in self._held:
                 self._feeds[name].assume(assumed)
-        self._partners, before = registered.partners, self._partner_heights
-        keys = {key for tracks in self._partners.values() for keys in tracks.values() for key in keys}
-        self._partner_heights = {key: before.get(key, (-math.inf, math.nan)) for key in keys}
+        self._partner_heights = self._partner_heights.with_partners(registered.partners)
         for name, offsets in registered.antennas.items():
             known = self._antennas.setdefault(name, {})
             changes = [abs(offset_m - known.get(track, 0.0)) for track, offset_m in offsets.items()]
-            self._antennas_moved |= bool(max(changes) > DISPLACED[EAST])
+            self._moved |= bool(max(changes) > DISPLACED[EAST])
             known.update(offsets)
         for biases in registered.biases:
             self._estimates[biases.source] = biases
@@ -461,9 +449,9 @@ class LivePicture:
                 self._biases[biases.source] = biases
 
     def _are_displaced(self) -> bool:
-        """Whether the biases subtracted from a source, or the places of antennas, have changed by more than
-        :data:`DISPLACED` since they last were found to have."""
-        moved, self._antennas_moved = self._antennas_moved, False
+        """Whether the biases subtracted from a source, the places of antennas or heights of targets have changed by
+        more than :data:`DISPLACED` since they last were found to have."""
+        moved, self._moved = self._moved, False
         now = {name: one.theta for name, one in self._biases.items() if one.theta is not None}
         before, none = self._subtracted, np.zeros(len(BIASES))
         change = [np.abs(now.get(name, none) - before.get(name, none)) for name in now.keys() | before.keys()]

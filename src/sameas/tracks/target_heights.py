@@ -14,7 +14,7 @@ nearby. Other sources, such as ADS-B, report heights:
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,8 @@ KEEPS, SAMPLES, FEWEST, NEAR_S = 0.9, 30, 5, 15.0
 GATE = ChiSquare(0.99).limit(2)
 #: The height of an aircraft is taken for so many seconds before its first and after its last report (chosen).
 HELD_S = 60.0
+#: A track is elsewhere if another height moves it over the ground by so many metres (chosen: some 3σ of a radar).
+ELSEWHERE_M = 200.0
 
 Sources = Sequence[tuple[Description, Reports]]
 #: By track of a radar, the aircraft (name of the source, id) that it keeps to.
@@ -97,6 +99,89 @@ def with_heights(description: Description, reports: Reports, heights: Mapping[st
         own = ids == track
         target_m[own], sigma_m[own] = mean, np.hypot(spread, description.errors.height_m or 0.0)
     return replace(reports, target_height_m=target_m, sigma_target_height_m=sigma_m)
+
+
+@dataclass(frozen=True)
+class PartnerHeights:
+    """The heights that tracks of radars take from the aircraft that they keep to, as the reports of both arrive: those
+    of the last report of each aircraft.
+
+    partners : by radar. last : (n, 2) time and height of the last report of each aircraft in ``aircraft``, NaN where
+    none is known, and one row of NaN. used : by radar and track, the height by which it was last measured. ``last`` and
+    ``used`` change in place.
+    """
+
+    partners: Mapping[str, Partners] = field(default_factory=dict)
+    aircraft: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    last: FloatArray = field(default_factory=lambda: np.full((1, 2), np.nan))
+    used: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def with_partners(self, partners: Mapping[str, Partners]) -> PartnerHeights:
+        """The heights with other partners; what is known of aircraft, and was used of tracks, stays."""
+        keys = sorted({key for tracks in partners.values() for each in tracks.values() for key in each})
+        aircraft: dict[str, dict[str, int]] = {}
+        for number, (source, name) in enumerate(keys):
+            aircraft.setdefault(source, {})[name] = number
+        before = [self.aircraft.get(source, {}).get(name, -1) for source, name in keys]
+        # A track that keeps to nothing any more goes back to the assumed height once it is measured again.
+        used = {
+            radar: {name: m for name, m in list(heights.items()) if name in partners.get(radar, {}) or name in tracks}
+            for radar, heights in list(self.used.items())
+            for tracks in [self.partners.get(radar, {})]
+        }
+        return PartnerHeights(partners, aircraft, self.last[[*before, -1]], used)
+
+    def take(self, source: str, reports: Reports) -> None:
+        """Takes the heights of such aircraft among new reports of a source."""
+        ids, known = reports.object_ids, self.aircraft.get(source)
+        if ids is None or not known:
+            return
+        height_m, number = reported_heights(reports), numbers_of(ids.tolist(), known)
+        rows = np.flatnonzero((number >= 0) & np.isfinite(height_m))
+        rows = rows[np.argsort(reports.time_s[rows], kind="stable")]
+        # Of several of one aircraft, the last one stays.
+        self.last[number[rows]] = np.column_stack([reports.time_s[rows], height_m[rows]])
+
+    def applied(self, radar: Description, reports: Reports) -> tuple[Reports, bool]:
+        """The reports of a radar with the heights of what its tracks keep to, and whether any track is elsewhere by
+        them than by the height by which it was measured before."""
+        ids, range_m, partners = reports.object_ids, reports.range_m, self.partners.get(radar.name, {})
+        used = self.used.setdefault(radar.name, {}) if partners else self.used.get(radar.name, {})
+        names = [] if ids is None else sorted({*ids.tolist()} & (partners.keys() | used.keys()))
+        if ids is None or range_m is None or not names:
+            return reports, False
+        mean_m, spread_m = self._of_tracks([partners.get(name, ()) for name in names], float(reports.time_s.max()))
+        number = numbers_of(ids.tolist(), {name: k for k, name in enumerate(names)})
+        last_range_m = np.zeros(len(names))
+        last_range_m[number[number >= 0]] = range_m[number >= 0]
+        site_m, assumed_m = 0.0 if radar.site is None else radar.site.height_m, radar.targets.height_m or 0.0
+        before_m = np.array([used.get(name, np.nan) for name in names])
+        now, before = (
+            np.sqrt(np.maximum(last_range_m**2 - (np.where(np.isnan(m), assumed_m, m) - site_m) ** 2, 0.0))
+            for m in (mean_m, before_m)
+        )
+        used |= dict(zip(names, mean_m.tolist(), strict=True))
+        for name in names:
+            if name not in partners:
+                del used[name]
+        target_m, sigma_m = (np.append(each, np.nan)[number] for each in
+                             (mean_m, np.hypot(spread_m, radar.errors.height_m or 0.0)))  # fmt: skip
+        elsewhere = bool((np.abs(now - before) > ELSEWHERE_M).any())
+        return replace(reports, target_height_m=target_m, sigma_target_height_m=sigma_m), elsewhere
+
+    def _of_tracks(self, keys: Sequence[Sequence[tuple[str, str]]], now_s: float) -> tuple[FloatArray, FloatArray]:
+        """(n,) mean and spread of the heights of what each track keeps to, NaN where none is known now."""
+        # The last row stands for a track that keeps to nothing.
+        rows = [[self.aircraft[source][name] for source, name in each] or [-1] for each in keys]
+        n = np.array([len(each) for each in rows])
+        start = np.cumsum(n) - n
+        time_s, height_m = self.last[[row for each in rows for row in each]].T
+        known = np.isfinite(height_m) & (now_s - time_s <= HELD_S)
+        n_known = np.add.reduceat(known.astype(float), start)
+        n_known = np.where(n_known > 0.0, n_known, np.nan)
+        mean_m = np.add.reduceat(np.where(known, height_m, 0.0), start) / n_known
+        off_m = np.where(known, height_m - np.repeat(mean_m, n), 0.0)
+        return mean_m, np.sqrt(np.add.reduceat(off_m**2, start) / n_known)
 
 
 @dataclass(frozen=True)
