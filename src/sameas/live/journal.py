@@ -49,7 +49,7 @@ ARCHIVE_ROWS, ARCHIVE_S = 200_000, 600.0
 #: At most this many rows are kept in memory while the disk refuses them; the oldest are dropped first.
 WAITING_ROWS = 4 * ARCHIVE_ROWS
 #: Version of the layout of a saved state, raised with every change of it (``tests/live/test_keeper.py`` checks).
-LAYOUT = 72
+LAYOUT = 73
 _TEXTS = ("label", "mmsi", "icao", "callsign", "name", "type")
 
 

@@ -39,6 +39,7 @@ from sameas.tracks.heights import HeightModel
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.live_feed import LiveFeed, ReportCounts, unbiased_now
 from sameas.tracks.platforms import on_platform, only_carries
+from sameas.tracks.random_errors import RandomErrors
 from sameas.tracks.registration import SourceBiases, with_delay_prior
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import Scene
@@ -435,6 +436,8 @@ class LivePicture:
         for name, assumed in registered.targets.items():
             if name not in self._held:
                 self._feeds[name].assume(assumed)
+        for name, random in registered.random.items():
+            self._feeds[name].random = random
         self._partner_heights = self._partner_heights.with_partners(registered.partners)
         for name, offsets in registered.antennas.items():
             known = self._antennas.setdefault(name, {})
@@ -498,7 +501,7 @@ class Registered:
 
     doubts, misread : as of :class:`~sameas.tracks.scene.Scene`. targets : of sources whose heights of targets are
     assumed, the assumptions with which the biases hold. partners, antennas : as of
-    :class:`~sameas.tracks.scene.Scene`.
+    :class:`~sameas.tracks.scene.Scene`. random : of their feeds.
     """
 
     biases: tuple[SourceBiases, ...] = ()
@@ -508,6 +511,7 @@ class Registered:
     targets: Mapping[str, tuple[Assumption, ...]] = field(default_factory=dict)
     partners: Mapping[str, Partners] = field(default_factory=dict)
     antennas: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    random: Mapping[str, RandomErrors] = field(default_factory=dict)
 
 
 def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None) -> Registered:
@@ -523,7 +527,9 @@ def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane 
         for feed in given.feeds
     }
     targets = {name: lines for name, lines in of_targets.items() if lines}
-    return Registered(biases, HeightModel.of(scene.feeds), doubts, misread, targets, given.partners, scene.antennas)
+    random = {feed.description.name: feed.random for feed in given.feeds}
+    heights = HeightModel.of(scene.feeds)
+    return Registered(biases, heights, doubts, misread, targets, given.partners, scene.antennas, random)
 
 
 def faults_of(

@@ -25,6 +25,7 @@ from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.duplicate_ids import MAX_SPEED_SIGMAS, split_duplicate_ids
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import Directions, PlacedReports
+from sameas.tracks.random_errors import AS_STATED, RandomErrors, random_errors
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import AntennaRotation, scans_of, seen_from, usual_period_s
 from sameas.tracks.source import Description
@@ -167,6 +168,7 @@ class Feed:
     clutter_per_m2 : (n,) density of other plots about each, per scan, for a source of plots where it is estimated; None
         if the described one holds everywhere.
     leaps : jumps of its clock that the stamps themselves show, line by line.
+    random : what is random of the stated errors, by which its tracks are filtered.
     """
 
     description: Description
@@ -183,6 +185,7 @@ class Feed:
     heights: FloatArray | None = None
     clutter_per_m2: FloatArray | None = None
     leaps: tuple[Leap, ...] = ()
+    random: RandomErrors = AS_STATED
 
     @classmethod
     def of(
@@ -226,13 +229,15 @@ class Feed:
                 doubtful_s=60.0 if reports.counted_clock else 0.0,
             )  # fmt: skip
             notes += tuple(f"{description.name}: {note}" for note in (*repetitions, *duplicates))
-        p_slow, measured = None, None
+        p_slow, measured, random = None, None, AS_STATED
         if to_tracks:
             if not isinstance(in_plane, States):
                 raise InputError(f"{description.name}: directions are not filtered; give positions")
-            tracks = follow(in_plane, acceleration_m2_per_s3=walk_of(description)).states
-            at_reported = at_reported_positions(in_plane, tracks)
-            in_plane = at_reported if description.kind in CORRELATED_KINDS else tracks
+            walk = walk_of(description)
+            random = random_errors(in_plane, sensor_m, walk)
+            tracks = follow(random.noise(in_plane, sensor_m), acceleration_m2_per_s3=walk).states
+            at_reported = at_reported_positions(in_plane, tracks, random, sensor_m, description)
+            in_plane = at_reported if keep_positions(description, random) else tracks
             measured, _ = slow_objects(at_reported, description.motion)
         if isinstance(in_plane, States):
             in_plane, p_slow = slow_objects(in_plane, description.motion)
@@ -242,7 +247,7 @@ class Feed:
         return cls(
             description=description, reports=in_plane, scan_times_s=np.unique(scan_times), scan_s=scans.scan_s,
             sensor_m=sensor_m, attributes=identity_attributes(reports), raw_reports=reports, notes=notes,
-            measured=measured, rotation=scans.rotation, p_slow=p_slow, leaps=leaps,
+            measured=measured, rotation=scans.rotation, p_slow=p_slow, leaps=leaps, random=random,
         )  # fmt: skip
 
     @property
@@ -541,8 +546,20 @@ def of_their_objects(description: Description, reports: Reports) -> Description:
     return description.with_motion_of_aircraft() if is_of_aircraft else description
 
 
-def at_reported_positions(reports: States, tracks: States) -> States:
-    """The filtered velocities of the tracks at the reported positions."""
+def keep_positions(description: Description, random: RandomErrors) -> bool:
+    """Whether a source with filtered tracks keeps its reported positions, whose errors no filter reduces."""
+    return random.overstated or description.kind in CORRELATED_KINDS
+
+
+def at_reported_positions(
+    reports: States, tracks: States, random: RandomErrors, sensor_m: FloatArray | None, description: Description
+) -> States:
+    """The filtered velocities of the tracks at the reported positions, with the errors that these have.
+
+    Errors of AIS and ADS-B persist, so those stated are not taken for overstated.
+    """
+    if description.kind not in CORRELATED_KINDS:
+        reports = random.persistent(reports, sensor_m, description.errors.extent_m or 0.0)
     state, covariance = tracks.state.copy(), tracks.covariance.copy()
     state[:, :2] = reports.state[:, :2]
     covariance[:, :2, :2] = reports.covariance[:, :2, :2]

@@ -42,6 +42,7 @@ from sameas.tracks.feed import (
     calibrated,
     identity_attributes,
     in_motion,
+    keep_positions,
     need_filtering,
     of_aircraft,
     repeated,
@@ -51,6 +52,7 @@ from sameas.tracks.feed import (
 from sameas.tracks.heights import HeightColumns
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import UNNAMED, Directions, PlacedReports, unnamed
+from sameas.tracks.random_errors import AS_STATED, RandomErrors
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.report_table import FILTER, HEIGHTS, MODES, ReportTable
 from sameas.tracks.reports import Reports
@@ -102,6 +104,7 @@ class LiveFeed:
     to_tracks : whether reports with ids are filtered to tracks; None to decide by their kind, and for reports with
         velocities by their scatter, once there are ``MIN_INNOVATIONS`` of them
         (:func:`sameas.tracks.feed.need_filtering`).
+    random : what is random of the stated errors, by which the next reports are filtered.
 
     Example
     -------
@@ -121,6 +124,7 @@ class LiveFeed:
     to_tracks: bool | None = None
     live: LiveTuning = field(default_factory=LiveTuning)
     counts: ReportCounts = field(default_factory=ReportCounts)
+    random: RandomErrors = AS_STATED
 
     def __post_init__(self) -> None:
         self._numbers: dict[str, int] = {}
@@ -507,10 +511,11 @@ class LiveFeed:
     def _followed(self, at: IntArray, is_start: BoolArray, measured: States) -> States:
         """The filtered states of reports, by track and time; is_start : (n,) whether one is filtered already."""
         table = self._rows
+        noise = self.random.noise(measured, table.sensor_m[at])
         reports = replace(
             measured,
             state=np.where(is_start[:, None], table.filtered[at], measured.state),
-            covariance=np.where(is_start[:, None, None], table.filtered_covariance[at], measured.covariance),
+            covariance=np.where(is_start[:, None, None], table.filtered_covariance[at], noise.covariance),
         )
         tracks = follow(
             reports, acceleration_m2_per_s3=walk_of(self.description),
@@ -523,11 +528,9 @@ class LiveFeed:
     def _write(self, at: IntArray, is_start: BoolArray, measured: States, tracks: States) -> None:
         """Writes the filtered states of reports into their rows; is_start : (n,) as of :meth:`_followed`."""
         table, updated = self._rows, np.flatnonzero(~is_start)
-        visible = (
-            at_reported_positions(measured, tracks)
-            if self.to_tracks and self.description.kind in CORRELATED_KINDS
-            else tracks
-        )
+        visible = tracks
+        if self.to_tracks and keep_positions(self.description, self.random):
+            visible = at_reported_positions(measured, tracks, self.random, table.sensor_m[at], self.description)
         known = None
         if self._models_stationary:
             table.add_groups(MODES)

@@ -134,7 +134,8 @@ class Scene:
             raise next(iter(set_aside.values()))
         if len(feeds) == 1:
             feeds = [_by_running_fixes(feeds[0], plane)]
-        return cls(tuple(feeds), plane, given=given, partners=partners)
+        scatter = tuple(feed.random.line(feed.description.name) for feed in feeds if feed.random.overstated)
+        return cls(tuple(feeds), plane, estimated=scatter, given=given, partners=partners)
 
     @property
     def span_s(self) -> tuple[float, float]:
