@@ -292,11 +292,11 @@ def _predicted(plate: PlateModel, stars: StarField) -> tuple[FloatArray, FloatAr
 
 
 def _half_length_px(measured: Measurements) -> FloatArray:
-    """(2,) half the length of a line with the typical second moments of the stars, along x and y; 0 if not known."""
+    """(2,) half the typical length of trails along x and y, those of a line with their second moments; 0 for stars."""
     angle = np.radians(measured.theta_deg)
-    along = np.column_stack([np.cos(angle), np.sin(angle)]) ** 2
-    moments = along * measured.a_px[:, None] ** 2 + along[:, ::-1] * measured.b_px[:, None] ** 2
-    known = moments[np.isfinite(moments).all(axis=1)]
+    longer = measured.a_px**2 - measured.b_px**2
+    moments = longer[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]) ** 2
+    known = moments[np.isfinite(longer)]
     return np.sqrt(3.0 * np.median(known, axis=0)) if len(known) else np.zeros(2)
 
 
