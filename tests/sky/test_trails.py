@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from sameas.report.movers import streak_lines
 from sameas.simulate.frames import Camera, GaussianProfile, frame_of
 from sameas.sky.frame.detect import detect
 from sameas.sky.movers.search import search
-from sameas.sky.movers.trails import TrailPixels, with_trails
+from sameas.sky.movers.trails import TrailPixels, streak_table, streaks, with_trails
 from sameas.sky.series import Exposure, tie
 
 SIDE, SCALE, RA, DEC, FWHM, EXPOSURE_MIN, EVERY_MIN = 320, 1.2, 150.0, 20.0, 3.0, 4.0, 6.0
@@ -144,16 +145,46 @@ def test_links_against_the_direction_of_a_trail_are_less_probable():
     assert none == pytest.approx(np.log(NO_TRAIL))
 
 
-@pytest.mark.slow
-def test_satellite_trails_are_removed_and_reported():
-    def satellite(k, rng):
-        return line((5.0, 40.0), (SIDE - 5.0, 260.0), 4e5) if k == 2 else (np.empty((0, 2)), np.empty(0))
+def test_the_track_of_a_particle_is_sharper_than_a_trail():
+    for sharp in (False, True):
+        at, light = line((30.0, 40.0), (56.0, 54.0), 8000.0)
+        camera = Camera(shape=(100, 100), sky_e=300.0, read_noise_e=5.0)
+        xy, flux = (np.zeros((0, 2)), np.zeros(0)) if sharp else (at, light)
+        made = frame_of(np.random.default_rng(4), x_px=xy[:, 0], y_px=xy[:, 1], flux_e=flux, psf=GaussianProfile(FWHM),
+                        camera=camera).frame  # fmt: skip
+        if sharp:
+            np.add.at(made.image, tuple(np.rint(at).astype(int).T[::-1]), light / camera.gain_e_per_adu)
+        pixels = TrailPixels.of(made, np.empty((0, 2)), np.empty(0), np.empty(0), FWHM)
+        ((_, ends),) = pixels.candidates(np.array([[43.0, 47.0]]), np.full(1, 10.0))
+        assert pixels.fitted(np.array([43.0, 47.0]), ends).sharp == sharp
 
-    made, exposures, _ = frames(7, extra=satellite, stars=60)
-    series = with_trails(tie(exposures), made)
-    assert any("satellites" in note for note in series.notes)
-    found, _ = search(series)
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("ends", "accuracy_px"), [([(60.0, 70.0), (98.0, 84.0)], 1.5), ([(5.0, 40.0), (SIDE - 5.0, 260.0)], 15.0)]
+)
+def test_streaks_of_one_frame_are_listed_with_their_ends_and_are_no_movers(ends, accuracy_px):
+    made, exposures, _ = frames(
+        7, extra=lambda k, rng: line(ends[0], ends[1], 4e5) if k == 2 else (np.empty((0, 2)), np.empty(0)), stars=60
+    )
+    found, series = search(with_trails(tie(exposures), made))
     assert len(found) == 0
+    (one,) = streaks(series, np.array([], np.int64))
+    assert one.frame == 2 and one.snr > 50.0
+    table = streak_table(series, [one])
+    east, north = -SCALE * (np.array(ends)[:, 0] - SIDE / 2), SCALE * (np.array(ends)[:, 1] - SIDE / 2)
+    for k, end in ((1, np.argmin(east)), (2, np.argmax(east))):  # the first end is the one to the west
+        ra = RA + east[end] / 3600.0 / np.cos(np.radians(DEC + north[end] / 3600.0))
+        off = np.array([table[f"ra_{k}_deg"][0] - ra, table[f"dec_{k}_deg"][0] - DEC - north[end] / 3600.0])
+        away = off * [np.cos(np.radians(DEC)), 1.0]
+        assert np.hypot(*away) * 3600.0 < accuracy_px * SCALE
+    length = np.hypot(*np.subtract(*ends)) * SCALE
+    assert table["length_arcsec"][0] == pytest.approx(length, abs=accuracy_px * SCALE)
+    assert table["rate_arcsec_per_min"][0] == pytest.approx(length / EXPOSURE_MIN, rel=0.06)
+    assert table["angle_deg"][0] == pytest.approx(
+        np.degrees(np.arctan2(np.ptp(-east), -np.ptp(north))) % 180.0, abs=1.5
+    )
+    assert "no tracklet" in streak_lines(table)[0] and "f2" in streak_lines(table)[2]
 
 
 @pytest.mark.slow

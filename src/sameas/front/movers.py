@@ -30,6 +30,7 @@ from sameas.report.movers import (
     plan_lines,
     searched_lines,
     series_lines,
+    streak_lines,
 )
 from sameas.report.prose import DOUBT
 from sameas.representation import counted
@@ -216,6 +217,7 @@ class SeriesMovers:
     found : the tracklets. field : the series and its frames. pixels : the frames stacked along each tracklet.
     known : names of the tracklets, or None without elements. below : candidates below the detection limit, or None.
     failed : names of frames that could not be identified, and why. reasons : why others are not in the series.
+    streaks : the trails of single frames that no tracklet has, as of satellites, one row each.
     """
 
     found: Movers
@@ -223,6 +225,7 @@ class SeriesMovers:
     pixels: Stack
     known: KnownObjects | None
     below: FaintMovers | None
+    streaks: Table
     options: MoverOptions
     failed: tuple[tuple[str, str], ...]
     reasons: tuple[str, ...]
@@ -242,6 +245,8 @@ class SeriesMovers:
         tables = {"movers": self._detections(), "tracklets": self.options.table(movers, known)}
         if below is not None:
             tables["below-limit"] = below.table()
+        if len(self.streaks):
+            tables["streaks"] = self.streaks
         in_report = None if self.options.observer is None else self.options.in_report(movers)
         written = []
         with filling(folder) as draft:
@@ -252,9 +257,10 @@ class SeriesMovers:
                 reports = [f"report.{end}" for end in REPORTS]
                 _write_reports(movers, known, self.options, [draft / name for name in reports], series)
                 written += reports
-            if below is not None:
-                written.append("below-limit.fits")
-                write_table(tables["below-limit"], draft / written[-1], provenance=facts)
+            for name in ("below-limit", "streaks"):
+                if name in tables:
+                    written.append(f"{name}.fits")
+                    write_table(tables[name], draft / written[-1], provenance=facts)
             shown = None if below is None else (below.candidates.movers, below.pixels, below.known)
             write_movers_page(draft / "movers.html", title, movers, series, self.pixels, known, shown, in_report)
             written += ["movers.html", *self._drawn(draft)]
@@ -312,7 +318,7 @@ def series_movers(
     """
     from sameas.front.series import series_of
     from sameas.sky.movers.stack import confirmed, stack
-    from sameas.sky.movers.trails import with_trails
+    from sameas.sky.movers.trails import streak_table, streaks, with_trails
 
     if len(frames) < 2:
         raise InputError(
@@ -335,13 +341,14 @@ def series_movers(
     movers, pixels = confirmed(movers, pixels, options.probability)
     options = replace(options, site=options.site or _site(members))
     movers = replace(movers, near_earth=near_earth_scores(movers, options.site))
-    say(["", *series_lines(series), "", *model_lines(movers), "", *mover_lines(movers)])
+    crossed = streak_table(series, streaks(series, movers.detections.rows[movers.members[movers.members >= 0]]))
+    say(["", *series_lines(series), "", *model_lines(movers), "", *mover_lines(movers), *streak_lines(crossed)])
     known = None
     if options.elements is not None:
         known = name_movers(movers, options.elements, site=options.site)
         say(["", *known_lines(movers, known, options.site is not None)])
     below = None if below_limit is None else _below(movers, field, known, options, below_limit, say)
-    return SeriesMovers(movers, field, pixels, known, below, options, tuple(failed), tuple(reasons))
+    return SeriesMovers(movers, field, pixels, known, below, crossed, options, tuple(failed), tuple(reasons))
 
 
 def _below(

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sameas.report.prose import DOUBT
+from sameas.report.prose import DOUBT, percent
 from sameas.representation import count, counted
 
 if TYPE_CHECKING:
+    from astropy.table import Table
+
     from sameas.sky.movers import Detections, Movers
     from sameas.sky.movers.below_limit import BelowLimit, Plan
     from sameas.sky.movers.known import KnownObjects
@@ -173,7 +175,28 @@ def series_lines(series: Series) -> list[str]:
         f"candidates {count(int(series.unexplained.sum()))}",
         f"  registered by {count(int(series.ties.min()))} to {count(int(series.ties.max()))} sources a frame",
     ]
+    if series.trails is not None and np.isfinite(series.trails.hidden):
+        lines.append(
+            f"  {percent(series.trails.hidden)} of the pixels are unusable or close to stars: movers there are not seen"
+        )
     return [*lines, *(f"{DOUBT}{note}" for note in series.notes)]
+
+
+def streak_lines(streaks: Table) -> list[str]:
+    """The trails of single frames that are in no tracklet, as tabulated."""
+    if not len(streaks):
+        return []
+    lines = [
+        f"Streaks: {count(len(streaks))} on single frames, in no tracklet, as of satellites",
+        "       ra °     dec °  length ″  angle  rate ″/min    S/N  frame",
+    ]
+    for row in streaks[:MAX_LISTED]:
+        rate = "         –" if np.ma.is_masked(row["rate_arcsec_per_min"]) else f"{row['rate_arcsec_per_min']:10.1f}"
+        lines.append(
+            f"  {row['ra_1_deg']:9.4f}  {row['dec_1_deg']:+8.4f}  {row['length_arcsec']:8.1f}"
+            f"  {row['angle_deg']:4.0f}°  {rate}  {row['snr']:5.0f}  {row['frame']}"
+        )
+    return [*lines, *([f"  … and {count(len(streaks) - MAX_LISTED)} more"] if len(streaks) > MAX_LISTED else [])]
 
 
 def known_lines(movers: Movers, known: KnownObjects, on_earth: bool) -> list[str]:

@@ -157,18 +157,39 @@ def _pull_px(table: Any, name: str, psf_fwhm_px: float) -> FloatArray:
 
 
 @dataclass(frozen=True)
+class Streak:
+    """A trail of one frame that is in no tracklet.
+
+    frame : number of the exposure. ends : (2, 2) arcsec east and north in the common system, the first to the west.
+    snr : signal to noise ratio.
+    """
+
+    frame: int
+    ends: FloatArray
+    snr: float
+
+    @classmethod
+    def of(cls, frame: int, ends: FloatArray, snr: float) -> Streak:
+        """Of ends in either order."""
+        return cls(int(frame), ends[np.argsort(ends[:, 0], kind="stable")], float(snr))
+
+
+@dataclass(frozen=True)
 class Trails:
     """Trails of sources that moved during the exposure.
 
     arcsec : (n, 2) from one end to the other, east and north, of either sign; NaN without a trail. sigma_arcsec : (n,)
     its error per axis. min_widths : minimum length of a visible trail, in FWHM of a star. added : number of trails,
-    the last rows, that are no measurements of their frames.
+    the last rows, that are no measurements of their frames. long : too long for a mover. hidden : share of the pixels
+    that are unusable or close to a known source, where no mover is measured.
     """
 
     arcsec: FloatArray
     sigma_arcsec: FloatArray
     min_widths: float
     added: int = 0
+    long: tuple[Streak, ...] = ()
+    hidden: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ middle of the exposure; its length and angle give the rate except for the sign, 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,10 @@ from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
 from sameas.sky.movers.below_limit import normalise
 from sameas.sky.movers.stack import ChipMap
-from sameas.sky.series import Exposure, Series, Trails
+from sameas.sky.series import Exposure, Series, Streak, Trails
+
+if TYPE_CHECKING:
+    from astropy.table import Table
 
 #: Flags of measurements that are not light of the sky, or incomplete.
 _NO_LIGHT = int(Flag.HOT | Flag.COSMIC | Flag.EDGE)
@@ -44,7 +47,7 @@ _AT_ONCE = 500
 
 # Parameters for measuring trails; chosen on injected ones (``scripts/bench movers --rounds``).
 MIN_WIDTHS = 0.8  # minimum length, FWHM; shorter trails are measured as stars
-MAX_PX = 60.0  # maximum half-length; longer trails are of satellites and are removed
+MAX_PX = 60.0  # maximum half-length; longer trails are of satellites and are not linked
 ANGLES = 24  # number of directions that are tried
 GAIN = 30.0  # minimum decrease of χ² by a trail against a star
 MIN_SIGMAS = 5.0  # minimum significance of the length
@@ -56,17 +59,22 @@ SEED_SIGMAS = 2.5  # trails are also sought through the maxima of what is left, 
 TRIED, TRIED_UNMEASURED = 0.35, 0.8
 GAP = 0.3  # a trail ends where the light falls below this share of the maximum near the middle
 MAX_FITS = 100  # maximum number of fits per frame, the most significant candidates first
+STREAK_SNR, STREAK_WIDTHS = 10.0, 5.0  # minimum of a streak, length in FWHM: pairs of stars on ten real frames reach 4
 
 
 @dataclass(frozen=True)
 class _Trail:
-    """A fitted trail: its middle and half its vector, px, covariance (4, 4) of both, flux and its error."""
+    """A fitted trail: its middle and half its vector, px, covariance (4, 4) of both, flux and its error.
+
+    sharp : a line of half the width of a star fits better, as of a particle.
+    """
 
     middle: FloatArray
     half: FloatArray
     covariance: FloatArray
     flux: float
     flux_err: float
+    sharp: bool
 
     @property
     def length(self) -> float:
@@ -109,25 +117,61 @@ def with_trails(series: Series, frames: Iterable[Frame]) -> Series:
     """The series with unexplained measurements remeasured as trails where these fit better, and with further trails.
 
     frames : calibrated, in the order of ``series.exposures``, used one at a time. Other measurements of parts of a
-    trail are marked as unreliable, and so are all along lines of trails longer than ``max_px`` allows. Trails without a
+    trail are marked as unreliable, and so are all along lines of trails longer than twice ``MAX_PX``. Trails without a
     measurement, beside a star or too faint for a window as wide as one, are added after all rows of the series.
     """
-    columns, exposures, long = _Columns.of(series), list(series.exposures), 0
+    columns, exposures = _Columns.of(series), list(series.exposures)
     for n, frame in enumerate(frames):
-        exposures[n], lines = columns.remeasured(series, n, frame)
-        long += lines
-    note = f"{long} trails longer than {2 * MAX_PX:.0f} px, as of satellites, are removed"
-    return replace(
-        columns.into(series, MIN_WIDTHS, LEAST_STEP), exposures=tuple(exposures),
-        notes=(*series.notes, *([note] if long else [])),
-    )  # fmt: skip
+        exposures[n] = columns.remeasured(series, n, frame)
+    return replace(columns.into(series, MIN_WIDTHS, LEAST_STEP), exposures=tuple(exposures))
+
+
+def streaks(series: Series, linked: IntArray) -> tuple[Streak, ...]:
+    """The trails of a series that no tracklet has, in order of time.
+
+    Satellites show on one frame, or move too far to the next for a link. linked : rows of the detections of tracklets.
+    """
+    trails = series.trails
+    if trails is None:
+        return ()
+    free = series.unexplained & np.isfinite(trails.arcsec[:, 0])
+    free[linked] = False
+    width = np.array([one.psf_fwhm_px * one.scale_arcsec_per_px for one in series.exposures])[series.frame]
+    rows = np.flatnonzero(free & (np.nan_to_num(np.hypot(*trails.arcsec.T)) > STREAK_WIDTHS * width))
+    ends = series.place[rows, None] + np.array([[-0.5], [0.5]]) * trails.arcsec[rows, None]
+    alone = map(Streak.of, series.frame[rows], ends, series.measured("snr", rows))
+    return tuple(sorted((one for one in (*trails.long, *alone) if one.snr >= STREAK_SNR), key=lambda one: one.frame))
+
+
+def streak_table(series: Series, found: Sequence[Streak]) -> Table:
+    """A table with one row per streak: its frame, ends on the sky, length, direction, rate and signal to noise ratio.
+
+    ``angle_deg`` is from north through east, of either end; which end was first is not known.
+    """
+    from astropy.table import Table
+
+    frame = np.array([one.frame for one in found], np.int64)
+    ends = np.array([one.ends for one in found]).reshape(-1, 2, 2)
+    east, north = (ends[:, 1] - ends[:, 0]).T
+    exposure_s = np.array([one.exposure_s for one in series.exposures])[frame]
+    columns = {"frame": np.array([one.name for one in series.exposures])[frame],
+               "mjd_utc": np.array([one.mjd_utc for one in series.exposures])[frame]}  # fmt: skip
+    for k in (1, 2):
+        columns[f"ra_{k}_deg"], columns[f"dec_{k}_deg"] = series.sky(ends[:, k - 1])
+    columns["length_arcsec"] = np.hypot(east, north)
+    columns["angle_deg"] = np.degrees(np.arctan2(east, north)) % 180.0
+    columns["rate_arcsec_per_min"] = np.ma.masked_invalid(60.0 * np.hypot(east, north) / exposure_s)
+    columns["snr"] = np.array([one.snr for one in found], float)
+    units = {"mjd_utc": "d", "length_arcsec": "arcsec", "rate_arcsec_per_min": "arcsec / min"}
+    return Table(columns, units=units | {name: "deg" for name in columns if name.endswith("_deg")})
 
 
 @dataclass
 class _Columns:
     """Columns of a series, (n,) each, which change in place; vector, error : of ``Trails``, NaN where there is none.
 
-    added : frame and row in its exposure of every row after those of the series.
+    added : frame and row in its exposure of every row after those of the series. long : of ``Trails``. hidden : share
+    of the pixels of each frame.
     """
 
     place: FloatArray
@@ -137,6 +181,8 @@ class _Columns:
     vector: FloatArray
     error: FloatArray
     added: list[tuple[int, int]]
+    long: list[Streak]
+    hidden: list[float]
 
     @classmethod
     def of(cls, series: Series) -> _Columns:
@@ -144,7 +190,7 @@ class _Columns:
         vector = np.full(series.place.shape, np.nan)
         return cls(
             series.place.copy(), series.sigma_arcsec.copy(), series.unreliable.copy(), series.magnitude.copy(), vector,
-            vector[:, 0].copy(), [],
+            vector[:, 0].copy(), [], [], [],
         )  # fmt: skip
 
     def into(self, series: Series, min_widths: float, least_step: float) -> Series:
@@ -157,23 +203,27 @@ class _Columns:
             magnitude=self.magnitude, frame=np.append(series.frame, frame), row=np.append(series.row, row),
             star=np.append(series.star, other), stationary=np.append(series.stationary, other),
             fixed=np.append(series.fixed, other),
-            trails=Trails(self.vector, self.error, min_widths, len(other)),
+            trails=Trails(
+                self.vector, self.error, min_widths, len(other), tuple(self.long),
+                float(np.mean(self.hidden)) if self.hidden else math.nan,
+            ),
         )  # fmt: skip
 
-    def remeasured(self, series: Series, n: int, frame: Frame) -> tuple[Exposure, int]:
-        """Exposure n with the trails of its frame, and the number of lines that are too long for a mover's."""
+    def remeasured(self, series: Series, n: int, frame: Frame) -> Exposure:
+        """Exposure n with the trails of its frame; those too long for a mover's go to ``long``."""
         one, rows = series.exposures[n], np.flatnonzero(series.frame == n)
         at = np.column_stack([one.x_px, one.y_px])[series.row[rows]]
         free = ~(series.star | series.stationary | series.fixed)[rows]
         if len(rows) < 6:
-            return one, 0
+            return one
         width, to_sky = max(one.psf_fwhm_px, 1.5), ChipMap(at, series.place[rows])
         snr, flux = (values[series.row[rows]] for values in (one.snr, one.flux))
         pixels = TrailPixels.of(frame, at[~free], snr[~free], flux[~free], width)
+        self.hidden.append(1.0 - float(pixels.good.mean()))
         light = free & ((np.asarray(one.flags)[series.row[rows]] & _NO_LIGHT) == 0)
         trails = _trails(pixels, at[light])
-        # What remains of bright stars is not measured, and lies in line by chance.
-        measured = [k for k, trail in enumerate(trails) if (free & trail.covers(at, width)).any()]
+        # What remains of bright stars is not measured, and lies in line by chance; particles are no satellites.
+        measured = [k for k, trail in enumerate(trails) if not trail.sharp and (free & trail.covers(at, width)).any()]
         lines = [
             [measured[k] for k in line] for line in _long_lines([trails[k] for k in measured], width, 1.8 * MAX_PX)
         ]
@@ -181,7 +231,7 @@ class _Columns:
         for k, trail in enumerate(trails):
             parts = np.flatnonzero(free & trail.covers(at, width))
             self.unreliable[rows[parts]] = True
-            if k in satellites:
+            if k in satellites or trail.sharp:
                 continue
             if len(parts):
                 nearest = parts[np.argmin(np.hypot(*(at[parts] - trail.middle).T))]
@@ -194,7 +244,8 @@ class _Columns:
             one = trail.measured_on(one, own)
         for line in lines:
             self.unreliable[rows[free & trails[line[0]].covers(at, width, math.inf)]] = True
-        return one, len(lines)
+            self.long.append(_joined(n, [trails[k] for k in line], to_sky))
+        return one
 
     def _add(self, series: Series, n: int, one: Exposure, place: FloatArray) -> Exposure:
         """Adds a row for a trail at a place (2,) of the series; returns its exposure with that row, of unit flux."""
@@ -276,6 +327,14 @@ def _long_lines(trails: list[_Trail], width: float, longest: float) -> list[list
             lines.append(collinear)
             remaining -= set(collinear)
     return lines
+
+
+def _joined(frame: int, parts: Sequence[_Trail], to_sky: ChipMap) -> Streak:
+    """The streak of collinear trails, from one end to the other."""
+    ends = np.array([part.middle + side * part.half for part in parts for side in (-1.0, 1.0)])
+    along = ends @ parts[0].half
+    snr = math.hypot(*(part.flux / part.flux_err for part in parts))
+    return Streak.of(frame, to_sky(ends[[int(np.argmin(along)), int(np.argmax(along))]]), snr)
 
 
 @dataclass(frozen=True)
@@ -433,8 +492,10 @@ class TrailPixels:
         long = 2.0 * size > MIN_WIDTHS * self.width and size > MIN_SIGMAS * spread
         if gain < GAIN or not long:
             return None
+        terms = np.stack([_line(u, v, fit.x[:2], half, 0.5 * self.width / FWHM_PER_SIGMA), np.ones(len(u))]) / error
+        narrow = float(((light / error - np.linalg.lstsq(terms.T, light / error, rcond=None)[0] @ terms) ** 2).sum())
         trail = _Trail(fit.x[:2], half, covariance[:4, :4], float(fit.x[4] * flux),
-                       float(flux * math.sqrt(covariance[4, 4])))  # fmt: skip
+                       float(flux * math.sqrt(covariance[4, 4])), narrow < 2.0 * fit.cost)  # fmt: skip
         # The fit may have moved to another source.
         return trail if trail.covers(at[None], self.width)[0] else None
 
