@@ -280,6 +280,19 @@ def test_on_a_tablet_own_ship_is_not_covered_and_dangers_are_first(keeper):
         assert page.errors == []
 
 
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
+def test_the_first_view_is_about_own_ship_wherever_the_others_are(keeper, size):
+    with served(keeper) as url, Browser(url, size) as page:
+        page.until("mapPage.live?.present.own && mapPage.now?.rows.length > 1", 60.0)
+        # The others are within miles of her, to one side.
+        off = "(([u, v]) => Math.hypot(u - mapPage.view.w / 2, v - mapPage.view.h / 2))"
+        own = "mapPage.toScreen(mapPage.live.present.own.x, mapPage.live.present.own.y)"
+        page.until(f"{off}({own}) < 20")
+        each = "mapPage.toScreen(mapPage.objects.x[r], mapPage.objects.y[r])"
+        assert page.js(f"mapPage.now.rows.every(r => {off}({each}) < Math.hypot(mapPage.view.w, mapPage.view.h) / 2)")
+        assert page.errors == []
+
+
 #: Whether each row of the tables is where its frame and the row before it are, and the counts are those of the frames.
 CONSISTENT = """(() => {
     const { objects, frames, counts } = mapPage.live.tables;

@@ -276,10 +276,12 @@ function beginOwnShip() {
 // The first view is about own ship, not of all aircraft within sight; the button of the whole picture has these.
 const OWN_VIEW_M = 6 * MILE;
 function beginAtOwnShip() {
-  const [west, south, east, north] = data.extent;
-  if (tick > 0 || restored || Math.max(east - west, north - south) < 4 * OWN_VIEW_M) return;
+  if (tick > 0 || restored) return;
   const place = () => {
-    Object.assign(view, { x: present.own.x, y: present.own.y, scale: Math.min(view.w, view.h) / 2 / OWN_VIEW_M });
+    const [west, south, east, north] = data.extent,
+      { x, y } = present.own,
+      far = 1.1 * Math.max(x - west, east - x, y - south, north - y);
+    Object.assign(view, { x, y, scale: Math.min(view.w, view.h) / 2 / Math.min(far, OWN_VIEW_M) });
     clampView();
     draw();
   };
