@@ -166,7 +166,7 @@ def test_angles_are_below_360():
     one = {"object": 1, "stage": "confirmed", "x_m": -0.5, "y_m": 1000.0, "speed_m_per_s": 1.0, "course_deg": 359.98}
     one |= {"lat_deg": 50.0, "lon_deg": -1.0, "var_x_m2": 1.0, "var_y_m2": 1.0}
     made: Any = SimpleNamespace(
-        own_ship=OwnShipState(0.0, 0.0), cpa={}, time_s=START_S, plane=None, listed=lambda: [one]
+        own_ship=OwnShipState(0.0, 0.0), cpa={}, time_s=START_S, plane=None, listed=lambda: [one], flying=frozenset()
     )
     (target,) = [part.decode().split(",") for part in nmea(made) if b"TTM" in part]
     assert (target[3], target[6]) == ("0.0", "0.0") and b'course="0.0"' in b"".join(cot(made))
@@ -238,6 +238,24 @@ def test_cursor_on_target_is_valid_xml_for_any_ship_name(situation):
     assert len(found) == 5 and EVIL in {one.find("detail/contact").get("callsign") for one in found}
     assert all(one.get("type") == "a-u-S" and 0.0 < float(one.find("point").get("ce")) < 200.0 for one in found)
     assert all(abs(float(one.find("point").get("lat")) - SITE[0]) < 0.2 for one in found)
+
+
+def test_aircraft_without_an_address_are_in_the_air_and_raise_no_approach(situation):
+    """A glider with FLARM, a target of a tower's radar and a helicopter of search and rescue were sent as ships."""
+    numbers = situation.objects["object"].tolist()
+    members = {
+        numbers[0]: (("flarm", "DD1234"),),
+        numbers[1]: (("tower", "7"),),
+        numbers[2]: (("tower", "8"), ("ais", "x")),
+    }
+    mmsi = np.array(["", "", "", "111211501", *situation.objects["mmsi"][4:]], object)
+    made = replace(
+        situation, members=members, objects={**situation.objects, "mmsi": mmsi},
+        of_aircraft=frozenset({"flarm", "tower"}), own_ship=OwnShipState(0.0, 0.0),
+    )  # fmt: skip
+    kinds = [ET.fromstring(part).get("type") for part in cot(made)]
+    assert kinds == ["a-u-A", "a-u-A", "a-u-S", "a-u-A", "a-u-S"]
+    assert not made.cpa.keys() & {numbers[0], numbers[1], numbers[3]}
 
 
 @pytest.mark.parametrize(

@@ -167,7 +167,7 @@ def cot(situation: Situation) -> Iterator[bytes]:
     for one in _confirmed(situation):
         if one.get("lat_deg") is None:
             continue
-        kind = "a-u-A" if one.get("icao") else "a-u-S"
+        kind = "a-u-A" if one["object"] in situation.flying else "a-u-S"
         variance = max(one["var_x_m2"] or 0.0, one["var_y_m2"] or 0.0)
         radius = math.sqrt(variance) * math.sqrt(-2.0 * math.log(0.1))
         hae, sigma = one.get("hae_m"), one.get("sigma_hae_m")

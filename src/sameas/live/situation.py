@@ -23,6 +23,8 @@ from sameas.picture.tables import STAGES
 from sameas.picture.texts import LABELS
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.heights import HeightModel
+from sameas.tracks.kinds import KINDS
+from sameas.tracks.source import Description
 
 #: Columns of the rows that are sent to the web page: of an object, and of a record.
 OBJECT = (
@@ -33,6 +35,8 @@ RECORD = ("n", "source", "row", "x", "y", "major", "minor", "angle", "p", "alone
           "track_id")  # fmt: skip
 #: An object at a greater height in metres is no ship.
 FLYING_M = 150.0
+#: Beginning of the MMSI of an aircraft of search and rescue (ITU-R M.585).
+RESCUE = "111"
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,8 @@ class Situation:
         object, by the number of the object.
     cpa : distance (m) and time (s) of the closest approach to own ship, by the number of the object; closing objects
         only.
-    heights : conversion of the objects' heights to heights above the ellipsoid.
+    heights : conversion of the objects' heights to heights above the ellipsoid. of_aircraft : the sources that show
+        aircraft only.
     """
 
     tick: int
@@ -71,6 +76,7 @@ class Situation:
     alarms: tuple[Alarm, ...] = ()
     own_ship: OwnShipState | None = None
     heights: HeightModel | None = None
+    of_aircraft: frozenset[str] = frozenset()
 
     @classmethod
     def of(
@@ -93,14 +99,29 @@ class Situation:
         return cls(
             tick, state.now.instant_s, plane, with_degrees(objects, plane), with_degrees(records, plane),
             {number: tuple(tracks) for number, tracks in members.items()}, tuple(alarms), own_ship,
-            heights,
+            heights, _of_aircraft(state.now.descriptions),
         )  # fmt: skip
+
+    @cached_property
+    def flying(self) -> frozenset[int]:
+        """The numbers of the aircraft: objects with an ICAO address or the MMSI of an aircraft of search and rescue,
+        higher than :data:`FLYING_M`, or shown only by sources of aircraft."""
+        objects, out = self.objects, set()
+        if not len(objects["object"]):
+            return frozenset()
+        height = np.ma.filled(objects.get("height_m", np.full(len(objects["object"]), np.nan)), np.nan)
+        columns = (objects["object"], objects["icao"], objects["mmsi"], np.nan_to_num(height) > FLYING_M)
+        for number, icao, mmsi, high in zip(*(column.tolist() for column in columns), strict=True):
+            shown = self.members.get(number, ())
+            if icao or high or mmsi.startswith(RESCUE) or (shown and all(s in self.of_aircraft for s, _ in shown)):
+                out.add(number)
+        return frozenset(out)
 
     @cached_property
     def cpa(self) -> dict[int, tuple[float, float]]:
         """Distance (m) and time (s) of the closest approach to own ship, by number, where it is still ahead.
 
-        Aircraft, which have an ICAO address or are higher than :data:`FLYING_M`, pass over ships and have none.
+        Aircraft pass over ships and have none.
         """
         own, objects = self.own_ship, self.objects
         if own is None or not len(objects["object"]):
@@ -108,10 +129,9 @@ class Situation:
         place = np.column_stack([np.ma.filled(objects[name], np.nan) for name in ("x_m", "y_m")]) - (own.x_m, own.y_m)
         speed = np.column_stack([np.ma.filled(objects[name], np.nan) for name in ("vx_m_per_s", "vy_m_per_s")])
         metres, seconds = closest_approach(place, speed - (own.vx_m_per_s, own.vy_m_per_s))
-        height = np.ma.filled(objects.get("height_m", np.full(len(metres), np.nan)), np.nan)
-        flies = (objects["icao"] != "") | (np.nan_to_num(height) > FLYING_M)
-        closing = np.flatnonzero(np.isfinite(metres) & (objects["stage"] != "ended") & ~flies)
-        return {int(objects["object"][k]): (float(metres[k]), float(seconds[k])) for k in closing}
+        numbers = objects["object"].tolist()
+        closing = np.flatnonzero(np.isfinite(metres) & (objects["stage"] != "ended")).tolist()
+        return {numbers[k]: (float(metres[k]), float(seconds[k])) for k in closing if numbers[k] not in self.flying}
 
     @cached_property
     def object_rows(self) -> dict[int, tuple[Any, ...]]:
@@ -169,6 +189,11 @@ class Situation:
                 one["cpa_m"], one["tcpa_s"] = round(cpa[number][0], 1), round(cpa[number][1], 1)
             out.append(one)
         return out
+
+
+def _of_aircraft(descriptions: Sequence[Description]) -> frozenset[str]:
+    """The names of the sources that show aircraft only."""
+    return frozenset(d.name for d in descriptions if d.kind == "air radar" or KINDS[d.kind].target == "aircraft")
 
 
 @dataclass
