@@ -9,6 +9,7 @@ from tests.live.conftest import START_S, replay
 from sameas.live.keeper import Keeper
 from sameas.live.outputs import sentence
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings, read_settings
+from sameas.live.situation import Situation
 from sameas.tracks import Description, SensorErrors, Site
 from sameas.tracks.reports import Reports
 
@@ -238,6 +239,21 @@ def test_own_ship_in_the_ais_of_others_is_no_approach(tmp_path):
     assert set(situation.objects["mmsi"].tolist()) == {"235000009", "235000001"}
     assert [alarm.text.split()[0] for alarm in situation.alarms if alarm.kind == "cpa"] == ["235000001"]
     keeper.close()
+
+
+def test_an_approach_that_wanders_with_the_courses_is_one_alarm(monkeypatch):
+    """In a convoy, the CPA in 20 minutes changes by 300 m with the courses: it raised five alarms in four minutes."""
+    by_minute = [(885.0, 1170.0), (1278.0, 1040.0), (1207.0, 1010.0), (1303.0, 860.0), (929.0, 850.0), (1500.0, 800.0)]
+
+    def approach(situation):
+        ship = situation.objects["object"][situation.objects["mmsi"] == "235000001"].tolist()
+        return dict.fromkeys(ship, by_minute[int((situation.time_s - START_S) // 60.0)])
+
+    monkeypatch.setattr(Situation, "cpa", property(approach))
+    sea = Sea(straight([0.0, 0.0], [0.0, 3.0]), {"235000001": straight([5000.0, 5000.0], [-3.0, 0.0])}, harbour_kn=0.0)
+    sea.run(350.0)
+    [row] = [row for row in sea.keeper.alarm_list() if row["kind"] == "cpa"]
+    assert not row["active"] and 290.0 <= row["last_s"] - START_S < 300.0
 
 
 @pytest.mark.slow

@@ -46,8 +46,9 @@ from sameas.tracks.distress import device_of
 from sameas.tracks.reports import Reports
 from sameas.tracks.stationary import RESTS
 
-#: An active alarm of closest approach ends beyond this multiple of its limits.
-CPA_HOLDS = 1.2
+#: An active alarm of closest approach ends beyond this multiple of its limits, and this speed, m/s, by the time to it:
+#: 2σ of a relative velocity by AIS, whose courses err by 2°. A CPA in 20 minutes wanders by 300 m.
+CPA_HOLDS, CPA_HOLDS_M_PER_S = 1.2, 0.3
 #: An object with an active alarm is still near while it opens by less than this, m/s, and is not farther than this
 #: multiple of its least range since, or so many metres more.
 PARTS_M_PER_S, PARTS, PARTS_M = 1.0, 1.5, 100.0
@@ -149,8 +150,8 @@ class Approaches:
         for number, (metres, seconds) in sorted(passing.items(), key=lambda one: one[1][1]):
             label, mmsi = texts[number]
             # An alarm that is active holds a little longer, so that one approach is not many alarms.
-            holds = CPA_HOLDS if f"cpa {number}" in active else 1.0
-            near = number in company or (metres < holds * cpa_m and seconds < holds * watch.tcpa_s)
+            holds, spare_m = (CPA_HOLDS, CPA_HOLDS_M_PER_S * seconds) if f"cpa {number}" in active else (1.0, 0.0)
+            near = number in company or (metres < holds * cpa_m + spare_m and seconds < holds * watch.tcpa_s)
             settled = situation.time_s - self._since_s.get(number, -math.inf) >= TENTATIVE_S
             # A locating device that calls for help has an alarm already, and is to be approached.
             if not near or not settled or mmsi in own or device_of(mmsi):
