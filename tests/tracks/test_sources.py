@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import os
 import re
 import subprocess
 import sys
@@ -110,6 +111,23 @@ def test_times_of_day_have_the_date_of_the_other_sources(tmp_path):
     (tmp_path / "ais.csv").write_text(ais.format("2024-05-08"))
     with pytest.raises(InputError, match="has the time of day only; give start"):
         read_sources([tmp_path / "radar.csv", tmp_path / "ais.csv"])
+
+
+def test_times_of_day_of_all_sources_are_of_one_day(tmp_path):
+    """Two exports without any date are compared, also where one begins after midnight; one alone has no date."""
+    radar, ais = tmp_path / "radar.csv", tmp_path / "ais.csv"
+    radar.write_text("time,range_m,brg\n23:59:58.0,1000,70\n00:00:02.0,1010,71\n")
+    ais.write_text("time,lat,lon,mmsi\n00:00:01,50.1,-1.2,235070762\n00:05:00,50.1,-1.2,235070762\n")
+    for file in (radar, ais):
+        os.utime(file, (instant("2024-05-02T08:00:00Z"),) * 2)
+    found = read_sources([radar, ais])
+    first_s = instant("2024-05-02T23:59:58Z")
+    assert [(one.reports.time_s - first_s).tolist() for one in found] == [[0.0, 4.0], [3.0, 302.0]]
+    for one, day in zip(found, ("02", "03"), strict=True):
+        said = f"those of 2024-05-{day}, as no source states a date and radar.csv was written then"
+        assert said in " ".join(one.lines())
+    with pytest.raises(InputError, match="has the time of day only; give start"):
+        read_sources([radar])
 
 
 def test_a_format_named_like_a_kind_of_source_has_that_kind(folder, monkeypatch):

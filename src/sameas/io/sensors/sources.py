@@ -245,12 +245,15 @@ def read_sources(
                 found[at] = _sources_in(path, reading, described, set_aside)
             except UndatedTimes as error:
                 undated.append((at, path, reading, error))
-    day = _common_day(source for of_file in found.values() for source in of_file)
+    day, which = _common_day(source for of_file in found.values() for source in of_file), "the date of the others"
+    if not found and len(undated) > 1:
+        day, which = _day_written(*undated[0][1:3])
     for at, path, reading, no_date in undated:
         with setting_aside(named[at][0], set_aside):
             if day is None:
                 raise no_date
-            found[at] = [_dated(one) for one in _sources_in(path, replace(reading, start=day), described, set_aside)]
+            of_file = _sources_in(path, replace(reading, start=day), described, set_aside)
+            found[at] = [_dated(one, which) for one in of_file]
     sources = [source for at in sorted(found) for source in found[at]]
     names = [source.description.name for source in sources]
     duplicate = next((name for name in names if names.count(name) > 1), None)
@@ -295,11 +298,19 @@ def _common_day(sources: Iterable[SensorSource]) -> float | None:
     return 0.5 * (first + last) if last - first < DAY_S else None
 
 
-def _dated(source: SensorSource) -> SensorSource:
-    """A source with times of day, whose date is that of the others, and a note that says so."""
+def _day_written(path: Path, reading: ReadOptions) -> tuple[float, str]:
+    """The first time of a file with times of day, on the day when it was written, and words for that day."""
+    written_s = path.stat().st_mtime
+    noon_s = DAY_S * (written_s // DAY_S + 0.5)
+    first_s = float(read_reports(path, replace(reading, start=noon_s))[0].time_s[0])
+    return first_s, f"as no source states a date and {path.name} was written then"
+
+
+def _dated(source: SensorSource, which: str) -> SensorSource:
+    """A source with times of day, whose date is that of the others or another, and a note that says so."""
     reports = source.reports
     day = datetime.fromtimestamp(float(reports.time_s[0]), UTC).strftime("%Y-%m-%d")
-    note = f"{reports.source}: its times of day are read as those of {day}, the date of the others"
+    note = f"{reports.source}: its times of day are read as those of {day}, {which}"
     return replace(source, reports=replace(reports, notes=(*reports.notes, note)))
 
 
