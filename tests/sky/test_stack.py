@@ -205,5 +205,6 @@ def test_the_page_of_a_series_without_movers_says_so(tmp_path):
     tied, frames, _ = series(8, seen=())
     found, tied = search(tied)
     assert len(found) == 0
-    write_movers_page(tmp_path / "movers.html", "night", found, tied, stack(found, tied, frames))
-    assert "No movers were found." in (tmp_path / "movers.html").read_text()
+    for streaks, said in ((0, 'No movers were found"'), (2, "No movers were found; 2 streaks on single frames")):
+        write_movers_page(tmp_path / "movers.html", "night", found, tied, stack(found, tied, frames), streaks=streaks)
+        assert said in (tmp_path / "movers.html").read_text()

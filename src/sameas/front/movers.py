@@ -262,7 +262,8 @@ class SeriesMovers:
                     written.append(f"{name}.fits")
                     write_table(tables[name], draft / written[-1], provenance=facts)
             shown = None if below is None else (below.candidates.movers, below.pixels, below.known)
-            write_movers_page(draft / "movers.html", title, movers, series, self.pixels, known, shown, in_report)
+            page, crossed = draft / "movers.html", len(self.streaks)
+            write_movers_page(page, title, movers, series, self.pixels, known, shown, in_report, crossed)
             written += ["movers.html", *self._drawn(draft)]
             link = "movers.html", self._link_words()
             written += write_folder(

@@ -20,6 +20,7 @@ from sameas.pages import asset, column, page_of, png, rounded, script_safe
 from sameas.plots.frame import binned, binning, stretched
 from sameas.report.frame import doubts_of, doubts_of_frames
 from sameas.report.movers import reasons
+from sameas.representation import counted
 from sameas.sky.frame.identified import P_EXPECTED, FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
@@ -185,13 +186,13 @@ _BLACK, _WHITE, _SOFT = 2.0, 12.0, 4.0
 def write_movers_page(
     path: str | os.PathLike[str], title: str, found: Movers, series: Series, pixels: Stack,
     known: KnownObjects | None = None, below: tuple[Movers, Stack, KnownObjects | None] | None = None,
-    in_report: BoolArray | None = None,
+    in_report: BoolArray | None = None, streaks: int = 0,
 ) -> None:  # fmt: skip
     """Writes the page of the moving objects on a series of frames: one file, complete in itself.
 
     found : the tracklets. pixels : cut-outs of the first of them. known : their known objects, if elements were given.
     below : the same three for movers found only in the stacked frames, if these were searched. in_report : (k,) whether
-    a tracklet is in the report; None without a report.
+    a tracklet is in the report; None without a report. streaks : number of trails on single frames.
 
     Raises InputError: the path cannot be written.
     """
@@ -210,8 +211,10 @@ def write_movers_page(
         movers += [_mover(faint, series, light, names, k) for k in range(min(len(light), MOST))]
         about = about if len(found) else "No single frame shows a mover"
         about += f"; {len(faint) or 'none'} below the limit of single frames"
+    about = about if movers or below else "No movers were found"
+    about += f"; {counted(streaks, 'streak')} on single frames in streaks.fits" if streaks else ""
     data = {
-        "about": about if movers or below else "No movers were found.", "asked": known is not None,
+        "about": about, "asked": known is not None,
         "scale": series.stars.scale,
         "width": rounded(float(np.median([e.psf_fwhm_px for e in series.exposures])), 2),
         "movers": movers,

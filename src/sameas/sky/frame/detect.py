@@ -497,7 +497,8 @@ def _notes(frame: Frame, background: Background, psf: PSF, longer: float) -> tup
     shared = float(background.factor(np.array([psf.sigma_px]))[1][0])
     if shared > 1.2:
         notes.append(
-            f"noise of neighbouring pixels is correlated: variances of positions are {shared:.1f} times larger"
+            f"noise of neighbouring pixels is correlated (by stars, if unresolved): variances of positions are "
+            f"{shared:.1f} times larger"
         )
     return tuple(notes)
 
