@@ -115,6 +115,15 @@ def test_reports_are_moved_to_the_hull_centre_even_if_dimensions_come_later():
     assert made.extra["antenna_lon_deg"][0] == -1.0
 
 
+@pytest.mark.parametrize("imo", [0, 9123456, 9000001, 912345, 12_345_678])
+def test_a_number_without_the_check_digit_of_an_imo_number_is_no_identity(imo):
+    """Two ships whose crews have entered the same one were an alarm: forged, duplicate or wrong."""
+    ships = [211000001, 211000002]
+    lines = [line for mmsi in ships for line in encoded(type=5, mmsi=mmsi, shipname="A", imo=imo, ship_type=70)]
+    made = reports([*lines, *(line for mmsi in ships for line in message(mmsi=mmsi))])
+    assert len(made) == 2 and made.name.tolist() == ["A", "A"] and made.imo is None
+
+
 def test_without_heading_the_course_of_a_moving_ship_is_used():
     static = encoded(type=24, partno=1, to_bow=40, to_stern=20, to_port=5, to_starboard=5)
     moving = reports([*message(heading=511, course=0.0, speed=10.0), *static])

@@ -22,7 +22,7 @@ POSITION = {
 }  # fmt: skip
 RAW = POSITION | {"scaled": False, "lat": 32_700_000, "lon": -6_150_000, "speed": 100, "course": 1200}
 STATIC = {
-    "class": "AIS", "type": 5, "mmsi": 211000001, "scaled": True, "imo": 9123456, "callsign": "DABC",
+    "class": "AIS", "type": 5, "mmsi": 211000001, "scaled": True, "imo": 9074729, "callsign": "DABC",
     "shipname": "EXAMPLE", "shiptype": 70, "to_bow": 100, "to_stern": 20, "to_port": 10, "to_starboard": 10,
 }  # fmt: skip
 SENTENCES = {

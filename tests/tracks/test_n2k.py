@@ -32,7 +32,7 @@ def position(mmsi=211000001, lat=54.5, lon=-10.25, course=120.0, speed=8.0, head
 def static(mmsi=211000001, name="EXAMPLE"):
     sizes = [round(10 * size) for size in (120.0, 20.0, 8.0, 100.0)]
     return 129794, struct.pack(
-        "<BII7s20sB4HHIH20sBB", 5, mmsi, 9123456, b"DABC@@@", name.encode().ljust(20, b"@"), 70, *sizes, 0, 0, 750,
+        "<BII7s20sB4HHIH20sBB", 5, mmsi, 9074729, b"DABC@@@", name.encode().ljust(20, b"@"), 70, *sizes, 0, 0, 750,
         b"KIEL".ljust(20), 0, 0,
     )  # fmt: skip
 
@@ -130,7 +130,7 @@ def test_every_form_of_a_log_gives_ships_targets_and_own_ship(form, tmp_path):
     ships, targets = read_reports(written(tmp_path, log(form, *messages)), ReadOptions(source="bus"))
     assert (ships.source, targets.source) == ("bus:ais", "bus:arpa")
     assert (ships.mmsi[0], ships.name[0], ships.callsign[0], ships.type[0]) == ("211000001", "EXAMPLE", "DABC", "cargo")
-    assert (ships.length_m[0], ships.width_m[0], ships.imo[0]) == (120.0, 20.0, "9123456")
+    assert (ships.length_m[0], ships.width_m[0], ships.imo[0]) == (120.0, 20.0, "9074729")
     np.testing.assert_allclose([ships.course_deg[0], ships.heading_deg[0]], [120.0, 118.0], atol=0.1)
     np.testing.assert_allclose(ships.speed_m_per_s[0], 8.0, atol=0.03)
     # The antenna is 100 m abaft the bow of 120 m: the middle of the hull is 40 m ahead of it.
@@ -169,7 +169,7 @@ def test_the_json_of_canboat_says_the_same(radians, tmp_path):
     about = {
         "Name": "Example",
         "Callsign": "DABC",
-        "IMO number": 9123456,
+        "IMO number": 9074729,
         "Type of ship": "Cargo, No additional information",
     }
     own = {"AIS Transceiver information": {"value": 4, "name": "Own information not broadcast"}}

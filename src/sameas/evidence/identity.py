@@ -252,7 +252,7 @@ UNIQUE = ("mmsi", "imo", "icao")
 #: Values of identities that are sent where none is set.
 UNSET: Mapping[str, tuple[str, ...]] = {
     "mmsi": ("0", "000000000", "111111111", "123456789", "999999999"),
-    "imo": ("0",),
+    "imo": ("0", "1234567"),
     "icao": ("000000", "ffffff"),
     "callsign": ("00000000",),
     "name": ("UNKNOWN", "NONAME"),

@@ -9,6 +9,7 @@ decoded by pyais (MIT).
 from __future__ import annotations
 
 import math
+import re
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -474,14 +475,26 @@ def _static_at(statics: Sequence[Static], line: int) -> Mapping[str, Any]:
     return statics[max(bisect_right(statics, line, key=lambda static: static.line) - 1, 0)].values
 
 
+def is_imo_number(text: str) -> bool:
+    """Whether a text is an IMO number: seven digits, the last one the check digit (IMO A.1117(30)). Crews and makers
+    enter others, which are no identity.
+
+    >>> is_imo_number("9134270"), is_imo_number("9123456"), is_imo_number("0")
+    (True, False, False)
+    """
+    if re.fullmatch(r"[1-9]\d{6}", text) is None:
+        return False
+    return sum(int(digit) * (7 - k) for k, digit in enumerate(text[:6])) % 10 == int(text[6])
+
+
 def _static_fields(decoded: Any) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for column, entry in (("name", "shipname"), ("callsign", "callsign")):
         text = str(getattr(decoded, entry, None) or "").rstrip("@ ").strip()
         if text:
             values[column] = text
-    if getattr(decoded, "imo", None):
-        values["imo"] = str(decoded.imo)
+    if is_imo_number(imo := str(getattr(decoded, "imo", None) or "")):
+        values["imo"] = imo
     code = int(getattr(decoded, "ship_type", None) or 0)
     if 20 <= code < 100:
         values["type"] = _SHIP_TYPES.get(code, _SHIP_TYPES.get(10 * (code // 10), "other"))

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from sameas.io.sensors.ais import LENGTH_PER_WIDTH, STATUSES_AT_REST, at_hull_centres
+from sameas.io.sensors.ais import LENGTH_PER_WIDTH, STATUSES_AT_REST, at_hull_centres, is_imo_number
 from sameas.io.sensors.format import LOGGED, OWN_SHIP, SensorFormat, instant, of_json, plain_text
 from sameas.tracks.reports import Reports, Unused, of_rows
 
@@ -234,8 +234,10 @@ def _texts(path: str, value: Any) -> Iterator[tuple[str, str]]:
         if isinstance(text, Mapping):
             text = text.get("name")
         if text and (words := plain_text(text)):
-            # An IMO number may be written "IMO 9123456".
-            yield column, words.upper().removeprefix("IMO").strip() if column == "imo" else words
+            # An IMO number may be written "IMO 9074729".
+            words = words.upper().removeprefix("IMO").strip() if column == "imo" else words
+            if column != "imo" or is_imo_number(words):
+                yield column, words
 
 
 def _target(value: Any, radar: str, target: str, station: tuple[float, float]) -> dict[str, Any] | None:
