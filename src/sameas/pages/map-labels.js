@@ -1,4 +1,5 @@
-// ---- labels next to their symbols, important ones first; a label without a free place is not drawn ----
+// ---- labels next to their symbols, important ones first; a label without a free place is not drawn, unless it names
+// what is in an alarm or picked: that may cover symbols ----
 const LINE_HEIGHT = 14;
 
 // Occupied boxes [left, top, right, bottom] of the chart, in cells so that few are compared.
@@ -89,7 +90,6 @@ function placed(c, room, d, lines, w) {
     .map(([u, v]) => [d.u + u, d.v + v, d.u + u + wide, d.v + v + high])
     .find(box => box[0] > 2 && box[2] < w - 2 && room.free(box));
   if (!spot) return undefined;
-  room.take(spot);
   c.lineWidth = 3.5;
   c.strokeStyle = colour.halo;
   lines.forEach((t, k) => {
@@ -103,8 +103,10 @@ function placed(c, room, d, lines, w) {
 function* labels(c, w, drawn) {
   const named = drawn.filter(d => objects.stage[d.r] !== STAGE.ended).sort((a, b) => rank(a) - rank(b) || a.n - b.n);
   const room = takenRoom(),
-    others = takenRoom();
+    others = takenRoom(),
+    withoutSymbols = takenRoom();
   takeFurniture(room);
+  takeFurniture(withoutSymbols);
   takeSymbols(room, drawn);
   yield;
   c.font = "12px system-ui, 'DejaVu Sans', sans-serif";
@@ -121,7 +123,10 @@ function* labels(c, w, drawn) {
     const moving = knots(objects.speed[d.r]) + towards + high;
     // Labels of dots keep a distance, or they could not be assigned to their dots.
     if (!crowd.vectors && !isImportant(d.n) && !isApart(d) && !others.free([d.u - 92, d.v - 46, d.u + 92, d.v + 46])) continue;
-    const box = (full && placed(c, room, d, [name, moving], w)) || placed(c, room, d, [name], w);
-    if (box) others.take(box);
+    const box =
+      (full && placed(c, room, d, [name, moving], w)) ||
+      placed(c, room, d, [name], w) ||
+      (rank(d) < 2 && placed(c, withoutSymbols, d, [name], w));
+    if (box) for (const each of [others, room, withoutSymbols]) each.take(box);
   }
 }
