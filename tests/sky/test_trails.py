@@ -7,7 +7,7 @@ from sameas.report.movers import streak_lines
 from sameas.simulate.frames import Camera, GaussianProfile, frame_of
 from sameas.sky.frame.detect import detect
 from sameas.sky.movers.search import search
-from sameas.sky.movers.trails import TrailPixels, streak_table, streaks, with_trails
+from sameas.sky.movers.trails import TrailPixels, _long_lines, _Trail, streak_table, streaks, with_trails
 from sameas.sky.series import Exposure, tie
 
 SIDE, SCALE, RA, DEC, FWHM, EXPOSURE_MIN, EVERY_MIN = 320, 1.2, 150.0, 20.0, 3.0, 4.0, 6.0
@@ -202,3 +202,13 @@ def test_a_comet_with_a_coma_is_one_mover():
     assert len(found) == 1 and found.size[0] >= 5
     east, north = found.rate_arcsec_per_min[0]
     np.testing.assert_allclose([-east / SCALE, north / SCALE], rate, atol=0.05)
+
+
+def test_parts_of_a_long_line_are_one_though_the_direction_of_each_is_uncertain():
+    parts = [
+        _Trail(np.array([x, 0.01 * x]), 15.0 * np.array([np.cos(turn), np.sin(turn)]), np.eye(4), 1e4, 100.0, False)
+        for x, turn in ((40.0, 0.03), (120.0, -0.02), (300.0, 0.02), (620.0, -0.01))
+    ]
+    (line,) = _long_lines(parts, 3.0, 108.0)
+    assert line.length == pytest.approx(610.0, abs=1.0) and line.flux / line.flux_err == pytest.approx(200.0)
+    assert abs(line.half[1] / line.half[0] - 0.01) < 0.003

@@ -224,10 +224,11 @@ class _Columns:
         trails = _trails(pixels, at[light])
         # What remains of bright stars is not measured, and lies in line by chance; particles are no satellites.
         measured = [k for k, trail in enumerate(trails) if not trail.sharp and (free & trail.covers(at, width)).any()]
-        lines = [
-            [measured[k] for k in line] for line in _long_lines([trails[k] for k in measured], width, 1.8 * MAX_PX)
-        ]
-        satellites = {k for line in lines for k in line}
+        lines, satellites = [], set()
+        for line in _long_lines([trails[k] for k in measured], width, 1.8 * MAX_PX):
+            whole = _collinear(line, trails, set(range(len(trails))), width)
+            satellites.update(whole)
+            lines.append(_joined([trails[k] for k in whole] or [line], line.half))
         for k, trail in enumerate(trails):
             parts = np.flatnonzero(free & trail.covers(at, width))
             self.unreliable[rows[parts]] = True
@@ -243,8 +244,9 @@ class _Columns:
             self._put(row, trail, one, own, series.floor_arcsec[n], was_at, to_sky)
             one = trail.measured_on(one, own)
         for line in lines:
-            self.unreliable[rows[free & trails[line[0]].covers(at, width, math.inf)]] = True
-            self.long.append(_joined(n, [trails[k] for k in line], to_sky))
+            self.unreliable[rows[free & line.covers(at, width, math.inf)]] = True
+            ends = to_sky(line.middle + np.array([[-1.0], [1.0]]) * line.half)
+            self.long.append(Streak.of(n, ends, line.flux / line.flux_err))
         return one
 
     def _add(self, series: Series, n: int, one: Exposure, place: FloatArray) -> Exposure:
@@ -308,33 +310,38 @@ def _trails(pixels: TrailPixels, measured: FloatArray) -> list[_Trail]:
     return trails
 
 
-def _long_lines(trails: list[_Trail], width: float, longest: float) -> list[list[int]]:
-    """Groups of collinear trails that are together longer than any mover's, as of satellites cut by stars."""
+def _long_lines(trails: list[_Trail], width: float, longest: float) -> list[_Trail]:
+    """Collinear trails that are together longer than any mover's, as of satellites cut by stars, joined."""
     lines, remaining = [], set(range(len(trails)))
-    for k, one in enumerate(trails):
+    for k, line in enumerate(trails):
         if k not in remaining:
             continue
-        unit = 2.0 * one.half / one.length
-        collinear = [
-            m for m in sorted(remaining)
-            if one.covers(trails[m].middle[None], width, math.inf)[0]
-            and abs(float(trails[m].half @ np.array([-unit[1], unit[0]]))) < 0.1 * trails[m].length
-        ]  # fmt: skip
-        ends = [
-            float((trails[m].middle + s * trails[m].half - one.middle) @ unit) for m in collinear for s in (-1.0, 1.0)
-        ]
-        if max(ends) - min(ends) > longest:
-            lines.append(collinear)
-            remaining -= set(collinear)
+        parts = [k]
+        # Each part makes the direction better known, which may add parts farther away.
+        while len(found := _collinear(line, trails, remaining, width)) > len(parts):
+            parts, line = found, _joined([trails[m] for m in found], line.half)
+        if line.length > longest:
+            lines.append(line)
+            remaining -= set(parts)
     return lines
 
 
-def _joined(frame: int, parts: Sequence[_Trail], to_sky: ChipMap) -> Streak:
-    """The streak of collinear trails, from one end to the other."""
+def _collinear(line: _Trail, trails: list[_Trail], among: set[int], width: float) -> list[int]:
+    """The trails whose middle and direction are those of a line."""
+    across = 2.0 * line.half[::-1] * [-1.0, 1.0] / line.length
+    return [
+        m for m in sorted(among)
+        if line.covers(trails[m].middle[None], width, math.inf)[0]
+        and abs(float(trails[m].half @ across)) < 0.1 * trails[m].length
+    ]  # fmt: skip
+
+
+def _joined(parts: Sequence[_Trail], along: FloatArray) -> _Trail:
+    """Collinear trails as one, from the first end to the last in a direction."""
     ends = np.array([part.middle + side * part.half for part in parts for side in (-1.0, 1.0)])
-    along = ends @ parts[0].half
-    snr = math.hypot(*(part.flux / part.flux_err for part in parts))
-    return Streak.of(frame, to_sky(ends[[int(np.argmin(along)), int(np.argmax(along))]]), snr)
+    first, last = ends[np.argmin(ends @ along)], ends[np.argmax(ends @ along)]
+    flux, snr = sum(part.flux for part in parts), math.hypot(*(part.flux / part.flux_err for part in parts))
+    return replace(parts[0], middle=0.5 * (first + last), half=0.5 * (last - first), flux=flux, flux_err=flux / snr)
 
 
 @dataclass(frozen=True)
