@@ -189,3 +189,24 @@ def test_heights_distinguish_two_aircraft_over_one_place_in_a_live_picture(other
     assert wrong == 0 and right >= 20
     # The offset estimated from the last minutes is removed; the rest is error.
     assert np.nanmax(np.abs(off)) < (120.0 if shift_m else 80.0)
+
+
+def test_gliders_in_one_thermal_do_not_make_an_offset_of_their_distances_in_height() -> None:
+    """Nine with FLARM above each other, of which three have ADS-B: most pairs within the errors are of two of them."""
+    rng = np.random.default_rng(3)
+    times, gliders = np.arange(0.0, 1500.0, 5.0), np.arange(9)
+    turn = rng.uniform(0.0, 6.3, 9)[:, None] + rng.uniform(0.1, 0.3, 9)[:, None] * times
+    radius_m = rng.uniform(90.0, 180.0, (9, 1, 1))
+    place = radius_m * np.stack([np.sin(turn), np.cos(turn)], axis=2) + times[:, None]
+    level = 600.0 + 70.0 * gliders[:, None] + rng.uniform(0.8, 1.4, 9)[:, None] * times
+
+    def seen(name: str, who: np.ndarray, shift_m: float):
+        where = place[who] + rng.normal(0.0, 4.0, (len(who), len(times), 2))
+        return source(name, {
+            "time_s": np.tile(times, len(who)), "x_m": where[..., 0].ravel(), "y_m": where[..., 1].ravel(),
+            "track_id": np.repeat([f"{name}{k}" for k in who], len(times)), "alt_m": level[who].ravel() + shift_m,
+        }, sigma=76.0, height_m=60.0)  # fmt: skip
+
+    heights = Scene.of([seen("flarm", gliders, 0.0), seen("adsb", gliders[::3], 30.0)]).heights[1]
+    assert np.abs(heights.height_m - level[::3].ravel()).max() < 10.0
+    assert heights.sigma_m.max() < 40.0

@@ -33,12 +33,14 @@ CLIMB_M_PER_S, REPORTED_CLIMB_M_PER_S, CLIMB_NOISE_M2_PER_S3 = 8.0, 1.5, 1.0
 #: 1σ of the difference between pressure height and height above the ellipsoid if it is not estimated: at the ground,
 #: and as a share of the height.
 PRESSURE_M, PRESSURE_SHARE = 250.0, 0.04
+MAX_GAIN = 3.0 * PRESSURE_SHARE  # heights of different aircraft, taken for pairs, have larger ones
 OFFSET_M = 300.0  # 1σ of the offset between two sources of one kind
 #: Minimum number of reports with both heights for a line, and minimum span of their heights for its gain.
 MIN_REPORTS, MIN_SPAN_M = 20, 2000.0
 #: Instants at which sources are compared, pairs at most, completeness of the gate of positions.
 INSTANTS, MAX_PAIRS, NEAR = 32, 3000, 0.999
 MIN_PAIRS, SHARE = 5, 0.5  # minimum number of pairs for an offset, and share of the records that agree with it
+CLEAR = 0.25  # a pair is clear if any other of either record is four times as far apart: one wrong one in 16 is
 MIN_M = 5.0  # minimum 1σ of an estimate
 
 
@@ -261,15 +263,17 @@ def _line(known: Sequence[HeightColumns]) -> _Line | None:
 
 
 def _robust_line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
-    """Offset, gain and scatter (1σ) of y over x without outliers; gain 0 if points are few or the span of x small."""
+    """Offset, gain and scatter (1σ) of y over x without outliers; gain 0 if points are few or the span of x small, or
+    if it is none of the atmosphere."""
     keep = np.ones(len(x), bool)
     offset = gain = sigma = 0.0
     for _ in range(5):
-        if keep.sum() < MIN_REPORTS or np.ptp(x[keep]) < MIN_SPAN_M:
-            offset, gain = float(np.median(y[keep])), 0.0
-        else:
+        gain = 0.0
+        if keep.sum() >= MIN_REPORTS and np.ptp(x[keep]) >= MIN_SPAN_M:
             design = np.column_stack([np.ones(keep.sum()), x[keep]])
             offset, gain = map(float, np.linalg.lstsq(design, y[keep], rcond=None)[0])
+        if gain == 0.0 or abs(gain) > MAX_GAIN:
+            offset, gain = float(np.median(y[keep])), 0.0
         residual = y - offset - gain * x
         sigma = robust_scale(residual)
         keep = np.abs(residual) <= 4.0 * max(sigma, MIN_M)
@@ -302,10 +306,13 @@ def _offset(heights: HeightReports, feed: Feed, against: HeightReports, referenc
 def _differences(
     heights: HeightReports, feed: Feed, against: HeightReports, reference: Feed
 ) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-    """(k,) height differences of pairs near in position, their 1σ, the reference heights, and the number of records."""
+    """(k,) height differences of pairs near in position, their 1σ, the reference heights, and the number of records.
+
+    Where enough pairs are clear, only these: of gliders in one thermal most pairs are of two of them.
+    """
     start = max(feed.reports.time_s.min(), reference.reports.time_s.min())
     stop = min(feed.reports.time_s.max(), reference.reports.time_s.max())
-    parts, records = [(np.empty(0),) * 3], 0
+    parts, records = [(np.empty(0),) * 3 + (np.empty(0, bool),)], 0
     for instant_s in np.linspace(start, stop, INSTANTS) if stop >= start else ():
         one, two = Snapshot.of(feed, float(instant_s)), Snapshot.of(reference, float(instant_s))
         if not (len(one.rows) and len(two.rows)):
@@ -317,10 +324,26 @@ def _differences(
         i, j = _near(one, two, NEAR)
         both = np.isfinite(h[i]) & np.isfinite(k[j])
         i, j = i[both], j[both]
-        parts.append((h[i] - k[j], np.hypot(s[i], t[j]), k[j]))
+        apart_m = np.hypot(*(one.state[i, :2] - two.state[j, :2]).T)
+        is_clear = (apart_m < CLEAR * _next_m(i, apart_m)) & (apart_m < CLEAR * _next_m(j, apart_m))
+        parts.append((h[i] - k[j], np.hypot(s[i], t[j]), k[j], is_clear))
         records += min(len(np.unique(i)), len(np.unique(j)))
-    difference, sigma, height = (np.concatenate(column)[:MAX_PAIRS] for column in zip(*parts, strict=True))
+    difference, sigma, height, clear = (np.concatenate(column)[:MAX_PAIRS] for column in zip(*parts, strict=True))
+    if (n_clear := int(clear.sum())) >= MIN_REPORTS:
+        return difference[clear], sigma[clear], height[clear], n_clear
     return difference, sigma, height, min(records, len(difference))
+
+
+def _next_m(record: IntArray, apart_m: FloatArray) -> FloatArray:
+    """(k,) of each pair, the distance of the nearest other pair of its record (k,); infinite if there is none."""
+    order = np.lexsort([apart_m, record])
+    ranked = apart_m[order]
+    first = np.diff(record[order], prepend=-1) != 0
+    begins = np.flatnonzero(first)[np.cumsum(first) - 1]
+    after = np.append(np.where(first[1:], np.inf, ranked[1:]), np.inf)
+    out = np.empty(len(record))
+    out[order] = np.where(first, after, ranked[begins])
+    return out
 
 
 def _near(one: Snapshot, two: Snapshot, completeness: float) -> tuple[IntArray, IntArray]:
