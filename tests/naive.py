@@ -682,3 +682,25 @@ def nested_densities(
                     at[k, s, 1] = (n[s] + smooth) / (size + smooth / at[k, s, 1])
             ended[s] = ended[s] or finest
     return seen, at
+
+
+def partitions_of(rows: list[int]) -> Iterator[list[list[int]]]:
+    """All partitions of some rows into objects."""
+    if not rows:
+        yield []
+        return
+    for rest in partitions_of(rows[1:]):
+        for k in range(len(rest)):
+            yield [*rest[:k], [rows[0], *rest[k]], *rest[k + 1 :]]
+        yield [[rows[0]], *rest]
+
+
+def log_object(xy: np.ndarray, variance: np.ndarray, log_density: float, log_count: np.ndarray) -> float:
+    """ln w of an object with rows (k, 2) of circular errors: the density of each row given those before it."""
+    total, precision, place = log_density + log_count[len(xy)], 0.0, np.zeros(2)
+    for at, v in zip(xy, variance, strict=True):
+        if precision:
+            total += log_normal(at - place, (v + 1.0 / precision) * np.eye(2))
+        place = (place * precision + at / v) / (precision + 1.0 / v)
+        precision += 1.0 / v
+    return total

@@ -227,7 +227,8 @@ def test_pages_import_public_names_only(page):
 
 @pytest.mark.parametrize("command, pages", [
     ("match", ["files-and-command"]), ("explain", ["files-and-command"]), ("compare", ["files-and-command"]),
-    ("many", ["many-catalogues", "files-and-command"]), ("frame", ["frame", "files-and-command"]),
+    ("many", ["many-catalogues", "files-and-command"]), ("internal", ["tasks/internal", "files-and-command"]),
+    ("frame", ["frame", "files-and-command"]),
     ("movers", ["movers", "frame", "files-and-command"]), ("picture", ["picture", "sensors", "files-and-command"]),
     ("watch", ["live", "picture", "files-and-command"]),
 ])  # fmt: skip

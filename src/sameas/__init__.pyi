@@ -30,6 +30,8 @@ from .front.comparison import compare as compare
 from .front.explain import explain as explain
 from .front.frame import MatchFrame as MatchFrame
 from .front.frame import match_frame as match_frame
+from .front.internal import MatchInternal as MatchInternal
+from .front.internal import match_internal as match_internal
 from .front.many import MatchMany as MatchMany
 from .front.many import match_many as match_many
 from .front.match import Match as Match

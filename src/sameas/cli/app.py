@@ -74,6 +74,7 @@ COMMANDS = {
     "explain": "Explain a record's identification: its candidates, and what other answers would cost.",
     "compare": "Compare two outputs: which records were identified differently.",
     "many": "Identify the records of several catalogues at once and join their tables, one row per object.",
+    "internal": "Find which rows of one table are the same object: detections on many exposures, duplicates.",
     "frame": "Identify the stars on frames with a catalogue: table, plate solution, regions, pictures and a page each.",
     "movers": "Find what moves: tracklets of detections, how sure each is, and each of its detections.",
     "picture": "One picture from many sensors: which record of each source is which ship or aircraft, "
@@ -83,7 +84,7 @@ COMMANDS = {
 
 
 #: Commands that use position errors instead of a radius.
-_WITH_ERRORS = {"match", "many"}
+_WITH_ERRORS = {"match", "many", "internal"}
 
 
 class _Recorded(TyperCommand):

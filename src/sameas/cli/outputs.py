@@ -38,7 +38,8 @@ def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Cata
     def printed(side: int, catalogue: Catalogue) -> None:
         pace.pause()
         words = partial(request.in_own_terms, in_options, side)
-        printer([*catalogue_lines(catalogue, side, request.paths[side - 1], words), ""])
+        which = side if len(request.paths) > 1 else 0
+        printer([*catalogue_lines(catalogue, which, request.paths[side - 1], words), ""])
         if side < len(request.paths):
             pace(f"reading {request.paths[side]}")
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from sameas.result import Identification
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions
+    from sameas.sky.internal import InternalMatch, InternalOptions
     from sameas.sky.many import ManyMatch, ManyOptions
     from sameas.sky.sky_match import SkyMatch
     from sameas.sky.systematics import Rotation
@@ -214,6 +215,17 @@ def of_many(
     facts |= {f"expected_{'_'.join(names)}": expected for names, expected in match.expected.items()}
     doubts = [words(doubt) for doubt in match.doubts]
     return facts | {"objects": len(match.objects), "rounds": match.iterations, "doubts": doubts}
+
+
+def of_internal(
+    request: Request[InternalOptions], match: InternalMatch, command: str, words: Callable[[str], str]
+) -> dict[str, Any]:
+    """Provenance of an internal match. words : rewords messages that name arguments."""
+    facts, given = _made_now(command), request.facts()
+    facts |= {name: given[name] for name in ("input_1", "sha256_1")}
+    facts |= {"name_1": match.catalogue.name, "rows_1": len(match.catalogue), "options_1": given["options_1"]}
+    facts |= {"options_match": given["options_match"], "reach_arcsec": match.reach_arcsec, "objects": len(match)}
+    return facts | {"doubts": [words(doubt) for doubt in match.doubts]}
 
 
 def _completeness(match: SkyMatch) -> dict[str, Any]:

@@ -21,9 +21,10 @@ from sameas.representation import ORDINALS, in_short
 if TYPE_CHECKING:
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions
+    from sameas.sky.internal import InternalOptions
     from sameas.sky.many import ManyOptions
 
-Options = TypeVar("Options", bound="MatchOptions | ManyOptions")
+Options = TypeVar("Options", bound="MatchOptions | ManyOptions | InternalOptions")
 
 
 @in_short
@@ -31,7 +32,7 @@ Options = TypeVar("Options", bound="MatchOptions | ManyOptions")
 class Request(Generic[Options]):
     """The catalogues to be identified, with all options.
 
-    sources : two or more paths, tables (see :func:`sameas.front.tables.table_of`) or catalogues.
+    sources : one or more paths, tables (see :func:`sameas.front.tables.table_of`) or catalogues.
     options : of the match.
     columns : options of the catalogues by parameter: ``sigma`` applies to all, ``sigma2`` to the second.
     given_names : the catalogues' names in messages, if given by the user.

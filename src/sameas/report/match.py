@@ -32,12 +32,13 @@ USUAL_RADIUS_ARCSEC = 5.0
 
 
 def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Callable[[str], str] = str) -> list[str]:
-    """How the columns of catalogue 1, 2, … are interpreted, and doubts about it.
+    """How the columns of catalogue 1, 2, …, or of the only one (0), are interpreted, and doubts about it.
 
     path : of its file. words : converts messages that name arguments, for example to command-line options.
     """
     where = f" ({path})" if path else ""
-    lines = [f"{ORDINALS[side - 1].capitalize()} catalogue: {catalogue.name}, {counted(len(catalogue), 'row')}{where}"]
+    which = f"{ORDINALS[side - 1].capitalize()} catalogue" if side else "Catalogue"
+    lines = [f"{which}: {catalogue.name}, {counted(len(catalogue), 'row')}{where}"]
     lines += labelled([words(line) for line in catalogue.interpretation])
     for note in catalogue.table.meta.get("sameas_notes", ()):  # notes of the reader
         lines += entry("file", note)

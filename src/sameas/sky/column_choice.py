@@ -298,7 +298,7 @@ class ColumnChoice:
         if self.error.kind == "number":
             return f"errors: {self.error.sigma_arcsec:.3g} arcsec on each axis ({self.error.reason})"
         if self.error.kind == "unknown":
-            return "errors: not known, to be estimated from the distances to another catalogue"
+            return "errors: not known, to be estimated from the distances of records"
         if self.error.survey is not None:
             by = f" by {self.magnitude}" if self.magnitude else ""
             return f"errors: those of {self.error.survey.title}{by} ({self.error.survey.source})"

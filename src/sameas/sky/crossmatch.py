@@ -159,13 +159,18 @@ def at_common_epoch(
     calls = [partial(catalogue.records, epoch) for catalogue in (first, second)]
     one, two = threads.each(calls, len(first) + len(second))
     for catalogue, records in ((first, one), (second, two)):
-        if not len(records):
-            counts = records.set_aside.counts()
-            reasons = ", ".join(f"{reason} ({n})" for reason, n in counts.items())
-            remedy = naming("an error of 0 or less counts as none: give {sigma:ARCSEC}") if "no error" in counts else ""
-            message = f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}"
-            raise InputError(message, remedy, source=catalogue.name)
+        refuse_unusable(catalogue, records)
     return epoch, note, one, two
+
+
+def refuse_unusable(catalogue: Catalogue, records: Records) -> None:
+    """Refuse a catalogue of which no row can be used, with the reasons."""
+    if not len(records):
+        counts = records.set_aside.counts()
+        reasons = ", ".join(f"{reason} ({n})" for reason, n in counts.items())
+        remedy = naming("an error of 0 or less counts as none: give {sigma:ARCSEC}") if "no error" in counts else ""
+        message = f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}"
+        raise InputError(message, remedy, source=catalogue.name)
 
 
 #: Records in a square as high as a ring (sets the number of rings); bits of a ring number.

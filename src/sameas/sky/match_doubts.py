@@ -152,7 +152,7 @@ def _duplicate_doubts(result: Identification, estimate: Estimate) -> tuple[str, 
             doubts.append(
                 f"in {records.source} {close.n_pairs} couples of records lie within their errors of each other, where "
                 f"chance makes {close.by_chance:.0f}: if they are one object given twice (two exposures, a deblender), "
-                "its probability is divided between the two; give each object once, or add p_second to p_match"
+                "its probability is divided between the two; give each object once: `sameas internal` gathers its rows"
             )
     return tuple(doubts)
 

@@ -56,6 +56,21 @@ COLUMNS: dict[str, tuple[str | None, str | None, str]] = {
     "pmdec_object_error": ("mas / yr", f"stat.error;pos.pm;{_DEC}", "its standard error"),
     "epoch_object": ("yr", "time.epoch", "Julian year of the position"),
     "chi_sq": (None, "stat.fit.chi2", "chi squared of the records about the object, by the quoted errors"),
+    # Of an internal match: of rows, and of objects.
+    "object_id": (None, "meta.id.assoc", "object of the row, counted from 1"),
+    "object_rows": (None, "meta.number", "rows of the object"),
+    "object_rank": (None, "meta.number", "place of the row among those of its object, from the smallest error"),
+    "object_sep_arcsec": ("arcsec", "pos.angDistance", "distance from the mean place of the object"),
+    "p_row": (None, "stat.probability", "probability that the row is of this object"),
+    "ra": ("deg", f"{_RA};meta.main", "right ascension, mean of all rows"),
+    "dec": ("deg", f"{_DEC};meta.main", "declination, mean of all rows"),
+    "ra_error_arcsec": ("arcsec", f"stat.error;{_RA};meta.main", "its standard error, times cos(dec)"),
+    "dec_error_arcsec": ("arcsec", f"stat.error;{_DEC};meta.main", "its standard error"),
+    "epoch": ("yr", "time.epoch", "mean Julian year of the rows"),
+    "epoch_first": ("yr", "time.start", "Julian year of the first row"),
+    "epoch_last": ("yr", "time.end", "Julian year of the last row"),
+    "magnitude_mean": ("mag", "phot.mag;stat.mean", "mean magnitude of the rows that have one"),
+    "magnitude_scatter": ("mag", "stat.stdev;phot.mag", "standard deviation of the magnitudes"),
 }
 #: By name of the column; those of frames, which have their units and descriptions in ``sky.frame.outputs``, too.
 UCDS = {

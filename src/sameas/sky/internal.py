@@ -1,0 +1,540 @@
+"""Internal match: which rows of one table are the same object, such as detections on many exposures.
+
+Objects are a Poisson field of local density ρ. An object has K rows with the probability f(K), each displaced from its
+place by its own error. A partition of the rows into objects C is as probable as the product of
+
+    w(C) = ρ f(K) K! ∫ Π_{i∈C} N(x_i; μ, S_i) dμ,
+
+with K! replaced by 1 / (T over K) where the T exposures are known; each row beyond the first of one exposure costs a
+factor more (:data:`REPEATED`). All of it comes from the table: the reach within which close rows exceed chance, the
+errors S from the distances of close rows, ρ from the neighbours of an object and f from the objects, in two rounds.
+
+The partition is the best that dividing, moving and merging find within components of rows that reach each other
+(:mod:`sameas.kernels.internal`). Of two rows, its probabilities are those of all partitions; of more, those of other
+places of one row, of exchanges of two, and of the best division and the unions of an object.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from astropy.table import MaskedColumn, Table
+from scipy.special import gammaln
+
+from sameas.arrays import FloatArray, IntArray, median
+from sameas.errors import InputError
+from sameas.estimate.error_model import better_model
+from sameas.evidence import Errors
+from sameas.gate import Radius
+from sameas.gaussian import inverse
+from sameas.kernels import threads
+from sameas.ragged import Ragged
+from sameas.records import Records
+from sameas.representation import in_short
+from sameas.sky.catalogue import Catalogue
+from sameas.sky.column_choice import PositionError
+from sameas.sky.crossmatch import by_position, refuse_unusable
+from sameas.sky.output_columns import attributes_of
+from sameas.space import ARCSEC_PER_RADIAN, displaced, on_axes_of, unit_vectors
+
+#: Radii at which neighbours are counted, arcsec: from the first to the last by this factor; records that count them;
+#: most chance neighbours of a record within the reach, and most neighbours that are counted.
+RADII_ARCSEC, RADIUS_STEP, COUNTED, MOST_BY_CHANCE, MOST_COUNTED = (1e-3, 240.0), math.sqrt(2.0), 2e5, 2.0, 3000.0
+#: The reach has this share of the close couples in excess of chance; an excess counts from this many standard
+#: deviations on. Rows are linked at LINK times the reach, which loses none, or where they have MOST_LINKED unrelated
+#: objects within it: at four times as many, chance links all.
+EXCESS_SHARE, MIN_EXCESS_SIGMAS, LINK, MOST_LINKED = 0.98, 5.0, 2.0, 1.0
+#: Least number of couples of rows from which errors are estimated; typical errors within which rows are linked where
+#: the table shows no excess.
+MIN_COUPLES, LINKED_SIGMAS = 30, 8.0
+#: Rows whose neighbours tell the errors, most couples of them, and of those for the floor; couples within this many
+#: reaches are used.
+COUPLED, COUPLES, MODEL_PAIRS, WITHIN = 20_000, 300_000, 3_000, 4.0
+#: The smallest scale of the errors, the ratio of the next one, and the distance of the farthest couples over the
+#: largest; bins of the distance; EM steps; least share of a scale.
+SMALLEST, SCALE_STEP, OF_SCALE, BINNED, EM_STEPS, LEAST_SHARE = 0.25, 1.25, 2.5, 500, 2_000, 3e-3
+MIN_GAIN_OF_FLOOR = 8.0  # in ln likelihood
+#: Error per axis that is assumed before it is estimated, as a share of the reach (3σ of a difference is 4.2σ).
+ERROR_OF_REACH = 1.0 / 4.2
+BINS = 4  # of the number of rows of an object, per octave
+ROUNDS = 2  # of the density and of f(K)
+NEIGHBOURS = 16  # of an object, for the density
+REPEATED = 1e-3  # probability that an exposure shows an object twice (deblenders; chosen)
+WIDE = 1.5  # scale from which a component of the errors is one of the outliers
+SEED = 20_261
+
+
+@in_short
+@dataclass(frozen=True)
+class InternalOptions:
+    """error_scale : "auto" estimates the errors; 1 takes them as quoted, a number as quoted times it.
+    exposure : the column that numbers the exposures, images or visits; an exposure shows an object once. None if rows
+        may be anything."""
+
+    error_scale: float | str = "auto"
+    exposure: str | None = None
+
+    def check(self) -> None:
+        """Refuse invalid values, before a file is read."""
+        self.factor()
+
+    def factor(self) -> float | None:
+        """The given factor on the quoted errors; None if it is to be estimated."""
+        if self.error_scale == "auto":
+            return None
+        try:
+            factor = float(self.error_scale)
+        except ValueError:
+            factor = math.nan
+        if not 0.0 < factor < math.inf:
+            raise InputError(f'error scale is {self.error_scale!r}; give "auto" or a positive factor')
+        return factor
+
+
+@in_short
+@dataclass(frozen=True)
+class InternalMatch:
+    """The objects of one table; n usable records, g objects.
+
+    records : the usable rows, with errors as estimated. reach_arcsec : within which rows of one object lie. chance :
+    expected unrelated neighbours of a row within it. errors : relative to the quoted ones, of one row.
+    object : (n,) number of the object of each record; objects are numbered by their first rows in the table.
+    p_row : (n,) probability that the row is of this object. p_object : (g,) that these rows are one object, and not two
+    or a part of a neighbour. position_deg : (g, 2) right ascension and declination. covariance : (g, 2, 2) of east and
+    north, arcsec². doubts : what looks wrong.
+    """
+
+    catalogue: Catalogue
+    records: Records
+    reach_arcsec: float
+    chance: float
+    errors: Errors
+    object: IntArray
+    p_row: FloatArray
+    p_object: FloatArray
+    position_deg: FloatArray
+    covariance: FloatArray
+    doubts: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.p_object)
+
+    @cached_property
+    def n_rows(self) -> IntArray:
+        """(g,) rows of each object."""
+        return np.bincount(self.object, minlength=len(self))
+
+    @cached_property
+    def offset_arcsec(self) -> FloatArray:
+        """(n, 2) east and north of each record from the place of its object."""
+        return on_axes_of(self.position_deg[self.object], self.records.features)[0]
+
+    @cached_property
+    def chi_sq(self) -> FloatArray:
+        """(g,) χ² of the rows about the place, of 2 (n_rows − 1) degrees of freedom."""
+        precision = inverse(self.records.full_covariance())
+        square = np.einsum("nv,nvw,nw->n", self.offset_arcsec, precision, self.offset_arcsec)
+        return np.bincount(self.object, square, len(self)).astype(np.float64)
+
+    @cached_property
+    def rank(self) -> IntArray:
+        """(n,) place of the record among those of its object, from the smallest error, counted from 1."""
+        size = self.records.variances.sum(axis=1)
+        order = np.lexsort([self.records.rows, size, self.object])
+        out = np.empty(len(order), np.int64)
+        out[order] = Ragged.of_sizes(self.n_rows).index + 1
+        return out
+
+
+def match_internal(
+    catalogue: Catalogue,
+    options: InternalOptions | None = None,
+    *,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> InternalMatch:
+    """The rows of a table gathered to objects, with everything estimated from the table.
+
+    Raises
+    ------
+    InputError : no usable rows; the exposure column does not exist.
+    """
+    options = InternalOptions() if options is None else options
+    factor, exposure = options.factor(), _exposures(catalogue, options.exposure)
+    progress("neighbours")
+    unknown, doubts = catalogue.error_is_unknown, []
+    known = catalogue.with_error(PositionError("number", sigma_arcsec=1.0, reason="assumed")) if unknown else catalogue
+    records = known.records(known.epoch_jyr if known.has_motion else None)
+    refuse_unusable(known, records)
+    records = by_position(records)
+    neighbours = _Neighbours.of(records)
+    if unknown:
+        records = records.with_errors(ERROR_OF_REACH * max(neighbours.reach_arcsec, RADII_ARCSEC[0]), 0.0)
+    link = neighbours.link_arcsec
+    if not neighbours.reach_arcsec and not unknown:
+        link = LINKED_SIGMAS * math.sqrt(2.0 * median(records.variances.mean(axis=1)))
+    component = _components(neighbours.direction, link)
+    progress("errors")
+    errors = Errors(factor_1=factor, factor_2=factor) if factor is not None else Errors()
+    if factor is None and neighbours.reach_arcsec:
+        errors = _errors_of_rows(records, neighbours.reach_arcsec)
+    if unknown:
+        sigma = math.sqrt(median(_with_errors(records, errors).variances[:, 0]))
+        doubts.append(f"{catalogue.name}: it has no position errors; {sigma:.2g} arcsec on each axis was estimated "
+                      "from the distances of its rows to each other")  # fmt: skip
+    if not neighbours.reach_arcsec:
+        doubts.append(f"{catalogue.name}: close rows do not exceed what chance gives: hardly any object is repeated")
+    progress("objects")
+    records = _with_errors(records, errors)
+    found = _Partition.of(records, component, exposure[records.rows], errors)
+    return found.result(catalogue, neighbours, errors, tuple(doubts))
+
+
+def _exposures(catalogue: Catalogue, name: str | None) -> IntArray:
+    """(n_table,) numbers of the exposures; −1 where none is known."""
+    if name is None:
+        return np.full(len(catalogue), -1)
+    if name not in catalogue.table.colnames:
+        names = ", ".join(catalogue.table.colnames[:12])
+        raise InputError(f"{catalogue.name}: there is no column {name!r}; its columns are {names}",
+                         "name the column of the exposures")  # fmt: skip
+    column = catalogue.table[name]
+    values = np.ma.getdata(np.ma.asarray(column))
+    missing = np.ma.getmaskarray(np.ma.asarray(column)).copy()
+    if values.dtype.kind == "f":
+        missing |= ~np.isfinite(values)
+    _, number = np.unique(values.astype(str) if values.dtype.kind == "O" else values, return_inverse=True)
+    return np.where(missing, -1, number.ravel())
+
+
+@dataclass(frozen=True)
+class _Neighbours:
+    """direction : (n, 3) of the records. reach_arcsec : 0 if close rows do not exceed chance. chance : see
+    :class:`InternalMatch`."""
+
+    direction: FloatArray
+    reach_arcsec: float
+    chance: float
+
+    @property
+    def link_arcsec(self) -> float:
+        """Within which rows are linked: twice the reach, less where chance would link whole fields."""
+        return self.reach_arcsec * min(LINK, math.sqrt(MOST_LINKED / max(self.chance, 1e-9)))
+
+    @classmethod
+    def of(cls, records: Records) -> _Neighbours:
+        """From the numbers of neighbours at all radii; those of twice to four times a radius tell the density."""
+        from scipy.spatial import cKDTree
+
+        direction = unit_vectors(*records.features.T)
+        mixed = direction[np.random.default_rng(SEED).permutation(len(direction))]
+        tree, radius = cKDTree(direction), RADII_ARCSEC[0]
+        radii: list[float] = []
+        counts: list[float] = []
+        centres: list[int] = []
+        while radius <= RADII_ARCSEC[1] and (not counts or counts[-1] < MOST_COUNTED):
+            some = mixed[: int(COUNTED / (1.0 + 2.0 * counts[-1] if counts else 1.0))]
+            number = tree.query_ball_point(some, radius / ARCSEC_PER_RADIAN, return_length=True, workers=-1)
+            radii.append(radius)
+            counts.append(float(number.mean()) - 1.0)
+            centres.append(len(some))
+            radius *= RADIUS_STEP
+        excess, by_chance = np.zeros(len(counts)), np.zeros(len(counts))
+        for k in range(len(counts) - 4):
+            chance = max((counts[k + 4] - counts[k + 2]) / 12.0, 0.0)
+            more = counts[k] - chance
+            # Rows of one object are near others together.
+            by_chance[k] = chance / (1.0 + max(more, 0.0))
+            significant = more > MIN_EXCESS_SIGMAS * math.sqrt((counts[k] + chance) / centres[k])
+            excess[k] = more if significant and by_chance[k] < MOST_BY_CHANCE else 0.0
+        # The excess grows up to the reach, and at twice of it is the same, but for the objects that chance puts there,
+        # whose rows come together.
+        together = 1.0 + np.maximum(excess, 0.0)
+        couples = len(records) * 1.5 * by_chance / together
+        scatter = 2.0 * together**2 * np.sqrt(couples) / len(records)
+        growth = excess[2:] - excess[:-2]
+        levels_off = (excess[:-2] > 0.0) & (growth <= (1.0 - EXCESS_SHARE) * excess[:-2] + 2.0 * scatter[:-2])
+        if not levels_off.any():
+            return cls(direction, 0.0, 0.0)
+        reached = int(np.argmax(levels_off))
+        return cls(direction, radii[reached], float(by_chance[reached]))
+
+
+def _components(direction: FloatArray, link_arcsec: float) -> IntArray:
+    """(n,) components of rows within ``link_arcsec`` of each other, by occupied cells of half that size."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    if not link_arcsec > 0.0:
+        return np.arange(len(direction))
+    length = link_arcsec / ARCSEC_PER_RADIAN
+    _, cell = np.unique(np.floor(direction / (0.5 * length)).astype(np.int64), axis=0, return_inverse=True)
+    cell = cell.ravel()
+    number = np.bincount(cell)
+    middle = np.column_stack([np.bincount(cell, axis) for axis in direction.T]) / number[:, None]
+    pairs = cKDTree(middle).query_pairs(length, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(number), len(number)))
+    return np.asarray(connected_components(graph, directed=False)[1][cell])
+
+
+def _errors_of_rows(records: Records, reach_arcsec: float) -> Errors:
+    """The errors of one row relative to the quoted ones, from the distances of close rows.
+
+    Distances of rows of one object are those of a mixture of normals, those of others increase in proportion to the
+    distance. The shares of both are fitted by EM iterations; the likelihood has one maximum.
+    """
+    sigma = math.sqrt(2.0 * median(records.variances.mean(axis=1)))
+    some = np.sort(np.random.default_rng(SEED).permutation(len(records))[:COUPLED])
+    limit = WITHIN * reach_arcsec / sigma
+    pairs = Radius(limit)(records.part(some), records)
+    other = np.flatnonzero(pairs.first.rows[pairs.i] != pairs.second.rows[pairs.j])
+    pairs = pairs.part(other[:: 1 + len(other) // COUPLES])
+    if len(pairs) < MIN_COUPLES:
+        return Errors()
+    mixture, p_same = _mixture(pairs.mahalanobis_sq, limit)
+    model, gain = better_model(mixture, pairs, p_same, MODEL_PAIRS)
+    if model.floor and gain > MIN_GAIN_OF_FLOOR:
+        mixture = model.with_mixture(_mixture(model.pairs(pairs).mahalanobis_sq, limit)[0])
+    return _of_one(mixture)
+
+
+def _mixture(square: FloatArray, limit: float) -> tuple[Errors, FloatArray]:
+    """The scales of the errors of couples, by squared normalised distances (m,) up to ``limit``, and the probability
+    (m,) of each to be of one object."""
+    number = 1 + int(math.log(limit / OF_SCALE / SMALLEST) / math.log(SCALE_STEP))
+    scales = SMALLEST * SCALE_STEP ** np.arange(number)
+    # In bins, so that many EM steps take no time: a tail needs hundreds.
+    edges = np.linspace(0.0, limit, BINNED + 1) ** 2
+    in_bin = np.minimum(np.searchsorted(edges, square, side="right") - 1, BINNED - 1)
+    count = np.bincount(in_bin, minlength=BINNED) / len(square)
+    of_same = -np.diff(np.exp(-0.5 * edges[:, None] / scales**2), axis=0)
+    density = np.column_stack([of_same, np.diff(edges) / limit**2])
+    share = np.full(number + 1, 1.0 / (number + 1))
+    for _ in range(EM_STEPS):
+        part = density * share
+        part /= part.sum(axis=1, keepdims=True)
+        share = count @ part
+    kept = share[:-1] > LEAST_SHARE * share[:-1].sum()
+    shares = share[:-1][kept] / share[:-1][kept].sum()
+    return Errors(tuple(scales[kept].tolist()), tuple(shares.tolist())), 1.0 - part[in_bin, -1]
+
+
+def _of_one(errors: Errors) -> Errors:
+    """The errors of one row from those of the difference of two: an outlier is one of the two."""
+    typical = errors.typical_scale
+    relative = np.array(errors.scales) / typical
+    wide = relative > WIDE
+    scales = np.where(wide, np.sqrt(np.maximum(2.0 * relative**2 - 1.0, 1.0)), relative)
+    shares = np.where(wide, 0.5, 1.0) * np.array(errors.shares)
+    factor = typical * math.sqrt(0.5 * (errors.factor_1**2 + errors.factor_2**2))
+    floor = typical * float(np.max(errors.floor)) / math.sqrt(2.0)
+    shares /= shares.sum()
+    return Errors(tuple(scales.tolist()), tuple(shares.tolist()), factor, factor, floor)
+
+
+def _with_errors(records: Records, errors: Errors) -> Records:
+    """The records with the typical errors, without the mixture."""
+    return records.with_errors(errors.factor_1, float(np.max(errors.floor)) ** 2)
+
+
+@dataclass(frozen=True)
+class _Partition:
+    """The partition of records, (n,), sorted by component.
+
+    order : (n,) of the records. origin : (n, 2) place of the first record of each component, degrees. label : number of
+    the object, over all components. place : (n, 5) of the object from the origin, and its precision.
+    """
+
+    records: Records
+    order: IntArray
+    origin: FloatArray
+    label: IntArray
+    p_row: FloatArray
+    p_object: FloatArray
+    place: FloatArray
+
+    @classmethod
+    def of(cls, records: Records, component: IntArray, exposure: IntArray, errors: Errors) -> _Partition:
+        """The best partition found, with densities and numbers of rows that fit it."""
+        from sameas.kernels.internal import RowArrays, RowModel
+
+        order = np.argsort(component, kind="stable")
+        start = Ragged.of_sorted(component[order], int(component.max()) + 1).start
+        first = np.repeat(order[start[:-1]], np.diff(start))
+        origin = records.features[first]
+        xy, rotation = on_axes_of(origin, records.features[order])
+        covariance = records.full_covariance()[order]
+        if records.covariance.shape[1] > 1:
+            covariance = np.einsum("nvw,nwx,nyx->nvy", rotation, covariance, rotation)
+        precision = inverse(covariance)[:, [0, 0, 1], [0, 1, 1]]
+        rows = RowArrays(xy, np.ascontiguousarray(precision), exposure[order], exposure[order])
+        most, number = int(np.diff(start).max()), int(exposure.max()) + 1
+        of_bin = np.unique(np.floor(BINS * np.log2(np.arange(1, most + 1))), return_inverse=True)[1]
+        share = np.ones(of_bin[-1] + 1)
+        scales, shares = np.array(errors.scales), np.array(errors.shares)
+        label, place = np.zeros(len(order), np.int64), np.zeros((len(order), 5))
+        p_row, p_object = np.ones(len(order)), np.ones(len(order))
+        bounds = _even(start)
+        middle = origin[start[:-1]]
+        for _ in range(ROUNDS):
+            log_density = np.log(_density(middle, origin[start[:-1]]))
+            model = RowModel(_log_count(share, of_bin, number), scales, shares, math.log(REPEATED))
+            threads.over(partial(_filled, (start, rows, log_density, model, label, p_row, p_object, place)), bounds)
+            sizes, firsts = _sizes(label, start)
+            middle = displaced(origin[firsts], place[firsts, :2])
+            share = np.bincount(of_bin[sizes - 1], minlength=len(share)) + 0.5
+        return cls(records, order, origin, _over_components(label, start), p_row, p_object, place)
+
+    def result(
+        self, catalogue: Catalogue, neighbours: _Neighbours, errors: Errors, doubts: tuple[str, ...]
+    ) -> InternalMatch:
+        """With the objects numbered by their first rows in the table."""
+        rows = self.records.rows[self.order]
+        by_row = np.argsort(rows)
+        _, first, number = np.unique(self.label[by_row], return_index=True, return_inverse=True)
+        rank = np.empty(len(first), np.int64)
+        rank[np.argsort(first)] = np.arange(len(first))
+        at = by_row[np.sort(first)]
+        of_record = np.empty(len(rows), np.int64)
+        of_record[self.order[by_row]] = rank[number.ravel()]
+        p_row = np.empty(len(rows))
+        p_row[self.order] = self.p_row
+        precision = np.empty((len(at), 2, 2))
+        precision[:, [0, 0, 1, 1], [0, 1, 0, 1]] = self.place[at][:, [2, 3, 3, 4]]
+        return InternalMatch(
+            catalogue, self.records, neighbours.reach_arcsec, neighbours.chance, errors, of_record, p_row,
+            self.p_object[at], displaced(self.origin[at], self.place[at, :2]), inverse(precision), doubts,
+        )  # fmt: skip
+
+
+def _filled(arguments: tuple[Any, ...], first: int, last: int) -> None:
+    """Fill the arrays for a range of components."""
+    from sameas.kernels.internal import partition
+
+    partition(first, last, *arguments)
+
+
+def _even(start: IntArray) -> list[int]:
+    """Bounds of ranges of components with about equal numbers of rows."""
+    parts = threads.even(int(start[-1]))
+    return [0, *np.searchsorted(start, parts[1:-1]).tolist(), len(start) - 1]
+
+
+def _over_components(label: IntArray, start: IntArray) -> IntArray:
+    """(n,) numbers of the objects over all components."""
+    counts = np.maximum.reduceat(label, start[:-1]) + 1
+    return np.asarray(label + np.repeat(np.cumsum(counts) - counts, np.diff(start)))
+
+
+def _sizes(label: IntArray, start: IntArray) -> tuple[IntArray, IntArray]:
+    """(g,) rows of each object, and (g,) its first row."""
+    _, firsts, sizes = np.unique(_over_components(label, start), return_index=True, return_counts=True)
+    return sizes, firsts
+
+
+def _density(objects_deg: FloatArray, at_deg: FloatArray) -> FloatArray:
+    """(m,) density of other objects (g, 2) per arcsec² at places (m, 2), from the distance of a near neighbour."""
+    from scipy.spatial import cKDTree
+
+    k = min(NEIGHBOURS, len(objects_deg) - 1)
+    if k < 2:
+        return np.full(len(at_deg), 1.0 / 3600.0**2)
+    distance, _ = cKDTree(unit_vectors(*objects_deg.T)).query(unit_vectors(*at_deg.T), k=[k + 1], workers=-1)
+    radius = np.maximum(distance[:, 0] * ARCSEC_PER_RADIAN, 1e-6)
+    return np.asarray((k - 1) / (math.pi * radius**2))
+
+
+def _log_count(share: FloatArray, of_bin: IntArray, exposures: int) -> FloatArray:
+    """(m + 1,) c(K) = ln f(K) + ln K!, or − ln (T over K) with exposures; f is even within a bin of K."""
+    rows = np.arange(1, len(of_bin) + 1)
+    log_f = np.log(share / share.sum() / np.bincount(of_bin))[of_bin]
+    if exposures:
+        total = max(exposures, len(rows))
+        log_ways = -(gammaln(total + 1.0) - gammaln(rows + 1.0) - gammaln(total - rows + 1.0))
+    else:
+        log_ways = gammaln(rows + 1.0)
+    return np.concatenate([[0.0], log_f + log_ways])
+
+
+def rows_table(match: InternalMatch) -> Table:
+    """The table of the catalogue with the object of each row.
+
+    object_id : number of the object, counted from 1 in the order of first rows. object_rows : number of its rows.
+    object_rank : 1 for its row of the smallest error, and so on. object_sep_arcsec : distance from its mean place.
+    p_row : probability that the row is of this object. p_object : that exactly these rows are one object. All are
+    masked in rows that could not be used.
+    """
+    table = match.catalogue.table.copy(copy_data=False)
+    at = match.object
+    values = {
+        "object_id": at + 1, "object_rows": match.n_rows[at], "object_rank": match.rank,
+        "object_sep_arcsec": np.hypot(*match.offset_arcsec.T), "p_row": match.p_row, "p_object": match.p_object[at],
+    }  # fmt: skip
+    rows = match.records.rows
+    unused = np.ones(len(table), np.bool_)
+    unused[rows] = False
+    for name, of_records in values.items():
+        column = np.zeros(len(table), of_records.dtype)
+        column[rows] = of_records
+        table[_free(table, name)] = MaskedColumn(column, mask=unused, **attributes_of(name))
+    return table
+
+
+def objects_table(match: InternalMatch) -> Table:
+    """One row for each object, as a catalogue that ``sameas match`` reads.
+
+    object_id, ra, dec, ra_error_arcsec, dec_error_arcsec : mean place of its rows. object_rows, p_object : see
+    :func:`rows_table`. chi_sq : of its rows, 2 (object_rows − 1) degrees of freedom. epoch, epoch_first, epoch_last :
+    where rows have epochs. The mean magnitude has the name of the rows' column, and ``…_scatter`` is the standard
+    deviation of two or more.
+    """
+    sigma = np.sqrt(np.einsum("gvv->gv", match.covariance))
+    values: dict[str, Any] = {
+        "object_id": np.arange(1, len(match) + 1), "ra": match.position_deg[:, 0], "dec": match.position_deg[:, 1],
+        "ra_error_arcsec": sigma[:, 0], "dec_error_arcsec": sigma[:, 1], "object_rows": match.n_rows,
+        "p_object": match.p_object, "chi_sq": match.chi_sq,
+    }  # fmt: skip
+    rows = match.records.rows
+    epoch = match.catalogue.astrometry.epoch_jyr[rows]
+    if np.isfinite(epoch).any():
+        first, last = _extremes(match, epoch)
+        values |= {"epoch": _mean_and_scatter(match, epoch)[0], "epoch_first": first, "epoch_last": last}
+    table = Table()
+    for name, of_objects in values.items():
+        table[name] = MaskedColumn(of_objects, mask=~np.isfinite(of_objects), **attributes_of(name))
+    magnitude, band = match.catalogue.magnitude, match.catalogue.magnitude_name
+    if magnitude is not None and band is not None:
+        named = zip((band, f"{band}_scatter"), ("magnitude_mean", "magnitude_scatter"), strict=True)
+        for (of_column, kind), of_objects in zip(named, _mean_and_scatter(match, magnitude[rows]), strict=True):
+            attributes = attributes_of(kind)
+            table[_free(table, of_column)] = MaskedColumn(of_objects, mask=~np.isfinite(of_objects), **attributes)
+    return table
+
+
+def _mean_and_scatter(match: InternalMatch, of_rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(g,) mean of the finite values of the rows, and (g,) their standard deviation; NaN of none, and of one."""
+    known = np.isfinite(of_rows)
+    at, value, n = match.object[known], of_rows[known], len(match)
+    number = np.bincount(at, minlength=n)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.bincount(at, value, n) / number
+        scatter = np.sqrt(np.bincount(at, (value - mean[at]) ** 2, n) / (number - 1))
+    return mean, np.where(number > 1, scatter, np.nan)
+
+
+def _extremes(match: InternalMatch, of_rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(g,) least and greatest of the finite values of the rows; NaN of none."""
+    low, high = np.full(len(match), np.inf), np.full(len(match), -np.inf)
+    known = np.isfinite(of_rows)
+    np.minimum.at(low, match.object[known], of_rows[known])
+    np.maximum.at(high, match.object[known], of_rows[known])
+    return np.where(np.isfinite(low), low, np.nan), np.where(np.isfinite(high), high, np.nan)
+
+
+def _free(table: Table, name: str) -> str:
+    return name if name not in table.colnames else f"{name}_sameas"
