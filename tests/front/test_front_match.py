@@ -283,7 +283,7 @@ def test_duplicate_objects_with_their_own_errors_are_doubted():
     assert not any("couples" in str(doubt) for doubt in once.sky.doubts)
     twice = sameas.match(table(exposure(0.9)), table(exposure(0.7), exposure(0.7)))
     (doubt,) = (str(doubt) for doubt in twice.sky.doubts if "couples" in str(doubt))
-    assert doubt.startswith("in second ") and "one object given twice" in doubt and "p_second" in doubt
+    assert doubt.startswith("in second ") and "one object given twice" in doubt and "sameas internal" in doubt
 
 
 @pytest.mark.slow

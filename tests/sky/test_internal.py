@@ -128,6 +128,21 @@ def test_stated_probabilities_are_frequencies_in_a_crowd():
     assert np.count_nonzero(sure) > 500 and np.mean(right[sure]) > 0.98
 
 
+def test_times_that_rows_share_are_exposures():
+    table, _ = detections(2, 300, 25.0)
+    by_visit = sameas.match_internal(table, exposure="visit").sky
+    table["mjd"] = 60000.0 + table["visit"]
+    table.remove_column("visit")
+    by_time = sameas.match_internal(table)
+    assert by_time.sky.exposures == 6 and np.array_equal(by_time.sky.object, by_visit.object)
+    assert "6; each shows an object once" in by_time.report()
+    # Of a list that has objects twice at one time, it is the time of the list.
+    table["mjd"] = np.where(np.arange(len(table)) % 2, 60000.0, 60001.0)
+    assert sameas.match_internal(table).sky.exposures == 0
+    table["mjd"] = 60000.0 + np.arange(len(table))
+    assert sameas.match_internal(table).sky.exposures == 0
+
+
 @pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])
 def test_errors_are_estimated_from_the_rows(factor):
     table, which = detections(3, 200, 80.0, factor=factor)

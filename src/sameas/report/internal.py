@@ -26,6 +26,8 @@ def internal_estimate_lines(match: InternalMatch, words: Callable[[str], str]) -
     if match.reach_arcsec:
         lines += entry("reach", f"rows of one object lie within {match.reach_arcsec:.3g} arcsec of each other; "
                        f"by chance a row has {match.chance:.2g} other objects there")  # fmt: skip
+    if match.exposures:
+        lines += entry("exposures", f"{count(match.exposures)}; each shows an object once")
     errors, sigma = match.errors, np.sqrt(median(match.records.variances.mean(axis=1)))
     quoted = "as quoted" if abs(errors.factor_1 - 1.0) < 0.005 else f"{errors.factor_1:.2f} times those quoted"
     if match.catalogue.error_is_unknown:

@@ -64,6 +64,9 @@ ERROR_OF_REACH = 1.0 / 4.2
 BINS = 4  # of the number of rows of an object, per octave
 ROUNDS = 2  # of the density and of f(K)
 NEIGHBOURS = 16  # of an object, for the density
+#: Times are those of exposures if there are at most this many for a row, and at most this share of the rows has that of
+#: its nearest row.
+LARGEST_SHARE_OF_TIMES, MOST_AT_ONE_TIME = 0.5, 0.2
 REPEATED = 1e-3  # probability that an exposure shows an object twice (deblenders; chosen)
 WIDE = 1.5  # scale from which a component of the errors is one of the outliers
 SEED = 20_261
@@ -73,8 +76,8 @@ SEED = 20_261
 @dataclass(frozen=True)
 class InternalOptions:
     """error_scale : "auto" estimates the errors; 1 takes them as quoted, a number as quoted times it.
-    exposure : the column that numbers the exposures, images or visits; an exposure shows an object once. None if rows
-        may be anything."""
+    exposure : the column that numbers the exposures, images or visits; an exposure shows an object once. Without it,
+        rows of one time are of one exposure, if hardly any of them lie together."""
 
     error_scale: float | str = "auto"
     exposure: str | None = None
@@ -106,7 +109,7 @@ class InternalMatch:
     object : (n,) number of the object of each record; objects are numbered by their first rows in the table.
     p_row : (n,) probability that the row is of this object. p_object : (g,) that these rows are one object, and not two
     or a part of a neighbour. position_deg : (g, 2) right ascension and declination. covariance : (g, 2, 2) of east and
-    north, arcsec². doubts : what looks wrong.
+    north, arcsec². exposures : their number, 0 if they are not known. doubts : what looks wrong.
     """
 
     catalogue: Catalogue
@@ -119,6 +122,7 @@ class InternalMatch:
     p_object: FloatArray
     position_deg: FloatArray
     covariance: FloatArray
+    exposures: int
     doubts: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -178,6 +182,9 @@ def match_internal(
     if not neighbours.reach_arcsec and not unknown:
         link = LINKED_SIGMAS * math.sqrt(2.0 * median(records.variances.mean(axis=1)))
     component = _components(neighbours.direction, link)
+    numbers = exposure[records.rows]
+    if options.exposure is None:
+        numbers = _exposures_by_time(catalogue.astrometry.epoch_jyr[records.rows], neighbours)
     progress("errors")
     errors = Errors(factor_1=factor, factor_2=factor) if factor is not None else Errors()
     if factor is None and neighbours.reach_arcsec:
@@ -190,8 +197,8 @@ def match_internal(
         doubts.append(f"{catalogue.name}: close rows do not exceed what chance gives: hardly any object is repeated")
     progress("objects")
     records = _with_errors(records, errors)
-    found = _Partition.of(records, component, exposure[records.rows], errors)
-    return found.result(catalogue, neighbours, errors, tuple(doubts))
+    found = _Partition.of(records, component, numbers, errors)
+    return found.result(catalogue, neighbours, errors, int(numbers.max()) + 1, tuple(doubts))
 
 
 def _exposures(catalogue: Catalogue, name: str | None) -> IntArray:
@@ -211,6 +218,20 @@ def _exposures(catalogue: Catalogue, name: str | None) -> IntArray:
     return np.where(missing, -1, number.ravel())
 
 
+def _exposures_by_time(epoch_jyr: FloatArray, neighbours: _Neighbours) -> IntArray:
+    """(n,) numbers of the times of rows, where these are exposures: many rows share a time, but hardly any shares it
+    with its nearest one; −1 otherwise."""
+    known = np.isfinite(epoch_jyr)
+    number = np.full(len(epoch_jyr), -1)
+    times, number[known] = np.unique(epoch_jyr[known], return_inverse=True)
+    if not neighbours.reach_arcsec or not 1 < len(times) <= LARGEST_SHARE_OF_TIMES * np.count_nonzero(known):
+        return np.full(len(epoch_jyr), -1)
+    nearest, distance_arcsec = neighbours.nearest
+    near = known & known[nearest] & (distance_arcsec < neighbours.reach_arcsec)
+    at_once = number[near] == number[nearest[near]]
+    return number if len(at_once) and np.mean(at_once) <= MOST_AT_ONE_TIME else np.full(len(epoch_jyr), -1)
+
+
 @dataclass(frozen=True)
 class _Neighbours:
     """direction : (n, 3) of the records. reach_arcsec : 0 if close rows do not exceed chance. chance : see
@@ -219,6 +240,15 @@ class _Neighbours:
     direction: FloatArray
     reach_arcsec: float
     chance: float
+
+    @property
+    def nearest(self) -> tuple[IntArray, FloatArray]:
+        """(n,) the nearest other record of each, and (n,) its distance in arcsec."""
+        from scipy.spatial import cKDTree
+
+        distance, at = cKDTree(self.direction).query(self.direction, k=2, workers=-1)
+        first = at[:, 0] != np.arange(len(at))  # of two records at one place either comes first
+        return np.where(first, at[:, 0], at[:, 1]), distance[:, 1] * ARCSEC_PER_RADIAN
 
     @property
     def link_arcsec(self) -> float:
@@ -391,7 +421,7 @@ class _Partition:
         return cls(records, order, origin, _over_components(label, start), p_row, p_object, place)
 
     def result(
-        self, catalogue: Catalogue, neighbours: _Neighbours, errors: Errors, doubts: tuple[str, ...]
+        self, catalogue: Catalogue, neighbours: _Neighbours, errors: Errors, exposures: int, doubts: tuple[str, ...]
     ) -> InternalMatch:
         """With the objects numbered by their first rows in the table."""
         rows = self.records.rows[self.order]
@@ -408,7 +438,7 @@ class _Partition:
         precision[:, [0, 0, 1, 1], [0, 1, 0, 1]] = self.place[at][:, [2, 3, 3, 4]]
         return InternalMatch(
             catalogue, self.records, neighbours.reach_arcsec, neighbours.chance, errors, of_record, p_row,
-            self.p_object[at], displaced(self.origin[at], self.place[at, :2]), inverse(precision), doubts,
+            self.p_object[at], displaced(self.origin[at], self.place[at, :2]), inverse(precision), exposures, doubts,
         )  # fmt: skip
 
 
