@@ -187,6 +187,24 @@ def test_a_table_without_repeated_objects():
     assert len(one) == 1 and one.table["p_object"][0] == 1.0
 
 
+def test_copies_of_rows_are_one_object_each():
+    """They tell nothing of the errors."""
+    rng = np.random.default_rng(13)
+    ra, dec = 10.0 + rng.uniform(0, 0.2, 300), 20.0 + rng.uniform(0, 0.2, 300)
+    twice = rng.integers(0, 300, 40)
+    found = sameas.match_internal({"ra": np.append(ra, ra[twice]), "dec": np.append(dec, dec[twice])}, sigma=0.1)
+    assert len(found) == 300 and found.sky.errors.factor_1 == 1.0
+    assert np.all(found.table["object_id"][300:] == twice + 1)
+
+
+def test_errors_quoted_far_too_large():
+    table, which = detections(14, 200, 60.0)
+    table["err_arcsec"] = 5.0
+    found = sameas.match_internal(table, exposure="visit")
+    assert float(np.sqrt(np.median(found.sky.records.variances))) == pytest.approx(0.2, rel=0.15)
+    assert len(found) == pytest.approx(len(np.unique(which)), abs=3)
+
+
 def test_places_across_zero_and_at_a_pole():
     rng = np.random.default_rng(9)
     for lon, lat in ((0.0, 0.0), (120.0, 89.9999)):

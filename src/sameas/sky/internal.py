@@ -55,9 +55,9 @@ MIN_COUPLES, LINKED_SIGMAS = 30, 8.0
 #: Rows whose neighbours tell the errors, most couples of them, and of those for the floor; couples within this many
 #: reaches are used.
 COUPLED, COUPLES, MODEL_PAIRS, WITHIN = 20_000, 300_000, 3_000, 4.0
-#: The smallest scale of the errors, the ratio of the next one, and the distance of the farthest couples over the
-#: largest; bins of the distance; EM steps; least share of a scale.
-SMALLEST, SCALE_STEP, OF_SCALE, BINNED, EM_STEPS, LEAST_SHARE = 0.25, 1.25, 2.5, 500, 2_000, 3e-3
+#: The distance of the farthest couples over the largest scale of the errors, the ratio of the next smaller one, and
+#: their number; bins of the distance; EM steps; least share of a scale.
+LARGEST, SCALE_STEP, N_SCALES, BINNED, EM_STEPS, LEAST_SHARE = 2.5, 1.25, 14, 500, 2_000, 3e-3
 MIN_GAIN_OF_FLOOR = 8.0  # in ln likelihood
 #: Error per axis that is assumed before it is estimated, as a share of the reach (3σ of a difference is 4.2σ).
 ERROR_OF_REACH = 1.0 / 4.2
@@ -168,9 +168,8 @@ def match_internal(
     InputError : no usable rows; the exposure column does not exist.
     """
     options = InternalOptions() if options is None else options
-    factor, exposure = options.factor(), _exposures(catalogue, options.exposure)
+    factor, unknown, doubts = options.factor(), catalogue.error_is_unknown, []
     progress("neighbours")
-    unknown, doubts = catalogue.error_is_unknown, []
     known = catalogue.with_error(PositionError("number", sigma_arcsec=1.0, reason="assumed")) if unknown else catalogue
     records = known.records(known.epoch_jyr if known.has_motion else None)
     refuse_unusable(known, records)
@@ -178,58 +177,56 @@ def match_internal(
     neighbours = _Neighbours.of(records)
     if unknown:
         records = records.with_errors(ERROR_OF_REACH * max(neighbours.reach_arcsec, RADII_ARCSEC[0]), 0.0)
-    link = neighbours.link_arcsec
-    if not neighbours.reach_arcsec and not unknown:
-        link = LINKED_SIGMAS * math.sqrt(2.0 * median(records.variances.mean(axis=1)))
-    component = _components(neighbours.direction, link)
-    numbers = exposure[records.rows]
-    if options.exposure is None:
-        numbers = _exposures_by_time(catalogue.astrometry.epoch_jyr[records.rows], neighbours)
+    exposures = _exposures(catalogue, records, options.exposure, neighbours)
     progress("errors")
-    errors = Errors(factor_1=factor, factor_2=factor) if factor is not None else Errors()
-    if factor is None and neighbours.reach_arcsec:
+    errors = Errors() if factor is None else Errors(factor_1=factor, factor_2=factor)
+    # Copies of rows, nearer than the first radius, tell nothing of errors.
+    if factor is None and neighbours.reach_arcsec > RADII_ARCSEC[0]:
         errors = _errors_of_rows(records, neighbours.reach_arcsec)
-    if unknown:
-        sigma = math.sqrt(median(_with_errors(records, errors).variances[:, 0]))
-        doubts.append(f"{catalogue.name}: it has no position errors; {sigma:.2g} arcsec on each axis was estimated "
-                      "from the distances of its rows to each other")  # fmt: skip
     if not neighbours.reach_arcsec:
         doubts.append(f"{catalogue.name}: close rows do not exceed what chance gives: hardly any object is repeated")
     progress("objects")
-    records = _with_errors(records, errors)
-    found = _Partition.of(records, component, numbers, errors)
-    return found.result(catalogue, neighbours, errors, int(numbers.max()) + 1, tuple(doubts))
+    link = neighbours.link_arcsec
+    if not neighbours.reach_arcsec and not unknown:
+        link = LINKED_SIGMAS * math.sqrt(2.0 * median(records.variances.mean(axis=1)))
+    records = records.with_errors(errors.factor_1, float(np.max(errors.floor)) ** 2)
+    if unknown:
+        sigma = math.sqrt(median(records.variances[:, 0]))
+        doubts.append(f"{catalogue.name}: it has no position errors; {sigma:.2g} arcsec on each axis was estimated "
+                      "from the distances of its rows to each other")  # fmt: skip
+    found = _Partition.of(records, _components(neighbours.direction, link), exposures, errors)
+    return found.result(catalogue, neighbours, errors, int(exposures.max()) + 1, tuple(doubts))
 
 
-def _exposures(catalogue: Catalogue, name: str | None) -> IntArray:
-    """(n_table,) numbers of the exposures; −1 where none is known."""
-    if name is None:
-        return np.full(len(catalogue), -1)
-    if name not in catalogue.table.colnames:
-        names = ", ".join(catalogue.table.colnames[:12])
-        raise InputError(f"{catalogue.name}: there is no column {name!r}; its columns are {names}",
-                         "name the column of the exposures")  # fmt: skip
-    column = catalogue.table[name]
-    values = np.ma.getdata(np.ma.asarray(column))
-    missing = np.ma.getmaskarray(np.ma.asarray(column)).copy()
-    if values.dtype.kind == "f":
-        missing |= ~np.isfinite(values)
-    _, number = np.unique(values.astype(str) if values.dtype.kind == "O" else values, return_inverse=True)
-    return np.where(missing, -1, number.ravel())
+def _exposures(catalogue: Catalogue, records: Records, name: str | None, neighbours: _Neighbours) -> IntArray:
+    """(n,) numbers of the exposures of the records, by the column of this name, else by time; −1 where not known.
 
-
-def _exposures_by_time(epoch_jyr: FloatArray, neighbours: _Neighbours) -> IntArray:
-    """(n,) numbers of the times of rows, where these are exposures: many rows share a time, but hardly any shares it
-    with its nearest one; −1 otherwise."""
-    known = np.isfinite(epoch_jyr)
-    number = np.full(len(epoch_jyr), -1)
-    times, number[known] = np.unique(epoch_jyr[known], return_inverse=True)
-    if not neighbours.reach_arcsec or not 1 < len(times) <= LARGEST_SHARE_OF_TIMES * np.count_nonzero(known):
-        return np.full(len(epoch_jyr), -1)
+    Times are exposures where many rows share one, but hardly any shares it with its nearest row.
+    """
+    out = np.full(len(records), -1)
+    if name is not None:
+        if name not in catalogue.table.colnames:
+            names = ", ".join(catalogue.table.colnames[:12])
+            raise InputError(f"{catalogue.name}: there is no column {name!r}; its columns are {names}",
+                             "name the column of the exposures")  # fmt: skip
+        column = np.ma.asarray(catalogue.table[name])[records.rows]
+        known = ~np.ma.getmaskarray(column)
+        values = np.ma.getdata(column)
+        if values.dtype.kind == "f":
+            known &= np.isfinite(values)
+        out[known] = np.unique(values[known].astype(str) if values.dtype.kind == "O" else values[known],
+                               return_inverse=True)[1]  # fmt: skip
+        return out
+    epoch = catalogue.astrometry.epoch_jyr[records.rows]
+    known = np.isfinite(epoch)
+    times, number = np.unique(epoch[known], return_inverse=True)
+    if not neighbours.reach_arcsec or not 1 < len(times) <= LARGEST_SHARE_OF_TIMES * len(number):
+        return out
+    out[known] = number
     nearest, distance_arcsec = neighbours.nearest
     near = known & known[nearest] & (distance_arcsec < neighbours.reach_arcsec)
-    at_once = number[near] == number[nearest[near]]
-    return number if len(at_once) and np.mean(at_once) <= MOST_AT_ONE_TIME else np.full(len(epoch_jyr), -1)
+    at_once = float(np.mean(out[near] == out[nearest[near]])) if near.any() else 1.0
+    return out if at_once <= MOST_AT_ONE_TIME else np.full(len(records), -1)
 
 
 @dataclass(frozen=True)
@@ -336,15 +333,14 @@ def _errors_of_rows(records: Records, reach_arcsec: float) -> Errors:
 def _mixture(square: FloatArray, limit: float) -> tuple[Errors, FloatArray]:
     """The scales of the errors of couples, by squared normalised distances (m,) up to ``limit``, and the probability
     (m,) of each to be of one object."""
-    number = 1 + int(math.log(limit / OF_SCALE / SMALLEST) / math.log(SCALE_STEP))
-    scales = SMALLEST * SCALE_STEP ** np.arange(number)
+    scales = limit / LARGEST / SCALE_STEP ** np.arange(N_SCALES)
     # In bins, so that many EM steps take no time: a tail needs hundreds.
     edges = np.linspace(0.0, limit, BINNED + 1) ** 2
     in_bin = np.minimum(np.searchsorted(edges, square, side="right") - 1, BINNED - 1)
     count = np.bincount(in_bin, minlength=BINNED) / len(square)
     of_same = -np.diff(np.exp(-0.5 * edges[:, None] / scales**2), axis=0)
     density = np.column_stack([of_same, np.diff(edges) / limit**2])
-    share = np.full(number + 1, 1.0 / (number + 1))
+    share = np.full(N_SCALES + 1, 1.0 / (N_SCALES + 1))
     for _ in range(EM_STEPS):
         part = density * share
         part /= part.sum(axis=1, keepdims=True)
@@ -365,11 +361,6 @@ def _of_one(errors: Errors) -> Errors:
     floor = typical * float(np.max(errors.floor)) / math.sqrt(2.0)
     shares /= shares.sum()
     return Errors(tuple(scales.tolist()), tuple(shares.tolist()), factor, factor, floor)
-
-
-def _with_errors(records: Records, errors: Errors) -> Records:
-    """The records with the typical errors, without the mixture."""
-    return records.with_errors(errors.factor_1, float(np.max(errors.floor)) ** 2)
 
 
 @dataclass(frozen=True)
