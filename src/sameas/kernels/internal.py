@@ -240,7 +240,7 @@ def _settle(members: IntArray, rows: RowArrays, model: RowModel, side: BoolArray
     k = len(members)
     places = np.empty((2, 5))
     lead = np.empty(k)
-    by_exposure = np.argsort(rows.exposure[members])
+    by_exposure = np.argsort(rows.exposure[members], kind="mergesort")
     for _ in range(PART_STEPS):
         number = np.count_nonzero(side)
         if number == 0 or number == k:
