@@ -197,6 +197,13 @@ def test_copies_of_rows_are_one_object_each():
     assert np.all(found.table["object_id"][300:] == twice + 1)
 
 
+def test_objects_of_thousands_of_rows():
+    table, which = detections(15, 8, 60.0, exposures=4000)
+    found = sameas.match_internal(table)
+    assert len(found) == 8 and found.sky.errors.factor_1 == pytest.approx(1.0, abs=0.05)
+    assert couples(found.sky.object[np.argsort(found.sky.records.rows)][::50]) == couples(which[::50])
+
+
 def test_errors_quoted_far_too_large():
     table, which = detections(14, 200, 60.0)
     table["err_arcsec"] = 5.0

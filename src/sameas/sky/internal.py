@@ -44,7 +44,7 @@ from sameas.space import ARCSEC_PER_RADIAN, displaced, on_axes_of, unit_vectors
 
 #: Radii at which neighbours are counted, arcsec: from the first to the last by this factor; records that count them;
 #: most chance neighbours of a record within the reach, and most neighbours that are counted.
-RADII_ARCSEC, RADIUS_STEP, COUNTED, MOST_BY_CHANCE, MOST_COUNTED = (1e-3, 240.0), math.sqrt(2.0), 2e5, 2.0, 3000.0
+RADII_ARCSEC, RADIUS_STEP, COUNTED, MOST_BY_CHANCE, MOST_COUNTED = (1e-3, 240.0), math.sqrt(2.0), 2e5, 2.0, 5e4
 #: The reach has this share of the close couples in excess of chance; an excess counts from this many standard
 #: deviations on. Rows are linked at LINK times the reach, which loses none, or where they have MOST_LINKED unrelated
 #: objects within it: at four times as many, chance links all.
@@ -52,9 +52,8 @@ EXCESS_SHARE, MIN_EXCESS_SIGMAS, LINK, MOST_LINKED = 0.98, 5.0, 2.0, 1.0
 #: Least number of couples of rows from which errors are estimated; typical errors within which rows are linked where
 #: the table shows no excess.
 MIN_COUPLES, LINKED_SIGMAS = 30, 8.0
-#: Rows whose neighbours tell the errors, most couples of them, and of those for the floor; couples within this many
-#: reaches are used.
-COUPLED, COUPLES, MODEL_PAIRS, WITHIN = 20_000, 300_000, 3_000, 4.0
+#: About this many couples of rows tell the errors, and of these the floor; within how many reaches, four radii more.
+COUPLES, MODEL_PAIRS, WITHIN = 300_000, 3_000, RADIUS_STEP**4
 #: The distance of the farthest couples over the largest scale of the errors, the ratio of the next smaller one, and
 #: their number; bins of the distance; EM steps; least share of a scale.
 LARGEST, SCALE_STEP, N_SCALES, BINNED, EM_STEPS, LEAST_SHARE = 2.5, 1.25, 14, 500, 2_000, 3e-3
@@ -182,7 +181,7 @@ def match_internal(
     errors = Errors() if factor is None else Errors(factor_1=factor, factor_2=factor)
     # Copies of rows, nearer than the first radius, tell nothing of errors.
     if factor is None and neighbours.reach_arcsec > RADII_ARCSEC[0]:
-        errors = _errors_of_rows(records, neighbours.reach_arcsec)
+        errors = _errors_of_rows(records, neighbours)
     if not neighbours.reach_arcsec:
         doubts.append(f"{catalogue.name}: close rows do not exceed what chance gives: hardly any object is repeated")
     progress("objects")
@@ -232,11 +231,12 @@ def _exposures(catalogue: Catalogue, records: Records, name: str | None, neighbo
 @dataclass(frozen=True)
 class _Neighbours:
     """direction : (n, 3) of the records. reach_arcsec : 0 if close rows do not exceed chance. chance : see
-    :class:`InternalMatch`."""
+    :class:`InternalMatch`. within : mean number of other rows within WITHIN times the reach."""
 
     direction: FloatArray
     reach_arcsec: float
     chance: float
+    within: float = 0.0
 
     @property
     def nearest(self) -> tuple[IntArray, FloatArray]:
@@ -288,7 +288,7 @@ class _Neighbours:
         if not levels_off.any():
             return cls(direction, 0.0, 0.0)
         reached = int(np.argmax(levels_off))
-        return cls(direction, radii[reached], float(by_chance[reached]))
+        return cls(direction, radii[reached], float(by_chance[reached]), counts[reached + 4])
 
 
 def _components(direction: FloatArray, link_arcsec: float) -> IntArray:
@@ -309,18 +309,18 @@ def _components(direction: FloatArray, link_arcsec: float) -> IntArray:
     return np.asarray(connected_components(graph, directed=False)[1][cell])
 
 
-def _errors_of_rows(records: Records, reach_arcsec: float) -> Errors:
+def _errors_of_rows(records: Records, neighbours: _Neighbours) -> Errors:
     """The errors of one row relative to the quoted ones, from the distances of close rows.
 
     Distances of rows of one object are those of a mixture of normals, those of others increase in proportion to the
     distance. The shares of both are fitted by EM iterations; the likelihood has one maximum.
     """
     sigma = math.sqrt(2.0 * median(records.variances.mean(axis=1)))
-    some = np.sort(np.random.default_rng(SEED).permutation(len(records))[:COUPLED])
-    limit = WITHIN * reach_arcsec / sigma
+    enough = int(COUPLES / (1.0 + neighbours.within))
+    some = np.sort(np.random.default_rng(SEED).permutation(len(records))[: max(enough, MIN_COUPLES)])
+    limit = WITHIN * neighbours.reach_arcsec / sigma
     pairs = Radius(limit)(records.part(some), records)
-    other = np.flatnonzero(pairs.first.rows[pairs.i] != pairs.second.rows[pairs.j])
-    pairs = pairs.part(other[:: 1 + len(other) // COUPLES])
+    pairs = pairs.part(pairs.first.rows[pairs.i] != pairs.second.rows[pairs.j])
     if len(pairs) < MIN_COUPLES:
         return Errors()
     mixture, p_same = _mixture(pairs.mahalanobis_sq, limit)
