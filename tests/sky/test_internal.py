@@ -187,6 +187,20 @@ def test_a_table_without_repeated_objects():
     assert len(one) == 1 and one.table["p_object"][0] == 1.0
 
 
+def test_double_stars_are_two_objects():
+    """Gaia quotes errors below a milliarcsecond; companions arcseconds away are no rows of one star."""
+    rng = np.random.default_rng(16)
+    place = rng.uniform(0.0, 0.5, (2000, 2))
+    place = np.concatenate([place, place[:60] + rng.normal(0.0, 1.0 / CIRCLE, (60, 2))])
+    found = sameas.match_internal({"ra": 10.0 + place[:, 0], "dec": 20.0 + place[:, 1]}, sigma=0.0005)
+    assert len(found) == 2060 and found.sky.errors.factor_1 == 1.0
+    assert any("taken for two objects each" in doubt for doubt in found.doubts)
+    # Many rows that scatter a hundred times more than quoted are those of repeated objects.
+    table, which = detections(17, 200, 60.0)
+    table["err_arcsec"] = 0.002
+    assert len(sameas.match_internal(table, exposure="visit")) == pytest.approx(len(np.unique(which)), abs=3)
+
+
 def test_copies_of_rows_are_one_object_each():
     """They tell nothing of the errors."""
     rng = np.random.default_rng(13)

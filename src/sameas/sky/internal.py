@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -58,6 +58,9 @@ COUPLES, MODEL_PAIRS, WITHIN = 300_000, 3_000, RADIUS_STEP**4
 #: their number; bins of the distance; EM steps; least share of a scale.
 LARGEST, SCALE_STEP, N_SCALES, BINNED, EM_STEPS, LEAST_SHARE = 2.5, 1.25, 14, 500, 2_000, 3e-3
 MIN_GAIN_OF_FLOOR = 8.0  # in ln likelihood
+#: Close rows whose distances are more than this many times the quoted errors, of fewer rows than this share, are two
+#: objects each.
+FAR_WIDER, FEW = 10.0, 0.2
 #: Error per axis that is assumed before it is estimated, as a share of the reach (3σ of a difference is 4.2σ).
 ERROR_OF_REACH = 1.0 / 4.2
 BINS = 4  # of the number of rows of an object, per octave
@@ -167,7 +170,8 @@ def match_internal(
     InputError : no usable rows; the exposure column does not exist.
     """
     options = InternalOptions() if options is None else options
-    factor, unknown, doubts = options.factor(), catalogue.error_is_unknown, []
+    factor, unknown = options.factor(), catalogue.error_is_unknown
+    doubts: tuple[str, ...] = ()
     progress("neighbours")
     known = catalogue.with_error(PositionError("number", sigma_arcsec=1.0, reason="assumed")) if unknown else catalogue
     records = known.records(known.epoch_jyr if known.has_motion else None)
@@ -178,23 +182,51 @@ def match_internal(
         records = records.with_errors(ERROR_OF_REACH * max(neighbours.reach_arcsec, RADII_ARCSEC[0]), 0.0)
     exposures = _exposures(catalogue, records, options.exposure, neighbours)
     progress("errors")
-    errors = Errors() if factor is None else Errors(factor_1=factor, factor_2=factor)
-    # Copies of rows, nearer than the first radius, tell nothing of errors.
-    if factor is None and neighbours.reach_arcsec > RADII_ARCSEC[0]:
-        errors = _errors_of_rows(records, neighbours)
-    if not neighbours.reach_arcsec:
-        doubts.append(f"{catalogue.name}: close rows do not exceed what chance gives: hardly any object is repeated")
+    if factor is not None:
+        errors = Errors(factor_1=factor, factor_2=factor)
+    else:
+        errors, neighbours, doubts = _judged(catalogue, records, neighbours)
     progress("objects")
     link = neighbours.link_arcsec
-    if not neighbours.reach_arcsec and not unknown:
-        link = LINKED_SIGMAS * math.sqrt(2.0 * median(records.variances.mean(axis=1)))
-    records = records.with_errors(errors.factor_1, float(np.max(errors.floor)) ** 2)
-    if unknown:
-        sigma = math.sqrt(median(records.variances[:, 0]))
-        doubts.append(f"{catalogue.name}: it has no position errors; {sigma:.2g} arcsec on each axis was estimated "
-                      "from the distances of its rows to each other")  # fmt: skip
-    found = _Partition.of(records, _components(neighbours.direction, link), exposures, errors)
-    return found.result(catalogue, neighbours, errors, int(exposures.max()) + 1, tuple(doubts))
+    if not link and not unknown:
+        link = LINKED_SIGMAS * math.sqrt(2.0) * _typical_arcsec(records)
+    found = _Partition.of(_with_errors(records, errors), _components(neighbours.direction, link), exposures, errors)
+    return found.result(catalogue, neighbours, errors, int(exposures.max()) + 1, doubts)
+
+
+def _judged(
+    catalogue: Catalogue, records: Records, neighbours: _Neighbours
+) -> tuple[Errors, _Neighbours, tuple[str, ...]]:
+    """The errors of the rows, the neighbours that are rows of one object, and doubts about both."""
+    name, reach = catalogue.name, neighbours.reach_arcsec
+    if not reach:
+        none = f"{name}: close rows do not exceed what chance gives: hardly any object is repeated"
+        return Errors(), neighbours, (none,)
+    # Copies of rows, nearer than the first radius, tell nothing of errors.
+    errors = _errors_of_rows(records, neighbours) if reach > RADII_ARCSEC[0] else Errors()
+    sigma = _typical_arcsec(_with_errors(records, errors))
+    if catalogue.error_is_unknown:
+        assumed = f"{sigma:.2g} arcsec on each axis was estimated from the distances of its rows to each other"
+        return errors, neighbours, (f"{name}: it has no position errors; {assumed}",)
+    wider = sigma / _typical_arcsec(records)
+    if wider < FAR_WIDER or neighbours.excess > FEW:
+        return errors, neighbours, ()
+    doubt = (
+        f"{name}: {100.0 * neighbours.excess:.1g} % of its rows have another within {reach:.2g} arcsec in excess of "
+        f"chance, {wider:,.0f} times as far as the errors quoted; they were taken for two objects each (double stars), "
+        "and not for rows of one"
+    )
+    return Errors(), replace(neighbours, reach_arcsec=0.0), (doubt,)
+
+
+def _typical_arcsec(records: Records) -> float:
+    """The median error on each axis."""
+    return math.sqrt(median(records.variances.mean(axis=1)))
+
+
+def _with_errors(records: Records, errors: Errors) -> Records:
+    """The records with the typical errors, without the mixture."""
+    return records.with_errors(errors.factor_1, float(np.max(errors.floor)) ** 2)
 
 
 def _exposures(catalogue: Catalogue, records: Records, name: str | None, neighbours: _Neighbours) -> IntArray:
@@ -231,12 +263,14 @@ def _exposures(catalogue: Catalogue, records: Records, name: str | None, neighbo
 @dataclass(frozen=True)
 class _Neighbours:
     """direction : (n, 3) of the records. reach_arcsec : 0 if close rows do not exceed chance. chance : see
-    :class:`InternalMatch`. within : mean number of other rows within WITHIN times the reach."""
+    :class:`InternalMatch`. within, excess : mean number of other rows within
+    WITHIN times the reach, and of those within the reach beyond chance."""
 
     direction: FloatArray
     reach_arcsec: float
     chance: float
     within: float = 0.0
+    excess: float = 0.0
 
     @property
     def nearest(self) -> tuple[IntArray, FloatArray]:
@@ -288,7 +322,7 @@ class _Neighbours:
         if not levels_off.any():
             return cls(direction, 0.0, 0.0)
         reached = int(np.argmax(levels_off))
-        return cls(direction, radii[reached], float(by_chance[reached]), counts[reached + 4])
+        return cls(direction, radii[reached], float(by_chance[reached]), counts[reached + 4], float(excess[reached]))
 
 
 def _components(direction: FloatArray, link_arcsec: float) -> IntArray:
@@ -315,7 +349,7 @@ def _errors_of_rows(records: Records, neighbours: _Neighbours) -> Errors:
     Distances of rows of one object are those of a mixture of normals, those of others increase in proportion to the
     distance. The shares of both are fitted by EM iterations; the likelihood has one maximum.
     """
-    sigma = math.sqrt(2.0 * median(records.variances.mean(axis=1)))
+    sigma = math.sqrt(2.0) * _typical_arcsec(records)
     enough = int(COUPLES / (1.0 + neighbours.within))
     some = np.sort(np.random.default_rng(SEED).permutation(len(records))[: max(enough, MIN_COUPLES)])
     limit = WITHIN * neighbours.reach_arcsec / sigma
