@@ -3,6 +3,7 @@
 What to use when:
 
 - two sources, with everything estimated from the data: :func:`match`, of files, tables, data frames, records;
+- one source that has objects several times: :func:`match_internal`;
 - two sources whose densities, miss rates or costs you know: :func:`identify` with a rule and a prior;
 - more than two sources: :func:`identify_many`; one after the other, in order of arrival: :func:`identify_sequentially`;
 - one source shifted, rotated or biased relative to the other: :func:`register`;
