@@ -100,10 +100,7 @@ class Groups:
 
     def bounds(self, parts: int) -> list[int]:
         """Bounds of ``parts`` ranges of groups with about equal numbers of pairs."""
-        if parts == 1 or len(self) == 1:
-            return [0, len(self)]
-        cuts = np.linspace(0, len(self.order), parts + 1)[1:-1]
-        return [0, *np.searchsorted(self.start, cuts).tolist(), len(self)]
+        return Ragged(self.start).bounds(parts)
 
     def statistics(self) -> dict[str, int]:
         """Number of groups by size (one pair, up to 4, 16 and 64 records, larger), and size of the largest."""

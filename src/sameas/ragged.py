@@ -68,6 +68,17 @@ class Ragged:
         shift: IntArray = np.repeat(self.start[:-1] - np.asarray(first), self.sizes)
         return np.arange(self.start[-1]) - shift
 
+    def bounds(self, parts: int) -> list[int]:
+        """Bounds of ``parts`` ranges of rows with about equal numbers of entries.
+
+        >>> Ragged.of_sizes([2, 0, 3, 1]).bounds(2)
+        [0, 3, 4]
+        """
+        if parts == 1 or len(self) == 1:
+            return [0, len(self)]
+        cuts = np.linspace(0, self.start[-1], parts + 1)[1:-1]
+        return [0, *np.searchsorted(self.start, cuts).tolist(), len(self)]
+
 
 def ranges(first: IntArray, size: IntArray) -> tuple[IntArray, IntArray]:
     """Row and value of each entry of the ranges first[k] … first[k] + size[k] − 1, in order.

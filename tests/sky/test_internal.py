@@ -13,7 +13,7 @@ import naive
 import sameas
 from sameas.cli.app import app
 from sameas.errors import InputError
-from sameas.kernels.internal import RowArrays, RowModel, partition
+from sameas.kernels.internal import RowModel, partition
 
 CIRCLE = 3600.0
 
@@ -47,8 +47,8 @@ def solved(xy, variance, log_density, log_count, exposure=None):
     number = np.full(n, -1) if exposure is None else np.asarray(exposure)
     label, p_row, p_object, place = np.zeros(n, np.int64), np.zeros(n), np.zeros(n), np.zeros((n, 5))
     model = RowModel(log_count, np.ones(1), np.ones(1), math.log(1e-3))
-    rows = RowArrays(xy, precision, number, number)
-    partition(0, 1, np.array([0, n]), rows, np.array([log_density]), model, label, p_row, p_object, place)
+    start, log_densities = np.array([0, n]), np.array([log_density])
+    partition(0, 1, start, xy, precision, number, log_densities, model, label, p_row, p_object, place)
     return label, p_row, p_object
 
 

@@ -48,20 +48,22 @@ class RowArrays(NamedTuple):
     beside: IntArray
 
 
-@small_by(lambda first, last, start, rows, *_: ITEMS_OF_ROW * len(rows.xy))
+@small_by(lambda first, last, start, xy, *_: ITEMS_OF_ROW * len(xy))
 def partition(
-    first: int, last: int, start: IntArray, rows: RowArrays, log_density: FloatArray, model: RowModel,
-    label: IntArray, p_row: FloatArray, p_object: FloatArray, place: FloatArray,
+    first: int, last: int, start: IntArray, xy: FloatArray, precision: FloatArray, exposure: IntArray,
+    log_density: FloatArray, model: RowModel, label: IntArray, p_row: FloatArray, p_object: FloatArray,
+    place: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the object of each row, a number within its component, its probabilities, and the place of its object.
 
-    start : (g + 1,) rows of each component; those from ``first`` to ``last`` are filled. log_density : (g,) ln ρ.
+    start : (g + 1,) rows of each component; those from ``first`` to ``last`` are filled. xy, precision, exposure : of
+    all rows, see :class:`RowArrays`. log_density : (g,) ln ρ.
     p_row : (n,) that the row is of its object, all others as they are. p_object : (n,) that exactly these
     rows are the object. place : (n, 5) x, y, and the precision xx, xy, yy.
     """
     for g in range(first, last):
         a, b = start[g], start[g + 1]
-        some = RowArrays(rows.xy[a:b], rows.precision[a:b], rows.exposure[a:b], _beside(rows.exposure[a:b]))
+        some = RowArrays(xy[a:b], precision[a:b], exposure[a:b], _beside(exposure[a:b]))
         of_row = np.zeros(b - a, np.int64)
         count = _divided(some, log_density[g], model, of_row, 1)
         for _ in range(ROUNDS):
@@ -395,9 +397,22 @@ def _near(one: FloatArray, two: FloatArray, rows: RowArrays, a: IntArray, b: Int
 
 
 @part
+def _union_gain(
+    own: IntArray, o: int, other: int, rows: RowArrays, log_density: float, model: RowModel, of_row: IntArray,
+    weights: FloatArray, places: FloatArray,
+) -> float:  # fmt: skip
+    """The gain of the union of two objects, of which the first has the rows ``own``; negligible if they are far."""
+    members = _members(of_row, other)
+    if not _near(places[o], places[other], rows, own, members):
+        return NEGLIGIBLE
+    union = np.sort(np.concatenate((own, members)))
+    return _log_weight(union, rows, log_density, model, np.empty(5)) - weights[o] - weights[other]
+
+
+@part
 def _merged(rows: RowArrays, log_density: float, model: RowModel, of_row: IntArray, count: int) -> bool:
     """Merge objects whose union weighs more, the largest gain of each first; returns whether any was."""
-    weights, places, trial = np.full(count, np.nan), np.empty((count, 5)), np.empty(5)
+    weights, places = np.full(count, np.nan), np.empty((count, 5))
     any_merged = False
     for o in range(count):
         members = _members(of_row, o)
@@ -410,11 +425,7 @@ def _merged(rows: RowArrays, log_density: float, model: RowModel, of_row: IntArr
             for other in range(count):
                 if other == o or math.isnan(weights[other]):
                     continue
-                members = _members(of_row, other)
-                if not _near(places[o], places[other], rows, own, members):
-                    continue
-                union = np.sort(np.concatenate((own, members)))
-                gain = _log_weight(union, rows, log_density, model, trial) - weights[o] - weights[other]
+                gain = _union_gain(own, o, other, rows, log_density, model, of_row, weights, places)
                 if gain > best:
                     best, at = gain, other
             if at < 0:
@@ -471,11 +482,8 @@ def _probabilities(
         for other in range(count):
             if other == o:
                 continue
-            members = _members(of_row, other)
-            if _near(places[o], places[other], rows, own, members):
-                union = np.sort(np.concatenate((own, members)))
-                gain = _log_weight(union, rows, log_density, model, trial) - weights[o] - weights[other]
-                others += math.exp(min(gain, -NEGLIGIBLE))
+            gain = _union_gain(own, o, other, rows, log_density, model, of_row, weights, places)
+            others += math.exp(min(gain, -NEGLIGIBLE))
         for i in own:
             p_object[i] = exact[o] / (1.0 + others)
             place[i] = places[o]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sameas.arrays import median
 from sameas.report.prose import DOUBT, entry, expected
 from sameas.representation import count, counted
 from sameas.result import AMBIGUOUS
+from sameas.sky.crossmatch import typical_sigma_arcsec
 
 if TYPE_CHECKING:
     from sameas.sky.internal import InternalMatch
@@ -28,16 +29,15 @@ def internal_estimate_lines(match: InternalMatch, words: Callable[[str], str]) -
                        f"by chance a row has {match.chance:.2g} other objects there")  # fmt: skip
     if match.exposures:
         lines += entry("exposures", f"{count(match.exposures)}; each shows an object once")
-    errors, sigma = match.errors, np.sqrt(median(match.records.variances.mean(axis=1)))
+    errors, sigma = match.errors, typical_sigma_arcsec(match.records)
     quoted = "as quoted" if abs(errors.factor_1 - 1.0) < 0.005 else f"{errors.factor_1:.2f} times those quoted"
     if match.catalogue.error_is_unknown:
         quoted = "from the distances of the rows to each other"
-    floor = float(np.max(errors.floor))
+    floor = float(np.max(errors.floor)) / math.sqrt(2.0)
     added = f", and {floor:.2g} arcsec in quadrature" if floor > 0.01 * sigma else ""
     lines += entry("errors", f"median {sigma:.3g} arcsec on each axis: {quoted}{added}")
-    tail = sum(share for scale, share in zip(errors.scales, errors.shares, strict=True) if scale > 1.5)
-    if tail > 0.0:
-        lines += entry("tail", f"{100.0 * tail:.1f} % of the rows err more than that by far")
+    if match.tail_share > 0.0:
+        lines += entry("tail", f"{100.0 * match.tail_share:.1f} % of the rows err more than that by far")
     return [*lines, *(DOUBT + words(doubt) for doubt in match.doubts)]
 
 

@@ -39,6 +39,22 @@ SAMPLED_FROM_ROWS, SAMPLED_RINGS = 100_000, 16.0
 SAME_EPOCH_YEARS = 0.5
 
 
+def error_factor(error_scale: float | str) -> float | None:
+    """The given factor on the quoted errors, None for "auto": it is to be estimated.
+
+    Raises InputError: anything else than "auto" or a positive number.
+    """
+    if error_scale == "auto":
+        return None
+    try:
+        factor = float(error_scale)
+    except ValueError:
+        factor = math.nan
+    if not 0.0 < factor < math.inf:
+        raise InputError(f'error scale is {error_scale!r}; give "auto" or a positive factor')
+    return factor
+
+
 @in_short
 @dataclass(frozen=True)
 class MatchOptions:
@@ -68,14 +84,10 @@ class MatchOptions:
 
     def errors(self) -> Errors | None:
         """The given mixture of error factors, None if it is to be estimated."""
-        if self.error_scale == "auto":
-            return None
         if isinstance(self.error_scale, Errors):
             return self.error_scale
-        scale = _number(self.error_scale)
-        if scale is None or not 0.0 < scale < math.inf:
-            raise InputError(f'error scale is {self.error_scale!r}; give "auto" or a positive factor')
-        return Errors((scale,), (1.0,))
+        factor = error_factor(self.error_scale)
+        return None if factor is None else Errors((factor,), (1.0,))
 
     def gate(self) -> ChiSquare | Radius | None:
         """The given gate, None if it is to be chosen."""
@@ -198,7 +210,7 @@ def by_position(records: Records) -> Records:
 def _refuse_large_errors(one: Records, two: Records) -> None:
     """Refuses errors so large that every record is a candidate for every other: their unit is wrong."""
     n = len(one) + len(two)
-    sigmas = threads.each([partial(_typical_sigma, records) for records in (one, two)], n)
+    sigmas = threads.each([partial(typical_sigma_arcsec, records) for records in (one, two)], n)
     sigma = math.hypot(*sigmas)
     calls = [partial(_records_per_cell, records.features, sigma) for records in (one, two)]
     crowding = min(threads.each(calls, n))
@@ -212,7 +224,7 @@ def _refuse_large_errors(one: Records, two: Records) -> None:
         )
 
 
-def _typical_sigma(records: Records) -> float:
+def typical_sigma_arcsec(records: Records) -> float:
     """The median over the records of the root mean variance of both axes, arcsec."""
     return math.sqrt(median(0.5 * (records.covariance[:, 0] + records.covariance[:, -1])))
 
@@ -302,10 +314,3 @@ def left_behind_doubt(first: Catalogue, second: Catalogue, epoch_jyr: float | No
         f"{in_years(staying.epoch_jyr)}"
     )
     return (text,)
-
-
-def _number(value: float | str) -> float | None:
-    try:
-        return float(value)
-    except ValueError:
-        return None

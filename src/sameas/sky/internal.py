@@ -20,13 +20,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from astropy.table import MaskedColumn, Table
+from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from sameas.arrays import FloatArray, IntArray, median
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.estimate.error_model import better_model
 from sameas.evidence import Errors
@@ -38,9 +39,12 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import PositionError
-from sameas.sky.crossmatch import by_position, refuse_unusable
-from sameas.sky.output_columns import attributes_of
+from sameas.sky.crossmatch import by_position, error_factor, refuse_unusable, typical_sigma_arcsec
+from sameas.sky.output_columns import attributes_of, free_name
 from sameas.space import ARCSEC_PER_RADIAN, displaced, on_axes_of, unit_vectors
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 #: Radii at which neighbours are counted, arcsec: from the first to the last by this factor; records that count them;
 #: most chance neighbours of a record within the reach, and most neighbours that are counted.
@@ -86,19 +90,7 @@ class InternalOptions:
 
     def check(self) -> None:
         """Refuse invalid values, before a file is read."""
-        self.factor()
-
-    def factor(self) -> float | None:
-        """The given factor on the quoted errors; None if it is to be estimated."""
-        if self.error_scale == "auto":
-            return None
-        try:
-            factor = float(self.error_scale)
-        except ValueError:
-            factor = math.nan
-        if not 0.0 < factor < math.inf:
-            raise InputError(f'error scale is {self.error_scale!r}; give "auto" or a positive factor')
-        return factor
+        error_factor(self.error_scale)
 
 
 @in_short
@@ -107,7 +99,7 @@ class InternalMatch:
     """The objects of one table; n usable records, g objects.
 
     records : the usable rows, with errors as estimated. reach_arcsec : within which rows of one object lie. chance :
-    expected unrelated neighbours of a row within it. errors : relative to the quoted ones, of one row.
+    expected unrelated neighbours of a row within it. errors : relative to the quoted ones, the mixture of one row.
     object : (n,) number of the object of each record; objects are numbered by their first rows in the table.
     p_row : (n,) probability that the row is of this object. p_object : (g,) that these rows are one object, and not two
     or a part of a neighbour. position_deg : (g, 2) right ascension and declination. covariance : (g, 2, 2) of east and
@@ -140,6 +132,11 @@ class InternalMatch:
         """(n, 2) east and north of each record from the place of its object."""
         return on_axes_of(self.position_deg[self.object], self.records.features)[0]
 
+    @property
+    def tail_share(self) -> float:
+        """Share of the rows with errors far larger than the typical ones."""
+        return sum(share for scale, share in zip(self.errors.scales, self.errors.shares, strict=True) if scale > WIDE)
+
     @cached_property
     def chi_sq(self) -> FloatArray:
         """(g,) χ² of the rows about the place, of 2 (n_rows − 1) degrees of freedom."""
@@ -170,7 +167,7 @@ def match_internal(
     InputError : no usable rows; the exposure column does not exist.
     """
     options = InternalOptions() if options is None else options
-    factor, unknown = options.factor(), catalogue.error_is_unknown
+    factor, unknown = error_factor(options.error_scale), catalogue.error_is_unknown
     doubts: tuple[str, ...] = ()
     progress("neighbours")
     known = catalogue.with_error(PositionError("number", sigma_arcsec=1.0, reason="assumed")) if unknown else catalogue
@@ -180,7 +177,10 @@ def match_internal(
     neighbours = _Neighbours.of(records)
     if unknown:
         records = records.with_errors(ERROR_OF_REACH * max(neighbours.reach_arcsec, RADII_ARCSEC[0]), 0.0)
-    exposures = _exposures(catalogue, records, options.exposure, neighbours)
+    if options.exposure is not None:
+        exposures = _exposures_of_column(catalogue, records, options.exposure)
+    else:
+        exposures = _exposures_by_time(catalogue.astrometry.epoch_jyr[records.rows], neighbours)
     progress("errors")
     if factor is not None:
         errors = Errors(factor_1=factor, factor_2=factor)
@@ -189,8 +189,9 @@ def match_internal(
     progress("objects")
     link = neighbours.link_arcsec
     if not link and not unknown:
-        link = LINKED_SIGMAS * math.sqrt(2.0) * _typical_arcsec(records)
-    found = _Partition.of(_with_errors(records, errors), _components(neighbours.direction, link), exposures, errors)
+        link = LINKED_SIGMAS * math.sqrt(2.0) * typical_sigma_arcsec(records)
+    records, _ = errors.records(records, records)
+    found = _Partition.of(records, _components(neighbours.tree.data, link), exposures, errors)
     return found.result(catalogue, neighbours, errors, int(exposures.max()) + 1, doubts)
 
 
@@ -204,11 +205,11 @@ def _judged(
         return Errors(), neighbours, (none,)
     # Copies of rows, nearer than the first radius, tell nothing of errors.
     errors = _errors_of_rows(records, neighbours) if reach > RADII_ARCSEC[0] else Errors()
-    sigma = _typical_arcsec(_with_errors(records, errors))
+    sigma = typical_sigma_arcsec(errors.records(records, records)[0])
     if catalogue.error_is_unknown:
         assumed = f"{sigma:.2g} arcsec on each axis was estimated from the distances of its rows to each other"
         return errors, neighbours, (f"{name}: it has no position errors; {assumed}",)
-    wider = sigma / _typical_arcsec(records)
+    wider = sigma / typical_sigma_arcsec(records)
     if wider < FAR_WIDER or neighbours.excess > FEW:
         return errors, neighbours, ()
     doubt = (
@@ -219,54 +220,48 @@ def _judged(
     return Errors(), replace(neighbours, reach_arcsec=0.0), (doubt,)
 
 
-def _typical_arcsec(records: Records) -> float:
-    """The median error on each axis."""
-    return math.sqrt(median(records.variances.mean(axis=1)))
+def _exposures_of_column(catalogue: Catalogue, records: Records, name: str) -> IntArray:
+    """(n,) numbers of the exposures of the records, by the column of this name; −1 where it has none."""
+    if name not in catalogue.table.colnames:
+        names = ", ".join(catalogue.table.colnames[:12])
+        raise InputError(f"{catalogue.name}: there is no column {name!r}; its columns are {names}",
+                         "name the column of the exposures")  # fmt: skip
+    column = np.ma.asarray(catalogue.table[name])[records.rows]
+    values, known = np.ma.getdata(column), ~np.ma.getmaskarray(column)
+    if values.dtype.kind == "f":
+        known &= np.isfinite(values)
+    elif values.dtype.kind == "O":
+        values = values.astype(str)
+    return _numbered(values, known)
 
 
-def _with_errors(records: Records, errors: Errors) -> Records:
-    """The records with the typical errors, without the mixture."""
-    return records.with_errors(errors.factor_1, float(np.max(errors.floor)) ** 2)
-
-
-def _exposures(catalogue: Catalogue, records: Records, name: str | None, neighbours: _Neighbours) -> IntArray:
-    """(n,) numbers of the exposures of the records, by the column of this name, else by time; −1 where not known.
-
-    Times are exposures where many rows share one, but hardly any shares it with its nearest row.
-    """
-    out = np.full(len(records), -1)
-    if name is not None:
-        if name not in catalogue.table.colnames:
-            names = ", ".join(catalogue.table.colnames[:12])
-            raise InputError(f"{catalogue.name}: there is no column {name!r}; its columns are {names}",
-                             "name the column of the exposures")  # fmt: skip
-        column = np.ma.asarray(catalogue.table[name])[records.rows]
-        known = ~np.ma.getmaskarray(column)
-        values = np.ma.getdata(column)
-        if values.dtype.kind == "f":
-            known &= np.isfinite(values)
-        out[known] = np.unique(values[known].astype(str) if values.dtype.kind == "O" else values[known],
-                               return_inverse=True)[1]  # fmt: skip
-        return out
-    epoch = catalogue.astrometry.epoch_jyr[records.rows]
-    known = np.isfinite(epoch)
-    times, number = np.unique(epoch[known], return_inverse=True)
-    if not neighbours.reach_arcsec or not 1 < len(times) <= LARGEST_SHARE_OF_TIMES * len(number):
-        return out
-    out[known] = number
+def _exposures_by_time(epoch_jyr: FloatArray, neighbours: _Neighbours) -> IntArray:
+    """(n,) numbers of the times of the records, where these are of exposures: many rows share one, but hardly any
+    shares it with its nearest row; else −1."""
+    known = np.isfinite(epoch_jyr)
+    number, none = _numbered(epoch_jyr, known), np.full(len(epoch_jyr), -1)
+    if not neighbours.reach_arcsec or not 0 < number.max() < LARGEST_SHARE_OF_TIMES * np.count_nonzero(known):
+        return none
     nearest, distance_arcsec = neighbours.nearest
     near = known & known[nearest] & (distance_arcsec < neighbours.reach_arcsec)
-    at_once = float(np.mean(out[near] == out[nearest[near]])) if near.any() else 1.0
-    return out if at_once <= MOST_AT_ONE_TIME else np.full(len(records), -1)
+    at_once = float(np.mean(number[near] == number[nearest[near]])) if near.any() else 1.0
+    return number if at_once <= MOST_AT_ONE_TIME else none
+
+
+def _numbered(values: NDArray[Any], known: BoolArray) -> IntArray:
+    """(n,) numbers of different known values in their order; −1 of the others."""
+    out = np.full(len(values), -1)
+    out[known] = np.unique(values[known], return_inverse=True)[1]
+    return out
 
 
 @dataclass(frozen=True)
 class _Neighbours:
-    """direction : (n, 3) of the records. reach_arcsec : 0 if close rows do not exceed chance. chance : see
-    :class:`InternalMatch`. within, excess : mean number of other rows within
-    WITHIN times the reach, and of those within the reach beyond chance."""
+    """tree : of the directions (n, 3) of the records. reach_arcsec : 0 if close rows do not exceed chance. chance : see
+    :class:`InternalMatch`. within, excess : mean number of other rows within WITHIN times the reach, and of those
+    within the reach beyond chance."""
 
-    direction: FloatArray
+    tree: cKDTree
     reach_arcsec: float
     chance: float
     within: float = 0.0
@@ -275,9 +270,7 @@ class _Neighbours:
     @property
     def nearest(self) -> tuple[IntArray, FloatArray]:
         """(n,) the nearest other record of each, and (n,) its distance in arcsec."""
-        from scipy.spatial import cKDTree
-
-        distance, at = cKDTree(self.direction).query(self.direction, k=2, workers=-1)
+        distance, at = self.tree.query(self.tree.data, k=2, workers=-1)
         first = at[:, 0] != np.arange(len(at))  # of two records at one place either comes first
         return np.where(first, at[:, 0], at[:, 1]), distance[:, 1] * ARCSEC_PER_RADIAN
 
@@ -320,9 +313,9 @@ class _Neighbours:
         growth = excess[2:] - excess[:-2]
         levels_off = (excess[:-2] > 0.0) & (growth <= (1.0 - EXCESS_SHARE) * excess[:-2] + 2.0 * scatter[:-2])
         if not levels_off.any():
-            return cls(direction, 0.0, 0.0)
+            return cls(tree, 0.0, 0.0)
         reached = int(np.argmax(levels_off))
-        return cls(direction, radii[reached], float(by_chance[reached]), counts[reached + 4], float(excess[reached]))
+        return cls(tree, radii[reached], float(by_chance[reached]), counts[reached + 4], float(excess[reached]))
 
 
 def _components(direction: FloatArray, link_arcsec: float) -> IntArray:
@@ -349,7 +342,7 @@ def _errors_of_rows(records: Records, neighbours: _Neighbours) -> Errors:
     Distances of rows of one object are those of a mixture of normals, those of others increase in proportion to the
     distance. The shares of both are fitted by EM iterations; the likelihood has one maximum.
     """
-    sigma = math.sqrt(2.0) * _typical_arcsec(records)
+    sigma = math.sqrt(2.0) * typical_sigma_arcsec(records)
     enough = int(COUPLES / (1.0 + neighbours.within))
     some = np.sort(np.random.default_rng(SEED).permutation(len(records))[: max(enough, MIN_COUPLES)])
     limit = WITHIN * neighbours.reach_arcsec / sigma
@@ -385,15 +378,16 @@ def _mixture(square: FloatArray, limit: float) -> tuple[Errors, FloatArray]:
 
 
 def _of_one(errors: Errors) -> Errors:
-    """The errors of one row from those of the difference of two: an outlier is one of the two."""
+    """The errors of one row from those of the difference of two: an outlier is one of the two. The floor stays that of
+    two, of which each has half the variance."""
     typical = errors.typical_scale
     relative = np.array(errors.scales) / typical
     wide = relative > WIDE
     scales = np.where(wide, np.sqrt(np.maximum(2.0 * relative**2 - 1.0, 1.0)), relative)
     shares = np.where(wide, 0.5, 1.0) * np.array(errors.shares)
     factor = typical * math.sqrt(0.5 * (errors.factor_1**2 + errors.factor_2**2))
-    floor = typical * float(np.max(errors.floor)) / math.sqrt(2.0)
     shares /= shares.sum()
+    floor = typical * float(np.max(errors.floor))
     return Errors(tuple(scales.tolist()), tuple(shares.tolist()), factor, factor, floor)
 
 
@@ -416,34 +410,37 @@ class _Partition:
     @classmethod
     def of(cls, records: Records, component: IntArray, exposure: IntArray, errors: Errors) -> _Partition:
         """The best partition found, with densities and numbers of rows that fit it."""
-        from sameas.kernels.internal import RowArrays, RowModel
+        from sameas.kernels.internal import RowModel
 
         order = np.argsort(component, kind="stable")
-        start = Ragged.of_sorted(component[order], int(component.max()) + 1).start
-        first = np.repeat(order[start[:-1]], np.diff(start))
+        parts = Ragged.of_sorted(component[order], int(component.max()) + 1)
+        start, sizes = parts.start, parts.sizes
+        first = np.repeat(order[start[:-1]], sizes)
         origin = records.features[first]
         xy, rotation = on_axes_of(origin, records.features[order])
         covariance = records.full_covariance()[order]
         if records.covariance.shape[1] > 1:
             covariance = np.einsum("nvw,nwx,nyx->nvy", rotation, covariance, rotation)
         precision = inverse(covariance)[:, [0, 0, 1], [0, 1, 1]]
-        rows = RowArrays(xy, np.ascontiguousarray(precision), exposure[order], exposure[order])
-        most, number = int(np.diff(start).max()), int(exposure.max()) + 1
+        rows = xy, np.ascontiguousarray(precision), exposure[order]
+        most, number = int(sizes.max()), int(exposure.max()) + 1
         of_bin = np.unique(np.floor(BINS * np.log2(np.arange(1, most + 1))), return_inverse=True)[1]
         share = np.ones(of_bin[-1] + 1)
         scales, shares = np.array(errors.scales), np.array(errors.shares)
         label, place = np.zeros(len(order), np.int64), np.zeros((len(order), 5))
         p_row, p_object = np.ones(len(order)), np.ones(len(order))
-        bounds = _even(start)
+        bounds = parts.bounds(len(threads.even(len(order))) - 1)
         middle = origin[start[:-1]]
         for _ in range(ROUNDS):
             log_density = np.log(_density(middle, origin[start[:-1]]))
             model = RowModel(_log_count(share, of_bin, number), scales, shares, math.log(REPEATED))
-            threads.over(partial(_filled, (start, rows, log_density, model, label, p_row, p_object, place)), bounds)
-            sizes, firsts = _sizes(label, start)
+            threads.over(partial(_filled, (start, *rows, log_density, model, label, p_row, p_object, place)), bounds)
+            counts = np.maximum.reduceat(label, start[:-1]) + 1
+            in_all = label + np.repeat(np.cumsum(counts) - counts, sizes)
+            _, firsts, n_rows = np.unique(in_all, return_index=True, return_counts=True)
             middle = displaced(origin[firsts], place[firsts, :2])
-            share = np.bincount(of_bin[sizes - 1], minlength=len(share)) + 0.5
-        return cls(records, order, origin, _over_components(label, start), p_row, p_object, place)
+            share = np.bincount(of_bin[n_rows - 1], minlength=len(share)) + 0.5
+        return cls(records, order, origin, in_all, p_row, p_object, place)
 
     def result(
         self, catalogue: Catalogue, neighbours: _Neighbours, errors: Errors, exposures: int, doubts: tuple[str, ...]
@@ -472,24 +469,6 @@ def _filled(arguments: tuple[Any, ...], first: int, last: int) -> None:
     from sameas.kernels.internal import partition
 
     partition(first, last, *arguments)
-
-
-def _even(start: IntArray) -> list[int]:
-    """Bounds of ranges of components with about equal numbers of rows."""
-    parts = threads.even(int(start[-1]))
-    return [0, *np.searchsorted(start, parts[1:-1]).tolist(), len(start) - 1]
-
-
-def _over_components(label: IntArray, start: IntArray) -> IntArray:
-    """(n,) numbers of the objects over all components."""
-    counts = np.maximum.reduceat(label, start[:-1]) + 1
-    return np.asarray(label + np.repeat(np.cumsum(counts) - counts, np.diff(start)))
-
-
-def _sizes(label: IntArray, start: IntArray) -> tuple[IntArray, IntArray]:
-    """(g,) rows of each object, and (g,) its first row."""
-    _, firsts, sizes = np.unique(_over_components(label, start), return_index=True, return_counts=True)
-    return sizes, firsts
 
 
 def _density(objects_deg: FloatArray, at_deg: FloatArray) -> FloatArray:
@@ -536,7 +515,7 @@ def rows_table(match: InternalMatch) -> Table:
     for name, of_records in values.items():
         column = np.zeros(len(table), of_records.dtype)
         column[rows] = of_records
-        table[_free(table, name)] = MaskedColumn(column, mask=unused, **attributes_of(name))
+        table[free_name(name, table.colnames)] = MaskedColumn(column, mask=unused, **attributes_of(name))
     return table
 
 
@@ -567,7 +546,9 @@ def objects_table(match: InternalMatch) -> Table:
         named = zip((band, f"{band}_scatter"), ("magnitude_mean", "magnitude_scatter"), strict=True)
         for (of_column, kind), of_objects in zip(named, _mean_and_scatter(match, magnitude[rows]), strict=True):
             attributes = attributes_of(kind)
-            table[_free(table, of_column)] = MaskedColumn(of_objects, mask=~np.isfinite(of_objects), **attributes)
+            table[free_name(of_column, table.colnames)] = MaskedColumn(
+                of_objects, mask=~np.isfinite(of_objects), **attributes
+            )
     return table
 
 
@@ -589,7 +570,3 @@ def _extremes(match: InternalMatch, of_rows: FloatArray) -> tuple[FloatArray, Fl
     np.minimum.at(low, match.object[known], of_rows[known])
     np.maximum.at(high, match.object[known], of_rows[known])
     return np.where(np.isfinite(low), low, np.nan), np.where(np.isfinite(high), high, np.nan)
-
-
-def _free(table: Table, name: str) -> str:
-    return name if name not in table.colnames else f"{name}_sameas"

@@ -30,7 +30,7 @@ from sameas.estimate.coverage import Coverage
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.result import Answers, Identification
-from sameas.sky.output_columns import JOINS, attributes_of, check_join
+from sameas.sky.output_columns import JOINS, attributes_of, check_join, free_name
 from sameas.space import Sphere
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ def joined(
         for name, column in zip(names[side], threads.each(calls, len(rows.one)), strict=True):
             table.add_column(column, name=name, copy=False)
     for name, values in _JoinedColumns(match, rows).columns(nway_columns).items():
-        unique = name if name not in table.colnames else f"{name}_sameas"
+        unique = free_name(name, table.colnames)
         table.add_column(MaskedColumn(values, **attributes_of(name)), name=unique, copy=False)
     return table
 

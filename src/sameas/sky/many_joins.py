@@ -24,7 +24,7 @@ from sameas.arrays import ABSENT, IntArray
 from sameas.errors import InputError
 from sameas.records import Records
 from sameas.sky.joins import joined_names, taken_rows
-from sameas.sky.output_columns import attributes_of
+from sameas.sky.output_columns import attributes_of, free_name
 
 if TYPE_CHECKING:
     from sameas.sky.many import ManyMatch
@@ -59,7 +59,7 @@ def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
             table[name] = MaskedColumn(taken_cells) if isinstance(taken_cells, Column) else taken_cells
     missing = number == ABSENT
     for name, values in _object_columns(match, np.where(missing, 0, number)).items():
-        unique = name if name not in table.colnames else f"{name}_sameas"
+        unique = free_name(name, table.colnames)
         mask = np.ma.getmaskarray(values) | missing
         table[unique] = MaskedColumn(np.ma.getdata(values), mask=mask, **attributes_of(name))
     return table

@@ -5,6 +5,7 @@ UCDs are IVOA's Unified Content Descriptors, version 1+.
 
 from __future__ import annotations
 
+from collections.abc import Container
 from typing import Any
 
 from sameas.errors import InputError
@@ -106,6 +107,11 @@ def attributes_of(name: str) -> dict[str, Any]:
     feature = name.removeprefix("residual_")
     unit, _, words = COLUMNS[name] if feature == name else (None, None, f"first minus second, feature {feature}")
     return {"unit": unit, "description": words, "meta": meta_of(name)}
+
+
+def free_name(name: str, taken: Container[str]) -> str:
+    """The name of an added column, with an ending if the user's table has one of that name."""
+    return name if name not in taken else f"{name}_sameas"
 
 
 def check_join(join: str) -> None:
