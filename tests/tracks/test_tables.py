@@ -475,6 +475,16 @@ def test_unknown_is_no_identity():
     assert list(reports.callsign) == ["OXYZ", None]
 
 
+def test_numbers_without_the_check_digit_are_no_imo_numbers():
+    # 500 ships with one made-up number would be one identity at 500 places.
+    rows = [
+        f"1e9,21900000{k},55.{k},12.0,{imo}" for k, imo in enumerate((9134270, 9123456, 0, "IMO 9074729", 9074729.0))
+    ]
+    reports = table("time,mmsi,lat,lon,imo\n" + "\n".join(rows))
+    assert list(reports.imo) == ["9134270", None, None, "9074729", "9074729"]
+    assert any("imo: 1 value of 9123456 not used: no IMO number" in line for line in reports.summary())
+
+
 def test_danish_ais_has_the_day_first():
     lines = "# Timestamp,Type of mobile,MMSI,Latitude,Longitude\n01/05/2024 12:00:00,Class A,219000001,55.0,12.0"
     assert table(lines).time_s.tolist() == [1714564800.0]

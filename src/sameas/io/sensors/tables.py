@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sameas.arrays import ABSENT, BoolArray, FloatArray, IntArray, ordered_by
 from sameas.errors import Argument, InputError, Message
 from sameas.io.sensors import drones
-from sameas.io.sensors.ais import SIDES, STATUSES_AT_REST, at_hull_centres
+from sameas.io.sensors.ais import SIDES, STATUSES_AT_REST, at_hull_centres, is_imo_number
 from sameas.io.sensors.format import (
     AIS_SIGMA_M,
     KNOT_M_PER_S,
@@ -281,6 +281,8 @@ def _text(cell: Any, quantity: str) -> str | None:
         text = text.zfill(4)
     if quantity == "mmsi" and text.isdigit():
         text = text.zfill(9)
+    if quantity == "imo":
+        text = text.upper().removeprefix("IMO").strip()
     return text.lower() if quantity == "icao" else text
 
 
@@ -401,9 +403,10 @@ def _mark_unavailable(values: dict[str, NDArray[Any]], chosen: Mapping[str, Choi
     """Makes values that mean "not available" NaN, in place, and returns sentences on them.
 
     They are those of AIS; impossible ones (:data:`~sameas.tracks.reports.POSSIBLE`); a number of nines only, such as
-    −999 or 9999, that is the most frequent value of its column; and heights that are all 0.
+    −999 or 9999, that is the most frequent value of its column; heights that are all 0; and IMO numbers without their
+    check digit.
     """
-    sentences = []
+    sentences = _mark_no_imo_numbers(values, chosen)
     for name, column in values.items():
         if column.dtype.kind != "f" or not len(column):
             continue
@@ -422,6 +425,22 @@ def _mark_unavailable(values: dict[str, NDArray[Any]], chosen: Mapping[str, Choi
                 f"{chosen[name].name}: {counted(int(missing.sum()), 'value')} of {which} not used: missing"
             )
     return sentences
+
+
+def _mark_no_imo_numbers(values: dict[str, NDArray[Any]], chosen: Mapping[str, Choice]) -> list[str]:
+    """As of :func:`_mark_unavailable`, for the texts of a column of IMO numbers; 0 is said nothing of."""
+    column = values.get("imo")
+    if column is None:
+        return []
+    missing = np.array([text is not None and not is_imo_number(text) for text in column], bool)
+    values["imo"] = kept = column.copy()
+    kept[missing] = None
+    false = [text for text in column[missing] if text.strip("0")]
+    which = ", ".join(sorted(set(false))[:3])
+    made_up = (
+        f"{chosen['imo'].name}: {counted(len(false), 'value')} of {which} not used: no IMO number, by the check digit"
+    )
+    return [made_up] if false else []
 
 
 def _nines(column: FloatArray) -> FloatArray:
