@@ -77,6 +77,15 @@ def test_numbers_of_partners_and_of_false_matches_are_as_expected():
 
 
 @pytest.mark.slow
+def test_the_fit_of_a_column_converges_where_every_source_has_several_candidates():
+    """Candidates of one source are rivals; fitted each by itself, they went to and fro between two answers."""
+    made = counterparts(np.random.default_rng([19, 0]), sources=800, records=30_000, chance=3.0)
+    answer, estimate = match(made.scene.first, made.scene.second, evidence=[Column(2, made.magnitude, name="MAG")])
+    right, wrong, expected, spread = counts(answer, made)
+    assert estimate.converged and estimate.iterations < 20
+    assert right > 610 and abs(wrong - expected) < 2.0 * spread
+
+
 def test_the_curve_breaks_at_the_limit_of_the_catalogue():
     """Beyond 26 mag the catalogue has counterparts only, and hardly any in the fifth of its records before."""
     made = counterparts(np.random.default_rng([16, 1]))

@@ -177,16 +177,15 @@ class ColumnEvidence:
         assert self.folds is not None
         fits: list[ShareFit | None] = []
         findings: list[ColumnFinding] = []
-        for source, (side, p, at, is_covered, fold, previous) in enumerate(
-            zip(self.sides, partner, offset, covered, self.folds, self.fits, strict=True), start=1
-        ):
-            columns = _to_fit(side)
-            regression = ShareRegression.of(p, at, is_covered, fold, previous, columns) if columns else None
+        rivals = _rivals(pairs, p_counted, partner)
+        for k, (side, previous) in enumerate(zip(self.sides, self.fits, strict=True)):
+            columns, of_records = _to_fit(side), (partner[k], rivals[k], offset[k], covered[k], self.folds[k])
+            regression = ShareRegression.of(*of_records, previous, columns) if columns else None
             if regression is None:
                 fits.append(None)
                 continue
             fit, own_findings = (
-                regression.informative(source) if last or previous is None else (regression.fit(regression.bases), [])
+                regression.informative(k + 1) if last or previous is None else (regression.fit(regression.bases), [])
             )
             fits.append(fit)
             findings += own_findings
@@ -205,6 +204,18 @@ class ColumnEvidence:
 
 def _is_same(one: CodedColumn, other: CodedColumn) -> bool:
     return one.name == other.name and np.array_equal(one.values, other.values, equal_nan=True)
+
+
+def _rivals(pairs: Pairs, p_pair: FloatArray, partner: Both) -> Both:
+    """(n₁,), (n₂,) probability that a record's candidates of the other source have a partner, weighted by those (m,) of
+    the pairs; 0 without candidates."""
+    one, two = (
+        np.bincount(own, p_pair * of_other[other], len(p)) / np.maximum(np.bincount(own, p_pair, len(p)), 1e-300)
+        for own, other, p, of_other in (
+            (pairs.i, pairs.j, partner[0], partner[1]), (pairs.j, pairs.i, partner[1], partner[0])
+        )
+    )  # fmt: skip
+    return one, two
 
 
 def _to_fit(side: Sequence[CodedColumn]) -> tuple[CodedColumn, ...]:

@@ -267,11 +267,13 @@ class ShareRegression:
     """A sample of the records of a source, for the regression of the share with a partner.
 
     columns : at these records. p, offset, fold : (n,) probability of a partner, logit expected without columns, fold.
+    rivals : (n,) probability that the record or a rival of it, by its candidates, is a partner; p if it has no rivals.
     weight : (n,) number of records that each represents. previous : the fit to start from.
     """
 
     columns: tuple[CodedColumn, ...]
     p: FloatArray
+    rivals: FloatArray
     offset: FloatArray
     fold: IntArray
     weight: FloatArray
@@ -280,8 +282,8 @@ class ShareRegression:
 
     @classmethod
     def of(
-        cls, partner: FloatArray, offset: FloatArray, covered: BoolArray, fold: IntArray, previous: ShareFit | None,
-        columns: Sequence[CodedColumn],
+        cls, partner: FloatArray, rivals: FloatArray, offset: FloatArray, covered: BoolArray, fold: IntArray,
+        previous: ShareFit | None, columns: Sequence[CodedColumn],
     ) -> ShareRegression | None:  # fmt: skip
         """The regression; None with too few partners."""
         likely = np.flatnonzero(covered & (partner >= MIN_P_COLUMNS))
@@ -291,15 +293,16 @@ class ShareRegression:
             return None
         parts = []
         for rows, enough in ((likely, MAX_LIKELY), (alone, MAX_UNMATCHED)):
-            step = max(1, -(-len(rows) // enough))
-            kept = rows[::step]
+            # By a hash of the row: the same rows in every iteration, however many others come and go.
+            bits = rows.astype(np.uint32) * np.uint32(0x9E3779B1)
+            kept = rows[bits <= np.uint32(min(1.0, enough / max(len(rows), 1)) * 0xFFFFFFFF)]
             parts.append((kept, np.full(len(kept), len(rows) / max(len(kept), 1))))
         rows, weight = (np.concatenate(both) for both in zip(*parts, strict=True))
         some = tuple(column.take(rows) for column in columns)
         p = partner[rows]
         # The basis stays the same, so that a fit can start from the previous one.
         bases = _Bases.of(some, p * weight, partners) if previous is None else previous.bases
-        return cls(some, p, offset[rows], fold[rows], weight, bases, previous)
+        return cls(some, p, np.maximum(rivals[rows], p), offset[rows], fold[rows], weight, bases, previous)
 
     def fit(self, bases: _Bases) -> ShareFit:
         """The fit of greatest penalised likelihood; those without a fold are one Newton step from that of all."""
@@ -332,20 +335,28 @@ class ShareRegression:
     def _derivatives(
         self, design: csr_array, values: FloatArray, rows: IntArray | slice, *, certain: bool = False
     ) -> tuple[FloatArray, FloatArray]:
-        """Slope (P,) and negative curvature (P, P) of ln likelihood Σ ln [q r + 1 − q] − ln [π r + 1 − π] (see
-        :meth:`gain`) of some records; ``certain`` takes the curvature for certain partners."""
+        """Slope (P,) and negative curvature (P, P) of Σ (p/P) ln [Q r + 1 − Q] − ln [π r + 1 − π] over some records;
+        ``certain`` takes the curvature for certain partners.
+
+        P is ``rivals``, and Q its value without the columns. The candidates k of one record of the other source have
+        ln [1 − P + Σ p_k x_k] together, with x = r over its previous value. By the concavity of ln this is at least
+        Σ (p_k/P) ln [1 − P + P x_k], and equal at x = 1: a step that raises the sum raises the likelihood. With each
+        candidate by itself, as if it had no rivals, fits in crowds overshot, and the iterations went to and fro.
+        """
         log_ratio, offset, weight = design @ values, self.offset[rows], self.weight[rows]
         share = _probability(offset + log_ratio)
-        p = np.where(self.p[rows] > 0.0, _probability(self.log_odds_without[rows] + log_ratio), 0.0)
-        bend = share * (1.0 - share) - (0.0 if certain else p * (1.0 - p))
+        p, rivals = self.p[rows], self.rivals[rows]
+        either = np.where(p > 0.0, _probability(logit(rivals) - self.included[rows] + log_ratio), 0.0)
+        p = either * p / np.maximum(rivals, 1e-300)
+        bend = share * (1.0 - share) - (0.0 if certain else p * (1.0 - either))
         weighted = design.multiply((weight * bend)[:, None]).tocsr()
         return design.T @ (weight * (p - share)), (weighted.T @ design).toarray()
 
     @cached_property
-    def log_odds_without(self) -> FloatArray:
-        """(n,) logit of q, the probability of a partner without the columns."""
-        included = 0.0 if self.previous is None else self.previous.log_ratio(self.columns, self.fold)
-        return np.asarray(logit(self.p) - included)
+    def included(self) -> FloatArray:
+        """(n,) ln r that the probabilities include."""
+        none = np.zeros(len(self.p))
+        return none if self.previous is None else self.previous.log_ratio(self.columns, self.fold)
 
     def informative(self, source: int) -> tuple[ShareFit | None, list[ColumnFinding]]:
         """The fit with the informative columns, and the findings for all."""
@@ -383,7 +394,7 @@ class ShareRegression:
         if fit.coefficients.shape[1] == 0:
             return 0.0
         r = np.expm1(fit.log_ratio(self.columns, self.fold))
-        q = np.where(self.p < MIN_P_COLUMNS * 1e-3, 0.0, _probability(self.log_odds_without))
+        q = np.where(self.p < MIN_P_COLUMNS * 1e-3, 0.0, _probability(logit(self.p) - self.included))
         return float((self.weight * (np.log1p(q * r) - np.log1p(_probability(self.offset) * r))).sum())
 
 
