@@ -67,6 +67,18 @@ def test_the_terminal_says_once_that_an_input_has_own_ship():
     assert news() == []
 
 
+def test_a_short_break_of_a_connection_is_no_line():
+    wire: Any = SimpleNamespace(state=WireState(connected=True, connections=1), stream=None)
+    news = News({"tcp://a:1": wire}, AlarmLog(Store(None), START_S))
+    assert news() == ["  tcp://a:1: connected"]
+    wire.state.connections = 2
+    assert news() == []
+    wire.state.connected, wire.state.error = False, "Connection refused"
+    assert news() == ["  tcp://a:1: Connection refused"] and news() == []
+    wire.state.connected = True
+    assert news() == ["  tcp://a:1: connected"]
+
+
 def opened(folder):
     """The log of a new watch in a folder, and its store."""
     store = Store(folder)

@@ -2,10 +2,12 @@
 
 import asyncio
 import contextlib
+import errno
 import importlib.util
 import json
 import os
 import socket
+import sys
 
 import pytest
 
@@ -114,6 +116,8 @@ def test_a_flood_drops_and_counts_the_oldest_data():
         ("ws:///signalk", "has no host; give ws://HOST:PORT/signalk/v1/stream"),
         ("ws://me:secret@boat:3000", r"input ws://boat:3000: has a password, .* give username = .* next to url"),
         ("udp://239.1.1.1:8600?interface=eth0", "interface is 'eth0'; give its address"),
+        ("serial:/dev/ttyUSB0?baud=4800bd", "baud is '4800bd'; give a number such as 4800 or 38400"),
+        ("serial:/dev/ttyUSB0?baud=0", "baud is '0'"),
     ],
 )  # fmt: skip
 def test_an_invalid_input_address_is_refused(url, words):
@@ -126,6 +130,34 @@ def test_a_serial_line_without_its_library_is_refused_at_once(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "serial" else find(name))
     with pytest.raises(InputError, match="pip install pyserial"):
         Wire("serial:/dev/ttyUSB0", ReportStream("x"))
+
+
+def test_a_pipe_that_ends_says_what_to_do(monkeypatch):
+    end, begin = os.pipe()
+    os.write(begin, b"$HEHDT,1.0,T\r\n")
+    os.close(begin)
+    wire = Wire("stdin:", ReportStream("boat"))
+    with os.fdopen(end) as pipe:
+        monkeypatch.setattr(sys, "stdin", pipe)
+        asyncio.run(wire.run())
+    assert wire.state.error == "the program that wrote to it has ended; start both again" and len(wire.queue)
+
+
+def test_a_serial_line_that_may_not_be_opened_names_the_group(monkeypatch):
+    serial = pytest.importorskip("serial")
+
+    def refused(*_):
+        raise serial.SerialException(errno.EACCES, "could not open port")
+
+    async def run():
+        wire = Wire("serial:/dev/ttyUSB0", ReportStream("boat"))
+        monkeypatch.setattr(serial, "Serial", lambda *_, **__: refused())
+        task = asyncio.create_task(wire.run())
+        await until(lambda: wire.state.error)
+        task.cancel()
+        return wire.state.error
+
+    assert asyncio.run(run()) == "Permission denied; become a member of the group that owns it, often dialout"
 
 
 def test_a_datagram_address_of_another_machine_is_named():

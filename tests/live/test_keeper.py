@@ -415,7 +415,8 @@ def test_a_cable_with_several_sources_that_falls_silent_is_one_alarm(tmp_path):
     wire.receive(position + sentence("RATTM,05,2.0,45.6,T,9.0,180.0,T,,,N,,T,,120031.00,A"), last=True)
     # Data arrive: only what is missing is named.
     assert alarms(0.0) == [
-        "coast has sent no report since the watch began: data arrive on tcp://127.0.0.1:10110, but none are its reports"
+        "coast has sent no report since the watch began: data arrive on tcp://127.0.0.1:10110, but none are its "
+        "reports (sentences RMC, TTM)"
     ]
     wire.state.connected, wire.state.error = False, "Connection refused"
     assert alarms(31.0) == [

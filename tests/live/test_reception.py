@@ -160,3 +160,31 @@ def test_a_clock_that_is_wrong_by_a_constant_time_is_called_so_also_after_a_paus
     texts = words_of(Receiver(silent_s=600.0), moments, lambda t: t + (seconds if t > 9 else 0.0))
     sense = "behind" if seconds < 0.0 else "ahead of"
     assert texts[-1] == f"west: its time stamps are 45 s {sense} the times of receipt"
+
+
+def alarms_of(data, url="serial:/dev/ttyUSB0?baud=38400", fmt=None):
+    """The texts of the alarms of an AIS source after these data and a silence."""
+    pytest.importorskip("serial")
+    now_s = [START_S]
+    source = LiveSource(Description("coast", "ais"), url, fmt)
+    reception = Reception(Settings({"coast": source}), lambda: now_s[0], use=lambda *_: None)
+    wire = reception.wires[url]
+    wire.state.connected = True
+    for _ in range(3):
+        now_s[0] += 30.0
+        wire.receive(data)
+        reception.take(now_s[0])
+    return [alarm.text for alarm in reception.alarms()]
+
+
+@pytest.mark.parametrize("fmt", [None, "nmea"])
+@pytest.mark.parametrize("data", [b"\xf8\x80\xe6\x00" * 40, b"\xf8\x80\xe6\n" * 40])
+def test_a_serial_line_of_another_speed_is_said(data, fmt):
+    [text] = alarms_of(data, fmt=fmt)
+    assert text.endswith("none of it can be read: is its speed another than ?baud=38400?")
+
+
+def test_the_sentences_that_arrive_are_named_where_a_source_has_none_of_its_own():
+    data = b"".join(f"${body}*{checksum(body):02X}\r\n".encode() for body in ("HEHDT,12.0,T", "SDDBT,1.0,f,,M,,F"))
+    [text] = alarms_of(data)
+    assert text.endswith("but none are its reports (sentences DBT, HDT)")

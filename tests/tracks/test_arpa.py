@@ -143,9 +143,12 @@ def test_own_position_may_come_from_several_satellite_systems():
 
 def test_own_position_may_come_from_own_ais():
     pyais = pytest.importorskip("pyais")
-    [sentence] = pyais.encode_dict({"type": 1, "mmsi": 235000001, "lat": 50.9, "lon": -1.4, "heading": 30})
+    [sentence] = pyais.encode_dict({"type": 1, "mmsi": 235000001, "lat": 50.9, "lon": -1.4, "heading": 30,
+                                    "speed": 10.0, "course": 20.0})  # fmt: skip
     own = sentence[1:].split("*")[0].replace("VDM", "VDO")
-    made = reports(ZDA, own, ttm(flag="R"))
+    ship = arpa.ArpaState()
+    made = reports(ZDA, own, ttm(flag="R"), ship=ship)
+    assert (ship.speed, ship.course) == pytest.approx((5.144, 20.0), abs=1e-3)
     assert made.station_lat_deg[0] == pytest.approx(50.9) and made.station_lon_deg[0] == pytest.approx(-1.4)
     assert made.bearing_deg[0] == pytest.approx(43.6)
     assert "bridge: own ship's place from 1 AIS sentences of her own (VDO) too" in made.notes

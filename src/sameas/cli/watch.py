@@ -351,16 +351,16 @@ class News:
         names_own_ship: bool = True,
     ) -> None:
         self.wires, self.alarms, self.clock, self.names_own_ship = wires, alarms, clock, names_own_ship
-        self.connections: dict[str, tuple[str, int]] = {}
+        self.connections: dict[str, str] = {}
         self.crowds: dict[str, _Crowd] = defaultdict(_Crowd)
 
     def __call__(self) -> list[str]:
         lines, now_s = [], self.clock()
         for url, wire in self.wires.items():
-            words, connection = str(wire.state), (str(wire.state), wire.state.connections)
-            if words and connection != self.connections.get(url):
-                self.connections[url] = connection
-                lines.append(f"  {url}: {words}")
+            words = str(wire.state)
+            if words and words != self.connections.get(url):
+                self.connections[url] = words
+                lines.append(f"  {url.rstrip(':')}: {words}")
             if not self.names_own_ship and math.isfinite(wire.stream.own_ship[0]):
                 self.names_own_ship = True
                 lines.append(f"  {url} has own ship's position: the map shows her, and approaches are watched")
@@ -403,7 +403,9 @@ async def _run(
     """Run the loop and the server until the time is up or a signal stops them."""
     over = asyncio.Event()
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    # Its terminal is closed, a connection over SSH lost: unless nohup has it go on, it ends as on the others.
+    hangs_up = hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN
+    for number in (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hangs_up else [])):
         with contextlib.suppress(NotImplementedError):
             loop.add_signal_handler(number, over.set)
 

@@ -1,7 +1,7 @@
 """Inputs: one reader task per wire, which queues bytes with their receive time and reconnects when the wire breaks.
 
 Wires: ``udp://`` (a multicast group is joined), ``tcp://`` (client), ``tcp-listen://`` (server), ``http(s)://`` and
-``file://`` (polled every second), ``ws(s)://`` (of a Signal K server), ``serial:`` (with pyserial), ``stdin:``. The
+``file://`` (polled every second), ``ws(s)://`` (of a Signal K server), ``serial:``, ``stdin:``. The
 queue of a wire is bounded: when the picture cannot keep up, the oldest data are dropped and counted, so that a flood on
 one wire loses reports of that wire only.
 """
@@ -157,7 +157,8 @@ class Wire:
             before = self.state.received
             try:
                 await reader()
-                self.state.error = "closed by the other side"
+                ended = "the program that wrote to it has ended; start both again"
+                self.state.error = ended if scheme == "stdin" else "closed by the other side"
             except asyncio.CancelledError:
                 raise
             except (OSError, HTTPException, InputError) as error:
@@ -338,14 +339,13 @@ class Wire:
     async def _serial(self) -> None:
         import serial
 
-        parts = urlsplit(self.url)
-        speed = int(parse_qs(parts.query).get("baud", ["38400"])[0])
         try:
-            line = serial.Serial(parts.path, speed, timeout=1.0)
+            line = serial.Serial(urlsplit(self.url).path, int(serial_speed(self.url)), timeout=1.0)
         except serial.SerialException as error:
-            if error.errno is None:
-                raise OSError(str(error)) from error
-            raise OSError(error.errno, os.strerror(error.errno)) from error
+            if error.errno == errno.EACCES:
+                group = "become a member of the group that owns it, often dialout"
+                raise OSError(f"{os.strerror(error.errno)}; {group}") from error
+            raise OSError(str(error) if error.errno is None else os.strerror(error.errno)) from error
         with line:
             connection = self._set_connected()
             try:
@@ -411,8 +411,16 @@ def require_readable(url: str) -> None:
         ipaddress.IPv4Address(interface)
     except ValueError:
         raise InputError(f"input {url!r}: interface is {interface!r}", "give its address, such as 10.0.0.2") from None
+    speed = serial_speed(url)
+    if parts.scheme == "serial" and not (speed.isdecimal() and int(speed)):
+        raise InputError(f"input {url!r}: baud is {speed!r}", "give a number such as 4800 or 38400")
     if parts.scheme == "serial" and importlib.util.find_spec("serial") is None:
         raise InputError("a serial line needs pyserial: pip install pyserial")
+
+
+def serial_speed(url: str) -> str:
+    """The speed of a serial line, as its address has it."""
+    return parse_qs(urlsplit(url).query).get("baud", ["38400"])[0]
 
 
 def _cause(error: Exception) -> str:

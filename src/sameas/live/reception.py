@@ -18,7 +18,7 @@ from sameas.errors import Argument, InputError, Message, reading
 from sameas.io.sensors.recording import Recorder
 from sameas.io.sensors.sources import ZONED
 from sameas.io.sensors.stream import ReportStream
-from sameas.live.inputs import Wire
+from sameas.live.inputs import Wire, serial_speed
 from sameas.live.replay import Playback, Replay, in_words
 from sameas.live.settings import Settings
 from sameas.live.situation import Alarm
@@ -34,6 +34,10 @@ MISFIT_LINES = 20
 AHEAD_S = 600.0
 #: A source that gave nothing for this many seconds has paused; one whose stamps stand for as long repeats its reports.
 RESUMED_S = 10.0
+#: A serial line that shows nothing readable in as many bytes has another speed: NMEA has 82 in a sentence.
+LEAST_BYTES = 250
+#: Largest number of kinds of sentences that are named where none is a report.
+MOST_KINDS = 6
 #: Largest number of sensors of a wire that are named where no source takes their reports.
 MOST_SENSORS = 20
 
@@ -247,6 +251,8 @@ class Reception:
             given = ", ".join(sorted(foreign))
             return f'{source.url} has {given}, but no {source.sensor}: give sensor = "{min(foreign)}"'
         stream = self.wires[source.url or ""].stream
+        if speed := self._other_speed(source.url or ""):
+            return speed
         damaged = sum(stream.damaged.values())
         if damaged >= MISFIT_LINES and not +stream.passed_over and len(self._names_on(source.url or "")) == 1:
             reason, n = stream.damaged.most_common(1)[0]
@@ -264,9 +270,22 @@ class Reception:
             return f"{source.url} is not connected ({wire.state.error or 'no answer'})"
         if not math.isfinite(wire.state.last_s) or self.taken_s - wire.state.last_s > self.settings.watch.silent_s:
             return f"nothing arrives on {source.url}"
+        if speed := self._other_speed(source.url or ""):
+            return f"data arrive on {source.url}, but {speed}"
         unused = wire.stream.damaged + wire.stream.passed_over
         reasons = ", ".join(f"{n} × {reason}" for reason, n in unused.most_common(2))
+        if not reasons and wire.stream.sentence_kinds:
+            reasons = f"sentences {', '.join(sorted(wire.stream.sentence_kinds)[:MOST_KINDS])}"
         return f"data arrive on {source.url}, but none are its reports" + (f" ({reasons})" if reasons else "")
+
+    def _other_speed(self, url: str) -> str:
+        """What a serial line says that runs at another speed than its address; empty where anything can be read."""
+        wire = self.wires[url]
+        stream = wire.stream
+        readable = stream.sentence_kinds or stream.format not in (None, "nmea") or wire.state.received < LEAST_BYTES
+        if not url.startswith("serial:") or readable:
+            return ""
+        return f"none of it can be read: is its speed another than ?baud={serial_speed(url)}?"
 
     # ---- counters ----
 

@@ -263,7 +263,7 @@ def read(log: Log, source: str, start_s: float | None = None, state: ReceiverSta
 
 
 def own_ship(sentence: Sentence) -> dict[str, Any]:
-    """The latitude, longitude and true heading of own ship that a VDO sentence gives, and her MMSI.
+    """The latitude, longitude, true heading, speed and course of own ship that a VDO sentence gives, and her MMSI.
 
     Raises ValueError: it cannot be decoded, or pyais is not installed.
     """
@@ -278,8 +278,9 @@ def own_ship(sentence: Sentence) -> dict[str, Any]:
         return {}
     mmsi = f"{int(decoded.mmsi):09d}"
     fields: dict[str, Any] = {"lat": float(decoded.lat), "lon": float(decoded.lon), "mmsi": mmsi}
-    heading = _available(getattr(decoded, "heading", None), 360)
-    return fields if heading is None else fields | {"true_heading": heading}
+    others = {"true_heading": _available(getattr(decoded, "heading", None), 360),
+              "speed": _speed(message), "course": _available(decoded.course, 360.0)}  # fmt: skip
+    return fields | {name: value for name, value in others.items() if value is not None}
 
 
 def _messages(log: Log, state: ReceiverState | None) -> tuple[list[AisMessage], list[tuple[int, str]]]:
@@ -416,8 +417,6 @@ def _rows(positions: Sequence[AisMessage], statics: Mapping[str, list[Static]]) 
     rows = []
     for message in positions:
         decoded = message.decoded
-        # Knots in tenths; report 27 has whole knots and 63 for none, 9 whole knots and 1023.
-        speed = _available(decoded.speed, {27: 63.0, 9: 1023.0}.get(message.type, 102.25))
         second = getattr(decoded, "second", None)
         mmsi = f"{int(decoded.mmsi):09d}"
         device = device_of(mmsi)
@@ -429,7 +428,7 @@ def _rows(positions: Sequence[AisMessage], statics: Mapping[str, list[Static]]) 
                 "antenna_lat_deg": float(decoded.lat),
                 "antenna_lon_deg": float(decoded.lon),
                 "alt_m": _available(getattr(decoded, "alt", None), 4095),
-                "speed_m_per_s": None if speed is None else speed * KNOT_M_PER_S,
+                "speed_m_per_s": _speed(message),
                 "course_deg": _available(decoded.course, 360.0),
                 "heading_deg": _available(getattr(decoded, "heading", None), 360),
                 "message_type": message.type,
@@ -448,6 +447,13 @@ def _rows(positions: Sequence[AisMessage], statics: Mapping[str, list[Static]]) 
 def _available(value: str | SupportsFloat | None, limit: float) -> float | None:
     """The value as a number; None where it is missing or at the limit that means "not available"."""
     return None if value is None or not 0 <= float(value) < limit else float(value)
+
+
+def _speed(message: AisMessage) -> float | None:
+    """The speed over ground in m/s; None where it is not available."""
+    # Knots in tenths; report 27 has whole knots and 63 for none, 9 whole knots and 1023.
+    speed = _available(message.decoded.speed, {27: 63.0, 9: 1023.0}.get(message.type, 102.25))
+    return None if speed is None else speed * KNOT_M_PER_S
 
 
 def _statics(messages: Sequence[AisMessage], state: ReceiverState | None) -> dict[str, list[Static]]:

@@ -138,6 +138,8 @@ def read(
     # Number of the target, and its row, None where it is lost.
     events: list[tuple[str, int | None]] = []
     for index, sentence in enumerate(log.sentences):
+        if sentence.kind == "TTD":
+            unused.passed_over["TTD, encapsulated targets: have the radar send TTM"] += 1
         if sentence.kind not in SENTENCES:
             continue
         if sentence.kind != kind and ship.is_measured(sentence.field(1), float(log.clock_s[index])):

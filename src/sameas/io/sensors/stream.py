@@ -84,7 +84,7 @@ class ReportStream:
     options : columns and units of tables.
     carries : whether positions of own ship are reports, where the stream has nothing else: she carries another sensor.
 
-    damaged, passed_over : number of unused lines or records by reason.
+    damaged, passed_over : number of unused lines or records by reason. sentence_kinds : those of NMEA 0183 so far.
 
     >>> stream = ReportStream("coast")
     >>> stream.feed(b'{"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi"', 0.0)
@@ -102,6 +102,7 @@ class ReportStream:
     carries: bool = False
     damaged: Counter[str] = field(default_factory=Counter)
     passed_over: Counter[str] = field(default_factory=Counter)
+    sentence_kinds: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         if self.format is not None and self.format not in STREAM_FORMATS:
@@ -120,8 +121,6 @@ class ReportStream:
         self._latest: sbs.Latest = {}
         self._aircraft: dict[str, object] = {}
         self._transponders = mode_s.Aircraft()
-        #: Whether the sentences have ever been of others than own ship.
-        self._has_others = False
         self._blocks: set[tuple[int, bytes]] = set()
         #: Receive time of the last position of own ship.
         self.own_ship_s = -math.inf
@@ -303,14 +302,16 @@ class ReportStream:
         self._count(Damaged.of(log.damaged), {})
         log = nmea.Log(log.sentences, log.clock_s, log.clock, ())
         kinds = {sentence.kind for sentence in log.sentences}
-        self._has_others |= not kinds.isdisjoint((*ais.SENTENCES, *arpa.SENTENCES))
+        if len(self.sentence_kinds) < MOST_REMEMBERED:
+            self.sentence_kinds |= kinds
+        has_others = not self.sentence_kinds.isdisjoint((*ais.SENTENCES, *arpa.SENTENCES))
         out: list[Reports] = []
         own = arpa.own_ship_of(log, self._ship)
         if kinds & set(ais.SENTENCES):
             out += self._read(lambda: [ais.read(log, f"{self.source}:ais", state=self._ais_state)])
         if kinds - {"VDM"}:
             out += self._read(lambda: [arpa.read(log, f"{self.source}:arpa", ship=self._ship, own=own)])
-        if self.carries and not self._has_others:
+        if self.carries and not has_others:
             positions = arpa.own_positions(log, self.source, None, own)
             out = [] if positions is None else [positions]
         return arpa.with_own_ship(out, log, own, arpa.own_track(log, own, None, self._ship.mmsi) if out else None)
