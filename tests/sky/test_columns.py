@@ -204,6 +204,24 @@ def test_errors_of_two_catalogues_of_one_position_are_refused() -> None:
         chosen(made(*GAIA, *TWOMASS[2:]))
 
 
+@pytest.mark.parametrize(
+    "names", ["err_maj err_min err_pa", "ERR_MAJOR ERR_MINOR ERR_PA", "pos_err_a pos_err_b pos_err_angle"]
+)
+def test_an_ellipse_of_any_table_is_its_error(names: str) -> None:
+    """``err_maj`` alone made a table of X-ray sources one of 2MASS, and its errors those of 2MASS."""
+    axes = names.split()
+    table = made("RA", "DEC", *axes, units={axes[0]: "arcsec", axes[1]: "arcsec", axes[2]: "deg"})
+    choice = chosen(table)
+    assert choice.error.kind == "ellipse" and names_of(choice)[2:5] == axes
+    assert "2MASS" not in choice.describe()[0]
+
+
+def test_errors_of_the_axes_of_the_sources_are_not_those_of_positions() -> None:
+    """Aegean gives a, b and pa of the sources with the errors err_a, err_b and err_pa."""
+    table = made("ra", "dec", "a", "err_a", "b", "err_b", "pa", "err_pa", units={"err_a": "arcsec", "err_b": "arcsec"})
+    assert chosen(table).error.kind == "unknown"
+
+
 def test_two_positions_are_refused() -> None:
     with pytest.raises(InputError, match=r"2 candidates for right ascension: 'RAJ2000', 'ra'; give ra=NAME"):
         chosen(made("ra", "dec", "RAJ2000", "DEJ2000"), sigma=1)

@@ -175,6 +175,13 @@ PLAIN_CIRCLES = tuple(
     for suffix in ("", "_arcsec", "_mas", "_deg")
 )  # fmt: skip
 
+#: Ellipses of position errors in tables of no known survey.
+PLAIN_ELLIPSES = tuple(
+    ErrorNames("ellipse", (stem + a, stem + b, stem + angle))
+    for stem in ("err_", "err", "error_", "pos_err_", "poserr_", "sigma_", "err_ellipse_", "error_ellipse_")
+    for a, b in (("maj", "min"), ("major", "minor"), ("a", "b"))
+    for angle in ("pa", "ang", "angle", "posang")
+)
 #: Containment of the radius √(σ_east² + σ_north²), which emldetect (XMM-Newton, eROSITA) calls the 1σ radial error.
 RADIAL_CONTAINMENT = 1.0 - math.exp(-1.0)
 #: Names of radii around the position that say what they contain in percent, in lower case: ``err90``, ``pos_err_95``,

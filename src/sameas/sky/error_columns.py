@@ -53,6 +53,7 @@ def position_error(search: ColumnSearch, convention: Convention) -> PositionErro
         *conventions.plain(convention.position).errors,
         *conventions.PLAIN_CIRCLES,
         *_circles_by_ending(search),
+        *(e for e in conventions.PLAIN_ELLIPSES if not _are_of_a_shape(search, e.names)),
     )
     # Those of a survey have been passed over: its archive fills columns that it does not compute with a default.
     of_survey = {search.find_all(e.names) for e in convention.errors} if convention.marks else set()
@@ -73,6 +74,12 @@ def position_error(search: ColumnSearch, convention: Convention) -> PositionErro
     for error_names in (*found.values(), *([by_ucd] if by_ucd else [])):
         return _error_columns(search, error_names, convention)
     return PositionError("unknown")
+
+
+def _are_of_a_shape(search: ColumnSearch, names: tuple[str, ...]) -> bool:
+    """Whether columns named as errors of axes are those of the axes of the source: ``err_a`` beside ``a`` (Aegean)."""
+    measured = re.sub(r"^(?:pos_?)?(?:err|error|sigma)_?(?:ellipse_?)?", "", names[0])
+    return search.find(measured) is not None
 
 
 def _may_be_angle(search: ColumnSearch, names: tuple[str, ...]) -> bool:

@@ -147,7 +147,7 @@ _TWOMASS = (
         Convention(
             title="2MASS",
             position=("ra", declination),
-            marks=("err_maj", "pts_key", "j_msigcom"),
+            marks=("err_ang", "pts_key", "j_msigcom"),
             ids=("designation", "pts_key"),
             errors=(ErrorNames("ellipse", ("err_maj", "err_min", "err_ang"), "arcsec"),),
             epochs=("jdate", "date"),
