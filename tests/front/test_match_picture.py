@@ -12,6 +12,7 @@ import sameas
 from sameas.errors import InputError
 from sameas.front import picture as front
 from sameas.io import read_table
+from sameas.io.sensors import ReadOptions, read_reports
 from sameas.pages.map import map_page
 
 START = 1_714_560_000.0
@@ -146,6 +147,14 @@ def test_the_result_has_the_methods_of_other_results(found, tmp_path) -> None:
     again.parent.mkdir()
     found.write(again, format="csv", image=False)
     assert str(sameas.compare(tmp_path / "out", again)).splitlines()[0] == f"{tmp_path / 'out'} against {again}"
+    found.write(again, image=False, map=False, asterix=True)
+    [tracks] = read_reports(again / "objects.ast", ReadOptions(start=START, source="picture"))
+    confirmed = found.objects[np.isin(found.objects["stage"], ["confirmed", "coasting"])]
+    assert (tracks.kind, len(tracks)) == ("asterix 062", len(confirmed))
+    assert tracks.track_id.tolist() == [str(number) for number in confirmed["object"]]
+    np.testing.assert_allclose(tracks.time_s, confirmed["time_s"], atol=0.01)
+    np.testing.assert_allclose(tracks.lat_deg, confirmed["lat_deg"], atol=6e-6)
+    np.testing.assert_allclose(tracks.covariance_m2[:, 0], confirmed["var_x_m2"], rtol=0.2)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["command"].startswith("sameas.match_picture(dict, dict, sensors=") and summary["files"] == []
 

@@ -13,20 +13,10 @@ import pytest
 from tests.live.conftest import EVIL, SITE, START_S, replay, settings
 
 from sameas.errors import InputError
+from sameas.io.sensors.asterix_tracks import SentTracks
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.keeper import Keeper
-from sameas.live.outputs import (
-    ENCODERS,
-    SentTracks,
-    Sink,
-    TargetNumbers,
-    asterix,
-    cot,
-    geojson,
-    metrics,
-    nmea,
-    sinks_of,
-)
+from sameas.live.outputs import ENCODERS, Sink, TargetNumbers, asterix, cot, geojson, metrics, nmea, sinks_of
 from sameas.live.own_ship import OwnShipState
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.heights import GEOMETRIC, PRESSURE, HeightModel, _Line

@@ -23,7 +23,8 @@ from sameas.cli.watch import recorded_inputs, settings_of
 from sameas.errors import InputError
 from sameas.front.picture import match_picture
 from sameas.io.sensors.recording import FILE_S, RecordedInput, RecordedSource, Recorder, files_in, read
-from sameas.io.sensors.sources import read_reports, read_sources
+from sameas.io.sensors.report_formats import read_reports
+from sameas.io.sensors.sources import read_sources
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.keeper import Keeper
 from sameas.live.outputs import asterix, sentence

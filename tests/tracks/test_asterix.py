@@ -9,7 +9,8 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.io.sensors.asterix import read
-from sameas.io.sensors.asterix_records import CATEGORIES, DamagedRecord, letters, octal, records_of
+from sameas.io.sensors.asterix_records import CATEGORIES, DamagedRecord, letters, looks_like, octal, records_of
+from sameas.io.sensors.captures import is_capture
 from sameas.io.sensors.format import RADIUS_95
 
 ORACLE = json.loads((Path(__file__).parent / "data" / "asterix_oracle.json").read_text())
@@ -181,9 +182,7 @@ def capture(packets, order="<", link=1):
     head = struct.pack(order + "IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, link)
     out = [head]
     for when, payload in packets:
-        udp = struct.pack(">HHHH", 8600, 8600, 8 + len(payload), 0) + payload
-        ip = struct.pack(">BBHHHBBH8x", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0) + udp
-        frame = (bytes(12) + b"\x08\0" if link == 1 else b"") + ip
+        frame = packet(payload)[0 if link == 1 else 14 :]
         out.append(struct.pack(order + "IIII", int(when), int(when % 1 * 1e6), len(frame), len(frame)) + frame)
     return b"".join(out)
 
@@ -195,9 +194,99 @@ def test_a_capture_gives_its_date(order, link):
     assert (made.time_s - DATE).tolist() == [86399.75, 86400.5]
 
 
-def test_a_pcapng_capture_is_refused_with_the_remedy():
-    with pytest.raises(InputError, match="editcap -F pcap"):
-        read(b"\x0a\x0d\x0d\x0a" + bytes(20), "site")
+def packet(payload):
+    """A UDP packet over IPv4 on Ethernet."""
+    udp = struct.pack(">HHHH", 8600, 8600, 8 + len(payload), 0) + payload
+    return bytes(12) + b"\x08\0" + struct.pack(">BBHHHBBH8x", 0x45, 0, 20 + len(udp), 0, 0, 64, 17, 0) + udp
+
+
+def pcapng(packets, order="<", tick=b""):
+    """A pcapng file: a section, an interface, and a packet each. tick : the option if_tsresol; microseconds if none."""
+
+    def part(kind, body):
+        body += bytes(-len(body) % 4)
+        return struct.pack(order + "II", kind, len(body) + 12) + body + struct.pack(order + "I", len(body) + 12)
+
+    ticks_per_s = 1e6 if not tick else 2.0 ** (tick[0] & 127) if tick[0] & 128 else 10.0 ** tick[0]
+    option = struct.pack(order + "HH", 9, 1) + tick + bytes(3) + bytes(4) if tick else b""
+    out = [part(0x0A0D0D0A, struct.pack(order + "IHHq", 0x1A2B3C4D, 1, 0, -1))]
+    out += [part(1, struct.pack(order + "HHI", 1, 0, 0) + option), part(5, bytes(12))]
+    for when, payload in packets:
+        high, low = divmod(round(when * ticks_per_s), 1 << 32)
+        frame = packet(payload)
+        out.append(part(6, struct.pack(order + "IIIII", 0, high, low, len(frame), len(frame)) + frame))
+    return b"".join(out)
+
+
+@pytest.mark.parametrize(("order", "tick"), [("<", b""), (">", b""), ("<", b"\x09"), ("<", b"\x8a")])
+def test_a_pcapng_capture_of_wireshark_is_read(order, tick):
+    packets = [(DATE + 86400.5, block(48, plot(86399.75))), (DATE + 86401.0, block(48, plot(0.5, 2)))]
+    [made] = read(pcapng(packets, order, tick), "site")
+    assert (made.time_s - DATE).tolist() == [86399.75, 86400.5]
+    assert looks_like(pcapng(packets))
+    # Cut off, its complete packets are read.
+    [made] = read(pcapng(packets, order, tick)[:-5], "site")
+    assert len(made) == 1
+
+
+def ioss(blocks, numbered=False):
+    """IOSS Final Format: length, [number,] error, board, day, time of 0.01 s; the blocks; four bytes A5."""
+    frames = []
+    for k, content in enumerate(blocks):
+        head = (k.to_bytes(4, "big") if numbered else b"") + bytes([0, 1, 12]) + (3_600_000).to_bytes(3, "big")
+        frames.append((2 + len(head) + len(content) + 4).to_bytes(2, "big") + head + content + b"\xa5" * 4)
+    return b"".join(frames)
+
+
+@pytest.mark.parametrize("numbered", [False, True])
+def test_a_recording_in_ioss_final_format_is_read(numbered):
+    blocks = [block(48, plot(1.0)), block(34, b"\x80\x01\x02") + block(48, plot(2.0, 2)), block(48, plot(3.0, 3))]
+    assert looks_like(ioss(blocks, numbered))
+    [made] = read(ioss(blocks, numbered), "site", DATE)
+    assert made.track_id.tolist() == ["1", "2", "3"] and made.passed_over == {"block of category 034": 1}
+    # Bytes that are no frame are damage; the frames after them are read.
+    whole = ioss(blocks[:1], numbered)
+    [made] = read(whole + b"\0\x30lost\xa5\xa5\xa5\xa5" + ioss(blocks[1:], numbered), "site", DATE)
+    assert made.track_id.tolist() == ["1", "2", "3"] and len(made.damaged.lines) == 1
+    [made] = read((whole + ioss(blocks[1:], numbered))[:-6], "site", DATE)
+    assert made.track_id.tolist() == ["1", "2"] and len(made.damaged.lines) == 1
+
+
+@pytest.mark.parametrize("begin", [b"2024-05-01 23:00:00", b"01.05.2024 23:00:00"])
+def test_a_recording_in_rff_gives_its_date(begin):
+    header = begin.ljust(20, b"\0") + begin.ljust(20, b"\0") + bytes(88)
+    content = header
+    for after_ms, one in [(0, block(48, plot(82800.0))), (3_610_000, block(48, plot(9.5, 2)))]:
+        content += struct.pack("<IH", after_ms, len(one)) + one
+    assert looks_like(content)
+    [made] = read(content, "site")
+    assert (made.time_s - DATE).tolist() == [82800.0, 86409.5]
+
+
+def test_a_text_that_begins_with_two_times_is_no_recording():
+    line = b"2024-05-01 12:00:00,2024-05-01 12:00:10,0101,50.123456,-1.234567,12.5\n"
+    assert not is_capture(line * 50)
+    assert not any(is_capture(line[k:] * 50) for k in range(len(line)))
+
+
+# Made with libasterix, edition 1.29: at 48.2345 N, 16.3717 W, 187 m; the second one with items 050, 060, 070 as well.
+SERVICES = ("220015e910500c01465000020000bb224cd3f45b9f",
+            "220020ef90500c014650000200040102900000020801100200bb224cd3f45b9f")  # fmt: skip
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_the_place_of_a_radar_is_in_its_service_messages(service):
+    mine = bytearray(plot(1.0))
+    mine[2:4] = 80, 12
+    radar, other = read(block(48, bytes(mine) + plot(2.0)) + bytes.fromhex(service), "site", DATE)[::-1]
+    assert (radar.source, radar.sac_sic, other.sac_sic, other.site) == ("site:048 80/12", "80/12", "1/2", None)
+    assert radar.site == pytest.approx((48.2345, -16.3717, 187.0), abs=2e-5)
+    assert not radar.passed_over and not other.passed_over
+
+
+def test_a_radar_at_the_origin_states_no_place():
+    [made] = read(block(48, plot(1.0)) + block(34, bytes([0x81, 0x10, 1, 2, 0, 100]) + bytes(6)), "site", DATE)
+    assert made.site is None and made.passed_over == {"block of category 034": 1}
 
 
 def test_letters_and_codes_follow_the_standard():

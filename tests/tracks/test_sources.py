@@ -14,7 +14,8 @@ import pytest
 from sameas.errors import InputError
 from sameas.io.sensors import REPORT_FORMATS, ReadOptions, read_reports
 from sameas.io.sensors.format import SensorFile, at_second, forward_filled, instant, unwrapped
-from sameas.io.sensors.sources import format_of, read_source_options, read_sources
+from sameas.io.sensors.report_formats import format_of
+from sameas.io.sensors.sources import read_source_options, read_sources
 
 PLOTS = "time,range_km,bearing\n2024-05-01T12:00:00Z,5.2,40\n2024-05-01T12:00:03Z,5.1,41\n"
 FIXES = "time,lat,lon,sog,mmsi\n2024-05-01T12:00:00Z,50.1,-1.2,10,235070762\n"
@@ -132,7 +133,7 @@ def test_times_of_day_of_all_sources_are_of_one_day(tmp_path):
 
 def test_a_format_named_like_a_kind_of_source_has_that_kind(folder, monkeypatch):
     """So a new sensor needs no table of formats and kinds."""
-    from sameas.io.sensors import sources
+    from sameas.io.sensors import report_formats
     from sameas.io.sensors.format import SensorFormat
     from sameas.tracks.kinds import KINDS, Kind
     from sameas.tracks.reports import Reports
@@ -142,7 +143,7 @@ def test_a_format_named_like_a_kind_of_source_has_that_kind(folder, monkeypatch)
         return [Reports.of(file.source, "sonar", {"time_s": time_s, "x_m": x_m, "y_m": y_m})]
 
     sonar = SensorFormat("sonar", "sonar pings", read, lambda file: file.head_lines[0] == "SONAR")
-    monkeypatch.setattr(sources, "SENSOR_FORMATS", (sonar, *sources.SENSOR_FORMATS))
+    monkeypatch.setattr(report_formats, "SENSOR_FORMATS", (sonar, *report_formats.SENSOR_FORMATS))
     monkeypatch.setitem(KINDS, "sonar", Kind("a sonar", {"errors.position_m": (20.0, "a test")}))
     (folder / "pings.txt").write_text("SONAR\n0 10 20\n5 12 22\n")
     [pings] = read_sources([folder / "pings.txt"])

@@ -46,7 +46,8 @@ def picture(
     )] = None,
     sensors: Annotated[Path | None, option(
         "--sensors", "-s", metavar="TOML",
-        help="Description of the sensors (TOML): position, coverage, errors, misses, biases; and their files.",
+        help="Description of the sensors (TOML): position, coverage, errors, misses, biases; and their files. Or data "
+        "sources exported by COMPASS (JSON).",
     )] = None,
     output: Folder = Path("picture"),
     every: Annotated[
@@ -80,6 +81,9 @@ def picture(
     coast: Annotated[Path | None, option(
         "--coast", panel=_FILES, metavar="GEOJSON", help="Land and shores for the map, finer than the world's.",
     )] = None,
+    asterix: Annotated[bool, option(
+        "--asterix", panel=_FILES, help="Also objects.ast: the objects as tracks of ASTERIX category 062.",
+    )] = False,
     no_map: Annotated[bool, option("--no-map", panel=_FILES, help="No map.html.")] = False,
     no_image: Annotated[bool, option("--no-image", panel=_FILES, help="No picture.png.")] = False,
     quiet: Quiet = False,
@@ -100,7 +104,8 @@ def picture(
         area = None if within is None else Area.of_text(within)
         method = Method(not no_registration, not no_identity, not no_memory, tuple(without or ()), area)
         land = None if coast is None else read_coast(coast)
-        outputs = PictureOutputs(output, format, not no_map, not no_image, ctx.meta.get("typed", ""), land)
+        outputs = PictureOutputs(output, format, not no_map, not no_image, ctx.meta.get("typed", ""), land,
+                                 asterix)  # fmt: skip
         set_aside: dict[str, InputError] = {}
         words = partial(_with_options, sensors)
         with filling(output) as draft:

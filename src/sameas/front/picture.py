@@ -21,6 +21,7 @@ from sameas.front.tables import table_of
 from sameas.io import checksum, write_table
 from sameas.io.atomic import filling
 from sameas.io.format import json_text
+from sameas.io.sensors.asterix_tracks import blocks_of_objects
 from sameas.io.sensors.format import ReadOptions, duration, picture_time
 from sameas.io.sensors.recording import paths_in
 from sameas.io.sensors.sources import SensorSource, SourceOptions, read_source_options, read_sources, source_of
@@ -33,6 +34,7 @@ from sameas.picture.plot_picture import nameless
 from sameas.report.picture import assumed_lines, doubt_lines, estimated_lines, found_lines, read_lines, scene_lines
 from sameas.report.prose import Lines, Result, in_one, span
 from sameas.representation import count, counted, listed
+from sameas.tracks.heights import GEOMETRIC, HeightModel
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
@@ -45,12 +47,13 @@ if TYPE_CHECKING:
 
 #: Names of all output files; those of the tables without extension.
 TABLES = ("objects", "identities")
-OTHERS = ("objects.geojson", "summary.json", REASONS, "map.html", "picture.png")
+OTHERS = ("objects.geojson", "objects.ast", "summary.json", REASONS, "map.html", "picture.png")
 
 
 @dataclass(frozen=True)
 class PictureOutputs:
-    """The requested outputs. format : of the tables. coast : drawn on the map. command : as typed.
+    """The requested outputs. format : of the tables. coast : drawn on the map. asterix : whether tracks of category 062
+    are written. command : as typed.
 
     most_positions : of objects in GeoJSON (0.7 kB each) and on the map; of more, those of fewer instants.
     """
@@ -61,6 +64,7 @@ class PictureOutputs:
     image: bool = True
     command: str = ""
     coast: Coast | None = None
+    asterix: bool = False
     most_positions: int = 500_000
 
 
@@ -151,13 +155,14 @@ class MatchPicture(Result):
         return chart(self.sheet(), fullest(self.picture) if at is None else picture_time(at, "at", self.scene.span_s))
 
     def write(self, folder: str | os.PathLike[str], *, format: str = "parquet", map: bool = True, image: bool = True,
-              coast: str | os.PathLike[str] | None = None) -> None:  # fmt: skip
+              coast: str | os.PathLike[str] | None = None, asterix: bool = False) -> None:  # fmt: skip
         """Writes the outputs of the command into a folder, atomically: tables, GeoJSON, summary, map, image.
 
         Parameters
         ----------
         format : of the tables, "parquet" or "csv". map, image : whether to write map.html and picture.png.
         coast : GeoJSON file of land or coastlines for the map.
+        asterix : whether to write objects.ast, the confirmed objects as tracks of ASTERIX category 062.
 
         Raises
         ------
@@ -166,7 +171,7 @@ class MatchPicture(Result):
         if format not in ("parquet", "csv"):
             raise InputError(f"format is {format!r}; give 'parquet' or 'csv'")
         outline = None if coast is None else read_coast(coast)
-        outputs = PictureOutputs(Path(folder), format, map, image, self.call, outline)
+        outputs = PictureOutputs(Path(folder), format, map, image, self.call, outline, asterix)
         with filling(outputs.folder) as draft:
             write(self, draft, outputs)
 
@@ -239,6 +244,13 @@ def write(
     if picture.plane is not None:
         written.append("objects.geojson")
         write_geojson(drawn.objects, draft / written[-1])
+    if outputs.asterix and picture.plane is None:
+        warn("no objects.ast: the picture has metres of a plane of its own, and ASTERIX needs latitudes")
+    elif outputs.asterix:
+        written.append("objects.ast")
+        heights = HeightModel.as_given(result.scene.feeds)
+        geometric = heights is not None and heights.kind == GEOMETRIC
+        (draft / written[-1]).write_bytes(b"".join(blocks_of_objects(picture.objects, geometric=geometric)))
     written.append("summary.json")
     (draft / written[-1]).write_text(json_text(facts | result.as_json()), "utf-8")
     written.append(REASONS)
@@ -357,7 +369,7 @@ def pictured(
     scene = Scene.of([(source.description, source.reports) for source in sources], set_aside=set_aside)
     placed = {feed.description.name for feed in scene.feeds}
     sources = [source for source in sources if source.description.name in placed]
-    left_out = [f"set aside: {words(error)}" for error in (set_aside or {}).values()]
+    left_out = list(_left_out({name: words(error) for name, error in (set_aside or {}).items()}))
     say(doubt_lines(left_out))
     times = when.of(scene.sessions_s)
     say(scene_lines(scene, method.watch(scene)))
@@ -382,6 +394,16 @@ def pictured(
         )
     say([*found_lines(picture.summary), *estimated_lines(scene), *assumed_lines(scene)])
     return MatchPicture(picture, sources, scene, biases, (*left_out, *doubts), call)
+
+
+def _left_out(errors: Mapping[str, str]) -> Iterator[str]:
+    """Doubts about the sources that are set aside, by name: one for all that have the same error."""
+    names: dict[str, list[str]] = {}
+    for name, error in errors.items():
+        names.setdefault(error.removeprefix(f"{name}: "), []).append(name)
+    for error, which in names.items():
+        of_name = error != errors[which[0]]
+        yield f"set aside: {listed(which)}: {error}" if of_name else f"set aside: {error}"
 
 
 def match_picture(

@@ -10,7 +10,6 @@ from __future__ import annotations
 import ipaddress
 import json
 import math
-import re
 import socket
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,10 +23,11 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from sameas.errors import InputError, blanked, reading
+from sameas.io.sensors.asterix_tracks import SentTracks, track_blocks
 from sameas.io.sensors.format import KNOT_M_PER_S
 from sameas.io.sensors.signalk import FUSED
 from sameas.live.situation import Situation
-from sameas.tracks.coordinates import FOOT_M, MILE_M
+from sameas.tracks.coordinates import MILE_M
 from sameas.tracks.heights import GEOMETRIC
 
 #: Seconds after which a Cursor on Target event is stale.
@@ -36,10 +36,6 @@ STALE_S = 15.0
 _LE_90 = 1.6449
 #: Largest datagram in bytes, below the MTU of Ethernet, so that it is not fragmented.
 _DATAGRAM = 1400
-#: Tracks of a block of ASTERIX: 60 octets each at most.
-_TRACKS = 20
-#: Characters of an identification in ASTERIX.
-_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789 "
 #: Most characters of a sentence between the $ and the star.
 _SENTENCE = 82 - len("$*hh\r\n")
 
@@ -207,119 +203,10 @@ def signalk(situation: Situation) -> Iterator[bytes]:
         yield json.dumps(delta, ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
 
-@dataclass
-class SentTracks:
-    """The last record of every track that was sent and has not ended: its time, and the object."""
-
-    last: dict[int, tuple[float, Mapping[str, Any]]] = field(default_factory=dict)
-
-    def update(
-        self, time_s: float, objects: Sequence[Mapping[str, Any]]
-    ) -> tuple[set[int], list[tuple[float, Mapping[str, Any]]]]:
-        """Takes the objects that are sent now: the numbers of those that begin, and the last records of those that are
-        sent no longer."""
-        now = {int(one["object"]): (time_s, one) for one in objects}
-        begin = set(now) - set(self.last)
-        ended = [last for number, last in self.last.items() if number not in now]
-        self.last = now
-        return begin, ended
-
-
 def asterix(situation: Situation, tracks: SentTracks | None = None) -> Iterator[bytes]:
-    """Blocks of category 062, edition 1.18, of up to twenty tracks each, with accuracies (item 500).
-
-    Items 010, 070, 105, 185, 040, 080 and 500; where known 060 (Mode A code), 245 (call sign, else the beginning of a
-    ship's name), 380 (address), 130 or 135 (height above the ellipsoid, or pressure height) and 220 (vertical rate).
-    tracks : that were sent before; updated. The first record of a track has bit TSB of item 080. One that left the
-    picture is sent once more, as it was last, with bit TSE.
-    """
-    placed = [one for one in _confirmed(situation) if one.get("lat_deg") is not None]
-    begin, ended = (SentTracks() if tracks is None else tracks).update(situation.time_s, placed)
-    records = [_record(situation, one, time_s, _TRACK_ENDS) for time_s, one in ended]
-    records += [
-        _record(situation, one, situation.time_s, _TRACK_BEGINS if one["object"] in begin else 0) for one in placed
-    ]
-    for first in range(0, len(records), _TRACKS):
-        data = b"".join(records[first : first + _TRACKS])
-        yield bytes([62]) + (len(data) + 3).to_bytes(2, "big") + data
-
-
-#: Bits TSE and TSB of octet 2 of item 080.
-_TRACK_ENDS, _TRACK_BEGINS = 0x40, 0x20
-
-
-def _record(situation: Situation, one: Mapping[str, Any], time_s: float, status: int) -> bytes:
-    """The record of a track. status : bits of octet 2 of item 080."""
-    unit = 180.0 / 2**25
-    lat, lon = round(one["lat_deg"] / unit), round(one["lon_deg"] / unit)
-    # Octet 1 of item 080: multisensor; a coasting track has bit CST of octet 4. The lowest bit: an octet follows.
-    items: dict[int, bytes] = {
-        1: bytes([0, 0]),
-        4: (round(time_s % 86400.0 * 128.0) % (86400 * 128)).to_bytes(3, "big"),
-        5: lat.to_bytes(4, "big", signed=True) + lon.to_bytes(4, "big", signed=True),
-        12: (one["object"] % 65536).to_bytes(2, "big"),
-        13: bytes([0x01, status | 0x01, 0x01, 0x80])
-        if one["stage"] == "coasting"
-        else bytes([0x01, status])
-        if status
-        else bytes([0x00]),
-        27: _accuracy(one),
-    }
-    course, speed, icao = one["course_deg"], one["speed_m_per_s"], str(one.get("icao", ""))
-    if speed is not None:
-        velocity = speed * math.sin(math.radians(course)), speed * math.cos(math.radians(course))
-        items[7] = b"".join(_short(v / 0.25) for v in velocity)
-    if re.fullmatch("[0-7]{4}", mode_a := str(one.get("mode_a", ""))):
-        items[9] = int(mode_a, 8).to_bytes(2, "big")
-    if letters := _identification(one.get("callsign") or one.get("name") or ""):
-        # A call sign or registration from the target; the name of a ship is not one.
-        items[10] = bytes([0x00 if one.get("callsign") else 0x40]) + letters
-    if re.fullmatch(r"[0-9A-Fa-f]{6}", icao):
-        items[11] = bytes([0x80]) + int(icao, 16).to_bytes(3, "big")
-    height, climb = one.get("height_m"), one.get("climb_m_per_s")
-    if height is not None and situation.heights is not None:
-        if situation.heights.kind == GEOMETRIC:
-            items[18] = _short(height / FOOT_M / 6.25)
-        else:
-            # Quarters of a flight level, in 15 bits below that of a QNH correction, which there is none.
-            quarters = int(np.clip(round(height / FOOT_M / 25.0), -60, 6000))
-            items[19] = (quarters & 0x7FFF).to_bytes(2, "big")
-    if climb is not None:
-        items[20] = _short(climb / FOOT_M * 60.0 / 6.25)
-    # A presence bit for each item in the order of the standard; the lowest bit of an octet says that one follows.
-    octets = [0] * (-(-max(items) // 7))
-    for number in items:
-        octets[(number - 1) // 7] |= 0x80 >> (number - 1) % 7
-    presence = [octet | (k < len(octets) - 1) for k, octet in enumerate(octets)]
-    return bytes(presence) + b"".join(items[number] for number in sorted(items))
-
-
-def _accuracy(one: Mapping[str, Any]) -> bytes:
-    """Item 500: accuracies in x and y, and the covariance as a signed square root, in steps of 0.5 m."""
-    sigmas = [int(np.clip(round(math.sqrt(one[name] or 0.0) / 0.5), 0, 65535)) for name in ("var_x_m2", "var_y_m2")]
-    cross = one["cov_xy_m2"] or 0.0
-    return (
-        bytes([0b11000000])
-        + sigmas[0].to_bytes(2, "big")
-        + sigmas[1].to_bytes(2, "big")
-        + _short(math.copysign(math.sqrt(abs(cross)), cross) / 0.5)
-    )
-
-
-def _short(value: float) -> bytes:
-    """A signed number of two octets."""
-    return int(np.clip(round(value), -32768, 32767)).to_bytes(2, "big", signed=True)
-
-
-def _identification(text: str) -> bytes:
-    """Eight characters of six bits (ICAO Annex 10, volume IV, 3.1.2.9); empty where none can be encoded."""
-    known = "".join(letter for letter in text.upper() if letter in _LETTERS).strip()[:8].ljust(8)
-    if not known.strip():
-        return b""
-    bits = 0
-    for letter in known:
-        bits = bits << 6 | (32 if letter == " " else ord(letter) & 0x3F)
-    return bits.to_bytes(6, "big")
+    """Blocks of ASTERIX tracks (:mod:`sameas.io.sensors.asterix_tracks`). tracks : that were sent before; updated."""
+    geometric = situation.heights is not None and situation.heights.kind == GEOMETRIC
+    return track_blocks(situation.time_s, _confirmed(situation), tracks or SentTracks(), geometric=geometric)
 
 
 ENCODERS: Mapping[str, Callable[[Situation], Iterator[bytes]]] = {

@@ -16,7 +16,7 @@ import numpy as np
 
 from sameas.errors import Argument, InputError, Message, reading
 from sameas.io.sensors.recording import Recorder
-from sameas.io.sensors.sources import ZONED
+from sameas.io.sensors.report_formats import ZONED
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.inputs import Wire, serial_speed
 from sameas.live.replay import Playback, Replay, in_words

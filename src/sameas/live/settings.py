@@ -32,7 +32,8 @@ from typing import Any
 from sameas.errors import InputError, reading
 from sameas.io.sensors.format import ReadOptions
 from sameas.io.sensors.recording import RecordedInput, RecordedSource
-from sameas.io.sensors.sources import ZONED, setting_aside
+from sameas.io.sensors.report_formats import ZONED
+from sameas.io.sensors.sources import setting_aside
 from sameas.io.sensors.stream import STREAM_FORMATS
 from sameas.live.inputs import require_readable
 from sameas.live.websocket import Login
@@ -196,7 +197,7 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
     for key in table:
         if key not in ("input", "file") and difflib.get_close_matches(key, ("input",), 1, 0.8):
             raise InputError(f"{where}: {key!r} is not known; did you mean input?")
-    described = {key: value for key, value in table.items() if key not in ("input", "file")}
+    described = {key: value for key, value in table.items() if key not in ("input", "file", "sac_sic")}
     given = table.get("input")
     given = {"url": given} if isinstance(given, str) else {} if given is None else given
     if not isinstance(given, Mapping):
@@ -230,7 +231,8 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
         name, columns=given.get("columns"), units=given.get("units"), kind=description.kind, time_zone=zone
     )
     login = _login(given, f"{where}.input")
-    return LiveSource(description, given.get("url"), given.get("format"), given.get("sensor"), options, login)
+    sensor = given.get("sensor", table.get("sac_sic"))
+    return LiveSource(description, given.get("url"), given.get("format"), sensor, options, login)
 
 
 def _login(given: Mapping[str, Any], where: str) -> Login | None:

@@ -43,7 +43,7 @@ from sameas.tracks.random_errors import RandomErrors
 from sameas.tracks.registration import SourceBiases, with_delay_prior
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import Scene
-from sameas.tracks.source import Assumption, Description
+from sameas.tracks.source import Assumption, Description, Site
 from sameas.tracks.target_heights import PartnerHeights, Partners
 
 LiveState = PictureState[Watch] | PictureState[PlotPicture]
@@ -305,6 +305,8 @@ class LivePicture:
             return
         feed = self._feeds[source]
         given = len(reports)
+        if reports.site is not None:
+            self._place(feed, Site(*reports.site))
         reports, _ = on_platform(feed.given, reports, self._recent)
         places = (reports.lat_deg, reports.lon_deg)
         if places[0] is None:
@@ -318,9 +320,7 @@ class LivePicture:
             if not somewhere.any():
                 # As of a receiver that has no position yet: a plane about it would have no place for any other.
                 raise InputError(f"{source}: its latitudes and longitudes are 0, and no other position is known yet")
-            self.plane = LocalPlane.about(places[0][somewhere], places[1][somewhere])
-            for other in self._feeds.values():
-                other.plane = self.plane
+            self._begin_plane(LocalPlane.about(places[0][somewhere], places[1][somewhere]))
         if only_carries(source, reports, [one.given for one in self._feeds.values()]):
             feed.counts.taken += given
             feed.counts.newest_s = max(feed.counts.newest_s, float(reports.time_s.max()))
@@ -328,6 +328,17 @@ class LivePicture:
             feed.add(self._with_partner_heights(source, reports))
             feed.counts.unplaced += given - len(reports)
         self._keep_recent(source, reports)
+
+    def _place(self, feed: LiveFeed, site: Site) -> None:
+        """Places a sensor where its own messages say it is, and begins a plane there if there is none."""
+        feed.place(site)
+        if self.plane is None and not any(one.has_reports for one in self._feeds.values()):
+            self._begin_plane(LocalPlane(site.lat_deg or 0.0, site.lon_deg or 0.0))
+
+    def _begin_plane(self, plane: LocalPlane) -> None:
+        self.plane = plane
+        for feed in self._feeds.values():
+            feed.plane = plane
 
     def _with_partner_heights(self, source: str, reports: Reports) -> Reports:
         """The reports of a radar with the last heights of the aircraft that its tracks keep to."""

@@ -18,11 +18,19 @@ from sameas.tracks.scene import Scene
 
 
 def read_lines(sources: Iterable[tuple[str, Sequence[str]]]) -> Iterator[str]:
-    """Every source by name, with what was read and what was guessed."""
+    """Every source by name, with what was read and what was guessed; two notes or more that an earlier one has as well
+    are not repeated."""
     yield "Sources"
+    noted: dict[str, str] = {}
     for name, (first, *rest) in sources:
+        lines = [line.removeprefix(f"{name}: ") for line in rest]
+        repeated = [line for line in lines if line in noted]
+        same = noted[repeated[0]] if len(repeated) > 1 and len({noted[line] for line in repeated}) == 1 else None
         yield f"  {first}"
-        yield from (f"    {line.removeprefix(f'{name}: ')}" for line in rest)
+        yield from (f"    {line}" for line in lines if same is None or line not in noted)
+        if same is not None:
+            yield f"    otherwise as {same}"
+        noted = dict.fromkeys(lines, name) | noted
 
 
 def scene_lines(scene: Scene, watch: Watch | PlotPicture) -> Iterator[str]:

@@ -57,7 +57,7 @@ from sameas.tracks.registration import SourceBiases
 from sameas.tracks.report_table import FILTER, HEIGHTS, MODES, ReportTable
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import scans_of
-from sameas.tracks.source import Assumption, Description
+from sameas.tracks.source import Assumption, Description, Site
 from sameas.tracks.stationary import Modes, stationary
 
 #: Plots of a source without ids are kept for PLOTS_S seconds and at least PLOT_PERIODS periods, to estimate the
@@ -215,6 +215,11 @@ class LiveFeed:
     def describe(self, description: Description) -> None:
         """Replaces the description, for the reports that are added from now on."""
         self.description = self._given = description
+
+    def place(self, site: Site) -> None:
+        """Gives a sensor of unknown place the one that its own messages state."""
+        if self.description.site is None and self.description.platform is None:
+            self.description = replace(self.description, site=site)
 
     def assume(self, lines: Iterable[Assumption]) -> None:
         """Replaces numbers that are assumed, for the reports that are added from now on."""

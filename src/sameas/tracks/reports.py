@@ -155,6 +155,8 @@ class Reports:
     notes : assumptions, one printable sentence each.
     counted_clock : whether times are counted from the seconds in messages, so that whole minutes may be missing.
     own_ship : the positions and headings of the ship whose receivers wrote the log, where it has them.
+    sac_sic : codes of the sensor in ASTERIX, such as "1/2"; else empty. site : its latitude and longitude (degrees) and
+        height (m), where the file states it once for all reports.
     """
 
     source: str
@@ -208,6 +210,8 @@ class Reports:
     notes: tuple[str, ...] = ()
     counted_clock: bool = False
     own_ship: Reports | None = None
+    sac_sic: str = ""
+    site: tuple[float, float, float] | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -338,7 +342,10 @@ def joined(parts: Sequence[Reports]) -> Reports:
     own: dict[str, Any] = {name: column for name, column in columns.items() if name in _COLUMNS}
     extra = {name: column for name, column in columns.items() if name not in _COLUMNS}
     counted = any(part.counted_clock for part in parts)
-    return Reports(first.source, first.kind, **own, extra=extra, counted_clock=counted)
+    site = next((part.site for part in parts if part.site is not None), None)
+    return Reports(
+        first.source, first.kind, **own, extra=extra, counted_clock=counted, sac_sic=first.sac_sic, site=site
+    )
 
 
 def _absent(like: NDArray[Any], n: int) -> NDArray[Any]:
@@ -398,7 +405,9 @@ def without_stray_times(reports: Reports) -> Reports:
 
 
 _TEXTS = ("track_id", "mmsi", "imo", "icao", "callsign", "mode_a", "name", "type")
-_NO_COLUMNS = ("source", "kind", "extra", "damaged", "passed_over", "notes", "counted_clock", "own_ship")
+_NO_COLUMNS = (
+    "source", "kind", "extra", "damaged", "passed_over", "notes", "counted_clock", "own_ship", "sac_sic", "site",
+)  # fmt: skip
 _COLUMNS = tuple(f.name for f in fields(Reports) if f.name not in _NO_COLUMNS)
 _PLACES = ("lat_deg", "lon_deg", "x_m", "y_m", "range_m", "bearing_deg", "relative_bearing_deg")
 #: Directions, from 0° to 360°.

@@ -6,7 +6,8 @@ format; in all of them a damaged line is counted, with its number, and skipped.
 """
 
 from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat
-from sameas.io.sensors.sources import REPORT_FORMATS, read_reports, read_source_options, read_sources
+from sameas.io.sensors.report_formats import REPORT_FORMATS, read_reports
+from sameas.io.sensors.sources import read_source_options, read_sources
 
 __all__ = [
     "REPORT_FORMATS",

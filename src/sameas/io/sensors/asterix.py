@@ -7,16 +7,16 @@ decodes their items, by category, and groups them into the reports of each senso
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError, UndatedTimes, naming
+from sameas.errors import UndatedTimes, naming
 from sameas.io.sensors.aircraft import errors_of
 from sameas.io.sensors.asterix_records import (
     CATEGORIES,
-    PCAPNG,
     Block,
     DamagedRecord,
     blocks_of,
@@ -27,6 +27,7 @@ from sameas.io.sensors.asterix_records import (
     signed,
     unsigned,
 )
+from sameas.io.sensors.captures import PCAPNG
 from sameas.io.sensors.format import (
     DAY_S,
     FEET_PER_MINUTE_M_PER_S,
@@ -131,7 +132,7 @@ def _quality_021(items: Mapping[str, Any]) -> dict[str, float]:
 # Category 048: target reports of one radar, editions 1.27 to 1.32.
 #
 # Ranges are slant ranges. The height of the target (Mode C, or of a 3D radar) is a column of its own; position and
-# height of the radar are not in the records and come from its description.
+# height of the radar are in its service messages (034), or come from its description.
 
 #: Type of detection, by the first three bits of item 020.
 _DETECTIONS = (None, "primary", "secondary", "primary and secondary", "Mode S all-call", "Mode S roll-call",
@@ -198,6 +199,29 @@ def _quality_048(item: bytes | None) -> dict[str, float]:
     if item is None or not (item[0] and item[1]):
         return {}
     return {"sigma_x_m": item[0] * MILE_M / 128.0, "sigma_y_m": item[1] * MILE_M / 128.0}
+
+
+# Category 034: service messages of a radar, editions 1.27 to 1.29. Some radars state their place in them.
+
+SERVICE = 34
+#: Latitude and longitude in degrees, height above the ellipsoid in metres.
+Place = tuple[float, float, float]
+
+
+def places_034(data: bytes) -> dict[tuple[int, int], Place]:
+    """Latitude and longitude (degrees) and height above the ellipsoid (m) of the radars in a block, by SAC and SIC; of
+    those that state it (item 120), and not the origin."""
+    places = {}
+    try:
+        for items in records_of(CATEGORIES[SERVICE], data):
+            place, identity = items.get("120"), items.get("010")
+            if isinstance(place, bytes) and isinstance(identity, bytes) and any(place[2:]):
+                lat, lon = (signed(place[k : k + 3]) * 180.0 / 2.0**23 for k in (2, 5))
+                if abs(lat) <= 90.0:
+                    places[identity[0], identity[1]] = lat, lon, float(signed(place[:2]))
+    except DamagedRecord:
+        pass
+    return places
 
 
 # Category 062: tracks of a surveillance data processing system, editions 1.16 to 1.21, with their accuracies.
@@ -424,7 +448,7 @@ _DECODERS = {
         "containment radius of NIC as the radius of 95 %",
     )),
     48: _Decoder(row_048, errors_048, (
-        "ranges are slant ranges; the description of the radar must state its position and height",
+        "ranges are slant ranges",
         "bearings are taken from true north; errors are those of the radar's description, or of item 210",
     )),
     62: _Decoder(row_062, errors_062, (
@@ -449,20 +473,21 @@ def read(
     *,
     received_s: float = float("nan"),
     blocks_read: set[tuple[int, bytes]] | None = None,
+    places: dict[tuple[int, int], Place] | None = None,
 ) -> list[Reports]:
     """The reports in ASTERIX bytes, one :class:`Reports` for each category and sensor (SAC, SIC).
 
-    content : consecutive blocks, or a pcap capture. Line numbers are those of the records in the file.
+    content : consecutive blocks, or a recording of datagrams (:mod:`~sameas.io.sensors.captures`). Line numbers are
+        those of the records in the file.
     source : its name in messages; several sensors are named ``source:048 SAC/SIC``.
     start_s : UTC date of the first record, for files that are no capture: records have the time of day only.
-    received_s, blocks_read : for a stream, the receive time and the earlier blocks (updated); every sensor is then
-        named as one of several.
+    received_s, blocks_read, places : for a stream, the receive time, the earlier blocks and the places that sensors
+        have stated (both updated); every sensor is then named as one of several.
 
     Raises InputError: nothing of categories 010, 020, 021, 048 or 062; no date.
     """
-    if content[:4] == PCAPNG:
-        raise InputError(f"{source}: is a pcapng capture; convert it: editcap -F pcap FILE FILE.pcap")
     rows: dict[Sensor, list[dict[str, Any]]] = {}
+    places = {} if places is None else places
     unused, number, read = Unused(unit="record"), 0, False
     live = blocks_read is not None
     blocks_read = set() if blocks_read is None else blocks_read
@@ -474,6 +499,8 @@ def read(
             unused.passed_over["block that came before, from a second network"] += 1
         elif block.problem:
             unused.damaged.append((number + 1, block.problem))
+        elif block.category == SERVICE and (stated := places_034(block.data)):
+            places |= stated
         elif block.category not in _DECODERS:
             unused.passed_over[f"block of category {block.category:03d}"] += 1
         else:
@@ -493,7 +520,7 @@ def read(
     return [
         _reports(
             sensor, of_rows(rows[sensor]), _name(source, sensor, 2 if live else len(rows)), start_s,
-            Unused(unit="record") if k else unused,
+            Unused(unit="record") if k else unused, places.get(sensor[1:]),
         )
         for k, sensor in enumerate(sorted(rows))
     ]  # fmt: skip
@@ -530,14 +557,17 @@ def _name(source: str, sensor: Sensor, count: int) -> str:
     return source if count == 1 else f"{source}:{category:03d} {sac}/{sic}"
 
 
-def _reports(sensor: Sensor, columns: dict[str, Any], name: str, start_s: float | None, unused: Unused) -> Reports:
+def _reports(
+    sensor: Sensor, columns: dict[str, Any], name: str, start_s: float | None, unused: Unused, place: Place | None
+) -> Reports:
     decoder = _DECODERS[sensor[0]]
     received_s = columns.pop("received_s")
     columns["time_s"] = _times(columns.pop("day_s"), received_s, name, start_s)
     columns |= decoder.errors(columns)
     date_source = "of the capture" if np.isfinite(received_s).any() else "that was given"
     notes = [f"{name}: {note}" for note in (f"times of day on the date {date_source}", *decoder.notes)]
-    return unused.reports(name, f"asterix {sensor[0]:03d}", columns, notes)
+    reports = unused.reports(name, f"asterix {sensor[0]:03d}", columns, notes)
+    return replace(reports, sac_sic=f"{sensor[1]}/{sensor[2]}", site=place)
 
 
 def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float | None) -> FloatArray:
@@ -554,7 +584,7 @@ def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float 
 
 FORMAT = SensorFormat(
     "asterix",
-    "ASTERIX categories 010, 020, 021, 048 and 062, bare or in a pcap capture",
+    "ASTERIX categories 010, 020, 021, 048 and 062, bare or in a pcap, pcapng, IOSS or RFF recording",
     lambda file: read(file.content, file.source, file.start_s),
     lambda file: looks_like(file.content),
     magic=(PCAPNG,),

@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 import re
-import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-# Blocks, in a file of consecutive blocks or in a network capture.
-#
-# Captures are pcap files of UDP packets (Ethernet, Linux cooked, raw IP). They have the time of each packet, and so
-# the date, which records lack.
+from sameas.io.sensors.captures import datagrams_of, is_capture
 
-_PCAP = {b"\xd4\xc3\xb2\xa1": ("<", 1e6), b"\xa1\xb2\xc3\xd4": (">", 1e6),
-         b"\x4d\x3c\xb2\xa1": ("<", 1e9), b"\xa1\xb2\x3c\x4d": (">", 1e9)}  # fmt: skip
-#: Bytes before the IP header, by link type; the last two are the protocol in Ethernet (14 bytes).
-_LINKS = {1: 14, 101: 0, 113: 16, 228: 0, 276: 20}
-PCAPNG = b"\x0a\x0d\x0d\x0a"
+# Blocks, in a file of consecutive blocks or in a recording of datagrams.
 
 
 @dataclass(frozen=True)
@@ -34,8 +26,8 @@ class Block:
 
 def blocks_of(content: bytes, received_s: float) -> Iterator[Block]:
     """The blocks in a file, or in a datagram received at this time. Bytes of no block become one with a problem."""
-    if content[:4] in _PCAP:
-        for received_s, payload in _packets(content):
+    if is_capture(content):
+        for received_s, payload in datagrams_of(content):
             yield from _split(payload, received_s)
     else:
         yield from _split(content, received_s)
@@ -47,7 +39,7 @@ def looks_like(content: bytes) -> bool:
     The quotation mark and the letter A with which tables begin are categories, and the next two letters of a table are
     a length in a file of 30 kB; but no block is text.
     """
-    if content[:4] in _PCAP:
+    if is_capture(content):
         return True
     length = int.from_bytes(content[1:3], "big")
     if len(content) < 6 or content[0] not in _LIKELY or _NOT_IN_TEXT.search(content[:length]) is None:
@@ -184,37 +176,6 @@ def _head_is_sound(data: bytes, start: int) -> bool:
         return False
 
 
-def _packets(content: bytes) -> Iterator[tuple[float, bytes]]:
-    """Times and UDP payloads of a pcap file; other packets and fragments are skipped."""
-    order, unit = _PCAP[content[:4]]
-    link = struct.unpack(order + "I", content[20:24])[0] & 0xFFFF if len(content) >= 24 else -1
-    header = _LINKS.get(link)
-    at = 24
-    while header is not None and at + 16 <= len(content):
-        second, fraction, length, _ = struct.unpack(order + "IIII", content[at : at + 16])
-        payload = _udp(content[at + 16 : at + 16 + length], header)
-        if payload:
-            yield second + fraction / unit, payload
-        at += 16 + length
-
-
-def _udp(frame: bytes, header: int) -> bytes:
-    """The UDP payload of a frame with IPv4 or IPv6; empty where there is none."""
-    if header == 14:
-        while frame[header - 2 : header] in (b"\x81\x00", b"\x88\xa8"):
-            header += 4
-    ip = frame[header:]
-    if len(ip) < 28:
-        return b""
-    if ip[0] >> 4 == 4 and ip[9] == 17 and not int.from_bytes(ip[6:8], "big") & 0x3FFF:
-        udp = ip[4 * (ip[0] & 15) : int.from_bytes(ip[2:4], "big")]
-    elif ip[0] >> 4 == 6 and ip[6] == 17:
-        udp = ip[40:]
-    else:
-        return b""
-    return udp[8 : int.from_bytes(udp[4:6], "big")]
-
-
 # Layout: the items of a record of each category, in the order of the field specification (FSPEC), and their lengths.
 #
 # A length is
@@ -225,8 +186,8 @@ def _udp(frame: bytes, header: int) -> bytes:
 # - ``"len"`` — the first byte is the length of the item, including itself;
 # - a tuple of (name, length) — compound item: a field specification of its own, then its subfields.
 #
-# Sources: EUROCONTROL-SPEC-0149-12 (category 021, editions 2.1 to 2.7), -4 (048, 1.27 to 1.32), -9 (062, 1.16 to 1.21),
-# -14 (020, 1.5 to 1.11), -7 (010, 1.1).
+# Sources: EUROCONTROL-SPEC-0149-12 (category 021, editions 2.1 to 2.7), -4 (048, 1.27 to 1.32), -2b (034, 1.27 to
+# 1.29), -9 (062, 1.16 to 1.21), -14 (020, 1.5 to 1.11), -7 (010, 1.1).
 
 Length = int | str | tuple["Field | None", ...]
 #: Name and length of an item; None where the field specification has a spare bit.
@@ -289,6 +250,11 @@ CATEGORIES = {
         "010:2 140:3 020:1+ 040:4 070:2 090:2 130 220:3 240:6 250:n8 161:2 042:4 200:4 170:1+ 210:4 030:1+ 080:2 100:4 "
         "110:2 120 230:2 260:7 055:1 050:2 065:1 060:2 SP:len RE:len",
         {"130": "SRL:1 SRR:1 SAM:1 PRL:1 PAM:1 RPD:1 APD:1", "120": "CAL:2 RDS:n6"},
+    ),
+    34: _category(
+        34,
+        "010:2 000:1 030:3 020:1 041:2 050 060 070:n2 100:8 110:1 120:8 090:2 RE:len SP:len",
+        {"050": "COM:1 - - PSR:1 SSR:1 MDS:2", "060": "COM:1 - - PSR:1 SSR:1 MDS:1"},
     ),
     62: _category(
         62,

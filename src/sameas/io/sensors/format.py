@@ -1,6 +1,7 @@
 """The description of a sensor file format: name, recogniser and reader; and what the readers share: times and errors.
 
-A format is a module of this package with a ``FORMAT``, listed in :data:`sameas.io.sensors.sources.SENSOR_FORMATS`.
+A format is a module of this package with a ``FORMAT``, listed in
+:data:`sameas.io.sensors.report_formats.SENSOR_FORMATS`.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class RecordedSource:
     def takes(self, reports: Reports) -> bool:
         """Whether reports of the input belong to this source."""
         if self.sensor is not None:
-            return reports.source.endswith(f":{self.sensor}") or reports.source == self.sensor
+            return reports.source.endswith(f":{self.sensor}") or self.sensor in (reports.source, reports.sac_sic)
         kind = kind_of(reports.kind)
         return kind is None or kind == self.kind or self.kind in ("tracks", "other", "mlat", "wam")
 

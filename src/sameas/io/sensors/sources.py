@@ -8,108 +8,37 @@ options of reading:
     kind = "marine radar"
     file = { path = "plots.csv", start = "2024-05-01", columns = { range_m = "d" }, units = { d = "km" } }
 
+    [sources.wien]
+    sac_sic = "80/12"  # the sensor of these codes, in whatever recording of ASTERIX it is
+
 A source without a given kind gets one from its format, its name or its columns; the guess is printed.
 """
 
 from __future__ import annotations
 
-import os
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sameas.errors import Argument, InputError, Message, UndatedTimes, reading
-from sameas.io.sensors import aircraft, arpa, asterix, cot, gpsd, gpx, mode_s, n2k, ogn, recording, sbs, signalk, tables
-from sameas.io.sensors.format import DAY_S, OWN_SHIP, ReadOptions, SensorFile, SensorFormat, kind_by_name, kind_of
+from sameas.errors import Argument, InputError, Message, UndatedTimes
+from sameas.io.sensors import data_sources, recording, tables
+from sameas.io.sensors.format import DAY_S, OWN_SHIP, ReadOptions, kind_by_name, kind_of
+from sameas.io.sensors.report_formats import read_reports
 from sameas.io.sensors.table_times import FIRST_S
 from sameas.tracks.kinds import CARRIER_KIND, KINDS
 from sameas.tracks.platforms import OWN_POSITIONS, only_carries
 from sameas.tracks.reports import OWN_HEADING, Damaged, NoReports, Reports, joined, without_stray_times
-from sameas.tracks.source import Description, source_tables
+from sameas.tracks.source import Description, Site, source_tables
 
-# Reading: the reports in a file, whose format is detected from its content.
-
-#: The formats, in the order in which they are tried.
-SENSOR_FORMATS: tuple[SensorFormat, ...] = (
-    recording.FORMAT, asterix.FORMAT, gpx.FORMAT, cot.FORMAT, gpsd.FORMAT, n2k.FORMAT, arpa.FORMAT, aircraft.FORMAT,
-    signalk.FORMAT, sbs.FORMAT, ogn.FORMAT, mode_s.FORMAT, tables.FORMAT,
-)  # fmt: skip
-#: Their descriptions, by name.
-REPORT_FORMATS: Mapping[str, str] = {
-    known.name: known.label
-    for known in (SENSOR_FORMATS[-1], *SENSOR_FORMATS[2:-1], SENSOR_FORMATS[1], SENSOR_FORMATS[0])
-}
-
-
-def read_reports(path: str | os.PathLike[str], options: ReadOptions | None = None) -> list[Reports]:
-    """Reads a sensor file: one :class:`~sameas.tracks.reports.Reports` for each sensor in it.
-
-    path : a file of one of :data:`REPORT_FORMATS`, gzipped or not. A ship's log may hold its AIS and its radar, an
-        ASTERIX capture several radars: they are separate sources.
-    options : for what the file does not contain.
-
-    Returns
-    -------
-    Reports with times in UTC, metres and degrees. Unusable lines are in ``damaged``, with their numbers.
-
-    Raises InputError: no such file; no usable report; no time or position; an unknown format.
-
-    >>> import pathlib, tempfile
-    >>> file = pathlib.Path(tempfile.mkdtemp()) / "coast.csv"
-    >>> _ = file.write_text("time,lat,lon,sog,mmsi\\n2024-05-01T12:00:00Z,50.1,-1.2,10,235070762\\n")
-    >>> [reports] = read_reports(file)
-    >>> reports.position, reports.mmsi.tolist(), reports.speed_m_per_s.round(2).tolist()
-    ('geodetic', ['235070762'], [5.14])
-    """
-    options = options or ReadOptions()
-    source = options.source or Path(path).name
-    if options.format is not None and options.format not in REPORT_FORMATS:
-        raise InputError(f"{source}: unknown format {options.format!r}; give one of {', '.join(REPORT_FORMATS)}")
-    file = SensorFile.of(path, options)
-    chosen = next((known for known in SENSOR_FORMATS if known.name == options.format), None) or format_of(file)
-    with reading(str(path), f"cannot be read as {chosen.label}"):
-        if options.time_zone is not None and chosen.name not in ZONED:
-            raise InputError(
-                f"{file.source}: the times of {chosen.name} have no time_zone: they are UTC", "leave it out"
-            )
-        return [_with_last_line(reports, file) for reports in chosen.read(file)]
-
-
-def _with_last_line(reports: Reports, file: SensorFile) -> Reports:
-    """The reports; a damaged last line without line end is called incomplete."""
-    damaged = reports.damaged
-    if damaged.unit != "line" or not file.unended:
-        return reports
-    last = len(file.lines)
-    if last not in damaged.lines:
-        return reports
-    reasons = np.where(damaged.lines == last, "the last line is incomplete", damaged.reasons)
-    return replace(reports, damaged=replace(damaged, reasons=reasons))
-
-
-def format_of(file: SensorFile) -> SensorFormat:
-    """The format of a file, detected from its content.
-
-    Raises InputError: it is none of :data:`SENSOR_FORMATS`.
-    """
-    for known in SENSOR_FORMATS:
-        if file.content.startswith(known.magic):
-            return known
-    for known in SENSOR_FORMATS:
-        if known.recognises(file):
-            return known
-    raise InputError(f"{file.source}: is binary, but neither ASTERIX, pcap nor Parquet; give another file")
-
-
-#: Formats whose times may be of any zone.
-ZONED = ("table", "sbs")
 #: The keys of ``file`` in a description, and their types.
 _FILE: Mapping[str, type | tuple[type, ...]] = {
     "path": str, "format": str, "start": (str, int, float, date), "columns": Mapping, "units": Mapping,
@@ -125,23 +54,31 @@ SLOWEST_CAMERA_S = 1.0
 class SourceOptions:
     """The user's options of one source: description, options of reading, and file, if given here.
 
-    has_kind : whether the user gives its kind.
+    has_kind : whether the user gives its kind. sac_sic : its codes in ASTERIX, "SAC/SIC"; "" if not given.
+    may_be_absent : whether it is one of a list of all sensors, which need no files.
     """
 
     description: Description
     options: ReadOptions = field(default_factory=ReadOptions)
     path: Path | None = None
     has_kind: bool = True
+    sac_sic: str = ""
+    may_be_absent: bool = False
 
 
 @dataclass(frozen=True)
 class SensorSource:
-    """One source that was read. why_kind : reason of a guessed kind; None where the user gave it."""
+    """One source that was read.
+
+    why_kind : reason of a guessed kind; None where the user gave it. is_part : whether it is one of the recordings of
+        a sensor that follow each other.
+    """
 
     description: Description
     reports: Reports
     path: Path
     why_kind: str | None
+    is_part: bool = False
 
     def lines(self) -> list[str]:
         """Printable lines: the reports, and the guess of the kind."""
@@ -157,16 +94,17 @@ class SensorSource:
 def read_source_options(
     path: str | Path, *, set_aside: dict[str, InputError] | None = None
 ) -> dict[str, SourceOptions]:
-    """The options of every source in a TOML file, by name.
+    """The options of every source in a TOML file, or in data sources of COMPASS (JSON), by name.
 
     set_aside : receives the errors of tables that cannot be used, by name. Without it, the first one is raised.
 
     Raises InputError: not TOML, no sources, an unknown name.
     """
     found: dict[str, SourceOptions] = {}
-    for name, table in source_tables(path).items():
+    listed = Path(path).suffix.lower() == ".json"
+    for name, table in (data_sources.tables_of(path) if listed else source_tables(path)).items():
         with setting_aside(name, set_aside):
-            found[name] = _options(name, table, Path(path))
+            found[name] = replace(_options(name, table, Path(path)), may_be_absent=listed)
     return found
 
 
@@ -182,7 +120,10 @@ def setting_aside(name: str, set_aside: dict[str, InputError] | None) -> Iterato
 
 
 def _options(name: str, table: Mapping[str, Any], toml: Path) -> SourceOptions:
-    description = {key: value for key, value in table.items() if key not in ("file", "input")}
+    description = {key: value for key, value in table.items() if key not in ("file", "input", "sac_sic")}
+    sac_sic = str(table.get("sac_sic", ""))
+    if sac_sic and not re.fullmatch(r"\d{1,3}/\d{1,3}", sac_sic):
+        raise InputError(f'{toml}: sources.{name}.sac_sic is {sac_sic!r}; give SAC and SIC, such as "80/12"')
     file = table.get("file", {})
     file = {"path": file} if isinstance(file, str) else file
     where = f"{toml}: sources.{name}.file"
@@ -202,7 +143,7 @@ def _options(name: str, table: Mapping[str, Any], toml: Path) -> SourceOptions:
     }
     options = ReadOptions(name, kind=kind, **{key: value for key, value in given.items() if key != "path"})
     path = toml.parent / file["path"] if "path" in file else None
-    return SourceOptions(described, options, path, "kind" in table)
+    return SourceOptions(described, options, path, "kind" in table, sac_sic)
 
 
 def read_sources(
@@ -254,9 +195,10 @@ def read_sources(
                 raise no_date
             of_file = _sources_in(path, replace(reading, start=day), described, set_aside)
             found[at] = [_dated(one, which) for one in of_file]
-    sources = [source for at in sorted(found) for source in found[at]]
+    sources = _with_sensors_of_parts([source for at in sorted(found) for source in found[at]], described)
     names = [source.description.name for source in sources]
-    duplicate = next((name for name in names if names.count(name) > 1), None)
+    parts = {source.description.name for source in sources if source.is_part}
+    duplicate = next((name for name in names if names.count(name) > 1 and name not in parts), None)
     if duplicate is not None and not any(f"{duplicate.partition(':')[0]}=" in str(file) for file in files):
         raise InputError(
             f"two sources are called {duplicate}; name them, as in {duplicate}2=FILE, or {duplicate}=FILE for each if "
@@ -269,7 +211,8 @@ def read_sources(
     if not any(path.is_dir() for _, path in named):
         for name in described:
             with setting_aside(name, set_aside):
-                _check_used(name, names, set_aside or {})
+                if not described[name].may_be_absent:
+                    _check_used(name, names, set_aside or {})
     return sources
 
 
@@ -282,8 +225,52 @@ def _sources_in(
         if not set_aside or reports.source not in set_aside:
             with setting_aside(reports.source, set_aside):
                 read = without_stray_times(reports)
-                sources.append(source_of(read.source, read, described, path))
+                name = read.source if read.source in described else _name_by_codes(read, described)
+                sources.append(source_of(name, _renamed(read, name), described, path))
     return sources
+
+
+def _name_by_codes(reports: Reports, described: Mapping[str, SourceOptions]) -> str:
+    """The name of the description with the codes of this sensor in ASTERIX, or that of the reports."""
+    names = (name for name, one in described.items() if one.sac_sic and one.sac_sic == reports.sac_sic)
+    return next(names, reports.source)
+
+
+def _renamed(reports: Reports, name: str) -> Reports:
+    """The reports under another name of their source, in their notes too."""
+    if name == reports.source:
+        return reports
+    notes = tuple(re.sub(f"^{re.escape(reports.source)}: ", f"{name}: ", note) for note in reports.notes)
+    return replace(reports, source=name, notes=notes)
+
+
+def _with_sensors_of_parts(sources: list[SensorSource], described: Mapping[str, SourceOptions]) -> list[SensorSource]:
+    """The sources; recordings of one sensor of ASTERIX that follow each other in time are parts of one source.
+
+    It is called as it is described, or by category and codes. Recordings at the same time stay apart: they may be of
+    two networks with the same reports.
+    """
+    by_sensor: dict[tuple[str, str], list[int]] = {}
+    for at, source in enumerate(sources):
+        if source.reports.sac_sic:
+            by_sensor.setdefault((source.reports.kind, source.reports.sac_sic), []).append(at)
+    out = list(sources)
+    for (kind, sac_sic), places in by_sensor.items():
+        parts = [sources[at].reports for at in places]
+        names = {part.source for part in parts}
+        spans = sorted((float(part.time_s.min()), float(part.time_s.max())) for part in parts)
+        if len(parts) == 1 or any(after[0] < before[1] for before, after in pairwise(spans)):
+            continue
+        if len(names) > 1 and not names.isdisjoint(described):
+            continue
+        name = names.pop() if len(names) == 1 else f"{kind.removeprefix('asterix ')} {sac_sic}"
+        for at in places:
+            one = sources[at]
+            out[at] = replace(
+                one, description=replace(one.description, name=name), reports=_renamed(one.reports, name),
+                is_part=True,
+            )  # fmt: skip
+    return out
 
 
 def _common_day(sources: Iterable[SensorSource]) -> float | None:
@@ -341,7 +328,8 @@ def _of_parts(parts: list[SensorSource]) -> SensorSource:
         joined(reports), notes=notes, damaged=Damaged.of(damaged, reports[0].damaged.unit), passed_over=passed_over,
         own_ship=joined(tracks) if tracks else None,
     )  # fmt: skip
-    return replace(parts[0], reports=whole, path=Path(files))
+    placed = next((part.description for part in parts if part.description.site is not None), parts[0].description)
+    return replace(parts[0], description=placed, reports=whole, path=Path(files))
 
 
 def _recorded(folder: Path) -> list[Reports]:
@@ -377,8 +365,10 @@ def source_of(name: str, reports: Reports, described: Mapping[str, SourceOptions
         sensor needs no kind.
     """
     options = described.get(name)
+    description = Description(reports.source) if options is None else options.description
+    description, reports = _at_stated_site(description, reports)
     if options is not None and options.has_kind:
-        return SensorSource(options.description, reports, path, None)
+        return SensorSource(description, reports, path, None)
     if reports.kind != OWN_HEADING and only_carries(name, reports, (one.description for one in described.values())):
         kind, why = CARRIER_KIND, "it has the positions of a vessel with a sensor"
         reports = _as_own_ship(reports)
@@ -389,8 +379,32 @@ def source_of(name: str, reports: Reports, described: Mapping[str, SourceOptions
         reports = _as_own_ship(reports)
     else:
         kind, why = _kind(reports)
-    description = Description(reports.source) if options is None else options.description
     return SensorSource(replace(description, kind=kind), reports, path, why)
+
+
+#: Metres by which a site may differ from the one that the file states.
+SITE_M = 500.0
+
+
+def _at_stated_site(description: Description, reports: Reports) -> tuple[Description, Reports]:
+    """The description with the site that the file states, where the user gives none, and a note that says so, or that
+    the user's is another place."""
+    if reports.site is None or description.platform is not None:
+        return description, reports
+    lat, lon, height_m = reports.site
+    stated, site = f"{lat:.5f}°, {lon:.5f}°, height {height_m:.0f} m", description.site
+    if site is None:
+        description = replace(description, site=Site(lat, lon, height_m))
+        note = f"{reports.source}: its place is that of its service messages: {stated}"
+    elif site.lat_deg is None or site.lon_deg is None:
+        return description, reports
+    else:
+        north_deg, east_deg = lat - site.lat_deg, (lon - site.lon_deg) * math.cos(math.radians(lat))
+        apart_m = tables.DEGREE_M * math.hypot(north_deg, east_deg)
+        if apart_m < SITE_M:
+            return description, reports
+        note = f"{reports.source}: the given site is {apart_m / 1e3:.1f} km from that of its service messages: {stated}"
+    return description, replace(reports, notes=(*reports.notes, note))
 
 
 def _as_own_ship(reports: Reports) -> Reports:

@@ -122,6 +122,7 @@ class ReportStream:
         self._aircraft: dict[str, object] = {}
         self._transponders = mode_s.Aircraft()
         self._blocks: set[tuple[int, bytes]] = set()
+        self._places: dict[tuple[int, int], asterix.Place] = {}
         #: Receive time of the last position of own ship.
         self.own_ship_s = -math.inf
 
@@ -283,7 +284,7 @@ class ReportStream:
     def _asterix(self, data: bytes, received_s: float) -> list[Reports]:
         if len(self._blocks) > MOST_REMEMBERED:
             self._blocks.clear()
-        return asterix.read(data, self.source, received_s=received_s, blocks_read=self._blocks)
+        return asterix.read(data, self.source, received_s=received_s, blocks_read=self._blocks, places=self._places)
 
     def _mode_s(self, texts: list[str], received: list[float], found: list[mode_s.Messages]) -> list[Reports]:
         """Messages of transponders; those without a time have that of receipt."""
