@@ -136,6 +136,40 @@ def test_alarms_that_the_disk_refused_are_in_the_journal_later_with_who_acknowle
     store.close()
 
 
+def test_an_alarm_of_a_full_disk_is_in_the_journal_with_its_times_though_it_has_ended(tmp_path, monkeypatch):
+    log, store = opened(tmp_path / "state")
+    alarms = [Alarm("cpa 1", "cpa", "A will pass", (1,)), Alarm("silent radar", "source", "radar is silent")]
+
+    def full(*_, **__):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Journal, "alarm", full)
+        log.update(alarms, START_S)
+        log.update(alarms[1:], START_S + 60.0)
+        assert {(one["id"] > 0, one["active"]) for one in log.rows()} == {(False, 0), (False, 1)}
+    log.update(alarms[1:], START_S + 61.0)
+    ended, active = sorted(log.rows(), key=lambda one: one["key"])
+    assert ended["id"] > 0 and (ended["first_s"], ended["last_s"], ended["active"]) == (START_S, START_S, 0)
+    assert active["id"] > 0 and (active["first_s"], active["active"]) == (START_S, 1) and not log._unsaved
+    store.close()
+
+
+def test_a_disk_that_is_full_now_and_then_is_said_once(tmp_path, caplog):
+    _, store = opened(tmp_path / "state")
+
+    def full(_):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    for _ in range(3):
+        store.attempt(full)
+        assert store.refusal == "database or disk is full"
+        store.attempt(lambda _: None)
+        assert store.refusal == ""
+    assert len(caplog.records) == 1
+    store.close()
+
+
 def test_alarms_that_were_active_when_a_watch_was_closed_go_on(tmp_path):
     log, store = opened(tmp_path / "state")
     alarm = Alarm("silent radar", "source", "radar is silent")

@@ -734,7 +734,7 @@ def test_a_full_disk_is_an_alarm_and_missing_entries_are_written_later(tmp_path)
     assert two.store.attempt(lambda journal: journal.alarm(big, 0.0)) is None
     situation = two.tick(START_S + 22.0)
     assert [alarm.text for alarm in situation.alarms if alarm.key == "folder"] == [
-        f"{tmp_path / 'two'} cannot be written; events are not saved: database or disk is full"
+        f"{tmp_path / 'two'} cannot be written (database or disk is full); what happens is written when it can"
     ]
     listed = {alarm["key"]: alarm["id"] for alarm in two.alarm_list()}
     assert "folder" in listed and not two.acknowledge(-1, "me")

@@ -79,6 +79,8 @@ class AlarmLog:
                     self._store.attempt(partial(Journal.ended, alarm_id=alarm_id, time_s=held_s))
                 elif alarm_id in self._unsaved:
                     self._unsaved[alarm_id] |= {"active": 0, "last_s": held_s}
+        if self._store.journal is not None:
+            self._save_ended()
 
     def rows(self, most_ended: int = MOST_UNSAVED) -> list[dict[str, Any]]:
         """The active alarms and the last ``most_ended`` others, the newest first, with the columns of the journal."""
@@ -100,7 +102,8 @@ class AlarmLog:
 
     def _saved(self, number: int, alarm: Alarm, now_s: float) -> int:
         """The id of an alarm in the journal; where it cannot be written there, it is kept here, and the id stays."""
-        saved = self._store.attempt(partial(Journal.alarm, alarm=alarm, time_s=now_s))
+        began_s = self._unsaved[number]["first_s"] if number in self._unsaved else now_s
+        saved = self._store.attempt(partial(Journal.alarm, alarm=alarm, time_s=began_s))
         if saved is None:
             self._unsaved.setdefault(number, {
                 "id": number, "key": alarm.key, "kind": alarm.kind, "text": alarm.text, "objects": list(alarm.objects),
@@ -115,6 +118,15 @@ class AlarmLog:
             who, when_s = before["acknowledged_by"], before["acknowledged_s"]
             self._store.attempt(lambda journal: journal.acknowledge(saved, who, when_s))
         return saved
+
+    def _save_ended(self) -> None:
+        """Writes to the journal the alarms that the disk refused, and that have ended since."""
+        for number, row in [(number, row) for number, row in self._unsaved.items() if not row["active"]]:
+            alarm = Alarm(row["key"], row["kind"], row["text"], tuple(row["objects"]))
+            saved = self._saved(number, alarm, row["first_s"])
+            if saved < 0:
+                return
+            self._store.attempt(partial(Journal.ended, alarm_id=saved, time_s=row["last_s"]))
 
 
 class DistressCalls:
@@ -198,7 +210,8 @@ def disk_alarms(folder: Path | None, refusal: str, recordings: str | None, error
     """Alarms where the folder of the watch, or that of its recordings, cannot be written."""
     alarms = []
     if refusal:
-        alarms.append(Alarm("folder", "fault", f"{folder} cannot be written; events are not saved: {refusal}"))
+        text = f"{folder} cannot be written ({refusal}); what happens is written when it can"
+        alarms.append(Alarm("folder", "fault", text))
     if errors:
         text = f"{recordings} cannot be written; what is received is not recorded: {'; '.join(errors)}"
         alarms.append(Alarm("record", "fault", text))

@@ -270,8 +270,9 @@ class Store:
     def __init__(self, folder: Path | None, *, archive_every_s: float = 10.0) -> None:
         self.folder = folder
         self.journal = None if folder is None else Journal(folder, archive_every_s=archive_every_s)
-        # Why the journal or the state could not be written when last tried.
+        # Why the journal or the state could not be written when last tried, and all reasons so far.
         self._refusals: dict[str, str] = {}
+        self._said: set[str] = set()
 
     @property
     def refusal(self) -> str:
@@ -289,9 +290,13 @@ class Store:
         try:
             value = write(self.journal)
         except (OSError, sqlite3.Error, InputError) as error:
-            if what not in self._refusals:
-                LOG.warning("%s: %s", self.folder, error)
-            self._refusals[what] = str(error)
+            # The disk's own words, not those of a command that ends.
+            reason = str(error if error.__cause__ is None else getattr(error.__cause__, "strerror", None) or error)
+            # A full disk takes a small write now and then.
+            if reason not in self._said:
+                LOG.warning("%s: %s", self.folder, reason)
+                self._said.add(reason)
+            self._refusals[what] = reason
             return None
         self._refusals.pop(what, None)
         return value
