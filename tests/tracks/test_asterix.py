@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
+from sameas.io.sensors import read_reports
 from sameas.io.sensors.asterix import read
 from sameas.io.sensors.asterix_records import CATEGORIES, DamagedRecord, letters, looks_like, octal, records_of
 from sameas.io.sensors.captures import is_capture
 from sameas.io.sensors.format import RADIUS_95
 
-ORACLE = json.loads((Path(__file__).parent / "data" / "asterix_oracle.json").read_text())
+DATA = Path(__file__).parent / "data"
+ORACLE = json.loads((DATA / "asterix_oracle.json").read_text())
 DATE = 1714521600.0  # 2024-05-01
 # Subfield names that differ between editions, at equal position and length.
 RENAMED = {"ISA": "SAL", "GS": "GSP", "BDSDATA": "MB"}
@@ -227,6 +229,17 @@ def test_a_pcapng_capture_of_wireshark_is_read(order, tick):
     # Cut off, its complete packets are read.
     [made] = read(pcapng(packets, order, tick)[:-5], "site")
     assert len(made) == 1
+
+
+@pytest.mark.parametrize("made", [capture, pcapng])
+def test_sentences_in_a_capture_have_the_times_of_their_datagrams(made, tmp_path):
+    sentences = [line for line in (DATA / "ais_sample.nmea").read_text().splitlines() if line.startswith("!")][:6]
+    packets = [(DATE + 2.0 * k, f"{sentence}\r\n".encode()) for k, sentence in enumerate(sentences)]
+    (tmp_path / "ais.pcap").write_bytes(made([*packets, (DATE, b"\0\1\2")]))
+    (tmp_path / "ais.nmea").write_text("".join(f"{DATE + 2.0 * k:.3f} {one}\n" for k, one in enumerate(sentences)))
+    [captured], [logged] = (read_reports(tmp_path / name) for name in ("ais.pcap", "ais.nmea"))
+    np.testing.assert_array_equal(captured.time_s, logged.time_s)
+    assert captured.mmsi.tolist() == logged.mmsi.tolist() and len(captured) and captured.time_s.min() > DATE - 70
 
 
 def ioss(blocks, numbered=False):

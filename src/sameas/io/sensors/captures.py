@@ -21,6 +21,8 @@ _PCAP = {b"\xd4\xc3\xb2\xa1": ("<", 1e6), b"\xa1\xb2\xc3\xd4": (">", 1e6),
 PCAPNG = b"\x0a\x0d\x0d\x0a"
 #: Bytes before the IP header, by link type; the last two are the protocol in Ethernet (14 bytes).
 _LINKS = {0: 4, 1: 14, 12: 0, 101: 0, 108: 4, 113: 16, 228: 0, 229: 0, 276: 20}
+#: Bytes that are in no text.
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 #: The end of a frame of IOSS, and the lengths of its header, without and with sequence numbers.
 _IOSS_END, _IOSS_HEADERS = b"\xa5\xa5\xa5\xa5", (8, 12)
 #: Lengths of the header of an RFF file, of its two times, of the header of a frame, and of the longest frame.
@@ -43,6 +45,25 @@ def datagrams_of(content: bytes) -> Iterator[tuple[float, bytes]]:
         return _of_pcapng(content)
     start_s = _rff_start(content)
     return _of_ioss(content) if start_s is None else _of_rff(content, start_s)
+
+
+def with_text_as_lines(content: bytes) -> bytes:
+    """A capture whose datagrams are text, as a file of their lines, NMEA sentences behind their times of receipt; any
+    other content as it is."""
+    if content[:4] not in (*_PCAP, PCAPNG):
+        return content
+    lines, others = [], 0
+    for received_s, payload in datagrams_of(content):
+        if not payload.isascii() or _CONTROL.search(payload):
+            others += 1
+            continue
+        stamp = b"" if math.isnan(received_s) else b"%.3f " % received_s
+        lines += [
+            (stamp if line[:1] in b"!$\\" else b"") + line
+            for line in payload.splitlines()
+            if line and not line.isspace()
+        ]
+    return b"\n".join(lines) + b"\n" if len(lines) > others else content
 
 
 def _of_pcap(content: bytes) -> Iterator[tuple[float, bytes]]:

@@ -25,6 +25,7 @@ from sameas.arrays import FloatArray
 from sameas.bounds import MAGIC, ZIP, ZSTD, Unpacking, unpacked
 from sameas.errors import Argument, InputError, Message
 from sameas.io.format import in_utf_8
+from sameas.io.sensors.captures import with_text_as_lines
 from sameas.tracks.coordinates import FOOT_M, MILE_M
 from sameas.tracks.reports import LAST_S, Reports
 
@@ -289,7 +290,7 @@ class SensorFile:
         path = Path(path)
         source = options.source or path.name
         start_s = start_seconds(options.start, source)
-        return cls(path, content(path), source, options, start_s)
+        return cls(path, with_text_as_lines(content(path)), source, options, start_s)
 
     @cached_property
     def lines(self) -> list[str]:
