@@ -41,8 +41,8 @@ def picture(
     ctx: typer.Context,
     files: Annotated[list[str] | None, typer.Argument(
         metavar="FILE...", show_default=False,
-        help="Recordings of the sensors: CSV, Parquet, JSON lines, AIS and ARPA NMEA, NMEA 2000, Signal K, gpsd, "
-        "aircraft.json, SBS, Mode S, ASTERIX. NAME=FILE names the source.",
+        help="Recordings of the sensors: CSV, Parquet, JSON lines, MAT files, AIS and ARPA NMEA, NMEA 2000, Signal K, "
+        "gpsd, aircraft.json, SBS, Mode S, ASTERIX. NAME=FILE names the source.",
     )] = None,
     sensors: Annotated[Path | None, option(
         "--sensors", "-s", metavar="TOML",

@@ -10,7 +10,22 @@ from pathlib import Path
 import numpy as np
 
 from sameas.errors import InputError, reading
-from sameas.io.sensors import aircraft, arpa, asterix, cot, gpsd, gpx, mode_s, n2k, ogn, recording, sbs, signalk, tables
+from sameas.io.sensors import (
+    aircraft,
+    arpa,
+    asterix,
+    cot,
+    gpsd,
+    gpx,
+    matlab,
+    mode_s,
+    n2k,
+    ogn,
+    recording,
+    sbs,
+    signalk,
+    tables,
+)
 from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat
 from sameas.tracks.reports import Reports
 
@@ -19,7 +34,7 @@ ZONED = ("table", "sbs")
 #: The formats, in the order in which they are tried.
 SENSOR_FORMATS: tuple[SensorFormat, ...] = (
     recording.FORMAT, asterix.FORMAT, gpx.FORMAT, cot.FORMAT, gpsd.FORMAT, n2k.FORMAT, arpa.FORMAT, aircraft.FORMAT,
-    signalk.FORMAT, sbs.FORMAT, ogn.FORMAT, mode_s.FORMAT, tables.FORMAT,
+    signalk.FORMAT, sbs.FORMAT, ogn.FORMAT, mode_s.FORMAT, matlab.FORMAT, tables.FORMAT,
 )  # fmt: skip
 #: Their descriptions, by name.
 REPORT_FORMATS: Mapping[str, str] = {
