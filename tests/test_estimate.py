@@ -233,3 +233,21 @@ def test_a_tail_of_the_errors_beyond_the_initial_gate_is_found(extended):
     told_none = shown[0][answer.answers_1.p_none > 0.99]
     assert len(told_none) > 50
     assert np.isin(told_none, shown[1]).sum() <= 5
+
+
+def test_a_tail_that_comes_and_goes_ends_the_iterations(monkeypatch):
+    """Its gain is 11 without it, and 3 with it, as on a frame with a few displaced stars."""
+    from sameas.estimate.error_scales import ErrorFit
+
+    with_tail, without = Errors((1.0, 4.0), (0.6, 0.4)), Errors((1.0,), (1.0,))
+
+    def fitted(square, log_odds, d, start, *, significant_tail_gain, **_):
+        gain = 3.0 if max(start.scales) > 2.0 else 11.0
+        return ErrorFit(with_tail if gain >= significant_tail_gain else without, gain, 0.0)
+
+    monkeypatch.setattr("sameas.estimate.em.fit_errors", fitted)
+    scene = poisson_field(
+        np.random.default_rng(1), density=0.01, extent=(250.0, 250.0), q1=0.1, q2=0.1, sigma_1=1.0, sigma_2=0.5
+    )
+    _, estimate = match(scene.first, scene.second)
+    assert estimate.converged and max(estimate.errors.scales) < 2.0

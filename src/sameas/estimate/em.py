@@ -54,6 +54,7 @@ MIN_PAIRS_TO_LEARN = 50.0  # errors, magnitudes and columns are fitted from this
 #: The sizes of quoted errors are not used where magnitudes are informative and at most this share of the records has
 #: none.
 MAX_SHARE_MISSING = 0.05
+MORE_TAIL_GAIN = 2.0  # times the gain in ln likelihood that a tail must have, after each time that it was dropped again
 MIN_EVIDENCE_FITS = 1  # fits of magnitudes and columns before the iterations may end
 #: Converged when the expected remaining change of the number of common objects is at most this share of its standard
 #: error, or when its last change was at most this number.
@@ -416,6 +417,10 @@ class EMState:
                 significant_tail_gain=self.tuning.significant_tail_gain,
             )  # fmt: skip
             estimates = replace(estimates, errors=self.errors.with_mixture(fit.errors), tail_gain=fit.tail_gain)
+            if fit.tail_gain < self.tuning.significant_tail_gain <= self.tail_gain:
+                # With the pairs that a tail makes probable it gains less than without: it came and went for ever.
+                more = MORE_TAIL_GAIN * self.tuning.significant_tail_gain
+                estimates = replace(estimates, tuning=replace(self.tuning, significant_tail_gain=more))
         return estimates._with_unresolved_by(p_pair)
 
     def _partner_ratios(self) -> Both | None:
