@@ -276,3 +276,27 @@ def test_refusals(tmp_path):
     table.write(tmp_path / "rows.csv")
     same = CliRunner().invoke(app, ["internal", str(tmp_path / "rows.csv"), "-o", str(tmp_path / "rows.csv")])
     assert same.exit_code == 1 and "is also an input" in same.output
+
+
+def test_the_column_of_the_exposures_is_found_whatever_its_case():
+    table, _ = detections(4, 30, 200.0)
+    found = [sameas.match_internal(table, exposure=name).table["object_id"] for name in ("visit", " VISIT ")]
+    assert (found[0] == found[1]).all()
+
+
+def test_rows_and_objects_are_explained_from_the_tables(tmp_path):
+    table, _ = detections(4, 30, 200.0)
+    table["name"] = [f"r{k}" for k in range(len(table))]
+    found = sameas.match_internal(table, exposure="visit", id="name", name="night")
+    found.write(tmp_path / "rows.fits")
+    found.write(tmp_path / "objects.csv", objects=True)
+    row = int(np.flatnonzero(found.table["object_rows"] > 2)[0])
+    number, n_rows = found.table["object_id"][row], found.table["object_rows"][row]
+    text = str(sameas.explain(tmp_path / "rows.fits", f"r{row}"))
+    assert text.startswith(f"night r{row} is of object {number} of {n_rows} rows, probability that exactly these rows")
+    of_object = found.table["name"][found.table["object_id"] == number]
+    assert text.count("arcsec from the mean place") == n_rows and all(name in text for name in of_object)
+    assert text == str(sameas.explain(tmp_path / "rows.fits", row=row))
+    assert f"object {number} of {n_rows} rows" in str(sameas.explain(tmp_path / "objects.csv", number))
+    with pytest.raises(InputError, match="has no object 99 in the output"):
+        sameas.explain(tmp_path / "objects.csv", 99)

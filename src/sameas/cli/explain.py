@@ -13,7 +13,7 @@ from sameas.cli.outcome import answering
 
 def explain(
     output: Annotated[Path, typer.Argument(
-        metavar="OUT", help="A table that `sameas match`, `many` or `frame` wrote, or the folder of a picture.",
+        metavar="OUT", help="A table that `sameas match`, `many`, `internal` or `frame` wrote, or a picture's folder.",
         show_default=False,
     )],
     record: Annotated[str, typer.Argument(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sameas.errors import InputError, naming, reading
-from sameas.report.explain import Asked, Output, explanation_lines, frame_lines, many_lines, match_lines
+from sameas.report.explain import Asked, Output, explanation_lines, frame_lines, internal_lines, many_lines, match_lines
 from sameas.report.prose import Lines
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def explain(
     format: str | None = None,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Lines:
-    """Why a record was identified as it was, from a file that ``match``, ``many``, ``frame`` or ``picture`` wrote.
+    """Why a record was identified as it was, from a file of ``match``, ``many``, ``internal``, ``frame``, ``picture``.
 
     Parameters
     ----------
@@ -101,18 +101,22 @@ def _of_table(kind: str, output: Output, asked: Asked) -> Iterable[str]:
     """The explanation of a record from the table alone."""
     if kind == "match":
         return (*_either(match_lines, output, asked), "", ALONE)
-    return many_lines(output, asked) if kind == "many" else frame_lines(output, asked)
+    return {"many": many_lines, "internal": internal_lines, "frame": frame_lines}[kind](output, asked)
 
 
 def _kind(facts: Mapping[str, Any], path: Path) -> str:
-    """The command that made an output: "match", "many" or "frame"."""
+    """The command that made an output: "match", "many", "internal" or "frame"."""
+    if "reach_arcsec" in facts:
+        return "internal"
     if "ra_column_1" in facts:
         return "match" if "candidates" in facts else "many"
     if "options_match" in facts and "candidates" in facts:
         return "match"
     if "digest" in facts and "frame" in facts:
         return "frame"
-    raise InputError(f"{path}: has no provenance; give a table that `sameas match` wrote")
+    raise InputError(
+        f"{path}: has no provenance; give a table that `sameas match`, `many`, `internal` or `frame` wrote"
+    )
 
 
 def _number(facts: Mapping[str, Any], source: int | str, path: Path) -> int:

@@ -225,6 +225,7 @@ def of_internal(
     facts |= {name: given[name] for name in ("input_1", "sha256_1")}
     facts |= {"name_1": match.catalogue.name, "rows_1": len(match.catalogue), "options_1": given["options_1"]}
     facts |= {"options_match": given["options_match"], "reach_arcsec": match.reach_arcsec, "objects": len(match)}
+    facts |= _roles((match.catalogue,), (match.catalogue.table.colnames,))
     return facts | {"doubts": [words(doubt) for doubt in match.doubts]}
 
 

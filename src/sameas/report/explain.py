@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sameas.arrays import ABSENT, BoolArray, IntArray
 from sameas.errors import InputError
 from sameas.report.prose import WIDTH, entry
-from sameas.representation import count
+from sameas.representation import count, counted
 from sameas.result import probability_text
 
 if TYPE_CHECKING:
@@ -307,6 +307,44 @@ def many_lines(output: Output, asked: Asked) -> list[str]:
     texts = [probability_text(float(output.value("p_object", other))) for other in rivals]
     details = [f"{' = '.join(members(k))}, probability {p}" for k, p in zip(rivals, texts, strict=True)]
     return lines + _competing(details)
+
+
+def internal_lines(output: Output, asked: Asked) -> list[str]:
+    """One row of an internal match, with the other rows of its object; of a table of objects one object.
+
+    Raises InputError: no such row or object in the table.
+    """
+    table = output.table
+    if "object_rank" not in table.colnames:
+        rows = np.flatnonzero(texts_of(table["object_id"]) == asked.text.strip())
+        if asked.by_row or not len(rows):
+            raise InputError(
+                f"{output.name(1)} has no object {asked.text} in the output; its objects are numbered from 1"
+            )
+        return _object_lines(output, int(rows[0]), "")
+    row = int(output.rows_of(asked)[0])
+    mine, number = f"{output.name(1)} {output.called(row, 1)}", output.value("object_id", row)
+    if number is None:
+        return [f"{mine} could not be used", *output.properties(row, 1)]
+    lines = [*_object_lines(output, row, f"{mine} is of "), *output.properties(row, 1), "", f"Rows of object {number}"]
+    ids = np.ma.filled(table["object_id"], ABSENT)
+    rows = np.flatnonzero((np.asarray(ids) == number) & ~_absent(table["object_id"]))
+    names = [output.called(int(one), 1) for one in rows]
+    for one, name in zip(rows.tolist(), names, strict=True):
+        mark, apart = "→" if one == row else " ", output.value("object_sep_arcsec", one)
+        p = probability_text(float(output.value("p_row", one)))
+        lines.append(f"  {mark} {name:{max(map(len, names))}}  {p:>10}  {apart:.3f} arcsec from the mean place")
+    return lines
+
+
+def _object_lines(output: Output, row: int, before: str) -> list[str]:
+    """The object of a row of a table of an internal match."""
+    number, n_rows, p = (output.value(name, row) for name in ("object_id", "object_rows", "p_object"))
+    exactly = f"probability that exactly these rows are one object {probability_text(float(p))}"
+    lines = [f"{before}object {number} of {counted(int(n_rows), 'row')}, {exactly}"]
+    if n_rows > 1 and (chi_sq := output.value("chi_sq", row)) is not None:
+        lines += entry("residuals", f"χ² {chi_sq:.2f} of {2 * (int(n_rows) - 1)} degrees of freedom")
+    return lines
 
 
 def frame_lines(output: Output, asked: Asked) -> list[str]:

@@ -27,6 +27,7 @@ from sameas.sky.catalogue_doubts import (
     unmeasured_magnitude_note,
 )
 from sameas.sky.column_choice import CatalogueOptions, ColumnChoice, Epoch, PositionError, in_years
+from sameas.sky.column_search import ColumnSearch
 from sameas.sky.columns import choose
 from sameas.sky.motion import Astrometry, Variances, position_at
 from sameas.sky.table_astrometry import epochs_jyr, table_astrometry
@@ -155,6 +156,10 @@ class Catalogue:
             self, table=rows, ids=ids, astrometry=astrometry, doubts=(), magnitude=magnitude,
             magnitude_error=_brightness(rows, self.choice.magnitude_error, self.name),
         )  # fmt: skip
+
+    def column_named(self, name: str) -> str | None:
+        """The column of this name: exact, else ignoring case; None without one."""
+        return ColumnSearch(self.table, self.options, self.name).find(name.strip())
 
     @property
     def error_is_unknown(self) -> bool:

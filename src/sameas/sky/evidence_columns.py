@@ -5,20 +5,24 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from astropy import units as u
 
 from sameas.errors import InputError
 from sameas.evidence import Column, Magnitudes, Related
-from sameas.sky import column_values
+from sameas.sky import column_values, conventions
 from sameas.sky.catalogue import Catalogue
 
 #: Choices of magnitudes: those chosen for each catalogue, or none.
 AUTO, OFF = "auto", "off"
 #: Names of the column of a magnitude's errors, given the name of the magnitude.
 MAGNITUDE_ERROR_NAMES = ("e_{}", "{}_error", "{}_err", "{}err", "{}Err", "sigma_{}", "{}_msigcom", "{}_sigma")
+#: The names of errors and of other spreads.
+_ERROR = re.compile(r"^e_|err|sig|unc|rms|std|scatter", re.IGNORECASE)
 
 
 def magnitudes_of(first: Catalogue, second: Catalogue, choice: str = AUTO) -> tuple[Magnitudes, Magnitudes] | None:
@@ -69,12 +73,24 @@ def columns_of(
     return tuple(columns)
 
 
+def magnitude_columns(catalogue: Catalogue) -> tuple[str, ...]:
+    """The columns that hold magnitudes by their names, or by their unit if they are no errors."""
+    return tuple(
+        name
+        for name in catalogue.table.colnames
+        if column_values.holds_numbers(catalogue.table, name)
+        and (
+            conventions.BAND_MAGNITUDE.fullmatch(name)
+            or (column_values.unit_of(catalogue.table, name) == u.mag and not _ERROR.search(name))
+        )
+    )
+
+
 def _column(catalogue: Catalogue, column: Column) -> Column:
     """The column with its values: looked up if it has a name, else unchanged."""
     if not isinstance(column.values, str):
         return column
-    known = {name.lower(): name for name in catalogue.table.colnames}
-    name = known.get(column.values.lower())
+    name = catalogue.column_named(column.values)
     if name is None:
         raise InputError(
             f"{catalogue.name}: no column {column.values!r} to be evidence; it has "
@@ -101,21 +117,19 @@ def _chosen_magnitude(catalogue: Catalogue) -> Magnitudes | None:
 
 
 def _columns(catalogue: Catalogue, names: tuple[str, ...]) -> Magnitudes:
-    known = {name.lower(): name for name in catalogue.table.colnames}
-    unknown = [name for name in names if name.lower() not in known]
+    columns = {name: catalogue.column_named(name) for name in names}
+    unknown = [name for name, column in columns.items() if column is None]
     if unknown:
         raise InputError(
             f"{catalogue.name}: no column {', '.join(map(repr, unknown))} of magnitudes; "
             f"it has {', '.join(catalogue.table.colnames)}"
         )
-    names = tuple(known[name.lower()] for name in names)
+    names = tuple(column for column in columns.values() if column)
     values, errors = [], []
     for name in names:
-        error_names = (
-            pattern.format(name.removesuffix("_m") if "msigcom" in pattern else name).lower()
-            for pattern in MAGNITUDE_ERROR_NAMES
-        )
-        error = next((known[one] for one in error_names if one in known), None)
+        stems = ((name.removesuffix("_m") if "msigcom" in pattern else name) for pattern in MAGNITUDE_ERROR_NAMES)
+        error_names = map(str.format, MAGNITUDE_ERROR_NAMES, stems)
+        error = next((column for one in error_names if (column := catalogue.column_named(one))), None)
         values.append(column_values.magnitudes(catalogue.table, name, catalogue.name))
         unknown_error = np.full(len(catalogue), np.nan)
         known_error = None if error is None else column_values.magnitudes(catalogue.table, error, catalogue.name)

@@ -222,11 +222,12 @@ def _judged(
 
 def _exposures_of_column(catalogue: Catalogue, records: Records, name: str) -> IntArray:
     """(n,) numbers of the exposures of the records, by the column of this name; −1 where it has none."""
-    if name not in catalogue.table.colnames:
+    column_name = catalogue.column_named(name)
+    if column_name is None:
         names = ", ".join(catalogue.table.colnames[:12])
         raise InputError(f"{catalogue.name}: there is no column {name!r}; its columns are {names}",
                          "name the column of the exposures")  # fmt: skip
-    column = np.ma.asarray(catalogue.table[name])[records.rows]
+    column = np.ma.asarray(catalogue.table[column_name])[records.rows]
     values, known = np.ma.getdata(column), ~np.ma.getmaskarray(column)
     if values.dtype.kind == "f":
         known &= np.isfinite(values)
