@@ -286,6 +286,19 @@ def test_duplicate_objects_with_their_own_errors_are_doubted():
     assert doubt.startswith("in second ") and "one object given twice" in doubt and "sameas internal" in doubt
 
 
+def test_an_object_in_several_rows_is_not_said_to_be_a_blend():
+    """Its other rows lie beside the pair without partner, as neighbours do that are not resolved."""
+    rng = np.random.default_rng(0)
+    place = rng.uniform([40.0, 0.0], [40.05, 0.05], (600, 2))
+    sigma, seen = rng.uniform(0.05, 0.4, 600)[:, None] / 3600.0, rng.random(600) < 0.9
+    measured = [place + sigma * rng.normal(0.0, 1.0, place.shape) for _ in range(4)]
+    rows = np.concatenate([exposure[seen & (rng.random(600) < 0.8)] for exposure in measured])
+    first, second = ({"ra": one[:, 0], "dec": one[:, 1]} for one in (rows, place))
+    doubts = [str(doubt) for doubt in sameas.match(first, second, sigma2=0.01).doubts]
+    assert any("couples of records" in doubt for doubt in doubts)
+    assert not any("two objects of first as one" in doubt for doubt in doubts)
+
+
 @pytest.mark.slow
 def test_data_frame_libraries_are_imported_only_for_data_frames():
     program = (

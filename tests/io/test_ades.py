@@ -123,6 +123,20 @@ def test_an_incomplete_header_is_refused(change, words, tmp_path):
         Observer.read(path)
 
 
+def test_all_that_a_header_lacks_is_named_at_once(tmp_path):
+    path = tmp_path / "who.toml"
+    with pytest.raises(
+        InputError, match=r'cannot be read .*; write, each key in a line: below \[observatory\] mpcCode = "810"'
+    ):
+        Observer.read(path)
+    path.write_text("[telescope]\ndesign = 'Refractor'\n[submitter]\nname = 'J. Doe'\n")
+    words = (
+        r"says no observatory.mpcCode, telescope.aperture, telescope.detector, report.astCat; .*: below \[observatory\]"
+    )
+    with pytest.raises(InputError, match=words):
+        Observer.read(path)
+
+
 def test_magnitudes_need_a_band(observer):
     from dataclasses import replace
 

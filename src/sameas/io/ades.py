@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,21 +41,13 @@ _CATALOGUE_CODES = {
     "Gaia2": "V", "Gaia3": "W", "Gaia3E": "X", "UCAC5": "Y", "ATLAS2": "Z", "PS1_DR1": "1", "PS1_DR2": "2",
 }  # fmt: skip
 _BASE_62 = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz"
-_EXAMPLE = """[observatory]
-mpcCode = "810"
-[submitter]
-name = "J. Doe"
-[observers]
-name = ["J. Doe"]
-[measurers]
-name = ["J. Doe"]
-[telescope]
-design = "Schmidt-Cassegrain"
-aperture = "0.36"
-detector = "CCD"
-[report]
-astCat = "Gaia3"
-"""
+#: Tables and keys that an observer's file must have, with examples.
+_REQUIRED = {
+    "observatory": {"mpcCode": "810"},
+    "submitter": {"name": "J. Doe"},
+    "telescope": {"design": "Schmidt-Cassegrain", "aperture": "0.36", "detector": "CCD"},
+    "report": {"astCat": "Gaia3"},
+}
 
 
 @dataclass(frozen=True)
@@ -86,21 +78,19 @@ class Observer:
         try:
             settings = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+            raise InputError(f"{path}: cannot be read ({error.strerror})", _to_write(_REQUIRED)) from None
         except (ValueError, RecursionError) as error:
-            raise InputError(f"{path}: is not TOML ({error}); write it like\n{_EXAMPLE}") from None
-        code = str(_needed(settings, path, "observatory", "mpcCode"))
+            raise InputError(f"{path}: is not TOML ({error})", _to_write(_REQUIRED)) from None
+        _refuse_incomplete(settings, path)
+        code = str(settings["observatory"]["mpcCode"])
         if not re.fullmatch(r"[0-9A-Z][0-9A-Za-z]{2,3}", code):
             raise InputError(f"{path}: mpcCode {code!r} is not a code of the Minor Planet Center, such as 810 or J95")
         tables = {name: settings.get(name, {}) for name in ("telescope", "report", "observers", "measurers", "comment")}
         for name, table in tables.items():
             if not isinstance(table, dict):
-                raise InputError(f"{path}: {name} is {table!r}, not a table; write it like\n{_EXAMPLE}")
-        telescope = tables["telescope"]
-        for key in ("design", "aperture", "detector"):
-            _needed(settings, path, "telescope", key)
-        report = tables["report"]
-        submitter = str(_needed(settings, path, "submitter", "name"))
+                raise InputError(f"{path}: {name} is {table!r}, not a table", f"write [{name}], and its keys below")
+        telescope, report = tables["telescope"], tables["report"]
+        submitter = str(settings["submitter"]["name"])
         for table, keys in _FORMS.items():
             for key, (pattern, what) in keys.items():
                 value = str(tables[table].get(key, ""))
@@ -113,7 +103,7 @@ class Observer:
             _names(tables["measurers"].get("name", submitter)),
             tuple((k, str(telescope[k])) for k in ("name", "design", "aperture", "detector", "fRatio", "pixelScale")
                   if k in telescope),
-            str(_needed(settings, path, "report", "astCat")),
+            str(report["astCat"]),
             str(report.get("mode", "CCD")),
             str(report.get("band", "")),
             _names(tables["comment"].get("line", ())),
@@ -144,13 +134,23 @@ _FORMS = {
 _LEAST_RMS, _HIGHEST_CORRELATION = 0.001, 0.999
 
 
-def _needed(settings: Any, path: str | Path, *keys: str) -> Any:
-    value = settings
-    for key in keys:
-        if not isinstance(value, dict) or key not in value:
-            raise InputError(f"{path}: says no {'.'.join(keys)}; write it like\n{_EXAMPLE}")
-        value = value[key]
-    return value
+def _refuse_incomplete(settings: Mapping[str, Any], path: str | Path) -> None:
+    """Raises InputError: keys that are required are missing; it names all of them."""
+    missing: dict[str, dict[str, str]] = {}
+    for table, keys in _REQUIRED.items():
+        given = settings.get(table)
+        missing[table] = {k: v for k, v in keys.items() if not isinstance(given, dict) or k not in given}
+    missing = {table: keys for table, keys in missing.items() if keys}
+    if missing:
+        names = ", ".join(f"{table}.{key}" for table, keys in missing.items() for key in keys)
+        raise InputError(f"{path}: says no {names}", _to_write(missing))
+
+
+def _to_write(missing: Mapping[str, Mapping[str, str]]) -> str:
+    """What to write into an observer's file."""
+    lines = {table: ", ".join(f'{key} = "{value}"' for key, value in keys.items()) for table, keys in missing.items()}
+    tables = (f"below [{table}] {line}" for table, line in lines.items())
+    return f"write, each key in a line: {'; '.join(tables)}"
 
 
 def _names(value: object) -> tuple[str, ...]:

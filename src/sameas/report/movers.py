@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import datetime, timedelta
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -167,9 +168,12 @@ def below_lines(below: BelowLimit) -> list[str]:
 def series_lines(series: Series) -> list[str]:
     """The series of frames: numbers of stars, stationary sources and candidates."""
     n = len(series.frame)
-    minutes = 1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc)
+    first, last = (series.exposures[k].mjd_utc for k in (0, -1))
     lines = [
-        f"Series: {counted(len(series.exposures), 'frame')} over {minutes:.1f} minutes, {count(n)} measurements",
+        f"Series: {counted(len(series.exposures), 'frame')} over {1440.0 * (last - first):.1f} minutes, "
+        f"{count(n)} measurements",
+        f"  middle of the first exposure {_date_of(first)} UTC, of the last {_date_of(last)}: a report needs UTC, "
+        "not local time",
         f"  in the star catalogue {count(int(series.star.sum()))}, stationary {count(int(series.stationary.sum()))},"
         f" fixed on the chip {count(int(series.fixed.sum()))}, on bad pixels {count(int(series.unreliable.sum()))}; "
         f"candidates {count(int(series.unexplained.sum()))}",
@@ -180,6 +184,11 @@ def series_lines(series: Series) -> list[str]:
             f"  {percent(series.trails.hidden)} of the pixels are unusable or close to stars: movers there are not seen"
         )
     return [*lines, *(f"{DOUBT}{note}" for note in series.notes)]
+
+
+def _date_of(mjd: float) -> str:
+    """A date and time to the second, in the scale of the MJD."""
+    return (datetime(1858, 11, 17) + timedelta(seconds=round(86400.0 * mjd))).isoformat(" ")
 
 
 def streak_lines(streaks: Table) -> list[str]:

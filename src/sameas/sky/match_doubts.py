@@ -65,7 +65,8 @@ def match_doubts(
         doubts += _search_doubts(search, match.warp)
     elif not disjoint and not offset_explained:
         doubts += _offset_doubts(result, estimate)
-    return doubts + _blend_doubts(result, estimate) + _duplicate_doubts(result, estimate)
+    # Of an object with several rows all but one have no partner, and look like neighbours that are not resolved.
+    return doubts + (_duplicate_doubts(result, estimate) or _blend_doubts(result, estimate))
 
 
 def density_doubts(coverage: Coverage, given_per_deg2: tuple[float, float] | None) -> tuple[str, ...]:
