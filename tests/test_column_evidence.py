@@ -290,6 +290,15 @@ def test_the_magnitude_of_one_catalogue_is_evidence_without_being_asked_for():
     assert counts(by_default.identification) == counts(asked.identification)
     assert by_default.expected_wrong < 0.8 * by_position.expected_wrong
     assert "MAG_I of" in by_default.report() and "MAG_I of" not in by_position.report()
+    assert "further magnitudes" not in by_default.report()
+
+
+def test_further_magnitudes_of_the_catalogue_are_named():
+    first, second = tables()
+    second["i_mag"], second["e_i_mag"] = second["MAG_I"] + 0.1, np.full(len(second), 0.1)
+    second["i_mag"].unit = second["e_i_mag"].unit = "mag"
+    assert "i_mag of" in (report := sameas.match(first, second).report()) and "further magnitudes may be" in report
+    assert "e_i_mag" not in report.split("iterations")[0].split("Estimated")[1]
 
 
 def test_large_numbers_of_a_column_are_no_placeholders():

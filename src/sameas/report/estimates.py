@@ -11,6 +11,7 @@ from sameas.evidence import Errors
 from sameas.evidence.detection import DetectionCurve
 from sameas.report.prose import entry, percent, times
 from sameas.representation import count, counted
+from sameas.sky.evidence_columns import magnitude_columns
 from sameas.sky.sky_match import ARCSEC2_PER_DEG2, SkyMatch
 
 #: Quoted errors are called right if the error scale is within this of 1, or within this many standard errors.
@@ -153,9 +154,15 @@ def _columns(match: SkyMatch) -> list[str]:
     if not lines:
         return entry("columns", "too few pairs to fit them; they are not used")
     given = any(column.log_odds is not None for side in columns.sides for column in side)
-    if not given and not any(finding.used for finding in columns.findings):
-        return lines
-    return [*lines, *entry("  they change", f"{count(match.estimate.changed_by_columns)} answers")]
+    if given or any(finding.used for finding in columns.findings):
+        lines += entry("  they change", f"{count(match.estimate.changed_by_columns)} answers")
+    for source, catalogue in ((1, match.first), (2, match.second)):
+        used = {finding.name for finding in columns.findings if finding.source == source}
+        others = [name for name in magnitude_columns(catalogue) if name not in used]
+        if others and catalogue.magnitude_name in used:
+            names = f"{', '.join(others[:4])}{' …' if others[4:] else ''} of {catalogue.name}"
+            lines += entry("  not used", f"{names}: given as columns, further magnitudes may be evidence too")
+    return lines
 
 
 def column_lines(columns: ColumnEvidence, names: tuple[str, str]) -> list[str]:
