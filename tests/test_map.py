@@ -393,6 +393,13 @@ def test_list_search_alarms_and_layers(shown: tuple[Browser, MapSheet]) -> None:
     browser.click(*centre_of(browser, "#rows tr[data-number='11']"))
     assert browser.js("mapPage.picked") == 11
     browser.js("(s => { s.value = ''; s.dispatchEvent(new Event('input')); })(document.getElementById('search'))")
+    browser.js("mapPage.pick(null)")
+    # The list is in another order when the button is released, as of a live page.
+    x, y = centre_of(browser, "#rows tr[data-number='5']")
+    browser.do("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", clickCount=1)
+    browser.js("document.querySelector('#columns th[data-key=speed] button').click()")
+    browser.do("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, button="left", clickCount=1)
+    assert browser.js("mapPage.picked") == 5
     browser.click(*centre_of(browser, "#alarm-button"))
     assert "shown twice" in words(browser, "alarms")
     assert words(browser, "tab-alarms") == "Alarms 1"
@@ -428,6 +435,39 @@ def test_wheel_and_drag_move_the_chart(shown: tuple[Browser, MapSheet]) -> None:
     assert browser.js("mapPage.picked") is None
     key(browser, "0")
     assert browser.js("mapPage.view.scale") == pytest.approx(scale)
+
+
+@in_a_browser
+def test_aircraft_have_flight_levels_and_arrows_of_climb_and_what_has_no_transponder_metres(tmp_path: Path) -> None:
+    sheet = charted(4, 4)
+    number, columns = sheet.objects["object"], dict(sheet.objects)
+    # An airliner that climbs, a rescue aircraft that sinks, a glider in level flight, a ship.
+    for name, values in (
+        ("height_m", (9144.0, 306.0, 800.0)), ("sigma_height_m", (12.0, 30.0, 10.0)),
+        ("climb_m_per_s", (10.2, -2.0, 0.4)), ("speed_m_per_s", (231.5, 60.0, 30.0)),
+    ):  # fmt: skip
+        known = np.ma.filled(columns[name].astype(np.float64), np.nan)
+        for n, value in enumerate(values, 1):
+            known[number == n] = value
+        columns[name] = np.ma.masked_invalid(known)
+    columns["icao"] = np.where(number == 1, "4CA1B2", columns["icao"])
+    write_map_page(replace(sheet, objects=columns), tmp_path / "map.html")
+    said = (
+        "(said => { const c = CanvasRenderingContext2D.prototype, f = c.fillText;"
+        " c.fillText = function (words, ...at) { said.push(words); return f.call(this, words, ...at); };"
+        " mapPage.paint(); c.fillText = f; return said.join('|'); })([])"
+    )
+    with Browser(tmp_path / "map.html", (1400, 900)) as browser:
+        browser.js("mapPage.show(3)")
+        for n, label, height in (
+            (1, r"\|450 kn \d{3}° FL300↑\|", "9 144 m ± 24 m (FL300↑), climbs 10.2 m/s"),
+            (2, r"\|117 kn \d{3}° 310 m↓\|", "306 m ± 60 m, sinks 2.0 m/s"),
+            (3, r"\|58\.3 kn \d{3}° 800 m\|", "800 m ± 20 m"),
+        ):
+            browser.js(f"mapPage.pick({n})")
+            assert re.search(label, browser.js(said))
+            facts = " ".join(browser.js("document.getElementById('object').innerText").split())
+            assert f"Height {height} " in facts
 
 
 @in_a_browser

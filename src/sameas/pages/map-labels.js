@@ -118,9 +118,8 @@ function* labels(c, w, drawn) {
     if (isMinor(d.r) && !textOf("o", "label", d.r)) continue;
     const name = nameOf(d.r).slice(0, 24);
     const full = Number.isFinite(objects.speed[d.r]) && (crowd.few || d.n === picked);
-    const high = Number.isFinite(objects.height[d.r]) ? ` ${flightLevel(objects.height[d.r])}` : "";
-    const towards = Number.isFinite(courseOf(d.r)) ? ` ${course(courseOf(d.r))}` : "";
-    const moving = knots(objects.speed[d.r]) + towards + high;
+    const towards = Number.isFinite(courseOf(d.r)) ? course(courseOf(d.r)) : "";
+    const moving = [knots(objects.speed[d.r]), towards, levelWords(d.r)].filter(Boolean).join(" ");
     // Labels of dots keep a distance, or they could not be assigned to their dots.
     if (!crowd.vectors && !isImportant(d.n) && !isApart(d) && !others.free([d.u - 92, d.v - 46, d.u + 92, d.v + 46])) continue;
     const box =

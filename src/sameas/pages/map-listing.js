@@ -2,7 +2,7 @@
 const COLUMNS = [
   { key: "number", words: "no.", number: true, of: r => numberOf(r), say: r => String(numberOf(r)) },
   { key: "label", words: "object", of: r => nameOf(r).toLowerCase(), say: r => nameOf(r) },
-  { key: "speed", words: "kn", number: true, of: r => objects.speed[r], say: r => fix(objects.speed[r] / KNOT, 1) },
+  { key: "speed", words: "kn", number: true, of: r => objects.speed[r], say: r => inKnots(objects.speed[r]) },
   { key: "course", words: "course", number: true, of: r => courseOf(r), say: r => course(courseOf(r)) },
   { key: "sources", words: "seen by", of: r => (isSeveral(r) ? -objects.sources[r] : objects.sources[r] ? -1 : 0), say: null },
   {
@@ -83,7 +83,10 @@ function line() {
       return td;
     }),
   );
-  tr.addEventListener("click", () => pick(+tr.dataset.number, true));
+  // A live list may be in another order when the button is released; a click of a program has pressed none.
+  let pressed = null;
+  tr.addEventListener("pointerdown", () => (pressed = tr.dataset.number));
+  tr.addEventListener("click", e => pick(+((e.detail && pressed) || tr.dataset.number), true));
   tr.addEventListener("keydown", e => {
     if (e.key === "Enter") pick(+tr.dataset.number, true);
     const step = { ArrowDown: "nextElementSibling", ArrowUp: "previousElementSibling" }[e.key];

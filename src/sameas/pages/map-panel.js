@@ -89,7 +89,7 @@ function heightWords(r) {
     climb = objects.climb[r];
   if (!Number.isFinite(height)) return "";
   const going = Number.isFinite(climb) && Math.abs(climb) >= 0.5 ? `, ${climb > 0 ? "climbs" : "sinks"} ${fix(Math.abs(climb), 1)} m/s` : "";
-  return `${grouped(Math.round(height))} m ± ${grouped(Math.round(2 * objects.sh[r]))} m  (${flightLevel(height)})${going}`;
+  return `${grouped(Math.round(height))} m ± ${grouped(Math.round(2 * objects.sh[r]))} m${hasLevel(r) ? `  (${levelWords(r)})` : ""}${going}`;
 }
 function state(r) {
   const speed = objects.speed[r],

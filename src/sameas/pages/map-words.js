@@ -23,11 +23,21 @@ const metres = m =>
         ? `${fix(m, 0)} m`
         : `${fix(m, 1)} m`;
 const distance = m => (nautical && m >= 0.1 * MILE ? `${fix(m / MILE, m < 10 * MILE ? 2 : 1)} nm` : metres(m));
-const knots = speed => (Number.isFinite(speed) ? `${fix(speed / KNOT, 1)} kn` : "–");
+// Tenths of a knot are a ship's.
+const inKnots = speed => fix(speed / KNOT, speed < 99.95 * KNOT ? 1 : 0);
+const knots = speed => (Number.isFinite(speed) ? `${inKnots(speed)} kn` : "–");
 // An object at rest has no meaningful course.
 const courseOf = r => (objects.speed[r] < 0.05 * KNOT ? NaN : objects.course[r]);
-// Flight levels are hundreds of feet.
-const flightLevel = m => `FL${String(Math.max(Math.round(m / 30.48), 0)).padStart(3, "0")}`;
+// Flight levels, hundreds of feet, are of what has a transponder; rescue aircraft (AIS), gliders and drones send metres.
+const hasLevel = r => !!(textOf("o", "icao", r) || textOf("o", "mode_a", r));
+const CLIMBS_M_PER_S = 1.5;
+function levelWords(r) {
+  const m = objects.height[r],
+    climb = objects.climb[r];
+  if (!Number.isFinite(m)) return "";
+  const level = hasLevel(r) ? `FL${String(Math.max(Math.round(m / 30.48), 0)).padStart(3, "0")}` : `${grouped(Math.round(m / 10) * 10)} m`;
+  return level + (climb >= CLIMBS_M_PER_S ? "↑" : climb <= -CLIMBS_M_PER_S ? "↓" : "");
+}
 const plural = (n, word) => `${grouped(n)} ${word}${n === 1 ? "" : "s"}`;
 const duration = s =>
   s < 60 ? `${+s.toFixed(1)} s` : s < 3600 ? `${+(s / 60).toFixed(1)} min` : `${+(s / 3600).toFixed(1)} h`;
