@@ -1,6 +1,7 @@
 """The log of alarms: they begin and end, are acknowledged, and a flood of them hides no other."""
 
 import math
+import os
 import sqlite3
 from types import SimpleNamespace
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import pytest
 from tests.live.conftest import START_S
 
-from sameas.cli.watch import News
+from sameas.cli.watch import EditedFile, News
 from sameas.live.alarms import AlarmLog
 from sameas.live.inputs import WireState
 from sameas.live.journal import Journal, Store
@@ -77,6 +78,29 @@ def test_a_short_break_of_a_connection_is_no_line():
     assert news() == ["  tcp://a:1: Connection refused"] and news() == []
     wire.state.connected = True
     assert news() == ["  tcp://a:1: connected"]
+
+
+def test_a_sensor_file_that_is_edited_meanwhile_is_said_once_with_its_errors(tmp_path):
+    path = tmp_path / "sensors.toml"
+
+    def written(text):
+        path.write_text(text)
+        os.utime(path, ns=(next(times), next(times)))
+
+    times = iter(range(10**18, 10**18 + 10**12, 10**10))
+    written('[sources.coast]\nkind = "ais"\ninput = "udp://127.0.0.1:60004"\n')
+    edited = EditedFile(path, "begin again to use it")
+    assert edited() == []
+    written('[sources.coast]\nkind = "ais"\ninput = "udp://127.0.0.1:60005"\n')
+    assert edited() == [f"  {path} has changed: begin again to use it"] and edited() == []
+    written('[sources.coast]\nkind = "ais"\ninput = "udp://127.0.0.1:60005"\n[sources.mast]\nkind = "rader"\n')
+    lines = edited()
+    assert "has changed: begin" in lines[0] and "mast" in lines[1] and "rader" in lines[1] and edited() == []
+    written("[sources.coast\n")
+    [line] = edited()
+    assert "has changed, but cannot be used" in line and edited() == []
+    path.unlink()
+    assert edited() == []
 
 
 def opened(folder):

@@ -156,7 +156,11 @@ def watch(
         # What is imported stays. Each collection of the rest stops the picture, so there are many short ones.
         gc.freeze()
         gc.set_threshold(100_000, 50, 100)
-        asyncio.run(_run(keeper, server, until_s, say))
+        kept = "" if output is None else "; objects keep their numbers"
+        edited = EditedFile(
+            None if playback or replay else sensors, f"end this watch and begin it again to use it{kept}"
+        )
+        asyncio.run(_run(keeper, server, until_s, say, edited))
         state = keeper.health()
         say([f"Watched: {counted(state['tick'], 'instant')}, {counted(state['objects'], 'object')} in the last"])
         if (waited_s := keeper.clock.waited_s) > 5.0:
@@ -387,6 +391,41 @@ class News:
 
 
 @dataclass
+class EditedFile:
+    """Lines on a sensor file that was changed since the watch or the last call has read it, with the errors it has now.
+
+    path : None: there is none. remedy : how the changes are used.
+    """
+
+    path: Path | None
+    remedy: str
+
+    def __post_init__(self) -> None:
+        self._read_ns = self._changed_ns()
+
+    def __call__(self) -> list[str]:
+        changed_ns, aside = self._changed_ns(), dict[str, InputError]()
+        if self.path is None or changed_ns in (0, self._read_ns):
+            return []
+        from sameas.live.settings import read_settings
+
+        self._read_ns = changed_ns
+        try:
+            read_settings(self.path, set_aside=aside)
+        except InputError as error:
+            return [f"{DOUBT}{self.path} has changed, but cannot be used: {in_options(error.words, sensor_option)}"]
+        lines = [f"  {self.path} has changed: {self.remedy}"]
+        return lines + [f"{DOUBT}{in_options(error.words, sensor_option)}" for error in aside.values()]
+
+    def _changed_ns(self) -> int:
+        """When it was last changed; 0 where there is none, as for a moment while editors write it."""
+        try:
+            return 0 if self.path is None else self.path.stat().st_mtime_ns
+        except OSError:
+            return 0
+
+
+@dataclass
 class _Crowd:
     """Alarms of one condition: how many were named since when, how many were not yet, and when these were counted."""
 
@@ -398,7 +437,11 @@ class _Crowd:
 
 
 async def _run(
-    keeper: Keeper, server: tuple[uvicorn.Server, socket] | None, until_s: float | None, say: Printer
+    keeper: Keeper,
+    server: tuple[uvicorn.Server, socket] | None,
+    until_s: float | None,
+    say: Printer,
+    edited: EditedFile,
 ) -> None:
     """Run the loop and the server until the time is up or a signal stops them."""
     over = asyncio.Event()
@@ -424,7 +467,7 @@ async def _run(
         while True:
             # In a thread, because a terminal that is stopped blocks.
             try:
-                await asyncio.to_thread(lambda: say(news()))
+                await asyncio.to_thread(lambda: say([*news(), *edited()]))
             except OSError:
                 LOG.exception("nothing more is printed")
                 return
