@@ -1,5 +1,6 @@
 """Object numbers are kept; objects appear, are confirmed, coast and end; noise does not switch records."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,7 @@ from sameas.picture.object_ids import NamedObjects
 from sameas.picture.tuning import Tuning
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import Feed, Scene
-from sameas.tracks.source import Description, SensorErrors, Site, Timing
+from sameas.tracks.source import Description, Motion, SensorErrors, Site, Timing
 
 ALONE = Watch(evidence=lambda now, memory: now.rule() + now.identity(), bound=1.0)
 
@@ -185,6 +186,61 @@ def test_a_ship_that_brakes_unusually_hard_keeps_its_number():
     scene = Scene.of([feed(rng, describe("ais", "ais", 10.0), times, x, v, 600.0, ["a"], {"mmsi": ["235000001"]})])
     o = Picture.of(scene, times).objects
     assert set(o["object"].tolist()) == {1} and set(o["stage"].tolist()) == {"confirmed"}
+
+
+AIRCRAFT = Motion(4.0, 150.0, manoeuvring_share=0.1)
+
+
+def airborne(sources, seed, x, v, times, names):
+    """A scene of air radars with numbered tracks of aircraft (n, k, 2)."""
+    rng = np.random.default_rng(seed)
+    described = [replace(describe(source, "air radar", 60.0, 5.0), motion=AIRCRAFT) for source in sources]
+    return Scene.of([feed(rng, one, times, x, v, 0.0, names) for one in described])
+
+
+@pytest.mark.parametrize("sources", [["one"], ["one", "two"]])
+def test_an_aircraft_that_turns_in_a_holding_keeps_its_number(sources):
+    """At standard rate it is 250 m from where it would be after ten seconds straight on. Others fly beside it."""
+    times = np.arange(0.0, 301.0, 5.0)
+    angle = times * 115.0 / 2800.0 + np.array([0.0, 2.1, 4.2])[:, None]
+    x = 2800.0 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    v = 115.0 * np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    scene = airborne(sources, 4, x, v, times, ["a", "b", "c"])
+    picture = Picture.of(scene, times[4::2])
+    r = picture.records
+    assert all(len(set(r["object"][r["track_id"] == name].tolist())) == 1 for name in "abc")
+    assert len(set(r["object"].tolist())) == 3
+
+
+def test_a_number_that_a_radar_uses_again_elsewhere_is_of_another_aircraft():
+    """After a minute, at 20 km; a manoeuvre does not reach there."""
+    times = np.arange(0.0, 301.0, 5.0)
+    x, v = (np.array(part) for part in straight([[0.0, 0.0]], [[150.0, 0.0]], times))
+    again = times >= 180.0
+    x[0, again] = [0.0, 20e3] + (times[again, None] - 180.0) * [0.0, 150.0]
+    v[0, again] = [0.0, 150.0]
+    seen = (times < 120.0) | again
+    scene = airborne(["one", "two"], 5, x[:, seen], v[:, seen], times[seen], ["a"])
+    r = Picture.of(scene, np.arange(20.0, 300.0, 10.0)).records
+    before, after = (set(r["object"][rows].tolist()) for rows in (r["time_s"] < 125.0, r["time_s"] > 195.0))
+    assert len(before) == 1 and len(after) == 1 and before.isdisjoint(after)
+
+
+def test_an_aircraft_that_no_source_shows_is_lost_within_three_minutes():
+    """It coasts at first. A ship on the open sea coasts for much longer."""
+    times = np.arange(0.0, 601.0, 5.0)
+    others = np.random.default_rng(6).uniform(-9e4, 9e4, (9, 2))
+    x, v = straight([[0.0, 0.0], *others], [[200.0, 0.0], *9 * [[150.0, 50.0]]], times)
+    scene = airborne(["one"], 6, x, v, times, list("abcdefghij"))
+    [radar] = scene.feeds
+    gone = (radar.raw_reports.track_id == "a") & (radar.raw_reports.time_s > 200.0)
+    scene = Scene.of([(radar.description, radar.raw_reports.where(~gone))])
+    o = Picture.of(scene, np.arange(50.0, 600.0, 10.0)).objects
+    number = int(o["object"][(o["time_s"] == 100.0) & (np.hypot(o["x_m"] - 20e3, o["y_m"]) < 1e3)][0])
+    of_a = o["object"] == number
+    coasts = o["time_s"][of_a & (o["stage"] == "coasting")]
+    assert 30.0 <= np.ptp(coasts) <= 180.0 and o["stage"][of_a][-1] == "ended"
+    assert o["stage"][o["object"] != number].tolist()[-1] == "confirmed"
 
 
 @pytest.mark.slow

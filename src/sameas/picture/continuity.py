@@ -3,7 +3,8 @@
 The evidence compares the position with the prediction, the velocities, and the tracks of both objects. If a track
 breaks and continues under another id, there is no common track; then velocities separate two objects that cross
 undetected. A unique id (MMSI, ICAO address) has a higher weight and counts at any distance: a ferry that brakes harder
-than its motion model allows is still that ferry. A radar's track numbers are reused, so they are not unique.
+than its motion model allows is still that ferry. A radar's track numbers are reused, so they are not unique, and count
+as far as a manoeuvre reaches: an aircraft in a holding turns by 20° from one instant to the next.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from sameas.gaussian import Gaussian, determinant, log_density, mahalanobis_sq
 from sameas.kernels.tracks import places_of
 from sameas.picture.tuning import GATE
 from sameas.records import Records
+from sameas.tracks.alignment import MANOEUVRE_NOISE
 
 ID_REASSIGNED = 1e-3  # probability that a report of a track is of another object, when objects are matched over time
 UNIQUE_ID_ODDS = 1e7  # factor on the odds of a match whose tracks share a unique id
 NEW_SHARE = 0.05  # share of the objects of an instant that may be new
+MANOEUVRING = 0.1  # share of the time in which an object manoeuvres, as near an airport
 
 
 @dataclass(frozen=True)
@@ -62,11 +65,25 @@ class CommonTracks:
 
 @dataclass(frozen=True)
 class Motions:
-    """States (n, 4) of objects, covariances (n, 4, 4), and (n,) the 1σ per axis of velocities of such objects."""
+    """States (n, 4) of objects, covariances (n, 4, 4), and (n,) the 1σ per axis of velocities of such objects.
+
+    manoeuvre_m2 : (n,) by which a manoeuvre since the previous instant adds to the variance of a position, per axis.
+    """
 
     state: FloatArray
     covariance: FloatArray
     speed_m_per_s: FloatArray
+    manoeuvre_m2: FloatArray
+
+    @classmethod
+    def predicted(
+        cls, state: FloatArray, covariance: FloatArray, speed_m_per_s: FloatArray, walk_m2_per_s3: FloatArray,
+        elapsed_s: float,
+    ) -> Motions:  # fmt: skip
+        """Of objects predicted over a time. walk_m2_per_s3 : (n,) motion noise, ``MANOEUVRE_NOISE`` times as large in a
+        manoeuvre."""
+        manoeuvre_m2 = (MANOEUVRE_NOISE - 1.0) * walk_m2_per_s3 * elapsed_s**3 / 3.0
+        return cls(state, covariance, speed_m_per_s, manoeuvre_m2)
 
 
 @dataclass(frozen=True)
@@ -103,6 +120,8 @@ class Continuity(Rule):
         elsewhere = NEW_SHARE * self.per_m2 + self.plots.clutter_per_m2
         place = Field(elsewhere)(pairs).log_ratio + self.plots(pairs)
         weight, unique = self.common.of_pairs(pairs)
+        related = np.flatnonzero(weight > 0.0)
+        place[related] += self._manoeuvre(pairs.first.rows[pairs.i[related]], pairs.second.rows[pairs.j[related]])
         place = np.where(unique > 0.0, np.maximum(place, math.log(ID_REASSIGNED)), place)
         velocity = np.zeros(len(pairs))
         unrelated = np.flatnonzero((weight == 0.0) & self.has_velocity[pairs.second.rows[pairs.j]])
@@ -110,6 +129,14 @@ class Continuity(Rule):
             pairs.first.rows[pairs.i[unrelated]], pairs.second.rows[pairs.j[unrelated]]
         )
         return Evidence({"place": place, "velocity": velocity, "tracks in common": weight})
+
+    def _manoeuvre(self, i: IntArray, j: IntArray) -> FloatArray:
+        """(m,) what the density of j's position as that of i gains if i may have manoeuvred."""
+        residual = taken(self.objects.state, i)[:, :2] - taken(self.detections.state, j)[:, :2]
+        total = taken(self.objects.covariance, i)[:, :2, :2] + taken(self.detections.covariance, j)[:, :2, :2]
+        wide = total + self.objects.manoeuvre_m2[i, None, None] * np.eye(2)
+        gain = log_density(residual, wide) - log_density(residual, total)
+        return np.logaddexp(math.log1p(-MANOEUVRING), math.log(MANOEUVRING) + gain)
 
     def _velocities(self, i: IntArray, j: IntArray) -> FloatArray:
         """(m,) ln of the density of j's velocity as that of i, given both positions, relative to that of any object."""
@@ -124,13 +151,16 @@ class Continuity(Rule):
 
 @dataclass(frozen=True)
 class NearOrSameId:
-    """A gate: near pairs, and pairs at any distance with a common unique id."""
+    """A gate: near pairs, pairs with a common track that are near after a manoeuvre, and pairs at any distance with a
+    common unique id. manoeuvre_m2 : of the objects, as of :class:`Motions`."""
 
     common: CommonTracks
+    manoeuvre_m2: FloatArray
 
     def __call__(self, first: Records, second: Records) -> Pairs:
         near = GATE(first, second)
         same_id = self.common.unique > 0.0
+        same_id |= self._within_manoeuvres(first, second)
         by_id = (self.common.object_place[same_id] << 32) | self.common.detection_place[same_id]
         key = distinct(np.concatenate([(near.i.astype(np.int64) << 32) | near.j, by_id]))
         if len(key) == len(near):
@@ -143,3 +173,11 @@ class NearOrSameId:
             first=first, second=second, place_1=i, place_2=j, i=i, j=j, residual=residual, mahalanobis_sq=chi_sq,
             determinant=determinant(total), gate=f"{near.gate}, or one name",
         )  # fmt: skip
+
+    def _within_manoeuvres(self, first: Records, second: Records) -> BoolArray:
+        """Of the pairs with a common track, those that are near if the object has manoeuvred."""
+        i, j = self.common.object_place, self.common.detection_place
+        residual = taken(first.features, i) - taken(second.features, j)
+        total = taken(first.full_covariance(), i) + taken(second.full_covariance(), j)
+        wide = total + self.manoeuvre_m2[i, None, None] * np.eye(2)
+        return np.asarray(mahalanobis_sq(residual, wide) <= GATE.limit(2))

@@ -35,10 +35,15 @@ from sameas.picture.tuning import Tuning
 from sameas.prior import EVIDENCE_ALONE
 from sameas.records import Records
 from sameas.tracks.alignment import aged
+from sameas.tracks.coordinates import MILE_M
 
 #: Least distance from 0 and 1 of the probability that a look shows an object. LEAST_WEIGHT : a plot goes to an object
 #: that is hardly real, if it exists, but rather to one that is certain: the most by which it counts less.
 MIN_SHOWN, LEAST_WEIGHT = 1e-6, 0.2
+
+#: An undetected aircraft is lost when its 1σ ellipse is larger than a circle of this radius in metres, 1 NM: the least
+#: separation by radar is 3 NM (ICAO Doc 4444, 8.7.3). Aircraft are objects with at least this motion noise.
+LOST_M, AIRCRAFT_WALK_M2_PER_S3 = MILE_M, 1.0
 
 #: An object that split off another is confirmed once its tracks were its own for this share of the time.
 OWN_SHARE = 0.8
@@ -186,7 +191,7 @@ class NamedObjects(PictureObjects):
         alive = self.take(self.stage != ENDED)
         elapsed_s = instant_s - self.instant_s if math.isfinite(self.instant_s) else 0.0
         alive = alive.predicted(elapsed_s, alive.walk_m2_per_s3)
-        match = alive._matches(detections)
+        match = alive._matches(detections, elapsed_s)
         # The detection of each object; the last place is that of detections without an object.
         detection = np.full(len(alive) + 1, ABSENT)
         detection[match] = np.arange(len(match))
@@ -208,14 +213,19 @@ class NamedObjects(PictureObjects):
         )  # fmt: skip
         return objects._with_history(self, detections, tuning)
 
-    def _matches(self, detections: UnnumberedObjects) -> IntArray:
+    def _matches(self, detections: UnnumberedObjects, elapsed_s: float) -> IntArray:
         """(n,) the row of each object of the instant among these, ABSENT for none."""
         out = np.full(len(detections), ABSENT)
         if not len(detections) or not len(self):
             return out
         common = self._common_tracks(detections)
-        before = Motions(self.state, self._of_hulls(detections.hulls), self.speed_m_per_s)
-        after = Motions(detections.states.state, detections.states.covariance, detections.speed_m_per_s)
+        before = Motions.predicted(
+            self.state, self._of_hulls(detections.hulls), self.speed_m_per_s, self.walk_m2_per_s3, elapsed_s
+        )
+        after = Motions.predicted(
+            detections.states.state, detections.states.covariance, detections.speed_m_per_s,
+            detections.walk_m2_per_s3, 0.0,
+        )  # fmt: skip
         first, second = (
             Records.of(one.state[:, :2], covariance=one.covariance[:, :2, :2], source=name)
             for one, name in ((before, "known"), (after, "seen"))
@@ -225,7 +235,9 @@ class NamedObjects(PictureObjects):
         log_shown = self._log_shown(detections.looks) if is_new.any() else np.zeros(len(self))
         of_plots = PlotContinuity(plots.clutter_per_m2, is_new, log_shown)
         # The stages of `identify` without its last: no probability of a match is used.
-        pairs = detections.fixes.observed_in(NearOrSameId(common)(first, second), before.state, before.covariance)
+        pairs = detections.fixes.observed_in(
+            NearOrSameId(common, before.manoeuvre_m2)(first, second), before.state, before.covariance
+        )
         refuse_crowds(pairs)
         has_velocity = ~detections.fixes.only
         evidence = Continuity(detections.looks.per_m2, common, before, after, has_velocity, of_plots)(pairs)
@@ -376,7 +388,8 @@ class NamedObjects(PictureObjects):
         """These objects at an instant at which no source detects them."""
         tentative = self.stage == TENTATIVE
         n_missing = self.n_missing + ((tentative | ~self.placed) & bool(detections.new_report.any()))
-        too_uncertain = aged(self.covariance, detections.looks.per_m2)
+        per_m2 = np.where(self.walk_m2_per_s3 >= AIRCRAFT_WALK_M2_PER_S3, 1.0 / (math.pi * LOST_M**2), 0.0)
+        too_uncertain = aged(self.covariance, np.maximum(per_m2, detections.looks.per_m2))
         # If all tracks of an object now belong to others, it was one of those objects.
         last = self.history.take(np.flatnonzero(self.history.last))
         in_scan = np.isin(last.track, detections.tracks)

@@ -21,16 +21,17 @@ def read_lines(sources: Iterable[tuple[str, Sequence[str]]]) -> Iterator[str]:
     """Every source by name, with what was read and what was guessed; two notes or more that an earlier one has as well
     are not repeated."""
     yield "Sources"
-    noted: dict[str, str] = {}
+    earlier: dict[str, list[str]] = {}
     for name, (first, *rest) in sources:
         lines = [line.removeprefix(f"{name}: ") for line in rest]
-        repeated = [line for line in lines if line in noted]
-        same = noted[repeated[0]] if len(repeated) > 1 and len({noted[line] for line in repeated}) == 1 else None
+        common = {other: {*lines}.intersection(noted) for other, noted in earlier.items()}
+        like = max(common, key=lambda other: len(common[other]), default="")
+        repeated = common[like] if like and len(common[like]) > 1 else set()
         yield f"  {first}"
-        yield from (f"    {line}" for line in lines if same is None or line not in noted)
-        if same is not None:
-            yield f"    otherwise as {same}"
-        noted = dict.fromkeys(lines, name) | noted
+        yield from (f"    {line}" for line in lines if line not in repeated)
+        if repeated:
+            yield f"    otherwise as {like}"
+        earlier[name] = lines
 
 
 def scene_lines(scene: Scene, watch: Watch | PlotPicture) -> Iterator[str]:

@@ -287,7 +287,7 @@ class Succession:
 SINGULAR = 1e-12
 
 
-def aged(covariance: FloatArray, density_per_m2: float) -> BoolArray:
+def aged(covariance: FloatArray, density_per_m2: float | FloatArray) -> BoolArray:
     """(n,) whether more than one other object is expected within a state's own 1σ ellipse: π √|P| ρ > 1.
 
     Such a record no longer distinguishes objects. Depending on its motion and the density of objects, that takes
