@@ -6,7 +6,8 @@ present, and if two objects exchange a record, each keeps the most probable numb
 
 An object is *tentative* when it appears, *confirmed* when it is certain (:class:`Stages`), *coasting* while no source
 detects it and its position is predicted, and *ended* when more than one other object is expected within its own 1σ
-ellipse, an aircraft when that is larger than 1 NM, or when all its tracks are of another object. An object that returns with a unique id gets its number again.
+ellipse, an aircraft when that is larger than 1 NM, or when all its tracks are of another object. An object that returns
+with a unique id gets its number again.
 """
 
 from __future__ import annotations
