@@ -233,14 +233,11 @@ def test_cursor_on_target_is_valid_xml_for_any_ship_name(situation):
 def test_aircraft_without_an_address_are_in_the_air_and_raise_no_approach(situation):
     """A glider with FLARM, a target of a tower's radar and a helicopter of search and rescue were sent as ships."""
     numbers = situation.objects["object"].tolist()
-    members = {
-        numbers[0]: (("flarm", "DD1234"),),
-        numbers[1]: (("tower", "7"),),
-        numbers[2]: (("tower", "8"), ("ais", "x")),
-    }
+    shown = [(numbers[0], "flarm"), (numbers[1], "tower"), (numbers[2], "tower"), (numbers[2], "ais")]
+    records = {"object": np.array([n for n, _ in shown]), "source": np.array([name for _, name in shown], object)}
     mmsi = np.array(["", "", "", "111211501", *situation.objects["mmsi"][4:]], object)
     made = replace(
-        situation, members=members, objects={**situation.objects, "mmsi": mmsi},
+        situation, records=records, objects={**situation.objects, "mmsi": mmsi},
         of_aircraft=frozenset({"flarm", "tower"}), own_ship=OwnShipState(0.0, 0.0),
     )  # fmt: skip
     kinds = [ET.fromstring(part).get("type") for part in cot(made)]

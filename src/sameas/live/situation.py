@@ -106,16 +106,18 @@ class Situation:
     def flying(self) -> frozenset[int]:
         """The numbers of the aircraft: objects with an ICAO address or the MMSI of an aircraft of search and rescue,
         higher than :data:`FLYING_M`, or shown only by sources of aircraft."""
-        objects, out = self.objects, set()
-        if not len(objects["object"]):
+        objects, shown, source = self.objects, self.records["object"], self.records["source"]
+        number = objects["object"]
+        if not len(number):
             return frozenset()
-        height = np.ma.filled(objects.get("height_m", np.full(len(objects["object"]), np.nan)), np.nan)
-        columns = (objects["object"], objects["icao"], objects["mmsi"], np.nan_to_num(height) > FLYING_M)
-        for number, icao, mmsi, high in zip(*(column.tolist() for column in columns), strict=True):
-            shown = self.members.get(number, ())
-            if icao or high or mmsi.startswith(RESCUE) or (shown and all(s in self.of_aircraft for s, _ in shown)):
-                out.add(number)
-        return frozenset(out)
+        others = np.ones(len(shown), bool)
+        for name in self.of_aircraft:
+            others &= source != name
+        height = np.ma.filled(objects.get("height_m", np.full(len(number), np.nan)), np.nan)
+        flies = (objects["icao"] != "") | np.char.startswith(objects["mmsi"].astype(str), RESCUE)
+        flies |= np.nan_to_num(height) > FLYING_M
+        flies |= np.isin(number, shown) & ~np.isin(number, shown[others])
+        return frozenset(number[flies].tolist())
 
     @cached_property
     def cpa(self) -> dict[int, tuple[float, float]]:
