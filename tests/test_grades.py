@@ -9,6 +9,7 @@ from sameas.estimate.grades import PSEUDO_COUNT, Grades, Scale
 from sameas.estimate.match import match
 from sameas.evidence import Errors, Magnitudes
 from sameas.score.pairs import is_true_pair, score_probabilities
+from sameas.simulate import counterparts
 
 FLAT = Sky(
     catalogue_sigma_arcsec=(0.15, 0.15), motion_sigma_mas_per_yr=(5.0, 5.0), unknown_motion=0.0,
@@ -255,3 +256,22 @@ def test_chance_pairs_of_rare_grades_do_not_support_each_other():
         p = pairs.p_match
         expected, variance = expected + float((1.0 - p).sum()), variance + float((p * (1.0 - p)).sum())
     assert mistaken - expected < 3.0 * np.sqrt(variance)
+
+
+@pytest.mark.slow
+def test_records_with_a_magnitude_are_not_counted_as_such_twice():
+    """Two thirds of the catalogue are too faint for a magnitude, and hardly any partner: the completeness by magnitude
+    knows that of the others, and the grades knew it once more."""
+    wrong, expected, variance = 0, 0.0, 0.0
+    for seed in range(2):
+        rng = np.random.default_rng([23, seed])
+        made = counterparts(rng, sources=1_000, records=30_000, chance=3.0)
+        true = made.scene.true_pairs()
+        one = rng.normal(21.5, 1.7, len(made.scene.first))
+        one[true[0]] = made.magnitude[true[1]] + rng.normal(0.0, 0.7, len(true[0]))
+        two = np.where(made.magnitude < 24.3, made.magnitude, np.nan)
+        answer, _ = match(made.scene.first, made.scene.second, brightness=(Magnitudes(one), Magnitudes(two)))
+        p = answer.matches.p_match
+        wrong += int((~is_true_pair((answer.matches.rows_1, answer.matches.rows_2), true)).sum())
+        expected, variance = expected + float((1.0 - p).sum()), variance + float((p * (1.0 - p)).sum())
+    assert abs(wrong - expected) < 2.0 * np.sqrt(variance)

@@ -404,7 +404,10 @@ class EMState:
             grades = Grades.of(self.setting, None if unrelated else self.photometry)
         if grades is not None:
             ratios = replace(estimates, grades=grades)._partner_ratios()
-            estimates = replace(estimates, grades=grades.fitted(pairs, p_counted, partner, estimates.covered, ratios))
+            one, two = (None, None) if self.photometry is None else self.photometry.curves
+            has_curve = one is not None, two is not None
+            fitted = grades.fitted(pairs, p_counted, partner, estimates.covered, ratios, has_curve)
+            estimates = replace(estimates, grades=fitted)
         if self.fits_errors:
             # An error component so wide that it is full of chance candidates cannot be distinguished from chance.
             square = self.errors.pairs(pairs).mahalanobis_sq

@@ -149,12 +149,14 @@ class Grades:
         partner: Both,
         covered: tuple[BoolArray, ...],
         likelihood_ratio: Both | None = None,
+        has_curve: tuple[bool, bool] = (False, False),
     ) -> Grades:
         """The M-step, from pairs with these probabilities (m,).
 
         partner : (n₁,), (n₂,) probability of having one. covered : (n₁,), (n₂,) whether a record is used.
         likelihood_ratio : (n₁,), (n₂,) of a record's other evidence with a partner over that without. Records without
-        a partner get it as weight, so that the grades add only information beyond that evidence.
+        a partner get it as weight, so that the grades add only information beyond that evidence. has_curve : of each
+        source, whether its records with a magnitude have a term of completeness.
         """
         from sameas.kernels.mixture import count_pairs
 
@@ -177,9 +179,23 @@ class Grades:
         # The logarithm of a cell's count is uncertain by 1/√information: fitted to its own pairs, it gains half a pair.
         fitted = np.minimum(0.5 / information, MAX_FITTED_GAIN)
         twice_gain = 2.0 * float(p_counted @ ((log_ratio - fitted).ravel()[at] - own))
+        one, two = (self._measured_terms(k, partner[k], covered[k]) if has_curve[k] else 0.0 for k in (0, 1))
+        log_ratio -= np.reshape(one, (-1, 1)) + two
         significant = twice_gain > MIN_GAIN * (k1 * k2 - 1)
         rule = Precision(self.grades, log_ratio, TrainingPairs(pairs, at, own)) if significant else None
         return replace(self, rule=rule)
+
+    def _measured_terms(self, source: int, partner: FloatArray, covered: BoolArray) -> FloatArray:
+        """(k,) what the completeness by magnitude adds on average to the log-odds of records of each grade: the share
+        of records with a magnitude is not that of all, which those without keep."""
+        scale = self.scales[source]
+        terms = np.zeros(scale.size)
+        measured = covered & (self.grades[source] < scale.number)
+        if scale.apart and measured.any():
+            share, of_all = (float(np.clip(partner[rows].mean(), 1e-9, 1.0 - 1e-9)) for rows in (measured, covered))
+            # As ShareCurve.terms.
+            terms[: scale.number] = 0.5 * math.log(share / of_all) - math.log((1.0 - share) / (1.0 - of_all))
+        return terms
 
     def _by_chance(self, partner: Both, covered: tuple[BoolArray, ...], likelihood_ratio: Both | None) -> FloatArray:
         """(k₁, k₂) probability of every two grades for two different objects, where common objects lie.
