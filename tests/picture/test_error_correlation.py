@@ -153,12 +153,15 @@ def test_only_evidence_that_was_weighed_by_too_low_a_share_is_outgrown():
     assert estimate.used[0] == pytest.approx(0.9)
 
 
-def test_pairs_lose_the_evidence_that_was_outgrown_and_only_that():
+@pytest.mark.parametrize(("sigma_m", "lost"), [(5.0, True), (1.0, False)])
+def test_pairs_lose_the_evidence_that_was_outgrown_and_only_that(sigma_m, lost):
+    """sigma_m : of the source whose share grew; that of the others is 5 m."""
     rng = np.random.default_rng(5)
     times = np.arange(4) * 10.0
     x, v = straight([[0.0, 0.0], [60.0, 0.0]], 4.0 * np.ones((2, 2)), times)
     names = ("one", "two", "three")
-    sources = [feed(rng, describe(name, "tracks"), times, x, v, 0.0, ["a", "b"]) for name in names]
+    errors = {"one": sigma_m, "two": 5.0, "three": 5.0}
+    sources = [feed(rng, describe(name, "tracks", errors[name]), times, x, v, 0.0, ["a", "b"]) for name in names]
     watch = Watch()
     for time_s in times:
         watch = watch.advance(Scene.of(sources).at(time_s)).watch
@@ -175,8 +178,7 @@ def test_pairs_lose_the_evidence_that_was_outgrown_and_only_that():
     outgrown = np.array([order.index("one") in (source_of[a], source_of[b]) for a, b in pairs])
     assert outgrown.any() and not outgrown.all() and (memory.track_pairs.log_ratio[outgrown] != 0.0).all()
     for column in ("log_ratio", "log_convoy", "by_model"):
-        assert not getattr(after.track_pairs, column)[outgrown].any()
-        np.testing.assert_array_equal(
-            getattr(after.track_pairs, column)[~outgrown], getattr(memory.track_pairs, column)[~outgrown]
-        )
+        new, old = getattr(after.track_pairs, column), getattr(memory.track_pairs, column)
+        np.testing.assert_array_equal(new[outgrown], 0.0 if lost else old[outgrown])
+        np.testing.assert_array_equal(new[~outgrown], old[~outgrown])
     assert after.tracks.error_correlation.used[order.index("one")] == pytest.approx(0.97)

@@ -49,6 +49,9 @@ from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.representation import in_short
 
 SURE_PAIR = 0.999  # a pair is sure at or above this probability
+#: Share of the variance of a pair's difference below which the evidence of its reports hardly depends on how the errors
+#: of one source are correlated (chosen).
+OUTGROWN_SHARE = 1.0 / 3.0
 
 
 @in_short
@@ -138,15 +141,21 @@ class TrackMemory:
 
     def _with_present_correlation(self, tuning: Tuning) -> TrackMemory:
         """The memory of the previous instant without evidence that the present correlation of errors refutes:
-        :meth:`sameas.picture.error_correlation.ErrorCorrelation.weighing`."""
+        :meth:`sameas.picture.error_correlation.ErrorCorrelation.weighing`. Pairs whose other errors are the larger ones
+        by far keep theirs."""
         if not self.tracks.error_correlation.names:
             return self
         correlation, outgrown = self.tracks.error_correlation.weighing(tuning)
         out, scan = replace(self, tracks=replace(self.tracks, error_correlation=correlation)), self.tracks.scan
         if not outgrown.any() or scan is None:
             return out
-        rows, a, b = out._pairs_with(outgrown[correlation.numbers(scan)[scan.source]])
-        delta, covariance = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
+        is_outgrown = outgrown[correlation.numbers(scan)[scan.source]]
+        rows, a, b = out._pairs_with(is_outgrown)
+        covariance, reported = scan.covariance[:, :2, :2], scan.reported_covariance[:, :2, :2]
+        whole, of_outgrown = _trace(covariance), np.where(is_outgrown, _trace(reported), 0.0)
+        counts = of_outgrown[a] + of_outgrown[b] > OUTGROWN_SHARE * (whole[a] + whole[b])
+        rows, a, b = rows[counts], a[counts], b[counts]
+        delta = scan.state[a, :2] - scan.state[b, :2]
         track_pairs = self.track_pairs.without_evidence(
             rows, delta, (covariance[a], covariance[b]), (self.tracks.lasting[a], self.tracks.lasting[b])
         )

@@ -59,12 +59,12 @@ MEMORY_STEPS = 60  # the memory of tracks takes in reports at this many instants
 
 
 def all_evidence(now: Instant, memory: TrackMemory, *, identity: bool = True, previous_scans: bool = True) -> SetRule:
-    """The rule of positions, misses and clutter as described, of heights and identities, and of the memory of tracks,
-    and of velocities for pairs that it does not know yet.
+    """The rule of positions, misses and clutter as described, of what sensors do not resolve, of heights and
+    identities, of the memory of tracks, and of velocities for pairs that it does not know yet.
 
     identity, previous_scans : False to exclude attributes of identity, and the memory.
     """
-    evidence: SetRule = now.rule()
+    evidence: SetRule = now.rule() + now.resolution()
     if any(heights is not None for heights in now.heights):
         evidence = evidence + now.height()
     if identity:

@@ -387,7 +387,7 @@ class Feed:
         one, other : (p, 2) positions with (p, 2, 2) covariances, m².
         """
         sensor, resolution = self.sensor_at(instant_s), self.description.resolution
-        if sensor is None or not self._merges:
+        if sensor is None or not self.merges:
             return np.zeros(len(one[0]))
         delta, arm = one[0] - other[0], 0.5 * (one[0] + other[0]) - sensor
         distance = np.maximum(np.hypot(*arm.T), MIN_RANGE_M)
@@ -407,7 +407,7 @@ class Feed:
         two ships that overlap. places : (n, 2) positions with (n, 2, 2) covariances, m².
         """
         sensor, resolution = self.sensor_at(instant_s), self.description.resolution
-        if sensor is None or not self._merges:
+        if sensor is None or not self.merges:
             return np.zeros(len(places[0]))
         variance = np.trace(places[1], axis1=1, axis2=2) + MIN_RANGE_M**2
         range_m = np.hypot(*(places[0] - sensor).T) + MIN_RANGE_M
@@ -415,7 +415,7 @@ class Feed:
         return np.asarray(0.5 * cell_m + beam * range_m + RESOLVED_SIGMAS * np.sqrt(2.0 * variance))
 
     @property
-    def _merges(self) -> bool:
+    def merges(self) -> bool:
         """Whether the sensor may show two objects as one record."""
         resolution = self.description.resolution
         return not isinstance(self.reports, Directions) and bool(resolution.range_m and resolution.bearing_deg)

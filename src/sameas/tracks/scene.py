@@ -28,10 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
-from sameas.arrays import FloatArray, IntArray, tall_product
+from sameas.arrays import AnyIntArray, FloatArray, IntArray, taken, tall_product
 from sameas.errors import InputError
 from sameas.evidence.heights import Heights
 from sameas.evidence.identity import Identity, IdentityConflict, alarms
+from sameas.evidence.rule import Evidence, Rule
+from sameas.gate import Pairs
 from sameas.many.observations import Region, Source, records_of
 from sameas.many.rules import PoissonObjects
 from sameas.records import Records
@@ -60,6 +62,9 @@ PAUSE_S = 1800.0
 #: A sensor aboard is placed anew at most so often, if its stamps are late by more than SURE standard errors, and the
 #: log evidence of the biases grows by EVIDENCE (chosen).
 PLACINGS, SURE, EVIDENCE = 3, 2.0, 3.0
+#: Probability that of two objects in one resolution cell the echo is of that which only the radar shows: ships with
+#: AIS are mostly the larger ones (chosen).
+HIDDEN = 0.2
 
 __all__ = ["POSITION", "POSITION_AND_VELOCITY", "Feed", "Instant", "Scene"]
 
@@ -348,11 +353,52 @@ class Instant:
         The miss probability of a source is the mean over the positions of all records, so it is high for a source that
         covers few of them.
         """
-        places = np.concatenate([np.empty((0, 2)), *(record_positions(source) for source in self.sources)])
-        q = tuple(feed.mean_q(places, self.instant_s) for feed in self.feeds)
         records = [records_of(source) for source in self.sources]
         clutter = [feed.clutter_at(np.asarray(one.ids), one.d) for feed, one in zip(self.feeds, records, strict=True)]
-        return PoissonObjects(self.density, q, clutter)
+        return PoissonObjects(self.density, self._q, clutter)
+
+    def resolution(self) -> MergedEchoes:
+        """The rule of sensors that show two near objects as one, to be added to a rule of positions."""
+        return MergedEchoes(self.feeds, self._q, self.instant_s)
+
+    @cached_property
+    def _q(self) -> tuple[float, ...]:
+        """Miss probability of each source, the mean over the positions of all records."""
+        places = np.concatenate([np.empty((0, 2)), *(record_positions(source) for source in self.sources)])
+        return tuple(feed.mean_q(places, self.instant_s) for feed in self.feeds)
+
+
+@dataclass(frozen=True)
+class MergedEchoes(Rule):
+    """The evidence against one object that a sensor may show another one in its place: of two in one resolution cell it
+    shows one, the stronger. A life raft whose echo hides the lifeboat beside it is not surely the lifeboat.
+
+    It counts for a record of a sensor that merges near objects and one of a source that does not. With q the
+    probability that the sensor misses an object, and s that both, if they are two, are in one resolution cell, it
+    misses that of the other record with probability q′ = q + (1 − q) s h, h = :data:`HIDDEN`, so ln r = ln q − ln q′.
+    Two sensors that merge objects both show the stronger one.
+
+    feeds : (S,) of the instant. q : (S,) of each. instant_s : the instant.
+    """
+
+    feeds: Sequence[Feed] = field(repr=False)
+    q: Sequence[float]
+    instant_s: float
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        sources, out = {pairs.first.source, pairs.second.source}, np.zeros(len(pairs))
+        known = zip(self.feeds, self.q, strict=True)
+        merging = [(feed, q) for feed, q in known if feed.description.name in sources and feed.merges]
+        if len(merging) == 1 and min(pairs.first.d, pairs.second.d) > 1:
+            [(feed, q)] = merging
+            one, other = _positions(pairs.first, pairs.i), _positions(pairs.second, pairs.j)
+            out -= np.log1p((1.0 / q - 1.0) * HIDDEN * feed.p_unresolved(self.instant_s, one, other))
+        return Evidence({"resolution": out})
+
+
+def _positions(side: Records, rows: AnyIntArray) -> tuple[FloatArray, FloatArray]:
+    """(m, 2) positions of records, (m, 2, 2) their covariances."""
+    return taken(side.features, rows)[:, :2], taken(side.full_covariance(), rows)[:, :2, :2]
 
 
 @dataclass(frozen=True)
