@@ -1,6 +1,7 @@
 """`match` estimates the number of common objects, the scale of the errors and the width of the gate."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from problems import calibration, counterparts_of_ellipses
 from sameas import InputError, Radius, Records
 from sameas.estimate.error_scales import fit_errors
+from sameas.estimate.gate_search import MatchTuning
 from sameas.estimate.match import match
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors
@@ -233,6 +235,17 @@ def test_a_tail_of_the_errors_beyond_the_initial_gate_is_found(extended):
     told_none = shown[0][answer.answers_1.p_none > 0.99]
     assert len(told_none) > 50
     assert np.isin(told_none, shown[1]).sum() <= 5
+
+
+def test_estimates_that_have_not_converged_are_said_with_what_still_moves():
+    scene = poisson_field(
+        np.random.default_rng(1), density=0.02, extent=(250.0, 250.0), q1=0.3, q2=0.3, sigma_1=3.0, sigma_2=1.0
+    )
+    _, estimate = match(scene.first, scene.second, tuning=MatchTuning(max_iterations=3))
+    (note,) = (note for note in estimate.notes if "converged" in note)
+    assert re.fullmatch(
+        r"the estimates had not converged after \d+ iterations: the last one moved [\d.]+ of \d+ common objects", note
+    )
 
 
 def test_a_tail_that_comes_and_goes_ends_the_iterations(monkeypatch):

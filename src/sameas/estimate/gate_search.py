@@ -353,7 +353,8 @@ def _notes(result: GateResult, answer: Identification) -> tuple[str, ...]:
     """Remarks for the user."""
     notes, estimates, common = [], result.estimates, float(answer.p_pair.sum())
     if not result.converged:
-        notes.append("the estimates had not converged at the last iteration")
+        moved = f"the last one moved {estimates.change:.2g} of {common:.0f} common objects"
+        notes.append(f"the estimates had not converged after {result.iterations} iterations: {moved}")
     if common < 0.5:
         notes.append("no common object is expected: the sources seem to have no object in common")
     if estimates.fits_errors and common < MIN_PAIRS_TO_LEARN:
