@@ -195,6 +195,17 @@ def test_a_page_that_was_opened_before_the_first_reports_shows_them_where_they_a
             sending.join()
 
 
+def test_a_ship_has_nautical_miles_and_vectors_of_six_minutes_however_near_all_else_is(tmp_path):
+    """A page that was opened with one ship beside own ship had kilometres, and vectors of five seconds."""
+    keeper = Keeper(settings(), tmp_path / "state", replay=replay(pace=1.0, ships=1, seed=16))
+    with served(keeper) as url, Browser(url) as page:
+        page.until("mapPage.live && document.querySelectorAll('#rows tr[data-number]').length === 1", 60.0)
+        page.js("mapPage.pick(+document.querySelector('#rows tr[data-number]').dataset.number)")
+        page.until("/From own ship.*nm/.test(document.querySelector('#object')?.textContent)")
+        assert page.js("document.getElementById('vector').value") == "360"
+    keeper.close()
+
+
 def test_own_ship_is_shown_with_her_speed_and_alarms_that_nobody_acknowledged_are_first(keeper):
     keeper.settings.watch.__dict__.update(cpa_m=1e5, tcpa_s=1e5)
     with served(keeper) as url, Browser(url) as page:

@@ -239,6 +239,8 @@ const approachOf = r => {
   const near = atPresent() ? present.cpa[numberOf(r)] : null;
   return near && near[1] <= MOST_TCPA_S ? near : null;
 };
+// The length of vectors as of a ship's radar.
+const OWN_VECTOR_S = 360;
 function beginOwnShip() {
   if (!present.own || centres.own) return;
   centres.own = { words: "own ship", place: () => (present.own && atPresent() ? [present.own.x, present.own.y] : null) };
@@ -246,6 +248,8 @@ function beginOwnShip() {
   option.value = "own";
   el("ring").prepend(option);
   if (el("ring").dataset.chosen !== "yes") el("ring").value = "own";
+  nautical = true;
+  if (el("vector").dataset.chosen !== "yes") el("vector").value = OWN_VECTOR_S;
   COLUMNS.splice(
     COLUMNS.findIndex(c => c.key === "course"),
     1,
@@ -301,7 +305,7 @@ function showOwnShip() {
     harbour = berthed ? `harbour: ${berthed} alongside without CPA alarm – ` : "";
   ownWords.textContent = `${harbour}own ship ${knots(speed)}${over}${own.heading === null ? "" : `, heading ${course(own.heading)}`}`;
 }
-el("ring").addEventListener("change", () => (el("ring").dataset.chosen = "yes"));
+for (const id of ["ring", "vector"]) el(id).addEventListener("change", () => (el(id).dataset.chosen = "yes"));
 overlays.push(c => {
   const own = present.own;
   if (!own || !watching) return;

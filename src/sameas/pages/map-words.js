@@ -13,7 +13,8 @@ const probability = p =>
       : p < 0.0001
         ? "< 0.0001"
         : p.toFixed(p > 0.995 || p < 0.005 ? 4 : 2);
-const nautical = data.extent[2] - data.extent[0] > 2 * MILE || data.extent[3] - data.extent[1] > 2 * MILE;
+// Near scenes are in metres, unless own ship is among them.
+let nautical = data.extent[2] - data.extent[0] > 2 * MILE || data.extent[3] - data.extent[1] > 2 * MILE;
 const metres = m =>
   m >= 10000
     ? `${fix(m / 1000, m < 99500 ? 1 : 0)} km`
