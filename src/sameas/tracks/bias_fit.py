@@ -163,8 +163,11 @@ class Pool:
         return [np.full(count, 0.5 * scan.most_pairs) for scan in self.scans]
 
 
-def fit_biases(scans: Sequence[CommonScan]) -> BiasFit:
-    """The biases of maximum posterior probability of the sources of these scans, at least one of which shows a bias."""
+def fit_biases(scans: Sequence[CommonScan], sweeps: Sequence[CommonScan] = ()) -> BiasFit:
+    """The biases of maximum posterior probability of the sources of these scans, at least one of which shows a bias.
+
+    sweeps : the scans in parts, each at its own time, for the final fit; none if it has all scans as they are.
+    """
     pool = Pool(tuple(scans))
     theta = _annealed(pool, _starting_points(pool))
     fits = [_converged(pool, candidate) for candidate in theta]
@@ -176,6 +179,9 @@ def fit_biases(scans: Sequence[CommonScan]) -> BiasFit:
         for fit in fits[1:]
         if displacement_sigmas(pool.scans[largest].weighing, best.theta[at], fit.theta[at]) > SAME_SIGMAS
     ]
+    if sweeps:
+        fine = _converged(Pool(tuple(sweeps)), best.theta)
+        best = replace(fine, instants=best.instants, log_evidence=best.log_evidence)
     return replace(best, rivals=tuple(rivals))
 
 

@@ -311,7 +311,7 @@ def _fit(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> BiasFit | None
     scans = _common_scans(feed, partners)
     if not observable(scans):
         return None
-    fit = fit_biases(scans)
+    fit = fit_biases(scans, _in_sweeps(feed, partners))
     if not fit.established or not named or not has_bearings(feed) or _is_plain(fit, scans):
         return fit
     azimuth_deg = float(fit.theta[fit.biases == AZIMUTH][0])
@@ -326,6 +326,18 @@ def _is_plain(fit: BiasFit, scans: Sequence[CommonScan]) -> bool:
 
 def _common_scans(feed: Feed, partners: Sequence[Feed]) -> list[CommonScan]:
     return [scan for other in partners for scan in common_scans(ComparedSource(other, None), ComparedSource(feed, 0))]
+
+
+def _in_sweeps(feed: Feed, partners: Sequence[Feed]) -> list[CommonScan]:
+    """The same with the plots of an antenna in parts of its rotation; none if no partner can be compared so."""
+    one = ComparedSource(feed, 0)
+    swept = [common_scans(ComparedSource(other, None), one, sweeps=True) for other in partners]
+    if not any(swept):
+        return []
+    parts = (
+        part or common_scans(ComparedSource(other, None), one) for other, part in zip(partners, swept, strict=True)
+    )
+    return [scan for part in parts for scan in part]
 
 
 def with_delay_prior(description: Description) -> Description:

@@ -40,6 +40,7 @@ POINTING_SIGMAS = 3.0  # a direction points at places within this many σ
 #: Maximum number of instants at which two sources are compared, and maximum number of records at all of them; more
 #: records reduce the instants, down to MIN_INSTANTS.
 COMMON_INSTANTS, COMMON_RECORDS, MIN_INSTANTS = 16, 4000, 4
+SWEEPS = 8  # parts of a rotation that are compared one by one
 SKIPPED_SHARE = 0.05  # share of the common time skipped at its start, when some objects have not reported yet
 
 
@@ -95,9 +96,13 @@ class Snapshot:
     aged: IntArray
 
     @classmethod
-    def of(cls, feed: Feed, instant_s: float) -> Snapshot:
+    def of(cls, feed: Feed, instant_s: float, sweep_s: float | None = None) -> Snapshot:
+        """The snapshot at an instant. sweep_s : of an antenna, only the plots within half of this time of the instant,
+        instead of those of the last rotation."""
         reports, description = feed.reports, feed.description
-        if reports.track is None and feed.rotation is not None:
+        if sweep_s is not None and is_swept(feed):
+            rows = np.flatnonzero(np.abs(reports.time_s - instant_s) <= 0.5 * sweep_s)
+        elif reports.track is None and feed.rotation is not None:
             rows = last_rotation(reports.time_s, feed.rotation, feed.scan_times_s, instant_s)
         elif reports.track is None:
             rows = last_exposure(feed.scan_s, feed.scan_times_s, instant_s)
@@ -218,6 +223,11 @@ class Snapshot:
         return float(last[0]), float(last[1])
 
 
+def is_swept(feed: Feed) -> bool:
+    """Whether a rotating antenna gives the reports: plots without ids and velocities, each at its own time."""
+    return isinstance(feed.reports, States) and feed.reports.track is None and feed.rotation is not None
+
+
 def _of_velocities(reports: States, rows: IntArray) -> FloatArray:
     """(n, 4, 4) covariances of reports whose positions are exact, to a millimetre."""
     out = np.zeros((len(rows), 4, 4))
@@ -284,10 +294,15 @@ def bias_widths(feed: Feed) -> FloatArray:
     return widths
 
 
-def common_scans(one: ComparedSource, other: ComparedSource, most: int | None = None) -> tuple[CommonScan, ...]:
+def common_scans(
+    one: ComparedSource, other: ComparedSource, most: int | None = None, *, sweeps: bool = False
+) -> tuple[CommonScan, ...]:
     """Two sources at instants spread over their common time; none if they have no time in common.
 
     most : maximum number of instants; ``COMMON_INSTANTS`` if None.
+    sweeps : whether plots of a rotation are compared with tracks in ``SWEEPS`` parts, each at its own time; none if it
+        is not such a comparison. Together, they are behind moving objects by half of a rotation on average, since the
+        velocity of a plot is unknown: the stamps seem late.
     """
     sides = [one, other]
     directions = [isinstance(side.feed.reports, Directions) for side in sides]
@@ -296,7 +311,14 @@ def common_scans(one: ComparedSource, other: ComparedSource, most: int | None = 
     # The second is the one that is moved: the directions, or else the source with velocities.
     if directions[0] or (one.feed.has_velocities and not directions[1]):
         sides = sides[::-1]
-    scans = [_common_scan(sides[0], sides[1], instant_s) for instant_s in common_instants(one.feed, other.feed, most)]
+    instants = common_instants(one.feed, other.feed, most)
+    sweep_s = None
+    if sweeps:
+        if directions[1] or not is_swept(sides[0].feed) or not sides[1].feed.has_velocities:
+            return ()
+        sweep_s = sides[0].feed.scan_period_s / SWEEPS
+        instants = (instants[:, None] - sweep_s * (np.arange(SWEEPS)[::-1] + 0.5)).ravel()
+    scans = [_common_scan(sides[0], sides[1], instant_s, sweep_s) for instant_s in instants]
     return tuple(scan for scan in scans if scan is not None)
 
 
@@ -337,8 +359,12 @@ def _typical_count(feed: Feed) -> float:
     return float(np.sum(last - first)) / span if span > 0.0 else float(len(first))
 
 
-def _common_scan(first: ComparedSource, second: ComparedSource, instant_s: float) -> CommonScan | None:
-    snapshots = [Snapshot.of(side.feed.as_measured, instant_s).between_reports(instant_s) for side in (first, second)]
+def _common_scan(
+    first: ComparedSource, second: ComparedSource, instant_s: float, sweep_s: float | None = None
+) -> CommonScan | None:
+    snapshots = [
+        Snapshot.of(side.feed.as_measured, instant_s, sweep_s).between_reports(instant_s) for side in (first, second)
+    ]
     density = _density(snapshots)
     snapshots = [each.without_aged(density) for each in snapshots]
     if not all(len(each.rows) for each in snapshots):
