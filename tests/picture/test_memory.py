@@ -334,6 +334,28 @@ def test_memory_of_separated_tracks_counts_when_they_meet_again():
     np.testing.assert_allclose(ours, theirs, atol=0.01)
 
 
+@pytest.mark.parametrize(("gap_s", "known"), [(40.0, True), (200.0, False)])
+def test_a_track_that_a_source_misses_for_a_while_keeps_its_history(gap_s, known):
+    """A boat that had moored at a turbine was the turbine after four scans in which the radar missed that."""
+    rng, times = np.random.default_rng(3), np.arange(0.0, 601.0, 2.0)
+    x, v = straight(10e3 * np.arange(20.0)[:, None] * [0.0, 1.0], np.full((20, 2), 4.0), times)
+    names = [str(k) for k in range(20)]
+    one, two = (feed(rng, describe(name, "tracks", period_s=2.0), times, x, v, 0.0, names) for name in "ab")
+    seen = (two[1].track_id != "0") | (two[1].time_s < 300.0) | (two[1].time_s >= 300.0 + gap_s)
+    two = two[0], two[1].where(np.flatnonzero(seen))
+    scene, watch = Scene.of([one, two]), Watch()
+    log_ratio = {}
+    for time_s in np.arange(0.0, 300.0 + gap_s + 1.0, 10.0):
+        watch = watch.advance(scene.at(time_s)).watch
+        number = [watch.memory.tracks.by_name[name]["0"] for name in "ab"]
+        pairs = watch.memory.track_pairs
+        [of_pair] = [pairs.log_ratio[(pairs.first == min(number)) & (pairs.second == max(number))]]
+        log_ratio[time_s] = of_pair.tolist()
+    # Errors are new in each report: each instant adds evidence.
+    assert log_ratio[290.0][0] > 2.0 and log_ratio[290.0 + gap_s] == []
+    assert log_ratio[300.0 + gap_s] == (pytest.approx(log_ratio[290.0], abs=2.0) if known else [0.0])
+
+
 def p_one(scene, every_s=30.0, watch=None):
     """(n,) the probability that "a0" and "r1" are one object at instants of the scene's second half."""
     out = []

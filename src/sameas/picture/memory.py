@@ -40,7 +40,7 @@ from sameas.picture.error_correlation import MANOEUVRE_CHI_SQ
 from sameas.picture.error_factors import MAX_PAIRS, evenly, information, pairs_within
 from sameas.picture.id_swaps import MIN_SWAP, SWAP_MODELS, SWAP_RANGES, Rivals, SwapRates, by_source_order
 from sameas.picture.manoeuvres import with_manoeuvres
-from sameas.picture.named_tracks import NamedTracks
+from sameas.picture.named_tracks import NamedTracks, Step
 from sameas.picture.previous_scans import FirstContact, PreviousScans
 from sameas.picture.tables import RANGE_BANDS, Scan, distances, objects_per_m2
 from sameas.picture.track_existence import PERIOD_S, TrackExistence
@@ -86,7 +86,8 @@ class TrackMemory:
         existence = self.existence.advance(tracks)
         # The new reports count from the next instant on.
         tracks = replace(tracks, error_factors=step.reports.factors_after(tracks.error_factors))
-        return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
+        after = replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
+        return after._with_returned(step)
 
     def looked_ahead(self, scan: Scan, track_of_record: IntArray | None = None) -> TrackMemory:
         """The memory at the scan of a later instant, for the rules of that instant alone: it cannot be advanced."""
@@ -97,7 +98,8 @@ class TrackMemory:
         # Offsets of fewer values than contribute would be thrown away.
         track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, tuning, least=MIN_OFFSETS)
         existence = self.existence.advance(tracks)
-        return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
+        after = replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
+        return after._with_returned(step)
 
     def _judged_anew(self, scan: Scan) -> TrackMemory:
         """The memory of the previous instant by the present estimates of errors; refused as by :meth:`advance`."""
@@ -283,13 +285,26 @@ class TrackMemory:
         named = (number[one] >= 0) & (number[two] >= 0) & scan.placed[one] & scan.placed[two]
         a, b = (np.where(number[one] < number[two], *both)[named] for both in ((one, two), (two, one)))
         new = ~self.track_pairs.has(number[a], number[b])
-        a, b = a[new], b[new]
-        if not len(a):
+        return self._with_paired(a[new], b[new])
+
+    def _with_returned(self, step: Step) -> TrackMemory:
+        """The memory after a step with the pairs of which a track is seen again: their history counts at once."""
+        distant, place = self.track_pairs.distant, self.tracks.place
+        a, b = (place[track] for track in distant.returned(self.tracks.number, step))
+        return self._with_paired(a, b)
+
+    def _with_paired(self, a: IntArray, b: IntArray) -> TrackMemory:
+        """The memory with new pairs of the tracks of records (k,), the number of the first track the lower one."""
+        tracks, scan = self.tracks, self.tracks.scan
+        if not len(a) or scan is None:
             return self
+        number = tracks.track_of_record
         delta = np.ascontiguousarray((taken(scan.state, a) - taken(scan.state, b))[:, :2])
         covariances = taken_plane(scan.covariance, a), taken_plane(scan.covariance, b)
-        lasting = taken(self.tracks.lasting, a), taken(self.tracks.lasting, b)
-        log_met = self.tracks.log_met(a, b, objects_per_m2(scan.now))
+        # Tracks that were looked ahead have no errors.
+        known = tracks.lasting if len(tracks.lasting) else np.zeros((len(scan), 2, 2))
+        lasting = taken(known, a), taken(known, b)
+        log_met = tracks.log_met(a, b, objects_per_m2(scan.now))
         new_pairs = TrackPairs.of(number[a], number[b], delta, covariances, lasting, scan.now.instant_s, log_met)
         return replace(self, track_pairs=self.track_pairs.with_(new_pairs))
 

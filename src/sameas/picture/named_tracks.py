@@ -69,10 +69,11 @@ class Step(ColumnTable):
         ρ = 1 and s = 0.
     log_own : ln p of the new report given the track's previous reports, 0 without one.
     error_mean, error_covariance : (m, 4), (m, 4, 4) of (e, z), given the track's own reports.
-    instant_s : the present instant. reports : its new reports, also of tracks that restart.
+    instant_s : the present instant. reports : its new reports, also of tracks that restart. restarted : (r,) numbers of
+    these.
     """
 
-    WHOLE = frozenset({"instant_s", "reports"})
+    WHOLE = frozenset({"instant_s", "reports", "restarted"})
     number: IntArray
     source: IntArray
     last: FloatArray
@@ -92,6 +93,7 @@ class Step(ColumnTable):
     error_covariance: FloatArray
     instant_s: float
     reports: NewReports
+    restarted: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
 
     def find(self, number: IntArray) -> IntArray:
         """(k,) row of each track in the step, ABSENT for tracks that are not in it."""
@@ -364,7 +366,9 @@ class NamedTracks:
             error_covariance=updated_covariance, instant_s=scan.now.instant_s, reports=reports,
         )  # fmt: skip
         consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - NEW_TRACK_PROBABILITY).limit(2))
-        return step if consistent.all() else step.take(np.flatnonzero(consistent)), correlation
+        if consistent.all():
+            return step, correlation
+        return replace(step.take(np.flatnonzero(consistent)), restarted=number[~consistent]), correlation
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,9 @@ OFFSET_RESTART = 0.1  # a mean offset restarts if the ids were swapped or reassi
 #: Two tracks are not compared while their χ² is above ``distant_chi_sq``, once their positions have not agreed for this
 #: time; their history is kept for when they are near again.
 DISTANT_S = 20.0
+#: The history of two tracks of which one has no report is kept for so long since they agreed (chosen): a radar that
+#: misses an object for some scans shows it again under its number, and gives the number to another one later.
+ABSENT_S = 60.0
 
 
 def keys(first: IntArray, second: IntArray) -> IntArray:
@@ -60,7 +63,7 @@ def keys(first: IntArray, second: IntArray) -> IntArray:
 
 @dataclass(frozen=True)
 class DistantPairs(ColumnTable):
-    """Pairs of tracks that are far apart, (k,) each, ordered by :func:`keys`.
+    """Pairs of tracks that are far apart, or of which one has no report, (k,) each, ordered by :func:`keys`.
 
     first, second : numbers of the tracks, first < second. log_ratio : ln r of their reports before they separated.
     agreed_s : last time at which their positions agreed.
@@ -80,8 +83,18 @@ class DistantPairs(ColumnTable):
         if not len(pairs):
             return self
         continues = (step.find(pairs.first) >= 0) & (step.find(pairs.second) >= 0)
-        pairs = pairs.take(np.flatnonzero(continues & (step.instant_s - pairs.agreed_s <= tuning.pair_timeout_s)))
+        restarted = np.isin(pairs.first, step.restarted) | np.isin(pairs.second, step.restarted)
+        kept_s = np.where(continues, tuning.pair_timeout_s, ABSENT_S)
+        pairs = pairs.take(np.flatnonzero(~restarted & (step.instant_s - pairs.agreed_s <= kept_s)))
         return pairs.take(np.argsort(keys(pairs.first, pairs.second))) if len(new) else pairs
+
+    def returned(self, number: IntArray, step: Step) -> tuple[IntArray, IntArray]:
+        """(k,), (k,) both tracks of the pairs that are all among the tracks ``number`` of an instant, ascending, and
+        not all in the step to it: one is seen again."""
+        at = [places_of(number, track) for track in (self.first, self.second)]
+        continues = (step.find(self.first) >= 0) & (step.find(self.second) >= 0)
+        back = np.flatnonzero((at[0] >= 0) & (at[1] >= 0) & ~continues)
+        return at[0][back], at[1][back]
 
     def without(self, first: IntArray, second: IntArray) -> tuple[FloatArray, DistantPairs]:
         """(k,) the ln r of the given pairs, 0 for pairs that are not in the table; and the table without them."""
@@ -270,12 +283,13 @@ class TrackPairs(ColumnTable):
         return self._stepped(step, self._compared(step, tuning), np.empty((0, WIDTH)), swaps, per_m2, tuning)
 
     def _compared(self, step: Step, tuning: Tuning) -> tuple[IntArray, IntArray, IntArray, BoolArray]:
-        """The rows of the pairs that are compared at a step, those of their tracks, and (n,) which are too distant."""
+        """The rows of the pairs that are compared at a step, those of their tracks, and (n,) which are too distant, or
+        have a track without a report."""
         a, b = step.find(self.first), step.find(self.second)
-        disagree_s = step.instant_s - self.agreed_s
+        disagree_s, present = step.instant_s - self.agreed_s, (a >= 0) & (b >= 0)
         recent, distant = disagree_s <= tuning.pair_timeout_s, self.chi_sq > tuning.distant_chi_sq
-        distant &= disagree_s > DISTANT_S
-        rows = np.flatnonzero((a >= 0) & (b >= 0) & recent & ~distant)
+        distant = ~present | distant & (disagree_s > DISTANT_S)
+        rows = np.flatnonzero(recent & ~distant)
         return rows, a[rows], b[rows], distant
 
     def _stepped(
