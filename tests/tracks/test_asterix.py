@@ -174,7 +174,7 @@ def test_simulated_and_empty_records_are_ignored():
     assert made.passed_over == {"048 of a simulated target or a field monitor": 1, "048 without a measured position": 1}
     assert made.damaged.sentences() == ["1 record damaged: a plot without a time (record 3)"]
     with pytest.raises(
-        InputError, match="site: no target of category 010, 020, 021, 048 or 062; 1 skipped: block of category 034"
+        InputError, match="site: no target of category 001, 010, 020, 021, 048 or 062; 1 skipped: block of category 034"
     ):
         read(block(34, b"\x80\x01\x02"), "site", DATE)
 
@@ -300,6 +300,43 @@ def test_the_place_of_a_radar_is_in_its_service_messages(service):
 def test_a_radar_at_the_origin_states_no_place():
     [made] = read(block(48, plot(1.0)) + block(34, bytes([0x81, 0x10, 1, 2, 0, 100]) + bytes(6)), "site", DATE)
     assert made.site is None and made.passed_over == {"block of category 034": 1}
+
+
+# Made with libasterix: category 001, edition 1.4, a plot, a track and a plot without item 010; 002, edition 1.2.
+OLDER = bytes.fromhex(
+    "010033fa500c2014405800095105283240ffc4500cb0004d0a2040000510ffa0080020000200057932a00062100500c0003300"
+)
+CLOCK = bytes.fromhex("02000cd8500c014732000200")
+
+
+def test_plots_and_tracks_of_older_radars_agree_with_libasterix():
+    [made] = read(CLOCK + OLDER, "radar", DATE)
+    assert (made.kind, made.sac_sic, made.position) == ("asterix 001", "80/12", "polar")
+    # 10:07:32 and 0.5 s after it, modulo 512 s.
+    assert (made.time_s - DATE).tolist() == [36452.5, 36453.25, 36454.0]
+    np.testing.assert_allclose(made.range_m, np.array([40.5, 20.25, 10.0]) * NM)
+    assert made.bearing_deg.tolist() == [123.75, 90.0, 270.0]
+    assert made.mode_a.tolist() == ["4521", "1000", None] and made.track_id.tolist() == [None, "77", None]
+    np.testing.assert_allclose(made.pressure_alt_m, np.array([330.0, 350.25, np.nan]) * FL)
+    assert (made.speed_m_per_s[1], made.course_deg[1]) == (0.125 * NM, 45.0)
+    assert made.extra["detection"].tolist() == ["secondary", "primary and secondary", "primary"]
+    assert not len(made.damaged.lines) and not made.passed_over
+
+
+def test_the_clock_of_older_radars_is_that_of_their_messages_or_of_receipt():
+    with pytest.raises(InputError, match="no message of category 002 before it that gives the time of day"):
+        read(OLDER, "radar", DATE)
+    # The time of receipt in a capture, 1 s after the first plot and before midnight.
+    [made] = read(capture([(DATE + 512.0 * 60 + 101.5, OLDER)]), "radar")
+    assert (made.time_s - DATE).tolist() == [512.0 * 60 + late for late in (100.5, 101.25, 102.0)]
+    # The message comes some seconds after the truncated time began anew.
+    later = bytearray(CLOCK)
+    later[7:10] = int((512.0 * 70 + 3.0) * 128).to_bytes(3, "big")
+    before = bytearray(OLDER)
+    at = OLDER.index(int(100.5 * 128).to_bytes(2, "big"))
+    before[at : at + 2] = int(511.0 * 128).to_bytes(2, "big")
+    [made] = read(bytes(later) + bytes(before), "radar", DATE)
+    assert made.time_s[0] - DATE == 512.0 * 69 + 511.0
 
 
 def test_letters_and_codes_follow_the_standard():

@@ -53,7 +53,7 @@ def test_an_impossible_date_is_no_clock(tmp_path):
 def test_a_packet_shorter_than_its_header_says_is_ignored(tmp_path):
     head = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
     for content in (head[:22], head + bytes(15), head + struct.pack("<IIII", 0, 0, 2000, 2000) + b"\x45" * 40):
-        with pytest.raises(InputError, match=r"a\.pcap: no target of category 010, 020, 021, 048 or 062"):
+        with pytest.raises(InputError, match=r"a\.pcap: no target of category 001, 010, 020, 021, 048 or 062"):
             read(tmp_path, "a.pcap", content)
 
 

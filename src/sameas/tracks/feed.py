@@ -26,7 +26,7 @@ from sameas.tracks.duplicate_ids import MAX_SPEED_SIGMAS, split_duplicate_ids
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.random_errors import AS_STATED, RandomErrors, random_errors
-from sameas.tracks.reports import Reports
+from sameas.tracks.reports import PLOTS_OF_RADARS, Reports
 from sameas.tracks.scans import AntennaRotation, scans_of, seen_from, usual_period_s
 from sameas.tracks.source import Description
 from sameas.tracks.stationary import (
@@ -504,7 +504,7 @@ def identity_attributes(reports: Reports) -> dict[str, NDArray[Any]]:
 def need_filtering(placed: PlacedReports) -> bool:
     """Whether the reports have object ids but are unfiltered measurements, to be filtered to tracks.
 
-    True for reports without velocities, for the plots of ASTERIX 048, and for other reports with velocities if they
+    True for reports without velocities, for plots of ASTERIX 001 and 048, and for other reports with velocities if they
     scatter like single measurements (:func:`sameas.tracks.alignment.are_unfiltered`). ARPA targets and tracks of
     another system are already smoothed; satellite positions with velocities need no filter.
     """
@@ -513,7 +513,7 @@ def need_filtering(placed: PlacedReports) -> bool:
     if smoothed or reports.position == "bearing" or reports.object_ids is None:
         return False
     velocity = reports.velocity_m_per_s()
-    if velocity is None or not np.isfinite(velocity).any() or reports.kind == "asterix 048":
+    if velocity is None or not np.isfinite(velocity).any() or reports.kind in PLOTS_OF_RADARS:
         return True
     if description.kind in CORRELATED_KINDS:
         return False

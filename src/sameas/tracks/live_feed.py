@@ -55,7 +55,7 @@ from sameas.tracks.placement import UNNAMED, Directions, PlacedReports, unnamed
 from sameas.tracks.random_errors import AS_STATED, RandomErrors
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.report_table import FILTER, HEIGHTS, MODES, ReportTable
-from sameas.tracks.reports import Reports
+from sameas.tracks.reports import PLOTS_OF_RADARS, Reports
 from sameas.tracks.scans import scans_of
 from sameas.tracks.source import Assumption, Description, Site
 from sameas.tracks.stationary import Modes, stationary
@@ -342,7 +342,7 @@ class LiveFeed:
             velocity is None
             or not np.isfinite(velocity).any()
             or placed.description.kind in (*CORRELATED_KINDS, "tracks")
-            or placed.reports.kind in ("arpa", "asterix 048")
+            or placed.reports.kind in ("arpa", *PLOTS_OF_RADARS)
         ):
             self.to_tracks = need_filtering(placed)
             return

@@ -25,6 +25,8 @@ TextArray = NDArray[np.object_]
 LAST_S = 253402300800.0
 #: The kind of reports of the heading of a ship by her own compass, which have no positions.
 OWN_HEADING = "own heading"
+#: The kinds of reports of a radar's plots, which may have a velocity and are not filtered for all that.
+PLOTS_OF_RADARS = ("asterix 001", "asterix 048")
 #: The 1σ error of a speed of AIS (``errors.speed_m_per_s`` of its kind): up to this a speed does not differ from 0.
 AT_REST_M_PER_S = 0.3
 

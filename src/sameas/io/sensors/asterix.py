@@ -27,6 +27,7 @@ from sameas.io.sensors.asterix_records import (
     signed,
     unsigned,
 )
+from sameas.io.sensors.asterix_services import Place, Services
 from sameas.io.sensors.captures import PCAPNG
 from sameas.io.sensors.format import (
     DAY_S,
@@ -201,27 +202,30 @@ def _quality_048(item: bytes | None) -> dict[str, float]:
     return {"sigma_x_m": item[0] * MILE_M / 128.0, "sigma_y_m": item[1] * MILE_M / 128.0}
 
 
-# Category 034: service messages of a radar, editions 1.27 to 1.29. Some radars state their place in them.
-
-SERVICE = 34
-#: Latitude and longitude in degrees, height above the ellipsoid in metres.
-Place = tuple[float, float, float]
+# Category 001: plots and tracks of older radars, editions 1.1 to 1.4.
+#
+# The time of day is truncated to 512 s: the service messages (002) or the time of receipt say which.
 
 
-def places_034(data: bytes) -> dict[tuple[int, int], Place]:
-    """Latitude and longitude (degrees) and height above the ellipsoid (m) of the radars in a block, by SAC and SIC; of
-    those that state it (item 120), and not the origin."""
-    places = {}
-    try:
-        for items in records_of(CATEGORIES[SERVICE], data):
-            place, identity = items.get("120"), items.get("010")
-            if isinstance(place, bytes) and isinstance(identity, bytes) and any(place[2:]):
-                lat, lon = (signed(place[k : k + 3]) * 180.0 / 2.0**23 for k in (2, 5))
-                if abs(lat) <= 90.0:
-                    places[identity[0], identity[1]] = lat, lon, float(signed(place[:2]))
-    except DamagedRecord:
-        pass
-    return places
+def row_001(items: Mapping[str, Any]) -> dict[str, Any] | str:
+    """The row of a report, without its time, or the reason why the record has none."""
+    descriptor = items.get("020", b"\0")
+    if descriptor[0] & 0x40 or (len(descriptor) > 1 and descriptor[1] & 0x80):
+        return "001 of a simulated or test target"
+    if items.keys().isdisjoint(("040", "042")):
+        return "001 without a position"
+    values: dict[str, Any] = {
+        "mode_a": _mode_a(items.get("070")),
+        "pressure_alt_m": _pressure_altitude_048(items.get("090")),
+        "track_id": str(unsigned(items["161"])) if "161" in items else None,
+        "detection": _DETECTIONS[descriptor[0] >> 4 & 3],
+        **_velocity_048(items),
+    }
+    if "040" in items:
+        range_m = unsigned(items["040"][:2]) * MILE_M / 128.0
+        return values | {"range_m": range_m, "bearing_deg": unsigned(items["040"][2:]) * 360.0 / 2.0**16}
+    x, y = (signed(items["042"][k : k + 2]) * MILE_M / 64.0 for k in (0, 2))
+    return values | {"x_m": x, "y_m": y}
 
 
 # Category 062: tracks of a surveillance data processing system, editions 1.16 to 1.21, with their accuracies.
@@ -441,6 +445,9 @@ class _Decoder(NamedTuple):
 
 _PLACES = "positions are those in WGS84, else x and y of a plane of the system; accuracies are those of item 500"
 _DECODERS = {
+    1: _Decoder(row_001, lambda columns: {}, (
+        "ranges are slant ranges", "bearings are taken from true north; errors are those of the radar's description",
+    )),
     10: _Decoder(row_010, errors_010, (_PLACES, f"errors are {_SURFACE_M:g} m where item 500 states none")),
     20: _Decoder(row_020, errors_062, (_PLACES,)),
     21: _Decoder(row_021, errors_021, (
@@ -463,7 +470,10 @@ Sensor = tuple[int, int, int]
 #: Kinds of damage that the refusal of a file lists.
 _LISTED = 3
 #: The editions of the specifications that are read; older ones have other items.
-_EDITIONS = "1.1 of category 010, 1.5 to 1.11 of 020, 2.1 to 2.7 of 021, 1.27 to 1.32 of 048 and 1.16 to 1.21 of 062"
+_EDITIONS = (
+    "1.1 to 1.4 of category 001, 1.1 of 010, 1.5 to 1.11 of 020, 2.1 to 2.7 of 021, 1.27 to 1.32 of 048 and 1.16 to "
+    "1.21 of 062"
+)
 
 
 def read(
@@ -473,7 +483,7 @@ def read(
     *,
     received_s: float = float("nan"),
     blocks_read: set[tuple[int, bytes]] | None = None,
-    places: dict[tuple[int, int], Place] | None = None,
+    services: Services | None = None,
 ) -> list[Reports]:
     """The reports in ASTERIX bytes, one :class:`Reports` for each category and sensor (SAC, SIC).
 
@@ -481,13 +491,13 @@ def read(
         those of the records in the file.
     source : its name in messages; several sensors are named ``source:048 SAC/SIC``.
     start_s : UTC date of the first record, for files that are no capture: records have the time of day only.
-    received_s, blocks_read, places : for a stream, the receive time, the earlier blocks and the places that sensors
-        have stated (both updated); every sensor is then named as one of several.
+    received_s, blocks_read, services : for a stream, the receive time, the earlier blocks and what service messages
+        have said (both updated); every sensor is then named as one of several.
 
-    Raises InputError: nothing of categories 010, 020, 021, 048 or 062; no date.
+    Raises InputError: nothing of these categories; no date.
     """
     rows: dict[Sensor, list[dict[str, Any]]] = {}
-    places = {} if places is None else places
+    services = Services() if services is None else services
     unused, number, read = Unused(unit="record"), 0, False
     live = blocks_read is not None
     blocks_read = set() if blocks_read is None else blocks_read
@@ -499,40 +509,44 @@ def read(
             unused.passed_over["block that came before, from a second network"] += 1
         elif block.problem:
             unused.damaged.append((number + 1, block.problem))
-        elif block.category == SERVICE and (stated := places_034(block.data)):
-            places |= stated
+        elif services.take(block):
+            continue
         elif block.category not in _DECODERS:
             unused.passed_over[f"block of category {block.category:03d}"] += 1
         else:
             read = True
-            number = _add_block(block, number, rows, unused)
+            number = _add_block(block, number, rows, unused, services)
     if not rows:
         problems = Damaged.of(unused.damaged, "record").sentences()
         more = len(problems) - _LISTED
         problems = [*problems[:_LISTED], *([f"{more} more kinds of damage"] if more > 0 else [])]
         problems += [f"{n} skipped: {what}" for what, n in unused.passed_over.items()]
         remedy = f"are its records of another edition? Read are {_EDITIONS}" if read and unused.damaged else ""
-        raise unused.refusal(
-            f"{source}: no target of category 010, 020, 021, 048 or 062; {'; '.join(problems) or 'is it ASTERIX?'}",
-            remedy,
-        )
+        why = "; ".join(problems) or "is it ASTERIX?"
+        raise unused.refusal(f"{source}: no target of category 001, 010, 020, 021, 048 or 062; {why}", remedy)
     # Damaged and skipped records are counted for the whole file, with its first sensor.
     return [
         _reports(
             sensor, of_rows(rows[sensor]), _name(source, sensor, 2 if live else len(rows)), start_s,
-            Unused(unit="record") if k else unused, places.get(sensor[1:]),
+            Unused(unit="record") if k else unused, services.places.get(sensor[1:]),
         )
         for k, sensor in enumerate(sorted(rows))
     ]  # fmt: skip
 
 
-def _add_block(block: Block, number: int, rows: dict[Sensor, list[dict[str, Any]]], unused: Unused) -> int:
+def _add_block(
+    block: Block, number: int, rows: dict[Sensor, list[dict[str, Any]]], unused: Unused, services: Services
+) -> int:
     """Adds the reports of a block to ``rows``; returns the number of its last record in the file."""
-    decoder = _DECODERS[block.category]
+    decoder, identity = _DECODERS[block.category], b"\0\0"
     try:
         for items in records_of(CATEGORIES[block.category], block.data):
             number += 1
+            # In category 001 only the first record need have it.
+            identity = items.get("010", identity)  # type: ignore[assignment]
             row = decoder.row(items)
+            if block.category == 1 and isinstance(row, dict):
+                row = services.with_time(row, items, identity, block.received_s)
             if isinstance(row, str):
                 # A reason that begins with the category is that of an intact record without a target.
                 if row.startswith("0"):
@@ -543,8 +557,7 @@ def _add_block(block: Block, number: int, rows: dict[Sensor, list[dict[str, Any]
             if abs(row.get("lat_deg", 0.0)) > 90.0:
                 unused.damaged.append((number, "latitude beyond ±90°"))
                 continue
-            identity = items.get("010", b"\0\0")
-            sensor = (block.category, unsigned(identity[:1]), unsigned(identity[1:]))  # type: ignore[index]
+            sensor = (block.category, identity[0], identity[1])
             rows.setdefault(sensor, []).append({"line": number, "received_s": block.received_s, **row})
     except DamagedRecord as error:
         number += 1
@@ -584,7 +597,7 @@ def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float 
 
 FORMAT = SensorFormat(
     "asterix",
-    "ASTERIX categories 010, 020, 021, 048 and 062, bare or in a pcap, pcapng, IOSS or RFF recording",
+    "ASTERIX categories 001, 010, 020, 021, 048 and 062, bare or in a pcap, pcapng, IOSS or RFF recording",
     lambda file: read(file.content, file.source, file.start_s),
     lambda file: looks_like(file.content),
     magic=(PCAPNG,),

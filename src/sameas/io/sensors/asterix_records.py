@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sameas.io.sensors.captures import datagrams_of, is_capture
 
@@ -161,7 +161,8 @@ def _is_sound(data: bytes, start: int, end: int) -> bool:
     if data[start] not in CATEGORIES:
         return data[start] in _LIKELY and end - start >= 6 and data[start + 3] >= 0x80
     try:
-        return all("010" in items for items in records_of(CATEGORIES[data[start]], data[start + 3 : end]))
+        named = ["010" in items for items in records_of(CATEGORIES[data[start]], data[start + 3 : end])]
+        return named[0] if data[start] == 1 and named else all(named)
     except DamagedRecord:
         return False
 
@@ -187,7 +188,7 @@ def _head_is_sound(data: bytes, start: int) -> bool:
 # - a tuple of (name, length) — compound item: a field specification of its own, then its subfields.
 #
 # Sources: EUROCONTROL-SPEC-0149-12 (category 021, editions 2.1 to 2.7), -4 (048, 1.27 to 1.32), -2b (034, 1.27 to
-# 1.29), -9 (062, 1.16 to 1.21), -14 (020, 1.5 to 1.11), -7 (010, 1.1).
+# 1.29), -2a (001, 1.1 to 1.4; 002), -9 (062, 1.16 to 1.21), -14 (020, 1.5 to 1.11), -7 (010, 1.1).
 
 Length = int | str | tuple["Field | None", ...]
 #: Name and length of an item; None where the field specification has a spare bit.
@@ -201,10 +202,26 @@ def _field(part: str) -> Field:
 
 @dataclass(frozen=True)
 class AsterixCategory:
-    """One category: ``items`` in the order of the bits of the field specification."""
+    """One category: ``items`` in the order of the bits of the field specification.
+
+    of_tracks : those of records of tracks, where they are others; such a record has the first bit of item 020.
+    """
 
     number: int
     items: tuple[Field | None, ...]
+    of_tracks: tuple[Field | None, ...] = ()
+
+    def items_at(self, data: bytes, at: int) -> tuple[Field | None, ...]:
+        """The items of the record that begins here."""
+        if not self.of_tracks:
+            return self.items
+        first, end = data[at], at
+        while end < len(data) and data[end] & 1:
+            end += 1
+        # Item 010, if present, has two bytes.
+        descriptor = end + 1 + 2 * bool(first & 0x80)
+        is_track = bool(first & 0x40) and descriptor < len(data) and bool(data[descriptor] & 0x80)
+        return self.of_tracks if is_track else self.items
 
 
 def _category(number: int, items: str, compounds: Mapping[str, str]) -> AsterixCategory:
@@ -220,7 +237,17 @@ def _category(number: int, items: str, compounds: Mapping[str, str]) -> AsterixC
 
 _INTENT = "TIS:1+ TID:n15"
 
+_OF_PLOTS = (
+    "010:2 020:1+ 040:4 070:2 090:2 130:1+ 141:2 050:2 120:1 131:1 080:2 100:4 060:2 030:1+ 150:1 - - - - SP:len -"
+)
+_OF_TRACKS = (
+    "010:2 020:1+ 161:2 040:4 042:4 200:4 070:2 090:2 141:2 130:1+ 131:1 120:1 170:1+ 210:1+ 050:2 080:2 100:4 060:2 "
+    "030:1+ SP:len - 150:1"
+)
+
 CATEGORIES = {
+    1: replace(_category(1, _OF_PLOTS, {}), of_tracks=_category(1, _OF_TRACKS, {}).items),
+    2: _category(2, "010:2 000:1 020:1 030:3 041:2 050:1+ 060:1+ 070:n2 100:8 090:2 080:1+ - SP:len -", {}),
     10: _category(
         10,
         "010:2 000:1 020:1+ 140:3 041:8 040:4 042:4 200:4 202:4 161:2 170:1+ 060:2 220:3 245:7 250:n8 300:1 090:2 "
@@ -296,7 +323,7 @@ def records_of(category: AsterixCategory, data: bytes) -> Iterator[dict[str, Ite
     at = 0
     while at < len(data):
         items: dict[str, Item] = {}
-        present, at = _fields_of(category.items, data, at)
+        present, at = _fields_of(category.items_at(data, at), data, at)
         for name, length in present:
             if isinstance(length, tuple):
                 items[name], at = _compound(length, data, at)

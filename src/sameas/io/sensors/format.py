@@ -27,7 +27,7 @@ from sameas.errors import Argument, InputError, Message
 from sameas.io.format import in_utf_8
 from sameas.io.sensors.captures import with_text_as_lines
 from sameas.tracks.coordinates import FOOT_M, MILE_M
-from sameas.tracks.reports import LAST_S, Reports
+from sameas.tracks.reports import LAST_S, PLOTS_OF_RADARS, Reports
 
 #: Speeds of ships and aircraft in metres per second.
 KNOT_M_PER_S = MILE_M / 3600.0
@@ -343,9 +343,9 @@ OWN_SHIP: Mapping[str, str] = {
 
 #: The kind of source of a format.
 _KIND_OF_FORMAT: Mapping[str, str] = {
-    "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b", "asterix 048": "air radar",
-    "asterix 062": "tracks", "asterix 020": "wam", "asterix 010": "tracks", "mavlink": "drone", "remote id": "drone",
-    "ogn": "ads-b",
+    "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b",
+    **dict.fromkeys(PLOTS_OF_RADARS, "air radar"), "asterix 062": "tracks", "asterix 020": "wam",
+    "asterix 010": "tracks", "mavlink": "drone", "remote id": "drone", "ogn": "ads-b",
 }  # fmt: skip
 
 

@@ -34,6 +34,7 @@ from sameas.io.sensors import (
     tables,
 )
 from sameas.io.sensors.asterix_records import looks_cut_off, looks_like, split_blocks
+from sameas.io.sensors.asterix_services import Services
 from sameas.io.sensors.format import ReadOptions, SensorFile
 from sameas.tracks.reports import Damaged, NoReports, Reports
 
@@ -122,7 +123,7 @@ class ReportStream:
         self._aircraft: dict[str, object] = {}
         self._transponders = mode_s.Aircraft()
         self._blocks: set[tuple[int, bytes]] = set()
-        self._places: dict[tuple[int, int], asterix.Place] = {}
+        self._services = Services()
         #: Receive time of the last position of own ship.
         self.own_ship_s = -math.inf
 
@@ -284,7 +285,7 @@ class ReportStream:
     def _asterix(self, data: bytes, received_s: float) -> list[Reports]:
         if len(self._blocks) > MOST_REMEMBERED:
             self._blocks.clear()
-        return asterix.read(data, self.source, received_s=received_s, blocks_read=self._blocks, places=self._places)
+        return asterix.read(data, self.source, received_s=received_s, blocks_read=self._blocks, services=self._services)
 
     def _mode_s(self, texts: list[str], received: list[float], found: list[mode_s.Messages]) -> list[Reports]:
         """Messages of transponders; those without a time have that of receipt."""
