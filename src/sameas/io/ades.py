@@ -81,14 +81,14 @@ class Observer:
             raise InputError(f"{path}: cannot be read ({error.strerror})", _to_write(_REQUIRED)) from None
         except (ValueError, RecursionError) as error:
             raise InputError(f"{path}: is not TOML ({error})", _to_write(_REQUIRED)) from None
-        _refuse_incomplete(settings, path)
-        code = str(settings["observatory"]["mpcCode"])
-        if not re.fullmatch(r"[0-9A-Z][0-9A-Za-z]{2,3}", code):
-            raise InputError(f"{path}: mpcCode {code!r} is not a code of the Minor Planet Center, such as 810 or J95")
         tables = {name: settings.get(name, {}) for name in ("telescope", "report", "observers", "measurers", "comment")}
         for name, table in tables.items():
             if not isinstance(table, dict):
                 raise InputError(f"{path}: {name} is {table!r}, not a table", f"write [{name}], and its keys below")
+        _refuse_incomplete(settings, path)
+        code = str(settings["observatory"]["mpcCode"])
+        if not re.fullmatch(r"[0-9A-Z][0-9A-Za-z]{2,3}", code):
+            raise InputError(f"{path}: mpcCode {code!r} is not a code of the Minor Planet Center, such as 810 or J95")
         telescope, report = tables["telescope"], tables["report"]
         submitter = str(settings["submitter"]["name"])
         for table, keys in _FORMS.items():
