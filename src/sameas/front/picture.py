@@ -34,7 +34,7 @@ from sameas.picture.plot_picture import nameless
 from sameas.report.picture import assumed_lines, doubt_lines, estimated_lines, found_lines, read_lines, scene_lines
 from sameas.report.prose import Lines, Result, in_one, span
 from sameas.representation import count, counted, listed
-from sameas.tracks.heights import GEOMETRIC, HeightModel
+from sameas.tracks.heights import HeightModel
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
@@ -248,9 +248,8 @@ def write(
         warn("no objects.ast: the picture has metres of a plane of its own, and ASTERIX needs latitudes")
     elif outputs.asterix:
         written.append("objects.ast")
-        heights = HeightModel.as_given(result.scene.feeds)
-        geometric = heights is not None and heights.kind == GEOMETRIC
-        (draft / written[-1]).write_bytes(b"".join(blocks_of_objects(picture.objects, geometric=geometric)))
+        blocks = blocks_of_objects(picture.objects, HeightModel.as_given(result.scene.feeds))
+        (draft / written[-1]).write_bytes(b"".join(blocks))
     written.append("summary.json")
     (draft / written[-1]).write_text(json_text(facts | result.as_json()), "utf-8")
     written.append(REASONS)

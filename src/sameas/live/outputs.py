@@ -28,7 +28,6 @@ from sameas.io.sensors.format import KNOT_M_PER_S
 from sameas.io.sensors.signalk import FUSED
 from sameas.live.situation import Situation
 from sameas.tracks.coordinates import MILE_M
-from sameas.tracks.heights import GEOMETRIC
 
 #: Seconds after which a Cursor on Target event is stale.
 STALE_S = 15.0
@@ -205,8 +204,7 @@ def signalk(situation: Situation) -> Iterator[bytes]:
 
 def asterix(situation: Situation, tracks: SentTracks | None = None) -> Iterator[bytes]:
     """Blocks of ASTERIX tracks (:mod:`sameas.io.sensors.asterix_tracks`). tracks : that were sent before; updated."""
-    geometric = situation.heights is not None and situation.heights.kind == GEOMETRIC
-    return track_blocks(situation.time_s, _confirmed(situation), tracks or SentTracks(), geometric=geometric)
+    return track_blocks(situation.time_s, situation.listed(), tracks or SentTracks(), situation.heights)
 
 
 ENCODERS: Mapping[str, Callable[[Situation], Iterator[bytes]]] = {

@@ -65,25 +65,19 @@ class CommonTracks:
 
 @dataclass(frozen=True)
 class Motions:
-    """States (n, 4) of objects, covariances (n, 4, 4), and (n,) the 1σ per axis of velocities of such objects.
-
-    manoeuvre_m2 : (n,) by which a manoeuvre since the previous instant adds to the variance of a position, per axis.
-    """
+    """States (n, 4) of objects, covariances (n, 4, 4), and (n,) the 1σ per axis of velocities of such objects."""
 
     state: FloatArray
     covariance: FloatArray
     speed_m_per_s: FloatArray
-    manoeuvre_m2: FloatArray
 
-    @classmethod
-    def predicted(
-        cls, state: FloatArray, covariance: FloatArray, speed_m_per_s: FloatArray, walk_m2_per_s3: FloatArray,
-        elapsed_s: float,
-    ) -> Motions:  # fmt: skip
-        """Of objects predicted over a time. walk_m2_per_s3 : (n,) motion noise, ``MANOEUVRE_NOISE`` times as large in a
-        manoeuvre."""
-        manoeuvre_m2 = (MANOEUVRE_NOISE - 1.0) * walk_m2_per_s3 * elapsed_s**3 / 3.0
-        return cls(state, covariance, speed_m_per_s, manoeuvre_m2)
+
+def manoeuvre_m2(walk_m2_per_s3: FloatArray, elapsed_s: float) -> FloatArray:
+    """(n,) by which a manoeuvre adds to the variance of a position predicted over a time, per axis.
+
+    walk_m2_per_s3 : (n,) motion noise, which is ``MANOEUVRE_NOISE`` times as large in a manoeuvre.
+    """
+    return (MANOEUVRE_NOISE - 1.0) * walk_m2_per_s3 * elapsed_s**3 / 3.0
 
 
 @dataclass(frozen=True)
@@ -107,10 +101,14 @@ class PlotContinuity:
 @dataclass(frozen=True)
 class Continuity(Rule):
     """ln r of an object of the picture and one of the instant: by positions, at ``per_m2`` objects per m² and the
-    clutter of plots, by tracks, and without a common track by velocities, which plots do not have."""
+    clutter of plots, by tracks, and without a common track by velocities, which plots do not have.
+
+    manoeuvre_m2 : (k,) of the objects, see :func:`manoeuvre_m2`.
+    """
 
     per_m2: float
     common: CommonTracks
+    manoeuvre_m2: FloatArray
     objects: Motions
     detections: Motions
     has_velocity: BoolArray
@@ -121,7 +119,7 @@ class Continuity(Rule):
         place = Field(elsewhere)(pairs).log_ratio + self.plots(pairs)
         weight, unique = self.common.of_pairs(pairs)
         related = np.flatnonzero(weight > 0.0)
-        place[related] += self._manoeuvre(pairs.first.rows[pairs.i[related]], pairs.second.rows[pairs.j[related]])
+        place[related] += self._manoeuvre(pairs, related)
         place = np.where(unique > 0.0, np.maximum(place, math.log(ID_REASSIGNED)), place)
         velocity = np.zeros(len(pairs))
         unrelated = np.flatnonzero((weight == 0.0) & self.has_velocity[pairs.second.rows[pairs.j]])
@@ -130,11 +128,10 @@ class Continuity(Rule):
         )
         return Evidence({"place": place, "velocity": velocity, "tracks in common": weight})
 
-    def _manoeuvre(self, i: IntArray, j: IntArray) -> FloatArray:
-        """(m,) what the density of j's position as that of i gains if i may have manoeuvred."""
-        residual = taken(self.objects.state, i)[:, :2] - taken(self.detections.state, j)[:, :2]
-        total = taken(self.objects.covariance, i)[:, :2, :2] + taken(self.detections.covariance, j)[:, :2, :2]
-        wide = total + self.objects.manoeuvre_m2[i, None, None] * np.eye(2)
+    def _manoeuvre(self, pairs: Pairs, some: IntArray) -> FloatArray:
+        """(m,) what the densities of the positions of some pairs (m,) gain if the object may have manoeuvred."""
+        residual, total = pairs.residual[some], pairs.covariance_of(some)
+        wide = total + self.manoeuvre_m2[pairs.first.rows[pairs.i[some]], None, None] * np.eye(2)
         gain = log_density(residual, wide) - log_density(residual, total)
         return np.logaddexp(math.log1p(-MANOEUVRING), math.log(MANOEUVRING) + gain)
 
@@ -152,17 +149,16 @@ class Continuity(Rule):
 @dataclass(frozen=True)
 class NearOrSameId:
     """A gate: near pairs, pairs with a common track that are near after a manoeuvre, and pairs at any distance with a
-    common unique id. manoeuvre_m2 : of the objects, as of :class:`Motions`."""
+    common unique id. manoeuvre_m2 : (k,) of the objects, see :func:`manoeuvre_m2`."""
 
     common: CommonTracks
     manoeuvre_m2: FloatArray
 
     def __call__(self, first: Records, second: Records) -> Pairs:
         near = GATE(first, second)
-        same_id = self.common.unique > 0.0
-        same_id |= self._within_manoeuvres(first, second)
-        by_id = (self.common.object_place[same_id] << 32) | self.common.detection_place[same_id]
-        key = distinct(np.concatenate([(near.i.astype(np.int64) << 32) | near.j, by_id]))
+        reached = (self.common.unique > 0.0) | self._within_manoeuvres(first, second)
+        by_track = (self.common.object_place[reached] << 32) | self.common.detection_place[reached]
+        key = distinct(np.concatenate([(near.i.astype(np.int64) << 32) | near.j, by_track]))
         if len(key) == len(near):
             return near
         i, j = (key >> 32).astype(np.int32), (key & 0xFFFFFFFF).astype(np.int32)

@@ -25,7 +25,7 @@ from sameas.errors import InputError
 from sameas.gaussian import Gaussian, symmetric
 from sameas.groups import groups
 from sameas.kernels.tracks import places_of
-from sameas.picture.continuity import CommonTracks, Continuity, Motions, NearOrSameId, PlotContinuity
+from sameas.picture.continuity import CommonTracks, Continuity, Motions, NearOrSameId, PlotContinuity, manoeuvre_m2
 from sameas.picture.fixes import Fixes
 from sameas.picture.hull_echoes import Hulls, owners_among
 from sameas.picture.plot_existence import Looks, NewPlots, PlotOdds
@@ -220,13 +220,9 @@ class NamedObjects(PictureObjects):
         if not len(detections) or not len(self):
             return out
         common = self._common_tracks(detections)
-        before = Motions.predicted(
-            self.state, self._of_hulls(detections.hulls), self.speed_m_per_s, self.walk_m2_per_s3, elapsed_s
-        )
-        after = Motions.predicted(
-            detections.states.state, detections.states.covariance, detections.speed_m_per_s,
-            detections.walk_m2_per_s3, 0.0,
-        )  # fmt: skip
+        manoeuvred = manoeuvre_m2(self.walk_m2_per_s3, elapsed_s)
+        before = Motions(self.state, self._of_hulls(detections.hulls), self.speed_m_per_s)
+        after = Motions(detections.states.state, detections.states.covariance, detections.speed_m_per_s)
         first, second = (
             Records.of(one.state[:, :2], covariance=one.covariance[:, :2, :2], source=name)
             for one, name in ((before, "known"), (after, "seen"))
@@ -236,12 +232,11 @@ class NamedObjects(PictureObjects):
         log_shown = self._log_shown(detections.looks) if is_new.any() else np.zeros(len(self))
         of_plots = PlotContinuity(plots.clutter_per_m2, is_new, log_shown)
         # The stages of `identify` without its last: no probability of a match is used.
-        pairs = detections.fixes.observed_in(
-            NearOrSameId(common, before.manoeuvre_m2)(first, second), before.state, before.covariance
-        )
+        pairs = NearOrSameId(common, manoeuvred)(first, second)
+        pairs = detections.fixes.observed_in(pairs, before.state, before.covariance)
         refuse_crowds(pairs)
         has_velocity = ~detections.fixes.only
-        evidence = Continuity(detections.looks.per_m2, common, before, after, has_velocity, of_plots)(pairs)
+        evidence = Continuity(detections.looks.per_m2, common, manoeuvred, before, after, has_velocity, of_plots)(pairs)
         grouped = groups(pairs)
         best = assign(grouped, evidence.log_ratio, EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
         matched = grouped.order[best.chosen]

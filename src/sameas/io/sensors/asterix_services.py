@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sameas.io.sensors.asterix_records import CATEGORIES, Block, DamagedRecord, Item, records_of, signed, unsigned
+from sameas.io.sensors.format import DAY_S
 
 #: Latitude and longitude in degrees, height above the ellipsoid in metres.
 Place = tuple[float, float, float]
@@ -62,10 +63,10 @@ class Services:
     ) -> dict[str, Any] | str:
         """The row of a record of category 001 with its time of day, or the reason why that is not known: the truncated
         time nearest to that of the last message of category 002 of its radar, else to the time of receipt."""
-        near_s = self.of_day_s.get((identity[0], identity[1]), received_s % 86400.0)
+        near_s = self.of_day_s.get((identity[0], identity[1]), received_s % DAY_S)
         if math.isnan(near_s):
             return "a plot of category 001, and no message of category 002 before it that gives the time of day"
         if "141" not in items:
             return row | {"day_s": near_s}
         late_s = (unsigned(items["141"]) / 128.0 - near_s) % TRUNCATED_S
-        return row | {"day_s": (near_s + late_s - TRUNCATED_S * (late_s > 0.5 * TRUNCATED_S)) % 86400.0}
+        return row | {"day_s": (near_s + late_s - TRUNCATED_S * (late_s > 0.5 * TRUNCATED_S)) % DAY_S}

@@ -19,14 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sameas.io.sensors.format import DAY_S
 from sameas.tracks.coordinates import FOOT_M
+from sameas.tracks.heights import GEOMETRIC, HeightModel
 
 #: Tracks of a block: 60 octets each at most.
 _TRACKS = 20
 #: Characters of an identification.
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789 "
 #: Stages of the objects that are tracks.
-STAGES = ("confirmed", "coasting")
+_SHOWN = ("confirmed", "coasting")
 #: The columns of objects that items are made of.
 _COLUMNS = ("object", "stage", "lat_deg", "lon_deg", "speed_m_per_s", "course_deg", "var_x_m2", "cov_xy_m2", "var_y_m2",
             "height_m", "climb_m_per_s", "callsign", "name", "icao", "mode_a")  # fmt: skip
@@ -50,34 +52,32 @@ class SentTracks:
         return begin, ended
 
 
-def blocks_of_objects(objects: Mapping[str, NDArray[Any]], *, geometric: bool) -> Iterator[bytes]:
+def blocks_of_objects(objects: Mapping[str, NDArray[Any]], heights: HeightModel | None) -> Iterator[bytes]:
     """The blocks of all instants of a picture, in order of time.
 
     objects : columns of :attr:`sameas.picture.picture.Picture.objects`, sorted by time, with ``lat_deg``.
-    geometric : whether heights are above the ellipsoid, not pressure heights.
+    heights : of which kind they are; None if there are none.
     """
     columns = {name: np.ma.asarray(objects[name]) for name in _COLUMNS if name in objects}
-    chosen = np.isin(np.ma.getdata(columns["stage"]).astype(str), STAGES)
     sent, time_s = SentTracks(), np.asarray(objects["time_s"], np.float64)
     for start, end in pairwise(np.flatnonzero(np.diff(time_s, prepend=-np.inf, append=np.inf) != 0.0).tolist()):
-        rows = start + np.flatnonzero(chosen[start:end])
-        cells = [column[rows].tolist() for column in columns.values()]
-        tracks = [dict(zip(columns, row, strict=True)) for row in zip(*cells, strict=True)]
-        yield from track_blocks(float(time_s[start]), tracks, sent, geometric=geometric)
+        cells = [column[start:end].tolist() for column in columns.values()]
+        rows = [dict(zip(columns, row, strict=True)) for row in zip(*cells, strict=True)]
+        yield from track_blocks(float(time_s[start]), rows, sent, heights)
 
 
 def track_blocks(
-    time_s: float, objects: Sequence[Mapping[str, Any]], sent: SentTracks, *, geometric: bool
+    time_s: float, objects: Sequence[Mapping[str, Any]], sent: SentTracks, heights: HeightModel | None
 ) -> Iterator[bytes]:
     """The blocks of an instant, of up to twenty tracks each.
 
     time_s : UTC. objects : mappings of the names in an object table, None or absent where unknown.
-    sent : the tracks that were given before; updated. geometric : as of :func:`blocks_of_objects`.
+    sent : the tracks that were given before; updated. heights : as of :func:`blocks_of_objects`.
     """
-    placed = [one for one in objects if one.get("lat_deg") is not None]
+    placed = [one for one in objects if one["stage"] in _SHOWN and one.get("lat_deg") is not None]
     begin, ended = sent.update(time_s, placed)
-    records = [_record(one, last_s, _TRACK_ENDS, geometric) for last_s, one in ended]
-    records += [_record(one, time_s, _TRACK_BEGINS if one["object"] in begin else 0, geometric) for one in placed]
+    records = [_record(one, last_s, _TRACK_ENDS, heights) for last_s, one in ended]
+    records += [_record(one, time_s, _TRACK_BEGINS if one["object"] in begin else 0, heights) for one in placed]
     for first in range(0, len(records), _TRACKS):
         data = b"".join(records[first : first + _TRACKS])
         yield bytes([62]) + (len(data) + 3).to_bytes(2, "big") + data
@@ -87,14 +87,14 @@ def track_blocks(
 _TRACK_ENDS, _TRACK_BEGINS = 0x40, 0x20
 
 
-def _record(one: Mapping[str, Any], time_s: float, status: int, geometric: bool) -> bytes:
+def _record(one: Mapping[str, Any], time_s: float, status: int, heights: HeightModel | None) -> bytes:
     """The record of a track. status : bits of octet 2 of item 080."""
     unit = 180.0 / 2**25
     lat, lon = round(one["lat_deg"] / unit), round(one["lon_deg"] / unit)
     # Octet 1 of item 080: multisensor; a coasting track has bit CST of octet 4. The lowest bit: an octet follows.
     items: dict[int, bytes] = {
         1: bytes([0, 0]),
-        4: (round(time_s % 86400.0 * 128.0) % (86400 * 128)).to_bytes(3, "big"),
+        4: (round(time_s % DAY_S * 128.0) % round(DAY_S * 128.0)).to_bytes(3, "big"),
         5: lat.to_bytes(4, "big", signed=True) + lon.to_bytes(4, "big", signed=True),
         12: (one["object"] % 65536).to_bytes(2, "big"),
         13: bytes([0x01, status | 0x01, 0x01, 0x80])
@@ -116,8 +116,8 @@ def _record(one: Mapping[str, Any], time_s: float, status: int, geometric: bool)
     if re.fullmatch(r"[0-9A-Fa-f]{6}", icao):
         items[11] = bytes([0x80]) + int(icao, 16).to_bytes(3, "big")
     height, climb = one.get("height_m"), one.get("climb_m_per_s")
-    if height is not None:
-        if geometric:
+    if height is not None and heights is not None:
+        if heights.kind == GEOMETRIC:
             items[18] = _short(height / FOOT_M / 6.25)
         else:
             # Quarters of a flight level, in 15 bits below that of a QNH correction, which there is none.
