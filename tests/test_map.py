@@ -614,6 +614,24 @@ def test_the_chart_is_drawn_anywhere(plane: LocalPlane | None, tmp_path: Path) -
     assert (tmp_path / "map.png").stat().st_size > 20_000
 
 
+def test_long_names_of_sources_stay_inside_the_chart() -> None:
+    """Title and legend were cut off at the sides."""
+    pytest.importorskip("matplotlib", reason="charts need the extra sameas[plots]")
+    from sameas.plots.map import chart
+
+    plain = charted(6, 6)
+    names = {sensor.name: f"long-range surveillance radar of {sensor.name} 80/12" for sensor in plain.sensors}
+    sources = np.array([names[str(source)] for source in plain.records["source"]])
+    sensors = tuple(replace(sensor, name=names[sensor.name]) for sensor in plain.sensors)
+    records = {**plain.records, "source": sources}
+    figure = chart(replace(plain, title=", ".join(names.values()), sensors=sensors, records=records))
+    figure.draw_without_rendering()
+    for part in (*figure.texts, *figure.legends):
+        box = part.get_window_extent()
+        assert box.x0 >= 0 and box.x1 <= figure.bbox.x1
+    assert len(figure.legends) == 1
+
+
 def test_chart_and_page_agree_on_objects_seen_by_several() -> None:
     pytest.importorskip("matplotlib", reason="charts need the extra sameas[plots]")
     from sameas.plots.map import chart

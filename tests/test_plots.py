@@ -165,12 +165,17 @@ def test_logarithmic_axes_have_plain_numbers() -> None:
     assert any(labels) and not any("times" in label for label in labels), labels
 
 
-def test_a_long_subtitle_wraps() -> None:
+def test_a_long_title_and_subtitle_wrap() -> None:
+    """A long title was cut off at the right."""
     from sameas.plots.sheet import sheet
 
-    figure = sheet("A finding", "its reasons, of which there are many, " * 5)
-    figure.draw_without_rendering()
-    assert all(text.get_window_extent().x1 <= figure.bbox.x1 for text in figure.texts)
+    for finding in ("A finding", "A finding of several sources with long names, " * 5):
+        figure = sheet(finding, "its reasons, of which there are many, " * 5)
+        figure.draw_without_rendering()
+        assert all(text.get_window_extent().x1 <= figure.bbox.x1 for text in figure.texts)
+        title, subtitle = (next(t for t in figure.texts if t.get_text().startswith(word)) for word in ("A f", "its"))
+        lines = title.get_text().rstrip("\n").count("\n") + 1
+        assert subtitle.get_window_extent().y1 < figure.bbox.y1 * 0.98 - lines * 14.0 * figure.dpi / 72.0
 
 
 def test_catalogue_names_are_drawn_literally(stars: SkyMatch) -> None:

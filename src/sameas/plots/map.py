@@ -478,4 +478,9 @@ def _legend(figure: Figure, now: _Snapshot, ahead_s: float) -> None:
                                   markevery=[0], alpha=TENTATIVE_ALPHA, label="tentative"))  # fmt: skip
     if now.alarmed:
         handles.append(Line2D([], [], ls="", marker="^", mfc="none", color=ALARM, ms=9, label="alarm"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 8), frameon=False, fontsize=9)
+    # Long names of sources need fewer columns.
+    for columns in range(min(len(handles), 8), 0, -1):
+        legend = figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
+        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            break
+        legend.remove()

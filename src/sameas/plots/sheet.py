@@ -31,8 +31,10 @@ DENSITY = "viridis"
 
 #: Dots per inch of a file, and of a notebook, which is about 900 pixels wide.
 DOTS_PER_INCH, NOTEBOOK_DPI = 150, 80
-#: Letters of a subtitle per inch before it wraps.
-LETTERS_PER_INCH = 12.0
+#: Letters of a title and of a subtitle per inch before they wrap.
+TITLE_LETTERS_PER_INCH, LETTERS_PER_INCH = 8.5, 12.0
+#: Height of a line of a title, inches.
+TITLE_LINE_IN = 0.33
 #: Longest name on axes and in legends (chosen).
 LETTERS_OF_NAME = 22
 
@@ -63,10 +65,11 @@ def _shown(figure: type[Figure]) -> type[Figure]:
 
 
 def sheet(title: str, subtitle: str, width: float = 11.0, height: float = 5.4) -> Figure:
-    """An empty figure with a title (the finding) and a wrapped subtitle; sizes in inches.
+    """An empty figure with a title (the finding) and a subtitle, both wrapped; sizes in inches.
 
     Raises InputError: matplotlib is not installed.
     """
+    title = textwrap.fill(title, int(TITLE_LETTERS_PER_INCH * width), break_on_hyphens=False)
     subtitle = textwrap.fill(subtitle, int(LETTERS_PER_INCH * width), break_on_hyphens=False)
     figure = required()(figsize=(width, height), dpi=DOTS_PER_INCH, facecolor="white", layout="constrained")
     head = figure.suptitle(
@@ -74,7 +77,8 @@ def sheet(title: str, subtitle: str, width: float = 11.0, height: float = 5.4) -
     )
     # Constrained layout reserves room for the title only: its empty lines make room for the subtitle.
     head.set_linespacing(1.6)
-    figure.text(0.012, 0.98 - 0.33 / height, subtitle, ha="left", va="top", fontsize=10.5, color="#4A4A4A")
+    below = 0.98 - TITLE_LINE_IN * (1 + title.count("\n")) / height
+    figure.text(0.012, below, subtitle, ha="left", va="top", fontsize=10.5, color="#4A4A4A")
     return figure
 
 
