@@ -629,7 +629,7 @@ def test_settings_are_read_and_unknown_ones_refused(tmp_path):
     assert found.watch.every_s == 2.0 and found.watch.own_ship == OwnShip(50.0, -1.0)
     assert found.sources["quay"].sensor == "048 25/201" and found.sources["coast"].url == "udp://239.192.0.4:60004"
     ais = Reports.of("lan:ais", "ais", {"time_s": [0.0], "x_m": [0.0], "y_m": [0.0]})
-    assert found.sources["coast"].takes(ais) and not found.sources["quay"].takes(ais)
+    assert found.sources["coast"].recorded.takes(ais) and not found.sources["quay"].recorded.takes(ais)
     for text, words in (
         ("[watch]\nevery = 1\n", "'every' is not known; did you mean every_s?"),
         ("[watch]\nlag_s = -1\n", "give a number, 0 or more"),

@@ -188,3 +188,31 @@ def test_the_sentences_that_arrive_are_named_where_a_source_has_none_of_its_own(
     data = b"".join(f"${body}*{checksum(body):02X}\r\n".encode() for body in ("HEHDT,12.0,T", "SDDBT,1.0,f,,M,,F"))
     [text] = alarms_of(data)
     assert text.endswith("but none are its reports (sentences DBT, HDT)")
+
+
+def block_048(moment_s):
+    """A plot of category 048 in ASTERIX, of the radar 10/1, in the second of this moment."""
+    second = int(moment_s % 86400.0) * 128
+    record = bytes([0b11110000, 10, 1, *second.to_bytes(3, "big"), 0x20, 0x05, 0, 0x20, 0])
+    return bytes([48]) + (len(record) + 3).to_bytes(2, "big") + record
+
+
+@pytest.mark.parametrize(
+    ("kinds", "taker", "words"),
+    [
+        (["marine radar"], "s0", ""),
+        (["marine radar", "air radar"], "s1", ""),
+        (["ais"], None, "(048 10/1 is there, of kind air radar, not ais: change kind in its table)"),
+    ],
+)
+def test_the_kind_that_was_given_takes_the_asterix_of_a_coast_radar(kinds, taker, words, tmp_path):
+    """A coast radar that speaks ASTERIX 048, described as marine radar, showed nothing, and nothing said why."""
+    path, taken, now = tmp_path / "sensors.toml", [], [START_S]
+    path.write_text("".join(f'[sources.s{k}]\nkind = "{kind}"\ninput = "{URL}"\n' for k, kind in enumerate(kinds)))
+    reception = Reception(read_settings(path), lambda: now[0], use=lambda name, reports: taken.append(name))
+    for _ in range(2):
+        now[0] += 31.0
+        reception.wires[URL].play((now[0], block_048(now[0]), 1, False), 0)
+        reception.take(now[0])
+    assert set(taken) == ({taker} if taker else set())
+    assert [alarm.text for alarm in reception.alarms() if words and words in alarm.text] or not words

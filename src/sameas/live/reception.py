@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from sameas.errors import Argument, InputError, Message, reading
-from sameas.io.sensors.recording import Recorder
+from sameas.io.sensors.format import kind_of
+from sameas.io.sensors.recording import Recorder, taker
 from sameas.io.sensors.report_formats import ZONED
 from sameas.io.sensors.stream import ReportStream
 from sameas.live.inputs import Wire, serial_speed
@@ -111,8 +112,8 @@ class Reception:
         for wire in self.wires.values() if playback is not None else ():
             wire.state.open_word = "replayed"
         self.sources = {name: SourceState() for name in settings.sources}
-        #: Sensors whose reports no source takes, by wire.
-        self._foreign: dict[str, set[str]] = {}
+        #: Sensors whose reports no source takes, and the kind of each, by wire.
+        self._foreign: dict[str, dict[str, str | None]] = {}
         #: Pieces dropped by each wire at the last alarm of it.
         self._dropped: dict[str, int] = {}
         self.began_s = self.taken_s = clock()
@@ -137,11 +138,12 @@ class Reception:
                     self.sources[name].set_error(_in_settings(error, name), self.taken_s)
                 continue
             for reports in parts:
-                taken = [n for n in self._names_on(url) if self.settings.sources[n].takes(reports)]
-                sensors = self._foreign.setdefault(url, set())
-                if not taken and len(sensors) < MOST_SENSORS:
-                    sensors.add(reports.source.partition(":")[2] or reports.source)
-                received += [(name, reports, wire.state.last_s) for name in taken[:1]]
+                name = taker((self.settings.sources[n].recorded for n in self._names_on(url)), reports)
+                sensors = self._foreign.setdefault(url, {})
+                if name is not None:
+                    received.append((name, reports, wire.state.last_s))
+                elif len(sensors) < MOST_SENSORS:
+                    sensors[reports.source.partition(":")[2] or reports.source] = kind_of(reports.kind)
         self._add_all(received)
 
     def _add_all(self, received: list[tuple[str, Reports, float]]) -> None:
@@ -274,6 +276,9 @@ class Reception:
             return f"data arrive on {source.url}, but {speed}"
         unused = wire.stream.damaged + wire.stream.passed_over
         reasons = ", ".join(f"{n} × {reason}" for reason, n in unused.most_common(2))
+        if foreign := self._foreign.get(source.url or ""):
+            sensor, kind = min(foreign.items())
+            reasons = f"{sensor} is there, of kind {kind}, not {source.description.kind}: change kind in its table"
         if not reasons and wire.stream.sentence_kinds:
             reasons = f"sentences {', '.join(sorted(wire.stream.sentence_kinds)[:MOST_KINDS])}"
         return f"data arrive on {source.url}, but none are its reports" + (f" ({reasons})" if reasons else "")

@@ -42,7 +42,6 @@ from sameas.maps.geojson import Coast, read_coast
 from sameas.maps.tiles import Chart, is_tiles, open_chart
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.kinds import CARRIER_KIND, KINDS
-from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, source_tables
 
 #: Other names of stream formats.
@@ -132,10 +131,6 @@ class LiveSource:
     sensor: str | None = None
     options: ReadOptions = field(default_factory=ReadOptions)
     login: Login | None = None
-
-    def takes(self, reports: Reports) -> bool:
-        """Whether reports from its wire belong to this source."""
-        return self.recorded.takes(reports)
 
     @property
     def recorded(self) -> RecordedSource:

@@ -14,7 +14,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,6 +23,7 @@ from typing import IO, Any
 from sameas.errors import InputError
 from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat, content, kind_of
 from sameas.io.sensors.stream import ReportStream
+from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Damaged, NoReports, Reports, joined
 
 #: The first bytes of a recording.
@@ -43,11 +44,27 @@ class RecordedSource:
     sensor: str | None = None
 
     def takes(self, reports: Reports) -> bool:
-        """Whether reports of the input belong to this source."""
+        """Whether reports of the input may be of this source.
+
+        The format of a radar tells neither where it stands nor what it watches: coasts and towers have theirs in
+        ASTERIX, too, so the kind that the source was given counts.
+        """
         if self.sensor is not None:
             return reports.source.endswith(f":{self.sensor}") or self.sensor in (reports.source, reports.sac_sic)
         kind = kind_of(reports.kind)
-        return kind is None or kind == self.kind or self.kind in ("tracks", "other", "mlat", "wam")
+        if kind is None or kind == self.kind or self.kind in ("tracks", "other", "mlat", "wam"):
+            return True
+        return not (KINDS[kind].self_named or KINDS[self.kind].self_named)
+
+    def takes_first(self, reports: Reports) -> bool:
+        """Whether reports of the input are its own where other sources may have them, too."""
+        return self.sensor is not None or kind_of(reports.kind) in (None, self.kind)
+
+
+def taker(sources: Iterable[RecordedSource], reports: Reports) -> str | None:
+    """The name of the source that reports of an input belong to: of those that may, the first of their very kind."""
+    takers = sorted((one for one in sources if one.takes(reports)), key=lambda one: not one.takes_first(reports))
+    return takers[0].name if takers else None
 
 
 @dataclass(frozen=True)
@@ -220,7 +237,7 @@ def read(file: SensorFile) -> list[Reports]:
         stream.feed(data, received_s, connection=connection, last=last)
     parts: dict[str, list[Reports]] = {}
     for reports in stream.reports():
-        taken = next((one.name for one in recorded.sources if one.takes(reports)), None)
+        taken = taker(recorded.sources, reports)
         if taken is None:
             stream.passed_over[f"reports of no source: {reports.source}"] += len(reports)
         else:
