@@ -10,10 +10,12 @@ import pytest
 from tests.live.conftest import START_S
 
 from sameas.cli.watch import EditedFile, News
-from sameas.live.alarms import AlarmLog
+from sameas.live.alarms import AlarmLog, ConfirmedFaults, fault_alarms
 from sameas.live.inputs import WireState
 from sameas.live.journal import Journal, Store
 from sameas.live.situation import Alarm
+from sameas.tracks.faults import Fault
+from sameas.tracks.reports import Reports
 
 
 def test_the_terminal_shows_an_alarm_once_however_long_the_ticks_are():
@@ -203,3 +205,28 @@ def test_alarms_that_were_active_when_a_watch_was_closed_go_on(tmp_path):
     log.update([alarm], START_S + 1.0)
     assert len(log.rows()) == 1 and not log.begun
     store.close()
+
+
+def test_a_ship_is_silent_until_she_reports_again_or_nothing_shows_her():
+    """The searches see ten minutes: her alarm ended while she was still dark, and had no object to look at."""
+    fault = Fault("silent", "ais", START_S, START_S + 200.0, 9.0, "she has gone silent", "235000111", (("radar", "7"),))
+    faults, seen = ConfirmedFaults(), SimpleNamespace(members={4: (("radar", "7"),), 5: (("radar", "8"),)})
+    for _ in range(2):
+        faults.update([fault], seen.members)
+    assert [alarm.objects for alarm in fault_alarms(faults.confirmed, seen)] == [(4,)]
+    # The radar gives her another track number meanwhile.
+    for members in ((("radar", "7"), ("other", "1")), (("other", "1"),)):
+        seen.members[4] = members
+        faults.update([], seen.members)
+    assert [alarm.objects for alarm in fault_alarms(faults.confirmed, seen)] == [(4,)]
+    gone = ConfirmedFaults(faults.confirmed)
+    gone.update([], {5: (("radar", "8"),)})
+    assert not gone.confirmed
+
+    def report(mmsi, after_s):
+        place = {"time_s": [START_S + after_s], "x_m": [0.0], "y_m": [0.0], "mmsi": [mmsi]}
+        faults.take(Reports.of("ais", "ais", place))
+        return list(faults.confirmed)
+
+    assert report("235000222", 900.0) == report("235000111", -5.0) == ["silent ais 235000111"]
+    assert report("235000111", 900.0) == []

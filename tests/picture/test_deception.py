@@ -140,6 +140,24 @@ def test_ais_silence_of_a_ship_still_on_radar_is_an_alarm():
     assert "has gone silent: radar saw it for" in str(fault)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("stops", "kinds"), [(False, ["silent"]), (True, [])])
+def test_a_ship_that_stops_may_pause_for_three_minutes(stops, kinds):
+    """At anchor, and below 2 kn with class B, ships report every three minutes instead of every ten seconds."""
+    rng = np.random.default_rng(3)
+    start = np.column_stack([1500.0 * np.arange(6), 2000.0 + 300.0 * rng.standard_normal(6)])
+    x, v = straight(start, np.tile([0.0, 5.0], (6, 1)), TIMES)
+    if stops:
+        halted = TIMES > 150.0
+        x[0, halted], v = x[0, np.argmax(halted)], v.copy()
+        v[0] = np.where(halted[:, None], 0.0, [0.0, 5.0])
+    radar = feed(rng, describe("radar", "tracks"), TIMES, x, v, 30.0, [f"radar{k}" for k in range(6)])
+    ais, reports = feed(rng, describe("ais", "ais"), TIMES, x, v, 300.0, MMSI, {"mmsi": MMSI})
+    kept = (reports.track_id != MMSI[0]) | (reports.time_s < 160.0)
+    made = Scene.of([radar, (ais, reports.where(kept))])
+    assert [fault.kind for fault in faults(made)] == kinds
+
+
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("n", [1, 3])
 def test_several_ships_that_end_where_nobody_was_received_have_left_the_reception(n):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -181,29 +181,67 @@ def identity_alarms(state: PictureState[Any]) -> list[Alarm]:
     return out
 
 
+#: Source and track of each record of an object, by its number.
+Members = Mapping[int, tuple[tuple[str, str], ...]]
+
+
 def fault_alarms(faults: Mapping[str, Fault], situation: Situation) -> list[Alarm]:
     """Alarms of deception of tracks and of faults of sources, by key; with the objects that have the tracks now."""
     out = []
     for key, fault in faults.items():
-        where = (fault.source, fault.track)
-        objects = tuple(n for n, tracks in situation.members.items() if where in tracks) if fault.track else ()
+        objects = tuple(_objects_of(fault, situation.members)) if fault.track else ()
         out.append(Alarm(key, "deception" if fault.track else "source", str(fault), objects))
     return out
+
+
+def _objects_of(fault: Fault, of_object: Members) -> list[int]:
+    """The objects that have the track of a fault, or one by which a sensor still shows its ship."""
+    tracks = {(fault.source, fault.track), *fault.seen_as}
+    return [n for n, members in of_object.items() if not tracks.isdisjoint(members)]
 
 
 @dataclass
 class ConfirmedFaults:
     """Faults that two successive searches found, by key: that of one search alone would too often be false, with a
-    search every half minute. ``suspected`` : the keys of the last search."""
+    search every half minute. ``suspected`` : the keys of the last search.
+
+    A search knows the last minutes only. A ship that was silent for longer is so until she reports again, or no sensor
+    shows her any more.
+    """
 
     confirmed: Mapping[str, Fault] = field(default_factory=dict)
     suspected: frozenset[str] = frozenset()
 
-    def update(self, faults: Sequence[Fault]) -> None:
-        """Takes what a search found."""
+    def update(self, faults: Sequence[Fault], of_object: Members) -> None:
+        """Takes what a search found. of_object : source and track of each record of an object now, by its number."""
         found = {f"{fault.kind} {fault.source} {fault.track}".rstrip(): fault for fault in reversed(faults)}
-        self.confirmed = {key: fault for key, fault in found.items() if key in self.suspected}
+        self.confirmed = self._still_silent(of_object) | {
+            key: fault for key, fault in found.items() if key in self.suspected
+        }
         self.suspected = frozenset(found)
+
+    def _still_silent(self, of_object: Members) -> dict[str, Fault]:
+        """The silences of ships that sensors still show; these may show them by other tracks meanwhile."""
+        out: dict[str, Fault] = {}
+        silent = {key: fault for key, fault in self.confirmed.items() if fault.kind == "silent"}
+        for key, fault in silent.items():
+            tracks = dict.fromkeys(one for n in _objects_of(fault, of_object) for one in of_object[n])
+            if tracks:
+                out[key] = replace(fault, seen_as=tuple(tracks))
+        return out
+
+    def take(self, reports: Reports) -> None:
+        """Ends the silence of ships that report again."""
+        silent = {fault.track: key for key, fault in self.confirmed.items() if fault.kind == "silent"}
+        if not silent or reports.object_ids is None:
+            return
+        again = silent.keys() & set(reports.object_ids.astype(str).tolist())
+        ended = {
+            silent[track]
+            for track in again
+            if self.confirmed[silent[track]].first_s < reports.time_s[reports.object_ids.astype(str) == track].max()
+        }
+        self.confirmed = {key: fault for key, fault in self.confirmed.items() if key not in ended}
 
 
 def disk_alarms(folder: Path | None, refusal: str, recordings: str | None, errors: Sequence[str]) -> list[Alarm]:

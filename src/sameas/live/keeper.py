@@ -118,7 +118,7 @@ class Keeper:
             self._restore(folder)
             opened.pop_all()
         self.alarms = AlarmLog(self.store, self.picture.instant_s)
-        self.background = BackgroundWork(self.picture, settings.watch, self.lock)
+        self.background = BackgroundWork(self.picture, settings.watch, self.lock, lambda: self.situation)
 
     def _restore(self, folder: Path | None) -> None:
         """Continues with the saved state of the folder; without one, begins anew."""
@@ -218,6 +218,8 @@ class Keeper:
         self.picture.add(name, reports)
         self.approaches.take(reports)
         self.distress.take(reports)
+        with self.lock:
+            self.background.faults.take(reports)
         self.own_ship.take(name, reports)
 
     def _keep_history(self, situation: Situation) -> None:
@@ -368,12 +370,18 @@ class Keeper:
 class BackgroundWork:
     """Registration and the search for faults, each in a thread, with many reports in a process of its own.
 
-    picture : whose last minutes they use, and lock : held while ticks change it. A failure of either is logged and
-    changes nothing.
+    picture : whose last minutes they use, and lock : held while ticks change it. situation : the last one. A failure of
+    either is logged and changes nothing.
     """
 
-    def __init__(self, picture: LivePicture, watch: WatchSettings, lock: threading.Lock) -> None:
-        self.picture, self.lock = picture, lock
+    def __init__(
+        self,
+        picture: LivePicture,
+        watch: WatchSettings,
+        lock: threading.Lock,
+        situation: Callable[[], Situation | None] = lambda: None,
+    ) -> None:
+        self.picture, self.lock, self.situation = picture, lock, situation
         self.aside = Aside(LEAST_ASIDE)
         self.faults = ConfirmedFaults()
         self._work = (
@@ -403,7 +411,8 @@ class BackgroundWork:
             LOG.info("faults: %s", error, exc_info=not isinstance(error, InputError))
             return
         with self.lock:
-            self.faults.update(faults)
+            situation = self.situation()
+            self.faults.update(faults, {} if situation is None else situation.members)
 
     def begin_due(self, now_s: float) -> None:
         """Begins what is due at this time of the picture."""

@@ -138,10 +138,10 @@ class Reception:
                     self.sources[name].set_error(_in_settings(error, name), self.taken_s)
                 continue
             for reports in parts:
-                name = taker((self.settings.sources[n].recorded for n in self._names_on(url)), reports)
+                owner = taker((self.settings.sources[n].recorded for n in self._names_on(url)), reports)
                 sensors = self._foreign.setdefault(url, {})
-                if name is not None:
-                    received.append((name, reports, wire.state.last_s))
+                if owner is not None:
+                    received.append((owner, reports, wire.state.last_s))
                 elif len(sensors) < MOST_SENSORS:
                     sensors[reports.source.partition(":")[2] or reports.source] = kind_of(reports.kind)
         self._add_all(received)

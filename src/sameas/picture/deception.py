@@ -35,6 +35,7 @@ from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
 from sameas.tracks.alignment import States
+from sameas.tracks.coordinates import MILE_M
 from sameas.tracks.duplicate_ids import MAX_SPEED_SIGMAS, POSITION_SIGMAS, fastest
 from sameas.tracks.faults import Fault, log_odds_of_silence, source_faults
 from sameas.tracks.feed import CORRELATED_KINDS, FASTEST_VESSEL_M_PER_S, Feed
@@ -49,7 +50,13 @@ APART_INSTANTS = 3  # two tracks are apart at this many instants or more
 #: Prior odds that reported positions are false, against a swap of the sensor's track to another ship; the probability
 #: of such a swap for each further sensor; maximum evidence of one sensor without a detection at the reported position.
 FALSE_POSITION_ODDS, SENSOR_SWAP, EMPTY_VOTE = 0.1, 0.01, 6.0
-SILENT_S, SILENT_ODDS = 60.0, 0.01  # minimum duration of a silence, and its prior odds
+#: Minimum duration of a silence, and its prior odds. A crossing ship, a crane or a quay may hide the antenna of a ship
+#: for two minutes, and all her reports are lost then.
+SILENT_S, SILENT_ODDS = 180.0, 0.01
+#: Ships at anchor or moored, and those of class B that make less than 2 kn, report at such intervals (ITU-R M.1371,
+#: table 1), and need not below this speed.
+AT_REST_EVERY_S, AT_REST_M_PER_S = 180.0, 3.0 * MILE_M / 3600.0
+DISPLACED_S = 60.0  # a deception that begins so long before a fault of its source may be the fault's (chosen)
 SURE_DECEPTION = 0.95  # probability at which either is an alarm
 
 
@@ -114,6 +121,22 @@ class Silence:
 
     fault: Fault
     outside: bool
+
+
+@dataclass(frozen=True)
+class _Sighting:
+    """What a track shows of a ship after her own reports have ended: its records (k,), and their times."""
+
+    track: PictureTrack
+    rows: IntArray
+    times_s: FloatArray
+
+    def until_s(self, area: Delaunay | None) -> float:
+        """When it last shows her within an area, None for anywhere; −∞ where never."""
+        inside = self.times_s
+        if area is not None:
+            inside = inside[area.find_simplex(self.track.position[self.rows]) >= 0]
+        return float(inside.max(initial=-math.inf))
 
 
 def _tracks(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], instants: FloatArray) -> list[PictureTrack]:
@@ -203,7 +226,7 @@ def faults_and_deceptions(
     displacing = [fault for fault in faults if fault.kind in ("clock", "frozen")]
 
     def displaced(one: Fault) -> bool:
-        return any(one.source == fault.source and one.first_s > fault.first_s - SILENT_S for fault in displacing)
+        return any(one.source == fault.source and one.first_s > fault.first_s - DISPLACED_S for fault in displacing)
 
     return (*faults, *(one for one in (deceptions(feeds, records, tuning) if records else ()) if not displaced(one)))
 
@@ -395,35 +418,59 @@ class _TrackHistories:
         times = self.report_times_s[own.source].get(own.track, np.empty(0))
         if len(times) < MIN_REPORTS or self.received_later(own, float(times[-1])):
             return
-        pauses, end = np.diff(times), float(self.feeds[own.source].reports.time_s.max())
-        longest = float(pauses.max())
-        seen_until, within_until, sensors = -math.inf, -math.inf, set()
-        for meeting in self.companions(meetings):
-            other, last = meeting.other, int(meeting.other.at[meeting.last])
-            if self.instants[last] < times[-1] - longest or other.at[-1] <= last:
-                continue
-            # The sensor's track must continue without large gaps.
-            after = np.flatnonzero(other.at > last)
-            if len(after) < 0.8 * (other.at[-1] - last):
-                continue
-            seen_until = max(seen_until, float(self.instants[other.at[-1]]))
-            sensors.add(self.name(other))
-            if own.source in self.received:
-                after = after[self.received[own.source].find_simplex(other.position[after]) >= 0]
-            if len(after):
-                within_until = max(within_until, float(self.instants[other.at[after[-1]]]))
-        outside = min(within_until, end) - float(times[-1]) < SILENT_S
+        pauses, ended_s = np.diff(times), float(times[-1])
+        sightings = [
+            seen
+            for meeting in self.companions(meetings)
+            if self.instants[meeting.other.at[meeting.last]] >= ended_s - float(pauses.max())
+            and (seen := self._seen_after(meeting.other, ended_s))
+        ]
+        if not sightings:
+            return
+        longest = max(float(pauses.max()), self._longest_allowed_s(own, sightings))
+        end = float(self.feeds[own.source].reports.time_s.max())
+        seen_until, within_until = (max(one.until_s(area) for one in sightings) for area in (None, self._received(own)))
+        outside = min(within_until, end) - ended_s < SILENT_S
         last_s = min(seen_until if outside else within_until, end)
-        silent_s = last_s - float(times[-1])
-        if silent_s < SILENT_S or not sensors:
+        silent_s = last_s - ended_s
+        if silent_s < SILENT_S:
             return
         log_odds = log_odds_of_silence(silent_s, longest, len(pauses), SILENT_ODDS)
+        tracks = tuple(dict.fromkeys((self.name(one.track), one.track.track) for one in sightings))
+        sensors = " and ".join(sorted({name for name, _ in tracks}))
         words = (
-            f"{self.name(own)}: {own.track} has gone silent: {' and '.join(sorted(sensors))} saw it for "
-            f"{silent_s:.0f} s more, its longest pause before was {longest:.3g} s"
+            f"{self.name(own)}: {self._called(own)} has gone silent: {sensors} saw it for {silent_s:.0f} s more, its "
+            f"longest pause before was {pauses.max():.3g} s; call it: its transponder is off, or is not received there"
         )
-        fault = Fault("silent", self.name(own), float(times[-1]), last_s, min(log_odds, 50.0), words, own.track)
+        fault = Fault("silent", self.name(own), ended_s, last_s, min(log_odds, 50.0), words, own.track, tracks)
         yield Silence(fault, outside)
+
+    def _seen_after(self, track: PictureTrack, time_s: float) -> _Sighting | None:
+        """What a track shows after a time, if it continues without large gaps."""
+        after = np.flatnonzero(self.instants[track.at] > time_s)
+        if not len(after):
+            return None
+        passed = track.at[after[-1]] - np.searchsorted(self.instants, time_s, side="right") + 1
+        return None if len(after) < 0.8 * passed else _Sighting(track, after, self.instants[track.at[after]])
+
+    def _longest_allowed_s(self, own: PictureTrack, sightings: Sequence[_Sighting]) -> float:
+        """The longest pause between the reports of a ship that has stopped, as a sensor shows; 0 for others."""
+        if self.feeds[own.source].description.kind != "ais":
+            return 0.0
+        slowest = min(self._mean_speed(one.track, one.rows) for one in sightings)
+        return AT_REST_EVERY_S if slowest < AT_REST_M_PER_S else 0.0
+
+    def _received(self, own: PictureTrack) -> Delaunay | None:
+        """The area within which the source of a track received reports, None where it is not known."""
+        return self.received.get(own.source)
+
+    def _called(self, own: PictureTrack) -> str:
+        """A track by the name that it last reported, where it has one, and its id."""
+        raw = self.feeds[own.source].raw_reports
+        if raw is None or raw.name is None or raw.object_ids is None:
+            return own.track
+        names = [name for name in raw.name[raw.object_ids.astype(str) == own.track].tolist() if name]
+        return f"{names[-1]} ({own.track})" if names else own.track
 
 
 def _times_by_track(track: NDArray[Any] | None, time_s: FloatArray) -> dict[str, FloatArray]:

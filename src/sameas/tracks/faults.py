@@ -37,7 +37,7 @@ class Fault:
 
     kind : "clock", "ended", "frozen", "flood", "dragged", "silent", "jumped", "exchanged" or "phantom". source : name.
     track : its id, "" for the whole source. first_s, last_s : begin and end of the fault. log_odds : against a sound
-    source. words : what is wrong and what to do.
+    source. words : what is wrong and what to do. seen_as : source and track of each sensor that still shows the object.
     """
 
     kind: str
@@ -47,6 +47,7 @@ class Fault:
     log_odds: float
     words: str
     track: str = ""
+    seen_as: tuple[tuple[str, str], ...] = ()
 
     @property
     def probability(self) -> float:
