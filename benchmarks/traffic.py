@@ -21,7 +21,7 @@ TIME_S = np.arange(-5.0, SPAN_S + 6.0)
 
 @dataclass(frozen=True)
 class Paths:
-    """Objects with positions (n, times, 2) at :data:`TIME_S` and heights (n,) in metres."""
+    """Objects with positions (n, times, 2) every second from the first of :data:`TIME_S`, heights (n,) in metres."""
 
     position: np.ndarray
     height: np.ndarray
@@ -39,12 +39,12 @@ class Paths:
     def at(self, rows: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(k, 2) positions and velocities of objects at times."""
         time_s = np.broadcast_to(np.asarray(time_s, float), np.shape(rows))
-        k = np.clip(np.floor(time_s - TIME_S[0]).astype(int), 0, len(TIME_S) - 2)
+        k = np.clip(np.floor(time_s - TIME_S[0]).astype(int), 0, self.position.shape[1] - 2)
         velocity = self.position[rows, k + 1] - self.position[rows, k]
-        return self.position[rows, k] + velocity * (time_s - TIME_S[k])[:, None], velocity
+        return self.position[rows, k] + velocity * (time_s - TIME_S[0] - k)[:, None], velocity
 
 
-def _smooth(position: np.ndarray, s: float = 8.0) -> np.ndarray:
+def smooth(position: np.ndarray, s: float = 8.0) -> np.ndarray:
     """(times, 2) a path without sudden changes of velocity."""
     t = np.arange(-3.0 * s, 3.0 * s + 1.0)
     weight = np.exp(-0.5 * (t / s) ** 2)
@@ -53,9 +53,11 @@ def _smooth(position: np.ndarray, s: float = 8.0) -> np.ndarray:
     return np.column_stack([np.convolve(column, weight / weight.sum(), "valid") for column in padded.T])
 
 
-def _course(rng: np.random.Generator, speed: float, width_m: float = 2000.0) -> tuple[np.ndarray, np.ndarray]:
+def _course(
+    rng: np.random.Generator, speed: float, time_s: np.ndarray, width_m: float = 2000.0
+) -> tuple[np.ndarray, np.ndarray]:
     """(times, 2) a path with slow turns, and its directions."""
-    heading = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(rng.normal(0.0, 0.004, len(TIME_S)))
+    heading = rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(rng.normal(0.0, 0.004, len(time_s)))
     along = np.column_stack([np.sin(heading), np.cos(heading)])
     return rng.uniform(0.3, 0.7, 2) * width_m + np.cumsum(speed * along, axis=0), along
 
@@ -68,28 +70,28 @@ def in_lock(rng: np.random.Generator) -> Paths:
         enters, leaves = 14.0 * k + rng.uniform(0.0, 5.0), 300.0 + 9.0 * k
         north = np.minimum(berth[1], berth[1] - 2.5 * (enters + 90.0 - TIME_S))
         north = north + 3.0 * np.maximum(TIME_S - leaves, 0.0)
-        ships.append(_smooth(np.column_stack([np.full(len(TIME_S), berth[0]), north])))
+        ships.append(smooth(np.column_stack([np.full(len(TIME_S), berth[0]), north])))
     return Paths.of(*ships)
 
 
-def with_pilots(rng: np.random.Generator) -> Paths:
+def with_pilots(rng: np.random.Generator, time_s: np.ndarray = TIME_S) -> Paths:
     """Four ships under way; a pilot boat comes to each, stays 20 m alongside for two minutes, and leaves."""
     ships = []
     for _ in range(4):
-        path, along = _course(rng, rng.uniform(3.0, 6.0))
+        path, along = _course(rng, rng.uniform(3.0, 6.0), time_s)
         side = rng.choice([-1.0, 1.0]) * np.column_stack([along[:, 1], -along[:, 0]])
         begin = rng.uniform(100.0, 200.0)
-        away = 20.0 + 7.0 * np.maximum(np.maximum(begin - TIME_S, TIME_S - begin - 120.0), 0.0)
-        ships += [path, _smooth(path + away[:, None] * side)]
+        away = 20.0 + 7.0 * np.maximum(np.maximum(begin - time_s, time_s - begin - 120.0), 0.0)
+        ships += [path, smooth(path + away[:, None] * side)]
     return Paths.of(*ships)
 
 
-def towed(rng: np.random.Generator) -> Paths:
+def towed(rng: np.random.Generator, time_s: np.ndarray = TIME_S) -> Paths:
     """Three tows: a tug, its tow 120 m behind, and a tug 30 m on either side of the tow."""
     ships = []
     for _ in range(3):
         speed = rng.uniform(1.5, 3.0)
-        path, along = _course(rng, speed)
+        path, along = _course(rng, speed, time_s)
         behind = int(120.0 / speed)
         tow = np.concatenate([path[0] - speed * along[0] * np.arange(behind, 0.0, -1.0)[:, None], path])[: len(path)]
         side = np.column_stack([along[:, 1], -along[:, 0]])
@@ -110,7 +112,7 @@ def fairway(rng: np.random.Generator) -> Paths:
         leg = rng.uniform(110.0, 150.0)
         phase = (TIME_S + rng.uniform(0.0, 2.0 * leg)) / leg % 2.0
         east = 400.0 - 800.0 * np.abs(1.0 - phase)
-        ships.append(_smooth(np.column_stack([east, np.full(len(TIME_S), 250.0 * (k - 1) + rng.normal(0.0, 30.0))])))
+        ships.append(smooth(np.column_stack([east, np.full(len(TIME_S), 250.0 * (k - 1) + rng.normal(0.0, 30.0))])))
     return Paths.of(*ships)
 
 
