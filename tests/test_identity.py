@@ -80,6 +80,16 @@ def test_numeric_codes_become_text():
     assert not nothing.log_ratio.any() and not nothing.informative.any()
 
 
+@pytest.mark.parametrize(("name", "form"), [("icao", "3C{:04X}"), ("mmsi", "2110{:05d}"), ("callsign", "DLH{}")])
+def test_addresses_and_call_signs_of_a_fleet_follow_each_other_and_are_no_slips(name, form):
+    """Two aircraft at neighbouring stands, one with ADS-B and one in multilateration, were one at 0.98."""
+    fleet, model = [form.format(k) for k in range(40, 70)], MODELS[name]
+    near = [ratio(model, *fleet[k : k + 2], fleet[:k] + fleet[k + 2 :]) for k in range(0, 29, 2)]
+    others = [form.format(k) for k in range(11_111, 60_000, 4001)]
+    assert max(near) < 0.0 < ratio(model, fleet[0], fleet[1], others) - 0.5
+    assert ratio(model, fleet[0], fleet[0], fleet[1:]) > 5.0
+
+
 def test_equal_codes_favour_a_pair_one_bit_off_less_so_and_different_codes_oppose_it():
     icao = MODELS["icao"]
     equal, near, far = (ratio(icao, "4B1814", other) for other in ("4B1814", "4B1815", "3C6444"))

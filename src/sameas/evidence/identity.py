@@ -114,10 +114,11 @@ class Model(Protocol):
 class Code:
     """Values that should identify one object: addresses, numbers, names.
 
-    r = (1 − e) / p(value) for equal values; for values that differ by one bit or one typing error, the share e of such
-    errors divided by the number of possible ones; else the share ``other`` of values unrelated to the object. p(value),
-    the probability that an unrelated object has it, is 1/``values``, or the frequency with which several objects of one
-    source have it.
+    r = (1 − e) / p(value) for equal values; e / p(near) for values that differ by one bit or one typing error; else the
+    share ``other`` of values unrelated to the object. p(value), the probability that an unrelated object has it, is
+    1/``values``, or the frequency with which several objects of one source have it. p(near), that it has one of the
+    values a small error away, is ``neighbours`` p(value), or the share of the others that have: addresses and call
+    signs of a fleet follow each other.
 
     Parameters
     ----------
@@ -150,9 +151,24 @@ class Code:
         same = first == second
         out[same] = np.logaddexp(math.log1p(-self.slips - self.other) - chance[same], log_other)
         differ = np.flatnonzero(~same)
-        near = differ[(differ_by_one_bit if self.bits else differ_by_one_typing)(first[differ], second[differ])]
-        out[near] = np.logaddexp(math.log(self.slips / self.neighbours) - chance[near], log_other)
+        near = differ[self._are_near(first[differ], second[differ])]
+        log_near = np.maximum(
+            math.log(self.neighbours) + chance[near], self._log_near(first[near], second[near], values)
+        )
+        out[near] = np.logaddexp(math.log(self.slips) - log_near, log_other)
         return out
+
+    def _are_near(self, first: NDArray[Any], second: NDArray[Any]) -> BoolArray:
+        """(m,) whether two different values are one small error apart."""
+        return (differ_by_one_bit if self.bits else differ_by_one_typing)(first, second)
+
+    def _log_near(self, first: NDArray[Any], second: NDArray[Any], values: NDArray[Any]) -> FloatArray:
+        """(m,) ln of the share of other values that are near one of a near pair, besides the pair itself."""
+        asked, index = np.unique(np.concatenate([first, second]), return_inverse=True)
+        near = [np.count_nonzero(self._are_near(np.broadcast_to(one, values.shape), values)) - 1 for one in asked]
+        share = np.array(near, float)[index].reshape(2, -1).mean(axis=0) / max(len(values) - 2, 1)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(share))
 
     def _log_chances(self, pool: NDArray[Any]) -> tuple[NDArray[Any], FloatArray]:
         """The values of the pool, ascending, and ln p that an unrelated object has them."""
