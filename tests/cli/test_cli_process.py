@@ -6,6 +6,7 @@ import inspect
 import json
 import os
 import pty
+import re
 import resource
 import shlex
 import signal
@@ -19,7 +20,7 @@ import pytest
 import typer
 from astropy.table import Table
 
-from sameas.cli.app import COMMANDS
+from sameas.cli.app import COMMANDS, app
 from sameas.io import read_table, write_table
 
 COMMAND = [str(Path(sys.executable).with_name("sameas"))]
@@ -241,6 +242,16 @@ except SystemExit:
     done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, timeout=60)
     assert done.stdout.splitlines()[-1] == "[]"
     assert "match" in done.stdout and "explain" in done.stdout
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_help_shows_arguments_as_they_are_typed_and_no_python_types(command, capsys):
+    with pytest.raises(SystemExit):
+        app([command, "--help"])
+    shown = capsys.readouterr().out
+    usage = next(line for line in shown.splitlines() if "Usage:" in line)
+    assert "{" not in usage and "[[" not in usage
+    assert not re.findall(r"<[a-z]+[\[\]a-z]*>", shown)
 
 
 def test_paragraphs_of_a_help_are_filled():

@@ -50,8 +50,24 @@ def _as_typed(command: Any, ctx: Any) -> None:
             parameter._runtime_param = _AsTyped(parameter.type_descriptor.annotation)
 
 
+def _in_plain_words(parameter: Any) -> Any:
+    """A parameter whose help has no Python types, and arguments as they are written.
+
+    typer 0.29 prints ``<bool>`` beside every flag, ``<list[str]>`` beside the files, and ``{A} {B}`` for ``A B``.
+    """
+    is_argument = parameter.param_type_name == "argument"
+    if is_argument:
+        parameter.get_usage_pieces = lambda ctx: [parameter.metavar]
+    if is_argument or parameter.is_flag:
+        parameter.display_type_rich = lambda ctx: None
+    return parameter
+
+
 class _Group(TyperGroup):
     """All commands."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return [_in_plain_words(one) for one in super().get_params(ctx)]
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         _as_typed(self, ctx)
@@ -61,8 +77,8 @@ class _Group(TyperGroup):
 app = typer.Typer(
     name="sameas",
     cls=_Group,
-    help="Which records of two catalogues are the same object, and how sure that is.",
-    epilog="Start with: sameas match A.fits B.fits -o OUT.fits",
+    help="Which records of two or more sources are the same object, and how sure that is.",
+    epilog="Start with: sameas match A.fits B.fits -o OUT.fits, or sameas picture RADAR.csv AIS.nmea",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -89,6 +105,9 @@ _WITH_ERRORS = {"match", "many", "internal"}
 
 class _Recorded(TyperCommand):
     """A command that records its arguments as typed, for provenance."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return [_in_plain_words(one) for one in super().get_params(ctx)]
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         _as_typed(self, ctx)

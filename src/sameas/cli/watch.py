@@ -82,10 +82,13 @@ def watch(
         str | None, option("--for", panel=_INPUTS, metavar="10s", help="End after this long; otherwise with Ctrl-C.")
     ] = None,
     host: Annotated[
-        str, option("--host", panel=_MAP, show_default=True, help="Address of the map; other machines need a token.")
+        str, option(
+            "--host", panel=_MAP, metavar="ADDRESS", show_default=True,
+            help="Address of the map; other machines need a token.",
+        )
     ] = "127.0.0.1",
     port: Annotated[
-        int, option("--port", panel=_MAP, show_default=True, help="Port of the map; 0: any free one.")
+        int, option("--port", panel=_MAP, metavar="N", show_default=True, help="Port of the map; 0: any free one.")
     ] = 8642,
     token: Annotated[
         str | None, option("--token", panel=_MAP, metavar="TEXT", help="Token that may acknowledge alarms.")
