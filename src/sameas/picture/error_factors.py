@@ -49,6 +49,7 @@ from sameas.gaussian import log_density
 from sameas.kernels.kalman import update_in_plane
 from sameas.picture.error_correlation import MIN_M2, log_residuals
 from sameas.picture.tables import RANGE_BANDS, Scan
+from sameas.representation import listed
 from sameas.tracks.alignment import moved
 
 ERROR_FACTORS = tuple(2.0 ** (k / 4.0) for k in range(-8, 9))  # grid of factors on stated errors, about 1
@@ -208,10 +209,13 @@ class ErrorFactors:
 
     def lines(self) -> list[str]:
         """Printable lines on the sources whose errors differ from the stated ones by 3σ and by 25 % or more."""
+        names: dict[str, list[str]] = {}
+        for name, factor, sigma in zip(self.names, self.factor.tolist(), self.sigma.tolist(), strict=True):
+            if abs(np.log(factor)) > max(3.0 * sigma, np.log(1.25)):
+                names.setdefault(_in_words(factor, sigma), []).append(name)
         return [
-            f"{name}: positions err by {_in_words(factor, sigma)} what is stated or assumed; counted so"
-            for name, factor, sigma in zip(self.names, self.factor.tolist(), self.sigma.tolist(), strict=True)
-            if abs(np.log(factor)) > max(3.0 * sigma, np.log(1.25))
+            f"{listed(some)}: positions err by {words} what is stated or assumed; counted so"
+            for words, some in names.items()
         ]
 
     def _with_posterior(self) -> ErrorFactors:
