@@ -1,5 +1,6 @@
 """APRS of the Open Glider Network: aircraft with FLARM and other trackers."""
 
+import numpy as np
 import pytest
 
 from sameas.errors import InputError
@@ -43,3 +44,28 @@ def test_what_has_no_date_or_no_aircraft_is_refused(tmp_path):
         read_reports(written(tmp_path, *LINES))
     with pytest.raises(InputError, match="no position of an aircraft"):
         read_reports(written(tmp_path, LINES[0]))
+
+
+#: As the servers of other systems send them: hang gliders, an airliner, a weather station.
+OTHERS = (
+    "FMT924469>OGFLYM,qAS,FLYMASTER:/155232h3720.70N/00557.97W^222/092/A=000029 !W52!",
+    "ICA3E7540>OGSPOT,qAS,SPOT:/155233h1448.35S/04610.86W'000/000/A=008677 id0-2860357 SPOT3 GOOD",
+    "OGN8A0749>OGINRE,qAS,INREACH:/155234h0448.38N/07600.74W'000/000/A=004583 id300434060496190 inReac True",
+    "NAV042121>OGNAVI,qAS,NAVITER:/155235h4550.36N/01314.85E'090/152/A=001086 !W47! id0440042121 +000fpm",
+    "ICA4CA4EB>OGNAVI,qAS,NAVITER:/155235h4550.36N/01314.85E'090/152/A=001086 !W47! id04104CA4EB +000fpm",
+    "ICA346303>OGADSB,qAS,LEMDadsb:/155236h4116.57N\\00208.92W^034/370/A=034000 id25346303 +000fpm  0.0rot fnIBE34LM",
+    "FNT010203>OGNFNT,qAS,FNB1103CE:/155237h5057.94N/00801.00E_355/002g001t050 h50b10130",
+)
+
+
+def test_trackers_of_other_systems_are_read(tmp_path):
+    """A club with hang gliders saw none of them: Flymaster, SPOT, inReach and Naviter were taken for receivers."""
+    [found] = read_reports(written(tmp_path, *OTHERS), ReadOptions("ogn", start="2024-05-22"))
+    assert found.track_id.tolist() == ["FMT924469", "3e7540", "8a0749", "042121", "4ca4eb", "346303"]
+    assert found.icao.tolist() == [None, "3e7540", None, None, "4ca4eb", "346303"]
+    assert found.callsign.tolist()[4:] == [None, "IBE34LM"]
+    # A tracker that sends neither course nor speed is not at rest.
+    assert np.isnan(found.speed_m_per_s).tolist() == [False, True, True, False, False, False]
+    # The heights of ADS-B are pressure heights.
+    assert found.pressure_alt_m[5] == pytest.approx(10_363.2) and np.isnan(found.alt_m).tolist() == 5 * [False] + [True]
+    assert found.passed_over == {"position of a receiver or another station": 1}

@@ -2,10 +2,12 @@
 
     FLRDDE626>APRS,qAS,EGHL:/074548h5111.32N/00102.04W'086/007/A=000607 !W83! id0ADDE626 -019fpm +0.0rot 5.5dB gps2x3
 
-Positions are of GNSS, to 0.01′, or 0.001′ with the digits of ``!W83!``. Times are UTC without a date, which servers
-send in comments. Lines without an ``id`` are of receivers and other stations. Addresses are ICAO's if the id says so.
-A server greets with a comment, wants a login (:func:`login`), and sends what its filter passes. Source: the OGN wiki,
-"aprs"; aprs-is.net, "Connecting to APRS-IS".
+Positions are of GNSS, to 0.01′, or 0.001′ with the digits of ``!W83!``; ``000/000`` is no course and no speed. Heights are above the sea, those of ADS-B (``OGADSB``) pressure heights. Times are UTC without a date, which servers
+send in comments. An aircraft has an ``id``, of 24 bits after 8 (Naviter: 16) that say whose address it is; trackers of
+other systems, which hang gliders carry (Flymaster, SPOT, inReach), are known by their call, three letters and six
+digits. Receivers (``TCPIP*``) and weather stations are no aircraft. A server greets with a comment, wants a login
+(:func:`login`), and sends what its filter passes. Source: the OGN wiki, "aprs"; glidernet/ogn-aprs-protocol;
+aprs-is.net, "Connecting to APRS-IS".
 """
 
 from __future__ import annotations
@@ -30,18 +32,25 @@ from sameas.tracks.coordinates import FOOT_M, MILE_M
 from sameas.tracks.reports import Reports, Unused, of_rows
 
 _LINE = re.compile(
-    r"[A-Z0-9-]{3,9}>[^:]+:/(?P<hour>\d{2})(?P<minute>\d{2})(?P<second>\d{2})h"
-    r"(?P<lat>\d{2})(?P<lat_minutes>\d{2}\.\d{2})(?P<north>[NS]).(?P<lon>\d{3})(?P<lon_minutes>\d{2}\.\d{2})(?P<east>[EW])."
+    r"(?P<call>[A-Z0-9-]{3,9})>(?P<path>[^:]+):/(?P<hour>\d{2})(?P<minute>\d{2})(?P<second>\d{2})h"
+    r"(?P<lat>\d{2})(?P<lat_minutes>\d{2}\.\d{2})(?P<north>[NS]).(?P<lon>\d{3})(?P<lon_minutes>\d{2}\.\d{2})(?P<east>[EW])(?P<symbol>.)"
     r"(?:(?P<course>\d{3})/(?P<speed>\d{3}))?(?:/A=(?P<feet>-?\d{5,6}))?(?P<rest>.*)"
 )
 #: How the comments of servers begin: aprsc, javAPRSSrvr.
 _COMMENT = re.compile(r"# ?(?:aprsc|javAPRS|logresp)")
-_ID = re.compile(r"\bid([0-9A-F]{2})([0-9A-F]{6})\b")
+_ID = re.compile(r"\bid([0-9A-F]{2}(?:[0-9A-F]{2})?)([0-9A-F]{6})\b")
+#: The call of a tracker without such an id: who gave its address, and the address.
+_CALL = re.compile(r"([A-Z]{3})([0-9A-F]{6})")
+#: Who gives addresses that the ids of aircraft have, too: others number their own trackers.
+_ADDRESSES = ("ICA", "FLR", "OGN")
+#: Of receivers in the path of a line, and the symbol of weather stations.
+_RECEIVER, _WEATHER = "TCPIP*", "_"
+_FLIGHT = re.compile(r"\bfn(\w+)")
 _DATE = re.compile(r"(\d{1,2} [A-Z][a-z]{2} \d{4} \d{2}:\d{2}:\d{2}) GMT")
 _DIGITS = re.compile(r"!W(\d)(\d)!")
 _CLIMB = re.compile(r"([+-]\d+)fpm")
 _GPS = re.compile(r"\bgps(\d+)x(\d+)")
-#: What the two lowest bits of an id say of an address that is ICAO's.
+#: What an id says of an address that is ICAO's, in its two lowest bits, or in six of Naviter's.
 _ICAO = 1
 #: 1σ of GNSS, m, where no accuracy is stated (chosen), and that of a position to 0.01′.
 _GNSS_M, _STEP_M = 10.0, 0.01 * MILE_M / 12.0**0.5
@@ -78,11 +87,11 @@ def read(lines: Sequence[str], source: str, start_s: float | None) -> Reports:
         found = _LINE.search(line)
         if found is None:
             unused.passed_over["line without a position"] += 1
-        elif (named := _ID.search(found["rest"])) is None:
+        elif (named := _name(found)) is None:
             unused.passed_over["position of a receiver or another station"] += 1
         else:
             try:
-                rows.append({"line": number, **_row(found, named)})
+                rows.append({"line": number, **named, **_row(found)})
             except ValueError as error:
                 unused.damaged.append((number, str(error)))
                 continue
@@ -107,7 +116,27 @@ def _date(comment: str) -> float | None:
         return None
 
 
-def _row(found: re.Match[str], named: re.Match[str]) -> dict[str, Any]:
+def _name(found: re.Match[str]) -> dict[str, Any] | None:
+    """The id of an aircraft, its address of ICAO and its flight; None of what is no aircraft."""
+    if found["symbol"] == _WEATHER or _RECEIVER in found["path"]:
+        return None
+    flight = _FLIGHT.search(found["rest"])
+    callsign = flight[1] if flight else None
+    if named := _ID.search(found["rest"]):
+        head, address = int(named[1], 16), named[2].lower()
+        is_icao = (head % 4 if len(named[1]) == 2 else head >> 4 & 0x3F) == _ICAO
+        return {"track_id": address, "icao": address if is_icao else None, "callsign": callsign}
+    called = _CALL.fullmatch(found["call"])
+    if called is None:
+        return None
+    address = called[2].lower()
+    return {
+        "track_id": address if called[1] in _ADDRESSES else called[0],
+        "icao": address if called[1] == "ICA" else None, "callsign": callsign,
+    }  # fmt: skip
+
+
+def _row(found: re.Match[str]) -> dict[str, Any]:
     """A report by the columns of Reports. Raises ValueError with the reason."""
     more = _DIGITS.search(found["rest"])
     digits = (int(more[1]), int(more[2])) if more else (0, 0)
@@ -119,14 +148,14 @@ def _row(found: re.Match[str], named: re.Match[str]) -> dict[str, Any]:
         place.append(-degrees if found[side] in "SW" else degrees)
     gps, climb = _GPS.search(found["rest"]), _CLIMB.search(found["rest"])
     sigma_m = float(gps[1]) if gps else _GNSS_M
-    address = named[2].lower()
+    moves = found["course"] is not None and f"{found['course']}/{found['speed']}" != "000/000"
+    height_m = None if found["feet"] is None else FOOT_M * float(found["feet"])
     return {
-        "lat_deg": place[0], "lon_deg": place[1], "track_id": address,
-        "icao": address if int(named[1], 16) % 4 == _ICAO else None,
+        "lat_deg": place[0], "lon_deg": place[1],
         "sigma_m": sigma_m if more else float(np.hypot(sigma_m, _STEP_M)),
-        "course_deg": None if found["course"] is None else float(found["course"]),
-        "speed_m_per_s": None if found["speed"] is None else KNOT_M_PER_S * float(found["speed"]),
-        "alt_m": None if found["feet"] is None else FOOT_M * float(found["feet"]),
+        "course_deg": float(found["course"]) if moves else None,
+        "speed_m_per_s": KNOT_M_PER_S * float(found["speed"]) if moves else None,
+        "pressure_alt_m" if found["path"].startswith("OGADSB") else "alt_m": height_m,
         "climb_m_per_s": None if climb is None else FEET_PER_MINUTE_M_PER_S * float(climb[1]),
     }  # fmt: skip
 
