@@ -2,10 +2,11 @@
 
     FLRDDE626>APRS,qAS,EGHL:/074548h5111.32N/00102.04W'086/007/A=000607 !W83! id0ADDE626 -019fpm +0.0rot 5.5dB gps2x3
 
-Positions are of GNSS, to 0.01′, or 0.001′ with the digits of ``!W83!``; ``000/000`` is no course and no speed. Heights are above the sea, those of ADS-B (``OGADSB``) pressure heights. Times are UTC without a date, which servers
-send in comments. An aircraft has an ``id``, of 24 bits after 8 (Naviter: 16) that say whose address it is; trackers of
-other systems, which hang gliders carry (Flymaster, SPOT, inReach), are known by their call, three letters and six
-digits. Receivers (``TCPIP*``) and weather stations are no aircraft. A server greets with a comment, wants a login
+Positions are of GNSS, to 0.01′, or 0.001′ with the digits of ``!W83!``; ``000/000`` is no course and no speed. Heights
+are above the sea, those of ADS-B (``OGADSB``) pressure heights. Times are UTC without a date, which servers send in
+comments. An aircraft has an ``id``, of 24 bits after 8 (Naviter: 16) that say whose address it is; trackers of other
+systems, which hang gliders carry (Flymaster, SPOT, inReach), are known by their call, three letters and six digits.
+Receivers (``TCPIP*``) and weather stations are no aircraft. A server greets with a comment, wants a login
 (:func:`login`), and sends what its filter passes. Source: the OGN wiki, "aprs"; glidernet/ogn-aprs-protocol;
 aprs-is.net, "Connecting to APRS-IS".
 """
