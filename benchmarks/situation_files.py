@@ -145,17 +145,20 @@ class Ais:
         of, time_s = _sampled(world, self.period_s, self.misses, rng).T
         of = of.astype(int)
         place, velocity = world.paths.at(of, time_s)
-        antenna = (rng.uniform(-0.3, 0.3, len(world)) * world.length_m)[of, None] * world.directions(of, time_s)
+        ahead = world.directions(of, time_s)
+        antenna = (rng.uniform(-0.3, 0.3, len(world)) * world.length_m)[of, None] * ahead
         lat, lon = PLANE.to_geodetic(place + antenna + self.sigma_m * rng.normal(size=place.shape))
         speed = np.abs(np.hypot(*velocity.T) / KNOT_M_PER_S + 0.1 * rng.normal(size=len(of)))
         course = (np.degrees(np.arctan2(*velocity.T)) + 2.0 * rng.normal(size=len(of))) % 360.0
+        # Of class A, the compass; of all, whether the receiver is corrected.
+        heading, accurate = np.degrees(np.arctan2(*ahead.T)) % 360.0, rng.random(len(world)) < 0.5
         lines = []
         for k, one in enumerate(of.tolist()):
             message = {"type": 18 if one in self.class_b else 1, "mmsi": 211000001 + one, "lat": lat[k], "lon": lon[k],
                        "speed": round(speed[k], 1), "course": round(course[k], 1), "second": int(time_s[k]) % 60,
-                       "accuracy": True}  # fmt: skip
+                       "accuracy": bool(accurate[one]), "heading": 511}  # fmt: skip
             if one not in self.class_b:
-                message["status"] = 5 if one in self.moored else 0
+                message |= {"status": 5 if one in self.moored else 0, "heading": int(heading[k])}
             [sentence] = pyais.encode_dict(message, talker_id="AI", sentence_type="VDM")
             tag = f"c:{int(START_S + time_s[k] + 0.3)}"
             check = 0
