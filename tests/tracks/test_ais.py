@@ -7,9 +7,10 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.io.sensors import ReadOptions, ais, read_reports
+from sameas.io.sensors.ais import ASSUMED_LENGTH_M, LENGTH_PER_WIDTH
 from sameas.io.sensors.nmea import checksum, log_of
 from sameas.io.sensors.stream import ReportStream
-from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.coordinates import LocalPlane, along_and_across
 
 pyais = pytest.importorskip("pyais")
 SAMPLE = Path(__file__).parent / "data" / "ais_sample.nmea"
@@ -75,7 +76,11 @@ def test_every_real_report_agrees_with_its_bits(sample):
             if decoded["heading"] == 511
             else sample.heading_deg[k] == decoded["heading"]
         )
-        assert sample.covariance_m2[k].tolist() == ([25.0, 0.0, 25.0] if decoded["accuracy"] else [225.0, 0.0, 225.0])
+        # No message of these ships states a hull: one of class A or B is assumed, along a heading or any.
+        length_m = ASSUMED_LENGTH_M[sample.extra["message_type"][k]]
+        hull = 2.0 * (length_m**2 + (length_m / LENGTH_PER_WIDTH) ** 2) / 12.0
+        fix = 25.0 if decoded["accuracy"] else 225.0
+        assert sample.covariance_m2[k, [0, 2]].sum() == pytest.approx(2.0 * fix + hull)
         assert sample.extra["raim_flag"][k] == decoded["raim"]
         assert sample.time_s[k] % 60 == decoded["second"]
 
@@ -124,6 +129,24 @@ def test_a_number_without_the_check_digit_of_an_imo_number_is_no_identity(imo):
     assert len(made) == 2 and made.name.tolist() == ["A", "A"] and made.imo is None
 
 
+def test_the_antenna_of_a_ship_that_states_no_hull_is_anywhere_on_one():
+    """A ship of 200 m was two objects for good, 1.00, where her reports had the errors of the GNSS alone."""
+    [ship, boat, device, aircraft] = (
+        made.covariance_m2[0]
+        for made in (
+            reports(message(heading=90, accuracy=1)),
+            reports(encoded(type=18, lat=50.0, lon=-1.0, heading=90, accuracy=1)),
+            reports(message(heading=90, accuracy=1, mmsi=970012345)),
+            reports(encoded(type=9, mmsi=111232501, lat=50.0, lon=-1.0, course=90.0, accuracy=1)),
+        )
+    )
+    np.testing.assert_allclose(ship, [25 + 60**2 / 6, 0.0, 25 + 10**2 / 6], atol=1e-9)
+    np.testing.assert_allclose(boat, [25 + 15**2 / 6, 0.0, 25 + 2.5**2 / 6], atol=1e-9)
+    assert device.tolist() == aircraft.tolist() == [25.0, 0.0, 25.0]
+    craft = reports(message(heading=90, accuracy=1, mmsi=982110001)).covariance_m2[0]
+    assert craft.tolist() == pytest.approx(boat.tolist())
+
+
 def test_without_heading_the_course_of_a_moving_ship_is_used():
     static = encoded(type=24, partno=1, to_bow=40, to_stern=20, to_port=5, to_starboard=5)
     moving = reports([*message(heading=511, course=0.0, speed=10.0), *static])
@@ -146,7 +169,7 @@ def test_messages_without_position_are_ignored_and_dead_reckoning_is_coarse():
         [*message(lat=91.0, lon=181.0), *message(second=63), *message(second=62, accuracy=1), *message(second=10)]
     )
     assert made.passed_over == {"AIS report without a position": 1, "AIS report, positioning inoperative": 1}
-    assert made.covariance_m2[:, 0].tolist() == [1e4, 225.0]
+    np.testing.assert_allclose(np.diff(made.covariance_m2[:, 0]), 225.0 - 1e4)
     assert made.time_s.tolist() == [1452603731.0, 1452603730.0]
 
 
@@ -223,8 +246,9 @@ def test_without_a_clock_seconds_are_counted_from_the_start():
 
 def test_a_long_range_report_is_as_coarse_as_its_steps():
     made = reports(encoded(type=27, lat=60.0, lon=4.76, speed=9, course=167, accuracy=1))
-    assert made.covariance_m2[0, 2] == pytest.approx(25.0 + 185.2**2 / 12)
-    assert made.covariance_m2[0, 0] == pytest.approx(25.0 + (185.2 / 2) ** 2 / 12, rel=0.01)
+    [hull] = along_and_across(np.array([60.0**2 / 6]), np.array([10.0**2 / 6]), np.array([167.0]))
+    assert made.covariance_m2[0, 2] == pytest.approx(25.0 + 185.2**2 / 12 + hull[1, 1])
+    assert made.covariance_m2[0, 0] == pytest.approx(25.0 + (185.2 / 2) ** 2 / 12 + hull[0, 0], rel=0.01)
     assert made.speed_m_per_s[0] == pytest.approx(9 * 1852 / 3600) and made.time_s[0] == 1452603731.0
 
 

@@ -2,8 +2,9 @@
 
 Position reports 1, 2, 3, 9, 18, 19 and 27 become reports; 5, 19 and 24 give name, call sign, ship type and hull; 4 and
 11 serve as a clock where the log has none. Values that mean "not available" are absent. Positions are those of the
-centre of the hull where hull and heading are known (:class:`Hull`); those of the antenna are in ``extra``. Messages are
-decoded by pyais (MIT).
+centre of the hull where hull and heading are known (:class:`Hull`); those of the antenna are in ``extra``. The errors
+of a ship that states no hull include that of one of usual length (:data:`ASSUMED_LENGTH_M`). Messages are decoded by
+pyais (MIT).
 """
 
 from __future__ import annotations
@@ -65,6 +66,15 @@ class Hull:
         """(n,) whether the position of the antenna on the hull is known."""
         size_only = (self.to_bow_m == 0.0) & (self.to_port_m == 0.0)
         return ~np.isnan(self.length_m) & ~(size_only & (self.to_stern_m > 0.0) & (self.to_starboard_m > 0.0))
+
+    def or_of_length(self, length_m: FloatArray) -> Hull:
+        """The hulls; where none is known, one of this length (n,), the place of its antenna unknown; none where it is
+        0."""
+        unknown = np.isnan(self.length_m)
+        sides = (self.to_bow_m, self.to_stern_m, self.to_port_m, self.to_starboard_m)
+        none = np.zeros(len(length_m))
+        assumed = (none, length_m, none, length_m / LENGTH_PER_WIDTH)
+        return Hull(*(np.where(unknown, one, side) for side, one in zip(sides, assumed, strict=True)))
 
     def centre(
         self, lat_deg: FloatArray, lon_deg: FloatArray, heading_deg: FloatArray
@@ -155,6 +165,9 @@ _LONG_RANGE_STEP_M = 0.1 * MILE_M
 _STEERING_M_PER_S = 1.0
 #: Length of a ship per width, where its width is not stated (chosen).
 LENGTH_PER_WIDTH = 6.0
+#: Length in metres of a ship that states none, by the type of her position report: class A, from pilot boats of 15 m to
+#: ships of 400 m, class B, and aircraft, which are no hulls (chosen).
+ASSUMED_LENGTH_M = {1: 60.0, 2: 60.0, 3: 60.0, 9: 0.0, 18: 15.0, 19: 15.0, 27: 60.0}
 HULL_CENTRES = (
     "positions are those of the middle of the hull; echoes are assumed to be uniform over the hull; "
     f"the course is used as heading where none is sent and the speed is {_STEERING_M_PER_S:g} m/s or more"
@@ -525,9 +538,17 @@ def _hull_centres(columns: Mapping[str, Any], message_type: np.ndarray) -> dict[
     sides = [np.asarray(columns.get(f"to_{side}_m", np.full(n, np.nan))) for side in SIDES]
     hull = Hull(*sides)
     heading = heading_or_course(columns["heading_deg"], columns["course_deg"], columns["speed_m_per_s"])
-    lat, lon, extent = hull.centre(lat, lon, heading)
+    lat, lon, extent = hull.or_of_length(_assumed_length_m(columns["mmsi"], message_type)).centre(lat, lon, heading)
     return {"lat_deg": lat, "lon_deg": lon, "covariance_m2": covariance + extent,
             "length_m": hull.length_m, "width_m": hull.width_m}  # fmt: skip
+
+
+def _assumed_length_m(mmsi: Sequence[str], message_type: np.ndarray) -> FloatArray:
+    """(n,) the length of ships that state none: 0 of a locating device, of a ship's own craft (98…) that of class B."""
+    return np.array([
+        0.0 if device_of(one) else ASSUMED_LENGTH_M[18 if one.startswith("98") else kind]
+        for one, kind in zip(mmsi, message_type.tolist(), strict=True)
+    ])  # fmt: skip
 
 
 def _notes(source: str, clock: str) -> tuple[str, ...]:
@@ -536,4 +557,6 @@ def _notes(source: str, clock: str) -> tuple[str, ...]:
         f"{source}: assumed {AIS_SIGMA_M[True]:g} m per axis where the accuracy flag is set, {AIS_SIGMA_M[False]:g} m "
         f"where not, {AIS_RECKONED_SIGMA_M:g} m for dead-reckoned or manually entered positions",
         f"{source}: {HULL_CENTRES}",
+        f"{source}: hulls of ships that state none are taken to be {ASSUMED_LENGTH_M[1]:g} m long (class A) or "
+        f"{ASSUMED_LENGTH_M[18]:g} m (class B), with the antenna anywhere on them",
     )
