@@ -1,12 +1,13 @@
 """Internal match: rows of one table gathered to objects."""
 
+import functools
 import itertools
 import math
 
 import numpy as np
 import pytest
 from astropy.table import Table
-from scipy.special import gammaln
+from scipy.special import gammaln, logsumexp
 from typer.testing import CliRunner
 
 import naive
@@ -46,9 +47,10 @@ def solved(xy, variance, log_density, log_count, exposure=None):
     precision = np.column_stack([1.0 / variance, np.zeros(n), 1.0 / variance])
     number = np.full(n, -1) if exposure is None else np.asarray(exposure)
     label, p_row, p_object, place = np.zeros(n, np.int64), np.zeros(n), np.zeros(n), np.zeros((n, 5))
+    alternative = np.zeros((n, 4))
     model = RowModel(log_count, np.ones(1), np.ones(1), math.log(1e-3))
     start, log_densities = np.array([0, n]), np.array([log_density])
-    partition(0, 1, start, xy, precision, number, log_densities, model, label, p_row, p_object, place)
+    partition(0, 1, start, xy, precision, number, log_densities, model, label, p_row, p_object, place, alternative)
     return label, p_row, p_object
 
 
@@ -69,6 +71,28 @@ def test_the_partition_is_the_most_probable_of_all(seed):
         for some in naive.partitions_of(list(range(n)))
     )
     assert found == pytest.approx(best, abs=1e-9)
+
+
+def test_an_object_is_as_probable_as_against_all_its_divisions():
+    """Eight rows of two objects beside each other: 127 divisions, of which none weighs much."""
+    log_density, n = math.log(0.02), 8
+    log_count = np.append(0.0, np.log([1e-3, 1e-3, 1e-2, 0.8, 1e-2, 1e-3, 1e-3, 0.2]) + gammaln(np.arange(2.0, n + 2)))
+    every = list(naive.partitions_of(list(range(n))))
+    stated, exact = [], []
+    for seed in range(10):
+        xy = np.random.default_rng(seed).normal(0.0, 1.0, (n, 2))
+        xy[4:, 0] += 1.5
+        weigh = functools.cache(
+            lambda rows, xy=xy: naive.log_object(xy[list(rows)], np.ones(len(rows)), log_density, log_count)
+        )
+        log_weights = np.array([sum(weigh(tuple(sorted(rows))) for rows in some) for some in every])
+        label, _, p_object = solved(xy, np.ones(n), log_density, log_count)
+        if label.max() == 0:
+            one = log_weights[[len(some) == 1 for some in every]][0]
+            exact.append(math.exp(one - logsumexp(log_weights)))
+            stated.append(p_object[0])
+    assert len(exact) >= 5
+    assert np.mean(stated) == pytest.approx(np.mean(exact), abs=0.1)
 
 
 @pytest.mark.parametrize("distance", [0.5, 3.0, 4.2, 6.0])

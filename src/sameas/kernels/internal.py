@@ -26,7 +26,7 @@ ROUNDS, SWEEPS, PART_STEPS, PLACE_STEPS = 5, 20, 12, 6
 FAR_SQ = 200.0  # squared normalised distance beyond which neither rows nor objects are joined
 NEAR_SQ = 50.0  # the same for an exchange of two rows
 ITEMS_OF_ROW = 5_000  # operations on a row, about
-NEGLIGIBLE = -700.0  # ln of what counts as 0
+NEGLIGIBLE, LEAST_P = -700.0, 1e-300  # ln of what counts as 0; lower limit of a probability that divides
 
 
 class RowModel(NamedTuple):
@@ -52,7 +52,7 @@ class RowArrays(NamedTuple):
 def partition(
     first: int, last: int, start: IntArray, xy: FloatArray, precision: FloatArray, exposure: IntArray,
     log_density: FloatArray, model: RowModel, label: IntArray, p_row: FloatArray, p_object: FloatArray,
-    place: FloatArray,
+    place: FloatArray, alternative: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the object of each row, a number within its component, its probabilities, and the place of its object.
 
@@ -60,6 +60,8 @@ def partition(
     all rows, see :class:`RowArrays`. log_density : (g,) ln ρ.
     p_row : (n,) that the row is of its object, all others as they are. p_object : (n,) that exactly these
     rows are the object. place : (n, 5) x, y, and the precision xx, xy, yy.
+    alternative : (n, 4) at the first row of each object: the probability that it is two, and the rows of one of them;
+    that it is one with another, and the rows of that.
     """
     for g in range(first, last):
         a, b = start[g], start[g + 1]
@@ -76,7 +78,8 @@ def partition(
             count = _divided(some, log_density[g], model, of_row, count)
             if not (moved or merged or count > before):
                 break
-        _probabilities(some, log_density[g], model, of_row, count, p_row[a:b], p_object[a:b], place[a:b])
+        out = p_row[a:b], p_object[a:b], place[a:b], alternative[a:b]
+        _probabilities(some, log_density[g], model, of_row, count, *out)
         label[a:b] = of_row
 
 
@@ -199,6 +202,19 @@ def _best_division(members: IntArray, rows: RowArrays, log_density: float, model
     best, second = NEGLIGIBLE, np.zeros(k, np.bool_)
     if k < 2:
         return best, second
+    sides, gains = _divisions(members, rows, log_density, model)
+    for start in range(len(gains)):
+        if gains[start] > best:
+            best = gains[start]
+            second[:] = sides[start]
+    return best, second
+
+
+@part
+def _divisions(members: IntArray, rows: RowArrays, log_density: float, model: RowModel) -> tuple[BoolArray, FloatArray]:
+    """Three divisions (3, k) of an object, each the rows of its second part, and their gains (3,): halves along the
+    longest axis and across it, and the farthest row alone."""
+    k = len(members)
     place, other = np.empty(5), np.empty(5)
     whole = _log_weight(members, rows, log_density, model, place)
     xx, xy, yy = 0.0, 0.0, 0.0
@@ -214,13 +230,11 @@ def _best_division(members: IntArray, rows: RowArrays, log_density: float, model
         if square > farthest:
             farthest, at = square, m
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
-    side = np.empty(k, np.bool_)
+    sides, gains = np.zeros((3, k), np.bool_), np.full(3, NEGLIGIBLE)
+    sides[2, at] = True
     for start in range(3):
-        # Halves along the longest axis and across it, and the farthest row alone.
-        if start == 2:
-            side[:] = False
-            side[at] = True
-        else:
+        side = sides[start]
+        if start < 2:
             along_x, along_y = math.cos(angle + start * 0.5 * math.pi), math.sin(angle + start * 0.5 * math.pi)
             for m in range(k):
                 i = members[m]
@@ -230,10 +244,59 @@ def _best_division(members: IntArray, rows: RowArrays, log_density: float, model
         if 0 < number < k:
             parts = _log_weight(members[~side], rows, log_density, model, other)
             parts += _log_weight(members[side], rows, log_density, model, other)
-            if parts - whole > best:
-                best = parts - whole
-                second[:] = side
-    return best, second
+            gains[start] = parts - whole
+    return sides, gains
+
+
+@part
+def _odds_of_two(members: IntArray, rows: RowArrays, log_density: float, model: RowModel) -> float:
+    """The sum of the weights of all divisions of an object, over its weight: those into halves and near to these.
+
+    Two near objects have thousands of divisions, of which none weighs much: of eight rows each 2σ apart the best has a
+    tenth of the sum. Single rows are moved by themselves, and left out here.
+    """
+    k = len(members)
+    total = 0.0
+    if k < 4:
+        return total
+    sides, gains = _divisions(members, rows, log_density, model)
+    for start in range(2):
+        number = np.count_nonzero(sides[start])
+        same = start == 1 and (np.all(sides[0] == sides[1]) or np.all(sides[0] != sides[1]))
+        if same or number < 2 or number > k - 2:
+            continue
+        log_ways = _log_ways(members, sides[start], rows, log_density, model)
+        total += math.exp(min(gains[start] + log_ways, -NEGLIGIBLE))
+    return total
+
+
+@part
+def _log_ways(members: IntArray, second: BoolArray, rows: RowArrays, log_density: float, model: RowModel) -> float:
+    """ln of the weights of a division (k,) and of all that differ from it in some rows, over its own; the places of the
+    parts stay, and parts of one row are left out."""
+    some = RowArrays(rows.xy[members], rows.precision[members], rows.exposure[members], _beside(rows.exposure[members]))
+    of_row, k = second.astype(np.int64), len(members)
+    sizes, places, terms = np.zeros(2, np.int64), np.empty((2, 5)), np.empty(3)
+    _places(some, model, of_row, sizes, places)
+    # By the number of rows in the second part, c(K) apart.
+    weight = np.zeros(k + 1)
+    weight[0] = 1.0
+    for i in range(k):
+        own, other = of_row[i], 1 - of_row[i]
+        _row_terms(i, some, log_density, model, of_row, sizes, places, terms)
+        gain = terms[other] - model.log_count[sizes[other] + 1] + model.log_count[sizes[other]]
+        gain -= terms[own] - model.log_count[sizes[own]] + model.log_count[sizes[own] - 1]
+        moved = math.exp(min(gain, 0.0))
+        in_second, in_first = (1.0, moved) if own == 1 else (moved, 1.0)
+        for size in range(i + 1, 0, -1):
+            weight[size] = weight[size] * in_first + weight[size - 1] * in_second
+        weight[0] *= in_first
+    total = 0.0
+    for size in range(2, k - 1):
+        log_count = model.log_count[size] + model.log_count[k - size]
+        log_count -= model.log_count[sizes[1]] + model.log_count[sizes[0]]
+        total += weight[size] * math.exp(min(log_count, -NEGLIGIBLE))
+    return math.log(max(total, LEAST_P))
 
 
 @part
@@ -453,8 +516,9 @@ def _renumbered(of_row: IntArray, count: int) -> int:
 @part
 def _probabilities(
     rows: RowArrays, log_density: float, model: RowModel, of_row: IntArray, count: int, p_row: FloatArray,
-    p_object: FloatArray, place: FloatArray,
+    p_object: FloatArray, place: FloatArray, alternative: FloatArray,
 ) -> None:  # fmt: skip
+    """Fill what :func:`partition` says of the probabilities of the objects."""
     sizes, places, terms = np.zeros(count, np.int64), np.empty((count, 5)), np.empty(count + 1)
     exact = np.ones(count)
     _places(rows, model, of_row, sizes, places)
@@ -478,12 +542,19 @@ def _probabilities(
         weights[o] = _log_weight(_members(of_row, o), rows, log_density, model, trial)
     for o in range(count):
         own = _members(of_row, o)
-        others = math.exp(min(_best_division(own, rows, log_density, model)[0], -NEGLIGIBLE))
+        second = _best_division(own, rows, log_density, model)[1]
+        division, best_union, with_rows = _odds_of_two(own, rows, log_density, model), 0.0, 0
+        whole = 1.0 / max(exact[o], LEAST_P) + division
         for other in range(count):
             if other == o:
                 continue
             gain = _union_gain(own, o, other, rows, log_density, model, of_row, weights, places)
-            others += math.exp(min(gain, -NEGLIGIBLE))
+            union = math.exp(min(gain, -NEGLIGIBLE))
+            whole += union
+            if union > best_union:
+                best_union, with_rows = union, sizes[other]
+        alternative[own[0], 0], alternative[own[0], 1] = division / whole, np.count_nonzero(second)
+        alternative[own[0], 2], alternative[own[0], 3] = best_union / whole, with_rows
         for i in own:
-            p_object[i] = exact[o] / (1.0 + others)
+            p_object[i] = 1.0 / whole
             place[i] = places[o]

@@ -429,18 +429,20 @@ class _Partition:
         share = np.ones(of_bin[-1] + 1)
         scales, shares = np.array(errors.scales), np.array(errors.shares)
         label, place = np.zeros(len(order), np.int64), np.zeros((len(order), 5))
-        p_row, p_object = np.ones(len(order)), np.ones(len(order))
+        p_row, p_object, alternative = np.ones(len(order)), np.ones(len(order)), np.zeros((len(order), 4))
         bounds = parts.bounds(len(threads.even(len(order))) - 1)
         middle = origin[start[:-1]]
         for _ in range(ROUNDS):
             log_density = np.log(_density(middle, origin[start[:-1]]))
             model = RowModel(_log_count(share, of_bin, number), scales, shares, math.log(REPEATED))
-            threads.over(partial(_filled, (start, *rows, log_density, model, label, p_row, p_object, place)), bounds)
+            alternative[:] = 0.0
+            out = label, p_row, p_object, place, alternative
+            threads.over(partial(_filled, (start, *rows, log_density, model, *out)), bounds)
             counts = np.maximum.reduceat(label, start[:-1]) + 1
             in_all = label + np.repeat(np.cumsum(counts) - counts, sizes)
             _, firsts, n_rows = np.unique(in_all, return_index=True, return_counts=True)
             middle = displaced(origin[firsts], place[firsts, :2])
-            share = np.bincount(of_bin[n_rows - 1], minlength=len(share)) + 0.5
+            share = _expected_counts(n_rows, alternative[firsts], of_bin) + 0.5
         return cls(records, order, origin, in_all, p_row, p_object, place)
 
     def result(
@@ -482,6 +484,27 @@ def _density(objects_deg: FloatArray, at_deg: FloatArray) -> FloatArray:
     distance, _ = cKDTree(unit_vectors(*objects_deg.T)).query(unit_vectors(*at_deg.T), k=[k + 1], workers=-1)
     radius = np.maximum(distance[:, 0] * ARCSEC_PER_RADIAN, 1e-6)
     return np.asarray((k - 1) / (math.pi * radius**2))
+
+
+def _expected_counts(n_rows: IntArray, alternative: FloatArray, of_bin: IntArray) -> FloatArray:
+    """Expected objects by bin of their number of rows. n_rows : (g,) of the best partition. alternative : (g, 4) of
+    their divisions and unions, as of :func:`sameas.kernels.internal.partition`.
+
+    Numbers of the best partition alone would support themselves: two objects taken for one of twice as many rows make
+    such objects more probable.
+    """
+    p_two, p_union = alternative[:, 0], alternative[:, 2]
+    second, with_rows = alternative[:, 1].astype(np.int64), alternative[:, 3].astype(np.int64)
+    counts = np.zeros(of_bin[-1] + 1)
+    for number, weight in (
+        (n_rows, 1.0 - p_two - p_union),
+        (n_rows - second, p_two),
+        (second, p_two),
+        (n_rows + with_rows, 0.5 * p_union),
+    ):
+        some = (weight > 0.0) & (number > 0)
+        counts += np.bincount(of_bin[np.minimum(number[some], len(of_bin)) - 1], weight[some], len(counts))
+    return counts
 
 
 def _log_count(share: FloatArray, of_bin: IntArray, exposures: int) -> FloatArray:
