@@ -176,7 +176,7 @@ def _words(figure: Figure, match: FrameIdentification, handles: list[Any], high:
     figure.text(
         left, 1 - 0.62 / high,
         f"{ra[0]:.4f}° {dec[0]:+.4f}° · {size}{when} · {match.stars.name} · "
-        f"scatter {scatter[0]:.2g}″ × {scatter[1]:.2g}″",
+        f"scatter {scatter[0]:#.2g}″ × {scatter[1]:#.2g}″",
         color=DIM, fontsize=10, va="center",
     )  # fmt: skip
     legend = figure.legend(
@@ -202,7 +202,7 @@ def quality(match: FrameIdentification) -> Figure:
     left, i = match.residual_arcsec, match.pairs[0]
     scatter = match.scatter_arcsec
     subtitle = f"{count(len(i))} identified stars of {match.stars.name} on {match.measured.name}; {_model(match)}"
-    title = "No star was identified" if not len(i) else f"Stars lie within {scatter[0]:.2g}″ × {scatter[1]:.2g}″ (1σ)"
+    title = "No star was identified" if not len(i) else f"Stars lie within {scatter[0]:#.2g}″ × {scatter[1]:#.2g}″ (1σ)"
     with_magnitudes = match.zero_point is not None or match.completeness is not None
     figure = sheet(title, subtitle, 12.0, 10.4 if with_magnitudes else 5.8)
     if not len(i):

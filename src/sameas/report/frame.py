@@ -119,7 +119,7 @@ def _scatter(summary: Mapping[str, Any]) -> str:
     # The median is unreliable for few residuals.
     few = summary["found"]["identified"] < FEW_PAIRS
     east, north = summary["residuals"]["rms_arcsec" if few else "scatter_arcsec"]
-    return "not known" if east is None else f"{east:.2g}″ × {north:.2g}″{' rms' if few else ''}"
+    return "not known" if east is None else f"{east:#.2g}″ × {north:#.2g}″{' rms' if few else ''}"
 
 
 def _estimated(summary: Mapping[str, Any]) -> list[str]:

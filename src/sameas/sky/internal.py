@@ -11,7 +11,7 @@ errors S from the distances of close rows, ρ from the neighbours of an object a
 
 The partition is the best that dividing, moving and merging find within components of rows that reach each other
 (:mod:`sameas.kernels.internal`). Of two rows, its probabilities are those of all partitions; of more, those of other
-places of one row, of exchanges of two, and of the best division and the unions of an object.
+places of one row, of exchanges of two, and of the divisions and unions of an object.
 """
 
 from __future__ import annotations
