@@ -18,6 +18,7 @@ from sameas.io.sensors.stream import ReportStream
 from sameas.live.keeper import Keeper
 from sameas.live.outputs import ENCODERS, Sink, TargetNumbers, asterix, cot, geojson, metrics, nmea, sinks_of
 from sameas.live.own_ship import OwnShipState
+from sameas.live.situation import OBJECT
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.heights import GEOMETRIC, PRESSURE, HeightModel, _Line
 
@@ -327,3 +328,16 @@ def test_no_transponder_text_stops_an_output(situation, monkeypatch):
 def test_an_output_to_an_unknown_host_is_refused_before_the_watch():
     with pytest.raises(InputError, match=r"nohost.invalid is not found .*; give its address"):
         Sink("udp://nohost.invalid:1234", "cot")
+
+
+@pytest.mark.parametrize(("icao", "height"), [("3c0001", 2320.0), ("", 2480.0)])
+def test_a_glider_has_the_height_that_she_sends_and_an_airliner_a_flight_level(situation, icao, height):
+    """A picture with pressure heights showed those of gliders, 160 m from what their pilots read, as metres."""
+    count = len(situation.objects["object"])
+    sent = np.ma.array(np.full(count, 2320.0))
+    columns = {"height_m": sent, "sigma_height_m": np.ma.array(np.full(count, 15.0)), "icao": np.full(count, icao)}
+    flying = replace(
+        situation, heights=HeightModel(PRESSURE, _Line(160.0, 0.0, 10.0, 40)), objects=situation.objects | columns
+    )
+    rows = [dict(zip(OBJECT, row, strict=True)) for row in flying.object_rows.values()]
+    assert {row["height"] for row in rows} == {height}

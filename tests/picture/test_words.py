@@ -114,6 +114,17 @@ def test_ships_are_not_missed_by_a_receiver_of_aircraft():
     assert misses["ais"].due == 5 * (len(times) - 1) and misses["ais"].share == pytest.approx(0.6)
 
 
+@pytest.mark.parametrize("kind", ["ads-b", "drone"])
+def test_a_glider_without_a_name_is_called_by_her_tracker(kind):
+    """A page of the Open Glider Network listed #7 and #8: nobody found the glider that was asked for."""
+    rows = [(t, 3000.0 * k, 5.0 * t, *ids) for t in range(0, 60, 10) for k, ids in enumerate(
+        [("dde626", None, None), ("3c0001", "3c0001", "CHRIS1")])]  # fmt: skip
+    names = ("time_s", "x_m", "y_m", "track_id", "icao", "callsign")
+    columns = dict(zip(names, zip(*rows, strict=True), strict=True))
+    picture = Picture.of(Scene.of([(Description("ogn", kind), Reports.of("ogn", "ogn", columns))]), [50.0])
+    assert sorted(picture.objects["label"].tolist()) == ["CHRIS1", "DDE626"]
+
+
 def test_mmsi_0_names_no_ship():
     """The buoys of fishing nets send it: their objects had one label, and were one vessel in Signal K."""
     times = np.arange(0.0, 60.0, 10.0)

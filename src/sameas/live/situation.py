@@ -146,11 +146,29 @@ class Situation:
             _numbers(o["vy_m_per_s"], 2), _numbers(o["speed_m_per_s"], 2), _numbers(o["course_deg"], 1),
             _numbers(major, 1), _numbers(minor, 1), _numbers(angle, 0), o["n_sources"].tolist(),
             _numbers(o["probability"], 5), o["ambiguous"].astype(int).tolist(), _numbers(o["p_runner_up"], 5),
-            *(_numbers(o.get(name, unknown), 1) for name in ("height_m", "sigma_height_m", "climb_m_per_s")),
+            *(_numbers(values, 1) for values in (*self._heights(), o.get("climb_m_per_s", unknown))),
             *(o[name].tolist() for name in OBJECT[OBJECT.index("label") :]),
         ]  # fmt: skip
         rows: list[tuple[Any, ...]] = list(zip(*columns, strict=True))
         return {int(row[0]): row for row in rows}
+
+    def _heights(self) -> tuple[FloatArray, FloatArray]:
+        """(n,) heights of the objects and their 1σ, as a page shows them: of what has a transponder the heights of the
+        picture, as flight levels are; of others those above the ellipsoid."""
+        o = self.objects
+        if "height_m" not in o:
+            return np.full(len(o["object"]), np.nan), np.full(len(o["object"]), np.nan)
+        height, sigma = (np.ma.filled(o[name], np.nan) for name in ("height_m", "sigma_height_m"))
+        if self.heights is None:
+            return height, sigma
+        has_level = (o["icao"] != "") | (o["mode_a"] != "")
+        above, sigma_above = self._above_ellipsoid(self.heights)
+        return np.where(has_level, height, above), np.where(has_level, sigma, sigma_above)
+
+    def _above_ellipsoid(self, heights: HeightModel) -> tuple[FloatArray, FloatArray]:
+        """(n,) heights of the objects above the ellipsoid and their 1σ."""
+        height, sigma = (np.ma.filled(self.objects[name], np.nan) for name in ("height_m", "sigma_height_m"))
+        return heights.above_ellipsoid(height, sigma)
 
     @cached_property
     def record_rows(self) -> dict[str, tuple[Any, ...]]:
@@ -175,8 +193,7 @@ class Situation:
         digits = {"lat_deg": 7, "lon_deg": 7, "probability": 6}
         columns: dict[str, list[float | None]] = {name: _numbers(o[name], digits.get(name, 2)) for name in names}
         if self.heights is not None and "height_m" in o:
-            height, sigma = (np.ma.filled(o[name], np.nan) for name in ("height_m", "sigma_height_m"))
-            above = zip(("hae_m", "sigma_hae_m"), self.heights.above_ellipsoid(height, sigma), strict=True)
+            above = zip(("hae_m", "sigma_hae_m"), self._above_ellipsoid(self.heights), strict=True)
             columns |= {name: _numbers(values, 1) for name, values in above}
         out = []
         for k, number in enumerate(o["object"].tolist()):

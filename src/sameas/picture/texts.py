@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import IntArray, entries
+from sameas.evidence.identity import UNSET
 from sameas.picture.tables import PictureObjects, Scan
 
 #: Attributes of identity in the tables of a picture: names of an object, and what is reported with them.
@@ -21,9 +22,25 @@ LABELS = ("label", *TEXTS)
 NO_TEXTS = np.full(len(TEXTS), "", dtype=object)
 
 
+#: Kinds of sources whose objects have ids by which others know them, too: of the tracker of a glider, of a drone.
+_OWN_IDS = ("ads-b", "drone")
+
+
 def texts_of(scan: Scan) -> dict[str, NDArray[Any]]:
-    """(records,) the texts of an instant by column, of the columns that a source reports."""
-    return {name: scan.texts(name) for name in TEXTS if scan.reports(name)}
+    """(records,) the texts of an instant by column, of the columns that a source reports.
+
+    What sends an id of its own, and no other name, is called by that.
+    """
+    out = {name: scan.texts(name) for name in TEXTS if scan.reports(name)}
+    sends = np.array([one.kind in _OWN_IDS for one in scan.now.descriptions] or [False])
+    unset = np.isin(scan.track.astype(str), ["", *UNSET["icao"]])
+    unnamed = (sends[scan.source] if len(scan) else np.zeros(0, bool)) & ~unset
+    for name in NAMES:
+        unnamed &= out[name] == "" if name in out else True
+    if unnamed.any():
+        names = out.get("name", np.full(len(scan), "", dtype=object))
+        out["name"] = np.where(unnamed, [track.upper() for track in scan.track.tolist()], names).astype(object)
+    return out
 
 
 @dataclass(frozen=True)
