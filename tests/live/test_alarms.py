@@ -6,6 +6,7 @@ import sqlite3
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.live.conftest import START_S
 
@@ -207,26 +208,59 @@ def test_alarms_that_were_active_when_a_watch_was_closed_go_on(tmp_path):
     store.close()
 
 
+def shown(members, **records):
+    """A situation of objects at 0 m east, 100 m north times their number, with records of an AIS receiver at (x, y)."""
+    numbers = np.array(list(members), np.int64)
+    at = np.array(records.get("received", np.empty((0, 2)))).reshape(-1, 2)
+    return SimpleNamespace(
+        members=members,
+        objects={"object": numbers, "x_m": np.zeros(len(numbers)), "y_m": 100.0 * numbers},
+        records={"source": np.full(len(at), "ais"), "x_m": at[:, 0], "y_m": at[:, 1], "age_s": np.zeros(len(at))},
+    )
+
+
+def silence(mmsi, track):
+    words = f"{mmsi} has gone silent"
+    return Fault("silent", "ais", START_S, START_S + 200.0, 9.0, words, mmsi, (("radar", track),))
+
+
+def report(mmsi, after_s):
+    place = {"time_s": [START_S + after_s], "x_m": [0.0], "y_m": [0.0], "mmsi": [mmsi]}
+    return Reports.of("ais", "ais", place)
+
+
 def test_a_ship_is_silent_until_she_reports_again_or_nothing_shows_her():
     """The searches see ten minutes: her alarm ended while she was still dark, and had no object to look at."""
-    fault = Fault("silent", "ais", START_S, START_S + 200.0, 9.0, "she has gone silent", "235000111", (("radar", "7"),))
-    faults, seen = ConfirmedFaults(), SimpleNamespace(members={4: (("radar", "7"),), 5: (("radar", "8"),)})
+    faults, fault = ConfirmedFaults(), silence("235000111", "7")
+    seen = shown({4: (("radar", "7"),), 5: (("radar", "8"),)})
     for _ in range(2):
-        faults.update([fault], seen.members)
+        faults.update([fault], seen)
     assert [alarm.objects for alarm in fault_alarms(faults.confirmed, seen)] == [(4,)]
     # The radar gives her another track number meanwhile.
     for members in ((("radar", "7"), ("other", "1")), (("other", "1"),)):
         seen.members[4] = members
-        faults.update([], seen.members)
+        faults.update([], seen)
     assert [alarm.objects for alarm in fault_alarms(faults.confirmed, seen)] == [(4,)]
     gone = ConfirmedFaults(faults.confirmed)
-    gone.update([], {5: (("radar", "8"),)})
+    gone.update([], shown({5: (("radar", "8"),)}))
     assert not gone.confirmed
+    for mmsi, after_s, silent in (("235000222", 900.0, 1), ("235000111", -5.0, 1), ("235000111", 900.0, 0)):
+        faults.take(report(mmsi, after_s))
+        assert len(faults.confirmed) == silent
 
-    def report(mmsi, after_s):
-        place = {"time_s": [START_S + after_s], "x_m": [0.0], "y_m": [0.0], "mmsi": [mmsi]}
-        faults.take(Reports.of("ais", "ais", place))
-        return list(faults.confirmed)
 
-    assert report("235000222", 900.0) == report("235000111", -5.0) == ["silent ais 235000111"]
-    assert report("235000111", 900.0) == []
+@pytest.mark.parametrize(("at", "received", "silent"), [(9, [], 0), (30, [], 1), (9, [[0.0, 500.0]], 1)])
+def test_a_ship_is_not_silent_where_others_were_and_reported_again(at, received, silent):
+    """Every ship that passed behind an island was an alarm, each time. Where somebody is received is no such place."""
+    faults, first, second = ConfirmedFaults(), silence("235000111", "7"), silence("235000222", "8")
+    for _ in range(2):
+        faults.update([first], shown({4: (("radar", "7"),)}))
+    assert len(faults.confirmed) == 1
+    faults.take(report("235000111", 400.0))
+    assert not faults.confirmed
+    for _ in range(2):
+        faults.update([second], shown({at: (("radar", "8"),)}, received=received))
+    assert len(faults.confirmed) == silent
+    # She leaves the place behind the island, and is silent still.
+    faults.update([second], shown({40: (("radar", "8"),)}))
+    assert len(faults.confirmed) == 1

@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
+from sameas.arrays import FloatArray
 from sameas.live.journal import Journal, Store
 from sameas.live.replay import in_words
 from sameas.live.situation import Alarm, Situation
@@ -181,23 +183,56 @@ def identity_alarms(state: PictureState[Any]) -> list[Alarm]:
     return out
 
 
-#: Source and track of each record of an object, by its number.
-Members = Mapping[int, tuple[tuple[str, str], ...]]
-
-
 def fault_alarms(faults: Mapping[str, Fault], situation: Situation) -> list[Alarm]:
     """Alarms of deception of tracks and of faults of sources, by key; with the objects that have the tracks now."""
     out = []
     for key, fault in faults.items():
-        objects = tuple(_objects_of(fault, situation.members)) if fault.track else ()
+        objects = tuple(_objects_of(fault, situation)) if fault.track else ()
         out.append(Alarm(key, "deception" if fault.track else "source", str(fault), objects))
     return out
 
 
-def _objects_of(fault: Fault, of_object: Members) -> list[int]:
+def _objects_of(fault: Fault, situation: Situation) -> list[int]:
     """The objects that have the track of a fault, or one by which a sensor still shows its ship."""
     tracks = {(fault.source, fault.track), *fault.seen_as}
-    return [n for n, members in of_object.items() if not tracks.isdisjoint(members)]
+    return [n for n, members in situation.members.items() if not tracks.isdisjoint(members)]
+
+
+#: A ship so near to a place where another one was not received is not received for the same reason, and nobody who is
+#: received so near to that place is (chosen: hills hide ships over kilometres).
+GAP_M, RECEIVED_M = 1000.0, 500.0
+#: Age of a report that shows that its place is within reception, and number of places that are kept of a source.
+FRESH_S, MOST_GAPS = 15.0, 2000
+
+
+@dataclass
+class ReceptionGaps:
+    """Places where sensors showed ships that a source did not receive, and received again later: those behind land.
+
+    Only what was received again tells them from those who switch off, and nobody must have been received there since.
+    """
+
+    places: dict[str, FloatArray] = field(default_factory=dict)
+
+    def add(self, source: str, places: Sequence[tuple[float, float]]) -> None:
+        """The places (metres) where a ship was silent that reports again."""
+        known = self.places.get(source, np.empty((0, 2)))
+        self.places[source] = np.concatenate([known, np.array(places, float).reshape(-1, 2)])[-MOST_GAPS:]
+
+    def received(self, situation: Situation) -> None:
+        """Forgets the places near which a source receives somebody now."""
+        records = situation.records
+        for source, places in self.places.items():
+            fresh = (records["source"] == source) & (np.ma.filled(records["age_s"], np.inf) < FRESH_S)
+            at = np.column_stack([np.ma.filled(records[name], np.nan)[fresh] for name in ("x_m", "y_m")])
+            at = at[np.isfinite(at).all(axis=1)]
+            if len(at) and len(places):
+                self.places[source] = places[cdist(places, at).min(axis=1) > RECEIVED_M]
+
+    def has(self, source: str, place: tuple[float, float]) -> bool:
+        """Whether a place is near one of them."""
+        places = self.places.get(source, np.empty((0, 2)))
+        return bool((np.hypot(*(places - place).T) < GAP_M).any())
 
 
 @dataclass
@@ -206,42 +241,63 @@ class ConfirmedFaults:
     search every half minute. ``suspected`` : the keys of the last search.
 
     A search knows the last minutes only. A ship that was silent for longer is so until she reports again, or no sensor
-    shows her any more.
+    shows her any more. Where others were silent and reported again later, she need not have switched off. ``paths`` :
+    her fault and where she was since, by key.
     """
 
     confirmed: Mapping[str, Fault] = field(default_factory=dict)
     suspected: frozenset[str] = frozenset()
+    gaps: ReceptionGaps = field(default_factory=ReceptionGaps)
+    paths: dict[str, tuple[Fault, list[tuple[float, float]]]] = field(default_factory=dict)
 
-    def update(self, faults: Sequence[Fault], of_object: Members) -> None:
-        """Takes what a search found. of_object : source and track of each record of an object now, by its number."""
+    def update(self, faults: Sequence[Fault], situation: Situation | None) -> None:
+        """Takes what a search found. situation : the last one, None before the first."""
         found = {f"{fault.kind} {fault.source} {fault.track}".rstrip(): fault for fault in reversed(faults)}
-        self.confirmed = self._still_silent(of_object) | {
-            key: fault for key, fault in found.items() if key in self.suspected
+        new = {key: fault for key, fault in found.items() if key in self.suspected}
+        if situation is not None:
+            self.gaps.received(situation)
+            new = self._still_silent(situation) | new
+            self._follow({key: fault for key, fault in new.items() if fault.kind == "silent"}, situation)
+        self.confirmed = {
+            key: fault
+            for key, fault in new.items()
+            if key in self.confirmed or key not in self.paths or not self.gaps.has(fault.source, self.paths[key][1][-1])
         }
         self.suspected = frozenset(found)
 
-    def _still_silent(self, of_object: Members) -> dict[str, Fault]:
+    def _still_silent(self, situation: Situation) -> dict[str, Fault]:
         """The silences of ships that sensors still show; these may show them by other tracks meanwhile."""
         out: dict[str, Fault] = {}
-        silent = {key: fault for key, fault in self.confirmed.items() if fault.kind == "silent"}
-        for key, fault in silent.items():
-            tracks = dict.fromkeys(one for n in _objects_of(fault, of_object) for one in of_object[n])
+        for key, fault in self.confirmed.items():
+            objects = _objects_of(fault, situation) if fault.kind == "silent" else ()
+            tracks = dict.fromkeys(one for n in objects for one in situation.members[n])
             if tracks:
                 out[key] = replace(fault, seen_as=tuple(tracks))
         return out
 
+    def _follow(self, silent: Mapping[str, Fault], situation: Situation) -> None:
+        """Adds where silent ships are now to their paths."""
+        columns = (situation.objects[name].tolist() for name in ("object", "x_m", "y_m"))
+        place_of = {n: (x, y) for n, x, y in zip(*columns, strict=True) if x is not None}
+        paths = {}
+        for key, fault in silent.items():
+            path = self.paths.get(key, (fault, []))[1]
+            path += [place_of[n] for n in _objects_of(fault, situation)[:1] if n in place_of]
+            if path:
+                paths[key] = fault, path
+        self.paths = paths
+
     def take(self, reports: Reports) -> None:
         """Ends the silence of ships that report again."""
-        silent = {fault.track: key for key, fault in self.confirmed.items() if fault.kind == "silent"}
-        if not silent or reports.object_ids is None:
+        if not self.paths or reports.object_ids is None:
             return
-        again = silent.keys() & set(reports.object_ids.astype(str).tolist())
-        ended = {
-            silent[track]
-            for track in again
-            if self.confirmed[silent[track]].first_s < reports.time_s[reports.object_ids.astype(str) == track].max()
-        }
-        self.confirmed = {key: fault for key, fault in self.confirmed.items() if key not in ended}
+        ids = reports.object_ids.astype(str)
+        for key, (fault, places) in list(self.paths.items()):
+            own = ids == fault.track
+            if own.any() and reports.time_s[own].max() > fault.first_s:
+                self.gaps.add(fault.source, places)
+                del self.paths[key]
+                self.confirmed = {other: one for other, one in self.confirmed.items() if other != key}
 
 
 def disk_alarms(folder: Path | None, refusal: str, recordings: str | None, errors: Sequence[str]) -> list[Alarm]:

@@ -411,8 +411,7 @@ class BackgroundWork:
             LOG.info("faults: %s", error, exc_info=not isinstance(error, InputError))
             return
         with self.lock:
-            situation = self.situation()
-            self.faults.update(faults, {} if situation is None else situation.members)
+            self.faults.update(faults, self.situation())
 
     def begin_due(self, now_s: float) -> None:
         """Begins what is due at this time of the picture."""
