@@ -15,7 +15,16 @@ from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.plot_fit import Knots
 from sameas.tracks.plot_offsets import fit_plots
-from sameas.tracks.plot_pairs import SEEN_SHARES, log_mean_over_seen, shows_bare_plots, shows_tracks
+from sameas.tracks.plot_pairs import (
+    MAX_SIGMA_M,
+    SEEN_SHARES,
+    Blocks,
+    Path,
+    Plots,
+    log_mean_over_seen,
+    shows_bare_plots,
+    shows_tracks,
+)
 from sameas.tracks.scene import Scene
 
 
@@ -283,3 +292,27 @@ def test_a_radar_sees_at_least_two_of_the_tracks():
     due = np.mean([(1.0 - seen) ** 9 for seen in SEEN_SHARES if seen >= 2.0 / 9.0])
     np.testing.assert_allclose(np.exp(log_mean_over_seen(unseen)), due, rtol=1e-12)
     np.testing.assert_allclose(log_mean_over_seen(unseen[:1]), np.log(1.0 - SEEN_SHARES[-1]), rtol=1e-12)
+
+
+def test_blocks_of_plots_leave_out_only_plots_while_a_track_is_out_of_reach():
+    """Of two hours of a coast, most tracks were compared with all plots of radars that never see them."""
+    rng, n, reach_m = np.random.default_rng(12), 3000, 10e3
+    time_s = np.sort(rng.uniform(0.0, 7200.0, n))
+    sensor = np.column_stack([4.0 * time_s, np.zeros(n)])
+    none = np.zeros(n)
+    plots = Plots(time_s, np.arange(n), sensor, sensor, none, none, np.ones((n, 2)), np.arange(n))
+    blocks, n_within = Blocks.of(plots), []
+    for _ in range(40):
+        at_s = np.sort(rng.uniform(0.0, 7200.0, rng.integers(2, 60)))
+        velocity = rng.uniform(-15.0, 15.0, 2)
+        place = rng.uniform(-40e3, 40e3, 2) + velocity * (at_s - 3600.0)[:, None]
+        state = np.column_stack([place, np.broadcast_to(velocity, place.shape)])
+        covariance = np.diag([100.0, 100.0, 0.1, 0.1]) * np.ones((len(at_s), 1, 1))
+        path = Path(at_s, state, covariance, np.full(len(at_s), 0.01))
+        there, error = path.at(time_s)
+        is_near = np.hypot(*(there[:, :2] - sensor).T) <= reach_m
+        is_near &= error[:, :2, :2].max(axis=(1, 2)) < MAX_SIGMA_M**2
+        within = blocks.within(reach_m, path)
+        assert np.isin(np.flatnonzero(is_near), within).all()
+        n_within.append(len(within))
+    assert 0 in n_within and np.mean(n_within) < 0.5 * n

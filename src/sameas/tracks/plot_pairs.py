@@ -25,6 +25,9 @@ FITTED = (RANGE, AZIMUTH, GAIN, TIME)
 AZIMUTH_REACH = 20.0  # the azimuth of bare plots is searched within this many prior widths
 #: Gate of plots and tracks in range, and maximum 1σ of the position of a compared track.
 GATE_SIGMAS, MAX_SIGMA_M = 3.5, 100.0
+#: Blocks of plots that are left out at once while a track is out of reach, and by how many of the largest errors it may
+#: be elsewhere than its motion within a block tells.
+BLOCKS, BLOCK_SIGMAS = 100, 10.0
 OWN_PLATFORM_M = 50.0  # tracks nearer to the sensor than this are excluded, as the sensor's own platform
 #: Plots at the same place, between these times before and after a plot, are background: a moving object has left the
 #: place by then. ECHO_M is added to the width within which they are counted.
@@ -162,6 +165,34 @@ class PlotPairs:
         return np.einsum("map,p,map->ma", self.jacobian, others**2, self.jacobian)
 
 
+@dataclass(frozen=True)
+class Blocks:
+    """Plots in order of time, in blocks (b,) of about equal numbers, as most tracks of a coast are far beyond the reach
+    of a radar for most of the time. sizes, first : number and first plot of each block. span_s, moved_m : its seconds,
+    and how far the sensor moves in it."""
+
+    plots: Plots
+    sizes: IntArray
+    first: IntArray
+    span_s: FloatArray
+    moved_m: FloatArray
+
+    @classmethod
+    def of(cls, plots: Plots) -> Blocks:
+        blocks = np.array_split(np.arange(len(plots)), max(min(BLOCKS, len(plots)), 1))
+        first, last = (np.array([block[end] for block in blocks if len(block)], np.int64) for end in (0, -1))
+        moved_m = [np.hypot(*np.ptp(plots.sensor[block], axis=0)) for block in blocks if len(block)]
+        span_s = plots.time_s[last] - plots.time_s[first]
+        return cls(plots, last - first + 1, first, span_s, np.array(moved_m))
+
+    def within(self, reach_m: float, path: Path) -> IntArray:
+        """The plots at whose times a track may be within reach of the sensor."""
+        state, _ = path.at(self.plots.time_s[self.first])
+        apart_m = np.hypot(*(state[:, :2] - self.plots.sensor[self.first]).T)
+        room_m = np.hypot(*state[:, 2:].T) * self.span_s + self.moved_m + BLOCK_SIGMAS * MAX_SIGMA_M
+        return np.flatnonzero(np.repeat(apart_m <= reach_m + room_m, self.sizes))
+
+
 def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], reach_deg: float | None = None) -> PlotPairs:
     """The candidate pairs of all plots and all tracks of the partners.
 
@@ -172,24 +203,27 @@ def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], reach_deg: fl
     parts: list[tuple[NDArray[Any], ...]] = []
     scans: list[float] = []
     lasting = max(feed.description.errors.extent_m or 0.0, LEAST_LASTING_M) ** 2
-    scan_starts = first_of_scans(plots)
+    begins_scan = np.zeros(len(plots), bool)
+    begins_scan[first_of_scans(plots)] = True
+    reach_m, blocks = feed.description.coverage.range_m or np.inf, Blocks.of(plots)
     for partner in partners:
         lasting = max(lasting, sum((f.description.errors.extent_m or 0.0) ** 2 for f in (feed, partner)))
         for path in _paths(partner):
-            state, covariance = path.at(plots.time_s)
-            arm = state[:, :2] - plots.sensor
+            rows = blocks.within(reach_m, path)
+            state, covariance = path.at(plots.time_s[rows])
+            arm = state[:, :2] - plots.sensor[rows]
             range_m, azimuth, frame = _sight(arm)
             along, across = (np.einsum("nv,nvw,nw->n", frame[:, a], covariance[:, :2, :2], frame[:, a]) for a in (0, 1))
             known = np.maximum(along, across) < MAX_SIGMA_M**2
-            known &= (range_m > OWN_PLATFORM_M) & (range_m <= (feed.description.coverage.range_m or np.inf))
+            known &= (range_m > OWN_PLATFORM_M) & (range_m <= reach_m)
             if not known.any():
                 continue
-            d_azimuth = (plots.azimuth_deg - azimuth + 180.0) % 360.0 - 180.0
-            variance = plots.variance + np.column_stack([along, across])
+            d_azimuth = (plots.azimuth_deg[rows] - azimuth + 180.0) % 360.0 - 180.0
+            variance = plots.variance[rows] + np.column_stack([along, across])
             gate_m = GATE_SIGMAS * np.sqrt(
                 variance[:, 0] + lasting + widths[RANGE] ** 2 + (widths[GAIN] * range_m) ** 2
             )
-            d_range = plots.range_m - range_m
+            d_range = plots.range_m[rows] - range_m
             near = np.flatnonzero(known & (np.abs(d_range) <= gate_m) & (np.abs(d_azimuth) <= reach_deg))
             velocity = np.einsum("nav,nv->na", frame, state[:, 2:])[near]
             one, zero, r = np.ones(len(near)), np.zeros(len(near)), range_m[near]
@@ -199,8 +233,9 @@ def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], reach_deg: fl
             )  # fmt: skip
             residual = np.column_stack([d_range[near], RADIAN * d_azimuth[near] * r])
             hull = frame[near] @ _axes(state[near, 2:])
-            parts.append((near, np.full(len(near), len(scans)), residual, jacobian, variance[near], hull, frame[near]))
-            scans.append(float(np.sum(known[scan_starts])))
+            track = np.full(len(near), len(scans))
+            parts.append((rows[near], track, residual, jacobian, variance[near], hull, frame[near]))
+            scans.append(float(np.sum(known & begins_scan[rows])))
     if not sum(len(part[0]) for part in parts):
         none, empty = np.empty(0, np.int64), np.empty((0, 2))
         return PlotPairs(
