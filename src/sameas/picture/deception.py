@@ -34,7 +34,7 @@ from sameas.picture.phantoms import APART_SIGMAS, TRACKER_LAG_S, Phantom, instan
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
-from sameas.tracks.alignment import States
+from sameas.tracks.alignment import States, named_tracks
 from sameas.tracks.coordinates import MILE_M
 from sameas.tracks.duplicate_ids import MAX_SPEED_SIGMAS, POSITION_SIGMAS, fastest
 from sameas.tracks.faults import Fault, log_odds_of_silence, source_faults
@@ -476,10 +476,10 @@ class _TrackHistories:
 def _times_by_track(track: NDArray[Any] | None, time_s: FloatArray) -> dict[str, FloatArray]:
     if track is None or not len(track):
         return {}
-    names, number = np.unique(track.astype(str), return_inverse=True)
+    names, number = named_tracks(track)
     order = np.lexsort([time_s, number])
     times = np.split(time_s[order], np.flatnonzero(np.diff(number[order])) + 1)
-    return {str(name): np.unique(own) for name, own in zip(names, times, strict=True)}
+    return {name: np.unique(own) for name, own in zip(names, times, strict=True)}
 
 
 def _has_partner(own: PictureTrack, meetings: Sequence[_Meeting]) -> BoolArray:
@@ -515,7 +515,7 @@ def _jumps_of(feed: Feed, n_around: int) -> list[_Jump]:
     reports, speed = feed.reports, feed.description.motion.speed_m_per_s
     if not isinstance(reports, States) or reports.track is None or not speed:
         return []
-    names, number = np.unique(reports.track.astype(str), return_inverse=True)
+    names, number = named_tracks(reports.track)
     rows = np.flatnonzero(reports.usable)
     rows = rows[np.lexsort([reports.time_s[rows], number[rows]])]
     number, time_s, place = number[rows], reports.time_s[rows], reports.state[rows, :2]
@@ -529,7 +529,7 @@ def _jumps_of(feed: Feed, n_around: int) -> list[_Jump]:
         around = slice(max(k + 1 - n_around, 0), k + n_around)
         # A single false position is no jump, and has two of these.
         if len(far[around]) == 2 * n_around - 1 and same_track[around].all() and far[around].sum() == 1:
-            track, times_s = str(names[number[k]]), (float(time_s[k]), float(time_s[k + 1]))
+            track, times_s = names[number[k]], (float(time_s[k]), float(time_s[k + 1]))
             jumps.append(_Jump(track, times_s, (place[k], place[k + 1]), float(reach[k])))
     return sorted(jumps, key=lambda jump: jump.times_s)
 

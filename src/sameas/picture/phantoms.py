@@ -36,6 +36,7 @@ from scipy.special import betainc, expit, logit, logsumexp
 from sameas.arrays import BoolArray, ColumnTable, FloatArray, IntArray
 from sameas.kernels.nearest import nearest_at_once
 from sameas.ragged import Ragged
+from sameas.tracks.alignment import named_tracks
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
 from sameas.tracks.kinds import KINDS
 
@@ -434,11 +435,10 @@ def _range_bins(range_m: FloatArray, seen: BoolArray, ship: IntArray) -> tuple[I
 def _lengths(ships: Feed, names: Sequence[str]) -> FloatArray:
     """(n,) the least length that each track states, NaN without one."""
     raw, track, rows = ships.raw_reports, ships.reports.track, ships.reports.rows
-    out = np.full(len(names), np.inf)
-    if raw is not None and raw.length_m is not None and track is not None and rows is not None:
-        length = raw.length_m[rows]
-        order = np.argsort(np.array(names))
-        at = np.searchsorted(np.array(names), track.astype(str), sorter=order).clip(max=len(names) - 1)
-        stated = (length > 0.0) & (np.array(names)[order[at]] == track.astype(str))
-        np.minimum.at(out, order[at[stated]], length[stated])
-    return np.where(np.isfinite(out), out, np.nan)
+    if raw is None or raw.length_m is None or track is None or rows is None:
+        return np.full(len(names), np.nan)
+    known, number = named_tracks(track)
+    length, least = raw.length_m[rows], np.full(len(known), np.inf)
+    np.minimum.at(least, number, np.where(length > 0.0, length, np.inf))
+    of_name = dict(zip(known, np.where(np.isfinite(least), least, np.nan).tolist(), strict=True))
+    return np.array([of_name.get(name, np.nan) for name in names])

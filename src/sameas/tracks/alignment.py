@@ -227,14 +227,25 @@ def track_numbers(track: NDArray[Any]) -> IntArray:
     >>> track_numbers(np.array(["b", "a", "b"])).tolist()
     [1, 0, 1]
     """
+    return named_tracks(track)[1]
+
+
+def named_tracks(track: NDArray[Any]) -> tuple[list[str], IntArray]:
+    """The names of the tracks (n,) in order, each once, and (n,) the number of each among them.
+
+    >>> named_tracks(np.array(["b", "a", "b"]))
+    (['a', 'b'], array([1, 0, 1]))
+    """
     if track.dtype.kind in "iu":
-        return np.unique(track, return_inverse=True)[1]
+        numbers, number = np.unique(track, return_inverse=True)
+        return list(map(str, numbers.tolist())), number
     # Names need not be comparable; their texts are. Each is looked up: to sort all takes twice as long.
-    names = track.tolist()
-    text = {name: str(name) for name in set(names)}
-    number = {one: k for k, one in enumerate(sorted(set(text.values())))}
-    of_name = {name: number[one] for name, one in text.items()}
-    return np.fromiter(map(of_name.__getitem__, names), np.int64, len(names))
+    given = track.tolist()
+    text = {one: str(one) for one in set(given)}
+    names = sorted(set(text.values()))
+    place = {name: k for k, name in enumerate(names)}
+    of_given = {one: place[name] for one, name in text.items()}
+    return names, np.fromiter(map(of_given.__getitem__, given), np.int64, len(given))
 
 
 @dataclass(frozen=True)

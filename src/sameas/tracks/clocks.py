@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import ColumnTable, FloatArray, IntArray
 from sameas.kernels.tracks import search_jumps
 from sameas.representation import counted
 from sameas.tracks.alignment import States, track_numbers
@@ -36,7 +36,7 @@ MAX_MINUTES, MAX_PAUSES, PAUSE_PRIOR = 10, 100, 0.3
 
 
 @dataclass(frozen=True)
-class Steps:
+class Steps(ColumnTable):
     """Pairs of successive reports of moving tracks in the order of the file, (m,) each.
 
     first, second : rows. late_s, sigma_s : seconds by which the second stamp is later than the motion predicts, and 1σ.

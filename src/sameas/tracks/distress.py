@@ -88,7 +88,11 @@ def _of_devices(reports: Reports, mmsis: TextArray) -> Iterator[DistressCall]:
     """The calls of locating devices; one whose status is unknown may be in distress."""
     status = reports.extra.get("nav_status")
     tested = np.zeros(len(reports), bool) if status is None else status == TESTED
-    is_device = np.array([device_of(mmsi) is not None for mmsi in mmsis.tolist()], bool)
+    given = mmsis.tolist()
+    devices = {mmsi for mmsi in set(given) if device_of(mmsi)}
+    if not devices:
+        return
+    is_device = np.array([mmsi in devices for mmsi in given], bool)
     for mmsi, rows in _by_text(mmsis, np.flatnonzero(is_device & ~tested)):
         yield _call(reports, rows, "mmsi", mmsi, f"{device_of(mmsi)} {mmsi} calls for help")
 

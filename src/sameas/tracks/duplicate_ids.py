@@ -15,7 +15,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.representation import counted
-from sameas.tracks.alignment import States
+from sameas.tracks.alignment import States, named_tracks
 
 #: Maximum speed, in units of the typical speed of the source's objects (1σ per axis). An object that states a speed may
 #: move at STATED_SPEEDS times it, whatever the maximum speed is.
@@ -41,7 +41,7 @@ def split_duplicate_ids(
         return reports, ()
     limit = MAX_SPEED_SIGMAS * speed_m_per_s
     usable = np.flatnonzero(reports.usable)
-    names, number = np.unique(reports.track[usable].astype(str), return_inverse=True)
+    names, number = named_tracks(reports.track[usable])
     order = np.lexsort([reports.time_s[usable], number])
     rows, owner = usable[order], number[order]
     radius = (
@@ -61,7 +61,7 @@ def split_duplicate_ids(
             track[rows[own[branch == of_object]]] = f"{names[k]} ({nth})"
         if len(objects):
             state[rows[own[is_outlier]]] = np.nan
-        notes += _notes(str(names[k]), len(objects), int(is_outlier.sum()))
+        notes += _notes(names[k], len(objects), int(is_outlier.sum()))
     return States(reports.time_s, state, reports.covariance, track, reports.rows), tuple(notes)
 
 

@@ -105,8 +105,7 @@ def clock_jumps(feed: Feed) -> list[Fault]:
         )
         jumps.append(Fault("clock", feed.description.name, when, float(reports.time_s.max()), log_odds, words))
         across_jump = (at[steps.first] < row) & (row <= at[steps.second])
-        columns = ("first", "second", "late_s", "sigma_s", "track")
-        steps = Steps(*(getattr(steps, name)[~across_jump] for name in columns))
+        steps = steps.take(~across_jump)
     return jumps
 
 
