@@ -84,7 +84,7 @@ def test_numeric_codes_become_text():
 def test_addresses_and_call_signs_of_a_fleet_follow_each_other_and_are_no_slips(name, form):
     """Two aircraft at neighbouring stands, one with ADS-B and one in multilateration, were one at 0.98."""
     fleet, model = [form.format(k) for k in range(40, 70)], MODELS[name]
-    near = [ratio(model, *fleet[k : k + 2], fleet[:k] + fleet[k + 2 :]) for k in range(0, 29, 2)]
+    near = [ratio(model, fleet[k], fleet[k + 1], fleet[:k] + fleet[k + 2 :]) for k in range(0, 29, 2)]
     others = [form.format(k) for k in range(11_111, 60_000, 4001)]
     assert max(near) < 0.0 < ratio(model, fleet[0], fleet[1], others) - 0.5
     assert ratio(model, fleet[0], fleet[0], fleet[1:]) > 5.0
