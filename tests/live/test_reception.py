@@ -5,7 +5,7 @@ from tests.live.conftest import START_S
 
 from sameas.errors import InputError
 from sameas.io.sensors.nmea import checksum
-from sameas.live.reception import Reception
+from sameas.live.reception import PAUSES, Reception
 from sameas.live.replay import Replay
 from sameas.live.settings import LiveSource, Settings, WatchSettings, read_settings
 from sameas.tracks import Description
@@ -67,6 +67,30 @@ def test_a_silent_source_is_an_alarm_unless_it_is_excused():
     receiver.reception.add("west", at(receiver.now_s), receiver.now_s)
     assert receiver.alarms(0.0) == ["set aside mast", "silent east"]
     assert receiver.alarms(0.0, excused={"east"}) == ["set aside mast"]
+
+
+@pytest.mark.parametrize(("every_s", "pauses"), [(180.0, (170.0, 185.0)), (1.0, (58.0,)), (40.0, (150.0, 195.0))])
+def test_a_receiver_of_ships_at_anchor_is_not_silent(every_s, pauses, tmp_path):
+    """Where all ships lay at anchor, the receiver of AIS was silent, every three minutes again."""
+    path, now = tmp_path / "sensors.toml", [START_S]
+    path.write_text(f'[sources.west]\nkind = "ais"\ninput = "{URL}"\n')
+    reception = Reception(read_settings(path), lambda: now[0], use=lambda name, reports: None)
+
+    def after(seconds):
+        now[0] += seconds
+        reception.take(now[0])
+        return [alarm.text for alarm in reception.alarms() if alarm.key.startswith("silent")]
+
+    for k in range(12):
+        assert not after(every_s if k else 1.0)
+        reception.wires[URL].state.last_s = now[0]
+        reception.add("west", at(now[0]), now[0])
+    waited_s = 0.0
+    for pause_s in pauses:
+        assert not after(pause_s - waited_s)
+        waited_s = pause_s
+    [text] = after(PAUSES * every_s + 200.0 - waited_s)
+    assert text.startswith("west has sent no report for ")
 
 
 def test_a_flood_is_an_alarm_each_time_that_more_is_dropped():

@@ -7,8 +7,9 @@ used is counted at its source, with the reason.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from sameas.live.replay import Playback, Replay, in_words
 from sameas.live.settings import Settings
 from sameas.live.situation import Alarm
 from sameas.representation import listed
+from sameas.tracks.kinds import AT_REST_EVERY_S
 from sameas.tracks.platforms import gives_own_ship
 from sameas.tracks.reports import Reports
 
@@ -35,6 +37,11 @@ MISFIT_LINES = 20
 AHEAD_S = 600.0
 #: A source that gave nothing for this many seconds has paused; one whose stamps stand for as long repeats its reports.
 RESUMED_S = 10.0
+#: A source has paused if it is silent for so many times its mean pause, at most so many seconds (chosen): reports of a
+#: few ships at anchor, three minutes apart, come in bunches. Of AIS with so long mean pauses all may be at anchor.
+PAUSES, MOST_PAUSE_S, SPARSE_S = 5.0, 600.0, 5.0
+#: Number of pauses whose mean counts.
+PAUSES_KEPT = 9
 #: A serial line that shows nothing readable in as many bytes has another speed: NMEA has 82 in a sentence.
 LEAST_BYTES = 250
 #: Largest number of kinds of sentences that are named where none is a report.
@@ -49,6 +56,7 @@ class SourceState:
 
     last_s : last receive time. delay_s : receive time minus time stamp, median of the last reports: stamp_s is theirs,
     and moved_s when the first with it were received. pause_s, resumed_s : last pause of the source, and its end.
+    pauses_s : the last ones between receipts.
     """
 
     refused: int = 0
@@ -60,12 +68,21 @@ class SourceState:
     moved_s: float = math.nan
     pause_s: float = 0.0
     resumed_s: float = -math.inf
+    pauses_s: deque[float] = field(default_factory=lambda: deque(maxlen=PAUSES_KEPT))
+
+    def longest_pause_s(self, kind: str) -> float:
+        """For how long a source of this kind that gives reports may pause, by its own pauses."""
+        mean_s = sum(self.pauses_s) / len(self.pauses_s) if self.pauses_s else SPARSE_S
+        at_rest_s = AT_REST_EVERY_S + RESUMED_S if kind == "ais" and mean_s >= SPARSE_S else 0.0
+        return max(min(PAUSES * mean_s, MOST_PAUSE_S), at_rest_s)
 
     def set_delay(self, stamp_s: float, received_s: float) -> None:
         """Takes the time stamp of the last reports, received at this time."""
         if stamp_s != self.stamp_s:
             self.stamp_s, self.moved_s = stamp_s, received_s
         self.delay_s = received_s - stamp_s
+        if 0.0 < received_s - self.last_s < math.inf:
+            self.pauses_s.append(received_s - self.last_s)
         if RESUMED_S < received_s - self.last_s < math.inf:
             self.pause_s, self.resumed_s = received_s - self.last_s, received_s
 
@@ -199,8 +216,9 @@ class Reception:
             never = not math.isfinite(state.last_s)
             if never and (reason := self._misfit(name)):
                 out.append(Alarm(f"silent {name}", "source", f"{name}: none of its data can be used: {reason}"))
-            elif clock_s - max(state.last_s, self.began_s) > watch.silent_s and name not in excused:
-                text = f"{name} has sent no report {self._since(state.last_s)}: {self._silence(name)}"
+            elif clock_s - max(state.last_s, self.began_s) > self._allowed_s(name) and name not in excused:
+                since = self._since(state.last_s, self._allowed_s(name))
+                text = f"{name} has sent no report {since}: {self._silence(name)}"
                 out.append(Alarm(f"silent {name}", "source", text))
             elif abs(state.delay_s) > watch.clock_s:
                 words = state.clock_words(clock_s)
@@ -229,13 +247,20 @@ class Reception:
     def _wire_alarm(self, url: str, names: Sequence[str]) -> Alarm:
         """The alarm of a silent wire of several sources, one for all: their silence has one cause."""
         state = self.wires[url].state
-        since = self._since(state.last_s)
+        since = self._since(state.last_s, self.settings.watch.silent_s)
         why = "nothing has arrived" if state.connected else f"it is not connected ({state.error or 'no answer'})"
         return Alarm(f"silent {url}", "source", f"{url}, of {listed(names)}, is silent {since}: {why}")
 
-    def _since(self, last_s: float) -> str:
+    def _allowed_s(self, name: str) -> float:
+        """For how long a source may give no report; longer than ``silent_s`` if its own pauses are."""
+        state, kind = self.sources[name], self.settings.sources[name].description.kind
+        usual_s = state.longest_pause_s(kind) if math.isfinite(state.last_s) else 0.0
+        return max(self.settings.watch.silent_s, usual_s)
+
+    @staticmethod
+    def _since(last_s: float, silent_s: float) -> str:
         """For how long something is silent whose last sign was at ``last_s``, −∞ for none, in words."""
-        return f"for {self.settings.watch.silent_s:.0f} s" if math.isfinite(last_s) else "since the watch began"
+        return f"for {silent_s:.0f} s" if math.isfinite(last_s) else "since the watch began"
 
     def _zone_hint(self, name: str) -> str:
         """The remedy for a clock that is wrong by whole hours, where its format can have any zone."""

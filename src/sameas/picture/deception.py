@@ -39,7 +39,7 @@ from sameas.tracks.coordinates import MILE_M
 from sameas.tracks.duplicate_ids import MAX_SPEED_SIGMAS, POSITION_SIGMAS, fastest
 from sameas.tracks.faults import Fault, log_odds_of_silence, source_faults
 from sameas.tracks.feed import CORRELATED_KINDS, FASTEST_VESSEL_M_PER_S, Feed
-from sameas.tracks.kinds import KINDS
+from sameas.tracks.kinds import AT_REST_EVERY_S, KINDS
 
 if TYPE_CHECKING:
     from scipy.spatial import Delaunay
@@ -53,9 +53,8 @@ FALSE_POSITION_ODDS, SENSOR_SWAP, EMPTY_VOTE = 0.1, 0.01, 6.0
 #: Minimum duration of a silence, and its prior odds. A crossing ship, a crane or a quay may hide the antenna of a ship
 #: for two minutes, and all her reports are lost then.
 SILENT_S, SILENT_ODDS = 180.0, 0.01
-#: Ships at anchor or moored, and those of class B that make less than 2 kn, report at such intervals (ITU-R M.1371,
-#: table 1), and need not below this speed.
-AT_REST_EVERY_S, AT_REST_M_PER_S = 180.0, 3.0 * MILE_M / 3600.0
+#: Below this speed a ship may be one of those that report every :data:`AT_REST_EVERY_S` seconds.
+AT_REST_M_PER_S = 3.0 * MILE_M / 3600.0
 DISPLACED_S = 60.0  # a deception that begins so long before a fault of its source may be the fault's (chosen)
 SURE_DECEPTION = 0.95  # probability at which either is an alarm
 

@@ -10,6 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 Value = float | tuple[float, ...]
+#: Ships at anchor or moored, and those of class B that make less than 2 kn, send at such intervals (ITU-R M.1371,
+#: table 1).
+AT_REST_EVERY_S = 180.0
 
 
 @dataclass(frozen=True)
