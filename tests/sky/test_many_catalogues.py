@@ -59,11 +59,14 @@ class Sky:
         return set(map(tuple, np.column_stack(columns).tolist()))
 
 
-def sky(seed: int = 1, n: int = 1500, where: Cap | None = None, fast: float = 0.0, turned_by_deg: float = 0.0) -> Sky:
-    """Stars with motions of 8 mas/yr, some of a second a year, seen by the surveys."""
+def sky(
+    seed: int = 1, n: int = 1500, where: Cap | None = None, fast: float = 0.0, turned_by_deg: float = 0.0,
+    drift: float = 0.0,
+) -> Sky:  # fmt: skip
+    """Stars with motions of 8 mas/yr around ``drift`` north, some of a second a year, seen by the surveys."""
     rng = np.random.default_rng(seed)
     place = (where or Cap(80.0, 30.0, 1.0)).draw(rng, n)
-    motion = rng.normal(0.0, np.where(rng.uniform(size=n) < fast, 800.0, 8.0)[:, None], (n, 2))
+    motion = rng.normal(0.0, np.where(rng.uniform(size=n) < fast, 800.0, 8.0)[:, None], (n, 2)) + np.array([0.0, drift])
     catalogues, stars = [], []
     for name, epoch, sigma, share, moving in SURVEYS:
         seen = rng.permutation(n)[: int(share * n)]
@@ -399,6 +402,19 @@ def test_small_fields_in_a_large_one_are_not_doubted_for_lying_apart() -> None:
     wide, west, east = (seen(name, rows) for name, rows in parts.items())
     assert not any("the fields lie apart" in doubt for doubt in match_many([wide, west, east]).doubts)
     assert any("the fields lie apart" in doubt for doubt in match(west, east).doubts)
+
+
+def test_stars_that_move_are_no_offset_of_the_catalogues_without_motions() -> None:
+    """The mean motion of the field shifts two catalogues without motions; the third has the motions."""
+    moved = sky(n=800, drift=-5.0).catalogues
+    assert any("new is offset from middle" in doubt or "middle is offset from new" in doubt
+               for doubt in match(moved[1], moved[2]).doubts)  # fmt: skip
+    assert not any("is offset from" in doubt for doubt in match_many(moved).doubts)
+    # A frame that is off is off from the one with motions, too.
+    table = moved[2].table.copy()
+    table["dec"] += 0.06 / 3600.0
+    shifted = [*moved[:2], understood(table, "middle", 2000.0, 0.1)]
+    assert any("is offset from" in doubt for doubt in match_many(shifted).doubts)
 
 
 def test_many_combinations_cost_no_more_than_those_that_overlap() -> None:

@@ -51,6 +51,7 @@ from sameas.sky.crossmatch import MatchOptions, at_common_epoch, by_position
 from sameas.sky.crossmatch import match as match_two
 from sameas.sky.disjoint import WHETHER_SAME_SKY
 from sameas.sky.evidence_columns import AUTO, OFF
+from sameas.sky.match_doubts import REMOVE_OFFSET
 from sameas.sky.pattern_densities import Coverages
 from sameas.sky.population import (
     CONVERGED_SHARE,
@@ -372,7 +373,7 @@ def match_many(
     objects = Objects(tuple(records_as_given), em.pooled, em.sets, em.answer, em.terms)
     expected = _by_names(em.expected, order, [catalogue.name for catalogue in catalogues])
     pairs = {(ordered[a].name, ordered[b].name): match for (a, b), match in matches.items()}
-    doubts = assumed + _search_doubts(searches) + _doubts(pairs, objects, em.converged)
+    doubts = assumed + _search_doubts(searches) + _doubts(ordered, pairs, objects, em.converged)
     removed = {name: rotation for name, rotation in searches.items() if not rotation.by_chance}
     information = {
         (ordered[a].name, ordered[b].name): edge.information
@@ -579,14 +580,20 @@ def _at_common_epoch(catalogues: list[Catalogue], given: float | None) -> tuple[
     return None, without_epochs
 
 
-def _doubts(pairs: dict[tuple[str, str], SkyMatch], objects: Objects, converged: bool) -> tuple[str, ...]:
+def _doubts(
+    catalogues: Sequence[Catalogue], pairs: dict[tuple[str, str], SkyMatch], objects: Objects, converged: bool
+) -> tuple[str, ...]:
     # Two small fields in a large one lie apart rightly.
     placed = {name for names, match in pairs.items() if len(match.result.matches.rows_1) for name in names}
+    # Between two epochs objects move by themselves; where a third catalogue has their motions, it tells the frames.
+    moving = {catalogue.name for catalogue in catalogues if catalogue.has_motion}
+    epoch_of = {catalogue.name: catalogue.epoch_jyr for catalogue in catalogues}
     doubts: list[str] = [
         Message(f"{a} and {b}: ", words)
         for (a, b), match in pairs.items()
         for words in match.doubts
         if not ({a, b} <= placed and words.endswith(WHETHER_SAME_SKY))
+        and not (moving and not {a, b} & moving and epoch_of[a] != epoch_of[b] and words.endswith(REMOVE_OFFSET))
     ]
     if not converged:
         doubts.append("the estimates of all catalogues had not converged at the last iteration")

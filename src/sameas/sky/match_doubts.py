@@ -44,6 +44,9 @@ DUPLICATE_SIGMAS, DUPLICATE_SHARE = 5.0, 0.03
 #: records then lies within B1950_ARCSEC of a record of the other, and far more than else.
 B1950_RECORDS, B1950_ARCSEC, B1950_SHARE = 2_000, 2.0, 0.2
 
+#: The end of a doubt about the frames of two catalogues.
+REMOVE_OFFSET = naming("give {offset:'find'} to remove it")
+
 
 def match_doubts(
     match: SkyMatch, search: Rotation | None, disjoint: tuple[str, ...], left_behind: tuple[str, ...]
@@ -196,7 +199,7 @@ def _offset_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...
     one, other = result.first.source, result.second.source
     share_words = f"{share:.1g}" if share < 9.5 else f"{share:.0f}"
     off = f"{other} is offset from {one} by up to {share_words} of a pair's error ({rotation}): "
-    return (Message(off, naming("give {offset:'find'} to remove it")),)
+    return (Message(off, REMOVE_OFFSET),)
 
 
 def hardly_any_common(result: Identification, estimate: Estimate) -> bool:
