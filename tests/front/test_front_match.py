@@ -200,6 +200,7 @@ def test_plots_by_name(in_memory):
 REFUSED: dict[str, dict[str, Any]] = {
     "match has no option 'sigm1'; did you mean sigma1": {"sigm1": 0.1},
     "match has no option 'to_epock'; did you mean to_epoch": {"to_epock": 2000},
+    "match has no option 'column2'; give evidence=Column\\(2, \"NAME\"\\), of sameas.evidence": {"column2": "MAG"},
     "match has no option 'zzz'; see its documentation": {"zzz": 1},
     "match has no option 'radius', for it needs none: how far to look follows from the errors": {"radius": 1.0},
     "first: no column 'rra' for ra1; did you mean 'ra'": {"ra1": "rra", "sigma": 0.1},

@@ -131,6 +131,13 @@ NO_RADIUS = (
 )
 
 
+#: Options of the command for evidence, and the argument of the call.
+EVIDENCE = {
+    "column1": 'evidence=Column(1, "NAME")', "column2": 'evidence=Column(2, "NAME")',
+    "relation": 'evidence=Related("NAME1", "NAME2")',
+}  # fmt: skip
+
+
 def refuse_unknown(given: Iterable[str], known: Sequence[str], call: str) -> None:
     """Refuse unknown keyword arguments, with suggestions of similar names."""
     for name in given:
@@ -140,6 +147,8 @@ def refuse_unknown(given: Iterable[str], known: Sequence[str], call: str) -> Non
                     f"{call} has no option {name!r}, for it needs none: {NO_RADIUS}",
                     "give sigma=ARCSEC, or choose from the pairs by their sep_arcsec",
                 )
+            if name in EVIDENCE and "evidence" in known:
+                raise InputError(f"{call} has no option {name!r}", f"give {EVIDENCE[name]}, of sameas.evidence")
             close = difflib.get_close_matches(name.lower(), known, n=3, cutoff=0.6)
             hint = f"did you mean {' or '.join(close)}?" if close else "see its documentation for those that it has"
             raise InputError(f"{call} has no option {name!r}", hint)

@@ -12,6 +12,7 @@ from sameas.errors import InputError
 from sameas.plots.match import containment
 from sameas.plots.sheet import FAINT, FIRST, FOUND, INK, SECOND, TangentAxes, ellipse, nice_length, sheet, tidy
 from sameas.records import Records
+from sameas.representation import counted
 from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.sky_match import SkyMatch
@@ -331,7 +332,7 @@ def _finding(result: Identification, sides: tuple[_CatalogueSide, _CatalogueSide
     if one == 1:
         best = percent(result.p_pair[pairs].max())
         who = sides[0].names[0].split("\n")[0]
-        return f"{two} records of {names[1]} could be {names[0]} {who}; the best has {best}"
+        return f"{counted(two, 'record')} of {names[1]} could be {names[0]} {who}; the best has {best}"
     return f"{one} records of {names[0]} and {two} of {names[1]} compete"
 
 
