@@ -248,6 +248,21 @@ def test_estimates_that_have_not_converged_are_said_with_what_still_moves():
     )
 
 
+@pytest.mark.slow
+def test_an_error_model_whose_estimates_do_not_converge_is_dropped():
+    """Where everything has six chance candidates, the errors of such a model swing from 0.6 to 2 and back."""
+    density = 6.0 / (9.0 * math.pi * 0.34)
+    scene = poisson_field(
+        np.random.default_rng(500), density=density, extent=(math.sqrt(900.0 / density),) * 2, q1=0.1, q2=0.1,
+        sigma_1=0.5, sigma_2=0.3,
+    )  # fmt: skip
+    answer, estimate = match(scene.first, scene.second)
+    wrong = len(set(zip(answer.matches.rows_1, answer.matches.rows_2, strict=True))
+                - set(zip(*scene.true_pairs(), strict=True)))  # fmt: skip
+    assert estimate.converged
+    assert answer.expected_wrong == pytest.approx(wrong, rel=0.05)
+
+
 def test_a_tail_that_comes_and_goes_ends_the_iterations(monkeypatch):
     """Its gain is 11 without it, and 3 with it, as on a frame with a few displaced stars."""
     from sameas.estimate.error_scales import ErrorFit

@@ -94,8 +94,8 @@ class GateResult:
     too_narrow: bool = False
 
     def is_worse_than(self, other: GateResult) -> bool:
-        """Whether pairs are lost beyond this gate only."""
-        return self.too_narrow and not other.too_narrow
+        """Whether pairs are lost beyond this gate only, or only these estimates have not converged."""
+        return (self.too_narrow and not other.too_narrow) or (other.converged and not self.converged)
 
     @property
     def sampled(self) -> bool:
